@@ -1,0 +1,3 @@
+//! ROS 2 interfaces as Rust types.
+
+pub mod qos;
