@@ -1,1 +1,3 @@
-//! Placeholder.
+//! Ready robot modules.
+
+pub mod darwin_op;

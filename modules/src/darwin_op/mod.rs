@@ -1,0 +1,5 @@
+//! Darwin OP.
+
+pub mod bus;
+pub mod protocol;
+pub mod tables;

@@ -1,0 +1,184 @@
+//! What the computer says to the devices.
+
+use super::{BulkReadBlock, Id, Packet, SyncWriteBlock, emit_packet};
+
+const PING: u8 = 0x01;
+const READ: u8 = 0x02;
+const WRITE: u8 = 0x03;
+const REG_WRITE: u8 = 0x04;
+const ACTION: u8 = 0x05;
+const FACTORY_RESET: u8 = 0x06;
+const SYNC_WRITE: u8 = 0x83;
+const BULK_READ: u8 = 0x92;
+
+/// An instruction, its bytes borrowed from the packet or from who sends it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Instruction<'a> {
+    /// Are you there?
+    Ping {
+        /// Whom it concerns.
+        id: Id,
+    },
+    /// Say what is in your control table.
+    Read {
+        /// Whom it concerns.
+        id: Id,
+        /// First address.
+        address: u8,
+        /// How many bytes.
+        length: u8,
+    },
+    /// Put these bytes into your control table.
+    Write {
+        /// Whom it concerns.
+        id: Id,
+        /// First address.
+        address: u8,
+        /// The bytes.
+        data: &'a [u8],
+    },
+    /// Keep these bytes for your control table until ACTION.
+    RegWrite {
+        /// Whom it concerns.
+        id: Id,
+        /// First address.
+        address: u8,
+        /// The bytes.
+        data: &'a [u8],
+    },
+    /// Do what REG_WRITE told you to.
+    Action {
+        /// Whom it concerns.
+        id: Id,
+    },
+    /// Forget all settings, the id among them.
+    FactoryReset {
+        /// Whom it concerns.
+        id: Id,
+    },
+    /// Put bytes into the control tables of many devices at once. Goes to all, nobody answers.
+    SyncWrite {
+        /// First address, the same for all devices.
+        address: u8,
+        /// The devices and their bytes.
+        block: SyncWriteBlock<'a>,
+    },
+    /// Read from many devices, which answer one behind the other.
+    BulkRead {
+        /// The devices and what each is to answer.
+        block: BulkReadBlock<'a>,
+    },
+}
+
+/// Why a sound packet is no instruction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum InstructionError {
+    /// No instruction has this code.
+    #[error("no instruction has the code {code:02X}")]
+    Unknown {
+        /// The code on the wire.
+        code: u8,
+    },
+    /// The parameters do not fit the instruction.
+    #[error("{count} bytes of parameters do not fit the instruction {code:02X}")]
+    Parameters {
+        /// The code on the wire.
+        code: u8,
+        /// How many bytes of parameters there are.
+        count: usize,
+    },
+    /// The instruction exists only for all devices at once.
+    #[error("the instruction {code:02X} must go to id 254, not to {id}")]
+    NotBroadcast {
+        /// The code on the wire.
+        code: u8,
+        /// The device it was sent to.
+        id: Id,
+    },
+}
+
+impl<'a> Instruction<'a> {
+    /// The meaning of a packet that goes to the devices.
+    ///
+    /// # Errors
+    /// If no instruction has this code, or its parameters do not fit.
+    pub fn parse<T: AsRef<[u8]>>(packet: &'a Packet<T>) -> Result<Self, InstructionError> {
+        let (id, code, parameters) = (packet.id(), packet.code(), packet.parameters());
+        let misfit = InstructionError::Parameters { code, count: parameters.len() };
+        let to_all = || {
+            if id.is_broadcast() { Ok(()) } else { Err(InstructionError::NotBroadcast { code, id }) }
+        };
+        match (code, parameters) {
+            (PING, []) => Ok(Self::Ping { id }),
+            (READ, &[address, length]) => Ok(Self::Read { id, address, length }),
+            (WRITE, [address, data @ ..]) => Ok(Self::Write { id, address: *address, data }),
+            (REG_WRITE, [address, data @ ..]) => Ok(Self::RegWrite { id, address: *address, data }),
+            (ACTION, []) => Ok(Self::Action { id }),
+            (FACTORY_RESET, []) => Ok(Self::FactoryReset { id }),
+            (SYNC_WRITE, [address, data_length, bytes @ ..]) => {
+                to_all()?;
+                let block = SyncWriteBlock::new(*data_length, bytes).ok_or(misfit)?;
+                Ok(Self::SyncWrite { address: *address, block })
+            }
+            (BULK_READ, [0, bytes @ ..]) => {
+                to_all()?;
+                Ok(Self::BulkRead { block: BulkReadBlock::new(bytes).ok_or(misfit)? })
+            }
+            (PING..=FACTORY_RESET | SYNC_WRITE | BULK_READ, _) => Err(misfit),
+            _ => Err(InstructionError::Unknown { code }),
+        }
+    }
+
+    /// Appends the packet to `out`.
+    ///
+    /// # Panics
+    /// If there are more bytes than a packet can hold: 252 to write, 251 in a SYNC_WRITE, 252 in a BULK_READ.
+    pub fn emit(&self, out: &mut Vec<u8>) {
+        let id = self.id();
+        match *self {
+            Self::Ping { .. } => emit_packet(id, PING, &[], out),
+            Self::Read { address, length, .. } => emit_packet(id, READ, &[address, length], out),
+            Self::Write { address, data, .. } => emit_packet(id, WRITE, &joined(&[address], data), out),
+            Self::RegWrite { address, data, .. } => emit_packet(id, REG_WRITE, &joined(&[address], data), out),
+            Self::Action { .. } => emit_packet(id, ACTION, &[], out),
+            Self::FactoryReset { .. } => emit_packet(id, FACTORY_RESET, &[], out),
+            Self::SyncWrite { address, block } => {
+                emit_packet(id, SYNC_WRITE, &joined(&[address, block.data_length()], block.as_bytes()), out);
+            }
+            Self::BulkRead { block } => emit_packet(id, BULK_READ, &joined(&[0], block.as_bytes()), out),
+        }
+    }
+
+    /// The packet by itself.
+    ///
+    /// # Panics
+    /// As [`emit`](Self::emit).
+    #[must_use]
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut out = Vec::new();
+        self.emit(&mut out);
+        out
+    }
+
+    /// Whom it concerns.
+    #[must_use]
+    pub fn id(&self) -> Id {
+        match *self {
+            Self::Ping { id }
+            | Self::Read { id, .. }
+            | Self::Write { id, .. }
+            | Self::RegWrite { id, .. }
+            | Self::Action { id }
+            | Self::FactoryReset { id } => id,
+            Self::SyncWrite { .. } | Self::BulkRead { .. } => Id::BROADCAST,
+        }
+    }
+}
+
+fn joined(front: &[u8], back: &[u8]) -> Vec<u8> {
+    [front, back].concat()
+}
+
+#[cfg(test)]
+#[path = "instruction_tests.rs"]
+mod tests;
