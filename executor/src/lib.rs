@@ -1,1 +1,94 @@
-//! Placeholder.
+//! A deterministic in-process executor for robot modules.
+//!
+//! Modules run in *cycles*. In the **process phase** each module that has something to do runs, with
+//! exclusive access to itself, and only queues what it asks of others. In the **sync phase** all of it takes
+//! effect. Order follows from the order of registration and of publishing, never from threads: the same
+//! input gives the same output under every [`Launcher`].
+//!
+//! ```
+//! use std::time::Duration;
+//! use downbeat_executor::{Context, Core, ManualClock, Module, Publication, Received, Setup, SetupError, Time};
+//!
+//! #[derive(Default)]
+//! struct Counter {
+//!     count: u32,
+//!     out: Option<Publication<u32>>,
+//! }
+//!
+//! impl Module for Counter {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         self.out = Some(setup.publish("count")?);
+//!         setup.every(Duration::from_millis(10), Self::tick)
+//!     }
+//! }
+//!
+//! impl Counter {
+//!     fn tick(&mut self, ctx: &mut Context<'_>) {
+//!         self.count += 1;
+//!         if let Some(out) = self.out {
+//!             ctx.publish(out, self.count);
+//!         }
+//!     }
+//! }
+//!
+//! struct Printer;
+//!
+//! impl Module for Printer {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         setup.subscribe("count", |_: &mut Self, count: Received<'_, u32>, ctx: &mut Context<'_>| {
+//!             println!("{}: {}", ctx.now(), *count);
+//!         })
+//!     }
+//! }
+//!
+//! let clock = ManualClock::new(Time::ZERO);
+//! let mut core = Core::new().with_clock(clock.clone());
+//! core.add("counter", Counter::default())?;
+//! core.add("printer", Printer)?;
+//! for _ in 0..3 {
+//!     core.cycle()?;
+//!     clock.advance(Duration::from_millis(10));
+//! }
+//! core.stop();
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! With the default clock, [`Core::run`] runs until [`CoreHandle::stop`].
+
+mod batch;
+mod behaviour;
+mod cell;
+mod clock;
+mod context;
+mod core;
+mod detached;
+mod error;
+mod join;
+mod launcher;
+mod module;
+mod options;
+mod outbox;
+mod probe;
+mod setting;
+mod setup;
+mod stage;
+mod time;
+mod timer;
+mod topic;
+
+pub use crate::core::{Core, RunError};
+pub use batch::{Kept, Received};
+pub use clock::{Clock, ManualClock, SystemClock};
+pub use context::Context;
+pub use error::SetupError;
+pub use join::{CoreHandle, DetachedStep, Inlet, InletError, StepInput};
+pub use launcher::{Launcher, Linear, Pool, PoolError};
+pub use module::Module;
+pub use options::{Inbox, ModuleOptions, Role, Synchrony};
+pub use outbox::Publication;
+pub use probe::{CycleReport, Probe, StepReport};
+pub use setting::{Setting, SettingInfo, SettingType, SettingValue};
+pub use setup::Setup;
+pub use stage::Stage;
+pub use time::Time;
+pub use topic::{TopicCounter, TopicInfo};

@@ -1,0 +1,450 @@
+//! The core: owns the modules and runs the cycles.
+
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use crossbeam::sync::Parker;
+
+use crate::behaviour::ModuleBehaviour;
+use crate::cell::{Delivery, ModuleCell};
+use crate::context::ModuleIo;
+use crate::detached::{DetachedModule, StepOutcome};
+use crate::join::{CoreHandle, DetachedStep, Inlet, JoinQueue, Request, StepInput};
+use crate::outbox::Outbox;
+use crate::probe::{CycleReport, Probe};
+use crate::topic::{ModuleSlot, Subscriber, Topics};
+use crate::{
+    Clock, Inbox, Launcher, Linear, Module, ModuleOptions, Role, SettingInfo, SettingValue, Setup,
+    SetupError, Stage, Synchrony, SystemClock, Time, TopicInfo,
+};
+
+/// Why a core cannot run.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The clock has to be moved by hand.
+    #[error("this clock does not go on by itself; set it and call `cycle`, or use a clock that does")]
+    ClockStandsStill,
+    /// The system gave no thread.
+    #[error("cannot start a thread for the detached module \"{module}\": {source}")]
+    Thread {
+        /// The module.
+        module: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+}
+
+/// Owns the modules of a robot and runs them in cycles: a process phase, in which modules run, and a sync
+/// phase, in which what they asked for takes effect.
+pub struct Core {
+    stage: Arc<Stage>,
+    launcher: Box<dyn Launcher>,
+    clock: Arc<dyn Clock>,
+    queue: Arc<JoinQueue>,
+    parker: Parker,
+    detached: Vec<DetachedModule>,
+    registered: Vec<(ModuleSlot, Role)>,
+    next_due: Vec<Time>,
+    has_work: Vec<bool>,
+    steps_topic: Option<usize>,
+    probe: Option<Arc<dyn Probe>>,
+    cycle: u64,
+    has_started: bool,
+}
+
+impl Default for Core {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Core {
+    /// A core without modules, with the launcher [`Linear`] and the [`SystemClock`].
+    #[must_use]
+    pub fn new() -> Self {
+        let parker = Parker::new();
+        Self {
+            stage: Arc::default(),
+            launcher: Box::new(Linear),
+            clock: Arc::new(SystemClock::new()),
+            queue: Arc::new(JoinQueue::new(parker.unparker().clone())),
+            parker,
+            detached: Vec::new(),
+            registered: Vec::new(),
+            next_due: Vec::new(),
+            has_work: Vec::new(),
+            steps_topic: None,
+            probe: None,
+            cycle: 0,
+            has_started: false,
+        }
+    }
+
+    /// The same core with another launcher.
+    #[must_use]
+    pub fn with_launcher(mut self, launcher: impl Launcher + 'static) -> Self {
+        self.launcher = Box::new(launcher);
+        self
+    }
+
+    /// The same core with another clock; to be called before modules are added.
+    #[must_use]
+    pub fn with_clock(mut self, clock: impl Clock + 'static) -> Self {
+        self.clock = Arc::new(clock);
+        self
+    }
+
+    /// The same core, measured by `probe`.
+    #[must_use]
+    pub fn with_probe(mut self, probe: Arc<dyn Probe>) -> Self {
+        self.probe = Some(probe);
+        self
+    }
+
+    /// Adds a module that runs when it has something to do.
+    ///
+    /// # Errors
+    /// If the name is taken, or the module's setup fails.
+    pub fn add<M: Module>(&mut self, name: &str, module: M) -> Result<(), SetupError> {
+        self.add_with(name, module, ModuleOptions::default())
+    }
+
+    /// Adds a module with its settings, remaps and synchrony.
+    ///
+    /// Under a clock that does not go on by itself, detached modules run inside the cycle.
+    ///
+    /// # Errors
+    /// If the name is taken, the module's setup fails, or the options name what the module does not have.
+    pub fn add_with<M: Module>(
+        &mut self,
+        name: &str,
+        mut module: M,
+        options: ModuleOptions,
+    ) -> Result<(), SetupError> {
+        if self.has_started {
+            return Err(SetupError::AlreadyRunning(name.into()));
+        }
+        if self.module_names().any(|known| *known == *name) {
+            return Err(SetupError::DuplicateModule(name.into()));
+        }
+        let inbox = match options.synchrony {
+            Synchrony::Detached(inbox) if self.clock.runs_by_itself() => Some(inbox),
+            Synchrony::Detached(_) | Synchrony::WhenDue => None,
+        };
+        let stage = exclusive(&mut self.stage);
+        let slot = match inbox {
+            Some(_) => ModuleSlot::Detached(self.detached.len()),
+            None => ModuleSlot::Attached(stage.modules.len()),
+        };
+        let mut io = ModuleIo::new(name);
+        let mut setup = Setup::new(&mut io, &mut stage.topics, options.settings, options.remaps);
+        module.setup(&mut setup)?;
+        let callbacks = setup.finish()?;
+        for (subscription, callback) in callbacks.subscriptions.iter().enumerate() {
+            stage.topics.subscribe(callback.topic(), Subscriber { module: slot, subscription });
+        }
+        let cell = ModuleCell::new(io, Box::new(ModuleBehaviour { module, callbacks }));
+        self.keep(cell, inbox);
+        self.registered.push((slot, options.role));
+        Ok(())
+    }
+
+    fn keep(&mut self, cell: ModuleCell, inbox: Option<Inbox>) {
+        match inbox {
+            Some(inbox) => self.detached.push(DetachedModule::new(cell, inbox)),
+            None => {
+                exclusive(&mut self.stage).modules.push(Mutex::new(cell));
+                self.next_due.push(Time::MAX);
+                self.has_work.push(true);
+            }
+        }
+    }
+
+    /// A way to publish on a topic from threads outside the executor.
+    ///
+    /// # Errors
+    /// A name that is not valid, or a topic that carries another type.
+    pub fn inlet<T: Send + Sync + 'static>(&mut self, topic: &str) -> Result<Inlet<T>, SetupError> {
+        let topics = &mut exclusive(&mut self.stage).topics;
+        let index = topics.open::<T>(topic, "inlet")?;
+        topics.mark_published(index);
+        Ok(Inlet::new(index, Arc::clone(&self.queue)))
+    }
+
+    /// A way to stop the core and to change settings from other threads.
+    #[must_use]
+    pub fn handle(&self) -> CoreHandle {
+        CoreHandle { queue: Arc::clone(&self.queue) }
+    }
+
+    /// The topics, in the order in which they were first declared.
+    #[must_use]
+    pub fn topics(&self) -> &[TopicInfo] {
+        self.stage.topics.infos()
+    }
+
+    /// The settings of a module before the start; nothing if there is no such module.
+    #[must_use]
+    pub fn settings(&self, module: &str) -> Option<Vec<SettingInfo>> {
+        let detached = self.detached.iter().filter_map(DetachedModule::cell);
+        if let Some(cell) = detached.into_iter().find(|cell| **cell.name() == *module) {
+            return Some(cell.settings().to_vec());
+        }
+        let cells = self.stage.modules.iter().filter_map(|cell| cell.lock().ok());
+        cells.into_iter().find(|cell| **cell.name() == *module).map(|cell| cell.settings().to_vec())
+    }
+
+    /// Runs cycles until [`CoreHandle::stop`] is called, then stops the modules. Sleeps while nothing is due.
+    ///
+    /// # Errors
+    /// If the clock does not go on by itself, or a thread cannot be started.
+    pub fn run(&mut self) -> Result<(), RunError> {
+        if !self.clock.runs_by_itself() {
+            return Err(RunError::ClockStandsStill);
+        }
+        while !self.queue.stop_is_requested() {
+            self.cycle()?;
+            self.wait();
+        }
+        self.stop();
+        Ok(())
+    }
+
+    /// Runs one cycle at the time the clock shows. The first one starts the modules.
+    ///
+    /// # Errors
+    /// If a thread of a detached module cannot be started.
+    pub fn cycle(&mut self) -> Result<(), RunError> {
+        if !self.has_started {
+            self.start()?;
+        }
+        let now = self.clock.now();
+        let due = self.earliest_due();
+        let begin = self.probe.as_ref().map(|_| Instant::now());
+        self.process(now);
+        let processed = begin.map(|_| Instant::now());
+        self.sync(now);
+        if let (Some(probe), Some(begin), Some(processed)) = (&self.probe, begin, processed) {
+            probe.cycle(&CycleReport {
+                cycle: self.cycle,
+                time: now,
+                lateness: (due <= now).then(|| now.saturating_since(due)),
+                modules: self.stage.runnable(),
+                process: processed - begin,
+                sync: processed.elapsed(),
+            });
+        }
+        self.cycle += 1;
+        Ok(())
+    }
+
+    /// Runs the modules' last callbacks: parts in the reverse order of registration, then observers in the
+    /// order of registration. After each, a cycle passes its last messages on.
+    pub fn stop(&mut self) {
+        if !self.has_started {
+            return;
+        }
+        let parts = self.registered.iter().rev().filter(|(_, role)| *role == Role::Part);
+        let observers = self.registered.iter().filter(|(_, role)| *role == Role::Observer);
+        let order: Vec<_> = parts.chain(observers).map(|&(slot, _)| slot).collect();
+        for slot in order {
+            let now = self.clock.now();
+            match slot {
+                ModuleSlot::Attached(index) => {
+                    exclusive(&mut self.stage).cell(index).stop(now);
+                    self.has_work[index] = true;
+                }
+                ModuleSlot::Detached(index) => self.detached[index].stop(),
+            }
+            self.process(now);
+            self.sync(now);
+            self.cycle += 1;
+        }
+        self.has_started = false;
+    }
+
+    fn start(&mut self) -> Result<(), RunError> {
+        let stage = exclusive(&mut self.stage);
+        // Cannot be of another type: no module can name this type's topic otherwise by mistake, and where
+        // one does, steps are simply not published.
+        self.steps_topic = stage.topics.open::<DetachedStep>(DetachedStep::TOPIC, "executor").ok();
+        for (index, module) in self.detached.iter_mut().enumerate() {
+            let (clock, queue) = (Arc::clone(&self.clock), Arc::clone(&self.queue));
+            module.start(index, clock, queue, self.probe.clone()).map_err(|source| {
+                let module = module.name.to_string();
+                RunError::Thread { module, source }
+            })?;
+        }
+        self.has_started = true;
+        Ok(())
+    }
+
+    fn process(&mut self, now: Time) {
+        let stage = exclusive(&mut self.stage);
+        stage.begin(now);
+        stage.runnable.clear();
+        let is_due = |(has_work, &due): (&bool, &Time)| *has_work || due <= now;
+        let modules = self.has_work.iter().zip(&self.next_due).map(is_due);
+        stage.runnable.extend(modules.enumerate().filter_map(|(index, is_due)| is_due.then_some(index)));
+        if !stage.runnable.is_empty() {
+            self.launcher.process(&mut self.stage);
+        }
+    }
+
+    /// Settings first, then messages: those from outside the cycle in the order in which they came, then
+    /// those of the modules in the order of registration.
+    fn sync(&mut self, now: Time) {
+        let Self { stage, queue, detached, .. } = self;
+        let stage = exclusive(stage);
+        stage.topics.retire();
+        for &index in &stage.runnable {
+            self.has_work[index] = false;
+        }
+        // What comes while this runs waits for the next cycle, so that a busy thread cannot hold this one.
+        for _ in 0..queue.len() {
+            match queue.pop() {
+                Some(Request::Set { module, setting, value }) => {
+                    set(stage, detached, &mut self.has_work, &module, setting, value);
+                }
+                Some(Request::Messages { mut outbox, waiting }) => {
+                    waiting.fetch_sub(1, Ordering::Relaxed);
+                    stage.topics.absorb(&mut *outbox, now);
+                }
+                Some(Request::Step(outcome)) => {
+                    let role = role_of(&self.registered, ModuleSlot::Detached(outcome.module));
+                    let name = &detached[outcome.module].name;
+                    join_step(&mut stage.topics, outcome, role, name, self.steps_topic, self.cycle, now);
+                }
+                None => break,
+            }
+        }
+        let Stage { topics, modules, runnable, .. } = stage;
+        for &index in &*runnable {
+            let cell = modules[index].get_mut().unwrap_or_else(std::sync::PoisonError::into_inner);
+            cell.drain_outboxes(|outbox| topics.absorb(outbox, now));
+            self.next_due[index] = cell.next_due();
+        }
+        self.distribute();
+    }
+
+    fn distribute(&mut self) {
+        let Stage { topics, modules, .. } = exclusive(&mut self.stage);
+        for (topic, subscribers) in topics.fresh() {
+            for subscriber in subscribers {
+                let subscription = subscriber.subscription;
+                match subscriber.module {
+                    ModuleSlot::Attached(index) => {
+                        let cell =
+                            modules[index].get_mut().unwrap_or_else(std::sync::PoisonError::into_inner);
+                        cell.receive_later(subscription);
+                        self.has_work[index] = true;
+                    }
+                    ModuleSlot::Detached(index) => {
+                        let (batch, messages) = topics.share(topic);
+                        self.detached[index].deliver(Delivery { subscription, topic, batch, messages });
+                    }
+                }
+            }
+        }
+    }
+
+    fn earliest_due(&self) -> Time {
+        self.next_due.iter().copied().min().unwrap_or(Time::MAX)
+    }
+
+    fn wait(&self) {
+        if self.has_work.contains(&true) || !self.queue.is_empty() || self.queue.stop_is_requested() {
+            return;
+        }
+        match self.earliest_due() {
+            Time::MAX => self.parker.park(),
+            due => {
+                let remaining = due.saturating_since(self.clock.now());
+                if remaining > Duration::ZERO {
+                    self.parker.park_timeout(remaining);
+                }
+            }
+        }
+    }
+
+    fn module_names(&self) -> impl Iterator<Item = Arc<str>> {
+        let attached =
+            self.stage.modules.iter().filter_map(|cell| Some(Arc::clone(cell.lock().ok()?.name())));
+        attached.chain(self.detached.iter().map(|module| Arc::clone(&module.name)))
+    }
+}
+
+impl Drop for Core {
+    fn drop(&mut self) {
+        self.queue.request_stop();
+    }
+}
+
+/// The stage between process phases, when nobody else holds it.
+///
+/// # Panics
+/// If a launcher has kept a clone of the stage, which its contract forbids.
+fn exclusive(stage: &mut Arc<Stage>) -> &mut Stage {
+    #[expect(clippy::expect_used, reason = "a broken launcher leaves nothing that could go on")]
+    Arc::get_mut(stage).expect("the launcher kept the stage beyond the process phase")
+}
+
+fn role_of(registered: &[(ModuleSlot, Role)], slot: ModuleSlot) -> Role {
+    registered.iter().find(|(known, _)| *known == slot).map_or(Role::Part, |&(_, role)| role)
+}
+
+fn set(
+    stage: &mut Stage,
+    detached: &[DetachedModule],
+    has_work: &mut [bool],
+    module: &str,
+    setting: String,
+    value: SettingValue,
+) {
+    if let Some(module) = detached.iter().find(|known| *known.name == *module) {
+        return module.set(setting, value);
+    }
+    for (index, has_work) in has_work.iter_mut().enumerate() {
+        let cell = stage.cell(index);
+        if **cell.name() == *module {
+            if let Err(refusal) = cell.set(&setting, value) {
+                tracing::warn!(module, setting, "setting not changed: {refusal}");
+            }
+            *has_work |= cell.has_work();
+            return;
+        }
+    }
+    tracing::warn!(module, setting, "setting not changed: there is no such module");
+}
+
+fn join_step(
+    topics: &mut Topics,
+    outcome: StepOutcome,
+    role: Role,
+    module: &Arc<str>,
+    steps_topic: Option<usize>,
+    cycle: u64,
+    now: Time,
+) {
+    for mut outbox in outcome.outboxes {
+        topics.absorb(&mut *outbox, now);
+    }
+    // An observer's steps are no input of the robot; and one that records steps would cause its next.
+    let Some(topic) = steps_topic.filter(|&topic| role == Role::Part && topics.has_subscribers(topic)) else {
+        return;
+    };
+    let inputs = outcome.inputs.iter().map(|input| StepInput {
+        topic: Arc::clone(topics.name(input.topic)),
+        skipped: input.skipped,
+        received: input.received,
+    });
+    let step = DetachedStep {
+        time: outcome.time,
+        module: Arc::clone(module),
+        step: outcome.step,
+        cycle,
+        inputs: inputs.collect(),
+    };
+    topics.absorb(&mut Outbox { topic, messages: vec![step] }, now);
+}

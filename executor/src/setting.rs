@@ -1,0 +1,259 @@
+//! Settings: named, typed values of a module, given at the start and changed in the sync phase.
+
+use std::fmt;
+use std::marker::PhantomData;
+use std::ops::RangeInclusive;
+
+use crate::SetupError;
+
+/// A value of a setting. The kinds are those of ROS 2 parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SettingValue {
+    /// True or false.
+    Bool(bool),
+    /// A whole number.
+    Integer(i64),
+    /// A number; whole numbers are taken too.
+    Double(f64),
+    /// Text.
+    Text(String),
+    /// Whole numbers.
+    Integers(Vec<i64>),
+    /// Numbers.
+    Doubles(Vec<f64>),
+    /// Texts.
+    Texts(Vec<String>),
+}
+
+impl SettingValue {
+    fn kind(&self) -> &'static str {
+        match self {
+            Self::Bool(_) => "bool",
+            Self::Integer(_) => "integer",
+            Self::Double(_) => "double",
+            Self::Text(_) => "text",
+            Self::Integers(_) => "list of integers",
+            Self::Doubles(_) => "list of doubles",
+            Self::Texts(_) => "list of texts",
+        }
+    }
+
+    fn as_number(&self) -> Option<f64> {
+        match self {
+            Self::Integer(value) => Some(*value as f64),
+            Self::Double(value) => Some(*value),
+            _ => None,
+        }
+    }
+
+    /// The value as the kind of `pattern`, where nothing is lost by it.
+    fn into_kind_of(self, pattern: &Self) -> Result<Self, String> {
+        Ok(match (self, pattern) {
+            (Self::Integer(value), Self::Double(_)) => Self::Double(value as f64),
+            (Self::Integers(values), Self::Doubles(_)) => {
+                Self::Doubles(values.into_iter().map(|value| value as f64).collect())
+            }
+            // An empty list in a file has no kind of its own.
+            (Self::Integers(values), Self::Texts(_)) if values.is_empty() => Self::Texts(Vec::new()),
+            (value, pattern) if value.kind() == pattern.kind() => value,
+            (value, pattern) => {
+                return Err(format!("expected {}, found {} {value}", pattern.kind(), value.kind()));
+            }
+        })
+    }
+}
+
+impl fmt::Display for SettingValue {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Bool(value) => write!(f, "{value}"),
+            Self::Integer(value) => write!(f, "{value}"),
+            Self::Double(value) => write!(f, "{value}"),
+            Self::Text(value) => write!(f, "{value:?}"),
+            Self::Integers(values) => write!(f, "{values:?}"),
+            Self::Doubles(values) => write!(f, "{values:?}"),
+            Self::Texts(values) => write!(f, "{values:?}"),
+        }
+    }
+}
+
+/// A Rust type that a setting can have.
+pub trait SettingType: Clone + Send + 'static {
+    /// The value as a setting holds it.
+    fn into_value(self) -> SettingValue;
+    /// The value as the module reads it; nothing if the setting is of another kind.
+    fn from_value(value: &SettingValue) -> Option<&Self>;
+}
+
+macro_rules! setting_types {
+    ($($type:ty => $kind:ident),* $(,)?) => {$(
+        impl SettingType for $type {
+            fn into_value(self) -> SettingValue {
+                SettingValue::$kind(self)
+            }
+
+            fn from_value(value: &SettingValue) -> Option<&Self> {
+                match value {
+                    SettingValue::$kind(value) => Some(value),
+                    _ => None,
+                }
+            }
+        }
+
+        impl From<$type> for SettingValue {
+            fn from(value: $type) -> Self {
+                Self::$kind(value)
+            }
+        }
+    )*};
+}
+
+setting_types! {
+    bool => Bool,
+    i64 => Integer,
+    f64 => Double,
+    String => Text,
+    Vec<i64> => Integers,
+    Vec<f64> => Doubles,
+    Vec<String> => Texts,
+}
+
+/// A module's key to one of its settings, read with [`Context::get`](crate::Context::get).
+pub struct Setting<T> {
+    pub(crate) index: usize,
+    kind: PhantomData<fn() -> T>,
+}
+
+impl<T> Setting<T> {
+    pub(crate) fn new(index: usize) -> Self {
+        Self { index, kind: PhantomData }
+    }
+}
+
+impl<T> Clone for Setting<T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T> Copy for Setting<T> {}
+
+/// What a setting is, see [`Core::settings`](crate::Core::settings).
+#[derive(Clone, Debug, PartialEq)]
+pub struct SettingInfo {
+    /// The name, unique in the module.
+    pub name: String,
+    /// What it is for, with its unit.
+    pub description: String,
+    /// The value in force.
+    pub value: SettingValue,
+    /// The numbers it may have; nothing for no limit.
+    pub range: Option<RangeInclusive<f64>>,
+}
+
+impl SettingInfo {
+    fn check(&self, value: SettingValue) -> Result<SettingValue, String> {
+        let value = value.into_kind_of(&self.value)?;
+        if let (Some(range), Some(number)) = (&self.range, value.as_number())
+            && !range.contains(&number)
+        {
+            return Err(format!("{value} is out of range, {} to {} is allowed", range.start(), range.end()));
+        }
+        Ok(value)
+    }
+}
+
+/// The settings of one module.
+#[derive(Default)]
+pub(crate) struct Settings {
+    infos: Vec<SettingInfo>,
+    changed: Vec<usize>,
+}
+
+impl Settings {
+    /// Adds a setting, with the value it was given or else its default.
+    pub(crate) fn declare(
+        &mut self,
+        module: &str,
+        mut info: SettingInfo,
+        given: Option<SettingValue>,
+    ) -> Result<usize, SetupError> {
+        if self.position(&info.name).is_some() {
+            return Err(SetupError::DuplicateSetting { module: module.into(), setting: info.name });
+        }
+        if let Some(value) = given {
+            info.value = info.check(value).map_err(|refusal| SetupError::SettingValue {
+                module: module.into(),
+                setting: info.name.clone(),
+                refusal,
+            })?;
+        }
+        self.infos.push(info);
+        Ok(self.infos.len() - 1)
+    }
+
+    pub(crate) fn infos(&self) -> &[SettingInfo] {
+        &self.infos
+    }
+
+    pub(crate) fn value(&self, index: usize) -> Option<&SettingValue> {
+        self.infos.get(index).map(|info| &info.value)
+    }
+
+    /// Changes a value; the module is told when it runs next. Errors say what is wrong with it.
+    pub(crate) fn set(&mut self, name: &str, value: SettingValue) -> Result<(), String> {
+        let index = self.position(name).ok_or_else(|| {
+            let known: Vec<_> = self.infos.iter().map(|info| info.name.as_str()).collect();
+            format!("there is no such setting; there is {}", known.join(", "))
+        })?;
+        let value = self.infos[index].check(value)?;
+        if self.infos[index].value != value {
+            self.infos[index].value = value;
+            self.changed.push(index);
+        }
+        Ok(())
+    }
+
+    pub(crate) fn has_changes(&self) -> bool {
+        !self.changed.is_empty()
+    }
+
+    pub(crate) fn take_change(&mut self) -> Option<usize> {
+        (!self.changed.is_empty()).then(|| self.changed.remove(0))
+    }
+
+    fn position(&self, name: &str) -> Option<usize> {
+        self.infos.iter().position(|info| info.name == name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn gain() -> SettingInfo {
+        let (name, description) = ("gain".into(), String::new());
+        SettingInfo { name, description, value: SettingValue::Double(1.0), range: Some(0.0..=4.0) }
+    }
+
+    #[test]
+    fn a_whole_number_is_a_valid_double() {
+        let mut settings = Settings::default();
+        settings.declare("m", gain(), Some(SettingValue::Integer(2))).unwrap();
+        assert_eq!(settings.value(0), Some(&SettingValue::Double(2.0)));
+    }
+
+    #[test]
+    fn a_value_of_another_kind_or_out_of_range_is_refused_and_changes_nothing() {
+        let mut settings = Settings::default();
+        settings.declare("m", gain(), None).unwrap();
+        for (value, word) in [(SettingValue::Bool(true), "expected double"), (5.0.into(), "out of range")] {
+            let refusal = settings.set("gain", value).unwrap_err();
+            assert!(refusal.contains(word), "{refusal}");
+        }
+        assert_eq!(settings.value(0), Some(&SettingValue::Double(1.0)));
+        assert!(!settings.has_changes());
+        assert!(settings.set("gian", 1.0.into()).unwrap_err().contains("gain"));
+    }
+}

@@ -1,0 +1,59 @@
+//! Periodic timers on the time of the core.
+
+use std::time::Duration;
+
+use crate::Time;
+
+/// When a timer fires next. Its due times are multiples of the period after the start, so that a late
+/// cycle does not shift the later ones; due times that were missed are skipped, not made up for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Timer {
+    period: Duration,
+    due: Time,
+}
+
+impl Timer {
+    /// A timer that has not started; `period` is longer than zero.
+    pub(crate) fn new(period: Duration) -> Self {
+        Self { period, due: Time::MAX }
+    }
+
+    pub(crate) fn start(&mut self, now: Time) {
+        self.due = now + self.period;
+    }
+
+    pub(crate) fn due(&self) -> Time {
+        self.due
+    }
+
+    /// True if the timer is due; it is then set to the next multiple of its period after `now`.
+    pub(crate) fn fire(&mut self, now: Time) -> bool {
+        if now < self.due {
+            return false;
+        }
+        self.due = self.due + self.period;
+        if self.due <= now {
+            let late = now.saturating_since(self.due).as_nanos();
+            let missed = u32::try_from(late / self.period.as_nanos() + 1).unwrap_or(u32::MAX);
+            self.due = self.due + self.period.saturating_mul(missed);
+        }
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_late_timer_keeps_its_phase_and_skips_what_it_missed() {
+        let mut timer = Timer::new(Duration::from_nanos(10));
+        timer.start(Time::from_nanos(100));
+        assert!(!timer.fire(Time::from_nanos(109)));
+        assert!(timer.fire(Time::from_nanos(113)));
+        assert_eq!(timer.due(), Time::from_nanos(120));
+        assert!(timer.fire(Time::from_nanos(150)));
+        assert_eq!(timer.due(), Time::from_nanos(160));
+        assert!(!timer.fire(Time::from_nanos(159)));
+    }
+}

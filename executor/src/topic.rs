@@ -1,0 +1,232 @@
+//! Topics: a name, a message type, the batch of the last cycle, and who receives it.
+
+use std::any::{Any, TypeId, type_name};
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::batch::Batch;
+use crate::outbox::{AnyOutbox, Outbox};
+use crate::{SetupError, Time};
+
+/// What is known of a topic, see [`Core::topics`](crate::Core::topics).
+#[derive(Clone, Debug)]
+pub struct TopicInfo {
+    /// The name, without a leading slash.
+    pub name: Arc<str>,
+    /// The Rust path of the message type.
+    pub message_type: &'static str,
+    /// The identity of the message type.
+    pub message_type_id: TypeId,
+    /// True if a module publishes on the topic.
+    pub is_published: bool,
+    /// Counts the messages of the topic while the core runs.
+    pub counter: TopicCounter,
+}
+
+/// Counts the messages of a topic; clones show the same count.
+#[derive(Clone, Debug, Default)]
+pub struct TopicCounter(Arc<AtomicU64>);
+
+impl TopicCounter {
+    /// How many messages the topic has carried.
+    #[must_use]
+    pub fn messages(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// A callback of a module to call with a topic's batches.
+#[derive(Clone, Copy)]
+pub(crate) struct Subscriber {
+    pub(crate) module: ModuleSlot,
+    pub(crate) subscription: usize,
+}
+
+/// Where a module is kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum ModuleSlot {
+    Attached(usize),
+    Detached(usize),
+}
+
+pub(crate) struct Topic<T> {
+    batch: Arc<Batch<T>>,
+    counter: TopicCounter,
+}
+
+impl<T> Topic<T> {
+    pub(crate) fn batch(&self) -> &Arc<Batch<T>> {
+        &self.batch
+    }
+}
+
+/// A [`Topic`] whose message type is known to its publishers and subscribers only.
+pub(crate) trait AnyTopic: Any + Send + Sync {
+    /// Forgets the messages of the last cycle, unless somebody keeps them.
+    fn retire(&mut self);
+    /// Takes the messages out of an outbox of this topic.
+    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time);
+    /// The batch, to be taken to another thread, and the number of messages in it.
+    fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32);
+}
+
+impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
+    fn retire(&mut self) {
+        match Arc::get_mut(&mut self.batch) {
+            Some(batch) => batch.clear(),
+            None => self.batch = Arc::default(),
+        }
+    }
+
+    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) {
+        let outbox = (outbox as &mut dyn Any).downcast_mut::<Outbox<T>>();
+        // Both hold by construction: outboxes are opened through the topic's type check, and a topic is
+        // retired, which makes its batch exclusive, before it absorbs anything.
+        let (Some(outbox), Some(batch)) = (outbox, Arc::get_mut(&mut self.batch)) else {
+            debug_assert!(false, "an outbox reached a topic of another type, or a batch in use");
+            return;
+        };
+        self.counter.0.fetch_add(outbox.messages.len() as u64, Ordering::Relaxed);
+        batch.stamp(now);
+        batch.take_over(&mut outbox.messages);
+    }
+
+    fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32) {
+        let messages = u32::try_from(self.batch.len()).unwrap_or(u32::MAX);
+        (Arc::clone(&self.batch) as Arc<dyn Any + Send + Sync>, messages)
+    }
+}
+
+/// All topics of a core.
+#[derive(Default)]
+pub(crate) struct Topics {
+    topics: Vec<Box<dyn AnyTopic>>,
+    infos: Vec<TopicInfo>,
+    subscribers: Vec<Vec<Subscriber>>,
+    by_name: HashMap<Arc<str>, usize>,
+    /// Those with messages of the last cycle, in the order in which these came.
+    fresh: Vec<usize>,
+    is_fresh: Vec<bool>,
+}
+
+impl Topics {
+    /// The index of the topic, which is made where there is none of that name.
+    pub(crate) fn open<T: Send + Sync + 'static>(
+        &mut self,
+        name: &str,
+        module: &str,
+    ) -> Result<usize, SetupError> {
+        let name = canonical_name(name)
+            .ok_or_else(|| SetupError::InvalidTopicName { module: module.into(), topic: name.into() })?;
+        if let Some(&index) = self.by_name.get(name) {
+            let known = &self.infos[index];
+            if known.message_type_id != TypeId::of::<T>() {
+                return Err(SetupError::TopicType {
+                    module: module.into(),
+                    topic: name.into(),
+                    asked: type_name::<T>(),
+                    known: known.message_type,
+                });
+            }
+            return Ok(index);
+        }
+        let (index, name, counter) = (self.topics.len(), Arc::from(name), TopicCounter::default());
+        self.topics.push(Box::new(Topic::<T> { batch: Arc::default(), counter: counter.clone() }));
+        self.infos.push(TopicInfo {
+            name: Arc::clone(&name),
+            message_type: type_name::<T>(),
+            message_type_id: TypeId::of::<T>(),
+            is_published: false,
+            counter,
+        });
+        self.subscribers.push(Vec::new());
+        self.is_fresh.push(false);
+        self.by_name.insert(name, index);
+        Ok(index)
+    }
+
+    pub(crate) fn subscribe(&mut self, topic: usize, subscriber: Subscriber) {
+        self.subscribers[topic].push(subscriber);
+    }
+
+    pub(crate) fn mark_published(&mut self, topic: usize) {
+        self.infos[topic].is_published = true;
+    }
+
+    pub(crate) fn infos(&self) -> &[TopicInfo] {
+        &self.infos
+    }
+
+    pub(crate) fn name(&self, topic: usize) -> &Arc<str> {
+        &self.infos[topic].name
+    }
+
+    pub(crate) fn has_subscribers(&self, topic: usize) -> bool {
+        !self.subscribers[topic].is_empty()
+    }
+
+    pub(crate) fn get<T: Send + Sync + 'static>(&self, topic: usize) -> Option<&Topic<T>> {
+        (&*self.topics[topic] as &dyn Any).downcast_ref()
+    }
+
+    pub(crate) fn share(&self, topic: usize) -> (Arc<dyn Any + Send + Sync>, u32) {
+        self.topics[topic].share()
+    }
+
+    /// First step of the messages' part of the sync phase.
+    pub(crate) fn retire(&mut self) {
+        for index in self.fresh.drain(..) {
+            self.topics[index].retire();
+            self.is_fresh[index] = false;
+        }
+    }
+
+    pub(crate) fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) {
+        let index = outbox.topic();
+        self.topics[index].absorb(outbox, now);
+        if !self.is_fresh[index] {
+            self.is_fresh[index] = true;
+            self.fresh.push(index);
+        }
+    }
+
+    /// The topics that carry messages after the last sync phase, with their subscribers.
+    pub(crate) fn fresh(&self) -> impl Iterator<Item = (usize, &[Subscriber])> {
+        self.fresh.iter().map(|&topic| (topic, self.subscribers[topic].as_slice()))
+    }
+}
+
+/// The name without a leading slash, or nothing if it is not a valid topic name.
+fn canonical_name(name: &str) -> Option<&str> {
+    let name = name.strip_prefix('/').unwrap_or(name);
+    let is_valid = |part: &str| {
+        !part.is_empty()
+            && !part.starts_with(|c: char| c.is_ascii_digit())
+            && part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+    };
+    name.split('/').all(is_valid).then_some(name)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_topic_name_follows_the_rules_of_ros() {
+        assert_eq!(canonical_name("/imu/data_raw"), Some("imu/data_raw"));
+        for wrong in ["", "/", "a//b", "a/", "1st", "a b", "a-b"] {
+            assert_eq!(canonical_name(wrong), None, "{wrong:?}");
+        }
+    }
+
+    #[test]
+    fn one_topic_cannot_have_two_types() {
+        let mut topics = Topics::default();
+        let index = topics.open::<u8>("speed", "first").unwrap();
+        assert_eq!(topics.open::<u8>("/speed", "second").unwrap(), index);
+        let error = topics.open::<f32>("speed", "third").unwrap_err().to_string();
+        assert!(error.contains("third") && error.contains("speed") && error.contains("u8"), "{error}");
+    }
+}
