@@ -61,8 +61,8 @@ pub(crate) struct Position {
     pub(crate) index: u32,
 }
 
-/// A message as a callback receives it. It dereferences to the message.
-#[derive(Clone, Copy)]
+/// A message as a callback receives it. It dereferences to the message, so `clone` copies that; see
+/// [`keep`](Self::keep) for keeping it without.
 pub struct Received<'a, T> {
     message: &'a T,
     batch: &'a Arc<Batch<T>>,

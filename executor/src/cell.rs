@@ -152,6 +152,7 @@ impl ModuleCell {
         }
     }
 }
+
 impl ModuleIo {
     pub(crate) fn new(name: &str) -> Self {
         let (outboxes, settings, timers) = (Outboxes::default(), Settings::default(), Vec::new());
