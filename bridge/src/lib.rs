@@ -1,1 +1,3 @@
-//! Placeholder.
+//! The ROS 2 bridge of downbeat.
+
+pub mod middleware;

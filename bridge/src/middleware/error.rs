@@ -1,0 +1,89 @@
+//! What can go wrong at the boundary to the engine.
+
+use thiserror::Error;
+
+/// A participant or endpoint could not be created.
+#[derive(Debug, Error)]
+pub enum MiddlewareError {
+    /// The engine could not join the domain.
+    #[error(
+        "joining ROS domain {domain_id} failed: {reason}. Is the domain full (120 participants a host), or is a \
+         firewall closing its UDP ports?"
+    )]
+    Join {
+        /// The domain.
+        domain_id: u16,
+        /// What the engine said.
+        reason: String,
+    },
+    /// The engine refused an endpoint.
+    #[error("creating a {endpoint} on topic {topic_name:?} (type {type_name}) failed: {reason}")]
+    Endpoint {
+        /// "writer" or "reader".
+        endpoint: &'static str,
+        /// The topic on the wire.
+        topic_name: String,
+        /// The type on the wire.
+        type_name: String,
+        /// What the engine said.
+        reason: String,
+    },
+    /// The engine cannot do what the quality of service asks for.
+    #[error("topic {topic_name:?}: {reason}")]
+    Qos {
+        /// The topic on the wire.
+        topic_name: String,
+        /// What is asked for, and what to ask for instead.
+        reason: String,
+    },
+    /// The thread that serves the readers could not start.
+    #[error("starting the DDS reader thread failed: {0}")]
+    ReaderThread(#[from] std::io::Error),
+    /// The engine panicked; the participant must not be used any more.
+    #[error("the DDS engine panicked while {doing}; restart the bridge")]
+    Panicked {
+        /// What was being done.
+        doing: &'static str,
+    },
+}
+
+/// A sample was not written.
+#[derive(Debug, Error, Clone, PartialEq, Eq)]
+pub enum WriteError {
+    /// The send window is full: a reliable reader does not acknowledge.
+    #[error("the send window is full: a reliable reader does not acknowledge (its process may have died)")]
+    WindowFull,
+    /// The payload does not begin with an encapsulation header the engine can send.
+    #[error(
+        "a payload must begin with the encapsulation header of little-endian CDR, 00 01 00 00; found {found:02x?}"
+    )]
+    Encapsulation {
+        /// The first bytes of the payload, at most four.
+        found: Vec<u8>,
+    },
+    /// The engine failed.
+    #[error("the DDS engine failed: {0}")]
+    Engine(String),
+    /// The engine panicked.
+    #[error("the DDS engine panicked while writing")]
+    Panicked,
+}
+
+/// The environment asks for something that does not exist.
+#[derive(Debug, Error, PartialEq, Eq)]
+pub enum OptionsError {
+    /// `ROS_DOMAIN_ID` is not a domain.
+    #[error("ROS_DOMAIN_ID={found:?} is not a domain: expected a whole number from 0 to 232")]
+    DomainId {
+        /// The value found.
+        found: String,
+    },
+    /// `ROS_AUTOMATIC_DISCOVERY_RANGE` is not a range.
+    #[error(
+        "ROS_AUTOMATIC_DISCOVERY_RANGE={found:?} is not a range: expected LOCALHOST, SUBNET, OFF or SYSTEM_DEFAULT"
+    )]
+    DiscoveryRange {
+        /// The value found.
+        found: String,
+    },
+}

@@ -1,0 +1,98 @@
+//! Raw topics over a publish and subscribe engine, behind a trait narrow enough for another engine to stand there.
+//!
+//! What passes through it is a topic name, a type name and bytes: nothing here knows ROS names, message types or
+//! the node graph ([`crate::ros`] does). The bytes are a whole serialized payload: the four bytes of the CDR
+//! encapsulation header, then the body, as `rclpy.serialization.serialize_message` gives them.
+//!
+//! Two engines implement [`Middleware`]: [`dds`] (rustdds, speaks RTPS with every ROS 2 node) and [`in_process`]
+//! (a hub in memory: tests without a network, and `ROS_AUTOMATIC_DISCOVERY_RANGE=OFF`). One suite of tests,
+//! `tests/conformance.rs`, holds for both. Requests and replies will be a third kind of endpoint here.
+
+pub mod dds;
+pub mod in_process;
+
+mod endpoint;
+mod error;
+mod options;
+
+pub use endpoint::{Direction, Endpoint, Gid, RemoteEndpoint, Sample};
+pub use error::{MiddlewareError, OptionsError, WriteError};
+pub use options::{DiscoveryRange, MAX_DOMAIN_ID, ParticipantOptions};
+
+use bytes::Bytes;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Receives the samples of one reader, in the order of each writer. It runs on a thread of the middleware that
+/// all readers of the participant share, so it must hand over and return.
+pub type SampleHandler = Box<dyn FnMut(Sample) + Send>;
+
+/// A participant of a domain: creates endpoints, and knows those of others. It does not hear itself: its own readers
+/// neither match nor receive what its own writers write.
+///
+/// Dropping it makes it leave the domain. Drop its endpoints before.
+pub trait Middleware: Send + Sync {
+    /// The identity of this participant in its domain.
+    fn gid(&self) -> Gid;
+
+    /// Creates a writer of raw samples.
+    ///
+    /// # Errors
+    /// [`MiddlewareError`] when the engine refuses the endpoint or its quality of service.
+    fn create_writer(&self, endpoint: &Endpoint) -> Result<Box<dyn Writer>, MiddlewareError>;
+
+    /// Creates a reader that gives each sample to `on_sample`. Once the returned reader is dropped, `on_sample`
+    /// is not called any more.
+    ///
+    /// # Errors
+    /// [`MiddlewareError`] when the engine refuses the endpoint or its quality of service.
+    fn create_reader(
+        &self,
+        endpoint: &Endpoint,
+        on_sample: SampleHandler,
+    ) -> Result<Box<dyn Reader>, MiddlewareError>;
+
+    /// The endpoints of other participants that are known at this moment.
+    fn remote_endpoints(&self) -> Vec<RemoteEndpoint>;
+}
+
+/// Writes samples to one topic. Dropping it removes the endpoint.
+pub trait Writer: Send + Sync {
+    /// The identity of this endpoint.
+    fn gid(&self) -> Gid;
+
+    /// How many readers receive what is written now.
+    fn matched(&self) -> usize;
+
+    /// Writes one sample, stamped with the present time. Never blocks: a sample that does not fit the send window
+    /// (a reliable reader has died and its lease still runs) is refused.
+    ///
+    /// # Errors
+    /// [`WriteError`] when this sample was not written.
+    fn write(&self, cdr: Bytes) -> Result<(), WriteError>;
+
+    /// Waits until every matched reliable reader has acknowledged all samples, or for `timeout`; tells which.
+    fn flush(&self, timeout: Duration) -> bool;
+}
+
+/// Keeps a subscription alive. Dropping it removes the endpoint.
+pub trait Reader: Send + Sync {
+    /// The identity of this endpoint.
+    fn gid(&self) -> Gid;
+
+    /// How many writers are heard now.
+    fn matched(&self) -> usize;
+}
+
+/// Joins the domain that the options name: over DDS, or alone when discovery is off.
+///
+/// # Errors
+/// [`MiddlewareError`] when the participant cannot be created.
+pub fn join(options: &ParticipantOptions) -> Result<Arc<dyn Middleware>, MiddlewareError> {
+    options.warn_about_what_is_ignored();
+    if options.discovery_range == DiscoveryRange::Off {
+        tracing::warn!("ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: no other ROS 2 node will see this one");
+        return Ok(Arc::new(in_process::Hub::new().join()));
+    }
+    Ok(Arc::new(dds::DdsParticipant::new(options)?))
+}

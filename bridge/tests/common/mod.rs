@@ -1,0 +1,64 @@
+//! What the tests share: domains of their own on loopback, and waiting on a condition with a watchdog.
+#![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc)]
+
+use bytes::Bytes;
+use downbeat_bridge::middleware::dds::DdsParticipant;
+use downbeat_bridge::middleware::in_process::Hub;
+use downbeat_bridge::middleware::{DiscoveryRange, Endpoint, Middleware, ParticipantOptions, Reader, Sample};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+/// Generous: the machine may be busy, and transient local data of a late reader takes seconds by design of rustdds.
+pub const WATCHDOG: Duration = Duration::from_secs(30);
+
+/// Something participants can join.
+pub trait Domain {
+    fn join(&self) -> Box<dyn Middleware>;
+}
+
+/// A DDS domain on loopback.
+pub struct Dds(pub u16);
+
+impl Domain for Dds {
+    fn join(&self) -> Box<dyn Middleware> {
+        Box::new(DdsParticipant::new(&on_loopback(self.0)).unwrap())
+    }
+}
+
+impl Domain for Hub {
+    fn join(&self) -> Box<dyn Middleware> {
+        Box::new(Hub::join(self))
+    }
+}
+
+pub fn on_loopback(domain_id: u16) -> ParticipantOptions {
+    ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(domain_id) }
+}
+
+/// Polls a condition that has no event to wait on.
+pub fn wait_until(what: &str, mut condition: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !condition() {
+        assert!(start.elapsed() < WATCHDOG, "gave up waiting until {what}");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+/// A reader whose samples go into a channel.
+pub fn subscribe(participant: &dyn Middleware, endpoint: &Endpoint) -> (Box<dyn Reader>, Receiver<Sample>) {
+    let (sender, samples) = channel();
+    let handler = Box::new(move |sample| {
+        // The test may have stopped listening.
+        let _ = sender.send(sample);
+    });
+    (participant.create_reader(endpoint, handler).unwrap(), samples)
+}
+
+pub fn next(samples: &Receiver<Sample>) -> Sample {
+    samples.recv_timeout(WATCHDOG).expect("a sample within the watchdog time")
+}
+
+/// A little-endian payload with `body`.
+pub fn cdr(body: impl AsRef<[u8]>) -> Bytes {
+    [&[0, 1, 0, 0], body.as_ref()].concat().into()
+}

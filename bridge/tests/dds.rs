@@ -1,0 +1,96 @@
+//! What holds for the DDS engine beside the conformance suite.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{Dds, Domain, cdr, next, on_loopback, subscribe, wait_until};
+use downbeat_bridge::middleware::{
+    DiscoveryRange, Endpoint, ParticipantOptions, WriteError, dds::DdsParticipant,
+};
+use downbeat_msgs::qos::QosProfile;
+use rustdds::{DomainParticipantBuilder, QosPolicyBuilder, TopicKind};
+
+fn chatter(qos: QosProfile) -> Endpoint {
+    Endpoint::new("rt/chatter", "std_msgs::msg::dds_::UInt32_", qos)
+}
+
+#[test]
+fn a_big_endian_payload_keeps_its_header_and_its_bytes() {
+    let domain = Dds(121);
+    let bob = domain.join();
+    let (reader, samples) = subscribe(&*bob, &chatter(QosProfile::DEFAULT));
+
+    let peer = DomainParticipantBuilder::new(121)
+        .with_only_networks([std::net::Ipv4Addr::LOCALHOST])
+        .build()
+        .unwrap();
+    let qos = QosPolicyBuilder::new().reliable(rustdds::Duration::from_millis(100)).build();
+    let topic = peer
+        .create_topic("rt/chatter".into(), "std_msgs::msg::dds_::UInt32_".into(), &qos, TopicKind::NoKey)
+        .unwrap();
+    let publisher = peer.create_publisher(&qos).unwrap();
+    let writer = publisher.create_datawriter_no_key::<u32, BigEndianCdr>(&topic, None).unwrap();
+    wait_until("both are matched", || {
+        use rustdds::StatusEvented;
+        writer.try_recv_status().is_some() && reader.matched() == 1
+    });
+    writer.write(0x0102_0304, None).unwrap();
+    assert_eq!(next(&samples).cdr[..], [0, 0, 0, 0, 1, 2, 3, 4]);
+}
+
+struct BigEndianCdr;
+
+impl rustdds::no_key::SerializerAdapter<u32> for BigEndianCdr {
+    type Error = std::convert::Infallible;
+
+    fn output_encoding() -> rustdds::RepresentationIdentifier {
+        rustdds::RepresentationIdentifier::CDR_BE
+    }
+
+    fn to_bytes(value: &u32) -> Result<bytes::Bytes, Self::Error> {
+        Ok(value.to_be_bytes().to_vec().into())
+    }
+}
+
+#[test]
+fn a_volatile_reader_does_not_get_what_an_earlier_reader_of_the_topic_got() {
+    let domain = Dds(122);
+    let (alice, bob) = (domain.join(), domain.join());
+    let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
+    let (first, samples) = subscribe(&*bob, &chatter(QosProfile::DEFAULT));
+    wait_until("the first reader is matched", || writer.matched() == 1 && first.matched() == 1);
+    writer.write(cdr([1; 4])).unwrap();
+    next(&samples);
+    drop(first);
+
+    let (second, samples) = subscribe(&*bob, &chatter(QosProfile::DEFAULT));
+    wait_until("the second reader is matched", || writer.matched() == 1 && second.matched() == 1);
+    writer.write(cdr([2; 4])).unwrap();
+    assert_eq!(next(&samples).cdr, cdr([2; 4]));
+}
+
+#[test]
+fn a_loopback_participant_and_one_of_the_subnet_find_each_other_on_this_machine() {
+    let on_subnet = ParticipantOptions { discovery_range: DiscoveryRange::Subnet, ..on_loopback(123) };
+    let (alice, bob) = (DdsParticipant::new(&on_subnet).unwrap(), Dds(123).join());
+    let (reader, samples) = subscribe(&alice, &chatter(QosProfile::DEFAULT));
+    let writer = bob.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
+    wait_until("both are matched", || writer.matched() == 1 && reader.matched() == 1);
+    writer.write(cdr([9; 4])).unwrap();
+    assert_eq!(next(&samples).cdr, cdr([9; 4]));
+}
+
+#[test]
+fn a_write_to_a_reader_that_stopped_acknowledging_is_refused_and_does_not_wait() {
+    let domain = Dds(124);
+    let (alice, bob) = (domain.join(), domain.join());
+    let writer = alice
+        .create_writer(&Endpoint { send_window: 4, ..chatter(QosProfile::DEFAULT.keep_last(1)) })
+        .unwrap();
+    let (reader, _samples) = subscribe(&*bob, &chatter(QosProfile::DEFAULT));
+    wait_until("both are matched", || writer.matched() == 1 && reader.matched() == 1);
+    // Far more than a window, faster than acknowledgements travel.
+    let refused = (0..1000).map(|_| writer.write(cdr([0; 4]))).find_map(Result::err);
+    assert_eq!(refused, Some(WriteError::WindowFull));
+    wait_until("acknowledgements open the window again", || writer.write(cdr([0; 4])).is_ok());
+}
