@@ -1,3 +1,33 @@
 //! ROS 2 interfaces as Rust types.
+//!
+//! ```
+//! use downbeat_msgs::{Message, cdr, sensor_msgs::msg::JointState};
+//!
+//! let state = JointState { name: vec!["head_pan".into()], position: vec![0.25], ..JointState::default() };
+//! let bytes = cdr::to_vec(&state);
+//! assert_eq!(cdr::from_slice::<JointState>(&bytes)?, state);
+//! assert_eq!(JointState::TYPE_NAME, "sensor_msgs/msg/JointState");
+//! assert!(JointState::TYPE_HASH.starts_with("RIHS01_"));
+//! # Ok::<(), cdr::Error>(())
+//! ```
+//!
+//! The module of a package has a module `msg` with a struct per message, and a module `srv` with a type per service
+//! and its messages (`SetBool`, `SetBoolRequest`, `SetBoolResponse`, `SetBoolEvent`). Fields are named as in ROS 2;
+//! a field named as a keyword is written raw (`r#type`). All of it is generated at build time from `interfaces/`.
+//!
+//! Bounds of sequences and strings are checked when reading, not when writing: see [`cdr`].
 
+// First, so that the macros it defines are known below.
+include!(concat!(env!("OUT_DIR"), "/interfaces.rs"));
+
+pub mod cdr;
+pub mod large_array;
 pub mod qos;
+
+mod message;
+mod time;
+
+pub use cdr::WString;
+pub use message::{Message, Service};
+#[doc(hidden)]
+pub use serde; // Generated code in other crates derives its traits by this path.

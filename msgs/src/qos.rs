@@ -71,8 +71,7 @@ impl QosProfile {
         liveliness_lease_duration: None,
     };
     /// Best effort, volatile, keep last 5: for sensors, where the newest sample matters more than each.
-    pub const SENSOR_DATA: Self =
-        Self { reliability: Reliability::BestEffort, ..Self::DEFAULT.keep_last(5) };
+    pub const SENSOR_DATA: Self = Self { reliability: Reliability::BestEffort, ..Self::DEFAULT.keep_last(5) };
     /// Reliable, volatile, keep last 1000.
     pub const PARAMETERS: Self = Self::DEFAULT.keep_last(1000);
     /// Reliable, volatile, keep last 1000.

@@ -1,0 +1,236 @@
+//! What a `.msg` or `.srv` file says, as values.
+
+use crate::{Place, TypeName};
+
+/// A parsed message.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MessageDefinition {
+    /// Its name.
+    pub name: TypeName,
+    /// Comment lines at the top of the file, up to the first line that is none.
+    pub comment: Vec<String>,
+    /// Its fields, in order.
+    pub fields: Vec<Field>,
+    /// Its constants, in order.
+    pub constants: Vec<Constant>,
+    /// The text it was parsed from, unchanged.
+    pub text: String,
+    /// The file it comes from.
+    pub origin: String,
+}
+
+/// A parsed service.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ServiceDefinition {
+    /// Its name.
+    pub name: TypeName,
+    /// `<name>_Request`.
+    pub request: MessageDefinition,
+    /// `<name>_Response`.
+    pub response: MessageDefinition,
+    /// The text it was parsed from, unchanged.
+    pub text: String,
+    /// The file it comes from.
+    pub origin: String,
+}
+
+/// A field of a message.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Field {
+    /// Its name.
+    pub name: String,
+    /// Its type.
+    pub field_type: FieldType,
+    /// Its value in a new message, where the definition says one.
+    pub default: Option<Value>,
+    /// Comment lines directly above it and behind it.
+    pub comment: Vec<String>,
+    /// Where its type is written.
+    pub place: Place,
+}
+
+/// A named constant of a message.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Constant {
+    /// Its name.
+    pub name: String,
+    /// Its type: a primitive or an unbounded string.
+    pub element: Element,
+    /// Its value.
+    pub value: Value,
+    /// Comment lines directly above it and behind it.
+    pub comment: Vec<String>,
+}
+
+/// The type of a field: one element, or several.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FieldType {
+    /// What it holds.
+    pub element: Element,
+    /// How many of it.
+    pub shape: Shape,
+}
+
+/// What a field holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Element {
+    /// A number, a byte, or a truth value.
+    Primitive(Primitive),
+    /// `string`, `string<=N`; the bound counts bytes.
+    String {
+        /// The N.
+        bound: Option<u64>,
+    },
+    /// `wstring`, `wstring<=N`; the bound counts UTF-16 code units.
+    WString {
+        /// The N.
+        bound: Option<u64>,
+    },
+    /// Another message.
+    Message(TypeName),
+}
+
+/// How many elements a field holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shape {
+    /// One.
+    Single,
+    /// Exactly so many: `[N]`.
+    Array(u64),
+    /// At most so many: `[<=N]`.
+    Bounded(u64),
+    /// Any number: `[]`.
+    Sequence,
+}
+
+/// The primitive types of ROS 2.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Primitive {
+    /// `bool`
+    Bool,
+    /// `byte`
+    Byte,
+    /// `char`, which is an unsigned 8-bit number
+    Char,
+    /// `int8`
+    Int8,
+    /// `uint8`
+    UInt8,
+    /// `int16`
+    Int16,
+    /// `uint16`
+    UInt16,
+    /// `int32`
+    Int32,
+    /// `uint32`
+    UInt32,
+    /// `int64`
+    Int64,
+    /// `uint64`
+    UInt64,
+    /// `float32`
+    Float32,
+    /// `float64`
+    Float64,
+}
+
+impl Primitive {
+    /// All of them.
+    pub const ALL: [Self; 13] = [
+        Self::Bool,
+        Self::Byte,
+        Self::Char,
+        Self::Int8,
+        Self::UInt8,
+        Self::Int16,
+        Self::UInt16,
+        Self::Int32,
+        Self::UInt32,
+        Self::Int64,
+        Self::UInt64,
+        Self::Float32,
+        Self::Float64,
+    ];
+
+    /// The ROS 2 word.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Bool => "bool",
+            Self::Byte => "byte",
+            Self::Char => "char",
+            Self::Int8 => "int8",
+            Self::UInt8 => "uint8",
+            Self::Int16 => "int16",
+            Self::UInt16 => "uint16",
+            Self::Int32 => "int32",
+            Self::UInt32 => "uint32",
+            Self::Int64 => "int64",
+            Self::UInt64 => "uint64",
+            Self::Float32 => "float32",
+            Self::Float64 => "float64",
+        }
+    }
+
+    /// Bytes of one value on the wire; also its alignment.
+    #[must_use]
+    pub const fn size(self) -> usize {
+        match self {
+            Self::Bool | Self::Byte | Self::Char | Self::Int8 | Self::UInt8 => 1,
+            Self::Int16 | Self::UInt16 => 2,
+            Self::Int32 | Self::UInt32 | Self::Float32 => 4,
+            Self::Int64 | Self::UInt64 | Self::Float64 => 8,
+        }
+    }
+
+    /// The least and the greatest value of an integer type; `None` for `bool` and floating-point types.
+    #[must_use]
+    pub const fn range(self) -> Option<(i128, i128)> {
+        Some(match self {
+            Self::Byte | Self::Char | Self::UInt8 => (0, u8::MAX as i128),
+            Self::Int8 => (i8::MIN as i128, i8::MAX as i128),
+            Self::Int16 => (i16::MIN as i128, i16::MAX as i128),
+            Self::UInt16 => (0, u16::MAX as i128),
+            Self::Int32 => (i32::MIN as i128, i32::MAX as i128),
+            Self::UInt32 => (0, u32::MAX as i128),
+            Self::Int64 => (i64::MIN as i128, i64::MAX as i128),
+            Self::UInt64 => (0, u64::MAX as i128),
+            Self::Bool | Self::Float32 | Self::Float64 => return None,
+        })
+    }
+}
+
+/// The value of a constant or of a default.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Value {
+    /// Of a `bool`.
+    Bool(bool),
+    /// Of any integer type.
+    Integer(i128),
+    /// Of a floating-point type.
+    Float(f64),
+    /// Of a string type.
+    Text(String),
+    /// Of an array or sequence.
+    List(Vec<Value>),
+}
+
+impl std::fmt::Display for FieldType {
+    /// The type as a definition spells it, with the package of messages always named.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match &self.element {
+            Element::Primitive(primitive) => f.write_str(primitive.as_str())?,
+            Element::String { bound: None } => f.write_str("string")?,
+            Element::String { bound: Some(bound) } => write!(f, "string<={bound}")?,
+            Element::WString { bound: None } => f.write_str("wstring")?,
+            Element::WString { bound: Some(bound) } => write!(f, "wstring<={bound}")?,
+            Element::Message(name) => f.write_str(&name.short())?,
+        }
+        match self.shape {
+            Shape::Single => Ok(()),
+            Shape::Array(count) => write!(f, "[{count}]"),
+            Shape::Bounded(count) => write!(f, "[<={count}]"),
+            Shape::Sequence => f.write_str("[]"),
+        }
+    }
+}

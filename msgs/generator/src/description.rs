@@ -1,0 +1,235 @@
+//! Type descriptions and the hashes computed from them.
+//!
+//! # References
+//! `rosidl_generator_type_description/__init__.py` and `rcl/src/rcl/type_hash.c`, branch jazzy.
+
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+
+use sha2::{Digest, Sha256};
+
+use crate::{Catalog, Element, Error, FieldType, Kind, Primitive, Shape, TypeName};
+
+/// A type and all it refers to, as `type_description_interfaces/msg/TypeDescription`, default values left out.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TypeDescription {
+    /// The type itself.
+    pub type_description: IndividualTypeDescription,
+    /// What it refers to, directly or not, in the order of the names.
+    pub referenced_type_descriptions: Vec<IndividualTypeDescription>,
+}
+
+/// One type.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct IndividualTypeDescription {
+    /// Its full name.
+    pub type_name: String,
+    /// Its fields: name and type.
+    pub fields: Vec<(String, FieldTypeDescription)>,
+}
+
+/// The type of a field.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct FieldTypeDescription {
+    /// One of the constants of `type_description_interfaces/msg/FieldType`.
+    pub type_id: u8,
+    /// The size of an array, the bound of a sequence, 0 otherwise.
+    pub capacity: u64,
+    /// The bound of a string, 0 otherwise.
+    pub string_capacity: u64,
+    /// The full name of a message, empty otherwise.
+    pub nested_type_name: String,
+}
+
+impl TypeDescription {
+    /// The JSON text the hash is computed from.
+    #[must_use]
+    pub fn to_json(&self) -> String {
+        let mut json = String::from("{\"type_description\": ");
+        write_individual(&mut json, &self.type_description);
+        json.push_str(", \"referenced_type_descriptions\": [");
+        for (index, referenced) in self.referenced_type_descriptions.iter().enumerate() {
+            json.push_str(if index == 0 { "" } else { ", " });
+            write_individual(&mut json, referenced);
+        }
+        json.push_str("]}");
+        json
+    }
+
+    /// The hash: `RIHS01_` and 64 hexadecimal digits.
+    #[must_use]
+    pub fn hash(&self) -> String {
+        let mut hash = String::from("RIHS01_");
+        for byte in Sha256::digest(self.to_json()) {
+            let _ = write!(hash, "{byte:02x}"); // Writing to a String cannot fail.
+        }
+        hash
+    }
+}
+
+impl Catalog {
+    /// The description of a message or a service.
+    ///
+    /// # Errors
+    /// [`Error::NotInCatalog`] for the type itself or one it refers to.
+    pub fn type_description(&self, name: &TypeName) -> Result<TypeDescription, Error> {
+        let type_description = self.describe(name)?;
+        let mut names = BTreeSet::new();
+        self.collect_references(name, &mut names)?;
+        let referenced = names.iter().map(|name| self.describe(name)).collect::<Result<_, _>>()?;
+        Ok(TypeDescription { type_description, referenced_type_descriptions: referenced })
+    }
+
+    /// The hash of a message or a service.
+    ///
+    /// # Errors
+    /// As [`Catalog::type_description`].
+    pub fn type_hash(&self, name: &TypeName) -> Result<String, Error> {
+        Ok(self.type_description(name)?.hash())
+    }
+
+    fn describe(&self, name: &TypeName) -> Result<IndividualTypeDescription, Error> {
+        let mut fields: Vec<(String, FieldTypeDescription)> = self
+            .members(name)?
+            .into_iter()
+            .map(|(field, field_type)| (field, describe_type(&field_type)))
+            .collect();
+        if fields.is_empty() {
+            let byte = FieldTypeDescription { type_id: 3, ..FieldTypeDescription::default() };
+            fields.push(("structure_needs_at_least_one_member".into(), byte));
+        }
+        Ok(IndividualTypeDescription { type_name: name.to_string(), fields })
+    }
+
+    fn collect_references(&self, of: &TypeName, names: &mut BTreeSet<TypeName>) -> Result<(), Error> {
+        for (_, field_type) in self.members(of)? {
+            if let Element::Message(name) = field_type.element
+                && names.insert(name.clone())
+            {
+                self.collect_references(&name, names)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Name and type of each field; a service counts as a message of its three messages.
+    fn members(&self, name: &TypeName) -> Result<Vec<(String, FieldType)>, Error> {
+        if name.kind == Kind::Service && self.service(name).is_ok() {
+            let member = |field: &str, suffix| {
+                let element = Element::Message(name.with_suffix(suffix));
+                (field.to_owned(), FieldType { element, shape: Shape::Single })
+            };
+            return Ok(vec![
+                member("request_message", "_Request"),
+                member("response_message", "_Response"),
+                member("event_message", "_Event"),
+            ]);
+        }
+        let fields = &self.message(name)?.fields;
+        Ok(fields.iter().map(|field| (field.name.clone(), field.field_type.clone())).collect())
+    }
+}
+
+fn describe_type(field_type: &FieldType) -> FieldTypeDescription {
+    let (base, string_capacity, nested_type_name) = match &field_type.element {
+        Element::Message(name) => (1, 0, name.to_string()),
+        Element::Primitive(primitive) => (primitive_id(*primitive), 0, String::new()),
+        Element::String { bound } => {
+            (if bound.is_some() { 21 } else { 17 }, bound.unwrap_or(0), String::new())
+        }
+        Element::WString { bound } => {
+            (if bound.is_some() { 22 } else { 18 }, bound.unwrap_or(0), String::new())
+        }
+    };
+    let (offset, capacity) = match field_type.shape {
+        Shape::Single => (0, 0),
+        Shape::Array(count) => (48, count),
+        Shape::Bounded(bound) => (96, bound),
+        Shape::Sequence => (144, 0),
+    };
+    FieldTypeDescription { type_id: base + offset, capacity, string_capacity, nested_type_name }
+}
+
+fn primitive_id(primitive: Primitive) -> u8 {
+    match primitive {
+        Primitive::Int8 => 2,
+        Primitive::UInt8 | Primitive::Char => 3,
+        Primitive::Int16 => 4,
+        Primitive::UInt16 => 5,
+        Primitive::Int32 => 6,
+        Primitive::UInt32 => 7,
+        Primitive::Int64 => 8,
+        Primitive::UInt64 => 9,
+        Primitive::Float32 => 10,
+        Primitive::Float64 => 11,
+        Primitive::Bool => 15,
+        Primitive::Byte => 16,
+    }
+}
+
+// Names are ASCII without quotes or backslashes (the parser sees to it), so JSON needs no escapes here.
+fn write_individual(json: &mut String, description: &IndividualTypeDescription) {
+    json.push_str(&format!("{{\"type_name\": \"{}\", \"fields\": [", description.type_name));
+    for (index, (name, field)) in description.fields.iter().enumerate() {
+        json.push_str(if index == 0 { "" } else { ", " });
+        json.push_str(&format!(
+            "{{\"name\": \"{name}\", \"type\": {{\"type_id\": {}, \"capacity\": {}, \"string_capacity\": {}, \
+             \"nested_type_name\": \"{}\"}}}}",
+            field.type_id, field.capacity, field.string_capacity, field.nested_type_name
+        ));
+    }
+    json.push_str("]}");
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use crate::Catalog;
+
+    /// `example_interfaces/srv/AddTwoInts` and all it refers to.
+    fn add_two_ints() -> Catalog {
+        let mut catalog = Catalog::new();
+        let time = "int32 sec\nuint32 nanosec\n";
+        let info =
+            "uint8 event_type\nbuiltin_interfaces/Time stamp\nchar[16] client_gid\nint64 sequence_number\n";
+        catalog.add_message("builtin_interfaces/msg/Time".parse().unwrap(), time, "").unwrap();
+        catalog.add_message("service_msgs/msg/ServiceEventInfo".parse().unwrap(), info, "").unwrap();
+        let service = "int64 a\nint64 b\n---\nint64 sum\n";
+        catalog.add_service("example_interfaces/srv/AddTwoInts".parse().unwrap(), service, "").unwrap();
+        catalog
+    }
+
+    #[test]
+    fn the_hash_of_a_service_is_the_published_one() {
+        let hash = add_two_ints().type_hash(&"example_interfaces/srv/AddTwoInts".parse().unwrap()).unwrap();
+        assert_eq!(hash, "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a");
+    }
+
+    #[test]
+    fn the_hash_of_a_message_is_the_published_one_whatever_its_constants_comments_and_defaults() {
+        for text in ["string data\n", "# c\nint8 A=1\nstring data \"x\" # c\n"] {
+            let mut catalog = Catalog::new();
+            catalog.add_message("std_msgs/msg/String".parse().unwrap(), text, "").unwrap();
+            assert_eq!(
+                catalog.type_hash(&"std_msgs/msg/String".parse().unwrap()).unwrap(),
+                "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+            );
+        }
+    }
+
+    #[test]
+    fn the_json_has_the_spacing_the_hash_depends_on() {
+        let mut catalog = Catalog::new();
+        catalog.add_message("a/msg/A".parse().unwrap(), "B[<=3] b\n", "").unwrap();
+        catalog.add_message("a/msg/B".parse().unwrap(), "", "").unwrap();
+        assert_eq!(
+            catalog.type_description(&"a/msg/A".parse().unwrap()).unwrap().to_json(),
+            "{\"type_description\": {\"type_name\": \"a/msg/A\", \"fields\": [{\"name\": \"b\", \"type\": \
+             {\"type_id\": 97, \"capacity\": 3, \"string_capacity\": 0, \"nested_type_name\": \"a/msg/B\"}}]}, \
+             \"referenced_type_descriptions\": [{\"type_name\": \"a/msg/B\", \"fields\": [{\"name\": \
+             \"structure_needs_at_least_one_member\", \"type\": {\"type_id\": 3, \"capacity\": 0, \
+             \"string_capacity\": 0, \"nested_type_name\": \"\"}}]}]}"
+        );
+    }
+}

@@ -1,0 +1,95 @@
+//! What can be wrong with interface definitions.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use crate::TypeName;
+
+/// A place in a definition: file, line, column.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// The file, or whatever names the text if it came from elsewhere.
+    pub origin: String,
+    /// Counted from 1.
+    pub line: usize,
+    /// Counted from 1, in characters.
+    pub column: usize,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}:{}", self.origin, self.line, self.column)
+    }
+}
+
+/// Why definitions could not be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A line is not what the grammar of `.msg` and `.srv` files allows.
+    #[error("{place}: {message}")]
+    Syntax {
+        /// Where.
+        place: Place,
+        /// What was found, what was expected.
+        message: String,
+    },
+    /// A `.srv` file does not have exactly one separator line.
+    #[error("{origin}: a service needs exactly one line `---` between request and response, found {found}")]
+    Separators {
+        /// The file.
+        origin: String,
+        /// How many such lines it has.
+        found: usize,
+    },
+    /// A field has a type that no definition describes.
+    #[error("{place}: field `{field}` of {owner} has the unknown type `{wanted}`{hint}")]
+    UnknownType {
+        /// Where the field is declared.
+        place: Box<Place>,
+        /// The message with the field.
+        owner: Box<TypeName>,
+        /// The field.
+        field: String,
+        /// Its type.
+        wanted: Box<TypeName>,
+        /// What to do, where that can be told; empty otherwise.
+        hint: String,
+    },
+    /// A message contains itself, directly or through others.
+    #[error("{origin}: {} contains itself: {}", cycle[0], join(cycle))]
+    Cycle {
+        /// The file of the first message of the cycle.
+        origin: String,
+        /// The messages on the way from the first to itself.
+        cycle: Vec<TypeName>,
+    },
+    /// The same type is defined twice, with different text.
+    #[error("{second}: {name} is already defined, differently, in {first}")]
+    DefinedTwice {
+        /// The type.
+        name: TypeName,
+        /// Where it was defined first.
+        first: String,
+        /// Where it was defined again.
+        second: String,
+    },
+    /// A type was asked for that no definition describes.
+    #[error("{0} is not in the catalog: add its package's folder or definition first")]
+    NotInCatalog(TypeName),
+    /// A text is not the name of an interface.
+    #[error("`{0}` is not an interface name: expected `package/msg/Type` or `package/srv/Type`")]
+    Name(String),
+    /// A file or folder could not be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+}
+
+fn join(cycle: &[TypeName]) -> String {
+    cycle.iter().map(TypeName::to_string).collect::<Vec<_>>().join(" -> ")
+}

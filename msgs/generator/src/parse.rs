@@ -1,0 +1,248 @@
+//! From the text of a `.msg` or `.srv` file to its definition.
+//!
+//! The grammar is that of `rosidl_adapter/parser.py`: one field or constant a line, a comment from the first `#` on
+//! (quoted or not), tabs count as spaces.
+
+use crate::literal::{parse_element, parse_value};
+use crate::name::{is_constant_name, is_package_name, is_type_name};
+use crate::{
+    Constant, Element, Error, Field, FieldType, Kind, MessageDefinition, Place, Primitive, ServiceDefinition,
+    Shape, TypeName,
+};
+
+/// Parses the text of a `.msg` file. `origin` names it in errors.
+///
+/// # Errors
+/// [`Error::Syntax`] with the place of the first line that is not understood.
+pub fn parse_message(name: TypeName, text: &str, origin: &str) -> Result<MessageDefinition, Error> {
+    parse_from(name, text, origin, 1)
+}
+
+/// Parses the text of a `.srv` file. `origin` names it in errors.
+///
+/// # Errors
+/// [`Error::Separators`] if request and response are not told apart, [`Error::Syntax`] for any other fault.
+pub fn parse_service(name: TypeName, text: &str, origin: &str) -> Result<ServiceDefinition, Error> {
+    let mut halves: Vec<String> = vec![String::new()];
+    let mut separator_line = 0;
+    for (index, line) in text.lines().enumerate() {
+        if line.trim_end() == "---" {
+            halves.push(String::new());
+            separator_line = index + 1;
+        } else if let Some(half) = halves.last_mut() {
+            half.push_str(line);
+            half.push('\n');
+        }
+    }
+    let [request, response] = halves.as_slice() else {
+        return Err(Error::Separators { origin: origin.into(), found: halves.len() - 1 });
+    };
+    Ok(ServiceDefinition {
+        request: parse_from(name.with_suffix("_Request"), request, origin, 1)?,
+        response: parse_from(name.with_suffix("_Response"), response, origin, separator_line + 1)?,
+        name,
+        text: text.into(),
+        origin: origin.into(),
+    })
+}
+
+fn parse_from(
+    name: TypeName,
+    text: &str,
+    origin: &str,
+    first_line: usize,
+) -> Result<MessageDefinition, Error> {
+    let mut message = MessageDefinition {
+        comment: leading_comment(text),
+        fields: Vec::new(),
+        constants: Vec::new(),
+        text: text.into(),
+        origin: origin.into(),
+        name,
+    };
+    let mut comments: Vec<String> = Vec::new();
+    for (index, line) in text.lines().enumerate() {
+        let line = line.replace('\t', " ");
+        let (code, comment) = match line.split_once('#') {
+            Some((code, comment)) => (code.trim_end(), Some(comment.trim_start_matches('#').trim())),
+            None => (line.trim_end(), None),
+        };
+        // The comment at the top belongs to the message, not to its first field.
+        if index >= message.comment.len() {
+            match comment {
+                Some(comment) => comments.push(comment.into()),
+                None if code.is_empty() => comments.clear(),
+                None => {}
+            }
+        }
+        if code.is_empty() {
+            continue;
+        }
+        let line = Line { origin, number: first_line + index, code };
+        line.parse_into(&mut message, std::mem::take(&mut comments))?;
+    }
+    Ok(message)
+}
+
+fn leading_comment(text: &str) -> Vec<String> {
+    text.lines()
+        .map_while(|line| line.strip_prefix('#'))
+        .map(|line| line.trim_start_matches('#').trim().into())
+        .collect()
+}
+
+/// One line with code on it.
+struct Line<'a> {
+    origin: &'a str,
+    number: usize,
+    /// Without its comment and the spaces at its end.
+    code: &'a str,
+}
+
+impl Line<'_> {
+    fn parse_into(&self, message: &mut MessageDefinition, comment: Vec<String>) -> Result<(), Error> {
+        let start = self.code.len() - self.code.trim_start().len();
+        let (type_text, rest) = match self.code[start..].split_once(' ') {
+            Some((type_text, rest)) => (type_text, rest.trim_start()),
+            None => return Err(self.fault(self.code.len(), "expected a name after the type".into())),
+        };
+        let name_at = self.code.len() - rest.len();
+        let name_end = rest.find([' ', '=']).unwrap_or(rest.len());
+        let (name, rest) = rest.split_at(name_end);
+        let value_text = rest.trim_start();
+        let field_type =
+            parse_type(type_text, &message.name.package).map_err(|fault| self.fault(start, fault))?;
+
+        if let Some(value_text) = value_text.strip_prefix('=') {
+            let value_text = value_text.trim_start();
+            let value_at = self.code.len() - value_text.len();
+            let constant = parse_constant(field_type, name, value_text, comment)
+                .map_err(|(part, fault)| self.fault([start, name_at, value_at][part], fault))?;
+            if message.constants.iter().any(|other| other.name == constant.name) {
+                return Err(self.fault(name_at, format!("the constant `{name}` is defined twice")));
+            }
+            message.constants.push(constant);
+            return Ok(());
+        }
+
+        if !is_package_name(name) {
+            return Err(self.fault(
+                name_at,
+                format!(
+                    "`{name}` cannot name a field: lower case letters, digits and single underscores, \
+                     a letter first, no underscore last"
+                ),
+            ));
+        }
+        if message.fields.iter().any(|other| other.name == name) {
+            return Err(self.fault(name_at, format!("the field `{name}` is defined twice")));
+        }
+        let default = match value_text {
+            "" => None,
+            text => Some(
+                parse_value(&field_type, text)
+                    .map_err(|fault| self.fault(self.code.len() - value_text.len(), fault))?,
+            ),
+        };
+        let place = self.place(start);
+        message.fields.push(Field { name: name.into(), field_type, default, comment, place });
+        Ok(())
+    }
+
+    fn place(&self, byte: usize) -> Place {
+        let column = self.code[..byte].chars().count() + 1;
+        Place { origin: self.origin.into(), line: self.number, column }
+    }
+
+    fn fault(&self, byte: usize, message: String) -> Error {
+        Error::Syntax { place: self.place(byte), message }
+    }
+}
+
+/// On failure also the part at fault: 0 the type, 1 the name, 2 the value.
+fn parse_constant(
+    field_type: FieldType,
+    name: &str,
+    value: &str,
+    comment: Vec<String>,
+) -> Result<Constant, (usize, String)> {
+    let element = match field_type {
+        FieldType { element: Element::Message(_), .. }
+        | FieldType {
+            element: Element::String { bound: Some(_) } | Element::WString { bound: Some(_) },
+            ..
+        } => {
+            return Err((
+                0,
+                format!("`{field_type}` cannot be the type of a constant, only primitives and strings can"),
+            ));
+        }
+        FieldType { shape: Shape::Single, element } => element,
+        _ => return Err((0, format!("`{field_type}` cannot be the type of a constant: it is an array"))),
+    };
+    if !is_constant_name(name) {
+        return Err((
+            1,
+            format!(
+                "`{name}` cannot name a constant: upper case letters, digits and single underscores, \
+                 a letter first, no underscore last"
+            ),
+        ));
+    }
+    let value = parse_element(&element, value).map_err(|fault| (2, fault))?;
+    Ok(Constant { name: name.into(), element, value, comment })
+}
+
+fn parse_type(text: &str, package: &str) -> Result<FieldType, String> {
+    let (element, shape) = match text.strip_suffix(']') {
+        None => (text, Shape::Single),
+        Some(rest) => {
+            let (element, size) =
+                rest.rsplit_once('[').ok_or_else(|| format!("`{text}` has a `]` without its `[`"))?;
+            let shape = match size.strip_prefix("<=") {
+                _ if size.is_empty() => Shape::Sequence,
+                Some(bound) => Shape::Bounded(parse_count(bound, text)?),
+                None => Shape::Array(parse_count(size, text)?),
+            };
+            (element, shape)
+        }
+    };
+    Ok(FieldType { element: parse_element_type(element, package)?, shape })
+}
+
+fn parse_element_type(text: &str, package: &str) -> Result<Element, String> {
+    if let Some(primitive) = Primitive::ALL.into_iter().find(|primitive| primitive.as_str() == text) {
+        return Ok(Element::Primitive(primitive));
+    }
+    match text.split_once("<=") {
+        Some(("string", bound)) => return Ok(Element::String { bound: Some(parse_count(bound, text)?) }),
+        Some(("wstring", bound)) => return Ok(Element::WString { bound: Some(parse_count(bound, text)?) }),
+        _ => {}
+    }
+    let (package, name) = match text {
+        "string" => return Ok(Element::String { bound: None }),
+        "wstring" => return Ok(Element::WString { bound: None }),
+        "time" => return Err("ROS 2 has no type `time`: use `builtin_interfaces/Time`".into()),
+        "duration" => return Err("ROS 2 has no type `duration`: use `builtin_interfaces/Duration`".into()),
+        _ => text.split_once('/').unwrap_or((package, text)),
+    };
+    if let Some(name) = name.strip_prefix("msg/") {
+        return Err(format!("`{text}`: within a definition the name is written `{package}/{name}`"));
+    }
+    if is_package_name(package) && is_type_name(name) {
+        Ok(Element::Message(TypeName::new(package, Kind::Message, name)))
+    } else {
+        Err(format!("`{text}` is neither a primitive type nor a message name such as `std_msgs/Header`"))
+    }
+}
+
+fn parse_count(text: &str, whole: &str) -> Result<u64, String> {
+    match text.parse::<u32>() {
+        Ok(count) if count > 0 => Ok(count.into()),
+        _ => Err(format!("`{whole}`: the size must be a number from 1 to {}, found `{text}`", u32::MAX)),
+    }
+}
+
+#[cfg(test)]
+#[path = "parse_tests.rs"]
+mod tests;

@@ -1,0 +1,202 @@
+//! The struct of a message and what is implemented for it.
+
+use super::names::{identifier, primitive, struct_name};
+use super::values::{constant, expression, is_zero, text_literal, zero};
+use super::{RustSource, docs};
+use crate::{Element, Error, Field, FieldType, MessageDefinition, Primitive, Shape};
+
+/// The longest array for which the standard library and serde implement their traits.
+const LONGEST_PLAIN_ARRAY: u64 = 32;
+
+impl RustSource<'_> {
+    pub(super) fn message(&self, message: &MessageDefinition) -> Result<String, Error> {
+        let mut source = self.structure(message)?;
+        if !message.constants.is_empty() {
+            source.push('\n');
+            source.push_str(&constants(message));
+        }
+        if !has_derivable_default(message) {
+            source.push('\n');
+            source.push_str(&self.default_impl(message));
+        }
+        source.push('\n');
+        source.push_str(&self.cdr_impl(message)?);
+        source.push('\n');
+        source.push_str(&self.message_impl(message)?);
+        Ok(source)
+    }
+
+    fn structure(&self, message: &MessageDefinition) -> Result<String, Error> {
+        let mut derives = vec!["Clone", "Debug", "PartialEq"];
+        if has_derivable_default(message) {
+            derives.insert(2, "Default");
+        }
+        if self.every_element(message, &|element, shape| {
+            !matches!(element, Element::String { .. } | Element::WString { .. })
+                && matches!(shape, Shape::Single | Shape::Array(_))
+        })? {
+            derives.insert(1, "Copy");
+        }
+        if self.every_element(message, &|element, _| {
+            !matches!(element, Element::Primitive(Primitive::Float32 | Primitive::Float64))
+        })? {
+            derives.extend(["Eq", "Hash"]);
+        }
+        derives.extend(["serde::Serialize", "serde::Deserialize"]);
+        let crate_attribute = match self.modules.runtime.as_str() {
+            "crate" => String::new(),
+            runtime => format!("crate = \"{runtime}::serde\", "),
+        };
+        let name = struct_name(&message.name);
+        let mut source = docs::doc(&message.comment, &message.name.to_string(), "");
+        source.push_str(&format!("#[derive({})]\n#[serde({crate_attribute}default)]\n", derives.join(", ")));
+        if message.fields.is_empty() {
+            source.push_str(&format!("pub struct {name} {{}}\n"));
+            return Ok(source);
+        }
+        source.push_str(&format!("pub struct {name} {{\n"));
+        for field in &message.fields {
+            source.push_str(&docs::doc(&field.comment, &field.field_type.to_string(), "    "));
+            if matches!(field.field_type.shape, Shape::Array(count) if count > LONGEST_PLAIN_ARRAY) {
+                source.push_str(&format!("    #[serde(with = \"{}::large_array\")]\n", self.modules.runtime));
+            }
+            let rust_name = identifier(&field.name);
+            if rust_name.ends_with('_') {
+                source.push_str(&format!("    #[serde(rename = \"{}\")]\n", field.name));
+            }
+            source.push_str(&format!(
+                "    pub {rust_name}: {},\n",
+                self.field_type(&field.field_type, &message.name)
+            ));
+        }
+        source.push_str("}\n");
+        Ok(source)
+    }
+
+    fn default_impl(&self, message: &MessageDefinition) -> String {
+        let default = self.prelude("Default", "std::default::Default", &message.name);
+        let mut source = format!("impl {default} for {} {{\n", struct_name(&message.name));
+        source.push_str("    fn default() -> Self {\n        Self {\n");
+        for field in &message.fields {
+            let value = match &field.default {
+                Some(value) => expression(value, &field.field_type, &self.modules.runtime),
+                None => default_expression(&field.field_type, &default),
+            };
+            source.push_str(&format!("            {}: {value},\n", identifier(&field.name)));
+        }
+        source.push_str("        }\n    }\n}\n");
+        source
+    }
+
+    fn cdr_impl(&self, message: &MessageDefinition) -> Result<String, Error> {
+        let name = struct_name(&message.name);
+        let least = self.catalog.least_wire_size(&message.name)?;
+        let mut source = format!("impl cdr::Cdr for {name} {{\n    const LEAST_SIZE: usize = {least};\n\n");
+        source.push_str("    fn encode(&self, writer: &mut cdr::Writer<'_>) {\n");
+        if message.fields.is_empty() {
+            source.push_str("        writer.empty_message();\n");
+        }
+        for field in &message.fields {
+            source.push_str(&format!("        writer.value(&self.{});\n", identifier(&field.name)));
+        }
+        source.push_str("    }\n\n    fn decode(reader: &mut cdr::Reader<'_>) -> cdr::Result<Self> {\n");
+        if message.fields.is_empty() {
+            source.push_str("        reader.empty_message()?;\n        Ok(Self {})\n");
+        } else {
+            source.push_str("        Ok(Self {\n");
+            for field in &message.fields {
+                source.push_str(&format!(
+                    "            {}: {},\n",
+                    identifier(&field.name),
+                    decode_call(field)
+                ));
+            }
+            source.push_str("        })\n");
+        }
+        source.push_str("    }\n}\n");
+        Ok(source)
+    }
+
+    fn message_impl(&self, message: &MessageDefinition) -> Result<String, Error> {
+        let definition = self.catalog.definition_text(&message.name)?;
+        Ok(format!(
+            "impl {}::Message for {} {{\n    const TYPE_NAME: &'static str = \"{}\";\n    \
+             const TYPE_HASH: &'static str = \"{}\";\n    const DEFINITION: &'static str = {};\n}}\n",
+            self.modules.runtime,
+            struct_name(&message.name),
+            message.name,
+            self.catalog.type_hash(&message.name)?,
+            text_literal(&definition)
+        ))
+    }
+
+    /// Whether something holds for every element of the message, those of messages within it included.
+    fn every_element(
+        &self,
+        message: &MessageDefinition,
+        holds: &dyn Fn(&Element, Shape) -> bool,
+    ) -> Result<bool, Error> {
+        for field in &message.fields {
+            let FieldType { element, shape } = &field.field_type;
+            if !holds(element, *shape) {
+                return Ok(false);
+            }
+            if let Element::Message(name) = element
+                && !self.every_element(self.catalog.message(name)?, holds)?
+            {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+}
+
+fn has_derivable_default(message: &MessageDefinition) -> bool {
+    message.fields.iter().all(|field| {
+        field.default.as_ref().is_none_or(is_zero)
+            && !matches!(field.field_type.shape, Shape::Array(count) if count > LONGEST_PLAIN_ARRAY)
+    })
+}
+
+fn constants(message: &MessageDefinition) -> String {
+    let mut source = format!("impl {} {{\n", struct_name(&message.name));
+    for item in &message.constants {
+        let (ros_type, rust_type) = match &item.element {
+            Element::Primitive(of) => (of.as_str(), primitive(*of)),
+            Element::WString { .. } => ("wstring", "&'static str"),
+            _ => ("string", "&'static str"),
+        };
+        source.push_str(&docs::doc(&item.comment, ros_type, "    "));
+        let value = constant(&item.value, &item.element);
+        source.push_str(&format!("    pub const {}: {rust_type} = {value};\n", item.name));
+    }
+    source.push_str("}\n");
+    source
+}
+
+fn default_expression(field_type: &FieldType, default: &str) -> String {
+    match (&field_type.element, field_type.shape) {
+        (Element::Primitive(primitive), Shape::Single) => zero(*primitive).into(),
+        (Element::Primitive(primitive), Shape::Array(count)) => format!("[{}; {count}]", zero(*primitive)),
+        (_, Shape::Array(count)) if count > LONGEST_PLAIN_ARRAY => {
+            format!("std::array::from_fn(|_| {default}::default())")
+        }
+        _ => format!("{default}::default()"),
+    }
+}
+
+fn decode_call(field: &Field) -> String {
+    let name = &field.name;
+    let text_bound = match field.field_type.element {
+        Element::String { bound } | Element::WString { bound } => bound,
+        _ => None,
+    };
+    match (field.field_type.shape, text_bound) {
+        (Shape::Bounded(bound), Some(text)) => {
+            format!("reader.bounded_texts_field(\"{name}\", {bound}, {text})?")
+        }
+        (Shape::Bounded(bound), None) => format!("reader.bounded_field(\"{name}\", {bound})?"),
+        (_, Some(text)) => format!("reader.text_field(\"{name}\", {text})?"),
+        (_, None) => format!("reader.field(\"{name}\")?"),
+    }
+}

@@ -1,0 +1,115 @@
+//! Rust source for the interfaces of a catalog.
+//!
+//! One text per package, to be included in a module of the package's name. It holds a module `msg` and a module `srv`
+//! with one struct per message and the implementations of the traits of `downbeat-msgs`. Names within it are chosen so
+//! that no ROS 2 type name (`String`, `Error`, `Message`) can shadow what the code needs.
+
+mod docs;
+mod message;
+mod names;
+mod registry;
+mod service;
+mod values;
+
+use std::collections::BTreeMap;
+
+use crate::{Catalog, Error, Kind, MessageDefinition};
+
+/// Where generated code finds what it refers to.
+#[derive(Clone, Debug)]
+pub struct Modules {
+    runtime: String,
+    home: String,
+    elsewhere: BTreeMap<String, String>,
+}
+
+impl Modules {
+    /// `runtime` is the path of the crate with the traits and CDR: `::downbeat_msgs`, or `crate` within it.
+    /// `home` is the path of the module that will hold the generated packages: `crate`, `crate::interfaces`.
+    #[must_use]
+    pub fn new(runtime: &str, home: &str) -> Self {
+        Self { runtime: runtime.into(), home: home.into(), elsewhere: BTreeMap::new() }
+    }
+
+    /// Packages that need not be generated because the module at `path` has them.
+    #[must_use]
+    pub fn with_packages<'a>(mut self, path: &str, packages: impl IntoIterator<Item = &'a str>) -> Self {
+        self.elsewhere.extend(packages.into_iter().map(|package| (package.to_owned(), path.to_owned())));
+        self
+    }
+
+    fn of(&self, package: &str) -> &str {
+        self.elsewhere.get(package).unwrap_or(&self.home)
+    }
+}
+
+/// Writes Rust source.
+#[derive(Clone, Copy, Debug)]
+pub struct RustSource<'a> {
+    catalog: &'a Catalog,
+    modules: &'a Modules,
+}
+
+impl<'a> RustSource<'a> {
+    /// From a catalog that was [checked](Catalog::check).
+    #[must_use]
+    pub fn new(catalog: &'a Catalog, modules: &'a Modules) -> Self {
+        Self { catalog, modules }
+    }
+
+    /// The content of the module of one package.
+    ///
+    /// # Errors
+    /// [`Error::NotInCatalog`] if a message refers to one the catalog does not have.
+    pub fn package(&self, package: &str) -> Result<String, Error> {
+        let mut source = String::new();
+        for kind in [Kind::Message, Kind::Service] {
+            let messages: Vec<&MessageDefinition> = self
+                .catalog
+                .messages()
+                .filter(|message| message.name.package == package && message.name.kind == kind)
+                .collect();
+            if messages.is_empty() {
+                continue;
+            }
+            let (module, what) = (kind.as_str(), if kind == Kind::Message { "Messages" } else { "Services" });
+            source.push_str(&format!("/// {what} of the package `{package}`.\npub mod {module} {{\n"));
+            source.push_str(&format!("    use {}::{{cdr, serde}};\n", self.modules.runtime));
+            for service in self.catalog.services().filter(|service| service.name.package == package) {
+                if kind == Kind::Service {
+                    source.push_str(&indent(&self.service(service)?));
+                }
+            }
+            for message in messages {
+                source.push_str(&indent(&self.message(message)?));
+            }
+            source.push_str("}\n");
+        }
+        Ok(source)
+    }
+}
+
+/// Indents what is code, and leaves the lines of raw strings as they are: their spaces count.
+fn indent(source: &str) -> String {
+    let mut indented = String::from("\n");
+    let mut within_raw_string: Option<String> = None;
+    for line in source.lines() {
+        match &within_raw_string {
+            Some(end) => {
+                indented.push_str(line);
+                if line.ends_with(end.as_str()) {
+                    within_raw_string = None;
+                }
+            }
+            None => {
+                if !line.is_empty() {
+                    indented.push_str("    ");
+                }
+                indented.push_str(line);
+                within_raw_string = values::opens_raw_string(line);
+            }
+        }
+        indented.push('\n');
+    }
+    indented
+}

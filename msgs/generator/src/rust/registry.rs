@@ -1,0 +1,63 @@
+//! Lists of all types, for code that must treat each.
+
+use super::RustSource;
+use crate::TypeName;
+
+impl RustSource<'_> {
+    /// Modules that include the text of each [package](RustSource::package) from `<package>.rs` in the folder that
+    /// the environment variable `OUT_DIR` names at compile time.
+    #[must_use]
+    pub fn index(&self, packages: &[&str]) -> String {
+        let mut source = String::new();
+        for package in packages {
+            source.push_str(&format!(
+                "/// Interfaces of the package `{package}`.\n#[allow(clippy::all)]\npub mod {} {{\n    \
+                 include!(concat!(env!(\"OUT_DIR\"), \"/{package}.rs\"));\n}}\n\n",
+                super::names::identifier(package)
+            ));
+        }
+        source
+    }
+
+    /// The macros `for_each_message` and `for_each_service`, and the constant `TYPE_NAMES`, over the packages named.
+    /// They belong at the root of a crate that has the packages at its root.
+    #[must_use]
+    pub fn registry(&self, packages: &[&str]) -> String {
+        let messages: Vec<&TypeName> = self
+            .catalog
+            .messages()
+            .map(|message| &message.name)
+            .filter(|name| packages.contains(&name.package.as_str()))
+            .collect();
+        let services: Vec<&TypeName> = self
+            .catalog
+            .services()
+            .map(|service| &service.name)
+            .filter(|name| packages.contains(&name.package.as_str()))
+            .collect();
+        let mut source =
+            self.for_each("message", "the requests, responses and events of services among them", &messages);
+        source.push_str(&self.for_each("service", "one that implements `Service`", &services));
+        source.push_str(
+            "/// The name of every message type here, in order.\npub const TYPE_NAMES: &[&str] = &[\n",
+        );
+        for name in messages {
+            source.push_str(&format!("    \"{name}\",\n"));
+        }
+        source.push_str("];\n");
+        source
+    }
+
+    fn for_each(&self, what: &str, which: &str, names: &[&TypeName]) -> String {
+        let mut source = format!(
+            "/// Calls the macro `callback` once, with the path of every {what} type here ({which}), separated by commas.\n\
+             ///\n/// The callback matches them with `($($path:ty),* $(,)?)`.\n\
+             #[macro_export]\nmacro_rules! for_each_{what} {{\n    ($callback:ident) => {{\n        $callback! {{\n"
+        );
+        for name in names {
+            source.push_str(&format!("            {},\n", self.full_path("$crate", name)));
+        }
+        source.push_str("        }\n    };\n}\n\n");
+        source
+    }
+}

@@ -1,0 +1,30 @@
+//! The type that stands for a service.
+
+use super::names::struct_name;
+use super::values::text_literal;
+use super::{RustSource, docs};
+use crate::{Error, ServiceDefinition};
+
+impl RustSource<'_> {
+    pub(super) fn service(&self, service: &ServiceDefinition) -> Result<String, Error> {
+        let name = struct_name(&service.name);
+        let definition = self.catalog.service_definition_text(&service.name)?;
+        let mut source = docs::doc(&[], &service.name.to_string(), "");
+        source.push_str("#[derive(Clone, Copy, Debug, PartialEq, Eq)]\n");
+        source.push_str(&format!(
+            "pub struct {name};\n\nimpl {}::Service for {name} {{\n",
+            self.modules.runtime
+        ));
+        source.push_str(&format!("    const TYPE_NAME: &'static str = \"{}\";\n", service.name));
+        source.push_str(&format!(
+            "    const TYPE_HASH: &'static str = \"{}\";\n",
+            self.catalog.type_hash(&service.name)?
+        ));
+        source.push_str(&format!("    const DEFINITION: &'static str = {};\n", text_literal(&definition)));
+        for part in ["Request", "Response", "Event"] {
+            source.push_str(&format!("    type {part} = {name}{part};\n"));
+        }
+        source.push_str("}\n");
+        Ok(source)
+    }
+}

@@ -1,0 +1,119 @@
+//! CDR of strings.
+
+use std::fmt;
+use std::ops::{Deref, DerefMut};
+
+use serde::{Deserialize, Serialize};
+
+use super::{Cdr, Problem, Reader, Result, Writer};
+
+/// The text of a `wstring`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct WString(pub String);
+
+impl Deref for WString {
+    type Target = String;
+
+    fn deref(&self) -> &String {
+        &self.0
+    }
+}
+
+impl DerefMut for WString {
+    fn deref_mut(&mut self) -> &mut String {
+        &mut self.0
+    }
+}
+
+impl From<&str> for WString {
+    fn from(text: &str) -> Self {
+        Self(text.into())
+    }
+}
+
+impl fmt::Display for WString {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// What a string bound applies to: a string, or several.
+pub trait Text {
+    /// The length of the longest string, in the unit its bound counts: bytes, or UTF-16 code units of a [`WString`].
+    fn longest(&self) -> usize;
+}
+
+impl Text for String {
+    fn longest(&self) -> usize {
+        self.len()
+    }
+}
+
+impl Text for WString {
+    fn longest(&self) -> usize {
+        self.encode_utf16().count()
+    }
+}
+
+impl<T: Text> Text for Vec<T> {
+    fn longest(&self) -> usize {
+        self.iter().map(T::longest).max().unwrap_or(0)
+    }
+}
+
+impl<T: Text, const N: usize> Text for [T; N] {
+    fn longest(&self) -> usize {
+        self.iter().map(T::longest).max().unwrap_or(0)
+    }
+}
+
+/// Length with its terminating zero, bytes, zero.
+impl Cdr for String {
+    const LEAST_SIZE: usize = 4;
+
+    fn encode(&self, writer: &mut Writer<'_>) {
+        writer.length(self.len() + 1);
+        writer.bytes(self.as_bytes());
+        writer.bytes(&[0]);
+    }
+
+    fn decode(reader: &mut Reader<'_>) -> Result<Self> {
+        let length = reader.length(1)?;
+        let start = reader.clone();
+        // Some implementations write an empty string without its zero.
+        let Some((terminator, text)) = reader.bytes(length)?.split_last() else {
+            return Ok(Self::new());
+        };
+        if *terminator != 0 {
+            return Err(start.error(Problem::Terminator(*terminator)));
+        }
+        match std::str::from_utf8(text) {
+            Ok(text) => Ok(text.to_owned()),
+            Err(error) => Err(start.error(Problem::Utf8 { valid: error.valid_up_to() })),
+        }
+    }
+}
+
+/// Length, then each UTF-16 code unit in 32 bits, no terminator: so does Fast DDS on Linux.
+impl Cdr for WString {
+    const LEAST_SIZE: usize = 4;
+
+    fn encode(&self, writer: &mut Writer<'_>) {
+        let units: Vec<u32> = self.encode_utf16().map(u32::from).collect();
+        writer.value(&units);
+    }
+
+    fn decode(reader: &mut Reader<'_>) -> Result<Self> {
+        let start = reader.clone();
+        let units: Vec<u32> = Vec::decode(reader)?;
+        let mut narrow = Vec::with_capacity(units.len());
+        for unit in units {
+            narrow.push(u16::try_from(unit).map_err(|_| start.error(Problem::Utf16(unit)))?);
+        }
+        char::decode_utf16(narrow)
+            .collect::<std::result::Result<String, _>>()
+            .map(Self)
+            .map_err(|error| start.error(Problem::Utf16(error.unpaired_surrogate().into())))
+    }
+}

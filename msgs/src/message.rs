@@ -1,0 +1,80 @@
+//! What every generated type offers.
+
+use std::fmt::Debug;
+
+use crate::cdr::Cdr;
+
+/// A ROS 2 message.
+pub trait Message: Cdr + Clone + Default + Debug + PartialEq + Send + Sync + 'static {
+    /// As in `sensor_msgs/msg/JointState`.
+    const TYPE_NAME: &'static str;
+    /// `RIHS01_` and 64 hexadecimal digits.
+    const TYPE_HASH: &'static str;
+    /// The `ros2msg` text with all dependencies, as rosbag2 stores it.
+    const DEFINITION: &'static str;
+}
+
+/// A ROS 2 service. The types that implement it hold no data, they name it.
+pub trait Service: Send + Sync + 'static {
+    /// As in `std_srvs/srv/SetBool`.
+    const TYPE_NAME: &'static str;
+    /// `RIHS01_` and 64 hexadecimal digits.
+    const TYPE_HASH: &'static str;
+    /// The definition text with all dependencies, as rosbag2 stores it for service events.
+    const DEFINITION: &'static str;
+    /// What a client sends.
+    type Request: Message;
+    /// What the server answers.
+    type Response: Message;
+    /// What service introspection publishes.
+    type Event: Message;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Message, Service};
+
+    #[test]
+    fn published_hashes_are_met() {
+        use crate::{geometry_msgs::msg::Twist, std_msgs::msg};
+        assert_eq!(
+            msg::String::TYPE_HASH,
+            "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+        );
+        assert_eq!(
+            msg::Header::TYPE_HASH,
+            "RIHS01_f49fb3ae2cf070f793645ff749683ac6b06203e41c891e17701b1cb597ce6a01"
+        );
+        assert_eq!(
+            Twist::TYPE_HASH,
+            "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"
+        );
+    }
+
+    #[test]
+    fn a_service_names_its_messages() {
+        type SetBool = crate::std_srvs::srv::SetBool;
+        assert_eq!(SetBool::TYPE_NAME, "std_srvs/srv/SetBool");
+        assert_eq!(<SetBool as Service>::Request::TYPE_NAME, "std_srvs/srv/SetBool_Request");
+        assert_eq!(<SetBool as Service>::Event::DEFINITION, SetBool::DEFINITION);
+    }
+
+    #[test]
+    fn defaults_are_those_of_the_definition() {
+        let unit = crate::geometry_msgs::msg::Quaternion::default();
+        assert_eq!((unit.x, unit.y, unit.z, unit.w), (0.0, 0.0, 0.0, 1.0));
+    }
+
+    #[test]
+    fn the_registry_holds_every_type_once() {
+        macro_rules! names {
+            ($($message:ty),* $(,)?) => { [$(<$message>::TYPE_NAME),*] };
+        }
+        assert_eq!(for_each_message!(names), crate::TYPE_NAMES);
+        let mut distinct = crate::TYPE_NAMES.to_vec();
+        distinct.sort_unstable();
+        distinct.dedup();
+        assert_eq!(distinct.len(), crate::TYPE_NAMES.len());
+        assert!(crate::TYPE_NAMES.contains(&"downbeat_interfaces/msg/BusExchange"));
+    }
+}
