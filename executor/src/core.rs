@@ -240,7 +240,7 @@ impl Core {
     }
 
     /// Runs the modules' last callbacks: parts in the reverse order of registration, then observers in the
-    /// order of registration. After each, a cycle passes its last messages on.
+    /// order of registration. What each publishes last is delivered before the next one stops.
     pub fn stop(&mut self) {
         if !self.has_started {
             return;
@@ -257,9 +257,12 @@ impl Core {
                 }
                 ModuleSlot::Detached(index) => self.detached[index].stop(),
             }
-            self.process(now);
-            self.sync(now);
-            self.cycle += 1;
+            // One cycle takes its last messages over, the next delivers them.
+            for _ in 0..2 {
+                self.process(now);
+                self.sync(now);
+                self.cycle += 1;
+            }
         }
         self.has_started = false;
     }
