@@ -1,3 +1,4 @@
 //! Ready robot modules.
 
 pub mod darwin_op;
+pub mod darwin_op_emulator;

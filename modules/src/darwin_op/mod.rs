@@ -1,4 +1,4 @@
-//! Darwin OP.
+//! The Darwin OP humanoid: its bus, its devices and its joints.
 
 pub mod bus;
 pub mod protocol;

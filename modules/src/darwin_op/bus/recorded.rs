@@ -1,0 +1,159 @@
+//! A recording of the bus in place of the bus.
+
+use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, Outcome};
+use downbeat_executor::Time;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Plays back what a bus answered, and checks that it is asked the same.
+///
+/// The answers, their times and their errors come from the recording, whatever was asked.
+pub struct RecordedBus {
+    recording: Box<dyn Iterator<Item = Exchange> + Send>,
+    now: Time,
+    report: Arc<Mutex<ReplayReport>>,
+}
+
+/// What a replay found so far.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ReplayReport {
+    /// How many exchanges of the recording were asked for.
+    pub replayed: u64,
+    /// Where the module did something else than in the recording, or more.
+    pub differences: Vec<Difference>,
+}
+
+/// A place where the module did something else than in the recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Difference {
+    /// Which exchange of the recording; behind its end, the number it would have.
+    pub sequence: u64,
+    /// What the recording has; `None` behind its end.
+    pub recorded: Option<(ExchangeKind, Vec<u8>)>,
+    /// What the module did.
+    pub done: (ExchangeKind, Vec<u8>),
+}
+
+impl RecordedBus {
+    /// A bus that plays back these exchanges, and the report that is filled in meanwhile.
+    pub fn new<I>(recording: I) -> (Self, Arc<Mutex<ReplayReport>>)
+    where
+        I: IntoIterator<Item = Exchange>,
+        I::IntoIter: Send + 'static,
+    {
+        let report = Arc::default();
+        let recording = Box::new(recording.into_iter());
+        (Self { recording, now: Time::ZERO, report: Arc::clone(&report) }, report)
+    }
+
+    fn replay(&mut self, kind: ExchangeKind, instruction: &[u8]) -> Exchange {
+        let recorded = self.recording.next();
+        let mut report = self.report.lock().unwrap_or_else(PoisonError::into_inner);
+        let done = (kind, instruction.to_vec());
+        match recorded {
+            Some(recorded) => {
+                report.replayed += 1;
+                if recorded.kind == kind && recorded.instruction == instruction {
+                    return recorded;
+                }
+                report.differences.push(Difference {
+                    sequence: recorded.sequence,
+                    recorded: Some((recorded.kind, recorded.instruction)),
+                    done,
+                });
+                let error = format!("exchange {} differs from the recording", recorded.sequence);
+                failed(recorded.sequence, recorded.sent, kind, instruction, error)
+            }
+            None => {
+                let sequence = report.replayed;
+                report.differences.push(Difference { sequence, recorded: None, done });
+                let error = "the recording has ended".to_owned();
+                failed(sequence, self.now, kind, instruction, error)
+            }
+        }
+    }
+}
+
+impl Bus for RecordedBus {
+    fn begin_step(&mut self, now: Time) {
+        self.now = now;
+    }
+
+    fn open(&mut self, _port: &str) -> Exchange {
+        self.replay(ExchangeKind::Open, &[])
+    }
+
+    fn exchange(&mut self, instruction: &[u8], _expected: &[ExpectedStatus]) -> Exchange {
+        self.replay(ExchangeKind::Transfer, instruction)
+    }
+
+    fn close(&mut self) -> Exchange {
+        self.replay(ExchangeKind::Close, &[])
+    }
+}
+
+fn failed(sequence: u64, sent: Time, kind: ExchangeKind, instruction: &[u8], error: String) -> Exchange {
+    Exchange {
+        sequence,
+        kind,
+        sent,
+        duration_us: 0,
+        instruction: instruction.to_vec(),
+        reply: Vec::new(),
+        outcome: Outcome::Failed,
+        error,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn recorded(sequence: u64, kind: ExchangeKind, instruction: &[u8], reply: &[u8]) -> Exchange {
+        Exchange {
+            outcome: Outcome::Ok,
+            reply: reply.to_vec(),
+            error: String::new(),
+            duration_us: 321,
+            ..failed(sequence, Time::from_nanos(77), kind, instruction, String::new())
+        }
+    }
+
+    fn recording() -> Vec<Exchange> {
+        vec![
+            recorded(4, ExchangeKind::Open, &[], &[]),
+            recorded(5, ExchangeKind::Transfer, &[1, 2], &[9]),
+            recorded(6, ExchangeKind::Transfer, &[3], &[8]),
+        ]
+    }
+
+    #[test]
+    fn the_same_instructions_get_the_recorded_answers() {
+        let (mut bus, report) = RecordedBus::new(recording());
+        let played = vec![bus.open("anywhere"), bus.exchange(&[1, 2], &[]), bus.exchange(&[3], &[])];
+        assert_eq!(played, recording());
+        assert_eq!(*report.lock().unwrap(), ReplayReport { replayed: 3, differences: Vec::new() });
+    }
+
+    #[test]
+    fn another_instruction_fails_and_is_reported_byte_for_byte() {
+        let (mut bus, report) = RecordedBus::new(recording());
+        bus.open("anywhere");
+        let changed = bus.exchange(&[1, 7], &[]);
+        assert_eq!(changed.outcome, Outcome::Failed);
+        assert_eq!(bus.exchange(&[3], &[]).reply, [8], "the replay goes on behind a difference");
+        let difference = Difference {
+            sequence: 5,
+            recorded: Some((ExchangeKind::Transfer, vec![1, 2])),
+            done: (ExchangeKind::Transfer, vec![1, 7]),
+        };
+        assert_eq!(report.lock().unwrap().differences, [difference]);
+    }
+
+    #[test]
+    fn asking_behind_the_end_of_the_recording_fails_and_is_reported() {
+        let (mut bus, report) = RecordedBus::new(Vec::new());
+        assert_eq!(bus.close().outcome, Outcome::Failed);
+        assert_eq!(report.lock().unwrap().differences[0].recorded, None);
+    }
+}

@@ -1,0 +1,213 @@
+//! The serial port.
+
+use super::super::protocol::Receiver;
+use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, Outcome, status_timeout};
+use downbeat_executor::Time;
+use serialport::{ClearBuffer, DataBits, FlowControl, Parity, SerialPort, StopBits};
+use std::io;
+use std::time::{Duration, Instant};
+
+/// The speed of the bus, in bit/s.
+pub const BAUD_RATE: u32 = 1_000_000;
+
+/// How long the operating system may take to accept an instruction.
+const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
+
+/// The devices on a serial port: 1 Mbit/s, 8 data bits, no parity, one stop bit, no flow control.
+///
+/// The port of a real robot is an FTDI chip: set its `latency_timer` to 1 ms, else each answer costs up to 16 ms.
+pub struct SerialBus {
+    port: Option<Box<dyn SerialPort>>,
+    sequence: u64,
+    /// What time it is, and when that was said.
+    step: (Time, Instant),
+}
+
+impl Default for SerialBus {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl SerialBus {
+    /// A bus that is not open.
+    #[must_use]
+    pub fn new() -> Self {
+        Self { port: None, sequence: 0, step: (Time::ZERO, Instant::now()) }
+    }
+
+    fn finish(&mut self, started: Instant, kind: ExchangeKind, instruction: &[u8], end: End) -> Exchange {
+        let sequence = self.sequence;
+        self.sequence += 1;
+        let (now, said) = self.step;
+        Exchange {
+            sequence,
+            kind,
+            sent: now + started.saturating_duration_since(said),
+            duration_us: u32::try_from(started.elapsed().as_micros()).unwrap_or(u32::MAX),
+            instruction: instruction.to_vec(),
+            reply: end.reply,
+            outcome: end.outcome,
+            error: end.error,
+        }
+    }
+
+    fn transfer(&mut self, started: Instant, instruction: &[u8], expected: &[ExpectedStatus]) -> End {
+        let mut reply = Vec::new();
+        let Some(port) = self.port.as_deref_mut() else {
+            return End::failed(reply, "the serial port is not open".to_owned());
+        };
+        let failed = |reply, doing: &str, error: &dyn std::fmt::Display| {
+            End::failed(reply, format!("{doing} the serial port: {error}; is it plugged in?"))
+        };
+        if let Err(error) = send(port, instruction) {
+            return failed(reply, "sending to", &error);
+        }
+        let mut awaited = Awaited::new(expected);
+        let deadline = started + status_timeout(instruction, expected);
+        let mut buffer = [0; 1024];
+        while !awaited.is_over() {
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                break;
+            }
+            match port.set_timeout(left).map_err(io::Error::from).and_then(|()| port.read(&mut buffer)) {
+                Ok(0) => return failed(reply, "reading from", &"it was closed at the other end"),
+                Ok(count) => {
+                    reply.extend_from_slice(&buffer[..count]);
+                    awaited.take(&buffer[..count]);
+                }
+                Err(error) if error.kind() == io::ErrorKind::TimedOut => break,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return failed(reply, "reading from", &error),
+            }
+        }
+        awaited.end(reply)
+    }
+}
+
+impl Bus for SerialBus {
+    fn begin_step(&mut self, now: Time) {
+        self.step = (now, Instant::now());
+    }
+
+    fn open(&mut self, port: &str) -> Exchange {
+        let started = Instant::now();
+        self.port = None;
+        let opened = serialport::new(port, BAUD_RATE)
+            .data_bits(DataBits::Eight)
+            .parity(Parity::None)
+            .stop_bits(StopBits::One)
+            .flow_control(FlowControl::None)
+            .timeout(WRITE_TIMEOUT)
+            .open();
+        let end = match opened {
+            Ok(opened) => {
+                self.port = Some(opened);
+                End::ok()
+            }
+            Err(error) => {
+                let what = format!("opening the serial port {port}: {error}; check the setting \"port\"");
+                End::failed(Vec::new(), what)
+            }
+        };
+        self.finish(started, ExchangeKind::Open, &[], end)
+    }
+
+    fn exchange(&mut self, instruction: &[u8], expected: &[ExpectedStatus]) -> Exchange {
+        let started = Instant::now();
+        let end = self.transfer(started, instruction, expected);
+        self.finish(started, ExchangeKind::Transfer, instruction, end)
+    }
+
+    fn close(&mut self) -> Exchange {
+        let started = Instant::now();
+        self.port = None;
+        self.finish(started, ExchangeKind::Close, &[], End::ok())
+    }
+}
+
+/// Drops what came late for an earlier instruction, then sends.
+fn send(port: &mut dyn SerialPort, instruction: &[u8]) -> io::Result<()> {
+    port.clear(ClearBuffer::Input)?;
+    port.set_timeout(WRITE_TIMEOUT)?;
+    port.write_all(instruction)
+}
+
+struct End {
+    outcome: Outcome,
+    reply: Vec<u8>,
+    error: String,
+}
+
+impl End {
+    fn ok() -> Self {
+        Self { outcome: Outcome::Ok, reply: Vec::new(), error: String::new() }
+    }
+
+    fn failed(reply: Vec<u8>, error: String) -> Self {
+        Self { outcome: Outcome::Failed, reply, error }
+    }
+}
+
+/// Watches which of the expected answers have come.
+struct Awaited<'a> {
+    expected: &'a [ExpectedStatus],
+    receiver: Receiver,
+    /// Devices answer in order: those before this have answered or will not.
+    passed: usize,
+    came: usize,
+}
+
+impl<'a> Awaited<'a> {
+    fn new(expected: &'a [ExpectedStatus]) -> Self {
+        let longest = expected.iter().map(ExpectedStatus::packet_length).max().unwrap_or(0);
+        Self { expected, receiver: Receiver::with_longest(longest), passed: 0, came: 0 }
+    }
+
+    fn take(&mut self, bytes: &[u8]) {
+        self.receiver.push(bytes);
+        while let Some(packet) = self.receiver.next_packet() {
+            let to_come = &self.expected[self.passed..];
+            if let Some(index) = to_come.iter().position(|expected| expected.id == packet.id()) {
+                self.passed += index + 1;
+                self.came += 1;
+            }
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        self.passed == self.expected.len()
+    }
+
+    fn end(self, reply: Vec<u8>) -> End {
+        let missing = self.expected.len() - self.came;
+        if missing == 0 {
+            return End { reply, ..End::ok() };
+        }
+        let error = format!("{missing} of {} answers did not come, or came corrupt", self.expected.len());
+        End { outcome: Outcome::Timeout, reply, error }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_port_that_does_not_exist_is_named_in_the_error() {
+        let opened = SerialBus::new().open("/dev/no-such-port");
+        assert_eq!((opened.kind, opened.outcome), (ExchangeKind::Open, Outcome::Failed));
+        assert!(opened.error.contains("/dev/no-such-port"), "{}", opened.error);
+    }
+
+    #[test]
+    fn an_exchange_on_a_closed_port_fails_and_is_counted() {
+        let mut bus = SerialBus::new();
+        bus.begin_step(Time::from_nanos(5_000_000_000));
+        let first = bus.exchange(&[1, 2, 3], &[]);
+        assert_eq!((first.sequence, first.outcome), (0, Outcome::Failed));
+        assert!(first.sent >= Time::from_nanos(5_000_000_000));
+        assert_eq!(bus.close().sequence, 1);
+    }
+}

@@ -1,0 +1,54 @@
+//! How long to wait for answers.
+
+use super::super::protocol::{Instruction, Packet};
+use super::ExpectedStatus;
+use std::time::Duration;
+
+/// 12 bit times at 1 Mbit/s for each byte: ten bits and some slack.
+const NANOSECONDS_PER_BYTE: u64 = 12_000;
+/// For the devices to think and for the operating system to hand the bytes on.
+const SLACK: Duration = Duration::from_millis(5);
+
+/// How long after sending `instruction` its answers are overdue.
+///
+/// As the DARwIn-OP framework has it: 5 ms, and 12 microseconds for each byte sent; for a bulk read, for one
+/// and a half times the bytes that are to come.
+#[must_use]
+pub fn status_timeout(instruction: &[u8], expected: &[ExpectedStatus]) -> Duration {
+    let packet = Packet::new_checked(instruction);
+    let is_bulk_read = packet
+        .as_ref()
+        .is_ok_and(|packet| matches!(Instruction::parse(packet), Ok(Instruction::BulkRead { .. })));
+    let nanoseconds = if is_bulk_read {
+        let to_come: usize = expected.iter().map(ExpectedStatus::packet_length).sum();
+        to_come as u64 * NANOSECONDS_PER_BYTE * 3 / 2
+    } else {
+        instruction.len() as u64 * NANOSECONDS_PER_BYTE
+    };
+    SLACK + Duration::from_nanos(nanoseconds)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::super::super::protocol::{BulkReadBlock, Id};
+    use super::*;
+
+    #[test]
+    fn a_ping_is_given_five_milliseconds_and_what_its_own_bytes_take() {
+        let ping = Instruction::Ping { id: Id::CM730 }.to_bytes();
+        let expected = [ExpectedStatus { id: Id::CM730, parameters: 0 }];
+        assert_eq!(status_timeout(&ping, &expected), Duration::from_micros(5_072));
+    }
+
+    #[test]
+    fn a_bulk_read_is_given_one_and_a_half_times_what_its_answers_take() {
+        let block = [30, 200, 24, 8, 1, 36];
+        let read = Instruction::BulkRead { block: BulkReadBlock::new(&block).unwrap() }.to_bytes();
+        let expected = [
+            ExpectedStatus { id: Id::CM730, parameters: 30 },
+            ExpectedStatus { id: Id::new(1).unwrap(), parameters: 8 },
+        ];
+        assert_eq!(status_timeout(&read, &expected), Duration::from_micros(5_900));
+    }
+}

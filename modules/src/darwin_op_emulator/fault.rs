@@ -1,0 +1,223 @@
+//! Faults, and how to write them down.
+
+use crate::darwin_op::protocol::Id;
+use crate::darwin_op::tables::joints::JOINTS;
+use std::fmt;
+use std::str::FromStr;
+use std::time::Duration;
+
+/// Something that goes wrong for a while.
+///
+/// Written as its kind, `@`, and the time it lasts, from the start of the emulator or from when it was injected:
+///
+/// | text | meaning |
+/// | --- | --- |
+/// | `dead-servo:5@3s..6s` | servo 5 has no power from second 3 to second 6 |
+/// | `drop:0.01` | each answer is lost with a probability of 1 %, always |
+/// | `drop:3x@500ms..` | the first three answers after half a second are lost |
+/// | `flip:0.001@10s..20s` | in each byte of an answer a bit is flipped with a probability of 0.1 % |
+/// | `flip:1x` | in the next answer one bit is flipped |
+/// | `close-port@8s..9s` | the port is closed, and another one opened a second later |
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fault {
+    /// What goes wrong.
+    pub kind: FaultKind,
+    /// When it begins.
+    pub from: Duration,
+    /// When it ends; `None` if never.
+    pub to: Option<Duration>,
+}
+
+/// What can go wrong.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FaultKind {
+    /// A servo without power, as if its cable came off. It forgets its settings and needs them again afterwards.
+    DeadServo(Id),
+    /// Answers are lost. In a bulk read those behind a lost one do not come either.
+    Drop(Rate),
+    /// Bits of answers are flipped: with a probability for each byte, or one bit in each of some answers.
+    Flip(Rate),
+    /// The port is closed, as if it were unplugged.
+    ClosePort,
+}
+
+/// How often something happens.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Rate {
+    /// Each time with this probability.
+    Probability(f64),
+    /// The next so many times.
+    Next(u32),
+}
+
+impl Fault {
+    /// A fault that begins at once and does not end.
+    #[must_use]
+    pub const fn always(kind: FaultKind) -> Self {
+        Self { kind, from: Duration::ZERO, to: None }
+    }
+
+    /// A fault that begins at once and ends after this time.
+    #[must_use]
+    pub const fn lasting(kind: FaultKind, time: Duration) -> Self {
+        Self { kind, from: Duration::ZERO, to: Some(time) }
+    }
+}
+
+/// Why a text is no fault.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FaultParseError {
+    /// No fault has this name.
+    #[error("unknown fault {found:?}; there are dead-servo:ID, drop:RATE, flip:RATE and close-port, each with @FROM..TO")]
+    Kind {
+        /// What was written.
+        found: String,
+    },
+    /// Not a servo.
+    #[error("no servo has the id {found:?}; ids are 1 to 20, as in dead-servo:5@3s..6s")]
+    Servo {
+        /// What was written.
+        found: String,
+    },
+    /// Not a rate.
+    #[error("{found:?} is no rate; a rate is a probability from 0 to 1 such as 0.01, or a count such as 3x")]
+    Rate {
+        /// What was written.
+        found: String,
+    },
+    /// Not a time.
+    #[error("{found:?} is no time; a time is written 3s, 1.5s or 500ms, a span of it 3s..6s or 3s..")]
+    Time {
+        /// What was written.
+        found: String,
+    },
+    /// It would end before it begins.
+    #[error("the fault {found:?} ends before it begins")]
+    Empty {
+        /// What was written.
+        found: String,
+    },
+}
+
+impl FromStr for Fault {
+    type Err = FaultParseError;
+
+    fn from_str(text: &str) -> Result<Self, FaultParseError> {
+        let (kind, span) = text.split_once('@').map_or((text, None), |(kind, span)| (kind, Some(span)));
+        let kind = parse_kind(kind.trim())?;
+        let Some(span) = span else { return Ok(Self::always(kind)) };
+        let (from, to) = span.split_once("..").unwrap_or((span, ""));
+        let from = parse_time(from)?;
+        let to = if to.trim().is_empty() { None } else { Some(parse_time(to)?) };
+        if to.is_some_and(|to| to <= from) {
+            return Err(FaultParseError::Empty { found: text.to_owned() });
+        }
+        Ok(Self { kind, from, to })
+    }
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.kind {
+            FaultKind::DeadServo(id) => write!(formatter, "dead-servo:{id}"),
+            FaultKind::Drop(rate) => write!(formatter, "drop:{rate}"),
+            FaultKind::Flip(rate) => write!(formatter, "flip:{rate}"),
+            FaultKind::ClosePort => formatter.write_str("close-port"),
+        }?;
+        match (self.from, self.to) {
+            (Duration::ZERO, None) => Ok(()),
+            (from, None) => write!(formatter, "@{}s..", from.as_secs_f64()),
+            (from, Some(to)) => write!(formatter, "@{}s..{}s", from.as_secs_f64(), to.as_secs_f64()),
+        }
+    }
+}
+
+impl fmt::Display for Rate {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Probability(probability) => probability.fmt(formatter),
+            Self::Next(count) => write!(formatter, "{count}x"),
+        }
+    }
+}
+
+fn parse_kind(text: &str) -> Result<FaultKind, FaultParseError> {
+    let (name, value) = text.split_once(':').unwrap_or((text, ""));
+    match (name, value) {
+        ("dead-servo", id) => Ok(FaultKind::DeadServo(parse_servo(id)?)),
+        ("drop", rate) => Ok(FaultKind::Drop(parse_rate(rate)?)),
+        ("flip", rate) => Ok(FaultKind::Flip(parse_rate(rate)?)),
+        ("close-port", "") => Ok(FaultKind::ClosePort),
+        _ => Err(FaultParseError::Kind { found: text.to_owned() }),
+    }
+}
+
+fn parse_servo(text: &str) -> Result<Id, FaultParseError> {
+    let id = text.parse().ok().and_then(Id::new);
+    id.filter(|id| JOINTS.iter().any(|joint| joint.id == *id))
+        .ok_or_else(|| FaultParseError::Servo { found: text.to_owned() })
+}
+
+fn parse_rate(text: &str) -> Result<Rate, FaultParseError> {
+    let rate = match text.strip_suffix('x') {
+        Some(count) => count.parse().ok().map(Rate::Next),
+        None => text.parse().ok().filter(|p| (0.0..=1.0).contains(p)).map(Rate::Probability),
+    };
+    rate.ok_or_else(|| FaultParseError::Rate { found: text.to_owned() })
+}
+
+fn parse_time(text: &str) -> Result<Duration, FaultParseError> {
+    let text = text.trim();
+    let (number, unit_s) = match (text.strip_suffix("ms"), text.strip_suffix('s')) {
+        (Some(number), _) => (number, 0.001),
+        (None, Some(number)) => (number, 1.0),
+        (None, None) => (text, f64::NAN),
+    };
+    let seconds = number.parse::<f64>().ok().map(|number| number * unit_s);
+    seconds
+        .and_then(|seconds| Duration::try_from_secs_f64(seconds).ok())
+        .ok_or_else(|| FaultParseError::Time { found: text.to_owned() })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn faults_are_read_as_they_are_documented() {
+        let (ms, id) = (Duration::from_millis, Id::new(5).unwrap());
+        let read = |text: &str| text.parse::<Fault>().unwrap();
+        let dead = FaultKind::DeadServo(id);
+        assert_eq!(read("dead-servo:5@3s..6s"), Fault { kind: dead, from: ms(3000), to: Some(ms(6000)) });
+        assert_eq!(read("drop:0.01"), Fault::always(FaultKind::Drop(Rate::Probability(0.01))));
+        let drop = FaultKind::Drop(Rate::Next(3));
+        assert_eq!(read("drop:3x@500ms.."), Fault { kind: drop, from: ms(500), to: None });
+        assert_eq!(read("flip:1x"), Fault::always(FaultKind::Flip(Rate::Next(1))));
+        assert_eq!(
+            read("close-port@8s..9s"),
+            Fault { kind: FaultKind::ClosePort, from: ms(8000), to: Some(ms(9000)) }
+        );
+    }
+
+    #[test]
+    fn a_fault_is_written_as_it_is_read() {
+        for text in ["dead-servo:5@3s..6s", "drop:0.01", "drop:3x@0.5s..", "flip:0.001@10s..20s", "close-port@8s..9s"]
+        {
+            assert_eq!(text.parse::<Fault>().unwrap().to_string(), text);
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_fault_is_told() {
+        let error = |text: &str| text.parse::<Fault>().unwrap_err().to_string();
+        assert!(error("dead-serve:5").contains("unknown fault \"dead-serve:5\""));
+        assert!(error("close-port:3").contains("unknown fault"));
+        assert!(error("dead-servo:21").contains("ids are 1 to 20"));
+        assert!(error("drop:1.5").contains("\"1.5\" is no rate"));
+        assert!(error("flip:-1x").contains("is no rate"));
+        assert!(error("drop:0.1@3").contains("\"3\" is no time"));
+        assert!(error("drop:0.1@-3s").contains("is no time"));
+        assert!(error("close-port@9s..8s").contains("ends before it begins"));
+    }
+}

@@ -1,0 +1,55 @@
+//! An emulated Darwin OP: a CM-730 and twenty MX-28 behind a pseudo terminal.
+//!
+//! Who opens its port sees the bytes a robot would send, at the pace of its bus. Everything that comes out of it
+//! is *emulated*: no value was measured on a robot, though the constants stay near published ones.
+//!
+//! ```
+//! use downbeat_modules::darwin_op::bus::{Bus, ExpectedStatus, Outcome, SerialBus};
+//! use downbeat_modules::darwin_op::protocol::{Id, Instruction};
+//! use downbeat_modules::darwin_op_emulator::{Emulator, EmulatorOptions};
+//!
+//! let emulator = Emulator::start(EmulatorOptions::default())?;
+//! let mut bus = SerialBus::new();
+//! bus.open(&emulator.port_path().to_string_lossy());
+//! let ping = Instruction::Ping { id: Id::CM730 }.to_bytes();
+//! let answered = bus.exchange(&ping, &[ExpectedStatus { id: Id::CM730, parameters: 0 }]);
+//! assert_eq!(answered.reply, [0xFF, 0xFF, 0xC8, 0x02, 0x00, 0x35]);
+//! # Ok::<(), downbeat_modules::darwin_op_emulator::EmulatorError>(())
+//! ```
+//!
+//! # What is emulated
+//! - **Protocol**: the instructions of protocol 1.0; status return level, return delay, registered writes; nobody
+//!   answers a broadcast except a bulk read, in which a silent device silences all behind it.
+//! - **Power**: servos are silent until `DXL_POWER` is 1, and lose what is in their RAM with the power.
+//! - **Servos**: motion with speed limit, P gain, torque limit, friction, a little gravity; positions of whole ticks;
+//!   load, temperature, supply voltage; errors of voltage, temperature and overload, with shutdown.
+//! - **Board**: battery voltage that sags with the load, buttons, a 10-bit IMU with noise that follows the attitude of
+//!   the body.
+//! - **Attitude**: the feet are taken to stand flat on the floor, so the angles of hips, knees and ankles give the
+//!   lean of the body, which it takes on with a short lag.
+//!
+//! # What is not
+//! Factory reset (answered as an unknown instruction); falling, walking, contact; I and D gains, punch, goal acceleration, multi-turn; the answer to an instruction with a
+//! wrong checksum (it is ignored); foot pressure sensors, microphones and analogue inputs. A SYNC_WRITE longer than the
+//! servo's buffer of 143 bytes works, as it does on robots, where each servo needs only its own part.
+
+mod attitude;
+mod board;
+mod control_table;
+mod emulator;
+mod fault;
+mod fault_schedule;
+mod pseudo_terminal;
+mod random;
+mod robot;
+mod server;
+mod servo;
+mod wire;
+
+pub use board::Button;
+pub use emulator::{Emulator, EmulatorError, EmulatorOptions};
+pub use fault::{Fault, FaultKind, FaultParseError, Rate};
+pub use wire::Timing;
+
+#[cfg(test)]
+mod tests;

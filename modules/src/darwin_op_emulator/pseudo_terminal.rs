@@ -1,0 +1,75 @@
+//! The port behind which the emulator sits.
+
+use super::EmulatorError;
+use serialport::{SerialPort, TTYPort};
+use std::fs;
+use std::io::{self, Read, Write};
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// How long the operating system may take to accept bytes; if nobody reads them they are lost, as on a wire.
+const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
+
+/// A pseudo terminal, and the link to it. Both go when it is dropped.
+pub(super) struct PseudoTerminal {
+    ours: TTYPort,
+    // Held open: without anybody on the other side, reading would fail instead of wait.
+    _theirs: TTYPort,
+    path: PathBuf,
+    link: Option<PathBuf>,
+}
+
+impl PseudoTerminal {
+    pub(super) fn open(link: Option<&Path>) -> Result<Self, EmulatorError> {
+        let pair = |error: serialport::Error| EmulatorError::PseudoTerminal { source: error.into() };
+        let (ours, theirs) = TTYPort::pair().map_err(pair)?;
+        let path = theirs.name().map(PathBuf::from).unwrap_or_default();
+        if let Some(link) = link {
+            make_link(&path, link).map_err(|source| EmulatorError::Link { link: link.to_owned(), source })?;
+        }
+        Ok(Self { ours, _theirs: theirs, path, link: link.map(Path::to_owned) })
+    }
+
+    /// The device file for the other side.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The next bytes, or none after `timeout`.
+    pub(super) fn receive<'a>(&mut self, buffer: &'a mut [u8], timeout: Duration) -> io::Result<&'a [u8]> {
+        self.ours.set_timeout(timeout)?;
+        match self.ours.read(buffer) {
+            Ok(count) => Ok(&buffer[..count]),
+            Err(error) if matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::Interrupted) => Ok(&[]),
+            Err(error) => Err(error),
+        }
+    }
+
+    pub(super) fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.ours.set_timeout(WRITE_TIMEOUT)?;
+        match self.ours.write_all(bytes) {
+            Err(error) if error.kind() == io::ErrorKind::TimedOut => Ok(()),
+            sent => sent,
+        }
+    }
+}
+
+impl Drop for PseudoTerminal {
+    fn drop(&mut self) {
+        let Some(link) = &self.link else { return };
+        // Another emulator may have taken the link over.
+        if fs::read_link(link).is_ok_and(|target| target == self.path) {
+            // If it cannot be removed, it points to nothing, which is what opening it will say.
+            let _ = fs::remove_file(link);
+        }
+    }
+}
+
+/// Makes a link, in place of one that an emulator which was killed left behind.
+fn make_link(target: &Path, link: &Path) -> io::Result<()> {
+    if fs::symlink_metadata(link).is_ok_and(|metadata| metadata.is_symlink()) {
+        fs::remove_file(link)?;
+    }
+    symlink(target, link)
+}

@@ -1,0 +1,232 @@
+//! All devices together, and what they answer.
+
+use super::attitude::Attitude;
+use super::board::{Board, Button};
+use super::control_table::ControlTable;
+use super::random::Random;
+use super::servo::Servo;
+use crate::darwin_op::protocol::{BulkReadBlock, Id, Instruction, Packet, Status, StatusError};
+use crate::darwin_op::tables::joints::COUNT;
+use crate::darwin_op::tables::{Field, cm730, mx28};
+use std::time::Duration;
+
+/// Physics goes in steps of this.
+const STEP: Duration = Duration::from_millis(1);
+
+/// What a device sends.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Answer {
+    /// The status packet.
+    pub(super) packet: Vec<u8>,
+    /// What the device's setting makes it wait before.
+    pub(super) return_delay: Duration,
+}
+
+/// The robot.
+pub(super) struct Robot {
+    time: Duration,
+    board: Board,
+    servos: Vec<Servo>,
+    dead: [bool; COUNT],
+    attitude: Attitude,
+    noise: Random,
+}
+
+impl Robot {
+    pub(super) fn new(seed: u64, boots_at_once: bool) -> Self {
+        let mut random = Random::new(seed, 1);
+        let board = Board::new(&mut random);
+        let servos: Vec<Servo> = (0..COUNT).map(|index| Servo::new(index, boots_at_once, &mut random)).collect();
+        let attitude = Attitude::at_rest(&angles(&servos));
+        let (dead, noise) = ([false; COUNT], Random::new(seed, 2));
+        Self { time: Duration::ZERO, board, servos, dead, attitude, noise }
+    }
+
+    /// Lets time pass until `now`.
+    pub(super) fn advance_to(&mut self, now: Duration) {
+        while self.time + STEP <= now {
+            self.time += STEP;
+            let dt = STEP.as_secs_f64();
+            let volts = self.board.volts();
+            for servo in &mut self.servos {
+                servo.advance(dt, volts);
+            }
+            self.attitude.advance(dt, &angles(&self.servos));
+            let current_a = self.servos.iter().map(Servo::current_a).sum();
+            self.board.advance(dt, current_a, &self.attitude, &mut self.noise);
+        }
+    }
+
+    /// Says which servos are dead: without power, like one whose cable came off.
+    pub(super) fn set_dead(&mut self, is_dead: impl Fn(Id) -> bool) {
+        for (dead, servo) in self.dead.iter_mut().zip(&self.servos) {
+            *dead = is_dead(servo.id());
+        }
+        self.switch_power();
+    }
+
+    pub(super) fn press(&mut self, button: Button, held: Duration) {
+        self.board.press(button, held.as_secs_f64());
+    }
+
+    /// Carries an instruction out.
+    ///
+    /// `is_lost` is asked before each answer; a lost answer is as good as a silent device, for those behind it too.
+    pub(super) fn answer(&mut self, packet: &Packet<&[u8]>, is_lost: &mut dyn FnMut() -> bool) -> Vec<Answer> {
+        let answers = match Instruction::parse(packet) {
+            Ok(Instruction::SyncWrite { address, block }) => {
+                for (id, data) in block.entries() {
+                    if let Some(device) = self.device(id) {
+                        // Nobody answers, so nobody hears of an error.
+                        let _ = device.write(address, data);
+                    }
+                }
+                Vec::new()
+            }
+            Ok(Instruction::BulkRead { block }) => self.answer_in_turn(block, is_lost),
+            Ok(instruction) if instruction.id().is_broadcast() => {
+                for device in self.devices() {
+                    let _ = obey(device, &instruction);
+                }
+                Vec::new()
+            }
+            Ok(instruction) => {
+                let answer = self.device(instruction.id()).and_then(|device| obey(device, &instruction));
+                answer.into_iter().filter(|_| !is_lost()).collect()
+            }
+            Err(_) => {
+                let device = self.device(packet.id());
+                let answer = device.map(|device| answer_of(device, StatusError::INSTRUCTION, &[]));
+                answer.into_iter().filter(|_| !is_lost()).collect()
+            }
+        };
+        self.switch_power();
+        answers
+    }
+
+    fn answer_in_turn(&mut self, block: BulkReadBlock<'_>, is_lost: &mut dyn FnMut() -> bool) -> Vec<Answer> {
+        let mut answers = Vec::new();
+        for entry in block.entries() {
+            // Each waits until it has seen the one before.
+            let Some(device) = self.device(entry.id).filter(|_| !is_lost()) else { break };
+            let read = Instruction::Read { id: entry.id, address: entry.address, length: entry.length };
+            let Some(answer) = obey(device, &read) else { break };
+            answers.push(answer);
+        }
+        answers
+    }
+
+    fn switch_power(&mut self) {
+        let is_on = self.board.gives_power();
+        for (servo, is_dead) in self.servos.iter_mut().zip(self.dead) {
+            servo.set_power(is_on && !is_dead);
+        }
+    }
+
+    /// The device with this id, if it can hear.
+    fn device(&mut self, id: Id) -> Option<&mut dyn Device> {
+        self.devices().find(|device| device.id() == id.raw())
+    }
+
+    fn devices(&mut self) -> impl Iterator<Item = &mut dyn Device> {
+        let board: &mut dyn Device = &mut self.board;
+        let servos = self.servos.iter_mut().filter(|servo| servo.is_awake());
+        std::iter::once(board).chain(servos.map(|servo| servo as &mut dyn Device))
+    }
+}
+
+fn angles(servos: &[Servo]) -> [f64; COUNT] {
+    std::array::from_fn(|index| servos[index].angle_rad())
+}
+
+/// What board and servos have in common.
+trait Device {
+    fn table(&self) -> &ControlTable;
+    fn error(&self) -> StatusError;
+    fn write(&mut self, address: u8, data: &[u8]) -> Result<(), StatusError>;
+    fn registered(&mut self) -> &mut Option<(u8, Vec<u8>)>;
+
+    /// The board has id, return delay and status return level where the servos have them.
+    fn id(&self) -> u8 {
+        self.table().get(&mx28::ID).to_le_bytes()[0]
+    }
+}
+
+const _: () = {
+    const fn same(one: &Field, other: &Field) -> bool {
+        one.address == other.address && one.size == other.size
+    }
+    assert!(same(&cm730::ID, &mx28::ID) && same(&cm730::RETURN_DELAY, &mx28::RETURN_DELAY));
+    assert!(same(&cm730::STATUS_RETURN_LEVEL, &mx28::STATUS_RETURN_LEVEL));
+};
+
+impl Device for Board {
+    fn table(&self) -> &ControlTable {
+        &self.table
+    }
+    fn error(&self) -> StatusError {
+        StatusError::NONE
+    }
+    fn write(&mut self, address: u8, data: &[u8]) -> Result<(), StatusError> {
+        Board::write(self, address, data)
+    }
+    fn registered(&mut self) -> &mut Option<(u8, Vec<u8>)> {
+        &mut self.registered
+    }
+}
+
+impl Device for Servo {
+    fn table(&self) -> &ControlTable {
+        &self.table
+    }
+    fn error(&self) -> StatusError {
+        Servo::error(self)
+    }
+    fn write(&mut self, address: u8, data: &[u8]) -> Result<(), StatusError> {
+        Servo::write(self, address, data)
+    }
+    fn registered(&mut self) -> &mut Option<(u8, Vec<u8>)> {
+        &mut self.registered
+    }
+}
+
+/// What a status return level answers at least.
+const READS: u16 = 1;
+const ALL: u16 = 2;
+
+/// Carries out an instruction that goes to one device; `None` if its settings tell it not to answer.
+fn obey(device: &mut dyn Device, instruction: &Instruction<'_>) -> Option<Answer> {
+    let level = device.table().get(&mx28::STATUS_RETURN_LEVEL);
+    let result = match *instruction {
+        Instruction::Ping { .. } => return Some(answer_of(device, StatusError::NONE, &[])),
+        Instruction::Read { address, length, .. } => {
+            let (error, data) = match device.table().read(address, length) {
+                Ok(data) => (StatusError::NONE, data.to_vec()),
+                Err(error) => (error, Vec::new()),
+            };
+            return (level >= READS).then(|| answer_of(device, error, &data));
+        }
+        Instruction::Write { address, data, .. } => device.write(address, data),
+        Instruction::RegWrite { address, data, .. } => {
+            *device.registered() = Some((address, data.to_vec()));
+            Ok(())
+        }
+        Instruction::Action { .. } => match device.registered().take() {
+            Some((address, data)) => device.write(address, &data),
+            None => Err(StatusError::INSTRUCTION),
+        },
+        Instruction::FactoryReset { .. } | Instruction::SyncWrite { .. } | Instruction::BulkRead { .. } => {
+            Err(StatusError::INSTRUCTION)
+        }
+    };
+    (level >= ALL).then(|| answer_of(device, result.err().unwrap_or_default(), &[]))
+}
+
+fn answer_of(device: &dyn Device, error: StatusError, parameters: &[u8]) -> Answer {
+    let mut packet = Vec::new();
+    if let Some(id) = Id::new(device.id()) {
+        Status { id, error: error | device.error(), parameters }.emit(&mut packet);
+    }
+    let return_delay = Duration::from_micros(2 * u64::from(device.table().get(&mx28::RETURN_DELAY)));
+    Answer { packet, return_delay }
+}

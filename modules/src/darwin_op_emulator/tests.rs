@@ -1,0 +1,289 @@
+//! The emulator through its port, as the hardware module sees it.
+#![allow(clippy::unwrap_used)]
+
+use super::{Button, Emulator, EmulatorOptions, Fault, FaultKind, Rate, Timing};
+use crate::darwin_op::bus::{Bus, Exchange, ExpectedStatus, Outcome, SerialBus};
+use crate::darwin_op::protocol::{
+    BulkReadBlock, Id, Instruction, Packet, Receiver, Status, StatusError, SyncWriteBlock,
+};
+use crate::darwin_op::tables::{cm730, mx28, units};
+use std::time::{Duration, Instant};
+
+const HEAD_PAN: u8 = 19;
+
+fn id(raw: u8) -> Id {
+    Id::new(raw).unwrap()
+}
+
+fn options() -> EmulatorOptions {
+    EmulatorOptions { timing: Timing::Immediate, seed: 1, ..EmulatorOptions::default() }
+}
+
+/// The emulator and who talks to it.
+struct Robot {
+    emulator: Emulator,
+    bus: SerialBus,
+}
+
+impl Robot {
+    fn start(options: EmulatorOptions) -> Self {
+        let emulator = Emulator::start(options).unwrap();
+        let mut bus = SerialBus::new();
+        let opened = bus.open(&emulator.port_path().to_string_lossy());
+        assert_eq!(opened.outcome, Outcome::Ok, "{}", opened.error);
+        Self { emulator, bus }
+    }
+
+    fn powered(options: EmulatorOptions) -> Self {
+        let mut robot = Self::start(options);
+        robot.write(Id::CM730, cm730::DXL_POWER.address, &[1]);
+        robot
+    }
+
+    fn send(&mut self, instruction: Instruction<'_>, expected: &[ExpectedStatus]) -> Exchange {
+        self.bus.exchange(&instruction.to_bytes(), expected)
+    }
+
+    /// The one answer that is expected.
+    fn ask(&mut self, instruction: Instruction<'_>, parameters: u8) -> (StatusError, Vec<u8>) {
+        let expected = [ExpectedStatus { id: instruction.id(), parameters }];
+        let exchange = self.send(instruction, &expected);
+        let packet = Packet::new_checked(&exchange.reply).unwrap_or_else(|e| panic!("{e}: {exchange:?}"));
+        let status = Status::parse(&packet).unwrap();
+        assert_eq!(status.id, instruction.id());
+        (status.error, status.parameters.to_vec())
+    }
+
+    fn write(&mut self, id: Id, address: u8, data: &[u8]) -> StatusError {
+        self.ask(Instruction::Write { id, address, data }, 0).0
+    }
+
+    fn read(&mut self, id: Id, field: &crate::darwin_op::tables::Field) -> u16 {
+        let read = Instruction::Read { id, address: field.address, length: field.size };
+        let (error, bytes) = self.ask(read, field.size);
+        assert!(error.is_none(), "{error}");
+        field.value_in(&bytes, field.address).unwrap()
+    }
+
+    /// Whether a device answers a ping.
+    fn hears(&mut self, id: Id) -> bool {
+        let expected = [ExpectedStatus { id, parameters: 0 }];
+        self.send(Instruction::Ping { id }, &expected).outcome == Outcome::Ok
+    }
+
+    /// Reads positions of these devices at once; who answered.
+    fn bulk_read(&mut self, ids: &[u8]) -> (Exchange, Vec<u8>) {
+        let bytes: Vec<u8> = ids.iter().flat_map(|id| [2, *id, 36]).collect();
+        let expected: Vec<_> = ids.iter().map(|raw| ExpectedStatus { id: id(*raw), parameters: 2 }).collect();
+        let block = BulkReadBlock::new(&bytes).unwrap();
+        let exchange = self.send(Instruction::BulkRead { block }, &expected);
+        let mut receiver = Receiver::new();
+        receiver.push(&exchange.reply);
+        receiver.end();
+        let mut answered = Vec::new();
+        while let Some(packet) = receiver.next_packet() {
+            answered.push(packet.id().raw());
+        }
+        (exchange, answered)
+    }
+}
+
+/// Tries until it is so.
+fn eventually(what: &str, mut is_so: impl FnMut() -> bool) {
+    let watchdog = Instant::now() + Duration::from_secs(20);
+    while !is_so() {
+        assert!(Instant::now() < watchdog, "never: {what}");
+        std::thread::yield_now();
+    }
+}
+
+#[test]
+fn a_ping_is_answered_by_who_is_pinged() {
+    let mut robot = Robot::start(options());
+    assert_eq!(robot.ask(Instruction::Ping { id: Id::CM730 }, 0), (StatusError::NONE, Vec::new()));
+}
+
+#[test]
+fn servos_are_silent_until_the_board_gives_them_power() {
+    let mut robot = Robot::start(options());
+    assert!(!robot.hears(id(1)));
+    robot.write(Id::CM730, cm730::DXL_POWER.address, &[1]);
+    assert!(robot.hears(id(1)) && robot.hears(id(20)) && !robot.hears(id(21)));
+    robot.write(Id::CM730, cm730::DXL_POWER.address, &[0]);
+    assert!(!robot.hears(id(1)));
+}
+
+#[test]
+fn what_is_written_is_read_again() {
+    let mut robot = Robot::powered(options());
+    assert_eq!(robot.read(id(3), &mx28::MODEL_NUMBER), mx28::MODEL);
+    assert_eq!(robot.read(Id::CM730, &cm730::MODEL_NUMBER), cm730::MODEL);
+    assert_eq!(robot.write(id(3), mx28::P_GAIN.address, &[8]), StatusError::NONE);
+    assert_eq!(robot.read(id(3), &mx28::P_GAIN), 8);
+}
+
+#[test]
+fn what_may_not_be_written_is_answered_with_an_error_bit() {
+    let mut robot = Robot::powered(options());
+    assert_eq!(robot.write(id(3), mx28::PRESENT_POSITION.address, &[0, 0]), StatusError::RANGE);
+    assert_eq!(robot.write(id(3), mx28::TORQUE_ENABLE.address, &[7]), StatusError::RANGE);
+    assert_eq!(robot.write(Id::CM730, cm730::VOLTAGE.address, &[1]), StatusError::RANGE);
+    let too_far = Instruction::Read { id: id(3), address: 70, length: 10 };
+    assert_eq!(robot.ask(too_far, 0).0, StatusError::RANGE);
+    assert_eq!(robot.ask(Instruction::Action { id: id(3) }, 0).0, StatusError::INSTRUCTION);
+}
+
+#[test]
+fn a_registered_write_waits_for_the_action() {
+    let mut robot = Robot::powered(options());
+    let later = Instruction::RegWrite { id: id(4), address: mx28::P_GAIN.address, data: &[9] };
+    assert_eq!(robot.ask(later, 0).0, StatusError::NONE);
+    assert_eq!(robot.read(id(4), &mx28::P_GAIN), 32);
+    robot.send(Instruction::Action { id: Id::BROADCAST }, &[]);
+    assert_eq!(robot.read(id(4), &mx28::P_GAIN), 9);
+}
+
+#[test]
+fn the_status_return_level_says_what_is_answered() {
+    let mut robot = Robot::powered(options());
+    robot.write(id(2), mx28::STATUS_RETURN_LEVEL.address, &[1]);
+    let expected = [ExpectedStatus { id: id(2), parameters: 0 }];
+    let write = Instruction::Write { id: id(2), address: mx28::LED.address, data: &[1] };
+    assert_eq!(robot.send(write, &expected).outcome, Outcome::Timeout);
+    assert_eq!(robot.read(id(2), &mx28::LED), 1, "it was obeyed all the same");
+}
+
+#[test]
+fn nobody_answers_a_broadcast_but_all_obey_it() {
+    let mut robot = Robot::powered(options());
+    let write = Instruction::Write { id: Id::BROADCAST, address: mx28::P_GAIN.address, data: &[16] };
+    let expected = [ExpectedStatus { id: id(1), parameters: 0 }];
+    assert_eq!(robot.send(write, &expected).reply, []);
+    assert_eq!((robot.read(id(1), &mx28::P_GAIN), robot.read(id(20), &mx28::P_GAIN)), (16, 16));
+}
+
+#[test]
+fn a_sync_write_moves_the_joints_it_names() {
+    let mut robot = Robot::powered(options());
+    let stays = robot.read(id(20), &mx28::PRESENT_POSITION);
+    robot.write(id(HEAD_PAN), mx28::TORQUE_ENABLE.address, &[1]);
+    let goal = 2500_u16.to_le_bytes();
+    let bytes = [HEAD_PAN, 0, 0, 32, 0, goal[0], goal[1]];
+    let block = SyncWriteBlock::new(6, &bytes).unwrap();
+    robot.send(Instruction::SyncWrite { address: mx28::D_GAIN.address, block }, &[]);
+    eventually("the head looks to the left", || {
+        (i32::from(robot.read(id(HEAD_PAN), &mx28::PRESENT_POSITION)) - 2500).abs() <= 3
+    });
+    assert_eq!(robot.read(id(20), &mx28::PRESENT_POSITION), stays);
+}
+
+#[test]
+fn a_bulk_read_is_answered_in_the_order_of_the_request() {
+    let mut robot = Robot::powered(options());
+    let (exchange, answered) = robot.bulk_read(&[200, 5, 3, 20]);
+    assert_eq!((exchange.outcome, answered), (Outcome::Ok, vec![200, 5, 3, 20]));
+    assert_eq!(robot.bulk_read(&[200]).1, [200]);
+}
+
+#[test]
+fn a_dead_servo_silences_those_behind_it_and_forgets_its_settings() {
+    let mut robot = Robot::powered(options());
+    robot.write(id(3), mx28::TORQUE_ENABLE.address, &[1]);
+    let time = Duration::from_millis(400);
+    robot.emulator.inject(Fault::lasting(FaultKind::DeadServo(id(3)), time));
+    let (exchange, answered) = robot.bulk_read(&[200, 1, 2, 3, 4]);
+    assert_eq!((exchange.outcome, answered), (Outcome::Timeout, vec![200, 1, 2]));
+    assert_eq!(robot.bulk_read(&[200, 1, 2, 4]).1, [200, 1, 2, 4]);
+    eventually("servo 3 comes back", || robot.bulk_read(&[3]).1 == [3] || !robot.hears(id(1)));
+    assert_eq!(robot.read(id(3), &mx28::TORQUE_ENABLE), 0);
+}
+
+#[test]
+fn a_dropped_answer_breaks_the_chain_once() {
+    let mut robot = Robot::powered(options());
+    robot.emulator.inject(Fault::always(FaultKind::Drop(Rate::Next(1))));
+    assert_eq!(robot.bulk_read(&[200, 1]).1, []);
+    assert_eq!(robot.bulk_read(&[200, 1]).1, [200, 1]);
+}
+
+#[test]
+fn a_flipped_bit_spoils_one_answer_only() {
+    let mut robot = Robot::powered(options());
+    robot.emulator.inject(Fault::always(FaultKind::Flip(Rate::Next(1))));
+    let (exchange, answered) = robot.bulk_read(&[200, 1, 2]);
+    assert_eq!((exchange.outcome, answered), (Outcome::Timeout, vec![1, 2]));
+    assert_eq!(robot.bulk_read(&[200, 1, 2]).1, [200, 1, 2]);
+}
+
+#[test]
+fn a_closed_port_fails_and_another_one_comes_behind_the_same_link() {
+    let folder = tempfile::tempdir().unwrap();
+    let link = folder.path().join("port");
+    let mut robot = Robot::powered(EmulatorOptions { link: Some(link.clone()), ..options() });
+    assert_eq!(robot.emulator.port_path(), link);
+    robot.emulator.inject(Fault::lasting(FaultKind::ClosePort, Duration::from_millis(300)));
+    eventually("the port is closed", || !robot.emulator.is_port_open());
+    let ping = Instruction::Ping { id: Id::CM730 };
+    let expected = [ExpectedStatus { id: Id::CM730, parameters: 0 }];
+    let failed = robot.send(ping, &expected);
+    assert_eq!(failed.outcome, Outcome::Failed, "{failed:?}");
+    assert_eq!(robot.bus.open(&link.to_string_lossy()).outcome, Outcome::Failed);
+    eventually("the port is back", || robot.bus.open(&link.to_string_lossy()).outcome == Outcome::Ok);
+    assert!(robot.hears(Id::CM730) && robot.hears(id(1)), "only the cable was out, not the power");
+    robot.emulator.stop();
+    assert!(std::fs::symlink_metadata(&link).is_err(), "the link is gone");
+}
+
+#[test]
+fn a_link_left_behind_is_replaced_but_a_file_is_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let link = folder.path().join("port");
+    std::os::unix::fs::symlink("/nowhere", &link).unwrap();
+    Emulator::start(EmulatorOptions { link: Some(link.clone()), ..options() }).unwrap().stop();
+    std::fs::write(&link, "precious").unwrap();
+    let refused = Emulator::start(EmulatorOptions { link: Some(link.clone()), ..options() });
+    assert!(refused.err().unwrap().to_string().contains("choose a path that is free"));
+    assert_eq!(std::fs::read_to_string(&link).unwrap(), "precious");
+}
+
+#[test]
+fn buttons_are_seen_while_they_are_held() {
+    let mut robot = Robot::powered(options());
+    robot.emulator.press_button(Button::Start, Duration::from_millis(20));
+    eventually("start is pressed", || robot.read(Id::CM730, &cm730::BUTTON) == 0b10);
+    eventually("start is let go", || robot.read(Id::CM730, &cm730::BUTTON) == 0);
+}
+
+#[test]
+fn the_imu_feels_gravity_and_some_noise() {
+    let mut robot = Robot::powered(options());
+    let up: Vec<u16> = (0..50).map(|_| robot.read(Id::CM730, &cm730::ACC_Z)).collect();
+    assert!(up.iter().all(|raw| (635..=645).contains(raw)), "{up:?}");
+    assert!(up.iter().any(|raw| *raw != up[0]), "no noise: {up:?}");
+    let volts = units::volts_from_raw(robot.read(Id::CM730, &cm730::VOLTAGE));
+    assert!((11.0..12.6).contains(&volts), "{volts} V");
+}
+
+#[test]
+fn the_same_seed_and_instructions_give_the_same_bytes() {
+    let run = |seed| {
+        let mut robot = Robot::powered(EmulatorOptions { seed, ..options() });
+        (0..40).map(|_| robot.bulk_read(&[200, 1, 2, 20]).0.reply).collect::<Vec<_>>()
+    };
+    let imu = |seed| {
+        let mut robot = Robot::powered(EmulatorOptions { seed, ..options() });
+        (0..40).map(|_| robot.read(Id::CM730, &cm730::GYRO_X)).collect::<Vec<_>>()
+    };
+    assert_eq!(run(7), run(7));
+    assert_eq!(imu(7), imu(7));
+    assert_ne!(imu(7), imu(8));
+}
+
+#[test]
+fn measured_timing_lets_a_bulk_read_take_its_time() {
+    let mut robot = Robot::powered(EmulatorOptions { timing: Timing::Measured, seed: 1, ..Default::default() });
+    eventually("the servos have booted", || robot.hears(id(20)));
+    // 2 answers of 8 bytes with the factory's return delay of 0.5 ms cannot take less than this.
+    let exchange = robot.bulk_read(&[1, 2]).0;
+    assert!(exchange.duration_us >= 1_000 + 160, "{} us", exchange.duration_us);
+}

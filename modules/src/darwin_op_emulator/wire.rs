@@ -1,0 +1,136 @@
+//! When bytes are where on the bus.
+//!
+//! On a real Darwin OP the sync write and bulk read of one cycle take 6.87 ms with a deviation of 0.02 to 0.1 ms, and
+//! sometimes 1 ms more. At ten bit times per byte the bytes alone take 5.39 ms; the rest is put down to the devices,
+//! each of which waits before it answers.
+//!
+//! # References
+//! klowrey/darwin, `notes.txt` (measurements of 2015).
+
+use super::random::Random;
+use super::robot::Answer;
+use std::time::Duration;
+
+/// Ten bit times at 1 Mbit/s.
+const PER_BYTE: Duration = Duration::from_micros(10);
+/// From the last byte of what is before to the first of the answer.
+const TURNAROUND: Duration = Duration::from_micros(70);
+const JITTER_US: f64 = 40.0;
+/// One instruction in so many is late by [`LATE`].
+const LATE_ONE_IN: u64 = 1000;
+const LATE: Duration = Duration::from_millis(1);
+/// The serial chip hands bytes on in bundles, this often.
+const BUNDLE: Duration = Duration::from_millis(1);
+
+/// Whether the emulated bus takes its time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Timing {
+    /// As on a robot: bytes take their time, devices wait before they answer.
+    #[default]
+    Measured,
+    /// Answers come at once, and time inside the emulator is the time that the bus would have taken, so that it
+    /// passes only while instructions come. The same instructions then get the same answers. Servos answer as soon
+    /// as they have power.
+    Immediate,
+}
+
+/// Bytes that reach the computer together.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Bundle {
+    pub(super) at: Duration,
+    pub(super) bytes: Vec<u8>,
+}
+
+pub(super) struct Wire {
+    free_at: Duration,
+    jitter: Random,
+}
+
+impl Wire {
+    pub(super) fn new(seed: u64) -> Self {
+        Self { free_at: Duration::ZERO, jitter: Random::new(seed, 3) }
+    }
+
+    /// When all that was said so far is over.
+    pub(super) fn free_at(&self) -> Duration {
+        self.free_at
+    }
+
+    /// When the answers to an instruction that was sent `now` reach the computer.
+    pub(super) fn carry(&mut self, now: Duration, instruction_length: usize, answers: &[Answer]) -> Vec<Bundle> {
+        let begin = now.max(self.free_at);
+        let mut at = begin + PER_BYTE * instruction_length as u32;
+        if !answers.is_empty() {
+            at += self.delay();
+        }
+        let mut bundles: Vec<Bundle> = Vec::new();
+        let mut bundle_begins = begin;
+        for answer in answers {
+            at += TURNAROUND + answer.return_delay + PER_BYTE * answer.packet.len() as u32;
+            match bundles.last_mut() {
+                Some(bundle) if at < bundle_begins + BUNDLE => {
+                    bundle.at = at;
+                    bundle.bytes.extend_from_slice(&answer.packet);
+                }
+                _ => {
+                    bundle_begins = at;
+                    bundles.push(Bundle { at, bytes: answer.packet.clone() });
+                }
+            }
+        }
+        self.free_at = at;
+        bundles
+    }
+
+    fn delay(&mut self) -> Duration {
+        let jitter_us = self.jitter.normal(JITTER_US).abs();
+        let late = if self.jitter.next_u64().is_multiple_of(LATE_ONE_IN) { LATE } else { Duration::ZERO };
+        Duration::from_nanos((jitter_us * 1000.0) as u64) + late
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn answer(length: usize) -> Answer {
+        Answer { packet: vec![0; length], return_delay: Duration::ZERO }
+    }
+
+    #[test]
+    fn sync_write_and_bulk_read_take_what_was_measured() {
+        let mut wire = Wire::new(1);
+        let answers: Vec<Answer> = std::iter::once(answer(33)).chain((0..20).map(|_| answer(14))).collect();
+        let mut times: Vec<f64> = (0..500)
+            .map(|cycle| {
+                let now = Duration::from_millis(8 * cycle);
+                for length in [78, 78] {
+                    wire.carry(now, length, &[]);
+                }
+                wire.carry(now, 70, &answers);
+                (wire.free_at() - now).as_secs_f64() * 1000.0
+            })
+            .collect();
+        times.sort_by(f64::total_cmp);
+        assert!((times[250] - 6.87).abs() < 0.03, "median {} ms", times[250]);
+        assert!(times[475] - times[25] < 0.2, "from {} to {} ms", times[25], times[475]);
+    }
+
+    #[test]
+    fn nothing_of_the_answers_is_lost_or_early() {
+        let mut wire = Wire::new(1);
+        let bundles = wire.carry(Duration::ZERO, 70, &[answer(33), answer(14), answer(200), answer(14)]);
+        assert_eq!(bundles.iter().map(|bundle| bundle.bytes.len()).sum::<usize>(), 261);
+        assert!(bundles.is_sorted_by_key(|bundle| bundle.at));
+        assert_eq!(bundles.last().map(|bundle| bundle.at), Some(wire.free_at()));
+        assert!(bundles[0].at >= Duration::from_micros(700 + 330));
+    }
+
+    #[test]
+    fn an_instruction_waits_until_the_wire_is_free() {
+        let mut wire = Wire::new(1);
+        wire.carry(Duration::ZERO, 100, &[]);
+        wire.carry(Duration::ZERO, 100, &[]);
+        assert_eq!(wire.free_at(), Duration::from_millis(2));
+    }
+}
