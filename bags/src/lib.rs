@@ -1,1 +1,58 @@
-//! Placeholder.
+//! rosbag2 directories with MCAP files: recording, reading, playback.
+//!
+//! ```
+//! use bytes::Bytes;
+//! use downbeat_bags::{BagInfo, Reader, Recording, Selection, TopicInfo, WriterOptions};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let folder = tempfile::tempdir()?;
+//! let bag = folder.path().join("morning_run");
+//!
+//! // Record: the writer on a thread of its own, messages as CDR bytes.
+//! let recording = Recording::start(WriterOptions::new().create(&bag)?, Recording::DEFAULT_QUEUE_BYTES)?;
+//! let sender = recording.sender();
+//! let chatter = sender.add_topic(TopicInfo {
+//!     name: "/chatter".to_owned(),
+//!     type_name: "std_msgs/msg/String".to_owned(),
+//!     definition: "string data\n".to_owned(),
+//!     type_hash: "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18".to_owned(),
+//!     offered_qos: vec![downbeat_msgs::qos::QosProfile::DEFAULT],
+//! })?;
+//! let hi = Bytes::from_static(b"\x00\x01\x00\x00\x03\x00\x00\x00hi\x00");
+//! sender.record(chatter, 1_000_000_500, 1_000_000_000, hi.clone())?;
+//! assert_eq!(recording.finish()?.message_count(), 1);
+//!
+//! // Read it back, and tell what it holds as `ros2 bag info` does.
+//! let reader = Reader::open(&bag)?;
+//! for message in reader.messages(Selection::all())? {
+//!     assert_eq!(message?.data, hi);
+//! }
+//! assert!(BagInfo::of(&reader)?.to_string().contains("Topic: /chatter | Type: std_msgs/msg/String | Count: 1"));
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! This crate knows neither DDS nor message types: topics are described by text ([`TopicInfo`]), messages are bytes.
+//! Times are nanoseconds since the epoch, as in ROS.
+//!
+//! The formats are those of ROS 2 Jazzy: metadata version 9 (`rosbag2_storage`), MCAP with profile `ros2`
+//! (`rosbag2_storage_mcap`).
+
+mod info;
+pub mod metadata;
+mod playback;
+mod reader;
+mod recording;
+mod summary;
+mod topic;
+mod writer;
+
+pub use info::{BagInfo, ServiceEvents};
+pub use playback::{Playback, PlaybackError, PlaybackOptions, Rate, Step};
+pub use reader::{
+    BagMessage, Messages, Reader, ReaderError, RecordedTopic, Selection, Truncation, TruncationCause,
+};
+pub use recording::{RecordError, Recording, RecordingFailed, RecordingSender, RecordingStatistics};
+pub use summary::{RecordingSummary, TopicCount};
+pub use topic::{TopicId, TopicInfo};
+pub use writer::{Compression, Writer, WriterError, WriterOptions};

@@ -1,0 +1,280 @@
+//! rosbag2 metadata: the file metadata.yaml and the metadata record inside an MCAP file.
+//!
+//! Source of the form: `rosbag2_storage/bag_metadata.hpp`, `yaml.hpp` and `qos.cpp` of branch jazzy (version 9).
+
+mod emit;
+mod parse;
+mod qos;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use downbeat_msgs::qos::QosProfile;
+
+pub use qos::{RecordedDurability, RecordedHistory, RecordedLiveliness, RecordedQos, RecordedReliability};
+
+/// The version of the metadata that is written.
+pub const FORMAT_VERSION: u32 = 9;
+
+/// The name of the metadata file in a bag directory.
+pub const FILE_NAME: &str = "metadata.yaml";
+
+/// Start time of a bag without messages, as rosbag2 writes it.
+pub const NEVER: i64 = i64::MAX;
+
+/// What metadata.yaml tells of a bag. Times are nanoseconds since the epoch.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Metadata {
+    /// The version it was read with; [`FORMAT_VERSION`] is what gets written.
+    pub version: u32,
+    /// `mcap` or `sqlite3`.
+    pub storage_identifier: String,
+    /// From the first to the last message.
+    pub duration: Duration,
+    /// When the first message was received, [`NEVER`] if there is none.
+    pub starting_time: i64,
+    /// Messages of all topics.
+    pub message_count: u64,
+    /// The topics, those without messages too.
+    pub topics: Vec<TopicMetadata>,
+    /// `zstd` when whole files or messages are compressed; empty for compressed MCAP chunks.
+    pub compression_format: String,
+    /// `FILE`, `MESSAGE` or empty.
+    pub compression_mode: String,
+    /// The bag files, relative to the directory.
+    pub relative_file_paths: Vec<String>,
+    /// More about each file (since version 5).
+    pub files: Vec<FileMetadata>,
+    /// What the user wanted noted.
+    pub custom_data: BTreeMap<String, String>,
+    /// `jazzy`; empty before version 8.
+    pub ros_distro: String,
+}
+
+/// What metadata.yaml tells of a topic.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TopicMetadata {
+    /// Topic name.
+    pub name: String,
+    /// ROS type name.
+    pub type_name: String,
+    /// `cdr`.
+    pub serialization_format: String,
+    /// What each publisher offered (since version 4).
+    pub offered_qos: Vec<RecordedQos>,
+    /// Type hash (since version 7), else empty.
+    pub type_hash: String,
+    /// Messages of this topic.
+    pub message_count: u64,
+}
+
+/// What metadata.yaml tells of a bag file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FileMetadata {
+    /// Relative to the directory.
+    pub path: String,
+    /// When its first message was received, [`NEVER`] if it has none.
+    pub starting_time: i64,
+    /// From its first to its last message.
+    pub duration: Duration,
+    /// Its messages.
+    pub message_count: u64,
+}
+
+/// Why metadata could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum MetadataError {
+    /// The file could not be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        source: io::Error,
+    },
+    /// The text is not rosbag2 metadata.
+    #[error("{}:{line}: not rosbag2 metadata as expected: {found}", path.display())]
+    Form {
+        /// The file.
+        path: PathBuf,
+        /// Where, counted from 1; 0 when the place is not known.
+        line: usize,
+        /// What is wrong there.
+        found: String,
+    },
+}
+
+impl Metadata {
+    /// Reads `metadata.yaml`.
+    ///
+    /// # Errors
+    /// If the file cannot be read or is not rosbag2 metadata; then the error names file and line.
+    pub fn read(path: &Path) -> Result<Self, MetadataError> {
+        let text = fs::read_to_string(path)
+            .map_err(|source| MetadataError::Read { path: path.to_owned(), source })?;
+        Self::parse(&text, path)
+    }
+
+    /// Reads the text of a metadata.yaml; `path` is for error messages.
+    ///
+    /// # Errors
+    /// If the text is not rosbag2 metadata.
+    pub fn parse(text: &str, path: &Path) -> Result<Self, MetadataError> {
+        let root: parse::Root = serde_norway::from_str(text).map_err(|error| form(path, &error))?;
+        Ok(root.into())
+    }
+
+    /// Reads the text of the metadata record inside an MCAP file; `path` is for error messages.
+    ///
+    /// # Errors
+    /// If the text is not rosbag2 metadata; the line is that within the record.
+    pub fn parse_record(text: &str, path: &Path) -> Result<Self, MetadataError> {
+        let information: parse::Information =
+            serde_norway::from_str(text).map_err(|error| form(path, &error))?;
+        Ok(information.into())
+    }
+
+    /// The text of metadata.yaml, in version 9.
+    #[must_use]
+    pub fn to_yaml(&self) -> String {
+        emit::file_text(self)
+    }
+
+    /// The text of the metadata record inside an MCAP file, in version 9.
+    #[must_use]
+    pub fn to_record(&self) -> String {
+        emit::record_text(self)
+    }
+
+    /// Replaces the metadata.yaml of `directory` at once: whoever reads it sees the old or the new text, whole.
+    ///
+    /// # Errors
+    /// What the operating system said.
+    pub fn replace_in(&self, directory: &Path) -> io::Result<()> {
+        let temporary = directory.join(".metadata.yaml.new");
+        let mut file = fs::File::create(&temporary)?;
+        file.write_all(self.to_yaml().as_bytes())?;
+        drop(file);
+        fs::rename(&temporary, directory.join(FILE_NAME)).inspect_err(|_| {
+            // The rename's error is the one to report.
+            let _ = fs::remove_file(&temporary);
+        })
+    }
+}
+
+/// The YAML text of the MCAP channel metadata `offered_qos_profiles`.
+#[must_use]
+pub fn qos_to_yaml(profiles: &[QosProfile]) -> String {
+    let recorded: Vec<RecordedQos> = profiles.iter().map(RecordedQos::from).collect();
+    emit::qos_text(&recorded)
+}
+
+/// Reads the YAML text of the MCAP channel metadata `offered_qos_profiles`; `path` is for error messages.
+///
+/// # Errors
+/// If the text is no list of profiles; the line is that within the text.
+pub fn qos_from_yaml(text: &str, path: &Path) -> Result<Vec<RecordedQos>, MetadataError> {
+    if text.trim().is_empty() {
+        return Ok(Vec::new());
+    }
+    let list: parse::QosList = serde_norway::from_str(text).map_err(|error| form(path, &error))?;
+    Ok(list.0)
+}
+
+fn form(path: &Path, error: &serde_norway::Error) -> MetadataError {
+    let line = error.location().map_or(0, |location| location.line());
+    MetadataError::Form { path: path.to_owned(), line, found: error.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use std::path::Path;
+    use std::time::Duration;
+
+    use downbeat_msgs::qos::{Durability, History, Liveliness, QosProfile};
+
+    use super::{Metadata, MetadataError, RecordedHistory, qos_from_yaml, qos_to_yaml};
+
+    const OLD: &str = r#"rosbag2_bagfile_information:
+  version: 5
+  storage_identifier: sqlite3
+  duration:
+    nanoseconds: 2000000000
+  starting_time:
+    nanoseconds_since_epoch: 1600000000000000000
+  message_count: 3
+  topics_with_message_count:
+    - topic_metadata:
+        name: /chatter
+        type: std_msgs/msg/String
+        serialization_format: cdr
+        offered_qos_profiles: "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 2\n  deadline:\n    sec: 2147483647\n    nsec: 4294967295\n  lifespan:\n    sec: 10\n    nsec: 5\n  liveliness: 1\n  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  avoid_ros_namespace_conventions: false"
+      message_count: 3
+  compression_format: ""
+  compression_mode: ""
+  relative_file_paths:
+    - old_0.db3
+"#;
+
+    #[test]
+    fn the_older_form_with_quality_of_service_as_text_with_numbers_is_read() {
+        let metadata = Metadata::parse(OLD, Path::new("metadata.yaml")).unwrap();
+        let qos = metadata.topics[0].offered_qos[0];
+        assert_eq!(qos.history, RecordedHistory::Unknown);
+        assert_eq!(qos.deadline, None, "the infinite of Fast DDS in Foxy");
+        assert_eq!(qos.lifespan, Some(Duration::new(10, 5)));
+        assert_eq!(qos.to_profile().durability, Durability::Volatile);
+        assert!(metadata.files.is_empty() && metadata.ros_distro.is_empty());
+    }
+
+    #[test]
+    fn an_error_names_the_file_and_the_line() {
+        let broken = OLD.replace("message_count: 3\n  topics", "message_count: many\n  topics");
+        let error = Metadata::parse(&broken, Path::new("bag/metadata.yaml")).unwrap_err();
+        let MetadataError::Form { line, .. } = &error else { panic!("{error}") };
+        assert_eq!(*line, 8, "{error}");
+        assert!(error.to_string().starts_with("bag/metadata.yaml:8: "), "{error}");
+    }
+
+    #[test]
+    fn an_error_inside_the_text_of_a_quality_of_service_says_so() {
+        let broken = OLD.replace("reliability: 1", "reliability: [");
+        let error = Metadata::parse(&broken, Path::new("m.yaml")).unwrap_err();
+        assert!(error.to_string().contains("offered_qos_profiles"), "{error}");
+    }
+
+    #[test]
+    fn every_profile_survives_writing_and_reading() {
+        let odd = QosProfile {
+            history: History::KeepAll,
+            deadline: Some(Duration::from_millis(1500)),
+            liveliness: Liveliness::ManualByTopic,
+            liveliness_lease_duration: Some(Duration::from_nanos(1)),
+            ..QosProfile::DEFAULT
+        };
+        let profiles =
+            [QosProfile::DEFAULT, QosProfile::SENSOR_DATA, QosProfile::ROSOUT, QosProfile::LATCHED, odd];
+        let read = qos_from_yaml(&qos_to_yaml(&profiles), Path::new("x")).unwrap();
+        let read: Vec<QosProfile> = read.iter().map(super::RecordedQos::to_profile).collect();
+        assert_eq!(read, profiles);
+        assert_eq!(qos_to_yaml(&[]), "[]");
+        assert!(qos_from_yaml("[]", Path::new("x")).unwrap().is_empty());
+    }
+
+    #[test]
+    fn custom_data_is_read_back_as_text_even_where_it_looks_like_something_else() {
+        let mut metadata = Metadata::parse(OLD, Path::new("m")).unwrap();
+        metadata.version = super::FORMAT_VERSION;
+        for (key, value) in [("emulated", "true"), ("note", "line 1\nline 2: \"x\""), ("run", "007")] {
+            metadata.custom_data.insert(key.to_owned(), value.to_owned());
+        }
+        assert_eq!(Metadata::parse(&metadata.to_yaml(), Path::new("m")).unwrap(), metadata);
+        let unquoted = metadata.to_yaml().replace("emulated: \"true\"", "emulated: true");
+        assert_eq!(Metadata::parse(&unquoted, Path::new("m")).unwrap(), metadata);
+    }
+}

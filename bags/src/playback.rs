@@ -1,0 +1,280 @@
+//! When the messages of a bag are due.
+//!
+//! Nothing here reads a clock or waits: the caller gives readings of a steady clock and is told what to do.
+
+use std::time::Duration;
+
+use crate::reader::{BagMessage, Messages, Reader, ReaderError, Selection};
+use crate::topic::TopicId;
+
+/// How fast to play: bag time per real time. A value that exists is finite and above 0.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+pub struct Rate(f64);
+
+impl Rate {
+    /// As it was recorded.
+    pub const ORIGINAL: Self = Self(1.0);
+
+    /// `2.0` is twice as fast.
+    ///
+    /// # Errors
+    /// If it is not finite or not above 0.
+    pub fn new(rate: f64) -> Result<Self, PlaybackError> {
+        if rate.is_finite() && rate > 0.0 { Ok(Self(rate)) } else { Err(PlaybackError::Rate { rate }) }
+    }
+
+    fn real_from_bag(self, bag: Duration) -> Duration {
+        if self == Self::ORIGINAL {
+            return bag;
+        }
+        Duration::try_from_secs_f64(bag.as_secs_f64() / self.0).unwrap_or(Duration::MAX)
+    }
+
+    fn bag_from_real(self, real: Duration) -> Duration {
+        if self == Self::ORIGINAL {
+            return real;
+        }
+        Duration::try_from_secs_f64(real.as_secs_f64() * self.0).unwrap_or(Duration::MAX)
+    }
+}
+
+/// What to play and how.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlaybackOptions {
+    /// How fast.
+    pub rate: Rate,
+    /// How far into the bag to begin.
+    pub start_offset: Duration,
+    /// Names of the topics to play; `None` for all.
+    pub topics: Option<Vec<String>>,
+}
+
+impl Default for PlaybackOptions {
+    fn default() -> Self {
+        Self { rate: Rate::ORIGINAL, start_offset: Duration::ZERO, topics: None }
+    }
+}
+
+/// Why a bag cannot be played.
+#[derive(Debug, thiserror::Error)]
+pub enum PlaybackError {
+    /// The rate makes no sense.
+    #[error("cannot play at rate {rate}: a rate is a number above 0")]
+    Rate {
+        /// What was asked for.
+        rate: f64,
+    },
+    /// The bag has no such topic.
+    #[error("cannot play topic {topic}: the bag has {}", known.join(", "))]
+    UnknownTopic {
+        /// What was asked for.
+        topic: String,
+        /// What the bag has.
+        known: Vec<String>,
+    },
+    /// The bag cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReaderError),
+}
+
+/// What is to be done now.
+#[derive(Debug)]
+pub enum Step {
+    /// This message is due: publish it and ask again.
+    Due(BagMessage),
+    /// Nothing is due before that much real time has passed.
+    Wait(Duration),
+    /// Nothing is due until [`Playback::resume`].
+    Paused,
+    /// A part of the bag cannot be read; asking again goes on behind it.
+    Failed(ReaderError),
+    /// All messages were given.
+    Finished,
+}
+
+/// Tells when each message of a bag is due.
+///
+/// `now` is a reading of any steady clock, as the time since some origin. The first reading is the moment playing
+/// begins. At that moment the first instant of the bag plus the start offset is due.
+pub struct Playback<M = Messages> {
+    messages: M,
+    next: Option<BagMessage>,
+    rate: Rate,
+    /// Bag time at which playing begins, in nanoseconds since the epoch.
+    from: i64,
+    clock: Clock,
+}
+
+#[derive(Clone, Copy)]
+enum Clock {
+    NotStarted,
+    /// Holds the reading at which playing would have begun had it never been paused.
+    Running(Duration),
+    /// Holds how much real time had been played.
+    Paused(Duration),
+}
+
+impl Playback {
+    /// Prepares to play that bag.
+    ///
+    /// # Errors
+    /// If the bag lacks a topic that was asked for, or cannot be read.
+    pub fn open(reader: &Reader, options: &PlaybackOptions) -> Result<Self, PlaybackError> {
+        let start = reader.start_time().unwrap_or(0);
+        let offset = i64::try_from(options.start_offset.as_nanos()).unwrap_or(i64::MAX);
+        let from = start.saturating_add(offset);
+        let mut selection = Selection::all().from(from);
+        if let Some(names) = &options.topics {
+            let topics: Result<Vec<TopicId>, _> = names.iter().map(|name| find(reader, name)).collect();
+            selection = selection.topics(topics?);
+        }
+        Ok(Self::new(reader.messages(selection)?, from, options.rate))
+    }
+}
+
+impl<M: Iterator<Item = Result<BagMessage, ReaderError>>> Playback<M> {
+    /// Plays messages that come in log time order, beginning at bag time `from` (nanoseconds since the epoch).
+    pub fn new(messages: M, from: i64, rate: Rate) -> Self {
+        Self { messages, next: None, rate, from, clock: Clock::NotStarted }
+    }
+
+    /// What is to be done at `now`.
+    pub fn step(&mut self, now: Duration) -> Step {
+        let started = match self.clock {
+            Clock::Running(started) => started,
+            Clock::Paused(_) => return Step::Paused,
+            Clock::NotStarted => {
+                self.clock = Clock::Running(now);
+                now
+            }
+        };
+        if self.next.is_none() {
+            match self.messages.next() {
+                Some(Ok(message)) => self.next = Some(message),
+                Some(Err(error)) => return Step::Failed(error),
+                None => return Step::Finished,
+            }
+        }
+        let Some(message) = self.next.take() else { return Step::Finished };
+        let bag_time = u64::try_from(message.log_time.saturating_sub(self.from)).unwrap_or(0);
+        let due = self.rate.real_from_bag(Duration::from_nanos(bag_time));
+        let wait = due.saturating_sub(now.saturating_sub(started));
+        if wait.is_zero() {
+            return Step::Due(message);
+        }
+        self.next = Some(message);
+        Step::Wait(wait)
+    }
+
+    /// Stops the bag's time.
+    pub fn pause(&mut self, now: Duration) {
+        match self.clock {
+            Clock::NotStarted => self.clock = Clock::Paused(Duration::ZERO),
+            Clock::Running(started) => self.clock = Clock::Paused(now.saturating_sub(started)),
+            Clock::Paused(_) => {}
+        }
+    }
+
+    /// Lets the bag's time go on where it was stopped.
+    pub fn resume(&mut self, now: Duration) {
+        if let Clock::Paused(played) = self.clock {
+            self.clock = Clock::Running(now.saturating_sub(played));
+        }
+    }
+
+    /// The bag's time at `now`, in nanoseconds since the epoch: what to publish on `/clock`.
+    #[must_use]
+    pub fn bag_time(&self, now: Duration) -> i64 {
+        let real = match self.clock {
+            Clock::NotStarted => Duration::ZERO,
+            Clock::Running(started) => now.saturating_sub(started),
+            Clock::Paused(played) => played,
+        };
+        let bag = i64::try_from(self.rate.bag_from_real(real).as_nanos()).unwrap_or(i64::MAX);
+        self.from.saturating_add(bag)
+    }
+}
+
+fn find(reader: &Reader, name: &str) -> Result<TopicId, PlaybackError> {
+    reader.topic(name).ok_or_else(|| PlaybackError::UnknownTopic {
+        topic: name.to_owned(),
+        known: reader.topics().iter().map(|topic| topic.info.name.clone()).collect(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use std::time::Duration;
+
+    use bytes::Bytes;
+
+    use super::{Playback, Rate, Step};
+    use crate::reader::{BagMessage, ReaderError};
+    use crate::topic::TopicId;
+
+    const ORIGIN: Duration = Duration::from_secs(500);
+
+    fn messages(times: &[i64]) -> Vec<Result<BagMessage, ReaderError>> {
+        let topic = TopicId::from_index(0).unwrap();
+        let message =
+            |time: &i64| Ok(BagMessage { topic, log_time: *time, publish_time: *time, data: Bytes::new() });
+        times.iter().map(message).collect()
+    }
+
+    fn at(ms: u64) -> Duration {
+        ORIGIN + Duration::from_millis(ms)
+    }
+
+    fn due(step: Step) -> i64 {
+        let Step::Due(message) = step else { panic!("{step:?}") };
+        message.log_time / 1_000_000
+    }
+
+    fn wait(step: Step) -> u128 {
+        let Step::Wait(duration) = step else { panic!("{step:?}") };
+        duration.as_millis()
+    }
+
+    const TIMES: [i64; 3] = [0, 100_000_000, 300_000_000];
+
+    #[test]
+    fn messages_are_due_at_their_distance_from_the_start() {
+        let mut playback = Playback::new(messages(&TIMES).into_iter(), 0, Rate::ORIGINAL);
+        assert_eq!(due(playback.step(at(0))), 0);
+        assert_eq!(wait(playback.step(at(0))), 100);
+        assert_eq!(wait(playback.step(at(99))), 1);
+        assert_eq!(due(playback.step(at(100))), 100);
+        assert_eq!(due(playback.step(at(350))), 300, "a late one is due at once");
+        assert!(matches!(playback.step(at(350)), Step::Finished));
+    }
+
+    #[test]
+    fn a_higher_rate_shortens_the_distances() {
+        let mut playback = Playback::new(messages(&TIMES).into_iter(), 0, Rate::new(4.0).unwrap());
+        assert_eq!(due(playback.step(at(0))), 0);
+        assert_eq!(wait(playback.step(at(0))), 25);
+        assert_eq!(due(playback.step(at(25))), 100);
+        assert_eq!(wait(playback.step(at(25))), 50);
+        assert_eq!(playback.bag_time(at(50)), 200_000_000);
+    }
+
+    #[test]
+    fn bag_time_stands_still_while_paused() {
+        let mut playback = Playback::new(messages(&TIMES).into_iter(), 0, Rate::ORIGINAL);
+        assert_eq!(due(playback.step(at(0))), 0);
+        playback.pause(at(40));
+        assert!(matches!(playback.step(at(5000)), Step::Paused));
+        assert_eq!(playback.bag_time(at(5000)), 40_000_000);
+        playback.resume(at(5000));
+        assert_eq!(wait(playback.step(at(5000))), 60);
+    }
+
+    #[test]
+    fn rates_that_make_no_sense_are_refused() {
+        for rate in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(Rate::new(rate).is_err(), "{rate}");
+        }
+    }
+}

@@ -1,0 +1,194 @@
+//! Reading of a bag: a directory, a bare MCAP file, and what an interrupted recording left of either.
+
+mod error;
+mod file;
+mod messages;
+mod records;
+mod segment;
+mod topics;
+mod walk;
+
+use std::collections::HashMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crate::metadata::{self, Metadata};
+use crate::topic::{TopicId, TopicInfo};
+
+pub use error::{ReaderError, Truncation, TruncationCause};
+use file::BagFile;
+pub use messages::{BagMessage, Messages, Selection};
+
+/// An opened bag: its topics, what it counts, and access to its messages.
+#[derive(Debug)]
+pub struct Reader {
+    path: PathBuf,
+    metadata: Option<Metadata>,
+    files: Vec<BagFile>,
+    topics: Vec<RecordedTopic>,
+    /// For each file, which topic a channel belongs to.
+    topics_of_channels: Vec<HashMap<u16, TopicId>>,
+}
+
+/// A topic of a bag.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecordedTopic {
+    /// Name, type and the rest.
+    pub info: TopicInfo,
+    /// `cdr`, or what else the bag holds.
+    pub serialization_format: String,
+    /// Messages in the bag.
+    pub message_count: u64,
+}
+
+impl Reader {
+    /// Opens a bag directory, with or without metadata.yaml, or a single `.mcap` file.
+    ///
+    /// A bag whose recording was interrupted opens too: see [`Reader::truncation`].
+    ///
+    /// # Errors
+    /// If it is no bag, not an MCAP bag, or cannot be read.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, ReaderError> {
+        let path = path.as_ref();
+        let read = |source| ReaderError::Read { path: path.to_owned(), source };
+        let (mut metadata, paths) = if fs::metadata(path).map_err(read)?.is_dir() {
+            files_of_directory(path)?
+        } else {
+            (None, vec![path.to_owned()])
+        };
+        let mut files = Vec::new();
+        for path in &paths {
+            files.push(BagFile::open(path)?);
+        }
+        if metadata.is_none()
+            && let Some(text) = files.last().and_then(|file| file.metadata.as_deref())
+        {
+            // Only a help: a bag without metadata.yaml opens whatever is in this record.
+            metadata = Metadata::parse_record(text, path).ok();
+        }
+        let (topics, topics_of_channels) = topics::collect(&files, metadata.as_ref());
+        Ok(Self { path: path.to_owned(), metadata, files, topics, topics_of_channels })
+    }
+
+    /// What was opened.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The topics, those without messages too: [`TopicId`] is the position.
+    #[must_use]
+    pub fn topics(&self) -> &[RecordedTopic] {
+        &self.topics
+    }
+
+    /// The topic of that name.
+    #[must_use]
+    pub fn topic(&self, name: &str) -> Option<TopicId> {
+        TopicId::from_index(self.topics.iter().position(|topic| topic.info.name == name)?)
+    }
+
+    /// What metadata.yaml tells, or else the metadata record in the bag's last file. After an interrupted recording
+    /// its counts may be behind those of [`Reader::topics`], which are those of the files.
+    #[must_use]
+    pub fn metadata(&self) -> Option<&Metadata> {
+        self.metadata.as_ref()
+    }
+
+    /// The bag files in their order.
+    pub fn files(&self) -> impl ExactSizeIterator<Item = &Path> {
+        self.files.iter().map(|file| file.path.as_path())
+    }
+
+    /// Messages that can be read.
+    #[must_use]
+    pub fn message_count(&self) -> u64 {
+        self.topics.iter().map(|topic| topic.message_count).sum()
+    }
+
+    /// When the first message was received, in nanoseconds since the epoch; `None` without messages.
+    #[must_use]
+    pub fn start_time(&self) -> Option<i64> {
+        self.segments().map(|segment| segment.first).min().map(messages::signed)
+    }
+
+    /// When the last message was received, in nanoseconds since the epoch; `None` without messages.
+    #[must_use]
+    pub fn end_time(&self) -> Option<i64> {
+        self.segments().map(|segment| segment.last).max().map(messages::signed)
+    }
+
+    /// What is missing in the files because recording was interrupted or a file was damaged; empty for a whole bag.
+    pub fn truncation(&self) -> impl Iterator<Item = &Truncation> {
+        self.files.iter().flat_map(|file| &file.truncations)
+    }
+
+    /// The messages in the order in which they were received, read from the files as they are asked for.
+    ///
+    /// # Errors
+    /// If a file cannot be opened any more.
+    pub fn messages(&self, selection: Selection) -> Result<Messages, ReaderError> {
+        Messages::open(self, selection)
+    }
+
+    /// Bytes of the bag files.
+    pub(crate) fn files_length(&self) -> u64 {
+        self.files.iter().map(|file| file.length).sum()
+    }
+
+    fn segments(&self) -> impl Iterator<Item = &segment::Segment> {
+        self.files.iter().flat_map(|file| &file.segments)
+    }
+}
+
+fn files_of_directory(directory: &Path) -> Result<(Option<Metadata>, Vec<PathBuf>), ReaderError> {
+    let yaml = directory.join(metadata::FILE_NAME);
+    if !yaml.exists() {
+        return Ok((None, files_without_metadata(directory)?));
+    }
+    let metadata = Metadata::read(&yaml)?;
+    let unsupported = |found: String| ReaderError::Unsupported { path: directory.to_owned(), found };
+    if metadata.storage_identifier != "mcap" {
+        return Err(unsupported(format!("its storage is {}", metadata.storage_identifier)));
+    }
+    if !metadata.compression_mode.is_empty() && !metadata.compression_mode.eq_ignore_ascii_case("none") {
+        return Err(unsupported(format!(
+            "it is compressed with {} in mode {}",
+            metadata.compression_format, metadata.compression_mode
+        )));
+    }
+    let mut paths = Vec::new();
+    for relative in &metadata.relative_file_paths {
+        let path = directory.join(relative);
+        // Before version 4 the paths began with the name of the directory.
+        let beside = Path::new(relative).file_name().map(|name| directory.join(name));
+        paths.push(beside.filter(|beside| !path.exists() && beside.exists()).unwrap_or(path));
+    }
+    Ok((Some(metadata), paths))
+}
+
+fn files_without_metadata(directory: &Path) -> Result<Vec<PathBuf>, ReaderError> {
+    let read = |source| ReaderError::Read { path: directory.to_owned(), source };
+    let mut paths = Vec::new();
+    for entry in fs::read_dir(directory).map_err(read)? {
+        let path = entry.map_err(read)?.path();
+        if path.extension().is_some_and(|extension| extension == "mcap") && path.is_file() {
+            paths.push(path);
+        }
+    }
+    if paths.is_empty() {
+        return Err(ReaderError::NotABag {
+            path: directory.to_owned(),
+            found: format!("the directory has neither {} nor a file *.mcap", metadata::FILE_NAME),
+        });
+    }
+    paths.sort_by_key(|path| split_number(path));
+    Ok(paths)
+}
+
+/// rosbag2 numbers the files of a split bag, `run_9.mcap` before `run_10.mcap`.
+fn split_number(path: &Path) -> (u64, PathBuf) {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let number = stem.rsplit('_').next().and_then(|number| number.parse().ok());
+    (number.unwrap_or(u64::MAX), path.to_owned())
+}

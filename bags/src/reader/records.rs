@@ -1,0 +1,125 @@
+//! The framing of an MCAP file: which record lies where.
+//!
+//! Every length in a file is checked against what is there before anything is allocated, so a damaged file costs no
+//! more than a whole one.
+
+use std::fs::File;
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
+
+use mcap::records::op;
+
+/// Opcode and length.
+pub(super) const RECORD_HEADER: u64 = 1 + 8;
+
+/// Where a record lies.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    pub(super) opcode: u8,
+    /// Of its opcode.
+    pub(super) offset: u64,
+    /// Of what follows opcode and length.
+    pub(super) body_length: u64,
+}
+
+impl Place {
+    pub(super) fn end(&self) -> u64 {
+        self.offset + RECORD_HEADER + self.body_length
+    }
+}
+
+/// What comes next in a file.
+pub(super) enum Next {
+    Record(Place),
+    /// The range ends after a whole record.
+    End,
+    /// Here begins something that is no whole record.
+    Torn {
+        offset: u64,
+    },
+}
+
+/// An MCAP file that is read record by record.
+pub(super) struct RecordFile {
+    input: BufReader<File>,
+    length: u64,
+    position: u64,
+}
+
+impl RecordFile {
+    pub(super) fn new(file: File) -> io::Result<Self> {
+        let length = file.metadata()?.len();
+        Ok(Self { input: BufReader::new(file), length, position: 0 })
+    }
+
+    pub(super) fn length(&self) -> u64 {
+        self.length
+    }
+
+    pub(super) fn seek(&mut self, offset: u64) -> io::Result<()> {
+        // Relative, since an absolute seek would throw the buffer away.
+        match i64::try_from(i128::from(offset) - i128::from(self.position)) {
+            Ok(distance) => self.input.seek_relative(distance)?,
+            Err(_) => {
+                self.input.seek(SeekFrom::Start(offset))?;
+            }
+        }
+        self.position = offset;
+        Ok(())
+    }
+
+    /// Reads `length` bytes from here, which must be in the file.
+    pub(super) fn read(&mut self, length: u64) -> io::Result<Vec<u8>> {
+        let available = self.length.saturating_sub(self.position);
+        if length > available {
+            return Err(io::Error::new(
+                io::ErrorKind::UnexpectedEof,
+                format!("{length} bytes expected at byte {}, {available} are there", self.position),
+            ));
+        }
+        let mut bytes = vec![0; usize::try_from(length).map_err(io::Error::other)?];
+        self.input.read_exact(&mut bytes)?;
+        self.position += length;
+        Ok(bytes)
+    }
+
+    /// Reads a record, opcode and length included.
+    pub(super) fn read_record(&mut self, place: &Place) -> io::Result<Vec<u8>> {
+        self.seek(place.offset)?;
+        self.read(RECORD_HEADER + place.body_length)
+    }
+
+    /// The place of the record at `offset`, in the range that ends at `end`.
+    pub(super) fn place_at(&mut self, offset: u64, end: u64) -> io::Result<Next> {
+        let left = end.saturating_sub(offset);
+        if left == 0 {
+            return Ok(Next::End);
+        }
+        if left < RECORD_HEADER {
+            return Ok(Next::Torn { offset });
+        }
+        self.seek(offset)?;
+        let header = self.read(RECORD_HEADER)?;
+        let mut length = [0; 8];
+        length.copy_from_slice(&header[1..]);
+        let place = Place { opcode: header[0], offset, body_length: u64::from_le_bytes(length) };
+        // 0 is no opcode: it is what a file system leaves where a power failure kept the data from arriving.
+        if place.opcode == 0 || place.body_length > left - RECORD_HEADER {
+            return Ok(Next::Torn { offset });
+        }
+        Ok(Next::Record(place))
+    }
+}
+
+/// The smallest body a record of that kind can have: the `mcap` parser takes some of them for granted.
+pub(super) fn has_plausible_length(opcode: u8, body_length: u64) -> bool {
+    let at_least = match opcode {
+        op::FOOTER => 20,
+        op::SCHEMA => 2 + 4 + 4 + 4,
+        op::CHANNEL => 2 + 2 + 4 + 4 + 4,
+        op::MESSAGE => 22,
+        op::CHUNK => 8 + 8 + 8 + 4 + 4 + 8,
+        op::ATTACHMENT => 8 + 8 + 4 + 4 + 8 + 4,
+        _ => 0,
+    };
+    body_length >= at_least
+}

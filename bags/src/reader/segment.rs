@@ -1,0 +1,116 @@
+//! A stretch of a file that holds messages: a chunk, or a run of messages outside of chunks.
+
+use mcap::McapError;
+use mcap::records::{self, MessageHeader, Record, op};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+
+use super::records::{RECORD_HEADER, has_plausible_length};
+
+/// The most a chunk may grow to when it is decompressed: a guard against damaged lengths. rosbag2 makes chunks of
+/// 4 MiB at most, unless one message is larger.
+const LARGEST_CHUNK: u64 = 1 << 30;
+
+/// Where messages are, and when they were received.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Segment {
+    pub(super) offset: u64,
+    /// With the headers of its records.
+    pub(super) length: u64,
+    /// Earliest and latest log time in it.
+    pub(super) first: u64,
+    pub(super) last: u64,
+}
+
+/// A record of a segment.
+pub(super) enum Content<'a> {
+    Schema { header: records::SchemaHeader, data: &'a [u8] },
+    Channel(records::Channel),
+    Message { header: MessageHeader, data: &'a [u8] },
+}
+
+/// Gives every schema, channel and message in the bytes of a segment, in file order, to `each`. Checksums of chunks are
+/// checked before anything of them is given.
+pub(super) fn decode(bytes: &[u8], mut each: impl FnMut(Content<'_>)) -> Result<(), String> {
+    let limit = largest_record(bytes)?;
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true)
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit(usize::try_from(limit).map_err(|error| error.to_string())?);
+    let mut reader = LinearReader::new_with_options(options);
+    let mut rest = bytes;
+    while let Some(event) = reader.next_event() {
+        match event.map_err(|error| describe(&error))? {
+            LinearReadEvent::ReadRequest(wanted) => {
+                let (given, left) = rest.split_at(wanted.min(rest.len()));
+                reader.insert(given.len()).copy_from_slice(given);
+                reader.notify_read(given.len());
+                rest = left;
+            }
+            LinearReadEvent::Record { data, opcode } => {
+                if let Some(content) = content(opcode, data)? {
+                    each(content);
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Checks the header of a chunk that the reader would take on trust; returns what no record in it can exceed.
+fn largest_record(bytes: &[u8]) -> Result<u64, String> {
+    if bytes.first() != Some(&op::CHUNK) {
+        return Ok(bytes.len() as u64);
+    }
+    let body = bytes.get(RECORD_HEADER as usize..).unwrap_or_default();
+    if !has_plausible_length(op::CHUNK, body.len() as u64) {
+        return Err("its header is cut off".to_owned());
+    }
+    let Record::Chunk { header, data } =
+        mcap::parse_record(op::CHUNK, body).map_err(|error| describe(&error))?
+    else {
+        return Err("it is no chunk".to_owned());
+    };
+    let content_length = body.len() - (40 + header.compression.len());
+    if data.len() != content_length {
+        return Err(format!(
+            "its header tells {} bytes of content, {content_length} are there",
+            header.compressed_size
+        ));
+    }
+    if header.compression.is_empty() && header.uncompressed_size != header.compressed_size {
+        return Err(format!(
+            "its header tells {} bytes of uncompressed content, {} are there",
+            header.uncompressed_size, header.compressed_size
+        ));
+    }
+    if header.uncompressed_size > LARGEST_CHUNK {
+        return Err(format!("its header tells {} bytes of content", header.uncompressed_size));
+    }
+    Ok(header.uncompressed_size.max(body.len() as u64))
+}
+
+fn content(opcode: u8, data: &[u8]) -> Result<Option<Content<'_>>, String> {
+    if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
+        return Ok(None);
+    }
+    if !has_plausible_length(opcode, data.len() as u64) {
+        return Err(format!("a record with opcode {opcode} has only {} bytes", data.len()));
+    }
+    use std::borrow::Cow::Borrowed;
+    match mcap::parse_record(opcode, data).map_err(|error| describe(&error))? {
+        Record::Schema { header, data: Borrowed(data) } => Ok(Some(Content::Schema { header, data })),
+        Record::Channel(channel) => Ok(Some(Content::Channel(channel))),
+        Record::Message { header, data: Borrowed(data) } => Ok(Some(Content::Message { header, data })),
+        _ => Ok(None),
+    }
+}
+
+fn describe(error: &McapError) -> String {
+    match error {
+        McapError::Io(source) => source.to_string(),
+        McapError::Parse(source) => format!("a record is not as it should be ({source})"),
+        McapError::UnexpectedEof | McapError::UnexpectedEoc => "it ends within a record".to_owned(),
+        other => other.to_string(),
+    }
+}

@@ -1,0 +1,90 @@
+//! The topics of a bag, put together from its files and its metadata.
+
+use std::collections::HashMap;
+
+use mcap::records::Channel;
+
+use super::RecordedTopic;
+use super::file::BagFile;
+use crate::metadata::{Metadata, RecordedQos, TopicMetadata, qos_from_yaml};
+use crate::topic::{TopicId, TopicInfo};
+
+/// Returns the topics, in the order of the metadata where it names them, and for each file the topic of each channel.
+///
+/// Counts are those of the files: metadata.yaml may be older than they are.
+pub(super) fn collect(
+    files: &[BagFile],
+    metadata: Option<&Metadata>,
+) -> (Vec<RecordedTopic>, Vec<HashMap<u16, TopicId>>) {
+    let mut topics: Vec<RecordedTopic> =
+        metadata.into_iter().flat_map(|metadata| &metadata.topics).map(from_metadata).collect();
+    let mut ids = Vec::new();
+    for file in files {
+        let mut ids_of_file = HashMap::new();
+        for (channel_id, channel) in &file.channels {
+            let seen = from_channel(file, channel);
+            let known = topics.iter().position(|topic| {
+                topic.info.name == seen.info.name && topic.info.type_name == seen.info.type_name
+            });
+            let index = known.unwrap_or_else(|| {
+                topics.push(RecordedTopic { message_count: 0, ..seen.clone() });
+                topics.len() - 1
+            });
+            let Some(id) = TopicId::from_index(index) else { continue };
+            let topic = &mut topics[index];
+            topic.message_count =
+                topic.message_count.saturating_add(file.counts.get(channel_id).copied().unwrap_or(0));
+            complete(&mut topic.info, seen.info);
+            ids_of_file.insert(*channel_id, id);
+        }
+        ids.push(ids_of_file);
+    }
+    (topics, ids)
+}
+
+fn from_metadata(topic: &TopicMetadata) -> RecordedTopic {
+    RecordedTopic {
+        info: TopicInfo {
+            name: topic.name.clone(),
+            type_name: topic.type_name.clone(),
+            definition: String::new(),
+            type_hash: topic.type_hash.clone(),
+            offered_qos: topic.offered_qos.iter().map(RecordedQos::to_profile).collect(),
+        },
+        serialization_format: topic.serialization_format.clone(),
+        message_count: 0,
+    }
+}
+
+fn from_channel(file: &BagFile, channel: &Channel) -> RecordedTopic {
+    let schema = file.schemas.get(&channel.schema_id);
+    let text = |key: &str| channel.metadata.get(key).map_or("", String::as_str);
+    // A profile that cannot be read is like one that was not recorded: it is needed for playing only.
+    let offered_qos = qos_from_yaml(text("offered_qos_profiles"), &file.path).unwrap_or_default();
+    RecordedTopic {
+        info: TopicInfo {
+            name: channel.topic.clone(),
+            type_name: schema.map_or_else(String::new, |schema| schema.name.clone()),
+            definition: schema
+                .filter(|schema| schema.encoding == "ros2msg")
+                .map_or_else(String::new, |schema| String::from_utf8_lossy(&schema.data).into_owned()),
+            type_hash: text("topic_type_hash").to_owned(),
+            offered_qos: offered_qos.iter().map(RecordedQos::to_profile).collect(),
+        },
+        serialization_format: channel.message_encoding.clone(),
+        message_count: 0,
+    }
+}
+
+/// Fills what is not known yet.
+fn complete(info: &mut TopicInfo, seen: TopicInfo) {
+    if info.definition.is_empty() {
+        info.definition = seen.definition;
+    }
+    if info.type_hash.is_empty() {
+        info.type_hash = seen.type_hash;
+    }
+    if info.offered_qos.is_empty() {
+        info.offered_qos = seen.offered_qos;
+    }
+}

@@ -1,0 +1,297 @@
+//! Recording on a thread of its own, for producers that must not wait for a disk.
+
+mod queue;
+
+use std::io;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+
+use bytes::Bytes;
+
+use crate::summary::{RecordingSummary, TopicCount};
+use crate::topic::{TopicId, TopicInfo};
+use crate::writer::{Writer, WriterError};
+use queue::{Item, Queue, QueuedTopic, Work};
+
+/// A [`Writer`] on a thread of its own.
+///
+/// Producers hold a [`RecordingSender`]. Nothing is dropped silently: a message that finds the queue full is refused
+/// with an error, counted for its topic, told in the [`RecordingSummary`] and noted in the bag (`custom_data`, key
+/// `lost_messages`). Dropping a recording finishes it and logs what fails then.
+pub struct Recording {
+    sender: RecordingSender,
+    thread: Option<JoinHandle<Result<RecordingSummary, RecordingFailed>>>,
+}
+
+/// Gives messages to a [`Recording`], from any thread.
+#[derive(Clone)]
+pub struct RecordingSender {
+    shared: Arc<Shared>,
+}
+
+/// How a recording is doing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecordingStatistics {
+    /// What has been handed to the operating system, and what was lost.
+    pub summary: RecordingSummary,
+    /// Bytes that wait to be written.
+    pub queued_bytes: usize,
+    /// Why recording has stopped by itself, if it has.
+    pub failure: Option<String>,
+}
+
+/// Why a message or a topic was not taken.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+pub enum RecordError {
+    /// The disk is slower than the producers; the message is counted as lost.
+    #[error(
+        "a message of {topic} is not recorded ({lost} so far): the recording queue is full, writing is slower than what comes in"
+    )]
+    QueueFull {
+        /// The topic.
+        topic: String,
+        /// Messages of it that were lost so far.
+        lost: u64,
+    },
+    /// Recording has ended, or stopped after a failed write; the message is counted as lost.
+    #[error("a message is not recorded: recording has ended")]
+    Stopped,
+    /// The topic id is not of this recording.
+    #[error("a message is not recorded: its topic is not of this recording")]
+    UnknownTopic,
+    /// A topic has one type.
+    #[error("cannot record topic {topic} with type {second}: this bag has it with type {first}")]
+    TypeConflict {
+        /// The topic.
+        topic: String,
+        /// The type it was added with.
+        first: String,
+        /// The type it was to be added with again.
+        second: String,
+    },
+    /// MCAP times are unsigned.
+    #[error("a message is not recorded: times before 1970 ({time} ns) have no place in a bag")]
+    NegativeTime {
+        /// The time that was given, in nanoseconds since the epoch.
+        time: i64,
+    },
+    /// MCAP numbers channels with 16 bits.
+    #[error("cannot record the topic: a bag holds at most 65534 topics")]
+    TooManyTopics,
+}
+
+/// Recording stopped before it was told to.
+#[derive(Debug, thiserror::Error)]
+#[error("{error}")]
+pub struct RecordingFailed {
+    /// Why.
+    #[source]
+    pub error: WriterError,
+    /// What is in the bag and what is not.
+    pub summary: RecordingSummary,
+}
+
+struct Shared {
+    queue: Queue,
+    /// Updated after each batch.
+    progress: Mutex<Progress>,
+}
+
+struct Progress {
+    summary: RecordingSummary,
+    failure: Option<String>,
+}
+
+impl Recording {
+    /// 64 MiB.
+    pub const DEFAULT_QUEUE_BYTES: usize = 64 * 1024 * 1024;
+
+    /// Starts the thread. At most `queue_bytes` wait to be written.
+    ///
+    /// # Errors
+    /// If the operating system gives no thread.
+    pub fn start(writer: Writer, queue_bytes: usize) -> io::Result<Self> {
+        let topics = writer.topics().map(|info| QueuedTopic {
+            name: info.name.clone(),
+            type_name: info.type_name.clone(),
+            lost: 0,
+        });
+        let shared = Arc::new(Shared {
+            queue: Queue::new(queue_bytes, topics.collect()),
+            progress: Mutex::new(Progress { summary: writer.summary(), failure: None }),
+        });
+        let of_thread = Arc::clone(&shared);
+        let thread = std::thread::Builder::new()
+            .name("bag writer".to_owned())
+            .spawn(move || run(&of_thread, writer))?;
+        Ok(Self { sender: RecordingSender { shared }, thread: Some(thread) })
+    }
+
+    /// Something to record with; can be cloned and sent to other threads.
+    #[must_use]
+    pub fn sender(&self) -> RecordingSender {
+        self.sender.clone()
+    }
+
+    /// How the recording is doing.
+    #[must_use]
+    pub fn statistics(&self) -> RecordingStatistics {
+        let mut statistics = {
+            let progress = self.sender.shared.progress.lock().unwrap_or_else(PoisonError::into_inner);
+            let (summary, failure) = (progress.summary.clone(), progress.failure.clone());
+            RecordingStatistics { summary, queued_bytes: 0, failure }
+        };
+        let state = self.sender.shared.queue.lock();
+        statistics.queued_bytes = state.queued_bytes;
+        add_losses(&mut statistics.summary, &state.topics);
+        statistics
+    }
+
+    /// Writes what is queued and ends the bag. What is given to a sender from now on is refused.
+    ///
+    /// # Errors
+    /// If writing failed, now or earlier; the error holds what was kept.
+    pub fn finish(mut self) -> Result<RecordingSummary, RecordingFailed> {
+        self.end().unwrap_or_else(|| Ok(self.statistics().summary))
+    }
+
+    fn end(&mut self) -> Option<Result<RecordingSummary, RecordingFailed>> {
+        self.sender.shared.queue.close();
+        // A panic of the thread has dropped its writer, which finished the bag; what it counted is in the statistics.
+        self.thread.take()?.join().ok()
+    }
+}
+
+impl Drop for Recording {
+    fn drop(&mut self) {
+        if let Some(Err(failed)) = self.end() {
+            tracing::error!("{failed}");
+        }
+    }
+}
+
+impl RecordingSender {
+    /// Adds a topic, at any time. Adding it again with the same type returns the id it has.
+    ///
+    /// # Errors
+    /// If the bag has the topic with another type, or recording has ended.
+    pub fn add_topic(&self, info: TopicInfo) -> Result<TopicId, RecordError> {
+        self.shared.queue.add_topic(info)
+    }
+
+    /// Queues a message without ever waiting for the disk. For the arguments see [`Writer::write`].
+    ///
+    /// # Errors
+    /// If the queue is full or recording has ended; the message is counted as lost.
+    pub fn record(
+        &self,
+        topic: TopicId,
+        log_time: i64,
+        publish_time: i64,
+        data: Bytes,
+    ) -> Result<(), RecordError> {
+        self.shared.queue.try_add(topic, message(topic, log_time, publish_time, data)?)
+    }
+
+    /// Queues a message and waits for room in the queue if there is none.
+    ///
+    /// # Errors
+    /// If recording has ended; the message is counted as lost.
+    pub fn record_blocking(
+        &self,
+        topic: TopicId,
+        log_time: i64,
+        publish_time: i64,
+        data: Bytes,
+    ) -> Result<(), RecordError> {
+        self.shared.queue.add(topic, message(topic, log_time, publish_time, data)?)
+    }
+}
+
+/// Refuses at the door what the writer would refuse.
+fn message(topic: TopicId, log_time: i64, publish_time: i64, data: Bytes) -> Result<Item, RecordError> {
+    let time = log_time.min(publish_time);
+    if time < 0 {
+        return Err(RecordError::NegativeTime { time });
+    }
+    Ok(Item::Message { topic, log_time, publish_time, data })
+}
+
+fn run(shared: &Shared, mut writer: Writer) -> Result<RecordingSummary, RecordingFailed> {
+    let outcome = write_all(shared, &mut writer);
+    if let Err(error) = &outcome {
+        shared.progress.lock().unwrap_or_else(PoisonError::into_inner).failure = Some(error.to_string());
+    }
+    note_losses(shared, &mut writer);
+    let before = writer.summary();
+    // After a failed write this returns what was kept.
+    let finished = writer.finish();
+    let mut kept = finished.as_ref().map_or(before, Clone::clone);
+    shared.progress.lock().unwrap_or_else(PoisonError::into_inner).summary = kept.clone();
+    add_losses(&mut kept, &shared.queue.lock().topics);
+    match outcome.and(finished) {
+        Ok(_) => Ok(kept),
+        Err(error) => Err(RecordingFailed { error, summary: kept }),
+    }
+}
+
+/// Adds what the queue refused to what the writer lost. Topics that never reached the writer have nothing written.
+fn add_losses(summary: &mut RecordingSummary, queued: &[QueuedTopic]) {
+    for (index, queued) in queued.iter().enumerate() {
+        if let Some(topic) = summary.topics.get_mut(index) {
+            topic.lost += queued.lost;
+        } else {
+            let (name, type_name) = (queued.name.clone(), queued.type_name.clone());
+            summary.topics.push(TopicCount { name, type_name, written: 0, lost: queued.lost });
+        }
+    }
+}
+
+fn write_all(shared: &Shared, writer: &mut Writer) -> Result<(), WriterError> {
+    let mut batch = Vec::new();
+    let mut written = 0;
+    loop {
+        let timeout = writer.flush_if_due().inspect_err(|_| shared.queue.abandon([]))?;
+        let work = shared.queue.take(&mut batch, written, timeout);
+        written = Queue::cost(&batch);
+        match work {
+            Work::End => return Ok(()),
+            Work::TimedOut => {}
+            Work::Write => {
+                let mut items = batch.drain(..);
+                while let Some(item) = items.next() {
+                    if let Err(error) = write(writer, item) {
+                        shared.queue.abandon(items);
+                        return Err(error);
+                    }
+                }
+            }
+        }
+        shared.progress.lock().unwrap_or_else(PoisonError::into_inner).summary = writer.summary();
+    }
+}
+
+fn write(writer: &mut Writer, item: Item) -> Result<(), WriterError> {
+    match item {
+        Item::Topic(info) => writer.add_topic(info).map(drop),
+        Item::Message { topic, log_time, publish_time, data } => {
+            writer.write(topic, log_time, publish_time, &data)
+        }
+    }
+}
+
+fn note_losses(shared: &Shared, writer: &mut Writer) {
+    let state = shared.queue.lock();
+    let losses: Vec<String> = state
+        .topics
+        .iter()
+        .filter(|topic| topic.lost > 0)
+        .map(|topic| format!("{}: {}", topic.name, topic.lost))
+        .collect();
+    if !losses.is_empty() {
+        writer.set_custom_data("lost_messages", losses.join(", "));
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,130 @@
+#![allow(clippy::unwrap_used)]
+
+use std::sync::{Arc, Mutex};
+
+use bytes::Bytes;
+
+use super::queue::{Queue, QueuedTopic};
+use super::{Progress, RecordError, Recording, RecordingSender, Shared, run};
+use crate::metadata::Metadata;
+use crate::reader::{Reader, Selection};
+use crate::topic::TopicInfo;
+use crate::writer::{Writer, WriterOptions};
+
+fn topic(name: &str) -> TopicInfo {
+    TopicInfo { name: name.to_owned(), type_name: "std_msgs/msg/Empty".to_owned(), ..TopicInfo::default() }
+}
+
+/// What [`Recording::start`] makes, without the thread: nothing is written until the test says so.
+fn without_thread(writer: &Writer, queue_bytes: usize) -> RecordingSender {
+    let topics = writer.topics().map(|info| QueuedTopic {
+        name: info.name.clone(),
+        type_name: info.type_name.clone(),
+        lost: 0,
+    });
+    let queue = Queue::new(queue_bytes, topics.collect());
+    let progress = Mutex::new(Progress { summary: writer.summary(), failure: None });
+    RecordingSender { shared: Arc::new(Shared { queue, progress }) }
+}
+
+#[test]
+fn what_a_full_queue_refuses_is_counted_told_and_noted_in_the_bag() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    let busy = writer.add_topic(topic("/busy")).unwrap();
+    let sender = without_thread(&writer, 2000);
+    let quiet = sender.add_topic(topic("/quiet")).unwrap();
+
+    sender.record(busy, 1, 1, Bytes::from(vec![0; 1500])).unwrap();
+    let error = sender.record(busy, 2, 2, Bytes::from(vec![0; 1500])).unwrap_err();
+    assert_eq!(error, RecordError::QueueFull { topic: "/busy".to_owned(), lost: 1 });
+    sender.record(busy, 3, 3, Bytes::from(vec![0; 1500])).unwrap_err();
+    sender.record(quiet, 4, 4, Bytes::from_static(&[0; 4])).unwrap();
+    sender.shared.queue.close();
+    let summary = run(&sender.shared, writer).unwrap();
+
+    let counts: Vec<_> = summary.topics.iter().map(|t| (t.name.as_str(), t.written, t.lost)).collect();
+    assert_eq!(counts, [("/busy", 1, 2), ("/quiet", 1, 0)]);
+    let metadata = Metadata::read(&bag.join("metadata.yaml")).unwrap();
+    assert_eq!(metadata.custom_data["lost_messages"], "/busy: 2");
+}
+
+#[test]
+fn the_blocking_variant_waits_for_room_and_loses_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    let id = writer.add_topic(topic("/a")).unwrap();
+    let recording = Recording::start(writer, 1000).unwrap();
+    let producers: Vec<_> = (0..2_u8)
+        .map(|producer| {
+            let sender = recording.sender();
+            std::thread::spawn(move || {
+                for number in 0..500 {
+                    sender.record_blocking(id, number, 0, Bytes::from(vec![producer; 100])).unwrap();
+                }
+            })
+        })
+        .collect();
+    for producer in producers {
+        producer.join().unwrap();
+    }
+    let summary = recording.finish().unwrap();
+    assert_eq!((summary.message_count(), summary.lost_count()), (1000, 0));
+    assert_eq!(Reader::open(&bag).unwrap().message_count(), 1000);
+}
+
+#[test]
+fn a_message_larger_than_the_queue_passes_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut writer = WriterOptions::new().create(folder.path().join("bag")).unwrap();
+    let id = writer.add_topic(topic("/a")).unwrap();
+    let recording = Recording::start(writer, 10).unwrap();
+    recording.sender().record_blocking(id, 1, 1, Bytes::from(vec![0; 1000])).unwrap();
+    assert_eq!(recording.finish().unwrap().message_count(), 1);
+}
+
+#[test]
+fn topics_can_be_added_while_recording_and_messages_keep_their_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let recording =
+        Recording::start(WriterOptions::new().create(&bag).unwrap(), Recording::DEFAULT_QUEUE_BYTES).unwrap();
+    let sender = recording.sender();
+    for number in 0..20 {
+        let id = sender.add_topic(topic(&format!("/topic_{}", number % 5))).unwrap();
+        sender.record(id, number, number, Bytes::copy_from_slice(&number.to_le_bytes())).unwrap();
+    }
+    recording.finish().unwrap();
+    let reader = Reader::open(&bag).unwrap();
+    let messages: Vec<_> = reader.messages(Selection::all()).unwrap().map(Result::unwrap).collect();
+    let expected: Vec<(i64, String)> = (0..20).map(|n| (n, format!("/topic_{}", n % 5))).collect();
+    let read: Vec<(i64, String)> =
+        messages.iter().map(|m| (m.log_time, reader.topics()[m.topic.index()].info.name.clone())).collect();
+    assert_eq!(read, expected);
+}
+
+#[test]
+fn what_comes_after_the_end_is_refused_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut writer = WriterOptions::new().create(folder.path().join("bag")).unwrap();
+    let id = writer.add_topic(topic("/a")).unwrap();
+    let recording = Recording::start(writer, 1000).unwrap();
+    let sender = recording.sender();
+    recording.finish().unwrap();
+    assert_eq!(sender.record(id, 1, 1, Bytes::new()), Err(RecordError::Stopped));
+    assert_eq!(sender.record_blocking(id, 1, 1, Bytes::new()), Err(RecordError::Stopped));
+    assert_eq!(sender.shared.queue.lock().topics[0].lost, 2);
+}
+
+#[test]
+fn a_time_before_the_epoch_is_refused_at_the_door() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut writer = WriterOptions::new().create(folder.path().join("bag")).unwrap();
+    let id = writer.add_topic(topic("/a")).unwrap();
+    let recording = Recording::start(writer, 1000).unwrap();
+    let refused = recording.sender().record(id, 5, -5, Bytes::new());
+    assert_eq!(refused, Err(RecordError::NegativeTime { time: -5 }));
+    recording.finish().unwrap();
+}
