@@ -1,3 +1,4 @@
 //! The ROS 2 bridge of downbeat.
 
 pub mod middleware;
+pub mod ros;

@@ -1,6 +1,8 @@
 //! What the tests share: domains of their own on loopback, and waiting on a condition with a watchdog.
 #![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc)]
 
+pub mod rclpy;
+
 use bytes::Bytes;
 use downbeat_bridge::middleware::dds::DdsParticipant;
 use downbeat_bridge::middleware::in_process::Hub;

@@ -1,0 +1,199 @@
+//! Which node owns which endpoint: told to others, and heard from them, on the topic `ros_discovery_info`.
+//!
+//! Every participant writes one message with all its nodes and the identities of their endpoints, again whenever
+//! something changes; see `rmw_dds_common` (branch jazzy) and
+//! <https://design.ros2.org/articles/Node_to_Participant_mapping.html>.
+
+use super::{MessageType, NodeName, TopicName};
+use crate::middleware::{
+    Direction, Endpoint, Gid, Middleware, MiddlewareError, Reader, RemoteEndpoint, Sample, Writer,
+};
+use downbeat_msgs::cdr;
+use downbeat_msgs::qos::{Durability, QosProfile};
+use downbeat_msgs::rmw_dds_common::msg::{Gid as GidMessage, NodeEntitiesInfo, ParticipantEntitiesInfo};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// At exit the last message gets this long to be acknowledged; on one machine it takes a millisecond.
+const FAREWELL: Duration = Duration::from_millis(500);
+
+/// A node of another participant, and its topics.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RemoteNode {
+    /// Its namespace and name, `/robot/talker`.
+    pub name: String,
+    /// Its endpoints whose topic is known already.
+    pub endpoints: Vec<RemoteTopic>,
+}
+
+/// What a node of another participant does on a topic.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct RemoteTopic {
+    /// The absolute name of the topic.
+    pub topic: TopicName,
+    /// Its type.
+    pub message_type: MessageType,
+    /// Whether the node publishes it.
+    pub is_published: bool,
+}
+
+/// The graph as one participant tells and hears it. Dropping it tells the others that its nodes are gone.
+pub(super) struct Graph {
+    participant: Gid,
+    own: Mutex<BTreeMap<NodeName, Own>>,
+    heard: Arc<Mutex<Heard>>,
+    writer: Box<dyn Writer>,
+    _reader: Box<dyn Reader>,
+}
+
+#[derive(Default)]
+struct Own {
+    readers: BTreeSet<Gid>,
+    writers: BTreeSet<Gid>,
+}
+
+/// The last message of each participant.
+type Heard = BTreeMap<[u8; 12], ParticipantEntitiesInfo>;
+
+impl Graph {
+    pub(super) fn join(middleware: &dyn Middleware) -> Result<Self, MiddlewareError> {
+        // As rmw_dds_common does, but for the history of the reader: a message replaces the one before.
+        let endpoint = Endpoint::new(
+            "ros_discovery_info",
+            "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_",
+            QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT.keep_last(1) },
+        );
+        let heard = Arc::<Mutex<Heard>>::default();
+        let hear = {
+            let heard = Arc::clone(&heard);
+            let own = middleware.gid().participant();
+            move |sample| hear(&heard, own, &sample)
+        };
+        let reader_endpoint = Endpoint { qos: endpoint.qos.keep_last(100), ..endpoint.clone() };
+        Ok(Self {
+            participant: middleware.gid(),
+            own: Mutex::default(),
+            heard,
+            _reader: middleware.create_reader(&reader_endpoint, Box::new(hear))?,
+            writer: middleware.create_writer(&endpoint)?,
+        })
+    }
+
+    /// Adds a node; false when the participant has one of that name already.
+    pub(super) fn add_node(&self, node: &NodeName) -> bool {
+        let mut own = lock(&self.own);
+        if own.contains_key(node) {
+            return false;
+        }
+        own.insert(node.clone(), Own::default());
+        self.tell(&own);
+        true
+    }
+
+    pub(super) fn remove_node(&self, node: &NodeName) {
+        let mut own = lock(&self.own);
+        own.remove(node);
+        self.tell(&own);
+    }
+
+    pub(super) fn add_endpoint(&self, node: &NodeName, direction: Direction, endpoint: Gid) {
+        self.change(node, direction, |gids| gids.insert(endpoint));
+    }
+
+    pub(super) fn remove_endpoint(&self, node: &NodeName, direction: Direction, endpoint: Gid) {
+        self.change(node, direction, |gids| gids.remove(&endpoint));
+    }
+
+    fn change(&self, node: &NodeName, direction: Direction, change: impl FnOnce(&mut BTreeSet<Gid>) -> bool) {
+        let mut own = lock(&self.own);
+        let Some(endpoints) = own.get_mut(node) else { return };
+        let gids = match direction {
+            Direction::In => &mut endpoints.readers,
+            Direction::Out => &mut endpoints.writers,
+        };
+        if change(gids) {
+            self.tell(&own);
+        }
+    }
+
+    fn tell(&self, own: &BTreeMap<NodeName, Own>) {
+        let messages = |gids: &BTreeSet<Gid>| gids.iter().map(|gid| GidMessage { data: gid.0 }).collect();
+        let info = ParticipantEntitiesInfo {
+            gid: GidMessage { data: self.participant.0 },
+            node_entities_info_seq: own
+                .iter()
+                .map(|(node, endpoints)| NodeEntitiesInfo {
+                    node_namespace: node.namespace().to_owned(),
+                    node_name: node.name().to_owned(),
+                    reader_gid_seq: messages(&endpoints.readers),
+                    writer_gid_seq: messages(&endpoints.writers),
+                })
+                .collect(),
+        };
+        if let Err(error) = self.writer.write(cdr::to_vec(&info).into()) {
+            tracing::warn!(%error, "telling others about our nodes failed: node lists may be out of date");
+        }
+    }
+
+    /// The nodes of others, by what they told and the endpoints that discovery found.
+    pub(super) fn remote_nodes(&self, endpoints: &[RemoteEndpoint]) -> Vec<RemoteNode> {
+        // A participant that vanished without a last word is known by having no endpoints any more.
+        let alive: BTreeSet<_> = endpoints.iter().map(|endpoint| endpoint.gid.participant()).collect();
+        let by_gid: BTreeMap<_, _> = endpoints.iter().map(|endpoint| (endpoint.gid, endpoint)).collect();
+        let heard = lock(&self.heard);
+        let told = heard.iter().filter(|(participant, _)| alive.contains(*participant));
+        told.flat_map(|(_, info)| &info.node_entities_info_seq)
+            .map(|node| {
+                let gids = node.reader_gid_seq.iter().chain(&node.writer_gid_seq);
+                let mut endpoints: Vec<_> =
+                    gids.filter_map(|gid| remote_topic(by_gid.get(&Gid(gid.data))?)).collect();
+                endpoints.sort();
+                RemoteNode {
+                    name: format!("{}/{}", node.node_namespace.trim_end_matches('/'), node.node_name),
+                    endpoints,
+                }
+            })
+            .collect()
+    }
+}
+
+impl Drop for Graph {
+    fn drop(&mut self) {
+        let mut own = lock(&self.own);
+        own.clear();
+        self.tell(&own);
+        self.writer.flush(FAREWELL);
+    }
+}
+
+fn hear(heard: &Mutex<Heard>, own: [u8; 12], sample: &Sample) {
+    match cdr::from_slice::<ParticipantEntitiesInfo>(&sample.cdr) {
+        Ok(info) => {
+            let participant = Gid(info.gid.data).participant();
+            if participant == own {
+                return;
+            }
+            if info.node_entities_info_seq.is_empty() {
+                lock(heard).remove(&participant);
+            } else {
+                lock(heard).insert(participant, info);
+            }
+        }
+        Err(error) => {
+            tracing::debug!(writer = %sample.writer, %error, "a message on ros_discovery_info is not valid")
+        }
+    }
+}
+
+fn remote_topic(endpoint: &RemoteEndpoint) -> Option<RemoteTopic> {
+    Some(RemoteTopic {
+        topic: TopicName::from_wire(&endpoint.topic_name)?,
+        message_type: MessageType::from_wire(&endpoint.type_name)?,
+        is_published: endpoint.direction == Direction::Out,
+    })
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

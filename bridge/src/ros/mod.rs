@@ -1,0 +1,9 @@
+//! ROS 2 on top of raw topics: names, nodes, and the graph that tools show.
+
+mod graph;
+mod names;
+mod node;
+
+pub use graph::{RemoteNode, RemoteTopic};
+pub use names::{MessageType, NameError, NodeName, TopicName};
+pub use node::{Node, NodeError, Participant, Publisher, Subscription};

@@ -1,0 +1,273 @@
+//! A participant as ROS 2 sees it: nodes with publishers and subscriptions.
+
+use super::graph::{Graph, RemoteNode};
+use super::{MessageType, NameError, NodeName, TopicName};
+use crate::middleware::{
+    self, Direction, Endpoint, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader, SampleHandler,
+    WriteError, Writer,
+};
+use bytes::Bytes;
+use downbeat_msgs::qos::QosProfile;
+use std::sync::Arc;
+use thiserror::Error;
+
+/// A node or one of its endpoints could not be created.
+#[derive(Debug, Error)]
+pub enum NodeError {
+    /// A name is not valid.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// The participant has a node of that name already.
+    #[error("this process has a ROS 2 node {0} already; give one of them another name or namespace")]
+    Exists(NodeName),
+    /// The engine refused.
+    #[error(transparent)]
+    Middleware(#[from] MiddlewareError),
+}
+
+/// What all nodes of a process share: one participant of the domain.
+///
+/// When the last node, publisher and subscription made from it is dropped too, it leaves the domain: its nodes are
+/// gone from the graph of the others at once, and its threads have ended when the drop returns.
+#[derive(Clone)]
+pub struct Participant {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    // Fields drop in this order: the graph takes leave before the participant goes.
+    graph: Graph,
+    middleware: Arc<dyn Middleware>,
+}
+
+impl Participant {
+    /// Joins the domain that the options name.
+    ///
+    /// # Errors
+    /// [`MiddlewareError`] when the domain cannot be joined.
+    pub fn join(options: &ParticipantOptions) -> Result<Self, MiddlewareError> {
+        Self::on(middleware::join(options)?)
+    }
+
+    /// Stands on a participant that exists, of whatever engine.
+    ///
+    /// # Errors
+    /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
+    pub fn on(middleware: Arc<dyn Middleware>) -> Result<Self, MiddlewareError> {
+        Ok(Self { shared: Arc::new(Shared { graph: Graph::join(&*middleware)?, middleware }) })
+    }
+
+    /// Creates a node.
+    ///
+    /// # Errors
+    /// [`NodeError::Exists`] when this participant has a node of that name.
+    pub fn create_node(&self, name: NodeName) -> Result<Node, NodeError> {
+        if !self.shared.graph.add_node(&name) {
+            return Err(NodeError::Exists(name));
+        }
+        Ok(Node { membership: Arc::new(Membership { shared: Arc::clone(&self.shared), name }) })
+    }
+
+    /// The nodes of other participants. Those that were there before take some seconds to be heard of.
+    #[must_use]
+    pub fn remote_nodes(&self) -> Vec<RemoteNode> {
+        self.shared.graph.remote_nodes(&self.shared.middleware.remote_endpoints())
+    }
+}
+
+/// A ROS 2 node. It is in the graph of the others until it and its publishers and subscriptions are dropped.
+#[derive(Clone)]
+pub struct Node {
+    membership: Arc<Membership>,
+}
+
+struct Membership {
+    shared: Arc<Shared>,
+    name: NodeName,
+}
+
+impl Drop for Membership {
+    fn drop(&mut self) {
+        self.shared.graph.remove_node(&self.name);
+    }
+}
+
+impl Node {
+    /// Its namespace and name.
+    #[must_use]
+    pub fn name(&self) -> &NodeName {
+        &self.membership.name
+    }
+
+    /// Creates a publisher; `topic` may be absolute, relative or private (`~/…`).
+    ///
+    /// # Errors
+    /// [`NodeError`] when a name is not valid or the engine refuses.
+    pub fn publish(
+        &self,
+        topic: &str,
+        message_type: &MessageType,
+        qos: QosProfile,
+    ) -> Result<Publisher, NodeError> {
+        let topic = TopicName::expand(topic, self.name())?;
+        let endpoint = endpoint(&topic, message_type, qos);
+        let writer = self.membership.shared.middleware.create_writer(&endpoint)?;
+        let listed = Listed::new(&self.membership, Direction::Out, writer.gid());
+        Ok(Publisher {
+            topic,
+            message_type: message_type.clone(),
+            qos,
+            _listed: listed,
+            writer,
+            _membership: Arc::clone(&self.membership),
+        })
+    }
+
+    /// Creates a subscription; `topic` may be absolute, relative or private (`~/…`). `on_sample` runs on the thread
+    /// that all subscriptions of the participant share, so it must hand over and return.
+    ///
+    /// # Errors
+    /// [`NodeError`] when a name is not valid or the engine refuses.
+    pub fn subscribe(
+        &self,
+        topic: &str,
+        message_type: &MessageType,
+        qos: QosProfile,
+        on_sample: SampleHandler,
+    ) -> Result<Subscription, NodeError> {
+        let topic = TopicName::expand(topic, self.name())?;
+        let endpoint = endpoint(&topic, message_type, qos);
+        let reader = self.membership.shared.middleware.create_reader(&endpoint, on_sample)?;
+        let listed = Listed::new(&self.membership, Direction::In, reader.gid());
+        Ok(Subscription {
+            topic,
+            message_type: message_type.clone(),
+            qos,
+            _listed: listed,
+            reader,
+            _membership: Arc::clone(&self.membership),
+        })
+    }
+}
+
+/// Publishes serialized messages on one topic.
+pub struct Publisher {
+    topic: TopicName,
+    message_type: MessageType,
+    qos: QosProfile,
+    // Fields drop in this order: the entry in the graph, so that no tool sees an endpoint without a node; the endpoint;
+    // and perhaps with the last of them the participant.
+    _listed: Listed,
+    writer: Box<dyn Writer>,
+    _membership: Arc<Membership>,
+}
+
+impl Publisher {
+    /// The absolute name of its topic.
+    #[must_use]
+    pub fn topic(&self) -> &TopicName {
+        &self.topic
+    }
+
+    /// The type of its messages.
+    #[must_use]
+    pub fn message_type(&self) -> &MessageType {
+        &self.message_type
+    }
+
+    /// What it offers.
+    #[must_use]
+    pub fn qos(&self) -> QosProfile {
+        self.qos
+    }
+
+    /// How many subscriptions of other participants are matched.
+    #[must_use]
+    pub fn matched_subscriptions(&self) -> usize {
+        self.writer.matched()
+    }
+
+    /// Publishes one message: encapsulation header (little-endian) and body. Does not block.
+    ///
+    /// # Errors
+    /// [`WriteError`] when it was not sent.
+    pub fn publish(&self, cdr: Bytes) -> Result<(), WriteError> {
+        self.writer.write(cdr)
+    }
+}
+
+/// Keeps a subscription alive.
+pub struct Subscription {
+    topic: TopicName,
+    message_type: MessageType,
+    qos: QosProfile,
+    // In this order, as in a publisher.
+    _listed: Listed,
+    reader: Box<dyn Reader>,
+    _membership: Arc<Membership>,
+}
+
+impl Subscription {
+    /// The absolute name of its topic.
+    #[must_use]
+    pub fn topic(&self) -> &TopicName {
+        &self.topic
+    }
+
+    /// The type of its messages.
+    #[must_use]
+    pub fn message_type(&self) -> &MessageType {
+        &self.message_type
+    }
+
+    /// What it requests.
+    #[must_use]
+    pub fn qos(&self) -> QosProfile {
+        self.qos
+    }
+
+    /// How many publishers of other participants are matched.
+    #[must_use]
+    pub fn matched_publishers(&self) -> usize {
+        self.reader.matched()
+    }
+}
+
+/// The entry of an endpoint in the graph, under its node.
+struct Listed {
+    membership: Arc<Membership>,
+    direction: Direction,
+    endpoint: Gid,
+}
+
+impl Listed {
+    fn new(membership: &Arc<Membership>, direction: Direction, endpoint: Gid) -> Self {
+        membership.shared.graph.add_endpoint(&membership.name, direction, endpoint);
+        Self { membership: Arc::clone(membership), direction, endpoint }
+    }
+}
+
+impl Drop for Listed {
+    fn drop(&mut self) {
+        let Membership { shared, name } = &*self.membership;
+        shared.graph.remove_endpoint(name, self.direction, self.endpoint);
+    }
+}
+
+fn endpoint(topic: &TopicName, message_type: &MessageType, qos: QosProfile) -> Endpoint {
+    let send_window = if LARGE_MESSAGES.contains(&message_type.as_str()) {
+        Endpoint::SEND_WINDOW_LARGE_SAMPLES
+    } else {
+        Endpoint::SEND_WINDOW
+    };
+    Endpoint { send_window, ..Endpoint::new(topic.to_wire(), message_type.to_wire(), qos) }
+}
+
+/// Types whose messages have hundreds of kilobytes.
+const LARGE_MESSAGES: [&str; 5] = [
+    "nav_msgs/msg/OccupancyGrid",
+    "sensor_msgs/msg/CompressedImage",
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/PointCloud",
+    "sensor_msgs/msg/PointCloud2",
+];

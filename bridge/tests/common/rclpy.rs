@@ -1,0 +1,87 @@
+//! A real rclpy in a process of its own.
+#![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc)]
+
+use super::WATCHDOG;
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+/// A node of rclpy that obeys commands. Its process ends with the value.
+pub struct Peer {
+    child: Child,
+    commands: Option<ChildStdin>,
+    answers: Receiver<String>,
+}
+
+impl Peer {
+    /// Starts node `/peer` in a domain, or says why not and returns nothing.
+    pub fn start(domain_id: u16, discovery_range: &str) -> Option<Self> {
+        let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
+            eprintln!("skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)");
+            return None;
+        };
+        let mut child = Command::new(python)
+            .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/rclpy/peer.py"))
+            .arg("peer")
+            .env("ROS_DOMAIN_ID", domain_id.to_string())
+            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", discovery_range)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let output = BufReader::new(child.stdout.take().unwrap());
+        let (sender, answers) = channel();
+        std::thread::spawn(move || {
+            for line in output.lines().map_while(Result::ok) {
+                if sender.send(line).is_err() {
+                    return;
+                }
+            }
+        });
+        let peer = Self { commands: child.stdin.take(), child, answers };
+        assert_eq!(peer.answer(), json!("ready"));
+        Some(peer)
+    }
+
+    /// Sends a command and returns its answer.
+    pub fn ask(&mut self, command: Value) -> Value {
+        writeln!(self.commands.as_mut().unwrap(), "{command}").unwrap();
+        self.answer()
+    }
+
+    /// The next messages on a topic, as many as `count`.
+    pub fn take(&mut self, topic: &str, count: usize) -> Vec<Value> {
+        let mut taken = Vec::new();
+        super::wait_until("rclpy received the messages", || {
+            let more = self.ask(json!({"do": "take", "topic": topic}));
+            taken.extend(more.as_array().unwrap().iter().cloned());
+            taken.len() >= count
+        });
+        taken
+    }
+
+    /// Ends the node as a user's program ends.
+    pub fn leave(mut self) {
+        drop(self.commands.take());
+        let start = Instant::now();
+        while self.child.try_wait().unwrap().is_none() {
+            assert!(start.elapsed() < WATCHDOG, "rclpy does not end");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    fn answer(&self) -> Value {
+        let line = self.answers.recv_timeout(WATCHDOG).expect("an answer of rclpy within the watchdog time");
+        serde_json::from_str(&line).unwrap()
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        // It may have ended already; nothing to do then.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

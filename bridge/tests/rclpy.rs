@@ -1,0 +1,237 @@
+//! What the real rclpy sees of our nodes, and we of its.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::rclpy::Peer;
+use common::{next, on_loopback, wait_until};
+use downbeat_bridge::middleware::Sample;
+use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant, Subscription};
+use downbeat_msgs::cdr;
+use downbeat_msgs::qos::{Durability, QosProfile};
+use downbeat_msgs::sensor_msgs::msg::JointState;
+use downbeat_msgs::std_msgs::msg::Header;
+use serde_json::{Value, json};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+const TRANSIENT_LOCAL: QosProfile =
+    QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT };
+
+/// Node `/robot/downbeat` in a domain on loopback.
+fn downbeat(domain_id: u16) -> (Participant, Node) {
+    let participant = Participant::join(&on_loopback(domain_id)).unwrap();
+    let node = participant.create_node(NodeName::new("/robot", "downbeat").unwrap()).unwrap();
+    (participant, node)
+}
+
+fn subscribe(
+    node: &Node,
+    topic: &str,
+    kind: &MessageType,
+    qos: QosProfile,
+) -> (Subscription, Receiver<Sample>) {
+    let (sender, samples) = channel();
+    let handler = Box::new(move |sample| {
+        // The test may have stopped listening.
+        let _ = sender.send(sample);
+    });
+    (node.subscribe(topic, kind, qos, handler).unwrap(), samples)
+}
+
+fn joint_state() -> MessageType {
+    MessageType::new("sensor_msgs/msg/JointState").unwrap()
+}
+
+fn string() -> MessageType {
+    MessageType::new("std_msgs/msg/String").unwrap()
+}
+
+fn nodding() -> JointState {
+    JointState {
+        header: Header { frame_id: "base_link".into(), ..Header::default() },
+        name: vec!["head_pan".into(), "head_tilt".into()],
+        position: vec![0.25, -0.5],
+        velocity: vec![],
+        effort: vec![1.0, f64::MAX],
+    }
+}
+
+fn lists(answer: &Value, entry: &str) -> bool {
+    answer.as_array().unwrap().iter().any(|item| item == entry)
+}
+
+#[test]
+fn rclpy_lists_our_node_with_its_topics_types_and_qos() {
+    let Some(mut rclpy) = Peer::start(126, "LOCALHOST") else { return };
+    let (_participant, node) = downbeat(126);
+    let _states = node.publish("/joint_states", &joint_state(), QosProfile::DEFAULT).unwrap();
+    let _text = node.publish("~/text", &string(), TRANSIENT_LOCAL).unwrap();
+    let _commands = subscribe(&node, "joint_commands", &joint_state(), QosProfile::SENSOR_DATA);
+
+    wait_until("rclpy lists the node", || lists(&rclpy.ask(json!({"do": "nodes"})), "/robot/downbeat"));
+    let topics = ["/joint_states", "/robot/downbeat/text", "/robot/joint_commands"];
+    wait_until("rclpy lists the topics", || {
+        let listed = rclpy.ask(json!({"do": "topics"}));
+        topics.iter().all(|topic| listed.get(topic).is_some())
+    });
+    let listed = rclpy.ask(json!({"do": "topics"}));
+    assert_eq!(listed["/joint_states"], json!(["sensor_msgs/msg/JointState"]));
+    assert_eq!(listed["/robot/downbeat/text"], json!(["std_msgs/msg/String"]));
+
+    let endpoint = |kind, reliability, durability| json!([{"node": "/robot/downbeat", "type": kind, "reliability": reliability, "durability": durability}]);
+    let mut wait_for = |command: Value, expected: Value| {
+        let mut last = Value::Null;
+        let found = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            wait_until("rclpy knows the endpoint and its node", || {
+                last = rclpy.ask(command.clone());
+                last == expected
+            });
+        }));
+        assert!(found.is_ok(), "{command}: expected {expected}, last answer {last}");
+    };
+    wait_for(
+        json!({"do": "publishers_of", "topic": "/joint_states"}),
+        endpoint("sensor_msgs/msg/JointState", "RELIABLE", "VOLATILE"),
+    );
+    wait_for(
+        json!({"do": "publishers_of", "topic": "/robot/downbeat/text"}),
+        endpoint("std_msgs/msg/String", "RELIABLE", "TRANSIENT_LOCAL"),
+    );
+    wait_for(
+        json!({"do": "subscriptions_of", "topic": "/robot/joint_commands"}),
+        endpoint("sensor_msgs/msg/JointState", "BEST_EFFORT", "VOLATILE"),
+    );
+}
+
+#[test]
+fn what_we_publish_reaches_rclpy_unchanged() {
+    let Some(mut rclpy) = Peer::start(127, "LOCALHOST") else { return };
+    let (_participant, node) = downbeat(127);
+    rclpy.ask(json!({
+        "do": "subscribe", "topic": "/joint_states", "type": "sensor_msgs/msg/JointState", "qos": {"depth": 100},
+    }));
+    let states = node.publish("/joint_states", &joint_state(), QosProfile::DEFAULT).unwrap();
+    wait_until("both are matched", || {
+        states.matched_subscriptions() == 1
+            && rclpy.ask(json!({"do": "matched", "topic": "/joint_states"})) == 1
+    });
+    let sent = cdr::to_vec(&nodding());
+    for _ in 0..100 {
+        states.publish(sent.clone().into()).unwrap();
+    }
+    let received = rclpy.take("/joint_states", 100);
+    assert_eq!(received.len(), 100);
+    for message in received {
+        let bytes = from_hex(message["cdr"].as_str().unwrap());
+        assert_eq!(bytes[..sent.len()], sent[..], "the bytes");
+        assert_eq!(message["fields"]["name"], json!(["head_pan", "head_tilt"]));
+        assert_eq!(message["fields"]["position"], json!([0.25, -0.5]));
+        assert_eq!(message["fields"]["header"]["frame_id"], "base_link");
+    }
+}
+
+#[test]
+fn what_rclpy_publishes_reaches_us_unchanged() {
+    let Some(mut rclpy) = Peer::start(128, "LOCALHOST") else { return };
+    let (_participant, node) = downbeat(128);
+    let (commands, samples) = subscribe(&node, "/joint_commands", &joint_state(), QosProfile::DEFAULT);
+    rclpy.ask(json!({"do": "advertise", "topic": "/joint_commands", "type": "sensor_msgs/msg/JointState"}));
+    wait_until("both are matched", || {
+        commands.matched_publishers() == 1
+            && rclpy.ask(json!({"do": "matched", "topic": "/joint_commands"})) == 1
+    });
+    let fields = json!({
+        "header": {"frame_id": "base_link"}, "name": ["head_pan", "head_tilt"],
+        "position": [0.25, -0.5], "effort": [1.0, f64::MAX],
+    });
+    for number in 1..=100 {
+        let publish = json!({"do": "publish", "topic": "/joint_commands", "fields": fields});
+        rclpy.ask(publish);
+        let sample = next(&samples);
+        // Not compared with the bytes of serialize_message: rclpy leaves its padding uninitialised.
+        assert_eq!(sample.cdr.len(), cdr::to_vec(&nodding()).len());
+        assert_eq!(sample.sequence_number, number);
+        assert!(sample.source_time_ns.is_some());
+        assert_eq!(cdr::from_slice::<JointState>(&sample.cdr).unwrap(), nodding());
+    }
+}
+
+#[test]
+fn our_node_is_gone_from_rclpy_within_two_seconds_of_our_leaving() {
+    let Some(mut rclpy) = Peer::start(129, "LOCALHOST") else { return };
+    let (participant, node) = downbeat(129);
+    let states = node.publish("/joint_states", &joint_state(), QosProfile::DEFAULT).unwrap();
+    let commands = subscribe(&node, "/joint_commands", &joint_state(), QosProfile::DEFAULT);
+    wait_until("rclpy lists the node", || lists(&rclpy.ask(json!({"do": "nodes"})), "/robot/downbeat"));
+
+    drop((participant, node, states, commands));
+    let left = Instant::now();
+    wait_until("the node is gone", || !lists(&rclpy.ask(json!({"do": "nodes"})), "/robot/downbeat"));
+    assert!(left.elapsed() < Duration::from_secs(2), "gone after {:?}", left.elapsed());
+}
+
+#[test]
+fn rclpy_that_looks_on_the_subnet_meets_us_on_loopback() {
+    let Some(mut rclpy) = Peer::start(130, "SUBNET") else { return };
+    let (_participant, node) = downbeat(130);
+    let (text, samples) = subscribe(&node, "/text", &string(), QosProfile::DEFAULT);
+    let echo = node.publish("/echo", &string(), QosProfile::DEFAULT).unwrap();
+    rclpy.ask(json!({"do": "advertise", "topic": "/text", "type": "std_msgs/msg/String"}));
+    rclpy.ask(json!({"do": "subscribe", "topic": "/echo", "type": "std_msgs/msg/String"}));
+    wait_until("both topics are matched", || {
+        text.matched_publishers() == 1
+            && echo.matched_subscriptions() == 1
+            && rclpy.ask(json!({"do": "matched", "topic": "/text"})) == 1
+            && rclpy.ask(json!({"do": "matched", "topic": "/echo"})) == 1
+    });
+    rclpy.ask(json!({"do": "publish", "topic": "/text", "fields": {"data": "hello"}}));
+    let sample = next(&samples);
+    echo.publish(sample.cdr).unwrap();
+    assert_eq!(rclpy.take("/echo", 1)[0]["fields"]["data"], "hello");
+}
+
+#[test]
+fn we_name_the_node_of_rclpy_and_its_topics_until_it_leaves() {
+    let Some(mut rclpy) = Peer::start(131, "LOCALHOST") else { return };
+    let (participant, node) = downbeat(131);
+    let (text, _samples) = subscribe(&node, "/text", &string(), QosProfile::DEFAULT);
+    rclpy.ask(json!({"do": "advertise", "topic": "/text", "type": "std_msgs/msg/String"}));
+    wait_until("we know the node and its topic", || {
+        participant.remote_nodes().iter().any(|node| {
+            node.name == "/peer"
+                && node.endpoints.iter().any(|endpoint| {
+                    endpoint.topic.as_str() == "/text"
+                        && endpoint.message_type == string()
+                        && endpoint.is_published
+                })
+        })
+    });
+    wait_until("its publisher is matched", || text.matched_publishers() == 1);
+    rclpy.leave();
+    wait_until("its publisher is gone", || text.matched_publishers() == 0);
+    wait_until("it is gone", || participant.remote_nodes().is_empty());
+}
+
+#[test]
+fn transient_local_messages_reach_those_that_come_late() {
+    let Some(mut rclpy) = Peer::start(132, "LOCALHOST") else { return };
+    let (_participant, node) = downbeat(132);
+    let latched = json!({"durability": "transient_local", "depth": 1});
+    let ours = node.publish("/ours", &string(), QosProfile::LATCHED).unwrap();
+    let text = |data: &str| cdr::to_vec(&downbeat_msgs::std_msgs::msg::String { data: data.into() });
+    ours.publish(text("from us").into()).unwrap();
+    rclpy.ask(json!({"do": "advertise", "topic": "/theirs", "type": "std_msgs/msg/String", "qos": latched}));
+    rclpy.ask(json!({"do": "publish", "topic": "/theirs", "fields": {"data": "from rclpy"}}));
+
+    let kind = "std_msgs/msg/String";
+    rclpy.ask(json!({"do": "subscribe", "topic": "/ours", "type": kind, "qos": latched}));
+    assert_eq!(rclpy.take("/ours", 1)[0]["fields"]["data"], "from us");
+    let (_subscription, samples) = subscribe(&node, "/theirs", &string(), QosProfile::LATCHED);
+    let sample = next(&samples);
+    assert_eq!(sample.cdr[..text("from rclpy").len()], text("from rclpy")[..]);
+}
+
+fn from_hex(hex: &str) -> Vec<u8> {
+    (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap()).collect()
+}
