@@ -64,7 +64,10 @@ impl BagInfo {
         let topics: Vec<RecordedTopic> =
             reader.topics().iter().filter(|topic| !is_event(topic)).cloned().collect();
         let services = reader.topics().iter().filter(is_event).map(ServiceEvents::of).collect();
-        let relative = |path: &Path| path.strip_prefix(reader.path()).unwrap_or(path).display().to_string();
+        let relative = |path: &Path| {
+            let below = path.strip_prefix(reader.path()).ok().filter(|below| !below.as_os_str().is_empty());
+            below.unwrap_or(path).display().to_string()
+        };
         let metadata = reader.metadata();
         let duration = match (reader.start_time(), reader.end_time()) {
             (Some(start), Some(end)) => Duration::from_nanos(end.abs_diff(start)),

@@ -59,7 +59,7 @@ impl Text {
         self.sequence(at, "topics_with_message_count", metadata.topics.is_empty());
         for topic in &metadata.topics {
             self.line(at + 2, "- topic_metadata:");
-            let inner = at + 8;
+            let inner = at + 6;
             self.line(inner, format_args!("name: {}", scalar(&topic.name)));
             self.line(inner, format_args!("type: {}", scalar(&topic.type_name)));
             self.line(inner, format_args!("serialization_format: {}", scalar(&topic.serialization_format)));

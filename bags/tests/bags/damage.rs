@@ -1,0 +1,183 @@
+//! Files that are cut off, altered, or not bags at all.
+
+use std::fs;
+use std::path::Path;
+
+use downbeat_bags::{BagInfo, Compression, Reader, ReaderError, Selection, TruncationCause, WriterOptions};
+
+use crate::support::{fixture, messages, value, write_numbers};
+
+const COUNT: i64 = 80;
+
+/// The bytes of a bag file with many chunks, and for each chunk where it ends and how many messages the file has until
+/// there.
+fn many_chunks(folder: &Path, compression: Compression) -> (Vec<u8>, Vec<(usize, usize)>) {
+    let bag = folder.join("whole");
+    let mut writer = WriterOptions::new().compression(compression).chunk_size(200).create(&bag).unwrap();
+    write_numbers(&mut writer, COUNT);
+    writer.finish().unwrap();
+    let bytes = fs::read(bag.join("whole_0.mcap")).unwrap();
+    let mut chunks = Vec::new();
+    let mut count = 0;
+    let mut offset = 8;
+    while bytes[offset] != 0x0f {
+        let length = u64::from_le_bytes(bytes[offset + 1..offset + 9].try_into().unwrap()) as usize;
+        let end = offset + 9 + length;
+        match bytes[offset] {
+            0x06 => chunks.push((end, count)),
+            // The message index that follows a chunk: channel id, length in bytes, 16 bytes for each message.
+            0x07 => {
+                let index = u32::from_le_bytes(bytes[offset + 11..offset + 15].try_into().unwrap());
+                count += index as usize / 16;
+                chunks.last_mut().unwrap().1 = count;
+            }
+            _ => {}
+        }
+        offset = end;
+    }
+    assert_eq!(count as i64, COUNT);
+    assert!(chunks.len() > 10);
+    fs::remove_dir_all(&bag).unwrap();
+    (bytes, chunks)
+}
+
+#[test]
+fn a_file_cut_at_any_byte_never_loses_a_whole_chunk() {
+    for compression in [Compression::None, Compression::Zstd] {
+        let folder = tempfile::tempdir().unwrap();
+        let (bytes, chunks) = many_chunks(folder.path(), compression);
+        let path = folder.path().join("cut.mcap");
+        // Every seventh byte, and every byte around the ends of chunks and of the file.
+        let near_end = |length: &usize| {
+            let ends = chunks.iter().map(|(end, _)| *end).chain([0, bytes.len()]);
+            length % 7 == 0 || ends.into_iter().any(|end| end.abs_diff(*length) <= 10)
+        };
+        for length in (0..bytes.len()).filter(near_end) {
+            fs::write(&path, &bytes[..length]).unwrap();
+            let reader = Reader::open(&path).unwrap_or_else(|error| panic!("cut to {length}: {error}"));
+            let expected = chunks.iter().rev().find(|(end, _)| *end <= length).map_or(0, |(_, count)| *count);
+            let read: Vec<i64> = messages(&reader).iter().map(value).collect();
+            assert_eq!(read, (0..expected as i64).collect::<Vec<_>>(), "cut to {length} of {}", bytes.len());
+            assert_eq!(reader.message_count(), expected as u64, "cut to {length}");
+            let truncation: Vec<_> = reader.truncation().collect();
+            assert_eq!(truncation.len(), 1, "cut to {length}: what is missing is told");
+            assert_eq!(truncation[0].offset + truncation[0].lost_bytes, length as u64);
+        }
+    }
+}
+
+#[test]
+fn what_is_missing_is_told_in_words_and_in_info() {
+    let folder = tempfile::tempdir().unwrap();
+    let (bytes, chunks) = many_chunks(folder.path(), Compression::None);
+    let path = folder.path().join("cut.mcap");
+    fs::write(&path, &bytes[..chunks[3].0 + 100]).unwrap();
+    let reader = Reader::open(&path).unwrap();
+    let truncation = reader.truncation().next().unwrap();
+    assert_eq!(truncation.cause, TruncationCause::TornRecord);
+    let info = BagInfo::of(&reader).unwrap().to_string();
+    assert!(info.contains("Warning:           "), "{info}");
+    assert!(info.contains("recording or copying was interrupted"), "{info}");
+}
+
+#[test]
+fn a_damaged_chunk_is_told_once_and_later_chunks_are_read() {
+    for compression in [Compression::None, Compression::Zstd] {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut bytes, chunks) = many_chunks(folder.path(), compression);
+        bytes[chunks[2].0 - 20] ^= 0x40;
+        let path = folder.path().join("damaged.mcap");
+        for (length, is_whole) in [(bytes.len(), true), (chunks[8].0, false)] {
+            fs::write(&path, &bytes[..length]).unwrap();
+            let reader = Reader::open(&path).unwrap();
+            let items: Vec<_> = reader.messages(Selection::all()).unwrap().collect();
+            let errors: Vec<_> = items.iter().filter_map(|item| item.as_ref().err()).collect();
+            let read: Vec<i64> = items.iter().filter_map(|item| item.as_ref().ok()).map(value).collect();
+            let upto = if is_whole { COUNT } else { chunks[8].1 as i64 };
+            let lost = chunks[1].1 as i64..chunks[2].1 as i64;
+            assert_eq!(read, (0..upto).filter(|n| !lost.contains(n)).collect::<Vec<_>>());
+            if is_whole {
+                // The summary spares the walk through the file, so the damage shows when it is read.
+                assert_eq!(errors.len(), 1);
+                assert!(matches!(errors[0], ReaderError::Damaged { .. }), "{}", errors[0]);
+            } else {
+                let causes: Vec<_> = reader.truncation().map(|truncation| &truncation.cause).collect();
+                assert!(matches!(causes[0], TruncationCause::DamagedChunk(_)), "{causes:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn no_altered_byte_makes_the_reader_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let own = |compression| many_chunks(folder.path(), compression).0;
+    let real = |name: &str| fs::read(fixture(name).join(format!("{name}_0.mcap"))).unwrap();
+    let inputs = [
+        (own(Compression::None), 5),
+        (own(Compression::Zstd), 5),
+        // The real recorder writes no chunk checksums, so an altered length is found where it is used.
+        (real("jazzy_mcap"), 1511),
+        (real("jazzy_mcap_zstd"), 1511),
+    ];
+    let path = folder.path().join("altered.mcap");
+    let mut opened = 0;
+    for (bytes, step) in inputs {
+        for position in (0..bytes.len()).step_by(step) {
+            for change in [0xff, 0x01] {
+                let mut altered = bytes.clone();
+                altered[position] ^= change;
+                fs::write(&path, &altered).unwrap();
+                if let Ok(reader) = Reader::open(&path) {
+                    let _ = messages(&reader);
+                    opened += 1;
+                }
+            }
+        }
+    }
+    assert!(opened > 1000, "damage within a file does not keep it from opening");
+}
+
+#[test]
+fn altered_files_without_a_summary_do_not_panic_either() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("altered.mcap");
+    let (bytes, chunks) = many_chunks(folder.path(), Compression::Zstd);
+    let bytes = &bytes[..chunks[4].0];
+    for position in (8..bytes.len()).step_by(2) {
+        for change in [0xff, 0x80, 0x01] {
+            let mut altered = bytes.to_vec();
+            altered[position] ^= change;
+            fs::write(&path, &altered).unwrap();
+            let reader = Reader::open(&path).unwrap();
+            assert_eq!(messages(&reader).len() as u64, reader.message_count(), "at {position}");
+        }
+    }
+}
+
+#[test]
+fn what_is_no_bag_is_refused_with_what_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = |path: &Path| Reader::open(path).unwrap_err().to_string();
+
+    let missing = folder.path().join("nowhere");
+    assert!(error(&missing).starts_with(&format!("cannot read {}", missing.display())));
+    assert!(error(folder.path()).contains("neither metadata.yaml nor a file *.mcap"));
+
+    let picture = folder.path().join("picture.mcap");
+    fs::write(&picture, b"\x89PNG\r\n\x1a\n and so on").unwrap();
+    assert!(error(&picture).contains("is not an MCAP file: it begins with [89, 50, 4e, 47"), "{}", error(&picture));
+
+    let yaml = fs::read_to_string(fixture("jazzy_mcap").join("metadata.yaml")).unwrap();
+    let sqlite = folder.path().join("sqlite");
+    fs::create_dir(&sqlite).unwrap();
+    let write = |text: String| fs::write(sqlite.join("metadata.yaml"), text).unwrap();
+    write(yaml.replace("storage_identifier: mcap", "storage_identifier: sqlite3"));
+    assert!(error(&sqlite).contains("its storage is sqlite3; `ros2 bag convert`"), "{}", error(&sqlite));
+    write(yaml.replace("compression_mode: \"\"", "compression_mode: FILE"));
+    assert!(error(&sqlite).contains("in mode FILE"), "{}", error(&sqlite));
+    write(yaml.clone());
+    assert!(error(&sqlite).contains("jazzy_mcap_0.mcap"), "names the missing file: {}", error(&sqlite));
+    write(yaml.replace("version: 9", "version: nine"));
+    assert!(error(&sqlite).contains("metadata.yaml:2: "), "{}", error(&sqlite));
+}

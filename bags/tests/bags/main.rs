@@ -1,0 +1,10 @@
+//! What this crate promises, tried on bags of the real recorder and on bags of its own.
+
+#![allow(clippy::unwrap_used)]
+
+mod damage;
+mod fixtures;
+mod interrupted;
+mod order;
+mod python;
+mod support;

@@ -1,0 +1,150 @@
+//! Order, selection and splits.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use downbeat_bags::{
+    Compression, Playback, PlaybackError, PlaybackOptions, Reader, Selection, Step, WriterOptions,
+};
+
+use crate::support::{messages, number, topic, value, write_numbers};
+
+#[test]
+fn messages_come_in_log_time_order_and_equal_times_in_file_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = WriterOptions::new().chunk_size(200).create(&bag).unwrap();
+    let id = writer.add_topic(topic("/a")).unwrap();
+    // Every chunk of five overlaps with its neighbours.
+    let times: Vec<i64> = (0..100).map(|n| (n * 37) % 50).collect();
+    for (n, time) in times.iter().enumerate() {
+        writer.write(id, *time, *time, &number(n as i64)).unwrap();
+    }
+    writer.finish().unwrap();
+    let mut expected: Vec<(i64, i64)> = times.iter().enumerate().map(|(n, time)| (*time, n as i64)).collect();
+    expected.sort();
+    let reader = Reader::open(&bag).unwrap();
+    let read: Vec<(i64, i64)> = messages(&reader).iter().map(|m| (m.log_time, value(m))).collect();
+    assert_eq!(read, expected);
+}
+
+#[test]
+fn the_files_of_a_split_bag_are_read_as_one_in_the_order_of_their_numbers() {
+    let folder = tempfile::tempdir().unwrap();
+    let split = folder.path().join("split");
+    fs::create_dir(&split).unwrap();
+    for part in 0..11 {
+        let bag = folder.path().join(format!("part{part}"));
+        let mut writer = WriterOptions::new().create(&bag).unwrap();
+        let id = writer.add_topic(topic("/a")).unwrap();
+        // All at the same time: only the order of the files tells which is first.
+        writer.write(id, 7, 7, &number(part)).unwrap();
+        writer.finish().unwrap();
+        let file = format!("part{part}_0.mcap");
+        fs::copy(bag.join(file), split.join(format!("split_{part}.mcap"))).unwrap();
+    }
+    let reader = Reader::open(&split).unwrap();
+    let read: Vec<i64> = messages(&reader).iter().map(value).collect();
+    assert_eq!(read, (0..11).collect::<Vec<_>>());
+    assert_eq!((reader.topics().len(), reader.message_count()), (1, 11));
+}
+
+#[test]
+fn a_selection_gives_only_its_topics_from_its_time_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer =
+        WriterOptions::new().compression(Compression::Zstd).chunk_size(300).create(&bag).unwrap();
+    let ids = [writer.add_topic(topic("/a")).unwrap(), writer.add_topic(topic("/b")).unwrap()];
+    for n in 0..100 {
+        writer.write(ids[n as usize % 2], n, n, &number(n)).unwrap();
+    }
+    writer.finish().unwrap();
+    let reader = Reader::open(&bag).unwrap();
+    let selection = Selection::all().topics(reader.topic("/b")).from(90);
+    let read: Vec<i64> = reader.messages(selection).unwrap().map(|m| value(&m.unwrap())).collect();
+    assert_eq!(read, [91, 93, 95, 97, 99]);
+}
+
+#[test]
+fn a_file_without_chunks_is_read_as_the_preset_fastwrite_makes_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("fastwrite_0.mcap");
+    write_without_chunks(&path, 5000);
+    let reader = Reader::open(&path).unwrap();
+    assert_eq!(reader.truncation().count(), 0);
+    assert_eq!(reader.message_count(), 5000);
+    let read: Vec<i64> = messages(&reader).iter().map(value).collect();
+    assert_eq!(read, (0..5000).collect::<Vec<_>>());
+}
+
+fn write_without_chunks(path: &Path, count: i64) {
+    let mut writer = mcap::WriteOptions::new()
+        .use_chunks(false)
+        .profile("ros2")
+        .create(std::io::BufWriter::new(fs::File::create(path).unwrap()))
+        .unwrap();
+    let schema = writer.add_schema("std_msgs/msg/Int64", "ros2msg", b"int64 data\n").unwrap();
+    let channel = writer.add_channel(schema, "/numbers", "cdr", &BTreeMap::new()).unwrap();
+    for n in 0..count {
+        let time = n as u64;
+        let header = mcap::records::MessageHeader {
+            channel_id: channel,
+            sequence: 0,
+            log_time: time,
+            publish_time: time,
+        };
+        writer.write_to_known_channel(&header, &number(n)).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn an_empty_bag_is_a_bag() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    writer.add_topic(topic("/silent")).unwrap();
+    writer.finish().unwrap();
+    let reader = Reader::open(&bag).unwrap();
+    assert_eq!((reader.message_count(), reader.start_time(), reader.topics().len()), (0, None, 1));
+    assert!(messages(&reader).is_empty());
+    assert_eq!(reader.truncation().count(), 0);
+}
+
+#[test]
+fn playback_begins_at_its_offset_with_the_chosen_topics() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    write_numbers(&mut writer, 10);
+    let other = writer.add_topic(topic("/other")).unwrap();
+    writer.write(other, 6_000_000, 6_000_000, &number(-1)).unwrap();
+    writer.finish().unwrap();
+    let reader = Reader::open(&bag).unwrap();
+
+    let options = PlaybackOptions {
+        start_offset: std::time::Duration::from_millis(5),
+        topics: Some(vec!["/numbers".to_owned()]),
+        ..PlaybackOptions::default()
+    };
+    let mut playback = Playback::open(&reader, &options).unwrap();
+    // The clock jumps to whatever the pacer asks for.
+    let mut now = std::time::Duration::from_secs(77);
+    let mut played = Vec::new();
+    loop {
+        match playback.step(now) {
+            Step::Due(message) => played.push((value(&message), now.as_millis() - 77_000)),
+            Step::Wait(wait) => now += wait,
+            Step::Finished => break,
+            other => panic!("{other:?}"),
+        }
+    }
+    assert_eq!(played, [(5, 0), (6, 1), (7, 2), (8, 3), (9, 4)]);
+
+    let wrong = PlaybackOptions { topics: Some(vec!["/nubmers".to_owned()]), ..options };
+    let error = Playback::open(&reader, &wrong).err().unwrap();
+    assert!(matches!(error, PlaybackError::UnknownTopic { .. }), "{error}");
+    assert_eq!(error.to_string(), "cannot play topic /nubmers: the bag has /numbers, /other");
+}

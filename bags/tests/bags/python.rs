@@ -1,0 +1,98 @@
+//! Bags of ours, read by software that is not: `mcap`, `mcap-ros2-support` and `rosbags` from PyPI.
+
+use std::path::Path;
+use std::process::Command;
+
+use downbeat_bags::{Compression, TopicInfo, WriterOptions};
+use downbeat_msgs::qos::QosProfile;
+use downbeat_msgs::{Message, cdr};
+use downbeat_msgs::{diagnostic_msgs, downbeat_interfaces, sensor_msgs, std_msgs};
+use serde_json::{Value, json};
+
+fn topic<M: Message>(name: &str, qos: QosProfile) -> TopicInfo {
+    TopicInfo {
+        name: name.to_owned(),
+        type_name: M::TYPE_NAME.to_owned(),
+        definition: M::DEFINITION.to_owned(),
+        type_hash: M::TYPE_HASH.to_owned(),
+        offered_qos: vec![qos],
+    }
+}
+
+/// What the Python program prints; `None` when there is no Python.
+fn read_with_python(bag: &Path) -> Option<Value> {
+    let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
+        eprintln!("skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)");
+        return None;
+    };
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/python/read_bag.py");
+    let output = Command::new(python).arg(script).arg(bag).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Some(serde_json::from_slice(&output.stdout).unwrap())
+}
+
+#[test]
+fn other_software_decodes_every_message_of_our_bags() {
+    for compression in [Compression::None, Compression::Zstd] {
+        let folder = tempfile::tempdir().unwrap();
+        let bag = folder.path().join("bag");
+        let options = WriterOptions::new().compression(compression).chunk_size(20_000);
+        let mut writer = options.custom_data("emulated", "true").create(&bag).unwrap();
+        let joints =
+            writer.add_topic(topic::<sensor_msgs::msg::JointState>("/joint_states", QosProfile::DEFAULT));
+        let imu = writer.add_topic(topic::<sensor_msgs::msg::Imu>("/imu", QosProfile::SENSOR_DATA));
+        let chatter = writer.add_topic(topic::<std_msgs::msg::String>("/chatter", QosProfile::LATCHED));
+        let diagnostics = writer
+            .add_topic(topic::<diagnostic_msgs::msg::DiagnosticArray>("/diagnostics", QosProfile::DEFAULT));
+        let exchanges = writer
+            .add_topic(topic::<downbeat_interfaces::msg::BusExchange>("/bus/exchanges", QosProfile::DEFAULT));
+        let silent = writer.add_topic(topic::<std_msgs::msg::String>("/silent", QosProfile::DEFAULT));
+        silent.unwrap();
+
+        let mut time = 1_700_000_000_000_000_000;
+        for n in 0..300_u32 {
+            time += 8_000_000;
+            let mut write = |id, data: Vec<u8>| writer.write(id, time + 500, time, &data).unwrap();
+            let state = sensor_msgs::msg::JointState {
+                name: vec!["j_pan".to_owned(), "j_tilt".to_owned()],
+                position: vec![f64::from(n) / 100.0, -1.5],
+                ..Default::default()
+            };
+            write(*joints.as_ref().unwrap(), cdr::to_vec(&state));
+            write(*imu.as_ref().unwrap(), cdr::to_vec(&sensor_msgs::msg::Imu::default()));
+            let exchange = downbeat_interfaces::msg::BusExchange {
+                instruction: vec![0xff, 0xff, 1, 2, 1, 0xfb],
+                sequence: u64::from(n),
+                ..Default::default()
+            };
+            write(*exchanges.as_ref().unwrap(), cdr::to_vec(&exchange));
+            if n % 100 == 0 {
+                write(
+                    *chatter.as_ref().unwrap(),
+                    cdr::to_vec(&std_msgs::msg::String { data: format!("hé {n}") }),
+                );
+                write(
+                    *diagnostics.as_ref().unwrap(),
+                    cdr::to_vec(&diagnostic_msgs::msg::DiagnosticArray::default()),
+                );
+            }
+        }
+        let summary = writer.finish().unwrap();
+        let Some(read) = read_with_python(&bag) else { return };
+
+        for reader in ["mcap", "any", "rosbag2"] {
+            for topic in &summary.topics {
+                let count = read[reader]["counts"].get(&topic.name).and_then(Value::as_u64).unwrap_or(0);
+                assert_eq!(count, topic.written, "{reader}: {}", topic.name);
+            }
+        }
+        for reader in ["mcap", "any"] {
+            assert_eq!(read[reader]["text"], json!("hé 200"), "{reader}");
+            assert_eq!(read[reader]["position"], json!([2.99, -1.5]), "{reader}");
+        }
+        assert_eq!(read["any"]["types"]["/bus/exchanges"], json!("downbeat_interfaces/msg/BusExchange"));
+        assert_eq!(read["rosbag2"]["custom_data"], json!({ "emulated": "true" }));
+        assert_eq!(read["rosbag2"]["distro"], json!("jazzy"));
+        assert!(read["rosbag2"]["qos"]["/chatter"][0].as_str().unwrap().contains("TRANSIENT_LOCAL"));
+    }
+}
