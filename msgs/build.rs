@@ -1,4 +1,4 @@
-//! Writes the Rust types of every package in `interfaces/`, and for the tests those of `tests/data/test_msgs/`.
+//! Writes the Rust types of every package in `interfaces/`, and for the tests those of two packages in `tests/data/`.
 
 use std::error::Error;
 use std::path::Path;
@@ -9,7 +9,7 @@ use downbeat_msgs_generator::{Catalog, Modules, RustSource};
 fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-changed=interfaces");
-    println!("cargo::rerun-if-changed=tests/data/test_msgs");
+    println!("cargo::rerun-if-changed=tests/data");
     let out = env::var_os("OUT_DIR").ok_or("OUT_DIR is not set: cargo sets it for build scripts")?;
     let out = Path::new(&out);
 
@@ -24,12 +24,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     fs::write(out.join("interfaces.rs"), source.index(&packages) + &source.registry(&packages))?;
 
-    // What a user's own package becomes: the tests include it as another crate would.
-    let mut with_test_msgs = catalog.clone();
-    with_test_msgs.add_package(Path::new("tests/data/test_msgs"))?;
-    with_test_msgs.check()?;
-    let elsewhere =
-        Modules::new("::downbeat_msgs", "crate").with_packages("::downbeat_msgs", packages.iter().copied());
-    fs::write(out.join("test_msgs.rs"), RustSource::new(&with_test_msgs, &elsewhere).package("test_msgs")?)?;
+    // What users' own packages become: the tests include them as another crate would.
+    for package in ["test_msgs", "odd_msgs"] {
+        let mut theirs = catalog.clone();
+        theirs.add_package(&Path::new("tests/data").join(package))?;
+        theirs.check()?;
+        let modules = Modules::new("::downbeat_msgs", "crate")
+            .with_packages("::downbeat_msgs", packages.iter().copied());
+        fs::write(out.join(format!("{package}.rs")), RustSource::new(&theirs, &modules).package(package)?)?;
+    }
     Ok(())
 }

@@ -14,7 +14,7 @@ pub trait Message: Cdr + Clone + Default + Debug + PartialEq + Send + Sync + 'st
     const DEFINITION: &'static str;
 }
 
-/// A ROS 2 service. The types that implement it hold no data, they name it.
+/// A ROS 2 service. The types that implement it have no values, they name it.
 pub trait Service: Send + Sync + 'static {
     /// As in `std_srvs/srv/SetBool`.
     const TYPE_NAME: &'static str;

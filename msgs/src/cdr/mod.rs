@@ -15,6 +15,9 @@
 //! byte, and never more memory than a small multiple of the input. Bytes behind the value are ignored, since DDS pads.
 //! Writing does not check the bounds of bounded strings and sequences: a receiver will refuse what exceeds them.
 //!
+//! What we write ends with the value, as it does on the wire. The buffer that rclpy's `serialize_message` returns holds
+//! the same bytes and then, for some types, others without meaning: it is as long as a size estimated beforehand.
+//!
 //! # References
 //! - OMG DDS-XTypes 1.3, 7.4.1 (XCDR version 1) and 7.6.3.1.2 (representation identifiers).
 //! - What `rclpy.serialization` does with rmw_fastrtps_cpp 8.4.3, which the tests compare with byte by byte.

@@ -10,9 +10,9 @@ impl RustSource<'_> {
         let name = struct_name(&service.name);
         let definition = self.catalog.service_definition_text(&service.name)?;
         let mut source = docs::doc(&[], &service.name.to_string(), "");
-        source.push_str("#[derive(Clone, Copy, Debug, PartialEq, Eq)]\n");
+        // Without values: it is only ever named.
         source.push_str(&format!(
-            "pub struct {name};\n\nimpl {}::Service for {name} {{\n",
+            "pub enum {name} {{}}\n\nimpl {}::Service for {name} {{\n",
             self.modules.runtime
         ));
         source.push_str(&format!("    const TYPE_NAME: &'static str = \"{}\";\n", service.name));
