@@ -88,7 +88,7 @@ pub struct RecordingFailed {
     #[source]
     pub error: WriterError,
     /// What is in the bag and what is not.
-    pub summary: RecordingSummary,
+    pub summary: Box<RecordingSummary>,
 }
 
 struct Shared {
@@ -156,9 +156,11 @@ impl Recording {
     }
 
     fn end(&mut self) -> Option<Result<RecordingSummary, RecordingFailed>> {
-        self.sender.shared.queue.close();
+        let shared = &self.sender.shared;
+        shared.queue.close();
         // A panic of the thread has dropped its writer, which finished the bag; what it counted is in the statistics.
-        self.thread.take()?.join().ok()
+        let outcome = self.thread.take()?.join().ok()?;
+        Some(with_losses(shared, outcome))
     }
 }
 
@@ -217,6 +219,7 @@ fn message(topic: TopicId, log_time: i64, publish_time: i64, data: Bytes) -> Res
     Ok(Item::Message { topic, log_time, publish_time, data })
 }
 
+/// Writes until the queue is closed or writing fails; what it returns lacks the losses of the queue.
 fn run(shared: &Shared, mut writer: Writer) -> Result<RecordingSummary, RecordingFailed> {
     let outcome = write_all(shared, &mut writer);
     if let Err(error) = &outcome {
@@ -226,13 +229,25 @@ fn run(shared: &Shared, mut writer: Writer) -> Result<RecordingSummary, Recordin
     let before = writer.summary();
     // After a failed write this returns what was kept.
     let finished = writer.finish();
-    let mut kept = finished.as_ref().map_or(before, Clone::clone);
+    let kept = finished.as_ref().map_or(before, Clone::clone);
     shared.progress.lock().unwrap_or_else(PoisonError::into_inner).summary = kept.clone();
-    add_losses(&mut kept, &shared.queue.lock().topics);
     match outcome.and(finished) {
         Ok(_) => Ok(kept),
-        Err(error) => Err(RecordingFailed { error, summary: kept }),
+        Err(error) => Err(RecordingFailed { error, summary: Box::new(kept) }),
     }
+}
+
+/// Adds what the queue has refused until now, also after the thread had ended.
+fn with_losses(
+    shared: &Shared,
+    mut outcome: Result<RecordingSummary, RecordingFailed>,
+) -> Result<RecordingSummary, RecordingFailed> {
+    let summary = match &mut outcome {
+        Ok(summary) => summary,
+        Err(failed) => &mut *failed.summary,
+    };
+    add_losses(summary, &shared.queue.lock().topics);
+    outcome
 }
 
 /// Adds what the queue refused to what the writer lost. Topics that never reached the writer have nothing written.

@@ -137,9 +137,7 @@ impl Queue {
 
     /// Nothing comes in any more; what is queued can still be taken.
     pub(super) fn close(&self) {
-        self.lock().is_closed = true;
-        self.filled.notify_all();
-        self.drained.notify_all();
+        self.close_locked(&mut self.lock());
     }
 
     /// Closes the queue and counts what is in it, and the rest of a batch, as lost.
@@ -155,8 +153,8 @@ impl Queue {
             }
         }
         state.queued_bytes = 0;
-        drop(state);
-        self.close();
+        // Under the same lock, else a message could come in between and never be counted.
+        self.close_locked(&mut state);
     }
 
     /// Waits for items, at most `timeout`, and moves some into `batch`. The room of the batch before becomes free.
@@ -190,6 +188,12 @@ impl Queue {
     /// A message larger than the limit may pass alone, else it could never.
     fn has_room(&self, state: &State, item: &Item) -> bool {
         state.queued_bytes == 0 || state.queued_bytes + item.cost() <= self.limit
+    }
+
+    fn close_locked(&self, state: &mut State) {
+        state.is_closed = true;
+        self.filled.notify_all();
+        self.drained.notify_all();
     }
 
     fn push(&self, state: &mut State, item: Item) {

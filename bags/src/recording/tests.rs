@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use bytes::Bytes;
 
 use super::queue::{Queue, QueuedTopic};
-use super::{Progress, RecordError, Recording, RecordingSender, Shared, run};
+use super::{Progress, RecordError, Recording, RecordingSender, Shared, run, with_losses};
 use crate::metadata::Metadata;
 use crate::reader::{Reader, Selection};
 use crate::topic::TopicInfo;
@@ -42,7 +42,7 @@ fn what_a_full_queue_refuses_is_counted_told_and_noted_in_the_bag() {
     sender.record(busy, 3, 3, Bytes::from(vec![0; 1500])).unwrap_err();
     sender.record(quiet, 4, 4, Bytes::from_static(&[0; 4])).unwrap();
     sender.shared.queue.close();
-    let summary = run(&sender.shared, writer).unwrap();
+    let summary = with_losses(&sender.shared, run(&sender.shared, writer)).unwrap();
 
     let counts: Vec<_> = summary.topics.iter().map(|t| (t.name.as_str(), t.written, t.lost)).collect();
     assert_eq!(counts, [("/busy", 1, 2), ("/quiet", 1, 0)]);

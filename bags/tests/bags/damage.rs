@@ -42,15 +42,15 @@ fn many_chunks(folder: &Path, compression: Compression) -> (Vec<u8>, Vec<(usize,
 }
 
 #[test]
-fn a_file_cut_at_any_byte_never_loses_a_whole_chunk() {
+fn a_file_cut_anywhere_never_loses_a_whole_chunk() {
     for compression in [Compression::None, Compression::Zstd] {
         let folder = tempfile::tempdir().unwrap();
         let (bytes, chunks) = many_chunks(folder.path(), compression);
         let path = folder.path().join("cut.mcap");
-        // Every seventh byte, and every byte around the ends of chunks and of the file.
+        // Every 23rd byte, and every byte around the ends of chunks and of the file.
         let near_end = |length: &usize| {
             let ends = chunks.iter().map(|(end, _)| *end).chain([0, bytes.len()]);
-            length % 7 == 0 || ends.into_iter().any(|end| end.abs_diff(*length) <= 10)
+            length.is_multiple_of(23) || ends.into_iter().any(|end| end.abs_diff(*length) <= 9)
         };
         for length in (0..bytes.len()).filter(near_end) {
             fs::write(&path, &bytes[..length]).unwrap();
@@ -114,11 +114,11 @@ fn no_altered_byte_makes_the_reader_panic() {
     let own = |compression| many_chunks(folder.path(), compression).0;
     let real = |name: &str| fs::read(fixture(name).join(format!("{name}_0.mcap"))).unwrap();
     let inputs = [
-        (own(Compression::None), 5),
-        (own(Compression::Zstd), 5),
+        (own(Compression::None), 19),
+        (own(Compression::Zstd), 19),
         // The real recorder writes no chunk checksums, so an altered length is found where it is used.
-        (real("jazzy_mcap"), 1511),
-        (real("jazzy_mcap_zstd"), 1511),
+        (real("jazzy_mcap"), 3511),
+        (real("jazzy_mcap_zstd"), 2011),
     ];
     let path = folder.path().join("altered.mcap");
     let mut opened = 0;
@@ -135,7 +135,7 @@ fn no_altered_byte_makes_the_reader_panic() {
             }
         }
     }
-    assert!(opened > 1000, "damage within a file does not keep it from opening");
+    assert!(opened > 300, "damage within a file does not keep it from opening");
 }
 
 #[test]
@@ -144,7 +144,7 @@ fn altered_files_without_a_summary_do_not_panic_either() {
     let path = folder.path().join("altered.mcap");
     let (bytes, chunks) = many_chunks(folder.path(), Compression::Zstd);
     let bytes = &bytes[..chunks[4].0];
-    for position in (8..bytes.len()).step_by(2) {
+    for position in (8..bytes.len()).step_by(3) {
         for change in [0xff, 0x80, 0x01] {
             let mut altered = bytes.to_vec();
             altered[position] ^= change;
@@ -166,7 +166,11 @@ fn what_is_no_bag_is_refused_with_what_it_is() {
 
     let picture = folder.path().join("picture.mcap");
     fs::write(&picture, b"\x89PNG\r\n\x1a\n and so on").unwrap();
-    assert!(error(&picture).contains("is not an MCAP file: it begins with [89, 50, 4e, 47"), "{}", error(&picture));
+    assert!(
+        error(&picture).contains("is not an MCAP file: it begins with [89, 50, 4e, 47"),
+        "{}",
+        error(&picture)
+    );
 
     let yaml = fs::read_to_string(fixture("jazzy_mcap").join("metadata.yaml")).unwrap();
     let sqlite = folder.path().join("sqlite");

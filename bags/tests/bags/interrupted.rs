@@ -127,7 +127,6 @@ fn child_fills_the_disk() {
     while sender.record_blocking(id, offered, offered, Bytes::from(number(offered))).is_ok() {
         offered += 1;
     }
-    assert!(recording.statistics().failure.is_some() || offered > 0);
     let failed = recording.finish().unwrap_err();
     assert!(matches!(failed.error, WriterError::Write { .. }), "{failed}");
     let text = failed.to_string();
@@ -149,8 +148,7 @@ fn a_full_disk_is_reported_once_and_what_was_written_is_kept() {
     let output = child.output().unwrap();
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
-    let kept: i64 =
-        text.lines().find_map(|line| line.split_once("kept ")).unwrap().1.trim().parse().unwrap();
+    let kept: i64 = text.lines().find_map(|line| line.split_once("kept ")).unwrap().1.trim().parse().unwrap();
     assert!(kept > 100);
 
     let reader = Reader::open(&bag).unwrap();

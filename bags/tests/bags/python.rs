@@ -19,13 +19,13 @@ fn topic<M: Message>(name: &str, qos: QosProfile) -> TopicInfo {
     }
 }
 
-/// What the Python program prints; `None` when there is no Python.
-fn read_with_python(bag: &Path) -> Option<Value> {
+/// What a program in `tests/python` prints of a bag; `None` when there is no Python.
+fn read_with_python(program: &str, bag: &Path) -> Option<Value> {
     let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
         eprintln!("skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)");
         return None;
     };
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/python/read_bag.py");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python").join(program);
     let output = Command::new(python).arg(script).arg(bag).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     Some(serde_json::from_slice(&output.stdout).unwrap())
@@ -78,7 +78,7 @@ fn other_software_decodes_every_message_of_our_bags() {
             }
         }
         let summary = writer.finish().unwrap();
-        let Some(read) = read_with_python(&bag) else { return };
+        let Some(read) = read_with_python("read_bag.py", &bag) else { return };
 
         for reader in ["mcap", "any", "rosbag2"] {
             for topic in &summary.topics {
@@ -95,4 +95,31 @@ fn other_software_decodes_every_message_of_our_bags() {
         assert_eq!(read["rosbag2"]["distro"], json!("jazzy"));
         assert!(read["rosbag2"]["qos"]["/chatter"][0].as_str().unwrap().contains("TRANSIENT_LOCAL"));
     }
+}
+
+#[test]
+fn other_software_opens_a_bag_without_messages() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    writer.add_topic(topic::<std_msgs::msg::String>("/silent", QosProfile::DEFAULT)).unwrap();
+    writer.finish().unwrap();
+    let Some(read) = read_with_python("count_messages.py", &bag) else { return };
+    assert_eq!(read, json!({ "mcap": 0, "rosbag2": 0, "topics": ["/silent"] }));
+}
+
+/// The state in which a killed recorder leaves a bag: no end mark, metadata.yaml from the last flush.
+#[test]
+fn other_software_finds_topics_and_counts_of_a_bag_that_is_still_open() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    let id = writer.add_topic(topic::<std_msgs::msg::String>("/chatter", QosProfile::DEFAULT)).unwrap();
+    let data = cdr::to_vec(&std_msgs::msg::String { data: "hi".to_owned() });
+    for time in 0..5 {
+        writer.write(id, time, time, &data).unwrap();
+    }
+    writer.flush().unwrap();
+    let Some(read) = read_with_python("count_metadata.py", &bag) else { return };
+    assert_eq!(read, json!({ "message_count": 5, "topics": { "/chatter": 5 }, "mcap": 5 }));
 }

@@ -13,6 +13,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
+from ruamel.yaml import YAML
 
 
 def mcap_counts(bag: Path) -> dict:
@@ -65,8 +66,9 @@ def rosbag2_counts(bag: Path) -> dict:
                 store.deserialize_cdr(raw, connection.msgtype)
             counts[connection.topic] += 1
         qos = {c.topic: [str(q.durability) for q in c.ext.offered_qos_profiles] for c in reader.connections}
-        custom_data = reader.metadata["custom_data"]
-        distro = reader.metadata["ros_distro"]
+        distro = reader.ros_distro
+    yaml = YAML(typ="safe").load(bag / "metadata.yaml")
+    custom_data = yaml["rosbag2_bagfile_information"]["custom_data"]
     return {"counts": counts, "qos": qos, "custom_data": custom_data, "distro": distro}
 
 
