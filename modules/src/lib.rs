@@ -1,4 +1,16 @@
 //! Ready robot modules.
+//!
+//! - [`darwin_op`]: the hardware of the humanoid Darwin OP;
+//! - [`darwin_op_emulator`]: an emulated one behind a pseudo terminal;
+//! - [`joint_command_mux`]: who may command which joint;
+//! - [`stand_nod_wave`]: a small motion.
+//!
+//! What each publishes, takes and can be set to is on its page, and all together in `README.md`.
 
 pub mod darwin_op;
 pub mod darwin_op_emulator;
+pub mod joint_command_mux;
+pub mod stand_nod_wave;
+
+#[cfg(test)]
+mod testing;

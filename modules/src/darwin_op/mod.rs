@@ -1,5 +1,26 @@
-//! The Darwin OP humanoid: its bus, its devices and its joints.
+//! The Darwin OP humanoid: its bus, its devices, its joints, and the module that drives it.
+//!
+//! - [`protocol`] and [`tables`] are data and its meaning, without input or output;
+//! - [`bus`] is the way to the devices: a serial port, or the recording of one;
+//! - [`DarwinOp`] is the module.
+//!
+//! It was never run on a real robot, only on the emulated one of [`darwin_op_emulator`](crate::darwin_op_emulator).
 
 pub mod bus;
 pub mod protocol;
 pub mod tables;
+
+mod counted;
+mod diagnostics;
+mod driver;
+mod line;
+mod messages;
+mod module;
+mod reading;
+mod servo;
+mod settings;
+
+pub use module::{CYCLE, DarwinOp};
+
+#[cfg(test)]
+mod tests;

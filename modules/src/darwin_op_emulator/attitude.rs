@@ -29,10 +29,8 @@ impl Attitude {
     /// Lets `dt` seconds pass.
     pub(super) fn advance(&mut self, dt: f64, joints: &[f64; COUNT]) {
         let target = lean(joints);
-        for axis in 0..3 {
-            self.rates[axis] = (target[axis] - self.angles[axis]) / LAG_S;
-            self.angles[axis] += self.rates[axis] * dt;
-        }
+        self.rates = std::array::from_fn(|axis| (target[axis] - self.angles[axis]) / LAG_S);
+        self.angles = std::array::from_fn(|axis| self.angles[axis] + self.rates[axis] * dt);
     }
 
     /// The angular rate of the body about forward, left, up, in rad/s. Small angles: rates of the angles.

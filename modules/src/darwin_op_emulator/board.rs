@@ -67,7 +67,13 @@ impl Board {
     }
 
     /// Lets `dt` seconds pass while the servos draw this current.
-    pub(super) fn advance(&mut self, dt: f64, servo_current_a: f64, attitude: &Attitude, random: &mut Random) {
+    pub(super) fn advance(
+        &mut self,
+        dt: f64,
+        servo_current_a: f64,
+        attitude: &Attitude,
+        random: &mut Random,
+    ) {
         let current_a = IDLE_CURRENT_A + servo_current_a;
         self.used_ah += current_a * dt / 3600.0;
         self.volts = CHARGED_V - VOLTS_PER_AMPERE_HOUR * self.used_ah - RESISTANCE_OHM * current_a;

@@ -68,7 +68,9 @@ impl Fault {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FaultParseError {
     /// No fault has this name.
-    #[error("unknown fault {found:?}; there are dead-servo:ID, drop:RATE, flip:RATE and close-port, each with @FROM..TO")]
+    #[error(
+        "unknown fault {found:?}; there are dead-servo:ID, drop:RATE, flip:RATE and close-port, each with @FROM..TO"
+    )]
     Kind {
         /// What was written.
         found: String,
@@ -202,7 +204,8 @@ mod tests {
 
     #[test]
     fn a_fault_is_written_as_it_is_read() {
-        for text in ["dead-servo:5@3s..6s", "drop:0.01", "drop:3x@0.5s..", "flip:0.001@10s..20s", "close-port@8s..9s"]
+        for text in
+            ["dead-servo:5@3s..6s", "drop:0.01", "drop:3x@0.5s..", "flip:0.001@10s..20s", "close-port@8s..9s"]
         {
             assert_eq!(text.parse::<Fault>().unwrap().to_string(), text);
         }

@@ -47,8 +47,9 @@ impl FaultSchedule {
         let random = &mut self.random;
         let mut flipped = 0;
         for fault in self.faults.iter_mut().filter(|fault| is_on(fault, now)) {
-            match &mut fault.kind {
-                FaultKind::Flip(Rate::Probability(probability)) => {
+            let FaultKind::Flip(rate) = &mut fault.kind else { continue };
+            match rate {
+                Rate::Probability(probability) => {
                     for byte in packet.iter_mut() {
                         if random.unit() < *probability {
                             *byte ^= 1 << (random.next_u64() % 8);
@@ -56,14 +57,15 @@ impl FaultSchedule {
                         }
                     }
                 }
-                FaultKind::Flip(rate @ Rate::Next(_)) => {
-                    if !packet.is_empty() && happens(rate, random) {
-                        let index = (random.next_u64() % packet.len() as u64) as usize;
-                        packet[index] ^= 1 << (random.next_u64() % 8);
-                        flipped += 1;
+                Rate::Next(_) => {
+                    if happens(rate, random) {
+                        let index = random.next_u64() as usize % packet.len().max(1);
+                        if let Some(byte) = packet.get_mut(index) {
+                            *byte ^= 1 << (random.next_u64() % 8);
+                            flipped += 1;
+                        }
                     }
                 }
-                _ => {}
             }
         }
         flipped
@@ -108,7 +110,10 @@ mod tests {
         let dead = |ms| schedule.is_dead(Id::new(5).unwrap(), Duration::from_millis(ms));
         assert_eq!([2999, 3000, 5999, 6000].map(dead), [false, true, true, false]);
         assert!(!schedule.is_dead(Id::new(6).unwrap(), Duration::from_secs(4)));
-        assert!(!schedule.is_port_closed(Duration::from_secs(7)) && schedule.is_port_closed(Duration::from_secs(9)));
+        assert!(
+            !schedule.is_port_closed(Duration::from_secs(7))
+                && schedule.is_port_closed(Duration::from_secs(9))
+        );
     }
 
     #[test]

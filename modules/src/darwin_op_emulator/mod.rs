@@ -39,6 +39,7 @@ mod control_table;
 mod emulator;
 mod fault;
 mod fault_schedule;
+mod module;
 mod pseudo_terminal;
 mod random;
 mod robot;
@@ -49,6 +50,7 @@ mod wire;
 pub use board::Button;
 pub use emulator::{Emulator, EmulatorError, EmulatorOptions};
 pub use fault::{Fault, FaultKind, FaultParseError, Rate};
+pub use module::DarwinOpEmulator;
 pub use wire::Timing;
 
 #[cfg(test)]

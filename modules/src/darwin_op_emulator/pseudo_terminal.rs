@@ -41,7 +41,9 @@ impl PseudoTerminal {
         self.ours.set_timeout(timeout)?;
         match self.ours.read(buffer) {
             Ok(count) => Ok(&buffer[..count]),
-            Err(error) if matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::Interrupted) => Ok(&[]),
+            Err(error) if matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::Interrupted) => {
+                Ok(&[])
+            }
             Err(error) => Err(error),
         }
     }

@@ -36,7 +36,8 @@ impl Robot {
     pub(super) fn new(seed: u64, boots_at_once: bool) -> Self {
         let mut random = Random::new(seed, 1);
         let board = Board::new(&mut random);
-        let servos: Vec<Servo> = (0..COUNT).map(|index| Servo::new(index, boots_at_once, &mut random)).collect();
+        let servos: Vec<Servo> =
+            (0..COUNT).map(|index| Servo::new(index, boots_at_once, &mut random)).collect();
         let attitude = Attitude::at_rest(&angles(&servos));
         let (dead, noise) = ([false; COUNT], Random::new(seed, 2));
         Self { time: Duration::ZERO, board, servos, dead, attitude, noise }
@@ -72,7 +73,11 @@ impl Robot {
     /// Carries an instruction out.
     ///
     /// `is_lost` is asked before each answer; a lost answer is as good as a silent device, for those behind it too.
-    pub(super) fn answer(&mut self, packet: &Packet<&[u8]>, is_lost: &mut dyn FnMut() -> bool) -> Vec<Answer> {
+    pub(super) fn answer(
+        &mut self,
+        packet: &Packet<&[u8]>,
+        is_lost: &mut dyn FnMut() -> bool,
+    ) -> Vec<Answer> {
         let answers = match Instruction::parse(packet) {
             Ok(Instruction::SyncWrite { address, block }) => {
                 for (id, data) in block.entries() {

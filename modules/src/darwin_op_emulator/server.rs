@@ -141,7 +141,12 @@ fn wait_closed(shared: &Shared) {
     }
 }
 
-fn deliver(shared: &Shared, timing: Timing, port: &mut PseudoTerminal, bundles: &[Bundle]) -> std::io::Result<()> {
+fn deliver(
+    shared: &Shared,
+    timing: Timing,
+    port: &mut PseudoTerminal,
+    bundles: &[Bundle],
+) -> std::io::Result<()> {
     for bundle in bundles {
         if timing == Timing::Measured {
             let now = shared.world().now();

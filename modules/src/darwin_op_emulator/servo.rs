@@ -157,8 +157,11 @@ impl Servo {
     fn drive_to_goal(&mut self, dt: f64) -> f64 {
         let goal = f64::from(self.table.get(&mx28::GOAL_POSITION));
         let limit = f64::from(self.table.get(&mx28::MOVING_SPEED)) * MOVING_SPEED_STEP * dt;
-        self.reached_goal =
-            if limit == 0.0 { goal } else { goal.clamp(self.reached_goal - limit, self.reached_goal + limit) };
+        self.reached_goal = if limit == 0.0 {
+            goal
+        } else {
+            goal.clamp(self.reached_goal - limit, self.reached_goal + limit)
+        };
         let gain = f64::from(self.table.get(&mx28::P_GAIN)) / 8.0;
         let allowed = f64::from(self.table.get(&mx28::TORQUE_LIMIT)) / 1023.0;
         (gain * (self.reached_goal - self.position) / 1023.0).clamp(-allowed, allowed)
@@ -248,7 +251,11 @@ mod tests {
         }
     }
 
-    fn write(servo: &mut Servo, field: &crate::darwin_op::tables::Field, value: u16) -> Result<(), StatusError> {
+    fn write(
+        servo: &mut Servo,
+        field: &crate::darwin_op::tables::Field,
+        value: u16,
+    ) -> Result<(), StatusError> {
         servo.write(field.address, &value.to_le_bytes()[..usize::from(field.size)])
     }
 
@@ -268,7 +275,9 @@ mod tests {
     fn the_moving_speed_limits_the_speed() {
         let mut servo = powered(HEAD_PAN);
         let start = servo.position;
-        for (field, value) in [(&mx28::MOVING_SPEED, 20), (&mx28::TORQUE_ENABLE, 1), (&mx28::GOAL_POSITION, 3000)] {
+        for (field, value) in
+            [(&mx28::MOVING_SPEED, 20), (&mx28::TORQUE_ENABLE, 1), (&mx28::GOAL_POSITION, 3000)]
+        {
             assert_eq!(write(&mut servo, field, value), Ok(()));
         }
         run(&mut servo, 1.0);

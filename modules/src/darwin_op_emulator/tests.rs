@@ -281,7 +281,8 @@ fn the_same_seed_and_instructions_give_the_same_bytes() {
 
 #[test]
 fn measured_timing_lets_a_bulk_read_take_its_time() {
-    let mut robot = Robot::powered(EmulatorOptions { timing: Timing::Measured, seed: 1, ..Default::default() });
+    let mut robot =
+        Robot::powered(EmulatorOptions { timing: Timing::Measured, seed: 1, ..Default::default() });
     eventually("the servos have booted", || robot.hears(id(20)));
     // 2 answers of 8 bytes with the factory's return delay of 0.5 ms cannot take less than this.
     let exchange = robot.bulk_read(&[1, 2]).0;

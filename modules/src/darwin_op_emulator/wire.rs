@@ -57,7 +57,12 @@ impl Wire {
     }
 
     /// When the answers to an instruction that was sent `now` reach the computer.
-    pub(super) fn carry(&mut self, now: Duration, instruction_length: usize, answers: &[Answer]) -> Vec<Bundle> {
+    pub(super) fn carry(
+        &mut self,
+        now: Duration,
+        instruction_length: usize,
+        answers: &[Answer],
+    ) -> Vec<Bundle> {
         let begin = now.max(self.free_at);
         let mut at = begin + PER_BYTE * instruction_length as u32;
         if !answers.is_empty() {

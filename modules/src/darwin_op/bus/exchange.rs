@@ -2,6 +2,7 @@
 
 use super::super::protocol::Id;
 use downbeat_executor::Time;
+use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 
 /// What was done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,4 +83,83 @@ pub enum ExchangeMessageError {
         /// The outcome it has.
         found: u8,
     },
+}
+
+impl From<&Exchange> for BusExchange {
+    fn from(exchange: &Exchange) -> Self {
+        Self {
+            stamp: downbeat_msgs::builtin_interfaces::msg::Time::from_nanos(exchange.sent.as_nanos()),
+            kind: match exchange.kind {
+                ExchangeKind::Open => Self::OPEN,
+                ExchangeKind::Transfer => Self::TRANSFER,
+                ExchangeKind::Close => Self::CLOSE,
+            },
+            instruction: exchange.instruction.clone(),
+            reply: exchange.reply.clone(),
+            outcome: match exchange.outcome {
+                Outcome::Ok => Self::OK,
+                Outcome::Timeout => Self::TIMEOUT,
+                Outcome::Failed => Self::FAILED,
+            },
+            error: exchange.error.clone(),
+            duration_us: exchange.duration_us,
+            sequence: exchange.sequence,
+        }
+    }
+}
+
+impl TryFrom<BusExchange> for Exchange {
+    type Error = ExchangeMessageError;
+
+    fn try_from(message: BusExchange) -> Result<Self, ExchangeMessageError> {
+        let sequence = message.sequence;
+        let kind = match message.kind {
+            BusExchange::OPEN => ExchangeKind::Open,
+            BusExchange::TRANSFER => ExchangeKind::Transfer,
+            BusExchange::CLOSE => ExchangeKind::Close,
+            found => return Err(ExchangeMessageError::Kind { sequence, found }),
+        };
+        let outcome = match message.outcome {
+            BusExchange::OK => Outcome::Ok,
+            BusExchange::TIMEOUT => Outcome::Timeout,
+            BusExchange::FAILED => Outcome::Failed,
+            found => return Err(ExchangeMessageError::Outcome { sequence, found }),
+        };
+        Ok(Self {
+            sequence,
+            kind,
+            sent: Time::from_nanos(message.stamp.as_nanos()),
+            duration_us: message.duration_us,
+            instruction: message.instruction,
+            reply: message.reply,
+            outcome,
+            error: message.error,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_exchange_survives_being_recorded() {
+        let exchange = Exchange {
+            sequence: 7,
+            kind: ExchangeKind::Transfer,
+            sent: Time::from_nanos(1_700_000_000_123_456_789),
+            duration_us: 4_830,
+            instruction: vec![1, 2],
+            reply: vec![3],
+            outcome: Outcome::Timeout,
+            error: "1 of 2 answers did not come".to_owned(),
+        };
+        assert_eq!(Exchange::try_from(BusExchange::from(&exchange)), Ok(exchange));
+    }
+
+    #[test]
+    fn a_message_of_a_kind_that_does_not_exist_is_refused() {
+        let message = BusExchange { kind: 9, sequence: 3, ..BusExchange::default() };
+        assert_eq!(Exchange::try_from(message), Err(ExchangeMessageError::Kind { sequence: 3, found: 9 }));
+    }
 }

@@ -139,7 +139,9 @@ impl<'a> Instruction<'a> {
             Self::Ping { .. } => emit_packet(id, PING, &[], out),
             Self::Read { address, length, .. } => emit_packet(id, READ, &[address, length], out),
             Self::Write { address, data, .. } => emit_packet(id, WRITE, &joined(&[address], data), out),
-            Self::RegWrite { address, data, .. } => emit_packet(id, REG_WRITE, &joined(&[address], data), out),
+            Self::RegWrite { address, data, .. } => {
+                emit_packet(id, REG_WRITE, &joined(&[address], data), out)
+            }
             Self::Action { .. } => emit_packet(id, ACTION, &[], out),
             Self::FactoryReset { .. } => emit_packet(id, FACTORY_RESET, &[], out),
             Self::SyncWrite { address, block } => {

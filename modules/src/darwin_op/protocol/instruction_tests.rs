@@ -60,10 +60,7 @@ fn bulk_read_is_as_the_manual_and_the_framework_have_it() {
     is_golden(Instruction::BulkRead { block }, &golden);
     let one = BulkReadEntry { length: 30, id: Id::CM730, address: 24 }.to_bytes();
     let block = BulkReadBlock::new(&one).unwrap();
-    is_golden(
-        Instruction::BulkRead { block },
-        &[0xFF, 0xFF, 0xFE, 0x06, 0x92, 0x00, 0x1E, 0xC8, 0x18, 0x6B],
-    );
+    is_golden(Instruction::BulkRead { block }, &[0xFF, 0xFF, 0xFE, 0x06, 0x92, 0x00, 0x1E, 0xC8, 0x18, 0x6B]);
 }
 
 #[test]

@@ -137,7 +137,8 @@ mod tests {
 
     #[test]
     fn a_sound_packet_is_taken_apart() {
-        let packet = Packet::new_checked(TEMPERATURE).map(|p| (p.id().raw(), p.code(), p.parameters().to_vec()));
+        let packet =
+            Packet::new_checked(TEMPERATURE).map(|p| (p.id().raw(), p.code(), p.parameters().to_vec()));
         assert_eq!(packet, Ok((1, 0, vec![0x20])));
     }
 

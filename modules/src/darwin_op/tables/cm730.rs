@@ -48,7 +48,8 @@ pub const ACC_X: Field = Field::read("acceleration x", 44, 2, 512).means("10 bit
 /// Specific force to the front.
 pub const ACC_Y: Field = Field::read("acceleration y", 46, 2, 512).means("10 bit, centre 512, forward");
 /// Specific force upwards.
-pub const ACC_Z: Field = Field::read("acceleration z", 48, 2, 640).means("10 bit, centre 512, up; +1 g is 640");
+pub const ACC_Z: Field =
+    Field::read("acceleration z", 48, 2, 640).means("10 bit, centre 512, up; +1 g is 640");
 /// The voltage of the battery.
 pub const VOLTAGE: Field = Field::read("voltage", 50, 1, 120).means("0.1 V");
 /// The left microphone, first of the analogue inputs.

@@ -33,17 +33,20 @@ pub const CW_ANGLE_LIMIT: Field =
 pub const CCW_ANGLE_LIMIT: Field =
     Field::eeprom("counter-clockwise angle limit", 8, 2, 4095, 4095).means("largest goal, ticks");
 /// Drive mode.
-pub const DRIVE_MODE: Field = Field::eeprom("drive mode", 10, 1, 0, 3).means("for pairs of servos on one joint");
+pub const DRIVE_MODE: Field =
+    Field::eeprom("drive mode", 10, 1, 0, 3).means("for pairs of servos on one joint");
 /// Highest temperature.
 pub const TEMPERATURE_LIMIT: Field =
     Field::eeprom("highest temperature limit", 11, 1, 80, 99).means("degrees Celsius");
 /// Lowest voltage.
-pub const MIN_VOLTAGE: Field = Field::eeprom("lowest voltage limit", 12, 1, 60, 250).at_least(50).means("0.1 V");
+pub const MIN_VOLTAGE: Field =
+    Field::eeprom("lowest voltage limit", 12, 1, 60, 250).at_least(50).means("0.1 V");
 /// Highest voltage.
 pub const MAX_VOLTAGE: Field =
     Field::eeprom("highest voltage limit", 13, 1, 160, 250).at_least(50).means("0.1 V");
 /// Torque after switching on.
-pub const MAX_TORQUE: Field = Field::eeprom("max torque", 14, 2, 1023, 1023).means("1/1023 of what it can do");
+pub const MAX_TORQUE: Field =
+    Field::eeprom("max torque", 14, 2, 1023, 1023).means("1/1023 of what it can do");
 /// What it answers.
 pub const STATUS_RETURN_LEVEL: Field =
     Field::eeprom("status return level", 16, 1, 2, 2).means("0 answers pings, 1 also reads, 2 all");
@@ -73,7 +76,8 @@ pub const GOAL_POSITION: Field = Field::ram("goal position", 30, 2, 2048, 4095).
 pub const MOVING_SPEED: Field =
     Field::ram("moving speed", 32, 2, 0, 1023).means("0.114 rpm; 0 is as fast as it can");
 /// Torque now.
-pub const TORQUE_LIMIT: Field = Field::ram("torque limit", 34, 2, 1023, 1023).means("1/1023 of what it can do");
+pub const TORQUE_LIMIT: Field =
+    Field::ram("torque limit", 34, 2, 1023, 1023).means("1/1023 of what it can do");
 /// Where it is.
 pub const PRESENT_POSITION: Field = Field::read("present position", 36, 2, 2048).means("ticks, centre 2048");
 /// How fast it goes.

@@ -1,0 +1,370 @@
+//! The cycle of the hardware: opens the port, takes the servos into service, then writes goals and reads all back.
+//!
+//! It does one step when it is told to and never waits but for answers. What it does depends only on the time it is
+//! given, its settings, where the joints are wanted, and what the bus answers.
+
+use super::bus::{Bus, Exchange, Outcome};
+use super::counted::Counted;
+use super::line::{Line, Trouble};
+use super::protocol::{Id, Instruction, SyncWriteBlock};
+use super::reading::{BoardReading, Reading, request, understand};
+use super::servo::{PrepareError, Service, Servo, prepare};
+use super::settings::Settings;
+use super::tables::joints::{COUNT, JOINTS};
+use super::tables::{cm730, mx28};
+use downbeat_executor::Time;
+use std::time::Duration;
+
+/// What servos need from power on until they answer.
+const POWER_ON: Duration = Duration::from_millis(300);
+/// How long a servo out of service is left alone. Asking a silent one costs 5 ms, more than a cycle has to spare.
+const RETRY_SERVO: Duration = Duration::from_secs(1);
+/// At most one servo out of service is asked in this time, however many there are.
+const RETRY_ANY: Duration = Duration::from_millis(250);
+/// How long a board that does not answer is left alone.
+const RETRY_BOARD: Duration = Duration::from_millis(500);
+/// How long a port that does not work is left alone: at first, and at most.
+const RETRY_PORT: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(2)];
+/// So many answers in a row may be missing before a servo is taken out of service.
+const MISSES_OF_A_SERVO: u32 = 2;
+/// So many may be corrupt: then its connection is bad, but the others do not suffer.
+const CORRUPT_OF_A_SERVO: u32 = 10;
+/// So many cycles may bring nothing from the board before the port is opened anew.
+const MISSES_OF_THE_BOARD: u32 = 10;
+
+/// How far it has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Phase {
+    /// The port is closed. Is opened then.
+    Closed { retry_at: Time },
+    /// The port is open, the servos have no power. The board is told to give it then.
+    Open { retry_at: Time },
+    /// The servos have power, and wake up until then.
+    PowerOn { until: Time },
+    /// The servos are taken into service; this one is next.
+    Preparing { next: usize },
+    /// All that answer are in service.
+    Running,
+}
+
+/// What went wrong so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Troubles {
+    /// Exchanges to which an answer was missing or corrupt.
+    pub(super) timeouts: Counted,
+    /// How often the port was lost.
+    pub(super) lost_ports: Counted,
+    /// How often it could not be opened.
+    pub(super) refused_ports: Counted,
+    /// How often the board did not answer.
+    pub(super) silent_board: Counted,
+}
+
+/// The state of the cycle.
+pub(super) struct Driver {
+    pub(super) phase: Phase,
+    pub(super) servos: [Servo; COUNT],
+    pub(super) board: Option<BoardReading>,
+    pub(super) troubles: Troubles,
+    /// How many exchanges there were.
+    pub(super) exchanges: u64,
+    board_misses: u32,
+    port_wait: Duration,
+    retry_any_at: Time,
+    /// Gains that the servos in service have.
+    gains: [u8; 3],
+}
+
+impl Driver {
+    pub(super) fn new() -> Self {
+        Self {
+            phase: Phase::Closed { retry_at: Time::ZERO },
+            servos: std::array::from_fn(|_| Servo::new()),
+            board: None,
+            troubles: Troubles::default(),
+            exchanges: 0,
+            board_misses: 0,
+            port_wait: RETRY_PORT[0],
+            retry_any_at: Time::ZERO,
+            gains: [0; 3],
+        }
+    }
+
+    /// Does one step. Gives back what was read, if the robot runs.
+    pub(super) fn step(
+        &mut self,
+        now: Time,
+        settings: &Settings,
+        bus: &mut dyn Bus,
+        exchanges: &mut Vec<Exchange>,
+    ) -> Option<Reading> {
+        bus.begin_step(now);
+        let before = exchanges.len();
+        let mut line = Line { bus, exchanges };
+        let done = match self.phase {
+            Phase::Closed { retry_at } if now >= retry_at => {
+                self.open(now, settings, &mut line).map(|()| None)
+            }
+            Phase::Open { retry_at } if now >= retry_at => self.power_on(now, &mut line).map(|()| None),
+            Phase::PowerOn { until } if now >= until => {
+                self.phase = Phase::Preparing { next: 0 };
+                Ok(None)
+            }
+            Phase::Preparing { next } => self.prepare_next(next, now, settings, &mut line).map(|()| None),
+            Phase::Running => self.cycle(now, settings, &mut line).map(Some),
+            Phase::Closed { .. } | Phase::Open { .. } | Phase::PowerOn { .. } => Ok(None),
+        };
+        let reading = done.unwrap_or_else(|PortFailed| {
+            self.lose_port(now, &mut line);
+            None
+        });
+        self.count(&exchanges[before..]);
+        reading
+    }
+
+    /// Lets go of the port. The servos hold where they are: without torque the robot would collapse.
+    ///
+    /// The light on the head turns green, as the framework of the manufacturer leaves it.
+    pub(super) fn stop(&mut self, now: Time, bus: &mut dyn Bus, exchanges: &mut Vec<Exchange>) {
+        if matches!(self.phase, Phase::Closed { .. }) {
+            return;
+        }
+        bus.begin_step(now);
+        let mut line = Line { bus, exchanges };
+        // Whether the light obeys changes nothing.
+        let _ = line.write(Id::CM730, cm730::LED_HEAD.address, &GREEN.to_le_bytes());
+        line.close();
+        self.phase = Phase::Closed { retry_at: Time::MAX };
+    }
+
+    fn open(&mut self, now: Time, settings: &Settings, line: &mut Line<'_>) -> Result<(), PortFailed> {
+        if line.open(&settings.port) {
+            return self.power_on(now, line);
+        }
+        if self.troubles.refused_ports.is_worth_a_line() {
+            let count = self.troubles.refused_ports.count();
+            let error = line.exchanges.last().map_or("", |exchange| &exchange.error);
+            tracing::warn!("{error} (failed {count} times so far, trying on)");
+        }
+        self.wait_for_port(now);
+        Ok(())
+    }
+
+    fn power_on(&mut self, now: Time, line: &mut Line<'_>) -> Result<(), PortFailed> {
+        match line.write(Id::CM730, cm730::DXL_POWER.address, &[1]) {
+            Ok(()) => self.phase = Phase::PowerOn { until: now + POWER_ON },
+            Err(Trouble::PortFailed) => return Err(PortFailed),
+            Err(Trouble::Silent | Trouble::Refused(_)) => {
+                if self.troubles.silent_board.is_worth_a_line() {
+                    let count = self.troubles.silent_board.count();
+                    tracing::warn!(
+                        "the CM-730 did not switch the servos on ({count} times so far); is it on?"
+                    );
+                }
+                self.phase = Phase::Open { retry_at: now + RETRY_BOARD };
+            }
+        }
+        Ok(())
+    }
+
+    fn prepare_next(
+        &mut self,
+        next: usize,
+        now: Time,
+        settings: &Settings,
+        line: &mut Line<'_>,
+    ) -> Result<(), PortFailed> {
+        self.gains = settings.gains;
+        self.prepare(next, now, line)?;
+        self.phase = if next + 1 < COUNT { Phase::Preparing { next: next + 1 } } else { Phase::Running };
+        Ok(())
+    }
+
+    fn prepare(&mut self, index: usize, now: Time, line: &mut Line<'_>) -> Result<(), PortFailed> {
+        let (servo, joint) = (&mut self.servos[index], &JOINTS[index]);
+        let was_out = servo.retry_at().is_some();
+        match prepare(line, joint.id, self.gains) {
+            Ok(position) => {
+                if was_out {
+                    let missed = servo.missed;
+                    tracing::info!(
+                        "servo {} ({}) is back; it missed {missed} answers so far",
+                        joint.id,
+                        joint.name
+                    );
+                }
+                servo.join(position);
+            }
+            Err(PrepareError::Trouble(Trouble::PortFailed)) => return Err(PortFailed),
+            Err(PrepareError::Trouble(_)) => silence(servo, index, now),
+            Err(PrepareError::Unsuitable(reason)) => {
+                if !was_out {
+                    tracing::warn!("servo {} ({}) cannot be used: {reason}", joint.id, joint.name);
+                }
+                servo.service = Service::Unsuitable { reason, retry_at: now + RETRY_SERVO };
+            }
+        }
+        Ok(())
+    }
+
+    fn cycle(&mut self, now: Time, settings: &Settings, line: &mut Line<'_>) -> Result<Reading, PortFailed> {
+        if self.gains != settings.gains {
+            self.gains = settings.gains;
+            let gains = self.gains;
+            self.write_all(line, mx28::D_GAIN.address, |_| gains)?;
+        }
+        self.write_all(line, mx28::GOAL_POSITION.address, |servo| servo.next_goal().to_le_bytes())?;
+        let reading = self.read_all(now, line)?;
+        self.take(&reading, now);
+        self.retry_one(now, line)?;
+        Ok(reading)
+    }
+
+    /// Writes to all servos in service at once. Nobody says whether it came, so goals are written in every cycle.
+    ///
+    /// Goals alone take 68 bytes for 20 servos. That fits the 143 bytes a servo can buffer, and leaves the cycle
+    /// 0.8 ms more than writing the gains along with them would.
+    fn write_all<const N: usize>(
+        &mut self,
+        line: &mut Line<'_>,
+        address: u8,
+        mut data: impl FnMut(&mut Servo) -> [u8; N],
+    ) -> Result<(), PortFailed> {
+        let mut bytes = Vec::new();
+        for (servo, joint) in self.servos.iter_mut().zip(&JOINTS).filter(|(servo, _)| servo.is_active()) {
+            bytes.push(joint.id.raw());
+            bytes.extend_from_slice(&data(servo));
+        }
+        let Some(block) = SyncWriteBlock::new(N as u8, &bytes).filter(|_| !bytes.is_empty()) else {
+            return Ok(());
+        };
+        match line.exchange(&Instruction::SyncWrite { address, block }.to_bytes(), &[]).outcome {
+            Outcome::Failed => Err(PortFailed),
+            Outcome::Ok | Outcome::Timeout => Ok(()),
+        }
+    }
+
+    fn read_all(&mut self, now: Time, line: &mut Line<'_>) -> Result<Reading, PortFailed> {
+        let joints: Vec<usize> = (0..COUNT).filter(|joint| self.servos[*joint].is_active()).collect();
+        let (instruction, expected) = request(&joints);
+        let exchange = line.exchange(&instruction, &expected);
+        if exchange.outcome == Outcome::Failed {
+            return Err(PortFailed);
+        }
+        let reading = understand(exchange, &joints);
+        self.blame(&reading, &joints, now);
+        if self.board_misses > MISSES_OF_THE_BOARD {
+            if self.troubles.silent_board.is_worth_a_line() {
+                let count = self.troubles.silent_board.count();
+                tracing::warn!("the CM-730 has gone silent ({count} times so far), opening the port anew");
+            }
+            return Err(PortFailed);
+        }
+        Ok(reading)
+    }
+
+    /// Finds out whose fault it is that answers are missing. Behind a silent device nobody answers a bulk read, so
+    /// only the first that is missing is to blame; if others answered after it, its answer was corrupt.
+    fn blame(&mut self, reading: &Reading, joints: &[usize], now: Time) {
+        let is_silent = reading.first_missing.is_some() && !reading.chain_went_on;
+        self.board_misses = if reading.board.is_none() && is_silent { self.board_misses + 1 } else { 0 };
+        for (position, &joint) in joints.iter().enumerate() {
+            let servo = &mut self.servos[joint];
+            if reading.servos[joint].is_some() {
+                servo.misses = 0;
+                continue;
+            }
+            servo.missed += 1;
+            // The board comes first.
+            let is_first = reading.first_missing == Some(position + 1);
+            if is_first || reading.chain_went_on {
+                servo.misses += 1;
+                let limit = if is_silent { MISSES_OF_A_SERVO } else { CORRUPT_OF_A_SERVO };
+                if servo.misses >= limit {
+                    silence(servo, joint, now);
+                }
+            }
+        }
+    }
+
+    fn take(&mut self, reading: &Reading, now: Time) {
+        for (servo, read) in self.servos.iter_mut().zip(&reading.servos) {
+            servo.last = read.or(servo.last);
+        }
+        let Some(board) = reading.board else { return };
+        self.port_wait = RETRY_PORT[0];
+        self.board = Some(board);
+        if !board.gives_power {
+            tracing::warn!("the CM-730 has switched the servos off, switching them on again");
+            self.forget_servos();
+            self.phase = Phase::Open { retry_at: now };
+        }
+    }
+
+    /// Asks one of the servos out of service whether it is back.
+    fn retry_one(&mut self, now: Time, line: &mut Line<'_>) -> Result<(), PortFailed> {
+        if now < self.retry_any_at || self.phase != Phase::Running {
+            return Ok(());
+        }
+        let waiting =
+            self.servos.iter().enumerate().filter_map(|(index, servo)| Some((servo.retry_at()?, index)));
+        match waiting.min() {
+            Some((retry_at, index)) if retry_at <= now => {
+                self.retry_any_at = now + RETRY_ANY;
+                self.prepare(index, now, line)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn lose_port(&mut self, now: Time, line: &mut Line<'_>) {
+        if self.troubles.lost_ports.is_worth_a_line() {
+            let count = self.troubles.lost_ports.count();
+            let error = line.exchanges.last().map_or("", |exchange| &exchange.error);
+            tracing::warn!("lost the serial port ({count} times so far), opening it again: {error}");
+        }
+        line.close();
+        self.forget_servos();
+        self.board_misses = 0;
+        self.wait_for_port(now);
+    }
+
+    fn wait_for_port(&mut self, now: Time) {
+        self.phase = Phase::Closed { retry_at: now + self.port_wait };
+        self.port_wait = (self.port_wait * 2).min(RETRY_PORT[1]);
+    }
+
+    fn forget_servos(&mut self) {
+        for servo in &mut self.servos {
+            servo.service = Service::Unknown;
+        }
+    }
+
+    fn count(&mut self, exchanges: &[Exchange]) {
+        self.exchanges += exchanges.len() as u64;
+        for exchange in exchanges.iter().filter(|exchange| exchange.outcome == Outcome::Timeout) {
+            if self.troubles.timeouts.is_worth_a_line() {
+                let count = self.troubles.timeouts.count();
+                tracing::warn!("the bus: {} ({count} times so far)", exchange.error);
+            }
+        }
+    }
+}
+
+/// LED colour.
+const GREEN: u16 = 0x1F << 5;
+
+/// The port does not work; the bus has said why.
+struct PortFailed;
+
+fn silence(servo: &mut Servo, index: usize, now: Time) {
+    if servo.retry_at().is_none() && servo.outages.is_worth_a_line() {
+        let (joint, count) = (&JOINTS[index], servo.outages.count());
+        tracing::warn!(
+            "servo {} ({}) does not answer ({count} times so far), others go on",
+            joint.id,
+            joint.name
+        );
+    }
+    servo.service = Service::Silent { retry_at: now + RETRY_SERVO };
+}

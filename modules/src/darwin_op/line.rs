@@ -1,0 +1,82 @@
+//! Instructions to single devices, one after the other.
+
+use super::bus::{Bus, Exchange, ExpectedStatus, Outcome};
+use super::protocol::{Id, Instruction, StatusError};
+use super::reading::statuses;
+
+/// The bus during one step, and what was exchanged in it.
+pub(super) struct Line<'a> {
+    pub(super) bus: &'a mut dyn Bus,
+    pub(super) exchanges: &'a mut Vec<Exchange>,
+}
+
+/// Why a device did not do as told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Trouble {
+    /// The port does not work.
+    PortFailed,
+    /// No answer, or a corrupt one.
+    Silent,
+    /// It answers that it cannot.
+    Refused(StatusError),
+}
+
+/// Error bits that say that an instruction was not obeyed. The others are about the device's state.
+const REFUSALS: [StatusError; 4] =
+    [StatusError::ANGLE_LIMIT, StatusError::RANGE, StatusError::CHECKSUM, StatusError::INSTRUCTION];
+
+impl Line<'_> {
+    /// Opens the port. True if it works.
+    pub(super) fn open(&mut self, port: &str) -> bool {
+        let exchange = self.bus.open(port);
+        let is_open = exchange.outcome == Outcome::Ok;
+        self.exchanges.push(exchange);
+        is_open
+    }
+
+    /// Closes the port.
+    pub(super) fn close(&mut self) {
+        let exchange = self.bus.close();
+        self.exchanges.push(exchange);
+    }
+
+    /// Sends an instruction and notes what came of it.
+    pub(super) fn exchange(&mut self, instruction: &[u8], expected: &[ExpectedStatus]) -> &Exchange {
+        let exchange = self.bus.exchange(instruction, expected);
+        self.exchanges.push(exchange);
+        &self.exchanges[self.exchanges.len() - 1]
+    }
+
+    /// Reads a piece of a device's control table.
+    pub(super) fn read(&mut self, id: Id, address: u8, length: u8) -> Result<Vec<u8>, Trouble> {
+        self.ask(Instruction::Read { id, address, length }, length)
+    }
+
+    /// Writes to a device's control table, and waits until it says that it has.
+    pub(super) fn write(&mut self, id: Id, address: u8, data: &[u8]) -> Result<(), Trouble> {
+        self.ask(Instruction::Write { id, address, data }, 0).map(|_| ())
+    }
+
+    /// Writes to the control table of a device that does not answer writes.
+    pub(super) fn write_unanswered(&mut self, id: Id, address: u8, data: &[u8]) -> Result<(), Trouble> {
+        let instruction = Instruction::Write { id, address, data }.to_bytes();
+        match self.exchange(&instruction, &[]).outcome {
+            Outcome::Failed => Err(Trouble::PortFailed),
+            Outcome::Ok | Outcome::Timeout => Ok(()),
+        }
+    }
+
+    fn ask(&mut self, instruction: Instruction<'_>, parameters: u8) -> Result<Vec<u8>, Trouble> {
+        let id = instruction.id();
+        let exchange = self.exchange(&instruction.to_bytes(), &[ExpectedStatus { id, parameters }]);
+        if exchange.outcome == Outcome::Failed {
+            return Err(Trouble::PortFailed);
+        }
+        let answer = statuses(&exchange.reply).into_iter().find(|(from, ..)| *from == id);
+        let Some((_, error, answered)) = answer else { return Err(Trouble::Silent) };
+        if REFUSALS.iter().any(|refusal| error.contains(*refusal)) {
+            return Err(Trouble::Refused(error));
+        }
+        if answered.len() == usize::from(parameters) { Ok(answered) } else { Err(Trouble::Silent) }
+    }
+}

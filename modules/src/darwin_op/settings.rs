@@ -1,0 +1,140 @@
+//! What can be set on the hardware module.
+
+use super::tables::joints::{COUNT, JOINTS};
+use super::tables::units::ImuScale;
+use downbeat_executor::{Context, Setting, Setup, SetupError};
+
+/// The keys to the settings.
+#[derive(Clone, Copy)]
+pub(super) struct SettingKeys {
+    port: Setting<String>,
+    gyro_full_scale_dps: Setting<f64>,
+    p_gain: Setting<i64>,
+    i_gain: Setting<i64>,
+    d_gain: Setting<i64>,
+    offset_ticks: Setting<Vec<i64>>,
+    hardware_id: Setting<String>,
+    imu_frame: Setting<String>,
+    joint_frame: Setting<String>,
+}
+
+/// The values of the settings.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Settings {
+    pub(super) port: String,
+    pub(super) imu: ImuScale,
+    /// D, I, P: the order of the control table.
+    pub(super) gains: [u8; 3],
+    pub(super) offset_ticks: [i16; COUNT],
+    pub(super) hardware_id: String,
+    pub(super) imu_frame: String,
+    pub(super) joint_frame: String,
+}
+
+/// Half a turn: more is not how a robot was built but a mistake.
+const MAX_OFFSET_TICKS: i64 = 2048;
+
+impl SettingKeys {
+    pub(super) fn declare<M>(setup: &mut Setup<'_, M>) -> Result<Self, SetupError> {
+        let gain = 0.0..=254.0;
+        let keys = Self {
+            port: setup.setting("port", "/dev/ttyUSB0".to_owned(), "serial port of the CM-730")?,
+            gyro_full_scale_dps: setup.setting_in(
+                "gyro_full_scale_dps",
+                1600.0,
+                1.0..=10_000.0,
+                "degrees/s that 512 steps of the gyroscope stand for: 1600 for the CM-730, 500.5 for the CM-740",
+            )?,
+            p_gain: setup.setting_in("p_gain", 32, gain.clone(), "P gain of all servos, Kp = 1/8 of it")?,
+            i_gain: setup.setting_in("i_gain", 0, gain.clone(), "I gain of all servos, Ki = 1000/2048 of it")?,
+            d_gain: setup.setting_in("d_gain", 0, gain, "D gain of all servos, Kd = 4/1000 of it")?,
+            offset_ticks: setup.setting(
+                "offset_ticks",
+                Vec::new(),
+                "per joint in the order of the ids, added to goals and taken off positions, to make up for how the \
+                 unit was built; 1 tick is 0.088 degrees; empty for none",
+            )?,
+            hardware_id: setup.setting(
+                "hardware_id",
+                "darwin_op".to_owned(),
+                "which robot diagnostics speak of; say so if it is emulated",
+            )?,
+            imu_frame: setup.setting("imu_frame", "imu_link".to_owned(), "frame of imu/data_raw")?,
+            joint_frame: setup.setting("joint_frame", String::new(), "frame of joint_states, empty by custom")?,
+        };
+        let offsets = setup.value(keys.offset_ticks).map_or(&[][..], Vec::as_slice);
+        offsets_of(offsets).map_err(|reason| setup.refuse(reason))?;
+        Ok(keys)
+    }
+
+    /// Calls `changed` whenever one of the settings has another value.
+    pub(super) fn on_change<M: 'static>(
+        self,
+        setup: &mut Setup<'_, M>,
+        changed: fn(&mut M, &mut Context<'_>),
+    ) {
+        for text in [self.port, self.hardware_id, self.imu_frame, self.joint_frame] {
+            setup.on_change(text, changed);
+        }
+        for gain in [self.p_gain, self.i_gain, self.d_gain] {
+            setup.on_change(gain, changed);
+        }
+        setup.on_change(self.gyro_full_scale_dps, changed);
+        setup.on_change(self.offset_ticks, changed);
+    }
+
+    /// The values now.
+    ///
+    /// # Errors
+    /// If the offsets are not what they have to be.
+    pub(super) fn values(&self, ctx: &Context<'_>) -> Result<Settings, String> {
+        // Inside 0 to 254 by their range.
+        let gain = |key| u8::try_from(*ctx.get(key)).unwrap_or(u8::MAX);
+        Ok(Settings {
+            port: ctx.get(self.port).clone(),
+            imu: ImuScale::new(*ctx.get(self.gyro_full_scale_dps)),
+            gains: [gain(self.d_gain), gain(self.i_gain), gain(self.p_gain)],
+            offset_ticks: offsets_of(ctx.get::<Vec<i64>>(self.offset_ticks))?,
+            hardware_id: ctx.get(self.hardware_id).clone(),
+            imu_frame: ctx.get(self.imu_frame).clone(),
+            joint_frame: ctx.get(self.joint_frame).clone(),
+        })
+    }
+}
+
+fn offsets_of(given: &[i64]) -> Result<[i16; COUNT], String> {
+    if given.is_empty() {
+        return Ok([0; COUNT]);
+    }
+    let Ok(given) = <&[i64; COUNT]>::try_from(given) else {
+        return Err(format!(
+            "setting \"offset_ticks\" has {} numbers, it needs {COUNT} or none",
+            given.len()
+        ));
+    };
+    for (offset, joint) in given.iter().zip(&JOINTS) {
+        if offset.abs() > MAX_OFFSET_TICKS {
+            let name = joint.name;
+            return Err(format!(
+                "setting \"offset_ticks\" has {offset} for {name}, it must be within {MAX_OFFSET_TICKS}"
+            ));
+        }
+    }
+    Ok(given.map(|offset| i16::try_from(offset).unwrap_or(0)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn offsets_are_none_or_one_per_joint_and_not_too_large() {
+        assert_eq!(offsets_of(&[]), Ok([0; COUNT]));
+        let mut given = [0; COUNT];
+        given[3] = -12;
+        assert_eq!(offsets_of(&given).map(|offsets| offsets[3]), Ok(-12));
+        assert!(offsets_of(&[1, 2]).is_err_and(|error| error.contains("has 2 numbers")));
+        given[3] = 5000;
+        assert!(offsets_of(&given).is_err_and(|error| error.contains("5000 for l_sho_roll")));
+    }
+}

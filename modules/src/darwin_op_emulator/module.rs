@@ -1,0 +1,89 @@
+//! The emulator as a module of the robot it emulates the hardware of.
+
+use super::emulator::{Emulator, EmulatorOptions};
+use super::fault::Fault;
+use super::wire::Timing;
+use downbeat_executor::{Context, Module, Setup, SetupError};
+use std::path::PathBuf;
+
+/// Runs an [`Emulator`] as long as the robot runs, so that the hardware module finds a port.
+///
+/// Settings: `link`, the path of the port; `seed`; `faults`, each as [`Fault`] is written. It has no topics: all goes
+/// through the port. Leave it out of a replay.
+#[derive(Default)]
+pub struct DarwinOpEmulator {
+    options: EmulatorOptions,
+    emulator: Option<Emulator>,
+}
+
+impl Module for DarwinOpEmulator {
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        let link = setup.setting(
+            "link",
+            "/tmp/downbeat_darwin_op_emulated".to_owned(),
+            "path of the port; the hardware module's setting \"port\" is the same",
+        )?;
+        let seed = setup.setting("seed", 1_i64, "same seed, same starting pose, noise and faults")?;
+        let faults = setup.setting(
+            "faults",
+            Vec::<String>::new(),
+            "what goes wrong, such as dead-servo:5@3s..6s, drop:0.01, flip:0.001, close-port@8s..9s",
+        )?;
+        let texts = setup.value(faults).map_or(&[][..], Vec::as_slice);
+        let parsed: Result<Vec<Fault>, _> = texts.iter().map(|text| text.parse::<Fault>()).collect();
+        self.options = EmulatorOptions {
+            link: setup.value(link).map(PathBuf::from),
+            // Negative seeds are seeds too.
+            seed: setup.value(seed).map_or(0, |seed| seed.cast_unsigned()),
+            timing: Timing::Measured,
+            faults: parsed.map_err(|error| setup.refuse(format!("setting \"faults\": {error}")))?,
+        };
+        Ok(())
+    }
+
+    fn start(&mut self, _ctx: &mut Context<'_>) {
+        match Emulator::start(self.options.clone()) {
+            Ok(emulator) => self.emulator = Some(emulator),
+            Err(error) => tracing::error!("no emulated robot: {error}"),
+        }
+    }
+
+    fn stop(&mut self, _ctx: &mut Context<'_>) {
+        self.emulator = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::testing::core_at_zero;
+    use downbeat_executor::{ModuleOptions, SettingValue};
+
+    fn with(settings: &[(&str, SettingValue)]) -> ModuleOptions {
+        let settings = settings.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect();
+        ModuleOptions { settings, ..ModuleOptions::default() }
+    }
+
+    #[test]
+    fn the_port_is_there_while_the_robot_runs() {
+        let folder = tempfile::tempdir().unwrap();
+        let link = folder.path().join("port");
+        let (mut core, _clock) = core_at_zero();
+        let options = with(&[("link", link.to_str().unwrap().to_owned().into())]);
+        core.add_with("emulator", DarwinOpEmulator::default(), options).unwrap();
+        assert!(!link.exists());
+        core.cycle().unwrap();
+        assert!(link.exists());
+        core.stop();
+        assert!(!link.exists());
+    }
+
+    #[test]
+    fn a_fault_that_is_none_is_refused_at_once() {
+        let (mut core, _clock) = core_at_zero();
+        let options = with(&[("faults", vec!["drop:2".to_owned()].into())]);
+        let error = core.add_with("emulator", DarwinOpEmulator::default(), options).err().unwrap();
+        assert!(error.to_string().contains("\"2\" is no rate"), "{error}");
+    }
+}
