@@ -1,4 +1,14 @@
-//! The ROS 2 bridge of downbeat.
+//! The ROS 2 bridge of downbeat: a node of ROS 2 Jazzy that shows chosen topics of an executor over DDS, and takes
+//! chosen topics in.
+//!
+//! From the outside in:
+//! - [`expose`] joins the two worlds: topics of a core become topics of a node;
+//! - [`ros`] is ROS 2 on top of raw topics: names, nodes, and the graph that tools show;
+//! - [`middleware`] is raw topics: a narrow trait, and the engines behind it (DDS by rustdds, and one in memory);
+//! - [`edge`] turns messages of the executor into bytes and back, by the name of their type. It knows no ROS node and
+//!   no DDS: a recorder stands on it too.
 
+pub mod edge;
+pub mod expose;
 pub mod middleware;
 pub mod ros;

@@ -1,0 +1,85 @@
+//! Messages on their way into the executor.
+
+use super::KnownType;
+use super::known_type::PublishEncoded;
+use downbeat_executor::{Core, InletError, SetupError};
+use downbeat_msgs::{Message, cdr};
+use std::fmt;
+use std::sync::Arc;
+use thiserror::Error;
+
+/// Publishes serialized messages on a topic of a core, from any thread. Clones publish on the same topic.
+#[derive(Clone)]
+pub struct EncodedInlet {
+    topic: Arc<str>,
+    message_type: KnownType,
+    publish: Arc<PublishEncoded>,
+}
+
+/// A serialized message did not enter.
+#[derive(Debug, Error)]
+pub enum EncodedInletError {
+    /// The bytes are no message of the type.
+    #[error("topic \"{topic}\": the bytes are no {type_name}: {error}")]
+    Decode {
+        /// The topic.
+        topic: Arc<str>,
+        /// The type it carries.
+        type_name: &'static str,
+        /// What is wrong with the bytes.
+        error: cdr::Error,
+    },
+    /// The core did not take the message.
+    #[error("topic \"{topic}\": {error}")]
+    Inlet {
+        /// The topic.
+        topic: Arc<str>,
+        /// Why not.
+        error: InletError,
+    },
+}
+
+impl EncodedInlet {
+    pub(super) fn new(topic: &str, message_type: KnownType, publish: Box<PublishEncoded>) -> Self {
+        Self { topic: topic.into(), message_type, publish: publish.into() }
+    }
+
+    /// The topic.
+    #[must_use]
+    pub fn topic(&self) -> &str {
+        &self.topic
+    }
+
+    /// The type of its messages.
+    #[must_use]
+    pub fn message_type(&self) -> KnownType {
+        self.message_type
+    }
+
+    /// Decodes a message, encapsulation header (of either byte order) and body, and hands it to the core. Never waits.
+    ///
+    /// # Errors
+    /// [`EncodedInletError`] when the bytes are no such message, or the core does not take it.
+    pub fn publish(&self, cdr: &[u8]) -> Result<(), EncodedInletError> {
+        (self.publish)(cdr)
+    }
+}
+
+impl fmt::Debug for EncodedInlet {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("EncodedInlet").field("topic", &self.topic).field("type", &self.message_type).finish()
+    }
+}
+
+pub(super) fn open<T: Message>(core: &mut Core, topic: &str) -> Result<Box<PublishEncoded>, SetupError> {
+    let inlet = core.inlet::<T>(topic)?;
+    let topic: Arc<str> = topic.into();
+    Ok(Box::new(move |bytes| {
+        let message = cdr::from_slice::<T>(bytes).map_err(|error| EncodedInletError::Decode {
+            topic: Arc::clone(&topic),
+            type_name: T::TYPE_NAME,
+            error,
+        })?;
+        inlet.publish(message).map_err(|error| EncodedInletError::Inlet { topic: Arc::clone(&topic), error })
+    }))
+}

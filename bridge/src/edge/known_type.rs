@@ -1,0 +1,204 @@
+//! The registry of message types.
+
+use super::{EncodedInlet, EncodedInletError, Sink, inlet, subscription};
+use downbeat_executor::{Core, Setup, SetupError};
+use downbeat_msgs::Message;
+use std::any::TypeId;
+use std::fmt;
+use thiserror::Error;
+
+/// A message type of ROS 2 that this program was compiled with.
+#[derive(Clone, Copy)]
+pub struct KnownType {
+    entry: &'static Entry,
+}
+
+/// A type name that no message has.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("unknown message type {name:?}, did you mean {nearest:?}?")]
+pub struct UnknownType {
+    /// The name that was looked for.
+    pub name: String,
+    /// The name most like it.
+    pub nearest: &'static str,
+}
+
+impl KnownType {
+    /// The type of that name, such as `sensor_msgs/msg/Imu`.
+    ///
+    /// # Errors
+    /// [`UnknownType`] with the nearest name where there is none.
+    pub fn named(name: &str) -> Result<Self, UnknownType> {
+        Self::all()
+            .find(|known| known.name() == name)
+            .ok_or_else(|| UnknownType { name: name.to_owned(), nearest: nearest(name) })
+    }
+
+    /// The type whose Rust type is `type_id`, as
+    /// [`TopicInfo::message_type_id`](downbeat_executor::TopicInfo::message_type_id) gives it.
+    #[must_use]
+    pub fn of_rust_type(type_id: TypeId) -> Option<Self> {
+        Self::all().find(|known| known.rust_type() == type_id)
+    }
+
+    /// Every type, by name.
+    pub fn all() -> impl Iterator<Item = Self> {
+        ENTRIES.iter().map(|entry| Self { entry })
+    }
+
+    /// As in `sensor_msgs/msg/Imu`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        self.entry.name
+    }
+
+    /// `RIHS01_` and 64 hexadecimal digits.
+    #[must_use]
+    pub fn hash(self) -> &'static str {
+        self.entry.hash
+    }
+
+    /// The `ros2msg` text with all dependencies, as rosbag2 stores it.
+    #[must_use]
+    pub fn definition(self) -> &'static str {
+        self.entry.definition
+    }
+
+    /// The Rust type.
+    #[must_use]
+    pub fn rust_type(self) -> TypeId {
+        (self.entry.rust_type)()
+    }
+
+    /// In a module's setup: gives each message of `topic` to `sink`, serialized, with the time of the cycle that
+    /// published it.
+    ///
+    /// # Errors
+    /// [`SetupError`] when the name is not valid or the topic carries another type.
+    pub fn subscribe<M: 'static>(
+        self,
+        setup: &mut Setup<'_, M>,
+        topic: &str,
+        sink: impl Sink,
+    ) -> Result<(), SetupError> {
+        let rust_type = self.rust_type();
+        macro_rules! subscribe_as_the_one {
+            ($($message:ty),* $(,)?) => {
+                $(if rust_type == TypeId::of::<$message>() {
+                    return subscription::subscribe::<$message, M>(setup, topic, Box::new(sink));
+                })*
+            };
+        }
+        downbeat_msgs::for_each_message!(subscribe_as_the_one);
+        // Not reached: a KnownType is made from the same list.
+        Err(setup.refuse(format!("type {} of topic {topic:?} is in no list", self.name())))
+    }
+
+    /// An entry for serialized messages into a core, from any thread.
+    ///
+    /// # Errors
+    /// [`SetupError`] when the name is not valid or the topic carries another type.
+    pub fn inlet(self, core: &mut Core, topic: &str) -> Result<EncodedInlet, SetupError> {
+        Ok(EncodedInlet::new(topic, self, (self.entry.open_inlet)(core, topic)?))
+    }
+
+    /// Serializes the default value of the type: a message that every reader accepts, for tests and probes.
+    #[must_use]
+    pub fn default_cdr(self) -> Vec<u8> {
+        (self.entry.default_cdr)()
+    }
+}
+
+impl fmt::Debug for KnownType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("KnownType").field(&self.name()).finish()
+    }
+}
+
+impl fmt::Display for KnownType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl PartialEq for KnownType {
+    fn eq(&self, other: &Self) -> bool {
+        self.name() == other.name()
+    }
+}
+
+impl Eq for KnownType {}
+
+/// Decodes one message and publishes it.
+pub(super) type PublishEncoded = dyn Fn(&[u8]) -> Result<(), EncodedInletError> + Send + Sync;
+
+struct Entry {
+    name: &'static str,
+    hash: &'static str,
+    definition: &'static str,
+    rust_type: fn() -> TypeId,
+    open_inlet: fn(&mut Core, &str) -> Result<Box<PublishEncoded>, SetupError>,
+    default_cdr: fn() -> Vec<u8>,
+}
+
+const fn entry<T: Message>() -> Entry {
+    Entry {
+        name: T::TYPE_NAME,
+        hash: T::TYPE_HASH,
+        definition: T::DEFINITION,
+        rust_type: TypeId::of::<T>,
+        open_inlet: inlet::open::<T>,
+        default_cdr: || downbeat_msgs::cdr::to_vec(&T::default()),
+    }
+}
+
+macro_rules! entries {
+    ($($message:ty),* $(,)?) => {
+        static ENTRIES: &[Entry] = &[$(entry::<$message>()),*];
+    };
+}
+downbeat_msgs::for_each_message!(entries);
+
+/// The known name that is most like `name`; the part behind the last slash says most about what was meant.
+fn nearest(name: &str) -> &'static str {
+    let (_, short) = name.rsplit_once('/').unwrap_or(("", name));
+    let likeness = |known: &str| {
+        let (_, known_short) = known.rsplit_once('/').unwrap_or(("", known));
+        strsim::normalized_damerau_levenshtein(name, known)
+            + strsim::normalized_damerau_levenshtein(short, known_short)
+    };
+    let names = ENTRIES.iter().map(|entry| entry.name);
+    names.max_by(|a, b| likeness(a).total_cmp(&likeness(b))).unwrap_or("std_msgs/msg/String")
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
+
+    #[test]
+    fn a_type_is_found_by_its_ros_name_and_by_its_rust_type() {
+        let imu = KnownType::named("sensor_msgs/msg/Imu").unwrap();
+        assert_eq!(imu.rust_type(), TypeId::of::<Imu>());
+        assert_eq!((imu.hash(), imu.definition()), (Imu::TYPE_HASH, Imu::DEFINITION));
+        let joint_state = KnownType::of_rust_type(TypeId::of::<JointState>()).unwrap();
+        assert_eq!(joint_state.name(), "sensor_msgs/msg/JointState");
+        assert_eq!(KnownType::of_rust_type(TypeId::of::<String>()), None);
+    }
+
+    #[test]
+    fn a_name_that_is_not_known_is_answered_with_the_nearest() {
+        for (wrong, meant) in [
+            ("sensor_msgs/Imu", "sensor_msgs/msg/Imu"),
+            ("sensor_msgs/msg/JointStates", "sensor_msgs/msg/JointState"),
+            ("std_msgs/msg/Strnig", "std_msgs/msg/String"),
+            ("JointState", "sensor_msgs/msg/JointState"),
+            ("geometry_msgs/msg/twist", "geometry_msgs/msg/Twist"),
+        ] {
+            let error = KnownType::named(wrong).unwrap_err();
+            assert_eq!(error.nearest, meant);
+            assert_eq!(error.to_string(), format!("unknown message type {wrong:?}, did you mean {meant:?}?"));
+        }
+    }
+}

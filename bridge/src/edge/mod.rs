@@ -1,0 +1,17 @@
+//! The edge of the executor: where messages become bytes, and bytes messages.
+//!
+//! Inside the executor messages are Rust values of types known when it was compiled. At its edge, a bridge, recorder or
+//! player knows topics and types by names read from a file. A [`KnownType`] joins the two: it is found by the name of
+//! the ROS 2 type or by the Rust type of a topic, and opens
+//! - a subscription that hands out serialized messages ([`KnownType::subscribe`]),
+//! - an inlet that takes serialized messages ([`KnownType::inlet`]).
+//!
+//! Nothing here knows DDS.
+
+mod inlet;
+mod known_type;
+mod subscription;
+
+pub use inlet::{EncodedInlet, EncodedInletError};
+pub use known_type::{KnownType, UnknownType};
+pub use subscription::Sink;

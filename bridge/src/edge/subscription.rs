@@ -1,0 +1,36 @@
+//! Messages on their way out of the executor.
+
+use bytes::Bytes;
+use downbeat_executor::{Context, Received, Setup, SetupError, Time};
+use downbeat_msgs::{Message, cdr};
+
+/// Takes the serialized messages of a topic.
+pub trait Sink: Send + 'static {
+    /// Whether the next message is wanted: asked before each is serialized, so that what nobody wants costs nothing.
+    fn is_wanted(&mut self) -> bool {
+        true
+    }
+
+    /// Takes a message: the time of the cycle that published it; encapsulation header (little-endian) and body.
+    fn take(&mut self, time: Time, cdr: Bytes);
+}
+
+/// A closure wants everything.
+impl<F: FnMut(Time, Bytes) + Send + 'static> Sink for F {
+    fn take(&mut self, time: Time, cdr: Bytes) {
+        self(time, cdr);
+    }
+}
+
+// The sink is boxed: the code below exists once per message type and module, not once more per sink.
+pub(super) fn subscribe<T: Message, M: 'static>(
+    setup: &mut Setup<'_, M>,
+    topic: &str,
+    mut sink: Box<dyn Sink>,
+) -> Result<(), SetupError> {
+    setup.subscribe(topic, move |_: &mut M, message: Received<'_, T>, _: &mut Context<'_>| {
+        if sink.is_wanted() {
+            sink.take(message.time(), cdr::to_vec(&*message).into());
+        }
+    })
+}
