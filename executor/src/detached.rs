@@ -18,6 +18,7 @@ pub(crate) struct StepOutcome {
     pub(crate) module: usize,
     pub(crate) time: Time,
     pub(crate) step: u64,
+    pub(crate) is_stop: bool,
     pub(crate) inputs: Vec<Input>,
     pub(crate) outboxes: Vec<Box<dyn AnyOutbox>>,
 }
@@ -146,6 +147,7 @@ struct Runner {
 
 impl Runner {
     fn run(mut self) {
+        self.step(VecDeque::new(), Vec::new(), self.clock.now(), Time::MAX);
         loop {
             let contents = std::mem::take(&mut *self.mailbox.lock());
             for (setting, value) in contents.settings {
@@ -161,7 +163,7 @@ impl Runner {
             if contents.stop {
                 let now = self.clock.now();
                 self.cell.stop(now);
-                self.send(now, Vec::new());
+                self.send(now, Vec::new(), true);
                 return;
             }
             self.wait();
@@ -177,15 +179,15 @@ impl Runner {
             let (module, step) = (&**self.cell.name(), self.step);
             probe.step(&StepReport { module, step, time: now, lateness, duration: started.elapsed() });
         }
-        self.send(now, inputs);
+        self.send(now, inputs, false);
     }
 
-    fn send(&mut self, time: Time, inputs: Vec<Input>) {
+    fn send(&mut self, time: Time, inputs: Vec<Input>, is_stop: bool) {
         let mut outboxes = Vec::new();
         self.cell.drain_outboxes(|outbox| outboxes.push(outbox.split_off()));
         let (module, step) = (self.module, self.step);
         self.step += 1;
-        self.queue.push(Request::Step(StepOutcome { module, time, step, inputs, outboxes }));
+        self.queue.push(Request::Step(StepOutcome { module, time, step, is_stop, inputs, outboxes }));
     }
 
     fn wait(&self) {

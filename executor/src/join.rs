@@ -148,6 +148,8 @@ pub struct DetachedStep {
     pub step: u64,
     /// The cycle in which its messages joined.
     pub cycle: u64,
+    /// True for the module's last callback. The first run is its first callback; neither receives messages.
+    pub is_stop: bool,
     /// What it was given, by topic; topics without messages are left out.
     pub inputs: Vec<StepInput>,
 }
