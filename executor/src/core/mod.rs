@@ -15,8 +15,8 @@ use crate::join::{CoreHandle, DetachedStep, Inlet, JoinQueue};
 use crate::probe::{CycleReport, Probe};
 use crate::topic::{ModuleSlot, Subscriber};
 use crate::{
-    Clock, Inbox, Launcher, Linear, Module, ModuleOptions, Role, SettingInfo, SettingValue, Setup,
-    SetupError, Stage, Synchrony, SystemClock, Time, TopicInfo,
+    Clock, Inbox, Launcher, Linear, Module, ModuleOptions, Role, SettingInfo, Setup, SetupError, Stage,
+    Synchrony, SystemClock, Time, TopicInfo,
 };
 
 /// Why a core cannot run.
