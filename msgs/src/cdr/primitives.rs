@@ -2,6 +2,9 @@
 
 use super::{Cdr, Endianness, Problem, Reader, Result, Writer};
 
+/// Bytes that are written at a time: a part of a first-level cache.
+const BLOCK: usize = 8192;
+
 macro_rules! numbers {
     ($($number:ty),*) => {$(
         impl Cdr for $number {
@@ -28,9 +31,11 @@ macro_rules! numbers {
                     return; // No padding either.
                 }
                 writer.align(Self::LEAST_SIZE);
-                let target = writer.reserve(size_of_val(values));
-                for (place, value) in target.as_chunks_mut().0.iter_mut().zip(values) {
-                    *place = value.to_le_bytes();
+                writer.reserve(size_of_val(values));
+                // Block by block, so that the zeros that are written over are still in the cache.
+                for block in values.chunks(BLOCK / Self::LEAST_SIZE) {
+                    let places = writer.zeros(size_of_val(block)).as_chunks_mut().0;
+                    places.iter_mut().zip(block).for_each(|(place, value)| *place = value.to_le_bytes());
                 }
             }
 

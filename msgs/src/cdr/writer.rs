@@ -41,7 +41,9 @@ impl<'a> Writer<'a> {
     pub fn align(&mut self, alignment: usize) {
         let written = self.buffer.len() - self.origin;
         let padded = written.next_multiple_of(alignment);
-        self.buffer.resize(self.origin + padded, 0);
+        if padded != written {
+            self.buffer.resize(self.origin + padded, 0);
+        }
     }
 
     /// Appends bytes as they are.
@@ -49,8 +51,13 @@ impl<'a> Writer<'a> {
         self.buffer.extend_from_slice(bytes);
     }
 
+    /// Makes room for so many bytes, so that appending them does not move what is there.
+    pub(super) fn reserve(&mut self, count: usize) {
+        self.buffer.reserve(count);
+    }
+
     /// Appends so many zero bytes and lends them out to be filled.
-    pub(super) fn reserve(&mut self, count: usize) -> &mut [u8] {
+    pub(super) fn zeros(&mut self, count: usize) -> &mut [u8] {
         let start = self.buffer.len();
         self.buffer.resize(start + count, 0);
         &mut self.buffer[start..]
