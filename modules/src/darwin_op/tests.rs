@@ -1,7 +1,7 @@
 //! The module against the emulated robot, through its port; and against a recording of that.
 #![allow(clippy::unwrap_used)]
 
-use super::bus::{Exchange, Outcome, RecordedBus};
+use super::bus::{Exchange, Outcome, RecordedBus, SerialBus};
 use super::tables::joints::{JOINTS, index_of};
 use super::tables::{cm730, mx28};
 use super::{CYCLE, DarwinOp};
@@ -46,14 +46,16 @@ impl Run {
         Self { core, clock, commands, exchanges, joint_states, imu, battery, buttons, diagnostics, health }
     }
 
-    /// On the emulated robot, its time that of the exchanges.
+    /// On the emulated robot.
     fn on(emulator: &Emulator) -> Self {
         Self::on_with(emulator, &[])
     }
 
     fn on_with(emulator: &Emulator, settings: &[(&str, SettingValue)]) -> Self {
         let port = emulator.port_path().to_string_lossy().into_owned();
-        Self::new(DarwinOp::serial(), &[&[("port", port.into())], settings].concat())
+        // Enough for a machine that runs many tests at once.
+        let bus = SerialBus::with_slack(Duration::from_millis(100));
+        Self::new(DarwinOp::new(Box::new(bus)), &[&[("port", port.into())], settings].concat())
     }
 
     /// Runs some cycles; what `joint_states` said.

@@ -11,7 +11,7 @@ mod timeout;
 pub use exchange::{Exchange, ExchangeKind, ExchangeMessageError, ExpectedStatus, Outcome};
 pub use recorded::{Difference, RecordedBus, ReplayReport};
 pub use serial::{BAUD_RATE, SerialBus};
-pub use timeout::status_timeout;
+pub use timeout::{STATUS_SLACK, status_timeout};
 
 use downbeat_executor::Time;
 

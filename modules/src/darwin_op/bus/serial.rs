@@ -1,7 +1,7 @@
 //! The serial port.
 
 use super::super::protocol::Receiver;
-use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, Outcome, status_timeout};
+use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, Outcome, STATUS_SLACK, status_timeout};
 use downbeat_executor::Time;
 use serialport::{ClearBuffer, DataBits, FlowControl, Parity, SerialPort, StopBits};
 use std::io;
@@ -18,6 +18,7 @@ const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 /// The port of a real robot is an FTDI chip: set its `latency_timer` to 1 ms, else each answer costs up to 16 ms.
 pub struct SerialBus {
     port: Option<Box<dyn SerialPort>>,
+    slack: Duration,
     sequence: u64,
     /// What time it is, and when that was said.
     step: (Time, Instant),
@@ -33,7 +34,16 @@ impl SerialBus {
     /// A bus that is not open.
     #[must_use]
     pub fn new() -> Self {
-        Self { port: None, sequence: 0, step: (Time::ZERO, Instant::now()) }
+        Self::with_slack(STATUS_SLACK)
+    }
+
+    /// A bus that is not open and gives devices and operating system this much time to answer, see [`status_timeout`].
+    ///
+    /// More than the usual [`STATUS_SLACK`] helps on a machine that has more to do than it can, at the price of a
+    /// longer wait for devices that are silent.
+    #[must_use]
+    pub fn with_slack(slack: Duration) -> Self {
+        Self { port: None, slack, sequence: 0, step: (Time::ZERO, Instant::now()) }
     }
 
     fn finish(&mut self, started: Instant, kind: ExchangeKind, instruction: &[u8], end: End) -> Exchange {
@@ -54,6 +64,7 @@ impl SerialBus {
 
     fn transfer(&mut self, started: Instant, instruction: &[u8], expected: &[ExpectedStatus]) -> End {
         let mut reply = Vec::new();
+        let deadline = started + status_timeout(instruction, expected, self.slack);
         let Some(port) = self.port.as_deref_mut() else {
             return End::failed(reply, "the serial port is not open".to_owned());
         };
@@ -64,7 +75,6 @@ impl SerialBus {
             return failed(reply, "sending to", &error);
         }
         let mut awaited = Awaited::new(expected);
-        let deadline = started + status_timeout(instruction, expected);
         let mut buffer = [0; 1024];
         while !awaited.is_over() {
             let left = deadline.saturating_duration_since(Instant::now());

@@ -6,15 +6,16 @@ use std::time::Duration;
 
 /// 12 bit times at 1 Mbit/s for each byte: ten bits and some slack.
 const NANOSECONDS_PER_BYTE: u64 = 12_000;
-/// For the devices to think and for the operating system to hand the bytes on.
-const SLACK: Duration = Duration::from_millis(5);
+
+/// For the devices to think and for the operating system to hand the bytes on, as the DARwIn-OP framework has it.
+pub const STATUS_SLACK: Duration = Duration::from_millis(5);
 
 /// How long after sending `instruction` its answers are overdue.
 ///
-/// As the DARwIn-OP framework has it: 5 ms, and 12 microseconds for each byte sent; for a bulk read, for one
-/// and a half times the bytes that are to come.
+/// As the DARwIn-OP framework has it: `slack`, and 12 microseconds for each byte sent; for a bulk read, for one and a
+/// half times the bytes that are to come.
 #[must_use]
-pub fn status_timeout(instruction: &[u8], expected: &[ExpectedStatus]) -> Duration {
+pub fn status_timeout(instruction: &[u8], expected: &[ExpectedStatus], slack: Duration) -> Duration {
     let packet = Packet::new_checked(instruction);
     let is_bulk_read = packet
         .as_ref()
@@ -25,7 +26,7 @@ pub fn status_timeout(instruction: &[u8], expected: &[ExpectedStatus]) -> Durati
     } else {
         instruction.len() as u64 * NANOSECONDS_PER_BYTE
     };
-    SLACK + Duration::from_nanos(nanoseconds)
+    slack + Duration::from_nanos(nanoseconds)
 }
 
 #[cfg(test)]
@@ -38,7 +39,7 @@ mod tests {
     fn a_ping_is_given_five_milliseconds_and_what_its_own_bytes_take() {
         let ping = Instruction::Ping { id: Id::CM730 }.to_bytes();
         let expected = [ExpectedStatus { id: Id::CM730, parameters: 0 }];
-        assert_eq!(status_timeout(&ping, &expected), Duration::from_micros(5_072));
+        assert_eq!(status_timeout(&ping, &expected, STATUS_SLACK), Duration::from_micros(5_072));
     }
 
     #[test]
@@ -49,6 +50,6 @@ mod tests {
             ExpectedStatus { id: Id::CM730, parameters: 30 },
             ExpectedStatus { id: Id::new(1).unwrap(), parameters: 8 },
         ];
-        assert_eq!(status_timeout(&read, &expected), Duration::from_micros(5_900));
+        assert_eq!(status_timeout(&read, &expected, STATUS_SLACK), Duration::from_micros(5_900));
     }
 }
