@@ -1,1 +1,21 @@
-//! p
+//! Robot software as small modules in one process: the crates of downbeat, and robots from robot files.
+//!
+//! ```no_run
+//! use downbeat::executor::Core;
+//! use downbeat::robot::RobotFile;
+//!
+//! let mut robot = RobotFile::read("robots/darwin_op.toml".as_ref())?.build(Core::new())?;
+//! robot.core.run()?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+pub mod playback;
+pub mod recorder;
+pub mod robot;
+pub mod step_journal;
+
+pub use downbeat_bags as bags;
+pub use downbeat_bridge as bridge;
+pub use downbeat_executor as executor;
+pub use downbeat_modules as modules;
+pub use downbeat_msgs as msgs;

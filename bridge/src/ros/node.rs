@@ -3,7 +3,7 @@
 use super::graph::{Graph, RemoteNode};
 use super::{MessageType, NameError, NodeName, TopicName};
 use crate::middleware::{
-    self, Direction, Endpoint, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader, SampleHandler,
+    self, Direction, Endpoint, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader, RemoteEndpoint, SampleHandler,
     WriteError, Writer,
 };
 use bytes::Bytes;
@@ -66,6 +66,12 @@ impl Participant {
             return Err(NodeError::Exists(name));
         }
         Ok(Node { membership: Arc::new(Membership { shared: Arc::clone(&self.shared), name }) })
+    }
+
+    /// The endpoints of other participants that are known at this moment.
+    #[must_use]
+    pub fn remote_endpoints(&self) -> Vec<RemoteEndpoint> {
+        self.shared.middleware.remote_endpoints()
     }
 
     /// The nodes of other participants. Those that were there before take some seconds to be heard of.

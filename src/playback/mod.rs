@@ -1,0 +1,125 @@
+//! Bags as input of a core: the same bag gives the same result each time.
+
+mod steps;
+
+use std::collections::BTreeMap;
+
+use downbeat_bags::{BagMessage, Reader, ReaderError, Selection, TopicId};
+use downbeat_bridge::edge::{EncodedInlet, EncodedInletError, KnownType, UnknownType};
+use downbeat_executor::{Clock, Core, ManualClock, RunError, SetupError, Time};
+
+pub use steps::{ReplayError, replay_module};
+
+/// Why a bag cannot be played into a core.
+#[derive(Debug, thiserror::Error)]
+pub enum PlaybackError {
+    /// The bag cannot be read.
+    #[error(transparent)]
+    Bag(#[from] ReaderError),
+    /// A topic that was asked for is not there.
+    #[error("topic \"{topic}\" is not in the bag; it has {}", known.join(", "))]
+    NoSuchTopic {
+        /// The topic.
+        topic: String,
+        /// The topics of the bag.
+        known: Vec<String>,
+    },
+    /// No module takes anything from the bag.
+    #[error("no topic of the bag is one that the robot's modules receive and do not publish themselves")]
+    NothingToPlay,
+    /// The type is not compiled in.
+    #[error(transparent)]
+    Type(#[from] UnknownType),
+    /// The core has the topic with another type.
+    #[error(transparent)]
+    Setup(#[from] SetupError),
+    /// A message is not of its topic's type.
+    #[error(transparent)]
+    Message(#[from] EncodedInletError),
+    /// The core does not run.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// Modules answer each other without end, and the bag's time cannot go on.
+    #[error("at {0} the modules still had work after {MOST_CYCLES} cycles without time going on")]
+    Restless(Time),
+}
+
+/// Cycles at one instant of the bag.
+const MOST_CYCLES: u32 = 10_000;
+
+/// Plays a bag into a core: its clock follows the bag, timers fire between the messages at their exact times,
+/// and messages of one time are given in the order of the bag. It takes no longer than the modules need.
+///
+/// Played are `topics`, or if there are none, those of the bag that modules receive and none publishes. Returns
+/// the number of messages played. The core's modules are stopped at the end.
+///
+/// # Errors
+/// If the bag cannot be read, a topic or type is not known, or the modules do not come to rest.
+pub fn play_into(
+    core: &mut Core,
+    clock: &ManualClock,
+    reader: &Reader,
+    topics: &[String],
+) -> Result<u64, PlaybackError> {
+    let inlets = inlets(core, reader, topics)?;
+    let selection = Selection::all().topics(inlets.keys().copied());
+    let mut played = 0;
+    for message in reader.messages(selection)? {
+        let BagMessage { topic, log_time, data, .. } = message?;
+        run_until(core, clock, Time::from_nanos(log_time))?;
+        if let Some(inlet) = inlets.get(&topic) {
+            inlet.publish(&data)?;
+            played += 1;
+        }
+    }
+    run_until(core, clock, clock.now())?;
+    core.stop();
+    Ok(played)
+}
+
+/// Runs what is due before `end`, then moves the clock there.
+fn run_until(core: &mut Core, clock: &ManualClock, end: Time) -> Result<(), PlaybackError> {
+    let (mut instant, mut cycles) = (clock.now(), 0);
+    while let Some(event) = core.next_event().filter(|&event| event < end || event == clock.now()) {
+        clock.set(event);
+        core.cycle()?;
+        cycles = if event == instant { cycles + 1 } else { 0 };
+        instant = event;
+        if cycles > MOST_CYCLES {
+            return Err(PlaybackError::Restless(instant));
+        }
+    }
+    clock.set(end);
+    Ok(())
+}
+
+fn inlets(
+    core: &mut Core,
+    reader: &Reader,
+    topics: &[String],
+) -> Result<BTreeMap<TopicId, EncodedInlet>, PlaybackError> {
+    let known = || reader.topics().iter().map(|topic| topic.info.name.clone()).collect();
+    let mut inlets = BTreeMap::new();
+    if topics.is_empty() {
+        for topic in reader.topics() {
+            let name = topic.info.name.trim_start_matches('/');
+            let is_wanted = core.topics().iter().any(|known| *known.name == *name && !known.is_published);
+            if let (true, Some(id)) = (is_wanted, reader.topic(&topic.info.name)) {
+                inlets.insert(id, open(core, name, &topic.info.type_name)?);
+            }
+        }
+        return if inlets.is_empty() { Err(PlaybackError::NothingToPlay) } else { Ok(inlets) };
+    }
+    for topic in topics {
+        let absolute = format!("/{}", topic.trim_start_matches('/'));
+        let Some(id) = reader.topic(&absolute) else {
+            return Err(PlaybackError::NoSuchTopic { topic: topic.clone(), known: known() });
+        };
+        inlets.insert(id, open(core, &absolute, &reader.topics()[id.index()].info.type_name)?);
+    }
+    Ok(inlets)
+}
+
+fn open(core: &mut Core, topic: &str, type_name: &str) -> Result<EncodedInlet, PlaybackError> {
+    Ok(KnownType::named(type_name)?.inlet(core, topic)?)
+}

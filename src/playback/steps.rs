@@ -1,0 +1,136 @@
+//! Replay of a detached module by its recorded runs.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use bytes::Bytes;
+use downbeat_bags::{Reader, ReaderError, Selection};
+use downbeat_bridge::edge::{EncodedInlet, EncodedInletError, KnownType, UnknownType};
+use downbeat_executor::{Core, ManualClock, RunError, SetupError, Time};
+use downbeat_msgs::cdr;
+use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
+
+use crate::step_journal;
+
+/// Why a module cannot be replayed.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    /// The bag cannot be read.
+    #[error(transparent)]
+    Bag(#[from] ReaderError),
+    /// The bag does not hold the module's runs.
+    #[error("the bag has no runs of a module \"{0}\" on /module_steps; record that topic too")]
+    NoSteps(String),
+    /// A run is not as recorded ones are.
+    #[error("message {number} of /module_steps: {source}")]
+    Step {
+        /// Its position in the bag, from 0.
+        number: usize,
+        /// What is wrong with it.
+        source: cdr::Error,
+    },
+    /// The module received what the bag does not hold.
+    #[error("run {step} received a message of \"{topic}\" that is not in the bag; record that topic too")]
+    MissingInput {
+        /// The run.
+        step: u64,
+        /// The topic.
+        topic: String,
+    },
+    /// The type is not compiled in.
+    #[error(transparent)]
+    Type(#[from] UnknownType),
+    /// The core has the topic with another type.
+    #[error(transparent)]
+    Setup(#[from] SetupError),
+    /// A message is not of its topic's type.
+    #[error(transparent)]
+    Message(#[from] EncodedInletError),
+    /// The core does not run.
+    #[error(transparent)]
+    Run(#[from] RunError),
+}
+
+/// Runs a core that holds the module once for each run that `reader` has of it: at the recorded times and on the
+/// messages that each run received. Returns the number of runs.
+///
+/// The core's clock is `clock`, which stands at or before the first run, so that the module runs inside the
+/// cycle. Other modules may watch, but must not publish what the module receives.
+///
+/// # Errors
+/// If the bag lacks the runs or what the module received in them.
+pub fn replay_module(
+    core: &mut Core,
+    clock: &ManualClock,
+    reader: &Reader,
+    module: &str,
+) -> Result<usize, ReplayError> {
+    let steps = read_steps(reader, module)?;
+    let mut inputs = Inputs::read(core, reader, &steps)?;
+    // A message that is given before a cycle joins in its sync phase and is received in the next one.
+    for (position, step) in steps.iter().enumerate() {
+        if let Some(next) = steps.get(position + 1) {
+            inputs.give(next)?;
+        }
+        clock.set(Time::from_nanos(step.stamp.as_nanos()));
+        if step.is_stop {
+            core.stop();
+        } else {
+            core.cycle()?;
+        }
+    }
+    // What the last run published reaches those who watch.
+    core.stop();
+    Ok(steps.len())
+}
+
+fn read_steps(reader: &Reader, module: &str) -> Result<Vec<ModuleStep>, ReplayError> {
+    let topic = format!("/{}", step_journal::TOPIC);
+    let Some(id) = reader.topic(&topic) else { return Err(ReplayError::NoSteps(module.into())) };
+    let mut steps = Vec::new();
+    for (number, message) in reader.messages(Selection::all().topics([id]))?.enumerate() {
+        let step = cdr::from_slice::<ModuleStep>(&message?.data)
+            .map_err(|source| ReplayError::Step { number, source })?;
+        if step.module == module {
+            steps.push(step);
+        }
+    }
+    if steps.is_empty() { Err(ReplayError::NoSteps(module.into())) } else { Ok(steps) }
+}
+
+/// What the module received, by topic, in the order of the bag.
+struct Inputs {
+    topics: BTreeMap<String, (EncodedInlet, VecDeque<Bytes>)>,
+}
+
+impl Inputs {
+    fn read(core: &mut Core, reader: &Reader, steps: &[ModuleStep]) -> Result<Self, ReplayError> {
+        let mut topics = BTreeMap::new();
+        for (step, name) in steps.iter().flat_map(|step| step.topics.iter().map(move |name| (step, name))) {
+            if topics.contains_key(name) {
+                continue;
+            }
+            let missing = || ReplayError::MissingInput { step: step.step, topic: name.clone() };
+            let id = reader.topic(&format!("/{name}")).ok_or_else(missing)?;
+            let inlet = KnownType::named(&reader.topics()[id.index()].info.type_name)?.inlet(core, name)?;
+            let messages = reader.messages(Selection::all().topics([id]))?;
+            let messages = messages.map(|message| Ok(message?.data)).collect::<Result<_, ReaderError>>()?;
+            topics.insert(name.clone(), (inlet, messages));
+        }
+        Ok(Self { topics })
+    }
+
+    fn give(&mut self, step: &ModuleStep) -> Result<(), ReplayError> {
+        let counts = step.skipped.iter().zip(&step.counts);
+        for (name, (&skipped, &count)) in step.topics.iter().zip(counts) {
+            let missing = || ReplayError::MissingInput { step: step.step, topic: name.clone() };
+            let (inlet, messages) = self.topics.get_mut(name).ok_or_else(missing)?;
+            for position in 0..skipped + count {
+                let message = messages.pop_front().ok_or_else(missing)?;
+                if position >= skipped {
+                    inlet.publish(&message)?;
+                }
+            }
+        }
+        Ok(())
+    }
+}

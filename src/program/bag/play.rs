@@ -1,0 +1,110 @@
+//! `downbeat bag play`
+
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use downbeat::bags::{BagMessage, Playback, PlaybackOptions, Rate, Reader, Recording, Step, WriterOptions};
+use downbeat::bridge::ros::{MessageType, Node, NodeName, Participant, Publisher};
+use downbeat::executor::{Core, ManualClock, Time};
+use downbeat::msgs::qos::QosProfile;
+use downbeat::playback;
+use downbeat::recorder;
+use downbeat::robot::RobotFile;
+
+use crate::program::cli::PlayArguments;
+use crate::program::run::participant_options;
+use crate::program::stop::Stop;
+
+pub(crate) fn play(arguments: &PlayArguments) -> anyhow::Result<()> {
+    let reader = Reader::open(&arguments.bag)?;
+    for truncation in reader.truncation() {
+        tracing::warn!("{truncation}");
+    }
+    match &arguments.into {
+        Some(robot) => play_into(&reader, robot, arguments),
+        None => play_to_ros(&reader, arguments),
+    }
+}
+
+fn play_into(reader: &Reader, robot: &std::path::Path, arguments: &PlayArguments) -> anyhow::Result<()> {
+    let clock = ManualClock::new(Time::from_nanos(reader.start_time().unwrap_or(0)));
+    let mut robot = RobotFile::read(robot)?.build(Core::new().with_clock(clock.clone()))?;
+    let recording = arguments
+        .record
+        .as_ref()
+        .map(|directory| -> anyhow::Result<Recording> {
+            let writer = WriterOptions::new().custom_data("played_from", arguments.bag.display().to_string());
+            let recording = Recording::start(writer.create(directory)?, Recording::DEFAULT_QUEUE_BYTES)?;
+            let published: Vec<_> =
+                robot.core.topics().iter().filter(|topic| topic.is_published).cloned().collect();
+            recorder::record(&mut robot.core, &recording, &published, |_| QosProfile::DEFAULT)?;
+            Ok(recording)
+        })
+        .transpose()?;
+    let played = playback::play_into(&mut robot.core, &clock, reader, &arguments.topics)?;
+    println!("played {played} messages into {}", robot.file.name);
+    if let Some(recording) = recording {
+        let summary = recording.finish()?;
+        println!("recorded {} messages in {}", summary.message_count(), summary.path.display());
+    }
+    Ok(())
+}
+
+/// How long a publisher waits to be found: samples written before that reach nobody.
+const DISCOVERY: Duration = Duration::from_secs(1);
+
+fn play_to_ros(reader: &Reader, arguments: &PlayArguments) -> anyhow::Result<()> {
+    let options = PlaybackOptions {
+        rate: Rate::new(arguments.rate)?,
+        start_offset: arguments.start_offset.unwrap_or_default(),
+        topics: (!arguments.topics.is_empty()).then(|| arguments.topics.clone()),
+    };
+    let mut playback = Playback::open(reader, &options)?;
+    let node = Participant::join(&participant_options(arguments.domain)?)?
+        .create_node(NodeName::new("/", "downbeat_bag_play")?)?;
+    let publishers = publishers(reader, &options, &node)?;
+    let stop = Stop::new(None)?;
+    stop.sleep(DISCOVERY);
+    let (started, mut played, mut refused) = (Instant::now(), 0_u64, 0_u64);
+    while !stop.is_due() {
+        match playback.step(started.elapsed()) {
+            Step::Due(BagMessage { topic, data, .. }) => {
+                let Some(publisher) = publishers.get(topic.index()).and_then(Option::as_ref) else {
+                    continue;
+                };
+                match publisher.publish(data) {
+                    Ok(()) => played += 1,
+                    Err(error) => {
+                        refused += 1;
+                        tracing::debug!("{}: {error}", publisher.topic().as_str());
+                    }
+                }
+            }
+            Step::Wait(time) => stop.sleep(time),
+            Step::Failed(error) => tracing::warn!("{error}"),
+            Step::Paused | Step::Finished => break,
+        }
+    }
+    println!("played {played} messages; {refused} were refused by the middleware");
+    Ok(())
+}
+
+/// A publisher for each topic that is played, at the position of its id.
+fn publishers(
+    reader: &Reader,
+    options: &PlaybackOptions,
+    node: &Node,
+) -> anyhow::Result<Vec<Option<Publisher>>> {
+    let is_played = |name: &String| options.topics.as_ref().is_none_or(|topics| topics.contains(name));
+    let publisher = |topic: &downbeat::bags::RecordedTopic| -> anyhow::Result<Option<Publisher>> {
+        let info = &topic.info;
+        if !is_played(&info.name) {
+            return Ok(None);
+        }
+        let message_type = MessageType::new(&info.type_name)?;
+        let qos = info.offered_qos.first().copied().unwrap_or_default();
+        let publisher = node.publish(&info.name, &message_type, qos);
+        publisher.map(Some).with_context(|| format!("cannot publish {}", info.name))
+    };
+    reader.topics().iter().map(publisher).collect()
+}

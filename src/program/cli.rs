@@ -1,0 +1,167 @@
+//! The command line.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, Parser, Subcommand};
+
+/// Robot software as small modules in one process, seen and driven from ROS 2 Jazzy, recorded and replayed.
+///
+/// Environment: ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as ROS 2 reads them; DOWNBEAT_LOG sets what is
+/// logged, for example "debug" or "info,rustdds=warn".
+#[derive(Parser)]
+#[command(name = "downbeat", version, arg_required_else_help = true)]
+pub(crate) struct Cli {
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+#[derive(Subcommand)]
+pub(crate) enum Command {
+    /// Run a robot until Ctrl-C or for a time.
+    Run(RunArguments),
+    /// Say what a robot file holds, or what is wrong with it, without running it.
+    Check(CheckArguments),
+    /// Look at a bag, record one, play one.
+    #[command(subcommand)]
+    Bag(BagCommand),
+    /// Run an emulated device alone.
+    #[command(subcommand)]
+    Emulate(EmulateCommand),
+}
+
+#[derive(Args)]
+pub(crate) struct RunArguments {
+    /// The robot file, for example robots/darwin_op.toml.
+    #[arg(value_name = "ROBOT.toml")]
+    pub(crate) robot: PathBuf,
+    /// Stop after this time: 500ms, 10s, 5m, 1h.
+    #[arg(long, value_parser = duration, value_name = "TIME")]
+    pub(crate) duration: Option<Duration>,
+    /// Record into this new rosbag2 directory what the robot file's [record] names.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) record: Option<PathBuf>,
+    /// The ROS domain, instead of ROS_DOMAIN_ID.
+    #[arg(long, value_name = "N")]
+    pub(crate) domain: Option<u16>,
+}
+
+#[derive(Args)]
+pub(crate) struct CheckArguments {
+    /// The robot file.
+    #[arg(value_name = "ROBOT.toml", required_unless_present = "kinds")]
+    pub(crate) robot: Option<PathBuf>,
+    /// List the kinds of modules with their topics and settings.
+    #[arg(long)]
+    pub(crate) kinds: bool,
+}
+
+#[derive(Subcommand)]
+pub(crate) enum BagCommand {
+    /// Print what a bag holds, as `ros2 bag info` does.
+    Info {
+        /// A rosbag2 directory or an MCAP file.
+        bag: PathBuf,
+    },
+    /// Record ROS 2 topics from the network, or with --robot the topics inside a robot, into a new bag.
+    Record(RecordArguments),
+    /// Play a bag to ROS 2, or with --into into a robot's modules.
+    Play(PlayArguments),
+}
+
+#[derive(Args)]
+pub(crate) struct RecordArguments {
+    /// The ROS 2 topics to record; not needed with --robot.
+    #[arg(required_unless_present = "robot", conflicts_with = "robot")]
+    pub(crate) topics: Vec<String>,
+    /// Run this robot without a bridge and record its topics from the very first message.
+    #[arg(long, value_name = "ROBOT.toml")]
+    pub(crate) robot: Option<PathBuf>,
+    /// The new rosbag2 directory.
+    #[arg(long, short, value_name = "DIR")]
+    pub(crate) output: PathBuf,
+    /// Compress with Zstandard.
+    #[arg(long)]
+    pub(crate) zstd: bool,
+    /// Stop after this time: 500ms, 10s, 5m, 1h.
+    #[arg(long, value_parser = duration, value_name = "TIME")]
+    pub(crate) duration: Option<Duration>,
+    /// The ROS domain, instead of ROS_DOMAIN_ID.
+    #[arg(long, value_name = "N")]
+    pub(crate) domain: Option<u16>,
+}
+
+#[derive(Args)]
+pub(crate) struct PlayArguments {
+    /// A rosbag2 directory or an MCAP file.
+    pub(crate) bag: PathBuf,
+    /// Play only these topics.
+    #[arg(long, num_args = 1.., value_name = "TOPIC")]
+    pub(crate) topics: Vec<String>,
+    /// How many times as fast as it was recorded.
+    #[arg(long, short, default_value_t = 1.0)]
+    pub(crate) rate: f64,
+    /// Begin this far into the bag: 500ms, 10s, 5m.
+    #[arg(long, value_parser = duration, value_name = "TIME")]
+    pub(crate) start_offset: Option<Duration>,
+    /// Run the modules of this robot on the bag instead of playing to ROS 2: time from the bag, as fast as the
+    /// machine can, with the same result each time.
+    #[arg(long, value_name = "ROBOT.toml", conflicts_with = "rate")]
+    pub(crate) into: Option<PathBuf>,
+    /// With --into: record what the modules publish into this new rosbag2 directory.
+    #[arg(long, value_name = "DIR", requires = "into")]
+    pub(crate) record: Option<PathBuf>,
+    /// The ROS domain, instead of ROS_DOMAIN_ID.
+    #[arg(long, value_name = "N")]
+    pub(crate) domain: Option<u16>,
+}
+
+#[derive(Subcommand)]
+pub(crate) enum EmulateCommand {
+    /// A CM-730 with 20 MX-28 servos behind a pseudo terminal, until Ctrl-C.
+    #[command(name = "darwin_op")]
+    DarwinOp {
+        /// Where to put a link to the pseudo terminal.
+        #[arg(long, value_name = "PATH")]
+        link: PathBuf,
+        /// Repeats a run: noise, jitter and random faults come from it.
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+        /// A fault to emulate; may be given more than once. Faults: FAULTS
+        #[arg(long, value_name = "FAULT")]
+        fault: Vec<String>,
+    },
+}
+
+/// A time with its unit.
+fn duration(text: &str) -> Result<Duration, String> {
+    let number_ends = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let (number, unit) = text.split_at(number_ends);
+    let seconds_per_unit = match unit {
+        "ms" => 0.001,
+        "s" => 1.0,
+        "m" | "min" => 60.0,
+        "h" => 3600.0,
+        _ => return Err(format!("\"{text}\" is not a time; write 500ms, 10s, 5m or 1h")),
+    };
+    let number: f64 = number.parse().map_err(|_| format!("\"{number}\" is not a number"))?;
+    Duration::try_from_secs_f64(number * seconds_per_unit).map_err(|error| error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_have_units() {
+        assert_eq!(duration("500ms"), Ok(Duration::from_millis(500)));
+        assert_eq!(duration("1.5m"), Ok(Duration::from_secs(90)));
+        assert!(duration("10").is_err() && duration("s").is_err() && duration("-1s").is_err());
+    }
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        use clap::CommandFactory;
+        Cli::command().debug_assert();
+    }
+}

@@ -1,0 +1,93 @@
+//! The terminal: log lines above, a block that is drawn anew below.
+
+use std::io::{self, Write};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use console::Term;
+use tracing_subscriber::fmt::MakeWriter;
+
+/// Standard error, shared by the log and the status block. Where it is no terminal, the block is not drawn.
+#[derive(Clone)]
+pub(crate) struct Screen {
+    shared: Arc<Mutex<Shared>>,
+}
+
+struct Shared {
+    terminal: Term,
+    block: Vec<String>,
+}
+
+impl Screen {
+    pub(crate) fn new() -> Self {
+        let shared = Shared { terminal: Term::stderr(), block: Vec::new() };
+        Self { shared: Arc::new(Mutex::new(shared)) }
+    }
+
+    pub(crate) fn is_terminal(&self) -> bool {
+        self.lock().terminal.is_term()
+    }
+
+    /// Draws the block in the place of the last one; no lines remove it.
+    pub(crate) fn show(&self, block: Vec<String>) {
+        let mut shared = self.lock();
+        if !shared.terminal.is_term() {
+            return;
+        }
+        // A terminal that is gone is no reason to stop a robot.
+        let _ = shared.erase();
+        shared.block = block;
+        let _ = shared.draw();
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, Shared> {
+        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Shared {
+    fn erase(&self) -> io::Result<()> {
+        self.terminal.clear_last_lines(self.block.len())
+    }
+
+    fn draw(&self) -> io::Result<()> {
+        // A line that wraps would take two, and the erasing would leave one.
+        let width = usize::from(self.terminal.size().1).max(20) - 1;
+        self.block
+            .iter()
+            .try_for_each(|line| self.terminal.write_line(&console::truncate_str(line, width, "…")))
+    }
+}
+
+/// Writes one log event above the block.
+pub(crate) struct LogLine {
+    screen: Screen,
+    text: Vec<u8>,
+}
+
+impl Write for LogLine {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.text.extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Drop for LogLine {
+    fn drop(&mut self) {
+        let shared = self.screen.lock();
+        let _ = shared.erase();
+        let _ = (&shared.terminal).write_all(&self.text);
+        let _ = shared.draw();
+    }
+}
+
+impl<'a> MakeWriter<'a> for Screen {
+    type Writer = LogLine;
+
+    fn make_writer(&'a self) -> LogLine {
+        LogLine { screen: self.clone(), text: Vec::new() }
+    }
+}

@@ -1,0 +1,192 @@
+//! A robot while it runs: its core on a thread, the bridge and the recorder beside it, the status on the screen.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, anyhow, bail};
+use downbeat::bags::{Compression, Recording, RecordingSummary, WriterOptions};
+use downbeat::bridge::edge::KnownType;
+use downbeat::bridge::expose::{self, BridgeStatus, Exposure};
+use downbeat::bridge::middleware::{self, ParticipantOptions};
+use downbeat::bridge::ros::{Node, NodeName, Participant};
+use downbeat::executor::{Core, RunError, TopicInfo};
+use downbeat::msgs::qos::QosProfile;
+use downbeat::recorder;
+use downbeat::robot::{Direction, Robot, RobotFile};
+use downbeat::step_journal::StepJournal;
+
+use super::faults::Faults;
+use super::screen::Screen;
+use super::statistics::Statistics;
+use super::status::{Sources, StatusBlock};
+use super::stop::Stop;
+
+/// A robot ready to run, with all that watches it.
+pub(crate) struct Session {
+    robot: Robot,
+    statistics: Arc<Statistics>,
+    faults: Faults,
+    bridge: Option<Bridge>,
+    recording: Option<Recording>,
+}
+
+struct Bridge {
+    status: BridgeStatus,
+    title: String,
+    /// In the graph of ROS 2 until it is dropped.
+    node: Node,
+}
+
+const REFRESH: Duration = Duration::from_millis(250);
+const LOG_INTERVAL: Duration = Duration::from_secs(10);
+
+impl Session {
+    pub(crate) fn new(robot_file: &Path) -> anyhow::Result<Self> {
+        let statistics = Arc::new(Statistics::default());
+        let core = Core::new().with_probe(Arc::clone(&statistics) as _);
+        let mut robot = RobotFile::read(robot_file)?.build(core)?;
+        StepJournal::add(&mut robot.core)?;
+        let faults = Faults::watch(&mut robot.core)?;
+        Ok(Self { robot, statistics, faults, bridge: None, recording: None })
+    }
+
+    /// Shows to ROS 2 what the robot file exposes.
+    pub(crate) fn expose(&mut self, options: &ParticipantOptions) -> anyhow::Result<()> {
+        let Robot { file, .. } = &self.robot;
+        let exposures =
+            file.expose.iter().map(|entry| self.exposure(entry)).collect::<Result<Vec<_>, _>>()?;
+        let name = NodeName::new(&file.namespace, &file.name)?;
+        let title = format!("{name}   domain {}", options.domain_id);
+        let node = Participant::join(options)?.create_node(name)?;
+        let status = expose::expose(&mut self.robot.core, &node, &exposures)?;
+        for endpoint in status.endpoints() {
+            let arrow = match endpoint.direction {
+                middleware::Direction::Out => "to ROS 2",
+                middleware::Direction::In => "from ROS 2",
+            };
+            tracing::info!("exposed {arrow}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
+        }
+        self.bridge = Some(Bridge { status, title, node });
+        Ok(())
+    }
+
+    fn exposure(&self, entry: &downbeat::robot::ExposeEntry) -> anyhow::Result<Exposure> {
+        let refuse = |problem: String| self.robot.expose_error(entry, &problem);
+        let topic = self.topics().iter().find(|topic| *topic.name == *entry.topic.trim_start_matches('/'));
+        let topic = topic.ok_or_else(|| refuse(format!("no module has a topic \"{}\"", entry.topic)))?;
+        let message_type = KnownType::of_rust_type(topic.message_type_id).ok_or_else(|| {
+            refuse(format!("\"{}\" carries {}, which is no ROS message", entry.topic, topic.message_type))
+        })?;
+        if let Some(type_name) = entry.type_name.as_deref().filter(|name| *name != message_type.name()) {
+            let actual = message_type.name();
+            bail!(refuse(format!("\"{}\" is of type \"{actual}\", not \"{type_name}\"", entry.topic)));
+        }
+        Ok(Exposure {
+            topic: topic.name.to_string(),
+            ros_topic: Some(entry.ros_topic.clone()),
+            message_type,
+            direction: match entry.direction {
+                Direction::Out => middleware::Direction::Out,
+                Direction::In => middleware::Direction::In,
+            },
+            qos: entry.qos,
+        })
+    }
+
+    /// Records what the robot file's `[record]` names, or everything if `all` topics are asked for.
+    pub(crate) fn record(
+        &mut self,
+        directory: &Path,
+        compression: Option<Compression>,
+    ) -> anyhow::Result<()> {
+        let file = &self.robot.file;
+        let mut options = WriterOptions::new().compression(compression.unwrap_or(file.record.compression));
+        if file.is_emulated() {
+            options = options.custom_data("emulated", "true");
+        }
+        let writer = options.custom_data("robot", file.name.clone()).create(directory)?;
+        let recording = Recording::start(writer, Recording::DEFAULT_QUEUE_BYTES)
+            .context("cannot start the thread that writes the bag")?;
+        let topics = match &file.record.topics {
+            None => self.topics().to_vec(),
+            Some(names) => {
+                let is_named = |topic: &&TopicInfo| {
+                    names.iter().any(|name| *topic.name == *name.trim_start_matches('/'))
+                };
+                self.topics().iter().filter(is_named).cloned().collect()
+            }
+        };
+        let exposed: Vec<_> = file
+            .expose
+            .iter()
+            .map(|entry| (entry.topic.trim_start_matches('/').to_owned(), entry.qos))
+            .collect();
+        let qos_of = |name: &str| {
+            exposed.iter().find(|(topic, _)| topic == name).map_or(QosProfile::DEFAULT, |&(_, qos)| qos)
+        };
+        recorder::record(&mut self.robot.core, &recording, &topics, qos_of)?;
+        tracing::info!("recording into {}", directory.display());
+        self.recording = Some(recording);
+        Ok(())
+    }
+
+    /// Runs the robot until `stop`, then stops it and tells how it went.
+    pub(crate) fn run(self, stop: &Stop, screen: &Screen) -> anyhow::Result<()> {
+        let topics = self.topics().to_vec();
+        let Self { robot: Robot { file, mut core }, statistics, faults, bridge, recording } = self;
+        let handle = core.handle();
+        let core: JoinHandle<Result<(), RunError>> = std::thread::Builder::new()
+            .name("core".into())
+            .spawn(move || core.run())
+            .context("cannot start the thread of the core")?;
+        let title = bridge.as_ref().map_or_else(|| file.name.clone(), |bridge| bridge.title.clone());
+        let mut block = StatusBlock::new(Sources {
+            title: if file.is_emulated() { format!("{title}   emulated") } else { title },
+            topics,
+            statistics: &statistics,
+            bridge: bridge.as_ref().map(|bridge| &bridge.status),
+            recording: recording.as_ref(),
+            faults: &faults,
+        });
+        let mut next_log = Instant::now() + LOG_INTERVAL;
+        while !stop.is_due() && !core.is_finished() {
+            if screen.is_terminal() {
+                screen.show(block.lines());
+            } else if Instant::now() >= next_log {
+                next_log += LOG_INTERVAL;
+                block.lines().iter().for_each(|line| tracing::info!("{}", line.trim_end()));
+            }
+            stop.sleep(REFRESH);
+        }
+        screen.show(Vec::new());
+        handle.stop();
+        core.join().map_err(|_| anyhow!("the core's thread panicked"))??;
+        let summary = recording.map(Recording::finish).transpose()?;
+        if let Some(bridge) = bridge {
+            // Off the graph before the last lines, which may be what a script waits for.
+            drop(bridge.node);
+        }
+        tell(&statistics, summary.as_ref());
+        Ok(())
+    }
+
+    fn topics(&self) -> &[TopicInfo] {
+        self.robot.core.topics()
+    }
+}
+
+fn tell(statistics: &Statistics, summary: Option<&RecordingSummary>) {
+    let collected = statistics.collected();
+    tracing::info!("{} cycles: {}", collected.cycles, collected.cycle);
+    for (module, times) in &collected.detached {
+        tracing::info!("{module}: period {}; busy {}", times.period, times.busy);
+    }
+    let Some(summary) = summary else { return };
+    let (messages, lost) = (summary.message_count(), summary.lost_count());
+    tracing::info!("recorded {messages} messages, lost {lost}, in {}", summary.path.display());
+    for topic in summary.topics.iter().filter(|topic| topic.lost > 0) {
+        tracing::warn!("{} messages of {} are not in the bag: the disk was too slow", topic.lost, topic.name);
+    }
+}

@@ -1,0 +1,96 @@
+//! The text of a robot file, and errors that point into it.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+/// What is wrong with a robot file, and where.
+#[derive(Debug, thiserror::Error)]
+pub enum RobotFileError {
+    /// The file cannot be read.
+    #[error("cannot read the robot file {}: {source}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A line says something that cannot be.
+    #[error("{}:{line}: {problem}", path.display())]
+    Line {
+        /// The file.
+        path: PathBuf,
+        /// The line, from 1.
+        line: usize,
+        /// What was found, what was expected, and the nearest valid name where there is one.
+        problem: String,
+    },
+}
+
+/// A robot file's path and text.
+pub(crate) struct Source {
+    path: PathBuf,
+    text: String,
+}
+
+impl Source {
+    pub(crate) fn read(path: &Path) -> Result<Self, RobotFileError> {
+        match std::fs::read_to_string(path) {
+            Ok(text) => Ok(Self::new(path, text)),
+            Err(source) => Err(RobotFileError::Unreadable { path: path.into(), source }),
+        }
+    }
+
+    pub(crate) fn new(path: &Path, text: String) -> Self {
+        Self { path: path.into(), text }
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(crate) fn text(&self) -> &str {
+        &self.text
+    }
+
+    pub(crate) fn line_of(&self, span: &Range<usize>) -> usize {
+        let start = span.start.min(self.text.len());
+        1 + self.text.as_bytes()[..start].iter().filter(|&&byte| byte == b'\n').count()
+    }
+
+    pub(crate) fn error(&self, line: usize, problem: impl Into<String>) -> RobotFileError {
+        RobotFileError::Line { path: self.path.clone(), line, problem: problem.into() }
+    }
+}
+
+/// `, did you mean "..."?` with the candidate most like `name`, or the candidates where none is like it.
+pub(crate) fn suggestion<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> String {
+    let candidates: Vec<_> = candidates.into_iter().collect();
+    let likeness = |candidate: &str| strsim::normalized_damerau_levenshtein(name, candidate);
+    match candidates.iter().max_by(|a, b| likeness(a).total_cmp(&likeness(b))) {
+        Some(nearest) if likeness(nearest) > 0.45 => format!(", did you mean \"{nearest}\"?"),
+        Some(_) if candidates.len() <= 16 => format!("; there is {}", quoted(&candidates)),
+        Some(_) | None => String::new(),
+    }
+}
+
+fn quoted(names: &[&str]) -> String {
+    names.iter().map(|name| format!("\"{name}\"")).collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_name_is_suggested_and_far_ones_are_listed() {
+        assert_eq!(suggestion("joint_sates", ["imu", "joint_states"]), ", did you mean \"joint_states\"?");
+        assert_eq!(suggestion("xyz", ["imu", "joint_states"]), "; there is \"imu\", \"joint_states\"");
+        assert_eq!(suggestion("xyz", []), "");
+    }
+
+    #[test]
+    fn lines_count_from_one() {
+        let source = Source::new(Path::new("a.toml"), "a\nb\nc".into());
+        assert_eq!([0, 1, 2, 4, 99].map(|start| source.line_of(&(start..start))), [1, 1, 2, 3, 3]);
+    }
+}

@@ -1,0 +1,165 @@
+//! Reading TOML tables so that each mistake is told with its line.
+
+use toml::Spanned;
+use toml::de::{DeString, DeTable, DeValue};
+
+use super::source::{RobotFileError, Source, suggestion};
+use downbeat_executor::SettingValue;
+
+type Result<T> = std::result::Result<T, RobotFileError>;
+
+/// A table whose keys are taken out one by one; what is left at the end is a mistake.
+pub(crate) struct Table<'a> {
+    source: &'a Source,
+    name: String,
+    line: usize,
+    rest: Vec<(&'a Spanned<DeString<'a>>, Value<'a>)>,
+    asked: Vec<&'static str>,
+}
+
+/// A value and where it stands.
+#[derive(Clone, Copy)]
+pub(crate) struct Value<'a> {
+    source: &'a Source,
+    value: &'a Spanned<DeValue<'a>>,
+}
+
+impl<'a> Table<'a> {
+    pub(crate) fn new(source: &'a Source, name: &str, line: usize, table: &'a DeTable<'a>) -> Self {
+        let rest = table.iter().map(|(key, value)| (key, Value { source, value })).collect();
+        Self { source, name: name.into(), line, rest, asked: Vec::new() }
+    }
+
+    /// The line on which the table begins.
+    pub(crate) fn line(&self) -> usize {
+        self.line
+    }
+
+    pub(crate) fn take(&mut self, key: &'static str) -> Option<Value<'a>> {
+        self.asked.push(key);
+        let position = self.rest.iter().position(|(known, _)| known.get_ref() == key)?;
+        Some(self.rest.remove(position).1)
+    }
+
+    pub(crate) fn require(&mut self, key: &'static str) -> Result<Value<'a>> {
+        let missing = || self.source.error(self.line, format!("{} needs \"{key}\"", self.name));
+        let error = missing();
+        self.take(key).ok_or(error)
+    }
+
+    /// Everything that has not been taken, in the order of the file.
+    pub(crate) fn take_rest(&mut self) -> Vec<(String, Value<'a>)> {
+        let mut rest = std::mem::take(&mut self.rest);
+        rest.sort_by_key(|(key, _)| key.span().start);
+        rest.into_iter().map(|(key, value)| (key.get_ref().to_string(), value)).collect()
+    }
+
+    /// Checks that nothing is left.
+    pub(crate) fn finish(self) -> Result<()> {
+        let Some((key, _)) = self.rest.first() else { return Ok(()) };
+        let (name, key_name) = (&self.name, key.get_ref());
+        let hint = suggestion(key_name, self.asked.iter().copied());
+        Err(self
+            .source
+            .error(self.source.line_of(&key.span()), format!("{name} has no \"{key_name}\"{hint}")))
+    }
+}
+
+impl<'a> Value<'a> {
+    pub(crate) fn line(&self) -> usize {
+        self.source.line_of(&self.value.span())
+    }
+
+    pub(crate) fn error(&self, problem: impl Into<String>) -> RobotFileError {
+        self.source.error(self.line(), problem)
+    }
+
+    pub(crate) fn text(&self) -> Result<&'a str> {
+        match self.value.get_ref() {
+            DeValue::String(text) => Ok(text),
+            _ => Err(self.expected("text in quotes")),
+        }
+    }
+
+    pub(crate) fn count(&self) -> Result<u32> {
+        match self.setting()? {
+            SettingValue::Integer(count) if count > 0 => {
+                u32::try_from(count).map_err(|_| self.error(format!("{count} is too many")))
+            }
+            _ => Err(self.expected("a whole number greater than 0")),
+        }
+    }
+
+    pub(crate) fn list(&self) -> Result<Vec<Value<'a>>> {
+        match self.value.get_ref() {
+            DeValue::Array(values) => {
+                Ok(values.iter().map(|value| Value { source: self.source, value }).collect())
+            }
+            _ => Err(self.expected("a list")),
+        }
+    }
+
+    pub(crate) fn table(&self, name: &str) -> Result<Table<'a>> {
+        self.as_table(name).ok_or_else(|| self.expected("a table"))
+    }
+
+    /// The value as a table, or nothing if it is none.
+    pub(crate) fn as_table(&self, name: &str) -> Option<Table<'a>> {
+        let table = self.value.get_ref().as_table()?;
+        Some(Table::new(self.source, name, self.line(), table))
+    }
+
+    pub(crate) fn setting(&self) -> Result<SettingValue> {
+        match self.value.get_ref() {
+            DeValue::Boolean(value) => Ok(SettingValue::Bool(*value)),
+            DeValue::String(text) => Ok(SettingValue::Text(text.to_string())),
+            DeValue::Integer(_) => Ok(SettingValue::Integer(self.integer()?)),
+            DeValue::Float(number) => {
+                let number = number.as_str().parse().map_err(|_| self.expected("a number"))?;
+                Ok(SettingValue::Double(number))
+            }
+            DeValue::Array(_) => self.setting_list(),
+            DeValue::Table(_) | DeValue::Datetime(_) => {
+                Err(self.expected("true, false, a number, text, or a list of numbers or texts"))
+            }
+        }
+    }
+
+    fn integer(&self) -> Result<i64> {
+        match self.value.get_ref() {
+            DeValue::Integer(number) => i64::from_str_radix(number.as_str(), number.radix())
+                .map_err(|_| self.expected("a whole number of 64 bits")),
+            _ => Err(self.expected("a whole number")),
+        }
+    }
+
+    fn setting_list(&self) -> Result<SettingValue> {
+        let elements = self.list()?;
+        let values = elements.iter().map(Value::setting).collect::<Result<Vec<_>>>()?;
+        let all = |matches: fn(&SettingValue) -> bool| values.iter().all(matches);
+        if all(|value| matches!(value, SettingValue::Integer(_))) {
+            let numbers = elements.iter().map(Value::integer).collect::<Result<_>>()?;
+            return Ok(SettingValue::Integers(numbers));
+        }
+        if all(|value| matches!(value, SettingValue::Text(_))) {
+            let texts =
+                elements.iter().map(|element| Ok(element.text()?.to_owned())).collect::<Result<_>>()?;
+            return Ok(SettingValue::Texts(texts));
+        }
+        let number = |value| match value {
+            SettingValue::Integer(number) => Some(number as f64),
+            SettingValue::Double(number) => Some(number),
+            _ => None,
+        };
+        let numbers = values.into_iter().map(number).collect::<Option<_>>();
+        numbers
+            .map(SettingValue::Doubles)
+            .ok_or_else(|| self.expected("a list of numbers only, or of texts only"))
+    }
+
+    fn expected(&self, what: &str) -> RobotFileError {
+        let text = &self.source.text()[self.value.span()];
+        let found: String = text.lines().next().unwrap_or_default().chars().take(40).collect();
+        self.error(format!("expected {what}, found {found}"))
+    }
+}
