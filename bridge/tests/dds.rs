@@ -94,3 +94,27 @@ fn a_write_to_a_reader_that_stopped_acknowledging_is_refused_and_does_not_wait()
     assert_eq!(refused, Some(WriteError::WindowFull));
     wait_until("acknowledgements open the window again", || writer.write(cdr([0; 4])).is_ok());
 }
+
+#[test]
+fn a_handler_that_panics_ends_its_own_reader_only() {
+    let domain = Dds(136);
+    let (alice, bob) = (domain.join(), domain.join());
+    let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
+    let fails = Box::new(|_| panic!("this handler fails on purpose"));
+    let failing = bob.create_reader(&chatter(QosProfile::DEFAULT), fails).unwrap();
+    let (works, samples) = subscribe(&*bob, &chatter(QosProfile::DEFAULT));
+    wait_until("both readers are matched", || {
+        writer.matched() == 2 && failing.matched() == 1 && works.matched() == 1
+    });
+    for number in 1..=3_u8 {
+        writer.write(cdr([number; 4])).unwrap();
+        assert_eq!(next(&samples).cdr, cdr([number; 4]));
+    }
+}
+
+#[test]
+fn with_discovery_off_there_is_no_dds() {
+    let off = ParticipantOptions { discovery_range: DiscoveryRange::Off, ..on_loopback(137) };
+    let participant = downbeat_bridge::middleware::join(&off).unwrap();
+    assert_eq!(participant.gid().0[..8], *b"downbeat", "the identity of a participant in memory");
+}

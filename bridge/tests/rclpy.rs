@@ -5,14 +5,17 @@ mod common;
 
 use common::rclpy::Peer;
 use common::{next, on_loopback, wait_until};
-use downbeat_bridge::middleware::Sample;
+use downbeat_bridge::edge::KnownType;
+use downbeat_bridge::expose::{Exposure, expose};
+use downbeat_bridge::middleware::{Direction, Sample};
 use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant, Subscription};
+use downbeat_executor::{Context, Core, Module, Received, Setup, SetupError};
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::{Durability, QosProfile};
 use downbeat_msgs::sensor_msgs::msg::JointState;
 use downbeat_msgs::std_msgs::msg::Header;
 use serde_json::{Value, json};
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
 const TRANSIENT_LOCAL: QosProfile =
@@ -230,6 +233,102 @@ fn transient_local_messages_reach_those_that_come_late() {
     let (_subscription, samples) = subscribe(&node, "/theirs", &string(), QosProfile::LATCHED);
     let sample = next(&samples);
     assert_eq!(sample.cdr[..text("from rclpy").len()], text("from rclpy")[..]);
+}
+
+/// Publishes its count as a joint position every 8 ms, and passes on the commands it hears.
+struct Robot {
+    count: u32,
+    commands: Sender<JointState>,
+}
+
+impl Module for Robot {
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        let states = setup.publish::<JointState>("joint_states")?;
+        setup.every(Duration::from_millis(8), move |robot: &mut Self, ctx| {
+            robot.count += 1;
+            ctx.publish(
+                states,
+                JointState { position: vec![f64::from(robot.count)], ..JointState::default() },
+            );
+        })?;
+        let pass_on = |robot: &mut Self, command: Received<'_, JointState>, _: &mut Context<'_>| {
+            robot.commands.send(command.clone()).unwrap();
+        };
+        setup.subscribe("joint_commands", pass_on)
+    }
+}
+
+#[test]
+fn a_running_core_is_seen_and_driven_from_rclpy_and_leaves_at_once() {
+    let Some(mut rclpy) = Peer::start(133, "LOCALHOST") else { return };
+    let (participant, node) = downbeat(133);
+    let mut core = Core::new();
+    let (sender, commands) = channel();
+    core.add("robot", Robot { count: 0, commands: sender }).unwrap();
+    let exposure = |topic: &str, direction| Exposure {
+        topic: topic.into(),
+        ros_topic: Some(format!("/{topic}")),
+        message_type: KnownType::named("sensor_msgs/msg/JointState").unwrap(),
+        direction,
+        qos: QosProfile::DEFAULT.keep_last(100),
+    };
+    let exposures = [exposure("joint_states", Direction::Out), exposure("joint_commands", Direction::In)];
+    let status = expose(&mut core, &node, &exposures).unwrap();
+    let handle = core.handle();
+    let running = std::thread::spawn(move || core.run());
+
+    let (kind, qos) = ("sensor_msgs/msg/JointState", json!({"depth": 1000}));
+    rclpy.ask(json!({"do": "subscribe", "topic": "/joint_states", "type": kind, "qos": qos}));
+    rclpy.ask(json!({"do": "advertise", "topic": "/joint_commands", "type": kind}));
+    let counts: Vec<u64> = rclpy
+        .take("/joint_states", 250)
+        .iter()
+        .map(|state| state["fields"]["position"][0].as_f64().unwrap() as u64)
+        .collect();
+    assert!(
+        counts.windows(2).all(|pair| pair[1] == pair[0] + 1),
+        "none is lost, none comes twice: {counts:?}"
+    );
+
+    wait_until("the command topic is matched", || {
+        status.endpoints()[1].matched == 1
+            && rclpy.ask(json!({"do": "matched", "topic": "/joint_commands"})) == 1
+    });
+    rclpy.ask(json!({"do": "publish", "topic": "/joint_commands", "fields": {"name": ["head_pan"]}}));
+    assert_eq!(commands.recv_timeout(common::WATCHDOG).unwrap().name, ["head_pan"]);
+
+    let reports = status.endpoints();
+    assert_eq!((reports[0].matched, reports[0].errors, reports[1].messages), (1, 0, 1));
+    assert!(reports[0].messages >= 250);
+
+    handle.stop();
+    running.join().unwrap().unwrap();
+    drop((node, participant));
+    let left = Instant::now();
+    wait_until("the node is gone", || !lists(&rclpy.ask(json!({"do": "nodes"})), "/robot/downbeat"));
+    assert!(left.elapsed() < Duration::from_secs(2), "gone after {:?}", left.elapsed());
+}
+
+#[test]
+fn a_subscriber_that_was_killed_does_not_stop_the_others() {
+    let Some(mut killed) = Peer::start(134, "LOCALHOST") else { return };
+    let Some(mut rclpy) = Peer::start(134, "LOCALHOST") else { return };
+    let (_participant, node) = downbeat(134);
+    let text = node.publish("/text", &string(), QosProfile::DEFAULT).unwrap();
+    let subscribe =
+        json!({"do": "subscribe", "topic": "/text", "type": "std_msgs/msg/String", "qos": {"depth": 1000}});
+    killed.ask(subscribe.clone());
+    rclpy.ask(subscribe);
+    wait_until("both are matched", || {
+        text.matched_subscriptions() == 2 && rclpy.ask(json!({"do": "matched", "topic": "/text"})) == 1
+    });
+    drop(killed);
+    let message = cdr::to_vec(&downbeat_msgs::std_msgs::msg::String { data: "still here".into() });
+    for _ in 0..500 {
+        text.publish(message.clone().into()).unwrap();
+    }
+    assert_eq!(text.matched_subscriptions(), 2, "nobody has noticed yet that one was killed");
+    assert_eq!(rclpy.take("/text", 500).len(), 500);
 }
 
 fn from_hex(hex: &str) -> Vec<u8> {

@@ -3,8 +3,8 @@
 use super::graph::{Graph, RemoteNode};
 use super::{MessageType, NameError, NodeName, TopicName};
 use crate::middleware::{
-    self, Direction, Endpoint, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader, RemoteEndpoint, SampleHandler,
-    WriteError, Writer,
+    self, Direction, Endpoint, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader, RemoteEndpoint,
+    SampleHandler, WriteError, Writer,
 };
 use bytes::Bytes;
 use downbeat_msgs::qos::QosProfile;

@@ -151,7 +151,12 @@ impl Drop for DdsReader {
 
 /// rustdds keeps the samples of a topic after its last reader is gone, and would give them to the next.
 fn discard_what_an_earlier_reader_left(reader: &DdsDataReader) {
-    while let Ok(Some(_)) | Err(_) = reader.try_take_one() {}
+    // Bounded by what a topic can hold; a sample that cannot be read counts as taken.
+    for _ in 0..qos::KEEP_ALL_SAMPLES {
+        if let Ok(None) = reader.try_take_one() {
+            return;
+        }
+    }
 }
 
 fn refused(kind: &'static str, endpoint: &Endpoint, error: &rustdds::dds::CreateError) -> MiddlewareError {

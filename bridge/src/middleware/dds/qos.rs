@@ -10,7 +10,7 @@ use std::time::Duration;
 /// readers whatever the depth. Such topics hold values that change seldom.
 const TRANSIENT_LOCAL_WINDOW: u32 = 64;
 /// How many samples a reader that keeps all may hold before its callback has taken them.
-const KEEP_ALL_SAMPLES: i32 = 8192;
+pub(super) const KEEP_ALL_SAMPLES: i32 = 8192;
 
 /// The policies for an endpoint of ours. Warns about a policy that is announced but not carried out.
 pub(super) fn policies(endpoint: &Endpoint, direction: Direction) -> Result<QosPolicies, MiddlewareError> {
