@@ -1,2 +1,38 @@
-//! p
-fn main() {}
+//! Developer commands: `cargo xtask test` runs everything that has to hold before a change lands.
+
+mod python;
+mod steps;
+mod test;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+#[derive(Parser)]
+#[command(name = "xtask", about = "Developer commands")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Formatting, clippy, documentation and all tests, those against real ROS 2 and others' bag readers among
+    /// them. Sets up what they need under target/.
+    Test,
+    /// Only the Python environment under target/venv; prints its interpreter.
+    Python,
+}
+
+fn main() -> ExitCode {
+    let result = match Cli::parse().command {
+        Command::Test => test::test(),
+        Command::Python => python::interpreter().map(|path| println!("{}", path.display())),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("xtask: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,37 @@
+//! `cargo xtask test`
+
+use std::process::Command;
+
+use crate::python;
+use crate::steps::{Steps, run};
+
+pub(crate) fn test() -> anyhow::Result<()> {
+    // First, so that a missing Python is told before minutes of building.
+    let python = python::interpreter()?;
+    let cargo = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO"));
+        command.args(arguments);
+        command
+    };
+    let mut steps = Steps::default();
+    steps.step("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
+    steps.step("clippy", || {
+        run(&mut cargo(&["clippy", "--workspace", "--all-targets", "--", "--deny", "warnings"]))
+    });
+    let has_nextest = cargo(&["nextest", "--version"]).output().is_ok_and(|output| output.status.success());
+    let tests: &[&str] = if has_nextest {
+        &["nextest", "run", "--workspace"]
+    } else {
+        // One at a time: robots at 125 Hz with real peers beside them want the machine's cores.
+        &["test", "--workspace", "--lib", "--bins", "--tests", "--", "--test-threads=1"]
+    };
+    steps.step("tests, with real ROS 2 and others' bag readers", || {
+        run(cargo(tests).env("DOWNBEAT_PYTHON", &python).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"))
+    });
+    steps.step("documentation tests", || run(&mut cargo(&["test", "--workspace", "--doc", "--quiet"])));
+    steps.step("documentation", || {
+        let arguments = ["doc", "--workspace", "--no-deps", "--quiet"];
+        run(cargo(&arguments).env("RUSTDOCFLAGS", "--deny warnings"))
+    });
+    steps.finish()
+}
