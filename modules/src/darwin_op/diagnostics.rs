@@ -9,17 +9,20 @@ use super::tables::joints::{COUNT, JOINTS, Joint};
 use super::tables::units::volts_from_raw;
 use downbeat_executor::Time;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus, KeyValue};
+use std::time::Duration;
 
 /// Below this the battery wants charging: 3.5 V for each of its three cells, as everybody's LiPo.
 const LOW_BATTERY_TENTHS: u16 = 105;
+/// How long the bus is called bad after an answer was missing or corrupt.
+const BAD_BUS: Duration = Duration::from_secs(2);
 
 /// How bad each part is: bus, board, servos. Diagnostics go out when one of these changes.
 pub(super) type Levels = [u8; COUNT + 2];
 
 /// How bad each part is now.
-pub(super) fn levels(driver: &Driver) -> Levels {
+pub(super) fn levels(now: Time, driver: &Driver) -> Levels {
     std::array::from_fn(|part| match part {
-        0 => bus_level(driver),
+        0 => bus_level(now, driver),
         1 => board_level(driver),
         _ => servo_level(driver, &driver.servos[part - 2]),
     })
@@ -27,7 +30,7 @@ pub(super) fn levels(driver: &Driver) -> Levels {
 
 /// All there is to say.
 pub(super) fn report(now: Time, driver: &Driver, unknown_names: u64, settings: &Settings) -> DiagnosticArray {
-    let mut status = vec![bus(driver, unknown_names, settings), board(driver)];
+    let mut status = vec![bus(now, driver, unknown_names, settings), board(driver)];
     status.extend(driver.servos.iter().zip(&JOINTS).map(|(one, joint)| servo(driver, one, joint)));
     for one in &mut status {
         one.hardware_id.clone_from(&settings.hardware_id);
@@ -36,12 +39,17 @@ pub(super) fn report(now: Time, driver: &Driver, unknown_names: u64, settings: &
     DiagnosticArray { header: header(now, ""), status }
 }
 
-fn bus_level(driver: &Driver) -> u8 {
+fn bus_level(now: Time, driver: &Driver) -> u8 {
     match driver.phase {
+        Phase::Running if is_lossy(now, driver) => DiagnosticStatus::WARN,
         Phase::Running => DiagnosticStatus::OK,
         Phase::PowerOn { .. } | Phase::Preparing { .. } => DiagnosticStatus::WARN,
         Phase::Closed { .. } | Phase::Open { .. } => DiagnosticStatus::ERROR,
     }
+}
+
+fn is_lossy(now: Time, driver: &Driver) -> bool {
+    driver.last_timeout_at.is_some_and(|at| now < at + BAD_BUS)
 }
 
 fn board_level(driver: &Driver) -> u8 {
@@ -62,8 +70,9 @@ fn servo_level(driver: &Driver, servo: &Servo) -> u8 {
     }
 }
 
-fn bus(driver: &Driver, unknown_names: u64, settings: &Settings) -> DiagnosticStatus {
+fn bus(now: Time, driver: &Driver, unknown_names: u64, settings: &Settings) -> DiagnosticStatus {
     let message = match driver.phase {
+        Phase::Running if is_lossy(now, driver) => "running, but answers are missing or corrupt",
         Phase::Running => "running",
         Phase::PowerOn { .. } => "switching the servos on",
         Phase::Preparing { .. } => "preparing the servos",
@@ -80,7 +89,7 @@ fn bus(driver: &Driver, unknown_names: u64, settings: &Settings) -> DiagnosticSt
         value("CM-730 silent", troubles.silent_board.count()),
         value("joint names unknown in commands", unknown_names),
     ];
-    status(bus_level(driver), "bus", message, values)
+    status(bus_level(now, driver), "bus", message, values)
 }
 
 fn board(driver: &Driver) -> DiagnosticStatus {

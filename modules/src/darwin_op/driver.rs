@@ -68,6 +68,8 @@ pub(super) struct Driver {
     pub(super) troubles: Troubles,
     /// How many exchanges there were.
     pub(super) exchanges: u64,
+    /// When an answer was last missing or corrupt.
+    pub(super) last_timeout_at: Option<Time>,
     board_misses: u32,
     port_wait: Duration,
     retry_any_at: Time,
@@ -83,6 +85,7 @@ impl Driver {
             board: None,
             troubles: Troubles::default(),
             exchanges: 0,
+            last_timeout_at: None,
             board_misses: 0,
             port_wait: RETRY_PORT[0],
             retry_any_at: Time::ZERO,
@@ -118,7 +121,7 @@ impl Driver {
             self.lose_port(now, &mut line);
             None
         });
-        self.count(&exchanges[before..]);
+        self.count(now, &exchanges[before..]);
         reading
     }
 
@@ -340,9 +343,10 @@ impl Driver {
         }
     }
 
-    fn count(&mut self, exchanges: &[Exchange]) {
+    fn count(&mut self, now: Time, exchanges: &[Exchange]) {
         self.exchanges += exchanges.len() as u64;
         for exchange in exchanges.iter().filter(|exchange| exchange.outcome == Outcome::Timeout) {
+            self.last_timeout_at = Some(now);
             if self.troubles.timeouts.is_worth_a_line() {
                 let count = self.troubles.timeouts.count();
                 tracing::warn!("the bus: {} ({count} times so far)", exchange.error);

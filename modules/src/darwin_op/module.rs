@@ -127,7 +127,7 @@ impl DarwinOp {
         if let Some(reading) = &reading {
             publish(reading, &self.driver, settings, topics, &mut self.last, ctx);
         }
-        let levels = levels(&self.driver);
+        let levels = levels(now, &self.driver);
         let is_news = self.last.diagnostics.is_none_or(|(at, last)| at + SLOW <= now || last != levels);
         if is_news {
             self.last.diagnostics = Some((now, levels));

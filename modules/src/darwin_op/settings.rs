@@ -38,7 +38,7 @@ impl SettingKeys {
     pub(super) fn declare<M>(setup: &mut Setup<'_, M>) -> Result<Self, SetupError> {
         let gain = 0.0..=254.0;
         let keys = Self {
-            port: setup.setting("port", "/dev/ttyUSB0".to_owned(), "serial port of the CM-730")?,
+            port: setup.setting("port", "/dev/ttyUSB0".to_owned(), "serial port of the CM-730, taken when it is opened next")?,
             gyro_full_scale_dps: setup.setting_in(
                 "gyro_full_scale_dps",
                 1600.0,

@@ -34,16 +34,13 @@ pub fn radians_from_ticks(ticks: u16, offset_ticks: i16) -> f64 {
 pub fn ticks_from_radians(angle_rad: f64, offset_ticks: i16) -> u16 {
     let ticks = (angle_rad / RADIANS_PER_TICK).round() + f64::from(CENTRE_TICKS + i32::from(offset_ticks));
     // Inside u16 after the clamp.
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
-    let ticks = ticks.clamp(0.0, 4095.0) as u16;
-    ticks
+    ticks.clamp(0.0, 4095.0) as u16
 }
 
 /// A speed or load, which have their sign in bit 10.
 #[must_use]
 pub fn signed_from_magnitude(raw: u16) -> i16 {
     // Ten bits fit.
-    #[allow(clippy::cast_possible_wrap)]
     let magnitude = (raw & MAGNITUDE) as i16;
     if raw & CLOCKWISE == 0 { magnitude } else { -magnitude }
 }
@@ -52,7 +49,6 @@ pub fn signed_from_magnitude(raw: u16) -> i16 {
 #[must_use]
 pub fn magnitude_from_signed(value: i32) -> u16 {
     // Ten bits fit.
-    #[allow(clippy::cast_possible_truncation)]
     let magnitude = value.unsigned_abs().min(u32::from(MAGNITUDE)) as u16;
     if value < 0 { magnitude | CLOCKWISE } else { magnitude }
 }

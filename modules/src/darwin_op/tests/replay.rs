@@ -1,0 +1,101 @@
+//! The module on a recording.
+
+use super::*;
+use crate::darwin_op::bus::{Exchange, Outcome, RecordedBus};
+use crate::darwin_op_emulator::{Button, Fault, Rate};
+use downbeat_msgs::{Message, cdr};
+
+/// What a run published, as bytes: bit for bit, and NaN equals NaN.
+#[derive(Debug, PartialEq)]
+struct Published {
+    exchanges: Vec<Vec<u8>>,
+    joint_states: Vec<Vec<u8>>,
+    imu: Vec<Vec<u8>>,
+    battery: Vec<Vec<u8>>,
+    buttons: Vec<Vec<u8>>,
+    diagnostics: Vec<Vec<u8>>,
+}
+
+/// Three seconds with commands in the same cycles; `before` is told of each cycle.
+fn perform(run: &mut Run, mut before: impl FnMut(usize)) -> Published {
+    for cycle in 0..375 {
+        before(cycle);
+        if cycle % 50 == 20 {
+            let angle = if cycle % 100 == 20 { 0.5 } else { -0.3 };
+            run.command(&[("head_pan", angle), ("r_el", angle), ("nobody", 1.0)]);
+        }
+        run.clock.advance(CYCLE);
+        run.core.cycle().unwrap();
+    }
+    run.core.stop();
+    fn bytes<T: Message>(collector: &Collector<T>) -> Vec<Vec<u8>> {
+        collector.take().iter().map(cdr::to_vec).collect()
+    }
+    Published {
+        exchanges: bytes(&run.exchanges),
+        joint_states: bytes(&run.joint_states),
+        imu: bytes(&run.imu),
+        battery: bytes(&run.battery),
+        buttons: bytes(&run.buttons),
+        diagnostics: bytes(&run.diagnostics),
+    }
+}
+
+#[test]
+fn a_recorded_run_with_faults_replays_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let link = Some(folder.path().join("port"));
+    let options = EmulatorOptions { timing: Timing::Immediate, seed: 9, link, ..Default::default() };
+    let emulator = Emulator::start(options).unwrap();
+    let mut original = Run::on(&emulator);
+    let performed = perform(&mut original, |cycle| match cycle {
+        100 => emulator.inject(Fault::lasting(servo("l_el"), Duration::from_millis(400))),
+        180 => emulator.inject(Fault::always(FaultKind::Flip(Rate::Next(4)))),
+        200 => emulator.inject(Fault::always(FaultKind::Drop(Rate::Next(2)))),
+        220 => emulator.press_button(Button::Start, Duration::from_millis(60)),
+        250 => emulator.inject(Fault::lasting(FaultKind::ClosePort, Duration::from_millis(30))),
+        _ => {}
+    });
+    drop(emulator);
+    assert!(performed.joint_states.len() > 150, "only {} joint states", performed.joint_states.len());
+
+    let recording: Vec<Exchange> = performed
+        .exchanges
+        .iter()
+        .map(|bytes| Exchange::try_from(cdr::from_slice::<BusExchange>(bytes).unwrap()).unwrap())
+        .collect();
+    let length = recording.len() as u64;
+    for outcome in [Outcome::Timeout, Outcome::Failed] {
+        assert!(
+            recording.iter().any(|exchange| exchange.outcome == outcome),
+            "the faults did not show: {outcome:?}"
+        );
+    }
+    let (bus, report) = RecordedBus::new(recording);
+    let port = folder.path().join("port").to_string_lossy().into_owned();
+    let mut replay = Run::new(DarwinOp::new(Box::new(bus)), &[("port", port.into())]);
+    let replayed = perform(&mut replay, |_| {});
+
+    let report = report.lock().unwrap().clone();
+    assert_eq!((report.differences, report.replayed), (Vec::new(), length));
+    assert_eq!(replayed, performed);
+}
+
+#[test]
+fn a_replay_with_another_command_is_noticed() {
+    let emulator = emulator();
+    let performed = perform(&mut Run::on(&emulator), |_| {});
+    let decode =
+        |bytes: &Vec<u8>| Exchange::try_from(cdr::from_slice::<BusExchange>(bytes).unwrap()).unwrap();
+    let (bus, report) = RecordedBus::new(performed.exchanges.iter().map(decode).collect::<Vec<_>>());
+    let mut replay = Run::new(DarwinOp::new(Box::new(bus)), &[("p_gain", SettingValue::Integer(31))]);
+    perform(&mut replay, |_| {});
+    let report = report.lock().unwrap();
+    let first = &report.differences[0];
+    let (_, recorded) = first.recorded.as_ref().unwrap();
+    assert_eq!(
+        (recorded[8], first.done.1[8]),
+        (32, 31),
+        "D, I, P from address 26 of the first servo: {first:?}"
+    );
+}
