@@ -9,6 +9,7 @@ use rustdds::{DomainParticipantStatusEvent as Event, EndpointDescription, GUID, 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
 
 /// The number of endpoints that one of ours is matched with, shared with its handle.
 pub(super) type MatchedCount = Arc<AtomicUsize>;
@@ -24,11 +25,12 @@ pub(super) struct Matches {
     own: [u8; 12],
     local: HashMap<Gid, Matched>,
     remote: HashMap<Gid, RemoteEndpoint>,
+    last_participant: Option<Instant>,
 }
 
 impl Matches {
     pub(super) fn new(own: Gid) -> Self {
-        Self { own: own.participant(), local: HashMap::new(), remote: HashMap::new() }
+        Self { own: own.participant(), local: HashMap::new(), remote: HashMap::new(), last_participant: None }
     }
 
     /// The count of a local endpoint; events may have come before this call.
@@ -47,9 +49,15 @@ impl Matches {
         endpoints
     }
 
+    /// When another participant was last found.
+    pub(super) fn last_participant(&self) -> Option<Instant> {
+        self.last_participant
+    }
+
     /// Applies one event of discovery.
     pub(super) fn apply(&mut self, event: Event) {
         match event {
+            Event::ParticipantDiscovered { .. } => self.last_participant = Some(Instant::now()),
             Event::ReaderDetected { reader } => self.detected(reader, Direction::In),
             Event::WriterDetected { writer } => self.detected(writer, Direction::Out),
             Event::ReaderLost { guid, .. } | Event::WriterLost { guid, .. } => {

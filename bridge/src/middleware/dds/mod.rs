@@ -25,9 +25,13 @@ use std::net::Ipv4Addr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 /// The target under which rustdds logs.
 pub const LOG_TARGET: &str = "rustdds";
+
+/// When rustdds has surely answered a participant that was found.
+const ANSWERED: Duration = Duration::from_millis(100);
 
 type SharedMatches = Arc<Mutex<Matches>>;
 
@@ -123,6 +127,19 @@ impl Middleware for DdsParticipant {
 
     fn remote_endpoints(&self) -> Vec<RemoteEndpoint> {
         lock(&self.matches).remote_endpoints()
+    }
+}
+
+impl Drop for DdsParticipant {
+    fn drop(&mut self) {
+        // 10 ms after a participant was found the discovery thread of rustdds 0.15 holds a strong reference for a moment,
+        // to answer it. Were ours dropped in that moment, that thread would drop the participant, fail to join itself,
+        // and never tell the others that we leave.
+        let last_participant = lock(&self.matches).last_participant();
+        let answering = last_participant.and_then(|found| ANSWERED.checked_sub(found.elapsed()));
+        if let Some(rest) = answering {
+            std::thread::sleep(rest);
+        }
     }
 }
 
