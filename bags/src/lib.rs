@@ -46,6 +46,7 @@ mod recording;
 mod summary;
 mod topic;
 mod writer;
+mod zstd;
 
 pub use info::{BagInfo, ServiceEvents};
 pub use playback::{Playback, PlaybackError, PlaybackOptions, Rate, Step};

@@ -1,10 +1,13 @@
 //! A stretch of a file that holds messages: a chunk, or a run of messages outside of chunks.
 
+use std::borrow::Cow::{self, Borrowed};
+
 use mcap::McapError;
 use mcap::records::{self, MessageHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use super::records::{RECORD_HEADER, has_plausible_length};
+use crate::zstd;
 
 /// The most a chunk may grow to when it is decompressed: a guard against damaged lengths. rosbag2 makes chunks of
 /// 4 MiB at most, unless one message is larger.
@@ -31,14 +34,13 @@ pub(super) enum Content<'a> {
 /// Gives every schema, channel and message in the bytes of a segment, in file order, to `each`. Checksums of chunks are
 /// checked before anything of them is given.
 pub(super) fn decode(bytes: &[u8], mut each: impl FnMut(Content<'_>)) -> Result<(), String> {
-    let limit = largest_record(bytes)?;
+    let bytes = unpack(bytes)?;
     let options = LinearReaderOptions::default()
         .with_skip_start_magic(true)
         .with_skip_end_magic(true)
-        .with_prevalidate_chunk_crcs(true)
-        .with_record_length_limit(usize::try_from(limit).map_err(|error| error.to_string())?);
+        .with_record_length_limit(bytes.len());
     let mut reader = LinearReader::new_with_options(options);
-    let mut rest = bytes;
+    let mut rest = &*bytes;
     while let Some(event) = reader.next_event() {
         match event.map_err(|error| describe(&error))? {
             LinearReadEvent::ReadRequest(wanted) => {
@@ -57,16 +59,16 @@ pub(super) fn decode(bytes: &[u8], mut each: impl FnMut(Content<'_>)) -> Result<
     Ok(())
 }
 
-/// Checks the header of a chunk that the reader would take on trust; returns what no record in it can exceed.
-fn largest_record(bytes: &[u8]) -> Result<u64, String> {
+/// The records in a segment: of a chunk those that it holds, decompressed and checked.
+fn unpack(bytes: &[u8]) -> Result<Cow<'_, [u8]>, String> {
     if bytes.first() != Some(&op::CHUNK) {
-        return Ok(bytes.len() as u64);
+        return Ok(Borrowed(bytes));
     }
     let body = bytes.get(RECORD_HEADER as usize..).unwrap_or_default();
     if !has_plausible_length(op::CHUNK, body.len() as u64) {
         return Err("its header is cut off".to_owned());
     }
-    let Record::Chunk { header, data } =
+    let Record::Chunk { header, data: Borrowed(data) } =
         mcap::parse_record(op::CHUNK, body).map_err(|error| describe(&error))?
     else {
         return Err("it is no chunk".to_owned());
@@ -78,16 +80,26 @@ fn largest_record(bytes: &[u8]) -> Result<u64, String> {
             header.compressed_size
         ));
     }
-    if header.compression.is_empty() && header.uncompressed_size != header.compressed_size {
-        return Err(format!(
-            "its header tells {} bytes of uncompressed content, {} are there",
-            header.uncompressed_size, header.compressed_size
-        ));
-    }
     if header.uncompressed_size > LARGEST_CHUNK {
         return Err(format!("its header tells {} bytes of content", header.uncompressed_size));
     }
-    Ok(header.uncompressed_size.max(body.len() as u64))
+    let content = match header.compression.as_str() {
+        "" if header.uncompressed_size == data.len() as u64 => Borrowed(data),
+        "" => {
+            return Err(format!(
+                "its header tells {} bytes of uncompressed content, {} are there",
+                header.uncompressed_size,
+                data.len()
+            ));
+        }
+        "zstd" => Cow::Owned(zstd::decompress(data, header.uncompressed_size)?),
+        other => return Err(format!("it is compressed with {other:?}; zstd and none can be read")),
+    };
+    // 0 stands for no checksum, which is what the real recorder writes.
+    if header.uncompressed_crc != 0 && crc32fast::hash(&content) != header.uncompressed_crc {
+        return Err("its content does not match its checksum".to_owned());
+    }
+    Ok(content)
 }
 
 fn content(opcode: u8, data: &[u8]) -> Result<Option<Content<'_>>, String> {
@@ -97,7 +109,6 @@ fn content(opcode: u8, data: &[u8]) -> Result<Option<Content<'_>>, String> {
     if !has_plausible_length(opcode, data.len() as u64) {
         return Err(format!("a record with opcode {opcode} has only {} bytes", data.len()));
     }
-    use std::borrow::Cow::Borrowed;
     match mcap::parse_record(opcode, data).map_err(|error| describe(&error))? {
         Record::Schema { header, data: Borrowed(data) } => Ok(Some(Content::Schema { header, data })),
         Record::Channel(channel) => Ok(Some(Content::Channel(channel))),

@@ -1,8 +1,11 @@
 //! Writing of a bag: the recorder without its thread.
 
+mod chunk;
 mod error;
 mod file;
 mod options;
+mod records;
+mod summary;
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};

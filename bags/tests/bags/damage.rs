@@ -109,6 +109,41 @@ fn a_damaged_chunk_is_told_once_and_later_chunks_are_read() {
 }
 
 #[test]
+fn a_chunk_of_another_size_than_it_tells_is_told_and_later_chunks_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let (bytes, chunks) = many_chunks(folder.path(), Compression::Zstd);
+    // The first is the chunk of which too much comes out, as of a decompression bomb.
+    for (told, expected) in
+        [(10, "more came out"), (1 << 29, "came out"), (u64::MAX, "18446744073709551615 bytes of content")]
+    {
+        let mut altered = bytes.clone();
+        let start = chunk_start(&bytes, 2);
+        // Opcode, length, and two times come before the uncompressed size.
+        altered[start + 25..start + 33].copy_from_slice(&u64::to_le_bytes(told));
+        let path = folder.path().join("altered.mcap");
+        fs::write(&path, &altered).unwrap();
+        let items: Vec<_> = Reader::open(&path).unwrap().messages(Selection::all()).unwrap().collect();
+        let errors: Vec<_> = items.iter().filter_map(|item| item.as_ref().err()).collect();
+        assert_eq!(errors.len(), 1);
+        assert!(errors[0].to_string().contains(expected), "{}", errors[0]);
+        let read: Vec<i64> = items.iter().filter_map(|item| item.as_ref().ok()).map(value).collect();
+        let lost = chunks[1].1 as i64..chunks[2].1 as i64;
+        assert_eq!(read, (0..COUNT).filter(|n| !lost.contains(n)).collect::<Vec<_>>());
+    }
+}
+
+/// Where the chunk with that position among the chunks begins.
+fn chunk_start(bytes: &[u8], index: usize) -> usize {
+    let mut offset = 8;
+    let mut left = index;
+    while bytes[offset] != 0x06 || left > 0 {
+        left -= usize::from(bytes[offset] == 0x06);
+        offset += 9 + u64::from_le_bytes(bytes[offset + 1..offset + 9].try_into().unwrap()) as usize;
+    }
+    offset
+}
+
+#[test]
 fn no_altered_byte_makes_the_reader_panic() {
     let folder = tempfile::tempdir().unwrap();
     let own = |compression| many_chunks(folder.path(), compression).0;

@@ -1,0 +1,177 @@
+//! Zstandard in both directions, without C: the content of compressed chunks.
+//!
+//! # References
+//! The format is RFC 8878, "Zstandard Compression and the 'application/zstd' Media Type".
+
+use ruzstd::decoding::errors::{FrameDecoderError, ReadFrameHeaderError};
+use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
+use ruzstd::encoding::{CompressionLevel, compress_to_vec};
+
+/// How far back a frame may refer: what the reference implementation accepts unless told otherwise.
+const LARGEST_WINDOW: u64 = 128 * 1024 * 1024;
+
+/// Compresses to one frame with a checksum, at the fastest level.
+pub(crate) fn compress(content: &[u8]) -> Vec<u8> {
+    compress_to_vec(content, CompressionLevel::Fastest)
+}
+
+/// Decompresses all frames in `compressed`, which must come to `expected` bytes.
+///
+/// Neither that length nor those in the frames are trusted: memory grows with what has been decompressed, and by no more
+/// than a block (128 KiB) and a window beyond `expected`.
+///
+/// # Errors
+/// What is wrong, as the end of a sentence about the chunk.
+pub(crate) fn decompress(compressed: &[u8], expected: u64) -> Result<Vec<u8>, String> {
+    let mut decoder = FrameDecoder::new();
+    decoder.set_max_window_size(LARGEST_WINDOW);
+    let mut content = Vec::new();
+    let mut rest = compressed;
+    while !rest.is_empty() {
+        match decoder.reset(&mut rest) {
+            Ok(()) => decode_frame(&mut decoder, &mut rest, &mut content, expected)?,
+            Err(FrameDecoderError::ReadFrameHeaderError(ReadFrameHeaderError::SkipFrame {
+                length, ..
+            })) => {
+                let after = usize::try_from(length).ok().and_then(|length| rest.get(length..));
+                rest = after.ok_or_else(|| "it ends within a frame that is to be skipped".to_owned())?;
+            }
+            Err(error) => return Err(damaged(&error)),
+        }
+    }
+    if content.len() as u64 != expected {
+        return Err(format!(
+            "its header tells {expected} bytes of uncompressed content, {} came out",
+            content.len()
+        ));
+    }
+    Ok(content)
+}
+
+fn decode_frame(
+    decoder: &mut FrameDecoder,
+    rest: &mut &[u8],
+    content: &mut Vec<u8>,
+    expected: u64,
+) -> Result<(), String> {
+    while !decoder.is_finished() {
+        decoder
+            .decode_blocks(&mut *rest, BlockDecodingStrategy::UptoBlocks(1))
+            .map_err(|error| damaged(&error))?;
+        if content.len() as u64 + decoder.can_collect() as u64 > expected {
+            return Err(format!("its header tells {expected} bytes of uncompressed content, more came out"));
+        }
+        decoder.collect_to_writer(&mut *content).map_err(|error| error.to_string())?;
+    }
+    match decoder.get_checksum_from_data() {
+        Some(told) if decoder.get_calculated_checksum() != Some(told) => {
+            Err("the checksum of its Zstandard frame is wrong".to_owned())
+        }
+        _ => Ok(()),
+    }
+}
+
+fn damaged(error: &FrameDecoderError) -> String {
+    format!("its Zstandard data is not as it should be ({error})")
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    /// A frame that decodes to `blocks` times 128 KiB of zeros: RFC 8878 section 3.1.1, run-length blocks.
+    fn frame_of_runs(blocks: u32) -> Vec<u8> {
+        // The magic number, no checksum and no length, a window of 128 KiB.
+        let mut frame = vec![0x28, 0xb5, 0x2f, 0xfd, 0x00, 7 << 3];
+        for block in 1..=blocks {
+            let header = (128 * 1024_u32) << 3 | 1 << 1 | u32::from(block == blocks);
+            frame.extend_from_slice(&header.to_le_bytes()[..3]);
+            frame.push(0);
+        }
+        frame
+    }
+
+    /// Bytes that neither repeat nor are random: like the fields of messages.
+    fn mixed(length: usize) -> Vec<u8> {
+        let mut state = 1_u32;
+        let mut byte = |n: usize| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            if n % 40 < 30 { (n % 40) as u8 } else { (state >> (24 + n / 5000 % 8)) as u8 }
+        };
+        (0..length).map(&mut byte).collect()
+    }
+
+    #[test]
+    fn content_of_any_length_comes_back() {
+        for length in (0..300).chain([4095, 131_071, 131_072, 131_073, 400_000]) {
+            for content in [mixed(length), vec![7; length]] {
+                let compressed = compress(&content);
+                assert_eq!(decompress(&compressed, length as u64).as_ref(), Ok(&content), "{length}");
+            }
+        }
+        assert!(compress(&mixed(400_000)).len() < 200_000);
+    }
+
+    #[test]
+    fn several_frames_and_skippable_ones_are_read_as_one_content() {
+        let mut compressed = compress(b"one ");
+        compressed.extend_from_slice(&[0x50, 0x2a, 0x4d, 0x18, 3, 0, 0, 0, 1, 2, 3]);
+        compressed.extend_from_slice(&compress(b"two"));
+        assert_eq!(decompress(&compressed, 7).unwrap(), b"one two");
+        compressed.extend_from_slice(&[0x50, 0x2a, 0x4d, 0x18, 0xff, 0xff, 0xff, 0xff]);
+        assert!(decompress(&compressed, 7).unwrap_err().contains("to be skipped"));
+    }
+
+    #[test]
+    fn a_decompression_bomb_is_stopped_where_it_exceeds_what_was_told() {
+        let whole = frame_of_runs(3);
+        assert_eq!(decompress(&whole, 3 * 128 * 1024).unwrap(), vec![0; 3 * 128 * 1024]);
+        // 131 GB if it were decompressed, and no last block.
+        let mut bomb = frame_of_runs(1000);
+        let last = bomb.len() - 4;
+        bomb[last] &= !1;
+        let blocks = bomb[6..].repeat(1000);
+        bomb.extend_from_slice(&blocks);
+        let error = decompress(&bomb, 1_000_000).unwrap_err();
+        assert!(error.contains("tells 1000000 bytes of uncompressed content, more came out"), "{error}");
+    }
+
+    #[test]
+    fn a_wrong_length_is_told_however_large_it_is() {
+        let compressed = compress(&mixed(1000));
+        for wrong in [0, 999, 1001, 1 << 30, u64::MAX] {
+            let error = decompress(&compressed, wrong).unwrap_err();
+            assert!(error.contains(&format!("tells {wrong} bytes")), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_window_larger_than_the_limit_is_refused_before_memory_is_taken() {
+        // Window exponent 31: 2 TiB.
+        let error = decompress(&[0x28, 0xb5, 0x2f, 0xfd, 0x00, 31 << 3, 1, 0, 0], 0).unwrap_err();
+        assert!(error.contains("window"), "{error}");
+    }
+
+    #[test]
+    fn damaged_frames_give_errors_and_no_other_content() {
+        let content = mixed(3000);
+        let compressed = compress(&content);
+        for position in 0..compressed.len() {
+            for change in [0x01, 0x80, 0xff] {
+                let mut altered = compressed.clone();
+                altered[position] ^= change;
+                if let Ok(read) = decompress(&altered, 3000) {
+                    assert_eq!(
+                        read, content,
+                        "byte {position}: the checksum catches what the format does not"
+                    );
+                }
+            }
+        }
+        for length in 1..compressed.len() {
+            assert!(decompress(&compressed[..length], 3000).is_err(), "cut to {length}");
+        }
+    }
+}
