@@ -14,7 +14,9 @@ pub enum Compression {
     /// They are not: least work while recording. What rosbag2 does unless told otherwise.
     #[default]
     None,
-    /// With Zstandard at its fastest level, as rosbag2's preset `zstd_fast`.
+    /// With Zstandard at the fastest level, as rosbag2's preset `zstd_fast`. The compressor is slower than the one in C
+    /// (see README.md), and works when a chunk is handed over: record with [`Recording`](crate::Recording) where the
+    /// thread must not wait for a full chunk.
     Zstd,
 }
 

@@ -5,6 +5,7 @@
 mod damage;
 mod fixtures;
 mod interrupted;
+mod layout;
 mod order;
 mod python;
 mod support;
