@@ -12,7 +12,12 @@ const TOPIC: &str = "diagnostics";
 /// The components that are not well, by name.
 #[derive(Clone, Default)]
 pub(crate) struct Faults {
-    by_component: Arc<Mutex<BTreeMap<String, String>>>,
+    by_component: Arc<Mutex<BTreeMap<String, Fault>>>,
+}
+
+struct Fault {
+    level: u8,
+    message: String,
 }
 
 impl Faults {
@@ -24,25 +29,30 @@ impl Faults {
         Ok(faults)
     }
 
-    /// A line for each component that is not well.
-    pub(crate) fn lines(&self) -> Vec<String> {
-        self.lock().values().cloned().collect()
+    /// A line for each component that is not well: errors, warnings, then what is only stale.
+    pub(crate) fn worst_first(&self) -> Vec<String> {
+        let faults = self.lock();
+        let lines = |wanted: u8, name: &'static str| {
+            let of_level = faults.iter().filter(move |(_, fault)| fault.level == wanted);
+            of_level.map(move |(component, fault)| format!("{name}: {component}: {}", fault.message))
+        };
+        lines(DiagnosticStatus::ERROR, "error")
+            .chain(lines(DiagnosticStatus::WARN, "warning"))
+            .chain(lines(DiagnosticStatus::STALE, "stale"))
+            .collect()
     }
 
     fn update(&self, status: &DiagnosticStatus) {
-        let level = match status.level {
-            DiagnosticStatus::OK => {
-                self.lock().remove(&status.name);
-                return;
-            }
-            DiagnosticStatus::WARN => "warning",
-            DiagnosticStatus::ERROR => "error",
-            _ => "stale",
-        };
-        self.lock().insert(status.name.clone(), format!("{level}: {}: {}", status.name, status.message));
+        let mut faults = self.lock();
+        if status.level == DiagnosticStatus::OK {
+            faults.remove(&status.name);
+        } else {
+            let (level, message) = (status.level, status.message.clone());
+            faults.insert(status.name.clone(), Fault { level, message });
+        }
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, BTreeMap<String, String>> {
+    fn lock(&self) -> std::sync::MutexGuard<'_, BTreeMap<String, Fault>> {
         self.by_component.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -62,17 +72,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_fault_is_shown_until_its_component_is_well() {
+    fn faults_are_shown_worst_first_until_their_component_is_well() {
         let faults = Faults::default();
-        let status = |level, message: &str| DiagnosticStatus {
+        let status = |name: &str, level, message: &str| DiagnosticStatus {
             level,
-            name: "bus: servo 5".into(),
+            name: name.into(),
             message: message.into(),
             ..DiagnosticStatus::default()
         };
-        faults.update(&status(DiagnosticStatus::ERROR, "silent"));
-        assert_eq!(faults.lines(), ["error: bus: servo 5: silent"]);
-        faults.update(&status(DiagnosticStatus::OK, "well"));
-        assert!(faults.lines().is_empty());
+        faults.update(&status("board", DiagnosticStatus::STALE, "no news"));
+        faults.update(&status("servo 5", DiagnosticStatus::ERROR, "silent"));
+        assert_eq!(faults.worst_first(), ["error: servo 5: silent", "stale: board: no news"]);
+        faults.update(&status("servo 5", DiagnosticStatus::OK, "well"));
+        assert_eq!(faults.worst_first(), ["stale: board: no news"]);
     }
 }

@@ -10,7 +10,7 @@ use super::screen::Screen;
 const VARIABLE: &str = "DOWNBEAT_LOG";
 
 /// The DDS engine reports each repair and each refused sample as an error; what matters of it the bridge tells.
-const DEFAULT: &str = "info,rustdds=off,ros2_client=off";
+const DEFAULT: &str = "info,rustdds=off";
 
 /// Sends log events to standard error, above the status block.
 pub(crate) fn start(screen: &Screen) {

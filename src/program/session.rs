@@ -15,7 +15,6 @@ use downbeat::executor::{Core, RunError, TopicInfo};
 use downbeat::msgs::qos::QosProfile;
 use downbeat::recorder;
 use downbeat::robot::{Direction, Robot, RobotFile};
-use downbeat::step_journal::StepJournal;
 
 use super::faults::Faults;
 use super::screen::Screen;
@@ -47,7 +46,6 @@ impl Session {
         let statistics = Arc::new(Statistics::default());
         let core = Core::new().with_probe(Arc::clone(&statistics) as _);
         let mut robot = RobotFile::read(robot_file)?.build(core)?;
-        StepJournal::add(&mut robot.core)?;
         let faults = Faults::watch(&mut robot.core)?;
         Ok(Self { robot, statistics, faults, bridge: None, recording: None })
     }

@@ -29,6 +29,9 @@ pub(crate) struct StatusBlock<'a> {
     last_cycles: u64,
 }
 
+/// Lines of faults: one cause may make each of twenty servos stale.
+const MOST_FAULTS: usize = 4;
+
 impl<'a> StatusBlock<'a> {
     pub(crate) fn new(sources: Sources<'a>) -> Self {
         let (now, last_counts) = (Instant::now(), vec![0; sources.topics.len()]);
@@ -45,7 +48,7 @@ impl<'a> StatusBlock<'a> {
         lines.extend(self.topics(elapsed));
         lines.extend(self.bridge());
         lines.extend(self.sources.recording.map(bag));
-        lines.extend(self.sources.faults.lines().iter().map(|fault| labelled("fault", fault)));
+        lines.extend(self.faults());
         lines
     }
 
@@ -76,6 +79,17 @@ impl<'a> StatusBlock<'a> {
             .enumerate()
             .map(|(row, rates)| labelled(if row == 0 { "topics" } else { "" }, &rates.join("  ")))
             .collect()
+    }
+
+    fn faults(&self) -> Vec<String> {
+        let faults = self.sources.faults.worst_first();
+        let mut lines: Vec<_> =
+            faults.iter().take(MOST_FAULTS).map(|fault| labelled("fault", fault)).collect();
+        if faults.len() > MOST_FAULTS {
+            let more = faults.len() - MOST_FAULTS;
+            lines.push(labelled("", &format!("and {more} more, see the topic diagnostics")));
+        }
+        lines
     }
 
     fn bridge(&self) -> Vec<String> {

@@ -1,9 +1,10 @@
-//! From a robot file to a core with its modules.
+//! From a robot file to a core with its modules, and with the journal of their runs.
 
 use downbeat_executor::{Core, Linear, ModuleOptions, Pool, SetupError};
 
 use super::file::{ExposeEntry, ModuleEntry, RobotFile, RobotFileError, suggestion};
 use super::{Direction, LauncherChoice};
+use crate::step_journal::StepJournal;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -32,20 +33,15 @@ impl RobotFile {
         for module in &self.modules {
             self.add(module, &mut core)?;
         }
+        StepJournal::add(&mut core).map_err(|error| self.source.error(1, error.to_string()))?;
         let robot = Robot { file: self, core };
         robot.check_topics()?;
         Ok(robot)
     }
 
     fn add(&self, module: &ModuleEntry, core: &mut Core) -> Result<()> {
-        let settings = module.settings.iter().map(|(name, value)| (name.clone(), value.value.clone()));
-        let remaps = module.remaps.iter().map(|(from, to)| (from.clone(), to.value.clone()));
-        let options = ModuleOptions {
-            settings: settings.collect(),
-            remaps: remaps.collect(),
-            ..ModuleOptions::default()
-        };
-        module.kind.add_to(core, &module.name, options).map_err(|error| self.located(module, &error))
+        let added = module.kind.add_to(core, &module.name, module.options());
+        added.map_err(|error| self.located(module, &error))
     }
 
     /// The error of a module's setup at the line that caused it.
@@ -63,6 +59,16 @@ impl RobotFile {
             _ => (None, String::new()),
         };
         self.source.error(line.unwrap_or(module.line), format!("{error}{hint}"))
+    }
+}
+
+impl ModuleEntry {
+    /// The settings and remaps that the file gives the module.
+    #[must_use]
+    pub fn options(&self) -> ModuleOptions {
+        let settings = self.settings.iter().map(|(name, value)| (name.clone(), value.value.clone()));
+        let remaps = self.remaps.iter().map(|(from, to)| (from.clone(), to.value.clone()));
+        ModuleOptions { settings: settings.collect(), remaps: remaps.collect(), ..ModuleOptions::default() }
     }
 }
 
