@@ -105,6 +105,7 @@ fn board(driver: &Driver) -> DiagnosticStatus {
 
 fn servo(driver: &Driver, servo: &Servo, joint: &Joint) -> DiagnosticStatus {
     let message = match (&servo.service, servo.alarms()) {
+        (Service::Active, _) if driver.phase != Phase::Running => "waits for the bus".to_owned(),
         (Service::Active, StatusError::NONE) => "OK".to_owned(),
         (Service::Active, alarms) => format!("the servo reports: {alarms}"),
         (Service::Silent { .. }, _) => "no answer; its joint is stale".to_owned(),
