@@ -20,13 +20,12 @@ pub(crate) struct Sources<'a> {
     pub(crate) faults: &'a Faults,
 }
 
-/// Draws the block; rates are those since the last time.
+/// Makes the lines of the block.
 pub(crate) struct StatusBlock<'a> {
     sources: Sources<'a>,
     started: Instant,
-    last: Instant,
-    last_counts: Vec<u64>,
-    last_cycles: u64,
+    cycles: Rates,
+    topics: Rates,
 }
 
 /// Lines of faults: one cause may make each of twenty servos stale.
@@ -34,28 +33,25 @@ const MOST_FAULTS: usize = 4;
 
 impl<'a> StatusBlock<'a> {
     pub(crate) fn new(sources: Sources<'a>) -> Self {
-        let (now, last_counts) = (Instant::now(), vec![0; sources.topics.len()]);
-        Self { sources, started: now, last: now, last_counts, last_cycles: 0 }
+        let now = Instant::now();
+        Self { sources, started: now, cycles: Rates::new(now), topics: Rates::new(now) }
     }
 
     pub(crate) fn lines(&mut self) -> Vec<String> {
         let now = Instant::now();
-        let elapsed = (now - self.last).max(Duration::from_millis(1)).as_secs_f64();
-        self.last = now;
         let running = (now - self.started).as_secs();
         let mut lines = vec![format!("{}   {running} s", self.sources.title)];
-        lines.extend(self.cycles(elapsed));
-        lines.extend(self.topics(elapsed));
+        lines.extend(self.cycles(now));
+        lines.extend(self.topics(now));
         lines.extend(self.bridge());
         lines.extend(self.sources.recording.map(bag));
         lines.extend(self.faults());
         lines
     }
 
-    fn cycles(&mut self, elapsed: f64) -> Vec<String> {
+    fn cycles(&mut self, now: Instant) -> Vec<String> {
         let collected = self.sources.statistics.collected();
-        let rate = (collected.cycles - self.last_cycles) as f64 / elapsed;
-        self.last_cycles = collected.cycles;
+        let rate = self.cycles.update(now, vec![collected.cycles])[0];
         let mut lines = vec![labelled("cycle", &format!("{}   {rate:.0}/s", collected.cycle))];
         for (module, times) in &collected.detached {
             lines.push(labelled(module, &format!("period {}", times.period)));
@@ -64,21 +60,13 @@ impl<'a> StatusBlock<'a> {
         lines
     }
 
-    fn topics(&mut self, elapsed: f64) -> Vec<String> {
-        let mut rates = Vec::new();
-        for (topic, last) in self.sources.topics.iter().zip(&mut self.last_counts) {
-            let count = topic.counter.messages();
-            let rate = (count - *last) as f64 / elapsed;
-            *last = count;
-            if topic.is_published {
-                rates.push(format!("{} {rate:.0}/s", topic.name));
-            }
-        }
-        rates
-            .chunks(4)
-            .enumerate()
-            .map(|(row, rates)| labelled(if row == 0 { "topics" } else { "" }, &rates.join("  ")))
-            .collect()
+    fn topics(&mut self, now: Instant) -> Vec<String> {
+        let topics = &self.sources.topics;
+        let rates = self.topics.update(now, topics.iter().map(|topic| topic.counter.messages()).collect());
+        let published = topics.iter().zip(rates).filter(|(topic, _)| topic.is_published);
+        let rates: Vec<_> = published.map(|(topic, rate)| format!("{} {rate:.0}/s", topic.name)).collect();
+        let label = |row| if row == 0 { "topics" } else { "" };
+        rates.chunks(4).enumerate().map(|(row, rates)| labelled(label(row), &rates.join("  "))).collect()
     }
 
     fn faults(&self) -> Vec<String> {
@@ -122,6 +110,47 @@ fn bag(recording: &Recording) -> String {
     labelled("bag", &format!("{path}   {mebibytes:.1} MiB   {messages} messages   {lost} lost{failure}"))
 }
 
+/// What some counters gain per second, over at least a second.
+struct Rates {
+    since: Instant,
+    counts: Vec<u64>,
+    rates: Vec<f64>,
+}
+
+impl Rates {
+    fn new(now: Instant) -> Self {
+        Self { since: now, counts: Vec::new(), rates: Vec::new() }
+    }
+
+    fn update(&mut self, now: Instant, counts: Vec<u64>) -> &[f64] {
+        self.counts.resize(counts.len(), 0);
+        self.rates.resize(counts.len(), 0.0);
+        let elapsed = now - self.since;
+        if elapsed >= Duration::from_secs(1) {
+            let gains = counts.iter().zip(&self.counts).map(|(count, last)| count.saturating_sub(*last));
+            self.rates = gains.map(|gain| gain as f64 / elapsed.as_secs_f64()).collect();
+            (self.since, self.counts) = (now, counts);
+        }
+        &self.rates
+    }
+}
+
 fn labelled(label: &str, text: &str) -> String {
     format!("  {label:<10} {text}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rates_are_of_the_last_second_or_more() {
+        let start = Instant::now();
+        let mut rates = Rates::new(start);
+        let at = |milliseconds| start + Duration::from_millis(milliseconds);
+        assert_eq!(rates.update(at(500), vec![60]), [0.0]);
+        assert_eq!(rates.update(at(1000), vec![125]), [125.0]);
+        assert_eq!(rates.update(at(1900), vec![999]), [125.0]);
+        assert_eq!(rates.update(at(3000), vec![325]), [100.0]);
+    }
 }

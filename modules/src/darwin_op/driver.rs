@@ -15,6 +15,9 @@ use super::tables::{cm730, mx28};
 use downbeat_executor::Time;
 use std::time::Duration;
 
+/// How often a servo is asked before the cycle begins, until it is left out.
+const ATTEMPTS_TO_PREPARE: u32 = 3;
+
 /// What servos need from power on until they answer.
 const POWER_ON: Duration = Duration::from_millis(300);
 /// How long a servo out of service is left alone. Asking a silent one costs 5 ms, more than a cycle has to spare.
@@ -186,7 +189,17 @@ impl Driver {
     fn prepare(&mut self, index: usize, now: Time, line: &mut Line<'_>) -> Result<(), PortFailed> {
         let (servo, joint) = (&mut self.servos[index], &JOINTS[index]);
         let was_out = servo.retry_at().is_some();
-        match prepare(line, joint.id, self.gains) {
+        let mut prepared = prepare(line, joint.id, self.gains);
+        if matches!(self.phase, Phase::Preparing { .. }) {
+            // No cycle waits yet, and a servo left out now joins a second late.
+            for _ in 1..ATTEMPTS_TO_PREPARE {
+                if prepared != Err(PrepareError::Trouble(Trouble::Silent)) {
+                    break;
+                }
+                prepared = prepare(line, joint.id, self.gains);
+            }
+        }
+        match prepared {
             Ok(position) => {
                 if was_out {
                     let missed = servo.missed;
