@@ -64,6 +64,17 @@ impl<'a, M> Setup<'a, M> {
         SetupError::Refused { module: self.io.name.to_string(), reason: reason.into() }
     }
 
+    /// An error with what is wrong with the value that a setting was given.
+    #[must_use]
+    pub fn refuse_value<T>(&self, setting: Setting<T>, refusal: impl Into<String>) -> SetupError {
+        let name = self.io.settings.infos().get(setting.index).map(|info| info.name.clone());
+        SetupError::SettingValue {
+            module: self.io.name.to_string(),
+            setting: name.unwrap_or_default(),
+            refusal: refusal.into(),
+        }
+    }
+
     /// Declares that the module publishes messages of type `T` on a topic; the key is for
     /// [`Context::publish`].
     ///

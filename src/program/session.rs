@@ -5,16 +5,15 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, anyhow};
 use downbeat::bags::{Compression, Recording, RecordingSummary, WriterOptions};
-use downbeat::bridge::edge::KnownType;
-use downbeat::bridge::expose::{self, BridgeStatus, Exposure};
+use downbeat::bridge::expose::{self, BridgeStatus};
 use downbeat::bridge::middleware::{self, ParticipantOptions};
 use downbeat::bridge::ros::{Node, NodeName, Participant};
-use downbeat::executor::{Core, RunError, TopicInfo};
+use downbeat::executor::{Core, RunError};
 use downbeat::msgs::qos::QosProfile;
 use downbeat::recorder;
-use downbeat::robot::{Direction, Robot, RobotFile};
+use downbeat::robot::{Robot, RobotFile};
 
 use super::faults::Faults;
 use super::screen::Screen;
@@ -53,8 +52,7 @@ impl Session {
     /// Shows to ROS 2 what the robot file exposes.
     pub(crate) fn expose(&mut self, options: &ParticipantOptions) -> anyhow::Result<()> {
         let Robot { file, .. } = &self.robot;
-        let exposures =
-            file.expose.iter().map(|entry| self.exposure(entry)).collect::<Result<Vec<_>, _>>()?;
+        let exposures = self.robot.exposures()?;
         let name = NodeName::new(&file.namespace, &file.name)?;
         let title = format!("{name}   domain {}", options.domain_id);
         let node = Participant::join(options)?.create_node(name)?;
@@ -70,30 +68,7 @@ impl Session {
         Ok(())
     }
 
-    fn exposure(&self, entry: &downbeat::robot::ExposeEntry) -> anyhow::Result<Exposure> {
-        let refuse = |problem: String| self.robot.expose_error(entry, &problem);
-        let topic = self.topics().iter().find(|topic| *topic.name == *entry.topic.trim_start_matches('/'));
-        let topic = topic.ok_or_else(|| refuse(format!("no module has a topic \"{}\"", entry.topic)))?;
-        let message_type = KnownType::of_rust_type(topic.message_type_id).ok_or_else(|| {
-            refuse(format!("\"{}\" carries {}, which is no ROS message", entry.topic, topic.message_type))
-        })?;
-        if let Some(type_name) = entry.type_name.as_deref().filter(|name| *name != message_type.name()) {
-            let actual = message_type.name();
-            bail!(refuse(format!("\"{}\" is of type \"{actual}\", not \"{type_name}\"", entry.topic)));
-        }
-        Ok(Exposure {
-            topic: topic.name.to_string(),
-            ros_topic: Some(entry.ros_topic.clone()),
-            message_type,
-            direction: match entry.direction {
-                Direction::Out => middleware::Direction::Out,
-                Direction::In => middleware::Direction::In,
-            },
-            qos: entry.qos,
-        })
-    }
-
-    /// Records what the robot file's `[record]` names, or everything if `all` topics are asked for.
+    /// Records what the robot file's `[record]` names, with its compression unless another is asked for.
     pub(crate) fn record(
         &mut self,
         directory: &Path,
@@ -107,15 +82,7 @@ impl Session {
         let writer = options.custom_data("robot", file.name.clone()).create(directory)?;
         let recording = Recording::start(writer, Recording::DEFAULT_QUEUE_BYTES)
             .context("cannot start the thread that writes the bag")?;
-        let topics = match &file.record.topics {
-            None => self.topics().to_vec(),
-            Some(names) => {
-                let is_named = |topic: &&TopicInfo| {
-                    names.iter().any(|name| *topic.name == *name.trim_start_matches('/'))
-                };
-                self.topics().iter().filter(is_named).cloned().collect()
-            }
-        };
+        let topics = self.robot.recorded_topics()?;
         let exposed: Vec<_> = file
             .expose
             .iter()
@@ -132,7 +99,7 @@ impl Session {
 
     /// Runs the robot until `stop`, then stops it and tells how it went.
     pub(crate) fn run(self, stop: &Stop, screen: &Screen) -> anyhow::Result<()> {
-        let topics = self.topics().to_vec();
+        let topics = self.robot.core.topics().to_vec();
         let Self { robot: Robot { file, mut core }, statistics, faults, bridge, recording } = self;
         let handle = core.handle();
         let core: JoinHandle<Result<(), RunError>> = std::thread::Builder::new()
@@ -168,10 +135,6 @@ impl Session {
         }
         tell(&statistics, summary.as_ref());
         Ok(())
-    }
-
-    fn topics(&self) -> &[TopicInfo] {
-        self.robot.core.topics()
     }
 }
 

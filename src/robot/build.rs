@@ -1,8 +1,11 @@
 //! From a robot file to a core with its modules, and with the journal of their runs.
 
-use downbeat_executor::{Core, Linear, ModuleOptions, Pool, SetupError};
+use downbeat_bridge::edge::KnownType;
+use downbeat_bridge::expose::Exposure;
+use downbeat_bridge::middleware;
+use downbeat_executor::{Core, Linear, ModuleOptions, Pool, SetupError, TopicInfo};
 
-use super::file::{ExposeEntry, ModuleEntry, RobotFile, RobotFileError, suggestion};
+use super::file::{ExposeEntry, ModuleEntry, RecordEntry, RobotFile, RobotFileError, suggestion};
 use super::{Direction, LauncherChoice};
 use crate::step_journal::StepJournal;
 
@@ -35,7 +38,8 @@ impl RobotFile {
         }
         StepJournal::add(&mut core).map_err(|error| self.source.error(1, error.to_string()))?;
         let robot = Robot { file: self, core };
-        robot.check_topics()?;
+        robot.exposures()?;
+        robot.recorded_topics()?;
         Ok(robot)
     }
 
@@ -56,6 +60,10 @@ impl RobotFile {
             SetupError::UnknownTopic { topic, known, .. } => {
                 (of_remap(topic), suggestion(topic, known.iter().map(String::as_str)))
             }
+            SetupError::TopicType { topic, .. } | SetupError::InvalidTopicName { topic, .. } => {
+                let remap = module.remaps.values().find(|remap| remap.value.trim_start_matches('/') == topic);
+                (remap.map(|remap| remap.line), String::new())
+            }
             _ => (None, String::new()),
         };
         self.source.error(line.unwrap_or(module.line), format!("{error}{hint}"))
@@ -73,39 +81,61 @@ impl ModuleEntry {
 }
 
 impl Robot {
-    /// An error at the line of an exposed topic.
-    #[must_use]
-    pub fn expose_error(&self, entry: &ExposeEntry, problem: &str) -> RobotFileError {
-        self.file.source.error(entry.line, problem)
+    /// What the bridge is to show of the modules' topics.
+    ///
+    /// # Errors
+    /// If a topic is not there, nobody publishes what is to go out, or the type is another; with path and line.
+    pub fn exposures(&self) -> Result<Vec<Exposure>> {
+        self.file.expose.iter().map(|entry| self.exposure(entry)).collect()
     }
 
-    /// Checks that what is exposed and recorded is there.
-    fn check_topics(&self) -> Result<()> {
-        for entry in &self.file.expose {
-            self.check_topic(&entry.topic, entry.line, "expose")?;
-            let is_published = self.topic(&entry.topic).is_some_and(|topic| topic.is_published);
-            if entry.direction == Direction::Out && !is_published {
-                let problem = format!(
-                    "no module publishes \"{}\", so there is nothing to send out; does it belong under \"in\"?",
-                    entry.topic
-                );
-                return Err(self.expose_error(entry, &problem));
+    /// The topics that a recording is to hold.
+    ///
+    /// # Errors
+    /// If a topic is not there; with path and line.
+    pub fn recorded_topics(&self) -> Result<Vec<TopicInfo>> {
+        let RecordEntry { topics, line, .. } = &self.file.record;
+        match topics {
+            None => Ok(self.core.topics().to_vec()),
+            Some(names) => names.iter().map(|name| self.topic(name, *line, "record").cloned()).collect(),
+        }
+    }
+
+    fn exposure(&self, entry: &ExposeEntry) -> Result<Exposure> {
+        let refuse = |problem: String| Err(self.file.source.error(entry.line, problem));
+        let topic = self.topic(&entry.topic, entry.line, "expose")?;
+        let name = &topic.name;
+        if entry.direction == Direction::Out && !topic.is_published {
+            return refuse(format!("no module publishes \"{name}\"; does it belong under \"in\"?"));
+        }
+        let Some(message_type) = KnownType::of_rust_type(topic.message_type_id) else {
+            return refuse(format!("\"{name}\" carries {}, which is no ROS message", topic.message_type));
+        };
+        let actual = message_type.name();
+        match entry.type_name.as_deref() {
+            Some(said) if said != actual => {
+                return refuse(format!("\"{name}\" is of type \"{actual}\", not \"{said}\""));
             }
+            Some(_) | None => {}
         }
-        let recorded = self.file.record.topics.iter().flatten();
-        recorded.into_iter().try_for_each(|topic| self.check_topic(topic, self.file.record.line, "record"))
+        Ok(Exposure {
+            topic: name.to_string(),
+            ros_topic: Some(entry.ros_topic.clone()),
+            message_type,
+            direction: match entry.direction {
+                Direction::Out => middleware::Direction::Out,
+                Direction::In => middleware::Direction::In,
+            },
+            qos: entry.qos,
+        })
     }
 
-    fn check_topic(&self, name: &str, line: usize, what: &str) -> Result<()> {
-        if self.topic(name).is_some() {
-            return Ok(());
-        }
-        let hint = suggestion(name, self.core.topics().iter().map(|topic| &*topic.name));
-        Err(self.file.source.error(line, format!("no module has a topic \"{name}\" to {what}{hint}")))
-    }
-
-    fn topic(&self, name: &str) -> Option<&downbeat_executor::TopicInfo> {
-        let name = name.strip_prefix('/').unwrap_or(name);
-        self.core.topics().iter().find(|topic| *topic.name == *name)
+    fn topic(&self, name: &str, line: usize, what: &str) -> Result<&TopicInfo> {
+        let topics = self.core.topics();
+        let canonical = name.strip_prefix('/').unwrap_or(name);
+        topics.iter().find(|topic| *topic.name == *canonical).ok_or_else(|| {
+            let hint = suggestion(canonical, topics.iter().map(|topic| &*topic.name));
+            self.file.source.error(line, format!("no module has a topic \"{name}\" to {what}{hint}"))
+        })
     }
 }

@@ -13,6 +13,9 @@ use std::time::{Duration, Instant};
 /// Generous: the machine may be busy, and transient local data of a late reader takes seconds by design of rustdds.
 pub const WATCHDOG: Duration = Duration::from_secs(30);
 
+/// The program behind [`rclpy::Peer`].
+pub const PEER_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/rclpy/peer.py");
+
 /// Something participants can join.
 pub trait Domain {
     fn join(&self) -> Box<dyn Middleware>;

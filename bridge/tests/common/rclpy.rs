@@ -23,7 +23,7 @@ impl Peer {
             return None;
         };
         let mut child = Command::new(python)
-            .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/rclpy/peer.py"))
+            .arg(super::PEER_SCRIPT)
             .arg("peer")
             .env("ROS_DOMAIN_ID", domain_id.to_string())
             .env("ROS_AUTOMATIC_DISCOVERY_RANGE", discovery_range)

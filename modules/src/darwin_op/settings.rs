@@ -63,7 +63,7 @@ impl SettingKeys {
             joint_frame: setup.setting("joint_frame", String::new(), "frame of joint_states, empty by custom")?,
         };
         let offsets = setup.value(keys.offset_ticks).map_or(&[][..], Vec::as_slice);
-        offsets_of(offsets).map_err(|reason| setup.refuse(reason))?;
+        offsets_of(offsets).map_err(|reason| setup.refuse_value(keys.offset_ticks, reason))?;
         Ok(keys)
     }
 

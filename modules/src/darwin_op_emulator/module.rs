@@ -36,7 +36,7 @@ impl Module for DarwinOpEmulator {
             // Negative seeds are seeds too.
             seed: setup.value(seed).map_or(0, |seed| seed.cast_unsigned()),
             timing: Timing::Measured,
-            faults: parsed.map_err(|error| setup.refuse(format!("setting \"faults\": {error}")))?,
+            faults: parsed.map_err(|error| setup.refuse_value(faults, error.to_string()))?,
         };
         Ok(())
     }

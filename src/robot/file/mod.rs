@@ -303,8 +303,9 @@ fn choice<T: Copy>(value: Value<'_>, choices: &[(&str, T)]) -> Result<T> {
 
 fn record(value: Value<'_>) -> Result<RecordEntry> {
     let mut table = value.table("[record]")?;
-    let line = table.line();
-    let topics = match table.take("topics") {
+    let topics = table.take("topics");
+    let line = topics.map_or(table.line(), |value| value.line());
+    let topics = match topics {
         Some(value) if value.text().is_ok_and(|text| text == "all") => None,
         Some(value) => {
             let names = value.list().map_err(|_| value.error("expected \"all\" or a list of topics"))?;

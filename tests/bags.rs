@@ -1,0 +1,140 @@
+//! Bags from the command line: others read them, a kill does not harm them, and they play.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use common::rclpy::Peer;
+use common::{Running, python, robot_file, text_of, wait_until};
+use downbeat::bags::{Reader, Selection};
+use serde_json::{Value, json};
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// Runs the demo without ROS 2 for a while and records it.
+fn recorded(folder: &Path, duration: &str) -> (PathBuf, String) {
+    let (robot, bag) = (robot_file(folder, |text| text), folder.join("bag"));
+    let arguments =
+        ["bag", "record", "--robot", text(&robot), "--output", text(&bag), "--duration", duration];
+    let output = text_of(&arguments);
+    (bag, output)
+}
+
+/// Topic, log time and bytes of every message.
+fn messages(bag: &Path) -> Vec<(String, i64, Vec<u8>)> {
+    let reader = Reader::open(bag).unwrap();
+    let messages = reader.messages(Selection::all()).unwrap().map(Result::unwrap);
+    let name = |topic: downbeat::bags::TopicId| reader.topics()[topic.index()].info.name.clone();
+    messages.map(|message| (name(message.topic), message.log_time, message.data.to_vec())).collect()
+}
+
+#[test]
+fn others_decode_every_message_and_count_what_was_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let (bag, output) = recorded(folder.path(), "4s");
+    let Some(found) = python("decode_bag.py", &[&bag]) else { return };
+    for reader in ["mcap", "mcap_ros2", "rosbags"] {
+        assert_eq!(found[reader], found["metadata"], "{reader}");
+    }
+    let counts: BTreeMap<String, u64> = serde_json::from_value(found["metadata"].clone()).unwrap();
+    for topic in ["/joint_states", "/imu/data_raw", "/bus/exchanges", "/diagnostics", "/module_steps"] {
+        assert!(counts.get(topic).is_some_and(|&count| count > 0), "{topic} in {counts:?}");
+    }
+    let reported = format!("recorded {} messages, lost 0", counts.values().sum::<u64>());
+    assert!(output.contains(&reported), "{reported:?} in {output}");
+    assert_eq!(found["custom_data"]["emulated"], "true");
+    assert!(text_of(&["bag", "info", text(&bag)]).contains("Storage id:        mcap"));
+}
+
+#[test]
+fn a_killed_recording_is_readable_up_to_its_last_chunk() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = (robot_file(folder.path(), |text| text), folder.path().join("bag"));
+    let file = bag.join("bag_0.mcap");
+    let mut running = Running::start(&["bag", "record", "--robot", text(&robot), "--output", text(&bag)]);
+    let size = || std::fs::metadata(&file).map_or(0, |metadata| metadata.len());
+    wait_until("a few chunks are written", || size() > 600_000);
+    running.signal("-KILL");
+    assert!(!running.wait().success());
+    let ours = messages(&bag);
+    assert!(!ours.is_empty());
+    assert_eq!(Reader::open(&bag).unwrap().truncation().count(), 1);
+    let info = text_of(&["bag", "info", text(&bag)]);
+    assert!(info.contains(&format!("Messages:          {}", ours.len())), "{info}");
+    let Some(streamed) = python("stream_bag.py", &[&file]) else { return };
+    assert_eq!(streamed["messages"], ours.len());
+    assert_eq!(streamed["last_log_time"], ours.iter().map(|message| message.1).max().unwrap());
+}
+
+/// A robot without hardware: what it publishes follows from the bag alone.
+const MOTION_ONLY: &str = r#"
+[robot]
+name = "motion_only"
+
+[[module]]
+name = "motion"
+kind = "stand_nod_wave"
+
+[[module]]
+name = "mux"
+kind = "joint_command_mux"
+"#;
+
+#[test]
+fn a_bag_played_into_a_robot_gives_the_same_result_each_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let (bag, _) = recorded(folder.path(), "3s");
+    let play = |robot: &str, name: &str| {
+        let (path, output) = (folder.path().join(format!("{name}.toml")), folder.path().join(name));
+        std::fs::write(&path, robot).unwrap();
+        text_of(&["bag", "play", text(&bag), "--into", text(&path), "--record", text(&output)]);
+        messages(&output)
+    };
+    let first = play(MOTION_ONLY, "first");
+    assert!(first.iter().filter(|message| message.0 == "/joint_goals").count() > 100);
+    assert_eq!(play(MOTION_ONLY, "second"), first);
+    let on_two_threads = MOTION_ONLY.replace("[robot]", "[robot]\nlauncher = \"pool\"\nthreads = 2");
+    assert_eq!(play(&on_two_threads, "pool"), first);
+}
+
+fn cdr_of(messages: &[Value]) -> Vec<&str> {
+    messages.iter().map(|message| message["cdr"].as_str().unwrap()).collect()
+}
+
+#[test]
+fn what_rclpy_publishes_is_recorded_and_what_is_played_reaches_rclpy() {
+    let Some(mut peer) = Peer::start(170, "LOCALHOST") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("chatter");
+    let qos = json!({"depth": 100, "durability": "transient_local"});
+    peer.ask(json!({"do": "advertise", "topic": "/chatter", "type": "std_msgs/msg/String", "qos": qos}));
+    let mut recorder =
+        Running::start(&["bag", "record", "/chatter", "/silent", "--output", text(&bag), "--domain", "170"]);
+    wait_until("the recorder is matched", || peer.ask(json!({"do": "matched", "topic": "/chatter"})) == 1);
+    for number in 0..20 {
+        peer.ask(
+            json!({"do": "publish", "topic": "/chatter", "fields": {"data": format!("number {number}")}}),
+        );
+    }
+    let file = bag.join("chatter_0.mcap");
+    wait_until("the messages are in the file", || {
+        file.exists() && Reader::open(&bag).is_ok_and(|_| messages(&bag).len() == 20)
+    });
+    recorder.interrupt();
+    assert!(recorder.output().contains("recorded 20 messages, lost 0"), "{}", recorder.output());
+    assert!(recorder.output().contains("nothing is recorded of /silent"), "{}", recorder.output());
+    peer.leave();
+
+    let Some(mut listener) = Peer::start(171, "LOCALHOST") else { return };
+    listener.ask(json!({"do": "subscribe", "topic": "/chatter", "type": "std_msgs/msg/String", "qos": qos}));
+    text_of(&["bag", "play", text(&bag), "--domain", "171"]);
+    let received = listener.take("/chatter", 20);
+    let texts: Vec<_> = received.iter().map(|message| message["fields"]["data"].as_str().unwrap()).collect();
+    assert_eq!(texts, (0..20).map(|number| format!("number {number}")).collect::<Vec<_>>());
+    assert_eq!(cdr_of(&received).len(), 20);
+    listener.leave();
+}

@@ -1,0 +1,134 @@
+//! The command line, as a user meets it.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::path::Path;
+
+use common::{Running, output_of, robot_file, text_of, wait_until};
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+#[test]
+fn a_wrong_robot_file_is_told_with_file_line_and_the_nearest_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let wrong =
+        |from: &'static str, to: &'static str| robot_file(folder.path(), |text| text.replacen(from, to, 1));
+    let cases = [
+        (
+            "sensor_msgs/msg/JointState",
+            "sensor_msgs/JointState",
+            "did you mean \"sensor_msgs/msg/JointState\"?",
+        ),
+        (
+            "sensor_msgs/msg/JointState",
+            "sensor_msgs/msg/Imu",
+            "\"joint_commands\" is of type \"sensor_msgs/msg/JointState\"",
+        ),
+        ("\"stand_nod_wave\"", "\"stand_nod_weave\"", "did you mean \"stand_nod_wave\"?"),
+        ("hold_s = 2.0", "hold_seconds = 2.0", "did you mean \"hold_s\"?"),
+        ("hold_s = 2.0", "hold_s = -1.0", "out of range"),
+        ("hold_s = 2.0", "hold_s = \"long\"", "expected double, found text \"long\""),
+        ("\"battery_state\"", "\"battery_stat\"", "did you mean \"battery_state\"?"),
+        ("remap = { joint_commands", "remap = { joint_command", "did you mean \"joint_commands\"?"),
+        ("= \"joint_goals\" }", "= \"imu/data_raw\" }", "imu/data_raw"),
+        ("topics = \"all\"", "topics = [\"joint_state\"]", "did you mean \"joint_states\"?"),
+        ("qos = \"sensor_data\"", "qos = \"sensors\"", "did you mean \"sensor_data\"?"),
+        ("faults = []", "faults = [\"dead-servo:99\"]", "dead-servo"),
+        ("[expose]", "[expose", "robot.toml:"),
+    ];
+    for (from, to, expected) in cases {
+        let robot = wrong(from, to);
+        let changed = std::fs::read_to_string(&robot).unwrap();
+        let line = changed.lines().position(|line| line.contains(to)).unwrap() + 1;
+        for command in ["check", "run"] {
+            let output = output_of(&[command, text(&robot)]);
+            let message = String::from_utf8(output.stderr).unwrap();
+            assert_eq!(output.status.code(), Some(1), "{command} with {to}: {message}");
+            assert!(message.contains(expected), "{command} with {to}: {message}");
+            assert!(
+                message.contains(&format!("robot.toml:{line}:")),
+                "{command} with {to} on {line}: {message}"
+            );
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_is_refused_with_a_reason() {
+    let cases: [(&[&str], &str); 5] = [
+        (&["run", "no/such.toml"], "cannot read the robot file no/such.toml"),
+        (&["run", "robots/darwin_op.toml", "--domain", "400"], "0 to 232"),
+        (&["bag", "info", "no/such/bag"], "no/such/bag"),
+        (&["bag", "play", "no/such/bag"], "no/such/bag"),
+        (&["emulate", "darwin_op", "--link", "/tmp/x", "--fault", "fire"], "unknown fault \"fire\""),
+    ];
+    for (arguments, expected) in cases {
+        let output = output_of(arguments);
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}: {message}");
+        assert!(message.contains(expected), "{arguments:?}: {message}");
+    }
+}
+
+#[test]
+fn every_command_explains_itself() {
+    let commands: [&[&str]; 8] = [
+        &["--help"],
+        &["run", "--help"],
+        &["check", "--help"],
+        &["bag", "--help"],
+        &["bag", "info", "--help"],
+        &["bag", "record", "--help"],
+        &["bag", "play", "--help"],
+        &["emulate", "darwin_op", "--help"],
+    ];
+    for command in commands {
+        assert!(text_of(command).contains("Usage:"), "{command:?}");
+    }
+    let check = text_of(&["check", "robots/darwin_op.toml"]);
+    for word in ["hardware", "joint_states", "sensor_msgs/msg/JointState", "emulated", "hold_s"] {
+        assert!(check.contains(word), "{word} in {check}");
+    }
+    assert!(text_of(&["check", "robots/darwin_op_serial.toml"]).contains("/dev/ttyUSB0"));
+    assert!(text_of(&["check", "--kinds"]).contains("darwin_op_emulator"));
+}
+
+#[test]
+fn a_run_on_a_pool_of_threads_ends_by_itself_and_an_existing_bag_is_not_touched() {
+    let folder = tempfile::tempdir().unwrap();
+    let on_two_threads = |text: String| text.replace("[robot]", "[robot]\nlauncher = \"pool\"\nthreads = 2");
+    let (robot, bag) = (robot_file(folder.path(), on_two_threads), folder.path().join("bag"));
+    let arguments = ["run", text(&robot), "--domain", "180", "--duration", "1s", "--record", text(&bag)];
+    let output = text_of(&arguments);
+    assert!(output.contains("exposed to ROS 2: /joint_states") && output.contains("lost 0"), "{output}");
+    let before = std::fs::read(bag.join("bag_0.mcap")).unwrap();
+    let again = output_of(&arguments);
+    assert_eq!(again.status.code(), Some(1));
+    assert!(String::from_utf8(again.stderr).unwrap().contains(text(&bag)));
+    assert_eq!(std::fs::read(bag.join("bag_0.mcap")).unwrap(), before);
+}
+
+#[test]
+fn an_emulated_robot_run_alone_is_driven_over_its_port_and_its_faults_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let port = folder.path().join("serial");
+    let faults = ["--fault", "dead-servo:5@2s..3s", "--fault", "close-port@4s..4.2s"];
+    let mut arguments = vec!["emulate", "darwin_op", "--link", text(&port)];
+    arguments.extend(faults);
+    let mut emulator = Running::start(&arguments);
+    wait_until("the port is there", || port.exists());
+    let serial = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/darwin_op_serial.toml");
+    let robot = folder.path().join("robot.toml");
+    let file = std::fs::read_to_string(serial).unwrap().replace("/dev/ttyUSB0", text(&port));
+    std::fs::write(&robot, file).unwrap();
+    let mut running = Running::start(&["run", text(&robot), "--domain", "181"]);
+    running.wait_for_output("servo 5 (r_el) does not answer");
+    running.wait_for_output("servo 5 (r_el) is back");
+    running.wait_for_output("lost the serial port");
+    running.interrupt();
+    emulator.interrupt();
+    assert!(!port.exists(), "the link is removed");
+}

@@ -1,0 +1,148 @@
+//! What the tests share: the program in a process of its own, robot files, and real rclpy.
+#![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc, missing_docs)]
+
+#[path = "../../bridge/tests/common/rclpy.rs"]
+pub mod rclpy;
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+/// Generous: the machine may be busy.
+pub const WATCHDOG: Duration = Duration::from_secs(60);
+
+/// The program behind [`rclpy::Peer`].
+pub const PEER_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/bridge/tests/rclpy/peer.py");
+
+/// Polls a condition that has no event to wait on.
+pub fn wait_until(what: &str, mut condition: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !condition() {
+        assert!(start.elapsed() < WATCHDOG, "gave up waiting until {what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// The program with these arguments, on loopback.
+pub fn downbeat(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_downbeat"));
+    command
+        .args(arguments)
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .env_remove("ROS_DOMAIN_ID")
+        .env_remove("DOWNBEAT_LOG")
+        .current_dir(env!("CARGO_MANIFEST_DIR"));
+    command
+}
+
+/// Runs the program to its end.
+pub fn output_of(arguments: &[&str]) -> Output {
+    downbeat(arguments).stdin(Stdio::null()).output().unwrap()
+}
+
+/// Standard output and standard error of a program that has ended well.
+pub fn text_of(arguments: &[&str]) -> String {
+    let output = output_of(arguments);
+    let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+    assert!(output.status.success(), "{arguments:?}: {text}");
+    text
+}
+
+/// The program, running. It is killed when dropped.
+pub struct Running {
+    child: Child,
+    output: Arc<Mutex<String>>,
+}
+
+impl Running {
+    pub fn start(arguments: &[&str]) -> Self {
+        let mut child = downbeat(arguments)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let output = Arc::default();
+        collect(child.stdout.take().unwrap(), &output);
+        collect(child.stderr.take().unwrap(), &output);
+        Self { child, output }
+    }
+
+    /// What it has printed so far.
+    pub fn output(&self) -> String {
+        self.output.lock().unwrap().clone()
+    }
+
+    pub fn wait_for_output(&self, text: &str) {
+        wait_until(&format!("the program prints {text:?}; so far {}", self.output()), || {
+            self.output().contains(text)
+        });
+    }
+
+    pub fn signal(&self, signal: &str) {
+        let status = Command::new("kill").arg(signal).arg(self.child.id().to_string()).status().unwrap();
+        assert!(status.success());
+    }
+
+    /// Waits for the end of the process, and of what it prints.
+    pub fn wait(&mut self) -> ExitStatus {
+        let mut status = None;
+        wait_until("the program ends", || {
+            status = self.child.try_wait().unwrap();
+            status.is_some()
+        });
+        wait_until("its output ends", || Arc::strong_count(&self.output) == 1);
+        status.unwrap()
+    }
+
+    /// Ends it as Ctrl-C does, and checks that it ends well.
+    pub fn interrupt(&mut self) {
+        self.signal("-INT");
+        assert!(self.wait().success(), "{}", self.output());
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // It may have ended already; nothing to do then.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn collect(stream: impl std::io::Read + Send + 'static, output: &Arc<Mutex<String>>) {
+    let output = Arc::clone(output);
+    std::thread::spawn(move || {
+        for line in BufReader::new(stream).lines().map_while(Result::ok) {
+            let mut output = output.lock().unwrap();
+            output.push_str(&line);
+            output.push('\n');
+        }
+    });
+}
+
+/// A copy of the demo's robot file with a port of its own; `edit` changes the text further.
+pub fn robot_file(folder: &Path, edit: impl Fn(String) -> String) -> PathBuf {
+    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/darwin_op.toml");
+    let port = folder.join("port");
+    let text =
+        std::fs::read_to_string(demo).unwrap().replace("/tmp/downbeat_darwin_op", port.to_str().unwrap());
+    let path = folder.join("robot.toml");
+    std::fs::write(&path, edit(text)).unwrap();
+    path
+}
+
+/// Runs a program of `tests/python` and returns what it prints as JSON; nothing, with a line that says so, where
+/// there is no Python.
+pub fn python(program: &str, arguments: &[&Path]) -> Option<serde_json::Value> {
+    let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
+        eprintln!("skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)");
+        return None;
+    };
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python").join(program);
+    let output = Command::new(python).arg(script).args(arguments).output().unwrap();
+    assert!(output.status.success(), "{program}: {}", String::from_utf8_lossy(&output.stderr));
+    Some(serde_json::from_slice(&output.stdout).unwrap())
+}

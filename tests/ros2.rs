@@ -1,0 +1,179 @@
+//! The demo, seen and driven from real rclpy.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use common::rclpy::Peer;
+use common::{Running, robot_file, wait_until};
+use downbeat::bags::{Reader, Selection};
+use downbeat::msgs::cdr;
+use downbeat::msgs::sensor_msgs::msg::JointState;
+use serde_json::{Value, json};
+
+const JOINT_STATE: &str = "sensor_msgs/msg/JointState";
+
+fn run(domain: u16, folder: &Path, more: &[&str]) -> Running {
+    let (robot, domain) = (robot_file(folder, |text| text), domain.to_string());
+    let mut arguments = vec!["run", robot.to_str().unwrap(), "--domain", &domain];
+    arguments.extend(more);
+    Running::start(&arguments)
+}
+
+fn peer(domain: u16) -> Option<Peer> {
+    Peer::start(domain, "LOCALHOST")
+}
+
+fn has(list: &Value, item: &str) -> bool {
+    list.as_array().unwrap().iter().any(|known| known == item)
+}
+
+fn stamp_ns(fields: &Value) -> i64 {
+    let stamp = &fields["header"]["stamp"];
+    stamp["sec"].as_i64().unwrap() * 1_000_000_000 + stamp["nanosec"].as_i64().unwrap()
+}
+
+fn position(fields: &Value, joint: &str) -> f64 {
+    let index = fields["name"].as_array().unwrap().iter().position(|name| name == joint).unwrap();
+    fields["position"][index].as_f64().unwrap()
+}
+
+#[test]
+fn the_node_is_listed_with_its_topics_types_and_qos() {
+    let Some(mut peer) = peer(160) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut robot = run(160, folder.path(), &[]);
+    wait_until("the node is listed", || has(&peer.ask(json!({"do": "nodes"})), "/darwin_op"));
+    let published = [
+        ("/joint_states", JOINT_STATE, "RELIABLE"),
+        ("/imu/data_raw", "sensor_msgs/msg/Imu", "BEST_EFFORT"),
+        ("/battery_state", "sensor_msgs/msg/BatteryState", "RELIABLE"),
+        ("/buttons", "sensor_msgs/msg/Joy", "RELIABLE"),
+        ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "RELIABLE"),
+    ];
+    let endpoint = |type_name: &str, reliability: &str| json!([{ "node": "/darwin_op", "type": type_name, "reliability": reliability, "durability": "VOLATILE" }]);
+    for (topic, type_name, reliability) in published {
+        wait_until(&format!("the publisher of {topic} is listed as it is"), || {
+            peer.ask(json!({"do": "publishers_of", "topic": topic})) == endpoint(type_name, reliability)
+        });
+        assert_eq!(peer.ask(json!({"do": "topics"}))[topic], json!([type_name]));
+    }
+    wait_until("the subscription is listed as it is", || {
+        let listed = peer.ask(json!({"do": "subscriptions_of", "topic": "/joint_commands"}));
+        listed == endpoint(JOINT_STATE, "RELIABLE")
+    });
+    // Nothing that the robot file does not expose.
+    let topics = peer.ask(json!({"do": "topics"}));
+    assert!(topics.get("/bus/exchanges").is_none() && topics.get("/joint_goals").is_none(), "{topics}");
+    robot.interrupt();
+    peer.leave();
+}
+
+/// The stamps of what was published, and of what rclpy received of it, over at least five seconds.
+fn record_and_receive(domain: u16) -> Option<(Vec<i64>, Vec<i64>)> {
+    let mut peer = peer(domain)?;
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let subscription = json!({
+        "do": "subscribe", "topic": "/joint_states", "type": JOINT_STATE, "qos": {"depth": 1000}
+    });
+    peer.ask(subscription);
+    let mut robot = run(domain, folder.path(), &["--record", bag.to_str().unwrap()]);
+    let mut received: Vec<i64> = Vec::new();
+    wait_until("five seconds of joint states have come", || {
+        let more = peer.ask(json!({"do": "take", "topic": "/joint_states"}));
+        received.extend(more.as_array().unwrap().iter().map(|message| stamp_ns(&message["fields"])));
+        received.last().zip(received.first()).is_some_and(|(last, first)| last - first > 5_000_000_000)
+    });
+    robot.interrupt();
+    peer.leave();
+    let reader = Reader::open(&bag).unwrap();
+    let topic = reader.topic("/joint_states").unwrap();
+    let messages = reader.messages(Selection::all().topics([topic])).unwrap();
+    let stamps = messages.map(|message| {
+        let state: JointState = cdr::from_slice(&message.unwrap().data).unwrap();
+        state.header.stamp.as_nanos()
+    });
+    let range = received[0]..=received[received.len() - 1];
+    Some((stamps.filter(|stamp| range.contains(stamp)).collect(), received))
+}
+
+#[test]
+fn joint_states_arrive_at_125_hz_without_loss() {
+    // What is published must arrive, each time. The emulated bus may skip cycles on a machine that is busy with
+    // something else; three times in a row it does not.
+    let mut rates = Vec::new();
+    for domain in [161, 162, 163] {
+        let Some((published, received)) = record_and_receive(domain) else { return };
+        assert_eq!(received, published);
+        let span = (received[received.len() - 1] - received[0]) as f64 / 1e9;
+        rates.push((received.len() - 1) as f64 / span);
+        if (112.5..=137.5).contains(&rates[rates.len() - 1]) {
+            return;
+        }
+    }
+    panic!("joint states came at {rates:?} Hz, not at 125 Hz");
+}
+
+#[test]
+fn commands_from_rclpy_move_the_joints_they_name_until_two_seconds_after_the_last_one() {
+    let Some(mut peer) = peer(164) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut robot = run(164, folder.path(), &[]);
+    let of_joint_states = json!({"do": "subscribe", "topic": "/joint_states", "type": JOINT_STATE});
+    peer.ask(of_joint_states);
+    peer.ask(json!({"do": "advertise", "topic": "/joint_commands", "type": JOINT_STATE}));
+    wait_until("the robot hears commands", || {
+        peer.ask(json!({"do": "matched", "topic": "/joint_commands"})) == 1
+    });
+    let command = json!({
+        "do": "publish", "topic": "/joint_commands",
+        "fields": {"name": ["head_pan", "l_el"], "position": [1.0, -0.2]}
+    });
+    // The arm that waves is not commanded, and goes on waving.
+    let (mut others, mut last) = (Vec::new(), Value::Null);
+    wait_until("the commanded joints arrive", || {
+        peer.ask(command.clone());
+        for message in peer.ask(json!({"do": "take", "topic": "/joint_states"})).as_array().unwrap() {
+            last = message["fields"].clone();
+            others.push(position(&last, "r_sho_pitch"));
+        }
+        !last.is_null()
+            && (position(&last, "head_pan") - 1.0).abs() < 0.05
+            && (position(&last, "l_el") + 0.2).abs() < 0.05
+    });
+    let range = others.iter().fold((f64::MAX, f64::MIN), |(low, high), &p| (low.min(p), high.max(p)));
+    assert!(range.1 - range.0 > 0.1, "the motion stood still: {range:?}");
+    let commanded_at = stamp_ns(&last);
+    wait_until("the motion takes the joint back", || {
+        for message in peer.ask(json!({"do": "take", "topic": "/joint_states"})).as_array().unwrap() {
+            last = message["fields"].clone();
+            // One and a half seconds after the last command it must still be there.
+            let is_held = stamp_ns(&last) - commanded_at < 1_500_000_000;
+            assert!(!is_held || (position(&last, "head_pan") - 1.0).abs() < 0.1);
+        }
+        position(&last, "head_pan").abs() < 0.5
+    });
+    assert!(stamp_ns(&last) - commanded_at > 1_900_000_000);
+    robot.interrupt();
+    peer.leave();
+}
+
+#[test]
+fn the_node_leaves_the_graph_within_two_seconds_of_a_signal() {
+    for (domain, signal) in [(165, "-INT"), (166, "-TERM")] {
+        let Some(mut peer) = peer(domain) else { return };
+        let folder = tempfile::tempdir().unwrap();
+        let mut robot = run(domain, folder.path(), &[]);
+        wait_until("the node is listed", || has(&peer.ask(json!({"do": "nodes"})), "/darwin_op"));
+        robot.signal(signal);
+        let signalled = Instant::now();
+        wait_until("the node is gone", || !has(&peer.ask(json!({"do": "nodes"})), "/darwin_op"));
+        let took = signalled.elapsed();
+        assert!(took < Duration::from_secs(2), "{took:?} after {signal}");
+        assert!(robot.wait().success(), "{}", robot.output());
+        peer.leave();
+    }
+}
