@@ -115,7 +115,7 @@ fn a_run_on_a_pool_of_threads_ends_by_itself_and_an_existing_bag_is_not_touched(
 fn an_emulated_robot_run_alone_is_driven_over_its_port_and_its_faults_are_told() {
     let folder = tempfile::tempdir().unwrap();
     let port = folder.path().join("serial");
-    let faults = ["--fault", "dead-servo:5@2s..3s", "--fault", "close-port@4s..4.2s"];
+    let faults = ["--fault", "dead-servo:5@2s..3s", "--fault", "close-port@7s..7.2s"];
     let mut arguments = vec!["emulate", "darwin_op", "--link", text(&port)];
     arguments.extend(faults);
     let mut emulator = Running::start(&arguments);

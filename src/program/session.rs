@@ -121,7 +121,7 @@ impl Session {
                 screen.show(block.lines());
             } else if Instant::now() >= next_log {
                 next_log += LOG_INTERVAL;
-                block.lines().iter().for_each(|line| tracing::info!("{}", line.trim_end()));
+                tracing::info!("{}", block.line());
             }
             stop.sleep(REFRESH);
         }

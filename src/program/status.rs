@@ -44,9 +44,27 @@ impl<'a> StatusBlock<'a> {
         lines.extend(self.cycles(now));
         lines.extend(self.topics(now));
         lines.extend(self.bridge());
-        lines.extend(self.sources.recording.map(bag));
+        lines.extend(self.sources.recording.map(|recording| labelled("bag", &bag(recording))));
         lines.extend(self.faults());
         lines
+    }
+
+    /// The most important of it in one line, for a log.
+    pub(crate) fn line(&mut self) -> String {
+        let now = Instant::now();
+        let mut parts = vec![format!("{} s", (now - self.started).as_secs())];
+        let endpoints = self.sources.bridge.map(BridgeStatus::endpoints).unwrap_or_default();
+        let rates = self.topic_rates(now);
+        let is_exposed = |name: &str| endpoints.iter().any(|endpoint| endpoint.topic == name);
+        let exposed = rates.iter().filter(|(name, _)| endpoints.is_empty() || is_exposed(name));
+        parts.push(exposed.map(|(name, rate)| format!("{name} {rate:.0}/s")).collect::<Vec<_>>().join("  "));
+        if !endpoints.is_empty() {
+            let peers: usize = endpoints.iter().map(|endpoint| endpoint.matched).sum();
+            parts.push(format!("{peers} endpoints of others matched"));
+        }
+        parts.extend(self.sources.recording.map(bag));
+        parts.extend(self.sources.faults.worst_first().into_iter().next());
+        parts.join(";  ")
     }
 
     fn cycles(&mut self, now: Instant) -> Vec<String> {
@@ -61,12 +79,18 @@ impl<'a> StatusBlock<'a> {
     }
 
     fn topics(&mut self, now: Instant) -> Vec<String> {
+        let rates = self.topic_rates(now);
+        let rates: Vec<_> = rates.iter().map(|(name, rate)| format!("{name} {rate:.0}/s")).collect();
+        let label = |row| if row == 0 { "topics" } else { "" };
+        rates.chunks(4).enumerate().map(|(row, rates)| labelled(label(row), &rates.join("  "))).collect()
+    }
+
+    /// The published topics, with messages per second.
+    fn topic_rates(&mut self, now: Instant) -> Vec<(String, f64)> {
         let topics = &self.sources.topics;
         let rates = self.topics.update(now, topics.iter().map(|topic| topic.counter.messages()).collect());
         let published = topics.iter().zip(rates).filter(|(topic, _)| topic.is_published);
-        let rates: Vec<_> = published.map(|(topic, rate)| format!("{} {rate:.0}/s", topic.name)).collect();
-        let label = |row| if row == 0 { "topics" } else { "" };
-        rates.chunks(4).enumerate().map(|(row, rates)| labelled(label(row), &rates.join("  "))).collect()
+        published.map(|(topic, rate)| (topic.name.to_string(), *rate)).collect()
     }
 
     fn faults(&self) -> Vec<String> {
@@ -107,7 +131,7 @@ fn bag(recording: &Recording) -> String {
     let (messages, lost) = (summary.message_count(), summary.lost_count());
     let failure = statistics.failure.map(|failure| format!("   stopped: {failure}")).unwrap_or_default();
     let path = summary.path.display();
-    labelled("bag", &format!("{path}   {mebibytes:.1} MiB   {messages} messages   {lost} lost{failure}"))
+    format!("{path}   {mebibytes:.1} MiB   {messages} messages   {lost} lost{failure}")
 }
 
 /// What some counters gain per second, over at least a second.

@@ -76,9 +76,15 @@ impl Running {
     }
 
     pub fn wait_for_output(&self, text: &str) {
-        wait_until(&format!("the program prints {text:?}; so far {}", self.output()), || {
-            self.output().contains(text)
-        });
+        let start = Instant::now();
+        while !self.output().contains(text) {
+            assert!(
+                start.elapsed() < WATCHDOG,
+                "the program does not print {text:?}, but\n{}",
+                self.output()
+            );
+            std::thread::sleep(Duration::from_millis(5));
+        }
     }
 
     pub fn signal(&self, signal: &str) {

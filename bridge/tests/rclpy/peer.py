@@ -5,6 +5,7 @@ It ends when its standard input closes.
 
 import importlib
 import json
+import math
 import sys
 import threading
 
@@ -39,6 +40,8 @@ def fill(message, fields):
 def fields_of(message):
     if hasattr(message, "get_fields_and_field_types"):
         return {name: fields_of(getattr(message, name)) for name in message.get_fields_and_field_types()}
+    if isinstance(message, float) and not math.isfinite(message):
+        return None  # JSON has no other word for it
     if isinstance(message, (str, bool, int, float)):
         return message
     return [fields_of(item) for item in message]
