@@ -127,7 +127,11 @@ pub(crate) enum EmulateCommand {
         /// Repeats a run: noise, jitter and random faults come from it.
         #[arg(long, default_value_t = 1)]
         seed: u64,
-        /// A fault to emulate; may be given more than once. Faults: FAULTS
+        /// A fault to emulate, with the time it lasts, counted from the start; may be given more than once.
+        ///
+        /// dead-servo:5@3s..6s (servo 5 without power), drop:0.01 (each answer lost with a probability of 1 %),
+        /// drop:3x@500ms.. (the next three answers lost), flip:0.001@10s..20s (a bit of a byte of an answer
+        /// flipped), close-port@8s..9s (unplugged, and plugged in again).
         #[arg(long, value_name = "FAULT")]
         fault: Vec<String>,
     },
