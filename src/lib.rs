@@ -19,3 +19,8 @@ pub use downbeat_bridge as bridge;
 pub use downbeat_executor as executor;
 pub use downbeat_modules as modules;
 pub use downbeat_msgs as msgs;
+
+/// The page of the repository, whose examples are compiled with the documentation tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct Readme;
