@@ -56,4 +56,14 @@ mod tests {
         assert_eq!(timer.due(), Time::from_nanos(160));
         assert!(!timer.fire(Time::from_nanos(159)));
     }
+
+    #[test]
+    fn a_timer_fires_once_when_the_clock_is_set_from_the_epoch_to_today() {
+        let mut timer = Timer::new(Duration::from_millis(8));
+        timer.start(Time::ZERO);
+        let today = Time::from_nanos(1_795_000_000_000_000_001);
+        assert!(timer.fire(today));
+        assert!(!timer.fire(today));
+        assert_eq!(timer.due(), Time::from_nanos(1_795_000_000_008_000_000));
+    }
 }

@@ -1,25 +1,4 @@
-//! Robot files: a robot's modules, their settings, what is exposed and what is recorded, as TOML.
-//!
-//! ```toml
-//! [robot]
-//! name = "darwin_op"                  # the name of the ROS 2 node
-//! launcher = "pool"                   # or "linear", the default
-//! threads = 2
-//!
-//! [[module]]
-//! name = "hardware"
-//! kind = "darwin_op"                  # `downbeat check --kinds` lists them
-//! settings = { port = "/dev/ttyUSB0" }
-//! remap = { joint_commands = "joint_goals" }
-//!
-//! [expose]
-//! out = ["joint_states", { topic = "imu/data_raw", qos = "sensor_data" }]
-//! in = [{ topic = "joint_commands", type = "sensor_msgs/msg/JointState" }]
-//!
-//! [record]
-//! topics = "all"
-//! compression = "zstd"
-//! ```
+//! Reading robot files; [`crate::robot`] says what they look like.
 
 mod source;
 mod table;
