@@ -107,13 +107,13 @@ fn cdr_of(messages: &[Value]) -> Vec<&str> {
 
 #[test]
 fn what_rclpy_publishes_is_recorded_and_what_is_played_reaches_rclpy() {
-    let Some(mut peer) = Peer::start(170, "LOCALHOST") else { return };
+    let Some(mut peer) = Peer::start(70, "LOCALHOST") else { return };
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("chatter");
     let qos = json!({"depth": 100, "durability": "transient_local"});
     peer.ask(json!({"do": "advertise", "topic": "/chatter", "type": "std_msgs/msg/String", "qos": qos}));
     let mut recorder =
-        Running::start(&["bag", "record", "/chatter", "/silent", "--output", text(&bag), "--domain", "170"]);
+        Running::start(&["bag", "record", "/chatter", "/silent", "--output", text(&bag), "--domain", "70"]);
     wait_until("the recorder is matched", || peer.ask(json!({"do": "matched", "topic": "/chatter"})) == 1);
     for number in 0..20 {
         peer.ask(
@@ -129,9 +129,9 @@ fn what_rclpy_publishes_is_recorded_and_what_is_played_reaches_rclpy() {
     assert!(recorder.output().contains("nothing is recorded of /silent"), "{}", recorder.output());
     peer.leave();
 
-    let Some(mut listener) = Peer::start(171, "LOCALHOST") else { return };
+    let Some(mut listener) = Peer::start(71, "LOCALHOST") else { return };
     listener.ask(json!({"do": "subscribe", "topic": "/chatter", "type": "std_msgs/msg/String", "qos": qos}));
-    text_of(&["bag", "play", text(&bag), "--domain", "171"]);
+    text_of(&["bag", "play", text(&bag), "--domain", "71"]);
     let received = listener.take("/chatter", 20);
     let texts: Vec<_> = received.iter().map(|message| message["fields"]["data"].as_str().unwrap()).collect();
     assert_eq!(texts, (0..20).map(|number| format!("number {number}")).collect::<Vec<_>>());

@@ -101,7 +101,7 @@ fn a_run_on_a_pool_of_threads_ends_by_itself_and_an_existing_bag_is_not_touched(
     let folder = tempfile::tempdir().unwrap();
     let on_two_threads = |text: String| text.replace("[robot]", "[robot]\nlauncher = \"pool\"\nthreads = 2");
     let (robot, bag) = (robot_file(folder.path(), on_two_threads), folder.path().join("bag"));
-    let arguments = ["run", text(&robot), "--domain", "180", "--duration", "1s", "--record", text(&bag)];
+    let arguments = ["run", text(&robot), "--domain", "80", "--duration", "1s", "--record", text(&bag)];
     let output = text_of(&arguments);
     assert!(output.contains("exposed to ROS 2: /joint_states") && output.contains("lost 0"), "{output}");
     let before = std::fs::read(bag.join("bag_0.mcap")).unwrap();
@@ -124,7 +124,7 @@ fn an_emulated_robot_run_alone_is_driven_over_its_port_and_its_faults_are_told()
     let robot = folder.path().join("robot.toml");
     let file = std::fs::read_to_string(serial).unwrap().replace("/dev/ttyUSB0", text(&port));
     std::fs::write(&robot, file).unwrap();
-    let mut running = Running::start(&["run", text(&robot), "--domain", "181"]);
+    let mut running = Running::start(&["run", text(&robot), "--domain", "81"]);
     running.wait_for_output("servo 5 (r_el) does not answer");
     running.wait_for_output("servo 5 (r_el) is back");
     running.wait_for_output("lost the serial port");

@@ -42,9 +42,9 @@ fn position(fields: &Value, joint: &str) -> f64 {
 
 #[test]
 fn the_node_is_listed_with_its_topics_types_and_qos() {
-    let Some(mut peer) = peer(160) else { return };
+    let Some(mut peer) = peer(60) else { return };
     let folder = tempfile::tempdir().unwrap();
-    let mut robot = run(160, folder.path(), &[]);
+    let mut robot = run(60, folder.path(), &[]);
     wait_until("the node is listed", || has(&peer.ask(json!({"do": "nodes"})), "/darwin_op"));
     let published = [
         ("/joint_states", JOINT_STATE, "RELIABLE"),
@@ -105,7 +105,7 @@ fn joint_states_arrive_at_125_hz_without_loss() {
     // What is published must arrive, each time. The emulated bus may skip cycles on a machine that is busy with
     // something else; five times in a row it does not.
     let mut rates = Vec::new();
-    for domain in [161, 162, 163, 167, 168] {
+    for domain in [61, 62, 63, 67, 68] {
         let Some((published, received)) = record_and_receive(domain) else { return };
         assert_eq!(received, published);
         let span = (received[received.len() - 1] - received[0]) as f64 / 1e9;
@@ -119,9 +119,9 @@ fn joint_states_arrive_at_125_hz_without_loss() {
 
 #[test]
 fn commands_from_rclpy_move_the_joints_they_name_until_two_seconds_after_the_last_one() {
-    let Some(mut peer) = peer(164) else { return };
+    let Some(mut peer) = peer(64) else { return };
     let folder = tempfile::tempdir().unwrap();
-    let mut robot = run(164, folder.path(), &[]);
+    let mut robot = run(64, folder.path(), &[]);
     let of_joint_states = json!({"do": "subscribe", "topic": "/joint_states", "type": JOINT_STATE});
     peer.ask(of_joint_states);
     peer.ask(json!({"do": "advertise", "topic": "/joint_commands", "type": JOINT_STATE}));
@@ -163,7 +163,7 @@ fn commands_from_rclpy_move_the_joints_they_name_until_two_seconds_after_the_las
 
 #[test]
 fn the_node_leaves_the_graph_within_two_seconds_of_a_signal() {
-    for (domain, signal) in [(165, "-INT"), (166, "-TERM")] {
+    for (domain, signal) in [(65, "-INT"), (66, "-TERM")] {
         let Some(mut peer) = peer(domain) else { return };
         let folder = tempfile::tempdir().unwrap();
         let mut robot = run(domain, folder.path(), &[]);

@@ -22,17 +22,17 @@ macro_rules! conformance {
 }
 
 conformance! {
-    a_sample_arrives_as_it_was_written on 110;
-    a_best_effort_reader_hears_a_reliable_writer on 111;
-    samples_of_a_writer_arrive_in_order_and_none_is_lost on 112;
-    a_late_reader_of_a_transient_local_writer_catches_up_in_order on 113;
-    a_participant_does_not_hear_itself on 114;
-    matched_counts_follow_what_comes_and_goes on 115;
-    a_reader_that_asks_for_more_than_is_offered_is_not_matched on 116;
-    a_dropped_reader_hears_nothing_more on 117;
-    endpoints_of_others_are_listed_until_they_go on 118;
-    a_payload_without_a_little_endian_header_is_refused on 119;
-    a_sample_of_many_fragments_arrives_whole on 120;
+    a_sample_arrives_as_it_was_written on 10;
+    a_best_effort_reader_hears_a_reliable_writer on 11;
+    samples_of_a_writer_arrive_in_order_and_none_is_lost on 12;
+    a_late_reader_of_a_transient_local_writer_catches_up_in_order on 13;
+    a_participant_does_not_hear_itself on 14;
+    matched_counts_follow_what_comes_and_goes on 15;
+    a_reader_that_asks_for_more_than_is_offered_is_not_matched on 16;
+    a_dropped_reader_hears_nothing_more on 17;
+    endpoints_of_others_are_listed_until_they_go on 18;
+    a_payload_without_a_little_endian_header_is_refused on 19;
+    a_sample_of_many_fragments_arrives_whole on 20;
 }
 
 const TRANSIENT_LOCAL: QosProfile =

@@ -185,7 +185,8 @@ impl Drop for Faulty {
 fn a_detached_module_that_panicked_neither_holds_up_the_end_nor_is_stopped_again() {
     let mut core = Core::new();
     let stopped = Arc::default();
-    let options = ModuleOptions { synchrony: Synchrony::Detached(Inbox::KeepAll), ..ModuleOptions::default() };
+    let options =
+        ModuleOptions { synchrony: Synchrony::Detached(Inbox::KeepAll), ..ModuleOptions::default() };
     core.add_with("faulty", Faulty { stopped: Arc::clone(&stopped) }, options).unwrap();
     let inlet = core.inlet::<u64>("fault").unwrap();
     for number in 0..10 {
