@@ -33,9 +33,11 @@ impl Timer {
         }
         self.due = self.due + self.period;
         if self.due <= now {
-            let late = now.saturating_since(self.due).as_nanos();
-            let missed = u32::try_from(late / self.period.as_nanos() + 1).unwrap_or(u32::MAX);
-            self.due = self.due + self.period.saturating_mul(missed);
+            // The periods may be more than a `Duration` can be multiplied with: a clock that is set may
+            // jump by decades.
+            let periods = now.saturating_since(self.due).as_nanos() / self.period.as_nanos() + 1;
+            let step = periods.saturating_mul(self.period.as_nanos());
+            self.due = self.due + Duration::from_nanos(u64::try_from(step).unwrap_or(u64::MAX));
         }
         true
     }
