@@ -1,6 +1,7 @@
 //! A module as the core keeps it: its state, its outboxes, and what it has to do next.
 
 use std::any::Any;
+use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
@@ -9,11 +10,14 @@ use crate::context::ModuleIo;
 use crate::outbox::{AnyOutbox, Outboxes};
 use crate::setting::Settings;
 use crate::topic::Topics;
-use crate::{Context, SettingInfo, SettingValue, Time};
+use crate::{Context, Role, SettingInfo, SettingValue, Time};
 
 pub(crate) struct ModuleCell {
     io: ModuleIo,
-    behaviour: Box<dyn Behaviour>,
+    /// Always there until the cell is dropped.
+    behaviour: Option<Box<dyn Behaviour>>,
+    /// The topic of each subscription.
+    subscribed: Vec<usize>,
     /// Subscriptions whose topics carry messages of the last cycle.
     pending: Vec<usize>,
     life: Life,
@@ -26,17 +30,16 @@ enum Life {
     Ended,
 }
 
-/// A batch on its way to a module on another thread.
+/// A batch on its way to a module on another thread, for all its subscriptions of the topic.
 pub(crate) struct Delivery {
-    pub(crate) subscription: usize,
     pub(crate) topic: usize,
     pub(crate) batch: Arc<dyn Any + Send + Sync>,
     pub(crate) messages: u32,
 }
 
 impl ModuleCell {
-    pub(crate) fn new(io: ModuleIo, behaviour: Box<dyn Behaviour>) -> Self {
-        Self { io, behaviour, pending: Vec::new(), life: Life::New }
+    pub(crate) fn new(io: ModuleIo, behaviour: Box<dyn Behaviour>, subscribed: Vec<usize>) -> Self {
+        Self { io, behaviour: Some(behaviour), subscribed, pending: Vec::new(), life: Life::New }
     }
 
     pub(crate) fn name(&self) -> &Arc<str> {
@@ -92,12 +95,30 @@ impl ModuleCell {
     }
 
     /// Runs what is due outside a cycle, on batches that were shared when it was.
-    pub(crate) fn run_detached(&mut self, deliveries: impl Iterator<Item = Delivery>, now: Time) {
-        self.run_with(now, |behaviour, ctx| {
-            for delivery in deliveries {
-                behaviour.receive_shared(delivery.subscription, delivery.batch, ctx);
+    ///
+    /// Batches of several cycles may have come together. A part receives them by order of subscription, as
+    /// it would if they had come in one cycle: that is how replay gives them to it again. An observer, which
+    /// is not replayed but may write down what it sees, receives them in the order of the cycles.
+    pub(crate) fn run_detached(&mut self, deliveries: &VecDeque<Delivery>, role: Role, now: Time) {
+        let subscribed = std::mem::take(&mut self.subscribed);
+        self.run_with(now, |behaviour, ctx| match role {
+            Role::Part => {
+                for (subscription, &topic) in subscribed.iter().enumerate() {
+                    for delivery in deliveries.iter().filter(|delivery| delivery.topic == topic) {
+                        behaviour.receive_shared(subscription, Arc::clone(&delivery.batch), ctx);
+                    }
+                }
+            }
+            Role::Observer => {
+                for delivery in deliveries {
+                    let is_for = |&(_, &topic): &(usize, &usize)| topic == delivery.topic;
+                    for (subscription, _) in subscribed.iter().enumerate().filter(is_for) {
+                        behaviour.receive_shared(subscription, Arc::clone(&delivery.batch), ctx);
+                    }
+                }
             }
         });
+        self.subscribed = subscribed;
     }
 
     /// Runs the module's last callback.
@@ -138,19 +159,30 @@ impl ModuleCell {
 
     /// A panic ends the module, and only it: what it published in this run is discarded.
     fn guarded(&mut self, now: Time, run: impl FnOnce(&mut dyn Behaviour, &mut Context<'_>)) {
-        let Self { io, behaviour, .. } = self;
+        let Self { io, behaviour: Some(behaviour), .. } = self else { return };
         let outcome = catch_unwind(AssertUnwindSafe(|| run(&mut **behaviour, &mut Context::new(io, now))));
         if let Err(panic) = outcome {
             self.life = Life::Ended;
             self.io.outboxes.discard();
-            let reason = panic
-                .downcast_ref::<&str>()
-                .copied()
-                .or_else(|| panic.downcast_ref::<String>().map(String::as_str))
-                .unwrap_or("no reason given");
+            let reason = reason(&*panic);
             tracing::error!(module = &*self.io.name, "panicked and is stopped, the others go on: {reason}");
         }
     }
+}
+
+impl Drop for ModuleCell {
+    /// A module that panics while it is dropped takes neither the others nor the core with it.
+    fn drop(&mut self) {
+        let behaviour = self.behaviour.take();
+        if let Err(panic) = catch_unwind(AssertUnwindSafe(|| drop(behaviour))) {
+            tracing::error!(module = &*self.io.name, "panicked while it was dropped: {}", reason(&*panic));
+        }
+    }
+}
+
+fn reason(panic: &(dyn Any + Send)) -> &str {
+    let text = panic.downcast_ref::<&str>().copied();
+    text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("no reason given")
 }
 
 impl ModuleIo {

@@ -11,7 +11,7 @@ use crate::cell::{Delivery, ModuleCell};
 use crate::join::{JoinQueue, Request};
 use crate::outbox::AnyOutbox;
 use crate::probe::{Probe, StepReport};
-use crate::{Clock, Inbox, SettingValue, Time};
+use crate::{Clock, Inbox, Role, SettingValue, Time};
 
 /// What a run of a detached module brings to the next sync phase.
 pub(crate) struct StepOutcome {
@@ -33,6 +33,7 @@ pub(crate) struct Input {
 /// A detached module as the core sees it.
 pub(crate) struct DetachedModule {
     pub(crate) name: Arc<str>,
+    role: Role,
     cell: Option<ModuleCell>,
     mailbox: Arc<Mailbox>,
     parker: Option<Parker>,
@@ -55,12 +56,12 @@ struct Contents {
 }
 
 impl DetachedModule {
-    pub(crate) fn new(cell: ModuleCell, capacity: Inbox) -> Self {
+    pub(crate) fn new(cell: ModuleCell, capacity: Inbox, role: Role) -> Self {
         let parker = Parker::new();
         let owner = parker.unparker().clone();
         let mailbox = Arc::new(Mailbox { contents: Mutex::default(), owner, capacity });
         let (name, parker) = (Arc::clone(cell.name()), Some(parker));
-        Self { name, cell: Some(cell), mailbox, parker, thread: None }
+        Self { name, role, cell: Some(cell), mailbox, parker, thread: None }
     }
 
     pub(crate) fn cell(&self) -> Option<&ModuleCell> {
@@ -76,7 +77,8 @@ impl DetachedModule {
     ) -> std::io::Result<()> {
         let (Some(cell), Some(parker)) = (self.cell.take(), self.parker.take()) else { return Ok(()) };
         let mailbox = Arc::clone(&self.mailbox);
-        let runner = Runner { module, cell, mailbox, parker, clock, queue, probe, step: 0 };
+        let role = self.role;
+        let runner = Runner { module, role, cell, mailbox, parker, clock, queue, probe, step: 0 };
         let builder = std::thread::Builder::new().name(self.name.to_string());
         self.thread = Some(builder.spawn(move || runner.run())?);
         Ok(())
@@ -84,11 +86,8 @@ impl DetachedModule {
 
     pub(crate) fn deliver(&self, delivery: Delivery) {
         let mut contents = self.mailbox.lock();
-        if let Inbox::KeepLast(limit) = self.mailbox.capacity
-            && contents.deliveries.len() >= limit.get()
-            && let Some(oldest) = contents.deliveries.pop_front()
-        {
-            contents.skip(oldest.topic, oldest.messages);
+        if let Inbox::KeepLast(limit) = self.mailbox.capacity {
+            contents.make_room(delivery.topic, limit.get());
         }
         contents.deliveries.push_back(delivery);
         drop(contents);
@@ -125,6 +124,18 @@ impl Mailbox {
 }
 
 impl Contents {
+    /// Drops the oldest batch of the topic if `limit` of them wait.
+    fn make_room(&mut self, topic: usize, limit: usize) {
+        let mut waiting = (0..self.deliveries.len()).filter(|&index| self.deliveries[index].topic == topic);
+        let (oldest, others) = (waiting.next(), waiting.count());
+        if let Some(oldest) = oldest
+            && others + 1 >= limit
+            && let Some(dropped) = self.deliveries.remove(oldest)
+        {
+            self.skip(topic, dropped.messages);
+        }
+    }
+
     fn skip(&mut self, topic: usize, messages: u32) {
         match self.skipped.iter_mut().find(|(known, _)| *known == topic) {
             Some((_, count)) => *count += messages,
@@ -136,6 +147,7 @@ impl Contents {
 /// The thread's side.
 struct Runner {
     module: usize,
+    role: Role,
     cell: ModuleCell,
     mailbox: Arc<Mailbox>,
     parker: Parker,
@@ -173,7 +185,9 @@ impl Runner {
     fn step(&mut self, deliveries: VecDeque<Delivery>, skipped: Vec<(usize, u32)>, now: Time, due: Time) {
         let inputs = inputs_of(&deliveries, skipped);
         let started = Instant::now();
-        self.cell.run_detached(deliveries.into_iter(), now);
+        self.cell.run_detached(&deliveries, self.role, now);
+        // Frees the batches for the cycles to come.
+        drop(deliveries);
         if let Some(probe) = &self.probe {
             let lateness = (due <= now).then(|| now.saturating_since(due));
             let (module, step) = (&**self.cell.name(), self.step);

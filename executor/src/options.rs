@@ -16,7 +16,8 @@ pub enum Synchrony {
     Detached(Inbox),
 }
 
-/// How many batches wait for a detached module that is busy.
+/// How many batches of each topic wait for a detached module that is busy. A topic with many messages does
+/// not push out those of another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Inbox {
     /// All, however many.

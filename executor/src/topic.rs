@@ -36,11 +36,13 @@ impl TopicCounter {
     }
 }
 
-/// A callback of a module to call with a topic's batches.
-#[derive(Clone, Copy)]
-pub(crate) struct Subscriber {
-    pub(crate) module: ModuleSlot,
-    pub(crate) subscription: usize,
+/// Who is given a topic's batches.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Subscriber {
+    /// A callback of a module.
+    Attached { module: usize, subscription: usize },
+    /// A detached module, which gets a batch once for all its callbacks.
+    Detached { module: usize },
 }
 
 /// Where a module is kept.
@@ -147,7 +149,9 @@ impl Topics {
     }
 
     pub(crate) fn subscribe(&mut self, topic: usize, subscriber: Subscriber) {
-        self.subscribers[topic].push(subscriber);
+        if !self.subscribers[topic].contains(&subscriber) {
+            self.subscribers[topic].push(subscriber);
+        }
     }
 
     pub(crate) fn mark_published(&mut self, topic: usize) {

@@ -141,18 +141,26 @@ impl Core {
         let mut setup = Setup::new(&mut io, &mut stage.topics, options.settings, options.remaps);
         module.setup(&mut setup)?;
         let callbacks = setup.finish()?;
-        for (subscription, callback) in callbacks.subscriptions.iter().enumerate() {
-            stage.topics.subscribe(callback.topic(), Subscriber { module: slot, subscription });
+        let subscribed: Vec<usize> =
+            callbacks.subscriptions.iter().map(|callback| callback.topic()).collect();
+        for (subscription, &topic) in subscribed.iter().enumerate() {
+            stage.topics.subscribe(
+                topic,
+                match slot {
+                    ModuleSlot::Attached(module) => Subscriber::Attached { module, subscription },
+                    ModuleSlot::Detached(module) => Subscriber::Detached { module },
+                },
+            );
         }
-        let cell = ModuleCell::new(io, Box::new(ModuleBehaviour { module, callbacks }));
-        self.keep(cell, inbox);
+        let cell = ModuleCell::new(io, Box::new(ModuleBehaviour { module, callbacks }), subscribed);
+        self.keep(cell, inbox, options.role);
         self.registered.push((slot, options.role));
         Ok(())
     }
 
-    fn keep(&mut self, cell: ModuleCell, inbox: Option<Inbox>) {
+    fn keep(&mut self, cell: ModuleCell, inbox: Option<Inbox>, role: Role) {
         match inbox {
-            Some(inbox) => self.detached.push(DetachedModule::new(cell, inbox)),
+            Some(inbox) => self.detached.push(DetachedModule::new(cell, inbox, role)),
             None => {
                 exclusive(&mut self.stage).modules.push(Mutex::new(cell));
                 self.next_due.push(Time::MAX);
@@ -254,6 +262,8 @@ impl Core {
         if !self.has_started {
             return;
         }
+        // Nobody would take what an inlet accepted from now on.
+        self.queue.request_stop();
         let parts = self.registered.iter().rev().filter(|(_, role)| *role == Role::Part);
         let observers = self.registered.iter().filter(|(_, role)| *role == Role::Observer);
         let order: Vec<_> = parts.chain(observers).map(|&(slot, _)| slot).collect();

@@ -8,7 +8,7 @@ use crate::cell::Delivery;
 use crate::detached::{DetachedModule, StepOutcome};
 use crate::join::{DetachedStep, Request, StepInput};
 use crate::outbox::Outbox;
-use crate::topic::{ModuleSlot, Topics};
+use crate::topic::{ModuleSlot, Subscriber, Topics};
 use crate::{Role, SettingValue, Stage, Time};
 
 impl Core {
@@ -52,16 +52,15 @@ impl Core {
         let Stage { topics, modules, .. } = exclusive(&mut self.stage);
         for (topic, subscribers) in topics.fresh() {
             for subscriber in subscribers {
-                let subscription = subscriber.subscription;
-                match subscriber.module {
-                    ModuleSlot::Attached(index) => {
-                        let cell = modules[index].get_mut().unwrap_or_else(PoisonError::into_inner);
+                match *subscriber {
+                    Subscriber::Attached { module, subscription } => {
+                        let cell = modules[module].get_mut().unwrap_or_else(PoisonError::into_inner);
                         cell.receive_later(subscription);
-                        self.has_work[index] = true;
+                        self.has_work[module] = true;
                     }
-                    ModuleSlot::Detached(index) => {
+                    Subscriber::Detached { module } => {
                         let (batch, messages) = topics.share(topic);
-                        self.detached[index].deliver(Delivery { subscription, topic, batch, messages });
+                        self.detached[module].deliver(Delivery { topic, batch, messages });
                     }
                 }
             }
