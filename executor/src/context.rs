@@ -45,7 +45,8 @@ impl<'a> Context<'a> {
     /// Publishes a message: subscribers receive it in the next cycle.
     ///
     /// # Panics
-    /// If `publication` is the key of another module.
+    /// If this module has no such key. That of another module is not told apart where this one has a key of
+    /// the same number and type.
     #[inline]
     pub fn publish<T: Send + Sync + 'static>(&mut self, publication: Publication<T>, message: T) {
         let is_own = self.io.outboxes.push(publication, message);
@@ -55,7 +56,8 @@ impl<'a> Context<'a> {
     /// The value of a setting in this cycle.
     ///
     /// # Panics
-    /// If `setting` is the key of another module.
+    /// If this module has no such key. That of another module is not told apart where this one has a key of
+    /// the same number and type.
     #[must_use]
     pub fn get<T: SettingType>(&self, setting: Setting<T>) -> &T {
         let value = self.io.settings.value(setting.index).and_then(T::from_value);

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use crossbeam::sync::{Parker, Unparker};
 
 use crate::cell::{Delivery, ModuleCell};
@@ -37,8 +38,17 @@ pub(crate) struct DetachedModule {
     cell: Option<ModuleCell>,
     mailbox: Arc<Mailbox>,
     parker: Option<Parker>,
-    thread: Option<JoinHandle<()>>,
+    thread: Option<Thread>,
 }
+
+struct Thread {
+    handle: JoinHandle<()>,
+    /// Disconnected when the thread is about to end.
+    ended: Receiver<()>,
+}
+
+/// After how long, and how often then, it is told that the end waits for a module.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// What the core has sent to the thread of a detached module.
 struct Mailbox {
@@ -77,10 +87,12 @@ impl DetachedModule {
     ) -> std::io::Result<()> {
         let (Some(cell), Some(parker)) = (self.cell.take(), self.parker.take()) else { return Ok(()) };
         let mailbox = Arc::clone(&self.mailbox);
+        let (alive, ended) = bounded(0);
         let role = self.role;
-        let runner = Runner { module, role, cell, mailbox, parker, clock, queue, probe, step: 0 };
+        let runner =
+            Runner { module, role, cell, mailbox, parker, clock, queue, probe, step: 0, _alive: alive };
         let builder = std::thread::Builder::new().name(self.name.to_string());
-        self.thread = Some(builder.spawn(move || runner.run())?);
+        self.thread = Some(Thread { handle: builder.spawn(move || runner.run())?, ended });
         Ok(())
     }
 
@@ -99,13 +111,18 @@ impl DetachedModule {
         self.mailbox.owner.unpark();
     }
 
-    /// Waits for the current run and for the module's last callback.
+    /// Waits for the current run and for the module's last callback, however long they take: a thread cannot
+    /// be ended from outside. Says in the log whom it waits for.
     pub(crate) fn stop(&mut self) {
         self.mailbox.lock().stop = true;
         self.mailbox.owner.unpark();
-        if let Some(thread) = self.thread.take()
-            && thread.join().is_err()
-        {
+        let Some(Thread { handle, ended }) = self.thread.take() else { return };
+        let begin = Instant::now();
+        while ended.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
+            let seconds = begin.elapsed().as_secs();
+            tracing::warn!(module = &*self.name, "has not returned for {seconds} s, the stop waits for it");
+        }
+        if handle.join().is_err() {
             tracing::error!(module = &*self.name, "the thread of this detached module ended by a panic");
         }
     }
@@ -155,6 +172,8 @@ struct Runner {
     queue: Arc<JoinQueue>,
     probe: Option<Arc<dyn Probe>>,
     step: u64,
+    /// The last field, so that it is dropped after the module.
+    _alive: Sender<()>,
 }
 
 impl Runner {

@@ -84,7 +84,7 @@ pub enum SetupError {
         reason: String,
     },
     /// The core has begun to run.
-    #[error("module \"{0}\": modules, topics and inlets are added before the core starts")]
+    #[error("module \"{0}\": modules are added before the core starts")]
     AlreadyRunning(String),
 }
 

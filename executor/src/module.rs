@@ -42,6 +42,7 @@ pub trait Module: Send + Sized + 'static {
     /// Runs once, before every other callback.
     fn start(&mut self, _ctx: &mut Context<'_>) {}
 
-    /// Runs once, after every other callback. What it publishes still reaches observers.
+    /// Runs once, after every other callback, unless one of them has panicked. What it publishes still
+    /// reaches observers.
     fn stop(&mut self, _ctx: &mut Context<'_>) {}
 }

@@ -38,11 +38,14 @@ impl SettingValue {
         }
     }
 
-    fn as_number(&self) -> Option<f64> {
+    /// The numbers in it; none in what holds no numbers.
+    fn numbers(&self) -> Vec<f64> {
         match self {
-            Self::Integer(value) => Some(*value as f64),
-            Self::Double(value) => Some(*value),
-            _ => None,
+            Self::Integer(value) => vec![*value as f64],
+            Self::Double(value) => vec![*value],
+            Self::Integers(values) => values.iter().map(|&value| value as f64).collect(),
+            Self::Doubles(values) => values.clone(),
+            Self::Bool(_) | Self::Text(_) | Self::Texts(_) => Vec::new(),
         }
     }
 
@@ -154,10 +157,10 @@ pub struct SettingInfo {
 impl SettingInfo {
     fn check(&self, value: SettingValue) -> Result<SettingValue, String> {
         let value = value.into_kind_of(&self.value)?;
-        if let (Some(range), Some(number)) = (&self.range, value.as_number())
-            && !range.contains(&number)
+        if let Some(range) = &self.range
+            && let Some(number) = value.numbers().into_iter().find(|number| !range.contains(number))
         {
-            return Err(format!("{value} is out of range, {} to {} is allowed", range.start(), range.end()));
+            return Err(format!("{number} is out of range, {} to {} is allowed", range.start(), range.end()));
         }
         Ok(value)
     }
@@ -209,7 +212,9 @@ impl Settings {
         let value = self.infos[index].check(value)?;
         if self.infos[index].value != value {
             self.infos[index].value = value;
-            self.changed.push(index);
+            if !self.changed.contains(&index) {
+                self.changed.push(index);
+            }
         }
         Ok(())
     }
@@ -242,6 +247,23 @@ mod tests {
         let mut settings = Settings::default();
         settings.declare("m", gain(), Some(SettingValue::Integer(2))).unwrap();
         assert_eq!(settings.value(0), Some(&SettingValue::Double(2.0)));
+    }
+
+    #[test]
+    fn each_number_of_a_list_must_lie_in_the_range() {
+        let mut settings = Settings::default();
+        settings.declare("m", SettingInfo { value: vec![1.0, 2.0].into(), ..gain() }, None).unwrap();
+        assert!(settings.set("gain", vec![3.0, 4.5].into()).unwrap_err().starts_with("4.5 is out of range"));
+        settings.set("gain", vec![3.0, 4.0].into()).unwrap();
+    }
+
+    #[test]
+    fn a_setting_changed_twice_before_its_module_runs_is_announced_once() {
+        let mut settings = Settings::default();
+        settings.declare("m", gain(), None).unwrap();
+        settings.set("gain", 2.0.into()).unwrap();
+        settings.set("gain", 3.0.into()).unwrap();
+        assert_eq!((settings.take_change(), settings.take_change()), (Some(0), None));
     }
 
     #[test]

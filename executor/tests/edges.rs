@@ -228,3 +228,50 @@ fn next_event_tells_work_a_timer_or_nothing() {
     core.stop();
     assert_eq!(core.next_event(), None);
 }
+
+/// Opens the gate when the log warns of a module.
+struct OpenOnWarning(Mutex<Sender<()>>);
+
+impl tracing::Subscriber for OpenOnWarning {
+    fn enabled(&self, metadata: &tracing::Metadata<'_>) -> bool {
+        *metadata.level() == tracing::Level::WARN
+    }
+
+    fn new_span(&self, _: &tracing::span::Attributes<'_>) -> tracing::span::Id {
+        tracing::span::Id::from_u64(1)
+    }
+
+    fn record(&self, _: &tracing::span::Id, _: &tracing::span::Record<'_>) {}
+
+    fn record_follows_from(&self, _: &tracing::span::Id, _: &tracing::span::Id) {}
+
+    fn event(&self, _: &tracing::Event<'_>) {
+        // Fails only after the first warning, when the gate is open and gone.
+        let _ = self.0.lock().unwrap().send(());
+    }
+
+    fn enter(&self, _: &tracing::span::Id) {}
+
+    fn exit(&self, _: &tracing::span::Id) {}
+}
+
+#[test]
+fn a_stop_that_waits_for_a_detached_module_says_so() {
+    let mut core = Core::new();
+    let (heard, waiting) = channel();
+    let (opener, gate) = channel();
+    let log = Log::default();
+    let listener = Listener { log: Arc::clone(&log), heard, gate: Some(gate) };
+    let options =
+        ModuleOptions { synchrony: Synchrony::Detached(Inbox::KeepAll), ..ModuleOptions::default() };
+    core.add_with("listener", listener, options).unwrap();
+    let [gate, first] = ["gate", "first"].map(|topic| core.inlet::<u64>(topic).unwrap());
+    gate.publish(0).unwrap();
+    core.cycle().unwrap();
+    waiting.recv_timeout(WATCHDOG).unwrap();
+    first.publish(1).unwrap();
+    core.cycle().unwrap();
+    // The module returns only because of the warning; had it panicked at its watchdog, it would hear nothing more.
+    tracing::subscriber::with_default(OpenOnWarning(Mutex::new(opener)), || core.stop());
+    assert_eq!(*log.lock().unwrap(), ["first 1"]);
+}

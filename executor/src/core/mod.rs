@@ -258,6 +258,9 @@ impl Core {
 
     /// Runs the modules' last callbacks: parts in the reverse order of registration, then observers in the
     /// order of registration. What each publishes last is delivered before the next one stops.
+    ///
+    /// It waits for detached modules that are in a callback, and logs which. A stopped core does not start
+    /// again.
     pub fn stop(&mut self) {
         if !self.has_started {
             return;
