@@ -19,11 +19,20 @@ pub enum RecorderError {
     Bag(#[from] RecordError),
 }
 
+/// What happens to a message when the disk is slower than the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WhenFull {
+    /// It is lost and counted: a robot must not wait.
+    Lose,
+    /// The recorder waits: for input from a bag, which can wait too.
+    Wait,
+}
+
 /// Adds a recorder of these topics to a core: a detached observer, so that serialising delays no cycle and the
 /// last messages of every module are recorded.
 ///
 /// Messages are stamped with the time of the cycle that published them. A topic whose messages are no ROS
-/// messages is passed over with a warning. The offered QoS noted in the bag is what `qos_of` says of a topic.
+/// messages is passed over. The offered QoS noted in the bag is what `qos_of` says of a topic.
 ///
 /// # Errors
 /// If the core already has a recorder, or the recording has ended.
@@ -31,10 +40,11 @@ pub fn record(
     core: &mut Core,
     recording: &Recording,
     topics: &[TopicInfo],
+    when_full: WhenFull,
     qos_of: impl Fn(&str) -> QosProfile,
 ) -> Result<(), RecorderError> {
     let sender = recording.sender();
-    let mut recorder = Recorder { sender: sender.clone(), topics: Vec::new() };
+    let mut recorder = Recorder { sender: sender.clone(), when_full, topics: Vec::new() };
     for topic in topics {
         let Some(message_type) = KnownType::of_rust_type(topic.message_type_id) else {
             tracing::debug!("{} is not recorded: {} is no ROS message", topic.name, topic.message_type);
@@ -59,13 +69,18 @@ pub fn record(
 
 struct Recorder {
     sender: RecordingSender,
+    when_full: WhenFull,
     topics: Vec<(String, KnownType, TopicId)>,
 }
 
 impl Module for Recorder {
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         for (topic, message_type, id) in self.topics.drain(..) {
-            message_type.subscribe(setup, &topic, ToBag { sender: self.sender.clone(), topic: id })?;
+            message_type.subscribe(
+                setup,
+                &topic,
+                ToBag { sender: self.sender.clone(), when_full: self.when_full, topic: id },
+            )?;
         }
         Ok(())
     }
@@ -73,6 +88,7 @@ impl Module for Recorder {
 
 struct ToBag {
     sender: RecordingSender,
+    when_full: WhenFull,
     topic: TopicId,
 }
 
@@ -81,7 +97,11 @@ impl Sink for ToBag {
         let time = time.as_nanos();
         // A full queue is counted by the recording and told with its numbers; a message in the log for each
         // lost one would only add to the load.
-        if let Err(error) = self.sender.record(self.topic, time, time, cdr) {
+        let recorded = match self.when_full {
+            WhenFull::Lose => self.sender.record(self.topic, time, time, cdr),
+            WhenFull::Wait => self.sender.record_blocking(self.topic, time, time, cdr),
+        };
+        if let Err(error) = recorded {
             tracing::debug!("{error}");
         }
     }

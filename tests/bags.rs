@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use common::rclpy::Peer;
 use common::{Running, python, robot_file, text_of, wait_until};
 use downbeat::bags::{Reader, Selection};
-use serde_json::{Value, json};
+use serde_json::json;
 
 fn text(path: &Path) -> &str {
     path.to_str().unwrap()
@@ -101,8 +101,26 @@ fn a_bag_played_into_a_robot_gives_the_same_result_each_time() {
     assert_eq!(play(&on_two_threads, "pool"), first);
 }
 
-fn cdr_of(messages: &[Value]) -> Vec<&str> {
-    messages.iter().map(|message| message["cdr"].as_str().unwrap()).collect()
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[test]
+fn a_bag_is_not_played_over_what_the_robot_publishes_or_into_a_device() {
+    let folder = tempfile::tempdir().unwrap();
+    let (bag, _) = recorded(folder.path(), "1s");
+    let motion_only = folder.path().join("motion_only.toml");
+    std::fs::write(&motion_only, MOTION_ONLY).unwrap();
+    let cases = [
+        (motion_only, "/joint_goals", "publishes \"/joint_goals\" itself"),
+        (folder.path().join("robot.toml"), "/joint_commands", "drives a device"),
+    ];
+    for (robot, topic, expected) in cases {
+        let arguments = ["bag", "play", text(&bag), "--into", text(&robot), "--topics", topic];
+        let output = common::output_of(&arguments);
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert!(!output.status.success() && message.contains(expected), "{message}");
+    }
 }
 
 #[test]
@@ -135,6 +153,7 @@ fn what_rclpy_publishes_is_recorded_and_what_is_played_reaches_rclpy() {
     let received = listener.take("/chatter", 20);
     let texts: Vec<_> = received.iter().map(|message| message["fields"]["data"].as_str().unwrap()).collect();
     assert_eq!(texts, (0..20).map(|number| format!("number {number}")).collect::<Vec<_>>());
-    assert_eq!(cdr_of(&received).len(), 20);
+    let recorded: Vec<String> = messages(&bag).iter().map(|message| hex(&message.2)).collect();
+    assert!(recorded.iter().zip(&received).all(|(recorded, received)| received["cdr"] == **recorded));
     listener.leave();
 }

@@ -36,6 +36,8 @@ fn a_wrong_robot_file_is_told_with_file_line_and_the_nearest_name() {
         ("= \"joint_goals\" }", "= \"imu/data_raw\" }", "imu/data_raw"),
         ("topics = \"all\"", "topics = [\"joint_state\"]", "did you mean \"joint_states\"?"),
         ("qos = \"sensor_data\"", "qos = \"sensors\"", "did you mean \"sensor_data\"?"),
+        ("    \"buttons\",", "    \"buttons\", \"buttons\",", "/buttons is exposed twice"),
+        ("\"buttons\"", "{ topic = \"buttons\", as = \"1st\" }", "1st"),
         ("faults = []", "faults = [\"dead-servo:99\"]", "dead-servo"),
         ("[expose]", "[expose", "robot.toml:"),
     ];

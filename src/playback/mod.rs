@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use downbeat_bags::{BagMessage, Reader, ReaderError, Selection, TopicId};
 use downbeat_bridge::edge::{EncodedInlet, EncodedInletError, KnownType, UnknownType};
-use downbeat_executor::{Clock, Core, ManualClock, RunError, SetupError, Time};
+use downbeat_executor::{Clock, Core, ManualClock, RunError, SetupError, Time, TopicInfo};
 
 pub use steps::{ReplayError, replay_module};
 
@@ -25,8 +25,11 @@ pub enum PlaybackError {
         known: Vec<String>,
     },
     /// No module takes anything from the bag.
-    #[error("no topic of the bag is one that the robot's modules receive and do not publish themselves")]
+    #[error("the bag has no message that the robot's modules receive and do not publish themselves")]
     NothingToPlay,
+    /// Messages of the bag would mix with a module's.
+    #[error("a module of the robot publishes \"{0}\" itself; remap it there, or leave that module out")]
+    IsPublished(String),
     /// The type is not compiled in.
     #[error(transparent)]
     Type(#[from] UnknownType),
@@ -72,7 +75,10 @@ pub fn play_into(
             played += 1;
         }
     }
-    run_until(core, clock, clock.now())?;
+    if played == 0 {
+        return Err(PlaybackError::NothingToPlay);
+    }
+    run_until(core, clock, Time::from_nanos(reader.end_time().unwrap_or(0)))?;
     core.stop();
     Ok(played)
 }
@@ -108,13 +114,17 @@ fn inlets(
                 inlets.insert(id, open(core, name, &topic.info.type_name)?);
             }
         }
-        return if inlets.is_empty() { Err(PlaybackError::NothingToPlay) } else { Ok(inlets) };
+        return Ok(inlets);
     }
     for topic in topics {
         let absolute = format!("/{}", topic.trim_start_matches('/'));
         let Some(id) = reader.topic(&absolute) else {
             return Err(PlaybackError::NoSuchTopic { topic: topic.clone(), known: known() });
         };
+        let is_published = |known: &TopicInfo| *known.name == absolute[1..] && known.is_published;
+        if core.topics().iter().any(is_published) {
+            return Err(PlaybackError::IsPublished(topic.clone()));
+        }
         inlets.insert(id, open(core, &absolute, &reader.topics()[id.index()].info.type_name)?);
     }
     Ok(inlets)

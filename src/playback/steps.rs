@@ -36,6 +36,9 @@ pub enum ReplayError {
         /// The topic.
         topic: String,
     },
+    /// The first run received messages, which none can.
+    #[error("the first run of the module in the bag is not its start; record it from the start")]
+    NotFromStart,
     /// The type is not compiled in.
     #[error(transparent)]
     Type(#[from] UnknownType),
@@ -94,7 +97,11 @@ fn read_steps(reader: &Reader, module: &str) -> Result<Vec<ModuleStep>, ReplayEr
             steps.push(step);
         }
     }
-    if steps.is_empty() { Err(ReplayError::NoSteps(module.into())) } else { Ok(steps) }
+    match steps.first() {
+        None => Err(ReplayError::NoSteps(module.into())),
+        Some(first) if first.step != 0 || !first.topics.is_empty() => Err(ReplayError::NotFromStart),
+        Some(_) => Ok(steps),
+    }
 }
 
 /// What the module received, by topic, in the order of the bag.

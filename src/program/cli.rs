@@ -75,7 +75,7 @@ pub(crate) struct RecordArguments {
     #[arg(required_unless_present = "robot", conflicts_with = "robot")]
     pub(crate) topics: Vec<String>,
     /// Run this robot without a bridge and record its topics from the very first message.
-    #[arg(long, value_name = "ROBOT.toml")]
+    #[arg(long, value_name = "ROBOT.toml", conflicts_with = "domain")]
     pub(crate) robot: Option<PathBuf>,
     /// The new rosbag2 directory.
     #[arg(long, short, value_name = "DIR")]
@@ -106,7 +106,7 @@ pub(crate) struct PlayArguments {
     pub(crate) start_offset: Option<Duration>,
     /// Run the modules of this robot on the bag instead of playing to ROS 2: time from the bag, as fast as the
     /// machine can, with the same result each time.
-    #[arg(long, value_name = "ROBOT.toml", conflicts_with = "rate")]
+    #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["rate", "start_offset", "domain"])]
     pub(crate) into: Option<PathBuf>,
     /// With --into: record what the modules publish into this new rosbag2 directory.
     #[arg(long, value_name = "DIR", requires = "into")]

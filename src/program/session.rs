@@ -12,7 +12,7 @@ use downbeat::bridge::middleware::{self, ParticipantOptions};
 use downbeat::bridge::ros::{Node, NodeName, Participant};
 use downbeat::executor::{Core, RunError};
 use downbeat::msgs::qos::QosProfile;
-use downbeat::recorder;
+use downbeat::recorder::{self, WhenFull};
 use downbeat::robot::{Robot, RobotFile};
 
 use super::faults::Faults;
@@ -91,7 +91,7 @@ impl Session {
         let qos_of = |name: &str| {
             exposed.iter().find(|(topic, _)| topic == name).map_or(QosProfile::DEFAULT, |&(_, qos)| qos)
         };
-        recorder::record(&mut self.robot.core, &recording, &topics, qos_of)?;
+        recorder::record(&mut self.robot.core, &recording, &topics, WhenFull::Lose, qos_of)?;
         tracing::info!("recording into {}", directory.display());
         self.recording = Some(recording);
         Ok(())
@@ -115,7 +115,7 @@ impl Session {
             recording: recording.as_ref(),
             faults: &faults,
         });
-        let mut next_log = Instant::now() + LOG_INTERVAL;
+        let (mut next_log, mut recording_fails) = (Instant::now() + LOG_INTERVAL, false);
         while !stop.is_due() && !core.is_finished() {
             if screen.is_terminal() {
                 screen.show(block.lines());
@@ -123,18 +123,23 @@ impl Session {
                 next_log += LOG_INTERVAL;
                 tracing::info!("{}", block.line());
             }
+            let failure = recording.as_ref().and_then(|recording| recording.statistics().failure);
+            if let Some(failure) = failure.filter(|_| !recording_fails) {
+                tracing::error!("the recording has stopped, the robot goes on: {failure}");
+                recording_fails = true;
+            }
             stop.sleep(REFRESH);
         }
         screen.show(Vec::new());
         handle.stop();
         core.join().map_err(|_| anyhow!("the core's thread panicked"))??;
-        let summary = recording.map(Recording::finish).transpose()?;
+        let summary = recording.map(Recording::finish).transpose();
         if let Some(bridge) = bridge {
             // Off the graph before the last lines, which may be what a script waits for.
             drop(bridge.node);
         }
-        tell(&statistics, summary.as_ref());
-        Ok(())
+        tell(&statistics, summary.as_ref().ok().and_then(Option::as_ref));
+        summary.map(drop).context("the recording is not complete")
     }
 }
 

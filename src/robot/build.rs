@@ -3,6 +3,7 @@
 use downbeat_bridge::edge::KnownType;
 use downbeat_bridge::expose::Exposure;
 use downbeat_bridge::middleware;
+use downbeat_bridge::ros::{NodeName, TopicName};
 use downbeat_executor::{Core, Linear, ModuleOptions, Pool, SetupError, TopicInfo};
 
 use super::file::{ExposeEntry, ModuleEntry, RecordEntry, RobotFile, RobotFileError, suggestion};
@@ -80,12 +81,40 @@ impl ModuleEntry {
     }
 }
 
+impl RobotFile {
+    /// Checks that no module drives a device: for running a robot on recorded input.
+    ///
+    /// # Errors
+    /// If one does; with path and line.
+    pub fn refuse_devices(&self) -> Result<()> {
+        let Some(module) = self.modules.iter().find(|module| module.kind.uses_device) else { return Ok(()) };
+        let ModuleEntry { name, kind, line, .. } = module;
+        let problem = format!(
+            "\"{name}\" is of kind \"{}\", which drives a device; play the bag into a robot file without it",
+            kind.name
+        );
+        Err(self.source.error(*line, problem))
+    }
+}
+
 impl Robot {
     /// What the bridge is to show of the modules' topics.
     ///
     /// # Errors
     /// If a topic is not there, nobody publishes what is to go out, or the type is another; with path and line.
     pub fn exposures(&self) -> Result<Vec<Exposure>> {
+        let node = NodeName::new(&self.file.namespace, &self.file.name)
+            .map_err(|error| self.file.source.error(1, error.to_string()))?;
+        let mut names = Vec::new();
+        for entry in &self.file.expose {
+            let refuse = |problem: String| self.file.source.error(entry.line, problem);
+            let ros_name =
+                TopicName::expand(&entry.ros_topic, &node).map_err(|error| refuse(error.to_string()))?;
+            if names.contains(&ros_name) {
+                return Err(refuse(format!("{} is exposed twice", ros_name.as_str())));
+            }
+            names.push(ros_name);
+        }
         self.file.expose.iter().map(|entry| self.exposure(entry)).collect()
     }
 

@@ -17,6 +17,8 @@ pub struct Kind {
     pub about: &'static str,
     /// True if what it gives does not come from real hardware.
     pub is_emulated: bool,
+    /// True if it drives a device, which a replay must not.
+    pub uses_device: bool,
     /// How it runs.
     pub synchrony: Synchrony,
     add: fn(&mut Core, &str, ModuleOptions) -> Result<(), SetupError>,
@@ -31,6 +33,7 @@ pub const KINDS: &[Kind] = &[
         name: "darwin_op",
         about: "the hardware of a Darwin OP: CM-730 and 20 MX-28 servos on a serial port",
         is_emulated: false,
+        uses_device: true,
         synchrony: Synchrony::Detached(INBOX),
         add: |core, name, options| core.add_with(name, DarwinOp::new(Box::new(SerialBus::new())), options),
     },
@@ -38,6 +41,7 @@ pub const KINDS: &[Kind] = &[
         name: "darwin_op_emulator",
         about: "an emulated Darwin OP behind a pseudo terminal, with faults on request",
         is_emulated: true,
+        uses_device: true,
         synchrony: Synchrony::WhenDue,
         add: add::<DarwinOpEmulator>,
     },
@@ -45,6 +49,7 @@ pub const KINDS: &[Kind] = &[
         name: "joint_command_mux",
         about: "commands from outside before those of the built-in motion, joint by joint",
         is_emulated: false,
+        uses_device: false,
         synchrony: Synchrony::WhenDue,
         add: add::<JointCommandMux>,
     },
@@ -52,6 +57,7 @@ pub const KINDS: &[Kind] = &[
         name: "stand_nod_wave",
         about: "a small motion: stand up, then nod and wave",
         is_emulated: false,
+        uses_device: false,
         synchrony: Synchrony::WhenDue,
         add: add::<StandNodWave>,
     },

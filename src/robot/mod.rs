@@ -5,6 +5,7 @@
 //! ```toml
 //! [robot]
 //! name = "darwin_op"                  # the name of the ROS 2 node
+//! namespace = "/"                     # its namespace, none unless given
 //! launcher = "pool"                   # or "linear", the default
 //! threads = 2
 //!

@@ -8,7 +8,7 @@ use downbeat::bridge::ros::{MessageType, Node, NodeName, Participant, Publisher}
 use downbeat::executor::{Core, ManualClock, Time};
 use downbeat::msgs::qos::QosProfile;
 use downbeat::playback;
-use downbeat::recorder;
+use downbeat::recorder::{self, WhenFull};
 use downbeat::robot::RobotFile;
 
 use crate::program::cli::PlayArguments;
@@ -28,7 +28,9 @@ pub(crate) fn play(arguments: &PlayArguments) -> anyhow::Result<()> {
 
 fn play_into(reader: &Reader, robot: &std::path::Path, arguments: &PlayArguments) -> anyhow::Result<()> {
     let clock = ManualClock::new(Time::from_nanos(reader.start_time().unwrap_or(0)));
-    let mut robot = RobotFile::read(robot)?.build(Core::new().with_clock(clock.clone()))?;
+    let file = RobotFile::read(robot)?;
+    file.refuse_devices()?;
+    let mut robot = file.build(Core::new().with_clock(clock.clone()))?;
     let recording = arguments
         .record
         .as_ref()
@@ -37,7 +39,8 @@ fn play_into(reader: &Reader, robot: &std::path::Path, arguments: &PlayArguments
             let recording = Recording::start(writer.create(directory)?, Recording::DEFAULT_QUEUE_BYTES)?;
             let published: Vec<_> =
                 robot.core.topics().iter().filter(|topic| topic.is_published).cloned().collect();
-            recorder::record(&mut robot.core, &recording, &published, |_| QosProfile::DEFAULT)?;
+            let wait = WhenFull::Wait;
+            recorder::record(&mut robot.core, &recording, &published, wait, |_| QosProfile::DEFAULT)?;
             Ok(recording)
         })
         .transpose()?;
@@ -45,26 +48,29 @@ fn play_into(reader: &Reader, robot: &std::path::Path, arguments: &PlayArguments
     println!("played {played} messages into {}", robot.file.name);
     if let Some(recording) = recording {
         let summary = recording.finish()?;
-        println!("recorded {} messages in {}", summary.message_count(), summary.path.display());
+        let (messages, lost) = (summary.message_count(), summary.lost_count());
+        println!("recorded {messages} messages, lost {lost}, in {}", summary.path.display());
     }
     Ok(())
 }
 
-/// How long a publisher waits to be found: samples written before that reach nobody.
-const DISCOVERY: Duration = Duration::from_secs(1);
+/// How long publishers wait to be found at the most: samples written before that reach nobody.
+const DISCOVERY: Duration = Duration::from_secs(3);
 
 fn play_to_ros(reader: &Reader, arguments: &PlayArguments) -> anyhow::Result<()> {
     let options = PlaybackOptions {
         rate: Rate::new(arguments.rate)?,
         start_offset: arguments.start_offset.unwrap_or_default(),
-        topics: (!arguments.topics.is_empty()).then(|| arguments.topics.clone()),
+        topics: (!arguments.topics.is_empty()).then(|| {
+            arguments.topics.iter().map(|topic| format!("/{}", topic.trim_start_matches('/'))).collect()
+        }),
     };
     let mut playback = Playback::open(reader, &options)?;
     let node = Participant::join(&participant_options(arguments.domain)?)?
         .create_node(NodeName::new("/", "downbeat_bag_play")?)?;
     let publishers = publishers(reader, &options, &node)?;
     let stop = Stop::new(None)?;
-    stop.sleep(DISCOVERY);
+    wait_for_subscriptions(&publishers, &stop);
     let (started, mut played, mut refused) = (Instant::now(), 0_u64, 0_u64);
     while !stop.is_due() {
         match playback.step(started.elapsed()) {
@@ -87,6 +93,14 @@ fn play_to_ros(reader: &Reader, arguments: &PlayArguments) -> anyhow::Result<()>
     }
     println!("played {played} messages; {refused} were refused by the middleware");
     Ok(())
+}
+
+fn wait_for_subscriptions(publishers: &[Option<Publisher>], stop: &Stop) {
+    let started = Instant::now();
+    let is_heard = |publisher: &Publisher| publisher.matched_subscriptions() > 0;
+    while !publishers.iter().flatten().all(is_heard) && started.elapsed() < DISCOVERY && !stop.is_due() {
+        stop.sleep(Duration::from_millis(50));
+    }
 }
 
 /// A publisher for each topic that is played, at the position of its id.

@@ -36,21 +36,24 @@ fn record_from_ros(arguments: &RecordArguments, compression: Compression) -> any
     let stop = Stop::new(arguments.duration)?;
     let participant = Participant::join(&participant_options(arguments.domain)?)?;
     let node = participant.create_node(NodeName::new("/", "downbeat_bag_record")?)?;
-    let writer = WriterOptions::new().compression(compression).create(&arguments.output)?;
-    let recording = Recording::start(writer, Recording::DEFAULT_QUEUE_BYTES)
-        .context("cannot start the thread that writes the bag")?;
     let mut awaited: Vec<TopicName> = arguments
         .topics
         .iter()
         .map(|topic| TopicName::expand(topic, node.name()))
         .collect::<Result<_, _>>()?;
+    let writer = WriterOptions::new().compression(compression).create(&arguments.output)?;
+    let recording = Recording::start(writer, Recording::DEFAULT_QUEUE_BYTES)
+        .context("cannot start the thread that writes the bag")?;
     let mut subscriptions = Vec::new();
     while !stop.is_due() {
         let endpoints = if awaited.is_empty() { Vec::new() } else { participant.remote_endpoints() };
         for endpoint in endpoints.iter().filter(|endpoint| endpoint.direction == Direction::Out) {
             let position = awaited.iter().position(|topic| topic.to_wire() == endpoint.topic_name);
             if let Some(topic) = position.map(|position| awaited.remove(position)) {
-                subscriptions.push(subscribe(&node, &recording, &topic, endpoint)?);
+                match subscribe(&node, &recording, &topic, endpoint) {
+                    Ok(subscription) => subscriptions.push(subscription),
+                    Err(error) => tracing::error!("{} is not recorded: {error:#}", topic.as_str()),
+                }
             }
         }
         stop.sleep(POLL);
