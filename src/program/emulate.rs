@@ -16,7 +16,7 @@ pub(crate) fn darwin_op(link: PathBuf, seed: u64, faults: &[String]) -> anyhow::
     let stop = Stop::new(None)?;
     let options = EmulatorOptions { link: Some(link.clone()), seed, faults, ..EmulatorOptions::default() };
     let emulator = Emulator::start(options)?;
-    tracing::info!("an emulated Darwin OP is at {} ({})", link.display(), emulator.port_path().display());
+    tracing::info!("an emulated Darwin OP is at {}", link.display());
     while !stop.is_due() {
         stop.sleep(Duration::from_secs(1));
     }

@@ -36,8 +36,30 @@ pub(crate) fn main(cli: Cli) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("downbeat: {error:#}");
+            eprintln!("downbeat: {}", in_one_line(&error));
             ExitCode::FAILURE
         }
+    }
+}
+
+/// The error and its causes, without those that the text before them tells already.
+fn in_one_line(error: &anyhow::Error) -> String {
+    error.chain().map(ToString::to_string).fold(String::new(), |mut text, cause| {
+        if !text.contains(&cause) {
+            text.push_str(if text.is_empty() { "" } else { ": " });
+            text.push_str(&cause);
+        }
+        text
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cause_that_is_told_already_is_not_told_again() {
+        let error = anyhow::anyhow!("no such file").context("cannot read a: no such file").context("run");
+        assert_eq!(in_one_line(&error), "run: cannot read a: no such file");
     }
 }

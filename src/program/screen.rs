@@ -36,6 +36,9 @@ impl Screen {
         // A terminal that is gone is no reason to stop a robot.
         let _ = shared.erase();
         shared.block = block;
+        // What has scrolled off the top cannot be erased.
+        let height = usize::from(shared.terminal.size().0).saturating_sub(1);
+        shared.block.truncate(height);
         let _ = shared.draw();
     }
 
