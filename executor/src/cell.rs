@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use crate::behaviour::Behaviour;
 use crate::context::ModuleIo;
+use crate::guard::{drop_guarded, reason};
 use crate::outbox::{AnyOutbox, Outboxes};
 use crate::setting::Settings;
 use crate::topic::Topics;
@@ -163,7 +164,7 @@ impl ModuleCell {
         let outcome = catch_unwind(AssertUnwindSafe(|| run(&mut **behaviour, &mut Context::new(io, now))));
         if let Err(panic) = outcome {
             self.life = Life::Ended;
-            self.io.outboxes.discard();
+            drop_guarded("a message", || self.io.outboxes.discard());
             let reason = reason(&*panic);
             tracing::error!(module = &*self.io.name, "panicked and is stopped, the others go on: {reason}");
         }
@@ -178,11 +179,6 @@ impl Drop for ModuleCell {
             tracing::error!(module = &*self.io.name, "panicked while it was dropped: {}", reason(&*panic));
         }
     }
-}
-
-fn reason(panic: &(dyn Any + Send)) -> &str {
-    let text = panic.downcast_ref::<&str>().copied();
-    text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("no reason given")
 }
 
 impl ModuleIo {

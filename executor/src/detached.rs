@@ -9,6 +9,7 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use crossbeam::sync::{Parker, Unparker};
 
 use crate::cell::{Delivery, ModuleCell};
+use crate::guard::drop_guarded;
 use crate::join::{JoinQueue, Request};
 use crate::outbox::AnyOutbox;
 use crate::probe::{Probe, StepReport};
@@ -206,7 +207,7 @@ impl Runner {
         let started = Instant::now();
         self.cell.run_detached(&deliveries, self.role, now);
         // Frees the batches for the cycles to come.
-        drop(deliveries);
+        drop_guarded("a message", || drop(deliveries));
         if let Some(probe) = &self.probe {
             let lateness = (due <= now).then(|| now.saturating_since(due));
             let (module, step) = (&**self.cell.name(), self.step);

@@ -63,6 +63,7 @@ mod context;
 mod core;
 mod detached;
 mod error;
+mod guard;
 mod join;
 mod launcher;
 mod module;

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::batch::Batch;
+use crate::guard::drop_guarded;
 use crate::outbox::{AnyOutbox, Outbox};
 use crate::{SetupError, Time};
 
@@ -76,7 +77,12 @@ pub(crate) trait AnyTopic: Any + Send + Sync {
 impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
     fn retire(&mut self) {
         match Arc::get_mut(&mut self.batch) {
-            Some(batch) => batch.clear(),
+            Some(batch) => {
+                if !drop_guarded("a message", || batch.clear()) {
+                    // What is left of it is not touched again: it could panic again.
+                    std::mem::forget(std::mem::take(&mut self.batch));
+                }
+            }
             None => self.batch = Arc::default(),
         }
     }

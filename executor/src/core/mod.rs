@@ -345,6 +345,10 @@ impl Core {
 
 impl Drop for Core {
     fn drop(&mut self) {
+        if let Some(stage) = Arc::get_mut(&mut self.stage) {
+            // Guarded, unlike the drop of the topics themselves.
+            stage.topics.retire();
+        }
         self.queue.request_stop();
     }
 }

@@ -50,12 +50,19 @@ impl Pool {
 
 fn work_on(stages: &Receiver<Arc<Stage>>, report: &Sender<()>) {
     for stage in stages {
+        // Dropped after the stage, whatever happens: the report says that this thread holds it no longer.
+        let _report = ReportOnDrop(report);
+        let stage = stage;
         while stage.run_next() {}
-        // The report says that this thread holds the stage no longer.
-        drop(stage);
-        if report.send(()).is_err() {
-            return;
-        }
+    }
+}
+
+struct ReportOnDrop<'a>(&'a Sender<()>);
+
+impl Drop for ReportOnDrop<'_> {
+    fn drop(&mut self) {
+        // Nobody waits for it only when the pool is gone, and then the channel of stages ends too.
+        let _ = self.0.send(());
     }
 }
 

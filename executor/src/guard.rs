@@ -1,0 +1,20 @@
+//! Running code of users so that its panics stay where they are.
+
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// Runs what drops messages of a user's type. A panic in there is told, and nothing else stops for it.
+/// Returns false if there was one.
+pub(crate) fn drop_guarded(what: &str, run: impl FnOnce()) -> bool {
+    let outcome = catch_unwind(AssertUnwindSafe(run));
+    if let Err(panic) = &outcome {
+        tracing::error!("{what} panicked while it was dropped: {}", reason(&**panic));
+    }
+    outcome.is_ok()
+}
+
+/// What a panic said.
+pub(crate) fn reason(panic: &(dyn Any + Send)) -> &str {
+    let text = panic.downcast_ref::<&str>().copied();
+    text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("no reason given")
+}
