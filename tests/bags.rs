@@ -101,6 +101,38 @@ fn a_bag_played_into_a_robot_gives_the_same_result_each_time() {
     assert_eq!(play(&on_two_threads, "pool"), first);
 }
 
+#[test]
+fn a_robot_recorded_from_the_network_gives_the_bytes_that_it_recorded_itself() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, own) = (robot_file(folder.path(), |text| text), folder.path().join("own"));
+    let heard = folder.path().join("heard");
+    let mut running = Running::start(&["run", text(&robot), "--domain", "72", "--record", text(&own)]);
+    let record = ["bag", "record", "/joint_states", "--output", text(&heard), "--domain", "72"];
+    let mut recorder = Running::start(&record);
+    wait_until("joint states are in the file", || {
+        heard.join("heard_0.mcap").exists()
+            && Reader::open(&heard).is_ok_and(|_| messages(&heard).len() > 300)
+    });
+    recorder.interrupt();
+    running.interrupt();
+    let joint_states = |bag: &Path| -> Vec<Vec<u8>> {
+        let of_topic = messages(bag).into_iter().filter(|message| message.0 == "/joint_states");
+        of_topic.map(|message| message.2).collect()
+    };
+    // From the first that was heard on, none is missing, changed or out of order.
+    let (own_states, heard_states) = (joint_states(&own), joint_states(&heard));
+    let first = own_states.iter().position(|state| *state == heard_states[0]).unwrap();
+    let published = &own_states[first..];
+    assert!(published.len() >= heard_states.len());
+    assert!(published[..heard_states.len()] == heard_states[..], "a joint state was lost or changed");
+    for bag in [&own, &heard] {
+        let Some(found) = python("decode_bag.py", &[bag]) else { return };
+        for reader in ["mcap", "mcap_ros2", "rosbags"] {
+            assert_eq!(found[reader], found["metadata"], "{reader} of {}", bag.display());
+        }
+    }
+}
+
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

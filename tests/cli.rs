@@ -6,6 +6,9 @@ mod common;
 use std::path::Path;
 
 use common::{Running, output_of, robot_file, text_of, wait_until};
+use downbeat::bags::{Reader, Selection};
+use downbeat::msgs::cdr;
+use downbeat::msgs::downbeat_interfaces::msg::BusExchange;
 
 fn text(path: &Path) -> &str {
     path.to_str().unwrap()
@@ -126,11 +129,34 @@ fn an_emulated_robot_run_alone_is_driven_over_its_port_and_its_faults_are_told()
     let robot = folder.path().join("robot.toml");
     let file = std::fs::read_to_string(serial).unwrap().replace("/dev/ttyUSB0", text(&port));
     std::fs::write(&robot, file).unwrap();
-    let mut running = Running::start(&["run", text(&robot), "--domain", "81"]);
+    let bag = folder.path().join("bag");
+    let mut running = Running::start(&["run", text(&robot), "--domain", "81", "--record", text(&bag)]);
     running.wait_for_output("servo 5 (r_el) does not answer");
     running.wait_for_output("servo 5 (r_el) is back");
     running.wait_for_output("lost the serial port");
+    wait_until("joint states come over the port again", || has_joint_states_of_a_second_opening(&bag));
     running.interrupt();
     emulator.interrupt();
     assert!(!port.exists(), "the link is removed");
+}
+
+/// Whether a bag has joint states after the port was opened, closed and opened once more.
+fn has_joint_states_of_a_second_opening(bag: &Path) -> bool {
+    let Ok(reader) = Reader::open(bag) else { return false };
+    let (Some(exchanges), Some(states)) = (reader.topic("/bus/exchanges"), reader.topic("/joint_states"))
+    else {
+        return false;
+    };
+    let (mut openings, mut has_states) = (0, false);
+    for message in reader.messages(Selection::all().topics([exchanges, states])).unwrap().map(Result::unwrap)
+    {
+        if message.topic == states {
+            has_states = openings >= 2;
+            continue;
+        }
+        let exchange: BusExchange = cdr::from_slice(&message.data).unwrap();
+        let is_opening = exchange.kind == BusExchange::OPEN && exchange.outcome == BusExchange::OK;
+        openings += usize::from(is_opening);
+    }
+    has_states
 }
