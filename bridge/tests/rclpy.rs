@@ -277,8 +277,10 @@ fn a_running_core_is_seen_and_driven_from_rclpy_and_leaves_at_once() {
     rclpy.ask(json!({"do": "publish", "topic": "/joint_commands", "fields": {"name": ["head_pan"]}}));
     assert_eq!(commands.recv_timeout(common::WATCHDOG).unwrap().name, ["head_pan"]);
 
+    // A message is counted after it was passed on, on the thread that read it.
+    wait_until("the command is counted", || status.endpoints()[1].messages == 1);
     let reports = status.endpoints();
-    assert_eq!((reports[0].matched, reports[0].errors, reports[1].messages), (1, 0, 1));
+    assert_eq!((reports[0].matched, reports[0].errors), (1, 0));
     assert!(reports[0].messages >= 250);
 
     handle.stop();
