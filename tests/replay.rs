@@ -73,7 +73,7 @@ fn replay(
     core.add_with("hardware", DarwinOp::new(Box::new(bus)), hardware.options()).unwrap();
     let mut captured = Vec::new();
     for topic in OUTPUTS {
-        let info = core.topics().iter().find(|info| *info.name == *topic).unwrap();
+        let info = core.topics().find(|info| *info.name == *topic).unwrap();
         let message_type = KnownType::of_rust_type(info.message_type_id).unwrap();
         let messages = Arc::default();
         captured.push((topic, Arc::clone(&messages)));

@@ -6,29 +6,32 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use crate::behaviour::Behaviour;
-use crate::context::ModuleIo;
+use crate::context::{Asked, ModuleIo, Shared};
 use crate::guard::{drop_guarded, reason};
-use crate::outbox::{AnyOutbox, Outboxes};
-use crate::setting::Settings;
-use crate::topic::Topics;
-use crate::{Context, Role, SettingInfo, SettingValue, Time};
+use crate::receipt::ReceiptSender;
+use crate::{Context, LifecycleState, Role, SettingInfo, SettingValue, Time, Transition, TransitionRefused};
 
 pub(crate) struct ModuleCell {
-    io: ModuleIo,
+    pub(crate) io: ModuleIo,
     /// Always there until the cell is dropped.
     behaviour: Option<Box<dyn Behaviour>>,
     /// The topic of each subscription.
     subscribed: Vec<usize>,
-    /// Subscriptions whose topics carry messages of the last cycle.
-    pending: Vec<usize>,
-    life: Life,
+    state: LifecycleState,
+    transitions: VecDeque<(Transition, TransitionReceipt)>,
+    hold: Hold,
+    panic: Option<String>,
 }
 
-#[derive(Clone, Copy, PartialEq)]
-enum Life {
-    New,
-    Running,
-    Ended,
+type TransitionReceipt = Option<ReceiptSender<Result<LifecycleState, TransitionRefused>>>;
+
+/// Whether a module is paused.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Hold {
+    Free,
+    Held,
+    /// Held after its next run.
+    Step,
 }
 
 /// A batch on its way to a module on another thread, for all its subscriptions of the topic.
@@ -39,8 +42,28 @@ pub(crate) struct Delivery {
 }
 
 impl ModuleCell {
-    pub(crate) fn new(io: ModuleIo, behaviour: Box<dyn Behaviour>, subscribed: Vec<usize>) -> Self {
-        Self { io, behaviour: Some(behaviour), subscribed, pending: Vec::new(), life: Life::New }
+    /// A module on its way to `initial`.
+    pub(crate) fn new(
+        io: ModuleIo,
+        behaviour: Box<dyn Behaviour>,
+        subscribed: Vec<usize>,
+        initial: LifecycleState,
+    ) -> Self {
+        let transitions: &[_] = match initial {
+            LifecycleState::Unconfigured => &[],
+            LifecycleState::Inactive => &[Transition::Configure],
+            LifecycleState::Active => &[Transition::Configure, Transition::Activate],
+            LifecycleState::Finalized => &[Transition::Shutdown],
+        };
+        Self {
+            io,
+            behaviour: Some(behaviour),
+            subscribed,
+            state: LifecycleState::Unconfigured,
+            transitions: transitions.iter().map(|&transition| (transition, None)).collect(),
+            hold: Hold::Free,
+            panic: None,
+        }
     }
 
     pub(crate) fn name(&self) -> &Arc<str> {
@@ -51,48 +74,96 @@ impl ModuleCell {
         self.io.settings.infos()
     }
 
-    pub(crate) fn set(&mut self, setting: &str, value: SettingValue) -> Result<(), String> {
-        self.io.settings.set(setting, value)
-    }
-
-    pub(crate) fn receive_later(&mut self, subscription: usize) {
-        self.pending.push(subscription);
+    pub(crate) fn state(&self) -> LifecycleState {
+        self.state
     }
 
     /// True after the last callback, or after a panic.
     pub(crate) fn has_ended(&self) -> bool {
-        self.life == Life::Ended
+        self.state == LifecycleState::Finalized
+    }
+
+    /// What the panic said that ended the module; given once.
+    pub(crate) fn take_panic(&mut self) -> Option<String> {
+        self.panic.take()
+    }
+
+    pub(crate) fn pause(&mut self) {
+        self.hold = Hold::Held;
+    }
+
+    pub(crate) fn resume(&mut self) {
+        self.hold = Hold::Free;
+    }
+
+    pub(crate) fn step_once(&mut self) {
+        self.hold = Hold::Step;
+    }
+
+    pub(crate) fn is_paused(&self) -> bool {
+        self.hold != Hold::Free
+    }
+
+    /// Changes a setting, unless the setting or its module refuses the value.
+    pub(crate) fn set(&mut self, setting: &str, value: SettingValue) -> Result<(), String> {
+        let (index, value) = self.io.settings.check(setting, value)?;
+        if let Some(behaviour) = &mut self.behaviour {
+            let check = AssertUnwindSafe(|| behaviour.accept_setting(index, &value));
+            catch_unwind(check).unwrap_or_else(|panic| {
+                Err(format!("the module's check of it panicked: {}", reason(&*panic)))
+            })?;
+        }
+        self.io.settings.put(index, value);
+        Ok(())
+    }
+
+    pub(crate) fn transition_later(&mut self, transition: Transition, receipt: TransitionReceipt) {
+        self.transitions.push_back((transition, receipt));
     }
 
     /// True if the module has to run whatever the time is.
     pub(crate) fn has_work(&self) -> bool {
-        match self.life {
-            Life::New => true,
-            Life::Running => !self.pending.is_empty() || self.io.settings.has_changes(),
-            Life::Ended => false,
+        // What is not active has none to answer requests, but has to refuse them.
+        let has_requests = || self.io.servers.iter().any(|server| server.has_requests());
+        let has_input = || {
+            self.io.settings.has_changes()
+                || self.io.jobs.iter().any(|job| job.has_results())
+                || self.io.clients.iter().any(|client| client.has_replies())
+        };
+        let has_cause = || {
+            !self.transitions.is_empty()
+                || has_requests()
+                || self.state == LifecycleState::Active && has_input()
+        };
+        match self.hold {
+            Hold::Held => false,
+            Hold::Step => true,
+            Hold::Free => has_cause(),
         }
     }
 
-    /// When the next timer fires.
+    /// When the next timer fires, the next task is due, or the next call is given up.
     pub(crate) fn next_due(&self) -> Time {
-        match self.life {
-            Life::Running => self.io.timers.iter().map(|timer| timer.due()).min().unwrap_or(Time::MAX),
-            Life::New | Life::Ended => Time::MAX,
+        if self.state != LifecycleState::Active || self.hold == Hold::Held {
+            return Time::MAX;
         }
+        let timers = self.io.timers.iter().map(|timer| timer.due());
+        let calls = self.io.clients.iter().map(|client| client.due());
+        timers.chain(calls).fold(self.io.tasks.due(), Time::min)
     }
 
-    /// Runs what is due inside a cycle: start, setting changes, messages, timers.
-    pub(crate) fn run(&mut self, topics: &Topics, now: Time) {
-        let mut pending = std::mem::take(&mut self.pending);
-        // The order of subscriptions, not of the cycle's first publishers.
-        pending.sort_unstable();
-        self.run_with(now, |behaviour, ctx| {
-            for &subscription in &pending {
-                behaviour.receive(subscription, topics, ctx);
+    /// Runs what is due inside a cycle. True if it asked for something that the sync phase applies.
+    pub(crate) fn run(&mut self, shared: &Shared, now: Time) -> bool {
+        let subscribed = std::mem::take(&mut self.subscribed);
+        self.run_with(now, Some(shared), |behaviour, ctx| {
+            for (subscription, &topic) in subscribed.iter().enumerate() {
+                if shared.topics.is_fresh(topic) {
+                    behaviour.receive(subscription, &shared.topics, ctx);
+                }
             }
         });
-        pending.clear();
-        self.pending = pending;
+        self.subscribed = subscribed;
+        !self.io.asked.is_empty()
     }
 
     /// Runs what is due outside a cycle, on batches that were shared when it was.
@@ -102,7 +173,7 @@ impl ModuleCell {
     /// is not replayed but may write down what it sees, receives them in the order of the cycles.
     pub(crate) fn run_detached(&mut self, deliveries: &VecDeque<Delivery>, role: Role, now: Time) {
         let subscribed = std::mem::take(&mut self.subscribed);
-        self.run_with(now, |behaviour, ctx| match role {
+        self.run_with(now, None, |behaviour, ctx| match role {
             Role::Part => {
                 for (subscription, &topic) in subscribed.iter().enumerate() {
                     for delivery in deliveries.iter().filter(|delivery| delivery.topic == topic) {
@@ -123,50 +194,157 @@ impl ModuleCell {
     }
 
     /// Runs the module's last callback.
-    pub(crate) fn stop(&mut self, now: Time) {
-        if self.life == Life::Running {
-            self.guarded(now, |behaviour, ctx| behaviour.stop(ctx));
-        }
-        self.life = Life::Ended;
-    }
-
-    /// Hands out each outbox that holds messages.
-    pub(crate) fn drain_outboxes(&mut self, consume: impl FnMut(&mut dyn AnyOutbox)) {
-        self.io.outboxes.drain(consume);
-    }
-
-    fn run_with(&mut self, now: Time, receive: impl FnOnce(&mut dyn Behaviour, &mut Context<'_>)) {
-        if self.life == Life::Ended {
+    pub(crate) fn shutdown(&mut self, shared: Option<&Shared>, now: Time) {
+        if self.has_ended() {
             return;
         }
-        let is_new = self.life == Life::New;
-        self.life = Life::Running;
-        self.guarded(now, |behaviour, ctx| {
-            if is_new {
-                behaviour.start(ctx);
-                ctx.io().timers.iter_mut().for_each(|timer| timer.start(now));
-            }
+        self.guarded(now, shared, |behaviour, ctx| {
+            // Has no way to fail.
+            let _ = behaviour.transition(Transition::Shutdown, ctx);
+        });
+        self.end();
+    }
+
+    fn run_with(
+        &mut self,
+        now: Time,
+        shared: Option<&Shared>,
+        receive: impl FnOnce(&mut dyn Behaviour, &mut Context<'_>),
+    ) {
+        match self.hold {
+            Hold::Free => {}
+            Hold::Held => return,
+            Hold::Step => self.hold = Hold::Held,
+        }
+        if !self.transitions.is_empty() {
+            self.make_transitions(now, shared);
+        }
+        if self.state != LifecycleState::Active {
+            return self.abandon();
+        }
+        self.guarded(now, shared, |behaviour, ctx| {
+            let mark = ctx.io().tasks.mark();
             while let Some(setting) = ctx.io().settings.take_change() {
                 behaviour.setting_changed(setting, ctx);
             }
+            for job in 0..ctx.io().jobs.len() {
+                if ctx.io().jobs[job].has_results() {
+                    behaviour.finished(job, ctx);
+                }
+            }
             receive(behaviour, ctx);
+            for server in 0..ctx.io().servers.len() {
+                if ctx.io().servers[server].has_requests() {
+                    behaviour.serve(server, ctx);
+                }
+            }
+            for client in 0..ctx.io().clients.len() {
+                let port = &ctx.io().clients[client];
+                if port.has_replies() || port.due() <= now {
+                    behaviour.replied(client, ctx);
+                    ctx.io().asked.add(Asked::STATE);
+                }
+            }
+            while let Some(task) = ctx.io().tasks.take_due(now, mark) {
+                behaviour.task(task.index as usize, ctx);
+                ctx.io().asked.add(Asked::STATE);
+            }
             for timer in 0..ctx.io().timers.len() {
                 if ctx.io().timers[timer].fire(now) {
                     behaviour.tick(timer, ctx);
+                    ctx.io().asked.add(Asked::STATE);
                 }
             }
+            behaviour.run_ends(ctx);
         });
     }
 
-    /// A panic ends the module, and only it: what it published in this run is discarded.
-    fn guarded(&mut self, now: Time, run: impl FnOnce(&mut dyn Behaviour, &mut Context<'_>)) {
+    fn make_transitions(&mut self, now: Time, shared: Option<&Shared>) {
+        self.io.asked.add(Asked::STATE);
+        while let Some((transition, receipt)) = self.transitions.pop_front() {
+            let outcome = self.make_transition(transition, now, shared);
+            if let Err(refused) = &outcome {
+                tracing::error!("{refused}");
+                // What was to follow it has no ground to stand on.
+                self.transitions.clear();
+            }
+            if let Some(receipt) = receipt {
+                receipt.send(outcome);
+            }
+        }
+    }
+
+    fn make_transition(
+        &mut self,
+        transition: Transition,
+        now: Time,
+        shared: Option<&Shared>,
+    ) -> Result<LifecycleState, TransitionRefused> {
+        let module = Arc::clone(self.name());
+        let Some(target) = transition.from(self.state) else {
+            return Err(TransitionRefused::WrongState { module, transition, state: self.state });
+        };
+        let mut result = Ok(());
+        self.guarded(now, shared, |behaviour, ctx| result = behaviour.transition(transition, ctx));
+        if self.has_ended() {
+            return Err(TransitionRefused::Panicked { module, transition });
+        }
+        if let Err(reason) = result {
+            let (state, reason) = (self.state, reason.to_string());
+            return Err(TransitionRefused::ByModule { module, transition, state, reason });
+        }
+        tracing::debug!(module = &*module, "{transition}: {} to {target}", self.state);
+        match transition {
+            Transition::Activate => self.io.timers.iter_mut().for_each(|timer| timer.start(now)),
+            Transition::Deactivate => {
+                self.io.timers.iter_mut().for_each(|timer| timer.stop());
+                self.io.tasks.cancel_all();
+                self.abandon();
+            }
+            Transition::Shutdown => self.abandon(),
+            Transition::Configure | Transition::Cleanup => {}
+        }
+        self.state = target;
+        Ok(target)
+    }
+
+    /// A panic ends the module, and only it: what it asked for in this run is discarded.
+    fn guarded(
+        &mut self,
+        now: Time,
+        shared: Option<&Shared>,
+        run: impl FnOnce(&mut dyn Behaviour, &mut Context<'_>),
+    ) {
         let Self { io, behaviour: Some(behaviour), .. } = self else { return };
-        let outcome = catch_unwind(AssertUnwindSafe(|| run(&mut **behaviour, &mut Context::new(io, now))));
+        let outcome =
+            catch_unwind(AssertUnwindSafe(|| run(&mut **behaviour, &mut Context::new(io, now, shared))));
         if let Err(panic) = outcome {
-            self.life = Life::Ended;
-            drop_guarded("a message", || self.io.outboxes.discard());
-            let reason = reason(&*panic);
-            tracing::error!(module = &*self.io.name, "panicked and is stopped, the others go on: {reason}");
+            drop_guarded("a message", || self.io.discard());
+            self.io.asked = Asked::default();
+            self.panic = Some(reason(&*panic).to_owned());
+            self.end();
+        }
+    }
+
+    fn end(&mut self) {
+        self.state = LifecycleState::Finalized;
+        self.io.asked.add(Asked::STATE);
+        self.abandon();
+        for (transition, receipt) in self.transitions.drain(..) {
+            if let Some(receipt) = receipt {
+                let (module, state) = (Arc::clone(&self.io.name), LifecycleState::Finalized);
+                receipt.send(Err(TransitionRefused::WrongState { module, transition, state }));
+            }
+        }
+    }
+
+    /// Those who wait for an answer of this module are told that there will be none.
+    fn abandon(&mut self) {
+        for server in &mut self.io.servers {
+            drop_guarded("a request", || server.abandon(&self.io.name));
+            if server.has_answers() {
+                self.io.asked.add(Asked::ANSWERS);
+            }
         }
     }
 }
@@ -178,12 +356,6 @@ impl Drop for ModuleCell {
         if let Err(panic) = catch_unwind(AssertUnwindSafe(|| drop(behaviour))) {
             tracing::error!(module = &*self.io.name, "panicked while it was dropped: {}", reason(&*panic));
         }
-    }
-}
-
-impl ModuleIo {
-    pub(crate) fn new(name: &str) -> Self {
-        let (outboxes, settings, timers) = (Outboxes::default(), Settings::default(), Vec::new());
-        Self { name: Arc::from(name), outboxes, settings, timers }
+        drop_guarded("a message", || self.io.discard());
     }
 }

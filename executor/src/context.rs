@@ -1,31 +1,146 @@
 //! What a callback can do.
 
+use std::any::Any;
+use std::future::Future;
 use std::sync::Arc;
+use std::time::Duration;
 
-use crate::outbox::Outboxes;
+use crate::job::{AnyJob, JobPort, Work};
+use crate::join::JoinQueue;
+use crate::management::Command;
+use crate::mechanism::{MechanismKey, Offers};
+use crate::messaging::{Outboxes, Topics};
+use crate::schedule::{Tasks, Timer};
+use crate::service::{AnyClient, AnyServer, ClientPort, ServerPort};
 use crate::setting::{SettingType, Settings};
-use crate::timer::Timer;
-use crate::{Publication, Setting, Time};
+use crate::{
+    CallId, Client, Completion, Job, JobError, Mechanism, Module, ModuleId, ModuleOptions, Publication,
+    Responder, Setting, SettingValue, Task, Time, Transition,
+};
 
 /// What a module owns beside its state.
 pub(crate) struct ModuleIo {
     pub(crate) name: Arc<str>,
+    pub(crate) id: ModuleId,
+    pub(crate) queue: Arc<JoinQueue>,
     pub(crate) outboxes: Outboxes,
     pub(crate) settings: Settings,
     pub(crate) timers: Vec<Timer>,
+    pub(crate) tasks: Tasks,
+    pub(crate) clients: Vec<Box<dyn AnyClient>>,
+    pub(crate) servers: Vec<Box<dyn AnyServer>>,
+    pub(crate) jobs: Vec<Box<dyn AnyJob>>,
+    pub(crate) work: Vec<Work>,
+    pub(crate) commands: Vec<Command>,
+    /// By mechanism: what was asked of it, a `Vec` of its requests.
+    pub(crate) asks: Vec<Option<Box<dyn Any + Send>>>,
+    pub(crate) asked: Asked,
+}
+
+/// Of which mechanisms a module has asked something in this cycle.
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Asked(u8);
+
+impl Asked {
+    pub(crate) const MESSAGES: Self = Self(1);
+    pub(crate) const CALLS: Self = Self(2);
+    pub(crate) const ANSWERS: Self = Self(4);
+    pub(crate) const COMMANDS: Self = Self(8);
+    pub(crate) const MECHANISMS: Self = Self(16);
+    pub(crate) const WORK: Self = Self(32);
+    /// The module's state changed, or the time for which it waits.
+    pub(crate) const STATE: Self = Self(64);
+
+    #[inline]
+    pub(crate) fn add(&mut self, other: Self) {
+        self.0 |= other.0;
+    }
+
+    #[inline]
+    pub(crate) fn has(self, other: Self) -> bool {
+        self.0 & other.0 != 0
+    }
+
+    pub(crate) fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+}
+
+impl ModuleIo {
+    pub(crate) fn new(name: Arc<str>, id: ModuleId, queue: Arc<JoinQueue>) -> Self {
+        Self {
+            name,
+            id,
+            queue,
+            outboxes: Outboxes::default(),
+            settings: Settings::default(),
+            timers: Vec::new(),
+            tasks: Tasks::default(),
+            clients: Vec::new(),
+            servers: Vec::new(),
+            jobs: Vec::new(),
+            work: Vec::new(),
+            commands: Vec::new(),
+            asks: Vec::new(),
+            asked: Asked::default(),
+        }
+    }
+
+    /// Forgets what a run asked for that panicked. May panic itself, where dropping a message does.
+    pub(crate) fn discard(&mut self) {
+        self.outboxes.discard();
+        self.clients.iter_mut().for_each(|client| client.reset());
+        self.servers.iter_mut().for_each(|server| server.discard_answers());
+        self.work.clear();
+        self.commands.clear();
+        self.asks.clear();
+    }
+
+    pub(crate) fn client<Q: Send + 'static, R: Send + 'static>(
+        &mut self,
+        port: u32,
+    ) -> Option<&mut ClientPort<Q, R>> {
+        let port: &mut dyn Any = &mut **self.clients.get_mut(port as usize)?;
+        port.downcast_mut()
+    }
+
+    pub(crate) fn server<Q: Send + 'static, R: Send + 'static>(
+        &mut self,
+        port: u32,
+    ) -> Option<&mut ServerPort<Q, R>> {
+        let port: &mut dyn Any = &mut **self.servers.get_mut(port as usize)?;
+        port.downcast_mut()
+    }
+
+    pub(crate) fn take_results<T: Send + 'static>(&mut self, job: Job<T>) -> Vec<Result<T, JobError>> {
+        let port = self.jobs.get_mut(job.port as usize).map(|port| &mut **port as &mut dyn Any);
+        port.and_then(|port| port.downcast_mut::<JobPort<T>>()).map(JobPort::take).unwrap_or_default()
+    }
+}
+
+/// What modules read in the process phase and nobody writes.
+#[derive(Default)]
+pub(crate) struct Shared {
+    pub(crate) topics: Topics,
+    pub(crate) offers: Offers,
 }
 
 /// A callback's access to the executor. Everything it asks for takes effect in the sync phase.
+///
+/// Keys belong to the module whose setup made them. A method that is given a key of another module panics, which
+/// stops the module; where both modules have a key of that number and type they are not told apart.
 pub struct Context<'a> {
     io: &'a mut ModuleIo,
     now: Time,
+    shared: Option<&'a Shared>,
 }
 
 impl<'a> Context<'a> {
-    pub(crate) fn new(io: &'a mut ModuleIo, now: Time) -> Self {
-        Self { io, now }
+    pub(crate) fn new(io: &'a mut ModuleIo, now: Time, shared: Option<&'a Shared>) -> Self {
+        Self { io, now, shared }
     }
 
+    #[inline]
     pub(crate) fn io(&mut self) -> &mut ModuleIo {
         self.io
     }
@@ -43,27 +158,199 @@ impl<'a> Context<'a> {
     }
 
     /// Publishes a message: subscribers receive it in the next cycle.
-    ///
-    /// # Panics
-    /// If this module has no such key. That of another module is not told apart where this one has a key of
-    /// the same number and type.
     #[inline]
     pub fn publish<T: Send + Sync + 'static>(&mut self, publication: Publication<T>, message: T) {
-        let is_own = self.io.outboxes.push(publication, message);
-        assert!(is_own, "module \"{}\" published with a key of another module", self.io.name);
+        match self.io.outboxes.open_for(publication) {
+            Some(messages) => messages.push(message),
+            None => self.foreign("published with"),
+        }
+        self.io.asked.add(Asked::MESSAGES);
+    }
+
+    /// Publishes messages, as many calls of [`publish`](Self::publish) would, but cheaper.
+    #[inline]
+    pub fn publish_all<T: Send + Sync + 'static>(
+        &mut self,
+        publication: Publication<T>,
+        messages: impl IntoIterator<Item = T>,
+    ) {
+        match self.io.outboxes.open_for(publication) {
+            Some(outbox) => outbox.extend(messages),
+            None => self.foreign("published with"),
+        }
+        self.io.asked.add(Asked::MESSAGES);
     }
 
     /// The value of a setting in this cycle.
-    ///
-    /// # Panics
-    /// If this module has no such key. That of another module is not told apart where this one has a key of
-    /// the same number and type.
     #[must_use]
     pub fn get<T: SettingType>(&self, setting: Setting<T>) -> &T {
-        let value = self.io.settings.value(setting.index).and_then(T::from_value);
-        match value {
+        match self.io.settings.value(setting.index).and_then(T::from_value) {
             Some(value) => value,
-            None => panic!("module \"{}\" read a setting with a key of another module", self.io.name),
+            None => self.foreign("read a setting with"),
         }
+    }
+
+    /// Changes a setting, of this module or another. What the setting refuses changes nothing and is logged.
+    pub fn set(&mut self, module: &str, setting: &str, value: impl Into<SettingValue>) {
+        let (module, setting, value) = (module.to_owned(), setting.to_owned(), value.into());
+        self.command(Command::Set { module, setting, value, receipt: None });
+    }
+
+    /// Gives `to` the values that the settings of `from` have at the sync phase, for all settings that both have
+    /// and `to` does not refuse: one module takes over where another was.
+    pub fn transfer_settings(&mut self, from: &str, to: &str) {
+        self.command(Command::Transfer { from: from.to_owned(), to: to.to_owned(), receipt: None });
+    }
+
+    /// Calls a service. The answer, or the reason why there is none, comes to the callback that was given to
+    /// [`Setup::client`](crate::Setup::client).
+    pub fn call<Q: Send + 'static, R: Send + 'static>(&mut self, client: Client<Q, R>, request: Q) -> CallId {
+        let now = self.now;
+        self.io.asked.add(Asked::CALLS);
+        match self.io.client::<Q, R>(client.port) {
+            Some(port) => port.call(request, now),
+            None => self.foreign("called a service with"),
+        }
+    }
+
+    /// Answers a request that was taken by [`Setup::serve_later`](crate::Setup::serve_later): with a value, or with
+    /// an error in words.
+    ///
+    /// `Q` is the type of the service's requests.
+    pub fn reply<Q: Send + 'static, R: Send + 'static>(
+        &mut self,
+        responder: Responder<Q, R>,
+        result: Result<R, String>,
+    ) {
+        self.io.asked.add(Asked::ANSWERS);
+        match self.io.server::<Q, R>(responder.port) {
+            Some(port) => port.answer(responder.to, result),
+            None => self.foreign("answered with"),
+        }
+    }
+
+    /// Runs a task in the first cycle at or after `time`, but not in this one. A task may be scheduled more than
+    /// once.
+    pub fn schedule(&mut self, task: Task, time: Time) {
+        self.io.asked.add(Asked::STATE);
+        if !self.io.tasks.schedule(task, time) {
+            self.foreign("scheduled a task with")
+        }
+    }
+
+    /// Runs a task after `delay`, see [`schedule`](Self::schedule).
+    pub fn schedule_after(&mut self, task: Task, delay: Duration) {
+        self.schedule(task, self.now + delay);
+    }
+
+    /// Takes a task off the schedule, however often it is on it.
+    pub fn cancel(&mut self, task: Task) {
+        self.io.asked.add(Asked::STATE);
+        self.io.tasks.cancel(task);
+    }
+
+    /// Runs `work` on another thread, where it may block. Its result comes to the callback of the job.
+    ///
+    /// Under a clock that does not go on by itself it runs inside the next sync phase instead.
+    pub fn spawn<T: Send + 'static>(&mut self, job: Job<T>, work: impl FnOnce() -> T + Send + 'static) {
+        let completion = self.completion(job);
+        self.work(Work::Blocking(Box::new(move || completion.finish(work()))));
+    }
+
+    /// Runs `work` beside the cycle, on one thread for the async work of all modules. Its result comes to the
+    /// callback of the job.
+    ///
+    /// Under a clock that does not go on by itself it runs to its end inside the next sync phase instead. Futures
+    /// that need a runtime of their own, such as tokio's, are spawned there and given a
+    /// [`completion`](Self::completion).
+    pub fn spawn_async<T: Send + 'static>(
+        &mut self,
+        job: Job<T>,
+        work: impl Future<Output = T> + Send + 'static,
+    ) {
+        let completion = self.completion(job);
+        self.work(Work::Async(Box::pin(async move { completion.finish(work.await) })));
+    }
+
+    /// A handle that brings one result to the callback of the job, from any thread or runtime.
+    pub fn completion<T: Send + 'static>(&mut self, job: Job<T>) -> Completion<T> {
+        if self.io.jobs.len() <= job.port as usize {
+            self.foreign("asked for work with")
+        }
+        Completion::new(Arc::clone(&self.io.queue), self.io.id, job)
+    }
+
+    /// Adds a module, which runs for the first time in the next cycle. What is wrong with it is logged.
+    pub fn add<M: Module>(&mut self, name: &str, module: M, options: ModuleOptions) {
+        self.command(Command::add(name, module, options));
+    }
+
+    /// Removes a module, this one or another: its last callback runs in this cycle's sync phase, and everything it
+    /// held is freed.
+    pub fn remove(&mut self, module: &str) {
+        self.command(Command::Remove { module: module.to_owned(), receipt: None });
+    }
+
+    /// Removes this module, see [`remove`](Self::remove).
+    pub fn remove_self(&mut self) {
+        let name = self.io.name.to_string();
+        self.remove(&name);
+    }
+
+    /// Has a module make a transition in the next cycle; one that does not begin in its state is logged.
+    pub fn transition(&mut self, module: &str, transition: Transition) {
+        self.command(Command::Transition { module: module.to_owned(), transition, receipt: None });
+    }
+
+    /// Holds a module: no callback of it runs until it is resumed. Messages pass it by, requests wait.
+    pub fn pause(&mut self, module: &str) {
+        self.command(Command::Pause { module: module.to_owned(), receipt: None });
+    }
+
+    /// Lets a module go on that was paused.
+    pub fn resume(&mut self, module: &str) {
+        self.command(Command::Resume { module: module.to_owned(), receipt: None });
+    }
+
+    /// What a mechanism shows in this cycle.
+    ///
+    /// # Panics
+    /// In a detached module, which runs outside of cycles; [`Setup::mechanism`](crate::Setup::mechanism) gives it
+    /// no key.
+    #[must_use]
+    pub fn view<M: Mechanism>(&self, mechanism: MechanismKey<M>) -> &M::View {
+        match self.shared.and_then(|shared| shared.offers.view::<M>(mechanism.index as usize)) {
+            Some(view) => view,
+            None => self.foreign("looked at a mechanism with"),
+        }
+    }
+
+    /// Asks something of a mechanism.
+    pub fn ask<M: Mechanism>(&mut self, mechanism: MechanismKey<M>, request: M::Request) {
+        let index = mechanism.index as usize;
+        if self.io.asks.len() <= index {
+            self.io.asks.resize_with(index + 1, || None);
+        }
+        let asks = self.io.asks[index].get_or_insert_with(|| Box::new(Vec::<M::Request>::new()));
+        match asks.downcast_mut::<Vec<M::Request>>() {
+            Some(asks) => asks.push(request),
+            None => self.foreign("asked a mechanism with"),
+        }
+        self.io.asked.add(Asked::MECHANISMS);
+    }
+
+    fn command(&mut self, command: Command) {
+        self.io.commands.push(command);
+        self.io.asked.add(Asked::COMMANDS);
+    }
+
+    fn work(&mut self, work: Work) {
+        self.io.work.push(work);
+        self.io.asked.add(Asked::WORK);
+    }
+
+    #[cold]
+    fn foreign(&self, did: &str) -> ! {
+        panic!("module \"{}\" {did} a key of another module", self.io.name)
     }
 }

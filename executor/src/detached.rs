@@ -1,5 +1,6 @@
 //! Modules on a thread and at a pace of their own.
 
+use std::any::Any;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -9,20 +10,37 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use crossbeam::sync::{Parker, Unparker};
 
 use crate::cell::{Delivery, ModuleCell};
+use crate::core::World;
 use crate::guard::drop_guarded;
+use crate::job::Work;
 use crate::join::{JoinQueue, Request};
-use crate::outbox::AnyOutbox;
+use crate::management::{Command, SettingRefused};
+use crate::messaging::AnyOutbox;
 use crate::probe::{Probe, StepReport};
-use crate::{Clock, Inbox, Role, SettingValue, Time};
+use crate::receipt::ReceiptSender;
+use crate::service::{AnyClient, AnyReply, ReplyTo};
+use crate::{
+    Clock, Inbox, LifecycleState, ModuleId, ModuleOptions, Role, SettingInfo, SettingValue, Synchrony, Time,
+    Transition, TransitionRefused,
+};
 
 /// What a run of a detached module brings to the next sync phase.
 pub(crate) struct StepOutcome {
-    pub(crate) module: usize,
+    pub(crate) module: ModuleId,
     pub(crate) time: Time,
     pub(crate) step: u64,
     pub(crate) is_stop: bool,
     pub(crate) inputs: Vec<Input>,
     pub(crate) outboxes: Vec<Box<dyn AnyOutbox>>,
+    /// By client port.
+    pub(crate) calls: Vec<(u32, Box<dyn AnyClient>)>,
+    pub(crate) answers: Vec<(ReplyTo, Box<dyn AnyReply>)>,
+    pub(crate) commands: Vec<Command>,
+    pub(crate) work: Vec<Work>,
+    pub(crate) state: LifecycleState,
+    pub(crate) panic: Option<String>,
+    /// The settings that have other values now, whole.
+    pub(crate) settings: Option<Vec<SettingInfo>>,
 }
 
 #[derive(Clone, Copy)]
@@ -32,9 +50,44 @@ pub(crate) struct Input {
     pub(crate) received: u32,
 }
 
+/// What the core has for a detached module beside messages.
+pub(crate) enum Parcel {
+    Reply {
+        port: u32,
+        reply: Box<dyn AnyReply>,
+    },
+    /// A `Vec<Incoming<Q>>`.
+    Requests {
+        port: u32,
+        requests: Box<dyn Any + Send>,
+    },
+    /// An `Option<Result<T, JobError>>`.
+    Job {
+        port: u32,
+        result: Box<dyn Any + Send>,
+    },
+    Set {
+        setting: String,
+        value: SettingValue,
+        receipt: Option<ReceiptSender<Result<(), SettingRefused>>>,
+    },
+    Transition {
+        transition: Transition,
+        receipt: Option<ReceiptSender<Result<LifecycleState, TransitionRefused>>>,
+    },
+    Pause,
+    Resume,
+    StepOnce,
+}
+
 /// A detached module as the core sees it.
 pub(crate) struct DetachedModule {
+    pub(crate) id: ModuleId,
     pub(crate) name: Arc<str>,
+    /// As its last run left it.
+    pub(crate) state: LifecycleState,
+    pub(crate) is_paused: bool,
+    settings: Vec<SettingInfo>,
     role: Role,
     cell: Option<ModuleCell>,
     mailbox: Arc<Mailbox>,
@@ -62,36 +115,53 @@ struct Mailbox {
 struct Contents {
     deliveries: VecDeque<Delivery>,
     skipped: Vec<(usize, u32)>,
-    settings: Vec<(String, SettingValue)>,
+    parcels: Vec<Parcel>,
+    is_held: bool,
     stop: bool,
 }
 
 impl DetachedModule {
-    pub(crate) fn new(cell: ModuleCell, capacity: Inbox, role: Role) -> Self {
+    pub(crate) fn new(cell: ModuleCell, options: &ModuleOptions) -> Self {
+        let capacity = match options.synchrony {
+            Synchrony::Detached(inbox) => inbox,
+            Synchrony::WhenDue | Synchrony::EveryCycle => Inbox::KeepAll,
+        };
         let parker = Parker::new();
         let owner = parker.unparker().clone();
-        let mailbox = Arc::new(Mailbox { contents: Mutex::default(), owner, capacity });
-        let (name, parker) = (Arc::clone(cell.name()), Some(parker));
-        Self { name, role, cell: Some(cell), mailbox, parker, thread: None }
+        Self {
+            id: cell.io.id,
+            name: Arc::clone(cell.name()),
+            state: cell.state(),
+            is_paused: false,
+            settings: cell.settings().to_vec(),
+            role: options.role,
+            cell: Some(cell),
+            mailbox: Arc::new(Mailbox { contents: Mutex::default(), owner, capacity }),
+            parker: Some(parker),
+            thread: None,
+        }
     }
 
-    pub(crate) fn cell(&self) -> Option<&ModuleCell> {
-        self.cell.as_ref()
+    /// The settings with the values they had after the module's last run.
+    pub(crate) fn settings(&self) -> &[SettingInfo] {
+        &self.settings
     }
 
-    pub(crate) fn start(
-        &mut self,
-        module: usize,
-        clock: Arc<dyn Clock>,
-        queue: Arc<JoinQueue>,
-        probe: Option<Arc<dyn Probe>>,
-    ) -> std::io::Result<()> {
+    pub(crate) fn start(&mut self, world: &World) -> std::io::Result<()> {
         let (Some(cell), Some(parker)) = (self.cell.take(), self.parker.take()) else { return Ok(()) };
-        let mailbox = Arc::clone(&self.mailbox);
         let (alive, ended) = bounded(0);
-        let role = self.role;
-        let runner =
-            Runner { module, role, cell, mailbox, parker, clock, queue, probe, step: 0, _alive: alive };
+        let runner = Runner {
+            role: self.role,
+            cell,
+            mailbox: Arc::clone(&self.mailbox),
+            parker,
+            clock: Arc::clone(&world.clock),
+            queue: Arc::clone(&world.queue),
+            probe: world.probe.clone(),
+            step: 0,
+            has_new_settings: false,
+            _alive: alive,
+        };
         let builder = std::thread::Builder::new().name(self.name.to_string());
         self.thread = Some(Thread { handle: builder.spawn(move || runner.run())?, ended });
         Ok(())
@@ -107,16 +177,40 @@ impl DetachedModule {
         self.mailbox.owner.unpark();
     }
 
-    pub(crate) fn set(&self, setting: String, value: SettingValue) {
-        self.mailbox.lock().settings.push((setting, value));
+    pub(crate) fn send(&self, parcel: Parcel) {
+        self.mailbox.lock().parcels.push(parcel);
         self.mailbox.owner.unpark();
+    }
+
+    /// Keeps the module from running while the whole core is paused.
+    pub(crate) fn hold(&self, is_held: bool) {
+        self.mailbox.lock().is_held = is_held;
+        self.mailbox.owner.unpark();
+    }
+
+    /// Takes over what the last run changed.
+    pub(crate) fn note(&mut self, outcome: &mut StepOutcome) {
+        self.state = outcome.state;
+        if let Some(settings) = outcome.settings.take() {
+            self.settings = settings;
+        }
+    }
+
+    /// Has the module run its last callback, without waiting for it.
+    pub(crate) fn request_stop(&self) {
+        self.mailbox.lock().stop = true;
+        self.mailbox.owner.unpark();
+    }
+
+    /// How many batches wait for the module.
+    pub(crate) fn inbox(&self) -> usize {
+        self.mailbox.lock().deliveries.len()
     }
 
     /// Waits for the current run and for the module's last callback, however long they take: a thread cannot
     /// be ended from outside. Says in the log whom it waits for.
     pub(crate) fn stop(&mut self) {
-        self.mailbox.lock().stop = true;
-        self.mailbox.owner.unpark();
+        self.request_stop();
         let Some(Thread { handle, ended }) = self.thread.take() else { return };
         let begin = Instant::now();
         while ended.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
@@ -156,7 +250,7 @@ impl Contents {
 
     fn skip(&mut self, topic: usize, messages: u32) {
         match self.skipped.iter_mut().find(|(known, _)| *known == topic) {
-            Some((_, count)) => *count += messages,
+            Some((_, count)) => *count = count.saturating_add(messages),
             None => self.skipped.push((topic, messages)),
         }
     }
@@ -164,7 +258,6 @@ impl Contents {
 
 /// The thread's side.
 struct Runner {
-    module: usize,
     role: Role,
     cell: ModuleCell,
     mailbox: Arc<Mailbox>,
@@ -173,6 +266,7 @@ struct Runner {
     queue: Arc<JoinQueue>,
     probe: Option<Arc<dyn Probe>>,
     step: u64,
+    has_new_settings: bool,
     /// The last field, so that it is dropped after the module.
     _alive: Sender<()>,
 }
@@ -181,20 +275,18 @@ impl Runner {
     fn run(mut self) {
         self.step(VecDeque::new(), Vec::new(), self.clock.now(), Time::MAX);
         loop {
-            let contents = std::mem::take(&mut *self.mailbox.lock());
-            for (setting, value) in contents.settings {
-                if let Err(refusal) = self.cell.set(&setting, value) {
-                    tracing::warn!(module = &**self.cell.name(), setting, "setting not changed: {refusal}");
-                }
+            let Some(contents) = self.take_contents() else { continue };
+            for parcel in contents.parcels {
+                self.open(parcel);
             }
             let (now, due) = (self.clock.now(), self.cell.next_due());
-            let is_due = self.cell.has_work() || !contents.deliveries.is_empty() || due <= now;
-            if is_due && !self.cell.has_ended() {
+            if self.cell.has_work() || !contents.deliveries.is_empty() || due <= now || self.has_new_settings
+            {
                 self.step(contents.deliveries, contents.skipped, now, due);
             }
             if contents.stop {
                 let now = self.clock.now();
-                self.cell.stop(now);
+                self.cell.shutdown(None, now);
                 self.send(now, Vec::new(), true);
                 return;
             }
@@ -202,13 +294,58 @@ impl Runner {
         }
     }
 
+    /// Nothing while the core is paused, after it has waited for a change.
+    fn take_contents(&self) -> Option<Contents> {
+        let mut contents = self.mailbox.lock();
+        if contents.is_held && !contents.stop {
+            drop(contents);
+            self.parker.park();
+            return None;
+        }
+        let is_held = contents.is_held;
+        Some(std::mem::replace(&mut *contents, Contents { is_held, ..Contents::default() }))
+    }
+
+    fn open(&mut self, parcel: Parcel) {
+        let io = &mut self.cell.io;
+        match parcel {
+            Parcel::Reply { port, mut reply } => {
+                if let Some(client) = io.clients.get_mut(port as usize) {
+                    client.accept_any(&mut *reply);
+                }
+            }
+            Parcel::Requests { port, mut requests } => {
+                if let Some(server) = io.servers.get_mut(port as usize) {
+                    server.accept(&mut *requests);
+                }
+            }
+            Parcel::Job { port, result } => {
+                if let Some(job) = io.jobs.get_mut(port as usize) {
+                    job.accept(result);
+                }
+            }
+            Parcel::Set { setting, value, receipt } => {
+                let result = self.cell.set(&setting, value);
+                self.has_new_settings |= result.is_ok();
+                crate::setting::report(self.cell.name(), &setting, result, receipt);
+            }
+            Parcel::Transition { transition, receipt } => self.cell.transition_later(transition, receipt),
+            Parcel::Pause => self.cell.pause(),
+            Parcel::Resume => self.cell.resume(),
+            Parcel::StepOnce => self.cell.step_once(),
+        }
+    }
+
     fn step(&mut self, deliveries: VecDeque<Delivery>, skipped: Vec<(usize, u32)>, now: Time, due: Time) {
+        let is_paused = self.cell.is_paused();
         let inputs = inputs_of(&deliveries, skipped);
         let started = Instant::now();
         self.cell.run_detached(&deliveries, self.role, now);
         // Frees the batches for the cycles to come.
         drop_guarded("a message", || drop(deliveries));
-        if let Some(probe) = &self.probe {
+        if let Some(probe) = &self.probe
+            && !is_paused
+        {
             let lateness = (due <= now).then(|| now.saturating_since(due));
             let (module, step) = (&**self.cell.name(), self.step);
             probe.step(&StepReport { module, step, time: now, lateness, duration: started.elapsed() });
@@ -217,11 +354,35 @@ impl Runner {
     }
 
     fn send(&mut self, time: Time, inputs: Vec<Input>, is_stop: bool) {
+        let io = &mut self.cell.io;
         let mut outboxes = Vec::new();
-        self.cell.drain_outboxes(|outbox| outboxes.push(outbox.split_off()));
-        let (module, step) = (self.module, self.step);
+        io.outboxes.drain(|outbox| outboxes.push(outbox.split_off()));
+        let calling = (0..).zip(&mut io.clients).filter(|(_, client)| client.has_calls());
+        let calls = calling.map(|(port, client)| (port, client.split_off())).collect();
+        let mut answers = Vec::new();
+        for server in &mut io.servers {
+            server.drain_answers(&mut |to, reply| answers.push((to, reply.take_boxed())));
+        }
+        let (commands, work) = (std::mem::take(&mut io.commands), std::mem::take(&mut io.work));
+        io.asked = Default::default();
+        let settings = std::mem::take(&mut self.has_new_settings).then(|| self.cell.settings().to_vec());
+        let outcome = StepOutcome {
+            module: self.cell.io.id,
+            time,
+            step: self.step,
+            is_stop,
+            inputs,
+            outboxes,
+            calls,
+            answers,
+            commands,
+            work,
+            state: self.cell.state(),
+            panic: self.cell.take_panic(),
+            settings,
+        };
         self.step += 1;
-        self.queue.push(Request::Step(StepOutcome { module, time, step, is_stop, inputs, outboxes }));
+        self.queue.push(Request::Step(outcome));
     }
 
     fn wait(&self) {
@@ -245,7 +406,7 @@ fn inputs_of(deliveries: &VecDeque<Delivery>, skipped: Vec<(usize, u32)>) -> Vec
         skipped.into_iter().map(|(topic, skipped)| Input { topic, skipped, received: 0 }).collect();
     for delivery in deliveries {
         match inputs.iter_mut().find(|input| input.topic == delivery.topic) {
-            Some(input) => input.received += delivery.messages,
+            Some(input) => input.received = input.received.saturating_add(delivery.messages),
             None => inputs.push(Input { topic: delivery.topic, skipped: 0, received: delivery.messages }),
         }
     }

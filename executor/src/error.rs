@@ -2,6 +2,8 @@
 
 use std::fmt::Display;
 
+use crate::Version;
+
 /// Why a module could not be set up.
 #[derive(Debug, thiserror::Error)]
 pub enum SetupError {
@@ -75,6 +77,84 @@ pub enum SetupError {
         /// What is wrong with the value.
         refusal: String,
     },
+    /// A service name that ROS would refuse.
+    #[error(
+        "module \"{module}\": \"{service}\" is not a service name; use words of letters, digits and _, \
+         joined by /, each beginning with a letter or _"
+    )]
+    InvalidServiceName {
+        /// The module that asked for the service.
+        module: String,
+        /// The name it gave.
+        service: String,
+    },
+    /// One service with two types.
+    #[error(
+        "module \"{module}\": service \"{service}\" is {known}, not {asked}; rename the service in one of the \
+         modules, or remap it"
+    )]
+    ServiceType {
+        /// The module that came second.
+        module: String,
+        /// The service.
+        service: String,
+        /// The Rust paths of the types it asked for.
+        asked: String,
+        /// The Rust paths of the types the service has.
+        known: String,
+    },
+    /// Two servers for one service.
+    #[error(
+        "module \"{module}\": service \"{service}\" is served by module \"{known}\" already; remap it in one of \
+         them"
+    )]
+    DuplicateServer {
+        /// The module that came second.
+        module: String,
+        /// The service.
+        service: String,
+        /// The module that serves it.
+        known: String,
+    },
+    /// A mechanism that the core does not offer.
+    #[error(
+        "module \"{module}\" needs the mechanism \"{mechanism}\" at version {asked}; this core offers {}",
+        match .offered { Some(version) => format!("version {version}"), None => format!("only {}", .known.join(", ")) }
+    )]
+    Mechanism {
+        /// The module.
+        module: String,
+        /// The mechanism.
+        mechanism: String,
+        /// The version it asked for.
+        asked: Version,
+        /// The version there is, if any.
+        offered: Option<Version>,
+        /// All mechanisms there are, with their versions.
+        known: Vec<String>,
+    },
+    /// The module's setup panicked.
+    #[error("module \"{module}\" panicked in its setup: {reason}")]
+    Panicked {
+        /// The module.
+        module: String,
+        /// What the panic said.
+        reason: String,
+    },
+    /// A restart policy for a module that cannot be made again.
+    #[error("module \"{0}\" cannot be restarted: add it with Core::add_restartable")]
+    NotRestartable(String),
+    /// A module that no longer can be added.
+    #[error("module \"{0}\": the core has stopped")]
+    Stopped(String),
+    /// The system gave the module no thread.
+    #[error("module \"{module}\": cannot start its thread: {reason}")]
+    Thread {
+        /// The module.
+        module: String,
+        /// What the system said.
+        reason: String,
+    },
     /// A reason of the module's own.
     #[error("module \"{module}\": {reason}")]
     Refused {
@@ -83,9 +163,6 @@ pub enum SetupError {
         /// What it said.
         reason: String,
     },
-    /// The core has begun to run.
-    #[error("module \"{0}\": modules are added before the core starts")]
-    AlreadyRunning(String),
 }
 
 fn list(names: &[impl Display]) -> String {

@@ -1,31 +1,48 @@
 //! What comes from other threads, waiting for the sync phase.
 
+use std::any::Any;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use crossbeam::queue::SegQueue;
 use crossbeam::sync::Unparker;
 
 use crate::detached::StepOutcome;
-use crate::outbox::{AnyOutbox, Outbox};
-use crate::{SettingValue, Time};
+use crate::management::Command;
+use crate::service::AnyCall;
+use crate::{ModuleId, Time};
 
 /// The requests of other threads. The sync phase applies them in the order in which they came.
 pub(crate) struct JoinQueue {
     requests: SegQueue<Request>,
+    /// True if an inlet holds messages.
+    inlets: AtomicBool,
     core: Unparker,
     stop: AtomicBool,
+    closed: AtomicBool,
 }
 
 pub(crate) enum Request {
-    Messages { outbox: Box<dyn AnyOutbox>, waiting: Arc<AtomicUsize> },
+    Command(Command),
     Step(StepOutcome),
-    Set { module: String, setting: String, value: SettingValue },
+    Call(Box<dyn AnyCall>),
+    /// The result of a job: an `Option<Result<T, JobError>>`.
+    Job {
+        module: ModuleId,
+        port: u32,
+        result: Box<dyn Any + Send>,
+    },
 }
 
 impl JoinQueue {
     pub(crate) fn new(core: Unparker) -> Self {
-        Self { requests: SegQueue::new(), core, stop: AtomicBool::new(false) }
+        Self {
+            requests: SegQueue::new(),
+            inlets: AtomicBool::new(false),
+            core,
+            stop: AtomicBool::new(false),
+            closed: AtomicBool::new(false),
+        }
     }
 
     pub(crate) fn push(&self, request: Request) {
@@ -37,12 +54,26 @@ impl JoinQueue {
         self.requests.pop()
     }
 
-    pub(crate) fn is_empty(&self) -> bool {
-        self.requests.is_empty()
-    }
-
     pub(crate) fn len(&self) -> usize {
         self.requests.len()
+    }
+
+    /// True if nothing waits.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.requests.is_empty() && !self.inlets.load(Ordering::Acquire)
+    }
+
+    /// To be called after a message was put into an inlet's queue.
+    pub(crate) fn announce_inlet(&self) {
+        if !self.inlets.swap(true, Ordering::AcqRel) {
+            self.core.unpark();
+        }
+    }
+
+    /// True once after an inlet announced messages; to be called before these are taken.
+    pub(crate) fn take_inlet_announcement(&self) -> bool {
+        // The load alone is cheaper, and nearly always enough.
+        self.inlets.load(Ordering::Relaxed) && self.inlets.swap(false, Ordering::AcqRel)
     }
 
     pub(crate) fn stop_is_requested(&self) -> bool {
@@ -53,86 +84,14 @@ impl JoinQueue {
         self.stop.store(true, Ordering::SeqCst);
         self.core.unpark();
     }
-}
 
-/// Why an [`Inlet`] did not take a message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum InletError {
-    /// The core has not yet taken what was published before.
-    #[error("the inlet is full: {0} messages wait for the core")]
-    Full(usize),
-    /// The core has been asked to stop, or is gone.
-    #[error("the core has stopped")]
-    Stopped,
-}
-
-/// Publishes on a topic from a thread outside the executor; from [`Core::inlet`](crate::Core::inlet).
-///
-/// A message joins at the next sync phase, behind those that came before it.
-pub struct Inlet<T> {
-    topic: usize,
-    queue: Arc<JoinQueue>,
-    waiting: Arc<AtomicUsize>,
-    message: std::marker::PhantomData<fn(T)>,
-}
-
-impl<T> Clone for Inlet<T> {
-    fn clone(&self) -> Self {
-        let (queue, waiting) = (Arc::clone(&self.queue), Arc::clone(&self.waiting));
-        Self { topic: self.topic, queue, waiting, message: self.message }
-    }
-}
-
-impl<T: Send + 'static> Inlet<T> {
-    /// How many messages may wait for the core.
-    pub const CAPACITY: usize = 65_536;
-
-    pub(crate) fn new(topic: usize, queue: Arc<JoinQueue>) -> Self {
-        Self { topic, queue, waiting: Arc::default(), message: std::marker::PhantomData }
+    /// From now on nobody takes what is pushed.
+    pub(crate) fn close(&self) {
+        self.closed.store(true, Ordering::SeqCst);
     }
 
-    /// Hands a message to the core. Never waits.
-    ///
-    /// # Errors
-    /// If too many messages wait already, or the core has stopped; the message is dropped.
-    pub fn publish(&self, message: T) -> Result<(), InletError> {
-        if self.queue.stop_is_requested() {
-            return Err(InletError::Stopped);
-        }
-        if self.waiting.fetch_add(1, Ordering::Relaxed) >= Self::CAPACITY {
-            self.waiting.fetch_sub(1, Ordering::Relaxed);
-            return Err(InletError::Full(Self::CAPACITY));
-        }
-        let outbox = Box::new(Outbox { topic: self.topic, messages: vec![message] });
-        self.queue.push(Request::Messages { outbox, waiting: Arc::clone(&self.waiting) });
-        Ok(())
-    }
-}
-
-/// Asks a running core for something from any thread; from [`Core::handle`](crate::Core::handle).
-#[derive(Clone)]
-pub struct CoreHandle {
-    pub(crate) queue: Arc<JoinQueue>,
-}
-
-impl CoreHandle {
-    /// Asks the core to stop after the current cycle. Safe to call from a signal-handling thread, and more
-    /// than once.
-    pub fn stop(&self) {
-        self.queue.request_stop();
-    }
-
-    /// True if the core has been asked to stop.
-    #[must_use]
-    pub fn stop_is_requested(&self) -> bool {
-        self.queue.stop_is_requested()
-    }
-
-    /// Changes a setting of a module in the next sync phase. A value that the setting refuses changes
-    /// nothing and is logged with module and setting.
-    pub fn set(&self, module: &str, setting: &str, value: impl Into<SettingValue>) {
-        let (module, setting, value) = (module.to_owned(), setting.to_owned(), value.into());
-        self.queue.push(Request::Set { module, setting, value });
+    pub(crate) fn is_closed(&self) -> bool {
+        self.closed.load(Ordering::SeqCst)
     }
 }
 

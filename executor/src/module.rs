@@ -1,6 +1,6 @@
 //! What a user writes: modules.
 
-use crate::{Context, Setup, SetupError};
+use crate::{Context, Setup, SetupError, TransitionError};
 
 /// A unit of robot software: state, and callbacks that the executor calls with `&mut self`.
 ///
@@ -39,10 +39,39 @@ pub trait Module: Send + Sized + 'static {
     /// Those of the declarations, and [`Setup::refuse`] for reasons of the module's own.
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError>;
 
-    /// Runs once, before every other callback.
-    fn start(&mut self, _ctx: &mut Context<'_>) {}
+    /// From unconfigured to inactive: gets what the module needs, such as a port or a map.
+    ///
+    /// # Errors
+    /// A reason why it cannot; the module stays unconfigured, and that is logged.
+    fn configure(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        Ok(())
+    }
 
-    /// Runs once, after every other callback, unless one of them has panicked. What it publishes still
-    /// reaches observers.
-    fn stop(&mut self, _ctx: &mut Context<'_>) {}
+    /// From inactive to active, before every other callback.
+    ///
+    /// # Errors
+    /// A reason why it cannot; the module stays inactive, and that is logged.
+    fn activate(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        Ok(())
+    }
+
+    /// From active to inactive.
+    ///
+    /// # Errors
+    /// A reason why it cannot; the module stays active, and that is logged.
+    fn deactivate(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        Ok(())
+    }
+
+    /// From inactive to unconfigured: gives back what [`configure`](Self::configure) got.
+    ///
+    /// # Errors
+    /// A reason why it cannot; the module stays inactive, and that is logged.
+    fn cleanup(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        Ok(())
+    }
+
+    /// To finalized, from every state: the last callback, when the module is removed or the core stops. It does
+    /// not run after a panic. What it publishes still reaches observers.
+    fn shutdown(&mut self, _ctx: &mut Context<'_>) {}
 }

@@ -1,36 +1,63 @@
-//! What a module declares when it is added to a core.
+//! What a module declares when it joins a core.
 
 use std::collections::BTreeMap;
 use std::marker::PhantomData;
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-use crate::behaviour::{Callbacks, Subscription};
+use crate::behaviour::{Callbacks, Subscription, answering, answering_later, checking, finishing, replying};
 use crate::context::ModuleIo;
+use crate::job::JobPort;
+use crate::mechanism::{MechanismKey, Offers};
+use crate::messaging::Topics;
+use crate::schedule::Timer;
+use crate::service::{ClientPort, ServerPort, ServiceRegistry};
 use crate::setting::{SettingInfo, SettingType};
-use crate::timer::Timer;
-use crate::topic::Topics;
-use crate::{Context, Publication, Received, Setting, SettingValue, SetupError, TopicInfo};
+use crate::{
+    Client, Context, Job, JobError, Mechanism, Publication, Received, Reply, Responder, Setting,
+    SettingValue, SetupError, Task, TopicInfo, Version,
+};
 
-/// Passed to [`Module::setup`](crate::Module::setup): topics, timers and settings are declared here.
+/// What a module finds by name when it is set up.
+pub(crate) struct Registries<'a> {
+    pub(crate) topics: &'a mut Topics,
+    pub(crate) services: &'a mut ServiceRegistry,
+    pub(crate) offers: &'a Offers,
+}
+
+/// What a module uses of the registries, to be given back when it is gone.
+#[derive(Default)]
+pub(crate) struct Uses {
+    /// In the order of subscription.
+    pub(crate) subscribed: Vec<usize>,
+    pub(crate) published: Vec<usize>,
+    pub(crate) services: Vec<usize>,
+}
+
+/// Passed to [`Module::setup`](crate::Module::setup): what the module publishes, receives, serves, calls, does at
+/// a time and can be set to is declared here.
 pub struct Setup<'a, M> {
     io: &'a mut ModuleIo,
-    topics: &'a mut Topics,
+    registries: Registries<'a>,
+    uses: &'a mut Uses,
+    is_detached: bool,
     callbacks: Callbacks<M>,
     given_settings: BTreeMap<String, SettingValue>,
     remaps: BTreeMap<String, String>,
-    own_topics: Vec<String>,
+    own_names: Vec<String>,
 }
 
 impl<'a, M> Setup<'a, M> {
     pub(crate) fn new(
         io: &'a mut ModuleIo,
-        topics: &'a mut Topics,
+        registries: Registries<'a>,
+        uses: &'a mut Uses,
+        is_detached: bool,
         given_settings: BTreeMap<String, SettingValue>,
         remaps: BTreeMap<String, String>,
     ) -> Self {
-        let (callbacks, own_topics) = (Callbacks::default(), Vec::new());
-        Self { io, topics, callbacks, given_settings, remaps, own_topics }
+        let (callbacks, own_names) = (Callbacks::default(), Vec::new());
+        Self { io, registries, uses, is_detached, callbacks, given_settings, remaps, own_names }
     }
 
     /// Checks that nothing was given that the module did not ask for.
@@ -40,8 +67,8 @@ impl<'a, M> Setup<'a, M> {
             let known = self.io.settings.infos().iter().map(|info| info.name.clone()).collect();
             return Err(SetupError::UnknownSetting { module, setting, known });
         }
-        if let Some((topic, _)) = self.remaps.into_iter().find(|(from, _)| !self.own_topics.contains(from)) {
-            return Err(SetupError::UnknownTopic { module, topic, known: self.own_topics });
+        if let Some((topic, _)) = self.remaps.into_iter().find(|(from, _)| !self.own_names.contains(from)) {
+            return Err(SetupError::UnknownTopic { module, topic, known: self.own_names });
         }
         Ok(self.callbacks)
     }
@@ -53,9 +80,8 @@ impl<'a, M> Setup<'a, M> {
     }
 
     /// The topics that modules have declared so far.
-    #[must_use]
-    pub fn topics(&self) -> &[TopicInfo] {
-        self.topics.infos()
+    pub fn topics(&self) -> impl Iterator<Item = &TopicInfo> {
+        self.registries.topics.infos()
     }
 
     /// An error with a reason of the module's own.
@@ -82,40 +108,9 @@ impl<'a, M> Setup<'a, M> {
     /// A name that is not valid, or a topic that carries another type.
     pub fn publish<T: Send + Sync + 'static>(&mut self, topic: &str) -> Result<Publication<T>, SetupError> {
         let index = self.open_topic::<T>(topic)?;
-        self.topics.mark_published(index);
+        self.registries.topics.add_publisher(index);
+        self.uses.published.push(index);
         Ok(self.io.outboxes.open(index))
-    }
-
-    /// Calls `callback` with each message of a topic, in the cycle after it was published.
-    ///
-    /// # Errors
-    /// A name that is not valid, or a topic that carries another type.
-    pub fn subscribe<T, F>(&mut self, topic: &str, callback: F) -> Result<(), SetupError>
-    where
-        T: Send + Sync + 'static,
-        F: FnMut(&mut M, Received<'_, T>, &mut Context<'_>) + Send + 'static,
-        M: 'static,
-    {
-        let topic = self.open_topic::<T>(topic)?;
-        self.callbacks.subscriptions.push(Box::new(Subscription { topic, callback, message: PhantomData }));
-        Ok(())
-    }
-
-    /// Calls `callback` every `period`, first one period after the start. Due times that were missed are
-    /// skipped.
-    ///
-    /// # Errors
-    /// A period of zero.
-    pub fn every<F>(&mut self, period: Duration, callback: F) -> Result<(), SetupError>
-    where
-        F: FnMut(&mut M, &mut Context<'_>) + Send + 'static,
-    {
-        if period.is_zero() {
-            return Err(SetupError::ZeroPeriod(self.io.name.to_string()));
-        }
-        self.io.timers.push(Timer::new(period));
-        self.callbacks.timers.push(Box::new(callback));
-        Ok(())
     }
 
     /// Declares a setting; the key is for [`Context::get`].
@@ -128,13 +123,13 @@ impl<'a, M> Setup<'a, M> {
         default: T,
         description: &str,
     ) -> Result<Setting<T>, SetupError> {
-        self.declare_setting(name, default, None, description)
+        self.declare_setting(SettingInfo::new(name, default, description))
     }
 
     /// Declares a setting that must lie in a range.
     ///
     /// # Errors
-    /// A name used twice, or a given value of another type or out of range.
+    /// A name used twice, or a default or given value of another type or out of range.
     pub fn setting_in<T: SettingType>(
         &mut self,
         name: &str,
@@ -142,7 +137,24 @@ impl<'a, M> Setup<'a, M> {
         range: RangeInclusive<f64>,
         description: &str,
     ) -> Result<Setting<T>, SetupError> {
-        self.declare_setting(name, default, Some(range), description)
+        let range = Some(range);
+        self.declare_setting(SettingInfo { range, ..SettingInfo::new(name, default, description) })
+    }
+
+    /// Declares a setting that is given before the start and does not change after it.
+    ///
+    /// # Errors
+    /// A name used twice, or a given value of another type.
+    pub fn read_only_setting<T: SettingType>(
+        &mut self,
+        name: &str,
+        default: T,
+        description: &str,
+    ) -> Result<Setting<T>, SetupError> {
+        self.declare_setting(SettingInfo {
+            is_read_only: true,
+            ..SettingInfo::new(name, default, description)
+        })
     }
 
     /// Calls `callback` when the value of a setting has changed.
@@ -159,22 +171,219 @@ impl<'a, M> Setup<'a, M> {
         self.io.settings.value(setting.index).and_then(T::from_value)
     }
 
-    fn declare_setting<T: SettingType>(
-        &mut self,
-        name: &str,
-        default: T,
-        range: Option<RangeInclusive<f64>>,
-        description: &str,
-    ) -> Result<Setting<T>, SetupError> {
-        let given = self.given_settings.remove(name);
-        let (value, description) = (default.into_value(), description.to_owned());
-        let info = SettingInfo { name: name.to_owned(), description, value, range };
+    /// Asks for one of the core's mechanisms by name ("messaging", "services", "settings", "timers", "modules",
+    /// "jobs"), at a version or a compatible later one.
+    ///
+    /// # Errors
+    /// If the core does not offer it, or only at another version.
+    pub fn require(&self, mechanism: &str, version: Version) -> Result<(), SetupError> {
+        let offered = self.registries.offers.version(mechanism);
+        if offered.is_some_and(|offered| offered.offers(version)) {
+            return Ok(());
+        }
+        Err(SetupError::Mechanism {
+            module: self.io.name.to_string(),
+            mechanism: mechanism.into(),
+            asked: version,
+            offered,
+            known: self
+                .registries
+                .offers
+                .names()
+                .map(|(name, version)| format!("{name} {version}"))
+                .collect(),
+        })
+    }
+
+    /// The key to a mechanism that was added to the core, for [`Context::view`] and [`Context::ask`].
+    ///
+    /// # Errors
+    /// If the core does not offer it, or only at another version; or if this module is detached, since it cannot
+    /// look at a mechanism while others change it.
+    pub fn mechanism<N: Mechanism>(&self, version: Version) -> Result<MechanismKey<N>, SetupError> {
+        self.require(N::NAME, version)?;
+        if self.is_detached {
+            return Err(self.refuse(format!(
+                "a detached module cannot use the mechanism \"{}\": it runs while others change it; add the \
+                 module without Synchrony::Detached",
+                N::NAME
+            )));
+        }
+        match self.registries.offers.find::<N>() {
+            Some(index) => Ok(MechanismKey::new(number(index))),
+            None => Err(self.refuse(format!("the mechanism \"{}\" is of another Rust type", N::NAME))),
+        }
+    }
+
+    fn declare_setting<T: SettingType>(&mut self, info: SettingInfo) -> Result<Setting<T>, SetupError> {
+        let given = self.given_settings.remove(&info.name);
         Ok(Setting::new(self.io.settings.declare(&self.io.name, info, given)?))
     }
 
     fn open_topic<T: Send + Sync + 'static>(&mut self, name: &str) -> Result<usize, SetupError> {
-        let name = name.strip_prefix('/').unwrap_or(name);
-        self.own_topics.push(name.to_owned());
-        self.topics.open::<T>(self.remaps.get(name).map_or(name, String::as_str), &self.io.name)
+        let name = self.resolve(name);
+        self.registries.topics.open::<T>(&name, &self.io.name)
     }
+
+    fn open_service<Q: Send + 'static, R: Send + 'static>(
+        &mut self,
+        name: &str,
+    ) -> Result<usize, SetupError> {
+        let name = self.resolve(name);
+        let index = self.registries.services.open::<Q, R>(&name, &self.io.name)?;
+        self.uses.services.push(index);
+        Ok(index)
+    }
+
+    fn open_server<Q: Send + 'static, R: Send + 'static>(&mut self, name: &str) -> Result<u32, SetupError> {
+        let index = self.open_service::<Q, R>(name)?;
+        let port = number(self.io.servers.len());
+        self.registries.services.serve(index, &self.io.name, self.io.id, port)?;
+        let name = self.registries.services.name(index).clone();
+        self.io.servers.push(Box::new(ServerPort::<Q, R>::new(name)));
+        Ok(port)
+    }
+
+    /// The name to use for one that the module gave.
+    fn resolve(&mut self, name: &str) -> String {
+        let name = name.strip_prefix('/').unwrap_or(name);
+        self.own_names.push(name.to_owned());
+        self.remaps.get(name).map_or(name, String::as_str).to_owned()
+    }
+}
+
+impl<M: 'static> Setup<'_, M> {
+    /// Calls `callback` with each message of a topic, in the cycle after it was published.
+    ///
+    /// # Errors
+    /// A name that is not valid, or a topic that carries another type.
+    pub fn subscribe<T, F>(&mut self, topic: &str, callback: F) -> Result<(), SetupError>
+    where
+        T: Send + Sync + 'static,
+        F: FnMut(&mut M, Received<'_, T>, &mut Context<'_>) + Send + 'static,
+    {
+        let topic = self.open_topic::<T>(topic)?;
+        self.registries.topics.add_user(topic);
+        self.uses.subscribed.push(topic);
+        self.callbacks.subscriptions.push(Box::new(Subscription { topic, callback, message: PhantomData }));
+        Ok(())
+    }
+
+    /// Offers a service whose requests are answered at once, with a value or with an error in words. A service has
+    /// one server.
+    ///
+    /// # Errors
+    /// A name that is not valid, a service of other types, or one that is served already.
+    pub fn serve<Q, R, F>(&mut self, service: &str, answer: F) -> Result<(), SetupError>
+    where
+        Q: Send + 'static,
+        R: Send + 'static,
+        F: FnMut(&mut M, &Q, &mut Context<'_>) -> Result<R, String> + Send + 'static,
+    {
+        let port = self.open_server::<Q, R>(service)?;
+        self.callbacks.servers.push(answering(port, answer));
+        Ok(())
+    }
+
+    /// Offers a service whose requests are answered when the answer is there, with [`Context::reply`].
+    ///
+    /// # Errors
+    /// A name that is not valid, a service of other types, or one that is served already.
+    pub fn serve_later<Q, R, F>(&mut self, service: &str, take: F) -> Result<(), SetupError>
+    where
+        Q: Send + 'static,
+        R: Send + 'static,
+        F: FnMut(&mut M, Q, Responder<Q, R>, &mut Context<'_>) + Send + 'static,
+    {
+        let port = self.open_server::<Q, R>(service)?;
+        self.callbacks.servers.push(answering_later(port, take));
+        Ok(())
+    }
+
+    /// Declares that the module calls a service; the key is for [`Context::call`]. Each call ends with one call of
+    /// `on_reply`: with the answer, or after `timeout` with the error that there is none.
+    ///
+    /// # Errors
+    /// A name that is not valid, or a service of other types.
+    pub fn client<Q, R, F>(
+        &mut self,
+        service: &str,
+        timeout: Duration,
+        on_reply: F,
+    ) -> Result<Client<Q, R>, SetupError>
+    where
+        Q: Send + 'static,
+        R: Send + 'static,
+        F: FnMut(&mut M, Reply<R>, &mut Context<'_>) + Send + 'static,
+    {
+        let index = self.open_service::<Q, R>(service)?;
+        let name = self.registries.services.name(index).clone();
+        let port = number(self.io.clients.len());
+        self.io.clients.push(Box::new(ClientPort::<Q, R>::new(index, name, timeout)));
+        self.callbacks.clients.push(replying::<M, Q, R, F>(port, on_reply));
+        Ok(Client::new(port))
+    }
+
+    /// Calls `callback` every `period`, first one period after the module became active. Due times that were missed
+    /// are skipped.
+    ///
+    /// # Errors
+    /// A period of zero.
+    pub fn every<F>(&mut self, period: Duration, callback: F) -> Result<(), SetupError>
+    where
+        F: FnMut(&mut M, &mut Context<'_>) + Send + 'static,
+    {
+        if period.is_zero() {
+            return Err(SetupError::ZeroPeriod(self.io.name.to_string()));
+        }
+        self.io.timers.push(Timer::new(period));
+        self.callbacks.timers.push(Box::new(callback));
+        Ok(())
+    }
+
+    /// Declares something the module does at times it chooses while it runs; the key is for
+    /// [`Context::schedule`].
+    pub fn task<F>(&mut self, callback: F) -> Task
+    where
+        F: FnMut(&mut M, &mut Context<'_>) + Send + 'static,
+    {
+        self.callbacks.tasks.push(Box::new(callback));
+        self.io.tasks.declare()
+    }
+
+    /// Declares work beside the cycle and what is done with its results; the key is for [`Context::spawn`].
+    pub fn job<T, F>(&mut self, on_result: F) -> Job<T>
+    where
+        T: Send + 'static,
+        F: FnMut(&mut M, Result<T, JobError>, &mut Context<'_>) + Send + 'static,
+    {
+        let job = Job::new(number(self.io.jobs.len()));
+        self.io.jobs.push(Box::new(JobPort::<T>::new()));
+        self.callbacks.jobs.push(finishing(job, on_result));
+        job
+    }
+
+    /// Calls `callback` at the end of each run of the module, after its messages, requests, answers and timers: in
+    /// every cycle, if its synchrony is [`Synchrony::EveryCycle`](crate::Synchrony::EveryCycle).
+    pub fn each_run<F>(&mut self, callback: F)
+    where
+        F: FnMut(&mut M, &mut Context<'_>) + Send + 'static,
+    {
+        self.callbacks.each_run.push(Box::new(callback));
+    }
+
+    /// Has `check` look at each value that a setting is to have while the module runs, before it has it. A value it
+    /// refuses, with the reason in words, changes nothing. It runs in the sync phase, or on the module's thread if it
+    /// is detached.
+    pub fn accept_if<T, F>(&mut self, setting: Setting<T>, check: F)
+    where
+        T: SettingType,
+        F: FnMut(&mut M, &T) -> Result<(), String> + Send + 'static,
+    {
+        self.callbacks.checks.push((setting.index, checking(check)));
+    }
+}
+
+fn number(index: usize) -> u32 {
+    u32::try_from(index).unwrap_or(u32::MAX)
 }

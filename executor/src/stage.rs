@@ -4,21 +4,24 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use crate::Time;
+use crate::agenda::Ready;
 use crate::cell::ModuleCell;
-use crate::topic::Topics;
+use crate::context::Shared;
 
 /// The modules that run in this cycle, and the messages they read.
 ///
-/// During the process phase the topics are only read, and each module is touched by the one thread that
+/// During the process phase the messages are only read, and each module is touched by the one thread that
 /// runs it. That is why every way to divide the modules among threads gives the same result.
 #[derive(Default)]
 pub struct Stage {
     pub(crate) now: Time,
-    pub(crate) topics: Topics,
-    /// In the order of registration. A lock is taken only where threads share the stage.
-    pub(crate) modules: Vec<Mutex<ModuleCell>>,
-    /// Those that run in this cycle, ascending.
-    pub(crate) runnable: Vec<usize>,
+    pub(crate) shared: Shared,
+    /// By slot. A lock is taken only where threads share the stage.
+    modules: Vec<Mutex<Option<ModuleCell>>>,
+    /// Those that run in this cycle, in the order of registration.
+    pub(crate) runnable: Vec<Ready>,
+    /// Those of them that asked for something.
+    asked: Mutex<Vec<Ready>>,
     next: AtomicUsize,
 }
 
@@ -29,21 +32,54 @@ impl Stage {
         self.runnable.len()
     }
 
+    /// The number under which the `nth` module of this cycle is kept: the same in every cycle, and given to another
+    /// module only after this one was removed.
+    ///
+    /// # Panics
+    /// If `nth` is not less than [`runnable`](Self::runnable).
+    #[must_use]
+    pub fn slot(&self, nth: usize) -> usize {
+        self.runnable[nth].slot
+    }
+
     /// Runs all modules of this cycle on this thread.
     pub fn run_all(&mut self) {
-        for &index in &self.runnable {
-            let cell = self.modules[index].get_mut().unwrap_or_else(PoisonError::into_inner);
-            cell.run(&self.topics, self.now);
+        let Self { now, shared, modules, runnable, asked, next } = self;
+        let asked = asked.get_mut().unwrap_or_else(PoisonError::into_inner);
+        for ready in &*runnable {
+            let cell = modules[ready.slot].get_mut().unwrap_or_else(PoisonError::into_inner);
+            if let Some(cell) = cell
+                && cell.run(shared, *now)
+            {
+                asked.push(*ready);
+            }
         }
-        *self.next.get_mut() = self.runnable.len();
+        *next.get_mut() = runnable.len();
     }
 
     /// Runs the next module of this cycle that no thread has taken yet; false if there is none.
     pub fn run_next(&self) -> bool {
-        let Some(&index) = self.runnable.get(self.next.fetch_add(1, Ordering::Relaxed)) else { return false };
-        let mut cell = self.modules[index].lock().unwrap_or_else(PoisonError::into_inner);
-        cell.run(&self.topics, self.now);
-        true
+        let nth = self.next.fetch_add(1, Ordering::Relaxed);
+        let is_one = nth < self.runnable.len();
+        if is_one {
+            self.run_nth(nth);
+        }
+        is_one
+    }
+
+    /// Runs the `nth` module of this cycle, for launchers that divide the modules themselves: each runs once, and
+    /// none through [`run_next`](Self::run_next).
+    ///
+    /// # Panics
+    /// If `nth` is not less than [`runnable`](Self::runnable).
+    pub fn run_nth(&self, nth: usize) {
+        let ready = self.runnable[nth];
+        let mut cell = self.modules[ready.slot].lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(cell) = &mut *cell
+            && cell.run(&self.shared, self.now)
+        {
+            self.asked.lock().unwrap_or_else(PoisonError::into_inner).push(ready);
+        }
     }
 
     pub(crate) fn begin(&mut self, now: Time) {
@@ -51,7 +87,49 @@ impl Stage {
         *self.next.get_mut() = 0;
     }
 
-    pub(crate) fn cell(&mut self, index: usize) -> &mut ModuleCell {
-        self.modules[index].get_mut().unwrap_or_else(PoisonError::into_inner)
+    /// Moves the modules that asked for something in the process phase to `asked`, in the order of registration.
+    pub(crate) fn take_asked(&mut self, asked: &mut Vec<Ready>) {
+        asked.clear();
+        std::mem::swap(self.asked.get_mut().unwrap_or_else(PoisonError::into_inner), asked);
+        if !asked.is_sorted() {
+            asked.sort_unstable();
+        }
+    }
+
+    pub(crate) fn note_asked(&mut self, ready: Ready) {
+        self.asked.get_mut().unwrap_or_else(PoisonError::into_inner).push(ready);
+    }
+
+    pub(crate) fn free_slot(&mut self) -> usize {
+        let is_free = |cell: &mut Mutex<Option<ModuleCell>>| {
+            cell.get_mut().unwrap_or_else(PoisonError::into_inner).is_none()
+        };
+        self.modules.iter_mut().position(is_free).unwrap_or_else(|| {
+            self.modules.push(Mutex::new(None));
+            self.modules.len() - 1
+        })
+    }
+
+    pub(crate) fn put(&mut self, slot: usize, cell: ModuleCell) {
+        self.modules[slot] = Mutex::new(Some(cell));
+    }
+
+    pub(crate) fn cell(&mut self, slot: usize) -> Option<&mut ModuleCell> {
+        self.modules[slot].get_mut().unwrap_or_else(PoisonError::into_inner).as_mut()
+    }
+
+    /// The module in the slot, beside what modules share.
+    pub(crate) fn cell_and_shared(&mut self, slot: usize) -> (Option<&mut ModuleCell>, &mut Shared) {
+        let cell = self.modules[slot].get_mut().unwrap_or_else(PoisonError::into_inner);
+        (cell.as_mut(), &mut self.shared)
+    }
+
+    pub(crate) fn take_cell(&mut self, slot: usize) -> Option<ModuleCell> {
+        self.modules[slot].get_mut().unwrap_or_else(PoisonError::into_inner).take()
+    }
+
+    /// Looks at a module while nobody runs it.
+    pub(crate) fn look<T>(&self, slot: usize, look: impl FnOnce(&ModuleCell) -> T) -> Option<T> {
+        self.modules.get(slot)?.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(look)
     }
 }

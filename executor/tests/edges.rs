@@ -168,7 +168,7 @@ impl Module for Faulty {
         })
     }
 
-    fn stop(&mut self, _: &mut Context<'_>) {
+    fn shutdown(&mut self, _: &mut Context<'_>) {
         *self.stopped.lock().unwrap() = true;
     }
 }

@@ -26,7 +26,7 @@ impl Module for Lambda {
     }
 }
 
-/// Calls itself in `start` and `stop`.
+/// Tells when it starts and stops.
 struct Lifecycle(&'static str, Arc<Mutex<Vec<String>>>);
 
 impl Module for Lifecycle {
@@ -34,11 +34,12 @@ impl Module for Lifecycle {
         Ok(())
     }
 
-    fn start(&mut self, _: &mut Context<'_>) {
+    fn activate(&mut self, _: &mut Context<'_>) -> Result<(), TransitionError> {
         self.1.lock().unwrap().push(format!("start {}", self.0));
+        Ok(())
     }
 
-    fn stop(&mut self, _: &mut Context<'_>) {
+    fn shutdown(&mut self, _: &mut Context<'_>) {
         self.1.lock().unwrap().push(format!("stop {}", self.0));
     }
 }
@@ -169,7 +170,7 @@ fn a_remap_connects_topics_of_different_names_and_a_wrong_one_names_the_right_on
         ..ModuleOptions::default()
     };
     core.add_with("ticker", ticker("count", MILLISECOND), remapped("count")).unwrap();
-    assert!(core.topics().iter().any(|topic| &*topic.name == "wheel/count" && topic.is_published));
+    assert!(core.topics().any(|topic| &*topic.name == "wheel/count" && topic.is_published));
     let error = core.add_with("other", ticker("count", MILLISECOND), remapped("cuont")).unwrap_err();
     assert_eq!(error.to_string(), "module \"other\" has no topic \"cuont\" to remap; it has \"count\"");
 }

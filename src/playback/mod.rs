@@ -109,7 +109,7 @@ fn inlets(
     if topics.is_empty() {
         for topic in reader.topics() {
             let name = topic.info.name.trim_start_matches('/');
-            let is_wanted = core.topics().iter().any(|known| *known.name == *name && !known.is_published);
+            let is_wanted = core.topics().any(|known| *known.name == *name && !known.is_published);
             if let (true, Some(id)) = (is_wanted, reader.topic(&topic.info.name)) {
                 inlets.insert(id, open(core, name, &topic.info.type_name)?);
             }
@@ -122,7 +122,7 @@ fn inlets(
             return Err(PlaybackError::NoSuchTopic { topic: topic.clone(), known: known() });
         };
         let is_published = |known: &TopicInfo| *known.name == absolute[1..] && known.is_published;
-        if core.topics().iter().any(is_published) {
+        if core.topics().any(is_published) {
             return Err(PlaybackError::IsPublished(topic.clone()));
         }
         inlets.insert(id, open(core, &absolute, &reader.topics()[id.index()].info.type_name)?);

@@ -30,7 +30,7 @@ fn check_robot(path: &Path) -> anyhow::Result<()> {
         print_settings(core, &module.name);
     }
     println!("\ntopics");
-    core.topics().iter().for_each(print_topic);
+    core.topics().for_each(print_topic);
     println!("\nexposed to ROS 2 as node {}", file.name);
     for entry in &file.expose {
         let arrow = if entry.direction == Direction::Out { "->" } else { "<-" };
@@ -49,7 +49,7 @@ fn list_kinds() -> anyhow::Result<()> {
         kind.add_to(&mut core, kind.name, ModuleOptions::default())?;
         println!("{:<20} {}", kind.name, kind.about);
         print_settings(&core, kind.name);
-        core.topics().iter().for_each(print_topic);
+        core.topics().for_each(print_topic);
         println!();
     }
     Ok(())

@@ -99,7 +99,7 @@ impl Session {
 
     /// Runs the robot until `stop`, then stops it and tells how it went.
     pub(crate) fn run(self, stop: &Stop, screen: &Screen) -> anyhow::Result<()> {
-        let topics = self.robot.core.topics().to_vec();
+        let topics = self.robot.core.topics().cloned().collect();
         let Self { robot: Robot { file, mut core }, statistics, faults, bridge, recording } = self;
         let handle = core.handle();
         let core: JoinHandle<Result<(), RunError>> = std::thread::Builder::new()

@@ -125,7 +125,7 @@ impl Robot {
     pub fn recorded_topics(&self) -> Result<Vec<TopicInfo>> {
         let RecordEntry { topics, line, .. } = &self.file.record;
         match topics {
-            None => Ok(self.core.topics().to_vec()),
+            None => Ok(self.core.topics().cloned().collect()),
             Some(names) => names.iter().map(|name| self.topic(name, *line, "record").cloned()).collect(),
         }
     }
@@ -160,10 +160,10 @@ impl Robot {
     }
 
     fn topic(&self, name: &str, line: usize, what: &str) -> Result<&TopicInfo> {
-        let topics = self.core.topics();
+        let mut topics = self.core.topics();
         let canonical = name.strip_prefix('/').unwrap_or(name);
-        topics.iter().find(|topic| *topic.name == *canonical).ok_or_else(|| {
-            let hint = suggestion(canonical, topics.iter().map(|topic| &*topic.name));
+        topics.find(|topic| *topic.name == *canonical).ok_or_else(|| {
+            let hint = suggestion(canonical, self.core.topics().map(|topic| &*topic.name));
             self.file.source.error(line, format!("no module has a topic \"{name}\" to {what}{hint}"))
         })
     }

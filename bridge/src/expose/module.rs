@@ -106,7 +106,7 @@ impl Module for Bridge {
         Ok(())
     }
 
-    fn stop(&mut self, _ctx: &mut Context<'_>) {
+    fn shutdown(&mut self, _ctx: &mut Context<'_>) {
         self.subscriptions.clear();
     }
 }

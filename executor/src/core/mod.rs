@@ -1,22 +1,35 @@
-//! The core: owns the modules and runs the cycles.
+//! The core: owns the modules and the mechanisms, and runs the cycles.
 
-mod sync;
+mod handle;
+mod phase;
+mod stop;
+mod world;
 
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crossbeam::sync::Parker;
 
-use crate::behaviour::ModuleBehaviour;
-use crate::cell::ModuleCell;
-use crate::context::ModuleIo;
-use crate::detached::DetachedModule;
-use crate::join::{CoreHandle, DetachedStep, Inlet, JoinQueue};
+pub use handle::CoreHandle;
+pub use phase::SyncPhase;
+pub use world::ModuleInfo;
+use world::Pause;
+pub(crate) use world::{JobResult, World};
+
+use crate::inlet::{InletPort, default_queue};
+use crate::job::Jobs;
+use crate::join::{DetachedStep, JoinQueue};
+use crate::management::{Candidate, Command, Modules, Place, Source, admit, finish_leaving};
+use crate::mechanism::{AnyMechanism, Version};
+use crate::messaging::Messaging;
 use crate::probe::{CycleReport, Probe};
-use crate::topic::{ModuleSlot, Subscriber};
+use crate::queue::Queue;
+use crate::schedule::Timers;
+use crate::service::Services;
+use crate::setting::SettingsMechanism;
 use crate::{
-    Clock, Inbox, Launcher, Linear, Module, ModuleOptions, Role, SettingInfo, Setup, SetupError, Stage,
-    Synchrony, SystemClock, Time, TopicInfo,
+    Caller, Clock, Inlet, Launcher, Linear, Mechanism, Module, ModuleOptions, ServiceInfo, SettingInfo,
+    SetupError, Stage, SystemClock, Time, TopicInfo,
 };
 
 /// Why a core cannot run.
@@ -25,6 +38,9 @@ pub enum RunError {
     /// The clock has to be moved by hand.
     #[error("this clock does not go on by itself; set it and call `cycle`, or use a clock that does")]
     ClockStandsStill,
+    /// The core was stopped.
+    #[error("this core has stopped, and a stopped core does not start again; make a new one")]
+    Stopped,
     /// The system gave no thread.
     #[error("cannot start a thread for the detached module \"{module}\": {source}")]
     Thread {
@@ -35,22 +51,25 @@ pub enum RunError {
     },
 }
 
+/// What [`Core::run`] does while nothing is due.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Idle {
+    /// Its thread sleeps until something is.
+    #[default]
+    Park,
+    /// Its thread looks again and again: it reacts a few microseconds sooner and keeps a processor busy.
+    Spin,
+}
+
 /// Owns the modules of a robot and runs them in cycles: a process phase, in which modules run, and a sync
 /// phase, in which what they asked for takes effect.
 pub struct Core {
     stage: Arc<Stage>,
+    world: World,
+    mechanisms: Vec<Box<dyn AnyMechanism>>,
     launcher: Box<dyn Launcher>,
-    clock: Arc<dyn Clock>,
-    queue: Arc<JoinQueue>,
     parker: Parker,
-    detached: Vec<DetachedModule>,
-    registered: Vec<(ModuleSlot, Role)>,
-    next_due: Vec<Time>,
-    has_work: Vec<bool>,
-    steps_topic: Option<usize>,
-    probe: Option<Arc<dyn Probe>>,
-    cycle: u64,
-    has_started: bool,
+    idle: Idle,
 }
 
 impl Default for Core {
@@ -64,21 +83,22 @@ impl Core {
     #[must_use]
     pub fn new() -> Self {
         let parker = Parker::new();
-        Self {
+        let queue = Arc::new(JoinQueue::new(parker.unparker().clone()));
+        let mut core = Self {
             stage: Arc::default(),
+            world: World::new(Arc::new(SystemClock::new()), queue),
+            mechanisms: Vec::new(),
             launcher: Box::new(Linear),
-            clock: Arc::new(SystemClock::new()),
-            queue: Arc::new(JoinQueue::new(parker.unparker().clone())),
             parker,
-            detached: Vec::new(),
-            registered: Vec::new(),
-            next_due: Vec::new(),
-            has_work: Vec::new(),
-            steps_topic: None,
-            probe: None,
-            cycle: 0,
-            has_started: false,
-        }
+            idle: Idle::default(),
+        };
+        core.add_mechanism(Modules);
+        core.add_mechanism(Jobs);
+        core.add_mechanism(SettingsMechanism);
+        core.add_mechanism(Messaging);
+        core.add_mechanism(Services::default());
+        core.add_mechanism(Timers);
+        core
     }
 
     /// The same core with another launcher.
@@ -88,17 +108,36 @@ impl Core {
         self
     }
 
-    /// The same core with another clock; to be called before modules are added.
+    /// The same core with another clock.
+    ///
+    /// # Panics
+    /// If the core has modules: they were set up for the clock it had.
     #[must_use]
     pub fn with_clock(mut self, clock: impl Clock + 'static) -> Self {
-        self.clock = Arc::new(clock);
+        assert!(self.world.members.iter().next().is_none(), "give a core its clock before its modules");
+        self.world.clock = Arc::new(clock);
         self
     }
 
     /// The same core, measured by `probe`.
     #[must_use]
     pub fn with_probe(mut self, probe: Arc<dyn Probe>) -> Self {
-        self.probe = Some(probe);
+        self.world.probe = Some(probe);
+        self
+    }
+
+    /// The same core, with another way to wait.
+    #[must_use]
+    pub fn with_idle(mut self, idle: Idle) -> Self {
+        self.idle = idle;
+        self
+    }
+
+    /// The same core with one more way for modules to interact; it takes part in each sync phase after those there
+    /// are.
+    #[must_use]
+    pub fn with_mechanism<M: Mechanism>(mut self, mechanism: M) -> Self {
+        self.add_mechanism(mechanism);
         self
     }
 
@@ -119,101 +158,120 @@ impl Core {
     pub fn add_with<M: Module>(
         &mut self,
         name: &str,
-        mut module: M,
+        module: M,
         options: ModuleOptions,
     ) -> Result<(), SetupError> {
-        if self.has_started {
-            return Err(SetupError::AlreadyRunning(name.into()));
-        }
-        if self.module_names().any(|known| *known == *name) {
-            return Err(SetupError::DuplicateModule(name.into()));
-        }
-        let inbox = match options.synchrony {
-            Synchrony::Detached(inbox) if self.clock.runs_by_itself() => Some(inbox),
-            Synchrony::Detached(_) | Synchrony::WhenDue => None,
-        };
-        let stage = exclusive(&mut self.stage);
-        let slot = match inbox {
-            Some(_) => ModuleSlot::Detached(self.detached.len()),
-            None => ModuleSlot::Attached(stage.modules.len()),
-        };
-        let mut io = ModuleIo::new(name);
-        let mut setup = Setup::new(&mut io, &mut stage.topics, options.settings, options.remaps);
-        module.setup(&mut setup)?;
-        let callbacks = setup.finish()?;
-        let subscribed: Vec<usize> =
-            callbacks.subscriptions.iter().map(|callback| callback.topic()).collect();
-        for (subscription, &topic) in subscribed.iter().enumerate() {
-            stage.topics.subscribe(
-                topic,
-                match slot {
-                    ModuleSlot::Attached(module) => Subscriber::Attached { module, subscription },
-                    ModuleSlot::Detached(module) => Subscriber::Detached { module },
-                },
-            );
-        }
-        let cell = ModuleCell::new(io, Box::new(ModuleBehaviour { module, callbacks }), subscribed);
-        self.keep(cell, inbox, options.role);
-        self.registered.push((slot, options.role));
-        Ok(())
+        self.admit(name, Source::once(module), options)
     }
 
-    fn keep(&mut self, cell: ModuleCell, inbox: Option<Inbox>, role: Role) {
-        match inbox {
-            Some(inbox) => self.detached.push(DetachedModule::new(cell, inbox, role)),
-            None => {
-                exclusive(&mut self.stage).modules.push(Mutex::new(cell));
-                self.next_due.push(Time::MAX);
-                self.has_work.push(true);
-            }
-        }
+    /// Adds a module that can be made again after a panic, as its options say; see
+    /// [`Restart`](crate::Restart).
+    ///
+    /// # Errors
+    /// Those of [`add_with`](Self::add_with).
+    pub fn add_restartable<M: Module>(
+        &mut self,
+        name: &str,
+        make: impl FnMut() -> M + Send + 'static,
+        options: ModuleOptions,
+    ) -> Result<(), SetupError> {
+        self.admit(name, Source::factory(make), options)
     }
 
-    /// A way to publish on a topic from threads outside the executor.
+    /// A way to publish on a topic from threads outside the executor, through a queue that refuses what
+    /// the core does not take in time.
     ///
     /// # Errors
     /// A name that is not valid, or a topic that carries another type.
     pub fn inlet<T: Send + Sync + 'static>(&mut self, topic: &str) -> Result<Inlet<T>, SetupError> {
-        let topics = &mut exclusive(&mut self.stage).topics;
-        let index = topics.open::<T>(topic, "inlet")?;
-        topics.mark_published(index);
-        Ok(Inlet::new(index, Arc::clone(&self.queue)))
+        self.inlet_with(topic, default_queue())
     }
 
-    /// A way to stop the core and to change settings from other threads.
+    /// A way to publish on a topic from threads outside the executor, through a queue of one's choice.
+    ///
+    /// # Errors
+    /// A name that is not valid, or a topic that carries another type.
+    pub fn inlet_with<T: Send + Sync + 'static>(
+        &mut self,
+        topic: &str,
+        queue: impl Queue<T> + 'static,
+    ) -> Result<Inlet<T>, SetupError> {
+        let topics = &mut exclusive(&mut self.stage).shared.topics;
+        let index = topics.open::<T>(topic, "inlet")?;
+        topics.add_publisher(index);
+        let messages: Arc<dyn Queue<T>> = Arc::new(queue);
+        self.world.inlets.push(Box::new(InletPort::new(Arc::clone(&messages), index)));
+        Ok(Inlet::new(messages, Arc::clone(&self.world.queue)))
+    }
+
+    /// A way to call a service from threads outside the executor.
+    ///
+    /// # Errors
+    /// A name that is not valid, or a service of other types.
+    pub fn caller<Q: Send + 'static, R: Send + 'static>(
+        &mut self,
+        service: &str,
+    ) -> Result<Caller<Q, R>, SetupError> {
+        let index = self.world.services.open::<Q, R>(service, "caller")?;
+        let name = Arc::clone(self.world.services.name(index));
+        Ok(Caller::new(index, name, Arc::clone(&self.world.queue)))
+    }
+
+    /// A way to stop the core and to change it from other threads.
     #[must_use]
     pub fn handle(&self) -> CoreHandle {
-        CoreHandle { queue: Arc::clone(&self.queue) }
+        CoreHandle { queue: Arc::clone(&self.world.queue) }
     }
 
     /// The topics, in the order in which they were first declared.
-    #[must_use]
-    pub fn topics(&self) -> &[TopicInfo] {
-        self.stage.topics.infos()
+    pub fn topics(&self) -> impl Iterator<Item = &TopicInfo> {
+        self.stage.shared.topics.infos()
     }
 
-    /// The settings of a module before the start; nothing if there is no such module.
+    /// The services, in the order in which they were first declared.
+    pub fn services(&self) -> impl Iterator<Item = &ServiceInfo> {
+        self.world.services.infos()
+    }
+
+    /// The modules, in the order of registration.
+    #[must_use]
+    pub fn modules(&self) -> Vec<ModuleInfo> {
+        self.world.modules(&self.stage)
+    }
+
+    /// The mechanisms by name, in the order in which the sync phase runs them, with their versions.
+    pub fn mechanisms(&self) -> impl Iterator<Item = (&'static str, Version)> {
+        self.mechanisms.iter().map(|mechanism| (mechanism.name(), mechanism.version()))
+    }
+
+    /// The settings of a module; nothing if there is no such module.
     #[must_use]
     pub fn settings(&self, module: &str) -> Option<Vec<SettingInfo>> {
-        let detached = self.detached.iter().filter_map(DetachedModule::cell);
-        if let Some(cell) = detached.into_iter().find(|cell| **cell.name() == *module) {
-            return Some(cell.settings().to_vec());
-        }
-        let cells = self.stage.modules.iter().filter_map(|cell| cell.lock().ok());
-        cells.into_iter().find(|cell| **cell.name() == *module).map(|cell| cell.settings().to_vec())
+        let id = self.world.members.find(module)?.id;
+        Some(self.world.settings(&self.stage, id))
     }
 
-    /// Runs cycles until [`CoreHandle::stop`] is called, then stops the modules. Sleeps while nothing is due.
+    /// Runs cycles until [`CoreHandle::stop`] is called, then stops the modules. Sleeps while nothing is due,
+    /// unless it is told to spin.
     ///
     /// # Errors
-    /// If the clock does not go on by itself, or a thread cannot be started.
+    /// If the clock does not go on by itself, a thread cannot be started, or the core was stopped before.
     pub fn run(&mut self) -> Result<(), RunError> {
-        if !self.clock.runs_by_itself() {
+        if !self.world.clock.runs_by_itself() {
             return Err(RunError::ClockStandsStill);
         }
-        while !self.queue.stop_is_requested() {
-            self.cycle()?;
-            self.wait();
+        while !self.world.queue.stop_is_requested() {
+            match &mut self.world.pause {
+                Pause::Paused { steps: 0 } => self.attend(),
+                Pause::Paused { steps } => {
+                    *steps -= 1;
+                    self.cycle()?;
+                }
+                Pause::Running => {
+                    self.cycle()?;
+                    self.wait();
+                }
+            }
         }
         self.stop();
         Ok(())
@@ -222,134 +280,147 @@ impl Core {
     /// Runs one cycle at the time the clock shows. The first one starts the modules.
     ///
     /// # Errors
-    /// If a thread of a detached module cannot be started.
+    /// If a thread of a detached module cannot be started, or the core was stopped.
     pub fn cycle(&mut self) -> Result<(), RunError> {
-        if !self.has_started {
+        if !self.world.is_running {
             self.start()?;
         }
-        let now = self.clock.now();
-        let due = self.earliest_due();
-        let begin = self.probe.as_ref().map(|_| Instant::now());
-        self.process(now);
-        let processed = begin.map(|_| Instant::now());
-        self.sync(now);
-        if let (Some(probe), Some(begin), Some(processed)) = (&self.probe, begin, processed) {
-            probe.cycle(&CycleReport {
-                cycle: self.cycle,
-                time: now,
-                lateness: (due <= now).then(|| now.saturating_since(due)),
-                modules: self.stage.runnable(),
-                process: processed - begin,
-                sync: processed.elapsed(),
-            });
+        let now = self.world.clock.now();
+        match self.world.probe.clone() {
+            None => self.process_and_sync(now),
+            Some(probe) => self.probed_cycle(now, &*probe),
         }
-        self.cycle += 1;
         Ok(())
     }
 
     /// When the core has something to do next: now, at a timer's time, or never by itself.
     #[must_use]
-    pub fn next_event(&self) -> Option<Time> {
-        if self.has_work.contains(&true) || !self.queue.is_empty() {
-            return Some(self.clock.now());
+    pub fn next_event(&mut self) -> Option<Time> {
+        let has_to_start = !self.world.is_running && self.world.members.iter().next().is_some();
+        if self.world.has_stopped {
+            return None;
         }
-        Some(self.earliest_due()).filter(|&due| due < Time::MAX)
+        if self.world.has_work() || has_to_start {
+            return Some(self.world.clock.now());
+        }
+        Some(self.world.earliest_due()).filter(|&due| due < Time::MAX)
     }
 
-    /// Runs the modules' last callbacks: parts in the reverse order of registration, then observers in the
-    /// order of registration. What each publishes last is delivered before the next one stops.
-    ///
-    /// It waits for detached modules that are in a callback, and logs which. A stopped core does not start
-    /// again.
-    pub fn stop(&mut self) {
-        if !self.has_started {
-            return;
-        }
-        // Nobody would take what an inlet accepted from now on.
-        self.queue.request_stop();
-        let parts = self.registered.iter().rev().filter(|(_, role)| *role == Role::Part);
-        let observers = self.registered.iter().filter(|(_, role)| *role == Role::Observer);
-        let order: Vec<_> = parts.chain(observers).map(|&(slot, _)| slot).collect();
-        for slot in order {
-            let now = self.clock.now();
-            match slot {
-                ModuleSlot::Attached(index) => {
-                    exclusive(&mut self.stage).cell(index).stop(now);
-                    self.has_work[index] = true;
-                }
-                ModuleSlot::Detached(index) => self.detached[index].stop(),
-            }
-            // One cycle takes its last messages over, the next delivers them.
-            for _ in 0..2 {
-                self.process(now);
-                self.sync(now);
-                self.cycle += 1;
-            }
-        }
-        self.has_started = false;
+    fn add_mechanism<M: Mechanism>(&mut self, mechanism: M) {
+        exclusive(&mut self.stage).shared.offers.add(&mechanism);
+        self.mechanisms.push(Box::new(mechanism));
+    }
+
+    fn admit(&mut self, name: &str, source: Source, options: ModuleOptions) -> Result<(), SetupError> {
+        let candidate = Candidate { name: name.to_owned(), source, options };
+        admit(exclusive(&mut self.stage), &mut self.world, candidate)
     }
 
     fn start(&mut self) -> Result<(), RunError> {
-        let stage = exclusive(&mut self.stage);
-        // Cannot be of another type: no module can name this type's topic otherwise by mistake, and where
-        // one does, steps are simply not published.
-        self.steps_topic = stage.topics.open::<DetachedStep>(DetachedStep::TOPIC, "executor").ok();
-        for (index, module) in self.detached.iter_mut().enumerate() {
-            let (clock, queue) = (Arc::clone(&self.clock), Arc::clone(&self.queue));
-            module.start(index, clock, queue, self.probe.clone()).map_err(|source| {
-                let module = module.name.to_string();
-                RunError::Thread { module, source }
-            })?;
+        if self.world.has_stopped {
+            return Err(RunError::Stopped);
         }
-        self.has_started = true;
+        let topics = &mut exclusive(&mut self.stage).shared.topics;
+        if self.world.steps_topic.is_none() {
+            // Cannot be of another type: no module can name this type's topic otherwise by mistake, and where
+            // one does, steps are simply not published.
+            self.world.steps_topic = topics.open::<DetachedStep>(DetachedStep::TOPIC, "executor").ok();
+            self.world.steps_topic.into_iter().for_each(|topic| topics.add_user(topic));
+        }
+        let mut detached = std::mem::take(&mut self.world.detached);
+        let started = detached.iter_mut().flatten().try_for_each(|module| {
+            let started = module.start(&self.world);
+            started.map_err(|source| RunError::Thread { module: module.name.to_string(), source })
+        });
+        self.world.detached = detached;
+        started?;
+        self.world.is_running = true;
         Ok(())
+    }
+
+    fn process_and_sync(&mut self, now: Time) {
+        self.process(now);
+        self.sync(now);
+    }
+
+    fn probed_cycle(&mut self, now: Time, probe: &dyn Probe) {
+        let due = self.world.earliest_due();
+        let begin = Instant::now();
+        self.process(now);
+        let (processed, modules) = (Instant::now(), self.stage.runnable());
+        let cycle = self.world.cycle;
+        self.sync(now);
+        probe.cycle(&CycleReport {
+            cycle,
+            time: now,
+            lateness: (due <= now).then(|| now.saturating_since(due)),
+            modules,
+            process: processed - begin,
+            sync: processed.elapsed(),
+        });
     }
 
     fn process(&mut self, now: Time) {
         let stage = exclusive(&mut self.stage);
         stage.begin(now);
-        stage.runnable.clear();
-        let is_due = |(has_work, &due): (&bool, &Time)| *has_work || due <= now;
-        let modules = self.has_work.iter().zip(&self.next_due).map(is_due);
-        stage.runnable.extend(modules.enumerate().filter_map(|(index, is_due)| is_due.then_some(index)));
+        self.world.agenda.take(now, &mut stage.runnable);
         if !stage.runnable.is_empty() {
             self.launcher.process(&mut self.stage);
         }
     }
 
-    fn earliest_due(&self) -> Time {
-        self.next_due.iter().copied().min().unwrap_or(Time::MAX)
+    fn sync(&mut self, now: Time) {
+        let stage = exclusive(&mut self.stage);
+        stage.take_asked(&mut self.world.asked);
+        self.world.join();
+        let mut phase = SyncPhase { stage, world: &mut self.world, now };
+        for mechanism in &mut self.mechanisms {
+            mechanism.sync(&mut phase);
+        }
+        phase.forget_what_was_asked();
+        if !phase.world.leaving.is_empty() {
+            for module in finish_leaving(&mut phase) {
+                self.mechanisms.iter_mut().for_each(|mechanism| mechanism.module_left(module, &mut phase));
+            }
+        }
+        for slot in self.world.freed_slots.drain(..) {
+            self.launcher.slot_freed(slot);
+        }
+        self.world.cycle += 1;
     }
 
-    fn wait(&self) {
-        if self.has_work.contains(&true) || !self.queue.is_empty() || self.queue.stop_is_requested() {
+    /// While the core is paused: lets others look at it, and waits.
+    fn attend(&mut self) {
+        self.world.join();
+        let commands = std::mem::take(&mut self.world.joined.commands);
+        let is_paused = self.world.pause;
+        for command in commands {
+            match command {
+                Command::Look(look) => look(exclusive(&mut self.stage), &mut self.world),
+                other => self.world.joined.commands.push(other),
+            }
+        }
+        if self.world.pause == is_paused && !self.world.queue.stop_is_requested() {
+            self.parker.park();
+        }
+    }
+
+    fn wait(&mut self) {
+        if self.world.has_work() || self.world.queue.stop_is_requested() {
             return;
         }
-        match self.earliest_due() {
+        if self.idle == Idle::Spin {
+            return std::hint::spin_loop();
+        }
+        match self.world.earliest_due() {
             Time::MAX => self.parker.park(),
             due => {
-                let remaining = due.saturating_since(self.clock.now());
+                let remaining = due.saturating_since(self.world.clock.now());
                 if remaining > Duration::ZERO {
                     self.parker.park_timeout(remaining);
                 }
             }
         }
-    }
-
-    fn module_names(&self) -> impl Iterator<Item = Arc<str>> {
-        let attached =
-            self.stage.modules.iter().filter_map(|cell| Some(Arc::clone(cell.lock().ok()?.name())));
-        attached.chain(self.detached.iter().map(|module| Arc::clone(&module.name)))
-    }
-}
-
-impl Drop for Core {
-    fn drop(&mut self) {
-        if let Some(stage) = Arc::get_mut(&mut self.stage) {
-            // Guarded, unlike the drop of the topics themselves.
-            stage.topics.retire();
-        }
-        self.queue.request_stop();
     }
 }
 
@@ -357,7 +428,7 @@ impl Drop for Core {
 ///
 /// # Panics
 /// If a launcher has kept a clone of the stage, which its contract forbids.
-fn exclusive(stage: &mut Arc<Stage>) -> &mut Stage {
+pub(crate) fn exclusive(stage: &mut Arc<Stage>) -> &mut Stage {
     #[expect(clippy::expect_used, reason = "a broken launcher leaves nothing that could go on")]
     Arc::get_mut(stage).expect("the launcher kept the stage beyond the process phase")
 }

@@ -16,4 +16,7 @@ pub trait Launcher: Send {
     ///
     /// When it returns, no clone of `stage` may be left: the sync phase changes what it holds.
     fn process(&mut self, stage: &mut Arc<Stage>);
+
+    /// The module in this slot was removed; another one may be put there.
+    fn slot_freed(&mut self, _slot: usize) {}
 }

@@ -8,7 +8,7 @@ use super::messages::{battery_state, buttons, imu, joint_state};
 use super::reading::Reading;
 use super::settings::{SettingKeys, Settings};
 use super::tables::joints::{JOINTS, index_of};
-use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time};
+use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time, TransitionError};
 use downbeat_msgs::diagnostic_msgs::msg::DiagnosticArray;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::sensor_msgs::msg::{BatteryState, Imu, JointState, Joy};
@@ -153,11 +153,12 @@ impl Module for DarwinOp {
         setup.every(CYCLE, Self::tick)
     }
 
-    fn start(&mut self, ctx: &mut Context<'_>) {
+    fn activate(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
         self.read_settings(ctx);
+        Ok(())
     }
 
-    fn stop(&mut self, ctx: &mut Context<'_>) {
+    fn shutdown(&mut self, ctx: &mut Context<'_>) {
         let Some(Equipment { topics, .. }) = self.equipment else { return };
         self.driver.stop(ctx.now(), &mut *self.bus, &mut self.exchanges);
         for exchange in self.exchanges.drain(..) {

@@ -3,7 +3,7 @@
 use super::emulator::{Emulator, EmulatorOptions};
 use super::fault::Fault;
 use super::wire::Timing;
-use downbeat_executor::{Context, Module, Setup, SetupError};
+use downbeat_executor::{Context, Module, Setup, SetupError, TransitionError};
 use std::path::PathBuf;
 
 /// Runs an [`Emulator`] as long as the robot runs, so that the hardware module finds a port.
@@ -41,14 +41,17 @@ impl Module for DarwinOpEmulator {
         Ok(())
     }
 
-    fn start(&mut self, _ctx: &mut Context<'_>) {
-        match Emulator::start(self.options.clone()) {
-            Ok(emulator) => self.emulator = Some(emulator),
-            Err(error) => tracing::error!("no emulated robot: {error}"),
-        }
+    fn activate(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        self.emulator = Some(Emulator::start(self.options.clone())?);
+        Ok(())
     }
 
-    fn stop(&mut self, _ctx: &mut Context<'_>) {
+    fn deactivate(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        self.emulator = None;
+        Ok(())
+    }
+
+    fn shutdown(&mut self, _ctx: &mut Context<'_>) {
         self.emulator = None;
     }
 }

@@ -37,8 +37,7 @@ fn play_into(reader: &Reader, robot: &std::path::Path, arguments: &PlayArguments
         .map(|directory| -> anyhow::Result<Recording> {
             let writer = WriterOptions::new().custom_data("played_from", arguments.bag.display().to_string());
             let recording = Recording::start(writer.create(directory)?, Recording::DEFAULT_QUEUE_BYTES)?;
-            let published: Vec<_> =
-                robot.core.topics().iter().filter(|topic| topic.is_published).cloned().collect();
+            let published: Vec<_> = robot.core.topics().filter(|topic| topic.is_published).cloned().collect();
             let wait = WhenFull::Wait;
             recorder::record(&mut robot.core, &recording, &published, wait, |_| QosProfile::DEFAULT)?;
             Ok(recording)

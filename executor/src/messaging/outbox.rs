@@ -38,6 +38,7 @@ pub(crate) struct Outbox<T> {
 /// An [`Outbox`] whose message type is known to its topic only.
 pub(crate) trait AnyOutbox: Any + Send {
     fn topic(&self) -> usize;
+    fn is_empty(&self) -> bool;
     fn discard(&mut self);
     /// The messages in an outbox of their own; this one stays, empty.
     fn split_off(&mut self) -> Box<dyn AnyOutbox>;
@@ -46,6 +47,10 @@ pub(crate) trait AnyOutbox: Any + Send {
 impl<T: Send + 'static> AnyOutbox for Outbox<T> {
     fn topic(&self) -> usize {
         self.topic
+    }
+
+    fn is_empty(&self) -> bool {
+        self.messages.is_empty()
     }
 
     fn discard(&mut self) {
@@ -74,24 +79,26 @@ impl Outboxes {
         }))
     }
 
-    /// Puts a message in its outbox; false if the key is not of this module.
+    /// The messages of an outbox, to add to; nothing if the key is not of this module.
     #[inline]
-    #[must_use]
-    pub(crate) fn push<T: Send + 'static>(&mut self, publication: Publication<T>, message: T) -> bool {
+    pub(crate) fn open_for<T: Send + 'static>(&mut self, publication: Publication<T>) -> Option<&mut Vec<T>> {
         let index = publication.outbox();
-        let Some(outbox) = self.boxes.get_mut(index) else { return false };
-        let Some(outbox) = (&mut **outbox as &mut dyn Any).downcast_mut::<Outbox<T>>() else { return false };
+        let outbox: &mut dyn Any = &mut **self.boxes.get_mut(index)?;
+        let outbox = outbox.downcast_mut::<Outbox<T>>()?;
         if outbox.messages.is_empty() {
             self.filled.push(index);
         }
-        outbox.messages.push(message);
-        true
+        Some(&mut outbox.messages)
     }
 
-    /// Hands each outbox that holds messages to `consume`, in the order in which they were first filled.
+    /// Hands each outbox that holds messages to `consume`, which takes them, in the order in which they were first
+    /// filled.
     pub(crate) fn drain(&mut self, mut consume: impl FnMut(&mut dyn AnyOutbox)) {
         for index in self.filled.drain(..) {
-            consume(&mut *self.boxes[index]);
+            let outbox = &mut *self.boxes[index];
+            if !outbox.is_empty() {
+                consume(outbox);
+            }
         }
     }
 

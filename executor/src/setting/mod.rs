@@ -1,10 +1,15 @@
 //! Settings: named, typed values of a module, given at the start and changed in the sync phase.
 
+mod sync;
+
 use std::fmt;
 use std::marker::PhantomData;
 use std::ops::RangeInclusive;
 
-use crate::SetupError;
+pub(crate) use sync::SettingsMechanism;
+
+use crate::receipt::ReceiptSender;
+use crate::{SettingRefused, SetupError};
 
 /// A value of a setting. The kinds are those of ROS 2 parameters.
 #[derive(Clone, Debug, PartialEq)]
@@ -152,9 +157,16 @@ pub struct SettingInfo {
     pub value: SettingValue,
     /// The numbers it may have; nothing for no limit.
     pub range: Option<RangeInclusive<f64>>,
+    /// True if it does not change after the start.
+    pub is_read_only: bool,
 }
 
 impl SettingInfo {
+    pub(crate) fn new(name: &str, default: impl SettingType, description: &str) -> Self {
+        let (name, description) = (name.to_owned(), description.to_owned());
+        Self { name, description, value: default.into_value(), range: None, is_read_only: false }
+    }
+
     fn check(&self, value: SettingValue) -> Result<SettingValue, String> {
         let value = value.into_kind_of(&self.value)?;
         if let Some(range) = &self.range
@@ -184,13 +196,12 @@ impl Settings {
         if self.position(&info.name).is_some() {
             return Err(SetupError::DuplicateSetting { module: module.into(), setting: info.name });
         }
-        if let Some(value) = given {
-            info.value = info.check(value).map_err(|refusal| SetupError::SettingValue {
-                module: module.into(),
-                setting: info.name.clone(),
-                refusal,
-            })?;
-        }
+        let value = given.unwrap_or_else(|| info.value.clone());
+        info.value = info.check(value).map_err(|refusal| SetupError::SettingValue {
+            module: module.into(),
+            setting: info.name.clone(),
+            refusal,
+        })?;
         self.infos.push(info);
         Ok(self.infos.len() - 1)
     }
@@ -203,20 +214,26 @@ impl Settings {
         self.infos.get(index).map(|info| &info.value)
     }
 
-    /// Changes a value; the module is told when it runs next. Errors say what is wrong with it.
-    pub(crate) fn set(&mut self, name: &str, value: SettingValue) -> Result<(), String> {
+    /// The place of a setting and the value it would have. Errors say what is wrong with it.
+    pub(crate) fn check(&self, name: &str, value: SettingValue) -> Result<(usize, SettingValue), String> {
         let index = self.position(name).ok_or_else(|| {
             let known: Vec<_> = self.infos.iter().map(|info| info.name.as_str()).collect();
             format!("there is no such setting; there is {}", known.join(", "))
         })?;
-        let value = self.infos[index].check(value)?;
+        if self.infos[index].is_read_only {
+            return Err("it is read-only; give it in the robot file".into());
+        }
+        Ok((index, self.infos[index].check(value)?))
+    }
+
+    /// Changes a value that was checked; the module is told when it runs next.
+    pub(crate) fn put(&mut self, index: usize, value: SettingValue) {
         if self.infos[index].value != value {
             self.infos[index].value = value;
             if !self.changed.contains(&index) {
                 self.changed.push(index);
             }
         }
-        Ok(())
     }
 
     pub(crate) fn has_changes(&self) -> bool {
@@ -232,14 +249,40 @@ impl Settings {
     }
 }
 
+/// Tells who asked for a change how it went, in the log where nobody waits for the answer.
+pub(crate) fn report(
+    module: &str,
+    setting: &str,
+    result: Result<(), String>,
+    receipt: Option<ReceiptSender<Result<(), SettingRefused>>>,
+) {
+    let (module, setting) = (module.to_owned(), setting.to_owned());
+    let result = result.map_err(|reason| SettingRefused::Refused { module, setting, reason });
+    match (receipt, result) {
+        (Some(receipt), result) => receipt.send(result),
+        (None, Err(refused)) => tracing::warn!("setting not changed: {refused}"),
+        (None, Ok(())) => {}
+    }
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
+    fn set(settings: &mut Settings, name: &str, value: SettingValue) -> Result<(), String> {
+        settings.check(name, value).map(|(index, value)| settings.put(index, value))
+    }
+
     fn gain() -> SettingInfo {
         let (name, description) = ("gain".into(), String::new());
-        SettingInfo { name, description, value: SettingValue::Double(1.0), range: Some(0.0..=4.0) }
+        SettingInfo {
+            name,
+            description,
+            value: SettingValue::Double(1.0),
+            range: Some(0.0..=4.0),
+            is_read_only: false,
+        }
     }
 
     #[test]
@@ -253,16 +296,18 @@ mod tests {
     fn each_number_of_a_list_must_lie_in_the_range() {
         let mut settings = Settings::default();
         settings.declare("m", SettingInfo { value: vec![1.0, 2.0].into(), ..gain() }, None).unwrap();
-        assert!(settings.set("gain", vec![3.0, 4.5].into()).unwrap_err().starts_with("4.5 is out of range"));
-        settings.set("gain", vec![3.0, 4.0].into()).unwrap();
+        assert!(
+            set(&mut settings, "gain", vec![3.0, 4.5].into()).unwrap_err().starts_with("4.5 is out of range")
+        );
+        set(&mut settings, "gain", vec![3.0, 4.0].into()).unwrap();
     }
 
     #[test]
     fn a_setting_changed_twice_before_its_module_runs_is_announced_once() {
         let mut settings = Settings::default();
         settings.declare("m", gain(), None).unwrap();
-        settings.set("gain", 2.0.into()).unwrap();
-        settings.set("gain", 3.0.into()).unwrap();
+        set(&mut settings, "gain", 2.0.into()).unwrap();
+        set(&mut settings, "gain", 3.0.into()).unwrap();
         assert_eq!((settings.take_change(), settings.take_change()), (Some(0), None));
     }
 
@@ -271,11 +316,11 @@ mod tests {
         let mut settings = Settings::default();
         settings.declare("m", gain(), None).unwrap();
         for (value, word) in [(SettingValue::Bool(true), "expected double"), (5.0.into(), "out of range")] {
-            let refusal = settings.set("gain", value).unwrap_err();
+            let refusal = set(&mut settings, "gain", value).unwrap_err();
             assert!(refusal.contains(word), "{refusal}");
         }
         assert_eq!(settings.value(0), Some(&SettingValue::Double(1.0)));
         assert!(!settings.has_changes());
-        assert!(settings.set("gian", 1.0.into()).unwrap_err().contains("gain"));
+        assert!(set(&mut settings, "gian", 1.0.into()).unwrap_err().contains("gain"));
     }
 }

@@ -22,6 +22,10 @@ impl Timer {
         self.due = now + self.period;
     }
 
+    pub(crate) fn stop(&mut self) {
+        self.due = Time::MAX;
+    }
+
     pub(crate) fn due(&self) -> Time {
         self.due
     }

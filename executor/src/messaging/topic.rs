@@ -5,9 +5,8 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::batch::Batch;
 use crate::guard::drop_guarded;
-use crate::outbox::{AnyOutbox, Outbox};
+use crate::messaging::{AnyOutbox, Batch, Outbox};
 use crate::{SetupError, Time};
 
 /// What is known of a topic, see [`Core::topics`](crate::Core::topics).
@@ -40,16 +39,9 @@ impl TopicCounter {
 /// Who is given a topic's batches.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Subscriber {
-    /// A callback of a module.
-    Attached { module: usize, subscription: usize },
-    /// A detached module, which gets a batch once for all its callbacks.
-    Detached { module: usize },
-}
-
-/// Where a module is kept.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum ModuleSlot {
+    /// A module that runs inside the cycle, by its slot: it looks at the topic itself.
     Attached(usize),
+    /// A detached module, which gets a batch once for all its callbacks.
     Detached(usize),
 }
 
@@ -95,7 +87,9 @@ impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
             debug_assert!(false, "an outbox reached a topic of another type, or a batch in use");
             return;
         };
-        self.counter.0.fetch_add(outbox.messages.len() as u64, Ordering::Relaxed);
+        // Only this thread writes it: no need to add atomically.
+        let count = self.counter.0.load(Ordering::Relaxed) + outbox.messages.len() as u64;
+        self.counter.0.store(count, Ordering::Relaxed);
         batch.stamp(now);
         batch.take_over(&mut outbox.messages);
     }
@@ -110,12 +104,34 @@ impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
 #[derive(Default)]
 pub(crate) struct Topics {
     topics: Vec<Box<dyn AnyTopic>>,
-    infos: Vec<TopicInfo>,
-    subscribers: Vec<Vec<Subscriber>>,
+    entries: Vec<Entry>,
     by_name: HashMap<Arc<str>, usize>,
     /// Those with messages of the last cycle, in the order in which these came.
     fresh: Vec<usize>,
     is_fresh: Vec<bool>,
+}
+
+struct Entry {
+    info: TopicInfo,
+    subscribers: Vec<Subscriber>,
+    publishers: u32,
+    /// Publications, subscriptions and inlets. A topic that nobody uses is forgotten.
+    users: u32,
+}
+
+/// Stands where a topic was that is forgotten.
+struct Forgotten;
+
+impl AnyTopic for Forgotten {
+    fn retire(&mut self) {}
+
+    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, _now: Time) {
+        outbox.discard();
+    }
+
+    fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32) {
+        (Arc::new(()), 0)
+    }
 }
 
 impl Topics {
@@ -128,7 +144,7 @@ impl Topics {
         let name = canonical_name(name)
             .ok_or_else(|| SetupError::InvalidTopicName { module: module.into(), topic: name.into() })?;
         if let Some(&index) = self.by_name.get(name) {
-            let known = &self.infos[index];
+            let known = &self.entries[index].info;
             if known.message_type_id != TypeId::of::<T>() {
                 return Err(SetupError::TopicType {
                     module: module.into(),
@@ -139,43 +155,91 @@ impl Topics {
             }
             return Ok(index);
         }
-        let (index, name, counter) = (self.topics.len(), Arc::from(name), TopicCounter::default());
-        self.topics.push(Box::new(Topic::<T> { batch: Arc::default(), counter: counter.clone() }));
-        self.infos.push(TopicInfo {
+        let (name, counter) = (Arc::<str>::from(name), TopicCounter::default());
+        let topic = Box::new(Topic::<T> { batch: Arc::default(), counter: counter.clone() });
+        let info = TopicInfo {
             name: Arc::clone(&name),
             message_type: type_name::<T>(),
             message_type_id: TypeId::of::<T>(),
             is_published: false,
             counter,
-        });
-        self.subscribers.push(Vec::new());
-        self.is_fresh.push(false);
+        };
+        let entry = Entry { info, subscribers: Vec::new(), publishers: 0, users: 0 };
+        let index = match self.entries.iter().position(|entry| entry.users == 0) {
+            Some(free) => {
+                self.topics[free] = topic;
+                self.entries[free] = entry;
+                free
+            }
+            None => {
+                self.topics.push(topic);
+                self.entries.push(entry);
+                self.is_fresh.push(false);
+                self.topics.len() - 1
+            }
+        };
         self.by_name.insert(name, index);
         Ok(index)
     }
 
     pub(crate) fn subscribe(&mut self, topic: usize, subscriber: Subscriber) {
-        if !self.subscribers[topic].contains(&subscriber) {
-            self.subscribers[topic].push(subscriber);
+        let subscribers = &mut self.entries[topic].subscribers;
+        if !subscribers.contains(&subscriber) {
+            subscribers.push(subscriber);
         }
     }
 
-    pub(crate) fn mark_published(&mut self, topic: usize) {
-        self.infos[topic].is_published = true;
+    pub(crate) fn unsubscribe(&mut self, topic: usize, subscriber: Subscriber) {
+        self.entries[topic].subscribers.retain(|known| *known != subscriber);
     }
 
-    pub(crate) fn infos(&self) -> &[TopicInfo] {
-        &self.infos
+    pub(crate) fn add_user(&mut self, topic: usize) {
+        self.entries[topic].users += 1;
+    }
+
+    pub(crate) fn add_publisher(&mut self, topic: usize) {
+        let entry = &mut self.entries[topic];
+        entry.users += 1;
+        entry.publishers += 1;
+        entry.info.is_published = true;
+    }
+
+    pub(crate) fn release_publisher(&mut self, topic: usize) {
+        let entry = &mut self.entries[topic];
+        entry.publishers -= 1;
+        entry.info.is_published = entry.publishers > 0;
+        self.release(topic);
+    }
+
+    /// Ends one use of the topic. What one that nobody uses holds is dropped.
+    pub(crate) fn release(&mut self, topic: usize) {
+        let entry = &mut self.entries[topic];
+        entry.users -= 1;
+        if entry.users == 0 {
+            self.by_name.remove(&entry.info.name);
+            let forgotten = std::mem::replace(&mut self.topics[topic], Box::new(Forgotten));
+            drop_guarded("a message", || drop(forgotten));
+        }
+    }
+
+    pub(crate) fn infos(&self) -> impl Iterator<Item = &TopicInfo> {
+        self.entries.iter().filter(|entry| entry.users > 0).map(|entry| &entry.info)
     }
 
     pub(crate) fn name(&self, topic: usize) -> &Arc<str> {
-        &self.infos[topic].name
+        &self.entries[topic].info.name
     }
 
-    pub(crate) fn has_subscribers(&self, topic: usize) -> bool {
-        !self.subscribers[topic].is_empty()
+    pub(crate) fn subscribers(&self, topic: usize) -> &[Subscriber] {
+        &self.entries[topic].subscribers
     }
 
+    #[inline]
+    pub(crate) fn is_fresh(&self, topic: usize) -> bool {
+        self.is_fresh[topic]
+    }
+
+    #[inline]
     pub(crate) fn get<T: Send + Sync + 'static>(&self, topic: usize) -> Option<&Topic<T>> {
         (&*self.topics[topic] as &dyn Any).downcast_ref()
     }
@@ -201,14 +265,14 @@ impl Topics {
         }
     }
 
-    /// The topics that carry messages after the last sync phase, with their subscribers.
-    pub(crate) fn fresh(&self) -> impl Iterator<Item = (usize, &[Subscriber])> {
-        self.fresh.iter().map(|&topic| (topic, self.subscribers[topic].as_slice()))
+    /// The topics that carry messages after the last sync phase, in the order in which these came.
+    pub(crate) fn fresh(&self) -> &[usize] {
+        &self.fresh
     }
 }
 
 /// The name without a leading slash, or nothing if it is not a valid topic name.
-fn canonical_name(name: &str) -> Option<&str> {
+pub(crate) fn canonical_name(name: &str) -> Option<&str> {
     let name = name.strip_prefix('/').unwrap_or(name);
     let is_valid = |part: &str| {
         !part.is_empty()
@@ -232,9 +296,24 @@ mod tests {
     }
 
     #[test]
+    fn a_topic_that_nobody_uses_is_forgotten_and_its_place_used_again() {
+        let mut topics = Topics::default();
+        let speed = topics.open::<u8>("speed", "first").unwrap();
+        topics.add_publisher(speed);
+        topics.add_user(speed);
+        topics.release_publisher(speed);
+        assert_eq!(topics.infos().map(|info| info.is_published).collect::<Vec<_>>(), [false]);
+        topics.release(speed);
+        assert_eq!(topics.infos().count(), 0);
+        let other = topics.open::<f32>("speed", "second").unwrap();
+        assert_eq!(other, speed);
+    }
+
+    #[test]
     fn one_topic_cannot_have_two_types() {
         let mut topics = Topics::default();
         let index = topics.open::<u8>("speed", "first").unwrap();
+        topics.add_user(index);
         assert_eq!(topics.open::<u8>("/speed", "second").unwrap(), index);
         let error = topics.open::<f32>("speed", "third").unwrap_err().to_string();
         assert!(error.contains("third") && error.contains("speed") && error.contains("u8"), "{error}");

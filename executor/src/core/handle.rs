@@ -1,0 +1,189 @@
+//! What other threads can ask of a running core.
+
+use std::sync::Arc;
+
+use crate::core::world::Pause;
+use crate::core::{ModuleInfo, World};
+use crate::join::{JoinQueue, Request};
+use crate::management::{Candidate, Command, Source};
+use crate::receipt::{Receipt, ReceiptSender, receipt};
+use crate::{
+    LifecycleState, Module, ModuleOptions, SettingInfo, SettingRefused, SettingValue, SetupError, Stage,
+    Transition, TransitionRefused, UnknownModule,
+};
+
+/// Asks a running core for something from any thread; from [`Core::handle`](crate::Core::handle).
+///
+/// What it asks for takes effect in the next sync phase. The receipt tells how it went; it may be dropped, and what
+/// was refused is then not told.
+#[derive(Clone)]
+pub struct CoreHandle {
+    pub(crate) queue: Arc<JoinQueue>,
+}
+
+impl CoreHandle {
+    /// Asks the core to stop after the current cycle. Safe to call from a signal-handling thread, and more
+    /// than once.
+    pub fn stop(&self) {
+        self.queue.request_stop();
+    }
+
+    /// True if the core has been asked to stop.
+    #[must_use]
+    pub fn stop_is_requested(&self) -> bool {
+        self.queue.stop_is_requested()
+    }
+
+    /// Holds the whole core, detached modules too: no cycle runs until it is resumed. Time goes on, and timers
+    /// skip what they miss. Only [`Core::run`](crate::Core::run) heeds it.
+    pub fn pause(&self) {
+        self.look(|_, world| {
+            world.pause = Pause::Paused { steps: 0 };
+            world.detached.iter().flatten().for_each(|module| module.hold(true));
+        });
+    }
+
+    /// Lets a core go on that was paused.
+    pub fn resume(&self) {
+        self.look(|_, world| {
+            world.pause = Pause::Running;
+            world.detached.iter().flatten().for_each(|module| module.hold(false));
+        });
+    }
+
+    /// Has a paused core run one cycle; detached modules stay where they are.
+    pub fn step(&self) {
+        self.look(|_, world| {
+            if let Pause::Paused { steps } = &mut world.pause {
+                *steps += 1;
+            }
+        });
+    }
+
+    /// True if the core is paused.
+    #[must_use = "the answer is in the receipt"]
+    pub fn is_paused(&self) -> Receipt<bool> {
+        self.ask(|_, world| world.pause != Pause::Running)
+    }
+
+    /// Adds a module, which runs for the first time in the next cycle.
+    pub fn add<M: Module>(
+        &self,
+        name: &str,
+        module: M,
+        options: ModuleOptions,
+    ) -> Receipt<Result<(), SetupError>> {
+        self.add_from(name, Source::once(module), options)
+    }
+
+    /// Adds a module that can be made again after a panic, see [`Restart`](crate::Restart).
+    pub fn add_restartable<M: Module>(
+        &self,
+        name: &str,
+        make: impl FnMut() -> M + Send + 'static,
+        options: ModuleOptions,
+    ) -> Receipt<Result<(), SetupError>> {
+        self.add_from(name, Source::factory(make), options)
+    }
+
+    /// Removes a module: its last callback runs, and everything it held is freed.
+    pub fn remove(&self, module: &str) -> Receipt<Result<(), UnknownModule>> {
+        let module = module.to_owned();
+        self.command(|receipt| Command::Remove { module, receipt })
+    }
+
+    /// Holds a module: no callback of it runs until it is resumed. Messages pass it by, requests wait.
+    pub fn pause_module(&self, module: &str) -> Receipt<Result<(), UnknownModule>> {
+        let module = module.to_owned();
+        self.command(|receipt| Command::Pause { module, receipt })
+    }
+
+    /// Lets a module go on that was paused.
+    pub fn resume_module(&self, module: &str) -> Receipt<Result<(), UnknownModule>> {
+        let module = module.to_owned();
+        self.command(|receipt| Command::Resume { module, receipt })
+    }
+
+    /// Has a module run once, on what the next cycle has for it, and holds it then.
+    pub fn step_module(&self, module: &str) -> Receipt<Result<(), UnknownModule>> {
+        let module = module.to_owned();
+        self.command(|receipt| Command::Step { module, receipt })
+    }
+
+    /// Has a module make a transition. The answer comes when it has been made, or refused.
+    pub fn transition(
+        &self,
+        module: &str,
+        transition: Transition,
+    ) -> Receipt<Result<LifecycleState, TransitionRefused>> {
+        let module = module.to_owned();
+        self.command(|receipt| Command::Transition { module, transition, receipt })
+    }
+
+    /// Changes a setting of a module.
+    pub fn set(
+        &self,
+        module: &str,
+        setting: &str,
+        value: impl Into<SettingValue>,
+    ) -> Receipt<Result<(), SettingRefused>> {
+        let (module, setting, value) = (module.to_owned(), setting.to_owned(), value.into());
+        self.command(|receipt| Command::Set { module, setting, value, receipt })
+    }
+
+    /// Gives `to` the values of the settings of `from`, see
+    /// [`Context::transfer_settings`](crate::Context::transfer_settings).
+    pub fn transfer_settings(&self, from: &str, to: &str) -> Receipt<Result<(), SettingRefused>> {
+        let (from, to) = (from.to_owned(), to.to_owned());
+        self.command(|receipt| Command::Transfer { from, to, receipt })
+    }
+
+    /// The settings of a module with their values; nothing if there is no such module.
+    #[must_use = "the answer is in the receipt"]
+    pub fn settings(&self, module: &str) -> Receipt<Option<Vec<SettingInfo>>> {
+        let module = module.to_owned();
+        self.ask(move |stage, world| {
+            let id = world.members.find(&module)?.id;
+            Some(world.settings(stage, id))
+        })
+    }
+
+    /// What is known of the modules, in the order of registration.
+    #[must_use = "the answer is in the receipt"]
+    pub fn modules(&self) -> Receipt<Vec<ModuleInfo>> {
+        self.ask(|stage, world| world.modules(stage))
+    }
+
+    fn add_from(
+        &self,
+        name: &str,
+        source: Source,
+        options: ModuleOptions,
+    ) -> Receipt<Result<(), SetupError>> {
+        let candidate = Box::new(Candidate { name: name.to_owned(), source, options });
+        self.command(|receipt| Command::Add { candidate, receipt })
+    }
+
+    fn command<T>(&self, command: impl FnOnce(Option<ReceiptSender<T>>) -> Command) -> Receipt<T> {
+        let (sender, receipt) = receipt();
+        if !self.queue.is_closed() {
+            self.queue.push(Request::Command(command(Some(sender))));
+        }
+        receipt
+    }
+
+    fn ask<T: Send + 'static>(
+        &self,
+        look: impl FnOnce(&mut Stage, &mut World) -> T + Send + 'static,
+    ) -> Receipt<T> {
+        let (sender, receipt) = receipt();
+        self.look(move |stage, world| sender.send(look(stage, world)));
+        receipt
+    }
+
+    fn look(&self, look: impl FnOnce(&mut Stage, &mut World) + Send + 'static) {
+        if !self.queue.is_closed() {
+            self.queue.push(Request::Command(Command::Look(Box::new(look))));
+        }
+    }
+}

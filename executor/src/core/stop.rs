@@ -1,0 +1,91 @@
+//! The end of a core.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use super::{Core, Place, exclusive};
+use crate::agenda::Ready;
+use crate::guard::reason;
+use crate::{Role, Time};
+
+impl Core {
+    /// Runs the modules' last callbacks: parts in the reverse order of registration, then observers in the
+    /// order of registration. What each publishes last is delivered before the next one stops; what had come
+    /// before is delivered before the first one does.
+    ///
+    /// It waits for detached modules that are in a callback, and logs which. A stopped core does not start
+    /// again.
+    pub fn stop(&mut self) {
+        if !self.world.is_running || self.world.has_stopped {
+            self.world.has_stopped = true;
+            self.world.queue.close();
+            return;
+        }
+        // Nobody would take what came from now on.
+        self.world.queue.close();
+        self.world.queue.request_stop();
+        self.settle();
+        let parts = self.world.members.iter().rev().filter(|member| member.role() == Role::Part);
+        let observers = self.world.members.iter().filter(|member| member.role() == Role::Observer);
+        let order: Vec<_> = parts.chain(observers).map(|member| member.id).collect();
+        for id in order {
+            match id.place {
+                Place::Attached(slot) => self.shut_down(Ready { order: id.order, slot }),
+                Place::Detached(slot) => {
+                    if let Some(module) = &mut self.world.detached[slot] {
+                        module.stop();
+                    }
+                }
+            }
+            self.settle();
+        }
+        self.world.has_stopped = true;
+        self.world.is_running = false;
+        // Those who wait for an answer from outside are told that there will be none.
+        self.sync(self.world.clock.now());
+    }
+
+    fn shut_down(&mut self, ready: Ready) {
+        let now = self.world.clock.now();
+        if let (Some(cell), shared) = exclusive(&mut self.stage).cell_and_shared(ready.slot) {
+            cell.shutdown(Some(shared), now);
+            if let Some(panic) = cell.take_panic() {
+                tracing::error!(module = &**cell.name(), "panicked in its shutdown: {panic}");
+            }
+        }
+        self.sync_with(ready, now);
+    }
+
+    /// One cycle takes the last messages over, the next delivers them.
+    fn settle(&mut self) {
+        for _ in 0..2 {
+            let now = self.world.clock.now();
+            self.process_and_sync(now);
+        }
+    }
+
+    /// A sync phase in which a module has asked for something outside of the process phase.
+    fn sync_with(&mut self, ready: Ready, now: Time) {
+        let stage = exclusive(&mut self.stage);
+        stage.begin(now);
+        stage.runnable.clear();
+        stage.note_asked(ready);
+        self.sync(now);
+    }
+}
+
+impl Drop for Core {
+    /// Stops a core that still runs.
+    fn drop(&mut self) {
+        if self.world.is_running
+            && let Err(panic) = catch_unwind(AssertUnwindSafe(|| self.stop()))
+        {
+            tracing::error!("panicked while it was stopped: {}", reason(&*panic));
+        }
+        if let Some(stage) = std::sync::Arc::get_mut(&mut self.stage) {
+            // Guarded, unlike the drop of the topics themselves.
+            stage.shared.topics.retire();
+        }
+        self.world.queue.close();
+        self.world.queue.request_stop();
+    }
+}

@@ -1,0 +1,208 @@
+//! What the core keeps beside the stage: what launchers never see.
+
+use std::sync::Arc;
+
+use crate::agenda::{Agenda, Ready};
+use crate::detached::{DetachedModule, StepOutcome};
+use crate::inlet::AnyInlet;
+use crate::job::{Work, Workers};
+use crate::join::{JoinQueue, Request};
+use crate::management::{Command, Member, Members, Place};
+use crate::probe::Probe;
+use crate::service::{AnyCall, AnyClient, AnyReply, ReplyTo, ServiceRegistry};
+use crate::{Clock, LifecycleState, ModuleId, Role, SettingInfo, Stage, Time};
+
+/// The threads for blocking jobs.
+const JOB_THREADS: std::num::NonZeroUsize = std::num::NonZeroUsize::new(4).unwrap();
+
+pub(crate) struct World {
+    pub(crate) clock: Arc<dyn Clock>,
+    pub(crate) queue: Arc<JoinQueue>,
+    pub(crate) probe: Option<Arc<dyn Probe>>,
+    pub(crate) members: Members,
+    pub(crate) agenda: Agenda,
+    pub(crate) services: ServiceRegistry,
+    pub(crate) inlets: Vec<Box<dyn AnyInlet>>,
+    /// By slot.
+    pub(crate) detached: Vec<Option<DetachedModule>>,
+    pub(crate) workers: Workers,
+    pub(crate) joined: Joined,
+    /// The modules that asked for something in this cycle, in the order of registration.
+    pub(crate) asked: Vec<Ready>,
+    /// Modules whose last callback has run, by their place in the order of registration.
+    pub(crate) leaving: Vec<u64>,
+    /// When modules are started again after a panic, by their place in the order of registration.
+    pub(crate) restarts: Vec<(Time, u64)>,
+    /// When a mechanism has to do something next that no module waits for.
+    pub(crate) calls_due: Time,
+    /// Slots of the stage that were freed since the launcher was told.
+    pub(crate) freed_slots: Vec<usize>,
+    pub(crate) steps_topic: Option<usize>,
+    pub(crate) cycle: u64,
+    pub(crate) is_running: bool,
+    pub(crate) has_stopped: bool,
+    pub(crate) pause: Pause,
+}
+
+/// What is known of a module, see [`Core::modules`](crate::Core::modules).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ModuleInfo {
+    /// The name under which it was added.
+    pub name: Arc<str>,
+    /// Where it is in its life.
+    pub state: LifecycleState,
+    /// What it is for.
+    pub role: Role,
+    /// True if it runs on a thread of its own.
+    pub is_detached: bool,
+    /// True if it is paused.
+    pub is_paused: bool,
+    /// How often it was started again after a panic.
+    pub restarts: u32,
+}
+
+/// What came from other threads since the last sync phase.
+#[derive(Default)]
+pub(crate) struct Joined {
+    pub(crate) commands: Vec<Command>,
+    /// Those of the commands that are about settings.
+    pub(crate) settings: Vec<Command>,
+    pub(crate) steps: Vec<StepOutcome>,
+    pub(crate) calls: Vec<Box<dyn AnyCall>>,
+    pub(crate) results: Vec<JobResult>,
+    /// Calls of detached modules, by client port.
+    pub(crate) calls_of_detached: Vec<(ModuleId, u32, Box<dyn AnyClient>)>,
+    pub(crate) answers_of_detached: Vec<(ReplyTo, Box<dyn AnyReply>)>,
+    pub(crate) work: Vec<Work>,
+}
+
+pub(crate) struct JobResult {
+    pub(crate) module: ModuleId,
+    pub(crate) port: u32,
+    pub(crate) result: Box<dyn std::any::Any + Send>,
+}
+
+/// Whether the whole core is held.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Pause {
+    #[default]
+    Running,
+    /// Runs so many more cycles.
+    Paused { steps: u32 },
+}
+
+impl World {
+    pub(crate) fn new(clock: Arc<dyn Clock>, queue: Arc<JoinQueue>) -> Self {
+        Self {
+            clock,
+            queue,
+            probe: None,
+            members: Members::default(),
+            agenda: Agenda::default(),
+            services: ServiceRegistry::default(),
+            inlets: Vec::new(),
+            detached: Vec::new(),
+            workers: Workers::new(JOB_THREADS),
+            joined: Joined::default(),
+            asked: Vec::new(),
+            leaving: Vec::new(),
+            restarts: Vec::new(),
+            calls_due: Time::MAX,
+            freed_slots: Vec::new(),
+            steps_topic: None,
+            cycle: 0,
+            is_running: false,
+            has_stopped: false,
+            pause: Pause::default(),
+        }
+    }
+
+    pub(crate) fn free_detached_slot(&mut self) -> usize {
+        self.detached.iter().position(Option::is_none).unwrap_or_else(|| {
+            self.detached.push(None);
+            self.detached.len() - 1
+        })
+    }
+
+    /// Sorts what other threads asked for. What comes while this runs waits for the next cycle, so that a busy
+    /// thread cannot hold this one.
+    pub(crate) fn join(&mut self) {
+        if self.queue.is_empty() {
+            return;
+        }
+        for _ in 0..self.queue.len() {
+            match self.queue.pop() {
+                Some(Request::Command(command)) => self.joined.commands.push(command),
+                Some(Request::Step(outcome)) => self.joined.add_step(outcome),
+                Some(Request::Call(call)) => self.joined.calls.push(call),
+                Some(Request::Job { module, port, result }) => {
+                    self.joined.results.push(JobResult { module, port, result });
+                }
+                None => break,
+            }
+        }
+    }
+
+    /// Has the mechanisms look at what a module asked for outside of the process phase.
+    pub(crate) fn note_asked(&mut self, ready: Ready) {
+        if let Err(position) = self.asked.binary_search(&ready) {
+            self.asked.insert(position, ready);
+        }
+    }
+
+    /// The settings of a module, those of a detached one with the values after its last run.
+    pub(crate) fn settings(&self, stage: &Stage, module: ModuleId) -> Vec<SettingInfo> {
+        let settings = match module.place {
+            Place::Attached(slot) => stage.look(slot, |cell| cell.settings().to_vec()),
+            Place::Detached(slot) => self.detached[slot].as_ref().map(|module| module.settings().to_vec()),
+        };
+        settings.unwrap_or_default()
+    }
+
+    /// What is known of the modules, in the order of registration.
+    pub(crate) fn modules(&self, stage: &Stage) -> Vec<ModuleInfo> {
+        let describe = |member: &Member| {
+            let (state, is_paused) = match member.id.place {
+                Place::Attached(slot) => stage.look(slot, |cell| (cell.state(), cell.is_paused()))?,
+                Place::Detached(slot) => {
+                    self.detached[slot].as_ref().map(|module| (module.state, module.is_paused))?
+                }
+            };
+            let is_detached = matches!(member.id.place, Place::Detached(_));
+            let (name, role, restarts) = (Arc::clone(&member.name), member.role(), member.restarts);
+            Some(ModuleInfo { name, state, role, is_detached, is_paused, restarts })
+        };
+        self.members.iter().filter_map(describe).collect()
+    }
+
+    /// True if the next cycle has something to do whatever the time is.
+    pub(crate) fn has_work(&self) -> bool {
+        self.agenda.has_ready() || !self.queue.is_empty() || self.joined.has_work()
+    }
+
+    /// The earliest time for which somebody asked.
+    pub(crate) fn earliest_due(&mut self) -> Time {
+        let restarts = self.restarts.iter().map(|&(due, _)| due);
+        let due = restarts.fold(self.calls_due, Time::min);
+        due.min(self.agenda.earliest_due())
+    }
+}
+
+impl Joined {
+    fn add_step(&mut self, mut step: StepOutcome) {
+        let module = step.module;
+        self.commands.append(&mut step.commands);
+        self.work.append(&mut step.work);
+        self.calls_of_detached.extend(step.calls.drain(..).map(|(port, calls)| (module, port, calls)));
+        self.answers_of_detached.append(&mut step.answers);
+        self.steps.push(step);
+    }
+
+    fn has_work(&self) -> bool {
+        !(self.commands.is_empty()
+            && self.settings.is_empty()
+            && self.steps.is_empty()
+            && self.calls.is_empty()
+            && self.results.is_empty())
+    }
+}

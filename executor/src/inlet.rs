@@ -1,0 +1,119 @@
+//! Messages from threads outside the executor.
+
+use std::num::NonZeroUsize;
+use std::sync::Arc;
+
+use crate::Time;
+use crate::guard::drop_guarded;
+use crate::join::JoinQueue;
+use crate::messaging::{Outbox, Topics};
+use crate::queue::{Locked, Overflow, Pushed, Queue};
+
+/// Why an [`Inlet`] did not take a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum InletError {
+    /// The core has not yet taken what was published before.
+    #[error("the inlet is full: {0} messages wait for the core")]
+    Full(usize),
+    /// The core has stopped, or is gone.
+    #[error("the core has stopped")]
+    Stopped,
+}
+
+/// Publishes on a topic from threads outside the executor; from [`Core::inlet`](crate::Core::inlet) or
+/// [`Core::inlet_with`](crate::Core::inlet_with).
+///
+/// A message joins at the next sync phase: inlets in the order in which they were made, each in the order of its
+/// queue.
+pub struct Inlet<T> {
+    messages: Arc<dyn Queue<T>>,
+    queue: Arc<JoinQueue>,
+}
+
+impl<T> Clone for Inlet<T> {
+    fn clone(&self) -> Self {
+        Self { messages: Arc::clone(&self.messages), queue: Arc::clone(&self.queue) }
+    }
+}
+
+impl<T: Send + 'static> Inlet<T> {
+    /// How many messages may wait for the core, where no other queue was asked for.
+    pub const CAPACITY: usize = 65_536;
+
+    pub(crate) fn new(messages: Arc<dyn Queue<T>>, queue: Arc<JoinQueue>) -> Self {
+        Self { messages, queue }
+    }
+
+    /// Hands a message to the core. Never waits.
+    ///
+    /// # Errors
+    /// If too many messages wait already and the queue refuses more, or the core has stopped; the message is dropped.
+    pub fn publish(&self, message: T) -> Result<(), InletError> {
+        if self.queue.is_closed() {
+            return Err(InletError::Stopped);
+        }
+        if let Pushed::Refused(_) = self.messages.push(message) {
+            return Err(InletError::Full(self.messages.len()));
+        }
+        self.queue.announce_inlet();
+        // The core may have taken its last look between the two.
+        if self.queue.is_closed() { Err(InletError::Stopped) } else { Ok(()) }
+    }
+
+    /// How many messages the queue has dropped so far because it was full; see [`Overflow`].
+    #[must_use]
+    pub fn dropped(&self) -> u64 {
+        self.messages.dropped()
+    }
+}
+
+/// The queue of inlets that were not given one.
+pub(crate) fn default_queue<T: Send + 'static>() -> Locked<T> {
+    Locked::bounded(NonZeroUsize::MIN.saturating_add(Inlet::<T>::CAPACITY - 1), Overflow::Refuse)
+}
+
+/// The core's side of an [`Inlet`].
+pub(crate) struct InletPort<T> {
+    messages: Arc<dyn Queue<T>>,
+    outbox: Outbox<T>,
+}
+
+impl<T> InletPort<T> {
+    pub(crate) fn new(messages: Arc<dyn Queue<T>>, topic: usize) -> Self {
+        Self { messages, outbox: Outbox { topic, messages: Vec::new() } }
+    }
+}
+
+/// An [`InletPort`] whose type only the topic knows.
+pub(crate) trait AnyInlet: Send {
+    fn topic(&self) -> usize;
+    /// Moves what waits now to the topic. What comes while this runs waits for the next cycle, so that a busy thread
+    /// cannot hold this one.
+    fn drain(&mut self, topics: &mut Topics, now: Time);
+    /// True if all inlets are gone, and with them whoever could publish.
+    fn is_orphaned(&self) -> bool;
+}
+
+impl<T: Send + Sync + 'static> AnyInlet for InletPort<T> {
+    fn topic(&self) -> usize {
+        self.outbox.topic
+    }
+
+    fn drain(&mut self, topics: &mut Topics, now: Time) {
+        let waiting = self.messages.len();
+        self.outbox.messages.extend(std::iter::from_fn(|| self.messages.pop()).take(waiting));
+        if !self.outbox.messages.is_empty() {
+            topics.absorb(&mut self.outbox, now);
+        }
+    }
+
+    fn is_orphaned(&self) -> bool {
+        Arc::strong_count(&self.messages) == 1 && self.messages.is_empty()
+    }
+}
+
+impl<T> Drop for InletPort<T> {
+    fn drop(&mut self) {
+        drop_guarded("a message", || self.outbox.messages.clear());
+    }
+}

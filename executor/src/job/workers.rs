@@ -1,0 +1,115 @@
+//! The threads on which jobs run.
+
+use std::num::NonZeroUsize;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::Poll;
+
+use async_executor::Executor;
+use crossbeam::channel::{Receiver, Sender, unbounded};
+use futures_lite::{FutureExt, future};
+
+use crate::guard::reason;
+use crate::job::Work;
+
+/// Threads for blocking work and one for async work, started when the first job is.
+///
+/// They are not waited for at the end: a job may block for ever. Dropping the workers ends each thread with its
+/// current job.
+pub(crate) struct Workers {
+    limit: usize,
+    threads: usize,
+    work: Sender<Box<dyn FnOnce() + Send>>,
+    waiting: Receiver<Box<dyn FnOnce() + Send>>,
+    tasks: Option<AsyncThread>,
+}
+
+/// The thread of async work; it ends when this is dropped.
+struct AsyncThread {
+    executor: Arc<Executor<'static>>,
+    is_over: Arc<AtomicBool>,
+}
+
+impl AsyncThread {
+    fn start() -> std::io::Result<Self> {
+        let (executor, is_over) = (Arc::new(Executor::new()), Arc::new(AtomicBool::new(false)));
+        let (runs, ends) = (Arc::clone(&executor), Arc::clone(&is_over));
+        std::thread::Builder::new().name("job-async".into()).spawn(move || {
+            let over = future::poll_fn(|_| match ends.load(Ordering::SeqCst) {
+                true => Poll::Ready(()),
+                false => Poll::Pending,
+            });
+            future::block_on(runs.run(over));
+        })?;
+        Ok(Self { executor, is_over })
+    }
+}
+
+impl Drop for AsyncThread {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::SeqCst);
+        // Wakes the thread, which then sees that it is over.
+        self.executor.spawn(async {}).detach();
+    }
+}
+
+impl Workers {
+    pub(crate) fn new(limit: NonZeroUsize) -> Self {
+        let (work, waiting) = unbounded();
+        Self { limit: limit.get(), threads: 0, work, waiting, tasks: None }
+    }
+
+    /// Starts the work on another thread. Where the system gives none, the work is dropped, and the module that
+    /// waits for it is told by that.
+    pub(crate) fn start(&mut self, work: Work) {
+        let started = match work {
+            Work::Blocking(work) => self.start_blocking(work),
+            Work::Async(task) => self.executor().map(|executor| executor.spawn(unpanicking(task)).detach()),
+        };
+        if let Err(error) = started {
+            tracing::error!("cannot start a thread for a job: {error}");
+        }
+    }
+
+    /// Runs the work on this thread, to its end.
+    pub(crate) fn run(work: Work) {
+        match work {
+            Work::Blocking(work) => guarded(work),
+            Work::Async(task) => future::block_on(unpanicking(task)),
+        }
+    }
+
+    fn start_blocking(&mut self, work: Box<dyn FnOnce() + Send>) -> std::io::Result<()> {
+        if self.threads < self.limit {
+            let waiting = self.waiting.clone();
+            let name = format!("job-{}", self.threads);
+            std::thread::Builder::new().name(name).spawn(move || waiting.iter().for_each(guarded))?;
+            self.threads += 1;
+        }
+        // Cannot fail: the receiver lives as long as this.
+        let _ = self.work.send(work);
+        Ok(())
+    }
+
+    fn executor(&mut self) -> std::io::Result<&Executor<'static>> {
+        let thread = match &mut self.tasks {
+            Some(thread) => thread,
+            none => none.insert(AsyncThread::start()?),
+        };
+        Ok(&thread.executor)
+    }
+}
+
+fn guarded(work: impl FnOnce()) {
+    if let Err(panic) = catch_unwind(AssertUnwindSafe(work)) {
+        tracing::error!("a job panicked: {}", reason(&*panic));
+    }
+}
+
+/// A panic in one task must not end the thread of all.
+async fn unpanicking(task: impl Future<Output = ()>) {
+    if let Err(panic) = AssertUnwindSafe(task).catch_unwind().await {
+        tracing::error!("a job panicked: {}", reason(&*panic));
+    }
+}

@@ -1,0 +1,114 @@
+//! The mechanism "messaging": makes the messages of a cycle the batches of the next one.
+
+use std::sync::Arc;
+
+use crate::cell::Delivery;
+use crate::context::Asked;
+use crate::core::SyncPhase;
+use crate::detached::StepOutcome;
+use crate::join::{DetachedStep, StepInput};
+use crate::mechanism::{Mechanism, Version};
+use crate::messaging::{Outbox, Subscriber};
+use crate::{Role, Time};
+
+/// Messages from outside the cycle come first: those of inlets in the order in which the inlets were made, those of
+/// detached modules in the order in which these ran; then those of the modules, in the order of registration.
+pub(crate) struct Messaging;
+
+impl Mechanism for Messaging {
+    type View = ();
+    type Request = ();
+
+    const NAME: &'static str = "messaging";
+    const VERSION: Version = Version::new(1, 0);
+
+    fn view(&self) {}
+
+    fn sync(&mut self, phase: &mut SyncPhase<'_>) {
+        phase.stage.shared.topics.retire();
+        take_inlets(phase);
+        for step in std::mem::take(&mut phase.world.joined.steps) {
+            join_step(phase, step);
+        }
+        take_outboxes(phase);
+        distribute(phase);
+    }
+}
+
+fn take_inlets(phase: &mut SyncPhase<'_>) {
+    if !phase.world.queue.take_inlet_announcement() {
+        return;
+    }
+    let (topics, now) = (&mut phase.stage.shared.topics, phase.now);
+    for inlet in &mut phase.world.inlets {
+        inlet.drain(topics, now);
+    }
+    phase.world.inlets.retain(|inlet| {
+        let is_orphaned = inlet.is_orphaned();
+        if is_orphaned {
+            topics.release_publisher(inlet.topic());
+        }
+        !is_orphaned
+    });
+}
+
+fn take_outboxes(phase: &mut SyncPhase<'_>) {
+    let SyncPhase { stage, world, now } = phase;
+    for ready in &world.asked {
+        let (Some(cell), shared) = stage.cell_and_shared(ready.slot) else { continue };
+        if cell.io.asked.has(Asked::MESSAGES) {
+            cell.io.outboxes.drain(|outbox| shared.topics.absorb(outbox, *now));
+        }
+    }
+}
+
+fn distribute(phase: &mut SyncPhase<'_>) {
+    let SyncPhase { stage, world, .. } = phase;
+    let topics = &stage.shared.topics;
+    for &topic in topics.fresh() {
+        for subscriber in topics.subscribers(topic) {
+            match *subscriber {
+                Subscriber::Attached(slot) => world.agenda.wake(slot),
+                Subscriber::Detached(slot) => {
+                    if let Some(module) = &world.detached[slot] {
+                        let (batch, messages) = topics.share(topic);
+                        module.deliver(Delivery { topic, batch, messages });
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn join_step(phase: &mut SyncPhase<'_>, outcome: StepOutcome) {
+    let Some(member) = phase.world.members.get(outcome.module.order) else { return };
+    let (role, module) = (member.role(), Arc::clone(&member.name));
+    let topics = &mut phase.stage.shared.topics;
+    let (now, cycle) = (phase.now, phase.world.cycle);
+    for mut outbox in outcome.outboxes {
+        topics.absorb(&mut *outbox, now);
+    }
+    // An observer's steps are no input of the robot; and one that records steps would cause its next.
+    let has_subscribers = |topic: &usize| !topics.subscribers(*topic).is_empty();
+    let Some(topic) = phase.world.steps_topic.filter(has_subscribers).filter(|_| role == Role::Part) else {
+        return;
+    };
+    let inputs = outcome.inputs.iter().map(|input| StepInput {
+        topic: Arc::clone(topics.name(input.topic)),
+        skipped: input.skipped,
+        received: input.received,
+    });
+    let step = DetachedStep {
+        time: outcome.time,
+        module,
+        step: outcome.step,
+        cycle,
+        is_stop: outcome.is_stop,
+        inputs: inputs.collect(),
+    };
+    absorb_step(topics, topic, step, now);
+}
+
+fn absorb_step(topics: &mut super::Topics, topic: usize, step: DetachedStep, now: Time) {
+    topics.absorb(&mut Outbox { topic, messages: vec![step] }, now);
+}

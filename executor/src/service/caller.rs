@@ -1,0 +1,165 @@
+//! Calls from threads outside the executor.
+
+use std::any::Any;
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::Time;
+use crate::join::{JoinQueue, Request};
+use crate::service::{AnyReply, CallError, Incoming, Reply, ReplyTo};
+
+/// Calls a service from a thread outside the executor; from [`Core::caller`](crate::Core::caller).
+///
+/// A call joins at the next sync phase, behind those that came before it.
+pub struct Caller<Q, R> {
+    service: usize,
+    name: Arc<str>,
+    queue: Arc<JoinQueue>,
+    types: std::marker::PhantomData<fn(Q) -> R>,
+}
+
+impl<Q, R> Clone for Caller<Q, R> {
+    fn clone(&self) -> Self {
+        let (queue, name) = (Arc::clone(&self.queue), Arc::clone(&self.name));
+        Self { service: self.service, name, queue, types: self.types }
+    }
+}
+
+impl<Q: Send + 'static, R: Send + 'static> Caller<Q, R> {
+    pub(crate) fn new(service: usize, name: Arc<str>, queue: Arc<JoinQueue>) -> Self {
+        Self { service, name, queue, types: std::marker::PhantomData }
+    }
+
+    /// Asks for an answer. `on_reply` is called once, on the thread of the core, and must not block; never waits
+    /// itself.
+    ///
+    /// # Errors
+    /// If the core has stopped; `on_reply` is then not called.
+    pub fn call(
+        &self,
+        request: Q,
+        timeout: Duration,
+        on_reply: impl FnOnce(Result<R, CallError>) + Send + 'static,
+    ) -> Result<(), CallError> {
+        if self.queue.is_closed() {
+            return Err(CallError::Stopped { service: Arc::clone(&self.name) });
+        }
+        let (service, name) = (self.service, Arc::clone(&self.name));
+        let on_reply: OnReply<R> = Box::new(on_reply);
+        let call = ExternalCall { service, name, timeout, request: Some(request), on_reply: Some(on_reply) };
+        self.queue.push(Request::Call(Box::new(call)));
+        Ok(())
+    }
+}
+
+type OnReply<R> = Box<dyn FnOnce(Result<R, CallError>) + Send>;
+
+struct ExternalCall<Q, R> {
+    service: usize,
+    name: Arc<str>,
+    timeout: Duration,
+    request: Option<Q>,
+    on_reply: Option<OnReply<R>>,
+}
+
+/// A call of a [`Caller`] whose types only the service knows.
+pub(crate) trait AnyCall: Send {
+    fn service(&self) -> usize;
+    fn timeout(&self) -> Duration;
+    /// Appends the request to `staged`, a `Vec<Incoming<Q>>`.
+    fn stage(&mut self, call: u64, staged: &mut dyn Any);
+    fn finish(&mut self, reply: &mut dyn AnyReply);
+    fn fail(&mut self, error: CallError);
+    fn name(&self) -> Arc<str>;
+}
+
+impl<Q: Send + 'static, R: Send + 'static> AnyCall for ExternalCall<Q, R> {
+    fn service(&self) -> usize {
+        self.service
+    }
+
+    fn timeout(&self) -> Duration {
+        self.timeout
+    }
+
+    fn stage(&mut self, call: u64, staged: &mut dyn Any) {
+        if let Some(staged) = staged.downcast_mut::<Vec<Incoming<Q>>>()
+            && let Some(request) = self.request.take()
+        {
+            staged.push(Incoming { to: ReplyTo::External { call }, request });
+        }
+    }
+
+    fn finish(&mut self, reply: &mut dyn AnyReply) {
+        if let Some(reply) = (reply as &mut dyn Any).downcast_mut::<Option<Reply<R>>>()
+            && let Some(reply) = reply.take()
+            && let Some(on_reply) = self.on_reply.take()
+        {
+            on_reply(reply.result);
+        }
+    }
+
+    fn fail(&mut self, error: CallError) {
+        if let Some(on_reply) = self.on_reply.take() {
+            on_reply(Err(error));
+        }
+    }
+
+    fn name(&self) -> Arc<str> {
+        Arc::clone(&self.name)
+    }
+}
+
+/// The calls from outside that wait for an answer.
+#[derive(Default)]
+pub(crate) struct ExternalCalls {
+    next: u64,
+    waiting: Vec<(u64, Time, Box<dyn AnyCall>)>,
+}
+
+impl ExternalCalls {
+    /// Keeps the call until it is answered; returns its number.
+    pub(crate) fn add(&mut self, mut call: Box<dyn AnyCall>, staged: &mut dyn Any, now: Time) {
+        let number = self.next;
+        self.next += 1;
+        call.stage(number, staged);
+        self.waiting.push((number, now + call.timeout(), call));
+    }
+
+    pub(crate) fn due(&self) -> Time {
+        self.waiting.iter().map(|&(_, deadline, _)| deadline).min().unwrap_or(Time::MAX)
+    }
+
+    pub(crate) fn finish(&mut self, number: u64, reply: &mut dyn AnyReply) {
+        if let Some(position) = self.waiting.iter().position(|(known, ..)| *known == number) {
+            let (_, _, mut call) = self.waiting.remove(position);
+            guarded(|| call.finish(reply));
+        }
+    }
+
+    pub(crate) fn give_up(&mut self, now: Time) {
+        if self.waiting.is_empty() {
+            return;
+        }
+        let late = self.waiting.extract_if(.., |(_, deadline, _)| *deadline <= now);
+        for (_, _, mut call) in late.collect::<Vec<_>>() {
+            let error = CallError::TimedOut { service: call.name(), timeout: call.timeout() };
+            guarded(|| call.fail(error));
+        }
+    }
+
+    pub(crate) fn stop(&mut self) {
+        for (_, _, mut call) in std::mem::take(&mut self.waiting) {
+            let error = CallError::Stopped { service: call.name() };
+            guarded(|| call.fail(error));
+        }
+    }
+}
+
+/// Runs a caller's closure so that its panic does not reach the core.
+pub(crate) fn guarded(run: impl FnOnce()) {
+    let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(run));
+    if let Err(panic) = outcome {
+        tracing::error!("the closure for an answer panicked: {}", crate::guard::reason(&*panic));
+    }
+}

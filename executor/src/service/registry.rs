@@ -1,0 +1,161 @@
+//! The services of a core, by name.
+
+use std::any::{Any, TypeId, type_name};
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use crate::messaging::canonical_name;
+use crate::service::Incoming;
+use crate::{ModuleId, SetupError};
+
+/// What is known of a service, see [`Core::services`](crate::Core::services).
+#[derive(Clone, Debug)]
+pub struct ServiceInfo {
+    /// The name, without a leading slash.
+    pub name: Arc<str>,
+    /// The Rust path of the request type.
+    pub request_type: &'static str,
+    /// The Rust path of the answer's type.
+    pub response_type: &'static str,
+    /// The module that serves it, if there is one.
+    pub server: Option<Arc<str>>,
+}
+
+/// The services that modules offer or call.
+#[derive(Default)]
+pub(crate) struct ServiceRegistry {
+    services: Vec<Service>,
+    by_name: HashMap<Arc<str>, usize>,
+}
+
+pub(crate) struct Service {
+    pub(crate) info: ServiceInfo,
+    types: (TypeId, TypeId),
+    pub(crate) server: Option<(ModuleId, u32)>,
+    /// How many modules and callers know its index.
+    users: u32,
+    /// A `Vec<Incoming<Q>>`: requests on their way to the server.
+    pub(crate) staged: Box<dyn Any + Send>,
+    pub(crate) has_staged: bool,
+    split: fn(&mut dyn Any) -> Box<dyn Any + Send>,
+}
+
+impl Service {
+    /// The requests on their way, for another thread.
+    pub(crate) fn take_staged(&mut self) -> Box<dyn Any + Send> {
+        (self.split)(&mut *self.staged)
+    }
+}
+
+fn split<Q: Send + 'static>(staged: &mut dyn Any) -> Box<dyn Any + Send> {
+    Box::new(staged.downcast_mut::<Vec<Incoming<Q>>>().map(std::mem::take).unwrap_or_default())
+}
+
+impl ServiceRegistry {
+    /// The index of the service, which is made where there is none of that name. The caller is a user of it.
+    pub(crate) fn open<Q: Send + 'static, R: Send + 'static>(
+        &mut self,
+        name: &str,
+        module: &str,
+    ) -> Result<usize, SetupError> {
+        let name = canonical_name(name)
+            .ok_or_else(|| SetupError::InvalidServiceName { module: module.into(), service: name.into() })?;
+        let types = (TypeId::of::<Q>(), TypeId::of::<R>());
+        if let Some(&index) = self.by_name.get(name) {
+            let service = &mut self.services[index];
+            if service.types != types {
+                return Err(SetupError::ServiceType {
+                    module: module.into(),
+                    service: name.into(),
+                    asked: format!("{} -> {}", type_name::<Q>(), type_name::<R>()),
+                    known: format!("{} -> {}", service.info.request_type, service.info.response_type),
+                });
+            }
+            service.users += 1;
+            return Ok(index);
+        }
+        let name: Arc<str> = Arc::from(name);
+        let service = Service {
+            info: ServiceInfo {
+                name: Arc::clone(&name),
+                request_type: type_name::<Q>(),
+                response_type: type_name::<R>(),
+                server: None,
+            },
+            types,
+            server: None,
+            users: 1,
+            staged: Box::new(Vec::<Incoming<Q>>::new()),
+            has_staged: false,
+            split: split::<Q>,
+        };
+        let index = match self.services.iter().position(|service| service.users == 0) {
+            Some(free) => {
+                self.services[free] = service;
+                free
+            }
+            None => {
+                self.services.push(service);
+                self.services.len() - 1
+            }
+        };
+        self.by_name.insert(name, index);
+        Ok(index)
+    }
+
+    /// Makes the module the server of the service.
+    pub(crate) fn serve(
+        &mut self,
+        index: usize,
+        module: &Arc<str>,
+        id: ModuleId,
+        port: u32,
+    ) -> Result<(), SetupError> {
+        let service = &mut self.services[index];
+        if let Some(known) = &service.info.server {
+            return Err(SetupError::DuplicateServer {
+                module: module.to_string(),
+                service: service.info.name.to_string(),
+                known: known.to_string(),
+            });
+        }
+        service.server = Some((id, port));
+        service.info.server = Some(Arc::clone(module));
+        Ok(())
+    }
+
+    /// Ends one use of the service; one that nobody uses is forgotten.
+    pub(crate) fn release(&mut self, index: usize, module: ModuleId) {
+        let service = &mut self.services[index];
+        if service.server.is_some_and(|(server, _)| server == module) {
+            service.server = None;
+            service.info.server = None;
+        }
+        service.users -= 1;
+        if service.users == 0 {
+            self.by_name.remove(&service.info.name);
+            service.staged = Box::new(());
+            service.has_staged = false;
+        }
+    }
+
+    pub(crate) fn get_mut(&mut self, index: usize) -> &mut Service {
+        &mut self.services[index]
+    }
+
+    pub(crate) fn name(&self, index: usize) -> &Arc<str> {
+        &self.services[index].info.name
+    }
+
+    pub(crate) fn infos(&self) -> impl Iterator<Item = &ServiceInfo> {
+        self.services.iter().filter(|service| service.users > 0).map(|service| &service.info)
+    }
+
+    pub(crate) fn staged(&self) -> bool {
+        self.services.iter().any(|service| service.has_staged)
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.services.len()
+    }
+}
