@@ -46,6 +46,21 @@ impl Stage {
         true
     }
 
+    /// Runs the `nth` module of this cycle, counted from 0 below [`runnable`](Self::runnable).
+    ///
+    /// Each is run exactly once, by one thread or another; this is not mixed with [`run_next`](Self::run_next).
+    pub fn run_nth(&self, nth: usize) {
+        let Some(&index) = self.runnable.get(nth) else { return };
+        let mut cell = self.modules[index].lock().unwrap_or_else(PoisonError::into_inner);
+        cell.run(&self.topics, self.now);
+    }
+
+    /// A small number that the `nth` module of this cycle keeps while it lives; another may have it afterwards.
+    #[must_use]
+    pub fn slot(&self, nth: usize) -> usize {
+        self.runnable[nth]
+    }
+
     pub(crate) fn begin(&mut self, now: Time) {
         self.now = now;
         *self.next.get_mut() = 0;
