@@ -83,7 +83,7 @@ pub use clock::{Clock, ManualClock, SystemClock};
 pub use context::Context;
 pub use error::SetupError;
 pub use join::{CoreHandle, DetachedStep, Inlet, InletError, StepInput};
-pub use launcher::{Launcher, Linear, Pool, PoolError};
+pub use launcher::{Launcher, Linear, Pool, PoolError, Spin};
 pub use module::Module;
 pub use options::{Inbox, ModuleOptions, Role, Synchrony};
 pub use outbox::Publication;

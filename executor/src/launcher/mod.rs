@@ -1,14 +1,20 @@
 //! How the process phase runs.
 
+mod gate;
 mod linear;
 mod pool;
+mod spin;
+mod sync;
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 pub use linear::Linear;
 pub use pool::{Pool, PoolError};
+pub use spin::Spin;
 
 use crate::Stage;
+use crate::guard::{drop_guarded, reason};
 
 /// Runs the modules of a cycle. Which launcher it is never changes what the modules compute.
 pub trait Launcher: Send {
@@ -16,4 +22,19 @@ pub trait Launcher: Send {
     ///
     /// When it returns, no clone of `stage` may be left: the sync phase changes what it holds.
     fn process(&mut self, stage: &mut Arc<Stage>);
+
+    /// The module in this [slot](Stage::slot) was removed: what was kept for it can go. Another module may have
+    /// the slot in a later cycle.
+    fn slot_freed(&mut self, slot: usize) {
+        let _ = slot;
+    }
+}
+
+/// Runs a stage's modules on a worker's thread. Panics of modules do not come here; should there be one all the
+/// same, it neither ends the worker nor holds up the cycle.
+fn run_guarded(run: impl FnOnce()) {
+    if let Err(panic) = catch_unwind(AssertUnwindSafe(run)) {
+        tracing::error!("a thread of the launcher panicked and goes on: {}", reason(&*panic));
+        drop_guarded("what a panic carried", || drop(panic));
+    }
 }
