@@ -3,21 +3,33 @@
 mod gate;
 mod linear;
 mod pool;
+mod scheduled;
 mod spin;
 mod sync;
+mod threads;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 pub use linear::Linear;
 pub use pool::{Pool, PoolError};
+pub use scheduled::Scheduled;
 pub use spin::Spin;
+pub use threads::Threads;
 
-use crate::Stage;
 use crate::guard::{drop_guarded, reason};
+use crate::{Stage, ThreadError};
 
 /// Runs the modules of a cycle. Which launcher it is never changes what the modules compute.
 pub trait Launcher: Send {
+    /// Called on the core's thread when the core starts, before the first cycle.
+    ///
+    /// # Errors
+    /// If the core's thread cannot run as the launcher was told; then the core does not start.
+    fn attach(&mut self) -> Result<(), ThreadError> {
+        Ok(())
+    }
+
     /// Runs every runnable module of the stage once.
     ///
     /// When it returns, no clone of `stage` may be left: the sync phase changes what it holds.

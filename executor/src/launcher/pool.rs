@@ -3,11 +3,12 @@
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use super::gate::{Gate, Seat};
 use super::run_guarded;
 use super::spin::Spinner;
-use crate::{Launcher, Spin, Stage};
+use crate::{Launcher, Spin, Stage, ThreadError, ThreadOptions};
 
 /// Why a pool could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -19,15 +20,13 @@ pub enum PoolError {
         available()
     )]
     NoThreads,
-    /// The system gave no thread.
-    #[error("cannot start thread {number} of a pool of {threads}: {source}; use fewer threads")]
+    /// A thread could not be started, or cannot run as its options say.
+    #[error("cannot make a pool of {threads} threads: {source}")]
     Thread {
-        /// Which one, the core's being 0.
-        number: usize,
         /// How many were asked for.
         threads: usize,
-        /// What the system said.
-        source: std::io::Error,
+        /// What went wrong with one of them.
+        source: ThreadError,
     },
 }
 
@@ -47,6 +46,8 @@ pub struct Pool {
     workers: Vec<Worker>,
     gate: Arc<Gate>,
     spinner: Spinner,
+    /// Of the core's thread.
+    core: ThreadOptions,
 }
 
 struct Worker {
@@ -62,32 +63,49 @@ impl Pool {
     /// # Errors
     /// If there are to be none, or the system refuses one.
     pub fn new(threads: usize) -> Result<Self, PoolError> {
-        if threads == 0 {
-            return Err(PoolError::NoThreads);
-        }
+        Self::with_options(threads, ThreadOptions::default())
+    }
+
+    /// A pool of `threads` threads, the core's included, that all run as the options say.
+    ///
+    /// # Errors
+    /// If there are to be none, or the system refuses one, or does not allow what the options say.
+    pub fn with_options(threads: usize, options: ThreadOptions) -> Result<Self, PoolError> {
+        Self::with_each(vec![options; threads])
+    }
+
+    /// A pool with a thread for each of the options. The first are for the core's thread.
+    ///
+    /// # Errors
+    /// If there are none, or the system refuses a thread, or does not allow what its options say.
+    pub fn with_each(options: Vec<ThreadOptions>) -> Result<Self, PoolError> {
+        let threads = options.len();
+        let mut options = options.into_iter();
+        let core = options.next().ok_or(PoolError::NoThreads)?;
         // Threads that take CPUs from each other make nothing faster by spinning.
-        let spin = if threads > available() { Spin::Never } else { Spin::default() };
-        let gate = Arc::new(Gate::new());
-        let mut pool = Self { workers: Vec::new(), gate, spinner: Spinner::new(spin) };
-        for number in 1..threads {
-            let seat = Arc::new(Seat::new(Arc::clone(&pool.gate)));
-            let (served, mut spinner) = (Arc::clone(&seat), Spinner::new(spin));
-            let life = move || {
-                served.serve(&mut spinner, |stage: Arc<Stage>| run_guarded(|| while stage.run_next() {}));
-            };
-            let thread = std::thread::Builder::new().name(format!("pool-{number}")).spawn(life);
-            let thread = Some(thread.map_err(|source| PoolError::Thread { number, threads, source })?);
-            pool.workers.push(Worker { seat, thread });
+        let spin = if threads > available() { Spin::Never } else { Spin::For(USUAL_SPIN) };
+        let spinner = Spinner::new(core.spin.or(spin));
+        let mut pool = Self { workers: Vec::new(), gate: Arc::new(Gate::new()), spinner, core };
+        for (index, options) in options.enumerate() {
+            let worker = Worker::start(index + 1, &pool.gate, &options, spin);
+            pool.workers.push(worker.map_err(|source| PoolError::Thread { threads, source })?);
         }
         Ok(pool)
     }
 }
+
+/// More than the pause between two cycles in a row, and of little weight beside a period of milliseconds.
+const USUAL_SPIN: Duration = Duration::from_micros(20);
 
 fn available() -> usize {
     std::thread::available_parallelism().map_or(1, NonZeroUsize::get)
 }
 
 impl Launcher for Pool {
+    fn attach(&mut self) -> Result<(), ThreadError> {
+        self.core.apply()
+    }
+
     fn process(&mut self, stage: &mut Arc<Stage>) {
         // A helper for each module beyond the first: fewer wake-ups in a cycle where little is due.
         let helpers = stage.runnable().saturating_sub(1).min(self.workers.len());
@@ -96,7 +114,7 @@ impl Launcher for Pool {
         {
             return stage.run_all();
         }
-        let Self { workers, gate, spinner } = self;
+        let Self { workers, gate, spinner, .. } = self;
         gate.expect(helpers);
         let _meeting = Meeting { helpers: &workers[..helpers], gate, spinner };
         for worker in &workers[..helpers] {
@@ -107,6 +125,20 @@ impl Launcher for Pool {
 }
 
 impl Worker {
+    fn start(
+        number: usize,
+        gate: &Arc<Gate>,
+        options: &ThreadOptions,
+        spin: Spin,
+    ) -> Result<Self, ThreadError> {
+        let seat = Arc::new(Seat::new(Arc::clone(gate)));
+        let (served, mut spinner) = (Arc::clone(&seat), Spinner::new(options.spin.or(spin)));
+        let run = |stage: Arc<Stage>| run_guarded(|| while stage.run_next() {});
+        let name = format!("{}-{number}", options.prefix("pool"));
+        let thread = options.spawn(name, move || served.serve(&mut spinner, run))?;
+        Ok(Self { seat, thread: Some(thread) })
+    }
+
     fn give(&self, stage: &Arc<Stage>, gate: &Gate) {
         let Some(thread) = &self.thread else { return gate.arrive() };
         if self.seat.give(Arc::clone(stage), thread.thread()).is_err() {

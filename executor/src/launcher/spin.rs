@@ -8,8 +8,12 @@ use super::gate::Patience;
 ///
 /// A thread that spins answers within a fraction of a microsecond and keeps a CPU busy; one that is parked costs
 /// nothing and takes the system some microseconds to wake.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Spin {
+    /// As suits the launcher: the threads of a [`Pool`](crate::Pool) spin for 20 µs if each can have a CPU of its
+    /// own; those of [`Threads`](crate::Threads) park at once.
+    #[default]
+    Auto,
     /// Parks at once.
     Never,
     /// Spins for this time and then parks. After a wait that was much longer it parks at once, until work
@@ -19,10 +23,9 @@ pub enum Spin {
     Always,
 }
 
-impl Default for Spin {
-    /// For 20 µs.
-    fn default() -> Self {
-        Self::For(Duration::from_micros(20))
+impl Spin {
+    pub(super) fn or(self, automatic: Self) -> Self {
+        if self == Self::Auto { automatic } else { self }
     }
 }
 
