@@ -100,6 +100,11 @@ fn a_cycle_of_a_pool_allocates_nothing_in_steady_state() {
 }
 
 #[test]
+fn a_cycle_with_a_thread_per_module_allocates_nothing_in_steady_state() {
+    assert_eq!(allocations_in_1000_cycles(Threads::new()), 0);
+}
+
+#[test]
 fn the_counter_counts() {
     let before = ALLOCATIONS.get();
     drop(std::hint::black_box(Box::new(1)));

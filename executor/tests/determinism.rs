@@ -109,5 +109,6 @@ proptest! {
             let pool = Pool::new(threads).unwrap();
             prop_assert_eq!(&traces(&nodes, pool), &expected, "under Pool({})", threads);
         }
+        prop_assert_eq!(&traces(&nodes, Threads::new()), &expected, "under Threads");
     }
 }
