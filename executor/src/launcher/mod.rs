@@ -21,6 +21,25 @@ use crate::guard::{drop_guarded, reason};
 use crate::{Stage, ThreadError};
 
 /// Runs the modules of a cycle. Which launcher it is never changes what the modules compute.
+///
+/// [`Linear`] runs them on the core's thread, [`Pool`] on a fixed number of threads, [`Threads`] each on its own, and
+/// a program can have its own way; `examples/launcher.rs` has one with threads. This one shows that not even the
+/// order matters:
+///
+/// ```
+/// use std::sync::Arc;
+/// use downbeat_executor::{Core, Launcher, Stage};
+///
+/// struct Backwards;
+///
+/// impl Launcher for Backwards {
+///     fn process(&mut self, stage: &mut Arc<Stage>) {
+///         (0..stage.runnable()).rev().for_each(|nth| stage.run_nth(nth));
+///     }
+/// }
+///
+/// let core = Core::new().with_launcher(Backwards);
+/// ```
 pub trait Launcher: Send {
     /// Called on the core's thread when the core starts, before the first cycle.
     ///
@@ -30,7 +49,8 @@ pub trait Launcher: Send {
         Ok(())
     }
 
-    /// Runs every runnable module of the stage once.
+    /// Runs every runnable module of the stage once: with [`Stage::run_all`], or with [`Stage::run_next`] on as
+    /// many threads as there are, or with [`Stage::run_nth`] where it matters which runs where.
     ///
     /// When it returns, no clone of `stage` may be left: the sync phase changes what it holds.
     fn process(&mut self, stage: &mut Arc<Stage>);
