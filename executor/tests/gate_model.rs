@@ -51,15 +51,20 @@ struct Worker {
 }
 
 impl Worker {
-    /// Counts 1 for each work it is given.
-    fn start(gate: &Arc<Gate>, looks: usize) -> Self {
+    /// Counts 1 for each work it is given, after `run`.
+    fn start(gate: &Arc<Gate>, looks: usize, run: impl Fn() + Send + 'static) -> Self {
         let seat = Arc::new(Seat::new(Arc::clone(gate)));
         let served = Arc::clone(&seat);
-        let count = |work: Shared| {
+        let life = move |work: Shared| {
+            run();
             work.fetch_add(1, Ordering::Relaxed);
         };
-        let thread = loom::thread::spawn(move || served.serve(&mut Looks::new(looks), count));
+        let thread = loom::thread::spawn(move || served.serve(&mut Looks::new(looks), life));
         Self { seat, thread }
+    }
+
+    fn give(&self, work: &Shared) -> Result<(), Shared> {
+        self.seat.give(Arc::clone(work), self.thread.thread())
     }
 
     fn end(self) {
@@ -68,28 +73,34 @@ impl Worker {
     }
 }
 
-/// Runs `cycles` cycles on new workers; `is_taken_back` says for which of them the core does not wait if they have
-/// not begun.
-fn cycles(workers: usize, cycles: usize, looks: usize, is_taken_back: bool) {
+/// What the core does with work that a worker has not begun when the core is through with its own.
+#[derive(Clone, Copy, PartialEq)]
+enum Late {
+    IsWaitedFor,
+    IsTakenBack,
+}
+
+/// Runs `cycles` cycles on new workers.
+fn cycles(workers: usize, cycles: usize, looks: usize, late: Late) {
     let gate = Arc::new(Gate::new());
-    let workers: Vec<_> = (0..workers).map(|_| Worker::start(&gate, looks)).collect();
+    let workers: Vec<_> = (0..workers).map(|_| Worker::start(&gate, looks, || {})).collect();
     let mut shared = Arc::new(AtomicUsize::new(0));
     for _ in 0..cycles {
         gate.expect(workers.len());
         for worker in &workers {
-            assert!(worker.seat.give(Arc::clone(&shared), worker.thread.thread()).is_ok());
+            assert!(worker.give(&shared).is_ok());
         }
-        let mut own = 0;
-        for worker in workers.iter().filter(|_| is_taken_back) {
+        let mut taken_back = 0;
+        for worker in workers.iter().filter(|_| late == Late::IsTakenBack) {
             if worker.seat.take_back().is_some() {
-                own += 1;
+                taken_back += 1;
                 gate.arrive();
             }
         }
         gate.wait(&mut Looks::new(looks));
         // Nobody holds it, and all of the cycle's work is done or was taken back.
         let count = Arc::get_mut(&mut shared).expect("a worker kept the work of a cycle");
-        assert_eq!(count.with_mut(std::mem::take) + own, workers.len());
+        assert_eq!(count.with_mut(std::mem::take) + taken_back, workers.len());
     }
     for worker in workers {
         worker.end();
@@ -105,40 +116,69 @@ fn model(preemptions: usize, check: impl Fn() + Send + Sync + 'static) {
 
 #[test]
 fn a_worker_that_parks_misses_no_cycle() {
-    model(3, || cycles(1, 3, 0, false));
+    model(3, || cycles(1, 3, 0, Late::IsWaitedFor));
 }
 
 #[test]
 fn a_worker_that_looks_before_it_parks_misses_no_cycle() {
-    model(3, || cycles(1, 2, 1, false));
+    model(3, || cycles(1, 2, 1, Late::IsWaitedFor));
 }
 
 #[test]
 fn work_is_done_or_taken_back_and_never_both() {
-    model(3, || cycles(1, 3, 0, true));
+    model(3, || cycles(1, 3, 0, Late::IsTakenBack));
 }
 
 #[test]
 fn the_last_of_two_workers_wakes_the_core() {
-    model(2, || cycles(2, 2, 0, false));
+    model(2, || cycles(2, 2, 0, Late::IsWaitedFor));
 }
 
 #[test]
 fn two_workers_do_their_work_or_have_it_taken_back() {
-    model(2, || cycles(2, 2, 0, true));
+    model(2, || cycles(2, 2, 0, Late::IsTakenBack));
+}
+
+#[test]
+fn an_unpark_that_was_not_meant_for_the_wait_ends_no_wait() {
+    model(3, || {
+        let (gate, core) = (Arc::new(Gate::new()), loom::thread::current());
+        // As a module may do that has the handle of the core's thread.
+        let worker = Worker::start(&gate, 0, move || core.unpark());
+        let mut shared = Arc::new(AtomicUsize::new(0));
+        for _ in 0..2 {
+            gate.expect(1);
+            assert!(worker.give(&shared).is_ok());
+            gate.wait(&mut Looks::new(0));
+            assert!(Arc::get_mut(&mut shared).is_some());
+        }
+        worker.end();
+    });
+}
+
+#[test]
+fn what_a_worker_did_is_seen_after_the_wait() {
+    model(3, || {
+        let (gate, done) = (Arc::new(Gate::new()), Arc::new(AtomicUsize::new(0)));
+        let does = Arc::clone(&done);
+        let worker = Worker::start(&gate, 0, move || does.store(1, Ordering::Relaxed));
+        let shared = Arc::new(AtomicUsize::new(0));
+        gate.expect(1);
+        assert!(worker.give(&shared).is_ok());
+        gate.wait(&mut Looks::new(1));
+        assert_eq!(done.load(Ordering::Relaxed), 1);
+        worker.end();
+    });
 }
 
 #[test]
 fn a_worker_that_has_ended_hands_its_work_back() {
     model(3, || {
         let gate = Arc::new(Gate::new());
-        let worker = Worker::start(&gate, 0);
+        let worker = Worker::start(&gate, 0, || {});
         worker.seat.close(worker.thread.thread());
-        gate.expect(1);
         let shared = Arc::new(AtomicUsize::new(0));
-        assert!(worker.seat.give(Arc::clone(&shared), worker.thread.thread()).is_err());
-        gate.arrive();
-        gate.wait(&mut Looks::new(0));
+        assert!(worker.give(&shared).is_err());
         worker.thread.join().unwrap();
         assert_eq!(Arc::strong_count(&shared), 1);
     });

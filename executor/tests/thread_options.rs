@@ -97,7 +97,8 @@ fn a_priority_out_of_range_is_refused_with_the_range() {
     for priority in [0, 100, 255] {
         let error = with_priority(priority).spawn("servo", || panic!("must not run")).unwrap_err();
         let text = format!(
-            "cannot give the thread \"servo\" the SCHED_FIFO priority {priority}: priorities go from 1, the lowest, to 99"
+            "cannot give the thread \"servo\" the SCHED_FIFO priority {priority}: \
+             priorities go from 1, the lowest, to 99"
         );
         assert_eq!(error.to_string(), text);
     }
