@@ -20,8 +20,8 @@ use crate::probe::{Probe, StepReport};
 use crate::receipt::ReceiptSender;
 use crate::service::{AnyClient, AnyReply, ReplyTo};
 use crate::{
-    Clock, Inbox, LifecycleState, ModuleId, ModuleOptions, Role, SettingInfo, SettingValue, Synchrony, Time,
-    Transition, TransitionRefused,
+    Clock, Inbox, LifecycleState, ModuleId, ModuleOptions, Role, SettingInfo, SettingValue, Synchrony,
+    ThreadError, ThreadOptions, Time, Transition, TransitionRefused,
 };
 
 /// What a run of a detached module brings to the next sync phase.
@@ -93,6 +93,7 @@ pub(crate) struct DetachedModule {
     mailbox: Arc<Mailbox>,
     parker: Option<Parker>,
     thread: Option<Thread>,
+    options: ThreadOptions,
 }
 
 struct Thread {
@@ -139,6 +140,7 @@ impl DetachedModule {
             mailbox: Arc::new(Mailbox { contents: Mutex::default(), owner, capacity }),
             parker: Some(parker),
             thread: None,
+            options: options.thread.clone(),
         }
     }
 
@@ -147,7 +149,7 @@ impl DetachedModule {
         &self.settings
     }
 
-    pub(crate) fn start(&mut self, world: &World) -> std::io::Result<()> {
+    pub(crate) fn start(&mut self, world: &World) -> Result<(), ThreadError> {
         let (Some(cell), Some(parker)) = (self.cell.take(), self.parker.take()) else { return Ok(()) };
         let (alive, ended) = bounded(0);
         let runner = Runner {
@@ -162,8 +164,8 @@ impl DetachedModule {
             has_new_settings: false,
             _alive: alive,
         };
-        let builder = std::thread::Builder::new().name(self.name.to_string());
-        self.thread = Some(Thread { handle: builder.spawn(move || runner.run())?, ended });
+        let handle = self.options.spawn(&*self.name, move || runner.run())?;
+        self.thread = Some(Thread { handle, ended });
         Ok(())
     }
 
@@ -200,11 +202,6 @@ impl DetachedModule {
     pub(crate) fn request_stop(&self) {
         self.mailbox.lock().stop = true;
         self.mailbox.owner.unpark();
-    }
-
-    /// How many batches wait for the module.
-    pub(crate) fn inbox(&self) -> usize {
-        self.mailbox.lock().deliveries.len()
     }
 
     /// Waits for the current run and for the module's last callback, however long they take: a thread cannot

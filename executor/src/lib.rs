@@ -82,6 +82,7 @@ mod service;
 mod setting;
 mod setup;
 mod stage;
+mod thread;
 mod time;
 
 pub use crate::core::{Core, CoreHandle, Idle, ModuleInfo, RunError, SyncPhase};
@@ -91,7 +92,7 @@ pub use error::SetupError;
 pub use inlet::{Inlet, InletError};
 pub use job::{Completion, Job, JobError};
 pub use join::{DetachedStep, StepInput};
-pub use launcher::{Launcher, Linear, Pool, PoolError};
+pub use launcher::{Launcher, Linear, Pool, PoolError, Scheduled, Spin, Threads};
 pub use lifecycle::{LifecycleState, Transition, TransitionError, TransitionRefused};
 pub use management::{ModuleId, SettingRefused, UnknownModule};
 pub use mechanism::{Mechanism, MechanismKey, Version};
@@ -105,4 +106,5 @@ pub use service::{CallError, CallId, Caller, Client, Reply, Responder, ServiceIn
 pub use setting::{Setting, SettingInfo, SettingType, SettingValue};
 pub use setup::Setup;
 pub use stage::Stage;
+pub use thread::{ThreadError, ThreadOptions};
 pub use time::Time;

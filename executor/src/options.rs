@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::time::Duration;
 
-use crate::{LifecycleState, SettingValue};
+use crate::{LifecycleState, SettingValue, ThreadOptions};
 
 /// When a module runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -85,4 +85,6 @@ pub struct ModuleOptions {
     pub restart: Restart,
     /// How long one run may take. A run that takes longer is reported while it is still going on.
     pub deadline: Option<Duration>,
+    /// Where its thread runs, if it is detached.
+    pub thread: ThreadOptions,
 }

@@ -1,7 +1,6 @@
 //! The same robot computes the same under every launcher.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use std::num::NonZeroUsize;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -107,8 +106,9 @@ proptest! {
     fn random_robots_leave_the_same_trace_under_every_launcher(nodes in nodes()) {
         let expected = traces(&nodes, Linear);
         for threads in 1..=4 {
-            let pool = Pool::new(NonZeroUsize::new(threads).unwrap()).unwrap();
+            let pool = Pool::new(threads).unwrap();
             prop_assert_eq!(&traces(&nodes, pool), &expected, "under Pool({})", threads);
         }
+        prop_assert_eq!(&traces(&nodes, Threads::new()), &expected, "under Threads");
     }
 }

@@ -1,7 +1,6 @@
 //! Messages that panic while they are dropped, which user types may do: the robot goes on.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use std::num::NonZeroUsize;
 use std::sync::mpsc::{Sender, channel};
 use std::time::Duration;
 
@@ -59,7 +58,7 @@ const PERIOD: Duration = Duration::from_millis(1);
 fn a_message_that_panics_in_drop_harms_no_other_topic_and_no_launcher() {
     for panics in [false, true] {
         let clock = ManualClock::new(Time::ZERO);
-        let pool = Pool::new(NonZeroUsize::new(3).unwrap()).unwrap();
+        let pool = Pool::new(3).unwrap();
         let mut core = Core::new().with_launcher(pool).with_clock(clock.clone());
         let (sender, numbers) = channel();
         core.add("bomber", Bomber { panics, out: None }).unwrap();

@@ -30,7 +30,8 @@ impl RobotFile {
         let mut core = match self.launcher {
             LauncherChoice::Linear => core.with_launcher(Linear),
             LauncherChoice::Pool(threads) => {
-                let pool = Pool::new(threads).map_err(|error| self.source.error(1, error.to_string()))?;
+                let pool =
+                    Pool::new(threads.get()).map_err(|error| self.source.error(1, error.to_string()))?;
                 core.with_launcher(pool)
             }
         };

@@ -29,7 +29,7 @@ use crate::service::Services;
 use crate::setting::SettingsMechanism;
 use crate::{
     Caller, Clock, Inlet, Launcher, Linear, Mechanism, Module, ModuleOptions, ServiceInfo, SettingInfo,
-    SetupError, Stage, SystemClock, Time, TopicInfo,
+    SetupError, Stage, SystemClock, ThreadError, Time, TopicInfo,
 };
 
 /// Why a core cannot run.
@@ -41,13 +41,16 @@ pub enum RunError {
     /// The core was stopped.
     #[error("this core has stopped, and a stopped core does not start again; make a new one")]
     Stopped,
-    /// The system gave no thread.
-    #[error("cannot start a thread for the detached module \"{module}\": {source}")]
+    /// The core's own thread, or one of its launcher, cannot run as it was told.
+    #[error(transparent)]
+    Launcher(#[from] ThreadError),
+    /// The thread of a detached module cannot start, or not run as it was told.
+    #[error("detached module \"{module}\": {source}")]
     Thread {
         /// The module.
         module: String,
         /// What the system said.
-        source: std::io::Error,
+        source: ThreadError,
     },
 }
 
@@ -320,6 +323,7 @@ impl Core {
         if self.world.has_stopped {
             return Err(RunError::Stopped);
         }
+        self.launcher.attach()?;
         let topics = &mut exclusive(&mut self.stage).shared.topics;
         if self.world.steps_topic.is_none() {
             // Cannot be of another type: no module can name this type's topic otherwise by mistake, and where

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::{Launcher, Stage};
 
 /// Runs the modules one after another on the thread of the core. The fastest where the work of a cycle is
-/// less than the cost of waking a thread.
+/// less than the cost of waking a thread. [`Scheduled`](crate::Scheduled) gives that thread CPUs and a priority.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Linear;
 

@@ -3,92 +3,179 @@
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 use std::thread::JoinHandle;
+use std::time::Duration;
 
-use crossbeam::channel::{Receiver, Sender, bounded};
-
-use crate::{Launcher, Stage};
+use super::gate::{Gate, Seat};
+use super::run_guarded;
+use super::spin::Spinner;
+use crate::{Launcher, Spin, Stage, ThreadError, ThreadOptions};
 
 /// Why a pool could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum PoolError {
-    /// The system gave no thread.
-    #[error("cannot start a thread of the pool: {0}")]
-    Thread(#[from] std::io::Error),
+    /// Not even the core's own thread would be left.
+    #[error(
+        "a pool of 0 threads cannot run modules: give it at least 1, the core's own \
+         (this machine runs {} at once)",
+        available()
+    )]
+    NoThreads,
+    /// A thread could not be started, or cannot run as its options say.
+    #[error("cannot make a pool of {threads} threads: {source}")]
+    Thread {
+        /// How many were asked for.
+        threads: usize,
+        /// What went wrong with one of them.
+        source: ThreadError,
+    },
 }
 
 /// Divides the modules of a cycle among `n` threads, that of the core among them. Each takes the next
 /// module that none has taken, so a long one does not hold up the rest.
+///
+/// ```
+/// use downbeat_executor::{Core, Pool};
+///
+/// let core = Core::new().with_launcher(Pool::new(2)?);
+/// # Ok::<(), downbeat_executor::PoolError>(())
+/// ```
+///
+/// A cycle wakes no more threads than it has modules beyond the first. What a woken thread has not begun when
+/// the core's thread is through, it never gets: cheap modules do not wait for it.
 pub struct Pool {
     workers: Vec<Worker>,
-    done: Receiver<()>,
+    gate: Arc<Gate>,
+    spinner: Spinner,
+    /// Of the core's thread.
+    core: ThreadOptions,
 }
 
 struct Worker {
-    work: Option<Sender<Arc<Stage>>>,
+    seat: Arc<Seat<Arc<Stage>>>,
+    /// There until the drop.
     thread: Option<JoinHandle<()>>,
 }
 
 impl Pool {
-    /// A pool of `threads` threads, the calling one included.
+    /// A pool of `threads` threads, the core's included. The others spin for a moment after a cycle, so that
+    /// cycles in quick succession need not wake them.
     ///
     /// # Errors
-    /// If the system refuses a thread.
-    pub fn new(threads: NonZeroUsize) -> Result<Self, PoolError> {
-        let (report, done) = bounded(threads.get());
-        let mut workers = Vec::new();
-        for number in 1..threads.get() {
-            let (work, stages) = bounded::<Arc<Stage>>(1);
-            let report = report.clone();
-            let thread = std::thread::Builder::new()
-                .name(format!("pool-{number}"))
-                .spawn(move || work_on(&stages, &report))?;
-            workers.push(Worker { work: Some(work), thread: Some(thread) });
+    /// If there are to be none, or the system refuses one.
+    pub fn new(threads: usize) -> Result<Self, PoolError> {
+        Self::with_options(threads, ThreadOptions::default())
+    }
+
+    /// A pool of `threads` threads, the core's included, that all run as the options say.
+    ///
+    /// # Errors
+    /// If there are to be none, or the system refuses one, or does not allow what the options say.
+    pub fn with_options(threads: usize, options: ThreadOptions) -> Result<Self, PoolError> {
+        Self::with_each(vec![options; threads])
+    }
+
+    /// A pool with a thread for each of the options. The first are for the core's thread.
+    ///
+    /// # Errors
+    /// If there are none, or the system refuses a thread, or does not allow what its options say.
+    pub fn with_each(options: Vec<ThreadOptions>) -> Result<Self, PoolError> {
+        let threads = options.len();
+        let mut options = options.into_iter();
+        let core = options.next().ok_or(PoolError::NoThreads)?;
+        // Threads that take CPUs from each other make nothing faster by spinning.
+        let spin = if threads > available() { Spin::Never } else { Spin::For(USUAL_SPIN) };
+        let spinner = Spinner::new(core.spin.or(spin));
+        let mut pool = Self { workers: Vec::new(), gate: Arc::new(Gate::new()), spinner, core };
+        for (index, options) in options.enumerate() {
+            let worker = Worker::start(index + 1, &pool.gate, &options, spin);
+            pool.workers.push(worker.map_err(|source| PoolError::Thread { threads, source })?);
         }
-        Ok(Self { workers, done })
+        Ok(pool)
     }
 }
 
-fn work_on(stages: &Receiver<Arc<Stage>>, report: &Sender<()>) {
-    for stage in stages {
-        // Dropped after the stage, whatever happens: the report says that this thread holds it no longer.
-        let _report = ReportOnDrop(report);
-        let stage = stage;
-        while stage.run_next() {}
-    }
-}
+/// More than the pause between two cycles in a row, and of little weight beside a period of milliseconds.
+const USUAL_SPIN: Duration = Duration::from_micros(20);
 
-struct ReportOnDrop<'a>(&'a Sender<()>);
-
-impl Drop for ReportOnDrop<'_> {
-    fn drop(&mut self) {
-        // Nobody waits for it only when the pool is gone, and then the channel of stages ends too.
-        let _ = self.0.send(());
-    }
+fn available() -> usize {
+    std::thread::available_parallelism().map_or(1, NonZeroUsize::get)
 }
 
 impl Launcher for Pool {
+    fn attach(&mut self) -> Result<(), ThreadError> {
+        self.core.apply()
+    }
+
     fn process(&mut self, stage: &mut Arc<Stage>) {
         // A helper for each module beyond the first: fewer wake-ups in a cycle where little is due.
         let helpers = stage.runnable().saturating_sub(1).min(self.workers.len());
-        let sent = self.workers[..helpers]
-            .iter()
-            .filter(|worker| worker.work.as_ref().is_some_and(|work| work.send(Arc::clone(stage)).is_ok()))
-            .count();
-        while stage.run_next() {}
-        for _ in 0..sent {
-            // Cannot fail while the workers live, and they live as long as the pool.
-            let _ = self.done.recv();
+        if helpers == 0
+            && let Some(stage) = Arc::get_mut(stage)
+        {
+            return stage.run_all();
         }
+        let Self { workers, gate, spinner, .. } = self;
+        gate.expect(helpers);
+        let _meeting = Meeting { helpers: &workers[..helpers], gate, spinner };
+        for worker in &workers[..helpers] {
+            worker.give(stage, gate);
+        }
+        while stage.run_next() {}
+    }
+}
+
+impl Worker {
+    fn start(
+        number: usize,
+        gate: &Arc<Gate>,
+        options: &ThreadOptions,
+        spin: Spin,
+    ) -> Result<Self, ThreadError> {
+        let seat = Arc::new(Seat::new(Arc::clone(gate)));
+        let (served, mut spinner) = (Arc::clone(&seat), Spinner::new(options.spin.or(spin)));
+        let run = |stage: Arc<Stage>| run_guarded(|| while stage.run_next() {});
+        let name = format!("{}-{number}", options.prefix("pool"));
+        let thread = options.spawn(name, move || served.serve(&mut spinner, run))?;
+        Ok(Self { seat, thread: Some(thread) })
+    }
+
+    fn give(&self, stage: &Arc<Stage>, gate: &Gate) {
+        let Some(thread) = &self.thread else { return gate.arrive() };
+        if self.seat.give(Arc::clone(stage), thread.thread()).is_err() {
+            gate.arrive();
+        }
+    }
+}
+
+/// The end of a process phase, also of one that panics: no helper has the stage any longer.
+struct Meeting<'a> {
+    helpers: &'a [Worker],
+    gate: &'a Gate,
+    spinner: &'a mut Spinner,
+}
+
+impl Drop for Meeting<'_> {
+    fn drop(&mut self) {
+        for helper in self.helpers {
+            if helper.seat.take_back().is_some() {
+                self.gate.arrive();
+            }
+        }
+        self.gate.wait(self.spinner);
+    }
+}
+
+impl std::fmt::Debug for Pool {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_struct("Pool").field("threads", &(self.workers.len() + 1)).finish_non_exhaustive()
     }
 }
 
 impl Drop for Pool {
     fn drop(&mut self) {
         for worker in &mut self.workers {
-            worker.work = None;
-        }
-        for worker in &mut self.workers {
             if let Some(thread) = worker.thread.take() {
+                worker.seat.close(thread.thread());
                 let _ = thread.join();
             }
         }

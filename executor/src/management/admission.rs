@@ -101,25 +101,19 @@ pub(crate) fn admit(stage: &mut Stage, world: &mut World, candidate: Candidate) 
     let (id, name) = (ModuleId { order, life: 0, place }, Arc::from(name));
     let uses = Uses::default();
     let started = world.clock.now();
-    let member = Member { id, name, options, source, uses, restarts: 0, panics_in_a_row: 0, started };
-    let member = instate(stage, world, member).map_err(|(_, error)| error)?;
+    let mut member = Member { id, name, options, source, uses, restarts: 0, panics_in_a_row: 0, started };
+    instate(stage, world, &mut member)?;
     world.members.insert(member);
     Ok(())
 }
 
 /// Makes the module of a member, anew where it is a restart, and puts it in its place.
-pub(crate) fn instate(
-    stage: &mut Stage,
-    world: &mut World,
-    mut member: Member,
-) -> Result<Member, (Member, SetupError)> {
-    match try_instate(stage, world, &mut member) {
-        Ok(()) => Ok(member),
-        Err(error) => {
-            release(stage, world, &mut member);
-            Err((member, error))
-        }
+pub(crate) fn instate(stage: &mut Stage, world: &mut World, member: &mut Member) -> Result<(), SetupError> {
+    let result = try_instate(stage, world, member);
+    if result.is_err() {
+        release(stage, world, member);
     }
+    result
 }
 
 fn try_instate(stage: &mut Stage, world: &mut World, member: &mut Member) -> Result<(), SetupError> {

@@ -39,6 +39,8 @@ pub enum SettingRefused {
 
 type Receipt<T> = Option<ReceiptSender<T>>;
 
+pub(crate) type Look = Box<dyn FnOnce(&mut Stage, &mut World) + Send>;
+
 /// Takes effect in the next sync phase.
 pub(crate) enum Command {
     Add {
@@ -78,7 +80,7 @@ pub(crate) enum Command {
         receipt: Receipt<Result<(), SettingRefused>>,
     },
     /// Looks at the core between two cycles.
-    Look(Box<dyn FnOnce(&mut Stage, &mut World) + Send>),
+    Look(Look),
 }
 
 impl Command {

@@ -113,12 +113,12 @@ fn restart(phase: &mut SyncPhase<'_>, order: u64) {
     member.id.life += 1;
     member.started = phase.now;
     let (module, restarts) = (Arc::clone(&member.name), member.restarts);
-    match instate(phase.stage, phase.world, member) {
-        Ok(member) => {
+    match instate(phase.stage, phase.world, &mut member) {
+        Ok(()) => {
             phase.world.members.insert(member);
             tracing::info!(module = &*module, restarts, "starts again after its panic");
         }
-        Err((member, error)) => {
+        Err(error) => {
             tracing::error!("not started again after its panic: {error}");
             if let Place::Attached(slot) = member.id.place {
                 phase.world.freed_slots.push(slot);
