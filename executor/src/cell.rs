@@ -245,9 +245,11 @@ impl ModuleCell {
                     ctx.io().asked.add(Asked::STATE);
                 }
             }
-            while let Some(task) = ctx.io().tasks.take_due(now, mark) {
-                behaviour.task(task.index as usize, ctx);
-                ctx.io().asked.add(Asked::STATE);
+            if ctx.io().tasks.due() <= now {
+                while let Some(task) = ctx.io().tasks.take_due(now, mark) {
+                    behaviour.task(task.index as usize, ctx);
+                    ctx.io().asked.add(Asked::STATE);
+                }
             }
             for timer in 0..ctx.io().timers.len() {
                 if ctx.io().timers[timer].fire(now) {
@@ -322,6 +324,7 @@ impl ModuleCell {
             drop_guarded("a message", || self.io.discard());
             self.io.asked = Asked::default();
             self.panic = Some(reason(&*panic).to_owned());
+            self.io.asked.add(Asked::PANIC);
             self.end();
         }
     }

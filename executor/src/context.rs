@@ -39,7 +39,7 @@ pub(crate) struct ModuleIo {
 
 /// Of which mechanisms a module has asked something in this cycle.
 #[derive(Clone, Copy, Default, PartialEq, Eq)]
-pub(crate) struct Asked(u8);
+pub(crate) struct Asked(u16);
 
 impl Asked {
     pub(crate) const MESSAGES: Self = Self(1);
@@ -50,6 +50,10 @@ impl Asked {
     pub(crate) const WORK: Self = Self(32);
     /// The module's state changed, or the time for which it waits.
     pub(crate) const STATE: Self = Self(64);
+    /// The module panicked.
+    pub(crate) const PANIC: Self = Self(128);
+    /// Not of a module: something came from another thread.
+    pub(crate) const JOINED: Self = Self(256);
 
     #[inline]
     pub(crate) fn add(&mut self, other: Self) {

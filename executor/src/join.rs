@@ -58,6 +58,10 @@ impl JoinQueue {
         self.requests.len()
     }
 
+    pub(crate) fn has_no_requests(&self) -> bool {
+        self.requests.is_empty()
+    }
+
     /// True if nothing waits.
     pub(crate) fn is_empty(&self) -> bool {
         self.requests.is_empty() && !self.inlets.load(Ordering::Acquire)

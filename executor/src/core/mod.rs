@@ -343,8 +343,16 @@ impl Core {
     }
 
     fn process_and_sync(&mut self, now: Time) {
-        self.process(now);
-        self.sync(now);
+        if self.launcher.is_linear() {
+            let stage = exclusive(&mut self.stage);
+            stage.begin(now);
+            self.world.agenda.take(now, &mut stage.runnable);
+            stage.run_all();
+            sync(stage, &mut self.world, &mut self.mechanisms, &mut *self.launcher, now);
+        } else {
+            self.process(now);
+            self.sync(now);
+        }
     }
 
     fn probed_cycle(&mut self, now: Time, probe: &dyn Probe) {
@@ -375,22 +383,7 @@ impl Core {
 
     fn sync(&mut self, now: Time) {
         let stage = exclusive(&mut self.stage);
-        stage.take_asked(&mut self.world.asked);
-        self.world.join();
-        let mut phase = SyncPhase { stage, world: &mut self.world, now };
-        for mechanism in &mut self.mechanisms {
-            mechanism.sync(&mut phase);
-        }
-        phase.forget_what_was_asked();
-        if !phase.world.leaving.is_empty() {
-            for module in finish_leaving(&mut phase) {
-                self.mechanisms.iter_mut().for_each(|mechanism| mechanism.module_left(module, &mut phase));
-            }
-        }
-        for slot in self.world.freed_slots.drain(..) {
-            self.launcher.slot_freed(slot);
-        }
-        self.world.cycle += 1;
+        sync(stage, &mut self.world, &mut self.mechanisms, &mut *self.launcher, now);
     }
 
     /// While the core is paused: lets others look at it, and waits.
@@ -426,6 +419,38 @@ impl Core {
             }
         }
     }
+}
+
+/// What was asked for in the process phase takes effect.
+fn sync(
+    stage: &mut Stage,
+    world: &mut World,
+    mechanisms: &mut [Box<dyn AnyMechanism>],
+    launcher: &mut dyn Launcher,
+    now: Time,
+) {
+    stage.take_asked(&mut world.asked);
+    world.join();
+    let mut asked = world.joined.asked();
+    for ready in &world.asked {
+        if let Some(cell) = stage.cell(ready.slot) {
+            asked.add(cell.io.asked);
+        }
+    }
+    let mut phase = SyncPhase { stage, world, now, asked };
+    for mechanism in &mut *mechanisms {
+        mechanism.sync(&mut phase);
+    }
+    phase.forget_what_was_asked();
+    if !phase.world.leaving.is_empty() {
+        for module in finish_leaving(&mut phase) {
+            mechanisms.iter_mut().for_each(|mechanism| mechanism.module_left(module, &mut phase));
+        }
+    }
+    for slot in world.freed_slots.drain(..) {
+        launcher.slot_freed(slot);
+    }
+    world.cycle += 1;
 }
 
 /// The stage between process phases, when nobody else holds it.

@@ -11,6 +11,8 @@ pub struct SyncPhase<'a> {
     pub(crate) stage: &'a mut Stage,
     pub(crate) world: &'a mut World,
     pub(crate) now: Time,
+    /// What was asked for in this cycle, by whomever.
+    pub(crate) asked: Asked,
 }
 
 impl SyncPhase<'_> {
@@ -61,6 +63,11 @@ impl SyncPhase<'_> {
         if let Some(slot) = self.attached_slot(module) {
             self.world.agenda.wake(slot);
         }
+    }
+
+    #[inline]
+    pub(crate) fn has(&self, what: Asked) -> bool {
+        self.asked.has(what)
     }
 
     pub(crate) fn for_each_that_asked(

@@ -83,7 +83,7 @@ impl Drop for Core {
         }
         if let Some(stage) = std::sync::Arc::get_mut(&mut self.stage) {
             // Guarded, unlike the drop of the topics themselves.
-            stage.shared.topics.retire();
+            stage.shared.topics.retire_all();
         }
         self.world.queue.close();
         self.world.queue.request_stop();

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use crate::agenda::{Agenda, Ready};
+use crate::context::Asked;
 use crate::detached::{DetachedModule, StepOutcome};
 use crate::inlet::AnyInlet;
 use crate::job::{Work, Workers};
@@ -127,7 +128,7 @@ impl World {
     /// Sorts what other threads asked for. What comes while this runs waits for the next cycle, so that a busy
     /// thread cannot hold this one.
     pub(crate) fn join(&mut self) {
-        if self.queue.is_empty() {
+        if self.queue.has_no_requests() {
             return;
         }
         for _ in 0..self.queue.len() {
@@ -189,6 +190,11 @@ impl World {
 }
 
 impl Joined {
+    /// What the mechanisms have to look at.
+    pub(crate) fn asked(&self) -> Asked {
+        if self.has_work() { Asked::JOINED } else { Asked::default() }
+    }
+
     fn add_step(&mut self, mut step: StepOutcome) {
         let module = step.module;
         self.commands.append(&mut step.commands);
@@ -203,6 +209,9 @@ impl Joined {
             && self.settings.is_empty()
             && self.steps.is_empty()
             && self.calls.is_empty()
-            && self.results.is_empty())
+            && self.results.is_empty()
+            && self.work.is_empty()
+            && self.calls_of_detached.is_empty()
+            && self.answers_of_detached.is_empty())
     }
 }

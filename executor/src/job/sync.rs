@@ -20,6 +20,9 @@ impl Mechanism for Jobs {
     fn view(&self) {}
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
+        if !phase.has(Asked::WORK) && !phase.has(Asked::JOINED) {
+            return;
+        }
         phase.for_each_that_asked(Asked::WORK, |io, world| world.joined.work.append(&mut io.work));
         let works_inside = !phase.world.clock.runs_by_itself();
         let work = std::mem::take(&mut phase.world.joined.work);
@@ -33,6 +36,7 @@ impl Mechanism for Jobs {
         }
         if has_worked {
             phase.world.join();
+            phase.asked.add(Asked::JOINED);
         }
         for result in std::mem::take(&mut phase.world.joined.results) {
             deliver(phase, result);

@@ -10,6 +10,10 @@ use crate::{Launcher, Stage};
 pub struct Linear;
 
 impl Launcher for Linear {
+    fn is_linear(&self) -> bool {
+        true
+    }
+
     fn process(&mut self, stage: &mut Arc<Stage>) {
         match Arc::get_mut(stage) {
             Some(stage) => stage.run_all(),

@@ -55,6 +55,11 @@ pub trait Launcher: Send {
     /// When it returns, no clone of `stage` may be left: the sync phase changes what it holds.
     fn process(&mut self, stage: &mut Arc<Stage>);
 
+    /// True if [`process`](Self::process) does no more than [`Stage::run_all`]; the core then calls that itself.
+    fn is_linear(&self) -> bool {
+        false
+    }
+
     /// The module in this [slot](Stage::slot) was removed: what was kept for it can go. Another module may have
     /// the slot in a later cycle.
     fn slot_freed(&mut self, slot: usize) {

@@ -37,6 +37,10 @@ impl<L: Launcher> Launcher for Scheduled<L> {
         self.launcher.process(stage);
     }
 
+    fn is_linear(&self) -> bool {
+        self.launcher.is_linear()
+    }
+
     fn slot_freed(&mut self, slot: usize) {
         self.launcher.slot_freed(slot);
     }

@@ -27,13 +27,17 @@ impl Mechanism for Modules {
     fn view(&self) {}
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
-        notice_changes(phase);
+        if phase.has(Asked::PANIC) || phase.has(Asked::JOINED) {
+            notice_changes(phase);
+        }
         if !phase.world.restarts.is_empty() {
             restart_due(phase);
         }
-        phase.for_each_that_asked(Asked::COMMANDS, |io, world| {
-            world.joined.commands.append(&mut io.commands);
-        });
+        if phase.has(Asked::COMMANDS) {
+            phase.for_each_that_asked(Asked::COMMANDS, |io, world| {
+                world.joined.commands.append(&mut io.commands);
+            });
+        }
         if !phase.world.joined.commands.is_empty() {
             let commands = std::mem::take(&mut phase.world.joined.commands);
             let (removals, others): (Vec<_>, Vec<_>) =
@@ -46,7 +50,7 @@ impl Mechanism for Modules {
 fn notice_changes(phase: &mut SyncPhase<'_>) {
     for index in 0..phase.world.asked.len() {
         let ready = phase.world.asked[index];
-        let cell = phase.stage.cell(ready.slot).filter(|cell| cell.io.asked.has(Asked::STATE));
+        let cell = phase.stage.cell(ready.slot).filter(|cell| cell.io.asked.has(Asked::PANIC));
         if let Some(panic) = cell.and_then(|cell| cell.take_panic()) {
             notice_panic(phase, ready.order, &panic);
         }
@@ -214,7 +218,7 @@ pub(crate) fn find(phase: &SyncPhase<'_>, module: &str) -> Result<ModuleId, Unkn
 }
 
 fn remove(phase: &mut SyncPhase<'_>, id: ModuleId) {
-    let SyncPhase { stage, world, now } = phase;
+    let SyncPhase { stage, world, now, asked } = phase;
     world.restarts.retain(|&(_, order)| order != id.order);
     let Some(name) = world.members.get(id.order).map(|member| Arc::clone(&member.name)) else { return };
     world.members.forget_name(&name);
@@ -223,6 +227,7 @@ fn remove(phase: &mut SyncPhase<'_>, id: ModuleId) {
             if let (Some(cell), shared) = stage.cell_and_shared(slot) {
                 cell.shutdown(Some(shared), *now);
                 world.joined.commands.append(&mut cell.io.commands);
+                asked.add(cell.io.asked);
                 if let Some(panic) = cell.take_panic() {
                     tracing::error!(module = &*name, "panicked in its shutdown: {panic}");
                 }

@@ -25,12 +25,17 @@ impl Mechanism for Messaging {
     fn view(&self) {}
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
-        phase.stage.shared.topics.retire();
+        phase.stage.shared.topics.begin();
         take_inlets(phase);
-        for step in std::mem::take(&mut phase.world.joined.steps) {
-            join_step(phase, step);
+        if phase.has(Asked::JOINED) {
+            for step in std::mem::take(&mut phase.world.joined.steps) {
+                join_step(phase, step);
+            }
         }
-        take_outboxes(phase);
+        if phase.has(Asked::MESSAGES) {
+            take_outboxes(phase);
+        }
+        phase.stage.shared.topics.finish();
         distribute(phase);
     }
 }
@@ -53,7 +58,7 @@ fn take_inlets(phase: &mut SyncPhase<'_>) {
 }
 
 fn take_outboxes(phase: &mut SyncPhase<'_>) {
-    let SyncPhase { stage, world, now } = phase;
+    let SyncPhase { stage, world, now, .. } = phase;
     for ready in &world.asked {
         let (Some(cell), shared) = stage.cell_and_shared(ready.slot) else { continue };
         if cell.io.asked.has(Asked::MESSAGES) {

@@ -60,38 +60,61 @@ impl<T> Topic<T> {
 pub(crate) trait AnyTopic: Any + Send + Sync {
     /// Forgets the messages of the last cycle, unless somebody keeps them.
     fn retire(&mut self);
-    /// Takes the messages out of an outbox of this topic.
+    /// Forgets the messages of the last cycle, and takes those out of an outbox of this topic.
+    fn begin(&mut self, outbox: &mut dyn AnyOutbox, now: Time);
+    /// Takes the messages out of one more outbox.
     fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time);
     /// The batch, to be taken to another thread, and the number of messages in it.
     fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32);
 }
 
+/// The batch, empty: the one there is, unless somebody keeps it.
+fn renewed<T>(batch: &mut Arc<Batch<T>>) -> Option<&mut Batch<T>> {
+    if Arc::strong_count(batch) > 1 {
+        *batch = Arc::default();
+    }
+    let batch = Arc::get_mut(batch)?;
+    if !std::mem::needs_drop::<T>() {
+        batch.clear();
+    } else if !drop_guarded("a message", || batch.clear()) {
+        // What is left of it is not touched again: it could panic again.
+        std::mem::forget(std::mem::take(batch));
+    }
+    Some(batch)
+}
+
+/// Moves the messages from an outbox to a batch.
+fn take_over<T: Send + 'static>(
+    counter: &TopicCounter,
+    batch: Option<&mut Batch<T>>,
+    outbox: &mut dyn AnyOutbox,
+    now: Time,
+) {
+    let outbox = (outbox as &mut dyn Any).downcast_mut::<Outbox<T>>();
+    // Both hold by construction: outboxes are opened through the topic's type check, and nobody shares a batch
+    // before the sync phase has filled it.
+    let (Some(outbox), Some(batch)) = (outbox, batch) else {
+        debug_assert!(false, "an outbox reached a topic of another type, or a batch in use");
+        return;
+    };
+    // Only this thread writes it: no need to add atomically.
+    let count = counter.0.load(Ordering::Relaxed) + outbox.messages.len() as u64;
+    counter.0.store(count, Ordering::Relaxed);
+    batch.stamp(now);
+    batch.take_over(&mut outbox.messages);
+}
+
 impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
     fn retire(&mut self) {
-        match Arc::get_mut(&mut self.batch) {
-            Some(batch) => {
-                if !drop_guarded("a message", || batch.clear()) {
-                    // What is left of it is not touched again: it could panic again.
-                    std::mem::forget(std::mem::take(&mut self.batch));
-                }
-            }
-            None => self.batch = Arc::default(),
-        }
+        renewed(&mut self.batch);
+    }
+
+    fn begin(&mut self, outbox: &mut dyn AnyOutbox, now: Time) {
+        take_over(&self.counter, renewed(&mut self.batch), outbox, now);
     }
 
     fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) {
-        let outbox = (outbox as &mut dyn Any).downcast_mut::<Outbox<T>>();
-        // Both hold by construction: outboxes are opened through the topic's type check, and a topic is
-        // retired, which makes its batch exclusive, before it absorbs anything.
-        let (Some(outbox), Some(batch)) = (outbox, Arc::get_mut(&mut self.batch)) else {
-            debug_assert!(false, "an outbox reached a topic of another type, or a batch in use");
-            return;
-        };
-        // Only this thread writes it: no need to add atomically.
-        let count = self.counter.0.load(Ordering::Relaxed) + outbox.messages.len() as u64;
-        self.counter.0.store(count, Ordering::Relaxed);
-        batch.stamp(now);
-        batch.take_over(&mut outbox.messages);
+        take_over(&self.counter, Arc::get_mut(&mut self.batch), outbox, now);
     }
 
     fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32) {
@@ -108,6 +131,8 @@ pub(crate) struct Topics {
     by_name: HashMap<Arc<str>, usize>,
     /// Those with messages of the last cycle, in the order in which these came.
     fresh: Vec<usize>,
+    /// Those with messages of the cycle before, while the sync phase goes on.
+    stale: Vec<usize>,
     is_fresh: Vec<bool>,
 }
 
@@ -124,6 +149,10 @@ struct Forgotten;
 
 impl AnyTopic for Forgotten {
     fn retire(&mut self) {}
+
+    fn begin(&mut self, outbox: &mut dyn AnyOutbox, _now: Time) {
+        outbox.discard();
+    }
 
     fn absorb(&mut self, outbox: &mut dyn AnyOutbox, _now: Time) {
         outbox.discard();
@@ -248,21 +277,38 @@ impl Topics {
         self.topics[topic].share()
     }
 
-    /// First step of the messages' part of the sync phase.
-    pub(crate) fn retire(&mut self) {
-        for index in self.fresh.drain(..) {
-            self.topics[index].retire();
+    /// First step of the messages' part of the sync phase: the messages of the last cycle are stale.
+    pub(crate) fn begin(&mut self) {
+        std::mem::swap(&mut self.fresh, &mut self.stale);
+        for &index in &self.stale {
             self.is_fresh[index] = false;
         }
     }
 
     pub(crate) fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) {
         let index = outbox.topic();
-        self.topics[index].absorb(outbox, now);
-        if !self.is_fresh[index] {
+        if self.is_fresh[index] {
+            self.topics[index].absorb(outbox, now);
+        } else {
             self.is_fresh[index] = true;
             self.fresh.push(index);
+            self.topics[index].begin(outbox, now);
         }
+    }
+
+    /// Last step: drops what is still stale.
+    pub(crate) fn finish(&mut self) {
+        for index in self.stale.drain(..) {
+            if !self.is_fresh[index] {
+                self.topics[index].retire();
+            }
+        }
+    }
+
+    /// Drops all messages there are.
+    pub(crate) fn retire_all(&mut self) {
+        self.begin();
+        self.finish();
     }
 
     /// The topics that carry messages after the last sync phase, in the order in which these came.
