@@ -170,6 +170,13 @@ fn launchers_refuse_options_that_the_system_refuses() {
 }
 
 #[test]
+fn a_thread_per_module_does_not_spin_always_at_a_priority() {
+    let error = Threads::with_options(ThreadOptions { spin: Spin::Always, ..with_priority(5) }).unwrap_err();
+    let start = "the thread \"module-0\" cannot spin always at the SCHED_FIFO priority 5: ";
+    assert!(error.to_string().starts_with(start), "{error}");
+}
+
+#[test]
 fn a_launcher_places_the_cores_thread_when_it_is_attached() {
     on_own_thread(|| {
         let last = *usable_cpus().last().unwrap();

@@ -1,5 +1,6 @@
 //! The launcher with a fixed number of threads.
 
+use std::collections::BTreeSet;
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -20,6 +21,19 @@ pub enum PoolError {
         available()
     )]
     NoThreads,
+    /// Threads that never park would take the CPU from those they wait for.
+    #[error(
+        "the {threads} threads of a pool cannot all spin always: each needs a CPU of its own, and {sharing} of them \
+         have to share {cpus}; use fewer threads, give them more CPUs, or let them spin for a time"
+    )]
+    TooFewCpus {
+        /// How many were asked for.
+        threads: usize,
+        /// How many of them may run on the same CPUs only.
+        sharing: usize,
+        /// The number of these CPUs.
+        cpus: usize,
+    },
     /// A thread could not be started, or cannot run as its options say.
     #[error("cannot make a pool of {threads} threads: {source}")]
     Thread {
@@ -80,10 +94,16 @@ impl Pool {
     /// If there are none, or the system refuses a thread, or does not allow what its options say.
     pub fn with_each(options: Vec<ThreadOptions>) -> Result<Self, PoolError> {
         let threads = options.len();
+        // Threads that take CPUs from each other make nothing faster by spinning.
+        let spin = match shared_cpus(&options) {
+            Some((sharing, cpus)) if options.iter().any(|options| options.spin == Spin::Always) => {
+                return Err(PoolError::TooFewCpus { threads, sharing, cpus });
+            }
+            Some(_) => Spin::Never,
+            None => Spin::For(USUAL_SPIN),
+        };
         let mut options = options.into_iter();
         let core = options.next().ok_or(PoolError::NoThreads)?;
-        // Threads that take CPUs from each other make nothing faster by spinning.
-        let spin = if threads > available() { Spin::Never } else { Spin::For(USUAL_SPIN) };
         let spinner = Spinner::new(core.spin.or(spin));
         let mut pool = Self { workers: Vec::new(), gate: Arc::new(Gate::new()), spinner, core };
         for (index, options) in options.enumerate() {
@@ -99,6 +119,19 @@ const USUAL_SPIN: Duration = Duration::from_micros(20);
 
 fn available() -> usize {
     std::thread::available_parallelism().map_or(1, NonZeroUsize::get)
+}
+
+/// How many threads have to share how many CPUs, if there are not enough for one each.
+fn shared_cpus(options: &[ThreadOptions]) -> Option<(usize, usize)> {
+    let is_within = |inner: &ThreadOptions, outer: &ThreadOptions| {
+        outer.cpus.is_empty()
+            || (!inner.cpus.is_empty() && inner.cpus.iter().all(|cpu| outer.cpus.contains(cpu)))
+    };
+    options.iter().find_map(|outer| {
+        let sharing = options.iter().filter(|inner| is_within(inner, outer)).count();
+        let cpus = if outer.cpus.is_empty() { available() } else { BTreeSet::from_iter(&outer.cpus).len() };
+        (sharing > cpus).then_some((sharing, cpus))
+    })
 }
 
 impl Launcher for Pool {
@@ -179,5 +212,29 @@ impl Drop for Pool {
                 let _ = thread.join();
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn on(cpus: &[usize]) -> ThreadOptions {
+        ThreadOptions { cpus: cpus.to_vec(), spin: Spin::Always, ..ThreadOptions::default() }
+    }
+
+    #[test]
+    fn threads_that_have_to_share_cpus_are_counted() {
+        assert_eq!(shared_cpus(&[on(&[0]), on(&[1]), on(&[2, 3])]), None);
+        assert_eq!(shared_cpus(&[on(&[0]), on(&[1]), on(&[1, 1])]), Some((2, 1)));
+        assert_eq!(shared_cpus(&[on(&[0, 1]), on(&[1]), on(&[0])]), Some((3, 2)));
+        let more = available() + 1;
+        assert_eq!(shared_cpus(&vec![on(&[]); more]), Some((more, more - 1)));
+    }
+
+    #[test]
+    fn threads_that_always_spin_are_refused_where_they_would_wait_for_each_others_cpu() {
+        let refused = Err(PoolError::TooFewCpus { threads: 2, sharing: 2, cpus: 1 }.to_string());
+        assert_eq!(Pool::with_options(2, on(&[0])).map(drop).map_err(|error| error.to_string()), refused);
     }
 }

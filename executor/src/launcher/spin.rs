@@ -19,7 +19,8 @@ pub enum Spin {
     /// Spins for this time and then parks. After a wait that was much longer it parks at once, until work
     /// comes quickly again: a robot that runs every 8 ms is not kept busy in between.
     For(Duration),
-    /// Never parks: the lowest latency, for the price of a whole CPU per thread.
+    /// Never parks: the lowest latency, for the price of a whole CPU per thread. With fewer CPUs than threads it
+    /// would be the highest; a pool refuses that.
     Always,
 }
 

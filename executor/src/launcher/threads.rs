@@ -57,9 +57,13 @@ impl Threads {
     /// Threads that run as the options say. The core's own does not, see [`Scheduled`](crate::Scheduled) for that.
     ///
     /// # Errors
-    /// If the system does not allow what the options say.
+    /// If the system does not allow what the options say, or they let all threads spin always at a priority.
     pub fn with_options(options: ThreadOptions) -> Result<Self, ThreadError> {
-        options.check(&name(&options, 0))?;
+        let thread = name(&options, 0);
+        if let (Spin::Always, Some(priority)) = (options.spin, options.fifo_priority) {
+            return Err(ThreadError::SpinsAtPriority { thread, priority });
+        }
+        options.check(&thread)?;
         Ok(Self::with_checked(options))
     }
 

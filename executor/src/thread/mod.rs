@@ -105,6 +105,17 @@ pub enum ThreadError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// A launcher's threads that never park, at a priority above that of the thread that gives them work.
+    #[error(
+        "the thread \"{thread}\" cannot spin always at the SCHED_FIFO priority {priority}: it would take its CPU from \
+         the core; let it spin for a time, or leave the priority out"
+    )]
+    SpinsAtPriority {
+        /// The thread's name.
+        thread: String,
+        /// The priority asked for.
+        priority: u8,
+    },
     /// Only Linux is supported.
     #[error(
         "cannot set the {what} of the thread \"{thread}\": not supported on this system, {system}, only on linux"
