@@ -18,6 +18,9 @@ pub(crate) struct Ready {
 #[derive(Default)]
 pub(crate) struct Agenda {
     ready: Vec<Ready>,
+    /// The place of the last one in the order of registration, while they came in that order.
+    last: Option<u64>,
+    is_out_of_order: bool,
     /// By slot.
     entries: Vec<Entry>,
     /// Entries that no longer hold what `entries` says are skipped when they come up.
@@ -61,6 +64,8 @@ impl Agenda {
         let entry = &mut self.entries[slot];
         if !entry.is_ready {
             entry.is_ready = true;
+            self.is_out_of_order |= self.last > Some(entry.order);
+            self.last = Some(entry.order);
             self.ready.push(Ready { order: entry.order, slot });
         }
     }
@@ -112,9 +117,10 @@ impl Agenda {
         for ready in &*runnable {
             self.entries[ready.slot].is_ready = false;
         }
-        if !runnable.is_sorted() {
-            runnable.sort_unstable();
+        if self.is_out_of_order {
+            runnable.sort_unstable_by_key(|ready| ready.order);
         }
+        (self.last, self.is_out_of_order) = (None, false);
     }
 
     /// Forgets entries that were replaced by others: a module may postpone a far due time again and again.

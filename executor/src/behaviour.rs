@@ -28,6 +28,7 @@ pub(crate) trait Behaviour: Send {
     fn tick(&mut self, timer: usize, ctx: &mut Context<'_>);
     fn accept_setting(&mut self, setting: usize, value: &SettingValue) -> Result<(), String>;
     fn setting_changed(&mut self, setting: usize, ctx: &mut Context<'_>);
+    fn has_each_run(&self) -> bool;
     fn run_ends(&mut self, ctx: &mut Context<'_>);
 }
 
@@ -125,6 +126,10 @@ impl<M: Module> Behaviour for ModuleBehaviour<M> {
         for (_, callback) in self.callbacks.settings.iter_mut().filter(|(index, _)| *index == setting) {
             callback(&mut self.module, ctx);
         }
+    }
+
+    fn has_each_run(&self) -> bool {
+        !self.callbacks.each_run.is_empty()
     }
 
     fn run_ends(&mut self, ctx: &mut Context<'_>) {

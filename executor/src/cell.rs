@@ -20,6 +20,7 @@ pub(crate) struct ModuleCell {
     state: LifecycleState,
     transitions: VecDeque<(Transition, TransitionReceipt)>,
     hold: Hold,
+    has_each_run: bool,
     panic: Option<String>,
 }
 
@@ -55,6 +56,7 @@ impl ModuleCell {
             LifecycleState::Active => &[Transition::Configure, Transition::Activate],
             LifecycleState::Finalized => &[Transition::Shutdown],
         };
+        let has_each_run = behaviour.has_each_run();
         Self {
             io,
             behaviour: Some(behaviour),
@@ -62,6 +64,7 @@ impl ModuleCell {
             state: LifecycleState::Unconfigured,
             transitions: transitions.iter().map(|&transition| (transition, None)).collect(),
             hold: Hold::Free,
+            has_each_run,
             panic: None,
         }
     }
@@ -154,15 +157,13 @@ impl ModuleCell {
 
     /// Runs what is due inside a cycle. True if it asked for something that the sync phase applies.
     pub(crate) fn run(&mut self, shared: &Shared, now: Time) -> bool {
-        let subscribed = std::mem::take(&mut self.subscribed);
-        self.run_with(now, Some(shared), |behaviour, ctx| {
+        self.run_with(now, Some(shared), |behaviour, subscribed, ctx| {
             for (subscription, &topic) in subscribed.iter().enumerate() {
                 if shared.topics.is_fresh(topic) {
                     behaviour.receive(subscription, &shared.topics, ctx);
                 }
             }
         });
-        self.subscribed = subscribed;
         !self.io.asked.is_empty()
     }
 
@@ -172,8 +173,7 @@ impl ModuleCell {
     /// it would if they had come in one cycle: that is how replay gives them to it again. An observer, which
     /// is not replayed but may write down what it sees, receives them in the order of the cycles.
     pub(crate) fn run_detached(&mut self, deliveries: &VecDeque<Delivery>, role: Role, now: Time) {
-        let subscribed = std::mem::take(&mut self.subscribed);
-        self.run_with(now, None, |behaviour, ctx| match role {
+        self.run_with(now, None, |behaviour, subscribed, ctx| match role {
             Role::Part => {
                 for (subscription, &topic) in subscribed.iter().enumerate() {
                     for delivery in deliveries.iter().filter(|delivery| delivery.topic == topic) {
@@ -190,7 +190,6 @@ impl ModuleCell {
                 }
             }
         });
-        self.subscribed = subscribed;
     }
 
     /// Runs the module's last callback.
@@ -205,60 +204,51 @@ impl ModuleCell {
         self.end();
     }
 
+    #[inline]
     fn run_with(
         &mut self,
         now: Time,
         shared: Option<&Shared>,
-        receive: impl FnOnce(&mut dyn Behaviour, &mut Context<'_>),
+        receive: impl FnOnce(&mut dyn Behaviour, &[usize], &mut Context<'_>),
     ) {
+        let is_plain =
+            self.hold == Hold::Free && self.transitions.is_empty() && self.state == LifecycleState::Active;
+        if !is_plain && !self.prepare(now, shared) {
+            return;
+        }
+        let has_each_run = self.has_each_run;
+        let Self { io, behaviour: Some(behaviour), subscribed, .. } = self else { return };
+        let outcome = catch_unwind(AssertUnwindSafe(|| {
+            let (behaviour, ctx) = (&mut **behaviour, &mut Context::new(io, now, shared));
+            let mark = ctx.io().tasks.mark();
+            before_messages(behaviour, ctx);
+            receive(behaviour, subscribed, ctx);
+            after_messages(behaviour, ctx, mark);
+            if has_each_run {
+                behaviour.run_ends(ctx);
+            }
+        }));
+        if let Err(panic) = outcome {
+            self.end_by_panic(&*panic);
+        }
+    }
+
+    /// What comes before the callbacks of a run, where there is something. False if none may run.
+    #[cold]
+    fn prepare(&mut self, now: Time, shared: Option<&Shared>) -> bool {
         match self.hold {
             Hold::Free => {}
-            Hold::Held => return,
+            Hold::Held => return false,
             Hold::Step => self.hold = Hold::Held,
         }
         if !self.transitions.is_empty() {
             self.make_transitions(now, shared);
         }
-        if self.state != LifecycleState::Active {
-            return self.abandon();
+        let is_active = self.state == LifecycleState::Active;
+        if !is_active {
+            self.abandon();
         }
-        self.guarded(now, shared, |behaviour, ctx| {
-            let mark = ctx.io().tasks.mark();
-            while let Some(setting) = ctx.io().settings.take_change() {
-                behaviour.setting_changed(setting, ctx);
-            }
-            for job in 0..ctx.io().jobs.len() {
-                if ctx.io().jobs[job].has_results() {
-                    behaviour.finished(job, ctx);
-                }
-            }
-            receive(behaviour, ctx);
-            for server in 0..ctx.io().servers.len() {
-                if ctx.io().servers[server].has_requests() {
-                    behaviour.serve(server, ctx);
-                }
-            }
-            for client in 0..ctx.io().clients.len() {
-                let port = &ctx.io().clients[client];
-                if port.has_replies() || port.due() <= now {
-                    behaviour.replied(client, ctx);
-                    ctx.io().asked.add(Asked::STATE);
-                }
-            }
-            if ctx.io().tasks.due() <= now {
-                while let Some(task) = ctx.io().tasks.take_due(now, mark) {
-                    behaviour.task(task.index as usize, ctx);
-                    ctx.io().asked.add(Asked::STATE);
-                }
-            }
-            for timer in 0..ctx.io().timers.len() {
-                if ctx.io().timers[timer].fire(now) {
-                    behaviour.tick(timer, ctx);
-                    ctx.io().asked.add(Asked::STATE);
-                }
-            }
-            behaviour.run_ends(ctx);
-        });
+        is_active
     }
 
     fn make_transitions(&mut self, now: Time, shared: Option<&Shared>) {
@@ -321,12 +311,16 @@ impl ModuleCell {
         let outcome =
             catch_unwind(AssertUnwindSafe(|| run(&mut **behaviour, &mut Context::new(io, now, shared))));
         if let Err(panic) = outcome {
-            drop_guarded("a message", || self.io.discard());
-            self.io.asked = Asked::default();
-            self.panic = Some(reason(&*panic).to_owned());
-            self.io.asked.add(Asked::PANIC);
-            self.end();
+            self.end_by_panic(&*panic);
         }
+    }
+
+    #[cold]
+    fn end_by_panic(&mut self, panic: &(dyn Any + Send)) {
+        drop_guarded("a message", || self.io.discard());
+        self.io.asked = Asked::PANIC;
+        self.panic = Some(reason(panic).to_owned());
+        self.end();
     }
 
     fn end(&mut self) {
@@ -348,6 +342,45 @@ impl ModuleCell {
             if server.has_answers() {
                 self.io.asked.add(Asked::ANSWERS);
             }
+        }
+    }
+}
+
+fn before_messages(behaviour: &mut dyn Behaviour, ctx: &mut Context<'_>) {
+    while let Some(setting) = ctx.io().settings.take_change() {
+        behaviour.setting_changed(setting, ctx);
+    }
+    for job in 0..ctx.io().jobs.len() {
+        if ctx.io().jobs[job].has_results() {
+            behaviour.finished(job, ctx);
+        }
+    }
+}
+
+fn after_messages(behaviour: &mut dyn Behaviour, ctx: &mut Context<'_>, mark: u64) {
+    let now = ctx.now();
+    for server in 0..ctx.io().servers.len() {
+        if ctx.io().servers[server].has_requests() {
+            behaviour.serve(server, ctx);
+        }
+    }
+    for client in 0..ctx.io().clients.len() {
+        let port = &ctx.io().clients[client];
+        if port.has_replies() || port.due() <= now {
+            behaviour.replied(client, ctx);
+            ctx.io().asked.add(Asked::STATE);
+        }
+    }
+    if ctx.io().tasks.due() <= now {
+        while let Some(task) = ctx.io().tasks.take_due(now, mark) {
+            behaviour.task(task.index as usize, ctx);
+            ctx.io().asked.add(Asked::STATE);
+        }
+    }
+    for timer in 0..ctx.io().timers.len() {
+        if ctx.io().timers[timer].fire(now) {
+            behaviour.tick(timer, ctx);
+            ctx.io().asked.add(Asked::STATE);
         }
     }
 }

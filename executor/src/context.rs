@@ -55,6 +55,10 @@ impl Asked {
     /// Not of a module: something came from another thread.
     pub(crate) const JOINED: Self = Self(256);
 
+    pub(crate) const fn or(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
     #[inline]
     pub(crate) fn add(&mut self, other: Self) {
         self.0 |= other.0;

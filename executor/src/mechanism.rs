@@ -7,6 +7,7 @@
 use std::any::{Any, TypeId};
 use std::fmt;
 
+use crate::context::Asked;
 use crate::{ModuleId, SyncPhase};
 
 /// The version of a mechanism: what is built for `1.2` works with `1.3`, not with `1.1` nor `2.0`.
@@ -92,6 +93,26 @@ impl<M: Mechanism> AnyMechanism for M {
 
     fn module_left(&mut self, module: ModuleId, phase: &mut SyncPhase<'_>) {
         Mechanism::module_left(self, module, phase);
+    }
+}
+
+/// A mechanism, and in which cycles it has something to do.
+pub(crate) struct Engaged {
+    pub(crate) mechanism: Box<dyn AnyMechanism>,
+    /// In those in which one of these was asked for; in every one where it is nothing.
+    interest: Option<Asked>,
+}
+
+impl Engaged {
+    pub(crate) fn new(mechanism: Box<dyn AnyMechanism>, interest: Option<Asked>) -> Self {
+        Self { mechanism, interest }
+    }
+
+    #[inline]
+    pub(crate) fn sync(&mut self, phase: &mut SyncPhase<'_>) {
+        if self.interest.is_none_or(|interest| phase.has(interest)) {
+            self.mechanism.sync(phase);
+        }
     }
 }
 

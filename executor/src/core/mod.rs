@@ -16,11 +16,12 @@ pub use world::ModuleInfo;
 use world::Pause;
 pub(crate) use world::{JobResult, World};
 
+use crate::context::Asked;
 use crate::inlet::{InletPort, default_queue};
 use crate::job::Jobs;
 use crate::join::{DetachedStep, JoinQueue};
 use crate::management::{Candidate, Command, Modules, Place, Source, admit, finish_leaving};
-use crate::mechanism::{AnyMechanism, Version};
+use crate::mechanism::{Engaged, Version};
 use crate::messaging::Messaging;
 use crate::probe::{CycleReport, Probe};
 use crate::queue::Queue;
@@ -69,7 +70,7 @@ pub enum Idle {
 pub struct Core {
     stage: Arc<Stage>,
     world: World,
-    mechanisms: Vec<Box<dyn AnyMechanism>>,
+    mechanisms: Vec<Engaged>,
     launcher: Box<dyn Launcher>,
     parker: Parker,
     idle: Idle,
@@ -95,12 +96,13 @@ impl Core {
             parker,
             idle: Idle::default(),
         };
-        core.add_mechanism(Modules);
-        core.add_mechanism(Jobs);
-        core.add_mechanism(SettingsMechanism);
-        core.add_mechanism(Messaging);
-        core.add_mechanism(Services::default());
-        core.add_mechanism(Timers);
+        let joined = Asked::JOINED;
+        core.engage(Modules, Some(joined.or(Asked::PANIC).or(Asked::COMMANDS)));
+        core.engage(Jobs, Some(joined.or(Asked::WORK)));
+        core.engage(SettingsMechanism, Some(joined.or(Asked::COMMANDS)));
+        core.engage(Messaging, None);
+        core.engage(Services::default(), Some(joined.or(Asked::CALLS).or(Asked::ANSWERS)));
+        core.engage(Timers, Some(Asked::STATE.or(Asked::CALLS)));
         core
     }
 
@@ -140,7 +142,7 @@ impl Core {
     /// are.
     #[must_use]
     pub fn with_mechanism<M: Mechanism>(mut self, mechanism: M) -> Self {
-        self.add_mechanism(mechanism);
+        self.engage(mechanism, None);
         self
     }
 
@@ -244,7 +246,7 @@ impl Core {
 
     /// The mechanisms by name, in the order in which the sync phase runs them, with their versions.
     pub fn mechanisms(&self) -> impl Iterator<Item = (&'static str, Version)> {
-        self.mechanisms.iter().map(|mechanism| (mechanism.name(), mechanism.version()))
+        self.mechanisms.iter().map(|engaged| (engaged.mechanism.name(), engaged.mechanism.version()))
     }
 
     /// The settings of a module; nothing if there is no such module.
@@ -309,9 +311,9 @@ impl Core {
         Some(self.world.earliest_due()).filter(|&due| due < Time::MAX)
     }
 
-    fn add_mechanism<M: Mechanism>(&mut self, mechanism: M) {
+    fn engage<M: Mechanism>(&mut self, mechanism: M, interest: Option<Asked>) {
         exclusive(&mut self.stage).shared.offers.add(&mechanism);
-        self.mechanisms.push(Box::new(mechanism));
+        self.mechanisms.push(Engaged::new(Box::new(mechanism), interest));
     }
 
     fn admit(&mut self, name: &str, source: Source, options: ModuleOptions) -> Result<(), SetupError> {
@@ -425,13 +427,13 @@ impl Core {
 fn sync(
     stage: &mut Stage,
     world: &mut World,
-    mechanisms: &mut [Box<dyn AnyMechanism>],
+    mechanisms: &mut [Engaged],
     launcher: &mut dyn Launcher,
     now: Time,
 ) {
     stage.take_asked(&mut world.asked);
     world.join();
-    let mut asked = world.joined.asked();
+    let mut asked = world.asked_from_outside(now);
     for ready in &world.asked {
         if let Some(cell) = stage.cell(ready.slot) {
             asked.add(cell.io.asked);
@@ -444,11 +446,11 @@ fn sync(
     phase.forget_what_was_asked();
     if !phase.world.leaving.is_empty() {
         for module in finish_leaving(&mut phase) {
-            mechanisms.iter_mut().for_each(|mechanism| mechanism.module_left(module, &mut phase));
+            mechanisms.iter_mut().for_each(|engaged| engaged.mechanism.module_left(module, &mut phase));
         }
     }
-    for slot in world.freed_slots.drain(..) {
-        launcher.slot_freed(slot);
+    if !world.freed_slots.is_empty() {
+        world.freed_slots.drain(..).for_each(|slot| launcher.slot_freed(slot));
     }
     world.cycle += 1;
 }

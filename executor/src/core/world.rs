@@ -127,6 +127,7 @@ impl World {
 
     /// Sorts what other threads asked for. What comes while this runs waits for the next cycle, so that a busy
     /// thread cannot hold this one.
+    #[inline]
     pub(crate) fn join(&mut self) {
         if self.queue.has_no_requests() {
             return;
@@ -176,6 +177,13 @@ impl World {
         self.members.iter().filter_map(describe).collect()
     }
 
+    /// Whether the mechanisms have to look at what no module of this cycle asked for.
+    #[inline]
+    pub(crate) fn asked_from_outside(&self, now: Time) -> Asked {
+        let is_due = !self.restarts.is_empty() || self.calls_due <= now || self.has_stopped;
+        if is_due || self.joined.has_work() { Asked::JOINED } else { Asked::default() }
+    }
+
     /// True if the next cycle has something to do whatever the time is.
     pub(crate) fn has_work(&self) -> bool {
         self.agenda.has_ready() || !self.queue.is_empty() || self.joined.has_work()
@@ -190,11 +198,6 @@ impl World {
 }
 
 impl Joined {
-    /// What the mechanisms have to look at.
-    pub(crate) fn asked(&self) -> Asked {
-        if self.has_work() { Asked::JOINED } else { Asked::default() }
-    }
-
     fn add_step(&mut self, mut step: StepOutcome) {
         let module = step.module;
         self.commands.append(&mut step.commands);

@@ -20,9 +20,6 @@ impl Mechanism for Jobs {
     fn view(&self) {}
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
-        if !phase.has(Asked::WORK) && !phase.has(Asked::JOINED) {
-            return;
-        }
         phase.for_each_that_asked(Asked::WORK, |io, world| world.joined.work.append(&mut io.work));
         let works_inside = !phase.world.clock.runs_by_itself();
         let work = std::mem::take(&mut phase.world.joined.work);

@@ -27,17 +27,13 @@ impl Mechanism for Modules {
     fn view(&self) {}
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
-        if phase.has(Asked::PANIC) || phase.has(Asked::JOINED) {
-            notice_changes(phase);
-        }
+        notice_changes(phase);
         if !phase.world.restarts.is_empty() {
             restart_due(phase);
         }
-        if phase.has(Asked::COMMANDS) {
-            phase.for_each_that_asked(Asked::COMMANDS, |io, world| {
-                world.joined.commands.append(&mut io.commands);
-            });
-        }
+        phase.for_each_that_asked(Asked::COMMANDS, |io, world| {
+            world.joined.commands.append(&mut io.commands);
+        });
         if !phase.world.joined.commands.is_empty() {
             let commands = std::mem::take(&mut phase.world.joined.commands);
             let (removals, others): (Vec<_>, Vec<_>) =

@@ -16,9 +16,6 @@ impl Mechanism for Timers {
     fn view(&self) {}
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
-        if !phase.has(Asked::STATE) && !phase.has(Asked::CALLS) {
-            return;
-        }
         let SyncPhase { stage, world, .. } = phase;
         for ready in &world.asked {
             if let Some(cell) = stage.cell(ready.slot)

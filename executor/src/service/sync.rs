@@ -28,9 +28,6 @@ impl Mechanism for Services {
     fn view(&self) {}
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
-        if self.is_idle(phase) {
-            return;
-        }
         self.take_external(phase);
         take_calls(phase);
         if phase.world.services.staged() {
@@ -46,12 +43,6 @@ impl Mechanism for Services {
 }
 
 impl Services {
-    fn is_idle(&self, phase: &SyncPhase<'_>) -> bool {
-        let is_asked =
-            phase.has(Asked::CALLS) || phase.has(Asked::ANSWERS) || phase.has(Asked::JOINED);
-        !is_asked && self.external.due() > phase.now && !phase.world.has_stopped
-    }
-
     fn take_external(&mut self, phase: &mut SyncPhase<'_>) {
         for mut call in std::mem::take(&mut phase.world.joined.calls) {
             let service = phase.world.services.get_mut(call.service());

@@ -20,9 +20,6 @@ impl Mechanism for SettingsMechanism {
     fn view(&self) {}
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
-        if phase.world.joined.settings.is_empty() {
-            return;
-        }
         for command in std::mem::take(&mut phase.world.joined.settings) {
             match command {
                 Command::Set { module, setting, value, receipt } => match find(phase, &module) {
