@@ -1,0 +1,20 @@
+//! The grid of the published platform's Table II: modules by messages.
+
+mod cell;
+mod goals;
+mod published;
+mod table;
+
+pub use cell::{CellResult, Row, measure};
+pub use goals::{Goal, goals};
+pub use published::{Published, published};
+pub use table::table;
+
+use crate::Load;
+
+/// The cells of the grid, small ones first.
+pub fn grid() -> impl Iterator<Item = Load> {
+    let modules = [10, 100, 1000];
+    let messages = [100, 1000, 10_000, 100_000];
+    modules.into_iter().flat_map(move |modules| messages.map(|messages| Load { modules, messages }))
+}
