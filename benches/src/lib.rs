@@ -9,4 +9,4 @@ pub mod measure;
 pub mod table_ii;
 mod workload;
 
-pub use workload::{BATCH, Load, Reading, Sum};
+pub use workload::{Load, Reading, Sum};

@@ -1,10 +1,8 @@
 //! What every contestant carries, and what every callback does with it.
 
 use std::hint::black_box;
-
-/// The most messages that are published in one cycle. Trials with more of them take several cycles, which bounds
-/// the memory of the designs that store one entry per delivery.
-pub const BATCH: u64 = 1000;
+use std::num::NonZeroU64;
+use std::ops::Range;
 
 /// A small sensor message of 32 bytes: what an inertial measurement unit tells.
 #[derive(Clone, Copy, Debug, Default)]
@@ -44,13 +42,16 @@ impl Sum {
     }
 }
 
-/// One cell of the grid: one publisher sends `messages` to each of `modules` subscribers.
+/// One publisher sends `messages` to each of `modules` subscribers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Load {
     /// How many modules subscribe.
     pub modules: u64,
     /// How many messages are published in a trial.
     pub messages: u64,
+    /// How many of them are published in one cycle at most. A trial with more takes several cycles, which bounds
+    /// the memory of the designs that store one entry per delivery.
+    pub batch: NonZeroU64,
 }
 
 impl Load {
@@ -60,9 +61,10 @@ impl Load {
         self.modules * self.messages
     }
 
-    /// The first message and the number of messages of each batch of a trial.
-    pub fn batches(self) -> impl Iterator<Item = (u64, u64)> {
-        (0..self.messages).step_by(BATCH as usize).map(move |first| (first, BATCH.min(self.messages - first)))
+    /// The numbers of the messages of each cycle of a trial.
+    pub fn batches(self) -> impl Iterator<Item = Range<u64>> {
+        let end_of = move |batch: u64| (batch * self.batch.get()).min(self.messages);
+        (0..self.messages.div_ceil(self.batch.get())).map(move |batch| end_of(batch)..end_of(batch + 1))
     }
 
     /// What the sums of all subscribers add up to after a trial in which nothing was lost.
@@ -74,11 +76,12 @@ impl Load {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use super::*;
 
     #[test]
     fn the_batches_of_a_trial_are_all_its_messages() {
-        let load = Load { modules: 1, messages: 2 * BATCH + 1 };
-        assert_eq!(load.batches().collect::<Vec<_>>(), [(0, BATCH), (BATCH, BATCH), (2 * BATCH, 1)]);
+        let load = Load { modules: 1, messages: 21, batch: NonZeroU64::new(10).unwrap() };
+        assert_eq!(load.batches().collect::<Vec<_>>(), [0..10, 10..20, 20..21]);
     }
 }

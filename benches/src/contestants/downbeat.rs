@@ -1,5 +1,6 @@
 //! Ours.
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -60,7 +61,7 @@ impl Contestant for Downbeat {
 
 /// Publishes one batch each cycle. After the last one of a trial it lets one cycle pass.
 struct Publisher {
-    batches: Vec<(u64, u64)>,
+    batches: Vec<Range<u64>>,
     next: usize,
     out: Option<Publication<Reading>>,
 }
@@ -71,11 +72,11 @@ impl Publisher {
     }
 
     fn tick(&mut self, ctx: &mut Context<'_>) {
-        let (Some(&(first, count)), Some(out)) = (self.batches.get(self.next), self.out) else {
+        let (Some(batch), Some(out)) = (self.batches.get(self.next), self.out) else {
             self.next = 0;
             return;
         };
-        for number in first..first + count {
+        for number in batch.clone() {
             ctx.publish(out, Reading::new(number));
         }
         self.next += 1;

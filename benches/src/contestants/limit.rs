@@ -21,9 +21,9 @@ impl Limit {
 
 impl Contestant for Limit {
     fn trial(&mut self) {
-        for (first, count) in self.load.batches() {
+        for batch in self.load.batches() {
             self.batch.clear();
-            for number in first..first + count {
+            for number in batch {
                 self.batch.push(Reading::new(number));
             }
             for subscriber in &mut self.subscribers {

@@ -62,8 +62,8 @@ impl<Q: Queue> Queues<Q> {
 
 impl<Q: Queue> Contestant for Queues<Q> {
     fn trial(&mut self) {
-        for (first, count) in self.load.batches() {
-            for number in first..first + count {
+        for batch in self.load.batches() {
+            for number in batch {
                 let message = Arc::new(Reading::new(number));
                 for (queue, _) in &self.modules {
                     queue.push(Arc::clone(&message));

@@ -104,9 +104,13 @@ fn ratio(numerator: Duration, denominator: Duration) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::num::NonZeroU64;
+
     use super::*;
 
-    fn result(load: Load) -> CellResult {
+    fn result(modules: u64, messages: u64) -> CellResult {
+        let load = Load { modules, messages, batch: NonZeroU64::new(1000).unwrap() };
         let ms = Duration::from_millis;
         let ours = vec![("Linear", ms(200))];
         CellResult { load, ours, limit: ms(100), lock_free_queues: ms(9000), locked_queues: ms(8000) }
@@ -114,7 +118,7 @@ mod tests {
 
     #[test]
     fn the_ratios_say_how_much_slower_than_the_limit_and_how_much_faster_than_the_others() {
-        let rows: Vec<Row> = result(Load { modules: 1000, messages: 100_000 }).rows().collect();
+        let rows: Vec<Row> = result(1000, 100_000).rows().collect();
         assert_eq!((rows[0].ms, rows[0].ns_per_delivery), (200.0, 2.0));
         assert_eq!((rows[0].ratio_to_limit, rows[0].ratio_to_queue_design), (2.0, 40.0));
         assert_eq!(rows[0].ratio_to_published, Some(13.508 / 0.2));
@@ -122,7 +126,7 @@ mod tests {
 
     #[test]
     fn a_cell_that_is_not_known_from_the_publication_has_no_ratio_to_it() {
-        let rows = result(Load { modules: 10, messages: 1000 }).rows();
+        let rows = result(10, 1000).rows();
         assert!(rows.into_iter().all(|row| row.ratio_to_published.is_none()));
     }
 }
