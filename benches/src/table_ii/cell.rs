@@ -126,7 +126,7 @@ mod tests {
 
     #[test]
     fn a_cell_that_is_not_known_from_the_publication_has_no_ratio_to_it() {
-        let rows = result(10, 1000).rows();
-        assert!(rows.into_iter().all(|row| row.ratio_to_published.is_none()));
+        let result = result(10, 1000);
+        assert!(result.rows().all(|row| row.ratio_to_published.is_none()));
     }
 }
