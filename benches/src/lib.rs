@@ -1,1 +1,12 @@
-//! Benchmarks of downbeat. They are in `benches/`; `README.md` says what is compared with what.
+//! Benchmarks of downbeat: what is measured, and against what. `README.md` says how to run them.
+//!
+//! Every contestant carries the same [`Reading`]s in the same batches to the same callback, so that what differs is
+//! how a message gets from its publisher to its subscribers.
+
+pub mod contestants;
+pub mod launchers;
+pub mod measure;
+pub mod table_ii;
+mod workload;
+
+pub use workload::{Load, Reading, Sum};

@@ -1,0 +1,104 @@
+//! Says how much memory a core with 1000 modules and 100 topics takes.
+// Counting allocations takes an allocator, and its trait is unsafe to implement. It only counts and passes on to
+// the system's.
+#![allow(unsafe_code)]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::io::Write as _;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use benches::{Reading, Sum};
+use downbeat_executor::{Context, Core, ManualClock, Module, Publication, Received, Setup, SetupError, Time};
+
+struct Counting;
+
+/// Bytes that were allocated and not freed.
+static LIVE: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: every request goes to the system's allocator as it came.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        LIVE.fetch_add(layout.size(), Ordering::Relaxed);
+        // SAFETY: the caller keeps the contract of `alloc`.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        LIVE.fetch_sub(layout.size(), Ordering::Relaxed);
+        // SAFETY: the caller keeps the contract of `dealloc`, and `pointer` came from `System`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+const MODULES: usize = 1000;
+const TOPICS: usize = 100;
+const MESSAGES_PER_CYCLE: u64 = 10;
+const PERIOD: Duration = Duration::from_millis(1);
+
+/// Every tenth of them publishes on a topic of its own; each hears one topic.
+struct Part {
+    tells: Option<String>,
+    hears: String,
+    out: Option<Publication<Reading>>,
+    sum: Sum,
+}
+
+impl Module for Part {
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        setup.subscribe(
+            &self.hears,
+            |part: &mut Self, reading: Received<'_, Reading>, _: &mut Context<'_>| {
+                part.sum.add(&reading);
+            },
+        )?;
+        let Some(topic) = &self.tells else { return Ok(()) };
+        self.out = Some(setup.publish(topic)?);
+        setup.every(PERIOD, |part: &mut Self, ctx: &mut Context<'_>| {
+            let Some(out) = part.out else { return };
+            for number in 0..MESSAGES_PER_CYCLE {
+                ctx.publish(out, Reading::new(number));
+            }
+        })
+    }
+}
+
+fn main() -> anyhow::Result<()> {
+    let before = LIVE.load(Ordering::Relaxed);
+    let clock = ManualClock::new(Time::ZERO);
+    let mut core = Core::new().with_clock(clock.clone());
+    let empty = LIVE.load(Ordering::Relaxed) - before;
+    for number in 0..MODULES {
+        let topic = format!("topic_{}", number % TOPICS);
+        let tells = (number < TOPICS).then(|| topic.clone());
+        core.add(&format!("part {number}"), Part { tells, hears: topic, out: None, sum: Sum::default() })?;
+    }
+    let with_modules = LIVE.load(Ordering::Relaxed) - before;
+    for _ in 0..100 {
+        clock.advance(PERIOD);
+        core.cycle()?;
+    }
+    let running = LIVE.load(Ordering::Relaxed) - before;
+    let messages = 2 * TOPICS * usize::try_from(MESSAGES_PER_CYCLE)? * size_of::<Reading>();
+    let mut out = std::io::stdout();
+    writeln!(
+        out,
+        "{MODULES} modules, {TOPICS} topics, {MESSAGES_PER_CYCLE} messages of {} bytes per topic and cycle, Linear",
+        size_of::<Reading>()
+    )?;
+    writeln!(out, "{empty:>9} bytes  a core without modules")?;
+    writeln!(
+        out,
+        "{with_modules:>9} bytes  with modules and topics, before the first cycle: {} per module",
+        with_modules / MODULES
+    )?;
+    writeln!(out, "{running:>9} bytes  after 100 cycles: {} per module", running / MODULES)?;
+    writeln!(
+        out,
+        "{messages:>9} bytes  of these are messages at least: a batch being read and one being written"
+    )?;
+    Ok(())
+}

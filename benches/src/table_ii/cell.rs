@@ -1,0 +1,132 @@
+//! One cell of the grid: all contestants in the same run.
+
+use std::time::Duration;
+
+use anyhow::ensure;
+use serde::Serialize;
+
+use super::published;
+use crate::Load;
+use crate::contestants::{Contestant, Downbeat, Limit, LockFree, Locked, Queues};
+use crate::launchers::LAUNCHERS;
+use crate::measure::{Effort, best_of_rounds};
+
+/// The times of one trial of each contestant.
+#[derive(Clone, Debug)]
+pub struct CellResult {
+    /// What a trial was.
+    pub load: Load,
+    /// Ours under each launcher, by its name.
+    pub ours: Vec<(&'static str, Duration)>,
+    /// The plain loop.
+    pub limit: Duration,
+    /// The published design with lock-free queues.
+    pub lock_free_queues: Duration,
+    /// The published design with queues behind locks.
+    pub locked_queues: Duration,
+}
+
+/// Ours under one launcher, beside the others.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    /// How many modules subscribe.
+    pub modules: u64,
+    /// How many messages are published.
+    pub messages: u64,
+    /// How the process phase runs.
+    pub launcher: &'static str,
+    /// From the first publish to the last delivery.
+    pub ms: f64,
+    /// The same by the number of callbacks.
+    pub ns_per_delivery: f64,
+    /// How many times the limit's time ours takes.
+    pub ratio_to_limit: f64,
+    /// How many times ours is faster than the faster form of the published design.
+    pub ratio_to_queue_design: f64,
+    /// How many times ours is faster than what is published, where we know it. Where that is "less than", this is
+    /// an upper bound.
+    pub ratio_to_published: Option<f64>,
+}
+
+/// Runs the trials of a cell.
+///
+/// # Errors
+/// If a launcher gets no threads, or if a contestant did not deliver each message to each subscriber.
+pub fn measure(load: Load, effort: Effort) -> anyhow::Result<CellResult> {
+    let mut contestants: Vec<Box<dyn Contestant>> = vec![
+        Box::new(Limit::new(load)),
+        Box::new(Queues::<LockFree>::new(load)),
+        Box::new(Queues::<Locked>::new(load)),
+    ];
+    for launcher in LAUNCHERS {
+        contestants.push(Box::new(Downbeat::new(load, launcher)?));
+    }
+    let times = best_of_rounds(&mut contestants, effort);
+    let [limit, lock_free_queues, locked_queues] = [times[0], times[1], times[2]];
+    let ours = LAUNCHERS.iter().map(|launcher| launcher.name).zip(times[3..].iter().copied()).collect();
+    for contestant in contestants {
+        let (sum, of_a_trial) = (contestant.finish(), load.expected_sum());
+        // The sums of a trial stay below 2^44, and a trial is repeated 2^20 times at most in each of few turns.
+        let is_whole = sum > 0 && sum.is_multiple_of(of_a_trial);
+        ensure!(
+            is_whole,
+            "{load:?}: the sums add up to {sum}, not to a multiple of {of_a_trial}: messages were lost"
+        );
+    }
+    Ok(CellResult { load, ours, limit, lock_free_queues, locked_queues })
+}
+
+impl CellResult {
+    /// The faster of the two forms of the published design.
+    #[must_use]
+    pub fn queue_design(&self) -> Duration {
+        self.lock_free_queues.min(self.locked_queues)
+    }
+
+    /// Ours, one row per launcher.
+    pub fn rows(&self) -> impl Iterator<Item = Row> {
+        self.ours.iter().map(|&(launcher, time)| Row {
+            modules: self.load.modules,
+            messages: self.load.messages,
+            launcher,
+            ms: time.as_secs_f64() * 1e3,
+            ns_per_delivery: time.as_secs_f64() * 1e9 / self.load.deliveries() as f64,
+            ratio_to_limit: ratio(time, self.limit),
+            ratio_to_queue_design: ratio(self.queue_design(), time),
+            ratio_to_published: published(self.load).map(|published| ratio(published.bound(), time)),
+        })
+    }
+}
+
+fn ratio(numerator: Duration, denominator: Duration) -> f64 {
+    numerator.as_secs_f64() / denominator.as_secs_f64()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::num::NonZeroU64;
+
+    use super::*;
+
+    fn result(modules: u64, messages: u64) -> CellResult {
+        let load = Load { modules, messages, batch: NonZeroU64::new(1000).unwrap() };
+        let ms = Duration::from_millis;
+        let ours = vec![("Linear", ms(200))];
+        CellResult { load, ours, limit: ms(100), lock_free_queues: ms(9000), locked_queues: ms(8000) }
+    }
+
+    #[test]
+    fn the_ratios_say_how_much_slower_than_the_limit_and_how_much_faster_than_the_others() {
+        let rows: Vec<Row> = result(1000, 100_000).rows().collect();
+        assert_eq!((rows[0].ms, rows[0].ns_per_delivery), (200.0, 2.0));
+        assert_eq!((rows[0].ratio_to_limit, rows[0].ratio_to_queue_design), (2.0, 40.0));
+        assert_eq!(rows[0].ratio_to_published, Some(13.508 / 0.2));
+    }
+
+    #[test]
+    fn a_cell_that_is_not_known_from_the_publication_has_no_ratio_to_it() {
+        let result = result(10, 1000);
+        assert!(result.rows().all(|row| row.ratio_to_published.is_none()));
+    }
+}

@@ -1,0 +1,34 @@
+//! What the platform's authors report.
+
+use std::time::Duration;
+
+use crate::Load;
+
+/// A figure of the published table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Published {
+    /// It took this long.
+    Took(Duration),
+    /// It took less than this, the resolution of the table.
+    TookLessThan(Duration),
+}
+
+impl Published {
+    /// The time, or what it is less than.
+    #[must_use]
+    pub fn bound(self) -> Duration {
+        match self {
+            Self::Took(time) | Self::TookLessThan(time) => time,
+        }
+    }
+}
+
+/// The published time of a cell, as far as we know it. It was measured on another machine.
+#[must_use]
+pub fn published(load: Load) -> Option<Published> {
+    match (load.modules, load.messages) {
+        (10, 100) => Some(Published::TookLessThan(Duration::from_millis(1))),
+        (1000, 100_000) => Some(Published::Took(Duration::from_millis(13_508))),
+        _ => None,
+    }
+}
