@@ -9,6 +9,7 @@ use crate::behaviour::Behaviour;
 use crate::context::{Asked, ModuleIo, Shared};
 use crate::guard::{drop_guarded, reason};
 use crate::receipt::ReceiptSender;
+use crate::watchdog::Watch;
 use crate::{Context, LifecycleState, Role, SettingInfo, SettingValue, Time, Transition, TransitionRefused};
 
 pub(crate) struct ModuleCell {
@@ -21,6 +22,7 @@ pub(crate) struct ModuleCell {
     transitions: VecDeque<(Transition, TransitionReceipt)>,
     hold: Hold,
     has_each_run: bool,
+    watch: Option<Watch>,
     panic: Option<String>,
 }
 
@@ -65,6 +67,7 @@ impl ModuleCell {
             transitions: transitions.iter().map(|&transition| (transition, None)).collect(),
             hold: Hold::Free,
             has_each_run,
+            watch: None,
             panic: None,
         }
     }
@@ -89,6 +92,11 @@ impl ModuleCell {
     /// What the panic said that ended the module; given once.
     pub(crate) fn take_panic(&mut self) -> Option<String> {
         self.panic.take()
+    }
+
+    /// Gives each run a deadline.
+    pub(crate) fn watch_runs(&mut self, watch: Watch) {
+        self.watch = Some(watch);
     }
 
     pub(crate) fn pause(&mut self) {
@@ -217,7 +225,10 @@ impl ModuleCell {
             return;
         }
         let has_each_run = self.has_each_run;
-        let Self { io, behaviour: Some(behaviour), subscribed, .. } = self else { return };
+        let Self { io, behaviour: Some(behaviour), subscribed, watch, .. } = self else { return };
+        if let Some(watch) = watch {
+            watch.begin();
+        }
         let outcome = catch_unwind(AssertUnwindSafe(|| {
             let (behaviour, ctx) = (&mut **behaviour, &mut Context::new(io, now, shared));
             let mark = ctx.io().tasks.mark();
@@ -228,6 +239,9 @@ impl ModuleCell {
                 behaviour.run_ends(ctx);
             }
         }));
+        if let Some(watch) = watch {
+            watch.end();
+        }
         if let Err(panic) = outcome {
             self.end_by_panic(&*panic);
         }
@@ -307,9 +321,15 @@ impl ModuleCell {
         shared: Option<&Shared>,
         run: impl FnOnce(&mut dyn Behaviour, &mut Context<'_>),
     ) {
-        let Self { io, behaviour: Some(behaviour), .. } = self else { return };
+        let Self { io, behaviour: Some(behaviour), watch, .. } = self else { return };
+        if let Some(watch) = watch {
+            watch.begin();
+        }
         let outcome =
             catch_unwind(AssertUnwindSafe(|| run(&mut **behaviour, &mut Context::new(io, now, shared))));
+        if let Some(watch) = watch {
+            watch.end();
+        }
         if let Err(panic) = outcome {
             self.end_by_panic(&*panic);
         }

@@ -84,6 +84,7 @@ mod setup;
 mod stage;
 mod thread;
 mod time;
+mod watchdog;
 
 pub use crate::core::{Core, CoreHandle, Idle, ModuleInfo, RunError, SyncPhase};
 pub use clock::{Clock, ManualClock, SystemClock};
@@ -108,3 +109,4 @@ pub use setup::Setup;
 pub use stage::Stage;
 pub use thread::{ThreadError, ThreadOptions};
 pub use time::Time;
+pub use watchdog::Overrun;

@@ -28,9 +28,10 @@ use crate::queue::Queue;
 use crate::schedule::Timers;
 use crate::service::Services;
 use crate::setting::SettingsMechanism;
+use crate::watchdog::Watch;
 use crate::{
-    Caller, Clock, Inlet, Launcher, Linear, Mechanism, Module, ModuleOptions, ServiceInfo, SettingInfo,
-    SetupError, Stage, SystemClock, ThreadError, Time, TopicInfo,
+    Caller, Clock, Inlet, Launcher, Linear, Mechanism, Module, ModuleOptions, Overrun, ServiceInfo,
+    SettingInfo, SetupError, Stage, SystemClock, ThreadError, Time, TopicInfo,
 };
 
 /// Why a core cannot run.
@@ -74,6 +75,7 @@ pub struct Core {
     launcher: Box<dyn Launcher>,
     parker: Parker,
     idle: Idle,
+    watch: Option<Watch>,
 }
 
 impl Default for Core {
@@ -95,6 +97,7 @@ impl Core {
             launcher: Box::new(Linear),
             parker,
             idle: Idle::default(),
+            watch: None,
         };
         let joined = Asked::JOINED;
         core.engage(Modules, Some(joined.or(Asked::PANIC).or(Asked::COMMANDS)));
@@ -136,6 +139,28 @@ impl Core {
     pub fn with_idle(mut self, idle: Idle) -> Self {
         self.idle = idle;
         self
+    }
+
+    /// The same core with a deadline for each cycle: one that takes longer is reported while it still goes on.
+    ///
+    /// # Errors
+    /// If the watchdog's thread cannot be started.
+    pub fn with_cycle_deadline(mut self, deadline: Duration) -> Result<Self, RunError> {
+        let watch = self.world.watchdog.watch(Arc::from("the cycle"), deadline);
+        self.watch = Some(watch.map_err(|source| {
+            RunError::Launcher(ThreadError::Start { thread: "watchdog".into(), source })
+        })?);
+        Ok(self)
+    }
+
+    /// Tells `report` of runs and cycles that take longer than their deadline, in place of the log. It is called on the
+    /// watchdog's thread while they go on, and on their own when they have ended; what overruns again and again is told
+    /// less and less often.
+    ///
+    /// A thread cannot be ended from outside. What can be done is to bring the hardware to a safe state, and to ask the
+    /// core to stop.
+    pub fn on_overrun(&mut self, report: impl Fn(&Overrun) + Send + Sync + 'static) {
+        self.world.watchdog.report_to(Arc::new(report));
     }
 
     /// The same core with one more way for modules to interact; it takes part in each sync phase after those there
@@ -291,9 +316,15 @@ impl Core {
             self.start()?;
         }
         let now = self.world.clock.now();
+        if let Some(watch) = &self.watch {
+            watch.begin();
+        }
         match self.world.probe.clone() {
             None => self.process_and_sync(now),
             Some(probe) => self.probed_cycle(now, &*probe),
+        }
+        if let Some(watch) = &self.watch {
+            watch.end();
         }
         Ok(())
     }

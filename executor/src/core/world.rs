@@ -11,6 +11,7 @@ use crate::join::{JoinQueue, Request};
 use crate::management::{Command, Member, Members, Place};
 use crate::probe::Probe;
 use crate::service::{AnyCall, AnyClient, AnyReply, ReplyTo, ServiceRegistry};
+use crate::watchdog::Watchdog;
 use crate::{Clock, LifecycleState, ModuleId, Role, SettingInfo, Stage, Time};
 
 /// The threads for blocking jobs.
@@ -27,6 +28,7 @@ pub(crate) struct World {
     /// By slot.
     pub(crate) detached: Vec<Option<DetachedModule>>,
     pub(crate) workers: Workers,
+    pub(crate) watchdog: Watchdog,
     pub(crate) joined: Joined,
     /// The modules that asked for something in this cycle, in the order of registration.
     pub(crate) asked: Vec<Ready>,
@@ -104,6 +106,7 @@ impl World {
             inlets: Vec::new(),
             detached: Vec::new(),
             workers: Workers::new(JOB_THREADS),
+            watchdog: Watchdog::new(),
             joined: Joined::default(),
             asked: Vec::new(),
             leaving: Vec::new(),

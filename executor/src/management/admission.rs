@@ -133,7 +133,15 @@ fn try_instate(stage: &mut Stage, world: &mut World, member: &mut Member) -> Res
     let behaviour = catch_unwind(set_up).unwrap_or_else(|panic| {
         Err(SetupError::Panicked { module: member.name.to_string(), reason: reason(&*panic).to_owned() })
     })?;
-    let cell = ModuleCell::new(io, behaviour, member.uses.subscribed.clone(), member.options.initial_state);
+    let mut cell =
+        ModuleCell::new(io, behaviour, member.uses.subscribed.clone(), member.options.initial_state);
+    if let Some(deadline) = member.options.deadline {
+        let watch = world.watchdog.watch(Arc::clone(&member.name), deadline);
+        cell.watch_runs(watch.map_err(|error| SetupError::Thread {
+            module: member.name.to_string(),
+            reason: format!("that of its watchdog: {error}"),
+        })?);
+    }
     let subscriber = match member.id.place {
         Place::Attached(slot) => Subscriber::Attached(slot),
         Place::Detached(slot) => Subscriber::Detached(slot),
