@@ -62,7 +62,9 @@ fn notice_changes(phase: &mut SyncPhase<'_>) {
         if let Some(panic) = panic {
             notice_panic(phase, id.order, &panic);
         }
-        if is_stop && phase.world.is_running {
+        // One that was put in its place by a restart stays.
+        let is_member = phase.world.members.get(id.order).is_some_and(|member| member.id == id);
+        if is_stop && is_member && phase.world.is_running {
             phase.world.leaving.push(id.order);
         }
     }
