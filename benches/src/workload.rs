@@ -61,16 +61,17 @@ impl Load {
         self.modules * self.messages
     }
 
-    /// The numbers of the messages of each cycle of a trial.
+    /// The numbers of the messages of each cycle of a trial, from 1 on so that none is lost unnoticed.
     pub fn batches(self) -> impl Iterator<Item = Range<u64>> {
         let end_of = move |batch: u64| (batch * self.batch.get()).min(self.messages);
-        (0..self.messages.div_ceil(self.batch.get())).map(move |batch| end_of(batch)..end_of(batch + 1))
+        (0..self.messages.div_ceil(self.batch.get()))
+            .map(move |batch| end_of(batch) + 1..end_of(batch + 1) + 1)
     }
 
     /// What the sums of all subscribers add up to after a trial in which nothing was lost.
     #[must_use]
     pub fn expected_sum(self) -> u64 {
-        self.modules.wrapping_mul((0..self.messages).sum())
+        self.modules.wrapping_mul((1..=self.messages).sum())
     }
 }
 
@@ -82,6 +83,6 @@ mod tests {
     #[test]
     fn the_batches_of_a_trial_are_all_its_messages() {
         let load = Load { modules: 1, messages: 21, batch: NonZeroU64::new(10).unwrap() };
-        assert_eq!(load.batches().collect::<Vec<_>>(), [0..10, 10..20, 20..21]);
+        assert_eq!(load.batches().collect::<Vec<_>>(), [1..11, 11..21, 21..22]);
     }
 }
