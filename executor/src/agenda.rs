@@ -4,6 +4,7 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use crate::Time;
+use crate::context::Asked;
 
 /// A module of the next cycle. Sorting gives the order of registration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -12,6 +13,13 @@ pub(crate) struct Ready {
     pub(crate) order: u64,
     /// Where it is kept.
     pub(crate) slot: usize,
+}
+
+/// A module that asked for something in this cycle.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Asker {
+    pub(crate) module: Ready,
+    pub(crate) asked: Asked,
 }
 
 /// The modules that have something to do now, and when others will have.

@@ -22,6 +22,8 @@ pub(crate) struct ModuleCell {
     transitions: VecDeque<(Transition, TransitionReceipt)>,
     hold: Hold,
     has_each_run: bool,
+    /// True if it has nothing but subscriptions, timers and settings.
+    is_simple: bool,
     watch: Option<Watch>,
     panic: Option<String>,
 }
@@ -59,6 +61,8 @@ impl ModuleCell {
             LifecycleState::Finalized => &[Transition::Shutdown],
         };
         let has_each_run = behaviour.has_each_run();
+        let is_simple =
+            io.jobs.is_empty() && io.servers.is_empty() && io.clients.is_empty() && io.tasks.is_empty();
         Self {
             io,
             behaviour: Some(behaviour),
@@ -67,6 +71,7 @@ impl ModuleCell {
             transitions: transitions.iter().map(|&transition| (transition, None)).collect(),
             hold: Hold::Free,
             has_each_run,
+            is_simple,
             watch: None,
             panic: None,
         }
@@ -163,8 +168,8 @@ impl ModuleCell {
         timers.chain(calls).fold(self.io.tasks.due(), Time::min)
     }
 
-    /// Runs what is due inside a cycle. True if it asked for something that the sync phase applies.
-    pub(crate) fn run(&mut self, shared: &Shared, now: Time) -> bool {
+    /// Runs what is due inside a cycle. Returns what it asked for.
+    pub(crate) fn run(&mut self, shared: &Shared, now: Time) -> Asked {
         self.run_with(now, Some(shared), |behaviour, subscribed, ctx| {
             for (subscription, &topic) in subscribed.iter().enumerate() {
                 if shared.topics.is_fresh(topic) {
@@ -172,7 +177,13 @@ impl ModuleCell {
                 }
             }
         });
-        !self.io.asked.is_empty()
+        self.take_asked()
+    }
+
+    /// What the module asked for since this was called last.
+    #[inline]
+    pub(crate) fn take_asked(&mut self) -> Asked {
+        std::mem::take(&mut self.io.asked)
     }
 
     /// Runs what is due outside a cycle, on batches that were shared when it was.
@@ -224,7 +235,7 @@ impl ModuleCell {
         if !is_plain && !self.prepare(now, shared) {
             return;
         }
-        let has_each_run = self.has_each_run;
+        let (has_each_run, is_simple) = (self.has_each_run, self.is_simple);
         let Self { io, behaviour: Some(behaviour), subscribed, watch, .. } = self else { return };
         if let Some(watch) = watch {
             watch.begin();
@@ -232,9 +243,17 @@ impl ModuleCell {
         let outcome = catch_unwind(AssertUnwindSafe(|| {
             let (behaviour, ctx) = (&mut **behaviour, &mut Context::new(io, now, shared));
             let mark = ctx.io().tasks.mark();
-            before_messages(behaviour, ctx);
+            if ctx.io().settings.has_changes() {
+                take_settings(behaviour, ctx);
+            }
+            if !is_simple {
+                take_results(behaviour, ctx);
+            }
             receive(behaviour, subscribed, ctx);
-            after_messages(behaviour, ctx, mark);
+            if !is_simple {
+                serve_and_resume(behaviour, ctx, mark);
+            }
+            fire_timers(behaviour, ctx);
             if has_each_run {
                 behaviour.run_ends(ctx);
             }
@@ -366,10 +385,14 @@ impl ModuleCell {
     }
 }
 
-fn before_messages(behaviour: &mut dyn Behaviour, ctx: &mut Context<'_>) {
+#[cold]
+fn take_settings(behaviour: &mut dyn Behaviour, ctx: &mut Context<'_>) {
     while let Some(setting) = ctx.io().settings.take_change() {
         behaviour.setting_changed(setting, ctx);
     }
+}
+
+fn take_results(behaviour: &mut dyn Behaviour, ctx: &mut Context<'_>) {
     for job in 0..ctx.io().jobs.len() {
         if ctx.io().jobs[job].has_results() {
             behaviour.finished(job, ctx);
@@ -377,7 +400,7 @@ fn before_messages(behaviour: &mut dyn Behaviour, ctx: &mut Context<'_>) {
     }
 }
 
-fn after_messages(behaviour: &mut dyn Behaviour, ctx: &mut Context<'_>, mark: u64) {
+fn serve_and_resume(behaviour: &mut dyn Behaviour, ctx: &mut Context<'_>, mark: u64) {
     let now = ctx.now();
     for server in 0..ctx.io().servers.len() {
         if ctx.io().servers[server].has_requests() {
@@ -397,6 +420,11 @@ fn after_messages(behaviour: &mut dyn Behaviour, ctx: &mut Context<'_>, mark: u6
             ctx.io().asked.add(Asked::STATE);
         }
     }
+}
+
+#[inline]
+fn fire_timers(behaviour: &mut dyn Behaviour, ctx: &mut Context<'_>) {
+    let now = ctx.now();
     for timer in 0..ctx.io().timers.len() {
         if ctx.io().timers[timer].fire(now) {
             behaviour.tick(timer, ctx);

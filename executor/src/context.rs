@@ -38,7 +38,7 @@ pub(crate) struct ModuleIo {
 }
 
 /// Of which mechanisms a module has asked something in this cycle.
-#[derive(Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Asked(u16);
 
 impl Asked {

@@ -4,9 +4,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use crate::Time;
-use crate::agenda::Ready;
+use crate::agenda::{Asker, Ready};
 use crate::cell::ModuleCell;
-use crate::context::Shared;
+use crate::context::{Asked, Shared};
 
 /// The modules that run in this cycle, and the messages they read.
 ///
@@ -21,7 +21,7 @@ pub struct Stage {
     /// Those that run in this cycle, in the order of registration.
     pub(crate) runnable: Vec<Ready>,
     /// Those of them that asked for something.
-    asked: Mutex<Vec<Ready>>,
+    asked: Mutex<Vec<Asker>>,
     next: AtomicUsize,
 }
 
@@ -48,10 +48,11 @@ impl Stage {
         let asked = asked.get_mut().unwrap_or_else(PoisonError::into_inner);
         for ready in &*runnable {
             let cell = modules[ready.slot].get_mut().unwrap_or_else(PoisonError::into_inner);
-            if let Some(cell) = cell
-                && cell.run(shared, *now)
-            {
-                asked.push(*ready);
+            if let Some(cell) = cell {
+                let what = cell.run(shared, *now);
+                if !what.is_empty() {
+                    asked.push(Asker { module: *ready, asked: what });
+                }
             }
         }
         *next.get_mut() = runnable.len();
@@ -75,10 +76,10 @@ impl Stage {
     pub fn run_nth(&self, nth: usize) {
         let ready = self.runnable[nth];
         let mut cell = self.modules[ready.slot].lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(cell) = &mut *cell
-            && cell.run(&self.shared, self.now)
-        {
-            self.asked.lock().unwrap_or_else(PoisonError::into_inner).push(ready);
+        let asked = cell.as_mut().map_or_else(Asked::default, |cell| cell.run(&self.shared, self.now));
+        if !asked.is_empty() {
+            let asker = Asker { module: ready, asked };
+            self.asked.lock().unwrap_or_else(PoisonError::into_inner).push(asker);
         }
     }
 
@@ -87,18 +88,18 @@ impl Stage {
         *self.next.get_mut() = 0;
     }
 
-    /// Moves the modules that asked for something in the process phase to `asked`, in the order of registration.
-    pub(crate) fn take_asked(&mut self, asked: &mut Vec<Ready>) {
-        asked.clear();
-        std::mem::swap(self.asked.get_mut().unwrap_or_else(PoisonError::into_inner), asked);
+    /// Moves the modules that asked for something in the process phase to `askers`, in the order of registration.
+    pub(crate) fn take_askers(&mut self, askers: &mut Vec<Asker>) {
+        askers.clear();
+        std::mem::swap(self.asked.get_mut().unwrap_or_else(PoisonError::into_inner), askers);
         // Few ask for something, and on one thread they do so in order.
-        if asked.len() > 1 && !asked.is_sorted_by_key(|ready| ready.order) {
-            asked.sort_unstable_by_key(|ready| ready.order);
+        if askers.len() > 1 && !askers.is_sorted_by_key(|asker| asker.module.order) {
+            askers.sort_unstable_by_key(|asker| asker.module.order);
         }
     }
 
-    pub(crate) fn note_asked(&mut self, ready: Ready) {
-        self.asked.get_mut().unwrap_or_else(PoisonError::into_inner).push(ready);
+    pub(crate) fn note_asker(&mut self, asker: Asker) {
+        self.asked.get_mut().unwrap_or_else(PoisonError::into_inner).push(asker);
     }
 
     pub(crate) fn free_slot(&mut self) -> usize {

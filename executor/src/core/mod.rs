@@ -356,6 +356,14 @@ impl Core {
         if self.world.has_stopped {
             return Err(RunError::Stopped);
         }
+        // One that cannot start whole does not start later with what is left of it.
+        let started = self.start_threads();
+        self.world.has_stopped = started.is_err();
+        self.world.is_running = started.is_ok();
+        started
+    }
+
+    fn start_threads(&mut self) -> Result<(), RunError> {
         self.launcher.attach()?;
         let topics = &mut exclusive(&mut self.stage).shared.topics;
         if self.world.steps_topic.is_none() {
@@ -370,9 +378,7 @@ impl Core {
             started.map_err(|source| RunError::Thread { module: module.name.to_string(), source })
         });
         self.world.detached = detached;
-        started?;
-        self.world.is_running = true;
-        Ok(())
+        started
     }
 
     fn process_and_sync(&mut self, now: Time) {
@@ -462,19 +468,14 @@ fn sync(
     launcher: &mut dyn Launcher,
     now: Time,
 ) {
-    stage.take_asked(&mut world.asked);
+    stage.take_askers(&mut world.askers);
     world.join();
     let mut asked = world.asked_from_outside(now);
-    for ready in &world.asked {
-        if let Some(cell) = stage.cell(ready.slot) {
-            asked.add(cell.io.asked);
-        }
-    }
+    world.askers.iter().for_each(|asker| asked.add(asker.asked));
     let mut phase = SyncPhase { stage, world, now, asked };
     for mechanism in &mut *mechanisms {
         mechanism.sync(&mut phase);
     }
-    phase.forget_what_was_asked();
     if !phase.world.leaving.is_empty() {
         for module in finish_leaving(&mut phase) {
             mechanisms.iter_mut().for_each(|engaged| engaged.mechanism.module_left(module, &mut phase));

@@ -75,24 +75,13 @@ impl SyncPhase<'_> {
         what: Asked,
         mut apply: impl FnMut(&mut ModuleIo, &mut World),
     ) {
-        let asked = std::mem::take(&mut self.world.asked);
-        for ready in &asked {
-            if let Some(cell) = self.stage.cell(ready.slot)
-                && cell.io.asked.has(what)
-            {
+        let askers = std::mem::take(&mut self.world.askers);
+        for asker in askers.iter().filter(|asker| asker.asked.has(what)) {
+            if let Some(cell) = self.stage.cell(asker.module.slot) {
                 apply(&mut cell.io, self.world);
             }
         }
-        self.world.asked = asked;
-    }
-
-    /// The last step of a sync phase.
-    pub(crate) fn forget_what_was_asked(&mut self) {
-        for ready in &self.world.asked {
-            if let Some(cell) = self.stage.cell(ready.slot) {
-                cell.io.asked = Asked::default();
-            }
-        }
+        self.world.askers = askers;
     }
 
     /// The module, unless it is detached or gone.

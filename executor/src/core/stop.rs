@@ -3,9 +3,9 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use super::{Core, Place, exclusive};
-use crate::agenda::Ready;
+use crate::Role;
+use crate::agenda::{Asker, Ready};
 use crate::guard::reason;
-use crate::{Role, Time};
 
 impl Core {
     /// Runs the modules' last callbacks: parts in the reverse order of registration, then observers in the
@@ -44,15 +44,20 @@ impl Core {
         self.sync(self.world.clock.now());
     }
 
-    fn shut_down(&mut self, ready: Ready) {
+    fn shut_down(&mut self, module: Ready) {
         let now = self.world.clock.now();
-        if let (Some(cell), shared) = exclusive(&mut self.stage).cell_and_shared(ready.slot) {
+        let stage = exclusive(&mut self.stage);
+        stage.begin(now);
+        stage.runnable.clear();
+        if let (Some(cell), shared) = stage.cell_and_shared(module.slot) {
             cell.shutdown(Some(shared), now);
+            let asked = cell.take_asked();
             if let Some(panic) = cell.take_panic() {
                 tracing::error!(module = &**cell.name(), "panicked in its shutdown: {panic}");
             }
+            stage.note_asker(Asker { module, asked });
         }
-        self.sync_with(ready, now);
+        self.sync(now);
     }
 
     /// One cycle takes the last messages over, the next delivers them.
@@ -61,15 +66,6 @@ impl Core {
             let now = self.world.clock.now();
             self.process_and_sync(now);
         }
-    }
-
-    /// A sync phase in which a module has asked for something outside of the process phase.
-    fn sync_with(&mut self, ready: Ready, now: Time) {
-        let stage = exclusive(&mut self.stage);
-        stage.begin(now);
-        stage.runnable.clear();
-        stage.note_asked(ready);
-        self.sync(now);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::agenda::{Agenda, Ready};
+use crate::agenda::{Agenda, Asker};
 use crate::context::Asked;
 use crate::detached::{DetachedModule, StepOutcome};
 use crate::inlet::AnyInlet;
@@ -31,7 +31,7 @@ pub(crate) struct World {
     pub(crate) watchdog: Watchdog,
     pub(crate) joined: Joined,
     /// The modules that asked for something in this cycle, in the order of registration.
-    pub(crate) asked: Vec<Ready>,
+    pub(crate) askers: Vec<Asker>,
     /// Modules whose last callback has run, by their place in the order of registration.
     pub(crate) leaving: Vec<u64>,
     /// When modules are started again after a panic, by their place in the order of registration.
@@ -108,7 +108,7 @@ impl World {
             workers: Workers::new(JOB_THREADS),
             watchdog: Watchdog::new(),
             joined: Joined::default(),
-            asked: Vec::new(),
+            askers: Vec::new(),
             leaving: Vec::new(),
             restarts: Vec::new(),
             calls_due: Time::MAX,
@@ -149,9 +149,10 @@ impl World {
     }
 
     /// Has the mechanisms look at what a module asked for outside of the process phase.
-    pub(crate) fn note_asked(&mut self, ready: Ready) {
-        if let Err(position) = self.asked.binary_search(&ready) {
-            self.asked.insert(position, ready);
+    pub(crate) fn note_asker(&mut self, asker: Asker) {
+        match self.askers.binary_search_by_key(&asker.module.order, |known| known.module.order) {
+            Ok(position) => self.askers[position].asked.add(asker.asked),
+            Err(position) => self.askers.insert(position, asker),
         }
     }
 

@@ -12,6 +12,7 @@ use futures_lite::{FutureExt, future};
 
 use crate::guard::reason;
 use crate::job::Work;
+use crate::{ThreadError, ThreadOptions};
 
 /// Threads for blocking work and one for async work, started when the first job is.
 ///
@@ -32,10 +33,10 @@ struct AsyncThread {
 }
 
 impl AsyncThread {
-    fn start() -> std::io::Result<Self> {
+    fn start() -> Result<Self, ThreadError> {
         let (executor, is_over) = (Arc::new(Executor::new()), Arc::new(AtomicBool::new(false)));
         let (runs, ends) = (Arc::clone(&executor), Arc::clone(&is_over));
-        std::thread::Builder::new().name("job-async".into()).spawn(move || {
+        ThreadOptions::default().spawn("job-async", move || {
             let over = future::poll_fn(|_| match ends.load(Ordering::SeqCst) {
                 true => Poll::Ready(()),
                 false => Poll::Pending,
@@ -68,7 +69,7 @@ impl Workers {
             Work::Async(task) => self.executor().map(|executor| executor.spawn(unpanicking(task)).detach()),
         };
         if let Err(error) = started {
-            tracing::error!("cannot start a thread for a job: {error}");
+            tracing::error!("a job is dropped: {error}");
         }
     }
 
@@ -80,11 +81,11 @@ impl Workers {
         }
     }
 
-    fn start_blocking(&mut self, work: Box<dyn FnOnce() + Send>) -> std::io::Result<()> {
+    fn start_blocking(&mut self, work: Box<dyn FnOnce() + Send>) -> Result<(), ThreadError> {
         if self.threads < self.limit {
             let waiting = self.waiting.clone();
             let name = format!("job-{}", self.threads);
-            std::thread::Builder::new().name(name).spawn(move || waiting.iter().for_each(guarded))?;
+            ThreadOptions::default().spawn(name, move || waiting.iter().for_each(guarded))?;
             self.threads += 1;
         }
         // Cannot fail: the receiver lives as long as this.
@@ -92,7 +93,7 @@ impl Workers {
         Ok(())
     }
 
-    fn executor(&mut self) -> std::io::Result<&Executor<'static>> {
+    fn executor(&mut self) -> Result<&Executor<'static>, ThreadError> {
         let thread = match &mut self.tasks {
             Some(thread) => thread,
             none => none.insert(AsyncThread::start()?),

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::agenda::Ready;
+use crate::agenda::{Asker, Ready};
 use crate::context::Asked;
 use crate::core::SyncPhase;
 use crate::detached::Parcel;
@@ -44,11 +44,11 @@ impl Mechanism for Modules {
 }
 
 fn notice_changes(phase: &mut SyncPhase<'_>) {
-    for index in 0..phase.world.asked.len() {
-        let ready = phase.world.asked[index];
-        let cell = phase.stage.cell(ready.slot).filter(|cell| cell.io.asked.has(Asked::PANIC));
+    for index in 0..phase.world.askers.len() {
+        let Asker { module, asked } = phase.world.askers[index];
+        let cell = phase.stage.cell(module.slot).filter(|_| asked.has(Asked::PANIC));
         if let Some(panic) = cell.and_then(|cell| cell.take_panic()) {
-            notice_panic(phase, ready.order, &panic);
+            notice_panic(phase, module.order, &panic);
         }
     }
     for index in 0..phase.world.joined.steps.len() {
@@ -225,12 +225,13 @@ fn remove(phase: &mut SyncPhase<'_>, id: ModuleId) {
             if let (Some(cell), shared) = stage.cell_and_shared(slot) {
                 cell.shutdown(Some(shared), *now);
                 world.joined.commands.append(&mut cell.io.commands);
-                asked.add(cell.io.asked);
+                let what = cell.take_asked();
+                asked.add(what);
+                world.note_asker(Asker { module: Ready { order: id.order, slot }, asked: what });
                 if let Some(panic) = cell.take_panic() {
                     tracing::error!(module = &*name, "panicked in its shutdown: {panic}");
                 }
             }
-            world.note_asked(Ready { order: id.order, slot });
             world.leaving.push(id.order);
         }
         Place::Detached(slot) => {

@@ -94,12 +94,13 @@ impl Outboxes {
     /// Hands each outbox that holds messages to `consume`, which takes them, in the order in which they were first
     /// filled.
     pub(crate) fn drain(&mut self, mut consume: impl FnMut(&mut dyn AnyOutbox)) {
-        for index in self.filled.drain(..) {
+        for &index in &self.filled {
             let outbox = &mut *self.boxes[index];
             if !outbox.is_empty() {
                 consume(outbox);
             }
         }
+        self.filled.clear();
     }
 
     pub(crate) fn discard(&mut self) {

@@ -59,9 +59,8 @@ fn take_inlets(phase: &mut SyncPhase<'_>) {
 
 fn take_outboxes(phase: &mut SyncPhase<'_>) {
     let SyncPhase { stage, world, now, .. } = phase;
-    for ready in &world.asked {
-        let (Some(cell), shared) = stage.cell_and_shared(ready.slot) else { continue };
-        if cell.io.asked.has(Asked::MESSAGES) {
+    for asker in world.askers.iter().filter(|asker| asker.asked.has(Asked::MESSAGES)) {
+        if let (Some(cell), shared) = stage.cell_and_shared(asker.module.slot) {
             cell.io.outboxes.drain(|outbox| shared.topics.absorb(outbox, *now));
         }
     }

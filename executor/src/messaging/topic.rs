@@ -298,11 +298,12 @@ impl Topics {
 
     /// Last step: drops what is still stale.
     pub(crate) fn finish(&mut self) {
-        for index in self.stale.drain(..) {
+        for &index in &self.stale {
             if !self.is_fresh[index] {
                 self.topics[index].retire();
             }
         }
+        self.stale.clear();
     }
 
     /// Drops all messages there are.

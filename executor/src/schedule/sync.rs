@@ -17,11 +17,11 @@ impl Mechanism for Timers {
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
         let SyncPhase { stage, world, .. } = phase;
-        for ready in &world.asked {
-            if let Some(cell) = stage.cell(ready.slot)
-                && (cell.io.asked.has(Asked::STATE) || cell.io.asked.has(Asked::CALLS))
-            {
-                world.agenda.wake_at(ready.slot, cell.next_due());
+        let waits = Asked::STATE.or(Asked::CALLS);
+        for asker in world.askers.iter().filter(|asker| asker.asked.has(waits)) {
+            let slot = asker.module.slot;
+            if let Some(cell) = stage.cell(slot) {
+                world.agenda.wake_at(slot, cell.next_due());
             }
         }
     }

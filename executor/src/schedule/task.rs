@@ -33,6 +33,11 @@ impl Tasks {
         Task { index: self.declared - 1 }
     }
 
+    /// True if the module has none.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.declared == 0
+    }
+
     /// False if the key is not of this module.
     #[must_use]
     pub(crate) fn schedule(&mut self, task: Task, due: Time) -> bool {

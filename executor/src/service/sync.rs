@@ -60,22 +60,20 @@ impl Services {
         for (to, mut reply) in std::mem::take(&mut phase.world.joined.answers_of_detached) {
             self.deliver_answer(phase, to, &mut *reply);
         }
-        let mut asked = std::mem::take(&mut phase.world.asked);
-        for ready in &mut asked {
-            let Some(cell) = phase.stage.cell(ready.slot).filter(|cell| cell.io.asked.has(Asked::ANSWERS))
-            else {
-                continue;
-            };
+        let askers = std::mem::take(&mut phase.world.askers);
+        for asker in askers.iter().filter(|asker| asker.asked.has(Asked::ANSWERS)) {
+            let slot = asker.module.slot;
+            let Some(cell) = phase.stage.cell(slot) else { continue };
             // Taken out of the cell, since the client may be the same module.
             let mut servers = std::mem::take(&mut cell.io.servers);
             for server in &mut servers {
                 server.drain_answers(&mut |to, reply| self.deliver_answer(phase, to, reply));
             }
-            if let Some(cell) = phase.stage.cell(ready.slot) {
+            if let Some(cell) = phase.stage.cell(slot) {
                 cell.io.servers = servers;
             }
         }
-        phase.world.asked = asked;
+        phase.world.askers = askers;
     }
 
     fn deliver_answer(&mut self, phase: &mut SyncPhase<'_>, to: ReplyTo, reply: &mut dyn AnyReply) {
@@ -106,11 +104,10 @@ fn take_calls(phase: &mut SyncPhase<'_>) {
             calls.drain_replies(&mut |reply| answer(phase, module, port, reply));
         }
     }
-    let mut asked = std::mem::take(&mut phase.world.asked);
-    for ready in &mut asked {
-        let Some(cell) = phase.stage.cell(ready.slot).filter(|cell| cell.io.asked.has(Asked::CALLS)) else {
-            continue;
-        };
+    let askers = std::mem::take(&mut phase.world.askers);
+    for asker in askers.iter().filter(|asker| asker.asked.has(Asked::CALLS)) {
+        let slot = asker.module.slot;
+        let Some(cell) = phase.stage.cell(slot) else { continue };
         let id = cell.io.id;
         let mut clients = std::mem::take(&mut cell.io.clients);
         for (port, client) in (0..).zip(&mut clients).filter(|(_, client)| client.has_calls()) {
@@ -118,11 +115,11 @@ fn take_calls(phase: &mut SyncPhase<'_>) {
                 phase.wake(id);
             }
         }
-        if let Some(cell) = phase.stage.cell(ready.slot) {
+        if let Some(cell) = phase.stage.cell(slot) {
             cell.io.clients = clients;
         }
     }
-    phase.world.asked = asked;
+    phase.world.askers = askers;
 }
 
 /// False if there is no server; the calls have failed then.
