@@ -164,6 +164,9 @@ impl ModuleCell {
             return Time::MAX;
         }
         let timers = self.io.timers.iter().map(|timer| timer.due());
+        if self.is_simple {
+            return timers.min().unwrap_or(Time::MAX);
+        }
         let calls = self.io.clients.iter().map(|client| client.due());
         timers.chain(calls).fold(self.io.tasks.due(), Time::min)
     }

@@ -168,9 +168,8 @@ impl<'a> Context<'a> {
     /// Publishes a message: subscribers receive it in the next cycle.
     #[inline]
     pub fn publish<T: Send + Sync + 'static>(&mut self, publication: Publication<T>, message: T) {
-        match self.io.outboxes.open_for(publication) {
-            Some(messages) => messages.push(message),
-            None => self.foreign("published with"),
+        if !self.io.outboxes.add(publication, |outbox| outbox.push(message)) {
+            self.foreign("published with")
         }
         self.io.asked.add(Asked::MESSAGES);
     }
@@ -182,9 +181,8 @@ impl<'a> Context<'a> {
         publication: Publication<T>,
         messages: impl IntoIterator<Item = T>,
     ) {
-        match self.io.outboxes.open_for(publication) {
-            Some(outbox) => outbox.extend(messages),
-            None => self.foreign("published with"),
+        if !self.io.outboxes.add(publication, |outbox| outbox.extend(messages)) {
+            self.foreign("published with")
         }
         self.io.asked.add(Asked::MESSAGES);
     }

@@ -30,6 +30,8 @@ pub(crate) struct World {
     pub(crate) workers: Workers,
     pub(crate) watchdog: Watchdog,
     pub(crate) joined: Joined,
+    /// True if something was added to it since the last sync phase.
+    pub(crate) has_joined: bool,
     /// The modules that asked for something in this cycle, in the order of registration.
     pub(crate) askers: Vec<Asker>,
     /// Modules whose last callback has run, by their place in the order of registration.
@@ -108,6 +110,7 @@ impl World {
             workers: Workers::new(JOB_THREADS),
             watchdog: Watchdog::new(),
             joined: Joined::default(),
+            has_joined: false,
             askers: Vec::new(),
             leaving: Vec::new(),
             restarts: Vec::new(),
@@ -135,6 +138,7 @@ impl World {
         if self.queue.has_no_requests() {
             return;
         }
+        self.has_joined = true;
         for _ in 0..self.queue.len() {
             match self.queue.pop() {
                 Some(Request::Command(command)) => self.joined.commands.push(command),
@@ -183,9 +187,9 @@ impl World {
 
     /// Whether the mechanisms have to look at what no module of this cycle asked for.
     #[inline]
-    pub(crate) fn asked_from_outside(&self, now: Time) -> Asked {
+    pub(crate) fn asked_from_outside(&mut self, now: Time) -> Asked {
         let is_due = !self.restarts.is_empty() || self.calls_due <= now || self.has_stopped;
-        if is_due || self.joined.has_work() { Asked::JOINED } else { Asked::default() }
+        if is_due || std::mem::take(&mut self.has_joined) { Asked::JOINED } else { Asked::default() }
     }
 
     /// True if the next cycle has something to do whatever the time is.

@@ -224,6 +224,7 @@ fn remove(phase: &mut SyncPhase<'_>, id: ModuleId) {
         Place::Attached(slot) => {
             if let (Some(cell), shared) = stage.cell_and_shared(slot) {
                 cell.shutdown(Some(shared), *now);
+                world.has_joined |= !cell.io.commands.is_empty();
                 world.joined.commands.append(&mut cell.io.commands);
                 let what = cell.take_asked();
                 asked.add(what);

@@ -38,7 +38,6 @@ pub(crate) struct Outbox<T> {
 /// An [`Outbox`] whose message type is known to its topic only.
 pub(crate) trait AnyOutbox: Any + Send {
     fn topic(&self) -> usize;
-    fn is_empty(&self) -> bool;
     fn discard(&mut self);
     /// The messages in an outbox of their own; this one stays, empty.
     fn split_off(&mut self) -> Box<dyn AnyOutbox>;
@@ -47,10 +46,6 @@ pub(crate) trait AnyOutbox: Any + Send {
 impl<T: Send + 'static> AnyOutbox for Outbox<T> {
     fn topic(&self) -> usize {
         self.topic
-    }
-
-    fn is_empty(&self) -> bool {
-        self.messages.is_empty()
     }
 
     fn discard(&mut self) {
@@ -79,26 +74,31 @@ impl Outboxes {
         }))
     }
 
-    /// The messages of an outbox, to add to; nothing if the key is not of this module.
+    /// Adds messages to an outbox; false if the key is not of this module.
     #[inline]
-    pub(crate) fn open_for<T: Send + 'static>(&mut self, publication: Publication<T>) -> Option<&mut Vec<T>> {
+    #[must_use]
+    pub(crate) fn add<T: Send + 'static>(
+        &mut self,
+        publication: Publication<T>,
+        add: impl FnOnce(&mut Vec<T>),
+    ) -> bool {
         let index = publication.outbox();
-        let outbox: &mut dyn Any = &mut **self.boxes.get_mut(index)?;
-        let outbox = outbox.downcast_mut::<Outbox<T>>()?;
-        if outbox.messages.is_empty() {
+        let Some(outbox) = self.boxes.get_mut(index) else { return false };
+        let outbox: &mut dyn Any = &mut **outbox;
+        let Some(Outbox { messages, .. }) = outbox.downcast_mut::<Outbox<T>>() else { return false };
+        let was_empty = messages.is_empty();
+        add(messages);
+        if was_empty && !messages.is_empty() {
             self.filled.push(index);
         }
-        Some(&mut outbox.messages)
+        true
     }
 
     /// Hands each outbox that holds messages to `consume`, which takes them, in the order in which they were first
     /// filled.
     pub(crate) fn drain(&mut self, mut consume: impl FnMut(&mut dyn AnyOutbox)) {
         for &index in &self.filled {
-            let outbox = &mut *self.boxes[index];
-            if !outbox.is_empty() {
-                consume(outbox);
-            }
+            consume(&mut *self.boxes[index]);
         }
         self.filled.clear();
     }
