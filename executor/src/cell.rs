@@ -8,6 +8,7 @@ use std::sync::Arc;
 use crate::behaviour::Behaviour;
 use crate::context::{Asked, ModuleIo, Shared};
 use crate::guard::{drop_guarded, reason};
+use crate::inspect::{ModuleMeter, Span};
 use crate::receipt::ReceiptSender;
 use crate::watchdog::Watch;
 use crate::{Context, LifecycleState, Role, SettingInfo, SettingValue, Time, Transition, TransitionRefused};
@@ -26,6 +27,9 @@ pub(crate) struct ModuleCell {
     is_simple: bool,
     watch: Option<Watch>,
     panic: Option<String>,
+    pub(crate) meter: ModuleMeter,
+    /// The last run, in a cycle that is measured.
+    pub(crate) span: Option<Span>,
 }
 
 type TransitionReceipt = Option<ReceiptSender<Result<LifecycleState, TransitionRefused>>>;
@@ -53,6 +57,7 @@ impl ModuleCell {
         behaviour: Box<dyn Behaviour>,
         subscribed: Vec<usize>,
         initial: LifecycleState,
+        meter: ModuleMeter,
     ) -> Self {
         let transitions: &[_] = match initial {
             LifecycleState::Unconfigured => &[],
@@ -74,6 +79,8 @@ impl ModuleCell {
             is_simple,
             watch: None,
             panic: None,
+            meter,
+            span: None,
         }
     }
 
@@ -173,13 +180,16 @@ impl ModuleCell {
 
     /// Runs what is due inside a cycle. Returns what it asked for.
     pub(crate) fn run(&mut self, shared: &Shared, now: Time) -> Asked {
+        let mut received = 0;
         self.run_with(now, Some(shared), |behaviour, subscribed, ctx| {
             for (subscription, &topic) in subscribed.iter().enumerate() {
                 if shared.topics.is_fresh(topic) {
+                    received += shared.topics.meter(topic).last_batch();
                     behaviour.receive(subscription, &shared.topics, ctx);
                 }
             }
         });
+        self.meter.ran(received);
         self.take_asked()
     }
 
@@ -261,8 +271,10 @@ impl ModuleCell {
                 behaviour.run_ends(ctx);
             }
         }));
-        if let Some(watch) = watch {
-            watch.end();
+        if let Some(watch) = watch
+            && watch.end()
+        {
+            self.meter.overran(1);
         }
         if let Err(panic) = outcome {
             self.end_by_panic(&*panic);
@@ -349,8 +361,10 @@ impl ModuleCell {
         }
         let outcome =
             catch_unwind(AssertUnwindSafe(|| run(&mut **behaviour, &mut Context::new(io, now, shared))));
-        if let Some(watch) = watch {
-            watch.end();
+        if let Some(watch) = watch
+            && watch.end()
+        {
+            self.meter.overran(1);
         }
         if let Err(panic) = outcome {
             self.end_by_panic(&*panic);
@@ -361,6 +375,7 @@ impl ModuleCell {
     fn end_by_panic(&mut self, panic: &(dyn Any + Send)) {
         drop_guarded("a message", || self.io.discard());
         self.io.asked = Asked::PANIC;
+        self.meter.panicked();
         self.panic = Some(reason(panic).to_owned());
         self.end();
     }

@@ -12,6 +12,7 @@ use crossbeam::sync::{Parker, Unparker};
 use crate::cell::{Delivery, ModuleCell};
 use crate::core::World;
 use crate::guard::drop_guarded;
+use crate::inspect::{Measuring, ModuleMeter, Span, Stopwatch};
 use crate::job::Work;
 use crate::join::{JoinQueue, Request};
 use crate::management::{Command, SettingRefused};
@@ -32,6 +33,10 @@ pub(crate) struct StepOutcome {
     pub(crate) is_stop: bool,
     pub(crate) inputs: Vec<Input>,
     pub(crate) outboxes: Vec<Box<dyn AnyOutbox>>,
+    /// When and where it ran, if that was measured.
+    pub(crate) span: Option<Span>,
+    /// Runs that took longer than the deadline.
+    pub(crate) overruns: u64,
     /// By client port.
     pub(crate) calls: Vec<(u32, Box<dyn AnyClient>)>,
     pub(crate) answers: Vec<(ReplyTo, Box<dyn AnyReply>)>,
@@ -87,6 +92,7 @@ pub(crate) struct DetachedModule {
     /// As its last run left it.
     pub(crate) state: LifecycleState,
     pub(crate) is_paused: bool,
+    pub(crate) meter: ModuleMeter,
     settings: Vec<SettingInfo>,
     role: Role,
     cell: Option<ModuleCell>,
@@ -122,7 +128,7 @@ struct Contents {
 }
 
 impl DetachedModule {
-    pub(crate) fn new(cell: ModuleCell, options: &ModuleOptions) -> Self {
+    pub(crate) fn new(mut cell: ModuleCell, options: &ModuleOptions) -> Self {
         let capacity = match options.synchrony {
             Synchrony::Detached(inbox) => inbox,
             Synchrony::WhenDue | Synchrony::EveryCycle => Inbox::KeepAll,
@@ -134,6 +140,7 @@ impl DetachedModule {
             name: Arc::clone(cell.name()),
             state: cell.state(),
             is_paused: false,
+            meter: std::mem::take(&mut cell.meter),
             settings: cell.settings().to_vec(),
             role: options.role,
             cell: Some(cell),
@@ -193,9 +200,15 @@ impl DetachedModule {
     /// Takes over what the last run changed.
     pub(crate) fn note(&mut self, outcome: &mut StepOutcome) {
         self.state = outcome.state;
+        self.meter.overran(outcome.overruns);
         if let Some(settings) = outcome.settings.take() {
             self.settings = settings;
         }
+    }
+
+    /// Messages that wait for it.
+    pub(crate) fn waiting(&self) -> u64 {
+        self.mailbox.lock().deliveries.iter().map(|delivery| u64::from(delivery.messages)).sum()
     }
 
     /// Has the module run its last callback, without waiting for it.
@@ -284,7 +297,7 @@ impl Runner {
             if contents.stop {
                 let now = self.clock.now();
                 self.cell.shutdown(None, now);
-                self.send(now, Vec::new(), true);
+                self.send(now, Vec::new(), true, None);
                 return;
             }
             self.wait();
@@ -337,7 +350,10 @@ impl Runner {
         let is_paused = self.cell.is_paused();
         let inputs = inputs_of(&deliveries, skipped);
         let started = Instant::now();
+        // A run on a thread of its own costs far more than two readings of the clock.
+        let mut stopwatch = Stopwatch::start(Measuring::Trace);
         self.cell.run_detached(&deliveries, self.role, now);
+        let span = stopwatch.lap().filter(|_| !is_paused);
         // Frees the batches for the cycles to come.
         drop_guarded("a message", || drop(deliveries));
         if let Some(probe) = &self.probe
@@ -347,10 +363,10 @@ impl Runner {
             let (module, step) = (&**self.cell.name(), self.step);
             probe.step(&StepReport { module, step, time: now, lateness, duration: started.elapsed() });
         }
-        self.send(now, inputs, false);
+        self.send(now, inputs, false, span);
     }
 
-    fn send(&mut self, time: Time, inputs: Vec<Input>, is_stop: bool) {
+    fn send(&mut self, time: Time, inputs: Vec<Input>, is_stop: bool, span: Option<Span>) {
         let io = &mut self.cell.io;
         let mut outboxes = Vec::new();
         io.outboxes.drain(|outbox| outboxes.push(outbox.split_off()));
@@ -370,6 +386,8 @@ impl Runner {
             is_stop,
             inputs,
             outboxes,
+            span,
+            overruns: self.cell.meter.take_overruns(),
             calls,
             answers,
             commands,

@@ -65,6 +65,7 @@ mod detached;
 mod error;
 mod guard;
 mod inlet;
+mod inspect;
 mod job;
 mod join;
 mod launcher;
@@ -91,6 +92,10 @@ pub use clock::{Clock, ManualClock, SystemClock};
 pub use context::Context;
 pub use error::SetupError;
 pub use inlet::{Inlet, InletError};
+pub use inspect::{
+    CycleStatistics, CycleTrace, Graph, GraphEdge, GraphModule, GraphService, GraphTopic, ModuleState,
+    ModuleStatistics, Snapshot, TimeStatistics, TopicStatistics, TraceEvent, TraceEventKind,
+};
 pub use job::{Completion, Job, JobError};
 pub use join::{DetachedStep, StepInput};
 pub use launcher::{Launcher, Linear, Pool, PoolError, Scheduled, Spin, Threads};

@@ -6,7 +6,8 @@ use std::sync::{Mutex, PoisonError};
 use crate::Time;
 use crate::agenda::{Asker, Ready};
 use crate::cell::ModuleCell;
-use crate::context::{Asked, Shared};
+use crate::context::Shared;
+use crate::inspect::{Measuring, Stopwatch};
 
 /// The modules that run in this cycle, and the messages they read.
 ///
@@ -15,6 +16,7 @@ use crate::context::{Asked, Shared};
 #[derive(Default)]
 pub struct Stage {
     pub(crate) now: Time,
+    pub(crate) measuring: Measuring,
     pub(crate) shared: Shared,
     /// By slot. A lock is taken only where threads share the stage.
     modules: Vec<Mutex<Option<ModuleCell>>>,
@@ -44,15 +46,18 @@ impl Stage {
 
     /// Runs all modules of this cycle on this thread.
     pub fn run_all(&mut self) {
-        let Self { now, shared, modules, runnable, asked, next } = self;
+        let Self { now, measuring, shared, modules, runnable, asked, next } = self;
         let asked = asked.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let mut stopwatch = Stopwatch::start(*measuring);
         for ready in &*runnable {
             let cell = modules[ready.slot].get_mut().unwrap_or_else(PoisonError::into_inner);
-            if let Some(cell) = cell {
-                let what = cell.run(shared, *now);
-                if !what.is_empty() {
-                    asked.push(Asker { module: *ready, asked: what });
-                }
+            let Some(cell) = cell else { continue };
+            let what = cell.run(shared, *now);
+            if !what.is_empty() {
+                asked.push(Asker { module: *ready, asked: what });
+            }
+            if measuring.is_on() {
+                cell.span = stopwatch.lap();
             }
         }
         *next.get_mut() = runnable.len();
@@ -76,7 +81,12 @@ impl Stage {
     pub fn run_nth(&self, nth: usize) {
         let ready = self.runnable[nth];
         let mut cell = self.modules[ready.slot].lock().unwrap_or_else(PoisonError::into_inner);
-        let asked = cell.as_mut().map_or_else(Asked::default, |cell| cell.run(&self.shared, self.now));
+        let Some(cell) = &mut *cell else { return };
+        let mut stopwatch = Stopwatch::start(self.measuring);
+        let asked = cell.run(&self.shared, self.now);
+        if self.measuring.is_on() {
+            cell.span = stopwatch.lap();
+        }
         if !asked.is_empty() {
             let asker = Asker { module: ready, asked };
             self.asked.lock().unwrap_or_else(PoisonError::into_inner).push(asker);

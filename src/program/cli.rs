@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use downbeat::inspect::Request;
 
 /// Robot software as small modules in one process, seen and driven from ROS 2 Jazzy, recorded and replayed.
 ///
@@ -22,6 +23,12 @@ pub(crate) enum Command {
     Run(RunArguments),
     /// Say what a robot file holds, or what is wrong with it, without running it.
     Check(CheckArguments),
+    /// Watch a running robot: its cycles, modules and topics, live.
+    Top(TopArguments),
+    /// Write down what runs in the next cycles of a running robot, for Perfetto or chrome://tracing.
+    Trace(TraceArguments),
+    /// Draw the modules, topics and services of a robot file, without running it.
+    Graph(GraphArguments),
     /// Look at a bag, record one, play one.
     #[command(subcommand)]
     Bag(BagCommand),
@@ -54,6 +61,51 @@ pub(crate) struct CheckArguments {
     /// List the kinds of modules with their topics and settings.
     #[arg(long)]
     pub(crate) kinds: bool,
+}
+
+#[derive(Args)]
+pub(crate) struct TopArguments {
+    /// The robot's name, or the number of its process; not needed where one robot runs.
+    #[arg(value_name = "ROBOT|PID")]
+    pub(crate) robot: Option<String>,
+    /// Print one look as text and end; rates are those since the robot's start.
+    #[arg(long)]
+    pub(crate) once: bool,
+    /// Print one look as JSON and end.
+    #[arg(long, conflicts_with = "once")]
+    pub(crate) json: bool,
+}
+
+#[derive(Args)]
+pub(crate) struct TraceArguments {
+    /// The robot's name, or the number of its process; not needed where one robot runs.
+    #[arg(value_name = "ROBOT|PID")]
+    pub(crate) robot: Option<String>,
+    /// How many cycles.
+    #[arg(long, value_name = "N", default_value_t = 100,
+          value_parser = clap::value_parser!(u32).range(1..=i64::from(Request::MOST_CYCLES)))]
+    pub(crate) cycles: u32,
+    /// The file to write.
+    #[arg(long, short, value_name = "FILE.json")]
+    pub(crate) output: PathBuf,
+}
+
+#[derive(Args)]
+pub(crate) struct GraphArguments {
+    /// The robot file.
+    #[arg(value_name = "ROBOT.toml")]
+    pub(crate) robot: PathBuf,
+    /// The language to draw in.
+    #[arg(long, value_enum, default_value_t = GraphFormat::Dot)]
+    pub(crate) format: GraphFormat,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum GraphFormat {
+    /// For Graphviz: `downbeat graph robot.toml | dot -Tsvg > robot.svg`.
+    Dot,
+    /// For Mermaid, which pages of many code hosts show.
+    Mermaid,
 }
 
 #[derive(Subcommand)]

@@ -1,10 +1,15 @@
 //! What the program does, one file for each command.
 
+#[macro_use]
+mod output;
+
 mod bag;
 mod check;
+mod choose;
 pub(crate) mod cli;
 mod emulate;
 mod faults;
+mod graph;
 mod logging;
 mod run;
 mod screen;
@@ -12,6 +17,8 @@ mod session;
 mod statistics;
 mod status;
 mod stop;
+mod top;
+mod trace;
 
 use std::process::ExitCode;
 
@@ -25,6 +32,9 @@ pub(crate) fn main(cli: Cli) -> ExitCode {
     let result = match cli.command {
         Command::Run(arguments) => run::run(&arguments, &screen),
         Command::Check(arguments) => check::check(&arguments),
+        Command::Top(arguments) => top::top(&arguments),
+        Command::Trace(arguments) => trace::trace(&arguments),
+        Command::Graph(arguments) => graph::graph(&arguments),
         Command::Bag(BagCommand::Info { bag }) => bag::info(&bag),
         Command::Bag(BagCommand::Record(arguments)) => bag::record::record(&arguments, &screen),
         Command::Bag(BagCommand::Play(arguments)) => bag::play::play(&arguments),

@@ -10,7 +10,8 @@ use downbeat::bags::{Compression, Recording, RecordingSummary, WriterOptions};
 use downbeat::bridge::expose::{self, BridgeStatus};
 use downbeat::bridge::middleware::{self, ParticipantOptions};
 use downbeat::bridge::ros::{Node, NodeName, Participant};
-use downbeat::executor::{Core, RunError};
+use downbeat::executor::{Core, CoreHandle, RunError};
+use downbeat::inspect::{InspectionServer, SocketDirectory};
 use downbeat::msgs::qos::QosProfile;
 use downbeat::recorder::{self, WhenFull};
 use downbeat::robot::{Robot, RobotFile};
@@ -106,6 +107,7 @@ impl Session {
             .name("core".into())
             .spawn(move || core.run())
             .context("cannot start the thread of the core")?;
+        let inspection = inspection(&file.name, &handle);
         let title = bridge.as_ref().map_or_else(|| file.name.clone(), |bridge| bridge.title.clone());
         let mut block = StatusBlock::new(Sources {
             title: if file.is_emulated() { format!("{title}   emulated") } else { title },
@@ -133,6 +135,7 @@ impl Session {
         screen.show(Vec::new());
         handle.stop();
         core.join().map_err(|_| anyhow!("the core's thread panicked"))??;
+        drop(inspection);
         let summary = recording.map(Recording::finish).transpose();
         if let Some(bridge) = bridge {
             // Off the graph before the last lines, which may be what a script waits for.
@@ -141,6 +144,14 @@ impl Session {
         tell(&statistics, summary.as_ref().ok().and_then(Option::as_ref));
         summary.map(drop).context("the recording is not complete")
     }
+}
+
+/// A robot that nobody can look at runs all the same.
+fn inspection(name: &str, handle: &CoreHandle) -> Option<InspectionServer> {
+    let open = || -> anyhow::Result<_> {
+        Ok(InspectionServer::start(&SocketDirectory::open()?, name, Arc::new(handle.clone()))?)
+    };
+    open().inspect_err(|error| tracing::warn!("`downbeat top` will not see this robot: {error}")).ok()
 }
 
 fn tell(statistics: &Statistics, summary: Option<&RecordingSummary>) {

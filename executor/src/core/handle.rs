@@ -8,8 +8,8 @@ use crate::join::{JoinQueue, Request};
 use crate::management::{Candidate, Command, Source};
 use crate::receipt::{Receipt, ReceiptSender, receipt};
 use crate::{
-    LifecycleState, Module, ModuleOptions, SettingInfo, SettingRefused, SettingValue, SetupError, Stage,
-    Transition, TransitionRefused, UnknownModule,
+    CycleTrace, Graph, LifecycleState, Module, ModuleOptions, SettingInfo, SettingRefused, SettingValue,
+    SetupError, Snapshot, Stage, Transition, TransitionRefused, UnknownModule,
 };
 
 /// Asks a running core for something from any thread; from [`Core::handle`](crate::Core::handle).
@@ -152,6 +152,32 @@ impl CoreHandle {
     #[must_use = "the answer is in the receipt"]
     pub fn modules(&self) -> Receipt<Vec<ModuleInfo>> {
         self.ask(|stage, world| world.modules(stage))
+    }
+
+    /// What the core counted and measured, between two cycles.
+    #[must_use = "the answer is in the receipt"]
+    pub fn snapshot(&self) -> Receipt<Snapshot> {
+        self.ask(Snapshot::of)
+    }
+
+    /// What runs in the next cycles, at least one. The answer comes when they have run; see
+    /// [`finish_trace`](Self::finish_trace).
+    #[must_use = "the answer is in the receipt"]
+    pub fn trace(&self, cycles: u32) -> Receipt<CycleTrace> {
+        let (answer, trace) = receipt();
+        self.look(move |_, world| world.inspector.trace(cycles, answer));
+        trace
+    }
+
+    /// Has a trace answered with what there is: for a core in which no more cycles may come soon.
+    pub fn finish_trace(&self) {
+        self.look(|_, world| world.inspector.finish_trace());
+    }
+
+    /// Who publishes, subscribes, serves and calls what.
+    #[must_use = "the answer is in the receipt"]
+    pub fn graph(&self) -> Receipt<Graph> {
+        self.ask(|stage, world| Graph::of(stage, world))
     }
 
     fn add_from(

@@ -13,11 +13,12 @@ use crossbeam::sync::Parker;
 pub use handle::CoreHandle;
 pub use phase::SyncPhase;
 pub use world::ModuleInfo;
-use world::Pause;
+pub(crate) use world::Pause;
 pub(crate) use world::{JobResult, World};
 
 use crate::context::Asked;
 use crate::inlet::{InletPort, default_queue};
+use crate::inspect::{CycleInfo, Graph, Measuring};
 use crate::job::Jobs;
 use crate::join::{DetachedStep, JoinQueue};
 use crate::management::{Candidate, Command, Modules, Place, Source, admit, finish_leaving};
@@ -274,6 +275,12 @@ impl Core {
         self.mechanisms.iter().map(|engaged| (engaged.mechanism.name(), engaged.mechanism.version()))
     }
 
+    /// Who publishes, subscribes, serves and calls what.
+    #[must_use]
+    pub fn graph(&self) -> Graph {
+        Graph::of(&self.stage, &self.world)
+    }
+
     /// The settings of a module; nothing if there is no such module.
     #[must_use]
     pub fn settings(&self, module: &str) -> Option<Vec<SettingInfo>> {
@@ -316,6 +323,9 @@ impl Core {
             self.start()?;
         }
         let now = self.world.clock.now();
+        let (measuring, cycle) = (self.world.inspector.begin(), self.world.cycle);
+        exclusive(&mut self.stage).measuring = measuring;
+        let due = if measuring.is_on() { self.world.earliest_due() } else { Time::MAX };
         if let Some(watch) = &self.watch {
             watch.begin();
         }
@@ -326,6 +336,11 @@ impl Core {
         if let Some(watch) = &self.watch {
             watch.end();
         }
+        if measuring.is_on() {
+            let lateness = (due <= now).then(|| now.saturating_since(due));
+            self.take_readings(CycleInfo { cycle, lateness, has_slept: self.world.has_slept });
+        }
+        self.world.has_slept = false;
         Ok(())
     }
 
@@ -379,6 +394,21 @@ impl Core {
         });
         self.world.detached = detached;
         started
+    }
+
+    fn take_readings(&mut self, info: CycleInfo) {
+        let stage = exclusive(&mut self.stage);
+        stage.measuring = Measuring::Nothing;
+        self.world.inspector.synced();
+        for nth in 0..stage.runnable.len() {
+            // One that was removed in this cycle has nothing to tell.
+            if let Some(cell) = stage.cell(stage.runnable[nth].slot)
+                && let Some(span) = cell.span.take()
+            {
+                self.world.inspector.ran(&mut cell.meter, &cell.io.name, info.cycle, &span);
+            }
+        }
+        self.world.inspector.end(info);
     }
 
     fn process_and_sync(&mut self, now: Time) {
@@ -449,10 +479,14 @@ impl Core {
             return std::hint::spin_loop();
         }
         match self.world.earliest_due() {
-            Time::MAX => self.parker.park(),
+            Time::MAX => {
+                self.world.has_slept = true;
+                self.parker.park();
+            }
             due => {
                 let remaining = due.saturating_since(self.world.clock.now());
                 if remaining > Duration::ZERO {
+                    self.world.has_slept = true;
                     self.parker.park_timeout(remaining);
                 }
             }
@@ -468,6 +502,7 @@ fn sync(
     launcher: &mut dyn Launcher,
     now: Time,
 ) {
+    world.inspector.processed();
     stage.take_askers(&mut world.askers);
     world.join();
     let mut asked = world.asked_from_outside(now);

@@ -6,6 +6,7 @@ use crate::agenda::{Agenda, Asker};
 use crate::context::Asked;
 use crate::detached::{DetachedModule, StepOutcome};
 use crate::inlet::AnyInlet;
+use crate::inspect::Inspector;
 use crate::job::{Work, Workers};
 use crate::join::{JoinQueue, Request};
 use crate::management::{Command, Member, Members, Place};
@@ -47,6 +48,9 @@ pub(crate) struct World {
     pub(crate) is_running: bool,
     pub(crate) has_stopped: bool,
     pub(crate) pause: Pause,
+    pub(crate) inspector: Inspector,
+    /// True if the core slept before the cycle.
+    pub(crate) has_slept: bool,
 }
 
 /// What is known of a module, see [`Core::modules`](crate::Core::modules).
@@ -121,6 +125,8 @@ impl World {
             is_running: false,
             has_stopped: false,
             pause: Pause::default(),
+            inspector: Inspector::new(),
+            has_slept: false,
         }
     }
 

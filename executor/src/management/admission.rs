@@ -101,7 +101,8 @@ pub(crate) fn admit(stage: &mut Stage, world: &mut World, candidate: Candidate) 
     let (id, name) = (ModuleId { order, life: 0, place }, Arc::from(name));
     let uses = Uses::default();
     let started = world.clock.now();
-    let mut member = Member { id, name, options, source, uses, restarts: 0, panics_in_a_row: 0, started };
+    let mut member =
+        Member { id, name, options, source, uses, restarts: 0, panics_in_a_row: 0, started, meter: None };
     instate(stage, world, &mut member)?;
     world.members.insert(member);
     Ok(())
@@ -133,8 +134,9 @@ fn try_instate(stage: &mut Stage, world: &mut World, member: &mut Member) -> Res
     let behaviour = catch_unwind(set_up).unwrap_or_else(|panic| {
         Err(SetupError::Panicked { module: member.name.to_string(), reason: reason(&*panic).to_owned() })
     })?;
-    let mut cell =
-        ModuleCell::new(io, behaviour, member.uses.subscribed.clone(), member.options.initial_state);
+    let meter = member.meter.take().unwrap_or_else(|| world.inspector.module_meter());
+    let (subscribed, initial) = (member.uses.subscribed.clone(), member.options.initial_state);
+    let mut cell = ModuleCell::new(io, behaviour, subscribed, initial, meter);
     if let Some(deadline) = member.options.deadline {
         let watch = world.watchdog.watch(Arc::clone(&member.name), deadline);
         cell.watch_runs(watch.map_err(|error| SetupError::Thread {

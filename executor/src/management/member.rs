@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
+use crate::inspect::ModuleMeter;
 use crate::management::Source;
 use crate::setup::Uses;
 use crate::{ModuleOptions, Role, Time};
@@ -37,6 +38,8 @@ pub(crate) struct Member {
     /// Panics in a row, without a time in which it ran well.
     pub(crate) panics_in_a_row: u32,
     pub(crate) started: Time,
+    /// What its last life counted, until the next begins.
+    pub(crate) meter: Option<ModuleMeter>,
 }
 
 impl Member {

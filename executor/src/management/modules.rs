@@ -7,6 +7,7 @@ use crate::agenda::{Asker, Ready};
 use crate::context::Asked;
 use crate::core::SyncPhase;
 use crate::detached::Parcel;
+use crate::inspect::ModuleMeter;
 use crate::management::admission::{instate, release, release_services};
 use crate::management::{Command, Place, UnknownModule, admit};
 use crate::mechanism::{Mechanism, Version};
@@ -58,6 +59,9 @@ fn notice_changes(phase: &mut SyncPhase<'_>) {
             && let Some(module) = phase.world.detached[slot].as_mut().filter(|module| module.id == id)
         {
             module.note(step);
+            if panic.is_some() {
+                module.meter.panicked();
+            }
         }
         if let Some(panic) = panic {
             notice_panic(phase, id.order, &panic);
@@ -110,7 +114,10 @@ fn restart_due(phase: &mut SyncPhase<'_>) {
 fn restart(phase: &mut SyncPhase<'_>, order: u64) {
     let Some(mut member) = phase.world.members.take(order) else { return };
     release(phase.stage, phase.world, &mut member);
-    vacate(phase, member.id);
+    member.meter = vacate(phase, member.id);
+    if let Some(meter) = &mut member.meter {
+        meter.restarted();
+    }
     member.restarts += 1;
     member.id.life += 1;
     member.started = phase.now;
@@ -129,14 +136,16 @@ fn restart(phase: &mut SyncPhase<'_>, order: u64) {
     }
 }
 
-/// Drops the module in the place.
-fn vacate(phase: &mut SyncPhase<'_>, id: ModuleId) {
+/// Drops the module in the place. What it counted is left.
+fn vacate(phase: &mut SyncPhase<'_>, id: ModuleId) -> Option<ModuleMeter> {
     match id.place {
         Place::Attached(slot) => {
             phase.world.agenda.leave(slot);
-            drop(phase.stage.take_cell(slot));
+            phase.stage.take_cell(slot).map(|mut cell| std::mem::take(&mut cell.meter))
         }
-        Place::Detached(slot) => drop(phase.world.detached[slot].take()),
+        Place::Detached(slot) => {
+            phase.world.detached[slot].take().map(|mut module| std::mem::take(&mut module.meter))
+        }
     }
 }
 
@@ -149,7 +158,7 @@ pub(crate) fn finish_leaving(phase: &mut SyncPhase<'_>) -> Vec<ModuleId> {
     for mut member in members {
         let SyncPhase { stage, world, .. } = phase;
         release(stage, world, &mut member);
-        vacate(phase, member.id);
+        drop(vacate(phase, member.id));
         if let Place::Attached(slot) = member.id.place {
             phase.world.freed_slots.push(slot);
         }

@@ -7,6 +7,7 @@ use crate::context::Asked;
 use crate::core::SyncPhase;
 use crate::detached::StepOutcome;
 use crate::join::{DetachedStep, StepInput};
+use crate::management::Place;
 use crate::mechanism::{Mechanism, Version};
 use crate::messaging::{Outbox, Subscriber};
 use crate::{Role, Time};
@@ -61,7 +62,9 @@ fn take_outboxes(phase: &mut SyncPhase<'_>) {
     let SyncPhase { stage, world, now, .. } = phase;
     for asker in world.askers.iter().filter(|asker| asker.asked.has(Asked::MESSAGES)) {
         if let (Some(cell), shared) = stage.cell_and_shared(asker.module.slot) {
-            cell.io.outboxes.drain(|outbox| shared.topics.absorb(outbox, *now));
+            let mut messages = 0;
+            cell.io.outboxes.drain(|outbox| messages += shared.topics.absorb(outbox, *now));
+            cell.meter.published(messages);
         }
     }
 }
@@ -89,8 +92,25 @@ fn join_step(phase: &mut SyncPhase<'_>, outcome: StepOutcome) {
     let (role, module) = (member.role(), Arc::clone(&member.name));
     let topics = &mut phase.stage.shared.topics;
     let (now, cycle) = (phase.now, phase.world.cycle);
+    let mut published = 0;
     for mut outbox in outcome.outboxes {
-        topics.absorb(&mut *outbox, now);
+        published += topics.absorb(&mut *outbox, now);
+    }
+    let mut received = 0;
+    for input in &outcome.inputs {
+        received += input.received as usize;
+        topics.meter_mut(input.topic).dropped(u64::from(input.skipped));
+    }
+    if let Place::Detached(slot) = outcome.module.place
+        && let Some(detached) = phase.world.detached[slot].as_mut()
+    {
+        let meter = &mut detached.meter;
+        meter.ran(received);
+        meter.published(published);
+        meter.dropped(outcome.inputs.iter().map(|input| u64::from(input.skipped)).sum());
+        if let Some(span) = &outcome.span {
+            phase.world.inspector.stepped(meter, &module, cycle, span);
+        }
     }
     // An observer's steps are no input of the robot; and one that records steps would cause its next.
     let has_subscribers = |topic: &usize| !topics.subscribers(*topic).is_empty();

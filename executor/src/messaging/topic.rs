@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::guard::drop_guarded;
+use crate::inspect::TopicMeter;
 use crate::messaging::{AnyOutbox, Batch, Outbox};
 use crate::{SetupError, Time};
 
@@ -61,9 +62,10 @@ pub(crate) trait AnyTopic: Any + Send + Sync {
     /// Forgets the messages of the last cycle, unless somebody keeps them.
     fn retire(&mut self);
     /// Forgets the messages of the last cycle, and takes those out of an outbox of this topic.
-    fn begin(&mut self, outbox: &mut dyn AnyOutbox, now: Time);
-    /// Takes the messages out of one more outbox.
-    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time);
+    /// Returns how many there are.
+    fn begin(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize;
+    /// Takes the messages out of one more outbox. Returns how many there are.
+    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize;
     /// The batch, to be taken to another thread, and the number of messages in it.
     fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32);
 }
@@ -89,19 +91,21 @@ fn take_over<T: Send + 'static>(
     batch: Option<&mut Batch<T>>,
     outbox: &mut dyn AnyOutbox,
     now: Time,
-) {
+) -> usize {
     let outbox = (outbox as &mut dyn Any).downcast_mut::<Outbox<T>>();
     // Both hold by construction: outboxes are opened through the topic's type check, and nobody shares a batch
     // before the sync phase has filled it.
     let (Some(outbox), Some(batch)) = (outbox, batch) else {
         debug_assert!(false, "an outbox reached a topic of another type, or a batch in use");
-        return;
+        return 0;
     };
     // Only this thread writes it: no need to add atomically.
-    let count = counter.0.load(Ordering::Relaxed) + outbox.messages.len() as u64;
+    let messages = outbox.messages.len();
+    let count = counter.0.load(Ordering::Relaxed) + messages as u64;
     counter.0.store(count, Ordering::Relaxed);
     batch.stamp(now);
     batch.take_over(&mut outbox.messages);
+    messages
 }
 
 impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
@@ -109,12 +113,12 @@ impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
         renewed(&mut self.batch);
     }
 
-    fn begin(&mut self, outbox: &mut dyn AnyOutbox, now: Time) {
-        take_over(&self.counter, renewed(&mut self.batch), outbox, now);
+    fn begin(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize {
+        take_over(&self.counter, renewed(&mut self.batch), outbox, now)
     }
 
-    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) {
-        take_over(&self.counter, Arc::get_mut(&mut self.batch), outbox, now);
+    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize {
+        take_over(&self.counter, Arc::get_mut(&mut self.batch), outbox, now)
     }
 
     fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32) {
@@ -134,6 +138,7 @@ pub(crate) struct Topics {
     /// Those with messages of the cycle before, while the sync phase goes on.
     stale: Vec<usize>,
     is_fresh: Vec<bool>,
+    meters: Vec<TopicMeter>,
 }
 
 struct Entry {
@@ -150,12 +155,14 @@ struct Forgotten;
 impl AnyTopic for Forgotten {
     fn retire(&mut self) {}
 
-    fn begin(&mut self, outbox: &mut dyn AnyOutbox, _now: Time) {
+    fn begin(&mut self, outbox: &mut dyn AnyOutbox, _now: Time) -> usize {
         outbox.discard();
+        0
     }
 
-    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, _now: Time) {
+    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, _now: Time) -> usize {
         outbox.discard();
+        0
     }
 
     fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32) {
@@ -198,12 +205,14 @@ impl Topics {
             Some(free) => {
                 self.topics[free] = topic;
                 self.entries[free] = entry;
+                self.meters[free] = TopicMeter::default();
                 free
             }
             None => {
                 self.topics.push(topic);
                 self.entries.push(entry);
                 self.is_fresh.push(false);
+                self.meters.push(TopicMeter::default());
                 self.topics.len() - 1
             }
         };
@@ -255,6 +264,25 @@ impl Topics {
         self.entries.iter().filter(|entry| entry.users > 0).map(|entry| &entry.info)
     }
 
+    #[inline]
+    pub(crate) fn meter(&self, topic: usize) -> &TopicMeter {
+        &self.meters[topic]
+    }
+
+    #[inline]
+    pub(crate) fn meter_mut(&mut self, topic: usize) -> &mut TopicMeter {
+        &mut self.meters[topic]
+    }
+
+    /// The topics in use, with their indices.
+    pub(crate) fn indices(&self) -> impl Iterator<Item = usize> {
+        (0..self.entries.len()).filter(|&topic| self.entries[topic].users > 0)
+    }
+
+    pub(crate) fn info(&self, topic: usize) -> &TopicInfo {
+        &self.entries[topic].info
+    }
+
     pub(crate) fn name(&self, topic: usize) -> &Arc<str> {
         &self.entries[topic].info.name
     }
@@ -285,15 +313,20 @@ impl Topics {
         }
     }
 
-    pub(crate) fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) {
+    /// Returns how many messages there are in the outbox.
+    pub(crate) fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize {
         let index = outbox.topic();
-        if self.is_fresh[index] {
-            self.topics[index].absorb(outbox, now);
+        let meter = &mut self.meters[index];
+        let messages = if self.is_fresh[index] {
+            self.topics[index].absorb(outbox, now)
         } else {
             self.is_fresh[index] = true;
             self.fresh.push(index);
-            self.topics[index].begin(outbox, now);
-        }
+            meter.begin_batch(now);
+            self.topics[index].begin(outbox, now)
+        };
+        meter.carried(messages);
+        messages
     }
 
     /// Last step: drops what is still stale.

@@ -1,0 +1,25 @@
+//! Seeing inside a core while it runs: counters, times, a trace of a few cycles, the graph.
+//!
+//! Counters are exact. Times are of *sampled* cycles: reading a clock twice can take longer than a small module's
+//! run, so a [`Sampler`](sampler::Sampler) has as many cycles measured as cost about a hundredth of what they do. A
+//! core whose modules take microseconds is measured in every cycle.
+
+mod counters;
+mod graph;
+mod histogram;
+mod inspector;
+mod look;
+mod markup;
+mod sampler;
+mod snapshot;
+mod span;
+mod trace;
+
+pub(crate) use counters::{ModuleMeter, TopicMeter};
+pub use graph::{Graph, GraphEdge, GraphModule, GraphService, GraphTopic};
+pub(crate) use inspector::{CycleInfo, Inspector};
+pub use snapshot::{
+    CycleStatistics, ModuleState, ModuleStatistics, Snapshot, TimeStatistics, TopicStatistics,
+};
+pub(crate) use span::{Measuring, Span, Stopwatch};
+pub use trace::{CycleTrace, TraceEvent, TraceEventKind};

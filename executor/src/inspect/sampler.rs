@@ -1,0 +1,167 @@
+//! Which cycles are measured.
+
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+
+use super::histogram::nanoseconds;
+
+/// What measuring may cost, as a share of what the core does anyway.
+pub(crate) const SHARE: f64 = 0.01;
+
+/// What the sleep before a cycle costs the machine at least: two switches of context.
+const SLEEP_NS: f64 = 2_000.0;
+
+/// How many measured cycles the means go back to, about.
+const MEMORY: f64 = 32.0;
+
+/// At least one cycle in so many is measured.
+const LONGEST_INTERVAL: f64 = 4096.0;
+
+/// Decides which cycles are measured, so that measuring costs at most a hundredth of the time the core is busy.
+///
+/// Both what a cycle takes and what measuring it costs are averaged over the cycles that were measured; from that
+/// comes how many cycles there are from one measured cycle to the next. The number varies at random about that mean:
+/// modules are periodic, and with a fixed one some of them might never run in a measured cycle. What a cycle does has
+/// no influence on whether it is measured, so percentiles of the measured cycles stand for all.
+pub(crate) struct Sampler {
+    /// Cycles that are not measured until the next that is.
+    skip: u32,
+    cost_ns: f64,
+    busy_ns: f64,
+    random: u64,
+}
+
+impl Sampler {
+    pub(crate) fn new() -> Self {
+        Self { skip: 0, cost_ns: 0.0, busy_ns: 0.0, random: 0x9E37_79B9_7F4A_7C15 }
+    }
+
+    /// True if the cycle that begins is to be measured.
+    #[inline]
+    pub(crate) fn takes_next(&mut self) -> bool {
+        if self.skip == 0 {
+            return true;
+        }
+        self.skip -= 1;
+        false
+    }
+
+    /// A cycle took `busy`, without the `cost` of measuring it. Before it the core slept, or did not.
+    pub(crate) fn measured(&mut self, busy: Duration, cost: Duration, has_slept: bool) {
+        let busy_ns = nanoseconds(busy) as f64 + if has_slept { SLEEP_NS } else { 0.0 };
+        let cost_ns = nanoseconds(cost) as f64;
+        if self.busy_ns == 0.0 {
+            (self.busy_ns, self.cost_ns) = (busy_ns, cost_ns);
+        } else {
+            self.busy_ns += (busy_ns - self.busy_ns) / MEMORY;
+            self.cost_ns += (cost_ns - self.cost_ns) / MEMORY;
+        }
+        let interval = (self.cost_ns / (SHARE * self.busy_ns.max(1.0))).clamp(1.0, LONGEST_INTERVAL);
+        // Uniform from 0 to twice the mean number of cycles to skip.
+        self.skip = (self.next_random() * (2.0 * (interval - 1.0) + 1.0)) as u32;
+    }
+
+    /// A number from 0 to 1, by xorshift (Marsaglia 2003).
+    fn next_random(&mut self) -> f64 {
+        self.random ^= self.random << 13;
+        self.random ^= self.random >> 7;
+        self.random ^= self.random << 17;
+        (self.random >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
+
+/// How long this machine takes to read the steady clock: 20 to 50 ns where the processor's counter can be used, a
+/// microsecond where it cannot.
+pub(crate) fn clock_reading_time() -> Duration {
+    const READINGS: u32 = 64;
+    let mut shortest = Duration::MAX;
+    for _ in 0..3 {
+        let begin = Instant::now();
+        for _ in 1..READINGS {
+            black_box(Instant::now());
+        }
+        shortest = shortest.min(begin.elapsed());
+    }
+    shortest / READINGS
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Runs cycles of the given length; gives the share of the time that measuring took, and the number measured.
+    fn share(cycles: u32, cost_ns: u64, has_slept: bool, busy_ns: impl Fn(u32) -> u64) -> (f64, u32) {
+        let mut sampler = Sampler::new();
+        let (mut cost, mut busy, mut measured) = (0, 0, 0);
+        for cycle in 0..cycles {
+            busy += busy_ns(cycle);
+            if sampler.takes_next() {
+                cost += cost_ns;
+                measured += 1;
+                let nanoseconds = Duration::from_nanos;
+                sampler.measured(nanoseconds(busy_ns(cycle)), nanoseconds(cost_ns), has_slept);
+            }
+        }
+        (cost as f64 / busy as f64, measured)
+    }
+
+    #[test]
+    fn long_cycles_are_all_measured() {
+        let (share, measured) = share(1000, 1_000, false, |_| 200_000);
+        assert_eq!(measured, 1000);
+        assert!(share < SHARE, "{share}");
+    }
+
+    #[test]
+    fn short_cycles_cost_a_hundredth() {
+        for busy_ns in [30, 100, 1_000, 20_000] {
+            let (share, measured) = share(1_000_000, 300, false, |_| busy_ns);
+            assert!((0.5 * SHARE..1.2 * SHARE).contains(&share), "{busy_ns} ns: {share}");
+            assert!(measured > 500, "{busy_ns} ns: {measured}");
+        }
+    }
+
+    #[test]
+    fn rare_long_cycles_among_short_ones_cost_a_hundredth_too() {
+        let (share, _) = share(1_000_000, 300, false, |cycle| if cycle % 97 == 0 { 50_000 } else { 100 });
+        assert!((0.3 * SHARE..1.6 * SHARE).contains(&share), "{share}");
+    }
+
+    #[test]
+    fn a_long_first_cycle_is_soon_forgotten() {
+        let (share, _) = share(200_000, 300, false, |cycle| if cycle == 0 { 5_000_000 } else { 100 });
+        assert!(share < 1.6 * SHARE, "{share}");
+    }
+
+    #[test]
+    fn cycles_after_a_sleep_are_measured_more_often() {
+        let (_, awake) = share(10_000, 100, false, |_| 100);
+        let (_, slept) = share(10_000, 100, true, |_| 100);
+        assert!(slept > 10 * awake, "{slept} {awake}");
+    }
+
+    #[test]
+    fn modules_of_any_period_come_up_in_measured_cycles_as_often_as_they_run() {
+        let mut sampler = Sampler::new();
+        let (mut measured, mut with_module) = (0_u32, [0_u32; 12]);
+        for cycle in 0..2_000_000_u32 {
+            if !sampler.takes_next() {
+                continue;
+            }
+            measured += 1;
+            for (index, count) in with_module.iter_mut().enumerate() {
+                *count += u32::from(cycle.is_multiple_of(index as u32 + 1));
+            }
+            sampler.measured(Duration::from_nanos(300), Duration::from_nanos(90), false);
+        }
+        for (index, count) in with_module.iter().enumerate() {
+            let relative = f64::from(*count) * (index as f64 + 1.0) / f64::from(measured);
+            assert!((0.9..1.1).contains(&relative), "period {}: {relative}", index + 1);
+        }
+    }
+
+    #[test]
+    fn the_time_to_read_the_clock_is_more_than_nothing() {
+        assert!(clock_reading_time() > Duration::ZERO);
+    }
+}

@@ -1,0 +1,91 @@
+//! The time a module's run took, taken where it ran.
+
+use std::thread::Thread;
+use std::time::{Duration, Instant};
+
+/// What is taken down in a cycle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Measuring {
+    /// Nothing: no clock is read.
+    #[default]
+    Nothing,
+    /// When each run began and ended.
+    Times,
+    /// That, and on which thread.
+    Trace,
+}
+
+impl Measuring {
+    #[inline]
+    pub(crate) fn is_on(self) -> bool {
+        self != Self::Nothing
+    }
+}
+
+/// A run of a module.
+#[derive(Clone, Debug)]
+pub(crate) struct Span {
+    pub(crate) begin: Instant,
+    pub(crate) end: Instant,
+    /// Where it ran, in a traced cycle.
+    pub(crate) thread: Option<Thread>,
+}
+
+impl Span {
+    #[inline]
+    pub(crate) fn duration(&self) -> Duration {
+        self.end.saturating_duration_since(self.begin)
+    }
+}
+
+/// Takes the times of runs that follow each other on one thread. The end of one is the beginning of the next, so
+/// each run costs one reading of the clock, and nothing where nothing is measured.
+pub(crate) struct Stopwatch {
+    last: Option<Instant>,
+    thread: Option<Thread>,
+}
+
+impl Stopwatch {
+    #[inline]
+    pub(crate) fn start(measuring: Measuring) -> Self {
+        match measuring {
+            Measuring::Nothing => Self { last: None, thread: None },
+            Measuring::Times => Self { last: Some(Instant::now()), thread: None },
+            Measuring::Trace => Self { last: Some(Instant::now()), thread: Some(std::thread::current()) },
+        }
+    }
+
+    /// The time since the start or the last lap.
+    #[inline]
+    pub(crate) fn lap(&mut self) -> Option<Span> {
+        let begin = self.last?;
+        let end = Instant::now();
+        self.last = Some(end);
+        Some(Span { begin, end, thread: self.thread.clone() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn runs_that_follow_each_other_leave_no_gap() {
+        let mut stopwatch = Stopwatch::start(Measuring::Times);
+        let (first, second) = (stopwatch.lap().unwrap(), stopwatch.lap().unwrap());
+        assert_eq!(first.end, second.begin);
+        assert!(first.thread.is_none());
+    }
+
+    #[test]
+    fn a_traced_run_knows_its_thread() {
+        let span = Stopwatch::start(Measuring::Trace).lap().unwrap();
+        assert_eq!(span.thread.unwrap().id(), std::thread::current().id());
+    }
+
+    #[test]
+    fn nothing_is_taken_down_where_nothing_is_measured() {
+        assert!(Stopwatch::start(Measuring::Nothing).lap().is_none());
+    }
+}

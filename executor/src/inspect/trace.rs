@@ -1,0 +1,228 @@
+//! A trace of a few cycles: which module ran when and on which thread.
+
+use std::cmp::Reverse;
+use std::io::{self, Write};
+use std::sync::Arc;
+use std::thread::ThreadId;
+use std::time::Instant;
+
+use super::Span;
+use super::histogram::nanoseconds;
+use super::markup::json_string;
+
+/// More events than this are not kept: a viewer could hardly show them.
+const MOST_EVENTS: usize = 250_000;
+
+/// What ran in a few cycles, on which thread, from when to when.
+///
+/// [`write_chrome_json`](Self::write_chrome_json) makes of it a file for <https://ui.perfetto.dev> or
+/// `chrome://tracing`.
+pub struct CycleTrace {
+    origin: Instant,
+    threads: Vec<(ThreadId, String)>,
+    events: Vec<TraceEvent>,
+}
+
+/// Something that took time.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TraceEvent {
+    /// What it was.
+    pub kind: TraceEventKind,
+    /// The module that ran; nothing for a phase of the cycle.
+    pub module: Option<Arc<str>>,
+    /// Where: an index of [`CycleTrace::threads`].
+    pub thread: usize,
+    /// The cycle in which it ran, or, for a step, in which its outputs joined.
+    pub cycle: u64,
+    /// When it began, in nanoseconds since the core's start.
+    pub begin_ns: u64,
+    /// When it ended, in nanoseconds since the core's start.
+    pub end_ns: u64,
+}
+
+/// What an event of a trace is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum TraceEventKind {
+    /// A module's run inside a cycle.
+    Run,
+    /// A run of a detached module.
+    Step,
+    /// The process phase of a cycle.
+    Process,
+    /// The sync phase of a cycle.
+    Sync,
+}
+
+impl TraceEventKind {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Run => "run",
+            Self::Step => "step",
+            Self::Process => "process",
+            Self::Sync => "sync",
+        }
+    }
+}
+
+impl CycleTrace {
+    pub(crate) fn new(origin: Instant) -> Self {
+        Self { origin, threads: Vec::new(), events: Vec::new() }
+    }
+
+    pub(crate) fn add(&mut self, kind: TraceEventKind, module: Option<&Arc<str>>, cycle: u64, span: &Span) {
+        // A step that began before the trace was asked for was not told where it ran.
+        let Some(thread) = &span.thread else { return };
+        if self.is_full() {
+            return;
+        }
+        let known = self.threads.iter().position(|(id, _)| *id == thread.id());
+        let thread = known.unwrap_or_else(|| {
+            let name = thread.name().map_or_else(|| format!("{:?}", thread.id()), str::to_owned);
+            self.threads.push((thread.id(), name));
+            self.threads.len() - 1
+        });
+        let since_origin = |time: Instant| nanoseconds(time.saturating_duration_since(self.origin));
+        let (begin_ns, end_ns) = (since_origin(span.begin), since_origin(span.end));
+        self.events.push(TraceEvent { kind, module: module.cloned(), thread, cycle, begin_ns, end_ns });
+    }
+
+    pub(crate) fn is_full(&self) -> bool {
+        self.events.len() >= MOST_EVENTS
+    }
+
+    /// Puts the events in the order of time, what contains others before them.
+    pub(crate) fn finish(mut self) -> Self {
+        let is_part = |event: &TraceEvent| event.module.is_some();
+        self.events.sort_by_key(|event| (event.begin_ns, Reverse(event.end_ns), is_part(event)));
+        self
+    }
+
+    /// The events in the order in which they began.
+    #[must_use]
+    pub fn events(&self) -> &[TraceEvent] {
+        &self.events
+    }
+
+    /// The names of the threads.
+    pub fn threads(&self) -> impl ExactSizeIterator<Item = &str> {
+        self.threads.iter().map(|(_, name)| name.as_str())
+    }
+
+    /// Writes the trace in the Trace Event Format of Chrome, which Perfetto and `chrome://tracing` open: one complete
+    /// event ("ph": "X") for each of [`events`](Self::events), with times in microseconds, and the names of the threads
+    /// as metadata events ("ph": "M"). There is no line break in it.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    ///
+    /// # References
+    /// "Trace Event Format", the document of the Catapult project.
+    pub fn write_chrome_json(&self, mut out: impl Write) -> io::Result<()> {
+        let process = std::process::id();
+        write!(out, r#"{{"displayTimeUnit":"ns","traceEvents":["#)?;
+        write!(
+            out,
+            r#"{{"name":"process_name","ph":"M","pid":{process},"tid":0,"args":{{"name":"downbeat"}}}}"#
+        )?;
+        for (number, name) in self.threads().enumerate() {
+            let (tid, name) = (number + 1, json_string(name));
+            write!(
+                out,
+                r#",{{"name":"thread_name","ph":"M","pid":{process},"tid":{tid},"args":{{"name":{name}}}}}"#
+            )?;
+        }
+        for event in &self.events {
+            let kind = event.kind.name();
+            let name = json_string(event.module.as_deref().unwrap_or(kind));
+            let (ts, dur) = (Microseconds(event.begin_ns), Microseconds(event.end_ns - event.begin_ns));
+            let (tid, cycle) = (event.thread + 1, event.cycle);
+            write!(
+                out,
+                r#",{{"name":{name},"cat":"{kind}","ph":"X","ts":{ts},"dur":{dur},"pid":{process},"tid":{tid},"args":{{"cycle":{cycle}}}}}"#
+            )?;
+        }
+        write!(out, "]}}")?;
+        out.flush()
+    }
+}
+
+/// Prints nanoseconds as microseconds, exactly.
+struct Microseconds(u64);
+
+impl std::fmt::Display for Microseconds {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}.{:03}", self.0 / 1000, self.0 % 1000)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::thread::Thread;
+    use std::time::Duration;
+
+    use serde_json::Value;
+
+    use super::*;
+
+    fn example() -> CycleTrace {
+        let origin = Instant::now();
+        let span = |begin_ns, end_ns, thread: &Thread| Span {
+            begin: origin + Duration::from_nanos(begin_ns),
+            end: origin + Duration::from_nanos(end_ns),
+            thread: Some(thread.clone()),
+        };
+        let here = std::thread::current();
+        let there = std::thread::Builder::new().name("eye \"left\"\n".into()).spawn(std::thread::current);
+        let there = there.unwrap().join().unwrap();
+        let mut trace = CycleTrace::new(origin);
+        let (motion, vision): (Arc<str>, Arc<str>) = (Arc::from("motion"), Arc::from("vision\\1"));
+        trace.add(TraceEventKind::Run, Some(&motion), 7, &span(1_000, 2_500, &here));
+        trace.add(TraceEventKind::Step, Some(&vision), 7, &span(5, 5_000_005, &there));
+        trace.add(TraceEventKind::Process, None, 7, &span(1_000, 2_500, &here));
+        trace.add(TraceEventKind::Sync, None, 7, &span(2_500, 2_501, &here));
+        trace.finish()
+    }
+
+    #[test]
+    fn events_come_in_the_order_of_time_and_a_phase_before_what_ran_in_it() {
+        let kinds: Vec<_> = example().events().iter().map(|event| event.kind).collect();
+        use TraceEventKind::{Process, Run, Step, Sync};
+        assert_eq!(kinds, [Step, Process, Run, Sync]);
+    }
+
+    #[test]
+    fn the_json_is_what_the_trace_event_format_asks_for() {
+        let mut json = Vec::new();
+        example().write_chrome_json(&mut json).unwrap();
+        assert!(!json.contains(&b'\n'));
+        let json: Value = serde_json::from_slice(&json).unwrap();
+        let events = json["traceEvents"].as_array().unwrap();
+        let (metadata, complete): (Vec<_>, Vec<_>) = events.iter().partition(|event| event["ph"] == "M");
+        let pid = u64::from(std::process::id());
+        assert!(events.iter().all(|event| event["pid"] == pid && event["tid"].is_u64()));
+        assert_eq!(metadata[0]["name"], "process_name");
+        let threads: Vec<_> = metadata[1..].iter().map(|event| &event["args"]["name"]).collect();
+        assert!(metadata[1..].iter().all(|event| event["name"] == "thread_name"));
+        assert_eq!(threads[1], "eye \"left\"\n");
+        let run = complete.iter().find(|event| event["name"] == "motion").unwrap();
+        assert_eq!((run["cat"].as_str(), run["ts"].as_f64()), (Some("run"), Some(1.0)));
+        assert_eq!((run["dur"].as_f64(), run["args"]["cycle"].as_u64()), (Some(1.5), Some(7)));
+        let step = complete.iter().find(|event| event["name"] == "vision\\1").unwrap();
+        assert_eq!((step["ts"].as_f64(), step["dur"].as_f64()), (Some(0.005), Some(5_000.0)));
+        assert_ne!(step["tid"], run["tid"]);
+        for event in complete {
+            assert_eq!(event["ph"], "X");
+            let tid = &event["tid"];
+            assert!(metadata.iter().any(|named| named["name"] == "thread_name" && named["tid"] == *tid));
+        }
+    }
+
+    #[test]
+    fn a_trace_without_events_is_valid_json() {
+        let mut json = Vec::new();
+        CycleTrace::new(Instant::now()).finish().write_chrome_json(&mut json).unwrap();
+        let json: Value = serde_json::from_slice(&json).unwrap();
+        assert_eq!(json["traceEvents"].as_array().map(Vec::len), Some(1));
+    }
+}

@@ -1,0 +1,192 @@
+//! Where the sockets of running robots are.
+
+use std::ffi::OsStr;
+use std::fmt;
+use std::fs::{self, DirBuilder};
+use std::io;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+
+/// A directory with the sockets of one user's robots, which nobody else can enter.
+#[derive(Clone, Debug)]
+pub struct SocketDirectory {
+    path: PathBuf,
+}
+
+/// Why there is no directory for sockets.
+#[derive(Debug, thiserror::Error)]
+pub enum DirectoryError {
+    /// It cannot be made or read.
+    #[error("cannot use {} for the sockets of running robots: {source}", path.display())]
+    Io {
+        /// The directory.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Others could put sockets there, or read from them.
+    #[error(
+        "{} is not private: it belongs to user {owner} and has mode {mode:03o}; remove it, or make it yours with \
+         mode 700",
+        path.display()
+    )]
+    NotPrivate {
+        /// The directory.
+        path: PathBuf,
+        /// The number of the user it belongs to.
+        owner: u32,
+        /// Its permissions.
+        mode: u32,
+    },
+}
+
+/// A robot that runs now.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RunningRobot {
+    /// Its name, from the robot file.
+    pub name: String,
+    /// The number of its process.
+    pub pid: u32,
+    /// Its socket.
+    pub socket: PathBuf,
+}
+
+impl fmt::Display for RunningRobot {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} (process {})", self.name, self.pid)
+    }
+}
+
+impl SocketDirectory {
+    /// The directory of this user, which is made if it is not there: `downbeat` in `XDG_RUNTIME_DIR`, or where that is
+    /// not set `downbeat-` and the user's number in the directory for temporary files.
+    ///
+    /// # Errors
+    /// If it cannot be made, or is not private.
+    pub fn open() -> Result<Self, DirectoryError> {
+        let runtime = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
+        Self::open_at(match runtime.filter(|path| path.is_absolute()) {
+            Some(runtime) => runtime.join("downbeat"),
+            None => std::env::temp_dir().join(format!("downbeat-{}", user())),
+        })
+    }
+
+    /// A directory at a path, made if it is not there.
+    ///
+    /// # Errors
+    /// If it cannot be made, or is not private.
+    pub fn open_at(path: PathBuf) -> Result<Self, DirectoryError> {
+        let io_error = |source| DirectoryError::Io { path: path.clone(), source };
+        match DirBuilder::new().mode(0o700).create(&path) {
+            Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(io_error(error)),
+            Ok(()) | Err(_) => {}
+        }
+        // Not following a link that somebody else may have put there.
+        let metadata = fs::symlink_metadata(&path).map_err(io_error)?;
+        if !metadata.is_dir() {
+            return Err(io_error(io::ErrorKind::NotADirectory.into()));
+        }
+        let (owner, mode) = (metadata.uid(), metadata.mode() & 0o777);
+        if owner != user() || mode & 0o077 != 0 {
+            return Err(DirectoryError::NotPrivate { path, owner, mode });
+        }
+        Ok(Self { path })
+    }
+
+    /// Where it is.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The robots that run now, by name and number of process. Sockets that nobody listens to any more are removed.
+    ///
+    /// # Errors
+    /// If the directory cannot be read.
+    pub fn running(&self) -> Result<Vec<RunningRobot>, DirectoryError> {
+        let io_error = |source| DirectoryError::Io { path: self.path.clone(), source };
+        let mut robots = Vec::new();
+        for entry in fs::read_dir(&self.path).map_err(io_error)? {
+            let socket = entry.map_err(io_error)?.path();
+            let Some((name, pid)) = socket.file_name().and_then(name_and_pid) else { continue };
+            match UnixStream::connect(&socket) {
+                // Its process ended without removing it.
+                Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {
+                    let _ = fs::remove_file(&socket);
+                }
+                // It ended between the listing and now.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                Ok(_) | Err(_) => robots.push(RunningRobot { name, pid, socket }),
+            }
+        }
+        robots.sort_by(|a, b| (&a.name, a.pid).cmp(&(&b.name, b.pid)));
+        Ok(robots)
+    }
+
+    /// The socket of a robot of this process.
+    pub(super) fn socket(&self, robot: &str) -> PathBuf {
+        let name = robot.replace(|c: char| !(c.is_alphanumeric() || c == '_'), "_");
+        self.path.join(format!("{name}-{}.sock", std::process::id()))
+    }
+}
+
+fn name_and_pid(file: &OsStr) -> Option<(String, u32)> {
+    let (name, pid) = file.to_str()?.strip_suffix(".sock")?.rsplit_once('-')?;
+    Some((name.to_owned(), pid.parse().ok()?))
+}
+
+fn user() -> u32 {
+    rustix::process::getuid().as_raw()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::os::unix::fs::PermissionsExt;
+    use std::os::unix::net::UnixListener;
+
+    use super::*;
+
+    #[test]
+    fn the_directory_is_made_private_and_one_that_is_not_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("sockets");
+        SocketDirectory::open_at(path.clone()).unwrap();
+        assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o700);
+        SocketDirectory::open_at(path.clone()).unwrap();
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
+        let error = SocketDirectory::open_at(path).unwrap_err().to_string();
+        assert!(error.contains("755") && error.contains("mode 700"), "{error}");
+    }
+
+    #[test]
+    fn a_link_in_the_place_of_the_directory_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let (elsewhere, path) = (folder.path().join("elsewhere"), folder.path().join("sockets"));
+        SocketDirectory::open_at(elsewhere.clone()).unwrap();
+        std::os::unix::fs::symlink(elsewhere, &path).unwrap();
+        assert!(matches!(SocketDirectory::open_at(path), Err(DirectoryError::Io { .. })));
+    }
+
+    #[test]
+    fn sockets_of_dead_processes_are_removed_and_other_files_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let directory = SocketDirectory::open_at(folder.path().join("sockets")).unwrap();
+        let in_directory = |name: &str| directory.path().join(name);
+        drop(UnixListener::bind(in_directory("dead-1.sock")).unwrap());
+        let _alive = UnixListener::bind(in_directory("two-words-77.sock")).unwrap();
+        fs::write(in_directory("notes.txt"), "mine").unwrap();
+        let robots = directory.running().unwrap();
+        assert_eq!(robots.len(), 1);
+        assert_eq!((robots[0].name.as_str(), robots[0].pid), ("two-words", 77));
+        assert!(!in_directory("dead-1.sock").exists() && in_directory("notes.txt").exists());
+    }
+
+    #[test]
+    fn a_name_cannot_lead_out_of_the_directory() {
+        let folder = tempfile::tempdir().unwrap();
+        let directory = SocketDirectory::open_at(folder.path().join("sockets")).unwrap();
+        assert_eq!(directory.socket("../../a b").parent(), Some(directory.path()));
+    }
+}

@@ -1,0 +1,60 @@
+//! Which running robot is meant.
+
+use anyhow::bail;
+use downbeat::inspect::{RunningRobot, SocketDirectory};
+
+/// The running robot of that name or number of process; where nothing is wanted, the only one there is.
+pub(crate) fn choose(wanted: Option<&str>) -> anyhow::Result<RunningRobot> {
+    choose_among(wanted, SocketDirectory::open()?.running()?)
+}
+
+fn choose_among(wanted: Option<&str>, robots: Vec<RunningRobot>) -> anyhow::Result<RunningRobot> {
+    if robots.is_empty() {
+        bail!("no robot of this user runs on this machine; start one with `downbeat run ROBOT.toml`");
+    }
+    let is_wanted = |robot: &RunningRobot| {
+        wanted.is_none_or(|wanted| robot.name == wanted || robot.pid.to_string() == wanted)
+    };
+    let (matching, others): (Vec<_>, Vec<_>) = robots.into_iter().partition(is_wanted);
+    match (<[RunningRobot; 1]>::try_from(matching), wanted) {
+        (Ok([robot]), _) => Ok(robot),
+        (Err(none), Some(wanted)) if none.is_empty() => {
+            bail!("no robot \"{wanted}\" runs on this machine; there is {}", list(&others))
+        }
+        (Err(several), _) => {
+            bail!("which robot? There is {}; give a name, or the number of the process", list(&several))
+        }
+    }
+}
+
+fn list(robots: &[RunningRobot]) -> String {
+    robots.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(wanted: Option<&str>, robots: &[(&str, u32)]) -> Result<u32, String> {
+        let running = |&(name, pid): &(&str, u32)| RunningRobot { name: name.into(), pid, socket: "".into() };
+        let robots = robots.iter().map(running).collect();
+        choose_among(wanted, robots).map(|robot| robot.pid).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn the_only_robot_is_meant_unless_another_is_named() {
+        assert_eq!(of(None, &[("nao", 7)]), Ok(7));
+        assert_eq!(of(Some("nao"), &[("darwin", 5), ("nao", 7)]), Ok(7));
+        assert_eq!(of(Some("5"), &[("darwin", 5), ("darwin", 6)]), Ok(5));
+    }
+
+    #[test]
+    fn where_none_or_several_can_be_meant_they_are_listed() {
+        assert!(of(None, &[]).is_err_and(|error| error.contains("downbeat run")));
+        let error = of(Some("nao"), &[("darwin", 5)]);
+        assert!(error.is_err_and(|error| error.contains("\"nao\"") && error.contains("darwin (process 5)")));
+        let error = of(Some("darwin"), &[("darwin", 5), ("darwin", 6), ("nao", 7)]);
+        assert!(error.is_err_and(|error| error.contains("process 6") && !error.contains("nao")));
+        assert!(of(None, &[("darwin", 5), ("nao", 7)]).is_err_and(|error| error.contains("which robot")));
+    }
+}

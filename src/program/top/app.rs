@@ -1,0 +1,205 @@
+//! What is on the screen and what keys do to it.
+
+use downbeat::executor::Snapshot;
+use ratatui::Frame;
+use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use ratatui::layout::{Alignment, Constraint, Layout, Rect};
+use ratatui::style::Style;
+use ratatui::text::{Line, Text};
+use ratatui::widgets::{Cell, Paragraph, Row, Table, Tabs};
+
+use super::grid::{Grid, Sort, summary};
+
+/// The tables, one of which is shown.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Tab {
+    #[default]
+    Modules,
+    Topics,
+}
+
+/// What a key asks of the robot, or of the program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Action {
+    Quit,
+    Pause,
+    Resume,
+    Step,
+}
+
+/// The state of the screen.
+pub(crate) struct App {
+    robot: String,
+    earlier: Snapshot,
+    later: Snapshot,
+    tab: Tab,
+    sort: Sort,
+    /// Rows above the first that is shown.
+    scrolled: usize,
+}
+
+impl App {
+    /// Shows rates since the robot's start until there is a second snapshot.
+    pub(crate) fn new(robot: String, snapshot: Snapshot) -> Self {
+        let earlier = Snapshot::default();
+        Self { robot, earlier, later: snapshot, tab: Tab::default(), sort: Sort::default(), scrolled: 0 }
+    }
+
+    pub(crate) fn update(&mut self, snapshot: Snapshot) {
+        self.earlier = std::mem::replace(&mut self.later, snapshot);
+    }
+
+    pub(crate) fn press(&mut self, key: KeyEvent) -> Option<Action> {
+        match key.code {
+            KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return Some(Action::Quit),
+            KeyCode::Char('q') | KeyCode::Esc => return Some(Action::Quit),
+            KeyCode::Char('p') if self.later.is_paused => return Some(Action::Resume),
+            KeyCode::Char('p') => return Some(Action::Pause),
+            KeyCode::Char('n') if self.later.is_paused => return Some(Action::Step),
+            KeyCode::Char('s') => self.sort = self.sort.next(),
+            KeyCode::Tab | KeyCode::BackTab => {
+                self.tab = match self.tab {
+                    Tab::Modules => Tab::Topics,
+                    Tab::Topics => Tab::Modules,
+                };
+                self.scrolled = 0;
+            }
+            KeyCode::Down => self.scrolled = (self.scrolled + 1).min(self.rows().saturating_sub(1)),
+            KeyCode::Up => self.scrolled = self.scrolled.saturating_sub(1),
+            _ => {}
+        }
+        None
+    }
+
+    pub(crate) fn draw(&self, frame: &mut Frame<'_>) {
+        let [head, tabs, table, keys] = Layout::vertical([
+            Constraint::Length(3),
+            Constraint::Length(1),
+            Constraint::Min(1),
+            Constraint::Length(1),
+        ])
+        .areas(frame.area());
+        let lines = summary(&self.robot, &self.earlier, &self.later);
+        frame.render_widget(Text::from_iter(lines.into_iter().map(Line::from)), head);
+        let titles =
+            [format!("modules {}", self.later.modules.len()), format!("topics {}", self.later.topics.len())];
+        let selected = match self.tab {
+            Tab::Modules => 0,
+            Tab::Topics => 1,
+        };
+        frame.render_widget(Tabs::new(titles).select(selected), tabs);
+        self.draw_table(frame, table);
+        frame.render_widget(Paragraph::new(self.keys()).style(Style::new().dim()), keys);
+    }
+
+    fn draw_table(&self, frame: &mut Frame<'_>, area: Rect) {
+        let grid = self.grid();
+        let alignment = |column| if grid.is_left(column) { Alignment::Left } else { Alignment::Right };
+        let cell =
+            |(column, text): (usize, String)| Cell::from(Text::from(text).alignment(alignment(column)));
+        let headings = grid.headings.iter().map(ToString::to_string).enumerate().map(cell);
+        let header = Row::new(headings.collect::<Vec<_>>()).style(Style::new().reversed());
+        let widths = grid.widths().into_iter().map(|width| Constraint::Length(width as u16));
+        let rows = grid
+            .rows
+            .iter()
+            .skip(self.scrolled)
+            .map(|row| Row::new(row.iter().cloned().enumerate().map(cell).collect::<Vec<_>>()));
+        let table = Table::new(rows.collect::<Vec<_>>(), widths).header(header).column_spacing(2);
+        frame.render_widget(table, area);
+    }
+
+    fn keys(&self) -> String {
+        let pause = if self.later.is_paused { "p resume  n next cycle" } else { "p pause" };
+        format!("q quit  tab table  s sort: {}  {pause}  ↑↓ scroll", self.sort.name())
+    }
+
+    fn rows(&self) -> usize {
+        match self.tab {
+            Tab::Modules => self.later.modules.len(),
+            Tab::Topics => self.later.topics.len(),
+        }
+    }
+
+    fn grid(&self) -> Grid {
+        match self.tab {
+            Tab::Modules => Grid::of_modules(&self.earlier, &self.later, self.sort),
+            Tab::Topics => Grid::of_topics(&self.earlier, &self.later, self.sort),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use ratatui::Terminal;
+    use ratatui::backend::TestBackend;
+
+    use super::super::grid::tests::snapshot;
+    use super::*;
+
+    fn app() -> App {
+        let mut app = App::new("darwin_op (process 7)".into(), snapshot(10));
+        app.update(snapshot(12));
+        app
+    }
+
+    /// The screen as lines of text.
+    fn screen(app: &App, width: u16, height: u16) -> Vec<String> {
+        let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+        terminal.draw(|frame| app.draw(frame)).unwrap();
+        let buffer = terminal.backend().buffer();
+        let line = |y| (0..width).map(|x| buffer[(x, y)].symbol()).collect::<String>().trim_end().to_owned();
+        (0..height).map(line).collect()
+    }
+
+    fn press(app: &mut App, code: KeyCode) -> Option<Action> {
+        app.press(KeyEvent::new(code, KeyModifiers::NONE))
+    }
+
+    #[test]
+    fn the_screen_shows_the_cycles_the_modules_and_the_keys() {
+        let screen = screen(&app(), 130, 10);
+        let expected_tables = Grid::of_modules(&snapshot(10), &snapshot(12), Sort::Order);
+        assert_eq!(screen[..3], summary("darwin_op (process 7)", &snapshot(10), &snapshot(12)));
+        assert!(screen[3].contains("modules 3") && screen[3].contains("topics 2"), "{screen:#?}");
+        assert_eq!(screen[4..8], expected_tables.lines().collect::<Vec<_>>());
+        assert_eq!(screen[9], "q quit  tab table  s sort: order  p pause  ↑↓ scroll");
+    }
+
+    #[test]
+    fn keys_change_the_table_the_sort_and_what_is_scrolled() {
+        let mut app = app();
+        press(&mut app, KeyCode::Char('s'));
+        assert!(screen(&app, 130, 10)[5].starts_with("vision"));
+        press(&mut app, KeyCode::Down);
+        assert!(screen(&app, 130, 10)[5].starts_with("motion"));
+        press(&mut app, KeyCode::Tab);
+        let topics = screen(&app, 130, 10);
+        assert!(topics[4].starts_with("TOPIC") && topics[5].starts_with("image"), "{topics:#?}");
+        for _ in 0..5 {
+            press(&mut app, KeyCode::Down);
+        }
+        assert!(screen(&app, 130, 10)[5].starts_with("joint_states"));
+    }
+
+    #[test]
+    fn a_robot_is_paused_stepped_and_resumed() {
+        let mut app = app();
+        assert_eq!(press(&mut app, KeyCode::Char('n')), None);
+        assert_eq!(press(&mut app, KeyCode::Char('p')), Some(Action::Pause));
+        app.update(Snapshot { is_paused: true, ..snapshot(13) });
+        assert!(screen(&app, 130, 10)[0].contains("paused"));
+        assert_eq!(press(&mut app, KeyCode::Char('n')), Some(Action::Step));
+        assert_eq!(press(&mut app, KeyCode::Char('p')), Some(Action::Resume));
+        let interrupt = KeyEvent::new(KeyCode::Char('c'), KeyModifiers::CONTROL);
+        assert_eq!(app.press(interrupt), Some(Action::Quit));
+    }
+
+    #[test]
+    fn a_terminal_too_small_shows_what_fits() {
+        for (width, height) in [(1, 1), (20, 3), (40, 5)] {
+            assert_eq!(screen(&app(), width, height).len(), usize::from(height));
+        }
+    }
+}

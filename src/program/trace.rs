@@ -1,0 +1,16 @@
+//! `downbeat trace`
+
+use anyhow::Context;
+use downbeat::inspect::Client;
+
+use super::choose::choose;
+use super::cli::TraceArguments;
+
+pub(crate) fn trace(arguments: &TraceArguments) -> anyhow::Result<()> {
+    let TraceArguments { robot, cycles, output } = arguments;
+    let mut client = Client::connect(&choose(robot.as_deref())?)?;
+    let trace = client.trace(*cycles)?;
+    std::fs::write(output, trace).with_context(|| format!("cannot write {}", output.display()))?;
+    println!("{}: open it in https://ui.perfetto.dev or chrome://tracing", output.display());
+    Ok(())
+}

@@ -1,0 +1,142 @@
+//! Looking at a robot through its socket, with a robot whose answers are known.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use downbeat::executor::{CycleTrace, Graph, GraphModule, Snapshot};
+use downbeat::inspect::{Client, Inspected, InspectionServer, RunningRobot, SocketDirectory, Unavailable};
+
+/// Counts cycles: one for each snapshot, none while it is held.
+#[derive(Default)]
+struct Robot {
+    cycle: AtomicU64,
+    is_paused: std::sync::atomic::AtomicBool,
+}
+
+impl Inspected for Robot {
+    fn snapshot(&self) -> Result<Snapshot, Unavailable> {
+        let is_paused = self.is_paused.load(Ordering::SeqCst);
+        if !is_paused {
+            self.step();
+        }
+        Ok(Snapshot { cycle: self.cycle.load(Ordering::SeqCst), is_paused, ..Snapshot::default() })
+    }
+
+    fn trace(&self, _cycles: u32) -> Result<CycleTrace, Unavailable> {
+        Err(Unavailable::NoAnswer)
+    }
+
+    fn graph(&self) -> Result<Graph, Unavailable> {
+        let module = GraphModule { name: "a \"quoted\" name".into(), is_detached: true };
+        Ok(Graph { modules: vec![module], ..Graph::default() })
+    }
+
+    fn pause(&self) {
+        self.is_paused.store(true, Ordering::SeqCst);
+    }
+
+    fn resume(&self) {
+        self.is_paused.store(false, Ordering::SeqCst);
+    }
+
+    fn step(&self) {
+        self.cycle.fetch_add(1, Ordering::SeqCst);
+    }
+}
+
+fn start(folder: &Path) -> (SocketDirectory, InspectionServer, RunningRobot) {
+    let directory = SocketDirectory::open_at(folder.join("sockets")).unwrap();
+    let server = InspectionServer::start(&directory, "darwin_op", Arc::new(Robot::default())).unwrap();
+    let robots = directory.running().unwrap();
+    assert_eq!(robots.len(), 1);
+    (directory, server, robots[0].clone())
+}
+
+#[test]
+fn a_client_sees_holds_and_steps_a_robot() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_directory, _server, robot) = start(folder.path());
+    assert_eq!((robot.name.as_str(), robot.pid), ("darwin_op", std::process::id()));
+    let mut client = Client::connect(&robot).unwrap();
+    assert_eq!(client.snapshot().unwrap().cycle, 1);
+    client.pause().unwrap();
+    client.step().unwrap();
+    let held = client.snapshot().unwrap();
+    assert!(held.is_paused && held.cycle == 2, "{held:?}");
+    client.resume().unwrap();
+    assert_eq!(client.snapshot().unwrap().cycle, 3);
+    assert_eq!(client.graph().unwrap().modules[0].name, "a \"quoted\" name");
+}
+
+#[test]
+fn a_refusal_reaches_the_client_in_words() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_directory, _server, robot) = start(folder.path());
+    let mut client = Client::connect(&robot).unwrap();
+    let error = client.trace(3).unwrap_err().to_string();
+    assert!(error.contains("darwin_op") && error.contains("does not answer"), "{error}");
+    for cycles in [0, 4_000_000_000] {
+        let error = client.trace(cycles).unwrap_err().to_string();
+        assert!(error.contains("1 to 100000"), "{error}");
+    }
+    assert_eq!(client.snapshot().unwrap().cycle, 1);
+}
+
+#[test]
+fn what_is_no_request_is_told_and_the_next_line_is_answered() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_directory, _server, robot) = start(folder.path());
+    let mut stream = UnixStream::connect(&robot.socket).unwrap();
+    stream.write_all(b"hello\n\xff\n\n{\"request\":\"snapshot\"}\n").unwrap();
+    let lines: Vec<_> = BufReader::new(&stream).lines().take(4).map(Result::unwrap).collect();
+    assert!(lines[0].starts_with("{\"error\":\"\\\"hello\\\" is no request"), "{lines:?}");
+    assert!(lines[1].starts_with("{\"error\"") && lines[2].starts_with("{\"error\""), "{lines:?}");
+    assert!(lines[3].starts_with("{\"ok\":{\"time_ns\":0"), "{lines:?}");
+}
+
+#[test]
+fn a_line_without_end_is_cut_off() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_directory, _server, robot) = start(folder.path());
+    let mut stream = UnixStream::connect(&robot.socket).unwrap();
+    // The other side may close before all of it is written.
+    let _ = stream.write_all(&[b'x'; 4096]);
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    assert!(answer.contains("less than 4096 bytes"), "{answer}");
+}
+
+#[test]
+fn one_client_too_many_is_told_so_and_there_is_room_again_when_one_goes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_directory, _server, robot) = start(folder.path());
+    let mut clients: Vec<_> = (0..16).map(|_| Client::connect(&robot).unwrap()).collect();
+    for client in &mut clients {
+        client.snapshot().unwrap();
+    }
+    let mut one_more = String::new();
+    UnixStream::connect(&robot.socket).unwrap().read_to_string(&mut one_more).unwrap();
+    assert!(one_more.contains("16 clients"), "{one_more}");
+    drop(clients);
+    // The server needs a moment to see that they are gone.
+    while Client::connect(&robot).unwrap().snapshot().is_err() {
+        std::thread::yield_now();
+    }
+}
+
+#[test]
+fn when_the_robot_stops_its_socket_is_gone_and_clients_are_let_go() {
+    let folder = tempfile::tempdir().unwrap();
+    let (directory, server, robot) = start(folder.path());
+    let mut client = Client::connect(&robot).unwrap();
+    client.snapshot().unwrap();
+    drop(server);
+    assert!(!robot.socket.exists());
+    assert_eq!(directory.running().unwrap(), []);
+    let error = client.snapshot().unwrap_err().to_string();
+    assert!(error.contains("it may have ended"), "{error}");
+}

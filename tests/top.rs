@@ -1,0 +1,132 @@
+//! `downbeat top`, `trace` and `graph`, as a user meets them.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use common::{downbeat, output_of, text_of, wait_until};
+use downbeat::executor::Snapshot;
+
+/// A robot that runs without ROS 2 and without a device: its mux has a timer, and nothing else.
+const ROBOT: &str = r#"
+[robot]
+name = "quiet"
+
+[[module]]
+name = "motion"
+kind = "stand_nod_wave"
+
+[[module]]
+name = "mux"
+kind = "joint_command_mux"
+"#;
+
+struct Robot(Child);
+
+impl Robot {
+    fn start(folder: &Path) -> Self {
+        let file = folder.join("quiet.toml");
+        std::fs::write(&file, ROBOT).unwrap();
+        let mut command =
+            in_folder(folder, &["bag", "record", "--robot", file.to_str().unwrap(), "--output"]);
+        command.arg(folder.join("bag")).stdout(Stdio::null()).stderr(Stdio::null());
+        let robot = Self(command.spawn().unwrap());
+        wait_until("the robot can be seen", || {
+            in_folder(folder, &["top", "--json"]).output().unwrap().status.success()
+        });
+        robot
+    }
+}
+
+impl Drop for Robot {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// The program with sockets of this test only.
+fn in_folder(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = downbeat(arguments);
+    command.env("XDG_RUNTIME_DIR", folder).stdin(Stdio::null());
+    command
+}
+
+fn output(folder: &Path, arguments: &[&str]) -> (bool, String) {
+    let output = in_folder(folder, arguments).output().unwrap();
+    let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+    (output.status.success(), text)
+}
+
+#[test]
+fn a_running_robot_is_watched_traced_and_found_by_name_and_number() {
+    let folder = tempfile::tempdir().unwrap();
+    let robot = Robot::start(folder.path());
+    let (_, json) = output(folder.path(), &["top", "--json", "quiet"]);
+    let snapshot: Snapshot = serde_json::from_str(&json).unwrap();
+    assert_eq!(snapshot.modules[0].name, "motion");
+    let pid = robot.0.id().to_string();
+    let (is_found, text) = output(folder.path(), &["top", "--once", &pid]);
+    assert!(is_found && text.starts_with(&format!("quiet (process {pid})")), "{text}");
+    for expected in ["MODULE", "motion", "mux", "TOPIC", "joint_commands"] {
+        assert!(text.contains(expected), "no {expected} in {text}");
+    }
+    let (is_found, text) = output(folder.path(), &["top", "--once", "loud"]);
+    assert!(!is_found && text.contains("no robot \"loud\"") && text.contains("quiet (process"), "{text}");
+
+    let trace = folder.path().join("trace.json");
+    let (is_traced, text) = output(folder.path(), &["trace", "--cycles", "3", "-o", trace.to_str().unwrap()]);
+    assert!(is_traced, "{text}");
+    let trace: serde_json::Value = serde_json::from_slice(&std::fs::read(trace).unwrap()).unwrap();
+    let events = trace["traceEvents"].as_array().unwrap();
+    assert_eq!(events.iter().filter(|event| event["name"] == "process").count(), 3);
+    assert!(events.iter().any(|event| event["name"] == "motion" && event["ph"] == "X"));
+}
+
+#[test]
+fn where_no_robot_runs_that_is_told_and_the_socket_of_a_dead_one_goes() {
+    let folder = tempfile::tempdir().unwrap();
+    drop(Robot::start(folder.path()));
+    let sockets = || std::fs::read_dir(folder.path().join("downbeat")).unwrap().count();
+    assert_eq!(sockets(), 1);
+    let (is_found, text) = output(folder.path(), &["top", "--once"]);
+    assert!(!is_found && text.contains("no robot of this user runs"), "{text}");
+    assert_eq!(sockets(), 0);
+}
+
+#[test]
+fn the_graph_of_a_robot_file_is_drawn_without_running_it() {
+    let dot = text_of(&["graph", "robots/darwin_op.toml"]);
+    assert!(dot.starts_with("digraph robot {"), "{dot}");
+    for expected in [r#"label="hardware\ndetached""#, r"joint_states\nsensor_msgs/msg/JointState", "m1 -> t"]
+    {
+        assert!(dot.contains(expected), "no {expected} in {dot}");
+    }
+    let mermaid = text_of(&["graph", "robots/darwin_op.toml", "--format", "mermaid"]);
+    assert!(mermaid.starts_with("flowchart LR\n"), "{mermaid}");
+    assert!(mermaid.contains("[[\"hardware<br/>detached\"]]"), "{mermaid}");
+}
+
+#[test]
+fn a_reader_that_goes_away_ends_the_program_quietly() {
+    for arguments in
+        [&["graph", "robots/darwin_op.toml"][..], &["check", "robots/darwin_op.toml"], &["check", "--kinds"]]
+    {
+        let mut child = downbeat(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        drop(child.stdout.take());
+        let output = child.wait_with_output().unwrap();
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success() && message.is_empty(), "{arguments:?}: {message}");
+    }
+}
+
+#[test]
+fn a_screen_needs_a_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let _robot = Robot::start(folder.path());
+    let (is_shown, text) = output(folder.path(), &["top"]);
+    assert!(!is_shown && text.contains("--once"), "{text}");
+    assert_eq!(output_of(&["top", "--json", "--once"]).status.code(), Some(2));
+}
