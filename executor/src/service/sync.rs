@@ -128,8 +128,11 @@ fn take_calls(phase: &mut SyncPhase<'_>) {
 /// False if there is no server; the calls have failed then.
 fn stage_calls(phase: &mut SyncPhase<'_>, module: ModuleId, port: u32, calls: &mut dyn AnyClient) -> bool {
     let service = phase.world.services.get_mut(calls.service());
-    if service.server.is_none() {
-        calls.fail_calls(&CallError::NoServer { service: Arc::clone(&service.info.name) });
+    // The place of a service that was forgotten, since its last user is leaving, may be another's by now.
+    let is_other = !Arc::ptr_eq(&service.info.name, calls.name());
+    if is_other || service.server.is_none() {
+        let error = CallError::NoServer { service: Arc::clone(calls.name()) };
+        calls.fail_calls(&error);
         return false;
     }
     service.has_staged = true;
