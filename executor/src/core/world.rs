@@ -75,7 +75,8 @@ pub(crate) struct Joined {
     pub(crate) results: Vec<JobResult>,
     /// Calls of detached modules, by client port.
     pub(crate) calls_of_detached: Vec<(ModuleId, u32, Box<dyn AnyClient>)>,
-    pub(crate) answers_of_detached: Vec<(ReplyTo, Box<dyn AnyReply>)>,
+    /// Answers of detached modules, and of modules that start again.
+    pub(crate) answers: Vec<(ReplyTo, Box<dyn AnyReply>)>,
     pub(crate) work: Vec<Work>,
 }
 
@@ -206,7 +207,7 @@ impl Joined {
         self.commands.append(&mut step.commands);
         self.work.append(&mut step.work);
         self.calls_of_detached.extend(step.calls.drain(..).map(|(port, calls)| (module, port, calls)));
-        self.answers_of_detached.append(&mut step.answers);
+        self.answers.append(&mut step.answers);
         self.steps.push(step);
     }
 
@@ -218,6 +219,6 @@ impl Joined {
             && self.results.is_empty()
             && self.work.is_empty()
             && self.calls_of_detached.is_empty()
-            && self.answers_of_detached.is_empty())
+            && self.answers.is_empty())
     }
 }

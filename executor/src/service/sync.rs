@@ -57,7 +57,7 @@ impl Services {
     }
 
     fn deliver_answers(&mut self, phase: &mut SyncPhase<'_>) {
-        for (to, mut reply) in std::mem::take(&mut phase.world.joined.answers_of_detached) {
+        for (to, mut reply) in std::mem::take(&mut phase.world.joined.answers) {
             self.deliver_answer(phase, to, &mut *reply);
         }
         let mut asked = std::mem::take(&mut phase.world.asked);
