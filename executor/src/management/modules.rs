@@ -258,6 +258,9 @@ fn hold(phase: &mut SyncPhase<'_>, id: ModuleId, parcel: Parcel) {
                     Parcel::StepOnce => cell.step_once(),
                     _ => cell.resume(),
                 }
+                // What fell due while it was held was forgotten.
+                let due = cell.next_due();
+                phase.world.agenda.wake_at(slot, due);
             }
             phase.wake(id);
         }
