@@ -476,7 +476,10 @@ fn sync(
     }
     phase.forget_what_was_asked();
     if !phase.world.leaving.is_empty() {
-        for module in finish_leaving(&mut phase) {
+        finish_leaving(&mut phase);
+    }
+    if !phase.world.gone.is_empty() {
+        for module in std::mem::take(&mut phase.world.gone) {
             mechanisms.iter_mut().for_each(|engaged| engaged.mechanism.module_left(module, &mut phase));
         }
     }

@@ -34,6 +34,8 @@ pub(crate) struct World {
     pub(crate) asked: Vec<Ready>,
     /// Modules whose last callback has run, by their place in the order of registration.
     pub(crate) leaving: Vec<u64>,
+    /// Modules that are gone and of which the mechanisms have not been told yet.
+    pub(crate) gone: Vec<ModuleId>,
     /// When modules are started again after a panic, by their place in the order of registration.
     pub(crate) restarts: Vec<(Time, u64)>,
     /// When a mechanism has to do something next that no module waits for.
@@ -111,6 +113,7 @@ impl World {
             joined: Joined::default(),
             asked: Vec::new(),
             leaving: Vec::new(),
+            gone: Vec::new(),
             restarts: Vec::new(),
             calls_due: Time::MAX,
             freed_slots: Vec::new(),

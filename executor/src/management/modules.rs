@@ -111,6 +111,7 @@ fn restart(phase: &mut SyncPhase<'_>, order: u64) {
     let Some(mut member) = phase.world.members.take(order) else { return };
     release(phase.stage, phase.world, &mut member);
     vacate(phase, member.id);
+    phase.world.gone.push(member.id);
     member.restarts += 1;
     member.id.life += 1;
     member.started = phase.now;
@@ -145,11 +146,10 @@ fn vacate(phase: &mut SyncPhase<'_>, id: ModuleId) {
 }
 
 /// Frees what the modules held that were removed: at the end of the sync phase, when their last messages are on their
-/// way. Returns who they were.
-pub(crate) fn finish_leaving(phase: &mut SyncPhase<'_>) -> Vec<ModuleId> {
+/// way.
+pub(crate) fn finish_leaving(phase: &mut SyncPhase<'_>) {
     let leaving = std::mem::take(&mut phase.world.leaving);
     let members = leaving.into_iter().filter_map(|order| phase.world.members.take(order)).collect::<Vec<_>>();
-    let mut left = Vec::new();
     for mut member in members {
         let SyncPhase { stage, world, .. } = phase;
         release(stage, world, &mut member);
@@ -157,9 +157,8 @@ pub(crate) fn finish_leaving(phase: &mut SyncPhase<'_>) -> Vec<ModuleId> {
         if let Place::Attached(slot) = member.id.place {
             phase.world.freed_slots.push(slot);
         }
-        left.push(member.id);
+        phase.world.gone.push(member.id);
     }
-    left
 }
 
 fn apply(phase: &mut SyncPhase<'_>, command: Command) {
