@@ -28,7 +28,7 @@ impl Mechanism for Modules {
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
         notice_changes(phase);
-        if !phase.world.restarts.is_empty() {
+        if !phase.world.restarts.is_empty() && !phase.world.queue.is_closed() {
             restart_due(phase);
         }
         phase.for_each_that_asked(Asked::COMMANDS, |io, world| {
@@ -62,18 +62,24 @@ fn notice_changes(phase: &mut SyncPhase<'_>) {
         if let Some(panic) = panic {
             notice_panic(phase, id.order, &panic);
         }
-        // One that was put in its place by a restart stays.
+        // Those that stay: all, where it is the core that stops, and who was put in its place by a restart.
         let is_member = phase.world.members.get(id.order).is_some_and(|member| member.id == id);
-        if is_stop && is_member && phase.world.is_running {
+        if is_stop && is_member && phase.world.members.is_leaving(id.order) {
             phase.world.leaving.push(id.order);
         }
     }
 }
 
 fn notice_panic(phase: &mut SyncPhase<'_>, order: u64, reason: &str) {
+    // Who was removed does not come back, nor does anybody while the core stops.
+    let is_final = phase.world.queue.is_closed() || phase.world.members.is_leaving(order);
     let Some(member) = phase.world.members.get_mut(order) else { return };
     let module = &*member.name;
     let backoff = match member.options.restart {
+        _ if is_final => {
+            tracing::error!(module, "panicked at its end: {reason}");
+            return;
+        }
         Restart::Times { limit, backoff } if member.restarts < limit => backoff,
         Restart::Always { backoff } => backoff,
         Restart::Never | Restart::Times { .. } => {
