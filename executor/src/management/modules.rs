@@ -144,7 +144,9 @@ fn vacate(phase: &mut SyncPhase<'_>, id: ModuleId) {
             let Some(mut cell) = phase.stage.take_cell(slot) else { return };
             // Those who wait for it are told in this sync phase that they wait in vain.
             for server in &mut cell.io.servers {
-                server.drain_answers(&mut |to, reply| phase.world.joined.answers.push((to, reply.take_boxed())));
+                server.drain_answers(&mut |to, reply| {
+                    phase.world.joined.answers.push((to, reply.take_boxed()))
+                });
             }
         }
         Place::Detached(slot) => drop(phase.world.detached[slot].take()),
