@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use crate::behaviour::Behaviour;
 use crate::context::{Asked, ModuleIo, Shared};
-use crate::guard::{drop_guarded, reason};
+use crate::guard::{drop_guarded, end_of};
 use crate::inspect::{ModuleMeter, Span};
 use crate::receipt::ReceiptSender;
 use crate::watchdog::Watch;
@@ -133,7 +133,7 @@ impl ModuleCell {
         if let Some(behaviour) = &mut self.behaviour {
             let check = AssertUnwindSafe(|| behaviour.accept_setting(index, &value));
             catch_unwind(check).unwrap_or_else(|panic| {
-                Err(format!("the module's check of it panicked: {}", reason(&*panic)))
+                Err(format!("the module's check of it panicked: {}", end_of(panic)))
             })?;
         }
         self.io.settings.put(index, value);
@@ -277,7 +277,7 @@ impl ModuleCell {
             self.meter.overran(1);
         }
         if let Err(panic) = outcome {
-            self.end_by_panic(&*panic);
+            self.end_by_panic(panic);
         }
     }
 
@@ -367,16 +367,16 @@ impl ModuleCell {
             self.meter.overran(1);
         }
         if let Err(panic) = outcome {
-            self.end_by_panic(&*panic);
+            self.end_by_panic(panic);
         }
     }
 
     #[cold]
-    fn end_by_panic(&mut self, panic: &(dyn Any + Send)) {
+    fn end_by_panic(&mut self, panic: Box<dyn Any + Send>) {
         drop_guarded("a message", || self.io.discard());
         self.io.asked = Asked::PANIC;
         self.meter.panicked();
-        self.panic = Some(reason(panic).to_owned());
+        self.panic = Some(end_of(panic));
         self.end();
     }
 
@@ -456,7 +456,7 @@ impl Drop for ModuleCell {
     fn drop(&mut self) {
         let behaviour = self.behaviour.take();
         if let Err(panic) = catch_unwind(AssertUnwindSafe(|| drop(behaviour))) {
-            tracing::error!(module = &*self.io.name, "panicked while it was dropped: {}", reason(&*panic));
+            tracing::error!(module = &*self.io.name, "panicked while it was dropped: {}", end_of(panic));
         }
         drop_guarded("a message", || self.io.discard());
     }

@@ -6,11 +6,22 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 /// Runs what drops messages of a user's type. A panic in there is told, and nothing else stops for it.
 /// Returns false if there was one.
 pub(crate) fn drop_guarded(what: &str, run: impl FnOnce()) -> bool {
-    let outcome = catch_unwind(AssertUnwindSafe(run));
+    let outcome = catch_unwind(AssertUnwindSafe(run)).map_err(end_of);
     if let Err(panic) = &outcome {
-        tracing::error!("{what} panicked while it was dropped: {}", reason(&**panic));
+        tracing::error!("{what} panicked while it was dropped: {panic}");
     }
     outcome.is_ok()
+}
+
+/// What a panic said, which ends here: what it carried may panic in its drop.
+pub(crate) fn end_of(panic: Box<dyn Any + Send>) -> String {
+    let said = reason(&*panic).to_owned();
+    if let Err(another) = catch_unwind(AssertUnwindSafe(|| drop(panic))) {
+        tracing::error!("what a panic carried panicked while it was dropped: {}", reason(&*another));
+        // There may be no end to it.
+        std::mem::forget(another);
+    }
+    said
 }
 
 /// What a panic said.

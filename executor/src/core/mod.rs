@@ -512,7 +512,10 @@ fn sync(
         mechanism.sync(&mut phase);
     }
     if !phase.world.leaving.is_empty() {
-        for module in finish_leaving(&mut phase) {
+        finish_leaving(&mut phase);
+    }
+    if !phase.world.gone.is_empty() {
+        for module in std::mem::take(&mut phase.world.gone) {
             mechanisms.iter_mut().for_each(|engaged| engaged.mechanism.module_left(module, &mut phase));
         }
     }

@@ -37,6 +37,8 @@ pub(crate) struct World {
     pub(crate) askers: Vec<Asker>,
     /// Modules whose last callback has run, by their place in the order of registration.
     pub(crate) leaving: Vec<u64>,
+    /// Modules that are gone and of which the mechanisms have not been told yet.
+    pub(crate) gone: Vec<ModuleId>,
     /// When modules are started again after a panic, by their place in the order of registration.
     pub(crate) restarts: Vec<(Time, u64)>,
     /// When a mechanism has to do something next that no module waits for.
@@ -81,7 +83,8 @@ pub(crate) struct Joined {
     pub(crate) results: Vec<JobResult>,
     /// Calls of detached modules, by client port.
     pub(crate) calls_of_detached: Vec<(ModuleId, u32, Box<dyn AnyClient>)>,
-    pub(crate) answers_of_detached: Vec<(ReplyTo, Box<dyn AnyReply>)>,
+    /// Answers of detached modules, and of modules that start again.
+    pub(crate) answers: Vec<(ReplyTo, Box<dyn AnyReply>)>,
     pub(crate) work: Vec<Work>,
 }
 
@@ -117,6 +120,7 @@ impl World {
             has_joined: false,
             askers: Vec::new(),
             leaving: Vec::new(),
+            gone: Vec::new(),
             restarts: Vec::new(),
             calls_due: Time::MAX,
             freed_slots: Vec::new(),
@@ -217,7 +221,7 @@ impl Joined {
         self.commands.append(&mut step.commands);
         self.work.append(&mut step.work);
         self.calls_of_detached.extend(step.calls.drain(..).map(|(port, calls)| (module, port, calls)));
-        self.answers_of_detached.append(&mut step.answers);
+        self.answers.append(&mut step.answers);
         self.steps.push(step);
     }
 
@@ -229,6 +233,6 @@ impl Joined {
             && self.results.is_empty()
             && self.work.is_empty()
             && self.calls_of_detached.is_empty()
-            && self.answers_of_detached.is_empty())
+            && self.answers.is_empty())
     }
 }

@@ -10,7 +10,7 @@ use async_executor::Executor;
 use crossbeam::channel::{Receiver, Sender, unbounded};
 use futures_lite::{FutureExt, future};
 
-use crate::guard::reason;
+use crate::guard::end_of;
 use crate::job::Work;
 use crate::{ThreadError, ThreadOptions};
 
@@ -104,13 +104,13 @@ impl Workers {
 
 fn guarded(work: impl FnOnce()) {
     if let Err(panic) = catch_unwind(AssertUnwindSafe(work)) {
-        tracing::error!("a job panicked: {}", reason(&*panic));
+        tracing::error!("a job panicked: {}", end_of(panic));
     }
 }
 
 /// A panic in one task must not end the thread of all.
 async fn unpanicking(task: impl Future<Output = ()>) {
     if let Err(panic) = AssertUnwindSafe(task).catch_unwind().await {
-        tracing::error!("a job panicked: {}", reason(&*panic));
+        tracing::error!("a job panicked: {}", end_of(panic));
     }
 }

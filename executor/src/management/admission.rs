@@ -9,7 +9,7 @@ use crate::cell::ModuleCell;
 use crate::context::ModuleIo;
 use crate::core::World;
 use crate::detached::DetachedModule;
-use crate::guard::reason;
+use crate::guard::{drop_guarded, end_of};
 use crate::management::{Member, ModuleId, Place};
 use crate::messaging::Subscriber;
 use crate::setup::{Registries, Uses};
@@ -83,16 +83,11 @@ impl<M: Module> Recruit for M {
 
 /// Adds a module. What it declared is undone where its setup fails.
 pub(crate) fn admit(stage: &mut Stage, world: &mut World, candidate: Candidate) -> Result<(), SetupError> {
+    if let Some(error) = objection(world, &candidate) {
+        drop_guarded("a module that was refused", || drop(candidate));
+        return Err(error);
+    }
     let Candidate { name, source, options } = candidate;
-    if world.has_stopped {
-        return Err(SetupError::Stopped(name));
-    }
-    if world.members.find(&name).is_some() {
-        return Err(SetupError::DuplicateModule(name));
-    }
-    if options.restart != Restart::Never && matches!(source, Source::Once(_)) {
-        return Err(SetupError::NotRestartable(name));
-    }
     let order = world.members.next_order();
     let place = match is_detached(world, &options) {
         true => Place::Detached(world.free_detached_slot()),
@@ -106,6 +101,19 @@ pub(crate) fn admit(stage: &mut Stage, world: &mut World, candidate: Candidate) 
     instate(stage, world, &mut member)?;
     world.members.insert(member);
     Ok(())
+}
+
+/// What speaks against a module before it is set up.
+fn objection(world: &World, candidate: &Candidate) -> Option<SetupError> {
+    let Candidate { name, source, options } = candidate;
+    if world.has_stopped {
+        return Some(SetupError::Stopped(name.clone()));
+    }
+    if world.members.find(name).is_some() {
+        return Some(SetupError::DuplicateModule(name.clone()));
+    }
+    let is_restartable = matches!(source, Source::Factory(_));
+    (options.restart != Restart::Never && !is_restartable).then(|| SetupError::NotRestartable(name.clone()))
 }
 
 /// Makes the module of a member, anew where it is a restart, and puts it in its place.
@@ -132,7 +140,7 @@ fn try_instate(stage: &mut Stage, world: &mut World, member: &mut Member) -> Res
         None => Err(SetupError::NotRestartable(io.name.to_string())),
     });
     let behaviour = catch_unwind(set_up).unwrap_or_else(|panic| {
-        Err(SetupError::Panicked { module: member.name.to_string(), reason: reason(&*panic).to_owned() })
+        Err(SetupError::Panicked { module: member.name.to_string(), reason: end_of(panic) })
     })?;
     let meter = member.meter.take().unwrap_or_else(|| world.inspector.module_meter());
     let (subscribed, initial) = (member.uses.subscribed.clone(), member.options.initial_state);

@@ -89,6 +89,11 @@ impl Members {
         self.by_order.get(self.by_name.get(name)?)
     }
 
+    /// True if the module was removed, and runs or waits for its end.
+    pub(crate) fn is_leaving(&self, order: u64) -> bool {
+        self.get(order).is_some_and(|member| self.by_name.get(&member.name) != Some(&order))
+    }
+
     pub(crate) fn get(&self, order: u64) -> Option<&Member> {
         self.by_order.get(&order)
     }

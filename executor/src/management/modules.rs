@@ -29,7 +29,7 @@ impl Mechanism for Modules {
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
         notice_changes(phase);
-        if !phase.world.restarts.is_empty() {
+        if !phase.world.restarts.is_empty() && !phase.world.queue.is_closed() {
             restart_due(phase);
         }
         phase.for_each_that_asked(Asked::COMMANDS, |io, world| {
@@ -66,18 +66,24 @@ fn notice_changes(phase: &mut SyncPhase<'_>) {
         if let Some(panic) = panic {
             notice_panic(phase, id.order, &panic);
         }
-        // One that was put in its place by a restart stays.
+        // Those that stay: all, where it is the core that stops, and who was put in its place by a restart.
         let is_member = phase.world.members.get(id.order).is_some_and(|member| member.id == id);
-        if is_stop && is_member && phase.world.is_running {
+        if is_stop && is_member && phase.world.members.is_leaving(id.order) {
             phase.world.leaving.push(id.order);
         }
     }
 }
 
 fn notice_panic(phase: &mut SyncPhase<'_>, order: u64, reason: &str) {
+    // Who was removed does not come back, nor does anybody while the core stops.
+    let is_final = phase.world.queue.is_closed() || phase.world.members.is_leaving(order);
     let Some(member) = phase.world.members.get_mut(order) else { return };
     let module = &*member.name;
     let backoff = match member.options.restart {
+        _ if is_final => {
+            tracing::error!(module, "panicked at its end: {reason}");
+            return;
+        }
         Restart::Times { limit, backoff } if member.restarts < limit => backoff,
         Restart::Always { backoff } => backoff,
         Restart::Never | Restart::Times { .. } => {
@@ -118,6 +124,7 @@ fn restart(phase: &mut SyncPhase<'_>, order: u64) {
     if let Some(meter) = &mut member.meter {
         meter.restarted();
     }
+    phase.world.gone.push(member.id);
     member.restarts += 1;
     member.id.life += 1;
     member.started = phase.now;
@@ -141,7 +148,14 @@ fn vacate(phase: &mut SyncPhase<'_>, id: ModuleId) -> Option<ModuleMeter> {
     match id.place {
         Place::Attached(slot) => {
             phase.world.agenda.leave(slot);
-            phase.stage.take_cell(slot).map(|mut cell| std::mem::take(&mut cell.meter))
+            let mut cell = phase.stage.take_cell(slot)?;
+            // Those who wait for it are told in this sync phase that they wait in vain.
+            for server in &mut cell.io.servers {
+                server.drain_answers(&mut |to, reply| {
+                    phase.world.joined.answers.push((to, reply.take_boxed()))
+                });
+            }
+            Some(std::mem::take(&mut cell.meter))
         }
         Place::Detached(slot) => {
             phase.world.detached[slot].take().map(|mut module| std::mem::take(&mut module.meter))
@@ -150,11 +164,10 @@ fn vacate(phase: &mut SyncPhase<'_>, id: ModuleId) -> Option<ModuleMeter> {
 }
 
 /// Frees what the modules held that were removed: at the end of the sync phase, when their last messages are on their
-/// way. Returns who they were.
-pub(crate) fn finish_leaving(phase: &mut SyncPhase<'_>) -> Vec<ModuleId> {
+/// way.
+pub(crate) fn finish_leaving(phase: &mut SyncPhase<'_>) {
     let leaving = std::mem::take(&mut phase.world.leaving);
     let members = leaving.into_iter().filter_map(|order| phase.world.members.take(order)).collect::<Vec<_>>();
-    let mut left = Vec::new();
     for mut member in members {
         let SyncPhase { stage, world, .. } = phase;
         release(stage, world, &mut member);
@@ -162,9 +175,8 @@ pub(crate) fn finish_leaving(phase: &mut SyncPhase<'_>) -> Vec<ModuleId> {
         if let Place::Attached(slot) = member.id.place {
             phase.world.freed_slots.push(slot);
         }
-        left.push(member.id);
+        phase.world.gone.push(member.id);
     }
-    left
 }
 
 fn apply(phase: &mut SyncPhase<'_>, command: Command) {
@@ -265,6 +277,9 @@ fn hold(phase: &mut SyncPhase<'_>, id: ModuleId, parcel: Parcel) {
                     Parcel::StepOnce => cell.step_once(),
                     _ => cell.resume(),
                 }
+                // What fell due while it was held was forgotten.
+                let due = cell.next_due();
+                phase.world.agenda.wake_at(slot, due);
             }
             phase.wake(id);
         }

@@ -160,6 +160,6 @@ impl ExternalCalls {
 pub(crate) fn guarded(run: impl FnOnce()) {
     let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(run));
     if let Err(panic) = outcome {
-        tracing::error!("the closure for an answer panicked: {}", crate::guard::reason(&*panic));
+        tracing::error!("the closure for an answer panicked: {}", crate::guard::end_of(panic));
     }
 }

@@ -63,6 +63,8 @@ impl<Q, R> ClientPort<Q, R> {
 /// A [`ClientPort`] whose types only the service knows.
 pub(crate) trait AnyClient: Any + Send {
     fn service(&self) -> usize;
+    /// The name of the service: the very one that the registry gave.
+    fn name(&self) -> &Arc<str>;
     /// When the first of the calls is given up.
     fn due(&self) -> Time;
     fn has_replies(&self) -> bool;
@@ -83,6 +85,10 @@ pub(crate) trait AnyClient: Any + Send {
 impl<Q: Send + 'static, R: Send + 'static> AnyClient for ClientPort<Q, R> {
     fn service(&self) -> usize {
         self.service
+    }
+
+    fn name(&self) -> &Arc<str> {
+        &self.name
     }
 
     fn due(&self) -> Time {

@@ -57,7 +57,7 @@ impl Services {
     }
 
     fn deliver_answers(&mut self, phase: &mut SyncPhase<'_>) {
-        for (to, mut reply) in std::mem::take(&mut phase.world.joined.answers_of_detached) {
+        for (to, mut reply) in std::mem::take(&mut phase.world.joined.answers) {
             self.deliver_answer(phase, to, &mut *reply);
         }
         let askers = std::mem::take(&mut phase.world.askers);
@@ -125,8 +125,11 @@ fn take_calls(phase: &mut SyncPhase<'_>) {
 /// False if there is no server; the calls have failed then.
 fn stage_calls(phase: &mut SyncPhase<'_>, module: ModuleId, port: u32, calls: &mut dyn AnyClient) -> bool {
     let service = phase.world.services.get_mut(calls.service());
-    if service.server.is_none() {
-        calls.fail_calls(&CallError::NoServer { service: Arc::clone(&service.info.name) });
+    // The place of a service that was forgotten, since its last user is leaving, may be another's by now.
+    let is_other = !Arc::ptr_eq(&service.info.name, calls.name());
+    if is_other || service.server.is_none() {
+        let error = CallError::NoServer { service: Arc::clone(calls.name()) };
+        calls.fail_calls(&error);
         return false;
     }
     service.has_staged = true;
