@@ -93,7 +93,7 @@ fn football(criterion: &mut Criterion) {
         };
         (0..10).for_each(|_| cycle());
         group.bench_function(launcher.name, |bencher| bencher.iter(&mut cycle));
-        let counts: Vec<u64> = core.topics().iter().map(|topic| topic.counter.messages()).collect();
+        let counts: Vec<u64> = core.topics().map(|topic| topic.counter.messages()).collect();
         let published = counts.iter().filter(|&&count| count > 0).count();
         assert!(
             published == 14 && counts.iter().filter(|&&count| count > 0).all(|&count| count == counts[0])

@@ -4,9 +4,10 @@
 use std::hint::black_box;
 use std::time::Duration;
 
-use benches::launchers::pool;
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use downbeat_executor::{Context, Core, ManualClock, Module, Publication, Received, Setup, SetupError, Time};
+use downbeat_executor::{
+    Context, Core, ManualClock, Module, Pool, Publication, Received, Setup, SetupError, Time,
+};
 
 const PERIOD: Duration = Duration::from_millis(1);
 
@@ -111,7 +112,7 @@ fn threads(criterion: &mut Criterion) {
     let available = std::thread::available_parallelism().map_or(1, usize::from);
     for threads in 1..=available {
         let shape = Shape { topics: 1, subscribers_per_topic: 1000, batch: 100 };
-        let core = Core::new().with_launcher(pool(threads).unwrap());
+        let core = Core::new().with_launcher(Pool::new(threads).unwrap());
         measure::<32>(criterion, core, BenchmarkId::new("threads", threads), shape);
     }
 }

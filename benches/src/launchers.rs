@@ -1,8 +1,6 @@
 //! The launchers that are measured. This is the one place that names them.
 
-use std::num::NonZeroUsize;
-
-use downbeat_executor::{Core, Pool};
+use downbeat_executor::{Core, Pool, Threads};
 
 /// A launcher, and how to give it to a core.
 pub struct LauncherUnderTest {
@@ -17,16 +15,12 @@ pub const LINEAR: &str = "Linear";
 /// The launcher with two threads, that of the core among them.
 pub const POOL_2: &str = "Pool(2)";
 
+/// The launcher with a thread per module.
+pub const THREADS: &str = "Threads";
+
 /// All of them.
 pub const LAUNCHERS: &[LauncherUnderTest] = &[
     LauncherUnderTest { name: LINEAR, launch: Ok },
-    LauncherUnderTest { name: POOL_2, launch: |core| Ok(core.with_launcher(pool(2)?)) },
+    LauncherUnderTest { name: POOL_2, launch: |core| Ok(core.with_launcher(Pool::new(2)?)) },
+    LauncherUnderTest { name: THREADS, launch: |core| Ok(core.with_launcher(Threads::new())) },
 ];
-
-/// A pool of so many threads, that of the core among them; none counts as one.
-///
-/// # Errors
-/// If the system refuses a thread.
-pub fn pool(threads: usize) -> anyhow::Result<Pool> {
-    Ok(Pool::new(NonZeroUsize::new(threads).unwrap_or(NonZeroUsize::MIN))?)
-}

@@ -105,7 +105,7 @@ impl Module for Subscriber {
         )
     }
 
-    fn stop(&mut self, _: &mut Context<'_>) {
+    fn shutdown(&mut self, _: &mut Context<'_>) {
         self.total.fetch_add(self.sum.value(), Ordering::Relaxed);
     }
 }
