@@ -254,6 +254,7 @@ impl ModuleCell {
             watch.begin();
         }
         let outcome = catch_unwind(AssertUnwindSafe(|| {
+            let _span = tracing::trace_span!("run", module = &*io.name).entered();
             let (behaviour, ctx) = (&mut **behaviour, &mut Context::new(io, now, shared));
             let mark = ctx.io().tasks.mark();
             if ctx.io().settings.has_changes() {

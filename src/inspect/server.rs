@@ -206,14 +206,19 @@ fn carry_out(request: Request, robot: &dyn Inspected) -> Result<Box<RawValue>, S
             let text = String::from_utf8(text).map_err(|error| error.to_string())?;
             RawValue::from_string(text).map_err(|error| error.to_string())
         }
-        Request::Pause => done(robot.pause()),
-        Request::Resume => done(robot.resume()),
-        Request::Step => done(robot.step()),
+        Request::Pause => {
+            robot.pause();
+            json(&())
+        }
+        Request::Resume => {
+            robot.resume();
+            json(&())
+        }
+        Request::Step => {
+            robot.step();
+            json(&())
+        }
     }
-}
-
-fn done((): ()) -> Result<Box<RawValue>, String> {
-    json(&())
 }
 
 fn json(value: &impl Serialize) -> Result<Box<RawValue>, String> {

@@ -412,6 +412,7 @@ impl Core {
     }
 
     fn process_and_sync(&mut self, now: Time) {
+        let _span = tracing::trace_span!("cycle", number = self.world.cycle, time = %now).entered();
         if self.launcher.is_linear() {
             let stage = exclusive(&mut self.stage);
             stage.begin(now);

@@ -161,7 +161,7 @@ fn nobody_answers_a_broadcast_but_all_obey_it() {
     let mut robot = Robot::powered(options());
     let write = Instruction::Write { id: Id::BROADCAST, address: mx28::P_GAIN.address, data: &[16] };
     let expected = [ExpectedStatus { id: id(1), parameters: 0 }];
-    assert_eq!(robot.send(write, &expected).reply, []);
+    assert_eq!(robot.send(write, &expected).reply, [0_u8; 0]);
     assert_eq!((robot.read(id(1), &mx28::P_GAIN), robot.read(id(20), &mx28::P_GAIN)), (16, 16));
 }
 
@@ -207,7 +207,7 @@ fn a_dead_servo_silences_those_behind_it_and_forgets_its_settings() {
 fn a_dropped_answer_breaks_the_chain_once() {
     let mut robot = Robot::powered(options());
     robot.emulator.inject(Fault::always(FaultKind::Drop(Rate::Next(1))));
-    assert_eq!(robot.bulk_read(&[200, 1]).1, []);
+    assert_eq!(robot.bulk_read(&[200, 1]).1, [0_u8; 0]);
     assert_eq!(robot.bulk_read(&[200, 1]).1, [200, 1]);
 }
 
