@@ -306,8 +306,8 @@ impl ModuleCell {
             let outcome = self.make_transition(transition, now, shared);
             if let Err(refused) = &outcome {
                 tracing::error!("{refused}");
-                // What was to follow it has no ground to stand on.
-                self.transitions.clear();
+                // What was to follow it has no ground to stand on; who waits for an answer is told so in turn.
+                self.transitions.retain(|(_, receipt)| receipt.is_some());
             }
             if let Some(receipt) = receipt {
                 receipt.send(outcome);

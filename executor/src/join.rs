@@ -2,12 +2,13 @@
 
 use std::any::Any;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering, fence};
 
 use crossbeam::queue::SegQueue;
 use crossbeam::sync::Unparker;
 
 use crate::detached::StepOutcome;
+use crate::guard::drop_guarded;
 use crate::management::Command;
 use crate::service::AnyCall;
 use crate::{ModuleId, Time};
@@ -20,6 +21,7 @@ pub(crate) struct JoinQueue {
     core: Unparker,
     stop: AtomicBool,
     closed: AtomicBool,
+    ended: AtomicBool,
 }
 
 pub(crate) enum Request {
@@ -42,12 +44,32 @@ impl JoinQueue {
             core,
             stop: AtomicBool::new(false),
             closed: AtomicBool::new(false),
+            ended: AtomicBool::new(false),
         }
     }
 
     pub(crate) fn push(&self, request: Request) {
         self.requests.push(request);
         self.core.unpark();
+        // Either this sees that the core has ended, or the core's last look sees the request.
+        fence(Ordering::SeqCst);
+        if self.ended.load(Ordering::SeqCst) {
+            self.drop_all();
+        }
+    }
+
+    /// The core takes nothing any more. What waits is dropped, and what comes: nobody waits for an answer in vain.
+    pub(crate) fn end(&self) {
+        self.close();
+        self.ended.store(true, Ordering::SeqCst);
+        fence(Ordering::SeqCst);
+        self.drop_all();
+    }
+
+    fn drop_all(&self) {
+        while let Some(request) = self.requests.pop() {
+            drop_guarded("a request", || drop(request));
+        }
     }
 
     pub(crate) fn pop(&self) -> Option<Request> {

@@ -17,7 +17,7 @@ impl Core {
     pub fn stop(&mut self) {
         if !self.world.is_running || self.world.has_stopped {
             self.world.has_stopped = true;
-            self.world.queue.close();
+            self.world.queue.end();
             return;
         }
         // Nobody would take what came from now on.
@@ -42,6 +42,7 @@ impl Core {
         self.world.is_running = false;
         // Those who wait for an answer from outside are told that there will be none.
         self.sync(self.world.clock.now());
+        self.world.queue.end();
     }
 
     fn shut_down(&mut self, module: Ready) {
@@ -81,7 +82,7 @@ impl Drop for Core {
             // Guarded, unlike the drop of the topics themselves.
             stage.shared.topics.retire_all();
         }
-        self.world.queue.close();
         self.world.queue.request_stop();
+        self.world.queue.end();
     }
 }

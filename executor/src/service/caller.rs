@@ -30,8 +30,8 @@ impl<Q: Send + 'static, R: Send + 'static> Caller<Q, R> {
         Self { service, name, queue, types: std::marker::PhantomData }
     }
 
-    /// Asks for an answer. `on_reply` is called once, on the thread of the core, and must not block; never waits
-    /// itself.
+    /// Asks for an answer. `on_reply` is called once, on the thread of the core, and must not block; on this thread if
+    /// the core stops just now. Never waits itself.
     ///
     /// # Errors
     /// If the core has stopped; `on_reply` is then not called.
@@ -60,6 +60,16 @@ struct ExternalCall<Q, R> {
     timeout: Duration,
     request: Option<Q>,
     on_reply: Option<OnReply<R>>,
+}
+
+impl<Q, R> Drop for ExternalCall<Q, R> {
+    /// A call that nobody takes any more ends as well.
+    fn drop(&mut self) {
+        if let Some(on_reply) = self.on_reply.take() {
+            let service = Arc::clone(&self.name);
+            guarded(|| on_reply(Err(CallError::Stopped { service })));
+        }
+    }
 }
 
 /// A call of a [`Caller`] whose types only the service knows.
