@@ -175,6 +175,25 @@ impl<'a> Context<'a> {
     }
 
     /// Publishes messages, as many calls of [`publish`](Self::publish) would, but cheaper.
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+    /// # struct Lidar;
+    /// # impl Module for Lidar {
+    /// #     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    /// let ranges = setup.publish::<f32>("ranges")?;
+    /// setup.subscribe::<Vec<u16>, _>("millimetres", move |_, scan, ctx| {
+    ///     ctx.publish_all(ranges, scan.iter().map(|&range| f32::from(range) / 1000.0));
+    /// })
+    /// #     }
+    /// # }
+    /// # let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// # core.add("lidar", Lidar)?;
+    /// # core.inlet("millimetres")?.publish(vec![100_u16, 200, 300])?;
+    /// # (0..2).try_for_each(|_| core.cycle())?;
+    /// # assert_eq!(core.topics().find(|topic| &*topic.name == "ranges").unwrap().counter.messages(), 3);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     #[inline]
     pub fn publish_all<T: Send + Sync + 'static>(
         &mut self,
@@ -204,6 +223,33 @@ impl<'a> Context<'a> {
 
     /// Gives `to` the values that the settings of `from` have at the sync phase, for all settings that both have
     /// and `to` does not refuse: one module takes over where another was.
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, Setup, SetupError, Time};
+    /// struct Gait;
+    ///
+    /// impl Module for Gait {
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         let step = setup.setting("step_length", 0.03, "m")?;
+    ///         // The name by which the next gait is asked for.
+    ///         setup.subscribe::<String, _>("next_gait", move |_, name, ctx| {
+    ///             let old = ctx.module_name().to_owned();
+    ///             assert!(*ctx.get(step) > 0.0);
+    ///             ctx.add(&name, Gait, ModuleOptions::default());
+    ///             ctx.transfer_settings(&old, &name); // Additions come before settings.
+    ///         })
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// let settings = [("step_length".to_owned(), 0.05.into())].into();
+    /// core.add_with("walk", Gait, ModuleOptions { settings, ..ModuleOptions::default() })?;
+    /// core.inlet("next_gait")?.publish("trot".to_owned())?;
+    /// core.cycle()?;
+    /// core.cycle()?;
+    /// assert_eq!(core.settings("trot").unwrap()[0].value, 0.05.into());
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn transfer_settings(&mut self, from: &str, to: &str) {
         self.command(Command::Transfer { from: from.to_owned(), to: to.to_owned(), receipt: None });
     }
@@ -269,6 +315,32 @@ impl<'a> Context<'a> {
     /// Under a clock that does not go on by itself it runs to its end inside the next sync phase instead. Futures
     /// that need a runtime of their own, such as tokio's, are spawned there and given a
     /// [`completion`](Self::completion).
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+    /// struct Weather;
+    ///
+    /// impl Module for Weather {
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         let wind = setup.publish::<f64>("wind")?;
+    ///         let asking = setup.job::<f64, _>(move |_, answer, ctx| {
+    ///             if let Ok(metres_per_second) = answer {
+    ///                 ctx.publish(wind, metres_per_second);
+    ///             }
+    ///         });
+    ///         setup.subscribe::<(), _>("ask", move |_, _, ctx| {
+    ///             ctx.spawn_async(asking, async { 4.2 }); // A real one would await a socket.
+    ///         })
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add("weather", Weather)?;
+    /// core.inlet("ask")?.publish(())?;
+    /// (0..3).try_for_each(|_| core.cycle())?;
+    /// assert_eq!(core.topics().find(|topic| &*topic.name == "wind").unwrap().counter.messages(), 1);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn spawn_async<T: Send + 'static>(
         &mut self,
         job: Job<T>,
@@ -279,6 +351,41 @@ impl<'a> Context<'a> {
     }
 
     /// A handle that brings one result to the callback of the job, from any thread or runtime.
+    ///
+    /// ```
+    /// # use downbeat_executor::{Completion, Core, ManualClock, Module, Setup, SetupError, Time};
+    /// # use std::sync::mpsc::{Sender, channel};
+    /// /// Hands positions to a library that answers on a thread of its own.
+    /// struct Localisation(Sender<Completion<f64>>);
+    ///
+    /// impl Module for Localisation {
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         let found = setup.publish::<f64>("heading")?;
+    ///         let answer = setup.job::<f64, _>(move |_, heading, ctx| {
+    ///             if let Ok(radians) = heading {
+    ///                 ctx.publish(found, radians);
+    ///             }
+    ///         });
+    ///         setup.subscribe::<(), _>("look", move |module, _, ctx| {
+    ///             let completion = ctx.completion(answer);
+    ///             drop(module.0.send(completion));
+    ///         })
+    ///     }
+    /// }
+    ///
+    /// let (sender, library) = channel();
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add("localisation", Localisation(sender))?;
+    /// core.inlet("look")?.publish(())?;
+    /// core.cycle()?;
+    /// core.cycle()?;
+    /// let work = std::thread::spawn(move || library.recv().map(|completion| completion.finish(1.57)));
+    /// work.join().unwrap()?;
+    /// core.cycle()?; // The result joins.
+    /// core.cycle()?; // The module has it.
+    /// assert_eq!(core.topics().find(|topic| &*topic.name == "heading").unwrap().counter.messages(), 1);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn completion<T: Send + 'static>(&mut self, job: Job<T>) -> Completion<T> {
         if self.io.jobs.len() <= job.port as usize {
             self.foreign("asked for work with")
@@ -298,6 +405,25 @@ impl<'a> Context<'a> {
     }
 
     /// Removes this module, see [`remove`](Self::remove).
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+    /// /// Done as soon as it has run.
+    /// struct Calibration;
+    ///
+    /// impl Module for Calibration {
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         setup.each_run(|_, ctx| ctx.remove_self());
+    ///         Ok(())
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add("calibration", Calibration)?;
+    /// core.cycle()?;
+    /// assert!(core.modules().is_empty());
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn remove_self(&mut self) {
         let name = self.io.name.to_string();
         self.remove(&name);

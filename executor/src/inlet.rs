@@ -25,6 +25,21 @@ pub enum InletError {
 ///
 /// A message joins at the next sync phase: inlets in the order in which they were made, each in the order of its
 /// queue.
+///
+/// ```
+/// use downbeat_executor::{Core, InletError, ManualClock, Time};
+///
+/// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+/// let range = core.inlet::<f64>("range")?; // m
+/// let driver = std::thread::spawn(move || (range.publish(1.25), range));
+/// let (taken, range) = driver.join().unwrap();
+/// taken?;
+/// core.cycle()?; // It joins; subscribers would receive it in the next cycle.
+/// assert_eq!(core.topics().next().unwrap().counter.messages(), 1);
+/// core.stop();
+/// assert_eq!(range.publish(1.3), Err(InletError::Stopped));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct Inlet<T> {
     messages: Arc<dyn Queue<T>>,
     queue: Arc<JoinQueue>,

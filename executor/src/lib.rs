@@ -7,27 +7,20 @@
 //!
 //! ```
 //! use std::time::Duration;
-//! use downbeat_executor::{Context, Core, ManualClock, Module, Publication, Received, Setup, SetupError, Time};
+//! use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
 //!
 //! #[derive(Default)]
 //! struct Counter {
 //!     count: u32,
-//!     out: Option<Publication<u32>>,
 //! }
 //!
 //! impl Module for Counter {
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-//!         self.out = Some(setup.publish("count")?);
-//!         setup.every(Duration::from_millis(10), Self::tick)
-//!     }
-//! }
-//!
-//! impl Counter {
-//!     fn tick(&mut self, ctx: &mut Context<'_>) {
-//!         self.count += 1;
-//!         if let Some(out) = self.out {
-//!             ctx.publish(out, self.count);
-//!         }
+//!         let out = setup.publish("count")?;
+//!         setup.every(Duration::from_millis(10), move |counter, ctx| {
+//!             counter.count += 1;
+//!             ctx.publish(out, counter.count);
+//!         })
 //!     }
 //! }
 //!
@@ -35,9 +28,7 @@
 //!
 //! impl Module for Printer {
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-//!         setup.subscribe("count", |_: &mut Self, count: Received<'_, u32>, ctx: &mut Context<'_>| {
-//!             println!("{}: {}", ctx.now(), *count);
-//!         })
+//!         setup.subscribe::<u32, _>("count", |_, count, ctx| println!("{}: {}", ctx.now(), *count))
 //!     }
 //! }
 //!
@@ -53,7 +44,60 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! With the default clock, [`Core::run`] runs until [`CoreHandle::stop`].
+//! With the default clock, [`Core::run`] runs until [`CoreHandle::stop`]. The [`tutorial`] builds a robot step by step.
+//!
+//! # The order of one run
+//!
+//! A module that is paused does not run. Otherwise, in this order:
+//!
+//! 1. transitions of its life, as they were asked for. The first that is refused takes those behind it with it. If the
+//!    module is not active after them, the run ends here: its requests are refused, messages pass it by
+//! 2. changed settings ([`Setup::on_change`])
+//! 3. results of jobs, by the order in which the jobs were declared; of one job, in the order of joining
+//! 4. messages, by the order of subscription; of one topic, in the order of the sync phase below
+//! 5. requests, by the order in which the services were declared
+//! 6. answers to calls and calls whose time is up, by the order in which the clients were declared
+//! 7. tasks that are due, by time; where times are equal, by the order of scheduling. One that is scheduled in this run
+//!    waits for the next
+//! 8. timers that are due, by the order in which they were declared
+//! 9. [`Setup::each_run`]
+//!
+//! A panic ends the module, and all that this run asked for is discarded.
+//!
+//! # The order of the sync phase
+//!
+//! First it takes what other threads have asked for so far; what comes later waits for the next cycle. Then the
+//! mechanisms follow each other. Within each, **what comes from other threads goes first**, in the order in which it came
+//! (what a detached module asked for joins when its run has ended), and then what modules asked for, in
+//! the order of registration and of each module in its own order.
+//!
+//! 1. **modules**: panics are noticed; modules whose back-off is over start again; modules are removed and run their
+//!    `shutdown`; then the other commands: add, transition, pause, resume
+//! 2. **jobs**: work starts; results go to their modules, in the order in which the work ended. Under a clock that does
+//!    not go on by itself the work runs here, to its end
+//! 3. **settings**: values are checked and given, in the order in which they were asked for
+//! 4. **messaging**: inlets, in the order in which they were made; detached modules, in the order in which their runs
+//!    ended, each with its [`DetachedStep`]; the modules. Each topic's messages are now the batch of the next cycle
+//! 5. **services**: requests go to their servers, then answers to their clients
+//! 6. **timers**: when each module has to run next
+//! 7. the mechanisms added with [`Core::with_mechanism`], in the order in which they were added
+//! 8. modules that were removed are dropped, and what they held is freed
+//!
+//! A mechanism of the core is skipped in a cycle in which nobody asked it for anything. What a `shutdown` in step 1
+//! publishes is still sent in step 4.
+//!
+//! # What things cost, in cycles
+//!
+//! | | takes effect |
+//! | --- | --- |
+//! | a message | received in the next cycle |
+//! | a call | received in the next cycle, answered in the one after that |
+//! | a setting, pause, removal | in the sync phase of this cycle |
+//! | an added module, a transition | runs in the next cycle |
+//! | what another thread asks for | as above, from the sync phase on at which it joins |
+//!
+//! Cycles follow each other without pause while there is something to do, so this is latency, and a short one, not a
+//! share of the time of a timer.
 
 mod agenda;
 mod behaviour;
@@ -85,6 +129,7 @@ mod setup;
 mod stage;
 mod thread;
 mod time;
+pub mod tutorial;
 mod watchdog;
 
 pub use crate::core::{Core, CoreHandle, Idle, ModuleInfo, RunError, SyncPhase};

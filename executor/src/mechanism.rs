@@ -48,6 +48,67 @@ impl fmt::Display for Version {
 /// Modules see the mechanism's [`View`](Self::View) in the process phase, all the same one, and queue
 /// [`Request`](Self::Request)s; nobody writes while somebody reads, so no lock is needed, and the result does
 /// not depend on threads.
+///
+/// ```
+/// use downbeat_executor::{Core, ManualClock, Mechanism, Module, ModuleId, Setup, SetupError, SyncPhase, Time, Version};
+///
+/// /// One word for all: modules propose, the last proposal of a cycle holds in the next.
+/// #[derive(Default)]
+/// struct Motto(Vec<(ModuleId, String)>);
+///
+/// impl Mechanism for Motto {
+///     type View = String;
+///     type Request = String;
+///
+///     const NAME: &'static str = "motto";
+///     const VERSION: Version = Version::new(1, 0);
+///
+///     fn view(&self) -> String {
+///         "stand".into()
+///     }
+///
+///     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
+///         phase.take_requests::<Self>(&mut self.0);
+///         if let Some((_, word)) = self.0.drain(..).last() {
+///             *phase.view::<Self>() = word;
+///         }
+///     }
+/// }
+///
+/// struct Crier;
+///
+/// impl Module for Crier {
+///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+///         let motto = setup.mechanism::<Motto>(Version::new(1, 0))?;
+///         let heard = setup.publish::<String>("heard")?;
+///         setup.subscribe::<String, _>("propose", move |_, word, ctx| {
+///             ctx.publish(heard, ctx.view(motto).clone()); // What holds in this cycle.
+///             ctx.ask(motto, word.clone());
+///         })
+///     }
+/// }
+///
+/// struct Ear(std::sync::mpsc::Sender<String>);
+///
+/// impl Module for Ear {
+///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+///         setup.subscribe::<String, _>("heard", |ear, word, _| drop(ear.0.send(word.clone())))
+///     }
+/// }
+///
+/// let (sender, heard) = std::sync::mpsc::channel();
+/// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO)).with_mechanism(Motto::default());
+/// core.add("crier", Crier)?;
+/// core.add("ear", Ear(sender))?;
+/// let propose = core.inlet("propose")?;
+/// for word in ["walk", "kick"] {
+///     propose.publish(word.to_owned())?;
+///     core.cycle()?;
+/// }
+/// (0..2).try_for_each(|_| core.cycle())?;
+/// assert_eq!(heard.try_iter().collect::<Vec<_>>(), ["stand", "walk"]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub trait Mechanism: Send + 'static {
     /// What modules can read in the process phase.
     type View: Send + Sync + 'static;

@@ -8,30 +8,24 @@ use crate::{Context, Setup, SetupError, TransitionError};
 /// settings. What its callbacks ask for takes effect when the sync phase comes.
 ///
 /// ```
-/// use std::time::Duration;
-/// use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError};
+/// use downbeat_executor::{Module, Setup, SetupError};
 ///
-/// struct Thermostat {
-///     target: Option<Setting<f64>>,
-///     heater: Option<Publication<bool>>,
-/// }
+/// struct Thermostat;
 ///
 /// impl Module for Thermostat {
 ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-///         self.target = Some(setup.setting("target", 21.0, "room temperature to keep, °C")?);
-///         self.heater = Some(setup.publish("heater")?);
-///         setup.subscribe("temperature", Self::on_temperature)
-///     }
-/// }
-///
-/// impl Thermostat {
-///     fn on_temperature(&mut self, celsius: Received<'_, f64>, ctx: &mut Context<'_>) {
-///         let (Some(target), Some(heater)) = (self.target, self.heater) else { return };
-///         let is_cold = *celsius < *ctx.get(target);
-///         ctx.publish(heater, is_cold);
+///         let target = setup.setting("target", 21.0, "room temperature to keep, °C")?;
+///         let heater = setup.publish("heater")?;
+///         setup.subscribe::<f64, _>("temperature", move |_, celsius, ctx| {
+///             let is_cold = *celsius < *ctx.get(target);
+///             ctx.publish(heater, is_cold);
+///         })
 ///     }
 /// }
 /// ```
+///
+/// Callbacks are closures that are given the module, and capture the keys that the declarations returned. A key that
+/// [`activate`](Self::activate) or another of these methods uses is kept in a field.
 pub trait Module: Send + Sized + 'static {
     /// Declares what the module publishes, receives, does periodically and can be set to.
     ///

@@ -7,6 +7,33 @@ use std::time::Duration;
 use crate::{LifecycleState, SettingValue, ThreadOptions};
 
 /// When a module runs.
+///
+/// ```
+/// use std::num::NonZeroUsize;
+/// use std::sync::mpsc::{Sender, channel};
+/// use std::thread::ThreadId;
+/// use std::time::Duration;
+/// use downbeat_executor::{Core, Inbox, Module, ModuleOptions, Setup, SetupError, Synchrony};
+///
+/// struct Logger(Sender<ThreadId>);
+///
+/// impl Module for Logger {
+///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+///         setup.subscribe::<String, _>("events", |logger, _, _| {
+///             drop(logger.0.send(std::thread::current().id())); // It might as well write to a slow disk.
+///         })
+///     }
+/// }
+///
+/// let (sender, threads) = channel();
+/// let mut core = Core::new();
+/// let synchrony = Synchrony::Detached(Inbox::KeepLast(NonZeroUsize::new(100).unwrap()));
+/// core.add_with("logger", Logger(sender), ModuleOptions { synchrony, ..ModuleOptions::default() })?;
+/// core.inlet("events")?.publish("battery at 10.9 V".to_owned())?;
+/// core.cycle()?;
+/// assert_ne!(threads.recv_timeout(Duration::from_secs(10))?, std::thread::current().id());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Synchrony {
     /// Inside the cycles in which it has something to do: a message, a timer, a changed setting.
@@ -43,6 +70,39 @@ pub enum Role {
 
 /// What happens to a module that panicked. It is made anew by the closure given to
 /// [`Core::add_restartable`](crate::Core::add_restartable), set up again, and keeps its place in the order.
+///
+/// ```
+/// use std::time::Duration;
+/// use downbeat_executor::{Core, LifecycleState, ManualClock, Module, ModuleOptions, Restart, Setup, SetupError, Time};
+///
+/// struct Camera;
+///
+/// impl Module for Camera {
+///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+///         setup.every(Duration::from_millis(33), |_, _| panic!("the cable came loose"))
+///     }
+/// }
+///
+/// let clock = ManualClock::new(Time::ZERO);
+/// let mut core = Core::new().with_clock(clock.clone());
+/// let restart = Restart::Times { limit: 1, backoff: Duration::from_millis(500) };
+/// core.add_restartable("camera", || Camera, ModuleOptions { restart, ..ModuleOptions::default() })?;
+/// core.cycle()?;
+/// let state = |core: &Core| (core.modules()[0].state, core.modules()[0].restarts);
+/// clock.advance(Duration::from_millis(33));
+/// core.cycle()?;
+/// assert_eq!(state(&core), (LifecycleState::Finalized, 0));
+/// clock.advance(Duration::from_millis(500));
+/// core.cycle()?;
+/// core.cycle()?;
+/// assert_eq!(state(&core), (LifecycleState::Active, 1));
+/// clock.advance(Duration::from_millis(33));
+/// core.cycle()?;
+/// clock.advance(Duration::from_secs(60));
+/// core.cycle()?;
+/// assert_eq!(state(&core), (LifecycleState::Finalized, 1)); // That was once too often.
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Restart {
     /// It stays stopped.

@@ -7,6 +7,30 @@ use crate::Time;
 /// Is told of every cycle and of every run of a detached module, on the thread where it ran.
 ///
 /// Where there is no probe, the core measures nothing.
+///
+/// ```
+/// use std::sync::Arc;
+/// use std::sync::atomic::{AtomicU64, Ordering};
+/// use downbeat_executor::{Core, CycleReport, ManualClock, Probe, StepReport, Time};
+///
+/// #[derive(Default)]
+/// struct Longest(AtomicU64);
+///
+/// impl Probe for Longest {
+///     fn cycle(&self, report: &CycleReport) {
+///         let nanoseconds = (report.process + report.sync).as_nanos() as u64;
+///         self.0.fetch_max(nanoseconds, Ordering::Relaxed);
+///     }
+///
+///     fn step(&self, _: &StepReport<'_>) {}
+/// }
+///
+/// let longest = Arc::new(Longest::default());
+/// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO)).with_probe(longest.clone());
+/// core.cycle()?;
+/// println!("no cycle took longer than {} ns", longest.0.load(Ordering::Relaxed));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub trait Probe: Send + Sync {
     /// A cycle has ended.
     fn cycle(&self, report: &CycleReport);

@@ -5,6 +5,25 @@ use std::time::Duration;
 use crossbeam::channel::{Receiver, Sender, bounded};
 
 /// The answer to a request that the next sync phase applies. It may be dropped by whom it does not interest.
+///
+/// ```
+/// use std::time::Duration;
+/// use downbeat_executor::Core;
+///
+/// let mut core = Core::new();
+/// let handle = core.handle();
+/// let asking = std::thread::spawn(move || {
+///     let modules = handle.modules().wait(Duration::from_secs(10));
+///     let removed = handle.remove("camera").wait(Duration::from_secs(10));
+///     handle.stop();
+///     (modules, removed)
+/// });
+/// core.run()?; // Who waits on the core's own thread waits in vain: there `try_take` after a cycle is for.
+/// let (modules, removed) = asking.join().unwrap();
+/// assert_eq!(modules.map(|modules| modules.len()), Some(0));
+/// assert!(removed.is_some_and(|removed| removed.is_err()));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Receipt<T>(Receiver<T>);
 

@@ -145,6 +145,27 @@ impl<'a, M> Setup<'a, M> {
     ///
     /// # Errors
     /// A name used twice, or a given value of another type.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// # use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, Setup, SetupError, Time};
+    /// struct Servos;
+    ///
+    /// impl Module for Servos {
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         setup.read_only_setting("port", "/dev/ttyUSB0".to_owned(), "serial device")?;
+    ///         Ok(())
+    ///     }
+    /// }
+    ///
+    /// let settings = [("port".to_owned(), "/dev/ttyACM0".to_owned().into())].into();
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add_with("servos", Servos, ModuleOptions { settings, ..ModuleOptions::default() })?;
+    /// let refused = core.handle().set("servos", "port", "/dev/null".to_owned());
+    /// core.cycle()?;
+    /// assert!(refused.try_take().unwrap().is_err());
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn read_only_setting<T: SettingType>(
         &mut self,
         name: &str,
@@ -176,6 +197,21 @@ impl<'a, M> Setup<'a, M> {
     ///
     /// # Errors
     /// If the core does not offer it, or only at another version.
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, Module, Setup, SetupError, Version};
+    /// struct Planner;
+    ///
+    /// impl Module for Planner {
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         setup.require("jobs", Version::new(1, 0))?;
+    ///         setup.require("teleportation", Version::new(1, 0))
+    ///     }
+    /// }
+    ///
+    /// let refused = Core::new().add("planner", Planner).unwrap_err();
+    /// assert!(matches!(refused, SetupError::Mechanism { mechanism, .. } if mechanism == "teleportation"));
+    /// ```
     pub fn require(&self, mechanism: &str, version: Version) -> Result<(), SetupError> {
         let offered = self.registries.offers.version(mechanism);
         if offered.is_some_and(|offered| offered.offers(version)) {
@@ -289,6 +325,36 @@ impl<M: 'static> Setup<'_, M> {
     ///
     /// # Errors
     /// A name that is not valid, a service of other types, or one that is served already.
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, Module, Responder, Setup, SetupError, Time};
+    /// # use std::time::Duration;
+    /// /// Answers when it has arrived, not when it is asked to go.
+    /// #[derive(Default)]
+    /// struct Arm {
+    ///     asked: Vec<Responder<f64, ()>>,
+    /// }
+    ///
+    /// impl Module for Arm {
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         setup.serve_later::<f64, (), _>("reach", |arm, _angle, responder, _| arm.asked.push(responder))?;
+    ///         setup.subscribe::<(), _>("arrived", |arm, _, ctx| {
+    ///             arm.asked.drain(..).for_each(|responder| ctx.reply(responder, Ok(())));
+    ///         })
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add("arm", Arm::default())?;
+    /// let (sender, answer) = std::sync::mpsc::channel();
+    /// core.caller::<f64, ()>("reach")?.call(0.5, Duration::from_secs(9), move |result| drop(sender.send(result)))?;
+    /// (0..5).try_for_each(|_| core.cycle())?;
+    /// assert!(answer.try_recv().is_err());
+    /// core.inlet("arrived")?.publish(())?;
+    /// (0..2).try_for_each(|_| core.cycle())?;
+    /// assert_eq!(answer.try_recv()?, Ok(()));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn serve_later<Q, R, F>(&mut self, service: &str, take: F) -> Result<(), SetupError>
     where
         Q: Send + 'static,
@@ -365,6 +431,38 @@ impl<M: 'static> Setup<'_, M> {
 
     /// Calls `callback` at the end of each run of the module, after its messages, requests, answers and timers: in
     /// every cycle, if its synchrony is [`Synchrony::EveryCycle`](crate::Synchrony::EveryCycle).
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+    /// /// Publishes one mean for all that came in a cycle.
+    /// #[derive(Default)]
+    /// struct Mean {
+    ///     ranges: Vec<f64>,
+    /// }
+    ///
+    /// impl Module for Mean {
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         let mean = setup.publish::<f64>("mean_range")?;
+    ///         setup.subscribe::<f64, _>("range", |module, range, _| module.ranges.push(*range))?;
+    ///         setup.each_run(move |module, ctx| {
+    ///             if !module.ranges.is_empty() {
+    ///                 ctx.publish(mean, module.ranges.iter().sum::<f64>() / module.ranges.len() as f64);
+    ///                 module.ranges.clear();
+    ///             }
+    ///         });
+    ///         Ok(())
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add("mean", Mean::default())?;
+    /// let range = core.inlet("range")?;
+    /// [1.0, 1.5, 2.0].into_iter().try_for_each(|metres| range.publish(metres))?;
+    /// core.cycle()?;
+    /// core.cycle()?;
+    /// assert_eq!(core.topics().find(|topic| &*topic.name == "mean_range").unwrap().counter.messages(), 1);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn each_run<F>(&mut self, callback: F)
     where
         F: FnMut(&mut M, &mut Context<'_>) + Send + 'static,
@@ -375,6 +473,31 @@ impl<M: 'static> Setup<'_, M> {
     /// Has `check` look at each value that a setting is to have while the module runs, before it has it. A value it
     /// refuses, with the reason in words, changes nothing. It runs in the sync phase, or on the module's thread if it
     /// is detached.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// # use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, Setup, SetupError, Time};
+    /// struct Camera;
+    ///
+    /// impl Module for Camera {
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         let width = setup.setting("width", 640_i64, "of the image, pixels")?;
+    ///         setup.accept_if(width, |_, width| match width % 16 {
+    ///             0 => Ok(()),
+    ///             _ => Err(format!("{width} is not a multiple of 16")),
+    ///         });
+    ///         Ok(())
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add("camera", Camera)?;
+    /// let refused = core.handle().set("camera", "width", 600_i64);
+    /// core.cycle()?;
+    /// assert!(refused.try_take().unwrap().unwrap_err().to_string().contains("600 is not a multiple of 16"));
+    /// assert_eq!(core.settings("camera").unwrap()[0].value, 640_i64.into());
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn accept_if<T, F>(&mut self, setting: Setting<T>, check: F)
     where
         T: SettingType,

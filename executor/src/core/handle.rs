@@ -16,6 +16,32 @@ use crate::{
 ///
 /// What it asks for takes effect in the next sync phase. The receipt tells how it went; it may be dropped, and what
 /// was refused is then not told.
+///
+/// ```
+/// use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+///
+/// struct Walker;
+///
+/// impl Module for Walker {
+///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+///         setup.setting_in("step_length", 0.04, 0.0..=0.08, "in x of base_footprint, m")?;
+///         Ok(())
+///     }
+/// }
+///
+/// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+/// core.add("walker", Walker)?;
+/// let handle = core.handle();
+/// let set = handle.set("walker", "step_length", 0.06);
+/// let paused = handle.pause_module("walker");
+/// let mistaken = handle.pause_module("walkre");
+/// core.cycle()?; // Answers them all in its sync phase.
+/// assert!(set.try_take().unwrap().is_ok());
+/// assert!(paused.try_take().unwrap().is_ok());
+/// assert!(mistaken.try_take().unwrap().unwrap_err().to_string().contains("walker"));
+/// assert!(core.modules()[0].is_paused);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone)]
 pub struct CoreHandle {
     pub(crate) queue: Arc<JoinQueue>,

@@ -103,6 +103,41 @@ impl<T> Deref for Received<'_, T> {
 }
 
 /// A message kept beyond its cycle, see [`Received::keep`].
+///
+/// ```
+/// use downbeat_executor::{Core, Kept, ManualClock, Module, Setup, SetupError, Time};
+///
+/// struct Image(Vec<u8>);
+///
+/// /// Counts the pixels that are not as in the image before.
+/// #[derive(Default)]
+/// struct Motion {
+///     last: Option<Kept<Image>>,
+/// }
+///
+/// impl Module for Motion {
+///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+///         let changed = setup.publish::<usize>("changed_pixels")?;
+///         setup.subscribe::<Image, _>("image", move |motion, image, ctx| {
+///             if let Some(last) = &motion.last {
+///                 ctx.publish(changed, last.0.iter().zip(&image.0).filter(|(old, new)| old != new).count());
+///             }
+///             motion.last = Some(image.keep()); // No pixel is copied.
+///         })
+///     }
+/// }
+///
+/// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+/// core.add("motion", Motion::default())?;
+/// let image = core.inlet("image")?;
+/// image.publish(Image(vec![1, 2, 3]))?;
+/// image.publish(Image(vec![1, 9, 9]))?;
+/// core.cycle()?;
+/// core.cycle()?;
+/// let changed = core.topics().find(|topic| &*topic.name == "changed_pixels").unwrap();
+/// assert_eq!(changed.counter.messages(), 1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct Kept<T> {
     batch: Arc<Batch<T>>,
     position: Position,

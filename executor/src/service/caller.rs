@@ -11,6 +11,34 @@ use crate::service::{AnyReply, CallError, Incoming, Reply, ReplyTo};
 /// Calls a service from a thread outside the executor; from [`Core::caller`](crate::Core::caller).
 ///
 /// A call joins at the next sync phase, behind those that came before it.
+///
+/// ```
+/// use std::sync::mpsc::channel;
+/// use std::time::Duration;
+/// use downbeat_executor::{CallError, Core, ManualClock, Module, Setup, SetupError, Time};
+///
+/// struct Gripper;
+///
+/// impl Module for Gripper {
+///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+///         setup.serve::<f64, (), _>("close", |_, &force, _| match force {
+///             0.0..=20.0 => Ok(()),
+///             _ => Err(format!("{force} N is more than the 20 N it has")),
+///         })
+///     }
+/// }
+///
+/// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+/// core.add("gripper", Gripper)?;
+/// let close = core.caller::<f64, ()>("close")?;
+/// let (sender, answer) = channel();
+/// close.call(35.0, Duration::from_secs(1), move |result| drop(sender.send(result)))?;
+/// core.cycle()?; // The call joins.
+/// core.cycle()?; // The gripper answers.
+/// let CallError::Refused { reason, .. } = answer.try_recv()?.unwrap_err() else { panic!() };
+/// assert_eq!(reason, "35 N is more than the 20 N it has");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct Caller<Q, R> {
     service: usize,
     name: Arc<str>,

@@ -1,0 +1,555 @@
+//! A small robot, step by step.
+//!
+//! The robot is a biped that keeps its balance. Every step below runs as a test, on a [`ManualClock`](crate::ManualClock)
+//! that the test moves by hand, and asserts what happens. Units are SI; frames follow REP 103 and REP 105: `base_link`
+//! has x forward, y left and z up, so a positive pitch (about y) is nose down; `map` and `odom` are fixed to the world.
+//!
+//! 1. [A sensor](#1-a-sensor) 2. [A controller](#2-a-controller) 3. [A setting](#3-a-setting) 4. [A service](#4-a-service)
+//!    5. [A task](#5-a-task) 6. [A job](#6-a-job) 7. [A detached module](#7-a-detached-module)
+//!    8. [Life and restart](#8-life-and-restart) 9. [Modules that come and go](#9-modules-that-come-and-go)
+//!    10. [A launcher](#10-a-launcher) 11. [The end](#11-the-end)
+//!
+//! # 1 A sensor
+//!
+//! A module declares in its `setup` what it does. A declaration returns a *key*, here to publish with; callbacks are
+//! closures that capture the keys they use, and are given the module itself and a [`Context`](crate::Context).
+//!
+//! ```
+//! use std::time::Duration;
+//! use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+//!
+//! /// The attitude of base_link in odom.
+//! struct Attitude {
+//!     pitch_rad: f64,
+//! }
+//!
+//! #[derive(Default)]
+//! struct Imu {
+//!     pitch_rad: f64,
+//! }
+//!
+//! impl Module for Imu {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         let attitude = setup.publish("attitude")?;
+//!         setup.every(Duration::from_millis(8), move |imu, ctx| {
+//!             imu.pitch_rad += 0.01; // It falls on its nose. A real one asks its device.
+//!             ctx.publish(attitude, Attitude { pitch_rad: imu.pitch_rad });
+//!         })
+//!     }
+//! }
+//!
+//! let clock = ManualClock::new(Time::ZERO);
+//! let mut core = Core::new().with_clock(clock.clone());
+//! core.add("imu", Imu::default())?;
+//! core.cycle()?; // The module becomes active; its timer counts from here.
+//! clock.advance(Duration::from_millis(8));
+//! core.cycle()?;
+//! clock.advance(Duration::from_millis(24));
+//! core.cycle()?; // Three are due. The one call there is does not make up for those that were missed.
+//!
+//! let attitude = core.topics().find(|topic| &*topic.name == "attitude").unwrap();
+//! assert_eq!(attitude.counter.messages(), 2);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # 2 A controller
+//!
+//! It listens and publishes, and knows the sensor only by the name of its topic. What is published in one cycle is
+//! received in the next: **each hop costs a cycle**, a few microseconds where cycles follow each other without pause, as
+//! they do under [`Core::run`](crate::Core::run) while there is something to do. For that the order in which modules run
+//! does not matter, and neither do threads.
+//!
+//! ```
+//! use std::sync::mpsc::{Sender, channel};
+//! use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+//!
+//! struct Attitude {
+//!     pitch_rad: f64,
+//! }
+//!
+//! /// Torque of both ankles about y, N·m, against the fall.
+//! struct Balance;
+//!
+//! impl Module for Balance {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         let torque = setup.publish::<f64>("ankle_torque")?;
+//!         setup.subscribe::<Attitude, _>("attitude", move |_, attitude, ctx| {
+//!             ctx.publish(torque, -40.0 * attitude.pitch_rad);
+//!         })
+//!     }
+//! }
+//!
+//! /// Passes on what it hears: for tests.
+//! struct Ear(Sender<f64>);
+//!
+//! impl Module for Ear {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         setup.subscribe::<f64, _>("ankle_torque", |ear, torque, _| drop(ear.0.send(*torque)))
+//!     }
+//! }
+//!
+//! let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+//! let (sender, heard) = channel();
+//! core.add("ear", Ear(sender))?; // Before its publisher, and it makes no difference.
+//! core.add("balance", Balance)?;
+//!
+//! core.inlet("attitude")?.publish(Attitude { pitch_rad: 0.1 })?; // From outside, as if from the sensor.
+//! core.cycle()?; // The attitude joins.
+//! core.cycle()?; // Balance receives it.
+//! assert!(heard.try_recv().is_err());
+//! core.cycle()?; // The ear receives the torque.
+//! assert_eq!(heard.try_recv(), Ok(-4.0));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # 3 A setting
+//!
+//! A number that somebody will want to change becomes a setting, with its range and its unit. It keeps its value for
+//! a whole cycle. [`Setup::on_change`](crate::Setup::on_change) is for what has to be computed from it;
+//! [`Setup::accept_if`](crate::Setup::accept_if) for what a range cannot say.
+//!
+//! ```
+//! # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+//! #[derive(Default)]
+//! struct Balance {
+//!     integral: f64,
+//! }
+//!
+//! impl Module for Balance {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         let gain = setup.setting_in("gain", 40.0, 0.0..=200.0, "torque by pitch, N·m/rad")?;
+//!         setup.on_change(gain, |balance, _| balance.integral = 0.0);
+//!         let torque = setup.publish::<f64>("ankle_torque")?;
+//!         setup.subscribe::<f64, _>("pitch", move |balance, pitch, ctx| {
+//!             balance.integral += *pitch;
+//!             let gain = *ctx.get(gain);
+//!             ctx.publish(torque, -gain * (*pitch + 0.1 * balance.integral));
+//!         })
+//!     }
+//! }
+//!
+//! let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+//! core.add("balance", Balance::default())?;
+//! core.cycle()?;
+//!
+//! let (good, bad) = (core.handle().set("balance", "gain", 55.0), core.handle().set("balance", "gain", 900.0));
+//! core.cycle()?; // Its sync phase gives the setting its value.
+//! assert!(good.try_take().unwrap().is_ok());
+//! let refused = bad.try_take().unwrap().unwrap_err();
+//! assert!(refused.to_string().contains("900 is out of range, 0 to 200 is allowed"), "{refused}");
+//! assert_eq!(core.settings("balance").unwrap()[0].value, 55.0.into());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # 4 A service
+//!
+//! For what is asked and answered, such as "stand up". The server answers with a value or with an error in words. **A
+//! call takes two cycles**: one until the server has the request, one until the client has the answer; where the
+//! server asks a third module, four. Every call of a module that stays active ends with exactly one call of its
+//! callback, at the latest after the time-out.
+//!
+//! ```
+//! # use std::sync::mpsc::{Sender, channel};
+//! # use std::time::Duration;
+//! # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+//! #[derive(Clone, Copy, Debug, PartialEq)]
+//! enum Posture {
+//!     Sitting,
+//!     Standing,
+//! }
+//!
+//! struct Legs(Posture);
+//!
+//! impl Module for Legs {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         setup.serve::<Posture, Posture, _>("take_posture", |legs, &posture, _| {
+//!             if legs.0 == posture {
+//!                 return Err(format!("already {posture:?}"));
+//!             }
+//!             legs.0 = posture;
+//!             Ok(posture)
+//!         })
+//!     }
+//! }
+//!
+//! struct Operator(Sender<String>);
+//!
+//! impl Module for Operator {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         let timeout = Duration::from_millis(500);
+//!         let legs = setup.client::<Posture, Posture, _>("take_posture", timeout, |operator, reply, _| {
+//!             let said = match reply.result {
+//!                 Ok(posture) => format!("{posture:?}"),
+//!                 Err(error) => error.to_string(),
+//!             };
+//!             drop(operator.0.send(said));
+//!         })?;
+//!         setup.subscribe::<Posture, _>("button", move |_, posture, ctx| {
+//!             ctx.call(legs, *posture);
+//!         })
+//!     }
+//! }
+//!
+//! let clock = ManualClock::new(Time::ZERO);
+//! let mut core = Core::new().with_clock(clock.clone());
+//! let (sender, said) = channel();
+//! core.add("operator", Operator(sender))?;
+//! core.add("legs", Legs(Posture::Sitting))?;
+//! let button = core.inlet("button")?;
+//!
+//! button.publish(Posture::Standing)?;
+//! button.publish(Posture::Standing)?;
+//! for _ in 0..4 {
+//!     core.cycle()?; // The button joins, the operator calls, the legs answer, the operator is answered.
+//! }
+//! assert_eq!(said.try_recv()?, "Standing");
+//! assert_eq!(said.try_recv()?, "service \"take_posture\": already Standing");
+//!
+//! core.handle().pause_module("legs");
+//! button.publish(Posture::Sitting)?;
+//! (0..3).try_for_each(|_| core.cycle())?;
+//! clock.advance(Duration::from_millis(500));
+//! core.cycle()?;
+//! assert_eq!(said.try_recv()?, "service \"take_posture\": no answer in 500ms");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # 5 A task
+//!
+//! Something that is to happen once, at a time the module chooses as it runs. Here: the motors go limp when no attitude
+//! has come for 50 ms. Scheduling adds; so the old time is cancelled first.
+//!
+//! ```
+//! # use std::time::Duration;
+//! # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+//! struct Guard;
+//!
+//! impl Module for Guard {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         let limp = setup.publish::<()>("limp")?;
+//!         let lost = setup.task(move |_, ctx| ctx.publish(limp, ()));
+//!         setup.subscribe::<f64, _>("pitch", move |_, _, ctx| {
+//!             ctx.cancel(lost);
+//!             ctx.schedule_after(lost, Duration::from_millis(50));
+//!         })
+//!     }
+//! }
+//!
+//! let clock = ManualClock::new(Time::ZERO);
+//! let mut core = Core::new().with_clock(clock.clone());
+//! core.add("guard", Guard)?;
+//! let pitch = core.inlet("pitch")?;
+//! let limp = core.topics().find(|topic| &*topic.name == "limp").unwrap().counter.clone();
+//! for _ in 0..10 {
+//!     pitch.publish(0.0)?;
+//!     core.cycle()?;
+//!     clock.advance(Duration::from_millis(40));
+//! }
+//! core.cycle()?;
+//! assert_eq!(limp.messages(), 0);
+//! clock.advance(Duration::from_millis(50));
+//! core.cycle()?;
+//! assert_eq!(limp.messages(), 1);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # 6 A job
+//!
+//! A run holds up its cycle, and with it all modules. What reads a file or computes for long runs beside the cycle:
+//! [`Context::spawn`](crate::Context::spawn) gives it to another thread,
+//! [`Context::spawn_async`](crate::Context::spawn_async) to the thread for async work. It cannot touch the module: it
+//! owns what it is given, and what it returns comes to the callback of the job.
+//!
+//! ```
+//! # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+//! /// A point in map, m.
+//! #[derive(Clone, Copy)]
+//! struct Point {
+//!     x: f64,
+//!     y: f64,
+//! }
+//!
+//! /// Steps of 5 cm, straight there. A real planner takes its time.
+//! fn plan(goal: Point) -> Vec<Point> {
+//!     let count = (goal.x.hypot(goal.y) / 0.05).ceil();
+//!     let step = |n: f64| Point { x: goal.x * n / count, y: goal.y * n / count };
+//!     (1..=count as u32).map(|n| step(f64::from(n))).collect()
+//! }
+//!
+//! struct Planner;
+//!
+//! impl Module for Planner {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         let footsteps = setup.publish::<Point>("footsteps")?;
+//!         let planning = setup.job::<Vec<Point>, _>(move |_, steps, ctx| match steps {
+//!             Ok(steps) => ctx.publish_all(footsteps, steps),
+//!             Err(lost) => eprintln!("no plan: {lost}"), // It panicked.
+//!         });
+//!         setup.subscribe::<Point, _>("goal", move |_, goal, ctx| {
+//!             let goal = *goal;
+//!             ctx.spawn(planning, move || plan(goal));
+//!         })
+//!     }
+//! }
+//!
+//! let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+//! core.add("planner", Planner)?;
+//! core.inlet("goal")?.publish(Point { x: 0.3, y: 0.4 })?;
+//! core.cycle()?; // The goal joins.
+//! core.cycle()?; // The planner asks for the job. Under this clock it runs in the sync phase.
+//! core.cycle()?; // The planner has the result.
+//! let footsteps = core.topics().find(|topic| &*topic.name == "footsteps").unwrap();
+//! assert_eq!(footsteps.counter.messages(), 10);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! Under a clock that goes on by itself, results join *in the order in which the jobs end*, at the sync phase that
+//! follows: the only thing here that depends on how fast threads are. Nothing records that order. Under a clock that is moved by
+//! hand (replay, tests) a job runs to its end in the sync phase of the cycle that asked for it, in the order of asking. A
+//! replay is thus the same each time, but gives a job's result earlier than the robot had it. Where that matters, let a
+//! detached module do the work: its runs are recorded.
+//!
+//! # 7 A detached module
+//!
+//! A module that is slow as such (vision, a serial port) gets a thread of its own by an option; the module stays the
+//! same. While it is busy, batches wait in its inbox: all of them, or, bounded, the latest of each topic.
+//!
+//! ```
+//! # use std::num::NonZeroUsize;
+//! # use downbeat_executor::{Core, Inbox, ManualClock, Module, ModuleOptions, Setup, SetupError, Synchrony, Time};
+//! /// Brightness by pixel.
+//! struct Image(Vec<u8>);
+//!
+//! struct Vision;
+//!
+//! impl Module for Vision {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         let ball = setup.publish::<usize>("ball_pixel")?;
+//!         setup.subscribe::<Image, _>("image", move |_, image, ctx| {
+//!             if let Some(brightest) = (0..image.0.len()).max_by_key(|&pixel| image.0[pixel]) {
+//!                 ctx.publish(ball, brightest);
+//!             }
+//!         })
+//!     }
+//! }
+//!
+//! let latest = Synchrony::Detached(Inbox::KeepLast(NonZeroUsize::MIN));
+//! let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+//! core.add_with("vision", Vision, ModuleOptions { synchrony: latest, ..ModuleOptions::default() })?;
+//! core.inlet("image")?.publish(Image(vec![3, 200, 7]))?;
+//! core.cycle()?;
+//! core.cycle()?; // Under a clock that is moved by hand, detached modules run inside the cycle.
+//! assert_eq!(core.topics().find(|topic| &*topic.name == "ball_pixel").unwrap().counter.messages(), 1);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! What it costs: a hop to it and back wakes two threads, tens of microseconds, and what it publishes joins when it is
+//! done, not in a cycle one could foretell. Each of its runs can be recorded from the topic
+//! [`DetachedStep::TOPIC`](crate::DetachedStep), and replay repeats it by that. What it cannot do: use a mechanism that
+//! was added to the core ([`Setup::mechanism`](crate::Setup::mechanism) refuses, under every clock), because others
+//! change it while the module runs; and the end of the core waits for it, however long it takes, because a thread
+//! cannot be ended from outside.
+//!
+//! # 8 Life and restart
+//!
+//! A module is brought to active unless [`ModuleOptions::initial_state`](crate::ModuleOptions) says otherwise; it can be
+//! configured and activated later, as a managed node of ROS 2. Only an active module runs callbacks. A panic ends its
+//! module and no other, and discards what that run asked for. A module added with a closure that makes it can start again.
+//!
+//! ```
+//! # use std::time::Duration;
+//! # use downbeat_executor::{
+//! #     Context, Core, LifecycleState, ManualClock, Module, ModuleOptions, Restart, Setup, SetupError, Time,
+//! #     Transition, TransitionError,
+//! # };
+//! /// A motor that knows only after its activation where it is.
+//! #[derive(Default)]
+//! struct Motor {
+//!     position_rad: Option<f64>,
+//! }
+//!
+//! impl Module for Motor {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         setup.subscribe::<f64, _>("torque", |motor, torque, _| {
+//!             assert!(torque.is_finite(), "a torque of {} N·m", *torque);
+//!             motor.position_rad = motor.position_rad.map(|position| position + 0.001 * *torque);
+//!         })
+//!     }
+//!
+//!     fn activate(&mut self, _: &mut Context<'_>) -> Result<(), TransitionError> {
+//!         self.position_rad = Some(0.0);
+//!         Ok(())
+//!     }
+//! }
+//!
+//! let clock = ManualClock::new(Time::ZERO);
+//! let mut core = Core::new().with_clock(clock.clone());
+//! let options = ModuleOptions {
+//!     initial_state: LifecycleState::Inactive,
+//!     restart: Restart::Times { limit: 3, backoff: Duration::from_millis(100) },
+//!     ..ModuleOptions::default()
+//! };
+//! core.add_restartable("motor", Motor::default, options)?;
+//! core.cycle()?;
+//! assert_eq!(core.modules()[0].state, LifecycleState::Inactive);
+//!
+//! let activated = core.handle().transition("motor", Transition::Activate);
+//! (0..2).try_for_each(|_| core.cycle())?; // One takes the request, in the next the module makes the transition.
+//! assert_eq!(activated.try_take().unwrap()?, LifecycleState::Active);
+//!
+//! core.inlet("torque")?.publish(f64::NAN)?;
+//! (0..2).try_for_each(|_| core.cycle())?;
+//! assert_eq!(core.modules()[0].state, LifecycleState::Finalized);
+//! clock.advance(Duration::from_millis(100));
+//! (0..2).try_for_each(|_| core.cycle())?; // One makes it anew, in the next it runs.
+//! let motor = &core.modules()[0];
+//! assert_eq!((motor.state, motor.restarts), (LifecycleState::Inactive, 1)); // To its initial state, as at first.
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # 9 Modules that come and go
+//!
+//! [`CoreHandle`](crate::CoreHandle) adds and removes modules of a running core from any thread, and a module does so
+//! from a callback, with [`Context::add`](crate::Context::add) and [`Context::remove`](crate::Context::remove). Both take effect
+//! in the sync phase, with no cycle held up. A module that comes later is later in the order of registration.
+//!
+//! ```
+//! # use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, Setup, SetupError, Time};
+//! struct Gait {
+//!     period_s: f64,
+//! }
+//!
+//! impl Module for Gait {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         self.period_s = 0.6;
+//!         setup.serve::<(), f64, _>("gait_period", |gait, _, _| Ok(gait.period_s))
+//!     }
+//! }
+//!
+//! let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+//! core.cycle()?;
+//! let handle = core.handle();
+//!
+//! let added = handle.add("gait", Gait { period_s: 0.0 }, ModuleOptions::default());
+//! let again = handle.add("gait", Gait { period_s: 0.0 }, ModuleOptions::default());
+//! core.cycle()?;
+//! assert!(added.try_take().unwrap().is_ok());
+//! assert!(matches!(again.try_take().unwrap(), Err(SetupError::DuplicateModule(_))));
+//!
+//! // Removals come first: the other gait takes over name and service in one sync phase.
+//! let other = handle.add("gait", Gait { period_s: 0.0 }, ModuleOptions::default());
+//! let removed = handle.remove("gait");
+//! core.cycle()?;
+//! assert_eq!(removed.try_take().unwrap(), Ok(()));
+//! assert!(other.try_take().unwrap().is_ok());
+//! assert_eq!(core.modules().len(), 1);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # 10 A launcher
+//!
+//! It decides on which threads the process phase runs, and nothing else. Modules share nothing while they run, and
+//! what they asked for is collected in the order of registration: the result is the same.
+//!
+//! | launcher | for |
+//! | --- | --- |
+//! | [`Linear`](crate::Linear), the default | nearly every robot: modules with little to do each |
+//! | [`Pool`](crate::Pool) | several modules of one cycle that each compute for tens of microseconds or more |
+//! | [`Threads`](crate::Threads) | libraries that want to be called from always the same thread |
+//! | [`Scheduled`](crate::Scheduled) | the core's thread on a chosen CPU, at a real-time priority |
+//!
+//! ```
+//! # use std::sync::mpsc::{Sender, channel};
+//! # use downbeat_executor::{
+//! #     Core, Launcher, Linear, ManualClock, Module, Pool, Setup, SetupError, Threads, Time,
+//! # };
+//! /// A joint that is drawn to where its neighbours are.
+//! struct Joint(f64, Sender<f64>);
+//!
+//! impl Module for Joint {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         let position = setup.publish::<f64>("position")?;
+//!         setup.subscribe::<f64, _>("position", |joint, other, _| joint.0 = 0.9 * joint.0 + 0.1 * *other)?;
+//!         setup.subscribe::<(), _>("beat", move |joint, _, ctx| {
+//!             drop(joint.1.send(joint.0));
+//!             ctx.publish(position, joint.0);
+//!         })
+//!     }
+//! }
+//!
+//! fn last_position(launcher: impl Launcher + 'static) -> Result<f64, Box<dyn std::error::Error>> {
+//!     let mut core = Core::new().with_launcher(launcher).with_clock(ManualClock::new(Time::ZERO));
+//!     let last = {
+//!         let (sender, positions) = channel();
+//!         for (name, begin) in [("hip", 0.1), ("knee", 0.7), ("ankle", -0.3)] {
+//!             // Only the ankle's position is looked at.
+//!             let sender = if name == "ankle" { sender.clone() } else { channel().0 };
+//!             core.add(name, Joint(begin, sender))?;
+//!         }
+//!         let beat = core.inlet("beat")?;
+//!         for _ in 0..100 {
+//!             beat.publish(())?;
+//!             core.cycle()?;
+//!         }
+//!         positions.try_iter().last()
+//!     };
+//!     last.ok_or_else(|| "the ankle never ran".into())
+//! }
+//!
+//! let expected = last_position(Linear)?;
+//! // To the last bit: the sums are in the same order.
+//! assert_eq!(last_position(Pool::new(2)?)?.to_bits(), expected.to_bits());
+//! assert_eq!(last_position(Threads::new())?.to_bits(), expected.to_bits());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # 11 The end
+//!
+//! [`CoreHandle::stop`](crate::CoreHandle::stop) ends [`Core::run`](crate::Core::run), which then has each module run its
+//! [`shutdown`](crate::Module::shutdown): parts of the robot in the reverse order of registration, then observers, so that a
+//! recorder still sees the last messages. `shutdown` and the other transitions are methods, not closures: a key they
+//! use is kept in the module, and is `None` until `setup` has run.
+//!
+//! ```
+//! # use std::sync::mpsc::{Sender, channel};
+//! # use downbeat_executor::{
+//! #     Context, Core, Module, ModuleOptions, Publication, Role, Setup, SetupError,
+//! # };
+//! #[derive(Default)]
+//! struct Motor {
+//!     torque: Option<Publication<f64>>,
+//! }
+//!
+//! impl Module for Motor {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         self.torque = Some(setup.publish("torque")?);
+//!         Ok(())
+//!     }
+//!
+//!     fn shutdown(&mut self, ctx: &mut Context<'_>) {
+//!         if let Some(torque) = self.torque {
+//!             ctx.publish(torque, 0.0);
+//!         }
+//!     }
+//! }
+//!
+//! struct Recorder(Sender<f64>);
+//!
+//! impl Module for Recorder {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         setup.subscribe::<f64, _>("torque", |recorder, torque, _| drop(recorder.0.send(*torque)))
+//!     }
+//! }
+//!
+//! let (sender, recorded) = channel();
+//! let mut core = Core::new(); // With the system's clock, as on a robot.
+//! let observer = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
+//! core.add_with("recorder", Recorder(sender), observer)?;
+//! core.add("motor", Motor::default())?;
+//! core.cycle()?;
+//! let handle = core.handle();
+//! std::thread::spawn(move || handle.stop()); // As a signal would.
+//! core.run()?;
+//! assert_eq!(recorded.try_recv(), Ok(0.0));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
