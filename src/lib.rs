@@ -9,6 +9,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod duration;
 pub mod inspect;
 pub mod playback;
 pub mod recorder;

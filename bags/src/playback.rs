@@ -72,6 +72,14 @@ pub enum PlaybackError {
         /// What the bag has.
         known: Vec<String>,
     },
+    /// The bag ends before playing would begin.
+    #[error("cannot begin {offset:?} into the bag: it is {length:?} long")]
+    StartOffset {
+        /// What was asked for.
+        offset: Duration,
+        /// From the first message to the last.
+        length: Duration,
+    },
     /// The bag cannot be read.
     #[error(transparent)]
     Read(#[from] ReaderError),
@@ -118,11 +126,15 @@ impl Playback {
     /// Prepares to play that bag.
     ///
     /// # Errors
-    /// If the bag lacks a topic that was asked for, or cannot be read.
+    /// If the bag lacks a topic that was asked for, ends before the start offset, or cannot be read.
     pub fn open(reader: &Reader, options: &PlaybackOptions) -> Result<Self, PlaybackError> {
         let start = reader.start_time().unwrap_or(0);
         let offset = i64::try_from(options.start_offset.as_nanos()).unwrap_or(i64::MAX);
         let from = start.saturating_add(offset);
+        if let Some(end) = reader.end_time().filter(|&end| end < from) {
+            let length = Duration::from_nanos(u64::try_from(end.saturating_sub(start)).unwrap_or(0));
+            return Err(PlaybackError::StartOffset { offset: options.start_offset, length });
+        }
         let mut selection = Selection::all().from(from);
         if let Some(names) = &options.topics {
             let topics: Result<Vec<TopicId>, _> = names.iter().map(|name| find(reader, name)).collect();

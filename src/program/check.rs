@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use downbeat::bridge::edge::KnownType;
-use downbeat::executor::{Core, ModuleOptions, TopicInfo};
-use downbeat::robot::{Direction, KINDS, LauncherChoice, Robot, RobotFile};
+use downbeat::executor::{Core, TopicInfo};
+use downbeat::robot::{Direction, KINDS, Robot};
 
 use super::cli::CheckArguments;
 
@@ -12,18 +12,22 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<()> {
     if arguments.kinds {
         list_kinds()?;
     }
-    arguments.robot.as_deref().map_or(Ok(()), check_robot)
+    arguments.robot.as_deref().map_or(Ok(()), |path| check_robot(path, arguments))
 }
 
-fn check_robot(path: &Path) -> anyhow::Result<()> {
-    let robot = RobotFile::read(path)?.build(Core::new())?;
+fn check_robot(path: &Path, arguments: &CheckArguments) -> anyhow::Result<()> {
+    let file = arguments.parameters.read_robot(path)?;
+    for problem in file.thread_problems() {
+        tracing::warn!("on this machine the robot does not run: {problem}");
+    }
+    let robot = file.on_any_machine().build(Core::new())?;
+    if arguments.dump_params {
+        print!("{}", robot.parameters());
+        return Ok(());
+    }
     let Robot { file, core } = &robot;
     let emulated = if file.is_emulated() { ", emulated" } else { "" };
-    let launcher = match file.launcher {
-        LauncherChoice::Linear => "on one thread".to_owned(),
-        LauncherChoice::Pool(threads) => format!("on {threads} threads"),
-    };
-    println!("{}: robot {}{emulated}, {launcher}", path.display(), file.name);
+    println!("{}: robot {}{emulated}, {}", path.display(), file.name, file.launcher.choice);
     println!("\nmodules");
     for module in &file.modules {
         println!("  {:<20} {:<20} {}", module.name, module.kind.name, module.kind.about);
@@ -46,7 +50,7 @@ fn check_robot(path: &Path) -> anyhow::Result<()> {
 fn list_kinds() -> anyhow::Result<()> {
     for kind in KINDS {
         let mut core = Core::new();
-        kind.add_to(&mut core, kind.name, ModuleOptions::default())?;
+        kind.add_to(&mut core, kind.name, kind.options())?;
         println!("{:<20} {}", kind.name, kind.about);
         print_settings(&core, kind.name);
         core.topics().for_each(print_topic);

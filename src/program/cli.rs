@@ -1,10 +1,12 @@
 //! The command line.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use downbeat::duration::parse as duration;
 use downbeat::inspect::Request;
+use downbeat::robot::{RobotFile, RobotFileError};
 
 /// Robot software as small modules in one process, seen and driven from ROS 2 Jazzy, recorded and replayed.
 ///
@@ -51,6 +53,29 @@ pub(crate) struct RunArguments {
     /// The ROS domain, instead of ROS_DOMAIN_ID.
     #[arg(long, value_name = "N")]
     pub(crate) domain: Option<u16>,
+    #[command(flatten)]
+    pub(crate) parameters: ParameterArguments,
+}
+
+/// Values of settings in place of the robot file's.
+#[derive(Args)]
+pub(crate) struct ParameterArguments {
+    /// Take settings from this ROS 2 parameter file; they win over the robot file. May be given more than once:
+    /// later ones win.
+    #[arg(long = "params-file", value_name = "FILE.yaml")]
+    files: Vec<PathBuf>,
+    /// Give a module's setting this value, in YAML; it wins over all files. May be given more than once.
+    #[arg(short = 'p', long = "param", value_name = "MODULE.SETTING:=VALUE")]
+    values: Vec<String>,
+}
+
+impl ParameterArguments {
+    pub(crate) fn read_robot(&self, path: &Path) -> Result<RobotFile, RobotFileError> {
+        let mut file = RobotFile::read(path)?;
+        self.files.iter().try_for_each(|path| file.set_from_parameter_file(path))?;
+        self.values.iter().try_for_each(|value| file.set_from_argument(value))?;
+        Ok(file)
+    }
 }
 
 #[derive(Args)]
@@ -58,6 +83,11 @@ pub(crate) struct CheckArguments {
     /// The robot file.
     #[arg(value_name = "ROBOT.toml", required_unless_present = "kinds")]
     pub(crate) robot: Option<PathBuf>,
+    /// Print nothing but a ROS 2 parameter file of all settings with their values.
+    #[arg(long, requires = "robot", conflicts_with = "kinds")]
+    pub(crate) dump_params: bool,
+    #[command(flatten)]
+    pub(crate) parameters: ParameterArguments,
     /// List the kinds of modules with their topics and settings.
     #[arg(long)]
     pub(crate) kinds: bool,
@@ -189,31 +219,9 @@ pub(crate) enum EmulateCommand {
     },
 }
 
-/// A time with its unit.
-fn duration(text: &str) -> Result<Duration, String> {
-    let number_ends = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
-    let (number, unit) = text.split_at(number_ends);
-    let seconds_per_unit = match unit {
-        "ms" => 0.001,
-        "s" => 1.0,
-        "m" | "min" => 60.0,
-        "h" => 3600.0,
-        _ => return Err(format!("\"{text}\" is not a time; write 500ms, 10s, 5m or 1h")),
-    };
-    let number: f64 = number.parse().map_err(|_| format!("\"{number}\" is not a number"))?;
-    Duration::try_from_secs_f64(number * seconds_per_unit).map_err(|error| error.to_string())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn times_have_units() {
-        assert_eq!(duration("500ms"), Ok(Duration::from_millis(500)));
-        assert_eq!(duration("1.5m"), Ok(Duration::from_secs(90)));
-        assert!(duration("10").is_err() && duration("s").is_err() && duration("-1s").is_err());
-    }
 
     #[test]
     fn the_command_line_is_consistent() {

@@ -7,7 +7,7 @@ use downbeat::robot::RobotFile;
 use super::cli::{GraphArguments, GraphFormat};
 
 pub(crate) fn graph(arguments: &GraphArguments) -> anyhow::Result<()> {
-    let core = RobotFile::read(&arguments.robot)?.build(Core::new())?.core;
+    let core = RobotFile::read(&arguments.robot)?.on_any_machine().build(Core::new())?.core;
     let mut graph = core.graph();
     // Under the names that ROS gives them, where it does.
     for topic in core.topics() {

@@ -9,7 +9,7 @@ use super::session::Session;
 use super::stop::Stop;
 
 pub(crate) fn run(arguments: &RunArguments, screen: &Screen) -> anyhow::Result<()> {
-    let mut session = Session::new(&arguments.robot)?;
+    let mut session = Session::new(arguments.parameters.read_robot(&arguments.robot)?)?;
     let options = participant_options(arguments.domain)?;
     session.expose(&options)?;
     if let Some(directory) = &arguments.record {

@@ -42,10 +42,10 @@ const REFRESH: Duration = Duration::from_millis(250);
 const LOG_INTERVAL: Duration = Duration::from_secs(10);
 
 impl Session {
-    pub(crate) fn new(robot_file: &Path) -> anyhow::Result<Self> {
+    pub(crate) fn new(file: RobotFile) -> anyhow::Result<Self> {
         let statistics = Arc::new(Statistics::default());
         let core = Core::new().with_probe(Arc::clone(&statistics) as _);
-        let mut robot = RobotFile::read(robot_file)?.build(core)?;
+        let mut robot = file.build(core)?;
         let faults = Faults::watch(&mut robot.core)?;
         Ok(Self { robot, statistics, faults, bridge: None, recording: None })
     }

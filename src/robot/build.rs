@@ -4,9 +4,13 @@ use downbeat_bridge::edge::KnownType;
 use downbeat_bridge::expose::Exposure;
 use downbeat_bridge::middleware;
 use downbeat_bridge::ros::{NodeName, TopicName};
-use downbeat_executor::{Core, Linear, ModuleOptions, Pool, SetupError, TopicInfo};
+use downbeat_executor::{
+    Core, Idle, Linear, Pool, Scheduled, SetupError, ThreadError, ThreadOptions, Threads, TopicInfo,
+};
 
-use super::file::{ExposeEntry, ModuleEntry, RecordEntry, RobotFile, RobotFileError, suggestion};
+use super::file::{
+    ExposeEntry, LauncherEntry, ModuleEntry, Place, RecordEntry, RobotFile, RobotFileError, suggestion,
+};
 use super::{Direction, LauncherChoice};
 use crate::step_journal::StepJournal;
 
@@ -24,17 +28,10 @@ impl RobotFile {
     /// Adds the file's modules to a core that is made by `core`, and gives it the file's launcher.
     ///
     /// # Errors
-    /// If a module cannot be set up as the file says, or the file names topics that no module has; with path
-    /// and line.
+    /// If a module cannot be set up as the file says, the file names topics that no module has, or the system does
+    /// not allow the CPUs or priorities of a thread; with path and line.
     pub fn build(self, core: Core) -> Result<Robot> {
-        let mut core = match self.launcher {
-            LauncherChoice::Linear => core.with_launcher(Linear),
-            LauncherChoice::Pool(threads) => {
-                let pool =
-                    Pool::new(threads.get()).map_err(|error| self.source.error(1, error.to_string()))?;
-                core.with_launcher(pool)
-            }
-        };
+        let mut core = self.launch(core)?;
         for module in &self.modules {
             self.add(module, &mut core)?;
         }
@@ -46,15 +43,40 @@ impl RobotFile {
     }
 
     fn add(&self, module: &ModuleEntry, core: &mut Core) -> Result<()> {
+        self.check_thread(module)?;
         let added = module.kind.add_to(core, &module.name, module.options());
         added.map_err(|error| self.located(module, &error))
     }
 
+    fn launch(&self, core: Core) -> Result<Core> {
+        let LauncherEntry { line, choice, threads, idle } = &self.launcher;
+        let refuse = |problem: String| self.source.error(*line, problem);
+        let core = core.with_idle(*idle);
+        check("core", threads).map_err(|error| refuse(error.to_string()))?;
+        Ok(match choice {
+            LauncherChoice::Linear => core.with_launcher(Scheduled::new(Linear, threads.clone())),
+            LauncherChoice::Pool(count) => {
+                let pool = Pool::with_options(count.get(), threads.clone());
+                core.with_launcher(pool.map_err(|error| refuse(error.to_string()))?)
+            }
+            LauncherChoice::Threads => {
+                let launcher = Threads::with_options(threads.clone());
+                let launcher = launcher.map_err(|error| refuse(error.to_string()))?;
+                core.with_launcher(Scheduled::new(launcher, threads.clone()))
+            }
+        })
+    }
+
+    fn check_thread(&self, module: &ModuleEntry) -> Result<()> {
+        check(&module.name, &module.running.thread)
+            .map_err(|error| self.source.error(module.thread_line, error.to_string()))
+    }
+
     /// The error of a module's setup at the line that caused it.
     fn located(&self, module: &ModuleEntry, error: &SetupError) -> RobotFileError {
-        let of_setting = |name: &String| module.settings.get(name).map(|setting| setting.line);
-        let of_remap = |name: &String| module.remaps.get(name).map(|remap| remap.line);
-        let (line, hint) = match error {
+        let of_setting = |name: &String| module.settings.get(name).map(|setting| setting.place.clone());
+        let of_remap = |name: &String| module.remaps.get(name).map(|remap| Place::Line(remap.line));
+        let (place, hint) = match error {
             SetupError::UnknownSetting { setting, known, .. } => {
                 (of_setting(setting), suggestion(setting, known.iter().map(String::as_str)))
             }
@@ -62,27 +84,42 @@ impl RobotFile {
             SetupError::UnknownTopic { topic, known, .. } => {
                 (of_remap(topic), suggestion(topic, known.iter().map(String::as_str)))
             }
-            SetupError::TopicType { topic, .. } | SetupError::InvalidTopicName { topic, .. } => {
-                let remap = module.remaps.values().find(|remap| remap.value.trim_start_matches('/') == topic);
-                (remap.map(|remap| remap.line), String::new())
+            SetupError::TopicType { topic: name, .. }
+            | SetupError::InvalidTopicName { topic: name, .. }
+            | SetupError::ServiceType { service: name, .. }
+            | SetupError::InvalidServiceName { service: name, .. }
+            | SetupError::DuplicateServer { service: name, .. } => {
+                let is_meant = |remap: &str| remap.trim_start_matches('/') == name.trim_start_matches('/');
+                let remap = module.remaps.values().find(|remap| is_meant(&remap.value));
+                (remap.map(|remap| Place::Line(remap.line)), String::new())
             }
             _ => (None, String::new()),
         };
-        self.source.error(line.unwrap_or(module.line), format!("{error}{hint}"))
-    }
-}
-
-impl ModuleEntry {
-    /// The settings and remaps that the file gives the module.
-    #[must_use]
-    pub fn options(&self) -> ModuleOptions {
-        let settings = self.settings.iter().map(|(name, value)| (name.clone(), value.value.clone()));
-        let remaps = self.remaps.iter().map(|(from, to)| (from.clone(), to.value.clone()));
-        ModuleOptions { settings: settings.collect(), remaps: remaps.collect(), ..ModuleOptions::default() }
+        self.error_at(&place.unwrap_or(Place::Line(module.line)), format!("{error}{hint}"))
     }
 }
 
 impl RobotFile {
+    /// The same robot with threads wherever the system puts them. CPUs, priorities and spinning change no result,
+    /// and a machine that only checks or replays the robot may not allow them.
+    #[must_use]
+    pub fn on_any_machine(mut self) -> Self {
+        self.launcher.threads = ThreadOptions::default();
+        self.launcher.idle = Idle::default();
+        for module in &mut self.modules {
+            module.running.thread = ThreadOptions::default();
+        }
+        self
+    }
+
+    /// What of the file's CPUs and priorities this machine does not allow, with path and line.
+    #[must_use]
+    pub fn thread_problems(&self) -> Vec<RobotFileError> {
+        let launcher = self.launch(Core::new()).err();
+        let modules = self.modules.iter().filter_map(|module| self.check_thread(module).err());
+        launcher.into_iter().chain(modules).collect()
+    }
+
     /// Checks that no module drives a device: for running a robot on recorded input.
     ///
     /// # Errors
@@ -169,3 +206,15 @@ impl Robot {
         })
     }
 }
+
+/// Finds out in a thread of its own whether the system allows the options.
+fn check(thread: &str, options: &ThreadOptions) -> std::result::Result<(), ThreadError> {
+    if *options != ThreadOptions::default() {
+        // It does nothing, and so cannot panic.
+        let _ = options.spawn(thread, || {})?.join();
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

@@ -19,13 +19,13 @@ pub struct Kind {
     pub is_emulated: bool,
     /// True if it drives a device, which a replay must not.
     pub uses_device: bool,
-    /// How it runs.
+    /// How it runs, unless the robot file says otherwise.
     pub synchrony: Synchrony,
-    add: fn(&mut Core, &str, ModuleOptions) -> Result<(), SetupError>,
+    pub(super) add: fn(&mut Core, &str, ModuleOptions) -> Result<(), SetupError>,
 }
 
 /// Batches that wait for a module whose input and output blocks: two seconds of commands at 125 Hz.
-const INBOX: Inbox = Inbox::KeepLast(NonZeroUsize::new(250).expect("not zero"));
+pub(super) const INBOX: Inbox = Inbox::KeepLast(NonZeroUsize::new(250).expect("not zero"));
 
 /// All kinds.
 pub const KINDS: &[Kind] = &[
@@ -35,7 +35,9 @@ pub const KINDS: &[Kind] = &[
         is_emulated: false,
         uses_device: true,
         synchrony: Synchrony::Detached(INBOX),
-        add: |core, name, options| core.add_with(name, DarwinOp::new(Box::new(SerialBus::new())), options),
+        add: |core, name, options| {
+            core.add_restartable(name, || DarwinOp::new(Box::new(SerialBus::new())), options)
+        },
     },
     Kind {
         name: "darwin_op_emulator",
@@ -64,15 +66,21 @@ pub const KINDS: &[Kind] = &[
 ];
 
 impl Kind {
-    /// Adds a module of this kind to a core.
+    /// How modules of this kind join a core, unless the robot file says otherwise.
+    #[must_use]
+    pub fn options(&self) -> ModuleOptions {
+        ModuleOptions { synchrony: self.synchrony, ..ModuleOptions::default() }
+    }
+
+    /// Adds a module of this kind to a core; after a panic it can be made again.
     ///
     /// # Errors
-    /// Those of [`Core::add_with`].
+    /// Those of [`Core::add_restartable`].
     pub fn add_to(&self, core: &mut Core, name: &str, options: ModuleOptions) -> Result<(), SetupError> {
-        (self.add)(core, name, ModuleOptions { synchrony: self.synchrony, ..options })
+        (self.add)(core, name, options)
     }
 }
 
 fn add<M: Module + Default>(core: &mut Core, name: &str, options: ModuleOptions) -> Result<(), SetupError> {
-    core.add_with(name, M::default(), options)
+    core.add_restartable(name, M::default, options)
 }

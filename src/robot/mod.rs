@@ -6,7 +6,10 @@
 //! [robot]
 //! name = "darwin_op"                  # the name of the ROS 2 node
 //! namespace = "/"                     # its namespace, none unless given
-//! launcher = "pool"                   # or "linear", the default
+//! params = ["params.yaml"]            # ROS 2 parameter files, relative to this file
+//!
+//! [launcher]
+//! kind = "pool"
 //! threads = 2
 //!
 //! [[module]]
@@ -14,6 +17,9 @@
 //! kind = "darwin_op"                  # `downbeat check --kinds` lists them
 //! settings = { port = "/dev/ttyUSB0" }
 //! remap = { joint_commands = "joint_goals" }
+//! priority = 80
+//! restart = { times = 3, backoff = "500ms" }
+//! deadline = "20ms"
 //!
 //! [expose]
 //! out = ["joint_states", { topic = "imu/data_raw", qos = "sensor_data" }]
@@ -24,20 +30,69 @@
 //! compression = "zstd"
 //! ```
 //!
-//! - `[[module]]`: `kind` is needed; `name` is the kind unless given. Modules start in the order of the file.
-//! - `settings`: `downbeat check --kinds` lists them, with defaults and units.
-//! - `remap`: from the module's own name of a topic to the one to use.
+//! Times are texts with a unit: `"50us"`, `"20ms"`, `"1.5s"`, `"5m"`, `"1h"`.
+//!
+//! # `[launcher]`
+//! In short `launcher = "linear"`, `"pool"` (with `threads = 2`) or `"threads"` in `[robot]`.
+//!
+//! | key | value | unless given |
+//! | --- | --- | --- |
+//! | `kind` | `"linear"`: one thread; `"pool"`: the modules of a cycle shared among `threads`; `"threads"`: each module on its own | `"linear"` if there is no `[launcher]` |
+//! | `threads` | of a pool, the core's own included | as many as the machine runs at once |
+//! | `cpus` | numbers of the CPUs, from 0, on which these threads may run | all |
+//! | `priority` | 1 to 99: `SCHED_FIFO` at this priority | as the program |
+//! | `spin` | of pool and threads, between cycles: `"never"`, `"always"`, `"auto"`, or for a time before they park | `"auto"` |
+//! | `idle` | what the core's thread does while nothing is due: `"park"` or `"spin"` | `"park"` |
+//!
+//! Which launcher it is changes no result. Where the system does not allow `cpus` or `priority`, `downbeat run` says
+//! what to do and does not start, `downbeat check` warns, and a replay does without.
+//!
+//! # `[[module]]`
+//! Modules start in the order of the file.
+//!
+//! | key | value | unless given |
+//! | --- | --- | --- |
+//! | `kind` | what it is; `downbeat check --kinds` lists them | needed |
+//! | `name` | unique in the robot | the kind |
+//! | `settings` | `downbeat check --kinds` lists them, with defaults and units | the defaults |
+//! | `remap` | from the module's own name of a topic or service to the one to use | |
+//! | `synchrony` | `"when_due"`: in cycles in which it has something to do; `"every_cycle"`; `"detached"`: on a thread of its own | as suits the kind |
+//! | `inbox` | of a detached module: how many batches of a topic wait for it at the most, or `"all"` | as suits the kind, or 250 |
+//! | `cpus`, `priority` | of a detached module's thread, as above | all; as the program |
+//! | `initial_state` | `"active"`, `"inactive"` or `"unconfigured"`: the lifecycle state to which it is brought | `"active"` |
+//! | `restart` | after a panic: `"never"`, `"always"` or how many times; or a table of that as `times` and of `backoff`, the time before, doubled with each panic up to 30 s | `"never"`; a back-off of 1 s |
+//! | `deadline` | how long a run may take before it is reported | none |
+//!
+//! # `[expose]` and `[record]`
 //! - `[expose]`: topics that go `out` to ROS 2 or come `in`; a name, or a table with `topic`, `as` (another name in
 //!   ROS 2), `type` (checked if given) and `qos`: a preset (`default`, `sensor_data`, `latched`, …) or a table with
 //!   `preset`, `reliability`, `durability`, `history`, `depth`, `deadline_ms`.
 //! - `[record]`: what `--record` writes: `topics`, "all" or a list; `compression`, "none" or "zstd".
+//!
+//! # ROS 2 parameters
+//! Settings also come from ROS 2 parameter files, in `params` or with `--params-file`, and from `-p
+//! module.setting:=value`. A later one wins over an earlier one, `-p` over files, and all over `settings`.
+//!
+//! ```yaml
+//! /darwin_op:                         # the robot's node; or /** and the other wildcards of rcl
+//!   ros__parameters:
+//!     hardware.port: /dev/ttyUSB1     # module.setting
+//!     mux: {hold_s: 1.0}              # the same as mux.hold_s
+//! ```
+//!
+//! Values have the type of YAML 1.2, so `yes` is text and not true. `downbeat check --dump-params` writes such a file
+//! of all settings; see [`RobotFile::set_from_parameter_file`].
 //!
 //! What is wrong with a file is told with its path and line, and the nearest valid name.
 
 mod build;
 mod file;
 mod kinds;
+mod parameters;
 
 pub use build::Robot;
-pub use file::{Direction, ExposeEntry, LauncherChoice, ModuleEntry, RecordEntry, RobotFile, RobotFileError};
+pub use file::{
+    Direction, ExposeEntry, LauncherChoice, LauncherEntry, ModuleEntry, RecordEntry, RobotFile,
+    RobotFileError,
+};
 pub use kinds::{KINDS, Kind};

@@ -143,6 +143,9 @@ fn playback_begins_at_its_offset_with_the_chosen_topics() {
     }
     assert_eq!(played, [(5, 0), (6, 1), (7, 2), (8, 3), (9, 4)]);
 
+    let late = PlaybackOptions { start_offset: std::time::Duration::from_millis(10), ..options.clone() };
+    let error = Playback::open(&reader, &late).err().unwrap();
+    assert_eq!(error.to_string(), "cannot begin 10ms into the bag: it is 9ms long");
     let wrong = PlaybackOptions { topics: Some(vec!["/nubmers".to_owned()]), ..options };
     let error = Playback::open(&reader, &wrong).err().unwrap();
     assert!(matches!(error, PlaybackError::UnknownTopic { .. }), "{error}");

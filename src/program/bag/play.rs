@@ -30,7 +30,7 @@ fn play_into(reader: &Reader, robot: &std::path::Path, arguments: &PlayArguments
     let clock = ManualClock::new(Time::from_nanos(reader.start_time().unwrap_or(0)));
     let file = RobotFile::read(robot)?;
     file.refuse_devices()?;
-    let mut robot = file.build(Core::new().with_clock(clock.clone()))?;
+    let mut robot = file.on_any_machine().build(Core::new().with_clock(clock.clone()))?;
     let recording = arguments
         .record
         .as_ref()

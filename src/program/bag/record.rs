@@ -8,6 +8,7 @@ use downbeat::bridge::edge::KnownType;
 use downbeat::bridge::middleware::{Direction, RemoteEndpoint, Sample};
 use downbeat::bridge::ros::{MessageType, Node, NodeName, Participant, Subscription, TopicName};
 use downbeat::msgs::qos::QosProfile;
+use downbeat::robot::RobotFile;
 
 use crate::program::cli::RecordArguments;
 use crate::program::run::participant_options;
@@ -19,7 +20,7 @@ pub(crate) fn record(arguments: &RecordArguments, screen: &Screen) -> anyhow::Re
     let compression = if arguments.zstd { Compression::Zstd } else { Compression::None };
     match &arguments.robot {
         Some(robot) => {
-            let mut session = Session::new(robot)?;
+            let mut session = Session::new(RobotFile::read(robot)?)?;
             session.record(&arguments.output, arguments.zstd.then_some(compression))?;
             session.run(&Stop::new(arguments.duration)?, screen)
         }

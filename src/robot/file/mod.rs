@@ -1,21 +1,24 @@
 //! Reading robot files; [`crate::robot`] says what they look like.
 
+mod launcher;
+mod module;
+mod place;
 mod source;
 mod table;
 
-use std::collections::BTreeMap;
-use std::num::NonZeroUsize;
 use std::path::Path;
 use std::time::Duration;
 
 use downbeat_bags::Compression;
-use downbeat_executor::SettingValue;
 use downbeat_msgs::qos::{Durability, History, QosProfile, Reliability};
 use toml::de::DeTable;
 
-use super::kinds::{KINDS, Kind};
+pub use launcher::{LauncherChoice, LauncherEntry};
+pub use module::ModuleEntry;
+pub(crate) use place::{Given, ParameterPlace, Place};
 pub use source::RobotFileError;
 pub(crate) use source::{Source, suggestion};
+pub(crate) use table::list_of;
 use table::{Table, Value};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
@@ -28,34 +31,13 @@ pub struct RobotFile {
     /// The namespace of the ROS 2 node, `/` for none.
     pub namespace: String,
     /// How the process phase runs.
-    pub launcher: LauncherChoice,
+    pub launcher: LauncherEntry,
     /// The modules, in the order of registration.
     pub modules: Vec<ModuleEntry>,
     /// What ROS 2 sees.
     pub expose: Vec<ExposeEntry>,
     /// What a recording holds.
     pub record: RecordEntry,
-}
-
-/// How the process phase runs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum LauncherChoice {
-    /// On one thread.
-    #[default]
-    Linear,
-    /// On so many threads.
-    Pool(NonZeroUsize),
-}
-
-/// A module of a robot file.
-pub struct ModuleEntry {
-    pub(crate) line: usize,
-    /// The name, unique in the robot.
-    pub name: String,
-    /// What it is.
-    pub kind: &'static Kind,
-    pub(crate) settings: BTreeMap<String, Located<SettingValue>>,
-    pub(crate) remaps: BTreeMap<String, Located<String>>,
 }
 
 /// Whether ROS 2 receives a topic or sends it.
@@ -102,12 +84,22 @@ impl RobotFile {
     /// Reads a robot file.
     ///
     /// # Errors
-    /// If it cannot be read, or says something that cannot be; with path and line.
+    /// If it, or a parameter file that it names, cannot be read or says something that cannot be; with path and
+    /// line.
     pub fn read(path: &Path) -> Result<Self> {
-        Self::parse(Source::read(path)?)
+        let (mut file, parameter_files) = Self::parse(Source::read(path, "robot file")?)?;
+        let folder = path.parent().map(Path::to_owned).unwrap_or_default();
+        for Located { line, value: name } in parameter_files {
+            file.set_from_parameter_file(&folder.join(name)).map_err(|error| match error {
+                RobotFileError::Unreadable { .. } => file.source.error(line, error.to_string()),
+                other => other,
+            })?;
+        }
+        Ok(file)
     }
 
-    pub(crate) fn parse(source: Source) -> Result<Self> {
+    /// Reads what the text says, without the parameter files that it names.
+    pub(crate) fn parse(source: Source) -> Result<(Self, Vec<Located<String>>)> {
         let text = source.text().to_owned();
         let document = DeTable::parse(&text).map_err(|error| {
             let line = source.line_of(&error.span().unwrap_or_default());
@@ -117,13 +109,19 @@ impl RobotFile {
         let mut robot = root.require("robot")?.table("[robot]")?;
         let name = identifier(robot.require("name")?)?;
         let namespace = robot.take("namespace").map_or(Ok("/"), |value| value.text())?.to_owned();
-        let launcher = launcher(&mut robot)?;
+        let launcher = launcher::launcher(&mut root, &mut robot)?;
+        let parameter_files = robot.take("params").map_or(Ok(Vec::new()), |value| value.list())?;
+        let parameter_files = parameter_files
+            .iter()
+            .map(|value| Ok(Located { line: value.line(), value: value.text()?.to_owned() }))
+            .collect::<Result<_>>()?;
         robot.finish()?;
-        let modules = root.require("module")?.list()?.into_iter().map(module).collect::<Result<Vec<_>>>()?;
+        let modules = root.require("module")?.list()?;
+        let modules = modules.into_iter().map(module::module).collect::<Result<Vec<_>>>()?;
         let expose = root.take("expose").map_or(Ok(Vec::new()), expose)?;
         let record = root.take("record").map_or(Ok(RecordEntry::default()), record)?;
         root.finish()?;
-        Ok(Self { source, name, namespace, launcher, modules, expose, record })
+        Ok((Self { source, name, namespace, launcher, modules, expose, record }, parameter_files))
     }
 
     /// The file's path.
@@ -143,53 +141,6 @@ impl Default for RecordEntry {
     fn default() -> Self {
         Self { line: 1, topics: None, compression: Compression::default() }
     }
-}
-
-fn launcher(robot: &mut Table<'_>) -> Result<LauncherChoice> {
-    let (launcher, threads) = (robot.take("launcher"), robot.take("threads"));
-    let threads = threads.map(|value| Ok((value, value.count()?))).transpose()?;
-    match (launcher.map(|value| Ok((value, value.text()?))).transpose()?, threads) {
-        (None | Some((_, "linear")), None) => Ok(LauncherChoice::Linear),
-        (None | Some((_, "linear")), Some((value, _))) => {
-            Err(value.error("\"threads\" goes with launcher = \"pool\""))
-        }
-        (Some((_, "pool")), threads) => {
-            let threads = threads.and_then(|(_, count)| NonZeroUsize::new(count as usize));
-            let available = || std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
-            Ok(LauncherChoice::Pool(threads.unwrap_or_else(available)))
-        }
-        (Some((value, other)), _) => {
-            let hint = suggestion(other, ["linear", "pool"]);
-            Err(value.error(format!("unknown launcher \"{other}\"{hint}")))
-        }
-    }
-}
-
-fn module(value: Value<'_>) -> Result<ModuleEntry> {
-    let mut table = value.table("[[module]]")?;
-    let kind_value = table.require("kind")?;
-    let kind_name = kind_value.text()?;
-    let kind = KINDS.iter().find(|kind| kind.name == kind_name).ok_or_else(|| {
-        let hint = suggestion(kind_name, KINDS.iter().map(|kind| kind.name));
-        kind_value.error(format!("unknown kind of module \"{kind_name}\"{hint}"))
-    })?;
-    let name_value = table.take("name");
-    let line = name_value.map_or(kind_value.line(), |value| value.line());
-    let name = name_value.map_or(Ok(kind.name.to_owned()), identifier)?;
-    let settings = located(table.take("settings"), "settings", |value| value.setting())?;
-    let remaps = located(table.take("remap"), "remap", |value| Ok(value.text()?.to_owned()))?;
-    table.finish()?;
-    Ok(ModuleEntry { line, name, kind, settings, remaps })
-}
-
-fn located<T>(
-    value: Option<Value<'_>>,
-    name: &str,
-    read: impl Fn(Value<'_>) -> Result<T>,
-) -> Result<BTreeMap<String, Located<T>>> {
-    let Some(value) = value else { return Ok(BTreeMap::new()) };
-    let entries = value.table(name)?.take_rest().into_iter();
-    entries.map(|(key, value)| Ok((key, Located { line: value.line(), value: read(value)? }))).collect()
 }
 
 fn expose(value: Value<'_>) -> Result<Vec<ExposeEntry>> {

@@ -3,12 +3,14 @@
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// What is wrong with a robot file, and where.
+/// What is wrong with a robot file, or with values given beside it, and where.
 #[derive(Debug, thiserror::Error)]
 pub enum RobotFileError {
     /// The file cannot be read.
-    #[error("cannot read the robot file {}: {source}", path.display())]
+    #[error("cannot read the {what} {}: {source}", path.display())]
     Unreadable {
+        /// Robot file or parameter file.
+        what: &'static str,
         /// The file.
         path: PathBuf,
         /// What the system said.
@@ -24,19 +26,27 @@ pub enum RobotFileError {
         /// What was found, what was expected, and the nearest valid name where there is one.
         problem: String,
     },
+    /// A value of the command line cannot be.
+    #[error("-p {argument}: {problem}")]
+    Argument {
+        /// As it was given.
+        argument: String,
+        /// What was found, what was expected, and the nearest valid name where there is one.
+        problem: String,
+    },
 }
 
-/// A robot file's path and text.
+/// The path and the text of a robot file, or of a parameter file.
 pub(crate) struct Source {
     path: PathBuf,
     text: String,
 }
 
 impl Source {
-    pub(crate) fn read(path: &Path) -> Result<Self, RobotFileError> {
+    pub(crate) fn read(path: &Path, what: &'static str) -> Result<Self, RobotFileError> {
         match std::fs::read_to_string(path) {
             Ok(text) => Ok(Self::new(path, text)),
-            Err(source) => Err(RobotFileError::Unreadable { path: path.into(), source }),
+            Err(source) => Err(RobotFileError::Unreadable { what, path: path.into(), source }),
         }
     }
 

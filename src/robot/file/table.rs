@@ -1,5 +1,8 @@
 //! Reading TOML tables so that each mistake is told with its line.
 
+use std::ops::RangeInclusive;
+use std::time::Duration;
+
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
@@ -39,6 +42,11 @@ impl<'a> Table<'a> {
         self.asked.push(key);
         let position = self.rest.iter().position(|(known, _)| known.get_ref() == key)?;
         Some(self.rest.remove(position).1)
+    }
+
+    /// A value that is left to be taken.
+    pub(crate) fn peek(&self, key: &str) -> Option<Value<'a>> {
+        self.rest.iter().find(|(known, _)| known.get_ref() == key).map(|&(_, value)| value)
     }
 
     pub(crate) fn require(&mut self, key: &'static str) -> Result<Value<'a>> {
@@ -90,6 +98,22 @@ impl<'a> Value<'a> {
         }
     }
 
+    /// A whole number in a range; `what` says which, for who gives another.
+    pub(crate) fn number_in<N: TryFrom<i64>>(&self, range: RangeInclusive<i64>, what: &str) -> Result<N> {
+        let number = self.integer().ok().filter(|number| range.contains(number));
+        number.and_then(|number| N::try_from(number).ok()).ok_or_else(|| self.expected(what))
+    }
+
+    /// A time above 0.
+    pub(crate) fn duration(&self) -> Result<Duration> {
+        let text = self.text().map_err(|_| self.expected("a time with its unit, such as \"20ms\""))?;
+        match crate::duration::parse(text) {
+            Ok(Duration::ZERO) => Err(self.error(format!("\"{text}\" is no time: it has to be above 0"))),
+            Ok(duration) => Ok(duration),
+            Err(problem) => Err(self.error(problem)),
+        }
+    }
+
     pub(crate) fn list(&self) -> Result<Vec<Value<'a>>> {
         match self.value.get_ref() {
             DeValue::Array(values) => {
@@ -134,27 +158,8 @@ impl<'a> Value<'a> {
     }
 
     fn setting_list(&self) -> Result<SettingValue> {
-        let elements = self.list()?;
-        let values = elements.iter().map(Value::setting).collect::<Result<Vec<_>>>()?;
-        let all = |matches: fn(&SettingValue) -> bool| values.iter().all(matches);
-        if all(|value| matches!(value, SettingValue::Integer(_))) {
-            let numbers = elements.iter().map(Value::integer).collect::<Result<_>>()?;
-            return Ok(SettingValue::Integers(numbers));
-        }
-        if all(|value| matches!(value, SettingValue::Text(_))) {
-            let texts =
-                elements.iter().map(|element| Ok(element.text()?.to_owned())).collect::<Result<_>>()?;
-            return Ok(SettingValue::Texts(texts));
-        }
-        let number = |value| match value {
-            SettingValue::Integer(number) => Some(number as f64),
-            SettingValue::Double(number) => Some(number),
-            _ => None,
-        };
-        let numbers = values.into_iter().map(number).collect::<Option<_>>();
-        numbers
-            .map(SettingValue::Doubles)
-            .ok_or_else(|| self.expected("a list of numbers only, or of texts only"))
+        let values = self.list()?.iter().map(Value::setting).collect::<Result<Vec<_>>>()?;
+        list_of(values).ok_or_else(|| self.expected("a list of numbers only, or of texts only"))
     }
 
     fn expected(&self, what: &str) -> RobotFileError {
@@ -162,4 +167,23 @@ impl<'a> Value<'a> {
         let found: String = text.lines().next().unwrap_or_default().chars().take(40).collect();
         self.error(format!("expected {what}, found {found}"))
     }
+}
+
+/// The values as one list; nothing if they are not all numbers or all texts.
+pub(crate) fn list_of(values: Vec<SettingValue>) -> Option<SettingValue> {
+    let all = |matches: fn(&SettingValue) -> bool| values.iter().all(matches);
+    if all(|value| matches!(value, SettingValue::Integer(_))) {
+        let integer = |value| if let SettingValue::Integer(integer) = value { Some(integer) } else { None };
+        return values.into_iter().map(integer).collect::<Option<_>>().map(SettingValue::Integers);
+    }
+    if all(|value| matches!(value, SettingValue::Text(_))) {
+        let text = |value| if let SettingValue::Text(text) = value { Some(text) } else { None };
+        return values.into_iter().map(text).collect::<Option<_>>().map(SettingValue::Texts);
+    }
+    let number = |value| match value {
+        SettingValue::Integer(number) => Some(number as f64),
+        SettingValue::Double(number) => Some(number),
+        _ => None,
+    };
+    values.into_iter().map(number).collect::<Option<_>>().map(SettingValue::Doubles)
 }

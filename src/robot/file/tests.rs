@@ -1,8 +1,9 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
+use downbeat_executor::{Idle, Inbox, LifecycleState, Restart, Spin, Synchrony};
 
 fn parse(text: &str) -> Result<RobotFile> {
-    RobotFile::parse(Source::new(Path::new("robots/test.toml"), text.into()))
+    RobotFile::parse(Source::new(Path::new("robots/test.toml"), text.into())).map(|(file, _)| file)
 }
 
 fn problem(text: &str) -> String {
@@ -15,7 +16,7 @@ const ROBOT: &str = "[robot]\nname = \"r\"\n[[module]]\nkind = \"darwin_op\"\n";
 fn what_is_not_said_has_a_default() {
     let file = parse(ROBOT).unwrap();
     assert_eq!((file.name.as_str(), file.namespace.as_str()), ("r", "/"));
-    assert_eq!(file.launcher, LauncherChoice::Linear);
+    assert_eq!(file.launcher.choice, LauncherChoice::Linear);
     assert_eq!(file.modules[0].name, "darwin_op");
     assert!(file.expose.is_empty() && file.record.topics.is_none() && !file.is_emulated());
 }
@@ -31,6 +32,133 @@ fn an_exposed_topic_may_have_another_name_a_type_and_a_quality_of_service() {
     assert_eq!((a.direction, a.qos), (Direction::Out, QosProfile::DEFAULT));
     assert_eq!((b.ros_topic.as_str(), b.qos), ("c", QosProfile::SENSOR_DATA.keep_last(2)));
     assert_eq!((d.direction, d.qos), (Direction::In, QosProfile::LATCHED));
+}
+
+fn launcher(text: &str) -> LauncherEntry {
+    parse(&format!("{ROBOT}{text}")).unwrap().launcher
+}
+
+#[test]
+fn a_launcher_says_on_which_cpus_and_how_its_threads_run() {
+    let entry = launcher(
+        "[launcher]\nkind = \"pool\"\nthreads = 2\ncpus = [0, 1]\npriority = 80\nspin = \"50us\"\nidle = \"spin\"",
+    );
+    assert_eq!(entry.choice, LauncherChoice::Pool(2.try_into().unwrap()));
+    assert_eq!((entry.threads.cpus, entry.threads.fifo_priority), (vec![0, 1], Some(80)));
+    assert_eq!((entry.threads.spin, entry.idle), (Spin::For(Duration::from_micros(50)), Idle::Spin));
+    assert_eq!(entry.line, 5);
+    for (text, spin) in [("never", Spin::Never), ("always", Spin::Always), ("auto", Spin::Auto)] {
+        let entry = launcher(&format!("[launcher]\nkind = \"threads\"\nspin = \"{text}\""));
+        assert_eq!((entry.choice, entry.threads.spin), (LauncherChoice::Threads, spin));
+    }
+    let inline = parse(
+        "[robot]\nname = \"r\"\nlauncher = { kind = \"linear\", cpus = [1] }\n[[module]]\nkind = \"darwin_op\"",
+    );
+    assert_eq!(inline.unwrap().launcher.threads.cpus, [1]);
+    let short = parse("[robot]\nname = \"r\"\nlauncher = \"threads\"\n[[module]]\nkind = \"darwin_op\"");
+    assert_eq!(short.unwrap().launcher.choice, LauncherChoice::Threads);
+}
+
+#[test]
+fn mistakes_in_a_launcher_are_told_with_their_line() {
+    let cases = [
+        ("[launcher]\nthreads = 2", ":5: [launcher] needs \"kind\""),
+        ("[launcher]\nkind = \"pol\"", ":6: unknown launcher \"pol\", did you mean \"pool\"?"),
+        (
+            "[launcher]\nkind = \"threads\"\nthreads = 2",
+            ":7: a number of \"threads\" goes with the launcher \"pool\"",
+        ),
+        ("[launcher]\nkind = \"pool\"\ncpus = [-1]", ":7: expected the number of a CPU, from 0, found -1"),
+        ("[launcher]\nkind = \"pool\"\ncpus = []", ":7: expected the numbers of CPUs, found none"),
+        (
+            "[launcher]\nkind = \"pool\"\npriority = 100",
+            ":7: expected a SCHED_FIFO priority from 1, the lowest, to 99",
+        ),
+        (
+            "[launcher]\nkind = \"pool\"\nspin = \"alway\"",
+            ":7: unknown choice \"alway\", did you mean \"always\"?",
+        ),
+        ("[launcher]\nkind = \"pool\"\nspin = \"50\"", ":7: \"50\" is not a time"),
+        ("[launcher]\nkind = \"linear\"\nspin = \"never\"", ":7: \"spin\" is for the threads of"),
+        ("[launcher]\nkind = \"pool\"\nidle = \"sleep\"", ":7: unknown choice \"sleep\""),
+        (
+            "[launcher]\nkind = \"pool\"\nprio = 3",
+            ":7: [launcher] has no \"prio\", did you mean \"priority\"?",
+        ),
+    ];
+    for (text, expected) in cases {
+        let problem = problem(&format!("{ROBOT}{text}"));
+        assert!(problem.contains(expected), "{problem}\n  should contain\n{expected}");
+    }
+    let twice = "[robot]\nname = \"r\"\nlauncher = \"pool\"\n[launcher]\nkind = \"pool\"\n[[module]]\nkind = \"darwin_op\"";
+    assert!(problem(twice).contains(":4: the launcher is given here and in [robot]"));
+}
+
+fn options(text: &str) -> downbeat_executor::ModuleOptions {
+    parse(&format!("{ROBOT}{text}")).unwrap().modules[0].options()
+}
+
+#[test]
+fn a_module_says_when_it_runs_and_what_happens_after_a_panic() {
+    let second = Duration::from_secs(1);
+    let given = options("initial_state = \"inactive\"\ndeadline = \"20ms\"\ncpus = [1]\npriority = 7");
+    assert_eq!(given.initial_state, LifecycleState::Inactive);
+    assert_eq!(given.deadline, Some(Duration::from_millis(20)));
+    assert_eq!((given.thread.cpus, given.thread.fifo_priority), (vec![1], Some(7)));
+    for (text, restart) in [
+        ("", Restart::Never),
+        ("restart = \"never\"", Restart::Never),
+        ("restart = \"always\"", Restart::Always { backoff: second }),
+        ("restart = 2", Restart::Times { limit: 2, backoff: second }),
+        (
+            "restart = { times = 3, backoff = \"500ms\" }",
+            Restart::Times { limit: 3, backoff: Duration::from_millis(500) },
+        ),
+        ("restart = { times = \"always\", backoff = \"1m\" }", Restart::Always { backoff: 60 * second }),
+    ] {
+        assert_eq!(options(text).restart, restart, "{text}");
+    }
+    for (text, synchrony) in [
+        ("", Synchrony::Detached(crate::robot::kinds::INBOX)),
+        ("inbox = 3", Synchrony::Detached(Inbox::KeepLast(3.try_into().unwrap()))),
+        ("synchrony = \"detached\"\ninbox = \"all\"", Synchrony::Detached(Inbox::KeepAll)),
+        ("synchrony = \"when_due\"", Synchrony::WhenDue),
+        ("synchrony = \"every_cycle\"", Synchrony::EveryCycle),
+    ] {
+        assert_eq!(options(text).synchrony, synchrony, "{text}");
+    }
+    let motion = format!("{ROBOT}[[module]]\nkind = \"stand_nod_wave\"\nsynchrony = \"detached\"");
+    let motion = parse(&motion).unwrap().modules[1].options();
+    assert_eq!(motion.synchrony, Synchrony::Detached(crate::robot::kinds::INBOX));
+}
+
+#[test]
+fn mistakes_in_a_module_are_told_with_their_line() {
+    let cases = [
+        ("synchrony = \"detach\"", ":5: unknown choice \"detach\", did you mean \"detached\"?"),
+        ("inbox = 0", ":5: expected a number of batches above 0, or \"all\", found 0"),
+        ("synchrony = \"when_due\"\ninbox = 2", ":6: \"inbox\" goes with synchrony = \"detached\""),
+        ("synchrony = \"every_cycle\"\ncpus = [0]", ":6: \"cpus\" and \"priority\" of a module go with"),
+        ("priority = 0", ":5: expected a SCHED_FIFO priority"),
+        ("initial_state = \"finalized\"", ":5: unknown choice \"finalized\""),
+        ("initial_state = \"inactiv\"", ":5: unknown choice \"inactiv\", did you mean \"inactive\"?"),
+        ("restart = 0", ":5: expected \"never\", \"always\", or how many times, found 0"),
+        ("restart = \"alway\"", ":5: unknown choice \"alway\", did you mean \"always\"?"),
+        ("restart = { backoff = \"1s\" }", ":5: restart needs \"times\""),
+        (
+            "restart = { times = 1, back_off = \"1s\" }",
+            ":5: restart has no \"back_off\", did you mean \"backoff\"?",
+        ),
+        ("deadline = 20", ":5: expected a time with its unit, such as \"20ms\", found 20"),
+        ("deadline = \"20\"", ":5: \"20\" is not a time; write 500ms"),
+        ("deadline = \"0ms\"", ":5: \"0ms\" is no time: it has to be above 0"),
+        ("name = \"recorder\"", ":5: \"recorder\" is the name of a module that the program adds"),
+        ("name = \"bridge\"", ":5: \"bridge\" is the name of a module that the program adds"),
+    ];
+    for (text, expected) in cases {
+        let problem = problem(&format!("{ROBOT}{text}"));
+        assert!(problem.contains(expected), "{problem}\n  should contain\n{expected}");
+    }
 }
 
 #[test]

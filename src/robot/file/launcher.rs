@@ -1,0 +1,138 @@
+//! `[launcher]` of a robot file.
+
+use std::fmt;
+use std::num::NonZeroUsize;
+
+use downbeat_executor::{Idle, Spin, ThreadOptions};
+
+use super::table::{Table, Value};
+use super::{RobotFileError, suggestion};
+
+type Result<T> = std::result::Result<T, RobotFileError>;
+
+/// How the process phase runs, and on which threads.
+#[derive(Clone, Debug)]
+pub struct LauncherEntry {
+    pub(crate) line: usize,
+    /// On how many threads.
+    pub choice: LauncherChoice,
+    /// Where and how they run, the core's own included.
+    pub threads: ThreadOptions,
+    /// What the core's thread does while nothing is due.
+    pub idle: Idle,
+}
+
+/// On how many threads the process phase runs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LauncherChoice {
+    /// On one.
+    #[default]
+    Linear,
+    /// On so many.
+    Pool(NonZeroUsize),
+    /// Each module on one of its own.
+    Threads,
+}
+
+impl fmt::Display for LauncherChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Linear => f.write_str("on one thread"),
+            Self::Pool(threads) => write!(f, "on {threads} threads"),
+            Self::Threads => f.write_str("each module on a thread of its own"),
+        }
+    }
+}
+
+/// Reads `[launcher]`, or `launcher` and `threads` of `[robot]`.
+pub(super) fn launcher<'a>(root: &mut Table<'a>, robot: &mut Table<'a>) -> Result<LauncherEntry> {
+    let threads = robot.take("threads");
+    let launcher = match (robot.take("launcher"), root.take("launcher")) {
+        (Some(_), Some(value)) => {
+            return Err(value.error("the launcher is given here and in [robot]; keep one of them"));
+        }
+        (value, None) | (None, value) => value,
+    };
+    let line = launcher.or(threads).map_or(robot.line(), |value| value.line());
+    let plain =
+        |choice| LauncherEntry { line, choice, threads: ThreadOptions::default(), idle: Idle::default() };
+    let Some(value) = launcher else { return Ok(plain(choice(None, threads)?)) };
+    match (value.as_table("[launcher]"), threads) {
+        (None, threads) => Ok(plain(choice(Some(value), threads)?)),
+        (Some(_), Some(threads)) => {
+            Err(threads.error("\"threads\" stands in the table of the launcher, beside \"kind\""))
+        }
+        (Some(table), None) => detailed(table, line),
+    }
+}
+
+fn detailed(mut table: Table<'_>, line: usize) -> Result<LauncherEntry> {
+    let kind = table.require("kind")?;
+    let choice = choice(Some(kind), table.take("threads"))?;
+    let mut threads = thread(&mut table)?;
+    if let Some(value) = table.take("spin") {
+        if choice == LauncherChoice::Linear {
+            return Err(value.error(
+                "\"spin\" is for the threads of kind = \"pool\" or \"threads\"; the core's own has \"idle\"",
+            ));
+        }
+        threads.spin = spin(value)?;
+    }
+    let idle = match table.take("idle") {
+        Some(value) => super::choice(value, &[("park", Idle::Park), ("spin", Idle::Spin)])?,
+        None => Idle::default(),
+    };
+    table.finish()?;
+    Ok(LauncherEntry { line, choice, threads, idle })
+}
+
+fn choice(launcher: Option<Value<'_>>, threads: Option<Value<'_>>) -> Result<LauncherChoice> {
+    let threads = threads.map(|value| Ok((value, value.count()?))).transpose()?;
+    let kind = launcher.map(|value| Ok((value, value.text()?))).transpose()?;
+    match (kind, threads) {
+        (None | Some((_, "linear")), None) => Ok(LauncherChoice::Linear),
+        (Some((_, "threads")), None) => Ok(LauncherChoice::Threads),
+        (None | Some((_, "linear" | "threads")), Some((value, _))) => {
+            Err(value.error("a number of \"threads\" goes with the launcher \"pool\""))
+        }
+        (Some((_, "pool")), threads) => {
+            let threads = threads.and_then(|(_, count)| NonZeroUsize::new(count as usize));
+            let available = || std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
+            Ok(LauncherChoice::Pool(threads.unwrap_or_else(available)))
+        }
+        (Some((value, other)), _) => {
+            let hint = suggestion(other, ["linear", "pool", "threads"]);
+            Err(value.error(format!("unknown launcher \"{other}\"{hint}")))
+        }
+    }
+}
+
+/// Where a thread runs: `cpus` and `priority`.
+pub(super) fn thread(table: &mut Table<'_>) -> Result<ThreadOptions> {
+    let mut options = ThreadOptions::default();
+    if let Some(value) = table.take("cpus") {
+        let cpu = |value: &Value<'_>| value.number_in(0..=65_535, "the number of a CPU, from 0");
+        options.cpus = value.list()?.iter().map(cpu).collect::<Result<Vec<usize>>>()?;
+        if options.cpus.is_empty() {
+            return Err(value.error("expected the numbers of CPUs, found none; leave \"cpus\" out for all"));
+        }
+    }
+    if let Some(value) = table.take("priority") {
+        let what = "a SCHED_FIFO priority from 1, the lowest, to 99";
+        options.fifo_priority = Some(value.number_in(1..=99, what)?);
+    }
+    Ok(options)
+}
+
+fn spin(value: Value<'_>) -> Result<Spin> {
+    match value.text()? {
+        "auto" => Ok(Spin::Auto),
+        "never" => Ok(Spin::Never),
+        "always" => Ok(Spin::Always),
+        text if text.starts_with(|c: char| c.is_ascii_digit()) => Ok(Spin::For(value.duration()?)),
+        other => {
+            let hint = suggestion(other, ["auto", "never", "always"]);
+            Err(value.error(format!("unknown choice \"{other}\"{hint} A time such as \"50us\" is one too")))
+        }
+    }
+}

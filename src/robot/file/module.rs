@@ -1,0 +1,166 @@
+//! `[[module]]` of a robot file.
+
+use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
+use std::time::Duration;
+
+use downbeat_executor::{Inbox, LifecycleState, ModuleOptions, Restart, Synchrony, ThreadOptions};
+
+use super::table::{Table, Value};
+use super::{Given, Located, Place, RobotFileError, choice, identifier, launcher, suggestion};
+use crate::robot::kinds::{INBOX, KINDS, Kind};
+
+type Result<T> = std::result::Result<T, RobotFileError>;
+
+/// A module of a robot file.
+pub struct ModuleEntry {
+    pub(crate) line: usize,
+    /// The name, unique in the robot.
+    pub name: String,
+    /// What it is.
+    pub kind: &'static Kind,
+    pub(crate) settings: BTreeMap<String, Given>,
+    pub(crate) remaps: BTreeMap<String, Located<String>>,
+    /// The line that says on which CPUs or at which priority its thread runs.
+    pub(crate) thread_line: usize,
+    /// How it runs; without settings and remaps.
+    pub(crate) running: ModuleOptions,
+}
+
+/// The modules that the program adds to a robot.
+const RESERVED_NAMES: [&str; 4] =
+    [downbeat_bridge::expose::MODULE_NAME, "recorder", "fault_watch", "step_journal"];
+
+/// How long a module that panicked waits before it starts again, unless the file says otherwise.
+const USUAL_BACKOFF: Duration = Duration::from_secs(1);
+
+impl ModuleEntry {
+    /// How the file says that the module joins a core.
+    #[must_use]
+    pub fn options(&self) -> ModuleOptions {
+        let settings = self.settings.iter().map(|(name, given)| (name.clone(), given.value.clone()));
+        let remaps = self.remaps.iter().map(|(from, to)| (from.clone(), to.value.clone()));
+        ModuleOptions { settings: settings.collect(), remaps: remaps.collect(), ..self.running.clone() }
+    }
+}
+
+pub(super) fn module(value: Value<'_>) -> Result<ModuleEntry> {
+    let mut table = value.table("[[module]]")?;
+    let kind_value = table.require("kind")?;
+    let kind_name = kind_value.text()?;
+    let kind = KINDS.iter().find(|kind| kind.name == kind_name).ok_or_else(|| {
+        let hint = suggestion(kind_name, KINDS.iter().map(|kind| kind.name));
+        kind_value.error(format!("unknown kind of module \"{kind_name}\"{hint}"))
+    })?;
+    let name_value = table.take("name");
+    let line = name_value.map_or(kind_value.line(), |value| value.line());
+    let name = name_value.map_or(Ok(kind.name.to_owned()), module_name)?;
+    let settings = entries(table.take("settings"), "settings", |value| {
+        Ok(Given { place: Place::Line(value.line()), value: value.setting()? })
+    })?;
+    let remaps = entries(table.take("remap"), "remap", |value| {
+        Ok(Located { line: value.line(), value: value.text()?.to_owned() })
+    })?;
+    let synchrony = synchrony(&mut table, kind)?;
+    let (thread_line, thread) = thread(&mut table, synchrony, line)?;
+    let running = ModuleOptions {
+        synchrony,
+        initial_state: table.take("initial_state").map_or(Ok(LifecycleState::default()), initial_state)?,
+        restart: table.take("restart").map_or(Ok(Restart::default()), restart)?,
+        deadline: table.take("deadline").map(|value| value.duration()).transpose()?,
+        thread,
+        ..ModuleOptions::default()
+    };
+    table.finish()?;
+    Ok(ModuleEntry { line, name, kind, settings, remaps, thread_line, running })
+}
+
+fn module_name(value: Value<'_>) -> Result<String> {
+    let name = identifier(value)?;
+    if RESERVED_NAMES.contains(&name.as_str()) {
+        return Err(
+            value.error(format!("\"{name}\" is the name of a module that the program adds; choose another"))
+        );
+    }
+    Ok(name)
+}
+
+fn entries<T>(
+    value: Option<Value<'_>>,
+    name: &str,
+    read: impl Fn(Value<'_>) -> Result<T>,
+) -> Result<BTreeMap<String, T>> {
+    let Some(value) = value else { return Ok(BTreeMap::new()) };
+    let entries = value.table(name)?.take_rest().into_iter();
+    entries.map(|(key, value)| Ok((key, read(value)?))).collect()
+}
+
+fn synchrony(table: &mut Table<'_>, kind: &Kind) -> Result<Synchrony> {
+    let synchrony = match table.take("synchrony") {
+        None => kind.synchrony,
+        Some(value) => {
+            let choices = [("when_due", 0), ("every_cycle", 1), ("detached", 2)];
+            match (choice(value, &choices)?, kind.synchrony) {
+                (0, _) => Synchrony::WhenDue,
+                (1, _) => Synchrony::EveryCycle,
+                (_, detached @ Synchrony::Detached(_)) => detached,
+                _ => Synchrony::Detached(INBOX),
+            }
+        }
+    };
+    let Some(value) = table.take("inbox") else { return Ok(synchrony) };
+    if !matches!(synchrony, Synchrony::Detached(_)) {
+        return Err(value.error("\"inbox\" goes with synchrony = \"detached\""));
+    }
+    let inbox = match value.text() {
+        Ok("all") => Inbox::KeepAll,
+        _ => {
+            let batches = value.number_in(1..=i64::from(u32::MAX), "a number of batches above 0, or \"all\"");
+            batches.map(|count| Inbox::KeepLast(NonZeroUsize::new(count).unwrap_or(NonZeroUsize::MIN)))?
+        }
+    };
+    Ok(Synchrony::Detached(inbox))
+}
+
+fn thread(table: &mut Table<'_>, synchrony: Synchrony, line: usize) -> Result<(usize, ThreadOptions)> {
+    let given = table.peek("priority").or(table.peek("cpus"));
+    let options = launcher::thread(table)?;
+    match given {
+        Some(value) if !matches!(synchrony, Synchrony::Detached(_)) => Err(value.error(
+            "\"cpus\" and \"priority\" of a module go with synchrony = \"detached\"; for the others give them in \
+             [launcher]",
+        )),
+        given => Ok((given.map_or(line, |value| value.line()), options)),
+    }
+}
+
+fn initial_state(value: Value<'_>) -> Result<LifecycleState> {
+    let states = [LifecycleState::Unconfigured, LifecycleState::Inactive, LifecycleState::Active];
+    let names = states.map(|state| state.to_string());
+    let choices: Vec<_> = names.iter().map(String::as_str).zip(states).collect();
+    choice(value, &choices)
+}
+
+/// "never", "always" or a number of times; or a table of that and the back-off.
+fn restart(value: Value<'_>) -> Result<Restart> {
+    let Some(mut table) = value.as_table("restart") else { return policy(value, USUAL_BACKOFF) };
+    let times = table.require("times")?;
+    let backoff = table.take("backoff").map_or(Ok(USUAL_BACKOFF), |value| value.duration())?;
+    table.finish()?;
+    policy(times, backoff)
+}
+
+fn policy(times: Value<'_>, backoff: Duration) -> Result<Restart> {
+    match times.text() {
+        Ok("never") => Ok(Restart::Never),
+        Ok("always") => Ok(Restart::Always { backoff }),
+        Ok(other) => {
+            let hint = suggestion(other, ["never", "always"]);
+            Err(times.error(format!("unknown choice \"{other}\"{hint}")))
+        }
+        Err(_) => {
+            let what = "\"never\", \"always\", or how many times";
+            Ok(Restart::Times { limit: times.number_in(1..=i64::from(u32::MAX), what)?, backoff })
+        }
+    }
+}

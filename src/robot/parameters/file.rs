@@ -1,0 +1,150 @@
+//! ROS 2 parameter files: nodes, each with its parameters.
+//!
+//! # References
+//! What a file may hold is told by rcl_yaml_param_parser, which nodes a name stands for by rclcpp's `parameter_map_from`.
+
+use std::sync::Arc;
+
+use downbeat_executor::SettingValue;
+use serde_norway::Value;
+
+use super::value::setting_value;
+use crate::robot::RobotFileError;
+use crate::robot::file::{ParameterPlace, Source};
+
+type Result<T> = std::result::Result<T, RobotFileError>;
+
+/// A parameter of a node.
+pub(super) struct Parameter {
+    /// Joined with `.` where the file has maps in maps.
+    pub(super) name: String,
+    /// Or what is wrong with it.
+    pub(super) value: std::result::Result<SettingValue, String>,
+    /// The keys that lead to it, from the root of the file.
+    pub(super) keys: Vec<String>,
+}
+
+/// The nodes of a file by absolute name, wildcards included, with their parameters; both in the order of the file.
+pub(super) fn nodes(source: &Arc<Source>) -> Result<Vec<(String, Vec<Parameter>)>> {
+    let root = serde_norway::from_str(source.text()).map_err(|error| {
+        let line = error.location().map_or(1, |location| location.line());
+        source.error(line, error.to_string())
+    })?;
+    let mut nodes = Vec::new();
+    if !matches!(root, Value::Null) {
+        collect_nodes(source, &root, &mut Vec::new(), &mut nodes)?;
+    }
+    Ok(nodes)
+}
+
+/// True if a node has this absolute name: `*` stands for one part of it, `**` for any number of them.
+pub(super) fn matches(pattern: &str, node: &str) -> bool {
+    let parts = |name: &'_ str| {
+        name.split('/').filter(|part| !part.is_empty()).map(str::to_owned).collect::<Vec<_>>()
+    };
+    matches_parts(&parts(pattern), &parts(node))
+}
+
+fn matches_parts(pattern: &[String], node: &[String]) -> bool {
+    match (pattern.split_first(), node.split_first()) {
+        (None, None) => true,
+        (Some((first, rest)), _) if first == "**" => {
+            (0..=node.len()).any(|skipped| matches_parts(rest, &node[skipped..]))
+        }
+        (Some((first, rest)), Some((part, others))) => {
+            (first == "*" || first == part) && matches_parts(rest, others)
+        }
+        _ => false,
+    }
+}
+
+const PARAMETERS: &str = "ros__parameters";
+
+fn collect_nodes(
+    source: &Arc<Source>,
+    value: &Value,
+    keys: &mut Vec<String>,
+    nodes: &mut Vec<(String, Vec<Parameter>)>,
+) -> Result<()> {
+    let place = |keys: &[String]| ParameterPlace { source: Arc::clone(source), keys: keys.to_vec() };
+    let Value::Mapping(map) = value else {
+        let expected = format!("expected the name of a node, and under it {PARAMETERS} with its parameters");
+        return Err(place(keys).error(expected));
+    };
+    for (key, value) in map {
+        let key =
+            key.as_str().ok_or_else(|| place(keys).error("a key is no name of a node; put it in quotes"))?;
+        keys.push(key.to_owned());
+        if key != PARAMETERS {
+            collect_nodes(source, value, keys, nodes)?;
+        } else if keys.len() == 1 {
+            return Err(
+                place(keys).error(format!("{PARAMETERS} stands under the name of a node, or under /**"))
+            );
+        } else {
+            let name = format!("/{}", keys[..keys.len() - 1].join("/").trim_start_matches('/'));
+            let mut parameters = Vec::new();
+            match value {
+                Value::Null => {}
+                Value::Mapping(_) => collect_parameters(source, value, keys, keys.len(), &mut parameters)?,
+                _ => return Err(place(keys).error("expected parameters with their values")),
+            }
+            nodes.push((name, parameters));
+        }
+        keys.pop();
+    }
+    Ok(())
+}
+
+/// `root` is the number of keys that lead to the parameters of the node.
+fn collect_parameters(
+    source: &Arc<Source>,
+    value: &Value,
+    keys: &mut Vec<String>,
+    root: usize,
+    parameters: &mut Vec<Parameter>,
+) -> Result<()> {
+    let Value::Mapping(map) = value else {
+        let (name, value) = (keys[root..].join("."), setting_value(value));
+        parameters.push(Parameter { name, value, keys: keys.clone() });
+        return Ok(());
+    };
+    for (key, value) in map {
+        let Some(key) = key.as_str() else {
+            let place = ParameterPlace { source: Arc::clone(source), keys: keys.clone() };
+            return Err(place.error("a key is no name of a parameter; put it in quotes"));
+        };
+        keys.push(key.to_owned());
+        collect_parameters(source, value, keys, root, parameters)?;
+        keys.pop();
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn node_names_and_wildcards_match_as_in_rcl() {
+        let cases = [
+            ("/r", "/r", true),
+            ("/r", "/ns/r", false),
+            ("/ns/r", "/ns/r", true),
+            ("/*", "/r", true),
+            ("/*", "/ns/r", false),
+            ("/*/r", "/ns/r", true),
+            ("/*/r", "/r", false),
+            ("/ns/*", "/ns/r", true),
+            ("/**", "/r", true),
+            ("/**", "/a/b/r", true),
+            ("/**/r", "/r", true),
+            ("/**/r", "/a/b/r", true),
+            ("/a/**/r", "/b/r", false),
+            ("/robot", "/r", false),
+        ];
+        for (pattern, node, expected) in cases {
+            assert_eq!(matches(pattern, node), expected, "{pattern} and {node}");
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! Settings from ROS 2 parameters: `--params-file`, `-p`, and back.
+
+mod dump;
+mod file;
+mod line;
+mod value;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use downbeat_bridge::ros::NodeName;
+use downbeat_executor::SettingValue;
+
+pub(crate) use line::line_of;
+
+use super::file::{Given, ParameterPlace, Place, Source, suggestion};
+use super::{RobotFile, RobotFileError};
+use file::Parameter;
+
+type Result<T> = std::result::Result<T, RobotFileError>;
+
+/// Parameters that every ROS 2 node has, and that no module of ours is set by.
+const OF_EVERY_NODE: [&str; 3] = ["use_sim_time", "start_type_description_service", "qos_overrides"];
+
+impl RobotFile {
+    /// Gives settings the values that a ROS 2 parameter file has for the robot's node; they win over what was given
+    /// before. The parameter `module.setting`, also written as a map of settings under `module`, is a module's setting.
+    ///
+    /// Node names and wildcards are matched as rcl does: `node` and `/ns/node` by name, `*` for one part of the name,
+    /// `/**` for any number of them. A file with nothing for this node changes nothing, and a warning says so.
+    ///
+    /// # Errors
+    /// If the file cannot be read or is no parameter file, or names a module that the robot does not have; with path
+    /// and line. Settings and their types are checked by [`RobotFile::build`].
+    pub fn set_from_parameter_file(&mut self, path: &Path) -> Result<()> {
+        let source = Arc::new(Source::read(path, "parameter file")?);
+        self.set_from_parameters(&source)
+    }
+
+    /// Gives a setting a value as `ros2 run` takes it after `-p`: `module.setting:=value`, the value in YAML.
+    ///
+    /// # Errors
+    /// If it is not of this form, or names a module that the robot does not have.
+    pub fn set_from_argument(&mut self, argument: &str) -> Result<()> {
+        let place = Place::Argument(argument.to_owned());
+        let Some((name, text)) = argument.split_once(":=") else {
+            return Err(self.error_at(&place, "expected module.setting:=value"));
+        };
+        let value = serde_norway::from_str(text).map_err(|error| error.to_string());
+        let value = value.and_then(|value| value::setting_value(&value));
+        let value = value.map_err(|problem| self.error_at(&place, problem))?;
+        self.set(name.trim(), value, place)
+    }
+
+    pub(crate) fn set_from_parameters(&mut self, source: &Arc<Source>) -> Result<()> {
+        let node = NodeName::new(&self.namespace, &self.name)
+            .map_err(|error| self.source.error(1, error.to_string()))?
+            .to_string();
+        let nodes = file::nodes(source)?;
+        let mut is_for_us = false;
+        for (_, parameters) in nodes.iter().filter(|(pattern, _)| file::matches(pattern, &node)) {
+            is_for_us = true;
+            for Parameter { name, value, keys } in parameters {
+                let place = ParameterPlace { source: Arc::clone(source), keys: keys.clone() };
+                let value = value.clone().map_err(|problem| place.error(problem));
+                let first = name.split('.').next().unwrap_or_default();
+                if OF_EVERY_NODE.contains(&first) && !self.modules.iter().any(|module| module.name == first) {
+                    tracing::warn!(
+                        "{}",
+                        place.error(format!("\"{name}\" has no effect on a robot's modules"))
+                    );
+                    continue;
+                }
+                self.set(name, value?, Place::Parameter(place))?;
+            }
+        }
+        if !is_for_us {
+            let names: Vec<_> = nodes.iter().map(|(name, _)| name.as_str()).collect();
+            let names = if names.is_empty() { "no node".into() } else { names.join(", ") };
+            let path = source.path().display();
+            tracing::warn!("{path}: nothing in it applies to the node {node}; it is for {names}");
+        }
+        Ok(())
+    }
+
+    fn set(&mut self, parameter: &str, value: SettingValue, place: Place) -> Result<()> {
+        let names = || self.modules.iter().map(|module| module.name.as_str());
+        let (module, setting) = parameter.split_once('.').unwrap_or((parameter, ""));
+        let Some(position) = names().position(|name| name == module) else {
+            let hint = suggestion(module, names());
+            return Err(self.error_at(&place, format!("the robot has no module \"{module}\"{hint}")));
+        };
+        if setting.is_empty() {
+            let problem = format!("\"{parameter}\" is a module; a parameter is named {module}.setting");
+            return Err(self.error_at(&place, problem));
+        }
+        self.modules[position].settings.insert(setting.to_owned(), Given { place, value });
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,154 @@
+#![allow(clippy::unwrap_used)]
+use std::path::Path;
+
+use downbeat_executor::Core;
+
+use super::*;
+use crate::robot::Robot;
+
+const ROBOT: &str = "[robot]\nname = \"r\"\nnamespace = \"/ns\"\n[[module]]\nkind = \"joint_command_mux\"\nname = \"mux\"\n\
+                     settings = { hold_s = 2.0 }\n[[module]]\nkind = \"darwin_op_emulator\"\nname = \"emulator\"";
+
+fn robot() -> RobotFile {
+    RobotFile::parse(Source::new(Path::new("robot.toml"), ROBOT.into())).unwrap().0
+}
+
+fn set(file: &mut RobotFile, text: &str) -> Result<()> {
+    file.set_from_parameters(&Arc::new(Source::new(Path::new("params.yaml"), text.into())))
+}
+
+fn hold_s(file: &RobotFile) -> SettingValue {
+    file.modules[0].settings["hold_s"].value.clone()
+}
+
+fn problem(text: &str) -> String {
+    let mut file = robot();
+    let problem = set(&mut file, text).and_then(|()| file.build(Core::new()).map(drop));
+    problem.err().unwrap().to_string()
+}
+
+#[test]
+fn a_node_is_named_in_every_way_that_ros_has() {
+    for text in [
+        "/ns/r:\n  ros__parameters:\n    mux.hold_s: 5.0",
+        "ns/r:\n  ros__parameters:\n    mux: {hold_s: 5.0}",
+        "ns:\n  r:\n    ros__parameters:\n      mux:\n        hold_s: 5.0",
+        "/ns:\n  \"*\":\n    ros__parameters: {mux.hold_s: 5.0}",
+        "/*/r: {ros__parameters: {mux.hold_s: 5.0}}",
+        "/**:\n  ros__parameters:\n    mux.hold_s: 5.0",
+        "/other: {ros__parameters: {what.ever: 1}}\n/**: {ros__parameters: {mux.hold_s: 5.0}}",
+    ] {
+        let mut file = robot();
+        set(&mut file, text).unwrap();
+        assert_eq!(hold_s(&file), 5.0.into(), "{text}");
+    }
+}
+
+#[test]
+fn what_is_for_another_node_changes_nothing() {
+    for text in ["", "/r: {ros__parameters: {mux.hold_s: 5.0}}", "/ns/r: {ros__parameters: }"] {
+        let mut file = robot();
+        set(&mut file, text).unwrap();
+        assert_eq!(hold_s(&file), 2.0.into(), "{text}");
+    }
+}
+
+#[test]
+fn later_values_win_and_the_command_line_wins_over_all() {
+    let mut file = robot();
+    set(&mut file, "/**: {ros__parameters: {mux.hold_s: 3.0}}\n/ns/r: {ros__parameters: {mux.hold_s: 4}}")
+        .unwrap();
+    assert_eq!(hold_s(&file), SettingValue::Integer(4));
+    set(&mut file, "/**: {ros__parameters: {mux.hold_s: 5.0}}").unwrap();
+    assert_eq!(hold_s(&file), 5.0.into());
+    file.set_from_argument("mux.hold_s:=6.5").unwrap();
+    file.set_from_argument("emulator.faults:=[\"drop:0.01\"]").unwrap();
+    let core = file.build(Core::new()).unwrap().core;
+    assert_eq!(core.settings("mux").unwrap()[0].value, 6.5.into());
+    let emulator = core.settings("emulator").unwrap();
+    let faults = emulator.iter().find(|setting| setting.name == "faults").unwrap();
+    assert_eq!(faults.value, vec!["drop:0.01".to_owned()].into());
+}
+
+#[test]
+fn mistakes_in_a_parameter_file_are_told_with_its_line_and_the_nearest_name() {
+    let cases = [
+        (
+            "/**:\n  ros__parameters:\n    mix.hold_s: 1.0",
+            ":3: the robot has no module \"mix\", did you mean \"mux\"?",
+        ),
+        ("/**:\n  ros__parameters:\n    mux:\n      hold: 1.0", ":4: module \"mux\" has no setting \"hold\""),
+        ("/**:\n  ros__parameters:\n    mux:\n      hold: 1.0", "did you mean \"hold_s\"?"),
+        (
+            "/**:\n  ros__parameters:\n\n    mux.hold_s: long",
+            ":4: module \"mux\", setting \"hold_s\": expected double, found text \"long\"",
+        ),
+        (
+            "/**:\n  ros__parameters:\n    mux.hold_s: -1.0",
+            ":3: module \"mux\", setting \"hold_s\": -1 is out of range",
+        ),
+        (
+            "/**:\n  ros__parameters:\n    mux.hold_s: [true]",
+            ":3: expected a list of numbers only, or of texts only",
+        ),
+        ("/**:\n  ros__parameters:\n    mux: 1", ":3: \"mux\" is a module; a parameter is named mux.setting"),
+        ("/**:\n  ros__parameters:\n    mux.hold_s:", ":3: expected true, false, a number"),
+        ("/**:\n  ros__parameters: 3", ":2: expected parameters with their values"),
+        ("/**:\n  ros_parameters:\n    mux.hold_s: 1", ":3: expected the name of a node"),
+        ("ros__parameters:\n  mux.hold_s: 1", ":1: ros__parameters stands under the name of a node"),
+        ("/**:\n  ros__parameters:\n    mux.hold_s: [1,", ":"),
+        ("/**:\n  ros__parameters:\n    mux.hold_s: 1\n    mux.hold_s: 2", "duplicate"),
+        ("just text", ":1: expected the name of a node"),
+    ];
+    for (text, expected) in cases {
+        let problem = problem(text);
+        assert!(problem.starts_with("params.yaml:"), "{problem}");
+        assert!(problem.contains(expected), "{problem}\n  should contain\n{expected}");
+    }
+}
+
+#[test]
+fn mistakes_on_the_command_line_are_told_with_the_argument() {
+    let cases = [
+        ("mux.hold_s=3", "-p mux.hold_s=3: expected module.setting:=value"),
+        ("mix.hold_s:=3", "-p mix.hold_s:=3: the robot has no module \"mix\", did you mean \"mux\"?"),
+        ("mux.hold:=3", "-p mux.hold:=3: module \"mux\" has no setting \"hold\""),
+        (
+            "mux.hold_s:=yes",
+            "-p mux.hold_s:=yes: module \"mux\", setting \"hold_s\": expected double, found text \"yes\"",
+        ),
+        ("mux.hold_s:=", "found nothing"),
+        ("mux.hold_s:=[1", "-p mux.hold_s:=[1: "),
+    ];
+    for (argument, expected) in cases {
+        let mut file = robot();
+        let problem = file.set_from_argument(argument).and_then(|()| file.build(Core::new()).map(drop));
+        let problem = problem.err().unwrap().to_string();
+        assert!(problem.contains(expected), "{problem}\n  should contain\n{expected}");
+    }
+}
+
+#[test]
+fn parameters_that_every_node_has_are_passed_over() {
+    let mut file = robot();
+    set(&mut file, "/**: {ros__parameters: {use_sim_time: true, qos_overrides: {/parameter_events: {publisher: {depth: 1}}}}}")
+        .unwrap();
+    assert_eq!(hold_s(&file), 2.0.into());
+}
+
+#[test]
+fn what_is_dumped_is_loaded_as_it_was() {
+    let settings = |robot: &Robot| ["mux", "emulator"].map(|module| robot.core.settings(module).unwrap());
+    let mut file = robot();
+    file.set_from_argument("mux.hold_s:=0.125").unwrap();
+    file.set_from_argument("emulator.link:='/tmp/a \"b\": # c'").unwrap();
+    file.set_from_argument("emulator.faults:=[\"drop:0.01\", \"dead-servo:5@3s..6s\"]").unwrap();
+    let original = file.build(Core::new()).unwrap();
+    let dumped = original.parameters();
+    assert!(dumped.starts_with("/ns/r:\n  ros__parameters:\n    mux:\n      # s; how long"), "{dumped}");
+    let mut file = robot();
+    set(&mut file, &dumped).unwrap();
+    let loaded = file.build(Core::new()).unwrap();
+    assert_eq!(settings(&loaded), settings(&original));
+    assert_eq!(loaded.parameters(), dumped);
+}
