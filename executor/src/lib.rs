@@ -64,12 +64,58 @@
 //!
 //! A panic ends the module, and all that this run asked for is discarded.
 //!
+//! ```
+//! # use std::sync::mpsc::{Sender, channel};
+//! # use std::time::Duration;
+//! # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+//! /// Declares the last first, and tells in which order it is called.
+//! struct Everything(Sender<&'static str>);
+//!
+//! impl Module for Everything {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         setup.each_run(|module, _| drop(module.0.send("each run")));
+//!         setup.every(Duration::from_millis(10), |module, _| drop(module.0.send("timer")))?;
+//!         let task = setup.task(|module, _| drop(module.0.send("task")));
+//!         let timeout = Duration::from_secs(1);
+//!         let client = setup.client::<(), (), _>("it", timeout, |module, _, _| drop(module.0.send("answer")))?;
+//!         setup.serve::<(), (), _>("it", |module, _, _| module.0.send("request").map_err(|gone| gone.to_string()))?;
+//!         let job = setup.job::<(), _>(|module, _, _| drop(module.0.send("result")));
+//!         setup.subscribe::<(), _>("go", move |module, _, ctx| {
+//!             drop(module.0.send("message"));
+//!             ctx.call(client, ());
+//!             ctx.spawn(job, || ());
+//!             ctx.schedule_after(task, Duration::from_millis(10));
+//!         })?;
+//!         let setting = setup.setting("setting", 0_i64, "anything")?;
+//!         setup.on_change(setting, |module, _| drop(module.0.send("setting")));
+//!         Ok(())
+//!     }
+//! }
+//!
+//! let (sender, calls) = channel();
+//! let clock = ManualClock::new(Time::ZERO);
+//! let mut core = Core::new().with_clock(clock.clone());
+//! core.add("everything", Everything(sender))?;
+//! let go = core.inlet("go")?;
+//! let mut last = Vec::new();
+//! for cycle in 0..4_i64 {
+//!     go.publish(())?;
+//!     core.handle().set("everything", "setting", cycle + 1);
+//!     core.cycle()?;
+//!     last = calls.try_iter().collect();
+//!     clock.advance(Duration::from_millis(10));
+//! }
+//! let order = ["setting", "result", "message", "request", "answer", "task", "timer", "each run"];
+//! assert_eq!(last, order);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! # The order of the sync phase
 //!
 //! First it takes what other threads have asked for so far; what comes later waits for the next cycle. Then the
 //! mechanisms follow each other. Within each, **what comes from other threads goes first**, in the order in which it came
-//! (what a detached module asked for joins when its run has ended), and then what modules asked for, in
-//! the order of registration and of each module in its own order.
+//! (what a detached module asked for comes when its run has ended), and then what the other modules asked for, in the order
+//! of registration and of each module in its own order.
 //!
 //! 1. **modules**: panics are noticed; modules whose back-off is over start again; modules are removed and run their
 //!    `shutdown`; then the other commands: add, transition, pause, resume
@@ -78,13 +124,14 @@
 //! 3. **settings**: values are checked and given, in the order in which they were asked for
 //! 4. **messaging**: inlets, in the order in which they were made; detached modules, in the order in which their runs
 //!    ended, each with its [`DetachedStep`]; the modules. Each topic's messages are now the batch of the next cycle
-//! 5. **services**: requests go to their servers, then answers to their clients
+//! 5. **services**: requests go to their servers: first those of [`Caller`]s, then of detached modules, then of the
+//!    others; then answers go to their clients, and callers whose time is up are told
 //! 6. **timers**: when each module has to run next
 //! 7. the mechanisms added with [`Core::with_mechanism`], in the order in which they were added
 //! 8. modules that were removed are dropped, and what they held is freed
 //!
-//! A mechanism of the core is skipped in a cycle in which nobody asked it for anything. What a `shutdown` in step 1
-//! publishes is still sent in step 4.
+//! A mechanism of the core may be passed over in a cycle in which nobody asked it for anything. What a `shutdown` in
+//! step 1 publishes is still sent in step 4; that of a detached module runs on its thread, and joins later.
 //!
 //! # What things cost, in cycles
 //!

@@ -55,9 +55,10 @@
 //! # 2 A controller
 //!
 //! It listens and publishes, and knows the sensor only by the name of its topic. What is published in one cycle is
-//! received in the next: **each hop costs a cycle**, a few microseconds where cycles follow each other without pause, as
-//! they do under [`Core::run`](crate::Core::run) while there is something to do. For that the order in which modules run
-//! does not matter, and neither do threads.
+//! received in the next: **each hop costs a cycle**. That is not the period of a timer: under
+//! [`Core::run`](crate::Core::run) cycles follow each other without pause while there is something to do, and a hop takes as
+//! long as the other modules of its cycles compute. In return the order in which modules run does not matter, and
+//! neither do threads.
 //!
 //! ```
 //! use std::sync::mpsc::{Sender, channel};
@@ -343,7 +344,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! What it costs: a hop to it and back wakes two threads, tens of microseconds, and what it publishes joins when it is
+//! What it costs: a hop to it and back wakes two threads, which is up to the system, and what it publishes joins when it is
 //! done, not in a cycle one could foretell. Each of its runs can be recorded from the topic
 //! [`DetachedStep::TOPIC`](crate::DetachedStep), and replay repeats it by that. What it cannot do: use a mechanism that
 //! was added to the core ([`Setup::mechanism`](crate::Setup::mechanism) refuses, under every clock), because others
@@ -411,7 +412,8 @@
 //!
 //! [`CoreHandle`](crate::CoreHandle) adds and removes modules of a running core from any thread, and a module does so
 //! from a callback, with [`Context::add`](crate::Context::add) and [`Context::remove`](crate::Context::remove). Both take effect
-//! in the sync phase, with no cycle held up. A module that comes later is later in the order of registration.
+//! in the sync phase. The `setup` of a module that joins and the `shutdown` of one that leaves run there, so what takes long
+//! holds up the cycle: it belongs into a job, or the module on a thread of its own. A module that comes later is later in the order of registration.
 //!
 //! ```
 //! # use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, Setup, SetupError, Time};
@@ -454,7 +456,7 @@
 //! | launcher | for |
 //! | --- | --- |
 //! | [`Linear`](crate::Linear), the default | nearly every robot: modules with little to do each |
-//! | [`Pool`](crate::Pool) | several modules of one cycle that each compute for tens of microseconds or more |
+//! | [`Pool`](crate::Pool) | cycles in which several modules compute for much longer than it takes to wake a thread |
 //! | [`Threads`](crate::Threads) | libraries that want to be called from always the same thread |
 //! | [`Scheduled`](crate::Scheduled) | the core's thread on a chosen CPU, at a real-time priority |
 //!
