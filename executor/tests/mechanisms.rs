@@ -212,8 +212,11 @@ fn what_a_module_asked_in_a_run_that_panicked_is_not_applied() {
 fn a_key_of_another_module_ends_who_uses_it() {
     let ((mut core, clock), log) = (manual_core(), Log::default());
     let (sender, keys) = std::sync::mpsc::channel();
-    core.add("owner", module(move |setup| Ok(sender.send(setup.publish::<u32>("numbers")?).unwrap())))
-        .unwrap();
+    let owner = module(move |setup| {
+        sender.send(setup.publish::<u32>("numbers")?).unwrap();
+        Ok(())
+    });
+    core.add("owner", owner).unwrap();
     let key = keys.recv().unwrap();
     let noted = log.clone();
     let thief = module(move |setup| {

@@ -2,6 +2,7 @@
 
 mod handle;
 mod phase;
+mod stage_holder;
 mod stop;
 mod world;
 
@@ -12,6 +13,7 @@ use crossbeam::sync::Parker;
 
 pub use handle::CoreHandle;
 pub use phase::SyncPhase;
+use stage_holder::StageHolder;
 pub use world::ModuleInfo;
 pub(crate) use world::Pause;
 pub(crate) use world::{JobResult, World};
@@ -70,7 +72,7 @@ pub enum Idle {
 /// Owns the modules of a robot and runs them in cycles: a process phase, in which modules run, and a sync
 /// phase, in which what they asked for takes effect.
 pub struct Core {
-    stage: Arc<Stage>,
+    stage: StageHolder,
     world: World,
     mechanisms: Vec<Engaged>,
     launcher: Box<dyn Launcher>,
@@ -92,7 +94,7 @@ impl Core {
         let parker = Parker::new();
         let queue = Arc::new(JoinQueue::new(parker.unparker().clone()));
         let mut core = Self {
-            stage: Arc::default(),
+            stage: StageHolder::Own(Box::default()),
             world: World::new(Arc::new(SystemClock::new()), queue),
             mechanisms: Vec::new(),
             launcher: Box::new(Linear),
@@ -227,7 +229,7 @@ impl Core {
         topic: &str,
         queue: impl Queue<T> + 'static,
     ) -> Result<Inlet<T>, SetupError> {
-        let topics = &mut exclusive(&mut self.stage).shared.topics;
+        let topics = &mut self.stage.exclusive().shared.topics;
         let index = topics.open::<T>(topic, "inlet")?;
         topics.add_publisher(index);
         let messages: Arc<dyn Queue<T>> = Arc::new(queue);
@@ -324,7 +326,7 @@ impl Core {
         }
         let now = self.world.clock.now();
         let (measuring, cycle) = (self.world.inspector.begin(), self.world.cycle);
-        exclusive(&mut self.stage).measuring = measuring;
+        self.stage.exclusive().measuring = measuring;
         let due = if measuring.is_on() { self.world.earliest_due() } else { Time::MAX };
         if let Some(watch) = &self.watch {
             watch.begin();
@@ -358,13 +360,13 @@ impl Core {
     }
 
     fn engage<M: Mechanism>(&mut self, mechanism: M, interest: Option<Asked>) {
-        exclusive(&mut self.stage).shared.offers.add(&mechanism);
+        self.stage.exclusive().shared.offers.add(&mechanism);
         self.mechanisms.push(Engaged::new(Box::new(mechanism), interest));
     }
 
     fn admit(&mut self, name: &str, source: Source, options: ModuleOptions) -> Result<(), SetupError> {
         let candidate = Candidate { name: name.to_owned(), source, options };
-        admit(exclusive(&mut self.stage), &mut self.world, candidate)
+        admit(self.stage.exclusive(), &mut self.world, candidate)
     }
 
     fn start(&mut self) -> Result<(), RunError> {
@@ -380,7 +382,7 @@ impl Core {
 
     fn start_threads(&mut self) -> Result<(), RunError> {
         self.launcher.attach()?;
-        let topics = &mut exclusive(&mut self.stage).shared.topics;
+        let topics = &mut self.stage.exclusive().shared.topics;
         if self.world.steps_topic.is_none() {
             // Cannot be of another type: no module can name this type's topic otherwise by mistake, and where
             // one does, steps are simply not published.
@@ -397,7 +399,7 @@ impl Core {
     }
 
     fn take_readings(&mut self, info: CycleInfo) {
-        let stage = exclusive(&mut self.stage);
+        let stage = self.stage.exclusive();
         stage.measuring = Measuring::Nothing;
         self.world.inspector.synced();
         for nth in 0..stage.runnable.len() {
@@ -414,7 +416,7 @@ impl Core {
     fn process_and_sync(&mut self, now: Time) {
         let _span = tracing::trace_span!("cycle", number = self.world.cycle, time = %now).entered();
         if self.launcher.is_linear() {
-            let stage = exclusive(&mut self.stage);
+            let stage = self.stage.exclusive();
             stage.begin(now);
             self.world.agenda.take(now, &mut stage.runnable);
             stage.run_all();
@@ -443,16 +445,16 @@ impl Core {
     }
 
     fn process(&mut self, now: Time) {
-        let stage = exclusive(&mut self.stage);
+        let stage = self.stage.exclusive();
         stage.begin(now);
         self.world.agenda.take(now, &mut stage.runnable);
         if !stage.runnable.is_empty() {
-            self.launcher.process(&mut self.stage);
+            self.launcher.process(self.stage.shared());
         }
     }
 
     fn sync(&mut self, now: Time) {
-        let stage = exclusive(&mut self.stage);
+        let stage = self.stage.exclusive();
         sync(stage, &mut self.world, &mut self.mechanisms, &mut *self.launcher, now);
     }
 
@@ -463,7 +465,7 @@ impl Core {
         let is_paused = self.world.pause;
         for command in commands {
             match command {
-                Command::Look(look) => look(exclusive(&mut self.stage), &mut self.world),
+                Command::Look(look) => look(self.stage.exclusive(), &mut self.world),
                 other => self.world.joined.commands.push(other),
             }
         }
@@ -524,13 +526,4 @@ fn sync(
         world.freed_slots.drain(..).for_each(|slot| launcher.slot_freed(slot));
     }
     world.cycle += 1;
-}
-
-/// The stage between process phases, when nobody else holds it.
-///
-/// # Panics
-/// If a launcher has kept a clone of the stage, which its contract forbids.
-pub(crate) fn exclusive(stage: &mut Arc<Stage>) -> &mut Stage {
-    #[expect(clippy::expect_used, reason = "a broken launcher leaves nothing that could go on")]
-    Arc::get_mut(stage).expect("the launcher kept the stage beyond the process phase")
 }

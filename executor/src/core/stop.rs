@@ -2,7 +2,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use super::{Core, Place, exclusive};
+use super::{Core, Place};
 use crate::Role;
 use crate::agenda::{Asker, Ready};
 use crate::guard::reason;
@@ -47,7 +47,7 @@ impl Core {
 
     fn shut_down(&mut self, module: Ready) {
         let now = self.world.clock.now();
-        let stage = exclusive(&mut self.stage);
+        let stage = self.stage.exclusive();
         stage.begin(now);
         stage.runnable.clear();
         if let (Some(cell), shared) = stage.cell_and_shared(module.slot) {
@@ -78,7 +78,7 @@ impl Drop for Core {
         {
             tracing::error!("panicked while it was stopped: {}", reason(&*panic));
         }
-        if let Some(stage) = std::sync::Arc::get_mut(&mut self.stage) {
+        if let Some(stage) = self.stage.get_mut() {
             // Guarded, unlike the drop of the topics themselves.
             stage.shared.topics.retire_all();
         }

@@ -66,7 +66,7 @@ fn a_module_starts_again_as_often_as_the_file_says() {
     let mut robot = file.build(Core::new().with_clock(clock.clone())).unwrap();
     let state =
         |robot: &Robot| robot.core.modules().iter().find(|module| &*module.name == "a").unwrap().state;
-    let mut run_for = |robot: &mut Robot, time: Duration| {
+    let run_for = |robot: &mut Robot, time: Duration| {
         let end = clock.now() + time;
         while let Some(next) = robot.core.next_event().filter(|&next| next <= end) {
             clock.set(next);
@@ -114,7 +114,7 @@ fn a_cpu_that_is_not_there_is_told_with_its_line_and_does_not_matter_to_a_replay
         let problems: Vec<_> = robot(&text).thread_problems().iter().map(ToString::to_string).collect();
         assert_eq!(problems.len(), 1);
         let problem = robot(&text).build(Core::new()).err().unwrap().to_string();
-        assert_eq!(problems, [problem.clone()]);
+        assert_eq!(problems, std::slice::from_ref(&problem));
         assert!(
             problem.starts_with(&format!("robot.toml:{line}: ")) && problem.contains("65535"),
             "{problem}"
