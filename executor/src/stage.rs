@@ -109,7 +109,11 @@ impl Stage {
     }
 
     pub(crate) fn note_asker(&mut self, asker: Asker) {
-        self.asked.get_mut().unwrap_or_else(PoisonError::into_inner).push(asker);
+        let askers = self.asked.get_mut().unwrap_or_else(PoisonError::into_inner);
+        match askers.iter_mut().find(|known| known.module == asker.module) {
+            Some(known) => known.asked.add(asker.asked),
+            None => askers.push(asker),
+        }
     }
 
     pub(crate) fn free_slot(&mut self) -> usize {

@@ -275,3 +275,37 @@ fn a_stop_that_waits_for_a_detached_module_says_so() {
     tracing::subscriber::with_default(OpenOnWarning(Mutex::new(opener)), || core.stop());
     assert_eq!(*log.lock().unwrap(), ["first 1"]);
 }
+
+/// Passes on what it hears.
+struct Relay {
+    from: &'static str,
+    to: &'static str,
+    log: Log,
+}
+
+impl Module for Relay {
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        let out = setup.publish::<u64>(self.to)?;
+        setup.subscribe(
+            self.from,
+            move |relay: &mut Self, number: Received<'_, u64>, ctx: &mut Context<'_>| {
+                relay.log.lock().unwrap().push(format!("{} {}", relay.from, *number));
+                ctx.publish(out, *number);
+            },
+        )
+    }
+}
+
+#[test]
+fn what_is_passed_on_while_the_core_stops_reaches_who_still_runs() {
+    let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    let (log, first) = (Log::default(), core.inlet::<u64>("a").unwrap());
+    // Stop in the reverse order, so that those who hear stop after those who tell.
+    for (from, to) in [("e", "f"), ("d", "e"), ("c", "d"), ("b", "c"), ("a", "b")] {
+        core.add(from, Relay { from, to, log: Arc::clone(&log) }).unwrap();
+    }
+    core.cycle().unwrap();
+    first.publish(7).unwrap();
+    core.stop();
+    assert_eq!(*log.lock().unwrap(), ["a 7", "b 7", "c 7", "d 7", "e 7"]);
+}

@@ -45,11 +45,12 @@ impl Core {
         self.world.queue.end();
     }
 
+    /// A cycle at whose end the module runs its last callback. It and the others receive what was on its way before:
+    /// a sync phase alone would make that stale.
     fn shut_down(&mut self, module: Ready) {
         let now = self.world.clock.now();
+        self.process(now);
         let stage = self.stage.exclusive();
-        stage.begin(now);
-        stage.runnable.clear();
         if let (Some(cell), shared) = stage.cell_and_shared(module.slot) {
             cell.shutdown(Some(shared), now);
             let asked = cell.take_asked();
