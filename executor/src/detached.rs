@@ -295,7 +295,7 @@ impl Runner {
                 self.step(contents.deliveries, contents.skipped, now, due);
             }
             if contents.stop {
-                let now = self.clock.now();
+                // Not a later time: what would be due at that has not run, and in a replay it would.
                 self.cell.shutdown(None, now);
                 self.send(now, Vec::new(), true, None);
                 return;
