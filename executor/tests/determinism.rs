@@ -92,7 +92,7 @@ impl RandomModule {
         let (Some(keys), state) = (self.keys.clone(), self.state) else { return };
         match action % 8 {
             0 => ctx.schedule_after(keys.task, STEP * (state % 3) as u32),
-            1 | 2 => drop(ctx.call(keys.clients[state as usize % 3], state)),
+            1 | 2 => _ = ctx.call(keys.clients[state as usize % 3], state),
             3 => ctx.set(&name(state % NAMES), "level", (state % 100) as i64),
             4 => ctx.spawn(keys.job, move || state.rotate_left(5)),
             5 => self.waiting.drain(..).for_each(|responder| ctx.reply(responder, Ok(state))),
