@@ -260,7 +260,7 @@ fn random_robots_do_everything_they_can() {
         publishes: vec![(number + 2) % 4, (number + 3) % 4],
         period_ms: 1 + number % 3,
         answers_later: number % 2 == 1,
-        backoff_ms: (number % 3 != 0).then_some(number % 3),
+        backoff_ms: (!number.is_multiple_of(3)).then_some(number % 3),
         every_cycle: number == 4,
         meddles: 16,
     };

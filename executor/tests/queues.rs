@@ -71,7 +71,7 @@ fn a_full_queue_does_what_its_policy_says_and_counts_what_it_dropped() {
 #[test]
 fn a_queue_for_one_item_works() {
     for (name, policy, queue) in bounded(1) {
-        (1..=3).for_each(|item| drop(queue.push(item)));
+        (1..=3).for_each(|item| _ = queue.push(item));
         let kept = if policy == Overflow::DropOldest { 3 } else { 1 };
         assert_eq!(rest(&*queue), [kept], "{name}");
     }
@@ -81,7 +81,7 @@ fn a_queue_for_one_item_works() {
 fn what_is_left_in_a_queue_is_dropped_with_it_and_what_it_dropped_before() {
     for (name, queue) in all(2) {
         let item = Arc::new(());
-        (0..5).for_each(|_| drop(queue.push(Arc::clone(&item))));
+        (0..5).for_each(|_| _ = queue.push(Arc::clone(&item)));
         let unbounded = !name.contains(',');
         assert_eq!(Arc::strong_count(&item), if unbounded { 6 } else { 3 }, "{name}");
         drop(queue);
@@ -140,7 +140,7 @@ fn under_load(queue: &Arc<dyn Queue<Item>>) -> (Vec<Item>, u64) {
                     let is_refused = |number: &u64| {
                         let pushed = queue.push((producer, *number));
                         // So that threads meet in the queue even where there are few processors.
-                        if number % 64 == 0 {
+                        if number.is_multiple_of(64) {
                             std::thread::yield_now();
                         }
                         matches!(pushed, Pushed::Refused(_))
@@ -173,7 +173,7 @@ fn under_load_nothing_is_lost_or_doubled_and_each_producers_order_is_kept() {
 #[test]
 fn several_threads_may_pop() {
     for (name, queue) in all(1024) {
-        (0..1000_u64).for_each(|item| drop(queue.push(item)));
+        (0..1000_u64).for_each(|item| _ = queue.push(item));
         let mut popped: Vec<u64> = std::thread::scope(|scope| {
             let consumers: Vec<_> = (0..4).map(|_| scope.spawn(|| rest(&*queue))).collect();
             consumers.into_iter().flat_map(|consumer| consumer.join().unwrap()).collect()
