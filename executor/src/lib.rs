@@ -117,7 +117,7 @@
 //! (what a detached module asked for comes when its run has ended), and then what the other modules asked for, in the order
 //! of registration and of each module in its own order.
 //!
-//! 1. **modules**: panics are noticed; modules whose back-off is over start again; modules are removed and run their
+//! 1. **modules**: modules whose back-off is over start again; panics are noticed; modules are removed and run their
 //!    `shutdown`; then the other commands: add, transition, pause, resume
 //! 2. **jobs**: work starts; results go to their modules, in the order in which the work ended. Under a clock that does
 //!    not go on by itself the work runs here, to its end

@@ -14,7 +14,7 @@ use crate::mechanism::{Mechanism, Version};
 use crate::receipt::ReceiptSender;
 use crate::{ModuleId, Restart, TransitionRefused};
 
-/// Panics are noticed first; then modules whose back-off is over start again; then modules are removed, and then the
+/// Modules whose back-off is over start again first; then panics are noticed; then modules are removed, and then the
 /// other commands follow: those of other threads before those of modules.
 pub(crate) struct Modules;
 
@@ -28,10 +28,12 @@ impl Mechanism for Modules {
     fn view(&self) {}
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
-        notice_changes(phase);
+        // Before panics are noticed, for a restart clears what the module asked for: what it published before its panic
+        // has yet to join, in this sync phase.
         if !phase.world.restarts.is_empty() && !phase.world.queue.is_closed() {
             restart_due(phase);
         }
+        notice_changes(phase);
         phase.for_each_that_asked(Asked::COMMANDS, |io, world| {
             world.joined.commands.append(&mut io.commands);
         });
