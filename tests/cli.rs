@@ -5,7 +5,7 @@ mod common;
 
 use std::path::Path;
 
-use common::{Running, output_of, robot_file, text_of, wait_until};
+use common::{Running, output_of, python, robot_file, text_of, wait_until};
 use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::downbeat_interfaces::msg::BusExchange;
@@ -197,6 +197,23 @@ fn settings_come_from_parameter_files_and_the_command_line_in_their_order() {
         let expected = ["wrong.yaml:4: module \"mux\" has no setting \"hold\"", "did you mean \"hold_s\"?"];
         assert!(expected.iter().all(|expected| message.contains(expected)), "{message}");
     }
+}
+
+/// Lists are given, since rcl takes no empty ones.
+#[test]
+fn a_real_ros_node_reads_the_parameters_that_check_writes() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("dumped.yaml");
+    let offsets = format!("hardware.offset_ticks:={:?}", [0; 20]);
+    let lists = ["-p", "emulator.faults:=[\"drop:0.01\"]", "-p", &offsets];
+    let robot = ["check", "robots/darwin_op.toml", "--dump-params", "-p", "mux.hold_s:=3"];
+    std::fs::write(&path, text_of(&[&robot[..], &lists[..]].concat())).unwrap();
+    let Some(read) = python("load_parameters.py", &[&path]) else { return };
+    assert_eq!(read["mux.hold_s"], serde_json::json!(["DOUBLE", 3.0]));
+    assert_eq!(read["hardware.p_gain"], serde_json::json!(["INTEGER", 32]));
+    assert_eq!(read["hardware.port"], serde_json::json!(["STRING", "/tmp/downbeat_darwin_op"]));
+    assert_eq!(read["emulator.faults"], serde_json::json!(["STRING_ARRAY", ["drop:0.01"]]));
+    assert_eq!(read["hardware.offset_ticks"], serde_json::json!(["INTEGER_ARRAY", vec![0; 20]]));
 }
 
 #[test]
