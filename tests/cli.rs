@@ -5,7 +5,7 @@ mod common;
 
 use std::path::Path;
 
-use common::{Running, output_of, robot_file, text_of, wait_until};
+use common::{Running, output_of, python, robot_file, text_of, wait_until};
 use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::downbeat_interfaces::msg::BusExchange;
@@ -43,6 +43,10 @@ fn a_wrong_robot_file_is_told_with_file_line_and_the_nearest_name() {
         ("\"buttons\"", "{ topic = \"buttons\", as = \"1st\" }", "1st"),
         ("faults = []", "faults = [\"dead-servo:99\"]", "dead-servo"),
         ("[expose]", "[expose", "robot.toml:"),
+        ("name = \"mux\"", "name = \"recorder\"", "a module that the program adds"),
+        ("name = \"mux\"", "name = \"bridge\"", "a module that the program adds"),
+        ("settings = { hold_s = 2.0 }", "restart = \"alway\"", "did you mean \"always\"?"),
+        ("settings = { hold_s = 2.0 }", "deadline = 20", "such as \"20ms\""),
     ];
     for (from, to, expected) in cases {
         let robot = wrong(from, to);
@@ -63,12 +67,26 @@ fn a_wrong_robot_file_is_told_with_file_line_and_the_nearest_name() {
 
 #[test]
 fn what_cannot_be_is_refused_with_a_reason() {
-    let cases: [(&[&str], &str); 5] = [
+    let cases: [(&[&str], &str); 10] = [
         (&["run", "no/such.toml"], "cannot read the robot file no/such.toml"),
         (&["run", "robots/darwin_op.toml", "--domain", "400"], "0 to 232"),
         (&["bag", "info", "no/such/bag"], "no/such/bag"),
         (&["bag", "play", "no/such/bag"], "no/such/bag"),
         (&["emulate", "darwin_op", "--link", "/tmp/x", "--fault", "fire"], "unknown fault \"fire\""),
+        (
+            &["bag", "play", "bags/recordings/darwin_op_emulated", "--start-offset", "1h"],
+            "cannot begin 3600s into the bag",
+        ),
+        (
+            &["run", "robots/darwin_op.toml", "--params-file", "no/such.yaml"],
+            "cannot read the parameter file no/such.yaml",
+        ),
+        (&["run", "robots/darwin_op.toml", "-p", "mux.hold_s=3"], "expected module.setting:=value"),
+        (&["check", "robots/darwin_op.toml", "-p", "mix.hold_s:=3"], "did you mean \"mux\"?"),
+        (
+            &["check", "robots/darwin_op.toml", "-p", "mux.hold_s:=long"],
+            "-p mux.hold_s:=long: module \"mux\", setting \"hold_s\": expected double",
+        ),
     ];
     for (arguments, expected) in cases {
         let output = output_of(arguments);
@@ -80,10 +98,11 @@ fn what_cannot_be_is_refused_with_a_reason() {
 
 #[test]
 fn every_command_explains_itself() {
-    let commands: [(&[&str], &str); 8] = [
+    let commands: [(&[&str], &str); 9] = [
         (&["--help"], "ROS_DOMAIN_ID"),
         (&["run", "--help"], "500ms, 10s, 5m, 1h"),
         (&["check", "--help"], "without running it"),
+        (&["run", "--help"], "MODULE.SETTING:=VALUE"),
         (&["bag", "--help"], "Play a bag"),
         (&["bag", "info", "--help"], "ros2 bag info"),
         (&["bag", "record", "--help"], "from the very first message"),
@@ -115,6 +134,86 @@ fn a_run_on_a_pool_of_threads_ends_by_itself_and_an_existing_bag_is_not_touched(
     assert_eq!(again.status.code(), Some(1));
     assert!(String::from_utf8(again.stderr).unwrap().contains(text(&bag)));
     assert_eq!(std::fs::read(bag.join("bag_0.mcap")).unwrap(), before);
+}
+
+#[test]
+fn a_robot_runs_with_every_way_to_run_its_modules() {
+    let folder = tempfile::tempdir().unwrap();
+    let ways = |text: String| {
+        let module =
+            "restart = { times = 3, backoff = \"500ms\" }\ndeadline = \"1s\"\ninitial_state = \"active\"\n";
+        text.replace("[expose]", "synchrony = \"every_cycle\"\n[expose]")
+            .replace("[[module]]\n", &format!("[[module]]\n{module}"))
+            .replace("kind = \"darwin_op\"\n", "kind = \"darwin_op\"\ncpus = [0]\ninbox = \"all\"\n")
+            + "\n[launcher]\nkind = \"threads\"\nspin = \"never\"\nidle = \"park\"\n"
+    };
+    let (robot, bag) = (robot_file(folder.path(), ways), folder.path().join("bag"));
+    assert!(text_of(&["check", text(&robot)]).contains("each module on a thread of its own"));
+    let arguments = ["run", text(&robot), "--domain", "83", "--duration", "2s", "--record", text(&bag)];
+    let output = text_of(&arguments);
+    assert!(output.contains("lost 0"), "{output}");
+    let reader = Reader::open(&bag).unwrap();
+    let states = reader.topic("/joint_states").unwrap();
+    assert!(reader.messages(Selection::all().topics([states])).unwrap().count() > 0);
+}
+
+#[test]
+fn settings_come_from_parameter_files_and_the_command_line_in_their_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, parameters: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, parameters).unwrap();
+        path
+    };
+    let named = |text: String| text.replace("[robot]", "[robot]\nparams = [\"of_robot.yaml\"]");
+    let robot = robot_file(folder.path(), named);
+    let hold_s = |more: &[&str]| {
+        let output = text_of(&[&["check", text(&robot)], more].concat());
+        let line = output.lines().find(|line| line.contains("hold_s")).unwrap();
+        line.split_whitespace().nth(2).unwrap().to_owned()
+    };
+    file("of_robot.yaml", "darwin_op:\n  ros__parameters:\n    mux.hold_s: 3.0\n");
+    assert_eq!(hold_s(&[]), "3");
+    let one = file("one.yaml", "/**:\n  ros__parameters:\n    mux: {hold_s: 4.0}\n");
+    let two = file("two.yaml", "/darwin_op:\n  ros__parameters:\n    mux.hold_s: 5.0\n");
+    let files = ["--params-file", text(&one), "--params-file", text(&two)];
+    assert_eq!(hold_s(&files[..2]), "4");
+    assert_eq!(hold_s(&files), "5");
+    assert_eq!(hold_s(&[&["-p", "mux.hold_s:=6", "-p", "mux.hold_s:=7"], &files[..]].concat()), "7");
+
+    let dumped = text_of(&["check", text(&robot), "--dump-params", "-p", "mux.hold_s:=0.25"]);
+    let dumped = file("dumped.yaml", &dumped);
+    assert_eq!(hold_s(&["--params-file", text(&dumped)]), "0.25");
+
+    let other = file("other.yaml", "/other:\n  ros__parameters:\n    mux.hold_s: 9.0\n");
+    let output = text_of(&["check", text(&robot), "--params-file", text(&other)]);
+    assert!(output.contains("nothing in it applies to the node /darwin_op; it is for /other"), "{output}");
+
+    let wrong = file("wrong.yaml", "/**:\n  ros__parameters:\n    mux:\n      hold: 9.0\n");
+    for command in ["check", "run"] {
+        let output = output_of(&[command, text(&robot), "--params-file", text(&wrong)]);
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{message}");
+        let expected = ["wrong.yaml:4: module \"mux\" has no setting \"hold\"", "did you mean \"hold_s\"?"];
+        assert!(expected.iter().all(|expected| message.contains(expected)), "{message}");
+    }
+}
+
+/// Lists are given, since rcl takes no empty ones.
+#[test]
+fn a_real_ros_node_reads_the_parameters_that_check_writes() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("dumped.yaml");
+    let offsets = format!("hardware.offset_ticks:={:?}", [0; 20]);
+    let lists = ["-p", "emulator.faults:=[\"drop:0.01\"]", "-p", &offsets];
+    let robot = ["check", "robots/darwin_op.toml", "--dump-params", "-p", "mux.hold_s:=3"];
+    std::fs::write(&path, text_of(&[&robot[..], &lists[..]].concat())).unwrap();
+    let Some(read) = python("load_parameters.py", &[&path]) else { return };
+    assert_eq!(read["mux.hold_s"], serde_json::json!(["DOUBLE", 3.0]));
+    assert_eq!(read["hardware.p_gain"], serde_json::json!(["INTEGER", 32]));
+    assert_eq!(read["hardware.port"], serde_json::json!(["STRING", "/tmp/downbeat_darwin_op"]));
+    assert_eq!(read["emulator.faults"], serde_json::json!(["STRING_ARRAY", ["drop:0.01"]]));
+    assert_eq!(read["hardware.offset_ticks"], serde_json::json!(["INTEGER_ARRAY", vec![0; 20]]));
 }
 
 #[test]

@@ -8,6 +8,9 @@ use crate::robot::Robot;
 
 impl Robot {
     /// All settings with their values and descriptions, as a ROS 2 parameter file for the robot's node.
+    ///
+    /// What is read again gives the same settings. ROS 2 nodes of others read it too, but for empty lists, which rcl
+    /// does not take.
     #[must_use]
     pub fn parameters(&self) -> String {
         let namespace = self.file.namespace.trim_matches('/');
