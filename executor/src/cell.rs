@@ -8,7 +8,7 @@ use std::sync::Arc;
 use crate::behaviour::Behaviour;
 use crate::context::{Asked, ModuleIo, Shared};
 use crate::guard::{drop_guarded, end_of};
-use crate::inspect::{ModuleMeter, Span};
+use crate::inspect::{ModuleMeter, Span, spans_are_on};
 use crate::receipt::ReceiptSender;
 use crate::watchdog::Watch;
 use crate::{Context, LifecycleState, Role, SettingInfo, SettingValue, Time, Transition, TransitionRefused};
@@ -22,7 +22,6 @@ pub(crate) struct ModuleCell {
     state: LifecycleState,
     transitions: VecDeque<(Transition, TransitionReceipt)>,
     hold: Hold,
-    has_each_run: bool,
     /// True if it has nothing but subscriptions, timers and settings.
     is_simple: bool,
     watch: Option<Watch>,
@@ -65,9 +64,11 @@ impl ModuleCell {
             LifecycleState::Active => &[Transition::Configure, Transition::Activate],
             LifecycleState::Finalized => &[Transition::Shutdown],
         };
-        let has_each_run = behaviour.has_each_run();
-        let is_simple =
-            io.jobs.is_empty() && io.servers.is_empty() && io.clients.is_empty() && io.tasks.is_empty();
+        let is_simple = io.jobs.is_empty()
+            && io.servers.is_empty()
+            && io.clients.is_empty()
+            && io.tasks.is_empty()
+            && !behaviour.has_each_run();
         Self {
             io,
             behaviour: Some(behaviour),
@@ -75,7 +76,6 @@ impl ModuleCell {
             state: LifecycleState::Unconfigured,
             transitions: transitions.iter().map(|&transition| (transition, None)).collect(),
             hold: Hold::Free,
-            has_each_run,
             is_simple,
             watch: None,
             panic: None,
@@ -179,7 +179,18 @@ impl ModuleCell {
     }
 
     /// Runs what is due inside a cycle. Returns what it asked for.
+    #[inline]
     pub(crate) fn run(&mut self, shared: &Shared, now: Time) -> Asked {
+        if spans_are_on() { self.run_in_span(shared, now) } else { self.run_in_cycle(shared, now) }
+    }
+
+    #[cold]
+    fn run_in_span(&mut self, shared: &Shared, now: Time) -> Asked {
+        let _span = tracing::trace_span!("run", module = &*self.io.name).entered();
+        self.run_in_cycle(shared, now)
+    }
+
+    fn run_in_cycle(&mut self, shared: &Shared, now: Time) -> Asked {
         let mut received = 0;
         self.run_with(now, Some(shared), |behaviour, subscribed, ctx| {
             for (subscription, &topic) in subscribed.iter().enumerate() {
@@ -205,6 +216,7 @@ impl ModuleCell {
     /// it would if they had come in one cycle: that is how replay gives them to it again. An observer, which
     /// is not replayed but may write down what it sees, receives them in the order of the cycles.
     pub(crate) fn run_detached(&mut self, deliveries: &VecDeque<Delivery>, role: Role, now: Time) {
+        let _span = tracing::trace_span!("run", module = &*self.io.name).entered();
         self.run_with(now, None, |behaviour, subscribed, ctx| match role {
             Role::Part => {
                 for (subscription, &topic) in subscribed.iter().enumerate() {
@@ -248,29 +260,27 @@ impl ModuleCell {
         if !is_plain && !self.prepare(now, shared) {
             return;
         }
-        let (has_each_run, is_simple) = (self.has_each_run, self.is_simple);
+        let is_simple = self.is_simple;
         let Self { io, behaviour: Some(behaviour), subscribed, watch, .. } = self else { return };
         if let Some(watch) = watch {
             watch.begin();
         }
         let outcome = catch_unwind(AssertUnwindSafe(|| {
-            let _span = tracing::trace_span!("run", module = &*io.name).entered();
             let (behaviour, ctx) = (&mut **behaviour, &mut Context::new(io, now, shared));
-            let mark = ctx.io().tasks.mark();
             if ctx.io().settings.has_changes() {
                 take_settings(behaviour, ctx);
             }
-            if !is_simple {
-                take_results(behaviour, ctx);
+            if is_simple {
+                receive(behaviour, subscribed, ctx);
+                fire_timers(behaviour, ctx);
+                return;
             }
+            let mark = ctx.io().tasks.mark();
+            take_results(behaviour, ctx);
             receive(behaviour, subscribed, ctx);
-            if !is_simple {
-                serve_and_resume(behaviour, ctx, mark);
-            }
+            serve_and_resume(behaviour, ctx, mark);
             fire_timers(behaviour, ctx);
-            if has_each_run {
-                behaviour.run_ends(ctx);
-            }
+            behaviour.run_ends(ctx);
         }));
         if let Some(watch) = watch
             && watch.end()

@@ -54,6 +54,8 @@ impl Asked {
     pub(crate) const PANIC: Self = Self(128);
     /// Not of a module: something came from another thread.
     pub(crate) const JOINED: Self = Self(256);
+    /// Not of a module: holds in each sync phase.
+    pub(crate) const ALWAYS: Self = Self(512);
 
     pub(crate) const fn or(self, other: Self) -> Self {
         Self(self.0 | other.0)

@@ -160,18 +160,18 @@ impl<M: Mechanism> AnyMechanism for M {
 /// A mechanism, and in which cycles it has something to do.
 pub(crate) struct Engaged {
     pub(crate) mechanism: Box<dyn AnyMechanism>,
-    /// In those in which one of these was asked for; in every one where it is nothing.
-    interest: Option<Asked>,
+    /// In those in which one of these was asked for.
+    interest: Asked,
 }
 
 impl Engaged {
-    pub(crate) fn new(mechanism: Box<dyn AnyMechanism>, interest: Option<Asked>) -> Self {
+    pub(crate) fn new(mechanism: Box<dyn AnyMechanism>, interest: Asked) -> Self {
         Self { mechanism, interest }
     }
 
     #[inline]
     pub(crate) fn sync(&mut self, phase: &mut SyncPhase<'_>) {
-        if self.interest.is_none_or(|interest| phase.has(interest)) {
+        if phase.has(self.interest) {
             self.mechanism.sync(phase);
         }
     }

@@ -46,9 +46,22 @@ impl Stage {
 
     /// Runs all modules of this cycle on this thread.
     pub fn run_all(&mut self) {
-        let Self { now, measuring, shared, modules, runnable, asked, next } = self;
+        match self.measuring {
+            Measuring::Nothing => self.run_each(|_| ()),
+            measuring => self.run_each_measured(measuring),
+        }
+    }
+
+    #[cold]
+    fn run_each_measured(&mut self, measuring: Measuring) {
+        let mut stopwatch = Stopwatch::start(measuring);
+        self.run_each(|cell| cell.span = stopwatch.lap());
+    }
+
+    #[inline]
+    fn run_each(&mut self, mut has_run: impl FnMut(&mut ModuleCell)) {
+        let Self { now, shared, modules, runnable, asked, next, .. } = self;
         let asked = asked.get_mut().unwrap_or_else(PoisonError::into_inner);
-        let mut stopwatch = Stopwatch::start(*measuring);
         for ready in &*runnable {
             let cell = modules[ready.slot].get_mut().unwrap_or_else(PoisonError::into_inner);
             let Some(cell) = cell else { continue };
@@ -56,9 +69,7 @@ impl Stage {
             if !what.is_empty() {
                 asked.push(Asker { module: *ready, asked: what });
             }
-            if measuring.is_on() {
-                cell.span = stopwatch.lap();
-            }
+            has_run(cell);
         }
         *next.get_mut() = runnable.len();
     }

@@ -20,7 +20,7 @@ pub(crate) use world::{JobResult, World};
 
 use crate::context::Asked;
 use crate::inlet::{InletPort, default_queue};
-use crate::inspect::{CycleInfo, Graph, Measuring};
+use crate::inspect::{CycleInfo, Graph, Measuring, spans_are_on};
 use crate::job::Jobs;
 use crate::join::{DetachedStep, JoinQueue};
 use crate::management::{Candidate, Command, Modules, Place, Source, admit, finish_leaving};
@@ -103,12 +103,12 @@ impl Core {
             watch: None,
         };
         let joined = Asked::JOINED;
-        core.engage(Modules, Some(joined.or(Asked::PANIC).or(Asked::COMMANDS)));
-        core.engage(Jobs, Some(joined.or(Asked::WORK)));
-        core.engage(SettingsMechanism, Some(joined.or(Asked::COMMANDS)));
-        core.engage(Messaging, None);
-        core.engage(Services::default(), Some(joined.or(Asked::CALLS).or(Asked::ANSWERS)));
-        core.engage(Timers, Some(Asked::STATE.or(Asked::CALLS)));
+        core.engage(Modules, joined.or(Asked::PANIC).or(Asked::COMMANDS));
+        core.engage(Jobs, joined.or(Asked::WORK));
+        core.engage(SettingsMechanism, joined.or(Asked::COMMANDS));
+        core.engage(Messaging, Asked::ALWAYS);
+        core.engage(Services::default(), joined.or(Asked::CALLS).or(Asked::ANSWERS));
+        core.engage(Timers, Asked::STATE.or(Asked::CALLS));
         core
     }
 
@@ -170,7 +170,7 @@ impl Core {
     /// are.
     #[must_use]
     pub fn with_mechanism<M: Mechanism>(mut self, mechanism: M) -> Self {
-        self.engage(mechanism, None);
+        self.engage(mechanism, Asked::ALWAYS);
         self
     }
 
@@ -331,9 +331,10 @@ impl Core {
         if let Some(watch) = &self.watch {
             watch.begin();
         }
-        match self.world.probe.clone() {
-            None => self.process_and_sync(now),
-            Some(probe) => self.probed_cycle(now, &*probe),
+        if spans_are_on() || self.world.probe.is_some() {
+            self.observed_cycle(now);
+        } else {
+            self.process_and_sync(now);
         }
         if let Some(watch) = &self.watch {
             watch.end();
@@ -359,7 +360,7 @@ impl Core {
         Some(self.world.earliest_due()).filter(|&due| due < Time::MAX)
     }
 
-    fn engage<M: Mechanism>(&mut self, mechanism: M, interest: Option<Asked>) {
+    fn engage<M: Mechanism>(&mut self, mechanism: M, interest: Asked) {
         self.stage.exclusive().shared.offers.add(&mechanism);
         self.mechanisms.push(Engaged::new(Box::new(mechanism), interest));
     }
@@ -414,7 +415,6 @@ impl Core {
     }
 
     fn process_and_sync(&mut self, now: Time) {
-        let _span = tracing::trace_span!("cycle", number = self.world.cycle, time = %now).entered();
         if self.launcher.is_linear() {
             let stage = self.stage.exclusive();
             stage.begin(now);
@@ -424,6 +424,15 @@ impl Core {
         } else {
             self.process(now);
             self.sync(now);
+        }
+    }
+
+    #[cold]
+    fn observed_cycle(&mut self, now: Time) {
+        let _span = tracing::trace_span!("cycle", number = self.world.cycle, time = %now).entered();
+        match self.world.probe.clone() {
+            None => self.process_and_sync(now),
+            Some(probe) => self.probed_cycle(now, &*probe),
         }
     }
 

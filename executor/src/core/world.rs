@@ -145,9 +145,13 @@ impl World {
     /// thread cannot hold this one.
     #[inline]
     pub(crate) fn join(&mut self) {
-        if self.queue.has_no_requests() {
-            return;
+        if !self.queue.has_no_requests() {
+            self.sort_requests();
         }
+    }
+
+    #[inline(never)]
+    fn sort_requests(&mut self) {
         self.has_joined = true;
         for _ in 0..self.queue.len() {
             match self.queue.pop() {
@@ -195,11 +199,12 @@ impl World {
         self.members.iter().filter_map(describe).collect()
     }
 
-    /// Whether the mechanisms have to look at what no module of this cycle asked for.
+    /// What the mechanisms have to look at though no module of this cycle asked for it.
     #[inline]
     pub(crate) fn asked_from_outside(&mut self, now: Time) -> Asked {
         let is_due = !self.restarts.is_empty() || self.calls_due <= now || self.has_stopped;
-        if is_due || std::mem::take(&mut self.has_joined) { Asked::JOINED } else { Asked::default() }
+        let has_joined = is_due || std::mem::take(&mut self.has_joined);
+        if has_joined { Asked::ALWAYS.or(Asked::JOINED) } else { Asked::ALWAYS }
     }
 
     /// True if the next cycle has something to do whatever the time is.

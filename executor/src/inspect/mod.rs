@@ -21,5 +21,5 @@ pub(crate) use inspector::{CycleInfo, Inspector};
 pub use snapshot::{
     CycleStatistics, ModuleState, ModuleStatistics, Snapshot, TimeStatistics, TopicStatistics,
 };
-pub(crate) use span::{Measuring, Span, Stopwatch};
+pub(crate) use span::{Measuring, Span, Stopwatch, spans_are_on};
 pub use trace::{CycleTrace, TraceEvent, TraceEventKind};

@@ -3,6 +3,8 @@
 use std::thread::Thread;
 use std::time::{Duration, Instant};
 
+use tracing::level_filters::LevelFilter;
+
 /// What is taken down in a cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Measuring {
@@ -20,6 +22,13 @@ impl Measuring {
     pub(crate) fn is_on(self) -> bool {
         self != Self::Nothing
     }
+}
+
+/// Whether anybody listens to `tracing` spans of the cycle and its runs. To make and drop one that nobody listens to
+/// takes as long as a small module's run.
+#[inline]
+pub(crate) fn spans_are_on() -> bool {
+    LevelFilter::current() >= LevelFilter::TRACE
 }
 
 /// A run of a module.

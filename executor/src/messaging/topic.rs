@@ -110,7 +110,10 @@ fn take_over<T: Send + 'static>(
 
 impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
     fn retire(&mut self) {
-        renewed(&mut self.batch);
+        // What holds nothing can wait until the topic carries messages again.
+        if std::mem::needs_drop::<T>() {
+            renewed(&mut self.batch);
+        }
     }
 
     fn begin(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize {
@@ -130,18 +133,19 @@ impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
 /// All topics of a core.
 #[derive(Default)]
 pub(crate) struct Topics {
-    topics: Vec<Box<dyn AnyTopic>>,
     entries: Vec<Entry>,
     by_name: HashMap<Arc<str>, usize>,
     /// Those with messages of the last cycle, in the order in which these came.
     fresh: Vec<usize>,
     /// Those with messages of the cycle before, while the sync phase goes on.
     stale: Vec<usize>,
-    is_fresh: Vec<bool>,
-    meters: Vec<TopicMeter>,
 }
 
 struct Entry {
+    topic: Box<dyn AnyTopic>,
+    /// True if it has messages of the last cycle.
+    is_fresh: bool,
+    meter: TopicMeter,
     info: TopicInfo,
     subscribers: Vec<Subscriber>,
     publishers: u32,
@@ -200,20 +204,18 @@ impl Topics {
             is_published: false,
             counter,
         };
-        let entry = Entry { info, subscribers: Vec::new(), publishers: 0, users: 0 };
+        let (is_fresh, meter) = (false, TopicMeter::default());
+        let entry = Entry { topic, is_fresh, meter, info, subscribers: Vec::new(), publishers: 0, users: 0 };
         let index = match self.entries.iter().position(|entry| entry.users == 0) {
             Some(free) => {
-                self.topics[free] = topic;
-                self.entries[free] = entry;
-                self.meters[free] = TopicMeter::default();
+                // It may carry its predecessor's messages as fresh until the next sync phase.
+                let is_fresh = self.entries[free].is_fresh;
+                self.entries[free] = Entry { is_fresh, ..entry };
                 free
             }
             None => {
-                self.topics.push(topic);
                 self.entries.push(entry);
-                self.is_fresh.push(false);
-                self.meters.push(TopicMeter::default());
-                self.topics.len() - 1
+                self.entries.len() - 1
             }
         };
         self.by_name.insert(name, index);
@@ -255,7 +257,7 @@ impl Topics {
         entry.users -= 1;
         if entry.users == 0 {
             self.by_name.remove(&entry.info.name);
-            let forgotten = std::mem::replace(&mut self.topics[topic], Box::new(Forgotten));
+            let forgotten = std::mem::replace(&mut entry.topic, Box::new(Forgotten));
             drop_guarded("a message", || drop(forgotten));
         }
     }
@@ -266,12 +268,12 @@ impl Topics {
 
     #[inline]
     pub(crate) fn meter(&self, topic: usize) -> &TopicMeter {
-        &self.meters[topic]
+        &self.entries[topic].meter
     }
 
     #[inline]
     pub(crate) fn meter_mut(&mut self, topic: usize) -> &mut TopicMeter {
-        &mut self.meters[topic]
+        &mut self.entries[topic].meter
     }
 
     /// The topics in use, with their indices.
@@ -293,37 +295,37 @@ impl Topics {
 
     #[inline]
     pub(crate) fn is_fresh(&self, topic: usize) -> bool {
-        self.is_fresh[topic]
+        self.entries[topic].is_fresh
     }
 
     #[inline]
     pub(crate) fn get<T: Send + Sync + 'static>(&self, topic: usize) -> Option<&Topic<T>> {
-        (&*self.topics[topic] as &dyn Any).downcast_ref()
+        (&*self.entries[topic].topic as &dyn Any).downcast_ref()
     }
 
     pub(crate) fn share(&self, topic: usize) -> (Arc<dyn Any + Send + Sync>, u32) {
-        self.topics[topic].share()
+        self.entries[topic].topic.share()
     }
 
     /// First step of the messages' part of the sync phase: the messages of the last cycle are stale.
     pub(crate) fn begin(&mut self) {
         std::mem::swap(&mut self.fresh, &mut self.stale);
         for &index in &self.stale {
-            self.is_fresh[index] = false;
+            self.entries[index].is_fresh = false;
         }
     }
 
     /// Returns how many messages there are in the outbox.
     pub(crate) fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize {
         let index = outbox.topic();
-        let meter = &mut self.meters[index];
-        let messages = if self.is_fresh[index] {
-            self.topics[index].absorb(outbox, now)
+        let Entry { topic, is_fresh, meter, .. } = &mut self.entries[index];
+        let messages = if *is_fresh {
+            topic.absorb(outbox, now)
         } else {
-            self.is_fresh[index] = true;
+            *is_fresh = true;
             self.fresh.push(index);
             meter.begin_batch(now);
-            self.topics[index].begin(outbox, now)
+            topic.begin(outbox, now)
         };
         meter.carried(messages);
         messages
@@ -332,9 +334,8 @@ impl Topics {
     /// Last step: drops what is still stale.
     pub(crate) fn finish(&mut self) {
         for &index in &self.stale {
-            if !self.is_fresh[index] {
-                self.topics[index].retire();
-            }
+            let Entry { topic, is_fresh: false, .. } = &mut self.entries[index] else { continue };
+            topic.retire();
         }
         self.stale.clear();
     }
