@@ -149,7 +149,7 @@ fn mechanisms_are_told_when_a_module_is_replaced_by_its_restart() {
     let (mut core, clock, left) = core_with_guestbook();
     let make = || module(|setup| setup.every(STEP, |_, _| panic!("{PANIC}")));
     core.add_restartable("module", make, restart(Duration::ZERO)).unwrap();
-    cycles(&mut core, &clock, 2);
+    cycles(&mut core, &clock, 3);
     let first = left.try_recv().unwrap();
     assert!(left.try_recv().is_err());
     drop(core.handle().remove("module"));
