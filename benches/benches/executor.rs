@@ -5,9 +5,9 @@ use std::num::NonZeroU64;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use benches::Load;
 use benches::contestants::{Contestant, Downbeat, Limit, LockFree, Queues};
 use benches::launchers::{LAUNCHERS, LINEAR};
+use benches::{Load, Relay};
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 
 fn fan_out(criterion: &mut Criterion) {
@@ -28,10 +28,22 @@ fn fan_out(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// One module publishes in a cycle, another receives in the next: two cycles. In the second the publisher runs as
-/// well, so that a launcher with threads has work for two.
+/// One module publishes in a cycle, another receives in the next. `hop` is that alone: the two pass a message to and
+/// fro, and one of them runs in each cycle.
 fn hop(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("hop");
+    for launcher in LAUNCHERS {
+        let mut relay = Relay::new(launcher).unwrap();
+        group.bench_function(launcher.name, |bencher| bencher.iter(|| relay.hop()));
+        assert!(relay.hops() > 0);
+    }
+    group.finish();
+}
+
+/// A publisher ticks and publishes in one cycle, a subscriber receives in the next: two cycles. In the second the
+/// publisher runs as well, so that a launcher with threads has work for two and has to share it out.
+fn shared_hop(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("shared_hop");
     let load = Load { modules: 1, messages: 1, batch: NonZeroU64::MIN };
     for launcher in LAUNCHERS {
         let mut core = Downbeat::new(load, launcher).unwrap();
@@ -63,6 +75,6 @@ fn short() -> Criterion {
 criterion_group! {
     name = benches;
     config = short();
-    targets = fan_out, hop
+    targets = fan_out, hop, shared_hop
 }
 criterion_main!(benches);

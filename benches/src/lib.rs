@@ -6,7 +6,9 @@
 pub mod contestants;
 pub mod launchers;
 pub mod measure;
+mod relay;
 pub mod table_ii;
 mod workload;
 
+pub use relay::Relay;
 pub use workload::{Load, Reading, Sum};
