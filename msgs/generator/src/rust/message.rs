@@ -3,7 +3,7 @@
 use super::names::{identifier, primitive, struct_name};
 use super::values::{constant, expression, is_zero, text_literal, zero};
 use super::{RustSource, docs};
-use crate::{Element, Error, Field, FieldType, MessageDefinition, Primitive, Shape};
+use downbeat_msgs_definitions::{Element, Error, Field, FieldType, MessageDefinition, Primitive, Shape};
 
 /// The longest array for which the standard library and serde implement their traits.
 const LONGEST_PLAIN_ARRAY: u64 = 32;

@@ -13,7 +13,7 @@ mod values;
 
 use std::collections::BTreeMap;
 
-use crate::{Catalog, Error, Kind, MessageDefinition};
+use downbeat_msgs_definitions::{Catalog, Error, Kind, MessageDefinition};
 
 /// Where generated code finds what it refers to.
 #[derive(Clone, Debug)]

@@ -1,7 +1,7 @@
 //! Rust names for ROS 2 names.
 
 use super::RustSource;
-use crate::{Element, FieldType, Primitive, Shape, TypeName};
+use downbeat_msgs_definitions::{Element, FieldType, Primitive, Shape, TypeName};
 
 /// The words of Rust 2024 that cannot name a field as they are.
 const KEYWORDS: [&str; 47] = [

@@ -1,7 +1,7 @@
 //! Lists of all types, for code that must treat each.
 
 use super::RustSource;
-use crate::TypeName;
+use downbeat_msgs_definitions::TypeName;
 
 impl RustSource<'_> {
     /// Modules that include the text of each [package](RustSource::package) from `<package>.rs` in the folder that

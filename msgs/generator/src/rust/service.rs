@@ -3,7 +3,7 @@
 use super::names::struct_name;
 use super::values::text_literal;
 use super::{RustSource, docs};
-use crate::{Error, ServiceDefinition};
+use downbeat_msgs_definitions::{Error, ServiceDefinition};
 
 impl RustSource<'_> {
     pub(super) fn service(&self, service: &ServiceDefinition) -> Result<String, Error> {

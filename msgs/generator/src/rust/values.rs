@@ -1,6 +1,6 @@
 //! Constants, defaults and texts as Rust literals.
 
-use crate::{Element, FieldType, Primitive, Shape, Value};
+use downbeat_msgs_definitions::{Element, FieldType, Primitive, Shape, Value};
 
 /// A value as an expression of the field's type.
 pub(super) fn expression(value: &Value, field_type: &FieldType, runtime: &str) -> String {

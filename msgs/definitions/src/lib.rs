@@ -1,0 +1,41 @@
+//! Reads ROS 2 interface definitions (`.msg`, `.srv`) and derives from them what both ends of a connection have to agree
+//! on: the `ros2msg` definition text, type descriptions and RIHS01 hashes.
+//!
+//! ```
+//! use downbeat_msgs_definitions::{Catalog, TypeName};
+//!
+//! let mut catalog = Catalog::new();
+//! catalog.add_message("std_msgs/msg/String".parse()?, "string data\n", "std_msgs/msg/String.msg")?;
+//! catalog.check()?;
+//! let name: TypeName = "std_msgs/msg/String".parse()?;
+//! assert!(catalog.type_hash(&name)?.starts_with("RIHS01_df668c74"));
+//! # Ok::<(), downbeat_msgs_definitions::Error>(())
+//! ```
+//!
+//! The steps, one module each: text is [parsed](parse_message) into [definitions](MessageDefinition), a [`Catalog`]
+//! holds them and follows the references between them, and everything else ([`TypeDescription`],
+//! [definition text](Catalog::definition_text)) is derived from a checked catalog.
+//!
+//! # References
+//! - `ros2/rosidl` branch jazzy: `rosidl_adapter/rosidl_adapter/parser.py` (the grammar),
+//!   `rosidl_generator_type_description` (descriptions and hashes).
+//! - `ros2/rosbag2` branch jazzy: `docs/message_definition_encoding.md` (definition text).
+
+mod catalog;
+mod definition;
+mod definition_text;
+mod description;
+mod error;
+mod literal;
+mod name;
+mod parse;
+mod wire;
+
+pub use catalog::Catalog;
+pub use definition::{
+    Constant, Element, Field, FieldType, MessageDefinition, Primitive, ServiceDefinition, Shape, Value,
+};
+pub use description::{FieldTypeDescription, IndividualTypeDescription, TypeDescription};
+pub use error::{Error, Place};
+pub use name::{Kind, TypeName};
+pub use parse::{parse_message, parse_service};
