@@ -4,11 +4,13 @@
 //! how a message gets from its publisher to its subscribers.
 
 pub mod contestants;
+mod football;
 pub mod launchers;
 pub mod measure;
 mod relay;
 pub mod table_ii;
 mod workload;
 
+pub use football::Football;
 pub use relay::Relay;
 pub use workload::{Load, Reading, Sum};

@@ -2,44 +2,41 @@
 
 use std::hint::black_box;
 
-use anyhow::Context as _;
 use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
 
 use crate::Reading;
-use crate::launchers::LauncherUnderTest;
+use crate::contestants::Contestant;
 
 /// Two modules that send each other what they receive: in each cycle one of them runs, receives what the other
-/// published in the cycle before, and publishes it. A cycle is a hop and nothing else.
+/// published in the cycle before, and publishes it. A trial is a cycle, and that a hop and nothing else.
 pub struct Relay {
     core: Core,
 }
 
 impl Relay {
-    /// Makes the core and its modules and sends the message on its way.
+    /// Adds the modules to a core that `prepare` makes of a new one, and sends the message on its way.
     ///
     /// # Errors
-    /// If the launcher gets no threads.
-    pub fn new(launcher: &LauncherUnderTest) -> anyhow::Result<Self> {
-        let core = Core::new().with_clock(ManualClock::new(Time::ZERO));
-        let mut core = (launcher.launch)(core)
-            .with_context(|| format!("cannot make a core with the launcher {}", launcher.name))?;
+    /// If the core cannot be prepared.
+    pub fn new(prepare: impl FnOnce(Core) -> anyhow::Result<Core>) -> anyhow::Result<Self> {
+        let mut core = prepare(Core::new().with_clock(ManualClock::new(Time::ZERO)))?;
         core.add("ping", Passer { hears: "to_ping", says: "to_pong" })?;
         core.add("pong", Passer { hears: "to_pong", says: "to_ping" })?;
         core.inlet("to_ping")?.publish(Reading::new(0))?;
         core.cycle()?;
         Ok(Self { core })
     }
+}
 
-    /// Has the message pass from one module to the other.
-    pub fn hop(&mut self) {
-        // Fails only while it starts, and it has started. A message that is lost shows in `hops`.
+impl Contestant for Relay {
+    fn trial(&mut self) {
+        // Fails only while it starts, and it has started. A message that is lost shows in the number of hops.
         let _ = self.core.cycle();
     }
 
     /// How often the message was passed on.
-    #[must_use]
-    pub fn hops(&self) -> u64 {
-        self.core.topics().map(|topic| topic.counter.messages()).sum::<u64>() - 1
+    fn finish(self: Box<Self>) -> u64 {
+        self.core.topics().map(|topic| topic.counter.messages()).sum::<u64>().saturating_sub(1)
     }
 }
 
@@ -65,9 +62,9 @@ mod tests {
     #[test]
     fn each_cycle_is_a_hop_under_every_launcher() {
         for launcher in LAUNCHERS {
-            let mut relay = Relay::new(launcher).unwrap();
-            (0..10).for_each(|_| relay.hop());
-            assert_eq!(relay.hops(), 10, "{}", launcher.name);
+            let mut relay = Box::new(Relay::new(launcher.launch).unwrap());
+            (0..10).for_each(|_| relay.trial());
+            assert_eq!(relay.finish(), 10, "{}", launcher.name);
         }
     }
 }

@@ -101,6 +101,20 @@ fn counts_are_exact_under_every_launcher() {
 }
 
 #[test]
+fn a_core_without_times_counts_and_can_be_traced() {
+    let mut core = Core::new().without_times();
+    core.add("source", Source::default()).unwrap();
+    core.add("sink", Sink).unwrap();
+    while_running(core, |handle| {
+        let seen = snapshot_when(handle, |snapshot| snapshot.topics[0].messages >= 40);
+        assert!(seen.modules.iter().all(|module| module.runs > 0 && module.run_time.count == 0), "{seen:#?}");
+        assert_eq!(seen.cycles.total.count, 0);
+        let trace = handle.trace(3).wait(WATCHDOG).unwrap();
+        assert_eq!(trace.events().iter().filter(|event| event.kind == TraceEventKind::Process).count(), 3);
+    });
+}
+
+#[test]
 fn a_module_that_panicked_has_failed() {
     let mut core = core(Linear);
     core.add("bomb", Bomb).unwrap();

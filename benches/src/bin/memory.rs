@@ -67,38 +67,51 @@ impl Module for Part {
 }
 
 fn main() -> anyhow::Result<()> {
-    let before = LIVE.load(Ordering::Relaxed);
-    let clock = ManualClock::new(Time::ZERO);
-    let mut core = Core::new().with_clock(clock.clone());
-    let empty = LIVE.load(Ordering::Relaxed) - before;
-    for number in 0..MODULES {
-        let topic = format!("topic_{}", number % TOPICS);
-        let tells = (number < TOPICS).then(|| topic.clone());
-        core.add(&format!("part {number}"), Part { tells, hears: topic, out: None, sum: Sum::default() })?;
-    }
-    let with_modules = LIVE.load(Ordering::Relaxed) - before;
-    for _ in 0..100 {
-        clock.advance(PERIOD);
-        core.cycle()?;
-    }
-    let running = LIVE.load(Ordering::Relaxed) - before;
-    let messages = 2 * TOPICS * usize::try_from(MESSAGES_PER_CYCLE)? * size_of::<Reading>();
     let mut out = std::io::stdout();
     writeln!(
         out,
         "{MODULES} modules, {TOPICS} topics, {MESSAGES_PER_CYCLE} messages of {} bytes per topic and cycle, Linear",
         size_of::<Reading>()
     )?;
-    writeln!(out, "{empty:>9} bytes  a core without modules")?;
-    writeln!(
-        out,
-        "{with_modules:>9} bytes  with modules and topics, before the first cycle: {} per module",
-        with_modules / MODULES
-    )?;
-    writeln!(out, "{running:>9} bytes  after 100 cycles: {} per module", running / MODULES)?;
-    writeln!(
-        out,
-        "{messages:>9} bytes  of these are messages at least: a batch being read and one being written"
-    )?;
+    let messages = 2 * TOPICS * usize::try_from(MESSAGES_PER_CYCLE)? * size_of::<Reading>();
+    for (what, prepare) in [
+        ("with times", Ok as fn(Core) -> anyhow::Result<Core>),
+        ("without times", |core| Ok(core.without_times())),
+    ] {
+        let Sizes { empty, before, running } = measure(prepare)?;
+        writeln!(out, "{what}")?;
+        writeln!(out, "{empty:>9} bytes  a core without modules")?;
+        writeln!(out, "{before:>9} bytes  with modules and topics, before the first cycle")?;
+        writeln!(out, "{running:>9} bytes  after 100 cycles: {} per module", running / MODULES)?;
+        writeln!(
+            out,
+            "{messages:>9} bytes  of these are messages at least: a batch being read and one being written"
+        )?;
+    }
     Ok(())
+}
+
+struct Sizes {
+    empty: usize,
+    before: usize,
+    running: usize,
+}
+
+fn measure(prepare: fn(Core) -> anyhow::Result<Core>) -> anyhow::Result<Sizes> {
+    let live = LIVE.load(Ordering::Relaxed);
+    let since = || LIVE.load(Ordering::Relaxed) - live;
+    let clock = ManualClock::new(Time::ZERO);
+    let mut core = prepare(Core::new().with_clock(clock.clone()))?;
+    let empty = since();
+    for number in 0..MODULES {
+        let topic = format!("topic_{}", number % TOPICS);
+        let tells = (number < TOPICS).then(|| topic.clone());
+        core.add(&format!("part {number}"), Part { tells, hears: topic, out: None, sum: Sum::default() })?;
+    }
+    let before = since();
+    for _ in 0..100 {
+        clock.advance(PERIOD);
+        core.cycle()?;
+    }
+    Ok(Sizes { empty, before, running: since() })
 }

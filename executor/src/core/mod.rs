@@ -20,7 +20,7 @@ pub(crate) use world::{JobResult, World};
 
 use crate::context::Asked;
 use crate::inlet::{InletPort, default_queue};
-use crate::inspect::{CycleInfo, Graph, Measuring, spans_are_on};
+use crate::inspect::{CycleInfo, Graph, Inspector, Measuring, spans_are_on};
 use crate::job::Jobs;
 use crate::join::{DetachedStep, JoinQueue};
 use crate::management::{Candidate, Command, Modules, Place, Source, admit, finish_leaving};
@@ -127,6 +127,18 @@ impl Core {
     pub fn with_clock(mut self, clock: impl Clock + 'static) -> Self {
         assert!(self.world.members.iter().next().is_none(), "give a core its clock before its modules");
         self.world.clock = Arc::new(clock);
+        self
+    }
+
+    /// The same core, which does not take the times of cycles and runs unless a [trace](CoreHandle::trace) is asked for.
+    /// It counts all the same. Saves about a hundredth of the time a cycle takes, and 15 KiB per module.
+    ///
+    /// # Panics
+    /// If the core has modules: they were made to be measured.
+    #[must_use]
+    pub fn without_times(mut self) -> Self {
+        assert!(self.world.members.iter().next().is_none(), "tell a core what to measure before its modules");
+        self.world.inspector = Inspector::off();
         self
     }
 
