@@ -131,7 +131,7 @@ impl Core {
     }
 
     /// The same core, which does not take the times of cycles and runs unless a [trace](CoreHandle::trace) is asked for.
-    /// It counts all the same. Saves about a hundredth of the time a cycle takes, and 15 KiB per module.
+    /// It counts all the same. Saves less than a hundredth of the time a cycle takes, and 15 KiB per module.
     ///
     /// # Panics
     /// If the core has modules: they were made to be measured.

@@ -1,7 +1,7 @@
 //! Seeing inside a core while it runs: counters, times, a trace of a few cycles, the graph.
 //!
 //! Counters are exact. Times are of *sampled* cycles: reading a clock twice can take longer than a small module's
-//! run, so a [`Sampler`](sampler::Sampler) has as many cycles measured as cost about a hundredth of what they do. A
+//! run, so a [`Sampler`](sampler::Sampler) has as many cycles measured as cost half a hundredth of what they do. A
 //! core whose modules take microseconds is measured in every cycle.
 
 mod counters;

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use super::histogram::nanoseconds;
 
 /// What measuring may cost, as a share of what the core does anyway.
-pub(crate) const SHARE: f64 = 0.01;
+pub(crate) const SHARE: f64 = 0.005;
 
 /// What the sleep before a cycle costs the machine at least: two switches of context.
 const SLEEP_NS: f64 = 2_000.0;
@@ -17,7 +17,7 @@ const MEMORY: f64 = 32.0;
 /// At least one cycle in so many is measured.
 const LONGEST_INTERVAL: f64 = 4096.0;
 
-/// Decides which cycles are measured, so that measuring costs at most a hundredth of the time the core is busy.
+/// Decides which cycles are measured, so that measuring costs at most one part in 200 of the time the core is busy.
 ///
 /// Both what a cycle takes and what measuring it costs are averaged over the cycles that were measured; from that
 /// comes how many cycles there are from one measured cycle to the next. The number varies at random about that mean:
@@ -107,29 +107,29 @@ mod tests {
 
     #[test]
     fn long_cycles_are_all_measured() {
-        let (share, measured) = share(1000, 1_000, false, |_| 200_000);
+        let (share, measured) = share(1000, 1_000, false, |_| 400_000);
         assert_eq!(measured, 1000);
         assert!(share < SHARE, "{share}");
     }
 
     #[test]
-    fn short_cycles_cost_a_hundredth() {
+    fn short_cycles_cost_their_share() {
         for busy_ns in [30, 100, 1_000, 20_000] {
             let (share, measured) = share(1_000_000, 300, false, |_| busy_ns);
             assert!((0.5 * SHARE..1.2 * SHARE).contains(&share), "{busy_ns} ns: {share}");
-            assert!(measured > 500, "{busy_ns} ns: {measured}");
+            assert!(measured > 200, "{busy_ns} ns: {measured}");
         }
     }
 
     #[test]
-    fn rare_long_cycles_among_short_ones_cost_a_hundredth_too() {
+    fn rare_long_cycles_among_short_ones_cost_their_share_too() {
         let (share, _) = share(1_000_000, 300, false, |cycle| if cycle % 97 == 0 { 50_000 } else { 100 });
         assert!((0.3 * SHARE..1.6 * SHARE).contains(&share), "{share}");
     }
 
     #[test]
     fn a_long_first_cycle_is_soon_forgotten() {
-        let (share, _) = share(200_000, 300, false, |cycle| if cycle == 0 { 5_000_000 } else { 100 });
+        let (share, _) = share(1_000_000, 300, false, |cycle| if cycle == 0 { 5_000_000 } else { 100 });
         assert!(share < 1.6 * SHARE, "{share}");
     }
 
