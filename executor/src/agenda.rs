@@ -4,7 +4,7 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use crate::Time;
-use crate::context::Asked;
+use crate::asked::Asked;
 
 /// A module of the next cycle. Sorting gives the order of registration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

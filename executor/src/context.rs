@@ -1,139 +1,19 @@
 //! What a callback can do.
 
-use std::any::Any;
 use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::job::{AnyJob, JobPort, Work};
-use crate::join::JoinQueue;
+use crate::asked::Asked;
+use crate::job::Work;
 use crate::management::Command;
-use crate::mechanism::{MechanismKey, Offers};
-use crate::messaging::{Outboxes, Topics};
-use crate::schedule::{Tasks, Timer};
-use crate::service::{AnyClient, AnyServer, ClientPort, ServerPort};
-use crate::setting::{SettingType, Settings};
+use crate::mechanism::MechanismKey;
+use crate::module_io::{ModuleIo, Shared};
+use crate::setting::SettingType;
 use crate::{
-    CallId, Client, Completion, Job, JobError, Mechanism, Module, ModuleId, ModuleOptions, Publication,
-    Responder, Setting, SettingValue, Task, Time, Transition,
+    CallId, Client, Completion, Job, Mechanism, Module, ModuleOptions, Publication, Responder, Setting,
+    SettingValue, Task, Time, Transition,
 };
-
-/// What a module owns beside its state.
-pub(crate) struct ModuleIo {
-    pub(crate) name: Arc<str>,
-    pub(crate) id: ModuleId,
-    pub(crate) queue: Arc<JoinQueue>,
-    pub(crate) outboxes: Outboxes,
-    pub(crate) settings: Settings,
-    pub(crate) timers: Vec<Timer>,
-    pub(crate) tasks: Tasks,
-    pub(crate) clients: Vec<Box<dyn AnyClient>>,
-    pub(crate) servers: Vec<Box<dyn AnyServer>>,
-    pub(crate) jobs: Vec<Box<dyn AnyJob>>,
-    pub(crate) work: Vec<Work>,
-    pub(crate) commands: Vec<Command>,
-    /// By mechanism: what was asked of it, a `Vec` of its requests.
-    pub(crate) asks: Vec<Option<Box<dyn Any + Send>>>,
-    pub(crate) asked: Asked,
-}
-
-/// Of which mechanisms a module has asked something in this cycle.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Asked(u16);
-
-impl Asked {
-    pub(crate) const MESSAGES: Self = Self(1);
-    pub(crate) const CALLS: Self = Self(2);
-    pub(crate) const ANSWERS: Self = Self(4);
-    pub(crate) const COMMANDS: Self = Self(8);
-    pub(crate) const MECHANISMS: Self = Self(16);
-    pub(crate) const WORK: Self = Self(32);
-    /// The module's state changed, or the time for which it waits.
-    pub(crate) const STATE: Self = Self(64);
-    /// The module panicked.
-    pub(crate) const PANIC: Self = Self(128);
-    /// Not of a module: something came from another thread.
-    pub(crate) const JOINED: Self = Self(256);
-    /// Not of a module: holds in each sync phase.
-    pub(crate) const ALWAYS: Self = Self(512);
-
-    pub(crate) const fn or(self, other: Self) -> Self {
-        Self(self.0 | other.0)
-    }
-
-    #[inline]
-    pub(crate) fn add(&mut self, other: Self) {
-        self.0 |= other.0;
-    }
-
-    #[inline]
-    pub(crate) fn has(self, other: Self) -> bool {
-        self.0 & other.0 != 0
-    }
-
-    pub(crate) fn is_empty(self) -> bool {
-        self.0 == 0
-    }
-}
-
-impl ModuleIo {
-    pub(crate) fn new(name: Arc<str>, id: ModuleId, queue: Arc<JoinQueue>) -> Self {
-        Self {
-            name,
-            id,
-            queue,
-            outboxes: Outboxes::default(),
-            settings: Settings::default(),
-            timers: Vec::new(),
-            tasks: Tasks::default(),
-            clients: Vec::new(),
-            servers: Vec::new(),
-            jobs: Vec::new(),
-            work: Vec::new(),
-            commands: Vec::new(),
-            asks: Vec::new(),
-            asked: Asked::default(),
-        }
-    }
-
-    /// Forgets what a run asked for that panicked. May panic itself, where dropping a message does.
-    pub(crate) fn discard(&mut self) {
-        self.outboxes.discard();
-        self.clients.iter_mut().for_each(|client| client.reset());
-        self.servers.iter_mut().for_each(|server| server.discard_answers());
-        self.work.clear();
-        self.commands.clear();
-        self.asks.clear();
-    }
-
-    pub(crate) fn client<Q: Send + 'static, R: Send + 'static>(
-        &mut self,
-        port: u32,
-    ) -> Option<&mut ClientPort<Q, R>> {
-        let port: &mut dyn Any = &mut **self.clients.get_mut(port as usize)?;
-        port.downcast_mut()
-    }
-
-    pub(crate) fn server<Q: Send + 'static, R: Send + 'static>(
-        &mut self,
-        port: u32,
-    ) -> Option<&mut ServerPort<Q, R>> {
-        let port: &mut dyn Any = &mut **self.servers.get_mut(port as usize)?;
-        port.downcast_mut()
-    }
-
-    pub(crate) fn take_results<T: Send + 'static>(&mut self, job: Job<T>) -> Vec<Result<T, JobError>> {
-        let port = self.jobs.get_mut(job.port as usize).map(|port| &mut **port as &mut dyn Any);
-        port.and_then(|port| port.downcast_mut::<JobPort<T>>()).map(JobPort::take).unwrap_or_default()
-    }
-}
-
-/// What modules read in the process phase and nobody writes.
-#[derive(Default)]
-pub(crate) struct Shared {
-    pub(crate) topics: Topics,
-    pub(crate) offers: Offers,
-}
 
 /// A callback's access to the executor. Everything it asks for takes effect in the sync phase.
 ///

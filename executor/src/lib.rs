@@ -147,6 +147,7 @@
 //! share of the time of a timer.
 
 mod agenda;
+mod asked;
 mod behaviour;
 mod cell;
 mod clock;
@@ -165,6 +166,7 @@ mod management;
 mod mechanism;
 mod messaging;
 mod module;
+mod module_io;
 mod options;
 mod probe;
 pub mod queue;

@@ -7,7 +7,7 @@
 use std::any::{Any, TypeId};
 use std::fmt;
 
-use crate::context::Asked;
+use crate::asked::Asked;
 use crate::{ModuleId, SyncPhase};
 
 /// The version of a mechanism: what is built for `1.2` works with `1.3`, not with `1.1` nor `2.0`.

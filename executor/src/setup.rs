@@ -6,10 +6,10 @@ use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use crate::behaviour::{Callbacks, Subscription, answering, answering_later, checking, finishing, replying};
-use crate::context::ModuleIo;
 use crate::job::JobPort;
 use crate::mechanism::{MechanismKey, Offers};
 use crate::messaging::Topics;
+use crate::module_io::ModuleIo;
 use crate::schedule::Timer;
 use crate::service::{ClientPort, ServerPort, ServiceRegistry};
 use crate::setting::{SettingInfo, SettingType};

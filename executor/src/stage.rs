@@ -6,8 +6,8 @@ use std::sync::{Mutex, PoisonError};
 use crate::Time;
 use crate::agenda::{Asker, Ready};
 use crate::cell::ModuleCell;
-use crate::context::Shared;
 use crate::inspect::{Measuring, Stopwatch};
+use crate::module_io::Shared;
 
 /// The modules that run in this cycle, and the messages they read.
 ///

@@ -251,6 +251,25 @@ fn a_paused_core_runs_only_the_cycles_it_is_told_to() {
 }
 
 #[test]
+fn a_detached_module_that_joins_a_paused_core_waits_with_it() {
+    let (log, mut core) = (Log::default(), Core::new());
+    let noted = log.clone();
+    let ticking = module(move |setup| setup.every(STEP, move |_, _| noted.note("tick")));
+    let handle = core.handle();
+    let running = std::thread::spawn(move || core.run());
+    handle.pause();
+    let added = handle.add("ticking", ticking, detached());
+    handle.step();
+    added.wait(WATCHDOG).unwrap().unwrap();
+    std::thread::sleep(5 * STEP);
+    assert_eq!(log.take(), [""; 0]);
+    handle.resume();
+    wait_until("it ticks", || !log.take().is_empty());
+    handle.stop();
+    running.join().unwrap().unwrap();
+}
+
+#[test]
 fn a_detached_module_is_removed_with_its_thread_and_its_topics() {
     let (log, mut core) = (Log::default(), Core::new());
     let gone = Arc::new(());

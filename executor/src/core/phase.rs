@@ -1,9 +1,10 @@
 //! The sync phase as mechanisms see it.
 
+use crate::asked::Asked;
 use crate::cell::ModuleCell;
-use crate::context::{Asked, ModuleIo};
 use crate::core::World;
 use crate::mechanism::Mechanism;
+use crate::module_io::ModuleIo;
 use crate::{ModuleId, Stage, Time};
 
 /// The core between two process phases: what a [`Mechanism`] works on. No module runs while it is there.

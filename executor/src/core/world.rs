@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::agenda::{Agenda, Asker};
-use crate::context::Asked;
+use crate::asked::Asked;
 use crate::detached::{DetachedModule, StepOutcome};
 use crate::inlet::AnyInlet;
 use crate::inspect::Inspector;

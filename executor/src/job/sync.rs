@@ -1,6 +1,6 @@
 //! The mechanism "jobs": starts the work that modules asked for, and brings its results.
 
-use crate::context::Asked;
+use crate::asked::Asked;
 use crate::core::{JobResult, SyncPhase};
 use crate::detached::Parcel;
 use crate::job::Workers;

@@ -6,12 +6,12 @@ use std::sync::Arc;
 
 use crate::behaviour::{Behaviour, ModuleBehaviour};
 use crate::cell::ModuleCell;
-use crate::context::ModuleIo;
 use crate::core::World;
 use crate::detached::DetachedModule;
 use crate::guard::{drop_guarded, end_of};
 use crate::management::{Member, ModuleId, Place};
 use crate::messaging::Subscriber;
+use crate::module_io::ModuleIo;
 use crate::setup::{Registries, Uses};
 use crate::{Module, ModuleOptions, Restart, SettingValue, Setup, SetupError, Stage, Synchrony};
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::agenda::{Asker, Ready};
-use crate::context::Asked;
+use crate::asked::Asked;
 use crate::core::SyncPhase;
 use crate::detached::Parcel;
 use crate::inspect::ModuleMeter;

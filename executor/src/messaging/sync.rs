@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
+use crate::asked::Asked;
 use crate::cell::Delivery;
-use crate::context::Asked;
 use crate::core::SyncPhase;
 use crate::detached::{DetachedModule, StepOutcome};
 use crate::join::{DetachedStep, StepInput};

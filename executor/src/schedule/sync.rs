@@ -1,6 +1,6 @@
 //! The mechanism "timers": has modules run when their timers, tasks and time-outs are due.
 
-use crate::context::Asked;
+use crate::asked::Asked;
 use crate::core::SyncPhase;
 use crate::mechanism::{Mechanism, Version};
 

@@ -4,7 +4,7 @@ use std::any::Any;
 use std::sync::Arc;
 
 use crate::ModuleId;
-use crate::context::Asked;
+use crate::asked::Asked;
 use crate::core::SyncPhase;
 use crate::detached::Parcel;
 use crate::management::Place;

@@ -1,0 +1,38 @@
+//! What a run of a detached module brings back.
+
+use crate::inspect::Span;
+use crate::job::Work;
+use crate::management::Command;
+use crate::messaging::AnyOutbox;
+use crate::service::{AnyClient, AnyReply, ReplyTo};
+use crate::{LifecycleState, ModuleId, SettingInfo, Time};
+
+/// What a run of a detached module brings to the next sync phase.
+pub(crate) struct StepOutcome {
+    pub(crate) module: ModuleId,
+    pub(crate) time: Time,
+    pub(crate) step: u64,
+    pub(crate) is_stop: bool,
+    pub(crate) inputs: Vec<Input>,
+    pub(crate) outboxes: Vec<Box<dyn AnyOutbox>>,
+    /// When and where it ran, if that was measured.
+    pub(crate) span: Option<Span>,
+    /// Runs that took longer than the deadline.
+    pub(crate) overruns: u64,
+    /// By client port.
+    pub(crate) calls: Vec<(u32, Box<dyn AnyClient>)>,
+    pub(crate) answers: Vec<(ReplyTo, Box<dyn AnyReply>)>,
+    pub(crate) commands: Vec<Command>,
+    pub(crate) work: Vec<Work>,
+    pub(crate) state: LifecycleState,
+    pub(crate) panic: Option<String>,
+    /// The settings that have other values now, whole.
+    pub(crate) settings: Option<Vec<SettingInfo>>,
+}
+
+#[derive(Clone, Copy)]
+pub(crate) struct Input {
+    pub(crate) topic: usize,
+    pub(crate) skipped: u32,
+    pub(crate) received: u32,
+}
