@@ -49,9 +49,12 @@ impl RobotFile {
     }
 
     fn launch(&self, core: Core) -> Result<Core> {
-        let LauncherEntry { line, choice, threads, idle } = &self.launcher;
+        let LauncherEntry { line, choice, threads, idle, deadline } = &self.launcher;
         let refuse = |problem: String| self.source.error(*line, problem);
-        let core = core.with_idle(*idle);
+        let mut core = core.with_idle(*idle);
+        if let Some(deadline) = deadline {
+            core = core.with_cycle_deadline(*deadline).map_err(|error| refuse(error.to_string()))?;
+        }
         check("core", threads).map_err(|error| refuse(error.to_string()))?;
         Ok(match choice {
             LauncherChoice::Linear => core.with_launcher(Scheduled::new(Linear, threads.clone())),

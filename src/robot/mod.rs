@@ -43,6 +43,7 @@
 //! | `priority` | 1 to 99: `SCHED_FIFO` at this priority | as the program |
 //! | `spin` | of pool and threads, between cycles: `"never"`, `"always"`, `"auto"`, or for a time before they park | `"auto"` |
 //! | `idle` | what the core's thread does while nothing is due: `"park"` or `"spin"` | `"park"` |
+//! | `deadline` | how long a cycle may take before it is reported | none |
 //!
 //! Which launcher it is changes no result. Where the system does not allow `cpus` or `priority`, `downbeat run` says
 //! what to do and does not start, `downbeat check` warns, and a replay does without.

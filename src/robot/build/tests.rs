@@ -105,6 +105,16 @@ fn two_servers_of_one_service_are_told_with_the_line_of_the_second() {
     );
 }
 
+#[test]
+fn a_cycle_that_takes_longer_than_its_deadline_is_reported() {
+    let text = "[launcher]\nkind = \"linear\"\ndeadline = \"1us\"\n[[module]]\nkind = \"stand_nod_wave\"";
+    let mut core = robot(text).build(Core::new()).unwrap().core;
+    let (sender, overruns) = std::sync::mpsc::channel();
+    core.on_overrun(move |overrun| drop(sender.send(overrun.what.to_string())));
+    let overrun = std::iter::repeat_with(|| core.cycle().unwrap()).find_map(|()| overruns.try_recv().ok());
+    assert_eq!(overrun.unwrap(), "the cycle");
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn a_cpu_that_is_not_there_is_told_with_its_line_and_does_not_matter_to_a_replay() {

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::num::NonZeroUsize;
+use std::time::Duration;
 
 use downbeat_executor::{Idle, Spin, ThreadOptions};
 
@@ -20,6 +21,8 @@ pub struct LauncherEntry {
     pub threads: ThreadOptions,
     /// What the core's thread does while nothing is due.
     pub idle: Idle,
+    /// How long a cycle may take before it is reported.
+    pub deadline: Option<Duration>,
 }
 
 /// On how many threads the process phase runs.
@@ -54,8 +57,10 @@ pub(super) fn launcher<'a>(root: &mut Table<'a>, robot: &mut Table<'a>) -> Resul
         (value, None) | (None, value) => value,
     };
     let line = launcher.or(threads).map_or(robot.line(), |value| value.line());
-    let plain =
-        |choice| LauncherEntry { line, choice, threads: ThreadOptions::default(), idle: Idle::default() };
+    let plain = |choice| {
+        let (threads, idle) = (ThreadOptions::default(), Idle::default());
+        LauncherEntry { line, choice, threads, idle, deadline: None }
+    };
     let Some(value) = launcher else { return Ok(plain(choice(None, threads)?)) };
     match (value.as_table("[launcher]"), threads) {
         (None, threads) => Ok(plain(choice(Some(value), threads)?)),
@@ -82,8 +87,9 @@ fn detailed(mut table: Table<'_>, line: usize) -> Result<LauncherEntry> {
         Some(value) => super::choice(value, &[("park", Idle::Park), ("spin", Idle::Spin)])?,
         None => Idle::default(),
     };
+    let deadline = table.take("deadline").map(|value| value.duration()).transpose()?;
     table.finish()?;
-    Ok(LauncherEntry { line, choice, threads, idle })
+    Ok(LauncherEntry { line, choice, threads, idle, deadline })
 }
 
 fn choice(launcher: Option<Value<'_>>, threads: Option<Value<'_>>) -> Result<LauncherChoice> {
