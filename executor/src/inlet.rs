@@ -91,11 +91,13 @@ pub(crate) fn default_queue<T: Send + 'static>() -> Locked<T> {
 pub(crate) struct InletPort<T> {
     messages: Arc<dyn Queue<T>>,
     outbox: Outbox<T>,
+    /// How many of the messages that the queue dropped are counted.
+    dropped: u64,
 }
 
 impl<T> InletPort<T> {
     pub(crate) fn new(messages: Arc<dyn Queue<T>>, topic: usize) -> Self {
-        Self { messages, outbox: Outbox { topic, messages: Vec::new() } }
+        Self { messages, outbox: Outbox { topic, messages: Vec::new() }, dropped: 0 }
     }
 }
 
@@ -115,6 +117,9 @@ impl<T: Send + Sync + 'static> AnyInlet for InletPort<T> {
     }
 
     fn drain(&mut self, topics: &mut Topics, now: Time) {
+        let dropped = self.messages.dropped();
+        topics.meter_mut(self.outbox.topic).dropped(dropped.saturating_sub(self.dropped));
+        self.dropped = dropped;
         let waiting = self.messages.len();
         self.outbox.messages.extend(std::iter::from_fn(|| self.messages.pop()).take(waiting));
         if !self.outbox.messages.is_empty() {

@@ -3,6 +3,7 @@
 
 use std::time::Duration;
 
+use downbeat_executor::queue::{Locked, Overflow};
 use downbeat_executor::{
     Context, Core, CoreHandle, CycleTrace, GraphEdge, Inbox, Launcher, Linear, Module, ModuleOptions,
     ModuleState, Pool, Publication, Received, Setup, SetupError, Snapshot, Synchrony, Threads,
@@ -98,6 +99,19 @@ fn counts_are_exact_under_every_launcher() {
     check_counts(Linear);
     check_counts(Pool::new(2).unwrap());
     check_counts(Threads::new());
+}
+
+#[test]
+fn what_the_queue_of_an_inlet_drops_is_counted_with_its_topic() {
+    let mut core = Core::new();
+    core.add("sink", Sink).unwrap();
+    let two = std::num::NonZeroUsize::new(2).unwrap();
+    let inlet = core.inlet_with("number", Locked::bounded(two, Overflow::DropOldest)).unwrap();
+    (0..5_u32).for_each(|number| inlet.publish(number).unwrap());
+    while_running(core, |handle| {
+        let seen = snapshot_when(handle, |snapshot| snapshot.topics[0].messages > 0);
+        assert_eq!((seen.topics[0].messages, seen.topics[0].dropped), (2, 3));
+    });
 }
 
 #[test]
