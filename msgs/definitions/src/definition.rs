@@ -1,4 +1,4 @@
-//! What a `.msg` or `.srv` file says, as values.
+//! What a `.msg`, `.srv` or `.action` file says, as values.
 
 use crate::{Place, TypeName};
 
@@ -28,6 +28,23 @@ pub struct ServiceDefinition {
     pub request: MessageDefinition,
     /// `<name>_Response`.
     pub response: MessageDefinition,
+    /// The text it was parsed from, unchanged.
+    pub text: String,
+    /// The file it comes from.
+    pub origin: String,
+}
+
+/// A parsed action. The services and messages that rosidl derives from it are in the [`Catalog`](crate::Catalog).
+#[derive(Clone, Debug, PartialEq)]
+pub struct ActionDefinition {
+    /// Its name.
+    pub name: TypeName,
+    /// `<name>_Goal`.
+    pub goal: MessageDefinition,
+    /// `<name>_Result`.
+    pub result: MessageDefinition,
+    /// `<name>_Feedback`.
+    pub feedback: MessageDefinition,
     /// The text it was parsed from, unchanged.
     pub text: String,
     /// The file it comes from.

@@ -1,25 +1,36 @@
 //! The text rosbag2 stores as the schema of a topic (`ros2msg`).
 //!
 //! The root's own text comes first; then, depth first and in the order of their names, each message it depends on,
-//! once, after a line of 80 `=` and a line `MSG: package/Type`. A service's text stands below such a head itself.
+//! once, after a line of 80 `=` and a line `MSG: package/Type`. A service's text stands below such a head itself, and so
+//! does an action's. A message that rosidl derives from an action has the text its author would have written.
 
 use std::collections::BTreeSet;
 
-use crate::{Catalog, Element, Error, MessageDefinition, TypeName};
+use crate::{Catalog, Element, Error, Kind, MessageDefinition, TypeName};
 
 impl Catalog {
-    /// The definition text of a message. That of a service's event is the text of the service, as in rosbag2.
+    /// The definition text of a message, a service or an action. That of a service's event is the text of the service,
+    /// as in rosbag2.
     ///
     /// # Errors
-    /// [`Error::NotInCatalog`] for the message itself or one it depends on.
+    /// [`Error::NotInCatalog`] for the type itself or a message it depends on.
     pub fn definition_text(&self, name: &TypeName) -> Result<String, Error> {
+        if let Ok(action) = self.action(name) {
+            let head = format!("{RULE}\nACTION: {name}\n{}", action.text);
+            return self.with_dependencies(
+                head,
+                &[&action.goal, &action.result, &action.feedback],
+                BTreeSet::new(),
+            );
+        }
+        if self.service(name).is_ok() {
+            return self.service_definition_text(name);
+        }
         let message = self.message(name)?;
-        if let Some(service) = name.name.strip_suffix("_Event") {
+        if let (Kind::Service, Some(service)) = (name.kind, name.name.strip_suffix("_Event")) {
             return self.service_definition_text(&TypeName::new(&name.package, name.kind, service));
         }
-        let mut text = message.text.clone();
-        self.append_dependencies(&[message], &mut text, &mut BTreeSet::from([name.clone()]))?;
-        Ok(text)
+        self.with_dependencies(message.text.clone(), &[message], BTreeSet::from([name.clone()]))
     }
 
     /// The definition text of a service.
@@ -28,34 +39,42 @@ impl Catalog {
     /// [`Error::NotInCatalog`] for the service itself or a message it depends on.
     pub fn service_definition_text(&self, name: &TypeName) -> Result<String, Error> {
         let service = self.service(name)?;
-        let mut text = format!("{}\nSRV: {name}\n{}", "=".repeat(80), service.text);
-        self.append_dependencies(&[&service.request, &service.response], &mut text, &mut BTreeSet::new())?;
-        Ok(text)
+        let head = format!("{RULE}\nSRV: {name}\n{}", service.text);
+        self.with_dependencies(head, &[&service.request, &service.response], BTreeSet::new())
     }
 
-    fn append_dependencies(
+    fn with_dependencies(
         &self,
-        of: &[&MessageDefinition],
-        text: &mut String,
-        seen: &mut BTreeSet<TypeName>,
-    ) -> Result<(), Error> {
-        let names: BTreeSet<&TypeName> = of
-            .iter()
-            .flat_map(|message| &message.fields)
-            .filter_map(|field| match &field.field_type.element {
-                Element::Message(name) => Some(name),
-                _ => None,
-            })
-            .collect();
-        for name in names {
+        mut text: String,
+        roots: &[&MessageDefinition],
+        mut seen: BTreeSet<TypeName>,
+    ) -> Result<String, Error> {
+        // What is still to be written, the next one last.
+        let mut waiting: Vec<&TypeName> = dependencies_backwards(roots);
+        while let Some(name) = waiting.pop() {
             if seen.insert(name.clone()) {
                 let message = self.message(name)?;
-                text.push_str(&format!("\n{}\nMSG: {}\n{}", "=".repeat(80), name.short(), message.text));
-                self.append_dependencies(&[message], text, seen)?;
+                text.push_str(&format!("\n{RULE}\nMSG: {}\n{}", name.short(), message.text));
+                waiting.extend(dependencies_backwards(&[message]));
             }
         }
-        Ok(())
+        Ok(text)
     }
+}
+
+/// The line before each head.
+const RULE: &str = "================================================================================";
+
+fn dependencies_backwards<'a>(of: &[&'a MessageDefinition]) -> Vec<&'a TypeName> {
+    let names: BTreeSet<&TypeName> = of
+        .iter()
+        .flat_map(|message| &message.fields)
+        .filter_map(|field| match &field.field_type.element {
+            Element::Message(name) => Some(name),
+            _ => None,
+        })
+        .collect();
+    names.into_iter().rev().collect()
 }
 
 #[cfg(test)]
@@ -63,6 +82,27 @@ mod tests {
     #![allow(clippy::unwrap_used)]
 
     use crate::Catalog;
+
+    #[test]
+    fn an_action_and_its_parts_have_texts() {
+        let mut catalog = Catalog::new();
+        catalog
+            .add_message("unique_identifier_msgs/msg/UUID".parse().unwrap(), "uint8[16] uuid\n", "")
+            .unwrap();
+        let text = "int32 order\n---\nint32[] sequence\n---\nint32 left\n";
+        catalog.add_action("a/action/Fibonacci".parse().unwrap(), text, "").unwrap();
+        let text_of = |name: &str| catalog.definition_text(&name.parse().unwrap()).unwrap();
+        let line = "=".repeat(80);
+        assert_eq!(text_of("a/action/Fibonacci"), format!("{line}\nACTION: a/action/Fibonacci\n{text}"));
+        assert_eq!(text_of("a/action/Fibonacci_Result"), "int32[] sequence\n");
+        assert_eq!(
+            text_of("a/action/Fibonacci_FeedbackMessage"),
+            format!(
+                "unique_identifier_msgs/UUID goal_id\na/Fibonacci_Feedback feedback\n\n{line}\nMSG: a/Fibonacci_Feedback\n\
+                 int32 left\n\n{line}\nMSG: unique_identifier_msgs/UUID\nuint8[16] uuid\n"
+            )
+        );
+    }
 
     #[test]
     fn dependencies_follow_once_each_depth_first() {

@@ -26,7 +26,7 @@ impl fmt::Display for Place {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A line is not what the grammar of `.msg` and `.srv` files allows.
+    /// A line is not what the grammar of interface files allows.
     #[error("{place}: {message}")]
     Syntax {
         /// Where.
@@ -34,12 +34,16 @@ pub enum Error {
         /// What was found, what was expected.
         message: String,
     },
-    /// A `.srv` file does not have exactly one separator line.
-    #[error("{origin}: a service needs exactly one line `---` between request and response, found {found}")]
+    /// A `.srv` or `.action` file does not have the separator lines it needs.
+    #[error("{place}: {what} with {expected} between them, found {found}")]
     Separators {
-        /// The file.
-        origin: String,
-        /// How many such lines it has.
+        /// The separator that is too many, or the end of the file where one is missing.
+        place: Place,
+        /// What needs them.
+        what: &'static str,
+        /// How many are needed, in words.
+        expected: &'static str,
+        /// How many such lines there are.
         found: usize,
     },
     /// A field has a type that no definition describes.
@@ -78,7 +82,9 @@ pub enum Error {
     #[error("{0} is not in the catalog: add its package's folder or definition first")]
     NotInCatalog(TypeName),
     /// A text is not the name of an interface.
-    #[error("`{0}` is not an interface name: expected `package/msg/Type` or `package/srv/Type`")]
+    #[error(
+        "`{0}` is not an interface name: expected `package/msg/Type`, `package/srv/Type` or `package/action/Type`"
+    )]
     Name(String),
     /// A file or folder could not be read.
     #[error("cannot read {}: {source}", path.display())]

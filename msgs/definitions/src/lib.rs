@@ -1,4 +1,4 @@
-//! Reads ROS 2 interface definitions (`.msg`, `.srv`) and derives from them what both ends of a connection have to agree
+//! Reads ROS 2 interface definitions (`.msg`, `.srv`, `.action`) and derives from them what both ends of a connection have to agree
 //! on: the `ros2msg` definition text, type descriptions and RIHS01 hashes.
 //!
 //! ```
@@ -24,18 +24,19 @@
 mod catalog;
 mod definition;
 mod definition_text;
+mod derived;
 mod description;
 mod error;
-mod literal;
 mod name;
 mod parse;
 mod wire;
 
 pub use catalog::Catalog;
 pub use definition::{
-    Constant, Element, Field, FieldType, MessageDefinition, Primitive, ServiceDefinition, Shape, Value,
+    ActionDefinition, Constant, Element, Field, FieldType, MessageDefinition, Primitive, ServiceDefinition,
+    Shape, Value,
 };
 pub use description::{FieldTypeDescription, IndividualTypeDescription, TypeDescription};
 pub use error::{Error, Place};
 pub use name::{Kind, TypeName};
-pub use parse::{parse_message, parse_service};
+pub use parse::{parse_action, parse_message, parse_service};

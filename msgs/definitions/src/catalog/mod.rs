@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::derived::{event_of, parts_of};
 use crate::{
-    Element, Error, Field, FieldType, Kind, MessageDefinition, Place, ServiceDefinition, Shape, TypeName,
+    ActionDefinition, Element, Error, Kind, MessageDefinition, ServiceDefinition, TypeName, parse_action,
     parse_message, parse_service,
 };
 
@@ -14,6 +15,7 @@ use crate::{
 pub struct Catalog {
     messages: BTreeMap<TypeName, MessageDefinition>,
     services: BTreeMap<TypeName, ServiceDefinition>,
+    actions: BTreeMap<TypeName, ActionDefinition>,
 }
 
 impl Catalog {
@@ -37,34 +39,27 @@ impl Catalog {
     /// # Errors
     /// If the text is no service definition, or the name has another definition already.
     pub fn add_service(&mut self, name: TypeName, text: &str, origin: &str) -> Result<(), Error> {
-        let service = parse_service(name, text, origin)?;
-        if let Some(first) = self.services.get(&service.name) {
-            return if first.text == service.text {
-                Ok(())
-            } else {
-                Err(Error::DefinedTwice {
-                    name: service.name,
-                    first: first.origin.clone(),
-                    second: service.origin,
-                })
-            };
-        }
-        self.insert(service.request.clone())?;
-        self.insert(service.response.clone())?;
-        self.insert(event_of(&service))?;
-        self.services.insert(service.name.clone(), service);
-        Ok(())
+        self.insert_service(parse_service(name, text, origin)?)
     }
 
-    /// Adds the interfaces of one package: `<folder>/msg/*.msg` and `<folder>/srv/*.srv`. The folder's name is the
-    /// package's. Returns how many files were read.
+    /// Adds one action, and the services and messages that belong to it: `_Goal`, `_Result`, `_Feedback`,
+    /// `_FeedbackMessage`, `_SendGoal`, `_GetResult` and the messages of these two.
+    ///
+    /// # Errors
+    /// If the text is no action definition, or the name has another definition already.
+    pub fn add_action(&mut self, name: TypeName, text: &str, origin: &str) -> Result<(), Error> {
+        self.insert_action(parse_action(name, text, origin)?)
+    }
+
+    /// Adds the interfaces of one package: `<folder>/msg/*.msg`, `<folder>/srv/*.srv` and `<folder>/action/*.action`. The
+    /// folder's name is the package's. Returns how many files were read.
     ///
     /// # Errors
     /// If a file cannot be read or parsed. A folder without interfaces is no error.
     pub fn add_package(&mut self, folder: &Path) -> Result<usize, Error> {
         let package = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let mut count = 0;
-        for kind in [Kind::Message, Kind::Service] {
+        for kind in Kind::ALL {
             for file in files_with_extension(&folder.join(kind.as_str()), kind.as_str())? {
                 let stem = file.file_stem().unwrap_or_default().to_string_lossy();
                 let name: TypeName = format!("{package}/{}/{stem}", kind.as_str()).parse()?;
@@ -74,6 +69,7 @@ impl Catalog {
                 match kind {
                     Kind::Message => self.add_message(name, &text, &origin)?,
                     Kind::Service => self.add_service(name, &text, &origin)?,
+                    Kind::Action => self.add_action(name, &text, &origin)?,
                 }
                 count += 1;
             }
@@ -122,7 +118,7 @@ impl Catalog {
             .try_for_each(|message| self.check_cycles(message, &mut Vec::new(), &mut finished))
     }
 
-    /// The definition of a message, be it one of a service.
+    /// The definition of a message, be it one of a service or an action.
     ///
     /// # Errors
     /// [`Error::NotInCatalog`].
@@ -130,7 +126,7 @@ impl Catalog {
         self.messages.get(name).ok_or_else(|| Error::NotInCatalog(name.clone()))
     }
 
-    /// The definition of a service.
+    /// The definition of a service, be it one of an action.
     ///
     /// # Errors
     /// [`Error::NotInCatalog`].
@@ -138,14 +134,28 @@ impl Catalog {
         self.services.get(name).ok_or_else(|| Error::NotInCatalog(name.clone()))
     }
 
-    /// All messages in the order of their names, those of services (kind [`Kind::Service`]) among them.
+    /// The definition of an action.
+    ///
+    /// # Errors
+    /// [`Error::NotInCatalog`].
+    pub fn action(&self, name: &TypeName) -> Result<&ActionDefinition, Error> {
+        self.actions.get(name).ok_or_else(|| Error::NotInCatalog(name.clone()))
+    }
+
+    /// All messages in the order of their names, those of services (kind [`Kind::Service`]) and actions
+    /// ([`Kind::Action`]) among them.
     pub fn messages(&self) -> impl Iterator<Item = &MessageDefinition> {
         self.messages.values()
     }
 
-    /// All services in the order of their names.
+    /// All services in the order of their names, those of actions ([`Kind::Action`]) among them.
     pub fn services(&self) -> impl Iterator<Item = &ServiceDefinition> {
         self.services.values()
+    }
+
+    /// All actions in the order of their names.
+    pub fn actions(&self) -> impl Iterator<Item = &ActionDefinition> {
+        self.actions.values()
     }
 
     /// The packages that have an interface here, in order.
@@ -157,18 +167,42 @@ impl Catalog {
     }
 
     fn insert(&mut self, message: MessageDefinition) -> Result<(), Error> {
-        match self.messages.get(&message.name) {
-            Some(first) if first.text != message.text => Err(Error::DefinedTwice {
-                name: message.name,
-                first: first.origin.clone(),
-                second: message.origin,
-            }),
-            Some(_) => Ok(()),
-            None => {
-                self.messages.insert(message.name.clone(), message);
-                Ok(())
-            }
+        if let Some(first) = self.messages.get(&message.name) {
+            return same(&message.name, [&first.text, &first.origin], [&message.text, &message.origin]);
         }
+        self.messages.insert(message.name.clone(), message);
+        Ok(())
+    }
+
+    fn insert_service(&mut self, service: ServiceDefinition) -> Result<(), Error> {
+        if let Some(first) = self.services.get(&service.name) {
+            return same(&service.name, [&first.text, &first.origin], [&service.text, &service.origin]);
+        }
+        let mut event = event_of(&service);
+        if service.name.kind == Kind::Service {
+            // As in rosbag2, which knows no text of events.
+            event.text.clone_from(&service.text);
+        }
+        self.insert(event)?;
+        self.insert(service.request.clone())?;
+        self.insert(service.response.clone())?;
+        self.services.insert(service.name.clone(), service);
+        Ok(())
+    }
+
+    fn insert_action(&mut self, action: ActionDefinition) -> Result<(), Error> {
+        if let Some(first) = self.actions.get(&action.name) {
+            return same(&action.name, [&first.text, &first.origin], [&action.text, &action.origin]);
+        }
+        let parts = parts_of(&action);
+        for message in [&action.goal, &action.result, &action.feedback] {
+            self.insert(message.clone())?;
+        }
+        self.insert(parts.feedback_message)?;
+        self.insert_service(parts.send_goal)?;
+        self.insert_service(parts.get_result)?;
+        self.actions.insert(action.name.clone(), action);
+        Ok(())
     }
 
     fn hint_for(&self, wanted: &TypeName) -> String {
@@ -205,28 +239,12 @@ impl Catalog {
     }
 }
 
-/// What service introspection publishes: who and when, and the request or response where contents are asked for.
-fn event_of(service: &ServiceDefinition) -> MessageDefinition {
-    let place = Place { origin: service.origin.clone(), line: 1, column: 1 };
-    let field = |name: &str, message: TypeName, shape| Field {
-        name: name.into(),
-        field_type: FieldType { element: Element::Message(message), shape },
-        default: None,
-        comment: Vec::new(),
-        place: place.clone(),
-    };
-    MessageDefinition {
-        name: service.name.with_suffix("_Event"),
-        comment: Vec::new(),
-        fields: vec![
-            field("info", TypeName::new("service_msgs", Kind::Message, "ServiceEventInfo"), Shape::Single),
-            field("request", service.request.name.clone(), Shape::Bounded(1)),
-            field("response", service.response.name.clone(), Shape::Bounded(1)),
-        ],
-        constants: Vec::new(),
-        text: service.text.clone(),
-        origin: service.origin.clone(),
+/// A type may be defined again by the same text; text and origin of both are given.
+fn same(name: &TypeName, first: [&String; 2], second: [&String; 2]) -> Result<(), Error> {
+    if first[0] == second[0] {
+        return Ok(());
     }
+    Err(Error::DefinedTwice { name: name.clone(), first: first[1].clone(), second: second[1].clone() })
 }
 
 fn files_with_extension(folder: &Path, extension: &str) -> Result<Vec<PathBuf>, Error> {
