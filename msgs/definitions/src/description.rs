@@ -121,10 +121,10 @@ impl Catalog {
             let element = Element::Message(name.with_suffix(suffix));
             ((*field).to_owned(), FieldType { element, shape: Shape::Single })
         };
-        if self.action(name).is_ok() {
+        if self.find_action(name).is_some() {
             return Ok(ACTION_MEMBERS.iter().map(member).collect());
         }
-        if self.service(name).is_ok() {
+        if self.find_service(name).is_some() {
             return Ok(SERVICE_MEMBERS.iter().map(member).collect());
         }
         let fields = &self.message(name)?.fields;

@@ -1,13 +1,17 @@
 //! A set of interfaces that refer to each other.
 
+mod check;
+mod files;
+mod nearest;
+
+pub use files::AmentPrefix;
+
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::{Path, PathBuf};
 
 use crate::derived::{event_of, parts_of};
 use crate::{
-    ActionDefinition, Element, Error, Kind, MessageDefinition, ServiceDefinition, TypeName, parse_action,
-    parse_message, parse_service,
+    ActionDefinition, Definition, Error, Kind, MessageDefinition, ServiceDefinition, TypeName, parse_action,
+    parse_idl, parse_message, parse_service,
 };
 
 /// Definitions by name. Fill it, [check](Catalog::check) it, then derive from it what you need.
@@ -25,7 +29,8 @@ impl Catalog {
         Self::default()
     }
 
-    /// Adds one message from its text; `origin` names the text in errors. The same text again changes nothing.
+    /// Adds one message from its text; `origin` names the text in errors. The same definition again, be its comments others,
+    /// changes nothing.
     ///
     /// # Errors
     /// If the text is no message definition, or the name has another definition already.
@@ -51,71 +56,15 @@ impl Catalog {
         self.insert_action(parse_action(name, text, origin)?)
     }
 
-    /// Adds the interfaces of one package: `<folder>/msg/*.msg`, `<folder>/srv/*.srv` and `<folder>/action/*.action`. The
-    /// folder's name is the package's. Returns how many files were read.
+    /// Adds what an `.idl` file defines, and returns the names. See [`parse_idl`].
     ///
     /// # Errors
-    /// If a file cannot be read or parsed. A folder without interfaces is no error.
-    pub fn add_package(&mut self, folder: &Path) -> Result<usize, Error> {
-        let package = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let mut count = 0;
-        for kind in Kind::ALL {
-            for file in files_with_extension(&folder.join(kind.as_str()), kind.as_str())? {
-                let stem = file.file_stem().unwrap_or_default().to_string_lossy();
-                let name: TypeName = format!("{package}/{}/{stem}", kind.as_str()).parse()?;
-                let text =
-                    fs::read_to_string(&file).map_err(|source| Error::Read { path: file.clone(), source })?;
-                let origin = file.display().to_string();
-                match kind {
-                    Kind::Message => self.add_message(name, &text, &origin)?,
-                    Kind::Service => self.add_service(name, &text, &origin)?,
-                    Kind::Action => self.add_action(name, &text, &origin)?,
-                }
-                count += 1;
-            }
-        }
-        Ok(count)
-    }
-
-    /// Adds every package below a folder: an interfaces folder, or the `share` folder of an ament prefix.
-    /// Returns how many files were read.
-    ///
-    /// # Errors
-    /// As [`Catalog::add_package`].
-    pub fn add_packages(&mut self, folder: &Path) -> Result<usize, Error> {
-        let mut count = 0;
-        for entry in sorted_entries(folder)? {
-            if entry.is_dir() {
-                count += self.add_package(&entry)?;
-            }
-        }
-        Ok(count)
-    }
-
-    /// Checks that every type a field names is there, and that no message contains itself.
-    ///
-    /// # Errors
-    /// [`Error::UnknownType`] or [`Error::Cycle`], the first one found.
-    pub fn check(&self) -> Result<(), Error> {
-        for message in self.messages.values() {
-            for field in &message.fields {
-                if let Element::Message(wanted) = &field.field_type.element
-                    && !self.messages.contains_key(wanted)
-                {
-                    return Err(Error::UnknownType {
-                        place: Box::new(field.place.clone()),
-                        owner: Box::new(message.name.clone()),
-                        field: field.name.clone(),
-                        wanted: Box::new(wanted.clone()),
-                        hint: self.hint_for(wanted),
-                    });
-                }
-            }
-        }
-        let mut finished = std::collections::BTreeSet::new();
-        self.messages
-            .values()
-            .try_for_each(|message| self.check_cycles(message, &mut Vec::new(), &mut finished))
+    /// If the text is no IDL that ROS 2 understands, or a name has another definition already.
+    pub fn add_idl(&mut self, text: &str, origin: &str) -> Result<Vec<TypeName>, Error> {
+        let definitions = parse_idl(text, origin)?;
+        let names = definitions.iter().map(|definition| definition.name().clone()).collect();
+        definitions.into_iter().try_for_each(|definition| self.insert_definition(definition))?;
+        Ok(names)
     }
 
     /// The definition of a message, be it one of a service or an action.
@@ -123,7 +72,7 @@ impl Catalog {
     /// # Errors
     /// [`Error::NotInCatalog`].
     pub fn message(&self, name: &TypeName) -> Result<&MessageDefinition, Error> {
-        self.messages.get(name).ok_or_else(|| Error::NotInCatalog(name.clone()))
+        self.messages.get(name).ok_or_else(|| self.not_in_catalog(name))
     }
 
     /// The definition of a service, be it one of an action.
@@ -131,7 +80,7 @@ impl Catalog {
     /// # Errors
     /// [`Error::NotInCatalog`].
     pub fn service(&self, name: &TypeName) -> Result<&ServiceDefinition, Error> {
-        self.services.get(name).ok_or_else(|| Error::NotInCatalog(name.clone()))
+        self.services.get(name).ok_or_else(|| self.not_in_catalog(name))
     }
 
     /// The definition of an action.
@@ -139,7 +88,7 @@ impl Catalog {
     /// # Errors
     /// [`Error::NotInCatalog`].
     pub fn action(&self, name: &TypeName) -> Result<&ActionDefinition, Error> {
-        self.actions.get(name).ok_or_else(|| Error::NotInCatalog(name.clone()))
+        self.actions.get(name).ok_or_else(|| self.not_in_catalog(name))
     }
 
     /// All messages in the order of their names, those of services (kind [`Kind::Service`]) and actions
@@ -166,147 +115,63 @@ impl Catalog {
         packages
     }
 
-    fn insert(&mut self, message: MessageDefinition) -> Result<(), Error> {
-        if let Some(first) = self.messages.get(&message.name) {
-            return same(&message.name, [&first.text, &first.origin], [&message.text, &message.origin]);
-        }
-        self.messages.insert(message.name.clone(), message);
-        Ok(())
+    /// As [`Catalog::service`], where it is no error that there is none.
+    pub(crate) fn find_service(&self, name: &TypeName) -> Option<&ServiceDefinition> {
+        self.services.get(name)
     }
 
-    fn insert_service(&mut self, service: ServiceDefinition) -> Result<(), Error> {
-        if let Some(first) = self.services.get(&service.name) {
-            return same(&service.name, [&first.text, &first.origin], [&service.text, &service.origin]);
+    pub(crate) fn find_action(&self, name: &TypeName) -> Option<&ActionDefinition> {
+        self.actions.get(name)
+    }
+
+    pub(crate) fn insert_definition(&mut self, definition: Definition) -> Result<(), Error> {
+        match definition {
+            Definition::Message(message) => self.insert(message),
+            Definition::Service(service) => self.insert_service(service),
+            Definition::Action(action) => self.insert_action(action),
         }
+    }
+
+    pub(crate) fn insert(&mut self, message: MessageDefinition) -> Result<(), Error> {
+        match self.messages.get(&message.name) {
+            Some(first) if !first.means_the_same_as(&message) => Err(Error::DefinedTwice {
+                name: message.name,
+                first: first.origin.clone(),
+                second: message.origin,
+            }),
+            Some(_) => Ok(()),
+            None => {
+                self.messages.insert(message.name.clone(), message);
+                Ok(())
+            }
+        }
+    }
+
+    pub(crate) fn insert_service(&mut self, service: ServiceDefinition) -> Result<(), Error> {
+        self.insert(service.request.clone())?;
+        self.insert(service.response.clone())?;
         let mut event = event_of(&service);
         if service.name.kind == Kind::Service {
             // As in rosbag2, which knows no text of events.
             event.text.clone_from(&service.text);
         }
         self.insert(event)?;
-        self.insert(service.request.clone())?;
-        self.insert(service.response.clone())?;
-        self.services.insert(service.name.clone(), service);
+        self.services.entry(service.name.clone()).or_insert(service);
         Ok(())
     }
 
-    fn insert_action(&mut self, action: ActionDefinition) -> Result<(), Error> {
-        if let Some(first) = self.actions.get(&action.name) {
-            return same(&action.name, [&first.text, &first.origin], [&action.text, &action.origin]);
-        }
-        let parts = parts_of(&action);
+    pub(crate) fn insert_action(&mut self, action: ActionDefinition) -> Result<(), Error> {
         for message in [&action.goal, &action.result, &action.feedback] {
             self.insert(message.clone())?;
         }
+        let parts = parts_of(&action);
         self.insert(parts.feedback_message)?;
         self.insert_service(parts.send_goal)?;
         self.insert_service(parts.get_result)?;
-        self.actions.insert(action.name.clone(), action);
+        self.actions.entry(action.name.clone()).or_insert(action);
         Ok(())
     }
-
-    fn hint_for(&self, wanted: &TypeName) -> String {
-        match self.messages.keys().find(|name| name.name == wanted.name && name.kind == Kind::Message) {
-            Some(other) => format!(", did you mean `{}`?", other.short()),
-            None if self.messages.keys().any(|name| name.package == wanted.package) => String::new(),
-            None => format!(": no interface of the package {} is known, add its folder", wanted.package),
-        }
-    }
-
-    fn check_cycles<'a>(
-        &'a self,
-        message: &'a MessageDefinition,
-        path: &mut Vec<&'a TypeName>,
-        finished: &mut std::collections::BTreeSet<&'a TypeName>,
-    ) -> Result<(), Error> {
-        if finished.contains(&message.name) {
-            return Ok(());
-        }
-        if let Some(first) = path.iter().position(|name| **name == message.name) {
-            let mut cycle: Vec<TypeName> = path[first..].iter().map(|name| (*name).clone()).collect();
-            cycle.push(message.name.clone());
-            return Err(Error::Cycle { origin: message.origin.clone(), cycle });
-        }
-        path.push(&message.name);
-        for field in &message.fields {
-            if let Element::Message(name) = &field.field_type.element {
-                self.check_cycles(self.message(name)?, path, finished)?;
-            }
-        }
-        path.pop();
-        finished.insert(&message.name);
-        Ok(())
-    }
-}
-
-/// A type may be defined again by the same text; text and origin of both are given.
-fn same(name: &TypeName, first: [&String; 2], second: [&String; 2]) -> Result<(), Error> {
-    if first[0] == second[0] {
-        return Ok(());
-    }
-    Err(Error::DefinedTwice { name: name.clone(), first: first[1].clone(), second: second[1].clone() })
-}
-
-fn files_with_extension(folder: &Path, extension: &str) -> Result<Vec<PathBuf>, Error> {
-    if !folder.is_dir() {
-        return Ok(Vec::new());
-    }
-    let mut files = sorted_entries(folder)?;
-    files.retain(|file| file.extension().is_some_and(|found| found == extension));
-    Ok(files)
-}
-
-/// Sorted, so that the same folder gives the same output everywhere.
-fn sorted_entries(folder: &Path) -> Result<Vec<PathBuf>, Error> {
-    let failed = |source| Error::Read { path: folder.into(), source };
-    let mut entries = fs::read_dir(folder)
-        .map_err(failed)?
-        .map(|entry| entry.map(|entry| entry.path()))
-        .collect::<Result<Vec<_>, _>>()
-        .map_err(failed)?;
-    entries.sort();
-    Ok(entries)
 }
 
 #[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-
-    use super::Catalog;
-
-    fn catalog(messages: &[(&str, &str)]) -> Catalog {
-        let mut catalog = Catalog::new();
-        for (name, text) in messages {
-            catalog.add_message(name.parse().unwrap(), text, name).unwrap();
-        }
-        catalog
-    }
-
-    #[test]
-    fn an_unknown_type_is_told_with_its_place_and_the_likely_name() {
-        let error =
-            catalog(&[("a/msg/A", "int8 x\nHeader header"), ("std_msgs/msg/Header", "string frame_id")])
-                .check()
-                .unwrap_err();
-        assert_eq!(
-            error.to_string(),
-            "a/msg/A:2:1: field `header` of a/msg/A has the unknown type `a/msg/Header`, \
-             did you mean `std_msgs/Header`?"
-        );
-    }
-
-    #[test]
-    fn a_message_that_contains_itself_is_refused() {
-        let error =
-            catalog(&[("a/msg/A", "B b"), ("a/msg/B", "C[] c"), ("a/msg/C", "B b")]).check().unwrap_err();
-        assert_eq!(error.to_string(), "a/msg/B: a/msg/B contains itself: a/msg/B -> a/msg/C -> a/msg/B");
-    }
-
-    #[test]
-    fn the_same_definition_twice_is_fine_and_another_one_is_not() {
-        let mut catalog = catalog(&[("a/msg/A", "int8 x")]);
-        catalog.add_message("a/msg/A".parse().unwrap(), "int8 x", "copy").unwrap();
-        let error = catalog.add_message("a/msg/A".parse().unwrap(), "int16 x", "other").unwrap_err();
-        assert_eq!(error.to_string(), "other: a/msg/A is already defined, differently, in a/msg/A");
-    }
-}
+mod tests;

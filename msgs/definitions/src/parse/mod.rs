@@ -13,7 +13,7 @@ use crate::{ActionDefinition, Error, MessageDefinition, Place, ServiceDefinition
 /// # Errors
 /// [`Error::Syntax`] with the place of the first line that is not understood.
 pub fn parse_message(name: TypeName, text: &str, origin: &str) -> Result<MessageDefinition, Error> {
-    line::parse_message(name, text, origin, 1)
+    parse_message_from(name, text, origin, 1)
 }
 
 /// Parses the text of a `.srv` file. `origin` names it in errors.
@@ -21,8 +21,36 @@ pub fn parse_message(name: TypeName, text: &str, origin: &str) -> Result<Message
 /// # Errors
 /// [`Error::Separators`] if request and response are not told apart, [`Error::Syntax`] for any other fault.
 pub fn parse_service(name: TypeName, text: &str, origin: &str) -> Result<ServiceDefinition, Error> {
+    parse_service_from(name, text, origin, 1)
+}
+
+/// Parses the text of an `.action` file. `origin` names it in errors.
+///
+/// # Errors
+/// [`Error::Separators`] if goal, result and feedback are not told apart, [`Error::Syntax`] for any other fault.
+pub fn parse_action(name: TypeName, text: &str, origin: &str) -> Result<ActionDefinition, Error> {
+    parse_action_from(name, text, origin, 1)
+}
+
+/// As [`parse_message`], of a text whose first line is the line `first_line` of `origin`.
+pub(crate) fn parse_message_from(
+    name: TypeName,
+    text: &str,
+    origin: &str,
+    first_line: usize,
+) -> Result<MessageDefinition, Error> {
+    line::parse_message(name, text, origin, first_line)
+}
+
+/// As [`parse_service`], of a part of a file.
+pub(crate) fn parse_service_from(
+    name: TypeName,
+    text: &str,
+    origin: &str,
+    first_line: usize,
+) -> Result<ServiceDefinition, Error> {
     let [request, response] =
-        sections(text, origin, "a service is a request and a response", "one line `---`")?;
+        sections(text, origin, first_line, "a service is a request and a response", "one line `---`")?;
     Ok(ServiceDefinition {
         request: request.parse(name.with_suffix("_Request"), origin)?,
         response: response.parse(name.with_suffix("_Response"), origin)?,
@@ -32,13 +60,20 @@ pub fn parse_service(name: TypeName, text: &str, origin: &str) -> Result<Service
     })
 }
 
-/// Parses the text of an `.action` file. `origin` names it in errors.
-///
-/// # Errors
-/// [`Error::Separators`] if goal, result and feedback are not told apart, [`Error::Syntax`] for any other fault.
-pub fn parse_action(name: TypeName, text: &str, origin: &str) -> Result<ActionDefinition, Error> {
-    let [goal, result, feedback] =
-        sections(text, origin, "an action is a goal, a result and a feedback", "two lines `---`")?;
+/// As [`parse_action`], of a part of a file.
+pub(crate) fn parse_action_from(
+    name: TypeName,
+    text: &str,
+    origin: &str,
+    first_line: usize,
+) -> Result<ActionDefinition, Error> {
+    let [goal, result, feedback] = sections(
+        text,
+        origin,
+        first_line,
+        "an action is a goal, a result and a feedback",
+        "two lines `---`",
+    )?;
     Ok(ActionDefinition {
         goal: goal.parse(name.with_suffix("_Goal"), origin)?,
         result: result.parse(name.with_suffix("_Result"), origin)?,
@@ -64,15 +99,16 @@ impl Section {
 fn sections<const N: usize>(
     text: &str,
     origin: &str,
+    first_line: usize,
     what: &'static str,
     expected: &'static str,
 ) -> Result<[Section; N], Error> {
-    let mut sections = vec![Section { first_line: 1, text: String::new() }];
-    let mut end = 1;
-    for (index, line) in text.lines().enumerate() {
-        end = index + 1;
+    let mut sections = vec![Section { first_line, text: String::new() }];
+    let mut end = first_line;
+    for (line, number) in text.lines().zip(first_line..) {
+        end = number;
         if line == "---" {
-            sections.push(Section { first_line: index + 2, text: String::new() });
+            sections.push(Section { first_line: number + 1, text: String::new() });
         } else if let Some(section) = sections.last_mut() {
             section.text.push_str(line);
             section.text.push('\n');

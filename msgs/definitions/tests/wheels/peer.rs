@@ -10,6 +10,7 @@ pub struct Peer {
 /// A file of a package.
 pub struct File {
     pub package: String,
+    pub path: PathBuf,
     pub text: String,
 }
 
@@ -45,6 +46,7 @@ impl Peer {
                 {
                     files.push(File {
                         package: name(&package),
+                        path: file.clone(),
                         text: std::fs::read_to_string(&file).unwrap(),
                     });
                 }

@@ -1,8 +1,12 @@
-//! The text rosbag2 stores as the schema of a topic (`ros2msg`).
+//! The text rosbag2 stores as the schema of a topic (`ros2msg`): writing it here, reading it in `read.rs`.
 //!
 //! The root's own text comes first; then, depth first and in the order of their names, each message it depends on,
 //! once, after a line of 80 `=` and a line `MSG: package/Type`. A service's text stands below such a head itself, and so
 //! does an action's. A message that rosidl derives from an action has the text its author would have written.
+
+mod read;
+
+pub use read::DefinitionEncoding;
 
 use std::collections::BTreeSet;
 
@@ -15,7 +19,7 @@ impl Catalog {
     /// # Errors
     /// [`Error::NotInCatalog`] for the type itself or a message it depends on.
     pub fn definition_text(&self, name: &TypeName) -> Result<String, Error> {
-        if let Ok(action) = self.action(name) {
+        if let Some(action) = self.find_action(name) {
             let head = format!("{RULE}\nACTION: {name}\n{}", action.text);
             return self.with_dependencies(
                 head,
@@ -23,7 +27,7 @@ impl Catalog {
                 BTreeSet::new(),
             );
         }
-        if self.service(name).is_ok() {
+        if self.find_service(name).is_some() {
             return self.service_definition_text(name);
         }
         let message = self.message(name)?;
