@@ -1,4 +1,4 @@
-//! What a `.msg` or `.srv` file says, as values.
+//! What a `.msg`, `.srv` or `.action` file says, as values.
 
 use crate::{Place, TypeName};
 
@@ -28,6 +28,23 @@ pub struct ServiceDefinition {
     pub request: MessageDefinition,
     /// `<name>_Response`.
     pub response: MessageDefinition,
+    /// The text it was parsed from, unchanged.
+    pub text: String,
+    /// The file it comes from.
+    pub origin: String,
+}
+
+/// A parsed action. The services and messages that rosidl derives from it are in the [`Catalog`](crate::Catalog).
+#[derive(Clone, Debug, PartialEq)]
+pub struct ActionDefinition {
+    /// Its name.
+    pub name: TypeName,
+    /// `<name>_Goal`.
+    pub goal: MessageDefinition,
+    /// `<name>_Result`.
+    pub result: MessageDefinition,
+    /// `<name>_Feedback`.
+    pub feedback: MessageDefinition,
     /// The text it was parsed from, unchanged.
     pub text: String,
     /// The file it comes from.
@@ -132,6 +149,57 @@ pub enum Primitive {
     Float32,
     /// `float64`
     Float64,
+}
+
+impl MessageDefinition {
+    /// Whether both have the same fields, defaults and constants, whatever their comments and spaces.
+    #[must_use]
+    pub fn means_the_same_as(&self, other: &Self) -> bool {
+        let same_fields = self.fields.len() == other.fields.len()
+            && self.fields.iter().zip(&other.fields).all(|(one, two)| {
+                one.name == two.name
+                    && one.field_type.is_same_as(&two.field_type)
+                    && match (&one.default, &two.default) {
+                        (Some(one), Some(two)) => one.is_same_as(two),
+                        (None, None) => true,
+                        _ => false,
+                    }
+            });
+        let same_constants = self.constants.len() == other.constants.len()
+            && self.constants.iter().zip(&other.constants).all(|(one, two)| {
+                one.name == two.name
+                    && one.element.is_same_as(&two.element)
+                    && one.value.is_same_as(&two.value)
+            });
+        same_fields && same_constants
+    }
+}
+
+impl FieldType {
+    fn is_same_as(&self, other: &Self) -> bool {
+        self.shape == other.shape && self.element.is_same_as(&other.element)
+    }
+}
+
+impl Element {
+    /// `char` is another word for `uint8`; IDL has none for it.
+    fn is_same_as(&self, other: &Self) -> bool {
+        let is_byte = |of: &Self| matches!(of, Self::Primitive(Primitive::Char | Primitive::UInt8));
+        self == other || (is_byte(self) && is_byte(other))
+    }
+}
+
+impl Value {
+    /// Whether both are the same to the bit: not-a-number too is the same as itself.
+    fn is_same_as(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Float(one), Self::Float(two)) => one.to_bits() == two.to_bits(),
+            (Self::List(one), Self::List(two)) => {
+                one.len() == two.len() && one.iter().zip(two).all(|(one, two)| one.is_same_as(two))
+            }
+            _ => self == other,
+        }
+    }
 }
 
 impl Primitive {

@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 
 use sha2::{Digest, Sha256};
 
-use crate::{Catalog, Element, Error, FieldType, Kind, Primitive, Shape, TypeName};
+use crate::{Catalog, Element, Error, FieldType, Primitive, Shape, TypeName};
 
 /// A type and all it refers to, as `type_description_interfaces/msg/TypeDescription`, default values left out.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -68,7 +68,7 @@ impl TypeDescription {
 }
 
 impl Catalog {
-    /// The description of a message or a service.
+    /// The description of a message, a service or an action.
     ///
     /// # Errors
     /// [`Error::NotInCatalog`] for the type itself or one it refers to.
@@ -80,7 +80,7 @@ impl Catalog {
         Ok(TypeDescription { type_description, referenced_type_descriptions: referenced })
     }
 
-    /// The hash of a message or a service.
+    /// The hash of a message, a service or an action.
     ///
     /// # Errors
     /// As [`Catalog::type_description`].
@@ -102,33 +102,48 @@ impl Catalog {
     }
 
     fn collect_references(&self, of: &TypeName, names: &mut BTreeSet<TypeName>) -> Result<(), Error> {
-        for (_, field_type) in self.members(of)? {
-            if let Element::Message(name) = field_type.element
-                && names.insert(name.clone())
-            {
-                self.collect_references(&name, names)?;
+        let mut waiting = vec![of.clone()];
+        while let Some(name) = waiting.pop() {
+            for (_, field_type) in self.members(&name)? {
+                if let Element::Message(name) = field_type.element
+                    && names.insert(name.clone())
+                {
+                    waiting.push(name);
+                }
             }
         }
         Ok(())
     }
 
-    /// Name and type of each field; a service counts as a message of its three messages.
+    /// Name and type of each field; services and actions count as messages of what they are made of.
     fn members(&self, name: &TypeName) -> Result<Vec<(String, FieldType)>, Error> {
-        if name.kind == Kind::Service && self.service(name).is_ok() {
-            let member = |field: &str, suffix| {
-                let element = Element::Message(name.with_suffix(suffix));
-                (field.to_owned(), FieldType { element, shape: Shape::Single })
-            };
-            return Ok(vec![
-                member("request_message", "_Request"),
-                member("response_message", "_Response"),
-                member("event_message", "_Event"),
-            ]);
+        let member = |(field, suffix): &(&str, &str)| {
+            let element = Element::Message(name.with_suffix(suffix));
+            ((*field).to_owned(), FieldType { element, shape: Shape::Single })
+        };
+        if self.find_action(name).is_some() {
+            return Ok(ACTION_MEMBERS.iter().map(member).collect());
+        }
+        if self.find_service(name).is_some() {
+            return Ok(SERVICE_MEMBERS.iter().map(member).collect());
         }
         let fields = &self.message(name)?.fields;
         Ok(fields.iter().map(|field| (field.name.clone(), field.field_type.clone())).collect())
     }
 }
+
+/// Field and suffix of the type's name, of each part.
+const SERVICE_MEMBERS: [(&str, &str); 3] =
+    [("request_message", "_Request"), ("response_message", "_Response"), ("event_message", "_Event")];
+
+const ACTION_MEMBERS: [(&str, &str); 6] = [
+    ("goal", "_Goal"),
+    ("result", "_Result"),
+    ("feedback", "_Feedback"),
+    ("send_goal_service", "_SendGoal"),
+    ("get_result_service", "_GetResult"),
+    ("feedback_message", "_FeedbackMessage"),
+];
 
 fn describe_type(field_type: &FieldType) -> FieldTypeDescription {
     let (base, string_capacity, nested_type_name) = match &field_type.element {
@@ -204,6 +219,50 @@ mod tests {
     fn the_hash_of_a_service_is_the_published_one() {
         let hash = add_two_ints().type_hash(&"example_interfaces/srv/AddTwoInts".parse().unwrap()).unwrap();
         assert_eq!(hash, "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a");
+    }
+
+    #[test]
+    fn the_hashes_of_an_action_and_its_parts_are_the_published_ones() {
+        let mut catalog = add_two_ints();
+        catalog
+            .add_message("unique_identifier_msgs/msg/UUID".parse().unwrap(), "uint8[16] uuid\n", "")
+            .unwrap();
+        let text = "int32 order\n---\nint32[] sequence\n---\nint32[] sequence\n";
+        catalog.add_action("test_msgs/action/Fibonacci".parse().unwrap(), text, "").unwrap();
+        catalog.check().unwrap();
+        // From `test_msgs/action/Fibonacci.json` of the wheel ros-test-msgs 2.0.3.
+        for (name, hash) in [
+            (
+                "test_msgs/action/Fibonacci",
+                "be9273e3557225044b4a040811112491f7079326e3a573f83258b0b4c30bd069",
+            ),
+            (
+                "test_msgs/action/Fibonacci_Goal",
+                "e58ef5a8f4f039ab522a740823547c460b1d5aed8031c8b7825d33d345d90df8",
+            ),
+            (
+                "test_msgs/action/Fibonacci_FeedbackMessage",
+                "37487bae8cea358366b97003c1ef1ca7ce7c08df36f9e8cca496624226aee64e",
+            ),
+            (
+                "test_msgs/action/Fibonacci_SendGoal",
+                "d807633803e38e164276573cd97e9fbd71e109c290bbf4cc312a0a1c9da7bbd9",
+            ),
+            (
+                "test_msgs/action/Fibonacci_GetResult_Response",
+                "ef88159d47a3d21d9bf4bec690cf668939d9542db28a9cfd77dbcd97eaf1add2",
+            ),
+            (
+                "test_msgs/action/Fibonacci_SendGoal_Event",
+                "a20e708c6aae7a99d1eb0e930a0916f596bb5bae93a342a61752e13135be2c44",
+            ),
+        ] {
+            assert_eq!(
+                catalog.type_hash(&name.parse().unwrap()).unwrap(),
+                format!("RIHS01_{hash}"),
+                "{name}"
+            );
+        }
     }
 
     #[test]

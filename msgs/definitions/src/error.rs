@@ -26,7 +26,7 @@ impl fmt::Display for Place {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A line is not what the grammar of `.msg` and `.srv` files allows.
+    /// A line is not what the grammar of interface files allows.
     #[error("{place}: {message}")]
     Syntax {
         /// Where.
@@ -34,12 +34,16 @@ pub enum Error {
         /// What was found, what was expected.
         message: String,
     },
-    /// A `.srv` file does not have exactly one separator line.
-    #[error("{origin}: a service needs exactly one line `---` between request and response, found {found}")]
+    /// A `.srv` or `.action` file does not have the separator lines it needs.
+    #[error("{place}: {what} with {expected} between them, found {found}")]
     Separators {
-        /// The file.
-        origin: String,
-        /// How many such lines it has.
+        /// The separator that is too many, or the end of the file where one is missing.
+        place: Place,
+        /// What needs them.
+        what: &'static str,
+        /// How many are needed, in words.
+        expected: &'static str,
+        /// How many such lines there are.
         found: usize,
     },
     /// A field has a type that no definition describes.
@@ -57,14 +61,34 @@ pub enum Error {
         hint: String,
     },
     /// A message contains itself, directly or through others.
-    #[error("{origin}: {} contains itself: {}", cycle[0], join(cycle))]
+    #[error("{place}: {} contains itself: {}", cycle[0], join(cycle))]
     Cycle {
-        /// The file of the first message of the cycle.
-        origin: String,
+        /// The field that leads back to the first message.
+        place: Box<Place>,
         /// The messages on the way from the first to itself.
         cycle: Vec<TypeName>,
     },
-    /// The same type is defined twice, with different text.
+    /// Messages contain messages that contain messages, and so on, for longer than any program has to follow.
+    #[error("{place}: {name} is nested deeper than {bound} messages")]
+    TooDeep {
+        /// The field that goes too deep.
+        place: Box<Place>,
+        /// The message with the field.
+        name: Box<TypeName>,
+        /// How deep is allowed.
+        bound: usize,
+    },
+    /// A message cannot be sent even when all its sequences are empty: its arrays are too large.
+    #[error("{place}: {name} takes at least {size} bytes, and no more than {} can be sent", u32::MAX)]
+    TooLarge {
+        /// The field that is too much.
+        place: Box<Place>,
+        /// The message with the field.
+        name: Box<TypeName>,
+        /// The bytes of its fields up to this one.
+        size: u64,
+    },
+    /// The same type is defined twice, with different meaning.
     #[error("{second}: {name} is already defined, differently, in {first}")]
     DefinedTwice {
         /// The type.
@@ -75,11 +99,21 @@ pub enum Error {
         second: String,
     },
     /// A type was asked for that no definition describes.
-    #[error("{0} is not in the catalog: add its package's folder or definition first")]
-    NotInCatalog(TypeName),
+    #[error("{name} is not in the catalog{hint}")]
+    NotInCatalog {
+        /// The type.
+        name: Box<TypeName>,
+        /// What to do, where that can be told.
+        hint: String,
+    },
     /// A text is not the name of an interface.
-    #[error("`{0}` is not an interface name: expected `package/msg/Type` or `package/srv/Type`")]
+    #[error(
+        "`{0}` is not an interface name: expected `package/msg/Type`, `package/srv/Type` or `package/action/Type`"
+    )]
     Name(String),
+    /// A definition text is in a language that is not understood.
+    #[error("definition texts in `{0}` are not understood, only those in `ros2msg` and `ros2idl`")]
+    Encoding(String),
     /// A file or folder could not be read.
     #[error("cannot read {}: {source}", path.display())]
     Read {

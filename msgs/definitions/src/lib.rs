@@ -1,5 +1,5 @@
-//! Reads ROS 2 interface definitions (`.msg`, `.srv`) and derives from them what both ends of a connection have to agree
-//! on: the `ros2msg` definition text, type descriptions and RIHS01 hashes.
+//! Reads ROS 2 interface definitions (`.msg`, `.srv`, `.action`, `.idl`) and derives from them what both ends of a
+//! connection have to agree on: the `ros2msg` definition text, type descriptions and RIHS01 hashes.
 //!
 //! ```
 //! use downbeat_msgs_definitions::{Catalog, TypeName};
@@ -24,18 +24,21 @@
 mod catalog;
 mod definition;
 mod definition_text;
+mod derived;
 mod description;
 mod error;
-mod literal;
+mod idl;
 mod name;
 mod parse;
-mod wire;
 
-pub use catalog::Catalog;
+pub use catalog::{AmentPrefix, Catalog};
 pub use definition::{
-    Constant, Element, Field, FieldType, MessageDefinition, Primitive, ServiceDefinition, Shape, Value,
+    ActionDefinition, Constant, Element, Field, FieldType, MessageDefinition, Primitive, ServiceDefinition,
+    Shape, Value,
 };
+pub use definition_text::DefinitionEncoding;
 pub use description::{FieldTypeDescription, IndividualTypeDescription, TypeDescription};
 pub use error::{Error, Place};
+pub use idl::{Definition, parse_idl};
 pub use name::{Kind, TypeName};
-pub use parse::{parse_message, parse_service};
+pub use parse::{parse_action, parse_message, parse_service};

@@ -8,6 +8,8 @@ use crate::Error;
 /// What an interface is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
+    /// `action`: an action, or one of the services and messages made from it.
+    Action,
     /// `msg`
     Message,
     /// `srv`: a service, or one of the messages made from it (`_Request`, `_Response`, `_Event`).
@@ -15,10 +17,14 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The middle of the name, and the name of the folder: `msg` or `srv`.
+    /// All of them, in the order in which they can be read: messages first.
+    pub const ALL: [Self; 3] = [Self::Message, Self::Service, Self::Action];
+
+    /// The middle of the name, the name of the folder, and the extension of the file: `msg`, `srv` or `action`.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
+            Self::Action => "action",
             Self::Message => "msg",
             Self::Service => "srv",
         }
@@ -30,7 +36,7 @@ impl Kind {
 pub struct TypeName {
     /// The package: `sensor_msgs`.
     pub package: String,
-    /// Message or service.
+    /// Message, service or action.
     pub kind: Kind,
     /// The type within the package: `JointState`.
     pub name: String,
@@ -49,7 +55,7 @@ impl TypeName {
         format!("{}/{}", self.package, self.name)
     }
 
-    /// The same name with `suffix` added, for the messages of a service.
+    /// The same name with `suffix` added, for the parts of a service or an action.
     #[must_use]
     pub fn with_suffix(&self, suffix: &str) -> Self {
         Self { name: format!("{}{suffix}", self.name), ..self.clone() }
@@ -68,13 +74,11 @@ impl FromStr for TypeName {
     fn from_str(text: &str) -> Result<Self, Error> {
         let mut parts = text.split('/');
         let (package, kind, name) = (parts.next(), parts.next(), parts.next());
-        let kind = match kind {
-            Some("msg") => Kind::Message,
-            Some("srv") => Kind::Service,
-            _ => return Err(Error::Name(text.into())),
+        let Some(kind) = Kind::ALL.into_iter().find(|of| kind == Some(of.as_str())) else {
+            return Err(Error::Name(text.into()));
         };
         match (package, name, parts.next()) {
-            (Some(package), Some(name), None) if is_package_name(package) && is_identifier(name) => {
+            (Some(package), Some(name), None) if is_package_name(package) && is_type_or_part_name(name) => {
                 Ok(Self::new(package, kind, name))
             }
             _ => Err(Error::Name(text.into())),
@@ -103,10 +107,26 @@ pub(crate) fn is_constant_name(text: &str) -> bool {
         && !text.ends_with('_')
 }
 
-/// A type name that may have the suffix of a service's messages.
-fn is_identifier(text: &str) -> bool {
-    let stem = ["_Request", "_Response", "_Event"].iter().find_map(|suffix| text.strip_suffix(suffix));
-    is_type_name(stem.unwrap_or(text))
+/// What `rosidl` appends to the name of a service or an action to name its parts.
+const PART_SUFFIXES: [&str; 9] = [
+    "_Request",
+    "_Response",
+    "_Event",
+    "_Goal",
+    "_Result",
+    "_Feedback",
+    "_FeedbackMessage",
+    "_SendGoal",
+    "_GetResult",
+];
+
+/// A type name, or that of a part of a service or action. A part can have parts (`_SendGoal_Request`), no deeper.
+pub(crate) fn is_type_or_part_name(text: &str) -> bool {
+    is_type_name(without_part(without_part(text)))
+}
+
+fn without_part(text: &str) -> &str {
+    PART_SUFFIXES.iter().find_map(|suffix| text.strip_suffix(suffix)).unwrap_or(text)
 }
 
 #[cfg(test)]
@@ -117,16 +137,29 @@ mod tests {
 
     #[test]
     fn a_name_is_read_and_written_the_same() {
-        for text in ["sensor_msgs/msg/JointState", "std_srvs/srv/SetBool_Request"] {
+        for text in [
+            "sensor_msgs/msg/JointState",
+            "std_srvs/srv/SetBool_Request",
+            "test_msgs/action/Fibonacci",
+            "test_msgs/action/Fibonacci_SendGoal_Event",
+        ] {
             assert_eq!(text.parse::<TypeName>().unwrap().to_string(), text);
         }
     }
 
     #[test]
     fn what_is_no_name_is_refused() {
-        for text in
-            ["", "String", "std_msgs/String", "std_msgs/msg/", "a/msg/B/c", "Std/msg/B", "a/idl/B", "a/msg/b"]
-        {
+        for text in [
+            "",
+            "String",
+            "std_msgs/String",
+            "std_msgs/msg/",
+            "a/msg/B/c",
+            "Std/msg/B",
+            "a/idl/B",
+            "a/msg/b",
+            "a/msg/B_C",
+        ] {
             assert!(text.parse::<TypeName>().is_err(), "{text}");
         }
     }

@@ -5,8 +5,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
+use crate::odd_msgs;
 use crate::random::Random;
-use crate::{odd_msgs, test_msgs};
 
 /// A message type.
 pub struct Type {
@@ -42,42 +42,28 @@ impl Type {
             },
         }
     }
-
-    /// Whether it is defined nowhere but here.
-    pub fn is_ours(&self) -> bool {
-        self.name.starts_with("downbeat_interfaces/") || self.name.starts_with("odd_msgs/")
-    }
 }
 
-/// The types this crate carries, those of test_msgs, and some that are odd.
+/// Whether a type's package is in no wheel: those defined nowhere but here, and some of ROS 2.
+pub fn has_no_wheel(name: &str) -> bool {
+    const PACKAGES: [&str; 6] = [
+        "composition_interfaces/",
+        "downbeat_interfaces/",
+        "odd_msgs/",
+        "rosbag2_interfaces/",
+        "statistics_msgs/",
+        "tf2_msgs/",
+    ];
+    PACKAGES.iter().any(|package| name.starts_with(package))
+}
+
+/// The types this crate carries, and some that are odd.
 pub fn every_type() -> Vec<Type> {
     macro_rules! table {
         ($($message:ty),* $(,)?) => { vec![$(Type::of::<$message>()),*] };
     }
     let mut types = downbeat_msgs::for_each_message!(table);
     types.extend(table![
-        test_msgs::msg::Arrays,
-        test_msgs::msg::BasicTypes,
-        test_msgs::msg::BoundedPlainSequences,
-        test_msgs::msg::BoundedSequences,
-        test_msgs::msg::Builtins,
-        test_msgs::msg::Constants,
-        test_msgs::msg::Defaults,
-        test_msgs::msg::Empty,
-        test_msgs::msg::MultiNested,
-        test_msgs::msg::Nested,
-        test_msgs::msg::Strings,
-        test_msgs::msg::UnboundedSequences,
-        test_msgs::msg::WStrings,
-        test_msgs::srv::ArraysRequest,
-        test_msgs::srv::ArraysResponse,
-        test_msgs::srv::ArraysEvent,
-        test_msgs::srv::BasicTypesRequest,
-        test_msgs::srv::BasicTypesResponse,
-        test_msgs::srv::BasicTypesEvent,
-        test_msgs::srv::EmptyRequest,
-        test_msgs::srv::EmptyResponse,
-        test_msgs::srv::EmptyEvent,
         odd_msgs::msg::Commented,
         odd_msgs::msg::Keywords,
         odd_msgs::msg::Long,
@@ -88,12 +74,10 @@ pub fn every_type() -> Vec<Type> {
     types
 }
 
-/// Name and hash of each service.
+/// Name and hash of each service that is carried.
 pub fn carried_services() -> Vec<(&'static str, &'static str)> {
     macro_rules! table {
         ($($service:ty),* $(,)?) => { vec![$((<$service>::TYPE_NAME, <$service>::TYPE_HASH)),*] };
     }
-    let mut services = downbeat_msgs::for_each_service!(table);
-    services.extend(table![test_msgs::srv::Arrays, test_msgs::srv::BasicTypes, test_msgs::srv::Empty]);
-    services
+    downbeat_msgs::for_each_service!(table)
 }

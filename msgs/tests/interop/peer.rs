@@ -32,11 +32,12 @@ impl Peer {
         self.python.parent().and_then(Path::parent).unwrap().join("share")
     }
 
-    /// The hashes in the file the wheels have for a message or service, by name.
+    /// The hashes in the file the wheels have for an interface, by name.
     pub fn published_hashes(&self, name: &str) -> BTreeMap<String, String> {
-        // A service's messages are in the file of the service.
-        let stem = ["_Request", "_Response", "_Event"].iter().find_map(|suffix| name.strip_suffix(suffix));
-        let path = self.share().join(stem.unwrap_or(name)).with_extension("json");
+        // The parts of a service or an action are in its file.
+        let kind_ends = name.rfind('/').unwrap();
+        let stem = name[kind_ends..].find('_').map_or(name, |end| &name[..kind_ends + end]);
+        let path = self.share().join(stem).with_extension("json");
         let text =
             std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
         let json: Value = serde_json::from_str(&text).unwrap();

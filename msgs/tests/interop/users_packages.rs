@@ -1,8 +1,8 @@
 //! Packages that other crates generate: theirs must compile whatever the names in them, and mean what they say.
 
-use downbeat_msgs::{Message, Service, WString, cdr};
+use downbeat_msgs::{Message, Service, WString, cdr, test_msgs};
 
-use crate::{odd_msgs, test_msgs};
+use crate::odd_msgs;
 
 #[test]
 fn constants_and_defaults_are_those_of_the_definition() {

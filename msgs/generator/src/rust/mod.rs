@@ -75,8 +75,8 @@ impl<'a> RustSource<'a> {
             let (module, what) = (kind.as_str(), if kind == Kind::Message { "Messages" } else { "Services" });
             source.push_str(&format!("/// {what} of the package `{package}`.\npub mod {module} {{\n"));
             source.push_str(&format!("    use {}::{{cdr, serde}};\n", self.modules.runtime));
-            for service in self.catalog.services().filter(|service| service.name.package == package) {
-                if kind == Kind::Service {
+            for service in self.catalog.services() {
+                if service.name.package == package && service.name.kind == kind {
                     source.push_str(&indent(&self.service(service)?));
                 }
             }

@@ -1,7 +1,7 @@
 //! Lists of all types, for code that must treat each.
 
 use super::RustSource;
-use downbeat_msgs_definitions::TypeName;
+use downbeat_msgs_definitions::{Kind, TypeName};
 
 impl RustSource<'_> {
     /// Modules that include the text of each [package](RustSource::package) from `<package>.rs` in the folder that
@@ -27,13 +27,13 @@ impl RustSource<'_> {
             .catalog
             .messages()
             .map(|message| &message.name)
-            .filter(|name| packages.contains(&name.package.as_str()))
+            .filter(|name| packages.contains(&name.package.as_str()) && name.kind != Kind::Action)
             .collect();
         let services: Vec<&TypeName> = self
             .catalog
             .services()
             .map(|service| &service.name)
-            .filter(|name| packages.contains(&name.package.as_str()))
+            .filter(|name| packages.contains(&name.package.as_str()) && name.kind != Kind::Action)
             .collect();
         let mut source =
             self.for_each("message", "the requests, responses and events of services among them", &messages);

@@ -1,52 +1,15 @@
-//! From the text of a `.msg` or `.srv` file to its definition.
-//!
-//! The grammar is that of `rosidl_adapter/parser.py`: one field or constant a line, a comment from the first `#` on
-//! (quoted or not), tabs count as spaces.
+//! The lines of one message.
 
-use crate::literal::{parse_element, parse_value};
-use crate::name::{is_constant_name, is_package_name, is_type_name};
+use std::collections::HashSet;
+
+use super::literal::{parse_element, parse_value};
+use crate::name::{is_constant_name, is_package_name, is_type_or_part_name};
 use crate::{
-    Constant, Element, Error, Field, FieldType, Kind, MessageDefinition, Place, Primitive, ServiceDefinition,
-    Shape, TypeName,
+    Constant, Element, Error, Field, FieldType, Kind, MessageDefinition, Place, Primitive, Shape, TypeName,
 };
 
-/// Parses the text of a `.msg` file. `origin` names it in errors.
-///
-/// # Errors
-/// [`Error::Syntax`] with the place of the first line that is not understood.
-pub fn parse_message(name: TypeName, text: &str, origin: &str) -> Result<MessageDefinition, Error> {
-    parse_from(name, text, origin, 1)
-}
-
-/// Parses the text of a `.srv` file. `origin` names it in errors.
-///
-/// # Errors
-/// [`Error::Separators`] if request and response are not told apart, [`Error::Syntax`] for any other fault.
-pub fn parse_service(name: TypeName, text: &str, origin: &str) -> Result<ServiceDefinition, Error> {
-    let mut halves: Vec<String> = vec![String::new()];
-    let mut separator_line = 0;
-    for (index, line) in text.lines().enumerate() {
-        if line.trim_end() == "---" {
-            halves.push(String::new());
-            separator_line = index + 1;
-        } else if let Some(half) = halves.last_mut() {
-            half.push_str(line);
-            half.push('\n');
-        }
-    }
-    let [request, response] = halves.as_slice() else {
-        return Err(Error::Separators { origin: origin.into(), found: halves.len() - 1 });
-    };
-    Ok(ServiceDefinition {
-        request: parse_from(name.with_suffix("_Request"), request, origin, 1)?,
-        response: parse_from(name.with_suffix("_Response"), response, origin, separator_line + 1)?,
-        name,
-        text: text.into(),
-        origin: origin.into(),
-    })
-}
-
-fn parse_from(
+/// Reads a message whose first line is the line `first_line` of its file.
+pub(super) fn parse_message(
     name: TypeName,
     text: &str,
     origin: &str,
@@ -61,6 +24,7 @@ fn parse_from(
         name,
     };
     let mut comments: Vec<String> = Vec::new();
+    let mut names = HashSet::new();
     for (index, line) in text.lines().enumerate() {
         let line = line.replace('\t', " ");
         let (code, comment) = match line.split_once('#') {
@@ -79,7 +43,23 @@ fn parse_from(
             continue;
         }
         let line = Line { origin, number: first_line + index, code };
-        line.parse_into(&mut message, std::mem::take(&mut comments))?;
+        match line.parse(&message.name.package, std::mem::take(&mut comments))? {
+            Member::Field(field) => {
+                if !names.insert(field.name.clone()) {
+                    return Err(
+                        line.fault(line.name_at(), format!("the field `{}` is defined twice", field.name))
+                    );
+                }
+                message.fields.push(field);
+            }
+            Member::Constant(constant) => {
+                if !names.insert(constant.name.clone()) {
+                    let fault = format!("the constant `{}` is defined twice", constant.name);
+                    return Err(line.fault(line.name_at(), fault));
+                }
+                message.constants.push(constant);
+            }
+        }
     }
     Ok(message)
 }
@@ -91,6 +71,11 @@ fn leading_comment(text: &str) -> Vec<String> {
         .collect()
 }
 
+enum Member {
+    Field(Field),
+    Constant(Constant),
+}
+
 /// One line with code on it.
 struct Line<'a> {
     origin: &'a str,
@@ -100,29 +85,24 @@ struct Line<'a> {
 }
 
 impl Line<'_> {
-    fn parse_into(&self, message: &mut MessageDefinition, comment: Vec<String>) -> Result<(), Error> {
-        let start = self.code.len() - self.code.trim_start().len();
-        let (type_text, rest) = match self.code[start..].split_once(' ') {
-            Some((type_text, rest)) => (type_text, rest.trim_start()),
-            None => return Err(self.fault(self.code.len(), "expected a name after the type".into())),
+    fn parse(&self, package: &str, comment: Vec<String>) -> Result<Member, Error> {
+        let start = self.start();
+        let Some((type_text, rest)) = self.code[start..].split_once(' ') else {
+            return Err(self.fault(self.code.len(), "expected a name after the type".into()));
         };
-        let name_at = self.code.len() - rest.len();
+        let name_at = self.name_at();
+        let rest = rest.trim_start();
         let name_end = rest.find([' ', '=']).unwrap_or(rest.len());
         let (name, rest) = rest.split_at(name_end);
         let value_text = rest.trim_start();
-        let field_type =
-            parse_type(type_text, &message.name.package).map_err(|fault| self.fault(start, fault))?;
+        let field_type = parse_type(type_text, package).map_err(|fault| self.fault(start, fault))?;
 
         if let Some(value_text) = value_text.strip_prefix('=') {
             let value_text = value_text.trim_start();
             let value_at = self.code.len() - value_text.len();
             let constant = parse_constant(field_type, name, value_text, comment)
                 .map_err(|(part, fault)| self.fault([start, name_at, value_at][part], fault))?;
-            if message.constants.iter().any(|other| other.name == constant.name) {
-                return Err(self.fault(name_at, format!("the constant `{name}` is defined twice")));
-            }
-            message.constants.push(constant);
-            return Ok(());
+            return Ok(Member::Constant(constant));
         }
 
         if !is_package_name(name) {
@@ -134,9 +114,6 @@ impl Line<'_> {
                 ),
             ));
         }
-        if message.fields.iter().any(|other| other.name == name) {
-            return Err(self.fault(name_at, format!("the field `{name}` is defined twice")));
-        }
         let default = match value_text {
             "" => None,
             text => Some(
@@ -145,8 +122,20 @@ impl Line<'_> {
             ),
         };
         let place = self.place(start);
-        message.fields.push(Field { name: name.into(), field_type, default, comment, place });
-        Ok(())
+        Ok(Member::Field(Field { name: name.into(), field_type, default, comment, place }))
+    }
+
+    /// Where the type begins.
+    fn start(&self) -> usize {
+        self.code.len() - self.code.trim_start().len()
+    }
+
+    /// Where the name begins.
+    fn name_at(&self) -> usize {
+        match self.code.trim_start().split_once(' ') {
+            Some((_, rest)) => self.code.len() - rest.trim_start().len(),
+            None => self.code.len(),
+        }
     }
 
     fn place(&self, byte: usize) -> Place {
@@ -229,7 +218,7 @@ fn parse_element_type(text: &str, package: &str) -> Result<Element, String> {
     if let Some(name) = name.strip_prefix("msg/") {
         return Err(format!("`{text}`: within a definition the name is written `{package}/{name}`"));
     }
-    if is_package_name(package) && is_type_name(name) {
+    if is_package_name(package) && is_type_or_part_name(name) {
         Ok(Element::Message(TypeName::new(package, Kind::Message, name)))
     } else {
         Err(format!("`{text}` is neither a primitive type nor a message name such as `std_msgs/Header`"))
@@ -242,7 +231,3 @@ fn parse_count(text: &str, whole: &str) -> Result<u64, String> {
         _ => Err(format!("`{whole}`: the size must be a number from 1 to {}, found `{text}`", u32::MAX)),
     }
 }
-
-#[cfg(test)]
-#[path = "parse_tests.rs"]
-mod tests;

@@ -1,6 +1,6 @@
 #![allow(clippy::unwrap_used)]
 
-use super::{parse_message, parse_service};
+use super::{parse_action, parse_message, parse_service};
 use crate::{Element, Primitive, Shape, Value};
 
 fn error_of(text: &str) -> String {
@@ -45,10 +45,29 @@ fn a_service_has_two_halves_and_places_count_from_the_top_of_the_file() {
     assert_eq!(service.response.fields[0].name, "said");
     assert_eq!(
         parse_service(name(), "bool on\n", "S.srv").unwrap_err().to_string(),
-        "S.srv: a service needs exactly one line `---` between request and response, found 0"
+        "S.srv:1:1: a service is a request and a response with one line `---` between them, found 0"
+    );
+    assert_eq!(
+        parse_service(name(), "---\nbool on\n---\n", "S.srv").unwrap_err().to_string(),
+        "S.srv:3:1: a service is a request and a response with one line `---` between them, found 2"
     );
     let error = parse_service(name(), "bool on\n---\n\nstrin said\n", "S.srv").unwrap_err().to_string();
     assert!(error.starts_with("S.srv:4:1: `strin` is neither"), "{error}");
+}
+
+#[test]
+fn an_action_has_three_parts_and_places_count_from_the_top_of_the_file() {
+    let name = || "a/action/S".parse().unwrap();
+    let action = parse_action(name(), "int32 order\n---\n---\nfloat32 done\n", "S.action").unwrap();
+    assert_eq!(action.goal.name.to_string(), "a/action/S_Goal");
+    assert_eq!(action.result.fields, []);
+    assert_eq!((action.feedback.text.as_str(), action.feedback.fields[0].place.line), ("float32 done\n", 4));
+    assert_eq!(
+        parse_action(name(), "int32 order\n---\n\n", "S.action").unwrap_err().to_string(),
+        "S.action:3:1: an action is a goal, a result and a feedback with two lines `---` between them, found 1"
+    );
+    let error = parse_action(name(), "---\n---\n\nint32\n", "S.action").unwrap_err().to_string();
+    assert!(error.starts_with("S.action:4:6: expected a name"), "{error}");
 }
 
 #[test]
@@ -81,6 +100,7 @@ fn no_text_makes_the_parser_panic() {
     let parse = |text: &str| {
         let _ = parse_message("a/msg/A".parse().unwrap(), text, "A.msg");
         let _ = parse_service("a/srv/A".parse().unwrap(), text, "A.srv");
+        let _ = parse_action("a/action/A".parse().unwrap(), text, "A.action");
     };
     for (at, character) in rich.char_indices() {
         parse(&rich[..at]);

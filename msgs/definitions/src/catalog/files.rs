@@ -1,0 +1,157 @@
+//! Definitions from folders.
+
+use std::fs::{self, File};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use super::Catalog;
+use crate::{Error, Kind, Place, TypeName};
+
+/// No definition is larger; one that is, is something else.
+const LARGEST_FILE: u64 = 16 << 20;
+
+/// What was found in an ament prefix.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct AmentPrefix {
+    /// How many files were read.
+    pub files: usize,
+    /// Why others were left out: they have faults, or what they define is in the catalog already, with another meaning.
+    pub faults: Vec<Error>,
+}
+
+impl Catalog {
+    /// Adds the interfaces of one package: `<folder>/msg/*.msg`, `<folder>/srv/*.srv` and `<folder>/action/*.action`. The
+    /// folder's name is the package's. Returns how many files were read.
+    ///
+    /// # Errors
+    /// If a file cannot be read or parsed. A folder without interfaces is no error.
+    pub fn add_package(&mut self, folder: &Path) -> Result<usize, Error> {
+        let package = name_of(folder);
+        let mut count = 0;
+        for kind in Kind::ALL {
+            for file in files_with_extension(&folder.join(kind.as_str()), kind.as_str())? {
+                self.add_file(&package, kind, &file)?;
+                count += 1;
+            }
+        }
+        Ok(count)
+    }
+
+    /// Adds every package below a folder of packages. Returns how many files were read.
+    ///
+    /// # Errors
+    /// As [`Catalog::add_package`].
+    pub fn add_packages(&mut self, folder: &Path) -> Result<usize, Error> {
+        let mut count = 0;
+        for package in packages_in(folder)? {
+            count += self.add_package(&package)?;
+        }
+        Ok(count)
+    }
+
+    /// Adds the interfaces of every package installed below an ament prefix, such as `/opt/ros/jazzy` or a workspace's
+    /// `install/my_msgs`: those in `share/*/{msg,srv,action}`, from `.msg`, `.srv` and `.action` files, and from the `.idl` file
+    /// where there is no such file.
+    ///
+    /// A file with a fault does not keep the others out: it is told of in the result. A prefix can hold what no program
+    /// here will ever need.
+    ///
+    /// # Errors
+    /// [`Error::Read`] if there is no folder `share`.
+    pub fn add_ament_prefix(&mut self, prefix: &Path) -> Result<AmentPrefix, Error> {
+        let mut found = AmentPrefix { files: 0, faults: Vec::new() };
+        for folder in packages_in(&prefix.join("share"))? {
+            for kind in Kind::ALL {
+                match self.add_installed(&folder, kind, &mut found) {
+                    Ok(()) => {}
+                    Err(fault) => found.faults.push(fault),
+                }
+            }
+        }
+        Ok(found)
+    }
+
+    /// The interfaces of one kind of an installed package.
+    fn add_installed(&mut self, folder: &Path, kind: Kind, found: &mut AmentPrefix) -> Result<(), Error> {
+        let package = name_of(folder);
+        let folder = folder.join(kind.as_str());
+        let written = files_with_extension(&folder, kind.as_str())?;
+        let mut generated = files_with_extension(&folder, "idl")?;
+        generated.retain(|file| written.binary_search(&file.with_extension(kind.as_str())).is_err());
+        for file in written.iter().chain(&generated) {
+            let added = if file.extension().is_some_and(|extension| extension == "idl") {
+                read(file).and_then(|text| self.add_idl(&text, &file.display().to_string()).map(|_| ()))
+            } else {
+                self.add_file(&package, kind, file)
+            };
+            match added {
+                Ok(()) => found.files += 1,
+                Err(fault) => found.faults.push(fault),
+            }
+        }
+        Ok(())
+    }
+
+    fn add_file(&mut self, package: &str, kind: Kind, file: &Path) -> Result<(), Error> {
+        let name: TypeName =
+            format!("{package}/{}/{}", kind.as_str(), name_of(&file.with_extension(""))).parse()?;
+        let text = read(file)?;
+        let origin = file.display().to_string();
+        match kind {
+            Kind::Message => self.add_message(name, &text, &origin),
+            Kind::Service => self.add_service(name, &text, &origin),
+            Kind::Action => self.add_action(name, &text, &origin),
+        }
+    }
+}
+
+fn read(file: &Path) -> Result<String, Error> {
+    let failed = |source| Error::Read { path: file.into(), source };
+    let mut bytes = Vec::new();
+    File::open(file).and_then(|open| open.take(LARGEST_FILE + 1).read_to_end(&mut bytes)).map_err(failed)?;
+    if bytes.len() as u64 > LARGEST_FILE {
+        return Err(failed(std::io::Error::other(format!("it has more than {LARGEST_FILE} bytes"))));
+    }
+    String::from_utf8(bytes).map_err(|error| {
+        let valid = String::from_utf8_lossy(&error.as_bytes()[..error.utf8_error().valid_up_to()]);
+        let line = valid.rsplit('\n').next().unwrap_or_default();
+        let place = Place {
+            origin: file.display().to_string(),
+            line: valid.matches('\n').count() + 1,
+            column: line.chars().count() + 1,
+        };
+        Error::Syntax { place, message: "the text is not UTF-8 from here on: save the file as UTF-8".into() }
+    })
+}
+
+fn name_of(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn packages_in(folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    let mut packages = sorted_entries(folder)?;
+    packages.retain(|entry| entry.is_dir());
+    Ok(packages)
+}
+
+fn files_with_extension(folder: &Path, extension: &str) -> Result<Vec<PathBuf>, Error> {
+    if !folder.is_dir() {
+        return Ok(Vec::new());
+    }
+    let mut files = sorted_entries(folder)?;
+    files.retain(|file| file.extension().is_some_and(|found| found == extension));
+    Ok(files)
+}
+
+/// Sorted, so that the same folder gives the same output everywhere.
+fn sorted_entries(folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    let failed = |source| Error::Read { path: folder.into(), source };
+    let mut entries = fs::read_dir(folder)
+        .map_err(failed)?
+        .map(|entry| entry.map(|entry| entry.path()))
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(failed)?;
+    entries.sort();
+    Ok(entries)
+}

@@ -1,0 +1,177 @@
+//! A set of interfaces that refer to each other.
+
+mod check;
+mod files;
+mod nearest;
+
+pub use files::AmentPrefix;
+
+use std::collections::BTreeMap;
+
+use crate::derived::{event_of, parts_of};
+use crate::{
+    ActionDefinition, Definition, Error, Kind, MessageDefinition, ServiceDefinition, TypeName, parse_action,
+    parse_idl, parse_message, parse_service,
+};
+
+/// Definitions by name. Fill it, [check](Catalog::check) it, then derive from it what you need.
+#[derive(Clone, Debug, Default)]
+pub struct Catalog {
+    messages: BTreeMap<TypeName, MessageDefinition>,
+    services: BTreeMap<TypeName, ServiceDefinition>,
+    actions: BTreeMap<TypeName, ActionDefinition>,
+}
+
+impl Catalog {
+    /// An empty catalog.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds one message from its text; `origin` names the text in errors. The same definition again, be its comments others,
+    /// changes nothing.
+    ///
+    /// # Errors
+    /// If the text is no message definition, or the name has another definition already.
+    pub fn add_message(&mut self, name: TypeName, text: &str, origin: &str) -> Result<(), Error> {
+        let message = parse_message(name, text, origin)?;
+        self.insert(message)
+    }
+
+    /// Adds one service, and the request, response and event messages that belong to it.
+    ///
+    /// # Errors
+    /// If the text is no service definition, or the name has another definition already.
+    pub fn add_service(&mut self, name: TypeName, text: &str, origin: &str) -> Result<(), Error> {
+        self.insert_service(parse_service(name, text, origin)?)
+    }
+
+    /// Adds one action, and the services and messages that belong to it: `_Goal`, `_Result`, `_Feedback`,
+    /// `_FeedbackMessage`, `_SendGoal`, `_GetResult` and the messages of these two.
+    ///
+    /// # Errors
+    /// If the text is no action definition, or the name has another definition already.
+    pub fn add_action(&mut self, name: TypeName, text: &str, origin: &str) -> Result<(), Error> {
+        self.insert_action(parse_action(name, text, origin)?)
+    }
+
+    /// Adds what an `.idl` file defines, and returns the names. See [`parse_idl`].
+    ///
+    /// # Errors
+    /// If the text is no IDL that ROS 2 understands, or a name has another definition already.
+    pub fn add_idl(&mut self, text: &str, origin: &str) -> Result<Vec<TypeName>, Error> {
+        let definitions = parse_idl(text, origin)?;
+        let names = definitions.iter().map(|definition| definition.name().clone()).collect();
+        definitions.into_iter().try_for_each(|definition| self.insert_definition(definition))?;
+        Ok(names)
+    }
+
+    /// The definition of a message, be it one of a service or an action.
+    ///
+    /// # Errors
+    /// [`Error::NotInCatalog`].
+    pub fn message(&self, name: &TypeName) -> Result<&MessageDefinition, Error> {
+        self.messages.get(name).ok_or_else(|| self.not_in_catalog(name))
+    }
+
+    /// The definition of a service, be it one of an action.
+    ///
+    /// # Errors
+    /// [`Error::NotInCatalog`].
+    pub fn service(&self, name: &TypeName) -> Result<&ServiceDefinition, Error> {
+        self.services.get(name).ok_or_else(|| self.not_in_catalog(name))
+    }
+
+    /// The definition of an action.
+    ///
+    /// # Errors
+    /// [`Error::NotInCatalog`].
+    pub fn action(&self, name: &TypeName) -> Result<&ActionDefinition, Error> {
+        self.actions.get(name).ok_or_else(|| self.not_in_catalog(name))
+    }
+
+    /// All messages in the order of their names, those of services (kind [`Kind::Service`]) and actions
+    /// ([`Kind::Action`]) among them.
+    pub fn messages(&self) -> impl Iterator<Item = &MessageDefinition> {
+        self.messages.values()
+    }
+
+    /// All services in the order of their names, those of actions ([`Kind::Action`]) among them.
+    pub fn services(&self) -> impl Iterator<Item = &ServiceDefinition> {
+        self.services.values()
+    }
+
+    /// All actions in the order of their names.
+    pub fn actions(&self) -> impl Iterator<Item = &ActionDefinition> {
+        self.actions.values()
+    }
+
+    /// The packages that have an interface here, in order.
+    #[must_use]
+    pub fn packages(&self) -> Vec<&str> {
+        let mut packages: Vec<&str> = self.messages.keys().map(|name| name.package.as_str()).collect();
+        packages.dedup();
+        packages
+    }
+
+    /// As [`Catalog::service`], where it is no error that there is none.
+    pub(crate) fn find_service(&self, name: &TypeName) -> Option<&ServiceDefinition> {
+        self.services.get(name)
+    }
+
+    pub(crate) fn find_action(&self, name: &TypeName) -> Option<&ActionDefinition> {
+        self.actions.get(name)
+    }
+
+    pub(crate) fn insert_definition(&mut self, definition: Definition) -> Result<(), Error> {
+        match definition {
+            Definition::Message(message) => self.insert(message),
+            Definition::Service(service) => self.insert_service(service),
+            Definition::Action(action) => self.insert_action(action),
+        }
+    }
+
+    pub(crate) fn insert(&mut self, message: MessageDefinition) -> Result<(), Error> {
+        match self.messages.get(&message.name) {
+            Some(first) if !first.means_the_same_as(&message) => Err(Error::DefinedTwice {
+                name: message.name,
+                first: first.origin.clone(),
+                second: message.origin,
+            }),
+            Some(_) => Ok(()),
+            None => {
+                self.messages.insert(message.name.clone(), message);
+                Ok(())
+            }
+        }
+    }
+
+    pub(crate) fn insert_service(&mut self, service: ServiceDefinition) -> Result<(), Error> {
+        self.insert(service.request.clone())?;
+        self.insert(service.response.clone())?;
+        let mut event = event_of(&service);
+        if service.name.kind == Kind::Service {
+            // As in rosbag2, which knows no text of events.
+            event.text.clone_from(&service.text);
+        }
+        self.insert(event)?;
+        self.services.entry(service.name.clone()).or_insert(service);
+        Ok(())
+    }
+
+    pub(crate) fn insert_action(&mut self, action: ActionDefinition) -> Result<(), Error> {
+        for message in [&action.goal, &action.result, &action.feedback] {
+            self.insert(message.clone())?;
+        }
+        let parts = parts_of(&action);
+        self.insert(parts.feedback_message)?;
+        self.insert_service(parts.send_goal)?;
+        self.insert_service(parts.get_result)?;
+        self.actions.entry(action.name.clone()).or_insert(action);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,125 @@
+//! The text rosbag2 stores as the schema of a topic (`ros2msg`): writing it here, reading it in `read.rs`.
+//!
+//! The root's own text comes first; then, depth first and in the order of their names, each message it depends on,
+//! once, after a line of 80 `=` and a line `MSG: package/Type`. A service's text stands below such a head itself, and so
+//! does an action's. A message that rosidl derives from an action has the text its author would have written.
+
+mod read;
+
+pub use read::DefinitionEncoding;
+
+use std::collections::BTreeSet;
+
+use crate::{Catalog, Element, Error, Kind, MessageDefinition, TypeName};
+
+impl Catalog {
+    /// The definition text of a message, a service or an action. That of a service's event is the text of the service,
+    /// as in rosbag2.
+    ///
+    /// # Errors
+    /// [`Error::NotInCatalog`] for the type itself or a message it depends on.
+    pub fn definition_text(&self, name: &TypeName) -> Result<String, Error> {
+        if let Some(action) = self.find_action(name) {
+            let head = format!("{RULE}\nACTION: {name}\n{}", action.text);
+            return self.with_dependencies(
+                head,
+                &[&action.goal, &action.result, &action.feedback],
+                BTreeSet::new(),
+            );
+        }
+        if self.find_service(name).is_some() {
+            return self.service_definition_text(name);
+        }
+        let message = self.message(name)?;
+        if let (Kind::Service, Some(service)) = (name.kind, name.name.strip_suffix("_Event")) {
+            return self.service_definition_text(&TypeName::new(&name.package, name.kind, service));
+        }
+        self.with_dependencies(message.text.clone(), &[message], BTreeSet::from([name.clone()]))
+    }
+
+    /// The definition text of a service.
+    ///
+    /// # Errors
+    /// [`Error::NotInCatalog`] for the service itself or a message it depends on.
+    pub fn service_definition_text(&self, name: &TypeName) -> Result<String, Error> {
+        let service = self.service(name)?;
+        let head = format!("{RULE}\nSRV: {name}\n{}", service.text);
+        self.with_dependencies(head, &[&service.request, &service.response], BTreeSet::new())
+    }
+
+    fn with_dependencies(
+        &self,
+        mut text: String,
+        roots: &[&MessageDefinition],
+        mut seen: BTreeSet<TypeName>,
+    ) -> Result<String, Error> {
+        // What is still to be written, the next one last.
+        let mut waiting: Vec<&TypeName> = dependencies_backwards(roots);
+        while let Some(name) = waiting.pop() {
+            if seen.insert(name.clone()) {
+                let message = self.message(name)?;
+                text.push_str(&format!("\n{RULE}\nMSG: {}\n{}", name.short(), message.text));
+                waiting.extend(dependencies_backwards(&[message]));
+            }
+        }
+        Ok(text)
+    }
+}
+
+/// The line before each head.
+const RULE: &str = "================================================================================";
+
+fn dependencies_backwards<'a>(of: &[&'a MessageDefinition]) -> Vec<&'a TypeName> {
+    let names: BTreeSet<&TypeName> = of
+        .iter()
+        .flat_map(|message| &message.fields)
+        .filter_map(|field| match &field.field_type.element {
+            Element::Message(name) => Some(name),
+            _ => None,
+        })
+        .collect();
+    names.into_iter().rev().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use crate::Catalog;
+
+    #[test]
+    fn an_action_and_its_parts_have_texts() {
+        let mut catalog = Catalog::new();
+        catalog
+            .add_message("unique_identifier_msgs/msg/UUID".parse().unwrap(), "uint8[16] uuid\n", "")
+            .unwrap();
+        let text = "int32 order\n---\nint32[] sequence\n---\nint32 left\n";
+        catalog.add_action("a/action/Fibonacci".parse().unwrap(), text, "").unwrap();
+        let text_of = |name: &str| catalog.definition_text(&name.parse().unwrap()).unwrap();
+        let line = "=".repeat(80);
+        assert_eq!(text_of("a/action/Fibonacci"), format!("{line}\nACTION: a/action/Fibonacci\n{text}"));
+        assert_eq!(text_of("a/action/Fibonacci_Result"), "int32[] sequence\n");
+        assert_eq!(
+            text_of("a/action/Fibonacci_FeedbackMessage"),
+            format!(
+                "unique_identifier_msgs/UUID goal_id\na/Fibonacci_Feedback feedback\n\n{line}\nMSG: a/Fibonacci_Feedback\n\
+                 int32 left\n\n{line}\nMSG: unique_identifier_msgs/UUID\nuint8[16] uuid\n"
+            )
+        );
+    }
+
+    #[test]
+    fn dependencies_follow_once_each_depth_first() {
+        let mut catalog = Catalog::new();
+        for (name, text) in
+            [("b/msg/Root", "b/Z z\na/A[] a\nZ again\n"), ("b/msg/Z", "int8 z\n"), ("a/msg/A", "b/Z z\n")]
+        {
+            catalog.add_message(name.parse().unwrap(), text, name).unwrap();
+        }
+        let line = "=".repeat(80);
+        assert_eq!(
+            catalog.definition_text(&"b/msg/Root".parse().unwrap()).unwrap(),
+            format!("b/Z z\na/A[] a\nZ again\n\n{line}\nMSG: a/A\nb/Z z\n\n{line}\nMSG: b/Z\nint8 z\n")
+        );
+    }
+}

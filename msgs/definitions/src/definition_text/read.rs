@@ -1,0 +1,256 @@
+//! Reading definition texts: those of bags and of others who describe their topics.
+
+use std::str::FromStr;
+
+use crate::idl::parse_idl_from;
+use crate::parse::{parse_action_from, parse_message_from, parse_service_from};
+use crate::{Catalog, Definition, Error, Kind, Place, TypeName};
+
+/// The language of a definition text, as a bag names it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DefinitionEncoding {
+    /// `ros2msg`: that of `.msg` files.
+    Ros2Msg,
+    /// `ros2idl`: that of `.idl` files.
+    Ros2Idl,
+}
+
+impl DefinitionEncoding {
+    /// `ros2msg` or `ros2idl`.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Ros2Msg => "ros2msg",
+            Self::Ros2Idl => "ros2idl",
+        }
+    }
+}
+
+impl FromStr for DefinitionEncoding {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self, Error> {
+        let known = [Self::Ros2Msg, Self::Ros2Idl];
+        known.into_iter().find(|of| of.as_str() == text).ok_or_else(|| Error::Encoding(text.into()))
+    }
+}
+
+impl Catalog {
+    /// Adds what a definition text defines: the type `name`, and behind lines of `=` what it depends on. Below such a line
+    /// stands `MSG: package/Type`, `SRV: package/srv/Type`, `ACTION: package/action/Type` or `IDL: package/msg/Type`.
+    ///
+    /// A text that begins with such a line holds whatever that line names; rosbag2 stores the service for its events. It
+    /// leaves out `service_msgs/msg/ServiceEventInfo` then, which has to be in the catalog otherwise.
+    ///
+    /// # Errors
+    /// If a part is no definition, or a name has another definition already. Places count from the top of the text.
+    ///
+    /// # Examples
+    /// ```
+    /// use downbeat_msgs_definitions::{Catalog, DefinitionEncoding, TypeName};
+    ///
+    /// let text = format!("Leg[] legs\n\n{}\nMSG: legs/Leg\nfloat64[] angles\n", "=".repeat(80));
+    /// let name: TypeName = "legs/msg/Legs".parse()?;
+    /// let mut catalog = Catalog::new();
+    /// catalog.add_definition_text(&name, DefinitionEncoding::Ros2Msg, &text, "walk.mcap")?;
+    /// catalog.check_type(&name)?;
+    /// assert_eq!(catalog.definition_text(&name)?, text);
+    /// # Ok::<(), downbeat_msgs_definitions::Error>(())
+    /// ```
+    pub fn add_definition_text(
+        &mut self,
+        name: &TypeName,
+        encoding: DefinitionEncoding,
+        text: &str,
+        origin: &str,
+    ) -> Result<(), Error> {
+        for block in blocks(text, origin)? {
+            let (keyword, name) = match block.head {
+                Some(head) => head,
+                None => (Keyword::of(name, encoding), name.clone()),
+            };
+            for definition in keyword.parse(name, block.text, origin, block.first_line)? {
+                self.insert_definition(definition)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What a block holds.
+#[derive(Clone, Copy)]
+enum Keyword {
+    Message,
+    Service,
+    Action,
+    Idl,
+}
+
+impl Keyword {
+    /// For a block without a head: a part of a service or an action is a message by itself.
+    fn of(name: &TypeName, encoding: DefinitionEncoding) -> Self {
+        match name.kind {
+            _ if encoding == DefinitionEncoding::Ros2Idl => Self::Idl,
+            Kind::Service if !name.name.contains('_') => Self::Service,
+            Kind::Action if !name.name.contains('_') => Self::Action,
+            _ => Self::Message,
+        }
+    }
+
+    fn parse(self, name: TypeName, text: &str, origin: &str, line: usize) -> Result<Vec<Definition>, Error> {
+        Ok(vec![match self {
+            Self::Message => Definition::Message(parse_message_from(name, text, origin, line)?),
+            Self::Service => Definition::Service(parse_service_from(name, text, origin, line)?),
+            Self::Action => Definition::Action(parse_action_from(name, text, origin, line)?),
+            Self::Idl => return parse_idl_from(text, origin, line),
+        }])
+    }
+}
+
+struct Block<'a> {
+    /// None of the first one, as a rule.
+    head: Option<(Keyword, TypeName)>,
+    text: &'a str,
+    first_line: usize,
+}
+
+fn blocks<'a>(text: &'a str, origin: &str) -> Result<Vec<Block<'a>>, Error> {
+    let mut blocks = Vec::new();
+    let (mut head, mut start, mut first_line) = (None, 0, 1);
+    let mut at = 0;
+    let mut lines = text.split_inclusive('\n').enumerate();
+    while let Some((index, line)) = lines.next() {
+        let rule_at = at;
+        at += line.len();
+        if !is_rule(line) {
+            continue;
+        }
+        // The line break before the rule belongs to it. A text that begins with a rule has nothing before it.
+        if head.is_some() || rule_at > 0 {
+            let text = &text[start..rule_at];
+            let text = text.strip_suffix('\n').map_or(text, |text| text.strip_suffix('\r').unwrap_or(text));
+            blocks.push(Block { head: head.take(), text, first_line });
+        }
+        let line = lines.next().map_or("", |(_, line)| line);
+        at += line.len();
+        head = Some(parse_head(line, origin, index + 2)?);
+        (start, first_line) = (at, index + 3);
+    }
+    blocks.push(Block { head, text: &text[start..], first_line });
+    Ok(blocks)
+}
+
+/// 80 of them as a rule; no line of a definition can be of these alone.
+fn is_rule(line: &str) -> bool {
+    let line = line.trim_end();
+    line.len() >= 3 && line.bytes().all(|byte| byte == b'=')
+}
+
+fn parse_head(line: &str, origin: &str, number: usize) -> Result<(Keyword, TypeName), Error> {
+    let fault = |message: String| Error::Syntax {
+        place: Place { origin: origin.into(), line: number, column: 1 },
+        message,
+    };
+    let expected = || {
+        fault(format!(
+            "expected a line such as `MSG: package/Type` behind the line of `=`, found `{}`",
+            line.trim_end()
+        ))
+    };
+    let (keyword, name) = line.split_once(':').ok_or_else(expected)?;
+    let keyword = match keyword.trim() {
+        "MSG" => Keyword::Message,
+        "SRV" => Keyword::Service,
+        "ACTION" => Keyword::Action,
+        "IDL" => Keyword::Idl,
+        _ => return Err(expected()),
+    };
+    let name = name.trim();
+    let name = match name.split_once('/') {
+        // Messages are named without their middle.
+        Some((package, name)) if !name.contains('/') => format!("{package}/msg/{name}"),
+        _ => name.to_owned(),
+    };
+    Ok((keyword, name.parse().map_err(|error: Error| fault(error.to_string()))?))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::DefinitionEncoding::{Ros2Idl, Ros2Msg};
+    use crate::{Catalog, Error};
+
+    fn read(name: &str, encoding: super::DefinitionEncoding, text: &str) -> Result<Catalog, Error> {
+        let mut catalog = Catalog::new();
+        catalog.add_definition_text(&name.parse().unwrap(), encoding, text, "bag")?;
+        Ok(catalog)
+    }
+
+    #[test]
+    fn a_text_that_was_written_is_read_to_the_same() {
+        let mut catalog = Catalog::new();
+        for (name, text) in [
+            ("builtin_interfaces/msg/Time", "int32 sec\nuint32 nanosec\n"),
+            ("service_msgs/msg/ServiceEventInfo", "builtin_interfaces/Time stamp"),
+            ("unique_identifier_msgs/msg/UUID", "uint8[16] uuid"),
+            ("a/msg/Empty", ""),
+            ("a/msg/Root", "builtin_interfaces/Time t\n\n# c\nEmpty e\n"),
+        ] {
+            catalog.add_message(name.parse().unwrap(), text, name).unwrap();
+        }
+        catalog.add_service("a/srv/S".parse().unwrap(), "Empty e\n---\nRoot r\n", "S").unwrap();
+        catalog.add_action("a/action/A".parse().unwrap(), "Empty e\n---\nint8 x\n---\nRoot r", "A").unwrap();
+        for name in [
+            "a/msg/Root",
+            "a/msg/Empty",
+            "a/srv/S",
+            "a/srv/S_Response",
+            "a/action/A",
+            "a/action/A_FeedbackMessage",
+            "a/action/A_SendGoal_Event",
+        ] {
+            let name = name.parse().unwrap();
+            let text = catalog.definition_text(&name).unwrap();
+            let mut again = Catalog::new();
+            again.add_definition_text(&name, Ros2Msg, &text, "bag").unwrap();
+            assert_eq!(again.definition_text(&name).unwrap(), text, "{name}");
+            if name.kind == crate::Kind::Message {
+                again.check_type(&name).unwrap();
+                assert_eq!(again.type_hash(&name).unwrap(), catalog.type_hash(&name).unwrap());
+            }
+        }
+    }
+
+    #[test]
+    fn a_text_of_idl_is_read() {
+        let rule = "=".repeat(80);
+        let text = format!(
+            "{rule}\nIDL: a/msg/A\n#include \"a/msg/B.idl\"\nmodule a {{ module msg {{ struct A {{ a::msg::B b; }}; }}; }};\n\
+             \n{rule}\nIDL: a/msg/B\nmodule a {{ module msg {{ struct B {{ int32 x; }}; }}; }};\n"
+        );
+        let catalog = read("a/msg/A", Ros2Idl, &text).unwrap();
+        catalog.check().unwrap();
+        assert_eq!(
+            catalog.definition_text(&"a/msg/A".parse().unwrap()).unwrap(),
+            format!("a/B b\n\n{rule}\nMSG: a/B\nint32 x\n")
+        );
+    }
+
+    #[test]
+    fn places_count_from_the_top_of_the_text() {
+        let rule = "=".repeat(80);
+        for (text, fault) in [
+            (format!("B b\n\n{rule}\nMSG: a/B\nint8 x\nint9 y\n"), "bag:6:1: `int9` is neither"),
+            (format!("B b\n{rule}\nB\n"), "bag:3:1: expected a line such as `MSG: package/Type`"),
+            (format!("B b\n{rule}"), "bag:3:1: expected a line such as"),
+            (format!("{rule}\nMSG: b\n"), "bag:2:1: `b` is not an interface name"),
+            (format!("{rule}\nSRV: a/srv/S\nint8 x\n"), "bag:3:1: a service is a request and a response"),
+            (format!("{rule}\nSRV: a/srv/S\n---\nint8\n"), "bag:4:5: expected a name"),
+            (format!("{rule}\nIDL: a/msg/S\n\n  struct\n"), "bag:5:1: expected the name of the struct"),
+        ] {
+            let error = read("a/msg/A", Ros2Msg, &text).unwrap_err().to_string();
+            assert!(error.starts_with(fault), "{text:?} gave {error}");
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! What rosidl makes of a service or an action beyond its text.
+//!
+//! # References
+//! `rosidl_parser/rosidl_parser/definition.py`, branch jazzy: the classes `Service` and `Action`.
+
+use crate::{
+    ActionDefinition, Element, Field, FieldType, Kind, MessageDefinition, Place, Primitive,
+    ServiceDefinition, Shape, TypeName,
+};
+
+/// What service introspection publishes: who and when, and the request or response where contents are asked for.
+pub(crate) fn event_of(service: &ServiceDefinition) -> MessageDefinition {
+    let info = TypeName::new("service_msgs", Kind::Message, "ServiceEventInfo");
+    let content = |message: &MessageDefinition| FieldType {
+        element: Element::Message(message.name.clone()),
+        shape: Shape::Bounded(1),
+    };
+    let fields = vec![
+        ("info", single(Element::Message(info))),
+        ("request", content(&service.request)),
+        ("response", content(&service.response)),
+    ];
+    message(service.name.with_suffix("_Event"), fields, &service.origin)
+}
+
+/// The services and the message by which the two ends of an action talk.
+pub(crate) struct ActionParts {
+    /// `<name>_SendGoal`.
+    pub(crate) send_goal: ServiceDefinition,
+    /// `<name>_GetResult`.
+    pub(crate) get_result: ServiceDefinition,
+    /// `<name>_FeedbackMessage`.
+    pub(crate) feedback_message: MessageDefinition,
+}
+
+pub(crate) fn parts_of(action: &ActionDefinition) -> ActionParts {
+    let goal_id = || {
+        ("goal_id", single(Element::Message(TypeName::new("unique_identifier_msgs", Kind::Message, "UUID"))))
+    };
+    let stamp = Element::Message(TypeName::new("builtin_interfaces", Kind::Message, "Time"));
+    let part = |message: &MessageDefinition| single(Element::Message(message.name.clone()));
+    let origin = &action.origin;
+    ActionParts {
+        send_goal: service(
+            action.name.with_suffix("_SendGoal"),
+            vec![goal_id(), ("goal", part(&action.goal))],
+            vec![("accepted", single(Element::Primitive(Primitive::Bool))), ("stamp", single(stamp))],
+            origin,
+        ),
+        get_result: service(
+            action.name.with_suffix("_GetResult"),
+            vec![goal_id()],
+            vec![("status", single(Element::Primitive(Primitive::Int8))), ("result", part(&action.result))],
+            origin,
+        ),
+        feedback_message: message(
+            action.name.with_suffix("_FeedbackMessage"),
+            vec![goal_id(), ("feedback", part(&action.feedback))],
+            origin,
+        ),
+    }
+}
+
+type Member = (&'static str, FieldType);
+
+fn single(element: Element) -> FieldType {
+    FieldType { element, shape: Shape::Single }
+}
+
+fn service(name: TypeName, request: Vec<Member>, response: Vec<Member>, origin: &str) -> ServiceDefinition {
+    let request = message(name.with_suffix("_Request"), request, origin);
+    let response = message(name.with_suffix("_Response"), response, origin);
+    ServiceDefinition {
+        text: format!("{}---\n{}", request.text, response.text),
+        request,
+        response,
+        name,
+        origin: origin.into(),
+    }
+}
+
+/// Its text is what its author would have written.
+fn message(name: TypeName, members: Vec<Member>, origin: &str) -> MessageDefinition {
+    let text = members.iter().map(|(field, field_type)| format!("{field_type} {field}\n")).collect();
+    let place = Place { origin: origin.into(), line: 1, column: 1 };
+    let fields = members.into_iter().map(|(field, field_type)| Field {
+        name: field.into(),
+        field_type,
+        default: None,
+        comment: Vec::new(),
+        place: place.clone(),
+    });
+    MessageDefinition {
+        name,
+        comment: Vec::new(),
+        fields: fields.collect(),
+        constants: Vec::new(),
+        text,
+        origin: origin.into(),
+    }
+}

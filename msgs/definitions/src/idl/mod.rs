@@ -1,0 +1,141 @@
+//! From the text of an `.idl` file to its definitions.
+//!
+//! What is understood is what `rosidl_adapter` writes and what others write as `ros2idl` schemas: modules, structs, typedefs,
+//! constants, arrays, sequences, bounded strings, and the annotations `@verbatim`, `@default` and `@unit`; other annotations
+//! mean nothing. What ROS 2 has no word for (enumerations, unions, maps, arrays of arrays, `char`, `long double`) is an error.
+//!
+//! # References
+//! OMG IDL 4.2; `rosidl_parser/rosidl_parser/grammar.lark` and `rosidl_adapter/rosidl_adapter/resource/*.em`, branch jazzy.
+
+mod lexer;
+mod literal;
+mod message_text;
+mod parser;
+mod types;
+
+use std::collections::BTreeMap;
+
+use crate::{ActionDefinition, Error, Kind, MessageDefinition, Place, ServiceDefinition, TypeName};
+
+/// An interface of any kind.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Definition {
+    /// A message.
+    Message(MessageDefinition),
+    /// A service.
+    Service(ServiceDefinition),
+    /// An action.
+    Action(ActionDefinition),
+}
+
+impl Definition {
+    /// Its name.
+    #[must_use]
+    pub fn name(&self) -> &TypeName {
+        match self {
+            Self::Message(message) => &message.name,
+            Self::Service(service) => &service.name,
+            Self::Action(action) => &action.name,
+        }
+    }
+}
+
+/// Parses the text of an `.idl` file. `origin` names it in errors.
+///
+/// A struct in `module package { module msg {` is a message; in a module `srv` the structs `X_Request` and `X_Response` are the
+/// service `X`; in a module `action` the structs `X_Goal`, `X_Result` and `X_Feedback` are the action `X`.
+///
+/// The `text` of the definitions is what a `.msg`, `.srv` or `.action` file would say, without comments.
+///
+/// # Errors
+/// [`Error::Syntax`] with the place of the first word that is not understood.
+///
+/// # Examples
+/// ```
+/// use downbeat_msgs_definitions::{Definition, parse_idl};
+///
+/// let text = "module legs { module msg { struct Leg { sequence<double, 6> angles; }; }; };";
+/// let [Definition::Message(leg)] = &parse_idl(text, "Leg.idl")?[..] else { unreachable!() };
+/// assert_eq!(leg.name.to_string(), "legs/msg/Leg");
+/// assert_eq!(leg.fields[0].field_type.to_string(), "float64[<=6]");
+/// assert_eq!(leg.text, "float64[<=6] angles\n");
+/// # Ok::<(), downbeat_msgs_definitions::Error>(())
+/// ```
+pub fn parse_idl(text: &str, origin: &str) -> Result<Vec<Definition>, Error> {
+    parse_idl_from(text, origin, 1)
+}
+
+/// As [`parse_idl`], of a part of a file.
+pub(crate) fn parse_idl_from(text: &str, origin: &str, first_line: usize) -> Result<Vec<Definition>, Error> {
+    let structs = parser::parse(text, origin, first_line)?;
+    let mut definitions = Vec::new();
+    // Of services and actions, by name: where the first part stands, and the parts.
+    let mut wholes: BTreeMap<TypeName, (Place, Vec<MessageDefinition>)> = BTreeMap::new();
+    for parser::Struct { mut message, place } in structs {
+        message.text = message_text::of(&message);
+        if message.name.kind == Kind::Message {
+            definitions.push(Definition::Message(message));
+            continue;
+        }
+        let stem = message.name.name.split('_').next().unwrap_or_default();
+        let whole = TypeName::new(&message.name.package, message.name.kind, stem);
+        wholes.entry(whole).or_insert_with(|| (place, Vec::new())).1.push(message);
+    }
+    for (name, (place, parts)) in wholes {
+        definitions.push(match name.kind {
+            Kind::Action => action(name, place, parts)?,
+            _ => service(name, place, parts)?,
+        });
+    }
+    Ok(definitions)
+}
+
+fn service(name: TypeName, place: Place, parts: Vec<MessageDefinition>) -> Result<Definition, Error> {
+    let [request, response] = ordered(&name, ["_Request", "_Response"], &place, parts)?;
+    Ok(Definition::Service(ServiceDefinition {
+        text: format!("{}---\n{}", request.text, response.text),
+        request,
+        response,
+        name,
+        origin: place.origin,
+    }))
+}
+
+fn action(name: TypeName, place: Place, parts: Vec<MessageDefinition>) -> Result<Definition, Error> {
+    let [goal, result, feedback] = ordered(&name, ["_Goal", "_Result", "_Feedback"], &place, parts)?;
+    Ok(Definition::Action(ActionDefinition {
+        text: format!("{}---\n{}---\n{}", goal.text, result.text, feedback.text),
+        goal,
+        result,
+        feedback,
+        name,
+        origin: place.origin,
+    }))
+}
+
+fn ordered<const N: usize>(
+    name: &TypeName,
+    suffixes: [&str; N],
+    place: &Place,
+    mut parts: Vec<MessageDefinition>,
+) -> Result<[MessageDefinition; N], Error> {
+    let fault = || Error::Syntax {
+        place: place.clone(),
+        message: format!(
+            "{name} needs exactly the structs {}",
+            suffixes.map(|suffix| format!("`{}{suffix}`", name.name)).join(", ")
+        ),
+    };
+    let position = |part: &MessageDefinition| {
+        suffixes.iter().position(|suffix| part.name.name.strip_suffix(suffix) == Some(name.name.as_str()))
+    };
+    if parts.iter().any(|part| position(part).is_none()) {
+        return Err(fault());
+    }
+    // Names are distinct (the parser sees to it), so N parts are the N wanted.
+    parts.sort_by_key(position);
+    parts.try_into().map_err(|_| fault())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,149 @@
+//! Definitions, descriptions and hashes against those that ROS 2 Jazzy ships and those that its own tools make.
+//!
+//! Needs the Python interpreter that `DOWNBEAT_PYTHON` names; without it the tests say so and pass.
+
+#![allow(clippy::unwrap_used)]
+
+mod peer;
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use downbeat_msgs_definitions::{Catalog, DefinitionEncoding, MessageDefinition, TypeName};
+use serde_json::Value;
+
+use peer::Peer;
+
+fn carried() -> Catalog {
+    let mut catalog = Catalog::new();
+    catalog.add_packages(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../interfaces")).unwrap();
+    catalog.check().unwrap();
+    catalog
+}
+
+/// Compares every type of a published description, the parts and dependencies of the root among them; returns their names.
+fn compare(catalog: &Catalog, published: &Value) -> BTreeSet<String> {
+    let mut names = BTreeSet::new();
+    for entry in published["type_hashes"].as_array().unwrap() {
+        let text = entry["type_name"].as_str().unwrap();
+        let name: TypeName = text.parse().unwrap();
+        assert_eq!(catalog.type_hash(&name).unwrap(), entry["hash_string"].as_str().unwrap(), "{name}");
+        names.insert(text.to_owned());
+    }
+    let mut published = published["type_description_msg"].clone();
+    without_defaults(&mut published);
+    let name: TypeName = published["type_description"]["type_name"].as_str().unwrap().parse().unwrap();
+    let ours: Value = serde_json::from_str(&catalog.type_description(&name).unwrap().to_json()).unwrap();
+    assert_eq!(ours, published, "{name}");
+    names
+}
+
+/// The hash does not depend on them, nor are they in what is compared.
+fn without_defaults(description: &mut Value) {
+    match description {
+        Value::Object(members) => {
+            members.remove("default_value");
+            members.values_mut().for_each(without_defaults);
+        }
+        Value::Array(items) => items.iter_mut().for_each(without_defaults),
+        _ => {}
+    }
+}
+
+fn names_of(catalog: &Catalog) -> BTreeSet<String> {
+    let messages = catalog.messages().map(|of| &of.name);
+    let services = catalog.services().map(|of| &of.name);
+    let actions = catalog.actions().map(|of| &of.name);
+    messages.chain(services).chain(actions).map(TypeName::to_string).collect()
+}
+
+#[test]
+fn what_we_carry_has_the_descriptions_and_hashes_of_every_json_file_of_the_wheels() {
+    let Some(peer) = Peer::find() else { return };
+    let catalog = carried();
+    let mut compared = BTreeSet::new();
+    let files = peer.files("json");
+    for file in &files {
+        compared.extend(compare(&catalog, &serde_json::from_str(&file.text).unwrap()));
+    }
+    assert!(files.len() > 190, "only {} files were found", files.len());
+    // Nothing of these packages is carried that the wheels do not have, parts of services and actions included.
+    let packages: BTreeSet<&str> = files.iter().map(|file| file.package.as_str()).collect();
+    let mut ours = names_of(&catalog);
+    ours.retain(|name| packages.contains(name.split('/').next().unwrap()));
+    assert_eq!(compared, ours);
+}
+
+#[test]
+fn an_ament_prefix_is_read_whole_beside_what_we_carry() {
+    let Some(peer) = Peer::find() else { return };
+    let mut catalog = carried();
+    let before = names_of(&catalog);
+    let found = catalog.add_ament_prefix(&peer.prefix()).unwrap();
+    assert!(found.faults.is_empty(), "{:?}", found.faults);
+    assert!(found.files > 190, "only {} files were found", found.files);
+    catalog.check().unwrap();
+    assert_eq!(names_of(&catalog), before);
+}
+
+#[test]
+fn an_ament_prefix_with_idl_files_alone_means_the_same() {
+    let Some(peer) = Peer::find() else { return };
+    let prefix = Path::new(env!("CARGO_TARGET_TMPDIR")).join("idl_prefix");
+    let files = peer.files("idl");
+    for file in &files {
+        let copy = prefix.join(file.path.strip_prefix(peer.prefix()).unwrap());
+        std::fs::create_dir_all(copy.parent().unwrap()).unwrap();
+        std::fs::write(copy, &file.text).unwrap();
+    }
+    let mut catalog = Catalog::new();
+    let found = catalog.add_ament_prefix(&prefix).unwrap();
+    assert_eq!((found.files, found.faults.len()), (files.len(), 0), "{:?}", found.faults);
+    catalog.check().unwrap();
+
+    // Every hash and description.
+    for file in peer.files("json") {
+        compare(&catalog, &serde_json::from_str(&file.text).unwrap());
+    }
+    // What the hash does not depend on: defaults and constants.
+    let mut written = Catalog::new();
+    written.add_packages(&peer.prefix().join("share")).unwrap();
+    assert_eq!(names_of(&catalog), names_of(&written));
+    for message in written.messages() {
+        let generated = catalog.message(&message.name).unwrap();
+        assert!(generated.means_the_same_as(message), "{}", difference(message, generated));
+    }
+}
+
+fn difference(one: &MessageDefinition, two: &MessageDefinition) -> String {
+    format!("{}:\n{:#?}\n{:#?}\n{:#?}\n{:#?}", one.name, one.fields, two.fields, one.constants, two.constants)
+}
+
+#[test]
+fn a_schema_of_idl_blocks_as_rosbag2_writes_it_means_the_same() {
+    let Some(peer) = Peer::find() else { return };
+    let files = peer.files("idl");
+    let text_of = |name: &TypeName| {
+        let path = peer.prefix().join("share").join(name.to_string()).with_extension("idl");
+        files.iter().find(|file| file.path == path).unwrap().text.as_str()
+    };
+    let carried = carried();
+    let name: TypeName = "sensor_msgs/msg/CameraInfo".parse().unwrap();
+    let mut schema = String::new();
+    let mut waiting = vec![name.clone()];
+    let mut seen = BTreeSet::new();
+    while let Some(name) = waiting.pop() {
+        if seen.insert(name.clone()) {
+            let text = text_of(&name);
+            schema += &format!("{}\nIDL: {name}\n{text}\n", "=".repeat(80));
+            let includes =
+                text.lines().filter_map(|line| line.strip_prefix("#include \"")?.strip_suffix(".idl\""));
+            waiting.extend(includes.map(|include| include.parse::<TypeName>().unwrap()));
+        }
+    }
+    assert!(seen.len() > 3, "{seen:?}");
+    let mut catalog = Catalog::new();
+    catalog.add_definition_text(&name, DefinitionEncoding::Ros2Idl, &schema, "bag").unwrap();
+    catalog.check().unwrap();
+    assert_eq!(catalog.type_hash(&name).unwrap(), carried.type_hash(&name).unwrap());
+}

@@ -1,0 +1,64 @@
+//! The Python with the ROS 2 wheels.
+
+use std::path::{Path, PathBuf};
+
+/// An interpreter, and what its environment has of ROS 2.
+pub struct Peer {
+    python: PathBuf,
+}
+
+/// A file of a package.
+pub struct File {
+    pub package: String,
+    pub path: PathBuf,
+    pub text: String,
+}
+
+impl Peer {
+    /// The one `DOWNBEAT_PYTHON` names; says so if there is none.
+    pub fn find() -> Option<Self> {
+        match std::env::var_os("DOWNBEAT_PYTHON") {
+            Some(python) => Some(Self { python: python.into() }),
+            None => {
+                // Past the capture of test output, which shows nothing of a test that passes.
+                let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
+                let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
+                None
+            }
+        }
+    }
+
+    /// The prefix of the environment, laid out as an ament prefix.
+    pub fn prefix(&self) -> PathBuf {
+        // <environment>/bin/python
+        self.python.parent().and_then(Path::parent).unwrap().to_owned()
+    }
+
+    /// The interface files with that extension, of all packages.
+    pub fn files(&self, extension: &str) -> Vec<File> {
+        let name = |path: &Path| path.file_name().unwrap().to_string_lossy().into_owned();
+        let mut files = Vec::new();
+        for package in entries(&self.prefix().join("share")) {
+            for folder in ["msg", "srv", "action"].map(|folder| package.join(folder)) {
+                for file in entries(&folder)
+                    .into_iter()
+                    .filter(|file| file.extension().is_some_and(|of| of == extension))
+                {
+                    files.push(File {
+                        package: name(&package),
+                        path: file.clone(),
+                        text: std::fs::read_to_string(&file).unwrap(),
+                    });
+                }
+            }
+        }
+        files
+    }
+}
+
+fn entries(folder: &Path) -> Vec<PathBuf> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+    let mut entries: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    entries.sort();
+    entries
+}
