@@ -4,6 +4,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod grammar;
 mod peer;
 
 use std::collections::BTreeSet;
@@ -146,4 +147,32 @@ fn a_schema_of_idl_blocks_as_rosbag2_writes_it_means_the_same() {
     catalog.add_definition_text(&name, DefinitionEncoding::Ros2Idl, &schema, "bag").unwrap();
     catalog.check().unwrap();
     assert_eq!(catalog.type_hash(&name).unwrap(), carried.type_hash(&name).unwrap());
+}
+
+#[test]
+fn rosidl_describes_as_we_do_what_no_wheel_has() {
+    let Some(peer) = Peer::find() else { return };
+    let catalog = carried();
+    let published: BTreeSet<String> = peer.files("json").into_iter().map(|file| file.package).collect();
+    let mut ours = names_of(&catalog);
+    ours.retain(|name| !published.contains(name.split('/').next().unwrap()));
+    let packages: BTreeSet<&str> = ours.iter().map(|name| name.split('/').next().unwrap()).collect();
+    assert!(packages.contains("tf2_msgs"), "{packages:?}");
+
+    let interfaces = Path::new(env!("CARGO_MANIFEST_DIR")).join("../interfaces");
+    let folders = packages
+        .iter()
+        .map(|package| format!("{}\n", interfaces.join(package).display()))
+        .collect::<String>();
+    let mut described = BTreeSet::new();
+    for line in peer.ask("describe", &folders).lines() {
+        let (name, theirs) = line.split_once('\t').unwrap();
+        let mut theirs: Value = serde_json::from_str(theirs).unwrap();
+        without_defaults(&mut theirs);
+        let ours = catalog.type_description(&name.parse().unwrap()).unwrap().to_json();
+        let ours: Value = serde_json::from_str(&ours).unwrap();
+        assert_eq!(ours["type_description"], theirs, "{name}");
+        described.insert(name.to_owned());
+    }
+    assert_eq!(described, ours);
 }
