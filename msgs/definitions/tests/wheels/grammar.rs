@@ -1,6 +1,6 @@
 //! What `rosidl_adapter` reads in a text, and what we do.
 
-use downbeat_msgs_definitions::{FieldType, MessageDefinition, Shape, parse_message};
+use downbeat_msgs_definitions::{Constant, FieldType, MessageDefinition, Shape, parse_message};
 use serde_json::{Value as Json, json};
 
 use crate::peer::Peer;
@@ -375,14 +375,14 @@ fn ours(text: &str) -> Json {
             ])
         })
         .collect();
-    let constants: Vec<Json> = constants
-        .into_iter()
-        .map(|constant| {
-            let field_type = FieldType { element: constant.element, shape: Shape::Single };
-            json!([field_type.to_string(), constant.name, value(&constant.value)])
-        })
-        .collect();
+    let constants: Vec<Json> = constants.iter().map(constant).collect();
     json!({ "fields": fields, "constants": constants })
+}
+
+/// As `peer.py` puts one.
+pub fn constant(of: &Constant) -> Json {
+    let field_type = FieldType { element: of.element.clone(), shape: Shape::Single };
+    json!([field_type.to_string(), of.name, value(&of.value)])
 }
 
 fn value(of: &downbeat_msgs_definitions::Value) -> Json {

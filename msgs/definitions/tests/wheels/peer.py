@@ -1,10 +1,11 @@
-"""ROS 2's own tools on definitions of ours.
+"""ROS 2's own tools on definitions of ours, and what rosbags knows of ROS 2.
 
     peer.py describe FILE  each line of FILE is the folder of a package; prints name and individual type description (JSON)
                            of every type there, as rosidl_adapter, rosidl_parser and rosidl_generator_type_description
                            make it of the files
     peer.py parse FILE     each line of FILE is a JSON string, the text of a .msg file; prints what rosidl_adapter reads, or
                            `null` where it refuses
+    peer.py store FILE     prints name, hash and constants (JSON) of every message rosbags knows of Jazzy; FILE is not read
 
 Parts of a line are separated by tabs.
 """
@@ -67,4 +68,13 @@ def parse(path):
         print(json.dumps({'fields': fields, 'constants': constants}))
 
 
-{'describe': describe, 'parse': parse}[sys.argv[1]](sys.argv[2])
+def store(_path):
+    from rosbags.typesys import Stores, get_typestore
+
+    types = get_typestore(Stores.ROS2_JAZZY)
+    for name, (constants, _fields) in types.fielddefs.items():
+        described = [[field_type, constant, value(of)] for constant, field_type, of in constants]
+        print(name, types.hash_rihs01(name), json.dumps(described), sep='\t')
+
+
+{'describe': describe, 'parse': parse, 'store': store}[sys.argv[1]](sys.argv[2])
