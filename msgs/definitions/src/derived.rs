@@ -61,6 +61,16 @@ pub(crate) fn parts_of(action: &ActionDefinition) -> ActionParts {
     }
 }
 
+/// What the parts above contain, which the definition texts of services and actions leave out.
+pub(crate) const IMPLIED: [(&str, &str); 3] = [
+    (
+        "service_msgs/msg/ServiceEventInfo",
+        "uint8 event_type\nbuiltin_interfaces/Time stamp\nchar[16] client_gid\nint64 sequence_number\n",
+    ),
+    ("unique_identifier_msgs/msg/UUID", "uint8[16] uuid\n"),
+    ("builtin_interfaces/msg/Time", "int32 sec\nuint32 nanosec\n"),
+];
+
 type Member = (&'static str, FieldType);
 
 fn single(element: Element) -> FieldType {

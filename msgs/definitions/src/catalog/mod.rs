@@ -115,6 +115,11 @@ impl Catalog {
         packages
     }
 
+    /// As [`Catalog::message`], where it is no error that there is none.
+    pub(crate) fn find_message(&self, name: &TypeName) -> Option<&MessageDefinition> {
+        self.messages.get(name)
+    }
+
     /// As [`Catalog::service`], where it is no error that there is none.
     pub(crate) fn find_service(&self, name: &TypeName) -> Option<&ServiceDefinition> {
         self.services.get(name)

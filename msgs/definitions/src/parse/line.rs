@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use super::literal::{parse_element, parse_value};
+use super::literal::{parse_element, parse_value, without_underscores};
 use crate::name::{is_constant_name, is_package_name, is_type_or_part_name};
 use crate::{
     Constant, Element, Error, Field, FieldType, Kind, MessageDefinition, Place, Primitive, Shape, TypeName,
@@ -226,8 +226,8 @@ fn parse_element_type(text: &str, package: &str) -> Result<Element, String> {
 }
 
 fn parse_count(text: &str, whole: &str) -> Result<u64, String> {
-    match text.parse::<u32>() {
-        Ok(count) if count > 0 => Ok(count.into()),
+    match without_underscores(text, 10).and_then(|text| text.parse::<u32>().ok()) {
+        Some(count) if count > 0 => Ok(count.into()),
         _ => Err(format!("`{whole}`: the size must be a number from 1 to {}, found `{text}`", u32::MAX)),
     }
 }

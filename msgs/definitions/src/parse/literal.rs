@@ -1,5 +1,7 @@
 //! Values of constants and defaults, read as `rosidl_adapter` reads them.
 
+use std::borrow::Cow;
+
 use crate::{Element, FieldType, Primitive, Shape, Value};
 
 /// Reads the value of a field of that type.
@@ -44,14 +46,14 @@ pub(crate) fn parse_element(element: &Element, text: &str) -> Result<Value, Stri
             "false" | "0" => Ok(Value::Bool(false)),
             _ => Err(format!("expected `true`, `1`, `false` or `0` (bool), found `{text}`")),
         },
-        Element::Primitive(primitive @ (Primitive::Float32 | Primitive::Float64)) => {
-            text.parse().map(Value::Float).map_err(|_| {
-                format!(
-                    "expected a number with `.` as its separator ({}), found `{text}`",
-                    primitive.as_str()
-                )
-            })
-        }
+        Element::Primitive(primitive @ (Primitive::Float32 | Primitive::Float64)) => without_underscores(
+            text, 10,
+        )
+        .and_then(|text| text.parse().ok())
+        .map(Value::Float)
+        .ok_or_else(|| {
+            format!("expected a number with `.` as its separator ({}), found `{text}`", primitive.as_str())
+        }),
         Element::Primitive(primitive) => integer(*primitive, text),
         Element::String { bound } => {
             let text = unquote(text)?;
@@ -72,17 +74,18 @@ fn integer(primitive: Primitive, text: &str) -> Result<Value, String> {
         None => (1, text.strip_prefix('+').unwrap_or(text)),
     };
     let lower = digits.to_ascii_lowercase();
-    let magnitude = if digits.starts_with(['+', '-']) {
-        None
-    } else if let Some(hexadecimal) = lower.strip_prefix("0x") {
-        i128::from_str_radix(hexadecimal, 16).ok()
-    } else if let Some(octal) = lower.strip_prefix("0o") {
-        i128::from_str_radix(octal, 8).ok()
-    } else if let Some(binary) = lower.strip_prefix("0b") {
-        i128::from_str_radix(binary, 2).ok()
-    } else {
-        digits.parse().ok()
+    let bases = [("0x", 16), ("0o", 8), ("0b", 2)];
+    let based = bases.iter().find_map(|(prefix, radix)| Some((lower.strip_prefix(prefix)?, *radix)));
+    let magnitude = match based {
+        // Behind the prefix too an underscore may stand.
+        Some((digits, radix)) => {
+            let digits = without_underscores(digits.strip_prefix('_').unwrap_or(digits), radix);
+            digits.and_then(|digits| i128::from_str_radix(&digits, radix).ok())
+        }
+        None => without_underscores(&lower, 10).and_then(|digits| digits.parse().ok()),
     };
+    // What is left of the sign is none.
+    let magnitude = magnitude.filter(|_: &i128| !digits.contains(['+', '-']));
     match magnitude.map(|magnitude| sign * magnitude) {
         Some(value) if (least..=greatest).contains(&value) => Ok(Value::Integer(value)),
         _ => Err(format!(
@@ -90,6 +93,20 @@ fn integer(primitive: Primitive, text: &str) -> Result<Value, String> {
             primitive.as_str()
         )),
     }
+}
+
+/// A number as Python reads it: an underscore may stand between two digits.
+pub(super) fn without_underscores(text: &str, radix: u32) -> Option<Cow<'_, str>> {
+    if !text.contains('_') {
+        return Some(text.into());
+    }
+    let parts: Vec<&str> = text.split('_').collect();
+    let ends_in_digit = |part: &&str| part.ends_with(|c: char| c.is_digit(radix));
+    let begins_with_digit = |part: &&str| part.starts_with(|c: char| c.is_digit(radix));
+    let (_, but_first) = parts.split_first()?;
+    let (_, but_last) = parts.split_last()?;
+    let is_number = but_last.iter().all(ends_in_digit) && but_first.iter().all(begins_with_digit);
+    is_number.then(|| parts.concat().into())
 }
 
 fn within(text: &str, length: u64, bound: Option<u64>) -> Result<(), String> {
@@ -104,8 +121,11 @@ fn within(text: &str, length: u64, bound: Option<u64>) -> Result<(), String> {
 /// Takes the outer quotes off, if both are there, and the backslashes before inner ones.
 fn unquote(text: &str) -> Result<String, String> {
     for quote in ['"', '\''] {
-        if text.len() >= 2 && text.starts_with(quote) && text.ends_with(quote) {
-            let inner = &text[1..text.len() - 1];
+        if let Some(rest) = text.strip_prefix(quote)
+            && text.ends_with(quote)
+        {
+            // A quote alone is both.
+            let inner = rest.strip_suffix(quote).unwrap_or(rest);
             let mut before = None;
             for character in inner.chars() {
                 if character == quote && before != Some('\\') {

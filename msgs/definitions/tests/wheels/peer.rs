@@ -1,6 +1,8 @@
 //! The Python with the ROS 2 wheels.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// An interpreter, and what its environment has of ROS 2.
 pub struct Peer {
@@ -32,6 +34,24 @@ impl Peer {
     pub fn prefix(&self) -> PathBuf {
         // <environment>/bin/python
         self.python.parent().and_then(Path::parent).unwrap().to_owned()
+    }
+
+    /// Runs a command of `peer.py` with `input` in a file; gives what it prints.
+    pub fn ask(&self, command: &str, input: &str) -> String {
+        // Tests run beside each other.
+        static COUNT: AtomicUsize = AtomicUsize::new(0);
+        let unique = format!("{}_{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+        let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("wheels_{command}_{unique}.txt"));
+        std::fs::write(&file, input).unwrap();
+        let output = Command::new(&self.python)
+            .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/wheels/peer.py"))
+            .arg(command)
+            .arg(&file)
+            .output()
+            .unwrap_or_else(|error| panic!("cannot run {}: {error}", self.python.display()));
+        std::fs::remove_file(&file).unwrap();
+        assert!(output.status.success(), "peer.py {command}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
     }
 
     /// The interface files with that extension, of all packages.
