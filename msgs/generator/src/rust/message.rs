@@ -102,7 +102,7 @@ impl RustSource<'_> {
     }
 
     /// Whether something holds for every element of the message, those of messages within it included.
-    fn every_element(
+    pub(super) fn every_element(
         &self,
         message: &MessageDefinition,
         holds: &dyn Fn(&Element, Shape) -> bool,

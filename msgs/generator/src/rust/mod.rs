@@ -6,6 +6,7 @@
 
 mod cdr;
 mod docs;
+mod layout;
 mod message;
 mod names;
 mod registry;
