@@ -62,8 +62,15 @@ pub enum Problem {
     /// A wide string is not UTF-16.
     #[error("the wide string is not UTF-16: {0:#x} has no place in it")]
     Utf16(u32),
-    /// The header names a representation that is not read here.
-    #[error("the header names the representation {0:#06x}{name}, only CDR_BE (0x0000) and CDR_LE (0x0001) are read", name = representation_name(*.0))]
+    /// The size of a wide string is odd.
+    #[error("the wide string has {0} bytes, but each unit has two")]
+    Utf16Size(usize),
+    /// The header names a representation that no ROS 2 type is sent in.
+    #[error(
+        "the header names the representation {0:#06x}{name}, which no ROS 2 type is sent in; \
+         CDR (0x0000, 0x0001), CDR2 (0x0006, 0x0007) and D_CDR2 (0x0008, 0x0009) are read",
+        name = super::representation::refused_name(*.0)
+    )]
     Representation(u16),
 }
 
@@ -72,8 +79,7 @@ impl Error {
     #[must_use]
     #[cold]
     pub fn in_field(mut self, name: &str) -> Self {
-        let separator = if self.path.is_empty() || self.path.starts_with('[') { "" } else { "." };
-        self.path = format!("{name}{separator}{}", self.path);
+        put_before(&mut self.path, name);
         self
     }
 
@@ -81,22 +87,57 @@ impl Error {
     #[must_use]
     #[cold]
     pub fn at_index(mut self, index: usize) -> Self {
-        let separator = if self.path.is_empty() || self.path.starts_with('[') { "" } else { "." };
-        self.path = format!("[{index}]{separator}{}", self.path);
+        put_before(&mut self.path, &format!("[{index}]"));
         self
     }
+}
+
+/// What is further out, before a path.
+fn put_before(path: &mut String, part: &str) {
+    let separator = if path.is_empty() || path.starts_with('[') { "" } else { "." };
+    *path = format!("{part}{separator}{path}");
 }
 
 fn in_field(path: &str) -> String {
     if path.is_empty() { String::new() } else { format!(", field `{path}`") }
 }
 
-fn representation_name(identifier: u16) -> &'static str {
-    match identifier {
-        0x0002 | 0x0003 => " (parameter list)",
-        0x0006 | 0x0007 => " (XCDR version 2, plain)",
-        0x0008 | 0x0009 => " (XCDR version 2, delimited)",
-        0x000a | 0x000b => " (XCDR version 2, parameter list)",
-        _ => "",
+/// A value exceeds a bound of its type, so that a receiver would refuse it.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum EncodeError {
+    /// A bounded string or sequence exceeds its bound.
+    #[error("cannot encode field `{path}`: has the length {found}, the type allows {bound}")]
+    Bound {
+        /// The field, as in `nodes[3].name`.
+        path: String,
+        /// Its length.
+        found: usize,
+        /// The greatest allowed.
+        bound: usize,
+    },
+    /// The value is larger than what a length in CDR can count.
+    #[error("cannot encode a value of {size} bytes: lengths in CDR have 32 bits")]
+    TooLarge {
+        /// Bytes it would take.
+        size: usize,
+    },
+}
+
+impl EncodeError {
+    /// The same error, one field further out.
+    #[must_use]
+    #[cold]
+    pub fn in_field(mut self, name: &str) -> Self {
+        if let Self::Bound { path, .. } = &mut self {
+            put_before(path, name);
+        }
+        self
+    }
+
+    /// The same error, one element of an array or sequence further out.
+    #[must_use]
+    #[cold]
+    pub fn at_index(self, index: usize) -> Self {
+        self.in_field(&format!("[{index}]"))
     }
 }

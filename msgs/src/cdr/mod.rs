@@ -11,27 +11,50 @@
 //! A serialised value begins with a header of four bytes that names the representation; alignment counts from behind
 //! it. We write little-endian, as Fast DDS does on every machine ROS 2 supports, and read both byte orders.
 //!
+//! [`to_vec`] asks for memory once, since [`encoded_size`] knows the size beforehand. Large messages can be read without
+//! copying what is large in them: see [`FromReader`].
+//!
+//! # Bad input
 //! Reading trusts nothing: whatever the bytes, the result is a value or an [`Error`] that says which field, at which
 //! byte, and never more memory than a small multiple of the input. Bytes behind the value are ignored, since DDS pads.
-//! Writing does not check the bounds of bounded strings and sequences: a receiver will refuse what exceeds them.
 //!
+//! # Bounds
+//! [`to_vec`] does not check the bounds of bounded strings and sequences: it cannot fail, and a receiver refuses what
+//! exceeds them. [`try_to_vec`] checks them, at no cost for the many messages without bounds.
+//!
+//! # XCDR version 2
+//! ROS 2 does not write it, but other DDS applications may, with the types of ROS 2: it is read, plain (`CDR2`, each type
+//! taken as final) and delimited (`D_CDR2`, each type taken as appendable; what a sender has in addition is passed over, what it
+//! lacks is an error). Parameter lists (`PL_CDR`, `PL_CDR2`), which only mutable types use, are refused.
+//!
+//! # Length
 //! What we write ends with the value, as it does on the wire. The buffer that rclpy's `serialize_message` returns holds
 //! the same bytes and then, for some types, others without meaning: it is as long as a size estimated beforehand.
 //!
 //! # References
-//! - OMG DDS-XTypes 1.3, 7.4.1 (XCDR version 1) and 7.6.3.1.2 (representation identifiers).
+//! - OMG DDS-XTypes 1.3, 7.4.1 and 7.4.2 (XCDR version 1), 7.4.3 (version 2) and 7.6.3.1.2 (representation identifiers).
 //! - What `rclpy.serialization` does with rmw_fastrtps_cpp 8.4.3, which the tests compare with byte by byte.
+//! - Wide strings in version 2: `src/core/cdr/src/dds_cdrstream.c` of `eclipse-cyclonedds/cyclonedds`.
 
+mod bounds;
 mod collections;
 mod error;
+mod plain;
 mod primitives;
 mod reader;
+mod representation;
 mod text;
+mod view;
 mod writer;
 
-pub use error::{Error, Problem, Result};
-pub use reader::{Endianness, Reader};
+#[doc(hidden)]
+pub use bounds::{check_count, check_field, check_text};
+pub use error::{EncodeError, Error, Problem, Result};
+pub use plain::{Plain, PlainMessage, PlainReader, PlainWriter};
+pub use reader::Reader;
+pub use representation::{Encoding, Endianness};
 pub use text::{Text, WString};
+pub use view::{Count, FromReader, Numbers, Sequence};
 pub use writer::Writer;
 
 /// Bytes of the header in front of a serialised value.
@@ -42,6 +65,12 @@ pub trait Cdr: Sized {
     /// The fewest bytes a value takes, padding not counted; at least 1. Bounds how many can be in what is left.
     const LEAST_SIZE: usize;
 
+    /// Whether it is a number or a truth value: in XCDR version 2 sequences of anything else begin with their size.
+    const IS_PRIMITIVE: bool = false;
+
+    /// Where the value ends if it may begin at `position`, both counted from behind the header.
+    fn end(&self, position: usize) -> usize;
+
     /// Appends the value.
     fn encode(&self, writer: &mut Writer<'_>);
 
@@ -50,6 +79,19 @@ pub trait Cdr: Sized {
     /// # Errors
     /// If the bytes are no such value.
     fn decode(reader: &mut Reader<'_>) -> Result<Self>;
+
+    /// Checks the bounds of bounded strings and sequences. Does nothing for types without.
+    ///
+    /// # Errors
+    /// If one is exceeded.
+    fn check_bounds(&self) -> std::result::Result<(), EncodeError> {
+        Ok(())
+    }
+
+    /// As [`Cdr::end`], for values one after another.
+    fn end_of_slice(values: &[Self], position: usize) -> usize {
+        values.iter().fold(position, |position, value| value.end(position))
+    }
 
     /// Appends values one after another; types whose values lie side by side do it in one go.
     fn encode_slice(values: &[Self], writer: &mut Writer<'_>) {
@@ -88,7 +130,7 @@ pub trait Cdr: Sized {
 /// If a string or sequence has more than 2^32 - 1 elements, which CDR cannot express.
 #[must_use]
 pub fn to_vec<T: Cdr>(value: &T) -> Vec<u8> {
-    let mut buffer = Vec::new();
+    let mut buffer = Vec::with_capacity(encoded_size(value));
     to_buffer(value, &mut buffer);
     buffer
 }
@@ -103,12 +145,46 @@ pub fn to_buffer<T: Cdr>(value: &T, buffer: &mut Vec<u8>) {
     value.encode(&mut Writer::new(buffer));
 }
 
-/// Reads a value from its serialised form, header included, in either byte order.
+/// As [`to_vec`], after a check that a receiver will not refuse the value.
+///
+/// ```
+/// use downbeat_msgs::{cdr, rmw_dds_common::msg::NodeEntitiesInfo};
+///
+/// let node = NodeEntitiesInfo { node_name: "n".repeat(300), ..Default::default() };
+/// let error = cdr::try_to_vec(&node).unwrap_err();
+/// assert_eq!(error.to_string(), "cannot encode field `node_name`: has the length 300, the type allows 256");
+/// ```
 ///
 /// # Errors
-/// If the representation is another one, or the bytes are no such value.
-pub fn from_slice<T: Cdr>(bytes: &[u8]) -> Result<T> {
-    T::decode(&mut Reader::new(bytes)?)
+/// If a bounded string or sequence exceeds its bound, or the value is too large for CDR.
+pub fn try_to_vec<T: Cdr>(value: &T) -> std::result::Result<Vec<u8>, EncodeError> {
+    value.check_bounds()?;
+    match encoded_size(value) {
+        size if u32::try_from(size).is_err() => Err(EncodeError::TooLarge { size }),
+        _ => Ok(to_vec(value)),
+    }
+}
+
+/// How many bytes [`to_vec`] gives, exactly.
+///
+/// ```
+/// use downbeat_msgs::{cdr, std_msgs::msg::Header};
+///
+/// let header = Header { frame_id: "map".into(), ..Default::default() };
+/// assert_eq!(cdr::encoded_size(&header), cdr::to_vec(&header).len());
+/// ```
+#[must_use]
+pub fn encoded_size<T: Cdr>(value: &T) -> usize {
+    HEADER_SIZE + value.end(0)
+}
+
+/// Reads a value from its serialised form, header included, in either byte order: a message, or a view of it that
+/// borrows from the bytes.
+///
+/// # Errors
+/// If no ROS 2 type has such a representation, or the bytes are no such value.
+pub fn from_slice<'a, T: FromReader<'a>>(bytes: &'a [u8]) -> Result<T> {
+    T::from_reader(&mut Reader::new(bytes)?)
 }
 
 #[cfg(test)]

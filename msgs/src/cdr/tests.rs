@@ -60,11 +60,12 @@ fn a_buffer_is_used_again() {
 
 #[test]
 fn other_representations_are_named_in_the_error() {
-    assert_eq!(problem::<Bool>(&[0, 7, 0, 0, 1]), Problem::Representation(7));
+    assert_eq!(problem::<Bool>(&[0, 3, 0, 0, 1]), Problem::Representation(3));
     assert_eq!(
-        from_slice::<Bool>(&[0, 7, 0, 0, 1]).unwrap_err().to_string(),
-        "cannot decode CDR at byte 0: the header names the representation 0x0007 (XCDR version 2, plain), \
-         only CDR_BE (0x0000) and CDR_LE (0x0001) are read"
+        from_slice::<Bool>(&[0, 11, 0, 0, 1]).unwrap_err().to_string(),
+        "cannot decode CDR at byte 0: the header names the representation 0x000b \
+         (PL_CDR2, a parameter list of XCDR version 2), which no ROS 2 type is sent in; \
+         CDR (0x0000, 0x0001), CDR2 (0x0006, 0x0007) and D_CDR2 (0x0008, 0x0009) are read"
     );
     assert_eq!(problem::<Bool>(&[0, 1]), Problem::TooShort { needed: 4, left: 2 });
 }

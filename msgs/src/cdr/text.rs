@@ -5,7 +5,8 @@ use std::ops::{Deref, DerefMut};
 
 use serde::{Deserialize, Serialize};
 
-use super::{Cdr, Problem, Reader, Result, Writer};
+use super::representation::Encoding;
+use super::{Cdr, FromReader, Problem, Reader, Result, Writer};
 
 /// The text of a `wstring`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -44,6 +45,12 @@ pub trait Text {
     fn longest(&self) -> usize;
 }
 
+impl Text for &str {
+    fn longest(&self) -> usize {
+        self.len()
+    }
+}
+
 impl Text for String {
     fn longest(&self) -> usize {
         self.len()
@@ -72,46 +79,76 @@ impl<T: Text, const N: usize> Text for [T; N] {
 impl Cdr for String {
     const LEAST_SIZE: usize = 4;
 
+    #[inline]
+    fn end(&self, position: usize) -> usize {
+        position.next_multiple_of(4) + 4 + self.len() + 1
+    }
+
+    #[inline]
     fn encode(&self, writer: &mut Writer<'_>) {
         writer.length(self.len() + 1);
         writer.bytes(self.as_bytes());
-        writer.bytes(&[0]);
+        writer.number([0]);
     }
 
+    #[inline]
     fn decode(reader: &mut Reader<'_>) -> Result<Self> {
+        <&str>::from_reader(reader).map(ToOwned::to_owned)
+    }
+}
+
+/// Borrowed from the input.
+impl<'a> FromReader<'a> for &'a str {
+    const FEWEST_BYTES: usize = 4;
+
+    fn from_reader(reader: &mut Reader<'a>) -> Result<Self> {
         let length = reader.length(1)?;
         let start = reader.clone();
         // Some implementations write an empty string without its zero.
         let Some((terminator, text)) = reader.bytes(length)?.split_last() else {
-            return Ok(Self::new());
+            return Ok("");
         };
         if *terminator != 0 {
             return Err(start.error(Problem::Terminator(*terminator)));
         }
-        match std::str::from_utf8(text) {
-            Ok(text) => Ok(text.to_owned()),
-            Err(error) => Err(start.error(Problem::Utf8 { valid: error.valid_up_to() })),
-        }
+        std::str::from_utf8(text).map_err(|error| start.error(Problem::Utf8 { valid: error.valid_up_to() }))
     }
 }
 
-/// Length, then each UTF-16 code unit in 32 bits, no terminator: so does Fast DDS on Linux.
+/// Length, then each UTF-16 code unit in 32 bits, no terminator: so does Fast DDS on Linux. In XCDR version 2, which
+/// no ROS 2 writes: as the standard says it, the length in bytes, then each code unit in 16 bits.
 impl Cdr for WString {
     const LEAST_SIZE: usize = 4;
 
+    fn end(&self, position: usize) -> usize {
+        position.next_multiple_of(4) + 4 + 4 * self.encode_utf16().count()
+    }
+
     fn encode(&self, writer: &mut Writer<'_>) {
-        let units: Vec<u32> = self.encode_utf16().map(u32::from).collect();
-        writer.value(&units);
+        writer.length(self.encode_utf16().count());
+        for unit in self.encode_utf16() {
+            writer.bytes(&u32::from(unit).to_le_bytes());
+        }
     }
 
     fn decode(reader: &mut Reader<'_>) -> Result<Self> {
         let start = reader.clone();
-        let units: Vec<u32> = Vec::decode(reader)?;
-        let mut narrow = Vec::with_capacity(units.len());
-        for unit in units {
-            narrow.push(u16::try_from(unit).map_err(|_| start.error(Problem::Utf16(unit)))?);
-        }
-        char::decode_utf16(narrow)
+        let units: Vec<u16> = if reader.encoding() == Encoding::Plain1 {
+            let count = reader.length(4)?;
+            let mut narrow = Vec::with_capacity(count);
+            for _ in 0..count {
+                let unit = u32::decode(reader)?;
+                narrow.push(u16::try_from(unit).map_err(|_| start.error(Problem::Utf16(unit)))?);
+            }
+            narrow
+        } else {
+            let size = reader.length(1)?;
+            if size % 2 != 0 {
+                return Err(start.error(Problem::Utf16Size(size)));
+            }
+            u16::decode_vec(size / 2, reader)?
+        };
+        char::decode_utf16(units)
             .collect::<std::result::Result<String, _>>()
             .map(Self)
             .map_err(|error| start.error(Problem::Utf16(error.unpaired_surrogate().into())))
