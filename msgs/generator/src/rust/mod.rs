@@ -4,6 +4,7 @@
 //! with one struct per message and the implementations of the traits of `downbeat-msgs`. Names within it are chosen so
 //! that no ROS 2 type name (`String`, `Error`, `Message`) can shadow what the code needs.
 
+mod cdr;
 mod docs;
 mod message;
 mod names;
