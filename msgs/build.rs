@@ -1,21 +1,31 @@
-//! Writes the Rust types of every package in `interfaces/`, and for the tests those of a package in `tests/data/`.
+//! Writes the Rust types of the packages in `interfaces/` whose features are enabled, and for the tests those of a
+//! package in `tests/data/`.
 
 use std::error::Error;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::{env, fs};
 
 use downbeat_msgs_generator::{Catalog, Modules, RustSource};
 
+/// What the crate itself, and every generated service or action, refers to: there whatever the features.
+const ALWAYS: [&str; 4] =
+    ["builtin_interfaces", "service_msgs", "type_description_interfaces", "unique_identifier_msgs"];
+
 fn main() -> Result<(), Box<dyn Error>> {
-    println!("cargo::rerun-if-changed=build.rs");
-    println!("cargo::rerun-if-changed=interfaces");
-    println!("cargo::rerun-if-changed=tests/data");
-    let out = env::var_os("OUT_DIR").ok_or("OUT_DIR is not set: cargo sets it for build scripts")?;
-    let out = Path::new(&out);
+    for path in ["build.rs", "interfaces", "tests/data"] {
+        println!("cargo::rerun-if-changed={path}");
+    }
+    let out =
+        PathBuf::from(env::var_os("OUT_DIR").ok_or("OUT_DIR is not set: cargo sets it for build scripts")?);
+    let interfaces = env::current_dir()?.join("interfaces");
 
     let mut catalog = Catalog::new();
-    catalog.add_packages(Path::new("interfaces"))?;
-    catalog.check()?;
+    for package in enabled_packages(&interfaces)? {
+        catalog.add_package(&Path::new("interfaces").join(package))?;
+    }
+    catalog.check().map_err(|error| {
+        format!("{error}\nIn Cargo.toml the feature of a package has to enable those of the packages it refers to.")
+    })?;
     let packages = catalog.packages();
     let here = Modules::new("crate", "crate");
     let source = RustSource::new(&catalog, &here);
@@ -24,7 +34,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     fs::write(out.join("interfaces.rs"), source.index(&packages) + &source.registry(&packages))?;
 
-    // What users' own packages become: the tests include them as another crate would.
+    // What `downbeat_msgs_generator::Build` reads in the build scripts of other crates.
+    println!("cargo::metadata=interfaces={}", interfaces.display());
+    println!("cargo::metadata=packages={}", packages.join(","));
+
+    // What a user's own package becomes: the tests include it as another crate would.
     let mut theirs = catalog.clone();
     theirs.add_package(Path::new("tests/data/odd_msgs"))?;
     theirs.check()?;
@@ -32,4 +46,18 @@ fn main() -> Result<(), Box<dyn Error>> {
         Modules::new("::downbeat_msgs", "crate").with_packages("::downbeat_msgs", packages.iter().copied());
     fs::write(out.join("odd_msgs.rs"), RustSource::new(&theirs, &modules).package("odd_msgs")?)?;
     Ok(())
+}
+
+/// The folders of `interfaces/` that are there for always, or by their feature.
+fn enabled_packages(interfaces: &Path) -> Result<Vec<String>, Box<dyn Error>> {
+    let mut packages = Vec::new();
+    for entry in fs::read_dir(interfaces)? {
+        let package = entry?.file_name().to_string_lossy().into_owned();
+        let feature = format!("CARGO_FEATURE_{}", package.to_uppercase());
+        if ALWAYS.contains(&package.as_str()) || env::var_os(feature).is_some() {
+            packages.push(package);
+        }
+    }
+    packages.sort();
+    Ok(packages)
 }

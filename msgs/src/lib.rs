@@ -27,6 +27,18 @@ pub mod qos;
 mod message;
 mod time;
 
+/// Stands for the modules of the packages that the crate's `build.rs` generates with `downbeat_msgs_generator`:
+///
+/// ```ignore
+/// downbeat_msgs::include_interfaces!(); // pub mod my_msgs { pub mod msg { pub struct Leg { … } } }
+/// ```
+#[macro_export]
+macro_rules! include_interfaces {
+    () => {
+        include!(concat!(env!("OUT_DIR"), "/downbeat_msgs.rs"));
+    };
+}
+
 pub use cdr::WString;
 pub use message::{Message, Service};
 #[doc(hidden)]

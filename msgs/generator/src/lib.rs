@@ -1,5 +1,16 @@
 //! Writes the Rust types of ROS 2 interfaces: structs with CDR, their definitions and their hashes.
 //!
+//! A crate with interface files of its own calls [`compile`] from its `build.rs`:
+//!
+//! ```no_run
+//! fn main() {
+//!     downbeat_msgs_generator::compile("my_msgs"); // the folder with msg/*.msg, srv/*.srv, action/*.action
+//! }
+//! ```
+//!
+//! and has their types where it says `downbeat_msgs::include_interfaces!();`. [`Build`] takes several packages, and those
+//! of an ament prefix path. Below it is [`RustSource`], which makes text of a catalog:
+//!
 //! ```
 //! use downbeat_msgs_generator::{Catalog, Modules, RustSource};
 //!
@@ -12,7 +23,9 @@
 //! # Ok::<(), downbeat_msgs_generator::Error>(())
 //! ```
 
+mod build;
 mod rust;
 
+pub use build::{Build, BuildError, compile};
 pub use downbeat_msgs_definitions::{Catalog, Error, TypeName};
 pub use rust::{Modules, RustSource};

@@ -59,6 +59,18 @@ impl<'a> RustSource<'a> {
         Self { catalog, modules }
     }
 
+    /// The module of one package.
+    ///
+    /// # Errors
+    /// As [`RustSource::package`].
+    pub fn module(&self, package: &str) -> Result<String, Error> {
+        let content = indent(&self.package(package)?);
+        let name = names::identifier(package);
+        Ok(format!(
+            "/// Interfaces of the package `{package}`.\n#[allow(clippy::all)]\npub mod {name} {{{content}}}\n"
+        ))
+    }
+
     /// The content of the module of one package.
     ///
     /// # Errors

@@ -63,7 +63,7 @@ pub(super) fn text_literal(text: &str) -> String {
 
 /// If the line begins a raw string that goes on below, the end that string will have.
 pub(super) fn opens_raw_string(line: &str) -> Option<String> {
-    let literal = line.strip_prefix("    const DEFINITION: &'static str = r")?;
+    let literal = line.trim_start().strip_prefix("const DEFINITION: &'static str = r")?;
     let hashes = &literal[..literal.len() - literal.trim_start_matches('#').len()];
     let end = format!("\"{hashes};");
     if line.ends_with(&end) { None } else { Some(end) }

@@ -1,0 +1,3 @@
+fn main() {
+    downbeat_msgs_generator::compile("my_msgs");
+}
