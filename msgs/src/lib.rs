@@ -21,6 +21,7 @@
 include!(concat!(env!("OUT_DIR"), "/interfaces.rs"));
 
 pub mod cdr;
+pub mod dynamic;
 pub mod large_array;
 pub mod qos;
 
@@ -40,6 +41,7 @@ macro_rules! include_interfaces {
 }
 
 pub use cdr::WString;
+pub use downbeat_msgs_definitions as definitions;
 pub use message::{Message, Service};
 #[doc(hidden)]
 pub use serde; // Generated code in other crates derives its traits by this path.

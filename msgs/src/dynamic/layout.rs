@@ -1,0 +1,280 @@
+//! Types that are met at run time, compiled to a layout once.
+//!
+//! A value of a type is a row of slots. A field that is one number or text takes one slot, an array or sequence takes one
+//! slot whatever its length, and a field that is one message takes the slots of that message, in place. So a message of
+//! any depth is one row, and how many slots it has is known from its type.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+
+use downbeat_msgs_definitions::{Catalog, Element, FieldType, Shape, TypeName};
+
+use super::{TypeError, Value, fit, schema};
+
+/// Messages within messages, at most.
+const DEEPEST: usize = 32;
+/// Fields of a message and of all messages in it, at most: types that name others twice over, level by level, would have
+/// 2 to the power of the levels.
+const MOST_FIELDS: usize = 1 << 16;
+/// Bytes of memory of a message as its definition makes it, at most: its arrays of fixed length decide it.
+const MOST_MEMORY: u64 = 64 << 20;
+
+/// The type of a [`DynamicMessage`](super::DynamicMessage): a definition and all it refers to, ready for use.
+///
+/// Cloning is cheap: clones share the layout.
+///
+/// ```
+/// use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
+///
+/// let text = "string name\nfloat64[] range\n";
+/// let scan = DynamicType::from_definition_text("my_msgs/msg/Scan", "ros2msg", text)?;
+/// assert_eq!(scan.fields().map(|field| field.name).collect::<Vec<_>>(), ["name", "range"]);
+/// assert_eq!(DynamicMessage::new(&scan).get("name")?.as_str(), Some(""));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone)]
+pub struct DynamicType {
+    layout: Arc<Layout>,
+    index: usize,
+}
+
+/// A field of a [`DynamicType`].
+#[derive(Clone, Debug)]
+pub struct DynamicField<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// Its type, as the definition has it.
+    pub field_type: &'a FieldType,
+    /// The type of the message or messages it holds; `None` for numbers and texts.
+    pub message: Option<DynamicType>,
+}
+
+/// The messages of a type, each behind those it contains.
+#[derive(Debug)]
+pub(super) struct Layout {
+    messages: Vec<MessageLayout>,
+}
+
+#[derive(Debug)]
+pub(super) struct MessageLayout {
+    pub name: TypeName,
+    pub fields: Vec<FieldLayout>,
+    /// How many fields it has, those of messages within it counted wherever they occur.
+    pub all_fields: usize,
+    /// How many slots a value has.
+    pub slots: usize,
+    /// The fewest bytes a value takes on the wire, padding not counted; at least 1.
+    pub least_size: usize,
+    /// What a default value takes in memory, about.
+    pub memory: u64,
+}
+
+#[derive(Debug)]
+pub(super) struct FieldLayout {
+    pub name: String,
+    pub field_type: FieldType,
+    /// Where its slots begin within those of the message.
+    pub slot: usize,
+    /// The layout of the message or messages it holds; of no meaning for others.
+    pub nested: usize,
+    /// As the definition gives it.
+    pub default: Option<Value>,
+}
+
+impl FieldLayout {
+    /// Whether it holds one message, in place.
+    pub(super) fn is_one_message(&self) -> bool {
+        matches!((&self.field_type.element, self.field_type.shape), (Element::Message(_), Shape::Single))
+    }
+}
+
+impl DynamicType {
+    /// Compiles the message of that name and all it refers to.
+    ///
+    /// # Errors
+    /// If one of them is not in the catalog, contains itself, or is out of all proportion: nested deeper than 32 levels,
+    /// more than 65 536 fields in all, or fixed arrays of more than 64 MiB.
+    pub fn new(catalog: &Catalog, name: &TypeName) -> Result<Self, TypeError> {
+        catalog.least_wire_size(name)?; // fails for what is unknown or contains itself.
+        let mut compiler =
+            Compiler { catalog, messages: Vec::new(), done: BTreeMap::new(), path: Vec::new() };
+        let index = compiler.message(name)?;
+        Ok(Self { layout: Arc::new(Layout { messages: compiler.messages }), index })
+    }
+
+    /// Compiles the type `name` from a definition text with its dependencies, as bags have it: `encoding` is `ros2msg`
+    /// or `ros2idl`.
+    ///
+    /// # Errors
+    /// If the text is no such definition, and as [`DynamicType::new`].
+    pub fn from_definition_text(name: &str, encoding: &str, text: &str) -> Result<Self, TypeError> {
+        let name: TypeName = name.parse()?;
+        Self::new(&schema::catalog_of(&name, encoding, text)?, &name)
+    }
+
+    /// As in `sensor_msgs/msg/JointState`.
+    #[must_use]
+    pub fn name(&self) -> &TypeName {
+        &self.message().name
+    }
+
+    /// The fields, in order.
+    pub fn fields(&self) -> impl Iterator<Item = DynamicField<'_>> {
+        self.message().fields.iter().map(|field| DynamicField {
+            name: &field.name,
+            field_type: &field.field_type,
+            message: match field.field_type.element {
+                Element::Message(_) => Some(self.nested(field)),
+                _ => None,
+            },
+        })
+    }
+
+    /// The layout of the message itself.
+    pub(super) fn message(&self) -> &MessageLayout {
+        // Both are made together and never changed.
+        &self.layout.messages[self.index]
+    }
+
+    /// The type of the message or messages in a field of this type.
+    pub(super) fn nested(&self, field: &FieldLayout) -> Self {
+        Self { layout: Arc::clone(&self.layout), index: field.nested }
+    }
+
+    pub(super) fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    pub(super) fn index(&self) -> usize {
+        self.index
+    }
+
+    /// The type of another index of the same layout.
+    pub(super) fn at(&self, index: usize) -> Self {
+        Self { layout: Arc::clone(&self.layout), index }
+    }
+}
+
+impl Layout {
+    /// An index comes from [`DynamicType::index`] or [`FieldLayout::nested`] of the same layout.
+    pub(super) fn message(&self, index: usize) -> &MessageLayout {
+        &self.messages[index]
+    }
+}
+
+impl PartialEq for DynamicType {
+    /// Whether the names and the fields are the same, those of messages within included.
+    fn eq(&self, other: &Self) -> bool {
+        fn same(ours: &DynamicType, theirs: &DynamicType) -> bool {
+            let (a, b) = (ours.message(), theirs.message());
+            a.name == b.name
+                && a.fields.len() == b.fields.len()
+                && a.fields.iter().zip(&b.fields).all(|(a, b)| {
+                    a.name == b.name
+                        && a.field_type == b.field_type
+                        && (!matches!(a.field_type.element, Element::Message(_))
+                            || same(&ours.nested(a), &theirs.nested(b)))
+                })
+        }
+        (Arc::ptr_eq(&self.layout, &other.layout) && self.index == other.index) || same(self, other)
+    }
+}
+
+impl fmt::Debug for DynamicType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "DynamicType({})", self.name())
+    }
+}
+
+struct Compiler<'a> {
+    catalog: &'a Catalog,
+    messages: Vec<MessageLayout>,
+    done: BTreeMap<TypeName, usize>,
+    /// From the root to the message being compiled.
+    path: Vec<TypeName>,
+}
+
+impl Compiler<'_> {
+    fn message(&mut self, name: &TypeName) -> Result<usize, TypeError> {
+        if let Some(index) = self.done.get(name) {
+            return Ok(*index);
+        }
+        let definition = self.catalog.message(name)?;
+        if self.path.len() == DEEPEST {
+            return Err(TypeError::TooDeep { name: self.path[0].clone(), limit: DEEPEST });
+        }
+        self.path.push(name.clone());
+        let mut message = MessageLayout {
+            name: name.clone(),
+            fields: Vec::with_capacity(definition.fields.len()),
+            all_fields: 0,
+            slots: 0,
+            least_size: 0,
+            memory: 0,
+        };
+        for field in &definition.fields {
+            let nested = match &field.field_type.element {
+                Element::Message(name) => self.message(name)?,
+                _ => 0,
+            };
+            let mut layout = FieldLayout {
+                name: field.name.clone(),
+                field_type: field.field_type.clone(),
+                slot: message.slots,
+                nested,
+                default: None,
+            };
+            if let Some(default) = &field.default {
+                // The parser has checked it against the type.
+                let value = fit::default_value(&layout.field_type, default)
+                    .map_err(|problem| TypeError::Default(Box::new(problem.of(name, &field.name))))?;
+                layout.default = Some(value);
+            }
+            self.measure(&layout, &mut message);
+            message.fields.push(layout);
+        }
+        // A message without fields is sent as one byte.
+        message.least_size = message.least_size.max(1);
+        if message.all_fields > MOST_FIELDS {
+            return Err(TypeError::TooManyFields { name: name.clone(), limit: MOST_FIELDS });
+        }
+        if message.memory > MOST_MEMORY {
+            return Err(TypeError::TooLarge { name: name.clone(), limit: MOST_MEMORY });
+        }
+        self.path.pop();
+        self.messages.push(message);
+        self.done.insert(name.clone(), self.messages.len() - 1);
+        Ok(self.messages.len() - 1)
+    }
+
+    /// Adds what the field takes to the sums of its message.
+    fn measure(&self, field: &FieldLayout, message: &mut MessageLayout) {
+        const SLOT: u64 = size_of::<Value>() as u64;
+        let (slots, least_size, memory) = match &field.field_type.element {
+            Element::Primitive(primitive) => (1, primitive.size(), primitive.size() as u64),
+            Element::String { .. } | Element::WString { .. } => (1, 4, 24),
+            Element::Message(_) => {
+                let nested = &self.messages[field.nested];
+                (nested.slots, nested.least_size, nested.memory.max(1))
+            }
+        };
+        let (slots, least_size, memory) = match field.field_type.shape {
+            Shape::Single if field.is_one_message() => (slots, least_size, memory),
+            Shape::Single => (1, least_size, SLOT),
+            Shape::Array(count) => (
+                1,
+                least_size.saturating_mul(usize::try_from(count).unwrap_or(usize::MAX)),
+                memory.saturating_mul(count).saturating_add(SLOT),
+            ),
+            Shape::Bounded(_) | Shape::Sequence => (1, 4, SLOT),
+        };
+        message.all_fields = message.all_fields.saturating_add(1);
+        if let Element::Message(_) = field.field_type.element {
+            message.all_fields = message.all_fields.saturating_add(self.messages[field.nested].all_fields);
+        }
+        message.slots = message.slots.saturating_add(slots);
+        message.least_size = message.least_size.saturating_add(least_size);
+        message.memory = message.memory.saturating_add(memory);
+    }
+}

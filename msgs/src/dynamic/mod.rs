@@ -1,0 +1,40 @@
+//! Messages whose type is met at run time.
+//!
+//! ```
+//! use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
+//!
+//! // The definition may come from a bag, from files, from another node, or from what this crate carries.
+//! let text = "float64 voltage\nstring[] warnings\n";
+//! let battery = DynamicType::from_definition_text("my_msgs/msg/Battery", "ros2msg", text)?;
+//!
+//! let mut message = DynamicMessage::new(&battery);
+//! message.set("voltage", 11.7)?;
+//! message.push("warnings", "low")?;
+//! let bytes = message.to_cdr();
+//! let back = DynamicMessage::from_cdr(&battery, &bytes)?;
+//! assert_eq!(back.get("voltage")?.as_f64(), Some(11.7));
+//! assert_eq!(back.get("warnings[0]")?.as_str(), Some("low"));
+//! assert_eq!(
+//!     back.get("voltag").unwrap_err().to_string(),
+//!     "my_msgs/msg/Battery, field `voltag`: my_msgs/msg/Battery has no field `voltag`, did you mean `voltage`?"
+//! );
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+#[macro_use]
+mod macros;
+
+mod change;
+mod error;
+mod fit;
+mod layout;
+mod message;
+mod path;
+mod schema;
+mod value;
+mod wire;
+
+pub use error::{ConvertError, FieldError, FieldProblem, TypeError};
+pub use layout::{DynamicField, DynamicType};
+pub use message::{DynamicMessage, MessageRef};
+pub use value::{Array, ArrayElement, Messages, Value, ValueRef};
