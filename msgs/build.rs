@@ -33,6 +33,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         fs::write(out.join(format!("{package}.rs")), source.package(package)?)?;
     }
     fs::write(out.join("interfaces.rs"), source.index(&packages) + &source.registry(&packages))?;
+    fs::write(out.join("carried.rs"), carried_texts(&interfaces)?)?;
 
     // What `downbeat_msgs_generator::Build` reads in the build scripts of other crates.
     println!("cargo::metadata=interfaces={}", interfaces.display());
@@ -50,14 +51,34 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// The folders of `interfaces/` that are there for always, or by their feature.
 fn enabled_packages(interfaces: &Path) -> Result<Vec<String>, Box<dyn Error>> {
-    let mut packages = Vec::new();
-    for entry in fs::read_dir(interfaces)? {
-        let package = entry?.file_name().to_string_lossy().into_owned();
+    let mut packages = sorted_entries(interfaces)?;
+    packages.retain(|package| {
         let feature = format!("CARGO_FEATURE_{}", package.to_uppercase());
-        if ALWAYS.contains(&package.as_str()) || env::var_os(feature).is_some() {
-            packages.push(package);
+        ALWAYS.contains(&package.as_str()) || env::var_os(feature).is_some()
+    });
+    Ok(packages)
+}
+
+/// Rust source of the texts in `interfaces/` by name, of all packages: for types that are only met at run time.
+fn carried_texts(interfaces: &Path) -> Result<String, Box<dyn Error>> {
+    let mut source = String::from("&[\n");
+    for package in sorted_entries(interfaces)? {
+        for kind in sorted_entries(&interfaces.join(&package))? {
+            for file in sorted_entries(&interfaces.join(&package).join(&kind))? {
+                let path = interfaces.join(&package).join(&kind).join(&file);
+                let name = file.strip_suffix(&format!(".{kind}")).unwrap_or(&file);
+                source.push_str(&format!("    (\"{package}/{kind}/{name}\", include_str!({path:?})),\n"));
+            }
         }
     }
-    packages.sort();
-    Ok(packages)
+    Ok(source + "]\n")
+}
+
+fn sorted_entries(folder: &Path) -> Result<Vec<String>, Box<dyn Error>> {
+    let mut names = Vec::new();
+    for entry in fs::read_dir(folder)? {
+        names.push(entry?.file_name().to_string_lossy().into_owned());
+    }
+    names.sort();
+    Ok(names)
 }

@@ -11,8 +11,9 @@
 //! # Ok::<(), cdr::Error>(())
 //! ```
 //!
-//! The module of a package has a module `msg` with a struct per message, and a module `srv` with a type per service
-//! and its messages (`SetBool`, `SetBoolRequest`, `SetBoolResponse`, `SetBoolEvent`). Fields are named as in ROS 2;
+//! The module of a package has a module `msg` with a struct per message, a module `srv` with a type per service and its
+//! messages (`SetBool`, `SetBoolRequest`, `SetBoolResponse`, `SetBoolEvent`), and a module `action` with a type per action,
+//! its messages and its services (`Fibonacci`, `FibonacciGoal`, `FibonacciSendGoal`, `FibonacciSendGoalRequest`, …). Fields are named as in ROS 2;
 //! a field named as a keyword is written raw (`r#type`). All of it is generated at build time from `interfaces/`.
 //!
 //! Bounds of sequences and strings are checked when reading, not when writing: see [`cdr`].
@@ -21,6 +22,7 @@
 include!(concat!(env!("OUT_DIR"), "/interfaces.rs"));
 
 pub mod cdr;
+pub mod description;
 pub mod dynamic;
 pub mod large_array;
 pub mod qos;
@@ -42,6 +44,6 @@ macro_rules! include_interfaces {
 
 pub use cdr::WString;
 pub use downbeat_msgs_definitions as definitions;
-pub use message::{Message, Service};
+pub use message::{Action, Message, Service};
 #[doc(hidden)]
 pub use serde; // Generated code in other crates derives its traits by this path.

@@ -3,6 +3,8 @@
 use std::fmt::Debug;
 
 use crate::cdr::Cdr;
+use crate::description::{Description, Field, FieldType, expand};
+use crate::type_description_interfaces::msg::TypeDescription;
 
 /// A ROS 2 message.
 pub trait Message: Cdr + Clone + Default + Debug + PartialEq + Send + Sync + 'static {
@@ -12,6 +14,18 @@ pub trait Message: Cdr + Clone + Default + Debug + PartialEq + Send + Sync + 'st
     const TYPE_HASH: &'static str;
     /// The `ros2msg` text with all dependencies, as rosbag2 stores it.
     const DEFINITION: &'static str;
+    /// Its fields, in order.
+    const FIELDS: &'static [Field];
+
+    /// Name, fields and definition in one.
+    const DESCRIPTION: &'static Description =
+        &Description { type_name: Self::TYPE_NAME, definition: Self::DEFINITION, fields: Self::FIELDS };
+
+    /// What a node answers when it is asked for the type (`~/get_type_description`).
+    #[must_use]
+    fn type_description() -> TypeDescription {
+        expand(Self::DESCRIPTION)
+    }
 }
 
 /// A ROS 2 service. The types that implement it have no values, they name it.
@@ -28,6 +42,69 @@ pub trait Service: Send + Sync + 'static {
     type Response: Message;
     /// What service introspection publishes.
     type Event: Message;
+
+    /// Name, fields and definition in one: ROS 2 describes a service as if it were a message of its three messages.
+    const DESCRIPTION: &'static Description = &Description {
+        type_name: Self::TYPE_NAME,
+        definition: Self::DEFINITION,
+        fields: &[
+            Field::of::<Self::Request>("request_message"),
+            Field::of::<Self::Response>("response_message"),
+            Field::of::<Self::Event>("event_message"),
+        ],
+    };
+
+    /// What a node answers when it is asked for the type (`~/get_type_description`).
+    #[must_use]
+    fn type_description() -> TypeDescription {
+        expand(Self::DESCRIPTION)
+    }
+}
+
+/// A ROS 2 action. The types that implement it have no values, they name it.
+pub trait Action: Send + Sync + 'static {
+    /// As in `test_msgs/action/Fibonacci`.
+    const TYPE_NAME: &'static str;
+    /// `RIHS01_` and 64 hexadecimal digits.
+    const TYPE_HASH: &'static str;
+    /// The definition text with all dependencies.
+    const DEFINITION: &'static str;
+    /// What a client wants.
+    type Goal: Message;
+    /// What has become of it in the end.
+    type Result: Message;
+    /// What has become of it so far.
+    type Feedback: Message;
+    /// The service `<action>/_action/send_goal`.
+    type SendGoal: Service;
+    /// The service `<action>/_action/get_result`.
+    type GetResult: Service;
+    /// What the topic `<action>/_action/feedback` carries.
+    type FeedbackMessage: Message;
+
+    /// Name, fields and definition in one: ROS 2 describes an action as if it were a message of its messages and services.
+    const DESCRIPTION: &'static Description = &Description {
+        type_name: Self::TYPE_NAME,
+        definition: Self::DEFINITION,
+        fields: &[
+            Field::of::<Self::Goal>("goal"),
+            Field::of::<Self::Result>("result"),
+            Field::of::<Self::Feedback>("feedback"),
+            service_field("send_goal_service", <Self::SendGoal as Service>::DESCRIPTION),
+            service_field("get_result_service", <Self::GetResult as Service>::DESCRIPTION),
+            Field::of::<Self::FeedbackMessage>("feedback_message"),
+        ],
+    };
+
+    /// What a node answers when it is asked for the type (`~/get_type_description`).
+    #[must_use]
+    fn type_description() -> TypeDescription {
+        expand(Self::DESCRIPTION)
+    }
+}
+
+const fn service_field(name: &'static str, service: &'static Description) -> Field {
+    Field { name, field_type: FieldType::nested(service), default_value: "" }
 }
 
 #[cfg(test)]

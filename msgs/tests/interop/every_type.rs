@@ -65,10 +65,13 @@ pub fn every_type() -> Vec<Type> {
     let mut types = downbeat_msgs::for_each_message!(table);
     types.extend(table![
         odd_msgs::msg::Commented,
+        odd_msgs::msg::Into,
         odd_msgs::msg::Keywords,
         odd_msgs::msg::Long,
         odd_msgs::msg::Message,
+        odd_msgs::msg::Option,
         odd_msgs::msg::Quoted,
+        odd_msgs::msg::Self_,
         odd_msgs::srv::OkEvent,
     ]);
     types

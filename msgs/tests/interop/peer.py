@@ -20,12 +20,27 @@ INTEGER = re.compile(r'(u?)int(8|16|32|64)')
 CHARACTERS = 'aZ \n"ü漢\U0001f600'
 
 
+# Where rclpy has what rosidl derives from an action.
+PARTS = {
+    'SendGoal': ['Impl', 'SendGoalService'],
+    'GetResult': ['Impl', 'GetResultService'],
+    'FeedbackMessage': ['Impl', 'FeedbackMessage'],
+}
+
+
 def message_class(name):
     package, kind, type_name = name.split('/')
     value = importlib.import_module(f'{package}.{kind}')
     for part in type_name.split('_'):
-        value = getattr(value, part)
+        for attribute in PARTS.get(part, [part]):
+            value = getattr(value, attribute)
     return value
+
+
+def kind_of(type_name):
+    if re.search('_(Goal|Result|Feedback|FeedbackMessage|SendGoal|GetResult)(_|$)', type_name):
+        return 'action'
+    return 'srv' if type_name.endswith(('_Request', '_Response', '_Event')) else 'msg'
 
 
 def random_value(field_type):
@@ -51,8 +66,7 @@ def random_value(field_type):
     if field_type == 'float':
         return random.choice([0.0, -0.0, 2.0**100, random.randint(-2**23, 2**23) / 64])
     package, name = field_type.split('/')
-    is_of_service = name.endswith(('_Request', '_Response', '_Event'))
-    return random_message(message_class(f'{package}/{"srv" if is_of_service else "msg"}/{name}'))
+    return random_message(message_class(f'{package}/{kind_of(name)}/{name}'))
 
 
 def random_message(cls):

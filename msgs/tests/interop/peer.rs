@@ -32,15 +32,20 @@ impl Peer {
         self.python.parent().and_then(Path::parent).unwrap().join("share")
     }
 
-    /// The hashes in the file the wheels have for an interface, by name.
-    pub fn published_hashes(&self, name: &str) -> BTreeMap<String, String> {
+    /// The file the wheels have for an interface, or for the one that it is a part of.
+    pub fn published(&self, name: &str) -> Value {
         // The parts of a service or an action are in its file.
         let kind_ends = name.rfind('/').unwrap();
         let stem = name[kind_ends..].find('_').map_or(name, |end| &name[..kind_ends + end]);
         let path = self.share().join(stem).with_extension("json");
         let text =
             std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
-        let json: Value = serde_json::from_str(&text).unwrap();
+        serde_json::from_str(&text).unwrap()
+    }
+
+    /// The hashes in the file the wheels have for an interface, by name.
+    pub fn published_hashes(&self, name: &str) -> BTreeMap<String, String> {
+        let json = self.published(name);
         let text_of = |entry: &Value, key: &str| entry[key].as_str().unwrap().to_owned();
         let entries = json["type_hashes"].as_array().unwrap().iter();
         entries.map(|entry| (text_of(entry, "type_name"), text_of(entry, "hash_string"))).collect()

@@ -39,6 +39,16 @@ pub enum BuildError {
         /// The package.
         package: String,
     },
+    /// Two types would have one name in Rust.
+    #[error(
+        "{second} and {first} would have the same name in Rust, where underscores are left out: rename one of them"
+    )]
+    NameClash {
+        /// The one.
+        first: TypeName,
+        /// The other.
+        second: TypeName,
+    },
     /// A folder that was named has no interfaces.
     #[error(
         "{}: there is no interface here: the folder of a package holds `msg/*.msg`, `srv/*.srv` or `action/*.action`",

@@ -134,6 +134,9 @@ impl Build {
         let source = RustSource::new(&found.catalog, &modules);
         let mut text = String::new();
         for package in &found.generated {
+            if let Some([first, second]) = source.name_clash(package) {
+                return Err(BuildError::NameClash { first: first.clone(), second: second.clone() });
+            }
             text.push_str(&source.module(package)?);
         }
         Ok(text)

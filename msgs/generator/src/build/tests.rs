@@ -143,6 +143,23 @@ fn errors_say_where_and_what_to_do() {
 }
 
 #[test]
+fn two_types_with_one_rust_name_are_refused() {
+    let space = Space::new();
+    space.write("carried/service_msgs/msg/ServiceEventInfo.msg", "");
+    space.write("carried/builtin_interfaces/msg/Time.msg", "");
+    space.write("my_msgs/srv/Kick.srv", "---\n");
+    space.write("my_msgs/srv/KickRequest.srv", "---\n");
+    let mut build = space.environment.clone();
+    build.enabled.insert("service_msgs".into());
+    let space = Space { environment: build, ..space };
+    assert_eq!(
+        space.error(&Build::new().package(space.path("my_msgs"))),
+        "my_msgs/srv/KickRequest and my_msgs/srv/Kick_Request would have the same name in Rust, where underscores are \
+         left out: rename one of them"
+    );
+}
+
+#[test]
 fn a_package_that_is_carried_already_is_refused() {
     let space = Space::new();
     space.write("mine/std_msgs/msg/Header.msg", "int8 seq\n");

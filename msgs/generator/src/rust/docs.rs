@@ -17,6 +17,11 @@ pub(super) fn doc(comment: &[String], code: &str, indentation: &str) -> String {
     text
 }
 
+/// The constant with a hash, on two lines as `rustfmt` has it.
+pub(super) fn hash_line(hash: &str) -> String {
+    format!("    const TYPE_HASH: &'static str =\n        \"{hash}\";\n")
+}
+
 /// Keeps the words of a comment from being read as Markdown.
 fn escape(line: &str) -> String {
     let words = line.split(' ').map(|word| {

@@ -42,14 +42,15 @@ impl RustSource<'_> {
         })? {
             derives.extend(["Eq", "Hash"]);
         }
-        derives.extend(["serde::Serialize", "serde::Deserialize"]);
         let crate_attribute = match self.modules.runtime.as_str() {
             "crate" => String::new(),
             runtime => format!("crate = \"{runtime}::serde\", "),
         };
         let name = struct_name(&message.name);
         let mut source = docs::doc(&message.comment, &message.name.to_string(), "");
-        source.push_str(&format!("#[derive({})]\n#[serde({crate_attribute}default)]\n", derives.join(", ")));
+        source.push_str(&format!("#[derive({})]\n", derives.join(", ")));
+        source.push_str("#[derive(serde::Serialize, serde::Deserialize)]\n");
+        source.push_str(&format!("#[serde({crate_attribute}default)]\n"));
         if message.fields.is_empty() {
             source.push_str(&format!("pub struct {name} {{}}\n"));
             return Ok(source);
@@ -74,7 +75,7 @@ impl RustSource<'_> {
     }
 
     fn default_impl(&self, message: &MessageDefinition) -> String {
-        let default = self.prelude("Default", "std::default::Default", &message.name);
+        let default = self.prelude("Default", "::std::default::Default", &message.name);
         let mut source = format!("impl {default} for {} {{\n", struct_name(&message.name));
         source.push_str("    fn default() -> Self {\n        Self {\n");
         for field in &message.fields {
@@ -89,16 +90,15 @@ impl RustSource<'_> {
     }
 
     fn message_impl(&self, message: &MessageDefinition) -> Result<String, Error> {
+        let name = struct_name(&message.name);
+        let mut source = format!("impl {}::Message for {name} {{\n", self.modules.runtime);
+        source.push_str(&format!("    const TYPE_NAME: &'static str = \"{}\";\n", message.name));
+        source.push_str(&docs::hash_line(&self.catalog.type_hash(&message.name)?));
         let definition = self.catalog.definition_text(&message.name)?;
-        Ok(format!(
-            "impl {}::Message for {} {{\n    const TYPE_NAME: &'static str = \"{}\";\n    \
-             const TYPE_HASH: &'static str = \"{}\";\n    const DEFINITION: &'static str = {};\n}}\n",
-            self.modules.runtime,
-            struct_name(&message.name),
-            message.name,
-            self.catalog.type_hash(&message.name)?,
-            text_literal(&definition)
-        ))
+        source.push_str(&format!("    const DEFINITION: &'static str = {};\n", text_literal(&definition)));
+        source.push_str(&self.fields_constant(message));
+        source.push_str("}\n");
+        Ok(source)
     }
 
     /// Whether something holds for every element of the message, those of messages within it included.
@@ -150,7 +150,7 @@ fn default_expression(field_type: &FieldType, default: &str) -> String {
         (Element::Primitive(primitive), Shape::Single) => zero(*primitive).into(),
         (Element::Primitive(primitive), Shape::Array(count)) => format!("[{}; {count}]", zero(*primitive)),
         (_, Shape::Array(count)) if count > LONGEST_PLAIN_ARRAY => {
-            format!("std::array::from_fn(|_| {default}::default())")
+            format!("::std::array::from_fn(|_| {default}::default())")
         }
         _ => format!("{default}::default()"),
     }

@@ -1,10 +1,12 @@
 //! Rust source for the interfaces of a catalog.
 //!
-//! One text per package, to be included in a module of the package's name. It holds a module `msg` and a module `srv`
-//! with one struct per message and the implementations of the traits of `downbeat-msgs`. Names within it are chosen so
+//! One text per package, to be included in a module of the package's name. It holds modules `msg`, `srv` and
+//! `action` with one struct per message and the implementations of the traits of `downbeat-msgs`. Names within it are chosen so
 //! that no ROS 2 type name (`String`, `Error`, `Message`) can shadow what the code needs.
 
+mod action;
 mod cdr;
+mod description;
 mod docs;
 mod layout;
 mod message;
@@ -15,7 +17,7 @@ mod values;
 
 use std::collections::BTreeMap;
 
-use downbeat_msgs_definitions::{Catalog, Error, Kind, MessageDefinition};
+use downbeat_msgs_definitions::{Catalog, Error, Kind, MessageDefinition, TypeName};
 
 /// Where generated code finds what it refers to.
 #[derive(Clone, Debug)]
@@ -77,22 +79,26 @@ impl<'a> RustSource<'a> {
     /// [`Error::NotInCatalog`] if a message refers to one the catalog does not have.
     pub fn package(&self, package: &str) -> Result<String, Error> {
         let mut source = String::new();
-        for kind in [Kind::Message, Kind::Service] {
-            let messages: Vec<&MessageDefinition> = self
-                .catalog
-                .messages()
-                .filter(|message| message.name.package == package && message.name.kind == kind)
-                .collect();
+        for (kind, what) in
+            [(Kind::Message, "Messages"), (Kind::Service, "Services"), (Kind::Action, "Actions")]
+        {
+            let is_here = |name: &TypeName| name.package == package && name.kind == kind;
+            let messages: Vec<&MessageDefinition> =
+                self.catalog.messages().filter(|message| is_here(&message.name)).collect();
             if messages.is_empty() {
                 continue;
             }
-            let (module, what) = (kind.as_str(), if kind == Kind::Message { "Messages" } else { "Services" });
+            if !source.is_empty() {
+                source.push('\n');
+            }
+            let module = kind.as_str();
             source.push_str(&format!("/// {what} of the package `{package}`.\npub mod {module} {{\n"));
-            source.push_str(&format!("    use {}::{{cdr, serde}};\n", self.modules.runtime));
-            for service in self.catalog.services() {
-                if service.name.package == package && service.name.kind == kind {
-                    source.push_str(&indent(&self.service(service)?));
-                }
+            source.push_str(&format!("    use {}::{{cdr, description, serde}};\n", self.modules.runtime));
+            for action in self.catalog.actions().filter(|action| is_here(&action.name)) {
+                source.push_str(&indent(&self.action(action)?));
+            }
+            for service in self.catalog.services().filter(|service| is_here(&service.name)) {
+                source.push_str(&indent(&self.service(service)?));
             }
             for message in messages {
                 source.push_str(&indent(&self.message(message)?));

@@ -1,7 +1,9 @@
 //! Rust names for ROS 2 names.
 
+use std::collections::BTreeMap;
+
 use super::RustSource;
-use downbeat_msgs_definitions::{Element, FieldType, Primitive, Shape, TypeName};
+use downbeat_msgs_definitions::{Element, FieldType, Kind, Primitive, Shape, TypeName};
 
 /// The words of Rust 2024 that cannot name a field as they are.
 const KEYWORDS: [&str; 47] = [
@@ -22,9 +24,12 @@ pub(super) fn identifier(name: &str) -> String {
     }
 }
 
-/// The struct of a message: its name, `SetBoolRequest` for `SetBool_Request`.
+/// The struct of a message, or what stands for a service or action: its name, `SetBoolRequest` for `SetBool_Request`.
 pub(super) fn struct_name(name: &TypeName) -> String {
-    name.name.replace('_', "")
+    match name.name.as_str() {
+        "Self" => "Self_".into(),
+        name => name.replace('_', ""),
+    }
 }
 
 pub(super) fn primitive(primitive: Primitive) -> &'static str {
@@ -48,7 +53,7 @@ impl RustSource<'_> {
     pub(super) fn field_type(&self, field_type: &FieldType, owner: &TypeName) -> String {
         let element = match &field_type.element {
             Element::Primitive(of) => primitive(*of).to_owned(),
-            Element::String { .. } => self.prelude("String", "std::string::String", owner),
+            Element::String { .. } => self.prelude("String", "::std::string::String", owner),
             Element::WString { .. } => format!("{}::WString", self.modules.runtime),
             Element::Message(name) => self.type_path(name, owner),
         };
@@ -56,7 +61,7 @@ impl RustSource<'_> {
             Shape::Single => element,
             Shape::Array(count) => format!("[{element}; {count}]"),
             Shape::Bounded(_) | Shape::Sequence => {
-                format!("{}<{element}>", self.prelude("Vec", "std::vec::Vec", owner))
+                format!("{}<{element}>", self.prelude("Vec", "::std::vec::Vec", owner))
             }
         }
     }
@@ -76,10 +81,26 @@ impl RustSource<'_> {
         format!("{module}::{}::{}::{}", identifier(&name.package), name.kind.as_str(), struct_name(name))
     }
 
+    /// Two types of one package that would have the same name in Rust, if there are any: the service `FooRequest` beside
+    /// the request of the service `Foo`.
+    pub(crate) fn name_clash(&self, package: &str) -> Option<[&TypeName; 2]> {
+        let mut known: BTreeMap<(Kind, String), &TypeName> = BTreeMap::new();
+        let messages = self.catalog.messages().map(|message| &message.name);
+        let services = self.catalog.services().map(|service| &service.name);
+        let actions = self.catalog.actions().map(|action| &action.name);
+        messages
+            .chain(services)
+            .chain(actions)
+            .filter(|name| name.package == package)
+            .find_map(|name| known.insert((name.kind, struct_name(name)), name).map(|first| [first, name]))
+    }
+
     /// A name of the standard prelude, or its full path where a ROS 2 type of the same module has that name.
     pub(super) fn prelude(&self, short: &str, full: &str, owner: &TypeName) -> String {
         let shadowed = TypeName { name: short.into(), ..owner.clone() };
-        let is_shadowed = self.catalog.message(&shadowed).is_ok() || self.catalog.service(&shadowed).is_ok();
+        let is_shadowed = self.catalog.message(&shadowed).is_ok()
+            || self.catalog.service(&shadowed).is_ok()
+            || self.catalog.action(&shadowed).is_ok();
         if is_shadowed { full } else { short }.into()
     }
 }

@@ -1,7 +1,7 @@
 //! Lists of all types, for code that must treat each.
 
 use super::RustSource;
-use downbeat_msgs_definitions::{Kind, TypeName};
+use downbeat_msgs_definitions::TypeName;
 
 impl RustSource<'_> {
     /// Modules that include the text of each [package](RustSource::package) from `<package>.rs` in the folder that
@@ -19,25 +19,21 @@ impl RustSource<'_> {
         source
     }
 
-    /// The macros `for_each_message` and `for_each_service`, and the constant `TYPE_NAMES`, over the packages named.
-    /// They belong at the root of a crate that has the packages at its root.
+    /// The macros `for_each_message`, `for_each_service` and `for_each_action`, and the constant `TYPE_NAMES`, over the
+    /// packages named. They belong at the root of a crate that has the packages at its root.
     #[must_use]
     pub fn registry(&self, packages: &[&str]) -> String {
-        let messages: Vec<&TypeName> = self
-            .catalog
-            .messages()
-            .map(|message| &message.name)
-            .filter(|name| packages.contains(&name.package.as_str()) && name.kind != Kind::Action)
-            .collect();
-        let services: Vec<&TypeName> = self
-            .catalog
-            .services()
-            .map(|service| &service.name)
-            .filter(|name| packages.contains(&name.package.as_str()) && name.kind != Kind::Action)
-            .collect();
+        let is_here = |name: &&TypeName| packages.contains(&name.package.as_str());
+        let messages: Vec<&TypeName> =
+            self.catalog.messages().map(|message| &message.name).filter(is_here).collect();
+        let services: Vec<&TypeName> =
+            self.catalog.services().map(|service| &service.name).filter(is_here).collect();
+        let actions: Vec<&TypeName> =
+            self.catalog.actions().map(|action| &action.name).filter(is_here).collect();
         let mut source =
-            self.for_each("message", "the requests, responses and events of services among them", &messages);
-        source.push_str(&self.for_each("service", "one that implements `Service`", &services));
+            self.for_each("message", "the messages of services and actions among them", &messages);
+        source.push_str(&self.for_each("service", "the services of actions among them", &services));
+        source.push_str(&self.for_each("action", "those that implement `Action`", &actions));
         source.push_str(
             "/// The name of every message type here, in order.\npub const TYPE_NAMES: &[&str] = &[\n",
         );

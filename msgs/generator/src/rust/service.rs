@@ -16,10 +16,7 @@ impl RustSource<'_> {
             self.modules.runtime
         ));
         source.push_str(&format!("    const TYPE_NAME: &'static str = \"{}\";\n", service.name));
-        source.push_str(&format!(
-            "    const TYPE_HASH: &'static str = \"{}\";\n",
-            self.catalog.type_hash(&service.name)?
-        ));
+        source.push_str(&docs::hash_line(&self.catalog.type_hash(&service.name)?));
         source.push_str(&format!("    const DEFINITION: &'static str = {};\n", text_literal(&definition)));
         for part in ["Request", "Response", "Event"] {
             source.push_str(&format!("    type {part} = {name}{part};\n"));

@@ -1,0 +1,50 @@
+//! Descriptions as messages.
+
+use std::collections::BTreeMap;
+
+use super::{Description, Field, FieldType};
+use crate::type_description_interfaces::msg;
+
+/// The description of a type and of all that it refers to, these in the order of their names.
+pub(crate) fn expand(description: &Description) -> msg::TypeDescription {
+    let mut references = BTreeMap::new();
+    collect(description, &mut references);
+    msg::TypeDescription {
+        type_description: individual(description),
+        referenced_type_descriptions: references.into_values().map(individual).collect(),
+    }
+}
+
+/// As deep as the types lie within each other, which the compiler has bounded.
+fn collect(of: &Description, references: &mut BTreeMap<&'static str, &'static Description>) {
+    for nested in of.fields.iter().filter_map(|field| field.field_type.nested) {
+        if references.insert(nested.type_name, nested).is_none() {
+            collect(nested, references);
+        }
+    }
+}
+
+fn individual(description: &Description) -> msg::IndividualTypeDescription {
+    let mut fields: Vec<msg::Field> = description.fields.iter().map(field).collect();
+    if fields.is_empty() {
+        // What rosidl puts into an empty message, since C structs must not be empty.
+        let r#type = msg::FieldType { type_id: msg::FieldType::FIELD_TYPE_UINT8, ..Default::default() };
+        let name = "structure_needs_at_least_one_member".into();
+        fields.push(msg::Field { name, r#type, ..Default::default() });
+    }
+    msg::IndividualTypeDescription { type_name: description.type_name.into(), fields }
+}
+
+fn field(field: &Field) -> msg::Field {
+    let FieldType { string_capacity, nested, .. } = field.field_type;
+    msg::Field {
+        name: field.name.into(),
+        r#type: msg::FieldType {
+            type_id: field.field_type.type_id(),
+            capacity: field.field_type.capacity(),
+            string_capacity,
+            nested_type_name: nested.map_or_else(String::new, |nested| nested.type_name.into()),
+        },
+        default_value: field.default_value.into(),
+    }
+}

@@ -1,0 +1,177 @@
+//! Fields and their types.
+
+use crate::{Message, WString};
+
+/// A type and its fields.
+#[derive(Clone, Copy, Debug)]
+pub struct Description {
+    /// As in `sensor_msgs/msg/JointState`.
+    pub type_name: &'static str,
+    /// Its definition text, dependencies included.
+    pub definition: &'static str,
+    /// Its fields, in order.
+    pub fields: &'static [Field],
+}
+
+/// A field of a message.
+#[derive(Clone, Copy, Debug)]
+pub struct Field {
+    /// Its name.
+    pub name: &'static str,
+    /// Its type.
+    pub field_type: FieldType,
+    /// Its default as Python writes it, which is how ROS 2 passes it on; empty if the definition says none.
+    pub default_value: &'static str,
+}
+
+/// The type of a field: one element, or several.
+#[derive(Clone, Copy, Debug)]
+pub struct FieldType {
+    /// What it holds: one of the constants of [`FieldType`](crate::type_description_interfaces::msg::FieldType) below 48.
+    pub element: u8,
+    /// How many of it.
+    pub shape: Shape,
+    /// The bound of a bounded string, otherwise 0.
+    pub string_capacity: u64,
+    /// What is known of the message, if it holds messages.
+    pub nested: Option<&'static Description>,
+}
+
+/// How many elements a field holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shape {
+    /// One.
+    Single,
+    /// Exactly so many: `[N]`.
+    Array(u64),
+    /// At most so many: `[<=N]`.
+    Bounded(u64),
+    /// Any number: `[]`.
+    Sequence,
+}
+
+/// A Rust type that a field of a message can have: numbers, `bool`, [`String`], [`WString`], messages, and arrays and vectors
+/// of these.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` cannot be the type of a field of a ROS 2 message",
+    note = "it can be a number of 8 to 64 bits, `bool`, `String`, `WString`, a message, or an array or `Vec` of one of these"
+)]
+pub trait FieldValue {
+    /// The ROS 2 type that it is, if nothing else is said.
+    const FIELD_TYPE: FieldType;
+}
+
+const NESTED: u8 = 1;
+const UINT8: u8 = 3;
+const BYTE: u8 = 16;
+const STRING: u8 = 17;
+const WSTRING: u8 = 18;
+/// From strings to bounded strings.
+const BOUNDED: u8 = 4;
+
+impl Field {
+    /// A field of the type that corresponds to `T`.
+    #[must_use]
+    pub const fn of<T: FieldValue>(name: &'static str) -> Self {
+        Self { name, field_type: T::FIELD_TYPE, default_value: "" }
+    }
+
+    /// The same, as a sequence of at most so many elements.
+    #[must_use]
+    pub const fn bounded(mut self, bound: u64) -> Self {
+        self.field_type.shape = Shape::Bounded(bound);
+        self
+    }
+
+    /// The same, as strings of at most that length.
+    #[must_use]
+    pub const fn bounded_text(mut self, bound: u64) -> Self {
+        if matches!(self.field_type.element, STRING | WSTRING) {
+            self.field_type.element += BOUNDED;
+        }
+        self.field_type.string_capacity = bound;
+        self
+    }
+
+    /// The same, as the ROS 2 type `byte`, which is an `u8` in Rust as `uint8` is.
+    #[must_use]
+    pub const fn byte(mut self) -> Self {
+        if self.field_type.element == UINT8 {
+            self.field_type.element = BYTE;
+        }
+        self
+    }
+
+    /// The same, with a default as Python writes it.
+    #[must_use]
+    pub const fn with_default(mut self, value: &'static str) -> Self {
+        self.default_value = value;
+        self
+    }
+}
+
+impl FieldType {
+    const fn single(element: u8) -> Self {
+        Self { element, shape: Shape::Single, string_capacity: 0, nested: None }
+    }
+
+    /// A field that is one value of a type with that description.
+    #[must_use]
+    pub const fn nested(description: &'static Description) -> Self {
+        Self { nested: Some(description), ..Self::single(NESTED) }
+    }
+
+    const fn shaped(mut self, shape: Shape) -> Self {
+        if !matches!(self.shape, Shape::Single) {
+            panic!("ROS 2 has no arrays of arrays: put the inner one into a message");
+        }
+        self.shape = shape;
+        self
+    }
+
+    /// The constant of [`FieldType`](crate::type_description_interfaces::msg::FieldType) for element and shape.
+    #[must_use]
+    pub const fn type_id(&self) -> u8 {
+        self.element
+            + match self.shape {
+                Shape::Single => 0,
+                Shape::Array(_) => 48,
+                Shape::Bounded(_) => 96,
+                Shape::Sequence => 144,
+            }
+    }
+
+    /// The size of an array, the bound of a sequence, otherwise 0.
+    #[must_use]
+    pub const fn capacity(&self) -> u64 {
+        match self.shape {
+            Shape::Array(count) | Shape::Bounded(count) => count,
+            Shape::Single | Shape::Sequence => 0,
+        }
+    }
+}
+
+macro_rules! values {
+    ($($type:ty = $element:expr),* $(,)?) => {$(
+        impl FieldValue for $type {
+            const FIELD_TYPE: FieldType = FieldType::single($element);
+        }
+    )*};
+}
+
+values! {
+    i8 = 2, u8 = UINT8, i16 = 4, u16 = 5, i32 = 6, u32 = 7, i64 = 8, u64 = 9, f32 = 10, f64 = 11, bool = 15,
+    String = STRING, WString = WSTRING,
+}
+
+impl<T: Message> FieldValue for T {
+    const FIELD_TYPE: FieldType = FieldType::nested(T::DESCRIPTION);
+}
+
+impl<T: FieldValue> FieldValue for Vec<T> {
+    const FIELD_TYPE: FieldType = T::FIELD_TYPE.shaped(Shape::Sequence);
+}
+
+impl<T: FieldValue, const N: usize> FieldValue for [T; N] {
+    const FIELD_TYPE: FieldType = T::FIELD_TYPE.shaped(Shape::Array(N as u64));
+}

@@ -1,0 +1,302 @@
+//! The definition text of a message, put together when it is compiled.
+
+use super::{Description, Field, FieldType, Shape};
+
+/// What a message says of itself.
+#[derive(Clone, Copy, Debug)]
+pub enum OwnText {
+    /// The text of its file.
+    File(&'static str),
+    /// What its fields say, each below its comment; the comment of the message comes first. Comments are lines that
+    /// begin with `#` and end with a newline, or nothing.
+    Fields {
+        /// The comment of the message.
+        comment: &'static str,
+        /// One comment for each field.
+        comments: &'static [&'static str],
+    },
+}
+
+/// Text of at most `N` bytes, and the length it would have without that limit.
+pub struct Text<const N: usize> {
+    bytes: [u8; N],
+    length: usize,
+}
+
+/// The definition text of a message with these fields: what it says of itself, then, depth first and in the order of
+/// their names, each message it depends on, once. `N` is the length, which `definition::<0>` tells.
+#[must_use]
+pub const fn definition<const N: usize>(own: OwnText, fields: &'static [Field]) -> Text<N> {
+    let mut text = Text { bytes: [0; N], length: 0 };
+    match own {
+        OwnText::File(own) => text.push(own),
+        OwnText::Fields { comment, comments } => text.own(comment, comments, fields),
+    }
+    let mut seen = Seen { names: [""; MOST_DEPENDENCIES], count: 0 };
+    text.dependencies(fields, &mut seen);
+    text
+}
+
+impl<const N: usize> Text<N> {
+    /// Its length, be there room for it or not.
+    #[must_use]
+    pub const fn len(&self) -> usize {
+        self.length
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.length == 0
+    }
+
+    /// The text, for which there must have been room.
+    #[must_use]
+    pub const fn as_str(&self) -> &str {
+        match std::str::from_utf8(&self.bytes) {
+            Ok(text) if self.length == N => text,
+            _ => panic!("the room for a text is not that which it needs"),
+        }
+    }
+
+    const fn push(&mut self, text: &str) {
+        let mut index = 0;
+        if N > 0 {
+            while index < text.len() {
+                self.bytes[self.length + index] = text.as_bytes()[index];
+                index += 1;
+            }
+        }
+        self.length += text.len();
+    }
+
+    const fn number(&mut self, number: u64) {
+        let (digits, count) = digits(number);
+        match std::str::from_utf8(digits.split_at(digits.len() - count).1) {
+            Ok(text) => self.push(text),
+            Err(_) => panic!("digits are ASCII"),
+        }
+    }
+
+    const fn own(&mut self, comment: &str, comments: &[&str], fields: &[Field]) {
+        self.push(comment);
+        if !comment.is_empty() {
+            self.push("\n"); // So that it is not taken for the comment of the first field.
+        }
+        let mut index = 0;
+        while index < fields.len() {
+            self.push(comments[index]);
+            self.field_type(&fields[index].field_type);
+            self.push(" ");
+            self.push(fields[index].name);
+            self.push("\n");
+            index += 1;
+        }
+    }
+
+    /// The type as a definition spells it.
+    const fn field_type(&mut self, of: &FieldType) {
+        match of.nested {
+            Some(nested) => self.short_name(nested.type_name),
+            None => self.push(word(of.element)),
+        }
+        if of.string_capacity > 0 {
+            self.push("<=");
+            self.number(of.string_capacity);
+        }
+        match of.shape {
+            Shape::Single => {}
+            Shape::Array(count) => {
+                self.push("[");
+                self.number(count);
+                self.push("]");
+            }
+            Shape::Bounded(count) => {
+                self.push("[<=");
+                self.number(count);
+                self.push("]");
+            }
+            Shape::Sequence => self.push("[]"),
+        }
+    }
+
+    /// `sensor_msgs/JointState` for `sensor_msgs/msg/JointState`.
+    const fn short_name(&mut self, name: &str) {
+        let (package, rest) = split_at_slash(name);
+        let (_, type_name) = split_at_slash(rest);
+        self.push(package);
+        self.push("/");
+        self.push(type_name);
+    }
+
+    const fn dependencies(&mut self, fields: &'static [Field], seen: &mut Seen) {
+        // The next by name each time: there are few, and nothing to sort them into.
+        let mut last = "";
+        while let Some(nested) = next_nested(fields, last) {
+            last = nested.type_name;
+            if seen.insert(last) {
+                self.push("\n");
+                self.push(RULE);
+                self.push("\nMSG: ");
+                self.short_name(last);
+                self.push("\n");
+                self.push(own_text(nested.definition));
+                self.dependencies(nested.fields, seen);
+            }
+        }
+    }
+}
+
+/// The line before the name of each dependency.
+const RULE: &str = "================================================================================";
+
+const MOST_DEPENDENCIES: usize = 256;
+
+/// Names of types that are in the text.
+struct Seen {
+    names: [&'static str; MOST_DEPENDENCIES],
+    count: usize,
+}
+
+impl Seen {
+    /// Whether it was not there yet.
+    const fn insert(&mut self, name: &'static str) -> bool {
+        let mut index = 0;
+        while index < self.count {
+            if compare(self.names[index], name) == 0 {
+                return false;
+            }
+            index += 1;
+        }
+        if self.count == MOST_DEPENDENCIES {
+            panic!("the message refers to more than 256 other message types");
+        }
+        self.names[self.count] = name;
+        self.count += 1;
+        true
+    }
+}
+
+/// Of the messages that fields hold, the first whose name is behind `last`.
+const fn next_nested(fields: &'static [Field], last: &str) -> Option<&'static Description> {
+    let mut best: Option<&'static Description> = None;
+    let mut index = 0;
+    while index < fields.len() {
+        if let Some(nested) = fields[index].field_type.nested
+            && compare(nested.type_name, last) > 0
+        {
+            match best {
+                Some(found) if compare(found.type_name, nested.type_name) <= 0 => {}
+                _ => best = Some(nested),
+            }
+        }
+        index += 1;
+    }
+    best
+}
+
+/// A definition text without its dependencies. No line of a definition can be the rule before them.
+const fn own_text(definition: &'static str) -> &'static str {
+    let bytes = definition.as_bytes();
+    let mut start = 0;
+    while start + RULE.len() < bytes.len() {
+        if bytes[start] == b'\n' {
+            let mut signs = 0;
+            while signs < RULE.len() && bytes[start + 1 + signs] == b'=' {
+                signs += 1;
+            }
+            if signs == RULE.len() {
+                return definition.split_at(start).0;
+            }
+        }
+        start += 1;
+    }
+    definition
+}
+
+const fn word(element: u8) -> &'static str {
+    match element {
+        2 => "int8",
+        3 => "uint8",
+        4 => "int16",
+        5 => "uint16",
+        6 => "int32",
+        7 => "uint32",
+        8 => "int64",
+        9 => "uint64",
+        10 => "float32",
+        11 => "float64",
+        15 => "bool",
+        16 => "byte",
+        17 | 21 => "string",
+        18 | 22 => "wstring",
+        _ => panic!("no type of ROS 2 has this number"),
+    }
+}
+
+/// The parts before and behind the first slash.
+const fn split_at_slash(text: &str) -> (&str, &str) {
+    let mut index = 0;
+    while index < text.len() {
+        if text.as_bytes()[index] == b'/' {
+            return (text.split_at(index).0, text.split_at(index + 1).1);
+        }
+        index += 1;
+    }
+    (text, "")
+}
+
+/// Less than, equal to, or greater than 0 as `a` is to `b`.
+pub(super) const fn compare(a: &str, b: &str) -> i32 {
+    let (a, b) = (a.as_bytes(), b.as_bytes());
+    let mut index = 0;
+    while index < a.len() && index < b.len() {
+        if a[index] != b[index] {
+            return a[index] as i32 - b[index] as i32;
+        }
+        index += 1;
+    }
+    if a.len() == b.len() {
+        0
+    } else if a.len() < b.len() {
+        -1
+    } else {
+        1
+    }
+}
+
+/// The decimal digits of a number, at the end of the array, and how many they are.
+pub(super) const fn digits(mut number: u64) -> ([u8; 20], usize) {
+    let mut digits = [b'0'; 20];
+    let mut count = 0;
+    while number > 0 || count == 0 {
+        count += 1;
+        digits[20 - count] = b'0' + (number % 10) as u8;
+        number /= 10;
+    }
+    (digits, count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{OwnText, definition, own_text};
+    use crate::Message;
+
+    #[test]
+    fn the_text_of_every_message_is_the_one_it_was_generated_with() {
+        let mut count = 0;
+        macro_rules! check {
+            ($($message:ty),* $(,)?) => {$(
+                // Text of an event is that of its service.
+                if !<$message>::TYPE_NAME.ends_with("_Event") {
+                    const LENGTH: usize = definition::<0>(OwnText::File(own_text(<$message>::DEFINITION)), <$message>::FIELDS).len();
+                    let text = definition::<LENGTH>(OwnText::File(own_text(<$message>::DEFINITION)), <$message>::FIELDS);
+                    assert_eq!(text.as_str(), <$message>::DEFINITION);
+                    count += 1;
+                }
+            )*};
+        }
+        for_each_message!(check);
+        assert!(count > 200, "only {count} were compared");
+    }
+}
