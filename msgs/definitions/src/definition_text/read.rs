@@ -270,4 +270,19 @@ mod tests {
             assert!(error.starts_with(fault), "{text:?} gave {error}");
         }
     }
+
+    #[test]
+    fn no_text_makes_reading_panic() {
+        let rich = "B b\n\n=====\nMSG: a/B\r\nint8 x\n\n====\nIDL: a/msg/C\nmodule a{module msg{struct C{};};};\n\n===\nSRV: a/srv/D\n---\n";
+        assert!(read("a/msg/A", Ros2Msg, rich).is_ok());
+        for (at, character) in rich.char_indices() {
+            for encoding in [Ros2Msg, Ros2Idl] {
+                let _ = read("a/msg/A", encoding, &rich[..at]);
+                for other in ["", "=", "===", "\n", "\r", ":", "/", "é"] {
+                    let text = [&rich[..at], other, &rich[at + character.len_utf8()..]].concat();
+                    let _ = read("a/msg/A", encoding, &text);
+                }
+            }
+        }
+    }
 }
