@@ -111,6 +111,16 @@ pub enum Error {
         "`{0}` is not an interface name: expected `package/msg/Type`, `package/srv/Type` or `package/action/Type`"
     )]
     Name(String),
+    /// A service or an action was given the name of something else.
+    #[error("{origin}: {name} cannot be the name of what is defined here: expected `package/{expected}/Type`")]
+    Kind {
+        /// The file.
+        origin: String,
+        /// The name.
+        name: Box<TypeName>,
+        /// The middle it should have.
+        expected: &'static str,
+    },
     /// A type description does not describe what ROS 2 can have.
     #[error("{origin}: the description of `{type_name}`{} {message}", field.as_ref().map(|field| format!(", field `{field}`,")).unwrap_or_default())]
     Description {

@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use super::literal::{parse_element, parse_value, without_underscores};
 use crate::name::{is_constant_name, is_package_name, is_type_or_part_name};
 use crate::{
-    Constant, Element, Error, Field, FieldType, Kind, MessageDefinition, Place, Primitive, Shape, TypeName,
+    Constant, Element, Error, Field, FieldType, MessageDefinition, Place, Primitive, Shape, TypeName,
 };
 
 /// Reads a message whose first line is the line `first_line` of its file.
@@ -237,7 +237,7 @@ fn parse_element_type(text: &str, package: &str) -> Result<Element, String> {
         return Err(format!("`{text}`: within a definition the name is written `{package}/{name}`"));
     }
     if is_package_name(package) && is_type_or_part_name(name) {
-        Ok(Element::Message(TypeName::new(package, Kind::Message, name)))
+        Ok(Element::Message(TypeName::from_short(package, name)))
     } else {
         Err(format!("`{text}` is neither a primitive type nor a message name such as `std_msgs/Header`"))
     }
