@@ -8,6 +8,8 @@ use downbeat::duration::parse as duration;
 use downbeat::inspect::Request;
 use downbeat::robot::{RobotFile, RobotFileError};
 
+use super::interface::InterfaceCommand;
+
 /// Robot software as small modules in one process, seen and driven from ROS 2 Jazzy, recorded and replayed.
 ///
 /// Environment: ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as ROS 2 reads them; DOWNBEAT_LOG sets what is
@@ -34,6 +36,9 @@ pub(crate) enum Command {
     /// Look at a bag, record one, play one.
     #[command(subcommand)]
     Bag(BagCommand),
+    /// Look at ROS 2 interfaces: list them, show one, its hash, its description.
+    #[command(subcommand)]
+    Interface(InterfaceCommand),
     /// Run an emulated device alone.
     #[command(subcommand)]
     Emulate(EmulateCommand),
