@@ -267,7 +267,10 @@ mod tests {
             (format!("B b\n{rule}\nB\n"), "bag:3:1: expected a line such as `MSG: package/Type`"),
             (format!("B b\n{rule}"), "bag:3:1: expected a line such as"),
             (format!("{rule}\nMSG: b\n"), "bag:2:1: `b` is not an interface name"),
-            (format!("{rule}\nSRV: a/msg/S\n---\n"), "bag: a/msg/S cannot be the name of what is defined here"),
+            (
+                format!("{rule}\nSRV: a/msg/S\n---\n"),
+                "bag: a/msg/S cannot be the name of what is defined here",
+            ),
             (format!("{rule}\nSRV: a/S\nint8 x\n"), "bag:3:1: a service is a request and a response"),
             (format!("{rule}\nSRV: a/srv/S\n---\nint8\n"), "bag:4:5: expected a name"),
             (format!("{rule}\nIDL: a/msg/S\n\n  struct\n"), "bag:5:1: expected the name of the struct"),
