@@ -10,6 +10,7 @@
 //! ```
 
 pub mod duration;
+pub mod encoding;
 pub mod inspect;
 pub mod playback;
 pub mod recorder;

@@ -6,7 +6,10 @@ use downbeat_bridge::edge::{KnownType, Sink};
 use downbeat_executor::{
     Core, Inbox, Module, ModuleOptions, Role, Setup, SetupError, Synchrony, Time, TopicInfo,
 };
+use downbeat_msgs::encoding::{self, Codec, Encoding};
 use downbeat_msgs::qos::QosProfile;
+
+use crate::encoding::topic_info;
 
 /// Why a robot cannot be recorded.
 #[derive(Debug, thiserror::Error)]
@@ -17,6 +20,9 @@ pub enum RecorderError {
     /// The bag did not take a topic.
     #[error(transparent)]
     Bag(#[from] RecordError),
+    /// A type cannot be in the encoding.
+    #[error(transparent)]
+    Encoding(#[from] encoding::Error),
 }
 
 /// What happens to a message when the disk is slower than the robot.
@@ -32,15 +38,17 @@ pub enum WhenFull {
 /// last messages of every module are recorded.
 ///
 /// Messages are stamped with the time of the cycle that published them. A topic whose messages are no ROS
-/// messages is passed over. The offered QoS noted in the bag is what `qos_of` says of a topic.
+/// messages is passed over. The offered QoS noted in the bag is what `qos_of` says of a topic. A message that has no place
+/// in the encoding (a time before 1970 in FlatBuffers) is logged and left out.
 ///
 /// # Errors
-/// If the core already has a recorder, or the recording has ended.
+/// If the core already has a recorder, the recording has ended, or this build lacks the encoding.
 pub fn record(
     core: &mut Core,
     recording: &Recording,
     topics: &[TopicInfo],
     when_full: WhenFull,
+    encoding: Encoding,
     qos_of: impl Fn(&str) -> QosProfile,
 ) -> Result<(), RecorderError> {
     let sender = recording.sender();
@@ -50,14 +58,10 @@ pub fn record(
             tracing::debug!("{} is not recorded: {} is no ROS message", topic.name, topic.message_type);
             continue;
         };
-        let id = sender.add_topic(downbeat_bags::TopicInfo {
-            name: format!("/{}", topic.name),
-            type_name: message_type.name().into(),
-            definition: message_type.definition().into(),
-            type_hash: message_type.hash().into(),
-            offered_qos: vec![qos_of(&topic.name)],
-        })?;
-        recorder.topics.push((topic.name.to_string(), message_type, id));
+        let qos = vec![qos_of(&topic.name)];
+        let (info, codec) = topic_info(format!("/{}", topic.name), message_type, qos, encoding)?;
+        let id = sender.add_topic(info)?;
+        recorder.topics.push((topic.name.to_string(), message_type, codec, id));
     }
     let options = ModuleOptions {
         synchrony: Synchrony::Detached(Inbox::KeepAll),
@@ -70,17 +74,14 @@ pub fn record(
 struct Recorder {
     sender: RecordingSender,
     when_full: WhenFull,
-    topics: Vec<(String, KnownType, TopicId)>,
+    topics: Vec<(String, KnownType, Option<Codec>, TopicId)>,
 }
 
 impl Module for Recorder {
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        for (topic, message_type, id) in self.topics.drain(..) {
-            message_type.subscribe(
-                setup,
-                &topic,
-                ToBag { sender: self.sender.clone(), when_full: self.when_full, topic: id },
-            )?;
+        for (name, message_type, codec, topic) in self.topics.drain(..) {
+            let to_bag = ToBag { sender: self.sender.clone(), when_full: self.when_full, codec, topic };
+            message_type.subscribe(setup, &name, to_bag)?;
         }
         Ok(())
     }
@@ -89,17 +90,23 @@ impl Module for Recorder {
 struct ToBag {
     sender: RecordingSender,
     when_full: WhenFull,
+    codec: Option<Codec>,
     topic: TopicId,
 }
 
 impl Sink for ToBag {
     fn take(&mut self, time: Time, cdr: Bytes) {
         let time = time.as_nanos();
+        let data = match self.codec.as_ref().map(|codec| codec.encode(&cdr)) {
+            None => cdr,
+            Some(Ok(data)) => data.into(),
+            Some(Err(error)) => return tracing::warn!("a message is not recorded: {error}"),
+        };
         // A full queue is counted by the recording and told with its numbers; a message in the log for each
         // lost one would only add to the load.
         let recorded = match self.when_full {
-            WhenFull::Lose => self.sender.record(self.topic, time, time, cdr),
-            WhenFull::Wait => self.sender.record_blocking(self.topic, time, time, cdr),
+            WhenFull::Lose => self.sender.record(self.topic, time, time, data),
+            WhenFull::Wait => self.sender.record_blocking(self.topic, time, time, data),
         };
         if let Err(error) = recorded {
             tracing::debug!("{error}");

@@ -17,6 +17,7 @@
 //!     definition: "string data\n".to_owned(),
 //!     type_hash: "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18".to_owned(),
 //!     offered_qos: vec![downbeat_msgs::qos::QosProfile::DEFAULT],
+//!     format: None,
 //! })?;
 //! let hi = Bytes::from_static(b"\x00\x01\x00\x00\x03\x00\x00\x00hi\x00");
 //! sender.record(chatter, 1_000_000_500, 1_000_000_000, hi.clone())?;
@@ -55,5 +56,5 @@ pub use reader::{
 };
 pub use recording::{RecordError, Recording, RecordingFailed, RecordingSender, RecordingStatistics};
 pub use summary::{RecordingSummary, TopicCount};
-pub use topic::{TopicId, TopicInfo};
+pub use topic::{MessageFormat, TopicId, TopicInfo};
 pub use writer::{Compression, Writer, WriterError, WriterOptions};

@@ -1,5 +1,6 @@
 //! What a bag knows of a topic.
 
+use downbeat_msgs::encoding::Schema;
 use downbeat_msgs::qos::QosProfile;
 
 /// A topic as a bag describes it. The strings come from whoever made the type; this crate knows no message types.
@@ -11,12 +12,46 @@ pub struct TopicInfo {
     pub type_name: String,
     /// The `ros2msg` text of the type, its dependencies included, as rosbag2 writes it.
     ///
-    /// Empty when it is not known. A reader also leaves it empty when the bag holds something other than `ros2msg`.
+    /// Empty when it is not known. A reader also leaves it empty when the bag holds something other than `ros2msg`, and a
+    /// writer does not write it where [`TopicInfo::format`] has a schema.
     pub definition: String,
     /// Type hash as in REP-2016, `RIHS01_…`; empty when it is not known.
     pub type_hash: String,
     /// What each publisher of the topic offered.
     pub offered_qos: Vec<QosProfile>,
+    /// How its messages are serialised, where that is not CDR.
+    pub format: Option<MessageFormat>,
+}
+
+impl TopicInfo {
+    /// What a channel and the metadata of a bag say of the serialisation.
+    pub(crate) fn message_encoding(&self) -> &str {
+        self.format.as_ref().map_or("cdr", |format| &format.message_encoding)
+    }
+
+    /// What the messages are to be read by.
+    pub(crate) fn schema(&self) -> Schema {
+        self.format.as_ref().map_or_else(
+            || Schema {
+                name: self.type_name.clone(),
+                // The format asks for an empty encoding where there is no schema text.
+                encoding: if self.definition.is_empty() { "" } else { "ros2msg" }.to_owned(),
+                data: self.definition.clone().into_bytes(),
+            },
+            |format| format.schema.clone(),
+        )
+    }
+}
+
+/// A serialisation other than CDR, as an MCAP file describes it.
+///
+/// The type of the topic is that of ROS 2 all the same; a channel notes it as `topic_type` beside the `topic_type_hash`.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct MessageFormat {
+    /// `json`, `protobuf`, …
+    pub message_encoding: String,
+    /// By what the messages are to be read; its name may be none of ROS 2.
+    pub schema: Schema,
 }
 
 /// A topic of one [`Writer`](crate::Writer), one [`Recording`](crate::Recording) or one [`Reader`](crate::Reader):

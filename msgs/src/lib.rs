@@ -21,12 +21,21 @@
 // First, so that the macros it defines are known below.
 include!(concat!(env!("OUT_DIR"), "/interfaces.rs"));
 
+pub mod byte_list;
 pub mod cdr;
 pub mod description;
 pub mod dynamic;
+pub mod encoding;
+#[cfg(feature = "flatbuffers")]
+pub mod flatbuffers;
+#[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
+pub mod foxglove;
 pub mod large_array;
+#[cfg(feature = "protobuf")]
+pub mod protobuf;
 pub mod qos;
 
+mod interchange;
 mod message;
 mod time;
 

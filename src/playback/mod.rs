@@ -4,9 +4,12 @@ mod steps;
 
 use std::collections::BTreeMap;
 
-use downbeat_bags::{BagMessage, Reader, ReaderError, Selection, TopicId};
-use downbeat_bridge::edge::{EncodedInlet, EncodedInletError, KnownType, UnknownType};
+use downbeat_bags::{BagMessage, Reader, ReaderError, RecordedTopic, Selection, TopicId};
+use downbeat_bridge::edge::{EncodedInlet, EncodedInletError};
 use downbeat_executor::{Clock, Core, ManualClock, RunError, SetupError, Time, TopicInfo};
+use downbeat_msgs::encoding;
+
+use crate::encoding::{RecordedType, RecordedTypeError};
 
 pub use steps::{ReplayError, replay_module};
 
@@ -30,9 +33,12 @@ pub enum PlaybackError {
     /// Messages of the bag would mix with a module's.
     #[error("a module of the robot publishes \"{0}\" itself; remap it there, or leave that module out")]
     IsPublished(String),
-    /// The type is not compiled in.
+    /// The type is not compiled in, or its messages are in an encoding that is not read here.
     #[error(transparent)]
-    Type(#[from] UnknownType),
+    Type(#[from] RecordedTypeError),
+    /// A message is not what its encoding says.
+    #[error(transparent)]
+    Encoding(#[from] encoding::Error),
     /// The core has the topic with another type.
     #[error(transparent)]
     Setup(#[from] SetupError),
@@ -70,8 +76,8 @@ pub fn play_into(
     for message in reader.messages(selection)? {
         let BagMessage { topic, log_time, data, .. } = message?;
         run_until(core, clock, Time::from_nanos(log_time))?;
-        if let Some(inlet) = inlets.get(&topic) {
-            inlet.publish(&data)?;
+        if let Some((inlet, recorded)) = inlets.get(&topic) {
+            inlet.publish(&recorded.to_cdr(data)?)?;
             played += 1;
         }
     }
@@ -103,7 +109,7 @@ fn inlets(
     core: &mut Core,
     reader: &Reader,
     topics: &[String],
-) -> Result<BTreeMap<TopicId, EncodedInlet>, PlaybackError> {
+) -> Result<BTreeMap<TopicId, (EncodedInlet, RecordedType)>, PlaybackError> {
     let known = || reader.topics().iter().map(|topic| topic.info.name.clone()).collect();
     let mut inlets = BTreeMap::new();
     if topics.is_empty() {
@@ -111,7 +117,7 @@ fn inlets(
             let name = topic.info.name.trim_start_matches('/');
             let is_wanted = core.topics().any(|known| *known.name == *name && !known.is_published);
             if let (true, Some(id)) = (is_wanted, reader.topic(&topic.info.name)) {
-                inlets.insert(id, open(core, name, &topic.info.type_name)?);
+                inlets.insert(id, open(core, name, topic)?);
             }
         }
         return Ok(inlets);
@@ -125,11 +131,16 @@ fn inlets(
         if core.topics().any(is_published) {
             return Err(PlaybackError::IsPublished(topic.clone()));
         }
-        inlets.insert(id, open(core, &absolute, &reader.topics()[id.index()].info.type_name)?);
+        inlets.insert(id, open(core, &absolute, &reader.topics()[id.index()])?);
     }
     Ok(inlets)
 }
 
-fn open(core: &mut Core, topic: &str, type_name: &str) -> Result<EncodedInlet, PlaybackError> {
-    Ok(KnownType::named(type_name)?.inlet(core, topic)?)
+fn open(
+    core: &mut Core,
+    name: &str,
+    topic: &RecordedTopic,
+) -> Result<(EncodedInlet, RecordedType), PlaybackError> {
+    let recorded = RecordedType::of(topic)?;
+    Ok((recorded.message_type().inlet(core, name)?, recorded))
 }

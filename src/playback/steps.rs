@@ -4,11 +4,13 @@ use std::collections::{BTreeMap, VecDeque};
 
 use bytes::Bytes;
 use downbeat_bags::{Reader, ReaderError, Selection};
-use downbeat_bridge::edge::{EncodedInlet, EncodedInletError, KnownType, UnknownType};
+use downbeat_bridge::edge::{EncodedInlet, EncodedInletError};
 use downbeat_executor::{Core, ManualClock, RunError, SetupError, Time};
 use downbeat_msgs::cdr;
 use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
+use downbeat_msgs::encoding;
 
+use crate::encoding::{RecordedType, RecordedTypeError};
 use crate::step_journal;
 
 /// Why a module cannot be replayed.
@@ -39,9 +41,12 @@ pub enum ReplayError {
     /// The first run received messages, which none can.
     #[error("the first run of the module in the bag is not its start; record it from the start")]
     NotFromStart,
-    /// The type is not compiled in.
+    /// The type is not compiled in, or its messages are in an encoding that is not read here.
     #[error(transparent)]
-    Type(#[from] UnknownType),
+    Type(#[from] RecordedTypeError),
+    /// A message is not what its encoding says.
+    #[error(transparent)]
+    Encoding(#[from] encoding::Error),
     /// The core has the topic with another type.
     #[error(transparent)]
     Setup(#[from] SetupError),
@@ -89,9 +94,10 @@ pub fn replay_module(
 fn read_steps(reader: &Reader, module: &str) -> Result<Vec<ModuleStep>, ReplayError> {
     let topic = format!("/{}", step_journal::TOPIC);
     let Some(id) = reader.topic(&topic) else { return Err(ReplayError::NoSteps(module.into())) };
+    let recorded = RecordedType::of(&reader.topics()[id.index()])?;
     let mut steps = Vec::new();
     for (number, message) in reader.messages(Selection::all().topics([id]))?.enumerate() {
-        let step = cdr::from_slice::<ModuleStep>(&message?.data)
+        let step = cdr::from_slice::<ModuleStep>(&recorded.to_cdr(message?.data)?)
             .map_err(|source| ReplayError::Step { number, source })?;
         if step.module == module {
             steps.push(step);
@@ -118,9 +124,11 @@ impl Inputs {
             }
             let missing = || ReplayError::MissingInput { step: step.step, topic: name.clone() };
             let id = reader.topic(&format!("/{name}")).ok_or_else(missing)?;
-            let inlet = KnownType::named(&reader.topics()[id.index()].info.type_name)?.inlet(core, name)?;
+            let recorded = RecordedType::of(&reader.topics()[id.index()])?;
+            let inlet = recorded.message_type().inlet(core, name)?;
             let messages = reader.messages(Selection::all().topics([id]))?;
-            let messages = messages.map(|message| Ok(message?.data)).collect::<Result<_, ReaderError>>()?;
+            let messages = messages.map(|message| Ok(recorded.to_cdr(message?.data)?));
+            let messages = messages.collect::<Result<_, ReplayError>>()?;
             topics.insert(name.clone(), (inlet, messages));
         }
         Ok(Self { topics })

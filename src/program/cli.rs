@@ -6,7 +6,10 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use downbeat::duration::parse as duration;
 use downbeat::inspect::Request;
+use downbeat::msgs::encoding::Encoding;
 use downbeat::robot::{RobotFile, RobotFileError};
+
+use super::interface::InterfaceCommand;
 
 /// Robot software as small modules in one process, seen and driven from ROS 2 Jazzy, recorded and replayed.
 ///
@@ -34,6 +37,9 @@ pub(crate) enum Command {
     /// Look at a bag, record one, play one.
     #[command(subcommand)]
     Bag(BagCommand),
+    /// Look at ROS 2 interfaces: list them, show one, its hash, its description.
+    #[command(subcommand)]
+    Interface(InterfaceCommand),
     /// Run an emulated device alone.
     #[command(subcommand)]
     Emulate(EmulateCommand),
@@ -50,6 +56,10 @@ pub(crate) struct RunArguments {
     /// Record into this new rosbag2 directory what the robot file's [record] names.
     #[arg(long, value_name = "DIR")]
     pub(crate) record: Option<PathBuf>,
+    /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers, instead of
+    /// what the robot file's [record] says.
+    #[arg(long, value_name = "ENCODING", requires = "record")]
+    pub(crate) encoding: Option<Encoding>,
     /// The ROS domain, instead of ROS_DOMAIN_ID.
     #[arg(long, value_name = "N")]
     pub(crate) domain: Option<u16>,
@@ -165,6 +175,10 @@ pub(crate) struct RecordArguments {
     /// Compress with Zstandard.
     #[arg(long)]
     pub(crate) zstd: bool,
+    /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers, cdr
+    /// unless given or, with --robot, the robot file's [record] says another.
+    #[arg(long, value_name = "ENCODING")]
+    pub(crate) encoding: Option<Encoding>,
     /// Stop after this time: 500ms, 10s, 5m, 1h.
     #[arg(long, value_parser = duration, value_name = "TIME")]
     pub(crate) duration: Option<Duration>,
@@ -193,6 +207,10 @@ pub(crate) struct PlayArguments {
     /// With --into: record what the modules publish into this new rosbag2 directory.
     #[arg(long, value_name = "DIR", requires = "into")]
     pub(crate) record: Option<PathBuf>,
+    /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers, cdr
+    /// unless given.
+    #[arg(long, value_name = "ENCODING", requires = "record")]
+    pub(crate) encoding: Option<Encoding>,
     /// The ROS domain, instead of ROS_DOMAIN_ID.
     #[arg(long, value_name = "N")]
     pub(crate) domain: Option<u16>,

@@ -10,6 +10,7 @@ pub(crate) mod cli;
 mod emulate;
 mod faults;
 mod graph;
+mod interface;
 mod logging;
 mod run;
 mod screen;
@@ -38,6 +39,7 @@ pub(crate) fn main(cli: Cli) -> ExitCode {
         Command::Bag(BagCommand::Info { bag }) => bag::info(&bag),
         Command::Bag(BagCommand::Record(arguments)) => bag::record::record(&arguments, &screen),
         Command::Bag(BagCommand::Play(arguments)) => bag::play::play(&arguments),
+        Command::Interface(command) => interface::interface(&command),
         Command::Emulate(EmulateCommand::DarwinOp { link, seed, fault }) => {
             emulate::darwin_op(link, seed, &fault)
         }

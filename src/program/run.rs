@@ -13,7 +13,7 @@ pub(crate) fn run(arguments: &RunArguments, screen: &Screen) -> anyhow::Result<(
     let options = participant_options(arguments.domain)?;
     session.expose(&options)?;
     if let Some(directory) = &arguments.record {
-        session.record(directory, None)?;
+        session.record(directory, None, arguments.encoding)?;
     }
     let stop = Stop::new(arguments.duration)?;
     session.run(&stop, screen)

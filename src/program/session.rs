@@ -12,6 +12,7 @@ use downbeat::bridge::middleware::{self, ParticipantOptions};
 use downbeat::bridge::ros::{Node, NodeName, Participant};
 use downbeat::executor::{Core, CoreHandle, RunError};
 use downbeat::inspect::{InspectionServer, SocketDirectory};
+use downbeat::msgs::encoding::Encoding;
 use downbeat::msgs::qos::QosProfile;
 use downbeat::recorder::{self, WhenFull};
 use downbeat::robot::{Robot, RobotFile};
@@ -69,11 +70,12 @@ impl Session {
         Ok(())
     }
 
-    /// Records what the robot file's `[record]` names, with its compression unless another is asked for.
+    /// Records what the robot file's `[record]` names, with its compression and encoding unless others are asked for.
     pub(crate) fn record(
         &mut self,
         directory: &Path,
         compression: Option<Compression>,
+        encoding: Option<Encoding>,
     ) -> anyhow::Result<()> {
         let file = &self.robot.file;
         let mut options = WriterOptions::new().compression(compression.unwrap_or(file.record.compression));
@@ -92,7 +94,8 @@ impl Session {
         let qos_of = |name: &str| {
             exposed.iter().find(|(topic, _)| topic == name).map_or(QosProfile::DEFAULT, |&(_, qos)| qos)
         };
-        recorder::record(&mut self.robot.core, &recording, &topics, WhenFull::Lose, qos_of)?;
+        let encoding = encoding.unwrap_or(file.record.encoding);
+        recorder::record(&mut self.robot.core, &recording, &topics, WhenFull::Lose, encoding, qos_of)?;
         tracing::info!("recording into {}", directory.display());
         self.recording = Some(recording);
         Ok(())

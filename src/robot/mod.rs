@@ -28,6 +28,7 @@
 //! [record]
 //! topics = "all"
 //! compression = "zstd"
+//! encoding = "cdr"
 //! ```
 //!
 //! Times are texts with a unit: `"50us"`, `"20ms"`, `"1.5s"`, `"5m"`, `"1h"`.
@@ -68,7 +69,9 @@
 //! - `[expose]`: topics that go `out` to ROS 2 or come `in`; a name, or a table with `topic`, `as` (another name in
 //!   ROS 2), `type` (checked if given) and `qos`: a preset (`default`, `sensor_data`, `latched`, …) or a table with
 //!   `preset`, `reliability`, `durability`, `history`, `depth`, `deadline_ms`.
-//! - `[record]`: what `--record` writes: `topics`, "all" or a list; `compression`, "none" or "zstd".
+//! - `[record]`: what `--record` writes: `topics`, "all" or a list; `compression`, "none" or "zstd";
+//!   `encoding`, how messages are serialised: "cdr" as ROS 2 does, "json", "cbor", "protobuf", "foxglove-protobuf",
+//!   "flatbuffers" or "foxglove-flatbuffers" (see [`downbeat_msgs::encoding`]).
 //!
 //! # ROS 2 parameters
 //! Settings also come from ROS 2 parameter files, in `params` or with `--params-file`, and from `-p

@@ -2,12 +2,13 @@
 
 use std::collections::HashMap;
 
+use downbeat_msgs::encoding::Schema;
 use mcap::records::Channel;
 
 use super::RecordedTopic;
 use super::file::BagFile;
 use crate::metadata::{Metadata, RecordedQos, TopicMetadata, qos_from_yaml};
-use crate::topic::{TopicId, TopicInfo};
+use crate::topic::{MessageFormat, TopicId, TopicInfo};
 
 /// Returns the topics, in the order of the metadata where it names them, and for each file the topic of each channel.
 ///
@@ -50,6 +51,7 @@ fn from_metadata(topic: &TopicMetadata) -> RecordedTopic {
             definition: String::new(),
             type_hash: topic.type_hash.clone(),
             offered_qos: topic.offered_qos.iter().map(RecordedQos::to_profile).collect(),
+            format: None,
         },
         serialization_format: topic.serialization_format.clone(),
         message_count: 0,
@@ -64,12 +66,23 @@ fn from_channel(file: &BagFile, channel: &Channel) -> RecordedTopic {
     RecordedTopic {
         info: TopicInfo {
             name: channel.topic.clone(),
-            type_name: schema.map_or_else(String::new, |schema| schema.name.clone()),
+            type_name: match text("topic_type") {
+                "" => schema.map_or_else(String::new, |schema| schema.name.clone()),
+                type_name => type_name.to_owned(),
+            },
             definition: schema
                 .filter(|schema| schema.encoding == "ros2msg")
                 .map_or_else(String::new, |schema| String::from_utf8_lossy(&schema.data).into_owned()),
             type_hash: text("topic_type_hash").to_owned(),
             offered_qos: offered_qos.iter().map(RecordedQos::to_profile).collect(),
+            format: (channel.message_encoding != "cdr").then(|| MessageFormat {
+                message_encoding: channel.message_encoding.clone(),
+                schema: schema.map_or_else(Schema::default, |schema| Schema {
+                    name: schema.name.clone(),
+                    encoding: schema.encoding.clone(),
+                    data: schema.data.to_vec(),
+                }),
+            }),
         },
         serialization_format: channel.message_encoding.clone(),
         message_count: 0,
@@ -86,5 +99,8 @@ fn complete(info: &mut TopicInfo, seen: TopicInfo) {
     }
     if info.offered_qos.is_empty() {
         info.offered_qos = seen.offered_qos;
+    }
+    if info.format.is_none() {
+        info.format = seen.format;
     }
 }

@@ -61,10 +61,14 @@ impl ChunkedFile {
 
     /// Returns the channel of the topic.
     pub(super) fn add_topic(&mut self, topic: &TopicInfo) -> io::Result<u16> {
-        let metadata = BTreeMap::from([
+        let mut metadata = BTreeMap::from([
             ("offered_qos_profiles".to_owned(), qos_to_yaml(&topic.offered_qos)),
             ("topic_type_hash".to_owned(), topic.type_hash.clone()),
         ]);
+        if topic.format.is_some() {
+            // The schema may have another name.
+            metadata.insert("topic_type".to_owned(), topic.type_name.clone());
+        }
         let mut new_records = Vec::new();
         let channel = self.summary.add_topic(topic, &metadata, &mut new_records)?;
         self.chunk.add_records(&new_records);

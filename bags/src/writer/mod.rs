@@ -325,7 +325,7 @@ impl Writer {
                 .map(|topic| TopicMetadata {
                     name: topic.info.name.clone(),
                     type_name: topic.info.type_name.clone(),
-                    serialization_format: "cdr".to_owned(),
+                    serialization_format: topic.info.message_encoding().to_owned(),
                     offered_qos: topic.info.offered_qos.iter().map(RecordedQos::from).collect(),
                     type_hash: topic.info.type_hash.clone(),
                     message_count: topic.written,

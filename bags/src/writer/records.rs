@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 use std::io;
 
+use downbeat_msgs::encoding::Schema;
 use mcap::records::{
     ChunkHeader, ChunkIndex, MessageHeader, MessageIndexEntry, MetadataIndex, Statistics, op,
 };
@@ -35,13 +36,15 @@ pub(super) fn header(out: &mut Vec<u8>, profile: &str, library: &str) -> io::Res
     })
 }
 
-pub(super) fn schema(out: &mut Vec<u8>, id: u16, name: &str, definition: &str) -> io::Result<()> {
+pub(super) fn schema(out: &mut Vec<u8>, id: u16, schema: &Schema) -> io::Result<()> {
     record(out, op::SCHEMA, |out| {
         out.extend_from_slice(&id.to_le_bytes());
-        text(out, name)?;
-        // The format asks for an empty encoding where there is no schema text.
-        text(out, if definition.is_empty() { "" } else { "ros2msg" })?;
-        text(out, definition)
+        text(out, &schema.name)?;
+        text(out, &schema.encoding)?;
+        with_length(out, |out| {
+            out.extend_from_slice(&schema.data);
+            Ok(())
+        })
     })
 }
 
@@ -56,7 +59,7 @@ pub(super) fn channel(
         out.extend_from_slice(&id.to_le_bytes());
         out.extend_from_slice(&schema.to_le_bytes());
         text(out, &topic.name)?;
-        text(out, "cdr")?;
+        text(out, topic.message_encoding())?;
         texts(out, metadata)
     })
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::io;
 
+use downbeat_msgs::encoding::Schema;
 use mcap::records::{ChunkIndex, MetadataIndex, Statistics, op};
 
 use super::records;
@@ -10,8 +11,8 @@ use crate::topic::TopicInfo;
 
 #[derive(Default)]
 pub(super) struct Summary {
-    /// Type name and definition; the id of a schema is its position, counted from 1: 0 means none.
-    schemas: Vec<(String, String)>,
+    /// The id of a schema is its position, counted from 1: 0 means none.
+    schemas: Vec<Schema>,
     /// The records of all schemas, and of all channels.
     schema_records: Vec<u8>,
     channel_records: Vec<u8>,
@@ -31,21 +32,19 @@ impl Summary {
         out: &mut Vec<u8>,
     ) -> io::Result<u16> {
         let too_many = |_| io::Error::other("MCAP has no place for more types");
-        let known = self
-            .schemas
-            .iter()
-            .position(|(name, definition)| *name == topic.type_name && *definition == topic.definition);
+        let of_topic = topic.schema();
+        let known = self.schemas.iter().position(|schema| *schema == of_topic);
         let schema = u16::try_from(known.unwrap_or(self.schemas.len()) + 1).map_err(too_many)?;
         let mut of_schema = Vec::new();
         if known.is_none() {
-            records::schema(&mut of_schema, schema, &topic.type_name, &topic.definition)?;
+            records::schema(&mut of_schema, schema, &of_topic)?;
         }
         let channel = self.channels;
         let mut of_channel = Vec::new();
         records::channel(&mut of_channel, channel, schema, topic, metadata)?;
 
         if known.is_none() {
-            self.schemas.push((topic.type_name.clone(), topic.definition.clone()));
+            self.schemas.push(of_topic);
         }
         self.channels += 1;
         self.schema_records.extend_from_slice(&of_schema);

@@ -16,6 +16,7 @@ fn topic<M: Message>(name: &str, qos: QosProfile) -> TopicInfo {
         definition: M::DEFINITION.to_owned(),
         type_hash: M::TYPE_HASH.to_owned(),
         offered_qos: vec![qos],
+        format: None,
     }
 }
 

@@ -17,6 +17,7 @@ pub fn topic(name: &str) -> TopicInfo {
         definition: "int64 data\n".to_owned(),
         type_hash: String::new(),
         offered_qos: vec![QosProfile::DEFAULT],
+        format: None,
     }
 }
 

@@ -111,6 +111,28 @@ pub enum Error {
         "`{0}` is not an interface name: expected `package/msg/Type`, `package/srv/Type` or `package/action/Type`"
     )]
     Name(String),
+    /// A service or an action was given the name of something else.
+    #[error("{origin}: {name} cannot be the name of what is defined here: expected `package/{expected}/Type`")]
+    Kind {
+        /// The file.
+        origin: String,
+        /// The name.
+        name: Box<TypeName>,
+        /// The middle it should have.
+        expected: &'static str,
+    },
+    /// A type description does not describe what ROS 2 can have.
+    #[error("{origin}: the description of `{type_name}`{} {message}", field.as_ref().map(|field| format!(", field `{field}`,")).unwrap_or_default())]
+    Description {
+        /// What names the description.
+        origin: String,
+        /// The type within it.
+        type_name: String,
+        /// The field at fault, if it is one.
+        field: Option<String>,
+        /// What is wrong.
+        message: String,
+    },
     /// A definition text is in a language that is not understood.
     #[error("definition texts in `{0}` are not understood, only those in `ros2msg` and `ros2idl`")]
     Encoding(String),

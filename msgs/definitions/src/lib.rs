@@ -28,6 +28,7 @@ mod derived;
 mod description;
 mod error;
 mod idl;
+mod message_text;
 mod name;
 mod parse;
 

@@ -55,6 +55,18 @@ impl TypeName {
         format!("{}/{}", self.package, self.name)
     }
 
+    /// The name that [`short`](TypeName::short) shortens. A message's own name has no underscore, so one that has is a part of a
+    /// service or an action.
+    pub(crate) fn from_short(package: &str, name: &str) -> Self {
+        let first_part = name.split('_').nth(1);
+        let kind = match first_part {
+            None => Kind::Message,
+            Some("Request" | "Response" | "Event") => Kind::Service,
+            Some(_) => Kind::Action,
+        };
+        Self::new(package, kind, name)
+    }
+
     /// The same name with `suffix` added, for the parts of a service or an action.
     #[must_use]
     pub fn with_suffix(&self, suffix: &str) -> Self {

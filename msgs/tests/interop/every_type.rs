@@ -1,12 +1,14 @@
 //! Every message type as a table of functions.
 
-use downbeat_msgs::{Message, Service, cdr};
-use serde::Serialize;
+use std::path::Path;
+
+use downbeat_msgs::{Action, Message, Service, cdr};
+use downbeat_msgs_definitions::{Catalog, TypeName};
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
+use crate::exact::from_exact;
 use crate::odd_msgs;
-use crate::random::Random;
 
 /// A message type.
 pub struct Type {
@@ -15,46 +17,27 @@ pub struct Type {
     pub definition: &'static str,
     /// The bytes of its default value.
     pub default: fn() -> Vec<u8>,
-    /// The bytes of a random value within its bounds.
-    pub random: fn(&mut Random) -> Vec<u8>,
-    /// Reads bytes; gives them as we write them, and the value.
-    pub read: Read,
+    /// The bytes of a value, whose floating-point numbers are texts of their bits.
+    pub write: fn(&Value) -> Vec<u8>,
+    /// Reads bytes; gives them as we write them.
+    pub read: fn(&[u8]) -> cdr::Result<Vec<u8>>,
 }
 
-type Read = fn(&[u8]) -> cdr::Result<(Vec<u8>, Value)>;
-
 impl Type {
-    fn of<T: Message + Serialize + DeserializeOwned>() -> Self {
+    fn of<T: Message + DeserializeOwned>() -> Self {
         Self {
             name: T::TYPE_NAME,
             hash: T::TYPE_HASH,
             definition: T::DEFINITION,
             default: || cdr::to_vec(&T::default()),
-            random: |random| {
-                // Bounds of sequences are not known to serde, but to our reader.
-                let bytes = std::iter::repeat_with(|| cdr::to_vec(&random.value::<T>()));
-                let fitting = bytes.take(1000).find(|bytes| cdr::from_slice::<T>(bytes).is_ok());
-                fitting.unwrap_or_else(|| panic!("{}: no random value can be read", T::TYPE_NAME))
-            },
-            read: |bytes| {
-                let value: T = cdr::from_slice(bytes)?;
-                Ok((cdr::to_vec(&value), serde_json::to_value(&value).unwrap()))
-            },
+            write: |value| cdr::to_vec(&from_exact::<T>(value)),
+            read: |bytes| Ok(cdr::to_vec(&cdr::from_slice::<T>(bytes)?)),
         }
     }
-}
 
-/// Whether a type's package is in no wheel: those defined nowhere but here, and some of ROS 2.
-pub fn has_no_wheel(name: &str) -> bool {
-    const PACKAGES: [&str; 6] = [
-        "composition_interfaces/",
-        "downbeat_interfaces/",
-        "odd_msgs/",
-        "rosbag2_interfaces/",
-        "statistics_msgs/",
-        "tf2_msgs/",
-    ];
-    PACKAGES.iter().any(|package| name.starts_with(package))
+    pub fn type_name(&self) -> TypeName {
+        self.name.parse().unwrap()
+    }
 }
 
 /// The types this crate carries, and some that are odd.
@@ -77,10 +60,25 @@ pub fn every_type() -> Vec<Type> {
     types
 }
 
-/// Name and hash of each service that is carried.
-pub fn carried_services() -> Vec<(&'static str, &'static str)> {
-    macro_rules! table {
-        ($($service:ty),* $(,)?) => { vec![$((<$service>::TYPE_NAME, <$service>::TYPE_HASH)),*] };
+/// Name and hash of each service and each action.
+pub fn services_and_actions() -> Vec<(&'static str, &'static str)> {
+    macro_rules! services {
+        ($($service:ty),* $(,)?) => { vec![$((<$service as Service>::TYPE_NAME, <$service as Service>::TYPE_HASH)),*] };
     }
-    downbeat_msgs::for_each_service!(table)
+    macro_rules! actions {
+        ($($action:ty),* $(,)?) => { vec![$((<$action as Action>::TYPE_NAME, <$action as Action>::TYPE_HASH)),*] };
+    }
+    let mut all = downbeat_msgs::for_each_service!(services);
+    all.extend(downbeat_msgs::for_each_action!(actions));
+    all
+}
+
+/// The definitions the types are made from, read anew.
+pub fn catalog() -> Catalog {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut catalog = Catalog::new();
+    catalog.add_packages(&root.join("interfaces")).unwrap();
+    catalog.add_packages(&root.join("tests/data")).unwrap();
+    catalog.check().unwrap();
+    catalog
 }

@@ -1,7 +1,6 @@
 //! The Python at the other end.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -32,31 +31,44 @@ impl Peer {
         self.python.parent().and_then(Path::parent).unwrap().join("share")
     }
 
+    /// Whether the wheels have the package of that type.
+    pub fn has_package_of(&self, name: &str) -> bool {
+        let package = name.split('/').next().unwrap();
+        self.share().join(package).is_dir()
+    }
+
     /// The file the wheels have for an interface, or for the one that it is a part of.
     pub fn published(&self, name: &str) -> Value {
-        // The parts of a service or an action are in its file.
         let kind_ends = name.rfind('/').unwrap();
         let stem = name[kind_ends..].find('_').map_or(name, |end| &name[..kind_ends + end]);
-        let path = self.share().join(stem).with_extension("json");
-        let text =
-            std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
-        serde_json::from_str(&text).unwrap()
+        read_json(&self.share().join(stem).with_extension("json"))
     }
 
-    /// The hashes in the file the wheels have for an interface, by name.
-    pub fn published_hashes(&self, name: &str) -> BTreeMap<String, String> {
-        let json = self.published(name);
-        let text_of = |entry: &Value, key: &str| entry[key].as_str().unwrap().to_owned();
-        let entries = json["type_hashes"].as_array().unwrap().iter();
-        entries.map(|entry| (text_of(entry, "type_name"), text_of(entry, "hash_string"))).collect()
+    /// The hashes the wheels have, of messages, services and actions and all their parts.
+    pub fn published_hashes(&self) -> BTreeMap<String, String> {
+        let mut hashes = BTreeMap::new();
+        for package in entries(&self.share()) {
+            for path in ["msg", "srv", "action"].iter().flat_map(|kind| entries(&package.join(kind))) {
+                if path.extension().is_some_and(|extension| extension == "json") {
+                    for entry in read_json(&path)["type_hashes"].as_array().unwrap() {
+                        let text_of = |key: &str| entry[key].as_str().unwrap().to_owned();
+                        hashes.insert(text_of("type_name"), text_of("hash_string"));
+                    }
+                }
+            }
+        }
+        hashes
     }
 
-    /// Runs a command of `peer.py` with `input` in a file; gives what it prints.
-    pub fn ask(&self, command: &str, arguments: &[&str], input: &str) -> String {
-        let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("interop_{command}.txt"));
+    /// Runs a command of `python/peer.py` with `input` in a file; gives the parts of each line it prints.
+    pub fn ask(&self, command: &str, arguments: &[&str], input: &str) -> Answer {
+        // Tests run side by side, in one process or in several.
+        let test = std::thread::current().name().unwrap_or_default().replace("::", "_");
+        let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{test}_{command}.txt"));
         std::fs::write(&file, input).unwrap();
         let output = Command::new(&self.python)
-            .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/interop/peer.py"))
+            .arg("-B") // leaves no compiled files in the source tree
+            .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/interop/python/peer.py"))
             .arg(command)
             .arg(&file)
             .args(arguments)
@@ -66,18 +78,53 @@ impl Peer {
             .output()
             .unwrap_or_else(|error| panic!("cannot run {}: {error}", self.python.display()));
         assert!(output.status.success(), "peer.py {command}: {}", String::from_utf8_lossy(&output.stderr));
-        String::from_utf8(output.stdout).unwrap()
+        Answer { text: String::from_utf8(output.stdout).unwrap() }
     }
 }
 
+/// What a command printed.
+pub struct Answer {
+    text: String,
+}
+
+impl Answer {
+    /// The parts of each line; all must have as many.
+    pub fn lines<const PARTS: usize>(&self) -> Vec<[&str; PARTS]> {
+        let parts = self.text.lines().map(|line| line.split('\t').collect::<Vec<_>>());
+        parts.map(|parts| parts.try_into().unwrap_or_else(|parts| panic!("{parts:?}"))).collect()
+    }
+}
+
+/// What is in a folder, in order; nothing if it is none.
+fn entries(folder: &Path) -> Vec<PathBuf> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    paths.sort();
+    paths
+}
+
+fn read_json(path: &Path) -> Value {
+    let text = std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    serde_json::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// Written for speed without optimisation: much of what the tests do is this.
 pub fn hex(bytes: &[u8]) -> String {
-    bytes.iter().fold(String::new(), |mut text, byte| {
-        write!(text, "{byte:02x}").unwrap();
-        text
-    })
+    const DIGITS: &[u8; 16] = b"0123456789abcdef";
+    let mut digits = vec![0; bytes.len() * 2];
+    for (pair, byte) in digits.as_chunks_mut::<2>().0.iter_mut().zip(bytes) {
+        *pair = [DIGITS[usize::from(byte >> 4)], DIGITS[usize::from(byte & 15)]];
+    }
+    String::from_utf8(digits).unwrap()
 }
 
 pub fn unhex(text: &str) -> Vec<u8> {
-    let digits = text.as_bytes().as_chunks::<2>().0.iter();
-    digits.map(|pair| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap()).collect()
+    let value = |digit: u8| match digit {
+        b'0'..=b'9' => digit - b'0',
+        b'a'..=b'f' => digit - b'a' + 10,
+        _ => panic!("{digit:#x} is no hexadecimal digit"),
+    };
+    let (pairs, rest) = text.as_bytes().as_chunks::<2>();
+    assert!(rest.is_empty(), "half a byte");
+    pairs.iter().map(|&[high, low]| value(high) << 4 | value(low)).collect()
 }

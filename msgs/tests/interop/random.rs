@@ -1,177 +1,139 @@
-//! Random values of any type with `serde::Deserialize`: a deserializer that makes up what it is asked for.
+//! Random values of any type, made by its definition.
 
-use std::fmt;
+use downbeat_msgs_definitions::{Catalog, Element, FieldType, Primitive, Shape, TypeName};
+use serde_json::{Map, Value};
 
-use serde::de::value::BorrowedStrDeserializer;
-use serde::de::{DeserializeOwned, DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
+/// A value of a message, floating-point numbers as texts of their bits in hexadecimal: so each bit counts, and infinities
+/// and what is no number have a place in JSON.
+///
+/// The same seed, name and number give the same value.
+pub fn random_message(catalog: &Catalog, name: &TypeName, seed: u64, number: usize) -> Value {
+    let mut random = Random { catalog, state: seed };
+    for byte in format!("{name} {number}").bytes() {
+        random.state = random.state.rotate_left(8) ^ u64::from(byte);
+        random.bits();
+    }
+    random.message(name, 0)
+}
 
-/// A source of values that gives the same ones for the same seed (xorshift64*, S. Vigna 2016).
-pub struct Random {
+/// Characters whose UTF-8 and UTF-16 have each length. None is zero: C strings end there.
+const CHARACTERS: [char; 14] = [
+    'a',
+    'Z',
+    ' ',
+    '\t',
+    '\n',
+    '"',
+    '\\',
+    '\u{7f}',
+    'ü',
+    '\u{7ff}',
+    '漢',
+    '\u{ffff}',
+    '\u{1f600}',
+    '\u{10ffff}',
+];
+
+/// Lengths of sequences, the further in the shorter: messages within messages become large quickly.
+const LENGTHS_OF_MESSAGES: [&[u64]; 3] = [&[0, 1, 2, 3], &[0, 1, 2], &[0, 0, 1]];
+const LENGTHS: [&[u64]; 3] = [&[0, 1, 3, 17], &[0, 1, 2, 3], &[0, 1, 2]];
+
+/// A source of values (xorshift64*, S. Vigna 2016).
+struct Random<'a> {
+    catalog: &'a Catalog,
     state: u64,
 }
 
-impl Random {
-    pub fn new(seed: u64) -> Self {
-        Self { state: seed }
+impl Random<'_> {
+    fn message(&mut self, name: &TypeName, depth: usize) -> Value {
+        let fields = &self.catalog.message(name).unwrap_or_else(|error| panic!("{error}")).fields;
+        let values = fields.iter().map(|field| (field.name.clone(), self.field(&field.field_type, depth)));
+        Value::Object(values.collect::<Map<_, _>>())
     }
 
-    pub fn value<T: DeserializeOwned>(&mut self) -> T {
-        T::deserialize(&mut *self).unwrap_or_else(|error| panic!("{}: {error}", std::any::type_name::<T>()))
+    fn field(&mut self, field_type: &FieldType, depth: usize) -> Value {
+        let element = &field_type.element;
+        let bound = match field_type.shape {
+            Shape::Single => return self.element(element, depth),
+            Shape::Array(count) => return (0..count).map(|_| self.element(element, depth)).collect(),
+            Shape::Bounded(bound) => Some(bound),
+            Shape::Sequence => None,
+        };
+        let is_of_messages = matches!(element, Element::Message(_));
+        let lengths = if is_of_messages { LENGTHS_OF_MESSAGES } else { LENGTHS };
+        let length = match bound {
+            Some(bound) if depth < 2 && self.below(10) < 3 => bound,
+            _ => self.choose(lengths[depth.min(2)]).min(bound.unwrap_or(u64::MAX)),
+        };
+        (0..length).map(|_| self.element(element, depth)).collect()
     }
 
-    fn bits(&mut self) -> u64 {
-        self.state ^= self.state >> 12;
-        self.state ^= self.state << 25;
-        self.state ^= self.state >> 27;
-        self.state.wrapping_mul(0x2545_f491_4f6c_dd1d)
+    fn element(&mut self, element: &Element, depth: usize) -> Value {
+        match element {
+            Element::Primitive(primitive) => self.primitive(*primitive),
+            Element::String { bound } => self.text(*bound, char::len_utf8).into(),
+            Element::WString { bound } => self.text(*bound, char::len_utf16).into(),
+            Element::Message(name) => self.message(name, depth + 1),
+        }
+    }
+
+    fn primitive(&mut self, primitive: Primitive) -> Value {
+        match (primitive, primitive.range()) {
+            (Primitive::Float32, _) => format!("{:08x}", self.float32()).into(),
+            (Primitive::Float64, _) => format!("{:016x}", self.float64()).into(),
+            (_, Some((least, greatest))) => {
+                let between = least + i128::from(self.bits()) % (greatest - least + 1);
+                let value = self.choose(&[least, greatest, 0, between]);
+                i64::try_from(value).map_or_else(|_| (value as u64).into(), Value::from)
+            }
+            (_, None) => (self.below(2) == 1).into(),
+        }
+    }
+
+    /// Bits of a number; of what is no number only such as conversions between the two sizes keep.
+    fn float32(&mut self) -> u32 {
+        let edges = [0, 1 << 31, 0x7f80_0000, 0xff80_0000, 0x7fc0_0000, 0xffc1_2345, 1, 0x7f7f_ffff];
+        let bits = if self.below(3) == 0 { self.choose(&edges) } else { self.bits() as u32 };
+        if f32::from_bits(bits).is_nan() { bits | 1 << 22 } else { bits }
+    }
+
+    fn float64(&mut self) -> u64 {
+        let edges =
+            [0, 1 << 63, 0x7ff << 52, 0xfff << 52, 0x7ff8 << 48, 0xfff8_0000_0001_2345, 1, (0x7ff << 52) - 1];
+        let bits = if self.below(3) == 0 { self.choose(&edges) } else { self.bits() };
+        if f64::from_bits(bits).is_nan() { bits | 1 << 51 } else { bits }
+    }
+
+    fn text(&mut self, bound: Option<u64>, size: fn(char) -> usize) -> String {
+        if let Some(bound) = bound.filter(|_| self.below(10) < 3) {
+            return "x".repeat(bound as usize);
+        }
+        let mut text = String::new();
+        let mut left = bound.map_or(usize::MAX, |bound| bound as usize);
+        for _ in 0..self.choose(&[0, 0, 1, 3, 8, 25]) {
+            let character = self.choose(&CHARACTERS);
+            match left.checked_sub(size(character)) {
+                Some(rest) => left = rest,
+                None => break,
+            }
+            text.push(character);
+        }
+        text
+    }
+
+    fn choose<T: Copy>(&mut self, values: &[T]) -> T {
+        values[self.below(values.len())]
     }
 
     fn below(&mut self, bound: usize) -> usize {
         (self.bits() % bound as u64) as usize
     }
 
-    fn float(&mut self) -> f64 {
-        match self.below(12) {
-            0 => 0.0,
-            1 => -0.0,
-            2 => f64::INFINITY,
-            3 => f64::NEG_INFINITY,
-            4 => f64::NAN,
-            5 => f64::from(f32::MAX),
-            6 => f64::MIN_POSITIVE,
-            _ => (self.bits() as i64) as f64 / 1e12,
-        }
-    }
-
-    fn text(&mut self) -> String {
-        // No zero character: C strings end there.
-        const CHARACTERS: [char; 8] = ['a', 'Z', ' ', '\n', '"', 'ü', '漢', '\u{1f600}'];
-        (0..self.below(8)).map(|_| CHARACTERS[self.below(8)]).collect()
-    }
-}
-
-/// Nothing goes wrong but a type that messages never have.
-#[derive(Debug)]
-pub struct Unsupported(String);
-
-impl fmt::Display for Unsupported {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for Unsupported {}
-
-impl Error for Unsupported {
-    fn custom<T: fmt::Display>(message: T) -> Self {
-        Self(message.to_string())
-    }
-}
-
-macro_rules! integers {
-    ($($method:ident $visit:ident $integer:ty),*) => {$(
-        fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unsupported> {
-            visitor.$visit(self.bits() as $integer)
-        }
-    )*};
-}
-
-impl<'de> Deserializer<'de> for &mut Random {
-    type Error = Unsupported;
-
-    integers!(
-        deserialize_i8 visit_i8 i8, deserialize_u8 visit_u8 u8, deserialize_i16 visit_i16 i16,
-        deserialize_u16 visit_u16 u16, deserialize_i32 visit_i32 i32, deserialize_u32 visit_u32 u32,
-        deserialize_i64 visit_i64 i64, deserialize_u64 visit_u64 u64
-    );
-
-    fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unsupported> {
-        visitor.visit_bool(self.below(2) == 1)
-    }
-
-    fn deserialize_f32<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unsupported> {
-        visitor.visit_f32(self.float() as f32)
-    }
-
-    fn deserialize_f64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unsupported> {
-        visitor.visit_f64(self.float())
-    }
-
-    fn deserialize_string<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unsupported> {
-        visitor.visit_string(self.text())
-    }
-
-    fn deserialize_newtype_struct<V: Visitor<'de>>(
-        self,
-        _name: &'static str,
-        visitor: V,
-    ) -> Result<V::Value, Unsupported> {
-        visitor.visit_newtype_struct(self)
-    }
-
-    fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unsupported> {
-        let left = [0, 1, 1, 2, 3][self.below(5)];
-        visitor.visit_seq(Parts { random: self, left, names: &[] })
-    }
-
-    fn deserialize_tuple<V: Visitor<'de>>(self, left: usize, visitor: V) -> Result<V::Value, Unsupported> {
-        visitor.visit_seq(Parts { random: self, left, names: &[] })
-    }
-
-    fn deserialize_struct<V: Visitor<'de>>(
-        self,
-        _name: &'static str,
-        names: &'static [&'static str],
-        visitor: V,
-    ) -> Result<V::Value, Unsupported> {
-        visitor.visit_map(Parts { random: self, left: 0, names })
-    }
-
-    fn deserialize_any<V: Visitor<'de>>(self, _visitor: V) -> Result<V::Value, Unsupported> {
-        Err(Unsupported("a type that messages never have".into()))
-    }
-
-    serde::forward_to_deserialize_any! {
-        i128 u128 char str bytes byte_buf option unit unit_struct tuple_struct map enum identifier ignored_any
-    }
-}
-
-/// The elements of a sequence, or the fields of a struct, still to come.
-struct Parts<'a> {
-    random: &'a mut Random,
-    left: usize,
-    names: &'static [&'static str],
-}
-
-impl<'de> SeqAccess<'de> for Parts<'_> {
-    type Error = Unsupported;
-
-    fn next_element_seed<T: DeserializeSeed<'de>>(
-        &mut self,
-        seed: T,
-    ) -> Result<Option<T::Value>, Unsupported> {
-        if self.left == 0 {
-            return Ok(None);
-        }
-        self.left -= 1;
-        seed.deserialize(&mut *self.random).map(Some)
-    }
-}
-
-impl<'de> MapAccess<'de> for Parts<'_> {
-    type Error = Unsupported;
-
-    fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, Unsupported> {
-        match self.names.split_first() {
-            Some((name, rest)) => {
-                self.names = rest;
-                seed.deserialize(BorrowedStrDeserializer::new(name)).map(Some)
-            }
-            None => Ok(None),
-        }
-    }
-
-    fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, Unsupported> {
-        seed.deserialize(&mut *self.random)
+    fn bits(&mut self) -> u64 {
+        self.state = if self.state == 0 { 1 } else { self.state };
+        self.state ^= self.state >> 12;
+        self.state ^= self.state << 25;
+        self.state ^= self.state >> 27;
+        self.state.wrapping_mul(0x2545_f491_4f6c_dd1d)
     }
 }

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use downbeat::bags::{BagMessage, Playback, PlaybackOptions, Rate, Reader, Recording, Step, WriterOptions};
 use downbeat::bridge::ros::{MessageType, Node, NodeName, Participant, Publisher};
+use downbeat::encoding::RecordedType;
 use downbeat::executor::{Core, ManualClock, Time};
 use downbeat::msgs::qos::QosProfile;
 use downbeat::playback;
@@ -39,7 +40,10 @@ fn play_into(reader: &Reader, robot: &std::path::Path, arguments: &PlayArguments
             let recording = Recording::start(writer.create(directory)?, Recording::DEFAULT_QUEUE_BYTES)?;
             let published: Vec<_> = robot.core.topics().filter(|topic| topic.is_published).cloned().collect();
             let wait = WhenFull::Wait;
-            recorder::record(&mut robot.core, &recording, &published, wait, |_| QosProfile::DEFAULT)?;
+            let encoding = arguments.encoding.unwrap_or_default();
+            recorder::record(&mut robot.core, &recording, &published, wait, encoding, |_| {
+                QosProfile::DEFAULT
+            })?;
             Ok(recording)
         })
         .transpose()?;
@@ -74,8 +78,17 @@ fn play_to_ros(reader: &Reader, arguments: &PlayArguments) -> anyhow::Result<()>
     while !stop.is_due() {
         match playback.step(started.elapsed()) {
             Step::Due(BagMessage { topic, data, .. }) => {
-                let Some(publisher) = publishers.get(topic.index()).and_then(Option::as_ref) else {
+                let Some((publisher, recorded)) = publishers.get(topic.index()).and_then(Option::as_ref)
+                else {
                     continue;
+                };
+                let data = match recorded.as_ref().map_or(Ok(data.clone()), |recorded| recorded.to_cdr(data))
+                {
+                    Ok(data) => data,
+                    Err(error) => {
+                        tracing::warn!("{}: {error}", publisher.topic().as_str());
+                        continue;
+                    }
                 };
                 match publisher.publish(data) {
                     Ok(()) => played += 1,
@@ -94,9 +107,12 @@ fn play_to_ros(reader: &Reader, arguments: &PlayArguments) -> anyhow::Result<()>
     Ok(())
 }
 
-fn wait_for_subscriptions(publishers: &[Option<Publisher>], stop: &Stop) {
+/// Who publishes a topic, and what makes CDR of its messages if they are something else.
+type Played = (Publisher, Option<RecordedType>);
+
+fn wait_for_subscriptions(publishers: &[Option<Played>], stop: &Stop) {
     let started = Instant::now();
-    let is_heard = |publisher: &Publisher| publisher.matched_subscriptions() > 0;
+    let is_heard = |(publisher, _): &Played| publisher.matched_subscriptions() > 0;
     while !publishers.iter().flatten().all(is_heard) && started.elapsed() < DISCOVERY && !stop.is_due() {
         stop.sleep(Duration::from_millis(50));
     }
@@ -107,17 +123,21 @@ fn publishers(
     reader: &Reader,
     options: &PlaybackOptions,
     node: &Node,
-) -> anyhow::Result<Vec<Option<Publisher>>> {
+) -> anyhow::Result<Vec<Option<Played>>> {
     let is_played = |name: &String| options.topics.as_ref().is_none_or(|topics| topics.contains(name));
-    let publisher = |topic: &downbeat::bags::RecordedTopic| -> anyhow::Result<Option<Publisher>> {
+    let publisher = |topic: &downbeat::bags::RecordedTopic| -> anyhow::Result<Option<Played>> {
         let info = &topic.info;
         if !is_played(&info.name) {
             return Ok(None);
         }
-        let message_type = MessageType::new(&info.type_name)?;
+        // CDR is passed through, also of types that are not compiled in.
+        let recorded = info.format.as_ref().map(|_| RecordedType::of(topic)).transpose()?;
+        let type_name = recorded.as_ref().map_or(&*info.type_name, |recorded| recorded.message_type().name());
+        let message_type = MessageType::new(type_name)?;
         let qos = info.offered_qos.first().copied().unwrap_or_default();
         let publisher = node.publish(&info.name, &message_type, qos);
-        publisher.map(Some).with_context(|| format!("cannot publish {}", info.name))
+        let publisher = publisher.with_context(|| format!("cannot publish {}", info.name))?;
+        Ok(Some((publisher, recorded)))
     };
     reader.topics().iter().map(publisher).collect()
 }

@@ -7,6 +7,8 @@ use downbeat::bags::{Compression, Recording, TopicInfo, WriterOptions};
 use downbeat::bridge::edge::KnownType;
 use downbeat::bridge::middleware::{Direction, RemoteEndpoint, Sample};
 use downbeat::bridge::ros::{MessageType, Node, NodeName, Participant, Subscription, TopicName};
+use downbeat::encoding::topic_info;
+use downbeat::msgs::encoding::Encoding;
 use downbeat::msgs::qos::QosProfile;
 use downbeat::robot::RobotFile;
 
@@ -21,7 +23,7 @@ pub(crate) fn record(arguments: &RecordArguments, screen: &Screen) -> anyhow::Re
     match &arguments.robot {
         Some(robot) => {
             let mut session = Session::new(RobotFile::read(robot)?)?;
-            session.record(&arguments.output, arguments.zstd.then_some(compression))?;
+            session.record(&arguments.output, arguments.zstd.then_some(compression), arguments.encoding)?;
             session.run(&Stop::new(arguments.duration)?, screen)
         }
         None => record_from_ros(arguments, compression),
@@ -45,13 +47,14 @@ fn record_from_ros(arguments: &RecordArguments, compression: Compression) -> any
     let writer = WriterOptions::new().compression(compression).create(&arguments.output)?;
     let recording = Recording::start(writer, Recording::DEFAULT_QUEUE_BYTES)
         .context("cannot start the thread that writes the bag")?;
+    let encoding = arguments.encoding.unwrap_or_default();
     let mut subscriptions = Vec::new();
     while !stop.is_due() {
         let endpoints = if awaited.is_empty() { Vec::new() } else { participant.remote_endpoints() };
         for endpoint in endpoints.iter().filter(|endpoint| endpoint.direction == Direction::Out) {
             let position = awaited.iter().position(|topic| topic.to_wire() == endpoint.topic_name);
             if let Some(topic) = position.map(|position| awaited.remove(position)) {
-                match subscribe(&node, &recording, &topic, endpoint) {
+                match subscribe(&node, &recording, &topic, endpoint, encoding) {
                     Ok(subscription) => subscriptions.push(subscription),
                     Err(error) => tracing::error!("{} is not recorded: {error:#}", topic.as_str()),
                 }
@@ -74,6 +77,7 @@ fn subscribe(
     recording: &Recording,
     topic: &TopicName,
     publisher: &RemoteEndpoint,
+    encoding: Encoding,
 ) -> anyhow::Result<Subscription> {
     let name = topic.as_str();
     let message_type = MessageType::from_wire(&publisher.type_name)
@@ -81,7 +85,7 @@ fn subscribe(
     let known = KnownType::named(message_type.as_str()).ok();
     if known.is_none() {
         tracing::warn!(
-            "{name}: {} is not compiled in, so the bag will not say how to decode it",
+            "{name}: {} is not compiled in, so it is recorded as CDR and the bag will not say how to decode it",
             message_type.as_str()
         );
     }
@@ -89,19 +93,26 @@ fn subscribe(
     let (reliability, durability) = (publisher.reliability, publisher.durability);
     let qos = QosProfile { reliability, durability, ..QosProfile::DEFAULT.keep_last(DEPTH) };
     let sender = recording.sender();
-    let id = sender.add_topic(TopicInfo {
-        name: name.to_owned(),
-        type_name: message_type.as_str().to_owned(),
-        definition: known.map(KnownType::definition).unwrap_or_default().to_owned(),
-        type_hash: hash.unwrap_or_default(),
-        offered_qos: vec![qos],
-    })?;
+    let (mut info, codec) = match known {
+        Some(known) => topic_info(name.to_owned(), known, vec![qos], encoding)?,
+        None => {
+            let (name, type_name) = (name.to_owned(), message_type.as_str().to_owned());
+            (TopicInfo { name, type_name, offered_qos: vec![qos], ..TopicInfo::default() }, None)
+        }
+    };
+    info.type_hash = hash.unwrap_or_default();
+    let id = sender.add_topic(info)?;
     tracing::info!("recording {name} [{}]", message_type.as_str());
     let on_sample = move |sample: Sample| {
         let received = system_time();
         let sent = sample.source_time_ns.unwrap_or(received);
+        let data = match codec.as_ref().map(|codec| codec.encode(&sample.cdr)) {
+            None => sample.cdr,
+            Some(Ok(data)) => data.into(),
+            Some(Err(error)) => return tracing::warn!("a message is not recorded: {error}"),
+        };
         // Counted by the recording, which tells at the end.
-        if let Err(error) = sender.record(id, received, sent, sample.cdr) {
+        if let Err(error) = sender.record(id, received, sent, data) {
             tracing::debug!("{error}");
         }
     };

@@ -10,6 +10,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use downbeat_bags::Compression;
+use downbeat_msgs::encoding::Encoding;
 use downbeat_msgs::qos::{Durability, History, QosProfile, Reliability};
 use toml::de::DeTable;
 
@@ -71,6 +72,8 @@ pub struct RecordEntry {
     pub topics: Option<Vec<String>>,
     /// How the bag is compressed.
     pub compression: Compression,
+    /// How its messages are serialised.
+    pub encoding: Encoding,
 }
 
 /// A value and its line.
@@ -139,7 +142,7 @@ impl RobotFile {
 
 impl Default for RecordEntry {
     fn default() -> Self {
-        Self { line: 1, topics: None, compression: Compression::default() }
+        Self { line: 1, topics: None, compression: Compression::default(), encoding: Encoding::default() }
     }
 }
 
@@ -247,8 +250,12 @@ fn record(value: Value<'_>) -> Result<RecordEntry> {
         Some(value) => choice(value, &[("none", Compression::None), ("zstd", Compression::Zstd)])?,
         None => Compression::default(),
     };
+    let encoding = match table.take("encoding") {
+        Some(value) => choice(value, &Encoding::ALL.map(|encoding| (encoding.as_str(), encoding)))?,
+        None => Encoding::default(),
+    };
     table.finish()?;
-    Ok(RecordEntry { line, topics, compression })
+    Ok(RecordEntry { line, topics, compression, encoding })
 }
 
 /// A name that is valid for a ROS 2 node.

@@ -32,7 +32,11 @@ impl Catalog {
         }
         let message = self.message(name)?;
         if let (Kind::Service, Some(service)) = (name.kind, name.name.strip_suffix("_Event")) {
-            return self.service_definition_text(&TypeName::new(&name.package, name.kind, service));
+            let service = TypeName::new(&name.package, name.kind, service);
+            // A type description can have the event alone.
+            if self.find_service(&service).is_some() {
+                return self.service_definition_text(&service);
+            }
         }
         self.with_dependencies(message.text.clone(), &[message], BTreeSet::from([name.clone()]))
     }

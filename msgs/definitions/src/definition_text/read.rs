@@ -183,12 +183,16 @@ fn parse_head(line: &str, origin: &str, number: usize) -> Result<(Keyword, TypeN
         _ => return Err(expected()),
     };
     let name = name.trim();
-    let name = match name.split_once('/') {
+    let full_name = match name.split_once('/') {
         // Messages are named without their middle.
-        Some((package, name)) if !name.contains('/') => format!("{package}/msg/{name}"),
+        Some((package, name)) if !name.contains('/') => match keyword {
+            Keyword::Message | Keyword::Idl => TypeName::from_short(package, name).to_string(),
+            Keyword::Service => format!("{package}/srv/{name}"),
+            Keyword::Action => format!("{package}/action/{name}"),
+        },
         _ => name.to_owned(),
     };
-    Ok((keyword, name.parse().map_err(|error: Error| fault(error.to_string()))?))
+    Ok((keyword, full_name.parse().map_err(|error: Error| fault(error.to_string()))?))
 }
 
 #[cfg(test)]
@@ -236,6 +240,7 @@ mod tests {
             again.add_definition_text(&name, Ros2Msg, &text, "bag").unwrap();
             assert_eq!(again.definition_text(&name).unwrap(), text, "{name}");
             again.check_type(&name).unwrap();
+            assert_eq!(again.type_hash(&name).unwrap(), catalog.type_hash(&name).unwrap());
         }
     }
 
@@ -262,12 +267,28 @@ mod tests {
             (format!("B b\n{rule}\nB\n"), "bag:3:1: expected a line such as `MSG: package/Type`"),
             (format!("B b\n{rule}"), "bag:3:1: expected a line such as"),
             (format!("{rule}\nMSG: b\n"), "bag:2:1: `b` is not an interface name"),
-            (format!("{rule}\nSRV: a/srv/S\nint8 x\n"), "bag:3:1: a service is a request and a response"),
+            (format!("{rule}\nSRV: a/msg/S\n---\n"), "bag: a/msg/S cannot be the name of what is defined here"),
+            (format!("{rule}\nSRV: a/S\nint8 x\n"), "bag:3:1: a service is a request and a response"),
             (format!("{rule}\nSRV: a/srv/S\n---\nint8\n"), "bag:4:5: expected a name"),
             (format!("{rule}\nIDL: a/msg/S\n\n  struct\n"), "bag:5:1: expected the name of the struct"),
         ] {
             let error = read("a/msg/A", Ros2Msg, &text).unwrap_err().to_string();
             assert!(error.starts_with(fault), "{text:?} gave {error}");
+        }
+    }
+
+    #[test]
+    fn no_text_makes_reading_panic() {
+        let rich = "B b\n\n=====\nMSG: a/B\r\nint8 x\n\n====\nIDL: a/msg/C\nmodule a{module msg{struct C{};};};\n\n===\nSRV: a/srv/D\n---\n";
+        assert!(read("a/msg/A", Ros2Msg, rich).is_ok());
+        for (at, character) in rich.char_indices() {
+            for encoding in [Ros2Msg, Ros2Idl] {
+                let _ = read("a/msg/A", encoding, &rich[..at]);
+                for other in ["", "=", "===", "\n", "\r", ":", "/", "é"] {
+                    let text = [&rich[..at], other, &rich[at + character.len_utf8()..]].concat();
+                    let _ = read("a/msg/A", encoding, &text);
+                }
+            }
         }
     }
 }

@@ -70,7 +70,7 @@ impl<'a> Lexer<'a> {
                 self.advance();
                 TokenKind::Text(self.text(line, column)?)
             }
-            Some(first) if first.is_ascii_alphabetic() || first == '_' => {
+            Some(first) if first.is_ascii_alphabetic() => {
                 TokenKind::Word(self.take_while(|c| c.is_ascii_alphanumeric() || c == '_'))
             }
             Some(first) if first.is_ascii_digit() || (first == '.' && is_digit_at(text, 1)) => {

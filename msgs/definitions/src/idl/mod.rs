@@ -9,12 +9,12 @@
 
 mod lexer;
 mod literal;
-mod message_text;
 mod parser;
 mod types;
 
 use std::collections::BTreeMap;
 
+use crate::message_text;
 use crate::{ActionDefinition, Error, Kind, MessageDefinition, Place, ServiceDefinition, TypeName};
 
 /// An interface of any kind.

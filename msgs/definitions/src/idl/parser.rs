@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use super::lexer::{Lexer, Token, TokenKind};
 use super::literal::{Literal, default_value};
-use super::message_text::without_bound;
+use crate::message_text::without_bound;
 use crate::name::{is_package_name, is_type_or_part_name};
 use crate::{
     Constant, Element, Error, Field, FieldType, Kind, MessageDefinition, Place, Primitive, Shape, TypeName,

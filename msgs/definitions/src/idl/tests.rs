@@ -118,6 +118,7 @@ fn errors_name_file_line_and_column() {
     for (before, members, fault) in [
         ("", "int8 x", "A.idl:2:19: expected `;`, found `}`"),
         ("", "int8 x; int8 x;", "A.idl:2:25: the field `x` is defined twice"),
+        ("", "int8 _x;", "A.idl:2:17: expected a name, found `_`"),
         ("", "int8;", "A.idl:2:16: expected a name, found `;`"),
         ("", "int8 x[0];", "A.idl:2:19: the size must be a number from 1 to 4294967295, found 0"),
         (

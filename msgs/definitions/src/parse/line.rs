@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use super::literal::{parse_element, parse_value, without_underscores};
 use crate::name::{is_constant_name, is_package_name, is_type_or_part_name};
 use crate::{
-    Constant, Element, Error, Field, FieldType, Kind, MessageDefinition, Place, Primitive, Shape, TypeName,
+    Constant, Element, Error, Field, FieldType, MessageDefinition, Place, Primitive, Shape, TypeName,
 };
 
 /// Reads a message whose first line is the line `first_line` of its file.
@@ -25,6 +25,7 @@ pub(super) fn parse_message(
     };
     let mut comments: Vec<String> = Vec::new();
     let mut names = HashSet::new();
+    let mut last_is_constant = false;
     for (index, line) in text.lines().enumerate() {
         let line = line.replace('\t', " ");
         let (code, comment) = match line.split_once('#') {
@@ -34,6 +35,12 @@ pub(super) fn parse_message(
         // The comment at the top belongs to the message, not to its first field.
         if index >= message.comment.len() {
             match comment {
+                // Goes on below what it stands behind.
+                Some(comment) if code.is_empty() && line.starts_with(' ') => {
+                    if let Some(last) = last_comment(&mut message, last_is_constant) {
+                        last.push(comment.into());
+                    }
+                }
                 Some(comment) => comments.push(comment.into()),
                 None if code.is_empty() => comments.clear(),
                 None => {}
@@ -45,6 +52,7 @@ pub(super) fn parse_message(
         let line = Line { origin, number: first_line + index, code };
         match line.parse(&message.name.package, std::mem::take(&mut comments))? {
             Member::Field(field) => {
+                last_is_constant = false;
                 if !names.insert(field.name.clone()) {
                     return Err(
                         line.fault(line.name_at(), format!("the field `{}` is defined twice", field.name))
@@ -53,6 +61,7 @@ pub(super) fn parse_message(
                 message.fields.push(field);
             }
             Member::Constant(constant) => {
+                last_is_constant = true;
                 if !names.insert(constant.name.clone()) {
                     let fault = format!("the constant `{}` is defined twice", constant.name);
                     return Err(line.fault(line.name_at(), fault));
@@ -62,6 +71,15 @@ pub(super) fn parse_message(
         }
     }
     Ok(message)
+}
+
+/// The comment of the field or constant that was read last.
+fn last_comment(message: &mut MessageDefinition, is_constant: bool) -> Option<&mut Vec<String>> {
+    if is_constant {
+        message.constants.last_mut().map(|constant| &mut constant.comment)
+    } else {
+        message.fields.last_mut().map(|field| &mut field.comment)
+    }
 }
 
 fn leading_comment(text: &str) -> Vec<String> {
@@ -219,7 +237,7 @@ fn parse_element_type(text: &str, package: &str) -> Result<Element, String> {
         return Err(format!("`{text}`: within a definition the name is written `{package}/{name}`"));
     }
     if is_package_name(package) && is_type_or_part_name(name) {
-        Ok(Element::Message(TypeName::new(package, Kind::Message, name)))
+        Ok(Element::Message(TypeName::from_short(package, name)))
     } else {
         Err(format!("`{text}` is neither a primitive type nor a message name such as `std_msgs/Header`"))
     }

@@ -6,7 +6,7 @@
 mod line;
 pub(crate) mod literal;
 
-use crate::{ActionDefinition, Error, MessageDefinition, Place, ServiceDefinition, TypeName};
+use crate::{ActionDefinition, Error, Kind, MessageDefinition, Place, ServiceDefinition, TypeName};
 
 /// Parses the text of a `.msg` file. `origin` names it in errors.
 ///
@@ -19,7 +19,8 @@ pub fn parse_message(name: TypeName, text: &str, origin: &str) -> Result<Message
 /// Parses the text of a `.srv` file. `origin` names it in errors.
 ///
 /// # Errors
-/// [`Error::Separators`] if request and response are not told apart, [`Error::Syntax`] for any other fault.
+/// [`Error::Separators`] if request and response are not told apart, [`Error::Kind`] if the name is not that of a service,
+/// [`Error::Syntax`] for any other fault.
 pub fn parse_service(name: TypeName, text: &str, origin: &str) -> Result<ServiceDefinition, Error> {
     parse_service_from(name, text, origin, 1)
 }
@@ -27,7 +28,8 @@ pub fn parse_service(name: TypeName, text: &str, origin: &str) -> Result<Service
 /// Parses the text of an `.action` file. `origin` names it in errors.
 ///
 /// # Errors
-/// [`Error::Separators`] if goal, result and feedback are not told apart, [`Error::Syntax`] for any other fault.
+/// [`Error::Separators`] if goal, result and feedback are not told apart, [`Error::Kind`] if the name is not that of an
+/// action, [`Error::Syntax`] for any other fault.
 pub fn parse_action(name: TypeName, text: &str, origin: &str) -> Result<ActionDefinition, Error> {
     parse_action_from(name, text, origin, 1)
 }
@@ -49,6 +51,7 @@ pub(crate) fn parse_service_from(
     origin: &str,
     first_line: usize,
 ) -> Result<ServiceDefinition, Error> {
+    check_kind(&name, Kind::Service, origin)?;
     let [request, response] =
         sections(text, origin, first_line, "a service is a request and a response", "one line `---`")?;
     Ok(ServiceDefinition {
@@ -82,6 +85,13 @@ pub(crate) fn parse_action_from(
         text: text.into(),
         origin: origin.into(),
     })
+}
+
+fn check_kind(name: &TypeName, expected: Kind, origin: &str) -> Result<(), Error> {
+    if name.kind == expected && !name.name.contains('_') {
+        return Ok(());
+    }
+    Err(Error::Kind { origin: origin.into(), name: Box::new(name.clone()), expected: expected.as_str() })
 }
 
 /// One message of a file that holds several.

@@ -26,6 +26,14 @@ fn fields_constants_defaults_and_comments_are_read() {
 }
 
 #[test]
+fn an_indented_comment_goes_on_below_what_it_stands_behind() {
+    let text = "# Top.\n\n    # of nothing\nuint8 LOST = 9   # Sent no more\n                 #   and never will be.\n# Why\nint8 x\n\t# not\n";
+    let message = parse_message("a/msg/A".parse().unwrap(), text, "A.msg").unwrap();
+    assert_eq!(message.constants[0].comment, ["Sent no more", "and never will be."]);
+    assert_eq!(message.fields[0].comment, ["Why", "not"]);
+}
+
+#[test]
 fn a_hash_sign_begins_a_comment_even_within_quotes_as_in_rosidl() {
     let message = parse_message("a/msg/A".parse().unwrap(), "string S=\"a#b\"", "A.msg").unwrap();
     assert_eq!(message.constants[0].value, Value::Text("\"a".into()));

@@ -58,7 +58,11 @@ impl RustSource<'_> {
         source.push_str(&format!("pub struct {name} {{\n"));
         for field in &message.fields {
             source.push_str(&docs::doc(&field.comment, &field.field_type.to_string(), "    "));
-            if matches!(field.field_type.shape, Shape::Array(count) if count > LONGEST_PLAIN_ARRAY) {
+            if is_byte_list(&field.field_type) {
+                let array = if matches!(field.field_type.shape, Shape::Array(_)) { "::array" } else { "" };
+                let runtime = &self.modules.runtime;
+                source.push_str(&format!("    #[serde(with = \"{runtime}::byte_list{array}\")]\n"));
+            } else if matches!(field.field_type.shape, Shape::Array(count) if count > LONGEST_PLAIN_ARRAY) {
                 source.push_str(&format!("    #[serde(with = \"{}::large_array\")]\n", self.modules.runtime));
             }
             let rust_name = identifier(&field.name);
@@ -127,6 +131,11 @@ fn has_derivable_default(message: &MessageDefinition) -> bool {
         field.default.as_ref().is_none_or(is_zero)
             && !matches!(field.field_type.shape, Shape::Array(count) if count > LONGEST_PLAIN_ARRAY)
     })
+}
+
+fn is_byte_list(field_type: &FieldType) -> bool {
+    matches!(field_type.element, Element::Primitive(Primitive::Byte | Primitive::Char | Primitive::UInt8))
+        && field_type.shape != Shape::Single
 }
 
 fn constants(message: &MessageDefinition) -> String {

@@ -3,6 +3,8 @@
 //! # References
 //! `rosidl_generator_type_description/__init__.py` and `rcl/src/rcl/type_hash.c`, branch jazzy.
 
+mod read;
+
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
@@ -95,8 +97,7 @@ impl Catalog {
             .map(|(field, field_type)| (field, describe_type(&field_type)))
             .collect();
         if fields.is_empty() {
-            let byte = FieldTypeDescription { type_id: 3, ..FieldTypeDescription::default() };
-            fields.push(("structure_needs_at_least_one_member".into(), byte));
+            fields.push((PLACEHOLDER.into(), placeholder_type()));
         }
         Ok(IndividualTypeDescription { type_name: name.to_string(), fields })
     }
@@ -165,6 +166,13 @@ fn describe_type(field_type: &FieldType) -> FieldTypeDescription {
     FieldTypeDescription { type_id: base + offset, capacity, string_capacity, nested_type_name }
 }
 
+/// The field that stands for none.
+const PLACEHOLDER: &str = "structure_needs_at_least_one_member";
+
+fn placeholder_type() -> FieldTypeDescription {
+    FieldTypeDescription { type_id: 3, ..FieldTypeDescription::default() }
+}
+
 fn primitive_id(primitive: Primitive) -> u8 {
     match primitive {
         Primitive::Int8 => 2,
@@ -180,6 +188,12 @@ fn primitive_id(primitive: Primitive) -> u8 {
         Primitive::Bool => 15,
         Primitive::Byte => 16,
     }
+}
+
+/// The one with that id.
+fn primitive_of(id: u8) -> Option<Primitive> {
+    let is_it = |primitive: &Primitive| *primitive != Primitive::Char && primitive_id(*primitive) == id;
+    Primitive::ALL.into_iter().find(is_it)
 }
 
 // Names are ASCII without quotes or backslashes (the parser sees to it), so JSON needs no escapes here.

@@ -1,10 +1,10 @@
-//! A message as a `.msg` file says it.
+//! A message as a `.msg` file says it, for those that come from elsewhere.
 
 use crate::{Constant, Element, Field, FieldType, MessageDefinition, Shape, Value};
 
 /// Constants and fields, one a line. A constant or default that no `.msg` file can say (a text with `#` or with control
 /// characters, which IDL can) is left out.
-pub(super) fn of(message: &MessageDefinition) -> String {
+pub(crate) fn of(message: &MessageDefinition) -> String {
     let constants = message.constants.iter().filter_map(constant);
     constants.chain(message.fields.iter().map(field)).collect()
 }
@@ -39,7 +39,7 @@ fn literal(value: &Value) -> Option<String> {
 }
 
 /// The element a constant of a bounded string has: constants have no bounds.
-pub(super) fn without_bound(element: Element) -> Element {
+pub(crate) fn without_bound(element: Element) -> Element {
     match element {
         Element::String { .. } => Element::String { bound: None },
         Element::WString { .. } => Element::WString { bound: None },

@@ -1,0 +1,251 @@
+//! From CDR to an encoding and back.
+
+use downbeat_msgs_definitions::{Catalog, DefinitionEncoding, TypeName};
+
+use super::Encoding;
+use crate::cdr;
+#[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
+use crate::foxglove;
+use crate::interchange::{self, Direction, Error, Problem, Value};
+use crate::message::Message;
+use crate::service_msgs::msg::ServiceEventInfo;
+
+/// Goes between the CDR of one message type and an encoding.
+#[derive(Clone, Debug)]
+pub struct Codec {
+    type_name: String,
+    encoding: Encoding,
+    /// Of the definition: what CDR is read and written by.
+    definition: interchange::Schema,
+    /// Of the type that Foxglove has for it, if the encoding wants that.
+    #[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
+    foxglove: Option<foxglove::Mapping>,
+    schema: Schema,
+}
+
+/// What an MCAP file says of the messages of a channel.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Schema {
+    /// The type: `sensor_msgs/msg/Imu`, `sensor_msgs.msg.Imu`, `foxglove.RawImage`.
+    pub name: String,
+    /// What the data is: `ros2msg`, `jsonschema`, `protobuf`, `flatbuffer`; empty if there is none.
+    pub encoding: String,
+    /// The schema.
+    pub data: Vec<u8>,
+}
+
+impl Encoding {
+    /// Prepares the conversion of a type, whose definition the catalog has.
+    ///
+    /// # Errors
+    /// If the catalog lacks a type, the type is too large, or this build lacks the encoding.
+    pub fn codec(self, catalog: &Catalog, name: &TypeName) -> Result<Codec, Error> {
+        self.check_compiled_in()?;
+        let definition = interchange::Schema::of_definition(catalog, name)?;
+        let type_name = name.to_string();
+        #[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
+        let foxglove = match self {
+            Self::FoxgloveProtobuf | Self::FoxgloveFlatBuffers => {
+                foxglove::Mapping::new(&type_name, &definition, self)
+            }
+            _ => None,
+        };
+        #[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
+        let target = foxglove.as_ref().map_or(&definition, |mapping| mapping.schema());
+        #[cfg(not(any(feature = "protobuf", feature = "flatbuffers")))]
+        let target = &definition;
+        let (name_there, schema_encoding, data) = match self {
+            Self::Cdr => (type_name.clone(), "ros2msg", catalog.definition_text(name)?.into_bytes()),
+            #[cfg(feature = "json")]
+            Self::Json => {
+                (type_name.clone(), "jsonschema", super::json_schema::json_schema(&type_name, target))
+            }
+            #[cfg(feature = "protobuf")]
+            Self::Protobuf | Self::FoxgloveProtobuf => {
+                (target.root().name.clone(), "protobuf", crate::protobuf::file_descriptor_set(target))
+            }
+            #[cfg(feature = "flatbuffers")]
+            Self::FlatBuffers | Self::FoxgloveFlatBuffers => {
+                (target.root().name.clone(), "flatbuffer", crate::flatbuffers::binary_schema(target))
+            }
+            _ => (type_name.clone(), "", Vec::new()),
+        };
+        Ok(Codec {
+            type_name,
+            encoding: self,
+            schema: Schema { name: name_there, encoding: schema_encoding.into(), data },
+            definition,
+            #[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
+            foxglove,
+        })
+    }
+
+    /// As [`Encoding::codec`], by the `ros2msg` text of the definition: [`Message::DEFINITION`], or that of a bag.
+    ///
+    /// # Errors
+    /// As [`Encoding::codec`], and if the text is no definition.
+    pub fn codec_of_text(self, type_name: &str, definition: &str) -> Result<Codec, Error> {
+        let name: TypeName = type_name.parse()?;
+        let mut catalog = Catalog::new();
+        catalog.add_definition_text(&name, DefinitionEncoding::Ros2Msg, definition, type_name)?;
+        // The texts of services leave it out.
+        let implied: TypeName = ServiceEventInfo::TYPE_NAME.parse()?;
+        let text = ServiceEventInfo::DEFINITION;
+        catalog.add_definition_text(
+            &implied,
+            DefinitionEncoding::Ros2Msg,
+            text,
+            ServiceEventInfo::TYPE_NAME,
+        )?;
+        self.codec(&catalog, &name)
+    }
+
+    fn check_compiled_in(self) -> Result<(), Error> {
+        let (is_there, feature) = match self {
+            Self::Cdr => (true, ""),
+            Self::Json => (cfg!(feature = "json"), "json"),
+            Self::Cbor => (cfg!(feature = "cbor"), "cbor"),
+            Self::Protobuf | Self::FoxgloveProtobuf => (cfg!(feature = "protobuf"), "protobuf"),
+            Self::FlatBuffers | Self::FoxgloveFlatBuffers => (cfg!(feature = "flatbuffers"), "flatbuffers"),
+        };
+        if is_there { Ok(()) } else { Err(Error::NotCompiledIn { encoding: self.as_str(), feature }) }
+    }
+}
+
+impl Codec {
+    /// The encoding.
+    #[must_use]
+    pub fn encoding(&self) -> Encoding {
+        self.encoding
+    }
+
+    /// The type, as ROS 2 names it.
+    #[must_use]
+    pub fn type_name(&self) -> &str {
+        &self.type_name
+    }
+
+    /// Its name in MCAP files and in the metadata of a bag.
+    #[must_use]
+    pub fn message_encoding(&self) -> &'static str {
+        self.encoding.message_encoding()
+    }
+
+    /// What an MCAP file says of the messages.
+    #[must_use]
+    pub fn schema(&self) -> &Schema {
+        &self.schema
+    }
+
+    /// Converts CDR of either byte order, its header included.
+    ///
+    /// # Errors
+    /// If the bytes are no message of the type, or the message has a value that the encoding has no place for.
+    pub fn encode(&self, cdr: &[u8]) -> Result<Vec<u8>, Error> {
+        #[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
+        if let Some(mapping) = &self.foxglove {
+            let value = self.read_cdr(cdr)?;
+            return mapping
+                .to_foxglove(&self.definition, value)
+                .and_then(|value| self.put(mapping.schema(), &value))
+                .map_err(|problem| self.error(Direction::Write, problem));
+        }
+        let value = self.read_cdr(cdr)?;
+        if self.encoding == Encoding::Cdr {
+            return Ok(cdr.to_vec());
+        }
+        self.put(&self.definition, &value).map_err(|problem| self.error(Direction::Write, problem))
+    }
+
+    /// Converts to CDR, little-endian with its header. What the encoding does not keep is as in a new message.
+    ///
+    /// # Errors
+    /// If the bytes are no such message in the encoding, or one that the definition does not allow.
+    pub fn decode(&self, bytes: &[u8]) -> Result<Vec<u8>, Error> {
+        #[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
+        if let Some(mapping) = &self.foxglove {
+            return self
+                .get(mapping.schema(), bytes)
+                .and_then(|value| mapping.to_ros(&self.definition, value))
+                .and_then(|value| interchange::cdr::write(&self.definition, &value))
+                .map_err(|problem| self.error(Direction::Read, problem));
+        }
+        if self.encoding == Encoding::Cdr {
+            self.read_cdr(bytes)?;
+            return Ok(bytes.to_vec());
+        }
+        self.get(&self.definition, bytes)
+            .and_then(|value| interchange::cdr::write(&self.definition, &value))
+            .map_err(|problem| self.error(Direction::Read, problem))
+    }
+
+    /// Encodes a message, which is of the type the codec was made for.
+    ///
+    /// # Errors
+    /// If it is of another type, or has a value that the encoding has no place for.
+    pub fn to_vec<T: Message>(&self, message: &T) -> Result<Vec<u8>, Error> {
+        self.check_type::<T>(Direction::Write)?;
+        self.encode(&cdr::to_vec(message))
+    }
+
+    /// Decodes a message, which is of the type the codec was made for.
+    ///
+    /// # Errors
+    /// If it is of another type, or the bytes are no such message in the encoding.
+    pub fn from_slice<T: Message>(&self, bytes: &[u8]) -> Result<T, Error> {
+        self.check_type::<T>(Direction::Read)?;
+        cdr::from_slice(&self.decode(bytes)?).map_err(|source| self.cdr_error(source))
+    }
+
+    fn check_type<T: Message>(&self, direction: Direction) -> Result<(), Error> {
+        if T::TYPE_NAME == self.type_name {
+            return Ok(());
+        }
+        Err(self.error(direction, Problem::new(format!("the message is a {}", T::TYPE_NAME))))
+    }
+
+    /// The value in the encoding.
+    fn put(&self, schema: &interchange::Schema, value: &Value<'_>) -> Result<Vec<u8>, Problem> {
+        match self.encoding {
+            #[cfg(feature = "json")]
+            Encoding::Json => interchange::tree::to_json(schema, value),
+            #[cfg(feature = "cbor")]
+            Encoding::Cbor => interchange::tree::to_cbor(schema, value),
+            #[cfg(feature = "protobuf")]
+            Encoding::Protobuf | Encoding::FoxgloveProtobuf => crate::protobuf::encode(schema, value),
+            #[cfg(feature = "flatbuffers")]
+            Encoding::FlatBuffers | Encoding::FoxgloveFlatBuffers => {
+                crate::flatbuffers::encode(schema, value)
+            }
+            _ => interchange::cdr::write(schema, value),
+        }
+    }
+
+    fn get<'a>(&self, schema: &interchange::Schema, bytes: &'a [u8]) -> Result<Value<'a>, Problem> {
+        match self.encoding {
+            #[cfg(feature = "json")]
+            Encoding::Json => interchange::tree::from_json(schema, bytes),
+            #[cfg(feature = "cbor")]
+            Encoding::Cbor => interchange::tree::from_cbor(schema, bytes),
+            #[cfg(feature = "protobuf")]
+            Encoding::Protobuf | Encoding::FoxgloveProtobuf => crate::protobuf::decode(schema, bytes),
+            #[cfg(feature = "flatbuffers")]
+            Encoding::FlatBuffers | Encoding::FoxgloveFlatBuffers => {
+                crate::flatbuffers::decode(schema, bytes)
+            }
+            _ => interchange::cdr::read(schema, bytes).map_err(|error| Problem::new(error.to_string())),
+        }
+    }
+
+    fn read_cdr<'a>(&self, cdr: &'a [u8]) -> Result<Value<'a>, Error> {
+        interchange::cdr::read(&self.definition, cdr).map_err(|source| self.cdr_error(source))
+    }
+
+    fn error(&self, direction: Direction, problem: Problem) -> Error {
+        problem.into_error(&self.type_name, direction, self.encoding.as_str())
+    }
+
+    fn cdr_error(&self, source: cdr::Error) -> Error {
+        Error::Cdr { type_name: self.type_name.clone(), source }
+    }
+}

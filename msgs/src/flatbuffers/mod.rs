@@ -1,0 +1,59 @@
+//! FlatBuffers: schemas made of definitions, and the format.
+//!
+//! ```
+//! use downbeat_msgs::definitions::Catalog;
+//! use downbeat_msgs::encoding::Encoding;
+//! use downbeat_msgs::geometry_msgs::msg::Point;
+//!
+//! let mut catalog = Catalog::new();
+//! let point = "geometry_msgs/msg/Point".parse()?;
+//! catalog.add_message("geometry_msgs/msg/Point".parse()?, "float64 x\nfloat64 y\nfloat64 z\n", "Point.msg")?;
+//!
+//! let codec = Encoding::FlatBuffers.codec(&catalog, &point)?;
+//! let bytes = codec.to_vec(&Point { x: 1.0, y: 0.0, z: 2.0 })?;
+//! assert_eq!(codec.from_slice::<Point>(&bytes)?.z, 2.0);
+//!
+//! let text = downbeat_msgs::flatbuffers::schema_text(&catalog, &point)?;
+//! assert!(text.contains("namespace geometry_msgs.msg;\n\ntable Point {\n  x:double (id: 0);\n"));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! Package `p` and kind `msg` are the namespace `p.msg`, messages are tables, the n-th field has the id n-1, arrays and
+//! sequences are vectors, the numbers are those of the same size, and `wstring` is `string`. The value is kept whole. Bounds
+//! and lengths are checked when a message is read back into ROS 2, since FlatBuffers has no word for them.
+//!
+//! The schema for MCAP files is the binary one (`.bfbs`), which is itself a FlatBuffer and made here without `flatc`.
+//!
+//! # References
+//! - `docs/source/internals.md` (the format) and `reflection/reflection.fbs` (the binary schema) of google/flatbuffers.
+
+mod binary_schema;
+mod decode;
+mod encode;
+mod text;
+
+use downbeat_msgs_definitions::{Catalog, TypeName};
+
+use crate::interchange::{Error, Kind, Schema};
+
+pub(crate) use binary_schema::binary_schema;
+pub(crate) use decode::decode;
+pub(crate) use encode::encode;
+
+/// The `.fbs` text of a message and those within it.
+///
+/// # Errors
+/// If the catalog lacks a type, or the type is too large.
+pub fn schema_text(catalog: &Catalog, name: &TypeName) -> Result<String, Error> {
+    Ok(text::schema_text(&Schema::of_definition(catalog, name)?))
+}
+
+/// Bytes of a field's value within its table, and their alignment.
+fn inline_size(kind: Kind) -> (usize, usize) {
+    match kind {
+        // A struct of two 32-bit numbers.
+        Kind::Time | Kind::Duration => (8, 4),
+        // An offset to what is elsewhere, if it has no width.
+        kind => kind.width().map_or((4, 4), |width| (width, width)),
+    }
+}

@@ -1,0 +1,37 @@
+//! How much memory a value may take.
+
+use super::Problem;
+
+/// Formats that leave out what has its default, or that let two places share one table, can say much with few bytes. What
+/// a value takes is therefore counted while it is read.
+#[derive(Debug)]
+pub(crate) struct Budget {
+    left: usize,
+    all: usize,
+}
+
+/// What any input may become: more than any message made of defaults alone.
+const FLOOR: usize = 16 << 20;
+/// Bytes in memory per byte of input, above the floor: a list of numbers in text or varints takes 8, of small messages 100.
+const FACTOR: usize = 128;
+
+impl Budget {
+    pub(crate) fn for_input(length: usize) -> Self {
+        let all = length.saturating_mul(FACTOR).saturating_add(FLOOR);
+        Self { left: all, all }
+    }
+
+    /// Counts bytes that are about to be allocated.
+    pub(crate) fn spend(&mut self, bytes: usize) -> Result<(), Problem> {
+        match self.left.checked_sub(bytes) {
+            Some(left) => {
+                self.left = left;
+                Ok(())
+            }
+            None => Err(Problem::new(format!(
+                "the value would take more than {} bytes of memory, too many for an input of this size",
+                self.all
+            ))),
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! Why a message does not go through an encoding.
+
+use std::fmt;
+
+/// A message could not be converted, or the conversion not be prepared.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The definition is not what it should be.
+    #[error(transparent)]
+    Definition(#[from] downbeat_msgs_definitions::Error),
+    /// The bytes that were to be converted are no CDR of the type.
+    #[error("{type_name}: {source}")]
+    Cdr {
+        /// The type they were read as.
+        type_name: String,
+        /// What is wrong with them.
+        source: crate::cdr::Error,
+    },
+    /// A value or its bytes cannot be converted.
+    #[error("{type_name}: cannot {direction} {format}{}{}: {problem}", at(*offset), in_field(path))]
+    Convert {
+        /// The type.
+        type_name: String,
+        /// Whether the format was being read or written.
+        direction: Direction,
+        /// The format: `protobuf`, `json`, …
+        format: &'static str,
+        /// Where in the bytes, if they were being read and the format has places.
+        offset: Option<usize>,
+        /// The field, as in `points[3].x`. Empty outside of any.
+        path: String,
+        /// What is wrong.
+        problem: String,
+    },
+    /// A type is nested deeper than conversions follow.
+    #[error(
+        "{type_name} nests messages more than {limit} deep, which the other serialisations do not follow"
+    )]
+    TooDeep {
+        /// The type.
+        type_name: String,
+        /// How deep they follow.
+        limit: usize,
+    },
+    /// A type has more fields than numbers are there for.
+    #[error("{type_name} has {found} fields, Protobuf and FlatBuffers number at most {limit}")]
+    TooManyFields {
+        /// The type.
+        type_name: String,
+        /// How many it has.
+        found: usize,
+        /// How many there are numbers for.
+        limit: usize,
+    },
+    /// This build does not have the encoding.
+    #[error("the encoding \"{encoding}\" is not compiled in: build with the Cargo feature \"{feature}\"")]
+    NotCompiledIn {
+        /// Its name.
+        encoding: &'static str,
+        /// What brings it.
+        feature: &'static str,
+    },
+}
+
+/// Which way a conversion went.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// From bytes of the format.
+    Read,
+    /// To bytes of the format.
+    Write,
+}
+
+impl fmt::Display for Direction {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Read => "read",
+            Self::Write => "write",
+        })
+    }
+}
+
+/// An error on its way out of the fields it occurred in.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Problem {
+    pub(crate) text: String,
+    pub(crate) offset: Option<usize>,
+    pub(crate) path: String,
+}
+
+impl Problem {
+    #[cold]
+    pub(crate) fn new(text: impl Into<String>) -> Self {
+        Self { text: text.into(), offset: None, path: String::new() }
+    }
+
+    #[cold]
+    pub(crate) fn at(offset: usize, text: impl Into<String>) -> Self {
+        Self { offset: Some(offset), ..Self::new(text) }
+    }
+
+    #[cold]
+    pub(crate) fn in_field(mut self, name: &str) -> Self {
+        let separator = if self.path.is_empty() || self.path.starts_with('[') { "" } else { "." };
+        self.path = format!("{name}{separator}{}", self.path);
+        self
+    }
+
+    #[cold]
+    pub(crate) fn at_index(self, index: usize) -> Self {
+        self.in_field(&format!("[{index}]"))
+    }
+
+    #[cold]
+    pub(crate) fn into_error(self, type_name: &str, direction: Direction, format: &'static str) -> Error {
+        let Self { text: problem, offset, path } = self;
+        Error::Convert { type_name: type_name.into(), direction, format, offset, path, problem }
+    }
+}
+
+fn at(offset: Option<usize>) -> String {
+    offset.map_or_else(String::new, |offset| format!(" at byte {offset}"))
+}
+
+fn in_field(path: &str) -> String {
+    if path.is_empty() { String::new() } else { format!(", field `{path}`") }
+}

@@ -1,0 +1,252 @@
+//! Records of named and numbered fields.
+
+use std::collections::BTreeMap;
+
+use downbeat_msgs_definitions as definitions;
+use downbeat_msgs_definitions::{Catalog, Element, FieldType, Primitive, Shape, TypeName};
+
+use super::{Error, Value};
+
+/// A record and those within it.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Schema {
+    /// The first is the root. No record contains itself.
+    pub(crate) records: Vec<Record>,
+    pub(crate) enumerations: Vec<Enumeration>,
+}
+
+/// A message type.
+#[derive(Clone, Debug)]
+pub(crate) struct Record {
+    /// With its namespace, as in `sensor_msgs.msg.Imu`, `foxglove.RawImage`.
+    pub(crate) name: String,
+    pub(crate) fields: Vec<Field>,
+    /// The fewest bytes of CDR.
+    pub(crate) least_size: usize,
+}
+
+/// A field of a record.
+#[derive(Clone, Debug)]
+pub(crate) struct Field {
+    pub(crate) name: String,
+    /// Of Protobuf.
+    pub(crate) number: u32,
+    /// Of FlatBuffers.
+    pub(crate) id: u16,
+    pub(crate) kind: Kind,
+    pub(crate) count: Count,
+    /// What FlatBuffers takes a number to be that is not there.
+    pub(crate) default: f64,
+    /// What a new message has, where the definition says so.
+    pub(crate) initial: Option<Value<'static>>,
+}
+
+/// What a field holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kind {
+    Bool,
+    Int8,
+    UInt8,
+    Int16,
+    UInt16,
+    Int32,
+    UInt32,
+    /// A `UInt32` that Protobuf writes in four bytes.
+    Fixed32,
+    Int64,
+    UInt64,
+    Float32,
+    Float64,
+    Text {
+        bound: Option<usize>,
+    },
+    /// Text whose bound counts UTF-16 code units.
+    WideText {
+        bound: Option<usize>,
+    },
+    /// A point in time: a well-known type of Protobuf, a struct in FlatBuffers.
+    Time,
+    /// A span of time, likewise.
+    Duration,
+    /// A small number with names for its values.
+    Enumeration(usize),
+    Record(usize),
+}
+
+/// How many of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Count {
+    One,
+    /// One or none, and none is not zero.
+    Optional,
+    Array(usize),
+    Bounded(usize),
+    Any,
+}
+
+/// Names for numbers.
+#[derive(Clone, Debug)]
+pub(crate) struct Enumeration {
+    /// The record that Protobuf defines it in, and its name there.
+    pub(crate) owner: usize,
+    pub(crate) nested_name: &'static str,
+    /// Its name in FlatBuffers.
+    pub(crate) name: &'static str,
+    /// From 0 on.
+    pub(crate) values: &'static [&'static str],
+}
+
+/// How deep records may be nested: conversions recurse as deep.
+const DEEPEST: usize = 64;
+/// Protobuf keeps the numbers from 19 000 on for itself.
+const MOST_FIELDS: usize = 18_999;
+
+impl Schema {
+    /// The fields of a definition in their order, numbered in it, with all that can be said in CDR.
+    ///
+    /// # Errors
+    /// If the catalog lacks a type, or the type is too large.
+    pub(crate) fn of_definition(catalog: &Catalog, name: &TypeName) -> Result<Self, Error> {
+        let mut schema = Self::default();
+        schema.add(catalog, name, &mut BTreeMap::new(), 1)?;
+        Ok(schema)
+    }
+
+    pub(crate) fn root(&self) -> &Record {
+        &self.records[0]
+    }
+
+    fn add(
+        &mut self,
+        catalog: &Catalog,
+        name: &TypeName,
+        known: &mut BTreeMap<TypeName, usize>,
+        depth: usize,
+    ) -> Result<usize, Error> {
+        // Also ends the walk through a cycle, which the catalog's own check would have named.
+        if depth > DEEPEST {
+            return Err(Error::TooDeep { type_name: name.to_string(), limit: DEEPEST });
+        }
+        if let Some(&index) = known.get(name) {
+            return Ok(index);
+        }
+        let definition = catalog.message(name)?;
+        let found = definition.fields.len();
+        if found > MOST_FIELDS {
+            return Err(Error::TooManyFields { type_name: name.to_string(), found, limit: MOST_FIELDS });
+        }
+        let index = self.records.len();
+        let least_size = usize::try_from(catalog.least_wire_size(name)?).unwrap_or(usize::MAX);
+        self.records.push(Record { name: dotted(name), fields: Vec::new(), least_size });
+        for (position, field) in definition.fields.iter().enumerate() {
+            let kind = match &field.field_type.element {
+                Element::Message(inner) => Kind::Record(self.add(catalog, inner, known, depth + 1)?),
+                element => kind_of(element),
+            };
+            let number = u16::try_from(position).unwrap_or(u16::MAX); // At most MOST_FIELDS.
+            self.records[index].fields.push(Field {
+                name: field.name.clone(),
+                number: u32::from(number) + 1,
+                id: number,
+                kind,
+                count: count_of(&field.field_type),
+                default: 0.0,
+                initial: field.default.as_ref().and_then(|default| initial(kind, default)),
+            });
+        }
+        known.insert(name.clone(), index);
+        Ok(index)
+    }
+}
+
+impl Kind {
+    /// Bytes of one, where all take the same: numbers and truth values.
+    pub(crate) const fn width(self) -> Option<usize> {
+        Some(match self {
+            Self::Bool | Self::Int8 | Self::UInt8 | Self::Enumeration(_) => 1,
+            Self::Int16 | Self::UInt16 => 2,
+            Self::Int32 | Self::UInt32 | Self::Fixed32 | Self::Float32 => 4,
+            Self::Int64 | Self::UInt64 | Self::Float64 => 8,
+            Self::Text { .. } | Self::WideText { .. } | Self::Time | Self::Duration | Self::Record(_) => {
+                return None;
+            }
+        })
+    }
+}
+
+impl Count {
+    pub(crate) const fn is_list(self) -> bool {
+        matches!(self, Self::Array(_) | Self::Bounded(_) | Self::Any)
+    }
+
+    /// Whether so many elements may be there.
+    pub(crate) fn check(self, found: usize) -> Result<(), super::Problem> {
+        let (what, length) = match self {
+            Self::Array(length) if found != length => ("exactly", length),
+            Self::Bounded(length) if found > length => ("at most", length),
+            _ => return Ok(()),
+        };
+        Err(super::Problem::new(format!("has {found} elements, the type has {what} {length}")))
+    }
+}
+
+/// `sensor_msgs.msg.Imu`
+fn dotted(name: &TypeName) -> String {
+    name.to_string().replace('/', ".")
+}
+
+fn kind_of(element: &Element) -> Kind {
+    let size = |bound: Option<u64>| bound.map(|bound| usize::try_from(bound).unwrap_or(usize::MAX));
+    match element {
+        Element::Primitive(primitive) => match primitive {
+            Primitive::Bool => Kind::Bool,
+            Primitive::Byte | Primitive::Char | Primitive::UInt8 => Kind::UInt8,
+            Primitive::Int8 => Kind::Int8,
+            Primitive::Int16 => Kind::Int16,
+            Primitive::UInt16 => Kind::UInt16,
+            Primitive::Int32 => Kind::Int32,
+            Primitive::UInt32 => Kind::UInt32,
+            Primitive::Int64 => Kind::Int64,
+            Primitive::UInt64 => Kind::UInt64,
+            Primitive::Float32 => Kind::Float32,
+            Primitive::Float64 => Kind::Float64,
+        },
+        Element::String { bound } => Kind::Text { bound: size(*bound) },
+        Element::WString { bound } => Kind::WideText { bound: size(*bound) },
+        Element::Message(_) => unreachable!("messages are records"),
+    }
+}
+
+/// A default of a definition, which its parser has checked against the field's type.
+fn initial(kind: Kind, default: &definitions::Value) -> Option<Value<'static>> {
+    Some(match (default, kind) {
+        (definitions::Value::Bool(value), _) => Value::Bool(*value),
+        (definitions::Value::Integer(value), _) => Value::integer(kind, *value)?,
+        (definitions::Value::Float(value), Kind::Float32) => Value::Float32(*value as f32),
+        (definitions::Value::Float(value), _) => Value::Float64(*value),
+        (definitions::Value::Text(text), _) => Value::Text(text.clone().into()),
+        (definitions::Value::List(values), _) => {
+            let values: Vec<Value<'static>> =
+                values.iter().map(|value| initial(kind, value)).collect::<Option<_>>()?;
+            match kind.width() {
+                Some(width) => {
+                    let bits = values.iter().filter_map(Value::bits);
+                    let bytes: Vec<u8> =
+                        bits.flat_map(|bits| bits.to_le_bytes().into_iter().take(width)).collect();
+                    Value::Packed(bytes.into())
+                }
+                None => Value::List(values),
+            }
+        }
+    })
+}
+
+fn count_of(field_type: &FieldType) -> Count {
+    let size = |count: u64| usize::try_from(count).unwrap_or(usize::MAX);
+    match field_type.shape {
+        Shape::Single => Count::One,
+        Shape::Array(count) => Count::Array(size(count)),
+        Shape::Bounded(bound) => Count::Bounded(size(bound)),
+        Shape::Sequence => Count::Any,
+    }
+}

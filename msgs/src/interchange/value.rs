@@ -1,0 +1,145 @@
+//! A message between two serialisations.
+
+use std::borrow::Cow;
+
+use super::{Budget, Count, Field, Kind, Problem, Schema};
+
+/// What a field holds, or a record. Which variants a field may have, its kind and count say.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Value<'a> {
+    Bool(bool),
+    /// Of a signed integer kind, and within it.
+    Signed(i64),
+    /// Of an unsigned integer kind or an enumeration, and within it.
+    Unsigned(u64),
+    Float32(f32),
+    Float64(f64),
+    Text(Cow<'a, str>),
+    /// Of time and duration: seconds rounded down, and nanoseconds below 10^9.
+    Moment {
+        sec: i64,
+        nanosec: u32,
+    },
+    /// A list of a kind with a [width](Kind::width): the numbers one after another, little-endian.
+    Packed(Cow<'a, [u8]>),
+    /// A list of any other kind.
+    List(Vec<Value<'a>>),
+    /// The fields of a record, all of them, in the order of the schema.
+    Record(Vec<Value<'a>>),
+    /// An optional field that is not there.
+    Absent,
+}
+
+impl<'a> Value<'a> {
+    /// What a field is that the bytes do not mention: zero, empty, not there.
+    pub(crate) fn absent(schema: &Schema, field: &Field, budget: &mut Budget) -> Result<Self, Problem> {
+        budget.spend(size_of::<Self>())?;
+        match (field.count, field.kind.width()) {
+            (Count::Optional, _) => Ok(Self::Absent),
+            (Count::One, _) => Self::zero(schema, field.kind, budget),
+            (Count::Array(count), Some(width)) => {
+                let size = count.saturating_mul(width);
+                budget.spend(size)?;
+                Ok(Self::Packed(vec![0; size].into()))
+            }
+            (Count::Array(count), None) => {
+                let mut list = Vec::new();
+                for _ in 0..count {
+                    budget.spend(size_of::<Self>())?;
+                    list.push(Self::zero(schema, field.kind, budget)?);
+                }
+                Ok(Self::List(list))
+            }
+            (Count::Bounded(_) | Count::Any, Some(_)) => Ok(Self::Packed(Cow::Borrowed(&[]))),
+            (Count::Bounded(_) | Count::Any, None) => Ok(Self::List(Vec::new())),
+        }
+    }
+
+    /// The zero of a kind.
+    pub(crate) fn zero(schema: &Schema, kind: Kind, budget: &mut Budget) -> Result<Self, Problem> {
+        Ok(match kind {
+            Kind::Bool => Self::Bool(false),
+            Kind::Int8 | Kind::Int16 | Kind::Int32 | Kind::Int64 => Self::Signed(0),
+            Kind::UInt8
+            | Kind::UInt16
+            | Kind::UInt32
+            | Kind::Fixed32
+            | Kind::UInt64
+            | Kind::Enumeration(_) => Self::Unsigned(0),
+            Kind::Float32 => Self::Float32(0.0),
+            Kind::Float64 => Self::Float64(0.0),
+            Kind::Text { .. } | Kind::WideText { .. } => Self::Text(Cow::Borrowed("")),
+            Kind::Time | Kind::Duration => Self::Moment { sec: 0, nanosec: 0 },
+            Kind::Record(index) => {
+                let fields = schema.records[index].fields.iter();
+                Self::Record(
+                    fields.map(|field| Self::absent(schema, field, budget)).collect::<Result<_, _>>()?,
+                )
+            }
+        })
+    }
+
+    /// Gives a record that is all zeros the values of a new message.
+    pub(crate) fn initialize(&mut self, schema: &Schema, record: usize) {
+        let Self::Record(values) = self else { return };
+        for (field, value) in schema.records[record].fields.iter().zip(values) {
+            match (&field.initial, field.kind, &mut *value) {
+                (Some(initial), ..) => *value = initial.clone(),
+                (None, Kind::Record(inner), Self::List(values)) => {
+                    values.iter_mut().for_each(|value| value.initialize(schema, inner));
+                }
+                (None, Kind::Record(inner), value) => value.initialize(schema, inner),
+                _ => {}
+            }
+        }
+    }
+
+    /// One number of a kind with a width, from its little-endian bytes.
+    pub(crate) fn from_packed(kind: Kind, bytes: &[u8]) -> Self {
+        let mut all = [0; 8];
+        all[..bytes.len()].copy_from_slice(bytes);
+        let bits = u64::from_le_bytes(all);
+        match kind {
+            Kind::Bool => Self::Bool(bits != 0),
+            Kind::Int8 => Self::Signed((bits as i8).into()),
+            Kind::Int16 => Self::Signed((bits as i16).into()),
+            Kind::Int32 => Self::Signed((bits as i32).into()),
+            Kind::Int64 => Self::Signed(bits as i64),
+            Kind::Float32 => Self::Float32(f32::from_bits(bits as u32)),
+            Kind::Float64 => Self::Float64(f64::from_bits(bits)),
+            _ => Self::Unsigned(bits),
+        }
+    }
+
+    /// The bits of a number or truth value, for its little-endian bytes: as many as the kind is wide.
+    pub(crate) fn bits(&self) -> Option<u64> {
+        Some(match self {
+            Self::Bool(value) => u64::from(*value),
+            Self::Signed(value) => *value as u64,
+            Self::Unsigned(value) => *value,
+            Self::Float32(value) => value.to_bits().into(),
+            Self::Float64(value) => value.to_bits(),
+            _ => return None,
+        })
+    }
+
+    /// An integer of a kind, if it is within the kind.
+    pub(crate) fn integer(kind: Kind, integer: i128) -> Option<Self> {
+        let (least, greatest) = match kind {
+            Kind::Int8 => (i8::MIN.into(), i8::MAX.into()),
+            Kind::Int16 => (i16::MIN.into(), i16::MAX.into()),
+            Kind::Int32 => (i32::MIN.into(), i32::MAX.into()),
+            Kind::Int64 => (i64::MIN.into(), i64::MAX.into()),
+            Kind::UInt8 | Kind::Enumeration(_) => (0, u8::MAX.into()),
+            Kind::UInt16 => (0, u16::MAX.into()),
+            Kind::UInt32 | Kind::Fixed32 => (0, u32::MAX.into()),
+            Kind::UInt64 => (0, u64::MAX.into()),
+            _ => return None,
+        };
+        if !(least..=greatest).contains(&integer) {
+            return None;
+        }
+        // Both casts are exact within the range just checked.
+        Some(if least < 0 { Self::Signed(integer as i64) } else { Self::Unsigned(integer as u64) })
+    }
+}

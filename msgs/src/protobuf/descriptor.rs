@@ -1,0 +1,161 @@
+//! `FileDescriptorSet`: a schema as the schema of Protobuf itself has it, which MCAP files hold.
+
+use std::convert::Infallible;
+
+use super::text::imports;
+use super::wire::{WireType, put_bytes, put_delimited, put_tag, put_varint};
+use super::{DURATION, TIMESTAMP, parts, path_of};
+use crate::interchange::{Count, Enumeration, Field, Kind, Record, Schema};
+
+type Result = std::result::Result<(), Infallible>;
+
+/// Every file of a schema, and those of well-known types that they import; what is imported comes first.
+pub(crate) fn file_descriptor_set(schema: &Schema) -> Vec<u8> {
+    let mut set = Vec::new();
+    let uses =
+        |kind: Kind| schema.records.iter().any(|record| record.fields.iter().any(|field| field.kind == kind));
+    for (kind, (path, name)) in [(Kind::Time, TIMESTAMP), (Kind::Duration, DURATION)] {
+        if uses(kind) {
+            let moment = Record { name: name.into(), fields: vec![], least_size: 0 };
+            put(&mut set, 1, |out| well_known_file(out, path, &moment));
+        }
+    }
+    let mut is_written = vec![false; schema.records.len()];
+    for index in 0..schema.records.len() {
+        put_file(&mut set, schema, index, &mut is_written);
+    }
+    set
+}
+
+fn put_file(set: &mut Vec<u8>, schema: &Schema, index: usize, is_written: &mut [bool]) {
+    if std::mem::replace(&mut is_written[index], true) {
+        return;
+    }
+    // As deep as schemas may be.
+    for field in &schema.records[index].fields {
+        if let Kind::Record(inner) = field.kind {
+            put_file(set, schema, inner, is_written);
+        }
+    }
+    put(set, 1, |out| {
+        let record = &schema.records[index];
+        file_head(out, &path_of(&record.name), parts(&record.name).0, &imports(schema, record));
+        put(out, 4, |out| message(out, schema, index));
+        put_bytes(out, 12, b"proto3");
+        Ok(())
+    });
+}
+
+/// The file of `Timestamp` or `Duration`.
+fn well_known_file(out: &mut Vec<u8>, path: &str, record: &Record) -> Result {
+    let (package, name) = parts(&record.name);
+    file_head(out, path, package, &[]);
+    put(out, 4, |out| {
+        put_bytes(out, 1, name.as_bytes());
+        for (field_name, number, kind) in [("seconds", 1, 3), ("nanos", 2, 5)] {
+            put(out, 2, |out| {
+                put_bytes(out, 1, field_name.as_bytes());
+                put_number(out, 3, number);
+                put_number(out, 4, 1);
+                put_number(out, 5, kind);
+                Ok(())
+            });
+        }
+        Ok(())
+    });
+    put_bytes(out, 12, b"proto3");
+    Ok(())
+}
+
+fn file_head(out: &mut Vec<u8>, path: &str, package: &str, imports: &[String]) {
+    put_bytes(out, 1, path.as_bytes());
+    put_bytes(out, 2, package.as_bytes());
+    for import in imports {
+        put_bytes(out, 3, import.as_bytes());
+    }
+}
+
+/// `DescriptorProto`
+fn message(out: &mut Vec<u8>, schema: &Schema, index: usize) -> Result {
+    let record = &schema.records[index];
+    put_bytes(out, 1, parts(&record.name).1.as_bytes());
+    let optional: Vec<&Field> = record.fields.iter().filter(|field| field.count == Count::Optional).collect();
+    for field in &record.fields {
+        let oneof = optional.iter().position(|other| other.number == field.number);
+        put(out, 2, |out| field_descriptor(out, schema, field, oneof));
+    }
+    for enumeration in schema.enumerations.iter().filter(|enumeration| enumeration.owner == index) {
+        put(out, 4, |out| enum_descriptor(out, enumeration));
+    }
+    // The compiler stands for each optional field by a `oneof` of its own.
+    for field in optional {
+        put(out, 8, |out| {
+            put_bytes(out, 1, format!("_{}", field.name).as_bytes());
+            Ok(())
+        });
+    }
+    Ok(())
+}
+
+/// `FieldDescriptorProto`
+fn field_descriptor(out: &mut Vec<u8>, schema: &Schema, field: &Field, oneof: Option<usize>) -> Result {
+    let is_bytes = field.count.is_list() && field.kind == Kind::UInt8;
+    let is_repeated = field.count.is_list() && !is_bytes;
+    put_bytes(out, 1, field.name.as_bytes());
+    put_number(out, 3, field.number.into());
+    put_number(out, 4, if is_repeated { 3 } else { 1 });
+    let (number, type_name) = if is_bytes { (12, None) } else { type_of(schema, field.kind) };
+    put_number(out, 5, number);
+    if let Some(type_name) = type_name {
+        put_bytes(out, 6, type_name.as_bytes());
+    }
+    if let Some(oneof) = oneof {
+        put_number(out, 9, oneof as u64);
+        put_number(out, 17, 1);
+    }
+    Ok(())
+}
+
+/// `EnumDescriptorProto`
+fn enum_descriptor(out: &mut Vec<u8>, enumeration: &Enumeration) -> Result {
+    put_bytes(out, 1, enumeration.nested_name.as_bytes());
+    for (number, value) in enumeration.values.iter().enumerate() {
+        put(out, 2, |out| {
+            put_bytes(out, 1, value.as_bytes());
+            put_number(out, 2, number as u64);
+            Ok(())
+        });
+    }
+    Ok(())
+}
+
+/// The number of the type in `FieldDescriptorProto.Type`, and its name if it has one.
+fn type_of(schema: &Schema, kind: Kind) -> (u64, Option<String>) {
+    match kind {
+        Kind::Float64 => (1, None),
+        Kind::Float32 => (2, None),
+        Kind::Int64 => (3, None),
+        Kind::UInt64 => (4, None),
+        Kind::Int8 | Kind::Int16 | Kind::Int32 => (5, None),
+        Kind::Fixed32 => (7, None),
+        Kind::Bool => (8, None),
+        Kind::Text { .. } | Kind::WideText { .. } => (9, None),
+        Kind::UInt8 | Kind::UInt16 | Kind::UInt32 => (13, None),
+        Kind::Time => (11, Some(format!(".{}", TIMESTAMP.1))),
+        Kind::Duration => (11, Some(format!(".{}", DURATION.1))),
+        Kind::Record(index) => (11, Some(format!(".{}", schema.records[index].name))),
+        Kind::Enumeration(index) => {
+            let Enumeration { owner, nested_name, .. } = &schema.enumerations[index];
+            (14, Some(format!(".{}.{nested_name}", schema.records[*owner].name)))
+        }
+    }
+}
+
+fn put(out: &mut Vec<u8>, number: u32, write: impl FnOnce(&mut Vec<u8>) -> Result) {
+    let Ok(()) = put_delimited(out, number, write);
+}
+
+fn put_number(out: &mut Vec<u8>, number: u32, value: u64) {
+    put_tag(out, number, WireType::Varint);
+    put_varint(out, value);
+}

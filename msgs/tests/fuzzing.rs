@@ -1,0 +1,76 @@
+//! What the fuzzers found so far, and a few thousand random changes of it. Longer runs: `fuzz/README.md`.
+#![allow(clippy::expect_used, clippy::unwrap_used, missing_docs)]
+
+use std::path::Path;
+
+#[path = "../fuzz/targets/mod.rs"]
+mod targets;
+
+/// Of each file of the corpus.
+const CHANGES: usize = 50;
+
+#[test]
+fn no_interface_file_brings_the_parser_down() {
+    check("interface_files", targets::interface_files::run);
+}
+
+#[test]
+fn no_idl_file_brings_the_parser_down() {
+    check("idl_files", targets::idl_files::run);
+}
+
+#[test]
+fn no_bytes_bring_the_reader_of_a_message_down() {
+    check("cdr", targets::cdr::run);
+}
+
+#[test]
+fn compiled_and_dynamic_messages_agree_on_any_bytes() {
+    check("dynamic", targets::dynamic::run);
+}
+
+fn check(target: &str, run: fn(&[u8])) {
+    let folder = Path::new("fuzz/corpus").join(target);
+    let mut files: Vec<_> = std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.sort();
+    assert!(!files.is_empty(), "{} is empty", folder.display());
+    let mut random = Random(0x9E37_79B9_7F4A_7C15);
+    for file in files {
+        let seed = std::fs::read(&file).unwrap();
+        run(&seed);
+        for _ in 0..CHANGES {
+            let changed = random.changed(&seed);
+            let outcome = std::panic::catch_unwind(|| run(&changed));
+            assert!(outcome.is_ok(), "a change of {}: {changed:?}", file.display());
+        }
+    }
+}
+
+/// xorshift (Marsaglia 2003): the same changes in every run.
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, bound: usize) -> usize {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        (self.0 >> 11) as usize % bound.max(1)
+    }
+
+    /// A copy with one to four bytes changed, removed, added or cut off.
+    fn changed(&mut self, seed: &[u8]) -> Vec<u8> {
+        const TELLING: [u8; 8] = [0, 1, 0x7F, 0x80, 0xFF, b'\n', b'[', b'='];
+        let mut bytes = seed.to_vec();
+        for _ in 0..=self.below(4) {
+            let (place, telling) = (self.below(bytes.len()), TELLING[self.below(TELLING.len())]);
+            match self.below(5) {
+                0 if !bytes.is_empty() => bytes[place] = telling,
+                1 if !bytes.is_empty() => bytes[place] ^= 1 << self.below(8),
+                2 if !bytes.is_empty() => drop(bytes.remove(place)),
+                3 => bytes.insert(place, telling),
+                _ => bytes.truncate(place),
+            }
+        }
+        bytes
+    }
+}

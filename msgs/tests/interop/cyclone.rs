@@ -1,0 +1,22 @@
+//! Bytes against `cyclonedds`, the other DDS implementation that ROS 2 supports.
+
+use crate::bags::is_known;
+use crate::every_type::{Type, every_type};
+use crate::peer::{Peer, unhex};
+use crate::values::{self, samples};
+
+#[test]
+fn cyclonedds_reads_what_we_write_and_we_read_what_it_writes_in_both_byte_orders() {
+    let Some(peer) = Peer::find() else { return };
+    let types = every_type();
+    let types: Vec<&Type> = types.iter().filter(|of| is_known(of)).collect();
+    let ours = samples(&types, 20);
+    let answer = peer.ask("cyclone_convert", &[], &(values::definitions(&types) + &values::lines(&ours)));
+    let lines = answer.lines::<5>();
+    assert_eq!(lines.len(), ours.len());
+    for (sample, [json, little, big, _, _]) in ours.iter().zip(lines) {
+        sample.check_value(json, "cyclonedds");
+        sample.check_bytes(&unhex(little));
+        sample.check_swapped(&unhex(big));
+    }
+}

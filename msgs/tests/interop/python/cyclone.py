@@ -1,0 +1,76 @@
+"""cyclonedds: the serialisation of Eclipse Cyclone DDS in Python, in both versions of CDR."""
+
+import json
+import struct
+
+import cyclonedds.idl.types as idl
+from cyclonedds.idl import make_idl_struct
+from cyclonedds.idl._support import Endianness
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import get_types_from_msg
+
+from bags import known_as
+
+PRIMITIVES = {
+    'bool': bool, 'byte': idl.byte, 'char': idl.uint8,
+    'float32': idl.float32, 'float64': idl.float64,
+    **{f'{sign}int{bits}': getattr(idl, f'{sign}int{bits}') for sign in ('', 'u') for bits in (8, 16, 32, 64)},
+}
+FORMS = {'float32': '>f', 'float64': '>d'}
+
+
+def convert(lines):
+    """FILE has `define`, name, definition, and name, bytes. Of the latter: the value, and the bytes it is written as, in
+    version 1 and in version 2, each little-endian and big-endian."""
+    types = {}
+    classes = {}
+    for *command, name, data in lines:
+        name = known_as(name)
+        if command:
+            types.update(get_types_from_msg(bytes.fromhex(data).decode(), name))
+            continue
+        support = class_of(classes, types, name).__idl__
+        message = support.deserialize(bytes.fromhex(data))
+        written = (bytes(support.serialize(message, use_version_2=version_2, endianness=endianness)).hex()
+                   for version_2 in (False, True) for endianness in (Endianness.Little, Endianness.Big))
+        yield json.dumps(plain(types, name, message)), *written
+
+
+def class_of(classes, types, name):
+    if name not in classes:
+        fields = {field: annotation(classes, types, of) for field, of in types[name][1]}
+        # An empty structure has one byte, as rosidl gives it one.
+        fields = fields or {'structure_needs_at_least_one_member': idl.uint8}
+        classes[name] = make_idl_struct(name.replace('/', '_'), name.replace('/', '.'), fields)
+    return classes[name]
+
+
+def annotation(classes, types, of):
+    kind, detail = of
+    if kind == Nodetype.NAME:
+        return class_of(classes, types, detail)
+    if kind == Nodetype.BASE:
+        name, bound = detail
+        if name == 'string':
+            # Its bound counts the terminating zero.
+            return idl.bounded_str[bound + 1] if bound else str
+        return PRIMITIVES[name]
+    element, count = detail
+    element = annotation(classes, types, element)
+    if kind == Nodetype.ARRAY:
+        return idl.array[element, count]
+    return idl.sequence[element, count] if count else idl.sequence[element]
+
+
+def plain(types, name, message):
+    return {field: plain_value(types, of, getattr(message, field)) for field, of in types[name][1]}
+
+
+def plain_value(types, of, value):
+    kind, detail = of
+    if kind == Nodetype.NAME:
+        return plain(types, detail, value)
+    if kind == Nodetype.BASE:
+        form = FORMS.get(detail[0])
+        return struct.pack(form, value).hex() if form else value
+    return [plain_value(types, detail[0], item) for item in value]

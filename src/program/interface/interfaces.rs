@@ -1,0 +1,206 @@
+//! The interfaces that a command can name.
+
+use std::collections::BTreeSet;
+use std::io::IsTerminal;
+use std::path::Path;
+
+use anyhow::{Context, anyhow, bail};
+use downbeat::msgs::definitions::{
+    ActionDefinition, Catalog, Kind, MessageDefinition, ServiceDefinition, TypeName,
+};
+
+use super::arguments::{SourceArguments, TypeArguments};
+use super::carried::carried;
+use super::nearest::nearest;
+use super::packages::{ament_packages, packages_at};
+
+/// Definitions from --from, AMENT_PREFIX_PATH and this program, in this order: the first place that has a package gives
+/// all of it, as ament overlays do.
+pub(super) struct Interfaces {
+    pub(super) catalog: Catalog,
+}
+
+/// The definition behind a name.
+#[derive(Clone, Copy)]
+pub(super) enum Definition<'a> {
+    Message(&'a MessageDefinition),
+    Service(&'a ServiceDefinition),
+    Action(&'a ActionDefinition),
+}
+
+impl Interfaces {
+    /// # Errors
+    /// If a place of --from has no packages or a definition there is wrong. A wrong package of AMENT_PREFIX_PATH is left
+    /// out with a warning, since it may have nothing to do with what is asked for.
+    pub(super) fn load(source: &SourceArguments) -> anyhow::Result<Self> {
+        let mut catalog = Catalog::new();
+        let mut taken = BTreeSet::new();
+        for path in &source.from {
+            for folder in packages_at(path)? {
+                if taken.insert(package_name(&folder)) {
+                    catalog.add_package(&folder)?;
+                }
+            }
+        }
+        for folder in ament_packages().context("AMENT_PREFIX_PATH")? {
+            if taken.contains(&package_name(&folder)) {
+                continue;
+            }
+            // Alone first: what is wrong must leave nothing behind.
+            match Catalog::new().add_package(&folder) {
+                Ok(_) => {
+                    catalog.add_package(&folder)?;
+                    taken.insert(package_name(&folder));
+                }
+                Err(error) => tracing::warn!("left out the package {}: {error}", folder.display()),
+            }
+        }
+        add_carried(&mut catalog, &taken)?;
+        Ok(Self { catalog })
+    }
+
+    /// The definition of that name.
+    ///
+    /// # Errors
+    /// If there is none; with the nearest name.
+    pub(super) fn find(&self, name: &TypeName) -> anyhow::Result<Definition<'_>> {
+        let catalog = &self.catalog;
+        let message = || catalog.message(name).map(Definition::Message);
+        let found = match name.kind {
+            Kind::Message => message(),
+            Kind::Service => catalog.service(name).map(Definition::Service).or_else(|_| message()),
+            Kind::Action => catalog
+                .action(name)
+                .map(Definition::Action)
+                .or_else(|_| catalog.service(name).map(Definition::Service))
+                .or_else(|_| message()),
+        };
+        found.map_err(|_| self.unknown(&name.to_string()))
+    }
+
+    /// The types that arguments name, each of which is here.
+    ///
+    /// # Errors
+    /// If one is not; with the nearest name.
+    pub(super) fn chosen(&self, arguments: &TypeArguments) -> anyhow::Result<Vec<TypeName>> {
+        match arguments.name.as_deref() {
+            None => Ok(self.names()),
+            Some("-") => Ok(vec![self.named(&name_from_standard_input()?)?]),
+            Some(name) => Ok(vec![self.named(name)?]),
+        }
+    }
+
+    /// Every name there is a definition for, in order, parts of services and actions included.
+    pub(super) fn names(&self) -> Vec<TypeName> {
+        let mut names: Vec<TypeName> = self.catalog.messages().map(|message| message.name.clone()).collect();
+        names.extend(self.catalog.services().map(|service| service.name.clone()));
+        names.extend(self.catalog.actions().map(|action| action.name.clone()));
+        names.sort_by_cached_key(TypeName::to_string);
+        names
+    }
+
+    /// Whether a name is that of a file, and not of a part of a service or action.
+    pub(super) fn is_whole(&self, name: &TypeName) -> bool {
+        match name.kind {
+            Kind::Message => true,
+            Kind::Service => self.catalog.service(name).is_ok(),
+            Kind::Action => self.catalog.action(name).is_ok(),
+        }
+    }
+
+    /// # Errors
+    /// If no package of that name has interfaces; with the nearest name.
+    pub(super) fn check_package(&self, package: &str) -> anyhow::Result<()> {
+        let packages = self.catalog.packages();
+        if packages.contains(&package) {
+            return Ok(());
+        }
+        let hint = hint(nearest(package, packages.iter().map(ToString::to_string)));
+        bail!("no package \"{package}\" with interfaces is known{hint}")
+    }
+
+    fn named(&self, text: &str) -> anyhow::Result<TypeName> {
+        let name: TypeName = text.parse().map_err(|_| self.unknown(text))?;
+        self.find(&name).map(|_| name)
+    }
+
+    fn unknown(&self, text: &str) -> anyhow::Error {
+        let names = self.names();
+        let is_known = |package: &str| names.iter().any(|name| name.package == package);
+        let place = match text.split_once('/') {
+            Some((package, _)) if !is_known(package) => {
+                format!(" (nor another one of the package \"{package}\": name its place with --from)")
+            }
+            _ => String::new(),
+        };
+        let hint = hint(nearest(text, names.iter().map(TypeName::to_string)));
+        anyhow!("no interface \"{text}\" is known{place}{hint}")
+    }
+}
+
+impl<'a> Definition<'a> {
+    /// The text of the file, or of the part of it.
+    pub(super) fn text(self) -> &'a str {
+        match self {
+            Self::Message(message) => &message.text,
+            Self::Service(service) => &service.text,
+            Self::Action(action) => &action.text,
+        }
+    }
+
+    /// What the file has between its lines `---`.
+    pub(super) fn parts(self) -> Vec<&'a MessageDefinition> {
+        match self {
+            Self::Message(message) => vec![message],
+            Self::Service(service) => vec![&service.request, &service.response],
+            Self::Action(action) => vec![&action.goal, &action.result, &action.feedback],
+        }
+    }
+
+    /// What names the file.
+    pub(super) fn origin(self) -> &'a str {
+        match self {
+            Self::Message(message) => &message.origin,
+            Self::Service(service) => &service.origin,
+            Self::Action(action) => &action.origin,
+        }
+    }
+}
+
+/// Adds the packages of this program that are not taken from elsewhere.
+fn add_carried(catalog: &mut Catalog, taken: &BTreeSet<String>) -> anyhow::Result<()> {
+    let carried = carried()?;
+    let is_wanted = |name: &TypeName| !taken.contains(&name.package);
+    for message in carried.messages().filter(|of| of.name.kind == Kind::Message && is_wanted(&of.name)) {
+        catalog.add_message(message.name.clone(), &message.text, &message.origin)?;
+    }
+    for service in carried.services().filter(|of| of.name.kind == Kind::Service && is_wanted(&of.name)) {
+        catalog.add_service(service.name.clone(), &service.text, &service.origin)?;
+    }
+    for action in carried.actions().filter(|of| is_wanted(&of.name)) {
+        catalog.add_action(action.name.clone(), &action.text, &action.origin)?;
+    }
+    Ok(())
+}
+
+fn package_name(folder: &Path) -> String {
+    folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn hint(nearest: Option<String>) -> String {
+    nearest.map(|nearest| format!(", did you mean \"{nearest}\"?")).unwrap_or_default()
+}
+
+/// As `ros2 topic type /chatter | ros2 interface show -` does.
+fn name_from_standard_input() -> anyhow::Result<String> {
+    let input = std::io::stdin();
+    if input.is_terminal() {
+        bail!("`-` reads the name of the type from a pipe, and standard input is a terminal");
+    }
+    let mut line = String::new();
+    input.read_line(&mut line).context("cannot read the name of the type from standard input")?;
+    match line.trim() {
+        "" => bail!("expected the name of a type on standard input, found nothing"),
+        name => Ok(name.to_owned()),
+    }
+}

@@ -1,0 +1,85 @@
+//! `downbeat interface show`
+//!
+//! # References
+//! `ros2interface/ros2interface/verb/show.py` of ros2/ros2cli, branch jazzy: the file line by line; behind each field of
+//! a message type the file of that, one tab further in. With comments taken away the real command leaves a `#` where one
+//! stood behind a field, against what its own tests expect, and keeps indented ones; here nothing of them is left.
+
+use anyhow::bail;
+use downbeat::msgs::definitions::TypeName;
+
+use super::arguments::ShowArguments;
+use super::interfaces::Interfaces;
+use super::{source_text, structure};
+
+pub(super) fn show(arguments: &ShowArguments) -> anyhow::Result<()> {
+    let interfaces = Interfaces::load(&arguments.types.source)?;
+    let names = interfaces.chosen(&arguments.types)?;
+    if arguments.json {
+        return structure::show(&interfaces, &names);
+    }
+    let comments = match arguments {
+        ShowArguments { all_comments: true, .. } => Comments::All,
+        ShowArguments { no_comments: true, .. } => Comments::None,
+        _ => Comments::OfTheTypeItself,
+    };
+    for name in &names {
+        if arguments.types.all {
+            println!("{}\n{name}", "=".repeat(80));
+        }
+        Text { interfaces: &interfaces, comments, path: Vec::new() }.print(name)?;
+    }
+    Ok(())
+}
+
+#[derive(Clone, Copy)]
+enum Comments {
+    All,
+    OfTheTypeItself,
+    None,
+}
+
+/// A definition on its way to the output.
+struct Text<'a> {
+    interfaces: &'a Interfaces,
+    comments: Comments,
+    /// From the type asked for to the one whose lines are printed.
+    path: Vec<TypeName>,
+}
+
+impl Text<'_> {
+    fn print(&mut self, name: &TypeName) -> anyhow::Result<()> {
+        // This bounds how deep it goes: by the number of types.
+        if self.path.contains(name) {
+            let path = self.path.iter().map(TypeName::to_string).collect::<Vec<_>>().join(" -> ");
+            bail!("{name} contains itself: {path} -> {name}");
+        }
+        self.path.push(name.clone());
+        let definition = self.interfaces.find(name)?;
+        for line in source_text::lines(definition) {
+            self.print_line(&line.text);
+            if let Some(message) = line.message {
+                self.print(&message)?;
+            }
+        }
+        self.path.pop();
+        Ok(())
+    }
+
+    fn print_line(&self, line: &str) {
+        let has_comments = match self.comments {
+            Comments::All => true,
+            Comments::OfTheTypeItself => self.path.len() == 1,
+            Comments::None => false,
+        };
+        let shown = match line.split_once('#') {
+            Some((code, _)) if !has_comments => code.trim(),
+            _ => line.trim_end(),
+        };
+        if !shown.is_empty() {
+            println!("{}{shown}", "\t".repeat(self.path.len() - 1));
+        } else if has_comments {
+            println!();
+        }
+    }
+}
