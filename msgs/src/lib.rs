@@ -56,3 +56,88 @@ pub use downbeat_msgs_definitions as definitions;
 pub use message::{Action, Message, Service};
 #[doc(hidden)]
 pub use serde; // Generated code in other crates derives its traits by this path.
+
+/// Makes a ROS 2 message of a hand-written struct: with the bytes, the definition text, the type description and the hash
+/// that the generator would give the same definition.
+///
+/// ```
+/// use downbeat_msgs::std_msgs::msg::Header;
+/// use downbeat_msgs::{Message, cdr};
+///
+/// /// One leg of a robot.
+/// #[derive(Clone, Debug, Default, PartialEq, Message)]
+/// #[message(name = "my_msgs/msg/Leg")]
+/// struct Leg {
+///     header: Header,
+///     /// From the hip down [rad].
+///     angles: [f64; 6],
+///     #[message(type = "string<=16[<=4]")]
+///     contacts: Vec<String>,
+/// }
+///
+/// assert_eq!(cdr::from_slice::<Leg>(&cdr::to_vec(&Leg::default()))?, Leg::default());
+/// assert!(Leg::TYPE_HASH.starts_with("RIHS01_"));
+/// assert!(Leg::DEFINITION.starts_with(
+///     "# One leg of a robot.\n\nstd_msgs/Header header\n# From the hip down [rad].\nfloat64[6] angles\n"
+/// ));
+/// # Ok::<(), cdr::Error>(())
+/// ```
+///
+/// Everything but the name is computed from the fields while the crate is compiled. What a field's type refers to is the Rust type
+/// that stands there, generated or derived, so the hash cannot be that of another version of it.
+///
+/// # Attributes
+/// - `name = "my_msgs/msg/Leg"`: the full name. Without it the message has the name of the crate, or that which the path
+///   of the file says, and of the struct.
+/// - `file = "msg/Leg.msg"`: the definition, relative to the folder of `Cargo.toml`. The struct must have its fields, in
+///   their order and of their types; a field that differs is an error at that field. The file's text, its comments and defaults
+///   included, is what `DEFINITION` holds. Its constants, and its defaults as those of `Default`, are the struct's own affair.
+/// - `crate = "some::path"`: where this crate is, if not at `::downbeat_msgs`.
+/// - on a field, where there is no file: `type = "byte"` or `type = "string<=16[<=4]"`, the type as a definition spells it, for
+///   what Rust types do not say: `byte`, and bounds.
+///
+/// # Types
+/// `bool`, the integers of 8 to 64 bits, `f32`, `f64`, `String` (`string`), `WString` (`wstring`), structs that are messages,
+/// and `[T; N]` and `Vec<T>` of these. `u8` is `uint8`; in a file also `byte` or `char`.
+///
+/// A field of another type does not compile, nor one that is not what the file says:
+///
+/// ```compile_fail,E0277
+/// # use downbeat_msgs::Message;
+/// #[derive(Clone, Debug, Default, PartialEq, Message)]
+/// #[message(name = "my_msgs/msg/Leg")]
+/// struct Leg {
+///     side: Option<u8>, // `Option<u8>` cannot be the type of a field of a ROS 2 message
+/// }
+/// ```
+///
+/// ```compile_fail,E0080
+/// # use downbeat_msgs::Message;
+/// #[derive(Clone, Debug, Default, PartialEq, Message)]
+/// #[message(file = "interfaces/geometry_msgs/msg/Point32.msg")]
+/// struct Point32 {
+///     x: f32,
+///     y: f32,
+///     z: f64, // interfaces/geometry_msgs/msg/Point32.msg:3:1: `z` is `float32`, in Rust `f32`
+/// }
+/// ```
+///
+/// ```compile_fail,E0080
+/// # use downbeat_msgs::{Message, builtin_interfaces::msg::Duration};
+/// #[derive(Clone, Debug, Default, PartialEq, Message)]
+/// #[message(file = "interfaces/std_msgs/msg/Header.msg")]
+/// struct Header {
+///     stamp: Duration, // `stamp` is `builtin_interfaces/Time`, in Rust the struct of builtin_interfaces/msg/Time
+///     frame_id: String,
+/// }
+/// ```
+///
+/// ```compile_fail,E0080
+/// # use downbeat_msgs::Message;
+/// #[derive(Clone, Debug, Default, PartialEq, Message)]
+/// struct Matrix {
+///     rows: Vec<Vec<f64>>, // ROS 2 has no arrays of arrays: put the inner one into a message
+/// }
+/// ```
+#[cfg(feature = "derive")]
+pub use downbeat_msgs_derive::Message;

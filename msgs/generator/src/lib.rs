@@ -28,4 +28,6 @@ mod rust;
 
 pub use build::{Build, BuildError, compile};
 pub use downbeat_msgs_definitions::{Catalog, Error, TypeName};
+#[doc(hidden)]
+pub use rust::generated;
 pub use rust::{Modules, RustSource};

@@ -1,5 +1,6 @@
 //! Fields and their types.
 
+use super::text::compare;
 use crate::{Message, WString};
 
 /// A type and its fields.
@@ -174,4 +175,44 @@ impl<T: FieldValue> FieldValue for Vec<T> {
 
 impl<T: FieldValue, const N: usize> FieldValue for [T; N] {
     const FIELD_TYPE: FieldType = T::FIELD_TYPE.shaped(Shape::Array(N as u64));
+}
+
+/// Fails the build with `message` if the type does not correspond to that of a definition, of which `element` is the Rust name
+/// (`message` for one, whose name is then `nested`). Bounds and `byte` have no Rust types, so they are not looked at.
+#[doc(hidden)]
+#[track_caller]
+pub const fn check<T: FieldValue>(element: &str, shape: Shape, nested: &str, message: &str) {
+    let found = T::FIELD_TYPE;
+    let is_shape = match (found.shape, shape) {
+        (Shape::Array(found), Shape::Array(defined)) => found == defined,
+        (Shape::Single, Shape::Single) | (Shape::Sequence, Shape::Sequence) => true,
+        _ => false,
+    };
+    let is_nested = match found.nested {
+        Some(found) => compare(found.type_name, nested) == 0,
+        None => nested.is_empty(),
+    };
+    if !is_shape || !is_nested || compare(rust_name(found.element), element) != 0 {
+        panic!("{}", message);
+    }
+}
+
+const fn rust_name(element: u8) -> &'static str {
+    match element {
+        NESTED => "message",
+        2 => "i8",
+        UINT8 | BYTE => "u8",
+        4 => "i16",
+        5 => "u16",
+        6 => "i32",
+        7 => "u32",
+        8 => "i64",
+        9 => "u64",
+        10 => "f32",
+        11 => "f64",
+        15 => "bool",
+        STRING => "String",
+        WSTRING => "WString",
+        _ => "",
+    }
 }

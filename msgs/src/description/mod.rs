@@ -24,6 +24,8 @@ mod hash;
 mod sha256;
 mod text;
 
+#[doc(hidden)]
+pub use field::check;
 pub use field::{Description, Field, FieldType, FieldValue, Shape};
 pub use hash::{Hash, hash};
 pub use text::{OwnText, Text, definition};

@@ -80,7 +80,8 @@ impl RustSource<'_> {
 }
 
 /// How a field is read: the owned value or its view.
-pub(super) fn decode_call(field: &Field) -> String {
+#[must_use]
+pub fn decode_call(field: &Field) -> String {
     let name = &field.name;
     let text_bound = match field.field_type.element {
         Element::String { bound } | Element::WString { bound } => bound,

@@ -24,7 +24,8 @@ impl RustSource<'_> {
 }
 
 /// What the Rust type does not say.
-fn modifiers(field: &Field) -> String {
+#[must_use]
+pub fn modifiers(field: &Field) -> String {
     let mut source = String::new();
     if let Shape::Bounded(bound) = field.field_type.shape {
         source.push_str(&format!(".bounded({bound})"));

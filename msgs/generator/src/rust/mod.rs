@@ -8,6 +8,8 @@ mod action;
 mod cdr;
 mod description;
 mod docs;
+#[doc(hidden)]
+pub mod generated;
 mod layout;
 mod message;
 mod names;

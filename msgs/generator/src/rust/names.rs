@@ -32,7 +32,9 @@ pub(super) fn struct_name(name: &TypeName) -> String {
     }
 }
 
-pub(super) fn primitive(primitive: Primitive) -> &'static str {
+/// The Rust type of a primitive one.
+#[must_use]
+pub fn primitive(primitive: Primitive) -> &'static str {
     match primitive {
         Primitive::Bool => "bool",
         Primitive::Byte | Primitive::Char | Primitive::UInt8 => "u8",

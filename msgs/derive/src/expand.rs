@@ -1,0 +1,115 @@
+//! The code that is added to the struct.
+
+use downbeat_msgs_definitions::{Element, Field, Shape};
+use downbeat_msgs_generator::generated;
+use proc_macro2::TokenStream;
+use quote::{quote, quote_spanned};
+use syn::{Error, Path, Result, parse_quote};
+
+use crate::cdr;
+use crate::definition::{Crate, Definition};
+use crate::structure::{StructField, Structure};
+
+/// The implementations for the struct in `input`.
+pub(crate) fn expand(input: TokenStream) -> Result<TokenStream> {
+    let structure = Structure::parse(syn::parse2(input)?)?;
+    expand_in(&structure, &Crate::from_cargo()?)
+}
+
+fn expand_in(structure: &Structure, here: &Crate) -> Result<TokenStream> {
+    let definition = Definition::of(structure, here)?;
+    let runtime: Path = structure.attributes.runtime.clone().unwrap_or_else(|| parse_quote!(::downbeat_msgs));
+    let ident = &structure.ident;
+    let name = definition.name.to_string();
+
+    let pairs = || structure.fields.iter().zip(&definition.fields);
+    let checks = pairs().filter_map(|(field, defined)| Some(check(field, defined.as_ref()?, &runtime)));
+    let fields = pairs().map(|(field, defined)| described(field, defined.as_ref(), &runtime));
+    let fields = fields.collect::<Result<Vec<_>>>()?;
+    let own_text = own_text(structure, &definition, &runtime)?;
+    let cdr = cdr::implementation(structure, &definition, &runtime)?;
+
+    Ok(quote! {
+        #(#checks)*
+
+        #cdr
+
+        // Of a message that refers to many others the compiler takes a moment to compute the hash.
+        #[allow(long_running_const_eval)]
+        impl #runtime::Message for #ident {
+            const TYPE_NAME: &'static ::core::primitive::str = #name;
+            const TYPE_HASH: &'static ::core::primitive::str = {
+                const HASH: &#runtime::description::Hash =
+                    &#runtime::description::hash(#name, <#ident as #runtime::Message>::FIELDS);
+                HASH.as_str()
+            };
+            const DEFINITION: &'static ::core::primitive::str = {
+                const FIELDS: &[#runtime::description::Field] = <#ident as #runtime::Message>::FIELDS;
+                const OWN: #runtime::description::OwnText = #own_text;
+                const LENGTH: ::core::primitive::usize = #runtime::description::definition::<0>(OWN, FIELDS).len();
+                const TEXT: &#runtime::description::Text<LENGTH> =
+                    &#runtime::description::definition::<LENGTH>(OWN, FIELDS);
+                TEXT.as_str()
+            };
+            const FIELDS: &'static [#runtime::description::Field] = &[#(#fields),*];
+        }
+    })
+}
+
+/// Fails the build, at the type of the field, if it is not what the definition says.
+fn check(field: &StructField, defined: &Field, runtime: &Path) -> TokenStream {
+    let rust_type = &field.rust_type;
+    let defined_type = &defined.field_type;
+    let place = if field.type_attribute.is_none() { format!("{}: ", defined.place) } else { String::new() };
+    let message =
+        format!("{place}`{}` is `{defined_type}`, in Rust {}", field.name, generated::in_rust(defined_type));
+    let (element, nested) = match &defined_type.element {
+        Element::Message(name) => ("message", name.to_string()),
+        Element::Primitive(primitive) => (generated::primitive(*primitive), String::new()),
+        Element::String { .. } => ("String", String::new()),
+        Element::WString { .. } => ("WString", String::new()),
+    };
+    let shape = match defined_type.shape {
+        Shape::Single => quote!(Single),
+        Shape::Array(count) => quote!(Array(#count)),
+        Shape::Bounded(_) | Shape::Sequence => quote!(Sequence),
+    };
+    quote_spanned! {field.type_span()=>
+        const _: () = #runtime::description::check::<#rust_type>(
+            #element, #runtime::description::Shape::#shape, #nested, #message
+        );
+    }
+}
+
+/// The field as the constant `FIELDS` has it.
+fn described(field: &StructField, defined: Option<&Field>, runtime: &Path) -> Result<TokenStream> {
+    let (name, rust_type) = (&field.name, &field.rust_type);
+    let modifiers = tokens(&defined.map(generated::modifiers).unwrap_or_default())?;
+    Ok(quote_spanned! {field.type_span()=>
+        #runtime::description::Field::of::<#rust_type>(#name) #modifiers
+    })
+}
+
+fn own_text(structure: &Structure, definition: &Definition, runtime: &Path) -> Result<TokenStream> {
+    let Some(file) = &definition.file else {
+        let comment = &structure.comment;
+        let comments = structure.fields.iter().map(|field| &field.comment);
+        return Ok(quote! {
+            #runtime::description::OwnText::Fields { comment: #comment, comments: &[#(#comments),*] }
+        });
+    };
+    let Some(path) = file.to_str() else {
+        return Err(Error::new(structure.ident.span(), format!("{} is not UTF-8", file.display())));
+    };
+    // Also tells cargo to compile the crate again when the file changes.
+    Ok(quote!(#runtime::description::OwnText::File(::core::include_str!(#path))))
+}
+
+/// Source text as tokens. Without spans of its own, it is placed where the derive stands.
+pub(crate) fn tokens(source: &str) -> Result<TokenStream> {
+    source.parse().map_err(Error::from)
+}
+
+#[cfg(test)]
+#[path = "expand_tests.rs"]
+mod tests;
