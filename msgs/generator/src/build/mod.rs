@@ -19,10 +19,8 @@ const FILE: &str = "downbeat_msgs.rs";
 /// [`Build::new().package(folder).compile()`](Build).
 ///
 /// ```no_run
-/// // build.rs
-/// fn main() {
-///     downbeat_msgs_generator::compile("my_msgs");
-/// }
+/// // in the `main` of build.rs
+/// downbeat_msgs_generator::compile("my_msgs");
 /// ```
 pub fn compile(folder: impl Into<PathBuf>) {
     Build::new().package(folder).compile();
