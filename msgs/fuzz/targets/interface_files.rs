@@ -1,6 +1,8 @@
 //! `.msg`, `.srv` and `.action` files, and the definition texts of bags.
 
-use downbeat_msgs::definitions::{Catalog, DefinitionEncoding, TypeName, parse_action, parse_message, parse_service};
+use downbeat_msgs::definitions::{
+    Catalog, DefinitionEncoding, TypeName, parse_action, parse_message, parse_service,
+};
 
 pub fn run(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
@@ -9,7 +11,8 @@ pub fn run(bytes: &[u8]) {
     let _ = parse_action(name("a/action/B"), text, "B.action");
     let of = name("a/msg/B");
     if let Ok(message) = parse_message(of.clone(), text, "B.msg") {
-        let again = parse_message(of.clone(), &message.text, "B.msg").expect("the text of a definition defines it");
+        let again =
+            parse_message(of.clone(), &message.text, "B.msg").expect("the text of a definition defines it");
         assert_eq!(again.fields.len(), message.fields.len());
     }
     derive(&of, DefinitionEncoding::Ros2Msg, text);
@@ -18,12 +21,15 @@ pub fn run(bytes: &[u8]) {
 /// Derives from a definition text what can be derived.
 pub fn derive(name: &TypeName, encoding: DefinitionEncoding, text: &str) {
     let mut catalog = Catalog::new();
-    if catalog.add_definition_text(name, encoding, text, "fuzzer").is_err() || catalog.check_type(name).is_err() {
+    if catalog.add_definition_text(name, encoding, text, "fuzzer").is_err()
+        || catalog.check_type(name).is_err()
+    {
         return;
     }
     let hash = catalog.type_hash(name).expect("what is checked has a hash");
     let written = catalog.definition_text(name).expect("what is checked has a text");
     let mut read = Catalog::new();
-    read.add_definition_text(name, DefinitionEncoding::Ros2Msg, &written, "written").expect("our own text is read");
+    read.add_definition_text(name, DefinitionEncoding::Ros2Msg, &written, "written")
+        .expect("our own text is read");
     assert_eq!(read.type_hash(name).expect("the same type"), hash, "{written}");
 }

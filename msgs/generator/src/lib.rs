@@ -1,11 +1,9 @@
 //! Writes the Rust types of ROS 2 interfaces: structs with CDR, their definitions and their hashes.
 //!
-//! A crate with interface files of its own calls [`compile`] from its `build.rs`:
+//! A crate with interface files of its own calls [`compile`] in the `main` function of its `build.rs`:
 //!
 //! ```no_run
-//! fn main() {
-//!     downbeat_msgs_generator::compile("my_msgs"); // the folder with msg/*.msg, srv/*.srv, action/*.action
-//! }
+//! downbeat_msgs_generator::compile("my_msgs"); // the folder with msg/*.msg, srv/*.srv, action/*.action
 //! ```
 //!
 //! and has their types where it says `downbeat_msgs::include_interfaces!();`. [`Build`] takes several packages, and those

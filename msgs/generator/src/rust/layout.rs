@@ -61,5 +61,5 @@ pub(super) fn plain_layout<'a>(
         // It is sent as one byte.
         layout = Layout { alignment: 1, size: 1, parts: vec![Part::Padding(1)] };
     }
-    Ok((layout.size % layout.alignment == 0).then_some(layout))
+    Ok(layout.size.is_multiple_of(layout.alignment).then_some(layout))
 }
