@@ -112,7 +112,9 @@ pub enum Error {
     )]
     Name(String),
     /// A service or an action was given the name of something else.
-    #[error("{origin}: {name} cannot be the name of what is defined here: expected `package/{expected}/Type`")]
+    #[error(
+        "{origin}: {name} cannot be the name of what is defined here: expected `package/{expected}/Type`"
+    )]
     Kind {
         /// The file.
         origin: String,

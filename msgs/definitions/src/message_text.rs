@@ -33,7 +33,10 @@ fn literal(value: &Value) -> Option<String> {
             format!("{quote}{}{quote}", text.replace(quote, &format!("\\{quote}")))
         }
         Value::List(values) => {
-            format!("[{}]", values.iter().map(literal).collect::<Option<Vec<_>>>()?.join(", "))
+            // What is within quotes in a list has no backslash but before quotes.
+            let is_plain = |value: &&Value| !matches!(value, Value::Text(text) if text.contains('\\'));
+            let items = values.iter().map(|value| literal(Some(value).filter(is_plain)?));
+            format!("[{}]", items.collect::<Option<Vec<_>>>()?.join(", "))
         }
     })
 }

@@ -55,16 +55,23 @@ impl TypeName {
         format!("{}/{}", self.package, self.name)
     }
 
+    /// A name of its parts, if they are names.
+    pub(crate) fn checked(package: &str, kind: Kind, name: &str) -> Option<Self> {
+        let (stem, part) = name.split_once('_').map_or((name, None), |(stem, part)| (stem, Some(part)));
+        let is_name = is_package_name(package)
+            && is_type_name(stem)
+            && part.is_none_or(|part| kind_of_part(part) == Some(kind));
+        is_name.then(|| Self::new(package, kind, name))
+    }
+
     /// The name that [`short`](TypeName::short) shortens. A message's own name has no underscore, so one that has is a part of a
     /// service or an action.
-    pub(crate) fn from_short(package: &str, name: &str) -> Self {
-        let first_part = name.split('_').nth(1);
-        let kind = match first_part {
+    pub(crate) fn from_short(package: &str, name: &str) -> Option<Self> {
+        let kind = match name.split_once('_') {
             None => Kind::Message,
-            Some("Request" | "Response" | "Event") => Kind::Service,
-            Some(_) => Kind::Action,
+            Some((_, part)) => kind_of_part(part)?,
         };
-        Self::new(package, kind, name)
+        Self::checked(package, kind, name)
     }
 
     /// The same name with `suffix` added, for the parts of a service or an action.
@@ -89,12 +96,11 @@ impl FromStr for TypeName {
         let Some(kind) = Kind::ALL.into_iter().find(|of| kind == Some(of.as_str())) else {
             return Err(Error::Name(text.into()));
         };
-        match (package, name, parts.next()) {
-            (Some(package), Some(name), None) if is_package_name(package) && is_type_or_part_name(name) => {
-                Ok(Self::new(package, kind, name))
-            }
-            _ => Err(Error::Name(text.into())),
-        }
+        let name = match (package, name, parts.next()) {
+            (Some(package), Some(name), None) => Self::checked(package, kind, name),
+            _ => None,
+        };
+        name.ok_or_else(|| Error::Name(text.into()))
     }
 }
 
@@ -119,26 +125,24 @@ pub(crate) fn is_constant_name(text: &str) -> bool {
         && !text.ends_with('_')
 }
 
-/// What `rosidl` appends to the name of a service or an action to name its parts.
-const PART_SUFFIXES: [&str; 9] = [
-    "_Request",
-    "_Response",
-    "_Event",
-    "_Goal",
-    "_Result",
-    "_Feedback",
-    "_FeedbackMessage",
-    "_SendGoal",
-    "_GetResult",
-];
-
-/// A type name, or that of a part of a service or action. A part can have parts (`_SendGoal_Request`), no deeper.
-pub(crate) fn is_type_or_part_name(text: &str) -> bool {
-    is_type_name(without_part(without_part(text)))
+/// Letters, digits and underscores, a letter first: as IDL and ROS 1 have it.
+pub(crate) fn is_identifier(text: &str) -> bool {
+    text.starts_with(|c: char| c.is_ascii_alphabetic())
+        && text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
 }
 
-fn without_part(text: &str) -> &str {
-    PART_SUFFIXES.iter().find_map(|suffix| text.strip_suffix(suffix)).unwrap_or(text)
+/// What has parts that rosidl names so, behind an underscore.
+fn kind_of_part(part: &str) -> Option<Kind> {
+    match part {
+        "Request" | "Response" | "Event" => Some(Kind::Service),
+        "Goal" | "Result" | "Feedback" | "FeedbackMessage" | "SendGoal" | "GetResult" => Some(Kind::Action),
+        _ => {
+            let (service, part) = part.split_once('_')?;
+            let is_part =
+                matches!(service, "SendGoal" | "GetResult") && kind_of_part(part) == Some(Kind::Service);
+            is_part.then_some(Kind::Action)
+        }
+    }
 }
 
 #[cfg(test)]

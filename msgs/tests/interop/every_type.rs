@@ -17,7 +17,7 @@ pub struct Type {
     pub definition: &'static str,
     /// The bytes of its default value.
     pub default: fn() -> Vec<u8>,
-    /// The bytes of a value, whose floating-point numbers are texts of their bits.
+    /// The bytes of a value, whose floating-point numbers are texts of their bits. Their number was known before.
     pub write: fn(&Value) -> Vec<u8>,
     /// Reads bytes; gives them as we write them.
     pub read: fn(&[u8]) -> cdr::Result<Vec<u8>>,
@@ -30,7 +30,12 @@ impl Type {
             hash: T::TYPE_HASH,
             definition: T::DEFINITION,
             default: || cdr::to_vec(&T::default()),
-            write: |value| cdr::to_vec(&from_exact::<T>(value)),
+            write: |value| {
+                let value = from_exact::<T>(value);
+                let bytes = cdr::to_vec(&value);
+                assert_eq!(cdr::encoded_size(&value), bytes.len(), "{}", T::TYPE_NAME);
+                bytes
+            },
             read: |bytes| Ok(cdr::to_vec(&cdr::from_slice::<T>(bytes)?)),
         }
     }

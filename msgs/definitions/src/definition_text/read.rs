@@ -4,7 +4,7 @@ use std::str::FromStr;
 
 use crate::derived::IMPLIED;
 use crate::idl::parse_idl_from;
-use crate::parse::{parse_action_from, parse_message_from, parse_service_from};
+use crate::parse::{Source, parse_action_from, parse_message_from, parse_service_from};
 use crate::{Catalog, Definition, Element, Error, Kind, Place, TypeName};
 
 /// The language of a definition text, as a bag names it.
@@ -39,6 +39,8 @@ impl FromStr for DefinitionEncoding {
 impl Catalog {
     /// Adds what a definition text defines: the type `name`, and behind lines of `=` what it depends on. Below such a line
     /// stands `MSG: package/Type`, `SRV: package/srv/Type`, `ACTION: package/action/Type` or `IDL: package/msg/Type`.
+    ///
+    /// Fields and constants may have any names, as in IDL and ROS 1.
     ///
     /// A text that begins with such a line holds whatever that line names; rosbag2 stores the service for its events. What it
     /// leaves out then, `service_msgs/msg/ServiceEventInfo` and the like, is added.
@@ -115,10 +117,11 @@ impl Keyword {
     }
 
     fn parse(self, name: TypeName, text: &str, origin: &str, line: usize) -> Result<Vec<Definition>, Error> {
+        let source = Source::definition_text(origin, line);
         Ok(vec![match self {
-            Self::Message => Definition::Message(parse_message_from(name, text, origin, line)?),
-            Self::Service => Definition::Service(parse_service_from(name, text, origin, line)?),
-            Self::Action => Definition::Action(parse_action_from(name, text, origin, line)?),
+            Self::Message => Definition::Message(parse_message_from(name, text, source)?),
+            Self::Service => Definition::Service(parse_service_from(name, text, source)?),
+            Self::Action => Definition::Action(parse_action_from(name, text, source)?),
             Self::Idl => return parse_idl_from(text, origin, line),
         }])
     }
@@ -186,13 +189,14 @@ fn parse_head(line: &str, origin: &str, number: usize) -> Result<(Keyword, TypeN
     let full_name = match name.split_once('/') {
         // Messages are named without their middle.
         Some((package, name)) if !name.contains('/') => match keyword {
-            Keyword::Message | Keyword::Idl => TypeName::from_short(package, name).to_string(),
-            Keyword::Service => format!("{package}/srv/{name}"),
-            Keyword::Action => format!("{package}/action/{name}"),
+            Keyword::Message | Keyword::Idl => TypeName::from_short(package, name),
+            Keyword::Service => TypeName::checked(package, Kind::Service, name),
+            Keyword::Action => TypeName::checked(package, Kind::Action, name),
         },
-        _ => name.to_owned(),
+        _ => name.parse().ok(),
     };
-    Ok((keyword, full_name.parse().map_err(|error: Error| fault(error.to_string()))?))
+    let full_name = full_name.ok_or_else(|| fault(Error::Name(name.into()).to_string()))?;
+    Ok((keyword, full_name))
 }
 
 #[cfg(test)]
@@ -260,6 +264,15 @@ mod tests {
     }
 
     #[test]
+    fn names_that_files_cannot_have_are_read() {
+        let catalog = read("a/msg/A", Ros2Msg, "float64[9] K\nint8 k\nint8 kLow=1\n").unwrap();
+        let message = catalog.message(&"a/msg/A".parse().unwrap()).unwrap();
+        assert_eq!((message.fields[0].name.as_str(), message.constants[0].name.as_str()), ("K", "kLow"));
+        assert!(read("a/msg/A", Ros2Msg, "int8 1\n").is_err());
+        assert!(Catalog::new().add_message("a/msg/A".parse().unwrap(), "float64[9] K\n", "A.msg").is_err());
+    }
+
+    #[test]
     fn places_count_from_the_top_of_the_text() {
         let rule = "=".repeat(80);
         for (text, fault) in [
@@ -267,7 +280,10 @@ mod tests {
             (format!("B b\n{rule}\nB\n"), "bag:3:1: expected a line such as `MSG: package/Type`"),
             (format!("B b\n{rule}"), "bag:3:1: expected a line such as"),
             (format!("{rule}\nMSG: b\n"), "bag:2:1: `b` is not an interface name"),
-            (format!("{rule}\nSRV: a/msg/S\n---\n"), "bag: a/msg/S cannot be the name of what is defined here"),
+            (
+                format!("{rule}\nSRV: a/msg/S\n---\n"),
+                "bag: a/msg/S cannot be the name of what is defined here",
+            ),
             (format!("{rule}\nSRV: a/S\nint8 x\n"), "bag:3:1: a service is a request and a response"),
             (format!("{rule}\nSRV: a/srv/S\n---\nint8\n"), "bag:4:5: expected a name"),
             (format!("{rule}\nIDL: a/msg/S\n\n  struct\n"), "bag:5:1: expected the name of the struct"),

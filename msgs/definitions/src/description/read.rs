@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, HashSet};
 
 use super::{FieldTypeDescription, IndividualTypeDescription, TypeDescription, primitive_of};
+use crate::name::is_identifier;
 use crate::{
     ActionDefinition, Catalog, Definition, Element, Error, Field, FieldType, Kind, MessageDefinition, Place,
     ServiceDefinition, Shape, TypeName, message_text,
@@ -119,9 +120,7 @@ fn message_of(
             field: Some(field.clone()),
             message,
         };
-        let is_name = field.starts_with(|c: char| c.is_ascii_alphabetic())
-            && field.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
-        if !is_name {
+        if !is_identifier(field) {
             return Err(fault(
                 "has a name that is none: letters, digits and underscores, a letter first".into(),
             ));

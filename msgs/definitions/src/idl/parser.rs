@@ -5,7 +5,6 @@ use std::collections::{HashMap, HashSet};
 use super::lexer::{Lexer, Token, TokenKind};
 use super::literal::{Literal, default_value};
 use crate::message_text::without_bound;
-use crate::name::{is_package_name, is_type_or_part_name};
 use crate::{
     Constant, Element, Error, Field, FieldType, Kind, MessageDefinition, Place, Primitive, Shape, TypeName,
 };
@@ -195,9 +194,7 @@ impl<'a> Parser<'a> {
     fn interface_name(&self, name: &str) -> Result<TypeName, String> {
         let kind_of = |module: &str| Kind::ALL.into_iter().find(|kind| kind.as_str() == module);
         match self.scope.as_slice() {
-            [package, kind] if is_package_name(package) && is_type_or_part_name(name) => {
-                kind_of(kind).map(|kind| TypeName::new(package, kind, name))
-            }
+            [package, kind] => kind_of(kind).and_then(|kind| TypeName::checked(package, kind, name)),
             _ => None,
         }
         .ok_or_else(|| {

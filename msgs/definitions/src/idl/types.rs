@@ -3,7 +3,6 @@
 use super::lexer::TokenKind;
 use super::literal::Literal;
 use super::parser::Parser;
-use crate::name::{is_package_name, is_type_or_part_name};
 use crate::{Element, Error, FieldType, Kind, Primitive, Shape, TypeName};
 
 /// What stands between the number of elements of a type that is refused, and why.
@@ -134,11 +133,10 @@ impl<'a> Parser<'a> {
             ([name], [package, kind, ..]) => (*package, *kind, *name),
             _ => ("", "", ""),
         };
-        match Kind::ALL.into_iter().find(|of| of.as_str() == kind) {
-            Some(kind) if is_package_name(package) && is_type_or_part_name(name) => {
-                Ok(single(Element::Message(TypeName::new(package, kind, name))))
-            }
-            _ => {
+        let kind = Kind::ALL.into_iter().find(|of| of.as_str() == kind);
+        match kind.and_then(|kind| TypeName::checked(package, kind, name)) {
+            Some(name) => Ok(single(Element::Message(name))),
+            None => {
                 let fault = format!(
                     "`{path}` is neither a type of IDL, nor a typedef above, nor a name such as `std_msgs::msg::Header`"
                 );

@@ -3,28 +3,27 @@
 use std::collections::HashSet;
 
 use super::literal::{parse_element, parse_value, without_underscores};
-use crate::name::{is_constant_name, is_package_name, is_type_or_part_name};
+use super::{Names, Source};
+use crate::name::{is_constant_name, is_identifier, is_package_name};
 use crate::{
     Constant, Element, Error, Field, FieldType, MessageDefinition, Place, Primitive, Shape, TypeName,
 };
 
-/// Reads a message whose first line is the line `first_line` of its file.
 pub(super) fn parse_message(
     name: TypeName,
     text: &str,
-    origin: &str,
-    first_line: usize,
+    source: Source<'_>,
 ) -> Result<MessageDefinition, Error> {
     let mut message = MessageDefinition {
         comment: leading_comment(text),
         fields: Vec::new(),
         constants: Vec::new(),
         text: text.into(),
-        origin: origin.into(),
+        origin: source.origin.into(),
         name,
     };
     let mut comments: Vec<String> = Vec::new();
-    let mut names = HashSet::new();
+    let (mut field_names, mut constant_names) = (HashSet::new(), HashSet::new());
     let mut last_is_constant = false;
     for (index, line) in text.lines().enumerate() {
         let line = line.replace('\t', " ");
@@ -49,11 +48,11 @@ pub(super) fn parse_message(
         if code.is_empty() {
             continue;
         }
-        let line = Line { origin, number: first_line + index, code };
+        let line = Line { source, number: source.first_line + index, code };
         match line.parse(&message.name.package, std::mem::take(&mut comments))? {
             Member::Field(field) => {
                 last_is_constant = false;
-                if !names.insert(field.name.clone()) {
+                if !field_names.insert(field.name.clone()) {
                     return Err(
                         line.fault(line.name_at(), format!("the field `{}` is defined twice", field.name))
                     );
@@ -62,7 +61,7 @@ pub(super) fn parse_message(
             }
             Member::Constant(constant) => {
                 last_is_constant = true;
-                if !names.insert(constant.name.clone()) {
+                if !constant_names.insert(constant.name.clone()) {
                     let fault = format!("the constant `{}` is defined twice", constant.name);
                     return Err(line.fault(line.name_at(), fault));
                 }
@@ -96,7 +95,7 @@ enum Member {
 
 /// One line with code on it.
 struct Line<'a> {
-    origin: &'a str,
+    source: Source<'a>,
     number: usize,
     /// Without its comment and the spaces at its end.
     code: &'a str,
@@ -118,12 +117,21 @@ impl Line<'_> {
         if let Some(value_text) = value_text.strip_prefix('=') {
             let value_text = value_text.trim_start();
             let value_at = self.code.len() - value_text.len();
+            if !self.may_name(name, is_constant_name) {
+                return Err(self.fault(
+                    name_at,
+                    format!(
+                        "`{name}` cannot name a constant: upper case letters, digits and single underscores, \
+                         a letter first, no underscore last"
+                    ),
+                ));
+            }
             let constant = parse_constant(field_type, name, value_text, comment)
-                .map_err(|(part, fault)| self.fault([start, name_at, value_at][part], fault))?;
+                .map_err(|(part, fault)| self.fault([start, value_at][part], fault))?;
             return Ok(Member::Constant(constant));
         }
 
-        if !is_package_name(name) {
+        if !self.may_name(name, is_package_name) {
             return Err(self.fault(
                 name_at,
                 format!(
@@ -143,6 +151,13 @@ impl Line<'_> {
         Ok(Member::Field(Field { name: name.into(), field_type, default, comment, place }))
     }
 
+    fn may_name(&self, name: &str, is_allowed_in_files: fn(&str) -> bool) -> bool {
+        match self.source.names {
+            Names::OfFiles => is_allowed_in_files(name),
+            Names::Any => is_identifier(name),
+        }
+    }
+
     /// Where the type begins.
     fn start(&self) -> usize {
         self.code.len() - self.code.trim_start().len()
@@ -158,7 +173,7 @@ impl Line<'_> {
 
     fn place(&self, byte: usize) -> Place {
         let column = self.code[..byte].chars().count() + 1;
-        Place { origin: self.origin.into(), line: self.number, column }
+        self.source.place(self.number, column)
     }
 
     fn fault(&self, byte: usize, message: String) -> Error {
@@ -166,7 +181,7 @@ impl Line<'_> {
     }
 }
 
-/// On failure also the part at fault: 0 the type, 1 the name, 2 the value.
+/// On failure also the part at fault: 0 the type, 1 the value.
 fn parse_constant(
     field_type: FieldType,
     name: &str,
@@ -187,16 +202,7 @@ fn parse_constant(
         FieldType { shape: Shape::Single, element } => element,
         _ => return Err((0, format!("`{field_type}` cannot be the type of a constant: it is an array"))),
     };
-    if !is_constant_name(name) {
-        return Err((
-            1,
-            format!(
-                "`{name}` cannot name a constant: upper case letters, digits and single underscores, \
-                 a letter first, no underscore last"
-            ),
-        ));
-    }
-    let value = parse_element(&element, value).map_err(|fault| (2, fault))?;
+    let value = parse_element(&element, value).map_err(|fault| (1, fault))?;
     Ok(Constant { name: name.into(), element, value, comment })
 }
 
@@ -236,11 +242,9 @@ fn parse_element_type(text: &str, package: &str) -> Result<Element, String> {
     if let Some(name) = name.strip_prefix("msg/") {
         return Err(format!("`{text}`: within a definition the name is written `{package}/{name}`"));
     }
-    if is_package_name(package) && is_type_or_part_name(name) {
-        Ok(Element::Message(TypeName::from_short(package, name)))
-    } else {
-        Err(format!("`{text}` is neither a primitive type nor a message name such as `std_msgs/Header`"))
-    }
+    TypeName::from_short(package, name).map(Element::Message).ok_or_else(|| {
+        format!("`{text}` is neither a primitive type nor a message name such as `std_msgs/Header`")
+    })
 }
 
 fn parse_count(text: &str, whole: &str) -> Result<u64, String> {

@@ -13,7 +13,7 @@ use crate::{ActionDefinition, Error, Kind, MessageDefinition, Place, ServiceDefi
 /// # Errors
 /// [`Error::Syntax`] with the place of the first line that is not understood.
 pub fn parse_message(name: TypeName, text: &str, origin: &str) -> Result<MessageDefinition, Error> {
-    parse_message_from(name, text, origin, 1)
+    parse_message_from(name, text, Source::file(origin))
 }
 
 /// Parses the text of a `.srv` file. `origin` names it in errors.
@@ -22,7 +22,7 @@ pub fn parse_message(name: TypeName, text: &str, origin: &str) -> Result<Message
 /// [`Error::Separators`] if request and response are not told apart, [`Error::Kind`] if the name is not that of a service,
 /// [`Error::Syntax`] for any other fault.
 pub fn parse_service(name: TypeName, text: &str, origin: &str) -> Result<ServiceDefinition, Error> {
-    parse_service_from(name, text, origin, 1)
+    parse_service_from(name, text, Source::file(origin))
 }
 
 /// Parses the text of an `.action` file. `origin` names it in errors.
@@ -31,67 +31,96 @@ pub fn parse_service(name: TypeName, text: &str, origin: &str) -> Result<Service
 /// [`Error::Separators`] if goal, result and feedback are not told apart, [`Error::Kind`] if the name is not that of an
 /// action, [`Error::Syntax`] for any other fault.
 pub fn parse_action(name: TypeName, text: &str, origin: &str) -> Result<ActionDefinition, Error> {
-    parse_action_from(name, text, origin, 1)
+    parse_action_from(name, text, Source::file(origin))
 }
 
-/// As [`parse_message`], of a text whose first line is the line `first_line` of `origin`.
+/// Where a text is from.
+#[derive(Clone, Copy)]
+pub(crate) struct Source<'a> {
+    origin: &'a str,
+    first_line: usize,
+    names: Names,
+}
+
+/// What may name fields and constants.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Names {
+    /// What rosidl allows in files.
+    OfFiles,
+    /// Letters, digits and underscores, a letter first, as in IDL and ROS 1: what others recorded is to be read.
+    Any,
+}
+
+impl<'a> Source<'a> {
+    /// A file of its own.
+    pub(crate) fn file(origin: &'a str) -> Self {
+        Self { origin, first_line: 1, names: Names::OfFiles }
+    }
+
+    /// A definition text, or a part of one that begins at that line.
+    pub(crate) fn definition_text(origin: &'a str, first_line: usize) -> Self {
+        Self { origin, first_line, names: Names::Any }
+    }
+
+    fn place(self, line: usize, column: usize) -> Place {
+        Place { origin: self.origin.into(), line, column }
+    }
+}
+
+/// As [`parse_message`], of a text from anywhere.
 pub(crate) fn parse_message_from(
     name: TypeName,
     text: &str,
-    origin: &str,
-    first_line: usize,
+    source: Source<'_>,
 ) -> Result<MessageDefinition, Error> {
-    line::parse_message(name, text, origin, first_line)
+    line::parse_message(name, text, source)
 }
 
-/// As [`parse_service`], of a part of a file.
+/// As [`parse_service`], of a text from anywhere.
 pub(crate) fn parse_service_from(
     name: TypeName,
     text: &str,
-    origin: &str,
-    first_line: usize,
+    source: Source<'_>,
 ) -> Result<ServiceDefinition, Error> {
-    check_kind(&name, Kind::Service, origin)?;
+    check_kind(&name, Kind::Service, source)?;
     let [request, response] =
-        sections(text, origin, first_line, "a service is a request and a response", "one line `---`")?;
+        sections(text, source, "a service is a request and a response", "one line `---`")?;
     Ok(ServiceDefinition {
-        request: request.parse(name.with_suffix("_Request"), origin)?,
-        response: response.parse(name.with_suffix("_Response"), origin)?,
+        request: request.parse(name.with_suffix("_Request"), source)?,
+        response: response.parse(name.with_suffix("_Response"), source)?,
         name,
         text: text.into(),
-        origin: origin.into(),
+        origin: source.origin.into(),
     })
 }
 
-/// As [`parse_action`], of a part of a file.
+/// As [`parse_action`], of a text from anywhere.
 pub(crate) fn parse_action_from(
     name: TypeName,
     text: &str,
-    origin: &str,
-    first_line: usize,
+    source: Source<'_>,
 ) -> Result<ActionDefinition, Error> {
-    let [goal, result, feedback] = sections(
-        text,
-        origin,
-        first_line,
-        "an action is a goal, a result and a feedback",
-        "two lines `---`",
-    )?;
+    let [goal, result, feedback] =
+        sections(text, source, "an action is a goal, a result and a feedback", "two lines `---`")?;
     Ok(ActionDefinition {
-        goal: goal.parse(name.with_suffix("_Goal"), origin)?,
-        result: result.parse(name.with_suffix("_Result"), origin)?,
-        feedback: feedback.parse(name.with_suffix("_Feedback"), origin)?,
+        goal: goal.parse(name.with_suffix("_Goal"), source)?,
+        result: result.parse(name.with_suffix("_Result"), source)?,
+        feedback: feedback.parse(name.with_suffix("_Feedback"), source)?,
         name,
         text: text.into(),
-        origin: origin.into(),
+        origin: source.origin.into(),
     })
 }
 
-fn check_kind(name: &TypeName, expected: Kind, origin: &str) -> Result<(), Error> {
+fn check_kind(name: &TypeName, expected: Kind, source: Source<'_>) -> Result<(), Error> {
     if name.kind == expected && !name.name.contains('_') {
         return Ok(());
     }
-    Err(Error::Kind { origin: origin.into(), name: Box::new(name.clone()), expected: expected.as_str() })
+    Err(Error::Kind {
+        origin: source.origin.into(),
+        name: Box::new(name.clone()),
+        expected: expected.as_str(),
+    })
 }
 
 /// One message of a file that holds several.
@@ -101,21 +130,20 @@ struct Section {
 }
 
 impl Section {
-    fn parse(&self, name: TypeName, origin: &str) -> Result<MessageDefinition, Error> {
-        line::parse_message(name, &self.text, origin, self.first_line)
+    fn parse(&self, name: TypeName, source: Source<'_>) -> Result<MessageDefinition, Error> {
+        line::parse_message(name, &self.text, Source { first_line: self.first_line, ..source })
     }
 }
 
 fn sections<const N: usize>(
     text: &str,
-    origin: &str,
-    first_line: usize,
+    source: Source<'_>,
     what: &'static str,
     expected: &'static str,
 ) -> Result<[Section; N], Error> {
-    let mut sections = vec![Section { first_line, text: String::new() }];
-    let mut end = first_line;
-    for (line, number) in text.lines().zip(first_line..) {
+    let mut sections = vec![Section { first_line: source.first_line, text: String::new() }];
+    let mut end = source.first_line;
+    for (line, number) in text.lines().zip(source.first_line..) {
         end = number;
         if line == "---" {
             sections.push(Section { first_line: number + 1, text: String::new() });
@@ -126,10 +154,7 @@ fn sections<const N: usize>(
     }
     let found = sections.len() - 1;
     let line = sections.get(N).map_or(end, |surplus| surplus.first_line - 1);
-    sections.try_into().map_err(|_| {
-        let place = Place { origin: origin.into(), line, column: 1 };
-        Error::Separators { place, what, expected, found }
-    })
+    sections.try_into().map_err(|_| Error::Separators { place: source.place(line, 1), what, expected, found })
 }
 
 #[cfg(test)]
