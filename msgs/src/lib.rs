@@ -35,6 +35,7 @@ pub mod large_array;
 pub mod protobuf;
 pub mod qos;
 
+mod carried;
 mod interchange;
 mod message;
 mod time;
@@ -51,6 +52,7 @@ macro_rules! include_interfaces {
     };
 }
 
+pub use carried::carried;
 pub use cdr::WString;
 pub use downbeat_msgs_definitions as definitions;
 pub use message::{Action, Message, Service};

@@ -105,7 +105,7 @@ impl<'a> Place<'a> {
         }
     }
 
-    fn set(self, value: Value) -> Result<(), FieldProblem> {
+    pub(super) fn set(self, value: Value) -> Result<(), FieldProblem> {
         match self {
             Place::Message { layout, index, slots } => match value {
                 Value::Message(message) if message.of == layout.at(index) => {

@@ -11,27 +11,6 @@ pub enum TypeError {
     /// The definition, or one it refers to, is missing or wrong.
     #[error(transparent)]
     Definition(#[from] DefinitionError),
-    /// The encoding of a definition text is unknown.
-    #[error("the definition of {name} has the encoding `{encoding}`, only `ros2msg` and `ros2idl` are read")]
-    Encoding {
-        /// The type.
-        name: TypeName,
-        /// Its encoding.
-        encoding: String,
-    },
-    /// A definition text has a part that says not what it defines.
-    #[error(
-        "the definition of {name}, line {line}: expected `MSG: package/Type` or the like behind a line of `=`, \
-         found `{found}`"
-    )]
-    Section {
-        /// The type.
-        name: TypeName,
-        /// Counted from 1.
-        line: usize,
-        /// What the line says.
-        found: String,
-    },
     /// Messages are nested without measure.
     #[error("{name} contains messages that contain messages, more than {limit} levels deep")]
     TooDeep {
@@ -61,14 +40,6 @@ pub enum TypeError {
     /// A default value does not fit its field.
     #[error("cannot use a default value: {0}")]
     Default(Box<FieldError>),
-    /// A type description is none.
-    #[error("the type description of {name}: {problem}")]
-    Description {
-        /// The type it describes.
-        name: String,
-        /// What is wrong with it.
-        problem: String,
-    },
     /// A type description does not have the hash that was announced.
     #[error(
         "the type description of {name} has the hash {found}, but {expected} was announced: it describes another type"

@@ -8,9 +8,11 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 
-use downbeat_msgs_definitions::{Catalog, Element, FieldType, Shape, TypeName};
+use downbeat_msgs_definitions::{
+    Catalog, DefinitionEncoding, Element, Error as DefinitionError, FieldType, Place, Shape, TypeName,
+};
 
-use super::{TypeError, Value, fit, schema};
+use super::{TypeError, Value, fit};
 
 /// Messages within messages, at most.
 const DEEPEST: usize = 32;
@@ -96,10 +98,9 @@ impl DynamicType {
     /// If one of them is not in the catalog, contains itself, or is out of all proportion: nested deeper than 32 levels,
     /// more than 65 536 fields in all, or fixed arrays of more than 64 MiB.
     pub fn new(catalog: &Catalog, name: &TypeName) -> Result<Self, TypeError> {
-        catalog.least_wire_size(name)?; // fails for what is unknown or contains itself.
         let mut compiler =
             Compiler { catalog, messages: Vec::new(), done: BTreeMap::new(), path: Vec::new() };
-        let index = compiler.message(name)?;
+        let index = compiler.message(name, None)?;
         Ok(Self { layout: Arc::new(Layout { messages: compiler.messages }), index })
     }
 
@@ -110,7 +111,10 @@ impl DynamicType {
     /// If the text is no such definition, and as [`DynamicType::new`].
     pub fn from_definition_text(name: &str, encoding: &str, text: &str) -> Result<Self, TypeError> {
         let name: TypeName = name.parse()?;
-        Self::new(&schema::catalog_of(&name, encoding, text)?, &name)
+        let encoding: DefinitionEncoding = encoding.parse()?;
+        let mut catalog = Catalog::new();
+        catalog.add_definition_text(&name, encoding, text, &format!("definition of {name}"))?;
+        Self::new(&catalog, &name)
     }
 
     /// As in `sensor_msgs/msg/JointState`.
@@ -196,11 +200,16 @@ struct Compiler<'a> {
 }
 
 impl Compiler<'_> {
-    fn message(&mut self, name: &TypeName) -> Result<usize, TypeError> {
+    /// `named_at` is the place of the field that has this type.
+    fn message(&mut self, name: &TypeName, named_at: Option<&Place>) -> Result<usize, TypeError> {
         if let Some(index) = self.done.get(name) {
             return Ok(*index);
         }
         let definition = self.catalog.message(name)?;
+        if let (Some(first), Some(place)) = (self.path.iter().position(|above| above == name), named_at) {
+            let cycle = self.path[first..].iter().chain([name]).cloned().collect();
+            return Err(DefinitionError::Cycle { place: Box::new(place.clone()), cycle }.into());
+        }
         if self.path.len() == DEEPEST {
             return Err(TypeError::TooDeep { name: self.path[0].clone(), limit: DEEPEST });
         }
@@ -215,7 +224,7 @@ impl Compiler<'_> {
         };
         for field in &definition.fields {
             let nested = match &field.field_type.element {
-                Element::Message(name) => self.message(name)?,
+                Element::Message(name) => self.message(name, Some(&field.place))?,
                 _ => 0,
             };
             let mut layout = FieldLayout {

@@ -112,6 +112,11 @@ impl<'a> MessageRef<'a> {
         DynamicMessage { of: self.message_type(), slots: self.slots.to_vec() }
     }
 
+    /// Whether it has no fields.
+    pub(super) fn is_empty(self) -> bool {
+        self.layout().fields.is_empty()
+    }
+
     pub(super) fn layout(self) -> &'a MessageLayout {
         self.layout.layout().message(self.index)
     }

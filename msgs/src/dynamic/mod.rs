@@ -28,13 +28,20 @@ mod change;
 mod error;
 mod fit;
 mod layout;
+mod lookup;
 mod message;
 mod path;
-mod schema;
+mod text;
 mod value;
+mod view;
 mod wire;
 
 pub use error::{ConvertError, FieldError, FieldProblem, TypeError};
 pub use layout::{DynamicField, DynamicType};
+pub use lookup::{
+    AmentPrefixPath, DefinitionSource, Definitions, DescribedTypes, Found, LookupError, Schemas,
+};
 pub use message::{DynamicMessage, MessageRef};
+pub use text::{Stamps, TextError, TextProblem, YamlStyle};
 pub use value::{Array, ArrayElement, Messages, Value, ValueRef};
+pub use view::{ArrayView, DynamicView, ViewError, ViewValue};

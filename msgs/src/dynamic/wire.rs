@@ -89,28 +89,34 @@ fn same_type<T: Message>(of: &DynamicType) -> Result<(), ConvertError> {
     if dynamic == T::TYPE_NAME { Ok(()) } else { Err(ConvertError::Type { dynamic, typed: T::TYPE_NAME }) }
 }
 
-fn decode_message(
+pub(super) fn decode_message(
     layout: &DynamicType,
     index: usize,
     reader: &mut Reader<'_>,
     slots: &mut Vec<Value>,
 ) -> cdr::Result<()> {
     let message = layout.layout().message(index);
-    if message.fields.is_empty() {
-        return reader.empty_message();
-    }
-    for field in &message.fields {
-        let result = if field.is_one_message() {
-            decode_message(layout, field.nested, reader, slots)
-        } else {
-            decode_value(layout, field, reader).map(|value| slots.push(value))
-        };
-        result.map_err(|error| error.in_field(&field.name))?;
-    }
-    Ok(())
+    reader.message(|reader| {
+        if message.fields.is_empty() {
+            return reader.empty_message();
+        }
+        for field in &message.fields {
+            let result = if field.is_one_message() {
+                decode_message(layout, field.nested, reader, slots)
+            } else {
+                decode_value(layout, field, reader).map(|value| slots.push(value))
+            };
+            result.map_err(|error| error.in_field(&field.name))?;
+        }
+        Ok(())
+    })
 }
 
-fn decode_value(layout: &DynamicType, field: &FieldLayout, reader: &mut Reader<'_>) -> cdr::Result<Value> {
+pub(super) fn decode_value(
+    layout: &DynamicType,
+    field: &FieldLayout,
+    reader: &mut Reader<'_>,
+) -> cdr::Result<Value> {
     let FieldType { element, shape } = &field.field_type;
     if *shape == Shape::Single {
         return match element {
@@ -123,7 +129,13 @@ fn decode_value(layout: &DynamicType, field: &FieldLayout, reader: &mut Reader<'
             Element::Message(_) => decode_messages(layout, field, reader).map(Value::Array),
         };
     }
-    let array = match element {
+    let are_primitive = matches!(element, Element::Primitive(_));
+    reader.elements(are_primitive, |reader| decode_array(layout, field, reader)).map(Value::Array)
+}
+
+fn decode_array(layout: &DynamicType, field: &FieldLayout, reader: &mut Reader<'_>) -> cdr::Result<Array> {
+    let FieldType { element, shape } = &field.field_type;
+    Ok(match element {
         Element::Primitive(primitive) => each_primitive!(primitive, T => {
             let count = count(*shape, T::LEAST_SIZE, reader)?;
             Array::from(T::decode_vec(count, reader)?)
@@ -137,8 +149,7 @@ fn decode_value(layout: &DynamicType, field: &FieldLayout, reader: &mut Reader<'
             Array::WString(text(WString::decode_vec(count, reader)?, *bound, reader)?)
         }
         Element::Message(_) => decode_messages(layout, field, reader)?,
-    };
-    Ok(Value::Array(array))
+    })
 }
 
 fn decode_messages(layout: &DynamicType, field: &FieldLayout, reader: &mut Reader<'_>) -> cdr::Result<Array> {
@@ -153,7 +164,7 @@ fn decode_messages(layout: &DynamicType, field: &FieldLayout, reader: &mut Reade
 }
 
 /// How many elements follow: checked against the shape, and against what is left.
-fn count(shape: Shape, least_size: usize, reader: &mut Reader<'_>) -> cdr::Result<usize> {
+pub(super) fn count(shape: Shape, least_size: usize, reader: &mut Reader<'_>) -> cdr::Result<usize> {
     match shape {
         Shape::Single => Ok(1),
         Shape::Array(count) => {

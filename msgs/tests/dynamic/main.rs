@@ -2,8 +2,11 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod lookup;
 mod malformed;
 mod paths;
-#[path = "../interop/random.rs"]
+mod peer;
 mod random;
+mod text;
 mod typed;
+mod view;

@@ -32,13 +32,10 @@ fn levels(count: usize, field: impl Fn(&str) -> String) -> Result<DynamicType, T
 
 #[test]
 fn what_is_missing_or_contains_itself_is_told() {
-    assert_eq!(
-        error(&[("A", "B b\n")]),
-        "a/msg/B is not in the catalog: add its package's folder or definition first"
-    );
+    assert_eq!(error(&[("A", "B b\n")]), "a/msg/B is not in the catalog, did you mean a/msg/A?");
     assert_eq!(
         error(&[("A", "B b\n"), ("B", "int8 x\nC[] c\n"), ("C", "B b\n")]),
-        "B: a/msg/B contains itself: a/msg/B -> a/msg/C -> a/msg/B"
+        "C:1:1: a/msg/B contains itself: a/msg/B -> a/msg/C -> a/msg/B"
     );
 }
 
@@ -74,23 +71,19 @@ fn a_definition_text_is_taken_apart_or_refused() {
     for (text, end) in [
         (
             format!("B b\n{line}\nMSG a/B\n"),
-            "line 3: expected `MSG: package/Type` or the like behind a line of `=`, found `MSG a/B`",
+            "definition of a/msg/A:3:1: expected a line such as `MSG: package/Type`",
         ),
-        (
-            format!("{line}\nint8 x\n"),
-            "line 2: expected `MSG: package/Type` or the like behind a line of `=`, found `int8 x`",
-        ),
-        (format!("B b\n{line}\nMSG: a/b\nint8 x\n"), "`a/msg/b` is not an interface name"),
         (
             format!("B b\n{line}\nMSG: a/B\nint8\n"),
-            "definition of a/msg/A (a/msg/B):1:5: expected a name after the type",
+            "definition of a/msg/A:4:5: expected a name after the type",
         ),
+        (format!("B b\n{line}\nMSG: a/C\nint8 x\n"), "a/msg/B is not in the catalog"),
     ] {
         let error = read(&text).unwrap_err().to_string();
         assert!(error.contains(end), "{text}: {error}");
     }
     let error = DynamicType::from_definition_text("a/msg/A", "protobuf", "").unwrap_err().to_string();
-    assert!(error.contains("the encoding `protobuf`"), "{error}");
+    assert!(error.contains("`protobuf`"), "{error}");
     assert!(DynamicType::from_definition_text("A", "ros2msg", "").is_err());
 }
 
@@ -124,10 +117,8 @@ fn lengths_are_not_believed() {
         (error.path.as_str(), error.problem),
         ("bs", Problem::Length { count: 2, least_size: 24, left: 4 })
     );
-    for (header, name) in [([0, 7], "XCDR version 2"), ([9, 9], "0x0909"), ([0, 3], "parameter list")] {
-        let error = DynamicMessage::from_cdr(&of, &[header[0], header[1], 0, 0, 0]).unwrap_err().to_string();
-        assert!(error.contains(name) || name.starts_with("XCDR"), "{error}");
-    }
+    let error = DynamicMessage::from_cdr(&of, &[9, 9, 0, 0, 0]).unwrap_err().to_string();
+    assert!(error.contains("0x0909"), "{error}");
 }
 
 /// Definition texts of one to four messages that may refer to each other, right or wrong.

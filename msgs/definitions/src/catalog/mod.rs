@@ -6,12 +6,12 @@ mod nearest;
 
 pub use files::AmentPrefix;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use crate::derived::{event_of, parts_of};
 use crate::{
-    ActionDefinition, Definition, Error, Kind, MessageDefinition, ServiceDefinition, TypeName, parse_action,
-    parse_idl, parse_message, parse_service,
+    ActionDefinition, Definition, Element, Error, Kind, MessageDefinition, ServiceDefinition, TypeName,
+    parse_action, parse_idl, parse_message, parse_service,
 };
 
 /// Definitions by name. Fill it, [check](Catalog::check) it, then derive from it what you need.
@@ -65,6 +65,27 @@ impl Catalog {
         let names = definitions.iter().map(|definition| definition.name().clone()).collect();
         definitions.into_iter().try_for_each(|definition| self.insert_definition(definition))?;
         Ok(names)
+    }
+
+    /// Adds a message of another catalog, and all that it refers to there. What the other catalog lacks is left out.
+    ///
+    /// # Errors
+    /// If a name has another definition already.
+    pub fn add_message_from(&mut self, other: &Self, name: &TypeName) -> Result<(), Error> {
+        let mut wanted = vec![name];
+        let mut seen = BTreeSet::from([name]);
+        while let Some(message) = wanted.pop().and_then(|name| other.messages.get(name)) {
+            self.insert(message.clone())?;
+            for field in &message.fields {
+                if let Element::Message(inner) = &field.field_type.element
+                    && other.messages.contains_key(inner)
+                    && seen.insert(inner)
+                {
+                    wanted.push(inner);
+                }
+            }
+        }
+        Ok(())
     }
 
     /// The definition of a message, be it one of a service or an action.

@@ -1,0 +1,131 @@
+//! Definitions from what nodes answer to `get_type_description`.
+
+use std::collections::BTreeMap;
+
+use downbeat_msgs_definitions::{
+    Catalog, Error, FieldTypeDescription, IndividualTypeDescription, TypeDescription, TypeName,
+};
+
+use super::{DefinitionSource, Found, instead};
+use crate::dynamic::TypeError;
+use crate::type_description_interfaces::msg;
+
+/// Types that remote nodes have described.
+///
+/// ```
+/// use downbeat_msgs::definitions::TypeName;
+/// use downbeat_msgs::dynamic::{Definitions, DescribedTypes};
+/// use downbeat_msgs::type_description_interfaces::msg::TypeDescription;
+///
+/// // What a node would answer; the hash comes with the topic.
+/// let name: TypeName = "std_msgs/msg/Header".parse()?;
+/// let ours = downbeat_msgs::carried().type_description(&name)?;
+/// let (answer, hash) = (TypeDescription::from(&ours), ours.hash());
+///
+/// let mut described = DescribedTypes::new("/camera");
+/// described.add(&answer, &hash)?;
+/// assert!(Definitions::new().with(described).find("std_msgs/msg/Header").is_ok());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// Descriptions have no constants; their defaults are not read.
+#[derive(Clone, Debug, Default)]
+pub struct DescribedTypes {
+    description: String,
+    catalogs: BTreeMap<TypeName, Catalog>,
+}
+
+impl DescribedTypes {
+    /// No types yet; `description` names the node in errors.
+    #[must_use]
+    pub fn new(description: &str) -> Self {
+        Self { description: description.into(), catalogs: BTreeMap::new() }
+    }
+
+    /// Adds a type as a node describes it. `announced` is the RIHS01 hash of the type that is wanted, as the endpoint of
+    /// the topic announces it, or as was sent with the request.
+    ///
+    /// # Errors
+    /// If the description is none, or that of a type with another hash.
+    pub fn add(&mut self, description: &msg::TypeDescription, announced: &str) -> Result<(), TypeError> {
+        let described = TypeDescription::from(description);
+        let found = described.hash();
+        let type_name = &described.type_description.type_name;
+        if found != announced {
+            return Err(TypeError::Hash { name: type_name.clone(), expected: announced.into(), found });
+        }
+        let name: TypeName = type_name.parse()?;
+        let mut catalog = Catalog::new();
+        catalog.add_type_description(&described, &self.description)?;
+        self.catalogs.insert(name, catalog);
+        Ok(())
+    }
+}
+
+impl DefinitionSource for DescribedTypes {
+    fn description(&self) -> String {
+        self.description.clone()
+    }
+
+    fn find(&self, name: &TypeName) -> Result<Found<'_>, Error> {
+        let own = self.catalogs.get(name).into_iter();
+        let found = own.chain(self.catalogs.values()).find(|catalog| catalog.message(name).is_ok());
+        Ok(match found {
+            Some(catalog) => Found::Complete(catalog),
+            None => Found::Nothing(instead("it has described", self.catalogs.values(), name)),
+        })
+    }
+}
+
+impl From<&msg::TypeDescription> for TypeDescription {
+    /// Without default values, which are no part of a type's hash.
+    fn from(message: &msg::TypeDescription) -> Self {
+        Self {
+            type_description: individual(&message.type_description),
+            referenced_type_descriptions: message
+                .referenced_type_descriptions
+                .iter()
+                .map(individual)
+                .collect(),
+        }
+    }
+}
+
+impl From<&TypeDescription> for msg::TypeDescription {
+    /// What a node answers; default values stay empty.
+    fn from(description: &TypeDescription) -> Self {
+        let referenced = description.referenced_type_descriptions.iter();
+        Self {
+            type_description: individual_message(&description.type_description),
+            referenced_type_descriptions: referenced.map(individual_message).collect(),
+        }
+    }
+}
+
+fn individual(message: &msg::IndividualTypeDescription) -> IndividualTypeDescription {
+    let fields = message.fields.iter().map(|field| {
+        let of = &field.r#type;
+        let field_type = FieldTypeDescription {
+            type_id: of.type_id,
+            capacity: of.capacity,
+            string_capacity: of.string_capacity,
+            nested_type_name: of.nested_type_name.clone(),
+        };
+        (field.name.clone(), field_type)
+    });
+    IndividualTypeDescription { type_name: message.type_name.clone(), fields: fields.collect() }
+}
+
+fn individual_message(description: &IndividualTypeDescription) -> msg::IndividualTypeDescription {
+    let fields = description.fields.iter().map(|(name, of)| msg::Field {
+        name: name.clone(),
+        r#type: msg::FieldType {
+            type_id: of.type_id,
+            capacity: of.capacity,
+            string_capacity: of.string_capacity,
+            nested_type_name: of.nested_type_name.clone(),
+        },
+        default_value: String::new(),
+    });
+    msg::IndividualTypeDescription { type_name: description.type_name.clone(), fields: fields.collect() }
+}

@@ -1,0 +1,53 @@
+//! Definitions in the schemas of a bag.
+
+use std::collections::BTreeMap;
+
+use downbeat_msgs_definitions::{Catalog, DefinitionEncoding, Error, TypeName};
+
+use super::{DefinitionSource, Found, instead};
+
+/// The schemas of a bag, or of another place that has definition texts with all that they refer to.
+///
+/// Each schema stands for itself: a bag may have been merged from bags in which the same message was defined differently.
+#[derive(Clone, Debug, Default)]
+pub struct Schemas {
+    description: String,
+    catalogs: BTreeMap<TypeName, Catalog>,
+}
+
+impl Schemas {
+    /// No schemas yet; `description` names their place in errors.
+    #[must_use]
+    pub fn new(description: &str) -> Self {
+        Self { description: description.into(), catalogs: BTreeMap::new() }
+    }
+
+    /// Adds the definition text of a type; `encoding` is `ros2msg` or `ros2idl`. It takes the place of one there was.
+    ///
+    /// # Errors
+    /// If the name, the encoding or the text is none.
+    pub fn add(&mut self, name: &str, encoding: &str, text: &str) -> Result<(), Error> {
+        let name: TypeName = name.parse()?;
+        let encoding: DefinitionEncoding = encoding.parse()?;
+        let mut catalog = Catalog::new();
+        catalog.add_definition_text(&name, encoding, text, &format!("{}, {name}", self.description))?;
+        self.catalogs.insert(name, catalog);
+        Ok(())
+    }
+}
+
+impl DefinitionSource for Schemas {
+    fn description(&self) -> String {
+        self.description.clone()
+    }
+
+    fn find(&self, name: &TypeName) -> Result<Found<'_>, Error> {
+        // Its own schema, or one that refers to it.
+        let own = self.catalogs.get(name).into_iter();
+        let found = own.chain(self.catalogs.values()).find(|catalog| catalog.message(name).is_ok());
+        Ok(match found {
+            Some(catalog) => Found::Complete(catalog),
+            None => Found::Nothing(instead("it has", self.catalogs.values(), name)),
+        })
+    }
+}

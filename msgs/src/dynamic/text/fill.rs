@@ -1,0 +1,295 @@
+//! Filling a message from a serde format that describes itself: JSON, YAML, CBOR.
+//!
+//! # References
+//! `ros2/rosidl_runtime_py` branch jazzy, `rosidl_runtime_py/set_message.py`: what is taken for which field.
+
+use std::cell::{Cell, RefCell};
+use std::fmt;
+
+use downbeat_msgs_definitions::{Element, Primitive, Shape, TypeName};
+use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
+
+use super::implicit;
+use super::stamps::{is_header, is_time};
+use crate::dynamic::change::{Place, element_place, field_place, resize};
+use crate::dynamic::fit;
+use crate::dynamic::message::field_of;
+use crate::dynamic::value::Messages;
+use crate::dynamic::{Array, FieldError, FieldProblem, Value, ValueRef};
+
+/// Bytes of memory of the messages in sequences, at most: a few characters can stand for a message with long fixed arrays.
+const MOST_MEMORY: u64 = 256 << 20;
+
+/// What goes on while a message is filled.
+pub(super) struct State<'a> {
+    pub type_name: &'a TypeName,
+    /// The paths of the times that are to be set when the message is sent.
+    pub stamps: RefCell<Vec<String>>,
+    /// What is wrong, where the error of the format has only its text.
+    pub error: RefCell<Option<FieldError>>,
+    pub memory: Cell<u64>,
+}
+
+/// What is to be filled.
+pub(super) struct Fill<'a> {
+    pub place: Place<'a>,
+    pub trail: &'a Trail<'a>,
+    pub state: &'a State<'a>,
+}
+
+/// The way from the message to a field in it.
+pub(super) enum Trail<'a> {
+    Root,
+    Field(&'a Trail<'a>, &'a str),
+    Element(&'a Trail<'a>, usize),
+}
+
+impl fmt::Display for Trail<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Root => Ok(()),
+            Self::Field(Self::Root, name) => f.write_str(name),
+            Self::Field(parent, name) => write!(f, "{parent}.{name}"),
+            Self::Element(parent, index) => write!(f, "{parent}[{index}]"),
+        }
+    }
+}
+
+impl<'de> DeserializeSeed<'de> for Fill<'_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        match self.text_wanted() {
+            // In YAML also what looks like a number, as it is written.
+            true => deserializer.deserialize_str(self),
+            false => deserializer.deserialize_any(self),
+        }
+    }
+}
+
+impl<'de> Visitor<'de> for Fill<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} for the field `{}`", self.wanted(), self.trail)
+    }
+
+    fn visit_bool<E: Error>(self, value: bool) -> Result<(), E> {
+        self.scalar(Value::Bool(value))
+    }
+
+    fn visit_i64<E: Error>(self, value: i64) -> Result<(), E> {
+        self.scalar(Value::Int64(value))
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<(), E> {
+        self.scalar(Value::UInt64(value))
+    }
+
+    fn visit_f64<E: Error>(self, value: f64) -> Result<(), E> {
+        self.scalar(Value::Float64(value))
+    }
+
+    fn visit_str<E: Error>(self, text: &str) -> Result<(), E> {
+        if let Place::Message { layout, index, .. } = &self.place {
+            let name = &layout.layout().message(*index).name;
+            let is_within = !matches!(self.trail, Trail::Root);
+            let stamp = match text {
+                "auto" if is_within && is_header(name) => Some(format!("{}.stamp", self.trail)),
+                "now" if is_within && is_time(name) => Some(self.trail.to_string()),
+                _ => None,
+            };
+            if let Some(stamp) = stamp {
+                self.state.stamps.borrow_mut().push(stamp);
+                return Ok(());
+            }
+        }
+        self.scalar(Value::String(text.into()))
+    }
+
+    /// JSON has no NaN: serde writes nothing instead.
+    fn visit_unit<E: Error>(self) -> Result<(), E> {
+        if let Some(Element::Primitive(Primitive::Float32 | Primitive::Float64)) = self.element() {
+            return self.scalar(Value::Float64(f64::NAN));
+        }
+        Err(self.fail_kind("nothing".into()))
+    }
+
+    fn visit_bytes<E: Error>(self, bytes: &[u8]) -> Result<(), E> {
+        self.assign(Value::from(bytes.to_vec()))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+        let Self { place, trail, state } = self;
+        let Place::Message { layout, index, slots } = place else {
+            return Err(Self { place, trail, state }.fail_kind("a mapping".into()));
+        };
+        while let Some(name) = map.next_key::<String>()? {
+            let trail = Trail::Field(trail, &name);
+            match field_of(layout.layout().message(index), &name) {
+                Ok(field) => {
+                    let place = field_place(layout, field, slots);
+                    map.next_value_seed(Fill { place, trail: &trail, state })?;
+                }
+                Err(problem) => return Err(fail(state, &trail, problem)),
+            }
+        }
+        Ok(())
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut elements: A) -> Result<(), A::Error> {
+        let Self { place, trail, state } = self;
+        let Place::Slot { field, value: Value::Array(array), .. } = place else {
+            while elements.next_element::<IgnoredAny>()?.is_some() {}
+            return Err(Self { place, trail, state }.fail_kind("a sequence".into()));
+        };
+        let most = match field.field_type.shape {
+            Shape::Array(count) | Shape::Bounded(count) => usize::try_from(count).unwrap_or(usize::MAX),
+            _ => usize::MAX,
+        };
+        let mut filled = empty_like(array);
+        let memory = match &filled {
+            Array::Message(messages) => messages.of.message().memory.max(1),
+            _ => 0,
+        };
+        let mut count = 0;
+        loop {
+            let trail = Trail::Element(trail, count);
+            if count == most {
+                // No place for another one; there may be none.
+                if elements.next_element::<IgnoredAny>()?.is_some() {
+                    let problem = fit::check_count(field.field_type.shape, count + 1);
+                    return Err(fail(
+                        state,
+                        &trail,
+                        problem.err().unwrap_or(FieldProblem::Index { index: count, length: count }),
+                    ));
+                }
+                break;
+            }
+            state.memory.set(state.memory.get().saturating_add(memory));
+            if state.memory.get() > MOST_MEMORY {
+                return Err(fail(state, &trail, FieldProblem::Memory { limit: MOST_MEMORY }));
+            }
+            resize(&mut filled, count + 1);
+            let place = match &mut filled {
+                Array::Message(messages) => element_place(messages, count),
+                array => Some(Place::Element { field, array, index: count }),
+            };
+            let Some(place) = place else { break };
+            if elements.next_element_seed(Fill { place, trail: &trail, state })?.is_none() {
+                break;
+            }
+            count += 1;
+        }
+        resize(&mut filled, count);
+        match fit::check_count(field.field_type.shape, count) {
+            Ok(()) => *array = filled,
+            Err(problem) => return Err(fail(state, trail, problem)),
+        }
+        Ok(())
+    }
+}
+
+impl Fill<'_> {
+    fn scalar<E: Error>(self, value: Value) -> Result<(), E> {
+        let value = match self.element() {
+            Some(element) => lenient(element, value),
+            None => value,
+        };
+        self.assign(value)
+    }
+
+    fn assign<E: Error>(self, value: Value) -> Result<(), E> {
+        let Self { place, trail, state } = self;
+        place.set(value).map_err(|problem| fail(state, trail, problem))
+    }
+
+    /// The type of the one value that is wanted; `None` for messages and arrays.
+    fn element(&self) -> Option<&Element> {
+        match &self.place {
+            Place::Slot { field, .. } if field.field_type.shape == Shape::Single => {
+                Some(&field.field_type.element)
+            }
+            Place::Element { field, .. } => Some(&field.field_type.element),
+            _ => None,
+        }
+    }
+
+    fn text_wanted(&self) -> bool {
+        matches!(self.element(), Some(Element::String { .. } | Element::WString { .. }))
+    }
+
+    fn wanted(&self) -> String {
+        match &self.place {
+            Place::Message { layout, index, .. } => {
+                format!("a mapping ({})", layout.layout().message(*index).name)
+            }
+            Place::Slot { field, .. } => format!("a {}", field.field_type),
+            Place::Element { field, .. } => format!("an element of a {}", field.field_type),
+        }
+    }
+
+    #[cold]
+    fn fail_kind<E: Error>(&self, found: String) -> E {
+        fail(self.state, self.trail, FieldProblem::Kind { expected: self.wanted(), found })
+    }
+}
+
+#[cold]
+fn fail<E: Error>(state: &State<'_>, trail: &Trail<'_>, problem: FieldProblem) -> E {
+    let error = problem.of(state.type_name, &trail.to_string());
+    let shown = E::custom(&error);
+    *state.error.borrow_mut() = Some(error);
+    shown
+}
+
+/// Texts for numbers and truth values, as YAML 1.1 and Python read them.
+fn lenient(element: &Element, value: Value) -> Value {
+    let Element::Primitive(primitive) = element else { return value };
+    let is_float = matches!(primitive, Primitive::Float32 | Primitive::Float64);
+    let read = match (primitive, &value) {
+        (Primitive::Bool, Value::String(text)) => implicit::truth_value(text).map(Value::Bool),
+        (Primitive::Bool, number) => match ValueRef::from(number).as_i64() {
+            Some(number @ (0 | 1)) => Some(Value::Bool(number == 1)),
+            _ => None,
+        },
+        // As `ros2 topic echo` shows it.
+        (Primitive::Byte, Value::String(text)) => {
+            let mut characters = text.chars();
+            match (characters.next().map(u8::try_from), characters.next()) {
+                (Some(Ok(byte)), None) => Some(Value::UInt8(byte)),
+                _ => None,
+            }
+        }
+        (_, Value::String(text)) if is_float => text.trim().parse().ok().map(Value::Float64),
+        (_, Value::String(text)) => implicit::integer(text.trim()).and_then(|number| {
+            let signed = i64::try_from(number).map(Value::Int64);
+            signed.or_else(|_| u64::try_from(number).map(Value::UInt64)).ok()
+        }),
+        _ => None,
+    };
+    read.unwrap_or(value)
+}
+
+/// An array of the same kind without elements.
+fn empty_like(array: &Array) -> Array {
+    match array {
+        Array::Message(messages) => {
+            Array::Message(Messages { of: messages.of.clone(), count: 0, slots: Vec::new() })
+        }
+        Array::Bool(_) => Array::Bool(Vec::new()),
+        Array::Int8(_) => Array::Int8(Vec::new()),
+        Array::UInt8(_) => Array::UInt8(Vec::new()),
+        Array::Int16(_) => Array::Int16(Vec::new()),
+        Array::UInt16(_) => Array::UInt16(Vec::new()),
+        Array::Int32(_) => Array::Int32(Vec::new()),
+        Array::UInt32(_) => Array::UInt32(Vec::new()),
+        Array::Int64(_) => Array::Int64(Vec::new()),
+        Array::UInt64(_) => Array::UInt64(Vec::new()),
+        Array::Float32(_) => Array::Float32(Vec::new()),
+        Array::Float64(_) => Array::Float64(Vec::new()),
+        Array::String(_) => Array::String(Vec::new()),
+        Array::WString(_) => Array::WString(Vec::new()),
+    }
+}

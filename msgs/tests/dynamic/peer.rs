@@ -1,0 +1,132 @@
+//! What is built and changed at run time, read by rclpy and rosbags.
+//!
+//! Needs the Python interpreter that `DOWNBEAT_PYTHON` names; without it the tests say so and pass.
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::Command;
+
+use downbeat_msgs::carried;
+use downbeat_msgs::definitions::Kind;
+use downbeat_msgs::dynamic::{DynamicMessage, DynamicType, MessageRef, ValueRef};
+use serde_json::Value as Json;
+
+use crate::random::Random;
+
+/// Runs a command of `peer.py` with `input` in a file; gives the lines it prints, or nothing if there is no Python.
+fn ask(command: &str, input: &str) -> Option<Vec<String>> {
+    let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
+        // Past the capture of test output, which shows nothing of a test that passes.
+        let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
+        let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
+        return None;
+    };
+    let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("dynamic_{command}.txt"));
+    std::fs::write(&file, input).unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/dynamic/peer.py");
+    let output = Command::new(python).arg(script).arg(command).arg(&file).output().unwrap();
+    assert!(output.status.success(), "peer.py {command}: {}", String::from_utf8_lossy(&output.stderr));
+    Some(String::from_utf8(output.stdout).unwrap().lines().map(String::from).collect())
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::new(), |mut text, byte| {
+        write!(text, "{byte:02x}").unwrap();
+        text
+    })
+}
+
+/// Gives every number, truth value and text a value that tells its place, and every sequence two elements, by path.
+fn fill(message: &mut DynamicMessage, random: &mut Random) {
+    let mut todo = paths(message.as_message(), "");
+    let mut number = 1;
+    while let Some(path) = todo.pop() {
+        number = number % 100 + 1;
+        match message.get(&path).unwrap() {
+            ValueRef::Message(inner) => {
+                let inner = paths(inner, &path);
+                todo.extend(inner);
+            }
+            ValueRef::Array(_) => {
+                // Of fixed length, or bounded to less: as they are.
+                let count = if message.resize(&path, 2).is_ok() { 2 } else { array_length(message, &path) };
+                todo.extend((0..count.min(3)).map(|index| format!("{path}[{index}]")));
+            }
+            ValueRef::Bool(_) => message.set(&path, random.value::<bool>()).unwrap(),
+            ValueRef::String(_) | ValueRef::WString(_) => message.set(&path, format!("t{number}")).unwrap(),
+            _ => message.set(&path, number).unwrap(),
+        }
+    }
+}
+
+fn array_length(message: &DynamicMessage, path: &str) -> usize {
+    message.get(path).unwrap().as_array().unwrap().len()
+}
+
+fn paths(message: MessageRef<'_>, prefix: &str) -> Vec<String> {
+    let separator = if prefix.is_empty() { "" } else { "." };
+    message.fields().map(|(name, _)| format!("{prefix}{separator}{name}")).collect()
+}
+
+/// Every message carried that the wheels have, parts of services and actions included, filled by path.
+fn messages() -> Vec<DynamicMessage> {
+    const NO_WHEEL: [&str; 5] = [
+        "downbeat_interfaces",
+        "composition_interfaces",
+        "rosbag2_interfaces",
+        "statistics_msgs",
+        "tf2_msgs",
+    ];
+    let mut random = Random::new(0xf111);
+    let names = carried().messages().map(|message| &message.name);
+    let wanted = names.filter(|name| name.kind != Kind::Action && !NO_WHEEL.contains(&name.package.as_str()));
+    wanted
+        .map(|name| {
+            let mut message = DynamicMessage::new(&DynamicType::new(carried(), name).unwrap());
+            fill(&mut message, &mut random);
+            message
+        })
+        .collect()
+}
+
+#[test]
+fn rclpy_reads_what_was_built_by_path() {
+    let messages = messages();
+    let input: String = messages
+        .iter()
+        .map(|message| format!("{}\t{}\n", message.type_name(), hex(&message.to_cdr())))
+        .collect();
+    let Some(answer) = ask("read", &input) else { return };
+    assert_eq!(answer.len(), messages.len());
+    for (message, theirs) in messages.iter().zip(&answer) {
+        let ours: Json = serde_json::to_value(message).unwrap();
+        assert_eq!(ours, serde_json::from_str::<Json>(theirs).unwrap(), "{}", message.type_name());
+    }
+    assert!(messages.len() > 150, "{}", messages.len());
+}
+
+#[test]
+fn big_endian_bytes_of_rosbags_are_the_same_messages() {
+    // rosbags reads neither wide strings nor definition texts that begin with a service.
+    let messages: Vec<DynamicMessage> = messages()
+        .into_iter()
+        .filter(|message| {
+            let name = message.type_name();
+            name.kind == Kind::Message && name.name != "WStrings"
+        })
+        .collect();
+    let input: String = messages
+        .iter()
+        .map(|message| {
+            let definition = carried().definition_text(message.type_name()).unwrap();
+            format!("{}\t{}\t{}\n", message.type_name(), hex(definition.as_bytes()), hex(&message.to_cdr()))
+        })
+        .collect();
+    let Some(answer) = ask("big", &input) else { return };
+    assert_eq!(answer.len(), messages.len());
+    for (message, big) in messages.iter().zip(&answer) {
+        let bytes = crate::text::unhex(big);
+        assert_eq!(bytes[..2], [0, 0]);
+        assert_eq!(&DynamicMessage::from_cdr(message.message_type(), &bytes).unwrap(), message);
+    }
+}
