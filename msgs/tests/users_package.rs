@@ -79,14 +79,15 @@ impl UsersCrate {
             .unwrap()
     }
 
-    /// The lines of a build that fails, but the last, which only says that there were some.
+    /// The errors of a build that fails, but the last, which only says that there were some.
     fn errors(&self) -> Vec<String> {
         let output = self.cargo("check");
         assert!(!output.status.success());
         let text = String::from_utf8(output.stderr).unwrap();
-        let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
-        assert_eq!(lines.pop().as_deref(), Some("error: build script logged errors"), "{text}");
-        lines
+        let errors = text.lines().filter(|line| line.starts_with("error"));
+        let mut errors: Vec<String> = errors.map(str::to_owned).collect();
+        assert_eq!(errors.pop().as_deref(), Some("error: build script logged errors"), "{text}");
+        errors
     }
 }
 
