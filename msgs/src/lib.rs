@@ -16,7 +16,10 @@
 //! its messages and its services (`Fibonacci`, `FibonacciGoal`, `FibonacciSendGoal`, `FibonacciSendGoalRequest`, …). Fields are named as in ROS 2;
 //! a field named as a keyword is written raw (`r#type`). All of it is generated at build time from `interfaces/`.
 //!
-//! Bounds of sequences and strings are checked when reading, not when writing: see [`cdr`].
+//! Beside each struct that holds strings or sequences there is a view in `msg::view`, which borrows them from the bytes it is
+//! read from: see [`cdr::FromReader`].
+//!
+//! Bounds of sequences and strings are checked when reading, and when writing if asked for: see [`cdr`].
 
 // First, so that the macros it defines are known below.
 include!(concat!(env!("OUT_DIR"), "/interfaces.rs"));

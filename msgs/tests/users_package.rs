@@ -15,9 +15,10 @@ fn a_crate_with_interfaces_of_its_own_builds_runs_and_is_told_what_is_wrong() {
     let printed = String::from_utf8(output.stdout).unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let lines: Vec<&str> = printed.lines().collect();
-    assert_eq!(lines[0], "my_msgs/msg/Leg 100 bytes");
+    assert_eq!(lines[0], "my_msgs/msg/Leg 112 bytes");
     assert_eq!(lines[1], hash("my_msgs/msg/Leg"));
     assert_eq!(lines[2], "my_msgs/srv/Kick KickRequest { side: 0, strength: 1.0 }");
+    assert_eq!(lines[3], "my_msgs/action/Walk WalkGoal { steps: 3 }");
 
     // A change is seen, and a fault in it is told with its place and nothing else.
     let path = users.folder.join("my_msgs/msg/Gait.msg");
@@ -38,8 +39,7 @@ fn a_crate_with_interfaces_of_its_own_builds_runs_and_is_told_what_is_wrong() {
     );
     fs::write(&path, &gait).unwrap();
 
-    // So is a file that comes, and a folder.
-    fs::create_dir(users.folder.join("my_msgs/action")).unwrap();
+    // So is a file that comes.
     fs::write(users.folder.join("my_msgs/srv/Walk.srv"), "float64 speed\n").unwrap();
     let errors = users.errors();
     assert!(errors[0].starts_with("error: users_package@0.1.0: my_msgs/srv/Walk.srv"), "{errors:?}");
@@ -79,14 +79,15 @@ impl UsersCrate {
             .unwrap()
     }
 
-    /// The lines of a build that fails, but the last, which only says that there were some.
+    /// The errors of a build that fails, but the last, which only says that there were some.
     fn errors(&self) -> Vec<String> {
         let output = self.cargo("check");
         assert!(!output.status.success());
         let text = String::from_utf8(output.stderr).unwrap();
-        let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
-        assert_eq!(lines.pop().as_deref(), Some("error: build script logged errors"), "{text}");
-        lines
+        let errors = text.lines().filter(|line| line.starts_with("error"));
+        let mut errors: Vec<String> = errors.map(str::to_owned).collect();
+        assert_eq!(errors.pop().as_deref(), Some("error: build script logged errors"), "{text}");
+        errors
     }
 }
 
@@ -111,5 +112,6 @@ fn hash(name: &str) -> String {
     let mut catalog = downbeat_msgs_definitions::Catalog::new();
     catalog.add_packages(&here.join("interfaces")).unwrap();
     catalog.add_package(&here.join("examples/users_package/my_msgs")).unwrap();
+    catalog.add_package(&here.join("examples/users_package/lab/lab_msgs")).unwrap();
     catalog.type_hash(&name.parse().unwrap()).unwrap()
 }

@@ -1,3 +1,3 @@
 fn main() {
-    downbeat_msgs_generator::compile("my_msgs");
+    downbeat_msgs_generator::Build::new().package("my_msgs").packages("lab").compile();
 }

@@ -1,6 +1,6 @@
 //! Writes the Rust types of ROS 2 interfaces: structs with CDR, their definitions and their hashes.
 //!
-//! A crate with interface files of its own calls [`compile`] in the `main` of its `build.rs`:
+//! A crate with interface files of its own calls [`compile`] in the `main` function of its `build.rs`:
 //!
 //! ```no_run
 //! downbeat_msgs_generator::compile("my_msgs"); // the folder with msg/*.msg, srv/*.srv, action/*.action

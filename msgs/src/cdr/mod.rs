@@ -54,7 +54,7 @@ pub use plain::{Plain, PlainMessage, PlainReader, PlainWriter};
 pub use reader::Reader;
 pub use representation::{Encoding, Endianness};
 pub use text::{Text, WString};
-pub use view::{Count, FromReader, Numbers, Sequence};
+pub use view::{Count, FromReader, Numbers, Sequence, Viewed};
 pub use writer::Writer;
 
 /// Bytes of the header in front of a serialised value.
@@ -130,7 +130,7 @@ pub trait Cdr: Sized {
 /// If a string or sequence has more than 2^32 - 1 elements, which CDR cannot express.
 #[must_use]
 pub fn to_vec<T: Cdr>(value: &T) -> Vec<u8> {
-    let mut buffer = Vec::with_capacity(encoded_size(value));
+    let mut buffer = Vec::new();
     to_buffer(value, &mut buffer);
     buffer
 }
@@ -140,9 +140,7 @@ pub fn to_vec<T: Cdr>(value: &T) -> Vec<u8> {
 /// # Panics
 /// As [`to_vec`].
 pub fn to_buffer<T: Cdr>(value: &T, buffer: &mut Vec<u8>) {
-    buffer.clear();
-    buffer.extend_from_slice(&[0, 1, 0, 0]);
-    value.encode(&mut Writer::new(buffer));
+    value.encode(&mut Writer::with_header(buffer, encoded_size(value)));
 }
 
 /// As [`to_vec`], after a check that a receiver will not refuse the value.

@@ -2,7 +2,7 @@
 
 use super::plain::PlainReader;
 use super::representation::{Encoding, Endianness, split};
-use super::{Cdr, Count, Error, FromReader, HEADER_SIZE, Plain, Problem, Result, Text};
+use super::{Cdr, Count, Error, FromReader, HEADER_SIZE, Plain, Problem, Result, Sequence, Text};
 
 /// Reads the parts of a serialised value one after another. Alignment counts from behind the header.
 #[derive(Clone, Debug)]
@@ -89,6 +89,35 @@ impl<'a> Reader<'a> {
         self.bounded_field(name, bound).and_then(|texts| {
             start.check(texts, text_bound, T::longest).map_err(|error| error.in_field(name))
         })
+    }
+
+    /// As [`Reader::field`], for the view of an array.
+    ///
+    /// # Errors
+    /// If the bytes are no such value.
+    pub fn array_field<V: FromReader<'a>>(
+        &mut self,
+        name: &'static str,
+        count: usize,
+    ) -> Result<Sequence<'a, V>> {
+        Sequence::of_array(count, self).map_err(|error| error.in_field(name))
+    }
+
+    /// As [`Reader::array_field`], for strings as in [`Reader::text_field`].
+    ///
+    /// # Errors
+    /// If the bytes are no such value.
+    pub fn texts_array_field<V: FromReader<'a> + Text>(
+        &mut self,
+        name: &'static str,
+        count: usize,
+        text_bound: usize,
+    ) -> Result<Sequence<'a, V>> {
+        let start = self.clone();
+        let texts = Sequence::of_array(count, self);
+        texts
+            .and_then(|texts| start.check(texts, text_bound, Text::longest))
+            .map_err(|error| error.in_field(name))
     }
 
     /// Reads the fields of a message, which `fields` reads one after another.
@@ -206,12 +235,12 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// The bytes of a number of elements, and that they were read.
+    /// Reads the bytes of so many numbers.
     #[inline]
-    pub(super) fn numbers<T: Plain>(&mut self, count: usize) -> Result<&'a [u8]> {
+    pub(super) fn numbers<T: Plain + Cdr>(&mut self, count: usize) -> Result<&'a [u8]> {
         match self.plain_bytes::<T>(count) {
             Some(bytes) => Ok(bytes),
-            None => Err(self.too_short(count.saturating_mul(T::SIZE))),
+            None => self.plain_vec::<T>(count).map(|_| [].as_slice()),
         }
     }
 

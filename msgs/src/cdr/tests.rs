@@ -2,7 +2,9 @@
 
 use proptest::prelude::*;
 
-use super::{Cdr, Error, Problem, from_slice, to_buffer, to_vec};
+use super::{
+    Cdr, EncodeError, Error, Problem, Viewed, encoded_size, from_slice, to_buffer, to_vec, try_to_vec,
+};
 use crate::std_msgs::msg::{Bool, Empty, Header, String as StringMessage};
 use crate::{Message, WString, geometry_msgs, rcl_interfaces, rmw_dds_common, sensor_msgs};
 
@@ -149,13 +151,79 @@ fn bounds_are_held_when_reading() {
     );
 }
 
+#[test]
+fn bounds_are_checked_when_writing_if_asked_for() {
+    let info = |name_size| rmw_dds_common::msg::ParticipantEntitiesInfo {
+        node_entities_info_seq: vec![
+            Default::default(),
+            rmw_dds_common::msg::NodeEntitiesInfo { node_name: "n".repeat(name_size), ..Default::default() },
+        ],
+        ..Default::default()
+    };
+    assert_eq!(try_to_vec(&info(256)).unwrap(), to_vec(&info(256)));
+    let path = "node_entities_info_seq[1].node_name".into();
+    assert_eq!(try_to_vec(&info(257)), Err(EncodeError::Bound { path, found: 257, bound: 256 }));
+}
+
+#[test]
+fn memory_is_asked_for_once() {
+    let transform = geometry_msgs::msg::TransformStamped { header: header(), ..Default::default() };
+    let bytes = to_vec(&vec![transform; 50]);
+    assert_eq!(bytes.capacity(), bytes.len());
+}
+
+#[test]
+fn version_2_aligns_to_four_bytes_and_tells_the_size_of_what_is_no_number() {
+    let point = [1_f64, 2.0, 3.0].map(f64::to_le_bytes).concat();
+    let points = |header: &[u8]| [header, &point, &point].concat();
+    let expected = vec![geometry_msgs::msg::Point { x: 1.0, y: 2.0, z: 3.0 }; 2];
+    let read = |bytes: &[u8]| from_slice::<Vec<geometry_msgs::msg::Point>>(bytes).unwrap();
+    assert_eq!(read(&points(&[0, 1, 0, 0, 2, 0, 0, 0, 0, 0, 0, 0])), expected);
+    assert_eq!(read(&points(&[0, 7, 0, 0, 52, 0, 0, 0, 2, 0, 0, 0])), expected);
+    let delimited: &[&[u8]] =
+        &[&[0, 9, 0, 0, 60, 0, 0, 0, 2, 0, 0, 0, 24, 0, 0, 0], &point, &[24, 0, 0, 0], &point];
+    assert_eq!(read(&delimited.concat()), expected);
+}
+
+#[test]
+fn what_a_sender_appended_in_version_2_is_passed_over_and_what_it_lacks_is_an_error() {
+    let longer = [0, 9, 0, 0, 5, 0, 0, 0, 1, 9, 9, 9, 9];
+    assert_eq!(from_slice::<Bool>(&longer).unwrap(), Bool { data: true });
+    let error = from_slice::<Bool>(&[0, 9, 0, 0, 0, 0, 0, 0, 1]).unwrap_err();
+    assert_eq!((error.path.as_str(), error.problem), ("data", Problem::TooShort { needed: 1, left: 0 }));
+    let longer_than_there_is = [0, 9, 0, 0, 6, 0, 0, 0, 1, 9, 9, 9, 9];
+    assert!(matches!(problem::<Bool>(&longer_than_there_is), Problem::Length { count: 6, .. }));
+}
+
+#[test]
+fn wide_strings_of_version_2_take_16_bits_a_unit() {
+    let bytes = [0, 6, 0, 0, 0, 0, 0, 6, 0, b'a', 0xd8, 0x3d, 0xde, 0x00];
+    assert_eq!(from_slice::<WString>(&bytes).unwrap(), WString::from("a\u{1f600}"));
+    assert_eq!(problem::<WString>(&[0, 6, 0, 0, 0, 0, 0, 1, 0]), Problem::Utf16Size(1));
+}
+
+#[test]
+fn truth_values_in_a_sequence_are_validated() {
+    let error = from_slice::<Vec<bool>>(&[0, 1, 0, 0, 3, 0, 0, 0, 1, 0, 2]).unwrap_err();
+    assert_eq!((error.offset, error.path.as_str(), error.problem), (10, "[2]", Problem::Bool(2)));
+}
+
 /// Reads the bytes as every message there is; what can be read must be stable from then on.
 fn read_as_everything(bytes: &[u8]) {
-    fn read<T: Message>(bytes: &[u8]) {
-        if let Ok(message) = from_slice::<T>(bytes) {
-            let written = to_vec(&message);
-            // Not the messages but their bytes are compared: NaN is unequal to itself.
-            assert_eq!(to_vec(&from_slice::<T>(&written).unwrap()), written, "{}", T::TYPE_NAME);
+    fn read<T: Message + Viewed>(bytes: &[u8]) {
+        let view = from_slice::<T::View<'_>>(bytes);
+        match from_slice::<T>(bytes) {
+            Ok(message) => {
+                let written = try_to_vec(&message).unwrap();
+                assert_eq!(encoded_size(&message), written.len(), "{}", T::TYPE_NAME);
+                assert_eq!(format!("{:?}", view.unwrap()), format!("{message:?}"), "{}", T::TYPE_NAME);
+                // Not the messages but their bytes are compared: NaN is unequal to itself.
+                assert_eq!(to_vec(&from_slice::<T>(&written).unwrap()), written, "{}", T::TYPE_NAME);
+            }
+            Err(error) => {
+                assert!(error.offset <= bytes.len());
+                assert_eq!(error, view.unwrap_err(), "{}", T::TYPE_NAME);
+            }
         }
     }
     macro_rules! read_each {
@@ -169,11 +237,11 @@ proptest! {
 
     #[test]
     fn no_bytes_make_reading_panic(
-        big in any::<bool>(),
+        representation in prop_oneof![4 => 0_u8..2, 4 => 6_u8..10, 1 => any::<u8>()],
         // Mostly zeros and small numbers: lengths that are plausible lead deeper into a message.
         body in proptest::collection::vec(prop_oneof![8 => Just(0_u8), 3 => 1_u8..6, 1 => any::<u8>()], 0..400),
     ) {
-        read_as_everything(&[&[0, u8::from(!big), 0, 0], body.as_slice()].concat());
+        read_as_everything(&[&[0, representation, 0, 0], body.as_slice()].concat());
         read_as_everything(&body);
     }
 

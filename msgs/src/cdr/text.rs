@@ -86,9 +86,7 @@ impl Cdr for String {
 
     #[inline]
     fn encode(&self, writer: &mut Writer<'_>) {
-        writer.length(self.len() + 1);
-        writer.bytes(self.as_bytes());
-        writer.number([0]);
+        writer.text(self);
     }
 
     #[inline]

@@ -37,6 +37,12 @@ pub trait FromReader<'a>: Sized {
     fn from_reader(reader: &mut Reader<'a>) -> Result<Self>;
 }
 
+/// A message by its view, for code that is generic over messages.
+pub trait Viewed: Cdr {
+    /// The view; the message itself if there is nothing in it to borrow.
+    type View<'a>: FromReader<'a> + fmt::Debug;
+}
+
 impl<'a, T: Cdr> FromReader<'a> for T {
     const FEWEST_BYTES: usize = T::LEAST_SIZE;
     const IS_NUMBER_OR_BOOL: bool = T::IS_PRIMITIVE;

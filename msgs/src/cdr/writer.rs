@@ -1,22 +1,44 @@
 //! Appending CDR to a buffer.
 
-use super::{Cdr, Plain, PlainWriter};
+use super::{Cdr, HEADER_SIZE, Plain, PlainWriter};
 
-/// Bytes that are written at a time: a part of a first-level cache.
-const BLOCK: usize = 8192;
+/// Bytes that are made zero at a time, before they are written over: a part of a first-level cache.
+const BLOCK: usize = 2048;
+
+/// Bytes that are copied behind the buffer's end and not over zeros, since so many would be written twice.
+const MANY: usize = 512;
 
 /// Appends little-endian CDR to a buffer. Alignment counts from where the writer began.
+///
+/// The buffer is given back when the writer is dropped.
+// A number is written over zeros that are there already, so that padding costs nothing and the buffer grows seldom.
 #[derive(Debug)]
 pub struct Writer<'a> {
-    buffer: &'a mut Vec<u8>,
+    target: &'a mut Vec<u8>,
+    /// What the target held, what was written, and zeros to be written over.
+    buffer: Vec<u8>,
+    /// Where what was written ends.
+    end: usize,
     origin: usize,
 }
 
 impl<'a> Writer<'a> {
     /// Begins behind what the buffer holds.
-    pub fn new(buffer: &'a mut Vec<u8>) -> Self {
-        let origin = buffer.len();
-        Self { buffer, origin }
+    pub fn new(target: &'a mut Vec<u8>) -> Self {
+        let buffer = std::mem::take(target);
+        let end = buffer.len();
+        Self { target, buffer, end, origin: end }
+    }
+
+    /// Begins with a header, in place of what the buffer holds. So many bytes are expected, the header counted.
+    #[inline]
+    pub(super) fn with_header(target: &'a mut Vec<u8>, size: usize) -> Self {
+        let mut buffer = std::mem::take(target);
+        buffer.clear();
+        buffer.reserve_exact(size);
+        buffer.resize(size.clamp(HEADER_SIZE, BLOCK), 0);
+        buffer[1] = 1;
+        Self { target, buffer, end: HEADER_SIZE, origin: HEADER_SIZE }
     }
 
     /// Appends a value.
@@ -28,8 +50,8 @@ impl<'a> Writer<'a> {
     /// Appends a value of fixed layout.
     #[inline]
     pub fn plain<T: Plain>(&mut self, value: &T) {
-        self.align(T::ALIGNMENT);
-        value.put(&mut PlainWriter::new(self.zeros(T::SIZE)));
+        let padding = self.padding(T::ALIGNMENT);
+        value.put(&mut PlainWriter::new(self.places(padding, T::SIZE)));
     }
 
     /// Appends values of fixed layout.
@@ -43,16 +65,15 @@ impl<'a> Writer<'a> {
             self.bytes(bytes);
             return;
         }
-        self.buffer.reserve(values.len() * T::SIZE);
         // Block by block, so that the zeros that are written over are still in the cache.
         for block in values.chunks((BLOCK / T::SIZE).max(1)) {
-            T::put_slice(block, &mut PlainWriter::new(self.zeros(block.len() * T::SIZE)));
+            T::put_slice(block, &mut PlainWriter::new(self.places(0, block.len() * T::SIZE)));
         }
     }
 
     /// Appends what stands for a message without fields: one zero byte.
     pub fn empty_message(&mut self) {
-        self.buffer.push(0);
+        self.places(0, 1);
     }
 
     /// Appends the length of a string or sequence.
@@ -70,57 +91,97 @@ impl<'a> Writer<'a> {
     /// Appends zeros until the position is a multiple of `alignment`, a power of two.
     #[inline]
     pub fn align(&mut self, alignment: usize) {
-        let padding = self.padding(alignment);
-        self.append_first([0; 8], padding);
+        self.places(self.padding(alignment), 0);
     }
 
     /// Appends bytes as they are.
     #[inline]
     pub fn bytes(&mut self, bytes: &[u8]) {
-        self.buffer.extend_from_slice(bytes);
+        if bytes.len() < MANY {
+            copy(bytes, self.places(0, bytes.len()));
+        } else {
+            self.many_bytes(bytes);
+        }
+    }
+
+    /// Appends a string, a zero behind it.
+    #[inline]
+    pub(super) fn text(&mut self, text: &str) {
+        let text = text.as_bytes();
+        if text.len() >= MANY {
+            self.length(text.len() + 1);
+            self.many_bytes(text);
+            self.places(0, 1);
+            return;
+        }
+        // In one go, since each store of the end would have the next wait for it.
+        let (length, rest) = self.places(self.padding(4), 4 + text.len() + 1).split_at_mut(4);
+        length.copy_from_slice(&(text.len() as u32 + 1).to_le_bytes());
+        copy(text, &mut rest[..text.len()]);
     }
 
     /// Appends a number, aligned to its size.
     #[inline]
     pub(super) fn number<const N: usize>(&mut self, number: [u8; N]) {
-        // Padding and number are one word, shifted to where the number belongs: no branch depends on the padding.
-        let padding = self.padding(N);
-        if N <= 4 {
-            let mut word = [0; 8];
-            word[..N].copy_from_slice(&number);
-            let word = u64::from_le_bytes(word) << (8 * padding);
-            self.append_first(word.to_le_bytes(), padding + N);
-        } else {
-            let mut word = [0; 16];
-            word[..N].copy_from_slice(&number);
-            let word = u128::from_le_bytes(word) << (8 * padding);
-            self.append_first(word.to_le_bytes(), padding + N);
-        }
+        self.places(self.padding(N), N).copy_from_slice(&number);
     }
 
+    /// How far the next multiple of an alignment, a power of two, is.
+    #[inline]
     fn padding(&self, alignment: usize) -> usize {
-        self.origin.wrapping_sub(self.buffer.len()) & (alignment - 1)
+        self.origin.wrapping_sub(self.end) & (alignment - 1)
     }
 
-    /// Appends the first `count` bytes of a word.
+    /// Appends padding and so many zero bytes, and lends these out to be filled.
     #[inline]
-    fn append_first<const N: usize>(&mut self, word: [u8; N], count: usize) {
-        let written = self.buffer.len();
-        if self.buffer.capacity() - written >= N {
-            // All of it, which is one instruction, and back.
-            self.buffer.extend_from_slice(&word);
-            self.buffer.truncate(written + count);
-        } else {
-            self.buffer.extend_from_slice(&word[..count]);
+    fn places(&mut self, padding: usize, count: usize) -> &mut [u8] {
+        let start = self.end + padding;
+        self.end = start + count;
+        if self.end > self.buffer.len() {
+            self.grow();
         }
+        &mut self.buffer[start..][..count]
     }
 
-    /// Appends so many zero bytes and lends them out to be filled.
-    #[inline]
-    fn zeros(&mut self, count: usize) -> &mut [u8] {
-        let start = self.buffer.len();
-        self.buffer.resize(start + count, 0);
-        &mut self.buffer[start..]
+    /// Makes zeros up to the end, and more where there is memory.
+    #[cold]
+    #[inline(never)]
+    fn grow(&mut self) {
+        self.buffer.reserve(self.end - self.buffer.len());
+        self.buffer.resize(self.buffer.capacity().min(self.end + BLOCK), 0);
+    }
+
+    #[inline(never)]
+    fn many_bytes(&mut self, bytes: &[u8]) {
+        self.buffer.truncate(self.end);
+        self.buffer.extend_from_slice(bytes);
+        self.end = self.buffer.len();
+    }
+}
+
+impl Drop for Writer<'_> {
+    fn drop(&mut self) {
+        self.buffer.truncate(self.end);
+        *self.target = std::mem::take(&mut self.buffer);
+    }
+}
+
+/// Copies bytes, few of them without a call: as two words that overlap.
+#[inline]
+fn copy(from: &[u8], to: &mut [u8]) {
+    fn ends<const N: usize>(from: &[u8], to: &mut [u8]) -> Option<()> {
+        *to.first_chunk_mut()? = *from.first_chunk::<N>()?;
+        *to.last_chunk_mut()? = *from.last_chunk::<N>()?;
+        Some(())
+    }
+    let copied = match from.len() {
+        8..16 => ends::<8>(from, to),
+        16..32 => ends::<16>(from, to),
+        4..8 => ends::<4>(from, to),
+        _ => None,
+    };
+    if copied.is_none() {
+        to.copy_from_slice(from);
     }
 }
 

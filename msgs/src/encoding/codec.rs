@@ -52,7 +52,7 @@ impl Encoding {
         };
         #[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
         let target = foxglove.as_ref().map_or(&definition, |mapping| mapping.schema());
-        #[cfg(not(any(feature = "protobuf", feature = "flatbuffers")))]
+        #[cfg(all(feature = "json", not(any(feature = "protobuf", feature = "flatbuffers"))))]
         let target = &definition;
         let (name_there, schema_encoding, data) = match self {
             Self::Cdr => (type_name.clone(), "ros2msg", catalog.definition_text(name)?.into_bytes()),

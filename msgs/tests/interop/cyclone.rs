@@ -25,3 +25,20 @@ fn cyclonedds_reads_what_we_write_and_we_read_what_it_writes_in_both_versions_an
         }
     }
 }
+
+#[test]
+fn what_cyclonedds_writes_of_types_that_may_grow_is_read() {
+    let Some(peer) = Peer::find() else { return };
+    let types = every_type();
+    let types: Vec<&Type> = types.iter().filter(|of| is_known(of)).collect();
+    let ours = samples(&types, 5);
+    let answer = peer.ask("cyclone_delimit", &[], &(values::definitions(&types) + &values::lines(&ours)));
+    let lines = answer.lines::<2>();
+    assert_eq!(lines.len(), ours.len());
+    for (sample, [little, big]) in ours.iter().zip(lines) {
+        for (bytes, representation) in [(unhex(little), [0, 9]), (unhex(big), [0, 8])] {
+            assert!(bytes.starts_with(&representation), "{}: {}", sample.label(), hex(&bytes));
+            sample.check_read(&bytes);
+        }
+    }
+}

@@ -21,10 +21,19 @@ pub struct Type {
     pub write: fn(&Value) -> Vec<u8>,
     /// Reads bytes; gives them as we write them.
     pub read: fn(&[u8]) -> cdr::Result<Vec<u8>>,
+    /// Reads bytes; gives what the message, or its view, shows for debugging.
+    pub show: fn(&[u8], As) -> cdr::Result<String>,
+}
+
+/// How bytes are read.
+#[derive(Clone, Copy)]
+pub enum As {
+    Message,
+    View,
 }
 
 impl Type {
-    fn of<T: Message + DeserializeOwned>() -> Self {
+    fn of<T: Message + cdr::Viewed + DeserializeOwned>() -> Self {
         Self {
             name: T::TYPE_NAME,
             hash: T::TYPE_HASH,
@@ -34,9 +43,16 @@ impl Type {
                 let value = from_exact::<T>(value);
                 let bytes = cdr::to_vec(&value);
                 assert_eq!(cdr::encoded_size(&value), bytes.len(), "{}", T::TYPE_NAME);
+                assert_eq!(cdr::try_to_vec(&value).as_ref(), Ok(&bytes), "{}", T::TYPE_NAME);
                 bytes
             },
             read: |bytes| Ok(cdr::to_vec(&cdr::from_slice::<T>(bytes)?)),
+            show: |bytes, read_as| {
+                Ok(match read_as {
+                    As::Message => format!("{:?}", cdr::from_slice::<T>(bytes)?),
+                    As::View => format!("{:?}", cdr::from_slice::<T::View<'_>>(bytes)?),
+                })
+            },
         }
     }
 

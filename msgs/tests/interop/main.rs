@@ -16,6 +16,7 @@ mod exact;
 mod hashes;
 mod peer;
 mod random;
+mod reading;
 mod ros;
 mod texts;
 mod users_packages;

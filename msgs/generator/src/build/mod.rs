@@ -19,7 +19,7 @@ const FILE: &str = "downbeat_msgs.rs";
 /// [`Build::new().package(folder).compile()`](Build).
 ///
 /// ```no_run
-/// // in the `main` of build.rs
+/// // build.rs, in `fn main()`
 /// downbeat_msgs_generator::compile("my_msgs");
 /// ```
 pub fn compile(folder: impl Into<PathBuf>) {
@@ -29,16 +29,12 @@ pub fn compile(folder: impl Into<PathBuf>) {
 /// Turns the interface files of packages into Rust types, from the `build.rs` of a crate that depends on `downbeat-msgs`.
 ///
 /// ```no_run
-/// // build.rs
-/// use downbeat_msgs_generator::Build;
-///
-/// fn main() {
-///     Build::new()
-///         .package("my_msgs")        // my_msgs/msg/*.msg, my_msgs/srv/*.srv, my_msgs/action/*.action
-///         .packages("vendor")        // every package below vendor/
-///         .installed("nav2_msgs")    // from an ament prefix path
-///         .compile();
-/// }
+/// // build.rs, in `fn main()`
+/// downbeat_msgs_generator::Build::new()
+///     .package("my_msgs")        // my_msgs/msg/*.msg, my_msgs/srv/*.srv, my_msgs/action/*.action
+///     .packages("vendor")        // every package below vendor/
+///     .installed("nav2_msgs")    // from an ament prefix path
+///     .compile();
 /// ```
 ///
 /// The line `downbeat_msgs::include_interfaces!();` in the crate then stands for the modules of these packages. Where in

@@ -7,10 +7,14 @@ use downbeat_msgs_definitions::{Element, Error, Field, MessageDefinition, Shape}
 
 impl RustSource<'_> {
     pub(super) fn cdr_impl(&self, message: &MessageDefinition) -> Result<String, Error> {
-        match plain_layout(self.catalog, message)? {
-            Some(layout) => Ok(plain_impl(message, &layout)),
-            None => self.general_impl(message),
-        }
+        let mut source = match plain_layout(self.catalog, message)? {
+            Some(layout) => plain_impl(message, &layout),
+            None => self.general_impl(message)?,
+        };
+        let name = struct_name(&message.name);
+        let view = if self.is_borrowing(message)? { format!("view::{name}<'a>") } else { "Self".into() };
+        source.push_str(&format!("\nimpl cdr::Viewed for {name} {{\n    type View<'a> = {view};\n}}\n"));
+        Ok(source)
     }
 
     fn general_impl(&self, message: &MessageDefinition) -> Result<String, Error> {
@@ -59,7 +63,7 @@ impl RustSource<'_> {
         }
         let Some(last) = checks.pop() else { return Ok(String::new()) };
         let mut source =
-            "\n    fn check_bounds(&self) -> std::result::Result<(), cdr::EncodeError> {\n".to_owned();
+            "\n    fn check_bounds(&self) -> ::std::result::Result<(), cdr::EncodeError> {\n".to_owned();
         for check in checks {
             source.push_str(&format!("        {check}?;\n"));
         }

@@ -48,8 +48,8 @@ impl RustSource<'_> {
         };
         let name = struct_name(&message.name);
         let mut source = docs::doc(&message.comment, &message.name.to_string(), "");
-        source.push_str(&format!("#[derive({})]\n", derives.join(", ")));
-        source.push_str("#[derive(serde::Serialize, serde::Deserialize)]\n");
+        derives.extend(["serde::Serialize", "serde::Deserialize"]);
+        source.push_str(&derive_attribute(&derives.join(", ")));
         source.push_str(&format!("#[serde({crate_attribute}default)]\n"));
         if message.fields.is_empty() {
             source.push_str(&format!("pub struct {name} {{}}\n"));
@@ -123,6 +123,16 @@ impl RustSource<'_> {
             }
         }
         Ok(true)
+    }
+}
+
+/// On one line where it fits into one, within two modules.
+fn derive_attribute(derives: &str) -> String {
+    const LONGEST: usize = 100 - 8 - "#[derive()]".len();
+    if derives.len() > LONGEST {
+        format!("#[derive(\n    {derives},\n)]\n")
+    } else {
+        format!("#[derive({derives})]\n")
     }
 }
 

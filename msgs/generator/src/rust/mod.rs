@@ -16,6 +16,7 @@ mod names;
 mod registry;
 mod service;
 mod values;
+mod view;
 
 use std::collections::BTreeMap;
 
@@ -102,9 +103,10 @@ impl<'a> RustSource<'a> {
             for service in self.catalog.services().filter(|service| is_here(&service.name)) {
                 source.push_str(&indent(&self.service(service)?));
             }
-            for message in messages {
+            for message in &messages {
                 source.push_str(&indent(&self.message(message)?));
             }
+            source.push_str(&indent(&self.views(&messages)?));
             source.push_str("}\n");
         }
         Ok(source)
