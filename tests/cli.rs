@@ -98,7 +98,7 @@ fn what_cannot_be_is_refused_with_a_reason() {
 
 #[test]
 fn every_command_explains_itself() {
-    let commands: [(&[&str], &str); 9] = [
+    let commands: [(&[&str], &str); 12] = [
         (&["--help"], "ROS_DOMAIN_ID"),
         (&["run", "--help"], "500ms, 10s, 5m, 1h"),
         (&["check", "--help"], "without running it"),
@@ -107,6 +107,9 @@ fn every_command_explains_itself() {
         (&["bag", "info", "--help"], "ros2 bag info"),
         (&["bag", "record", "--help"], "from the very first message"),
         (&["bag", "play", "--help"], "time from the bag"),
+        (&["interface", "--help"], "then from AMENT_PREFIX_PATH"),
+        (&["interface", "show", "--help"], "sensor_msgs/msg/JointState"),
+        (&["interface", "decode", "--help"], "CDR with its header of four bytes"),
         (&["emulate", "darwin_op", "--help"], "dead-servo:5@3s..6s"),
     ];
     for (command, word) in commands {

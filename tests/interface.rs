@@ -9,6 +9,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use common::downbeat;
+use downbeat::msgs::cdr;
+use downbeat::msgs::sensor_msgs::msg::JointState;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 
@@ -290,4 +292,73 @@ fn the_name_of_a_type_can_come_from_a_pipe_and_a_closed_pipe_is_no_error() {
         "{}",
         String::from_utf8_lossy(&output.stderr)
     );
+}
+
+/// What `decode` says of bytes: whether they are a message, and what it prints.
+fn decoded(arguments: &[&str], bytes: &[u8]) -> (bool, String) {
+    let mut command = interface(&["decode"]);
+    command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    child.stdin.take().unwrap().write_all(bytes).unwrap();
+    let output = child.wait_with_output().unwrap();
+    let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+    (output.status.success(), text)
+}
+
+#[test]
+fn messages_are_decoded_in_both_byte_orders_and_by_definitions_from_elsewhere() {
+    let little = [0, 1, 0, 0, 7, 0, 0, 0, 0, 0, 0, 128];
+    let big = [0, 0, 0, 0, 0, 0, 0, 7, 128, 0, 0, 0];
+    for bytes in [little, big] {
+        let yaml = decoded(&["builtin_interfaces/msg/Time"], &bytes);
+        assert_eq!(yaml, (true, "sec: 7\nnanosec: 2147483648\n".to_owned()));
+    }
+    let json = decoded(&["other_msgs/msg/Stamp", "--json", "--from", DATA], &little);
+    assert_eq!(json, (true, "{\"sec\":7,\"nanosec\":2147483648}\n".to_owned()));
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), little).unwrap();
+    let path = file.path().to_str().unwrap();
+    assert_eq!(
+        shown(&["decode", "builtin_interfaces/msg/Time", "--file", path]),
+        "sec: 7\nnanosec: 2147483648\n"
+    );
+}
+
+#[test]
+fn a_message_of_the_real_recorder_is_decoded_as_it_was_published() {
+    let recorded = include_str!("../msgs/tests/data/recorded_messages.txt");
+    let digits = recorded.lines().find_map(|line| line.strip_prefix("sensor_msgs/msg/JointState\t")).unwrap();
+    let bytes: Vec<u8> =
+        (0..digits.len()).step_by(2).map(|at| u8::from_str_radix(&digits[at..at + 2], 16).unwrap()).collect();
+    let (is_success, json) = decoded(&["sensor_msgs/msg/JointState", "--json"], &bytes);
+    assert!(is_success, "{json}");
+    let json: Value = serde_json::from_str(&json).unwrap();
+    let typed: JointState = cdr::from_slice(&bytes).unwrap();
+    assert!(!typed.name.is_empty());
+    assert_eq!(json, serde_json::to_value(&typed).unwrap());
+}
+
+#[test]
+fn wrong_bytes_are_told_with_byte_and_field() {
+    let strings = [0, 1, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0, 6, 0, 0, 0, b'h', b'e'];
+    let cases: [(&str, &[u8], &[&str]); 5] = [
+        (
+            "std_msgs/msg/Header",
+            &strings,
+            &["standard input is no std_msgs/msg/Header in CDR", "byte 16", "`frame_id`"],
+        ),
+        ("sensor_msgs/msg/Imu", &[0, 1, 0, 0, 1], &["byte 4", "`header.stamp.sec`", "needs 4 more bytes"]),
+        ("std_msgs/msg/String", &[0, 42, 0, 0], &["byte 0", "0x002a"]),
+        ("std_msgs/msg/String", &[], &["byte 0"]),
+        ("std_srvs/srv/SetBool", &[0, 1, 0, 0], &["is a service", "std_srvs/srv/SetBool_Request"]),
+    ];
+    for (name, bytes, expected) in cases {
+        let (is_success, message) = decoded(&[name], bytes);
+        assert!(!is_success, "{message}");
+        for part in expected {
+            assert!(message.contains(part), "{part:?} in {message}");
+        }
+    }
+    let message = refused(&["decode", "std_msgs/msg/String", "--file", "no/such/file"]);
+    assert!(message.contains("cannot read no/such/file"), "{message}");
 }

@@ -37,7 +37,10 @@ pub(crate) enum Command {
     /// Look at a bag, record one, play one.
     #[command(subcommand)]
     Bag(BagCommand),
-    /// Look at ROS 2 interfaces: list them, show one, its hash, its description.
+    /// Look at ROS 2 interfaces: list them, show one, its hash, its description; read a message of one.
+    ///
+    /// Definitions come from --from, then from AMENT_PREFIX_PATH, then from this program: the first place that has a package
+    /// gives all of it.
     #[command(subcommand)]
     Interface(InterfaceCommand),
     /// Run an emulated device alone.

@@ -14,6 +14,11 @@ pub(crate) enum InterfaceCommand {
     Hash(HashArguments),
     /// Print the type description of a type in JSON, as the `.json` files of ROS 2 packages have it.
     Description(DescriptionArguments),
+    /// Read a message from its bytes and print it in YAML, as `ros2 topic echo` does.
+    ///
+    /// The bytes are those of a message in a bag or on the wire: CDR with its header of four bytes. What is wrong with them
+    /// is told with the byte and the field.
+    Decode(DecodeArguments),
 }
 
 /// Where definitions come from.
@@ -93,4 +98,20 @@ pub(crate) struct DescriptionArguments {
     /// Changes nothing: a description is always printed in JSON.
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+#[derive(Args)]
+pub(crate) struct DecodeArguments {
+    /// The type, for example sensor_msgs/msg/JointState; of a service or an action one of its messages, for example
+    /// std_srvs/srv/SetBool_Request.
+    #[arg(value_name = "TYPE")]
+    pub(crate) name: String,
+    /// Read the bytes from this file instead of standard input.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) file: Option<PathBuf>,
+    /// Print JSON on one line instead of YAML.
+    #[arg(long)]
+    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) source: SourceArguments,
 }

@@ -10,7 +10,6 @@ use downbeat::msgs::definitions::{
 };
 
 use super::arguments::{SourceArguments, TypeArguments};
-use super::carried::carried;
 use super::nearest::nearest;
 use super::packages::{ament_packages, packages_at};
 
@@ -119,7 +118,11 @@ impl Interfaces {
         bail!("no package \"{package}\" with interfaces is known{hint}")
     }
 
-    fn named(&self, text: &str) -> anyhow::Result<TypeName> {
+    /// The name in a text, if there is a definition for it.
+    ///
+    /// # Errors
+    /// If there is none; with the nearest name.
+    pub(super) fn named(&self, text: &str) -> anyhow::Result<TypeName> {
         let name: TypeName = text.parse().map_err(|_| self.unknown(text))?;
         self.find(&name).map(|_| name)
     }
@@ -167,18 +170,21 @@ impl<'a> Definition<'a> {
     }
 }
 
+/// What stands for the file of a definition that comes with the program.
+const ORIGIN: &str = "downbeat";
+
 /// Adds the packages of this program that are not taken from elsewhere.
 fn add_carried(catalog: &mut Catalog, taken: &BTreeSet<String>) -> anyhow::Result<()> {
-    let carried = carried()?;
+    let carried = downbeat::msgs::carried();
     let is_wanted = |name: &TypeName| !taken.contains(&name.package);
     for message in carried.messages().filter(|of| of.name.kind == Kind::Message && is_wanted(&of.name)) {
-        catalog.add_message(message.name.clone(), &message.text, &message.origin)?;
+        catalog.add_message(message.name.clone(), &message.text, ORIGIN)?;
     }
     for service in carried.services().filter(|of| of.name.kind == Kind::Service && is_wanted(&of.name)) {
-        catalog.add_service(service.name.clone(), &service.text, &service.origin)?;
+        catalog.add_service(service.name.clone(), &service.text, ORIGIN)?;
     }
     for action in carried.actions().filter(|of| is_wanted(&of.name)) {
-        catalog.add_action(action.name.clone(), &action.text, &action.origin)?;
+        catalog.add_action(action.name.clone(), &action.text, ORIGIN)?;
     }
     Ok(())
 }

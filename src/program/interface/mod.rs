@@ -1,7 +1,7 @@
 //! `downbeat interface`
 
 mod arguments;
-mod carried;
+mod decode;
 mod description;
 mod interfaces;
 mod list;
@@ -19,5 +19,6 @@ pub(crate) fn interface(command: &InterfaceCommand) -> anyhow::Result<()> {
         InterfaceCommand::Show(arguments) => show::show(arguments),
         InterfaceCommand::Hash(arguments) => description::hash(arguments),
         InterfaceCommand::Description(arguments) => description::description(arguments),
+        InterfaceCommand::Decode(arguments) => decode::decode(arguments),
     }
 }

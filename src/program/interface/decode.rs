@@ -1,0 +1,67 @@
+//! `downbeat interface decode`
+
+use std::fs::File;
+use std::io::{IsTerminal, Read};
+use std::path::Path;
+
+use anyhow::{Context, bail};
+use downbeat::msgs::definitions::TypeName;
+use downbeat::msgs::dynamic::{DynamicMessage, DynamicType, YamlStyle};
+
+use super::arguments::DecodeArguments;
+use super::interfaces::{Definition, Interfaces};
+
+/// More than DDS and bags let through for one message.
+const MOST_BYTES: u64 = 1 << 30;
+
+pub(super) fn decode(arguments: &DecodeArguments) -> anyhow::Result<()> {
+    let interfaces = Interfaces::load(&arguments.source)?;
+    let name = interfaces.named(&arguments.name)?;
+    check_is_message(&interfaces, &name)?;
+    let of = DynamicType::new(&interfaces.catalog, &name)?;
+    let (bytes, origin) = match arguments.file.as_deref() {
+        Some(path) => (read_file(path)?, path.display().to_string()),
+        None => (read_standard_input()?, "standard input".to_owned()),
+    };
+    let message =
+        DynamicMessage::from_cdr(&of, &bytes).with_context(|| format!("{origin} is no {name} in CDR"))?;
+    if arguments.json {
+        println!("{}", message.to_json());
+    } else {
+        print!("{}", message.to_yaml(&YamlStyle::default()));
+    }
+    Ok(())
+}
+
+/// Services and actions have no bytes, only their parts do.
+fn check_is_message(interfaces: &Interfaces, name: &TypeName) -> anyhow::Result<()> {
+    let (what, parts): (_, &[&str]) = match interfaces.find(name)? {
+        Definition::Message(_) => return Ok(()),
+        Definition::Service(_) => ("a service", &["_Request", "_Response", "_Event"]),
+        Definition::Action(_) => ("an action", &["_Goal", "_Result", "_Feedback", "_FeedbackMessage"]),
+    };
+    let parts: Vec<String> = parts.iter().map(|suffix| name.with_suffix(suffix).to_string()).collect();
+    bail!("{name} is {what}, of which only the messages are sent: name one of {}", parts.join(", "))
+}
+
+fn read_file(path: &Path) -> anyhow::Result<Vec<u8>> {
+    let context = || format!("cannot read {}", path.display());
+    read(File::open(path).with_context(context)?).with_context(context)
+}
+
+fn read_standard_input() -> anyhow::Result<Vec<u8>> {
+    let input = std::io::stdin();
+    if input.is_terminal() {
+        bail!("the bytes of the message come from a pipe or from --file, and standard input is a terminal");
+    }
+    read(input.lock()).context("cannot read standard input")
+}
+
+fn read(from: impl Read) -> anyhow::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    from.take(MOST_BYTES + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > MOST_BYTES {
+        bail!("more than {MOST_BYTES} bytes, which no message has");
+    }
+    Ok(bytes)
+}
