@@ -9,7 +9,7 @@ mod codecs;
 mod foxglove;
 mod others;
 mod python;
-#[path = "../interop/random.rs"]
+#[path = "../dynamic/random.rs"]
 mod random;
 mod through_serde;
 mod types;

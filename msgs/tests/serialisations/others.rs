@@ -1,8 +1,10 @@
 //! What we write, read by the libraries of the formats' makers by the schema we make, and what they write, read by us.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use downbeat_msgs::encoding::{Codec, Encoding};
+use downbeat_msgs::protobuf;
 
 use crate::python::{ask, hex, unhex};
 use crate::random::Random;
@@ -36,6 +38,23 @@ fn googles_protobuf_reads_every_type_by_our_schema_and_we_read_what_it_writes() 
         let decoded = codec.decode(&unhex(line)).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(decoded, *value, "{}", codec.type_name());
     }
+}
+
+#[test]
+fn the_protobuf_compiler_makes_of_our_text_the_descriptors_that_we_make() {
+    let (mut lines, mut files) = (String::new(), BTreeMap::new());
+    for of in every_type() {
+        let codec = Encoding::Protobuf.codec(catalog(), &name(of.name)).unwrap();
+        writeln!(lines, "schema\t{}\t{}", codec.schema().name, hex(&codec.schema().data)).unwrap();
+        for file in protobuf::schema_files(catalog(), &name(of.name)).unwrap() {
+            files.insert(file.path, file.text);
+        }
+    }
+    for (path, text) in &files {
+        writeln!(lines, "file\t{path}\t{}", hex(text.as_bytes())).unwrap();
+    }
+    let Some(answer) = ask("proto_text", &lines) else { return };
+    assert_eq!(answer.trim(), files.len().to_string());
 }
 
 #[test]

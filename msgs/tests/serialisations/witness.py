@@ -98,6 +98,36 @@ def protobuf(path):
             print(message.SerializeToString().hex())
 
 
+def proto_text(path):
+    """Compiles all `file` lines together, and compares what comes out with the files of the `schema` lines."""
+    import tempfile
+    from pathlib import Path
+
+    from grpc_tools import protoc
+
+    ours, names = {}, []
+    with tempfile.TemporaryDirectory() as folder:
+        for kind, name, content in lines(path):
+            if kind == "schema":
+                files = descriptor_pb2.FileDescriptorSet.FromString(bytes.fromhex(content)).file
+                ours.update((file.name, file) for file in files)
+            else:
+                file = Path(folder, name)
+                file.parent.mkdir(parents=True, exist_ok=True)
+                file.write_bytes(bytes.fromhex(content))
+                names.append(name)
+        out = Path(folder, "out.pb")
+        check(protoc.main(["protoc", f"-I{folder}", f"--descriptor_set_out={out}", *names]) == 0)
+        theirs = descriptor_pb2.FileDescriptorSet.FromString(out.read_bytes())
+    for file in theirs.file:
+        for message in file.message_type:
+            for field in message.field:
+                field.ClearField("json_name")  # What it has anyway.
+        check(file == ours[file.name], file, ours[file.name])
+    check({file.name for file in theirs.file} == set(ours) == set(names), set(ours) ^ set(names))
+    print(len(theirs.file))
+
+
 # FlatBuffers: binary schemas read by the ids of reflection.fbs, then messages by what those say.
 
 # By reflection.BaseType.

@@ -34,6 +34,17 @@ fn an_exposed_topic_may_have_another_name_a_type_and_a_quality_of_service() {
     assert_eq!((d.direction, d.qos), (Direction::In, QosProfile::LATCHED));
 }
 
+#[test]
+fn a_recording_is_cdr_unless_the_file_names_another_encoding() {
+    assert_eq!(parse(ROBOT).unwrap().record.encoding, Encoding::Cdr);
+    let record = |name: &str| format!("{ROBOT}[record]\nencoding = \"{name}\"");
+    for encoding in Encoding::ALL {
+        assert_eq!(parse(&record(encoding.as_str())).unwrap().record.encoding, encoding);
+    }
+    let problem = problem(&record("protobufs"));
+    assert_eq!(problem, "robots/test.toml:6: unknown choice \"protobufs\", did you mean \"protobuf\"?");
+}
+
 fn launcher(text: &str) -> LauncherEntry {
     parse(&format!("{ROBOT}{text}")).unwrap().launcher
 }

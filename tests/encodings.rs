@@ -1,0 +1,158 @@
+//! Recordings in other encodings than CDR: others read them, and they play as CDR does.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use common::{output_of, python, robot_file, text_of};
+use downbeat::bags::{Reader, Selection, TopicInfo, WriterOptions};
+use downbeat::bridge::edge::KnownType;
+use downbeat::encoding::{RecordedType, topic_info};
+use downbeat::msgs::cdr;
+use downbeat::msgs::encoding::{Codec, Encoding};
+use downbeat::msgs::sensor_msgs::msg::JointState;
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// Runs the demo without ROS 2 for two seconds and records it.
+fn recorded(folder: &Path, arguments: &[&str], change: impl Fn(String) -> String) -> PathBuf {
+    let (robot, bag) = (robot_file(folder, change), folder.join("bag"));
+    let common = ["bag", "record", "--robot", text(&robot), "--output", text(&bag), "--duration", "2s"];
+    text_of(&[&common[..], arguments].concat());
+    bag
+}
+
+/// Topic, log time and CDR of every message, whatever the bag holds.
+fn messages(bag: &Path) -> Vec<(String, i64, Vec<u8>)> {
+    let reader = Reader::open(bag).unwrap();
+    let topics: Vec<RecordedType> =
+        reader.topics().iter().map(|topic| RecordedType::of(topic).unwrap()).collect();
+    let messages = reader.messages(Selection::all()).unwrap().map(Result::unwrap);
+    let of = |index: usize| (reader.topics()[index].info.name.clone(), &topics[index]);
+    messages
+        .map(|message| {
+            let (name, topic) = of(message.topic.index());
+            (name, message.log_time, topic.to_cdr(message.data).unwrap().to_vec())
+        })
+        .collect()
+}
+
+/// The same messages in another encoding.
+fn encoded(bag: &Path, into: &Path, encoding: Encoding, change: impl Fn(&mut TopicInfo)) {
+    let reader = Reader::open(bag).unwrap();
+    let mut writer = WriterOptions::new().create(into).unwrap();
+    let topics: Vec<(_, Option<Codec>)> = reader
+        .topics()
+        .iter()
+        .map(|topic| {
+            let known = KnownType::named(&topic.info.type_name).unwrap();
+            let (mut info, codec) =
+                topic_info(topic.info.name.clone(), known, topic.info.offered_qos.clone(), encoding).unwrap();
+            change(&mut info);
+            (writer.add_topic(info).unwrap(), codec)
+        })
+        .collect();
+    for message in reader.messages(Selection::all()).unwrap().map(Result::unwrap) {
+        let (id, codec) = &topics[message.topic.index()];
+        let data = codec.as_ref().map_or(message.data.to_vec(), |codec| codec.encode(&message.data).unwrap());
+        writer.write(*id, message.log_time, message.publish_time, &data).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+/// A robot without hardware: what it publishes follows from the bag alone.
+const MOTION_ONLY: &str = r#"
+[robot]
+name = "motion_only"
+
+[[module]]
+name = "motion"
+kind = "stand_nod_wave"
+
+[[module]]
+name = "mux"
+kind = "joint_command_mux"
+"#;
+
+#[test]
+fn a_robot_recorded_as_foxglove_has_it_is_read_by_mcap_and_its_protobuf_support() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = recorded(folder.path(), &[], |text| {
+        text.replace("[record]", "[record]\nencoding = \"foxglove-protobuf\"")
+    });
+    let ours = messages(&bag);
+    let info = text_of(&["bag", "info", text(&bag)]);
+    assert!(info.contains("Type: sensor_msgs/msg/JointState") && info.contains("protobuf"), "{info}");
+
+    let Some(found) = python("decode_protobuf_bag.py", &[&bag]) else { return };
+    assert_eq!(found["schemas"]["/joint_states"], "foxglove.JointStates");
+    assert_eq!(found["schemas"]["/imu/data_raw"], "sensor_msgs.msg.Imu");
+    let mut counts = BTreeMap::<&str, u64>::new();
+    ours.iter().for_each(|(topic, ..)| *counts.entry(topic).or_default() += 1);
+    assert!(counts["/joint_states"] > 100, "{counts:?}");
+    assert_eq!(found["counts"], serde_json::to_value(&counts).unwrap());
+
+    let (_, _, last) = ours.iter().rfind(|message| message.0 == "/joint_states").unwrap();
+    let last: JointState = cdr::from_slice(last).unwrap();
+    let joints = found["last_joints"].as_array().unwrap();
+    assert_eq!(joints.len(), last.name.len());
+    for (joint, (name, position)) in joints.iter().zip(last.name.iter().zip(&last.position)) {
+        assert_eq!(
+            (joint["name"].as_str(), joint["position"].as_f64()),
+            (Some(name.as_str()), Some(*position))
+        );
+    }
+}
+
+#[test]
+fn a_bag_plays_into_a_robot_the_same_whatever_its_encoding() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = recorded(folder.path(), &[], |text| text);
+    let robot = folder.path().join("motion_only.toml");
+    std::fs::write(&robot, MOTION_ONLY).unwrap();
+    let play = |bag: &Path, name: &str, arguments: &[&str]| {
+        let output = folder.path().join(name);
+        let common = ["bag", "play", text(bag), "--into", text(&robot), "--record", text(&output)];
+        text_of(&[&common[..], arguments].concat());
+        messages(&output)
+    };
+    let expected = play(&bag, "expected", &[]);
+    assert!(expected.iter().filter(|message| message.0 == "/joint_goals").count() > 100);
+    for encoding in [Encoding::Json, Encoding::Cbor, Encoding::Protobuf, Encoding::FlatBuffers] {
+        let other = folder.path().join(format!("{encoding}_bag"));
+        encoded(&bag, &other, encoding, |_| {});
+        assert_eq!(messages(&other), messages(&bag), "{encoding}");
+        assert_eq!(play(&other, &format!("from_{encoding}"), &[]), expected, "{encoding}");
+        let name = format!("to_{encoding}");
+        assert_eq!(play(&bag, &name, &["--encoding", encoding.as_str()]), expected, "{encoding}");
+        let reader = Reader::open(folder.path().join(name)).unwrap();
+        let formats = reader.topics().iter().map(|topic| topic.serialization_format.as_str());
+        assert!(
+            formats.clone().count() > 0
+                && formats.clone().all(|format| format == encoding.message_encoding())
+        );
+    }
+}
+
+#[test]
+fn messages_of_another_definition_or_of_an_unknown_encoding_are_not_guessed_at() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = recorded(folder.path(), &[], |text| text);
+    let robot = folder.path().join("motion_only.toml");
+    std::fs::write(&robot, MOTION_ONLY).unwrap();
+    let refused = |name: &str, change: &dyn Fn(&mut TopicInfo)| {
+        let other = folder.path().join(name);
+        encoded(&bag, &other, Encoding::Protobuf, change);
+        let output = output_of(&["bag", "play", text(&other), "--into", text(&robot)]);
+        assert!(!output.status.success());
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let error = refused("old", &|info| info.type_hash = format!("RIHS01_{}", "0".repeat(64)));
+    assert!(error.contains("was recorded by another definition of "), "{error}");
+    let error = refused("msgpack", &|info| info.format.as_mut().unwrap().message_encoding = "msgpack".into());
+    assert!(error.contains("holds messages in \"msgpack\", which is not read here"), "{error}");
+}
