@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod damage;
+mod dynamic;
 mod fixtures;
 mod interrupted;
 mod layout;

@@ -105,15 +105,13 @@ impl DynamicType {
     }
 
     /// Compiles the type `name` from a definition text with its dependencies, as bags have it: `encoding` is `ros2msg`
-    /// or `ros2idl`.
+    /// or `ros2idl`, or for the text of a service the `unknown` that rosbag2 writes there.
     ///
     /// # Errors
     /// If the text is no such definition, and as [`DynamicType::new`].
     pub fn from_definition_text(name: &str, encoding: &str, text: &str) -> Result<Self, TypeError> {
         let name: TypeName = name.parse()?;
-        let encoding: DefinitionEncoding = encoding.parse()?;
-        let mut catalog = Catalog::new();
-        catalog.add_definition_text(&name, encoding, text, &format!("definition of {name}"))?;
+        let catalog = catalog_of(&name, encoding, text, &format!("definition of {name}"))?;
         Self::new(&catalog, &name)
     }
 
@@ -158,6 +156,21 @@ impl DynamicType {
     pub(super) fn at(&self, index: usize) -> Self {
         Self { layout: Arc::clone(&self.layout), index }
     }
+}
+
+/// The definitions in a text that `origin` names in errors.
+pub(super) fn catalog_of(
+    name: &TypeName,
+    encoding: &str,
+    text: &str,
+    origin: &str,
+) -> Result<Catalog, DefinitionError> {
+    // What rosbag2 of Jazzy notes beside the text of a service, which stands behind a line of `=`.
+    let is_unnoted = encoding == "unknown" && text.starts_with("===");
+    let encoding = if is_unnoted { DefinitionEncoding::Ros2Msg } else { encoding.parse()? };
+    let mut catalog = Catalog::new();
+    catalog.add_definition_text(name, encoding, text, origin)?;
+    Ok(catalog)
 }
 
 impl Layout {

@@ -25,18 +25,27 @@ pub(crate) fn write(schema: &Schema, value: &Value<'_>) -> Result<Vec<u8>, Probl
 
 fn read_record<'a>(schema: &Schema, index: usize, reader: &mut Reader<'a>) -> cdr::Result<Value<'a>> {
     let fields = &schema.records[index].fields;
-    if fields.is_empty() {
-        reader.empty_message()?;
-    }
-    let values = fields
-        .iter()
-        .map(|field| read_field(schema, field, reader).map_err(|error| error.in_field(&field.name)));
-    Ok(Value::Record(values.collect::<cdr::Result<_>>()?))
+    reader.message(|reader| {
+        if fields.is_empty() {
+            reader.empty_message()?;
+        }
+        let values = fields
+            .iter()
+            .map(|field| read_field(schema, field, reader).map_err(|error| error.in_field(&field.name)));
+        Ok(Value::Record(values.collect::<cdr::Result<_>>()?))
+    })
 }
 
 fn read_field<'a>(schema: &Schema, field: &Field, reader: &mut Reader<'a>) -> cdr::Result<Value<'a>> {
+    if !field.count.is_list() {
+        return read_one(schema, field.kind, reader);
+    }
+    reader.elements(field.kind.width().is_some(), |reader| read_list(schema, field, reader))
+}
+
+fn read_list<'a>(schema: &Schema, field: &Field, reader: &mut Reader<'a>) -> cdr::Result<Value<'a>> {
     let count = match field.count {
-        Count::One | Count::Optional => return read_one(schema, field.kind, reader),
+        Count::One | Count::Optional => 1,
         Count::Array(count) => count,
         Count::Bounded(_) | Count::Any => reader.length(least_size(schema, field.kind))?,
     };

@@ -90,6 +90,29 @@ fn the_first_place_that_has_a_type_is_taken_and_a_schema_stands_for_itself() {
     }
 }
 
+/// Schemas and messages of the real recorder, see `tests/data/README.md`.
+#[test]
+fn recorded_messages_are_read_by_recorded_schemas() {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
+    let mut schemas = Schemas::new("a recording");
+    for entry in fs::read_dir(data.join("recorded_schemas")).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_stem().unwrap().to_string_lossy().replace('.', "/");
+        let encoding = if name.ends_with("_Event") { "unknown" } else { "ros2msg" };
+        schemas.add(&name, encoding, &fs::read_to_string(path).unwrap()).unwrap();
+    }
+    let definitions = Definitions::new().with(schemas);
+    let lines = fs::read_to_string(data.join("recorded_messages.txt")).unwrap();
+    for (name, bytes) in lines.lines().map(|line| line.split_once('\t').unwrap()) {
+        let bytes = crate::text::unhex(bytes);
+        let message = DynamicMessage::from_cdr(&definitions.find(name).unwrap(), &bytes).unwrap();
+        let again = message.to_cdr();
+        assert_eq!(again, bytes[..again.len()], "{name}");
+        // What is behind the value says nothing.
+        assert!(bytes[again.len()..].iter().all(|byte| *byte == 0), "{name}");
+    }
+}
+
 #[test]
 fn what_a_node_describes_is_checked_against_the_hash_and_found() {
     let mut described = DescribedTypes::new("/legs");

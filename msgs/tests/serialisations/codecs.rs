@@ -91,6 +91,21 @@ fn big_endian_messages_are_encoded_as_little_endian_ones() {
 }
 
 #[test]
+fn version_2_of_cdr_is_encoded_as_version_1() {
+    use downbeat_msgs::sensor_msgs::msg::Temperature;
+
+    let mut value = Temperature { temperature: 36.6, variance: 0.5, ..Temperature::default() };
+    value.header.frame_id = "abcd".into();
+    let version_1 = cdr::to_vec(&value);
+    // Doubles stand at multiples of 4 there: behind stamp, length and five characters with their padding.
+    let (head, doubles) = (&version_1[4..24], &version_1[28..]);
+    let version_2 = [&[0, 7, 0, 0], head, doubles].concat();
+    assert_eq!(cdr::from_slice::<Temperature>(&version_2).unwrap(), value);
+    let codec = Encoding::Protobuf.codec(catalog(), &name("sensor_msgs/msg/Temperature")).unwrap();
+    assert_eq!(codec.encode(&version_2).unwrap(), codec.encode(&version_1).unwrap());
+}
+
+#[test]
 fn a_zero_that_is_not_the_default_of_the_definition_stays_zero() {
     let zero = cdr::to_vec(&Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 0.0 });
     for encoding in Encoding::ALL {

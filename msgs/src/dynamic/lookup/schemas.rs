@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use downbeat_msgs_definitions::{Catalog, DefinitionEncoding, Error, TypeName};
+use downbeat_msgs_definitions::{Catalog, Error, TypeName};
 
 use super::{DefinitionSource, Found, instead};
+use crate::dynamic::layout::catalog_of;
 
 /// The schemas of a bag, or of another place that has definition texts with all that they refer to.
 ///
@@ -22,15 +23,14 @@ impl Schemas {
         Self { description: description.into(), catalogs: BTreeMap::new() }
     }
 
-    /// Adds the definition text of a type; `encoding` is `ros2msg` or `ros2idl`. It takes the place of one there was.
+    /// Adds the definition text of a type; `encoding` is `ros2msg` or `ros2idl`, or what the schema of a service's events has:
+    /// `unknown`. It takes the place of one there was.
     ///
     /// # Errors
     /// If the name, the encoding or the text is none.
     pub fn add(&mut self, name: &str, encoding: &str, text: &str) -> Result<(), Error> {
         let name: TypeName = name.parse()?;
-        let encoding: DefinitionEncoding = encoding.parse()?;
-        let mut catalog = Catalog::new();
-        catalog.add_definition_text(&name, encoding, text, &format!("{}, {name}", self.description))?;
+        let catalog = catalog_of(&name, encoding, text, &format!("{}, {name}", self.description))?;
         self.catalogs.insert(name, catalog);
         Ok(())
     }
