@@ -114,16 +114,23 @@ fn a_line_without_end_is_cut_off() {
 fn one_client_too_many_is_told_so_and_there_is_room_again_when_one_goes() {
     let folder = tempfile::tempdir().unwrap();
     let (_directory, _server, robot) = start(folder.path());
-    let mut clients: Vec<_> = (0..16).map(|_| Client::connect(&robot).unwrap()).collect();
-    for client in &mut clients {
-        client.snapshot().unwrap();
-    }
+    let clients: Vec<_> = (0..16).map(|_| once_there_is_room(&robot)).collect();
+    let refused = Client::connect(&robot).unwrap().snapshot().unwrap_err();
+    assert!(refused.to_string().contains("16 clients"), "{refused}");
     let mut one_more = String::new();
     UnixStream::connect(&robot.socket).unwrap().read_to_string(&mut one_more).unwrap();
     assert!(one_more.contains("16 clients"), "{one_more}");
     drop(clients);
-    // The server needs a moment to see that they are gone.
-    while Client::connect(&robot).unwrap().snapshot().is_err() {
+    once_there_is_room(&robot);
+}
+
+/// The server needs a moment to see that a client is gone; whoever looked for the robot was one.
+fn once_there_is_room(robot: &RunningRobot) -> Client {
+    loop {
+        let mut client = Client::connect(robot).unwrap();
+        if client.snapshot().is_ok() {
+            return client;
+        }
         std::thread::yield_now();
     }
 }

@@ -138,12 +138,14 @@ impl Client {
     fn exchange(&mut self, request: Request) -> io::Result<String> {
         let mut line = serde_json::to_string(&request)?;
         line.push('\n');
-        self.stream.get_mut().write_all(line.as_bytes())?;
+        let written = self.stream.get_mut().write_all(line.as_bytes());
         line.clear();
-        if self.stream.read_line(&mut line)? == 0 {
-            return Err(io::ErrorKind::UnexpectedEof.into());
+        // A robot that turns a client away says why before it hangs up, and hears nothing.
+        match (self.stream.read_line(&mut line), written) {
+            (Ok(1..), _) => Ok(line),
+            (_, Err(error)) | (Err(error), _) => Err(error),
+            (Ok(0), Ok(())) => Err(io::ErrorKind::UnexpectedEof.into()),
         }
-        Ok(line)
     }
 
     fn not_understood(&self, source: serde_json::Error) -> ClientError {

@@ -288,7 +288,7 @@ fn write_all(shared: &Shared, writer: &mut Writer) -> Result<(), WriterError> {
 
 fn write(writer: &mut Writer, item: Item) -> Result<(), WriterError> {
     match item {
-        Item::Topic(info) => writer.add_topic(info).map(drop),
+        Item::Topic(info) => writer.add_topic(*info).map(drop),
         Item::Message { topic, log_time, publish_time, data } => {
             writer.write(topic, log_time, publish_time, &data)
         }

@@ -19,7 +19,8 @@ const OVERHEAD: usize = size_of::<Item>();
 const BATCH: usize = 256;
 
 pub(super) enum Item {
-    Topic(TopicInfo),
+    /// Boxed, since every message takes as much room in the queue as the largest item.
+    Topic(Box<TopicInfo>),
     Message { topic: TopicId, log_time: i64, publish_time: i64, data: Bytes },
 }
 
@@ -97,7 +98,7 @@ impl Queue {
         let id = id.ok_or(RecordError::TooManyTopics)?;
         let (name, type_name) = (info.name.clone(), info.type_name.clone());
         state.topics.push(QueuedTopic { name, type_name, lost: 0 });
-        self.push(&mut state, Item::Topic(info));
+        self.push(&mut state, Item::Topic(Box::new(info)));
         Ok(id)
     }
 
