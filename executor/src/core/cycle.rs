@@ -11,7 +11,7 @@ use crate::probe::{CycleReport, Probe};
 use crate::{Launcher, Stage, Time};
 
 impl Core {
-    /// Runs cycles until [`CoreHandle::stop`] is called, then stops the modules. Sleeps while nothing is due,
+    /// Runs cycles until [`CoreHandle::stop`](crate::CoreHandle::stop) is called, then stops the modules. Sleeps while nothing is due,
     /// unless it is told to spin.
     ///
     /// # Errors
