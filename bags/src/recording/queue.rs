@@ -21,7 +21,12 @@ const BATCH: usize = 256;
 pub(super) enum Item {
     /// Boxed, since every message takes as much room in the queue as the largest item.
     Topic(Box<TopicInfo>),
-    Message { topic: TopicId, log_time: i64, publish_time: i64, data: Bytes },
+    Message {
+        topic: TopicId,
+        log_time: i64,
+        publish_time: i64,
+        data: Bytes,
+    },
 }
 
 impl Item {
