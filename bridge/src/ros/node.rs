@@ -2,6 +2,7 @@
 
 use super::graph::{Graph, RemoteNode};
 use super::{MessageType, NameError, NodeName, TopicName};
+use crate::middleware::rpc::RpcThread;
 use crate::middleware::{
     self, Direction, Endpoint, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader, RemoteEndpoint,
     SampleHandler, WriteError, Writer,
@@ -34,10 +35,11 @@ pub struct Participant {
     shared: Arc<Shared>,
 }
 
-struct Shared {
+pub(super) struct Shared {
     // Fields drop in this order: the graph takes leave before the participant goes.
     graph: Graph,
-    middleware: Arc<dyn Middleware>,
+    pub(super) rpc: RpcThread,
+    pub(super) middleware: Arc<dyn Middleware>,
 }
 
 impl Participant {
@@ -54,7 +56,8 @@ impl Participant {
     /// # Errors
     /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
     pub fn on(middleware: Arc<dyn Middleware>) -> Result<Self, MiddlewareError> {
-        Ok(Self { shared: Arc::new(Shared { graph: Graph::join(&*middleware)?, middleware }) })
+        let rpc = RpcThread::start().map_err(MiddlewareError::ServiceThread)?;
+        Ok(Self { shared: Arc::new(Shared { graph: Graph::join(&*middleware)?, rpc, middleware }) })
     }
 
     /// Creates a node.
@@ -84,11 +87,11 @@ impl Participant {
 /// A ROS 2 node. It is in the graph of the others until it and its publishers and subscriptions are dropped.
 #[derive(Clone)]
 pub struct Node {
-    membership: Arc<Membership>,
+    pub(super) membership: Arc<Membership>,
 }
 
-struct Membership {
-    shared: Arc<Shared>,
+pub(super) struct Membership {
+    pub(super) shared: Arc<Shared>,
     name: NodeName,
 }
 
@@ -240,14 +243,14 @@ impl Subscription {
 }
 
 /// The entry of an endpoint in the graph, under its node.
-struct Listed {
+pub(super) struct Listed {
     membership: Arc<Membership>,
     direction: Direction,
     endpoint: Gid,
 }
 
 impl Listed {
-    fn new(membership: &Arc<Membership>, direction: Direction, endpoint: Gid) -> Self {
+    pub(super) fn new(membership: &Arc<Membership>, direction: Direction, endpoint: Gid) -> Self {
         membership.shared.graph.add_endpoint(&membership.name, direction, endpoint);
         Self { membership: Arc::clone(membership), direction, endpoint }
     }

@@ -49,8 +49,13 @@ impl Peer {
 
     /// Sends a command and returns its answer.
     pub fn ask(&mut self, command: Value) -> Value {
-        writeln!(self.commands.as_mut().unwrap(), "{command}").unwrap();
+        self.send(command);
         self.answer()
+    }
+
+    /// Sends a command whose answer is taken with [`Peer::answer`].
+    pub fn send(&mut self, command: Value) {
+        writeln!(self.commands.as_mut().unwrap(), "{command}").unwrap();
     }
 
     /// The next messages on a topic, as many as `count`.
@@ -74,7 +79,8 @@ impl Peer {
         }
     }
 
-    fn answer(&self) -> Value {
+    /// The answer to a command that was sent.
+    pub fn answer(&self) -> Value {
         let line = self.answers.recv_timeout(WATCHDOG).expect("an answer of rclpy within the watchdog time");
         serde_json::from_str(&line).unwrap()
     }
