@@ -18,6 +18,10 @@ pub(crate) fn test() -> anyhow::Result<()> {
     steps.step("clippy", || {
         run(&mut cargo(&["clippy", "--workspace", "--all-targets", "--", "--deny", "warnings"]))
     });
+    steps.step("messages without optional packages", || {
+        let package = ["clippy", "--package", "downbeat-msgs", "--no-default-features"];
+        run(cargo(&package).args(["--", "--deny", "warnings"]))
+    });
     let has_nextest = cargo(&["nextest", "--version"]).output().is_ok_and(|output| output.status.success());
     let tests: &[&str] = if has_nextest {
         &["nextest", "run", "--workspace"]
