@@ -32,7 +32,9 @@ impl RustSource<'_> {
         for field in &message.fields {
             source.push_str(&format!("        writer.value(&self.{});\n", identifier(&field.name)));
         }
-        source.push_str("    }\n\n    #[inline]\n    fn decode(reader: &mut cdr::Reader<'_>) -> cdr::Result<Self> {\n");
+        source.push_str(
+            "    }\n\n    #[inline]\n    fn decode(reader: &mut cdr::Reader<'_>) -> cdr::Result<Self> {\n",
+        );
         source.push_str("        reader.message(|reader| {\n            Ok(Self {\n");
         for field in &message.fields {
             source.push_str(&field_line("                ", field, &decode_call(field)));
@@ -63,7 +65,8 @@ impl RustSource<'_> {
         }
         let Some(last) = checks.pop() else { return Ok(String::new()) };
         let mut source =
-            "\n    #[inline]\n    fn check_bounds(&self) -> ::std::result::Result<(), cdr::EncodeError> {\n".to_owned();
+            "\n    #[inline]\n    fn check_bounds(&self) -> ::std::result::Result<(), cdr::EncodeError> {\n"
+                .to_owned();
         for check in checks {
             source.push_str(&format!("        {check}?;\n"));
         }
@@ -138,7 +141,9 @@ fn plain_impl(message: &MessageDefinition, layout: &super::layout::Layout) -> St
     let trailing = if padding.is_empty() { padding } else { format!("        {padding}\n") };
     source.push_str(&format!("{trailing}        Self {{\n{fields}        }}\n    }}\n}}\n\n"));
     source.push_str(&format!("impl cdr::PlainMessage for {name} {{\n"));
-    source.push_str("    #[inline]\n    fn decode_fields(reader: &mut cdr::Reader<'_>) -> cdr::Result<Self> {\n");
+    source.push_str(
+        "    #[inline]\n    fn decode_fields(reader: &mut cdr::Reader<'_>) -> cdr::Result<Self> {\n",
+    );
     if message.fields.is_empty() {
         source.push_str("        reader.empty_message()?;\n");
     }
