@@ -42,7 +42,7 @@ pub fn check(heading: &str, feature: &str, with: With, way: Way) -> Check {
 
 impl Check {
     /// The test goes on to show that this cannot be done, and why.
-    pub fn is_not_possible(mut self, reason: &str) -> Self {
+    pub fn limited_by(mut self, reason: &str) -> Self {
         self.0["limit"] = reason.into();
         self
     }
