@@ -36,7 +36,7 @@ fn check_robot(path: &Path, arguments: &CheckArguments) -> anyhow::Result<()> {
     println!("\ntopics");
     core.topics().for_each(print_topic);
     println!("\nexposed to ROS 2 as node {}", file.name);
-    for entry in &file.expose {
+    for entry in &file.expose.topics {
         let arrow = if entry.direction == Direction::Out { "->" } else { "<-" };
         println!("  {:<24} {arrow} {}", entry.topic, entry.ros_topic);
     }

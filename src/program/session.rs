@@ -88,6 +88,7 @@ impl Session {
         let topics = self.robot.recorded_topics()?;
         let exposed: Vec<_> = file
             .expose
+            .topics
             .iter()
             .map(|entry| (entry.topic.trim_start_matches('/').to_owned(), entry.qos))
             .collect();

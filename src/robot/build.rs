@@ -147,7 +147,7 @@ impl Robot {
         let node = NodeName::new(&self.file.namespace, &self.file.name)
             .map_err(|error| self.file.source.error(1, error.to_string()))?;
         let mut names = Vec::new();
-        for entry in &self.file.expose {
+        for entry in &self.file.expose.topics {
             let refuse = |problem: String| self.file.source.error(entry.line, problem);
             let ros_name =
                 TopicName::expand(&entry.ros_topic, &node).map_err(|error| refuse(error.to_string()))?;
@@ -156,7 +156,7 @@ impl Robot {
             }
             names.push(ros_name);
         }
-        self.file.expose.iter().map(|entry| self.exposure(entry)).collect()
+        self.file.expose.topics.iter().map(|entry| self.exposure(entry)).collect()
     }
 
     /// The topics that a recording is to hold.

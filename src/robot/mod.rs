@@ -96,7 +96,7 @@ mod parameters;
 
 pub use build::Robot;
 pub use file::{
-    Direction, ExposeEntry, LauncherChoice, LauncherEntry, ModuleEntry, RecordEntry, RobotFile,
-    RobotFileError,
+    Direction, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry, ModuleEntry, RecordEntry,
+    RobotFile, RobotFileError,
 };
 pub use kinds::{KINDS, Kind};
