@@ -3,7 +3,11 @@
 mod graph;
 mod names;
 mod node;
+mod qos;
+mod remap;
 
 pub use graph::{RemoteNode, RemoteTopic};
 pub use names::{MessageType, NameError, NodeName, TopicName};
 pub use node::{Node, NodeError, Participant, Publisher, Subscription};
+pub use qos::{Policy, QosRequest};
+pub use remap::{Named, ParameterRule, Remap, RemapRule, RemapRules, RuleError};
