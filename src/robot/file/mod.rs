@@ -10,10 +10,11 @@ mod table;
 use std::path::Path;
 
 use downbeat_bags::Compression;
+use downbeat_bridge::ros::{RemapRule, RemapRules};
 use downbeat_msgs::encoding::Encoding;
 use toml::de::DeTable;
 
-pub use expose::{Direction, ExposeEntry, ExposeSection};
+pub use expose::{Direction, ExposeEntry, ExposeSection, TopicChoice};
 pub use launcher::{LauncherChoice, LauncherEntry};
 pub use module::ModuleEntry;
 pub(crate) use place::{Given, ParameterPlace, Place};
@@ -22,15 +23,25 @@ pub(crate) use source::{Source, suggestion};
 pub(crate) use table::list_of;
 use table::{Table, Value};
 
+use super::RosArgs;
+
 type Result<T> = std::result::Result<T, RobotFileError>;
 
 /// What a robot file says. Names of topics and settings are checked when the robot is built.
 pub struct RobotFile {
     pub(crate) source: Source,
-    /// The name of the ROS 2 node.
+    /// True if the file itself says the namespace.
+    pub(crate) has_namespace: bool,
+    /// The name of the robot.
     pub name: String,
     /// The namespace of the ROS 2 node, `/` for none.
     pub namespace: String,
+    /// The name of the ROS 2 node, before remapping rules apply.
+    pub node: String,
+    /// The remapping rules: those given beside the file, then its own.
+    pub remaps: RemapRules,
+    /// True if what is logged is not to go to `/rosout`, whatever `[expose]` says.
+    pub is_rosout_disabled: bool,
     /// How the process phase runs.
     pub launcher: LauncherEntry,
     /// The modules, in the order of registration.
@@ -66,7 +77,18 @@ impl RobotFile {
     /// If it, or a parameter file that it names, cannot be read or says something that cannot be; with path and
     /// line.
     pub fn read(path: &Path) -> Result<Self> {
+        Self::read_with(path, &RosArgs::default())
+    }
+
+    /// Reads a robot file, and applies the arguments that ROS 2 programs take: remapping rules win over those of the
+    /// file, parameters over its settings.
+    ///
+    /// # Errors
+    /// If the file, or a parameter file, cannot be read or says something that cannot be, with path and line; or if an
+    /// argument says something that cannot be.
+    pub fn read_with(path: &Path, arguments: &RosArgs) -> Result<Self> {
         let (mut file, parameter_files) = Self::parse(Source::read(path, "robot file")?)?;
+        file.apply_names(arguments);
         let folder = path.parent().map(Path::to_owned).unwrap_or_default();
         for Located { line, value: name } in parameter_files {
             file.set_from_parameter_file(&folder.join(name)).map_err(|error| match error {
@@ -74,6 +96,7 @@ impl RobotFile {
                 other => other,
             })?;
         }
+        file.apply_parameters(arguments)?;
         Ok(file)
     }
 
@@ -87,7 +110,9 @@ impl RobotFile {
         let mut root = Table::new(&source, "a robot file", 1, document.get_ref());
         let mut robot = root.require("robot")?.table("[robot]")?;
         let name = identifier(robot.require("name")?)?;
-        let namespace = robot.take("namespace").map_or(Ok("/"), |value| value.text())?.to_owned();
+        let namespace = robot.take("namespace").map(|value| value.text().map(str::to_owned)).transpose()?;
+        let node = robot.take("node").map_or(Ok(name.clone()), identifier)?;
+        let remaps = robot.take("remap").map_or(Ok(RemapRules::default()), remaps)?;
         let launcher = launcher::launcher(&mut root, &mut robot)?;
         let parameter_files = robot.take("params").map_or(Ok(Vec::new()), |value| value.list())?;
         let parameter_files = parameter_files
@@ -100,7 +125,30 @@ impl RobotFile {
         let expose = root.take("expose").map_or(Ok(ExposeSection::default()), expose::expose)?;
         let record = root.take("record").map_or(Ok(RecordEntry::default()), record)?;
         root.finish()?;
-        Ok((Self { source, name, namespace, launcher, modules, expose, record }, parameter_files))
+        let file = Self {
+            source,
+            name,
+            has_namespace: namespace.is_some(),
+            namespace: namespace.unwrap_or_else(|| "/".to_owned()),
+            node,
+            remaps,
+            is_rosout_disabled: false,
+            launcher,
+            modules,
+            expose,
+            record,
+        };
+        Ok((file, parameter_files))
+    }
+
+    /// The keys `out` and `in` of `[expose]` in a text of their own.
+    pub(crate) fn parse_entries(text: &str) -> Result<Vec<ExposeEntry>> {
+        let source = Source::new(Path::new("expose"), text.to_owned());
+        let document = DeTable::parse(text).map_err(|error| {
+            let line = source.line_of(&error.span().unwrap_or_default());
+            source.error(line, error.message())
+        })?;
+        expose::entries(Table::new(&source, "[expose]", 1, document.get_ref()))
     }
 
     /// The file's path.
@@ -152,6 +200,15 @@ fn record(value: Value<'_>) -> Result<RecordEntry> {
     };
     table.finish()?;
     Ok(RecordEntry { line, topics, compression, encoding })
+}
+
+/// `remap` of `[robot]`: what stands before `:=` in a remapping rule, and what stands behind it.
+fn remaps(value: Value<'_>) -> Result<RemapRules> {
+    let rule = |(from, to): (String, Value<'_>)| {
+        let rule = format!("{from}:={}", to.text()?);
+        rule.parse::<RemapRule>().map_err(|error| to.error(error.to_string()))
+    };
+    value.table("remap")?.take_rest().into_iter().map(rule).collect()
 }
 
 /// A name that is valid for a ROS 2 node.

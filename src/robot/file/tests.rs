@@ -32,9 +32,10 @@ fn an_exposed_topic_may_have_another_name_a_type_and_a_quality_of_service() {
     ))
     .unwrap();
     let [a, b, d] = file.expose.topics.as_slice() else { panic!("three topics") };
-    assert_eq!((a.direction, a.qos), (Direction::Out, QosProfile::DEFAULT));
-    assert_eq!((b.ros_topic.as_str(), b.qos), ("c", QosProfile::SENSOR_DATA.keep_last(2)));
-    assert_eq!((d.direction, d.qos), (Direction::In, QosProfile::LATCHED));
+    assert_eq!((a.direction, a.qos), (Direction::Out, QosProfile::DEFAULT.into()));
+    assert_eq!(b.ros_topic.as_deref(), Some("c"));
+    assert_eq!(b.qos, QosProfile::SENSOR_DATA.keep_last(2).into());
+    assert_eq!((d.direction, d.qos), (Direction::In, QosProfile::LATCHED.into()));
 }
 
 #[test]
