@@ -4,16 +4,14 @@
 //! participant's, which holds 2048.
 
 use super::qos;
-use crate::middleware::rejoining::{Trouble, TroubleSink};
+use super::returned::ReturnWatch;
+use crate::middleware::rejoining::Trouble;
 use crate::middleware::{Direction, Gid, MatchHandler, RemoteEndpoint};
 use rustdds::{DomainParticipantStatusEvent as Event, EndpointDescription, GUID, LostReason, QosPolicies};
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
-
-/// How many participants whose lease ran out are remembered.
-const MOST_TIMED_OUT: usize = 1000;
 
 /// The number of endpoints that one of ours is matched with, shared with its handle.
 pub(super) type MatchedCount = Arc<AtomicUsize>;
@@ -41,20 +39,18 @@ pub(super) struct Matches {
     local: HashMap<Gid, Matched>,
     remote: HashMap<Gid, RemoteEndpoint>,
     last_participant: Option<Instant>,
-    /// Participants that did not take leave.
-    timed_out: HashSet<[u8; 12]>,
-    trouble: Option<TroubleSink>,
+    /// Where there is a supervisor to tell.
+    watch: Option<ReturnWatch>,
 }
 
 impl Matches {
-    pub(super) fn new(own: Gid, trouble: Option<TroubleSink>) -> Self {
+    pub(super) fn new(own: Gid, watch: Option<ReturnWatch>) -> Self {
         Self {
             own: own.participant(),
             local: HashMap::new(),
             remote: HashMap::new(),
             last_participant: None,
-            timed_out: HashSet::new(),
-            trouble,
+            watch,
         }
     }
 
@@ -93,10 +89,7 @@ impl Matches {
     pub(super) fn apply(&mut self, event: Event) -> Changed {
         let mut changed = Changed::new();
         match event {
-            Event::ParticipantDiscovered { dpd } => {
-                self.last_participant = Some(Instant::now());
-                self.found(gid(dpd.guid));
-            }
+            Event::ParticipantDiscovered { .. } => self.last_participant = Some(Instant::now()),
             Event::ReaderDetected { reader } => self.detected(reader, Direction::In),
             Event::WriterDetected { writer } => self.detected(writer, Direction::Out),
             Event::ReaderLost { guid, .. } | Event::WriterLost { guid, .. } => {
@@ -108,8 +101,8 @@ impl Matches {
                 let mut anyone = GUID::GUID_UNKNOWN;
                 anyone.prefix = id;
                 let lost = gid(anyone).participant();
-                if matches!(reason, LostReason::Timeout { .. }) && self.timed_out.len() < MOST_TIMED_OUT {
-                    self.timed_out.insert(lost);
+                if let (LostReason::Timeout { .. }, Some(watch)) = (reason, &mut self.watch) {
+                    watch.lost(lost);
                 }
                 self.remote.retain(|gid, _| gid.participant() != lost);
                 self.remove_peers(|peer| peer.participant() == lost, &mut changed);
@@ -134,16 +127,10 @@ impl Matches {
         changed
     }
 
-    fn found(&mut self, participant: Gid) {
-        if self.timed_out.remove(&participant.participant()) {
-            self.tell(Trouble::PeerReturned(participant));
-        }
-    }
-
     /// Tells the supervisor, if there is one.
     pub(super) fn tell(&self, trouble: Trouble) {
-        if let Some(sink) = &self.trouble {
-            sink.tell(trouble);
+        if let Some(watch) = &self.watch {
+            watch.tell(trouble);
         }
     }
 

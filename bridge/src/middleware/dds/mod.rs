@@ -10,6 +10,7 @@ mod matches;
 mod payload;
 mod qos;
 mod reader_thread;
+mod returned;
 mod writer;
 
 use super::rejoining::TroubleSink;
@@ -21,6 +22,7 @@ use downbeat_msgs::qos::Durability;
 use matches::{MatchedCount, Matches};
 use payload::{OutgoingBody, ReceiveAny, ReceivedCdr, SendLittleEndian};
 use reader_thread::{DdsDataReader, ReaderThread};
+use returned::ReturnWatch;
 use rustdds::{DomainParticipant, DomainParticipantBuilder, QosPolicies, RTPSEntity, TopicKind};
 use std::net::Ipv4Addr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -80,7 +82,8 @@ impl DdsParticipant {
             Ok((participant, publisher, subscriber))
         })?;
         let gid = matches::gid(participant.guid());
-        let matches = Arc::new(Mutex::new(Matches::new(gid, trouble)));
+        let watch = trouble.map(|sink| ReturnWatch::new(options.domain_id, sink));
+        let matches = Arc::new(Mutex::new(Matches::new(gid, watch)));
         let reader_thread = ReaderThread::start(gid, participant.status_listener(), Arc::clone(&matches))?;
         Ok(Self { gid, reader_thread, matches, publisher, subscriber, participant })
     }
