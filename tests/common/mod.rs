@@ -1,6 +1,8 @@
 //! What the tests share: the program in a process of its own, robot files, and real rclpy.
 #![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc, missing_docs)]
 
+#[path = "../../bridge/tests/common/matrix.rs"]
+pub mod matrix;
 #[path = "../../bridge/tests/common/rclpy.rs"]
 pub mod rclpy;
 

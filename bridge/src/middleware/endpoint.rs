@@ -17,6 +17,12 @@ impl Gid {
         prefix.copy_from_slice(&self.0[..12]);
         prefix
     }
+
+    /// The two bytes with which the identities of all participants of one DDS implementation begin (RTPS 2.5, 9.3.1.5).
+    #[must_use]
+    pub fn vendor(self) -> [u8; 2] {
+        [self.0[0], self.0[1]]
+    }
 }
 
 impl fmt::Debug for Gid {
@@ -76,6 +82,31 @@ pub struct Sample {
     pub writer: Gid,
     /// Its number among the samples of its writer, from 1.
     pub sequence_number: i64,
+    /// The sample it belongs to, if its writer named one: of a reply, the request.
+    pub related: Option<SampleIdentity>,
+}
+
+/// Names one sample: who wrote it, and its number there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct SampleIdentity {
+    /// The writer; in requests of ROS 2 the reader that waits for the reply.
+    pub endpoint: Gid,
+    /// The number, or [`UNKNOWN_NUMBER`](Self::UNKNOWN_NUMBER).
+    pub number: i64,
+}
+
+impl SampleIdentity {
+    /// Stands where no number is known (`SEQUENCENUMBER_UNKNOWN`, RTPS 2.5, 9.3.2).
+    pub const UNKNOWN_NUMBER: i64 = -(1 << 32);
+}
+
+/// What a sample is written with besides its payload.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WriteOptions {
+    /// The sample it belongs to.
+    pub related: Option<SampleIdentity>,
+    /// The only reader that is to receive it; nothing for all that are matched.
+    pub only_to: Option<Gid>,
 }
 
 /// Which way samples go through an endpoint, seen from its owner.

@@ -1,7 +1,8 @@
 //! A participant as ROS 2 sees it: nodes with publishers and subscriptions.
 
 use super::graph::{Graph, RemoteNode};
-use super::{MessageType, NameError, NodeName, QosRequest, RemapRules, TopicName};
+use super::{MessageType, NameError, NodeName, QosRequest, RemapRules, ServiceName, TopicName};
+use crate::middleware::rpc::RpcThread;
 use crate::middleware::{
     self, Direction, Endpoint, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader, RemoteEndpoint,
     SampleHandler, WriteError, Writer,
@@ -35,10 +36,11 @@ pub struct Participant {
     shared: Arc<Shared>,
 }
 
-struct Shared {
+pub(super) struct Shared {
     // Fields drop in this order: the graph takes leave before the participant goes.
     graph: Graph,
-    middleware: Arc<dyn Middleware>,
+    pub(super) rpc: RpcThread,
+    pub(super) middleware: Arc<dyn Middleware>,
     remaps: RemapRules,
     /// The nodes there are, by the names they were asked for.
     nodes: Mutex<BTreeMap<NodeName, Weak<Membership>>>,
@@ -74,8 +76,9 @@ impl Participant {
     /// # Errors
     /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
     pub fn on_with(middleware: Arc<dyn Middleware>, remaps: RemapRules) -> Result<Self, MiddlewareError> {
+        let rpc = RpcThread::start().map_err(MiddlewareError::ServiceThread)?;
         let (graph, nodes) = (Graph::join(&*middleware)?, Mutex::default());
-        Ok(Self { shared: Arc::new(Shared { graph, middleware, remaps, nodes }) })
+        Ok(Self { shared: Arc::new(Shared { graph, rpc, middleware, remaps, nodes }) })
     }
 
     /// Creates a node, under another name where a remapping rule says so.
@@ -109,11 +112,11 @@ impl Participant {
 /// A ROS 2 node. It is in the graph of the others until it and its publishers and subscriptions are dropped.
 #[derive(Clone)]
 pub struct Node {
-    membership: Arc<Membership>,
+    pub(super) membership: Arc<Membership>,
 }
 
-struct Membership {
-    shared: Arc<Shared>,
+pub(super) struct Membership {
+    pub(super) shared: Arc<Shared>,
     name: NodeName,
 }
 
@@ -161,8 +164,8 @@ impl Node {
     ///
     /// # Errors
     /// [`NameError`] when ROS 2 does not accept the name, or the one in its place.
-    pub fn service_name(&self, service: &str) -> Result<TopicName, NameError> {
-        self.membership.shared.remaps.service(TopicName::expand(service, self.name())?, self.name())
+    pub fn service_name(&self, service: &str) -> Result<ServiceName, NameError> {
+        self.membership.shared.remaps.service(ServiceName::expand(service, self.name())?, self.name())
     }
 
     /// What to offer or request on a topic now, in view of the endpoints of others that are known.
@@ -319,14 +322,14 @@ impl Subscription {
 }
 
 /// The entry of an endpoint in the graph, under its node.
-struct Listed {
+pub(super) struct Listed {
     membership: Arc<Membership>,
     direction: Direction,
     endpoint: Gid,
 }
 
 impl Listed {
-    fn new(membership: &Arc<Membership>, direction: Direction, endpoint: Gid) -> Self {
+    pub(super) fn new(membership: &Arc<Membership>, direction: Direction, endpoint: Gid) -> Self {
         membership.shared.graph.add_endpoint(&membership.name, direction, endpoint);
         Self { membership: Arc::clone(membership), direction, endpoint }
     }

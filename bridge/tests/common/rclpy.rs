@@ -1,4 +1,4 @@
-//! A real rclpy in a process of its own.
+//! A real rclpy, or a real Cyclone DDS, in a process of its own.
 #![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc)]
 
 use super::WATCHDOG;
@@ -8,7 +8,9 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-/// A node of rclpy that obeys commands. Its process ends with the value.
+const CYCLONEDDS_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cyclonedds/peer.py");
+
+/// A node of rclpy, or a participant of Cyclone DDS, that obeys commands. Its process ends with the value.
 pub struct Peer {
     child: Child,
     commands: Option<ChildStdin>,
@@ -16,8 +18,17 @@ pub struct Peer {
 }
 
 impl Peer {
-    /// Starts node `/peer` in a domain, or says why not and returns nothing.
+    /// Starts node `/peer` of rclpy in a domain, or says why not and returns nothing.
     pub fn start(domain_id: u16, discovery_range: &str) -> Option<Self> {
+        Self::run(super::PEER_SCRIPT, domain_id, discovery_range)
+    }
+
+    /// Starts a participant of Cyclone DDS in a domain on loopback, or says why not and returns nothing.
+    pub fn cyclonedds(domain_id: u16) -> Option<Self> {
+        Self::run(CYCLONEDDS_SCRIPT, domain_id, "LOCALHOST")
+    }
+
+    fn run(script: &str, domain_id: u16, discovery_range: &str) -> Option<Self> {
         let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
             // Past the capture of test output, which shows nothing of a test that passes.
             let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
@@ -25,7 +36,7 @@ impl Peer {
             return None;
         };
         let mut child = Command::new(python)
-            .arg(super::PEER_SCRIPT)
+            .arg(script)
             .arg("peer")
             .env("ROS_DOMAIN_ID", domain_id.to_string())
             .env("ROS_AUTOMATIC_DISCOVERY_RANGE", discovery_range)
@@ -49,8 +60,13 @@ impl Peer {
 
     /// Sends a command and returns its answer.
     pub fn ask(&mut self, command: Value) -> Value {
-        writeln!(self.commands.as_mut().unwrap(), "{command}").unwrap();
+        self.send(command);
         self.answer()
+    }
+
+    /// Sends a command whose answer is taken with [`Peer::answer`].
+    pub fn send(&mut self, command: Value) {
+        writeln!(self.commands.as_mut().unwrap(), "{command}").unwrap();
     }
 
     /// The next messages on a topic, as many as `count`.
@@ -74,7 +90,8 @@ impl Peer {
         }
     }
 
-    fn answer(&self) -> Value {
+    /// The answer to a command that was sent.
+    pub fn answer(&self) -> Value {
         let line = self.answers.recv_timeout(WATCHDOG).expect("an answer of rclpy within the watchdog time");
         serde_json::from_str(&line).unwrap()
     }
