@@ -4,12 +4,16 @@
 //! participant's, which holds 2048.
 
 use super::qos;
+use crate::middleware::rejoining::{Trouble, TroubleSink};
 use crate::middleware::{Direction, Gid, MatchHandler, RemoteEndpoint};
-use rustdds::{DomainParticipantStatusEvent as Event, EndpointDescription, GUID, QosPolicies};
+use rustdds::{DomainParticipantStatusEvent as Event, EndpointDescription, GUID, LostReason, QosPolicies};
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
+
+/// How many participants whose lease ran out are remembered.
+const MOST_TIMED_OUT: usize = 1000;
 
 /// The number of endpoints that one of ours is matched with, shared with its handle.
 pub(super) type MatchedCount = Arc<AtomicUsize>;
@@ -37,11 +41,21 @@ pub(super) struct Matches {
     local: HashMap<Gid, Matched>,
     remote: HashMap<Gid, RemoteEndpoint>,
     last_participant: Option<Instant>,
+    /// Participants that did not take leave.
+    timed_out: HashSet<[u8; 12]>,
+    trouble: Option<TroubleSink>,
 }
 
 impl Matches {
-    pub(super) fn new(own: Gid) -> Self {
-        Self { own: own.participant(), local: HashMap::new(), remote: HashMap::new(), last_participant: None }
+    pub(super) fn new(own: Gid, trouble: Option<TroubleSink>) -> Self {
+        Self {
+            own: own.participant(),
+            local: HashMap::new(),
+            remote: HashMap::new(),
+            last_participant: None,
+            timed_out: HashSet::new(),
+            trouble,
+        }
     }
 
     /// The count of a local endpoint; events may have come before this call.
@@ -79,7 +93,10 @@ impl Matches {
     pub(super) fn apply(&mut self, event: Event) -> Changed {
         let mut changed = Changed::new();
         match event {
-            Event::ParticipantDiscovered { .. } => self.last_participant = Some(Instant::now()),
+            Event::ParticipantDiscovered { dpd } => {
+                self.last_participant = Some(Instant::now());
+                self.found(gid(dpd.guid));
+            }
             Event::ReaderDetected { reader } => self.detected(reader, Direction::In),
             Event::WriterDetected { writer } => self.detected(writer, Direction::Out),
             Event::ReaderLost { guid, .. } | Event::WriterLost { guid, .. } => {
@@ -87,10 +104,13 @@ impl Matches {
                 self.remote.remove(&lost);
                 self.remove_peers(|peer| peer == lost, &mut changed);
             }
-            Event::ParticipantLost { id, .. } => {
+            Event::ParticipantLost { id, reason } => {
                 let mut anyone = GUID::GUID_UNKNOWN;
                 anyone.prefix = id;
                 let lost = gid(anyone).participant();
+                if matches!(reason, LostReason::Timeout { .. }) && self.timed_out.len() < MOST_TIMED_OUT {
+                    self.timed_out.insert(lost);
+                }
                 self.remote.retain(|gid, _| gid.participant() != lost);
                 self.remove_peers(|peer| peer.participant() == lost, &mut changed);
             }
@@ -112,6 +132,19 @@ impl Matches {
             _ => {}
         }
         changed
+    }
+
+    fn found(&mut self, participant: Gid) {
+        if self.timed_out.remove(&participant.participant()) {
+            self.tell(Trouble::PeerReturned(participant));
+        }
+    }
+
+    /// Tells the supervisor, if there is one.
+    pub(super) fn tell(&self, trouble: Trouble) {
+        if let Some(sink) = &self.trouble {
+            sink.tell(trouble);
+        }
     }
 
     fn detected(&mut self, endpoint: EndpointDescription, direction: Direction) {

@@ -12,6 +12,7 @@ mod qos;
 mod reader_thread;
 mod writer;
 
+use super::rejoining::TroubleSink;
 use super::{
     Direction, DiscoveryRange, Endpoint, Gid, MatchHandler, Middleware, MiddlewareError, ParticipantOptions,
     Reader, RemoteEndpoint, SampleHandler, Writer,
@@ -52,6 +53,18 @@ impl DdsParticipant {
     /// # Errors
     /// [`MiddlewareError::Join`] when no participant can be created, for example because 120 exist on this machine.
     pub fn new(options: &ParticipantOptions) -> Result<Self, MiddlewareError> {
+        Self::with(options, None)
+    }
+
+    /// Joins a domain with an engine that tells when it has lost touch.
+    ///
+    /// # Errors
+    /// As [`DdsParticipant::new`].
+    pub fn watched(options: &ParticipantOptions, trouble: TroubleSink) -> Result<Self, MiddlewareError> {
+        Self::with(options, Some(trouble))
+    }
+
+    fn with(options: &ParticipantOptions, trouble: Option<TroubleSink>) -> Result<Self, MiddlewareError> {
         let failed = |reason: String| MiddlewareError::Join { domain_id: options.domain_id, reason };
         let (participant, publisher, subscriber) = guarded("joining the domain", || {
             let mut builder = DomainParticipantBuilder::new(options.domain_id);
@@ -67,7 +80,7 @@ impl DdsParticipant {
             Ok((participant, publisher, subscriber))
         })?;
         let gid = matches::gid(participant.guid());
-        let matches = Arc::new(Mutex::new(Matches::new(gid)));
+        let matches = Arc::new(Mutex::new(Matches::new(gid, trouble)));
         let reader_thread = ReaderThread::start(gid, participant.status_listener(), Arc::clone(&matches))?;
         Ok(Self { gid, reader_thread, matches, publisher, subscriber, participant })
     }
