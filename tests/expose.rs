@@ -5,6 +5,7 @@ mod common;
 
 use std::path::Path;
 
+use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{Running, downbeat, robot_file, text_of, wait_until};
 use downbeat::robot::ExposedEndpoint;
@@ -41,6 +42,8 @@ fn nodes(peer: &mut Peer) -> Vec<String> {
 #[test]
 fn two_robots_in_namespaces_with_several_nodes_share_a_domain() {
     let Some(mut peer) = Peer::start(80, "LOCALHOST") else { return };
+    let _robots = check("Selection", "two robots in namespaces on one domain", With::Rclpy, Way::Out);
+    let _nodes = check("Selection", "several nodes of one process", With::Rclpy, Way::Out);
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let expose = "out = [\"joint_states\", { topic = \"imu/*\", as = \"~/*\", node = \"imu_driver\", qos = \"sensor_data\" }]\n\
                   in = [\"joint_commands\"]";
@@ -76,6 +79,8 @@ fn two_robots_in_namespaces_with_several_nodes_share_a_domain() {
 #[test]
 fn remapping_rules_and_limits_are_seen_by_rclpy() {
     let Some(mut peer) = Peer::start(81, "LOCALHOST") else { return };
+    let _names = check("Selection", "--ros-args: names and log level of a robot", With::Rclpy, Way::Out);
+    let _rate = check("Selection", "rate limit", With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
     let expose = "out = [{ topic = \"joint_states\", rate_hz = 5.0, qos = { durability = \"transient_local\", depth = 1 } }]";
     let file = robot(folder.path(), "remap = { joint_states = \"/from_file\" }", expose);
@@ -122,6 +127,16 @@ fn expose(arguments: &[&str], pid: &str, sockets: &Path) -> (bool, String) {
 #[test]
 fn endpoints_come_and_go_in_rclpy_while_the_robot_runs() {
     let Some(mut peer) = Peer::start(82, "LOCALHOST") else { return };
+    let _check = check("Selection", "endpoints come and go while the robot runs", With::Rclpy, Way::Out);
+    let _limit = check(
+        "Selection",
+        "a removed endpoint is gone from `ros2 topic info`",
+        With::Rclpy,
+        Way::Out,
+    )
+    .limited_by(
+        "Fast DDS does not understand that rustdds disposes it; it is gone from `ros2 node info` at once",
+    );
     let folder = tempfile::tempdir().unwrap();
     let file = robot(folder.path(), "", "out = [\"joint_states\"]");
     let mut robot =
@@ -161,6 +176,11 @@ fn endpoints_come_and_go_in_rclpy_while_the_robot_runs() {
     wait_until("what was removed is gone from its node", || {
         let published = peer.ask(json!({"do": "published_by", "node": "darwin_op"}));
         published.get("/sensors/data_raw").is_none() && published.get("/joint_states").is_some()
+    });
+    wait_until("it is listed as of an unknown node", || {
+        publishers(&mut peer, "/sensors/data_raw")
+            .iter()
+            .any(|(node, ..)| node.ends_with("_NODE_NAME_UNKNOWN_"))
     });
     peer.ask(json!({"do": "take", "topic": "/sensors/data_raw"}));
     let (is_added, text) = expose(&add, "darwin_op", folder.path());

@@ -301,6 +301,12 @@ fn a_change_that_cannot_be_changes_nothing() {
     assert!(matches!(refused(&[Exposure::new("text", imu, Direction::In)]), ExposeError::Setup(_)));
     assert_eq!(peer.topics_of("/robot"), ["/a"]);
     assert_eq!(running.modules(), ["listener", "bridge"]);
+    let of_another_type = [text("a", Direction::Out), Exposure::new("b", imu, Direction::Out)];
+    assert_eq!(running.remove("a"), 1);
+    assert!(matches!(refused(&of_another_type), ExposeError::Setup(_)));
+    assert_eq!(peer.topics_of("/robot"), Vec::<String>::new(), "not the one that could be either");
+    running.bridge.add(&[text("a", Direction::Out)]).unwrap();
+    assert_eq!(running.modules(), ["listener", "bridge"]);
     running.bridge.add(&[text("b", Direction::Out)]).unwrap();
     let bridge = running.bridge.clone();
     drop(running);

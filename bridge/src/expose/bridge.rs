@@ -95,7 +95,12 @@ impl Bridge {
         let slots: Vec<_> = exposed.iter_mut().filter_map(|exposed| exposed.enter(&module)).collect();
         if !slots.is_empty() {
             changes.modules += 1;
-            core.add(&module, Sender { slots, on_end: Box::new(|| ()) }, options())?;
+            if let Err(error) = core.add(&module, Sender { slots, on_end: Box::new(|| ()) }, options()) {
+                self.endpoints.give_up(exposed, &module);
+                // A core that was held may add it yet.
+                let _ = self.core.remove(&module);
+                return Err(error.into());
+            }
         }
         self.endpoints.extend(exposed)?;
         Ok(reports)

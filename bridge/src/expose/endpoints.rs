@@ -104,6 +104,18 @@ impl Endpoints {
         }
     }
 
+    /// Ends endpoints that were never shown, since `module` could not be added; slots of others can be used again.
+    pub(super) fn give_up(&self, mut exposed: Vec<Exposed>, module: &str) {
+        for exposed in &mut exposed {
+            let slot = match &exposed.held {
+                Held::Slot(of, slot) if of != module => Some((of.clone(), Arc::clone(slot))),
+                _ => None,
+            };
+            exposed.end();
+            self.lock().unused.extend(slot);
+        }
+    }
+
     /// Ends the endpoints that are meant. Returns what they were, and the modules that have none any more.
     pub(super) fn remove(
         &self,

@@ -1,7 +1,7 @@
 //! A participant as ROS 2 sees it: nodes with publishers and subscriptions.
 
 use super::graph::{Graph, RemoteNode};
-use super::{MessageType, NameError, NodeName, QosRequest, RemapRules, TopicName};
+use super::{MessageType, NameError, NodeName, QosRequest, RemapRules, ServiceName, TopicName};
 use crate::middleware::rpc::RpcThread;
 use crate::middleware::{
     self, Direction, Endpoint, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader, RemoteEndpoint,
@@ -164,8 +164,8 @@ impl Node {
     ///
     /// # Errors
     /// [`NameError`] when ROS 2 does not accept the name, or the one in its place.
-    pub fn service_name(&self, service: &str) -> Result<TopicName, NameError> {
-        self.membership.shared.remaps.service(TopicName::expand(service, self.name())?, self.name())
+    pub fn service_name(&self, service: &str) -> Result<ServiceName, NameError> {
+        self.membership.shared.remaps.service(ServiceName::expand(service, self.name())?, self.name())
     }
 
     /// What to offer or request on a topic now, in view of the endpoints of others that are known.

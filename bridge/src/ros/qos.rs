@@ -22,7 +22,7 @@ pub enum Policy<T> {
 /// | reliability | reliable | reliable if all publishers are |
 /// | durability | transient local | transient local if all publishers are |
 /// | liveliness | manual by topic if a subscription asks for it | manual by topic if all publishers are |
-/// | deadline, lease | the shortest that a subscription asks for | the longest that a publisher offers |
+/// | deadline, lease | the shortest that a subscription asks for, less 1 ns | the longest that a publisher offers, and 1 ns |
 ///
 /// As there, it is decided once: who comes later is not asked. A subscription that is created before anybody is found
 /// thus asks for what all of nobody offer, reliable and transient local; only for liveliness this stays automatic, since
@@ -44,6 +44,10 @@ pub struct QosRequest {
     /// How long a publisher may be silent before it counts as gone.
     pub liveliness_lease_duration: Policy<Option<Duration>>,
 }
+
+/// On the wire durations are fractions of 2^-32 s: a time that was read and is written again may come out a little
+/// shorter or longer, and would then not match.
+const ROUNDING: Duration = Duration::from_nanos(1);
 
 impl QosRequest {
     /// Everything as is best, keep last 10: `rmw_qos_profile_best_available`.
@@ -78,8 +82,8 @@ impl QosRequest {
         let is_publisher = direction == Direction::Out;
         let is_manual = |peer: &RemoteEndpoint| peer.liveliness == Liveliness::ManualByTopic;
         let limit = |durations: Vec<Duration>| match direction {
-            Direction::Out => durations.into_iter().min(),
-            Direction::In => durations.into_iter().max(),
+            Direction::Out => durations.into_iter().min().map(|shortest| shortest.saturating_sub(ROUNDING)),
+            Direction::In => durations.into_iter().max().map(|longest| longest.saturating_add(ROUNDING)),
         };
         QosProfile {
             history: self.history,
@@ -165,10 +169,18 @@ mod tests {
         let deadline = |milliseconds| QosProfile { deadline: Some(milliseconds * MS), ..QosProfile::LATCHED };
         let publishers = [peer(Direction::Out, deadline(20)), peer(Direction::Out, deadline(50))];
         let best = |peers: &[RemoteEndpoint]| QosRequest::BEST_AVAILABLE.resolve(Direction::In, peers);
-        assert_eq!(best(&publishers), QosProfile { history: History::KeepLast(10), ..deadline(50) });
+        assert_eq!(
+            best(&publishers),
+            QosProfile {
+                history: History::KeepLast(10),
+                deadline: Some(50 * MS + ROUNDING),
+                ..QosProfile::LATCHED
+            }
+        );
 
         let mixed = [publishers[0].clone(), peer(Direction::Out, QosProfile::SENSOR_DATA)];
-        let expected = QosProfile { deadline: Some(20 * MS), ..QosProfile::SENSOR_DATA.keep_last(10) };
+        let expected =
+            QosProfile { deadline: Some(20 * MS + ROUNDING), ..QosProfile::SENSOR_DATA.keep_last(10) };
         assert_eq!(best(&mixed), expected);
 
         let subscription = peer(Direction::In, QosProfile::SENSOR_DATA);
@@ -188,7 +200,7 @@ mod tests {
         let expected = QosProfile {
             durability: Durability::TransientLocal,
             liveliness: Liveliness::ManualByTopic,
-            liveliness_lease_duration: Some(10 * MS),
+            liveliness_lease_duration: Some(10 * MS - ROUNDING),
             ..QosProfile::DEFAULT
         };
         assert_eq!(offered, expected);

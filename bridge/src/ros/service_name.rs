@@ -9,7 +9,7 @@ use std::fmt;
 
 /// The absolute name of a service, such as `/stand_up`.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct ServiceName(TopicName);
+pub struct ServiceName(pub(super) TopicName);
 
 impl ServiceName {
     /// The service that a node means by `name`, by the rules of [`TopicName::expand`].

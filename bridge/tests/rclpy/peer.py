@@ -11,9 +11,10 @@ import threading
 import time
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import NodeNameNonExistentError
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
 
@@ -23,7 +24,14 @@ def message_class(type_name):
 
 
 def profile(qos):
+    more = {}
+    if "deadline_ms" in qos:
+        more["deadline"] = Duration(nanoseconds=qos["deadline_ms"] * 1_000_000)
+    if "lease_ms" in qos:
+        more["liveliness_lease_duration"] = Duration(nanoseconds=qos["lease_ms"] * 1_000_000)
     return QoSProfile(
+        **more,
+        liveliness=LivelinessPolicy[qos.get("liveliness", "automatic").upper()],
         depth=qos.get("depth", 10),
         reliability=ReliabilityPolicy[qos.get("reliability", "reliable").upper()],
         durability=DurabilityPolicy[qos.get("durability", "volatile").upper()],

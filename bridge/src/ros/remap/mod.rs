@@ -8,7 +8,7 @@ mod rule;
 
 pub use rule::{Named, ParameterRule, Remap, RemapRule, RuleError};
 
-use super::{NameError, NodeName, TopicName};
+use super::{NameError, NodeName, ServiceName, TopicName};
 use std::sync::Arc;
 
 /// Remapping rules in their order: of several that apply to a name, the first one does.
@@ -68,12 +68,12 @@ impl RemapRules {
         self.name(topic, node, Named::Topic)
     }
 
-    /// The service that `node` means where it says `service`; names of services expand as those of topics do.
+    /// The service that `node` means where it says `service`.
     ///
     /// # Errors
     /// [`NameError`] when ROS 2 does not accept the new name.
-    pub fn service(&self, service: TopicName, node: &NodeName) -> Result<TopicName, NameError> {
-        self.name(service, node, Named::Service)
+    pub fn service(&self, service: ServiceName, node: &NodeName) -> Result<ServiceName, NameError> {
+        self.name(service.0, node, Named::Service).map(ServiceName)
     }
 
     fn name(&self, name: TopicName, node: &NodeName, kind: Named) -> Result<TopicName, NameError> {
@@ -110,7 +110,7 @@ mod tests {
         let node = NodeName::new(node.0, node.1).unwrap();
         let name = TopicName::expand(name, &node).unwrap();
         let topic = rules.topic(name.clone(), &node).unwrap();
-        (topic.to_string(), rules.service(name, &node).unwrap().to_string())
+        (topic.to_string(), rules.service(ServiceName(name), &node).unwrap().to_string())
     }
 
     fn both(name: &str) -> (String, String) {
