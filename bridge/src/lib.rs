@@ -12,3 +12,4 @@ pub mod edge;
 pub mod expose;
 pub mod middleware;
 pub mod ros;
+pub mod rosout;
