@@ -24,14 +24,18 @@ mod trace;
 use std::process::ExitCode;
 
 use cli::{BagCommand, Cli, Command, EmulateCommand};
+use logging::Log;
 use screen::Screen;
 
 /// Does what the command line says. An error is told on standard error and gives exit code 1.
 pub(crate) fn main(cli: Cli) -> ExitCode {
     let screen = Screen::new();
-    logging::start(&screen);
+    let log = match Log::start(&screen) {
+        Ok(log) => log,
+        Err(error) => return fail(&error),
+    };
     let result = match cli.command {
-        Command::Run(arguments) => run::run(&arguments, &screen),
+        Command::Run(arguments) => run::run(&arguments, &screen, &log),
         Command::Check(arguments) => check::check(&arguments),
         Command::Top(arguments) => top::top(&arguments),
         Command::Trace(arguments) => trace::trace(&arguments),
@@ -45,13 +49,16 @@ pub(crate) fn main(cli: Cli) -> ExitCode {
         }
     };
     screen.show(Vec::new());
+    log.close();
     match result {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("downbeat: {}", in_one_line(&error));
-            ExitCode::FAILURE
-        }
+        Err(error) => fail(&error),
     }
+}
+
+fn fail(error: &anyhow::Error) -> ExitCode {
+    eprintln!("downbeat: {}", in_one_line(error));
+    ExitCode::FAILURE
 }
 
 /// The error and its causes, without those that the text before them tells already.

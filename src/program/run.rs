@@ -4,14 +4,15 @@ use anyhow::Context;
 use downbeat::bridge::middleware::{MAX_DOMAIN_ID, ParticipantOptions};
 
 use super::cli::RunArguments;
+use super::logging::Log;
 use super::screen::Screen;
 use super::session::Session;
 use super::stop::Stop;
 
-pub(crate) fn run(arguments: &RunArguments, screen: &Screen) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &RunArguments, screen: &Screen, log: &Log) -> anyhow::Result<()> {
     let mut session = Session::new(arguments.parameters.read_robot(&arguments.robot)?)?;
     let options = participant_options(arguments.domain)?;
-    session.expose(&options)?;
+    session.expose(&options, log)?;
     if let Some(directory) = &arguments.record {
         session.record(directory, None, arguments.encoding)?;
     }

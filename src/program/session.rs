@@ -10,6 +10,7 @@ use downbeat::bags::{Compression, Recording, RecordingSummary, WriterOptions};
 use downbeat::bridge::expose::{self, BridgeStatus};
 use downbeat::bridge::middleware::{self, ParticipantOptions};
 use downbeat::bridge::ros::{Node, NodeName, Participant};
+use downbeat::bridge::rosout::RosoutPublisher;
 use downbeat::executor::{Core, CoreHandle, RunError};
 use downbeat::inspect::{InspectionServer, SocketDirectory};
 use downbeat::msgs::encoding::Encoding;
@@ -18,6 +19,7 @@ use downbeat::recorder::{self, WhenFull};
 use downbeat::robot::{Robot, RobotFile};
 
 use super::faults::Faults;
+use super::logging::Log;
 use super::screen::Screen;
 use super::statistics::Statistics;
 use super::status::{Sources, StatusBlock};
@@ -35,6 +37,8 @@ pub(crate) struct Session {
 struct Bridge {
     status: BridgeStatus,
     title: String,
+    /// Dropped before the node, so that the last lines are sent.
+    rosout: Option<RosoutPublisher>,
     /// In the graph of ROS 2 until it is dropped.
     node: Node,
 }
@@ -52,12 +56,19 @@ impl Session {
     }
 
     /// Shows to ROS 2 what the robot file exposes.
-    pub(crate) fn expose(&mut self, options: &ParticipantOptions) -> anyhow::Result<()> {
+    pub(crate) fn expose(&mut self, options: &ParticipantOptions, log: &Log) -> anyhow::Result<()> {
         let Robot { file, .. } = &self.robot;
         let exposures = self.robot.exposures()?;
         let name = NodeName::new(&file.namespace, &file.name)?;
         let title = format!("{name}   domain {}", options.domain_id);
+        log.name_by(&name);
         let node = Participant::join(options)?.create_node(name)?;
+        let rosout = if file.features.rosout {
+            Some(log.rosout.publish(&node)?)
+        } else {
+            log.rosout.turn_off();
+            None
+        };
         let status = expose::expose(&mut self.robot.core, &node, &exposures)?;
         for endpoint in status.endpoints() {
             let arrow = match endpoint.direction {
@@ -66,7 +77,7 @@ impl Session {
             };
             tracing::info!("exposed {arrow}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
         }
-        self.bridge = Some(Bridge { status, title, node });
+        self.bridge = Some(Bridge { status, title, rosout, node });
         Ok(())
     }
 
@@ -142,7 +153,7 @@ impl Session {
         let summary = recording.map(Recording::finish).transpose();
         if let Some(bridge) = bridge {
             // Off the graph before the last lines, which may be what a script waits for.
-            drop(bridge.node);
+            drop((bridge.rosout, bridge.node));
         }
         tell(&statistics, summary.as_ref().ok().and_then(Option::as_ref));
         summary.map(drop).context("the recording is not complete")

@@ -69,6 +69,7 @@
 //! - `[expose]`: topics that go `out` to ROS 2 or come `in`; a name, or a table with `topic`, `as` (another name in
 //!   ROS 2), `type` (checked if given) and `qos`: a preset (`default`, `sensor_data`, `latched`, …) or a table with
 //!   `preset`, `reliability`, `durability`, `history`, `depth`, `deadline_ms`.
+//! - `rosout` of `[expose]`: whether the log goes to `/rosout`; true unless given.
 //! - `[record]`: what `--record` writes: `topics`, "all" or a list; `compression`, "none" or "zstd";
 //!   `encoding`, how messages are serialised: "cdr" as ROS 2 does, "json", "cbor", "protobuf", "foxglove-protobuf",
 //!   "flatbuffers" or "foxglove-flatbuffers" (see [`downbeat_msgs::encoding`]).
@@ -96,7 +97,7 @@ mod parameters;
 
 pub use build::Robot;
 pub use file::{
-    Direction, ExposeEntry, LauncherChoice, LauncherEntry, ModuleEntry, RecordEntry, RobotFile,
+    Direction, ExposeEntry, LauncherChoice, LauncherEntry, ModuleEntry, NodeFeatures, RecordEntry, RobotFile,
     RobotFileError,
 };
 pub use kinds::{KINDS, Kind};

@@ -1,5 +1,6 @@
 //! Reading robot files; [`crate::robot`] says what they look like.
 
+mod features;
 mod launcher;
 mod module;
 mod place;
@@ -14,6 +15,7 @@ use downbeat_msgs::encoding::Encoding;
 use downbeat_msgs::qos::{Durability, History, QosProfile, Reliability};
 use toml::de::DeTable;
 
+pub use features::NodeFeatures;
 pub use launcher::{LauncherChoice, LauncherEntry};
 pub use module::ModuleEntry;
 pub(crate) use place::{Given, ParameterPlace, Place};
@@ -37,6 +39,8 @@ pub struct RobotFile {
     pub modules: Vec<ModuleEntry>,
     /// What ROS 2 sees.
     pub expose: Vec<ExposeEntry>,
+    /// What the ROS 2 node has besides.
+    pub features: NodeFeatures,
     /// What a recording holds.
     pub record: RecordEntry,
 }
@@ -121,10 +125,10 @@ impl RobotFile {
         robot.finish()?;
         let modules = root.require("module")?.list()?;
         let modules = modules.into_iter().map(module::module).collect::<Result<Vec<_>>>()?;
-        let expose = root.take("expose").map_or(Ok(Vec::new()), expose)?;
+        let (expose, features) = root.take("expose").map_or(Ok(Default::default()), expose)?;
         let record = root.take("record").map_or(Ok(RecordEntry::default()), record)?;
         root.finish()?;
-        Ok((Self { source, name, namespace, launcher, modules, expose, record }, parameter_files))
+        Ok((Self { source, name, namespace, launcher, modules, expose, features, record }, parameter_files))
     }
 
     /// The file's path.
@@ -146,7 +150,7 @@ impl Default for RecordEntry {
     }
 }
 
-fn expose(value: Value<'_>) -> Result<Vec<ExposeEntry>> {
+fn expose(value: Value<'_>) -> Result<(Vec<ExposeEntry>, NodeFeatures)> {
     let mut table = value.table("[expose]")?;
     let mut entries = Vec::new();
     for (key, direction) in [("out", Direction::Out), ("in", Direction::In)] {
@@ -154,8 +158,9 @@ fn expose(value: Value<'_>) -> Result<Vec<ExposeEntry>> {
             entries.push(expose_entry(value, direction)?);
         }
     }
+    let features = NodeFeatures::take(&mut table)?;
     table.finish()?;
-    Ok(entries)
+    Ok((entries, features))
 }
 
 fn expose_entry(value: Value<'_>, direction: Direction) -> Result<ExposeEntry> {

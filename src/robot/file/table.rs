@@ -89,6 +89,13 @@ impl<'a> Value<'a> {
         }
     }
 
+    pub(crate) fn switch(&self) -> Result<bool> {
+        match self.value.get_ref() {
+            DeValue::Boolean(switch) => Ok(*switch),
+            _ => Err(self.expected("true or false")),
+        }
+    }
+
     pub(crate) fn count(&self) -> Result<u32> {
         match self.setting()? {
             SettingValue::Integer(count) if count > 0 => {

@@ -45,6 +45,15 @@ fn a_recording_is_cdr_unless_the_file_names_another_encoding() {
     assert_eq!(problem, "robots/test.toml:6: unknown choice \"protobufs\", did you mean \"protobuf\"?");
 }
 
+#[test]
+fn the_log_goes_to_rosout_unless_the_file_says_otherwise() {
+    assert!(parse(ROBOT).unwrap().features.rosout);
+    assert!(parse(&format!("{ROBOT}[expose]")).unwrap().features.rosout);
+    assert!(!parse(&format!("{ROBOT}[expose]\nrosout = false")).unwrap().features.rosout);
+    let wrong = problem(&format!("{ROBOT}[expose]\nrosout = \"no\""));
+    assert!(wrong.contains(":6: expected true or false, found"), "{wrong}");
+}
+
 fn launcher(text: &str) -> LauncherEntry {
     parse(&format!("{ROBOT}{text}")).unwrap().launcher
 }
