@@ -167,6 +167,12 @@ impl ModuleCell {
         }
     }
 
+    /// Time has gone back to `now`.
+    #[cold]
+    pub(crate) fn go_back(&mut self, now: Time) {
+        self.io.timers.iter_mut().for_each(|timer| timer.go_back(now));
+    }
+
     /// When the next timer fires, the next task is due, or the next call is given up.
     pub(crate) fn next_due(&self) -> Time {
         if self.state != LifecycleState::Active || self.hold == Hold::Held {
