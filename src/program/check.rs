@@ -7,6 +7,7 @@ use downbeat::executor::{Core, TopicInfo};
 use downbeat::robot::{Direction, KINDS, Robot};
 
 use super::cli::CheckArguments;
+use super::session::add_diagnostics;
 
 pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<()> {
     if arguments.kinds {
@@ -20,7 +21,9 @@ fn check_robot(path: &Path, arguments: &CheckArguments) -> anyhow::Result<()> {
     for problem in file.thread_problems() {
         tracing::warn!("on this machine the robot does not run: {problem}");
     }
-    let robot = file.on_any_machine().build(Core::new())?;
+    let mut core = Core::new();
+    add_diagnostics(&mut core, &file)?;
+    let robot = file.on_any_machine().build(core)?;
     if arguments.dump_params {
         print!("{}", robot.parameters());
         return Ok(());

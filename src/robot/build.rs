@@ -39,6 +39,7 @@ impl RobotFile {
         let robot = Robot { file: self, core };
         robot.exposures()?;
         robot.recorded_topics()?;
+        robot.file.robot_description()?;
         Ok(robot)
     }
 

@@ -69,7 +69,11 @@
 //! - `[expose]`: topics that go `out` to ROS 2 or come `in`; a name, or a table with `topic`, `as` (another name in
 //!   ROS 2), `type` (checked if given) and `qos`: a preset (`default`, `sensor_data`, `latched`, …) or a table with
 //!   `preset`, `reliability`, `durability`, `history`, `depth`, `deadline_ms`.
-//! - `rosout` of `[expose]`: whether the log goes to `/rosout`; true unless given.
+//! - Also of `[expose]`: `rosout`, whether the log goes to `/rosout`, true unless given; `clock`, `"publish"` (or
+//!   `{ publish_hz = 100.0 }`, 40 unless given): the robot's time goes to `/clock`, or `"follow"`: the robot's time is that of
+//!   `/clock`, as with the parameter `use_sim_time`; `diagnostics`, whether the process tells of its modules and endpoints on the
+//!   topic `diagnostics`, true unless given (ROS 2 sees it where that topic is `out`); `robot_description`, a URDF file, relative
+//!   to this one, for the topic of that name.
 //! - `[record]`: what `--record` writes: `topics`, "all" or a list; `compression`, "none" or "zstd";
 //!   `encoding`, how messages are serialised: "cdr" as ROS 2 does, "json", "cbor", "protobuf", "foxglove-protobuf",
 //!   "flatbuffers" or "foxglove-flatbuffers" (see [`downbeat_msgs::encoding`]).
@@ -97,7 +101,7 @@ mod parameters;
 
 pub use build::Robot;
 pub use file::{
-    Direction, ExposeEntry, LauncherChoice, LauncherEntry, ModuleEntry, NodeFeatures, RecordEntry, RobotFile,
-    RobotFileError,
+    ClockChoice, Direction, ExposeEntry, LauncherChoice, LauncherEntry, ModuleEntry, NodeFeatures,
+    RecordEntry, RobotFile, RobotFileError,
 };
 pub use kinds::{KINDS, Kind};

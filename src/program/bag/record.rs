@@ -10,7 +10,7 @@ use downbeat::bridge::ros::{MessageType, Node, NodeName, Participant, Subscripti
 use downbeat::encoding::topic_info;
 use downbeat::msgs::encoding::Encoding;
 use downbeat::msgs::qos::QosProfile;
-use downbeat::robot::RobotFile;
+use downbeat::robot::{ClockChoice, RobotFile};
 
 use crate::program::cli::RecordArguments;
 use crate::program::run::participant_options;
@@ -22,7 +22,10 @@ pub(crate) fn record(arguments: &RecordArguments, screen: &Screen) -> anyhow::Re
     let compression = if arguments.zstd { Compression::Zstd } else { Compression::None };
     match &arguments.robot {
         Some(robot) => {
-            let mut session = Session::new(RobotFile::read(robot)?)?;
+            let mut file = RobotFile::read(robot)?;
+            // There is no node to hear `/clock` with.
+            file.features.clock = ClockChoice::Own;
+            let mut session = Session::new(file)?;
             session.record(&arguments.output, arguments.zstd.then_some(compression), arguments.encoding)?;
             session.run(&Stop::new(arguments.duration)?, screen)
         }

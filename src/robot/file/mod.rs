@@ -15,7 +15,7 @@ use downbeat_msgs::encoding::Encoding;
 use downbeat_msgs::qos::{Durability, History, QosProfile, Reliability};
 use toml::de::DeTable;
 
-pub use features::NodeFeatures;
+pub use features::{ClockChoice, NodeFeatures};
 pub use launcher::{LauncherChoice, LauncherEntry};
 pub use module::ModuleEntry;
 pub(crate) use place::{Given, ParameterPlace, Place};
