@@ -61,7 +61,7 @@ fn what_cannot_be_done_is_refused_with_what_to_do() {
 
 #[test]
 fn rclpy_hears_the_log_of_the_robot_unless_the_robot_file_says_no() {
-    for (domain, is_on) in [(111, true), (112, false)] {
+    for (domain, is_on) in [(181, true), (182, false)] {
         let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
         let folder = tempfile::tempdir().unwrap();
         let with = |text: String| text.replace("[expose]", &format!("[expose]\nrosout = {is_on}"));

@@ -43,9 +43,9 @@ fn diagnostics(peer: &mut Peer, names: &[&str]) -> BTreeMap<String, (u64, String
 
 #[test]
 fn rclpy_hears_how_the_process_is_and_what_the_robot_looks_like() {
-    let Some(mut peer) = peer(115) else { return };
+    let Some(mut peer) = peer(185) else { return };
     let folder = tempfile::tempdir().unwrap();
-    let mut robot = run(115, folder.path(), "robot_description = \"stick.urdf\"");
+    let mut robot = run(185, folder.path(), "robot_description = \"stick.urdf\"");
     let kind = "diagnostic_msgs/msg/DiagnosticArray";
     peer.ask(json!({"do": "subscribe", "topic": "/diagnostics", "type": kind}));
     let names = [
@@ -70,9 +70,9 @@ fn rclpy_hears_how_the_process_is_and_what_the_robot_looks_like() {
 
 #[test]
 fn the_time_of_a_robot_is_published_where_its_file_says_so() {
-    let Some(mut peer) = peer(116) else { return };
+    let Some(mut peer) = peer(186) else { return };
     let folder = tempfile::tempdir().unwrap();
-    let mut robot = run(116, folder.path(), "clock = { publish_hz = 100.0 }");
+    let mut robot = run(186, folder.path(), "clock = { publish_hz = 100.0 }");
     let qos = json!({"depth": 10, "reliability": "best_effort"});
     peer.ask(json!({"do": "subscribe", "topic": "/clock", "type": "rosgraph_msgs/msg/Clock", "qos": qos}));
     let times = peer.take("/clock", 20);
@@ -84,9 +84,9 @@ fn the_time_of_a_robot_is_published_where_its_file_says_so() {
 
 #[test]
 fn a_robot_that_follows_the_time_of_another_stamps_its_messages_with_it() {
-    let Some(mut peer) = peer(117) else { return };
+    let Some(mut peer) = peer(187) else { return };
     let folder = tempfile::tempdir().unwrap();
-    let mut robot = run(117, folder.path(), "clock = \"follow\"");
+    let mut robot = run(187, folder.path(), "clock = \"follow\"");
     peer.ask(json!({"do": "advertise", "topic": "/clock", "type": "rosgraph_msgs/msg/Clock"}));
     let kind = "sensor_msgs/msg/JointState";
     peer.ask(json!({"do": "subscribe", "topic": "/joint_states", "type": kind}));

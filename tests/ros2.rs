@@ -6,6 +6,7 @@ mod common;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{Running, robot_file, wait_until};
 use downbeat::bags::{Reader, Selection};
@@ -43,6 +44,7 @@ fn position(fields: &Value, joint: &str) -> f64 {
 #[test]
 fn the_node_is_listed_with_its_topics_types_and_qos() {
     let Some(mut peer) = peer(60) else { return };
+    let _check = check("Graph", "the robot of the demo with all its topics", With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
     let mut robot = run(60, folder.path(), &[]);
     wait_until("the node is listed", || has(&peer.ask(json!({"do": "nodes"})), "/darwin_op"));
@@ -120,6 +122,7 @@ fn joint_states_arrive_at_125_hz_without_loss() {
 #[test]
 fn commands_from_rclpy_move_the_joints_they_name_until_two_seconds_after_the_last_one() {
     let Some(mut peer) = peer(64) else { return };
+    let _check = check("Topics", "commands move the joints of the demo", With::Rclpy, Way::In);
     let folder = tempfile::tempdir().unwrap();
     let mut robot = run(64, folder.path(), &[]);
     let of_joint_states = json!({"do": "subscribe", "topic": "/joint_states", "type": JOINT_STATE});
@@ -165,6 +168,7 @@ fn commands_from_rclpy_move_the_joints_they_name_until_two_seconds_after_the_las
 fn the_node_leaves_the_graph_within_two_seconds_of_a_signal() {
     for (domain, signal) in [(65, "-INT"), (66, "-TERM")] {
         let Some(mut peer) = peer(domain) else { return };
+        let _check = check("Graph", "the program leaves at once when it is stopped", With::Rclpy, Way::Out);
         let folder = tempfile::tempdir().unwrap();
         let mut robot = run(domain, folder.path(), &[]);
         wait_until("the node is listed", || has(&peer.ask(json!({"do": "nodes"})), "/darwin_op"));

@@ -59,7 +59,7 @@ fn encode<T: Cdr + Serialize>(group: &mut Group<'_>, message: &T, bytes: &[u8]) 
     group.bench_function("memcpy", |bencher| bencher.iter(|| black_box(bytes).to_vec()));
 }
 
-fn decode<T: for<'a> FromReader<'a> + DeserializeOwned>(group: &mut Group<'_>, bytes: &[u8]) {
+fn decode<T: Clone + for<'a> FromReader<'a> + DeserializeOwned>(group: &mut Group<'_>, bytes: &[u8]) {
     group.bench_function("downbeat", |bencher| {
         bencher.iter(|| cdr::from_slice::<T>(black_box(bytes)).unwrap());
     });
@@ -71,6 +71,9 @@ fn decode<T: for<'a> FromReader<'a> + DeserializeOwned>(group: &mut Group<'_>, b
         bencher.iter(|| ::cdr::deserialize::<T>(black_box(bytes)).unwrap());
     });
     group.bench_function("memcpy", |bencher| bencher.iter(|| black_box(bytes).to_vec()));
+    // What the memory of the message costs, whoever reads it.
+    let message: T = cdr::from_slice(bytes).unwrap();
+    group.bench_function("clone of the message", |bencher| bencher.iter(|| black_box(&message).clone()));
 }
 
 fn header() -> Header {

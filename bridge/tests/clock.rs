@@ -156,8 +156,8 @@ fn the_time_of_the_core_is_published_while_somebody_hears_it() {
 
 #[test]
 fn rclpy_hears_the_time_of_the_core() {
-    let Some(mut rclpy) = Peer::start(113, "LOCALHOST") else { return };
-    let participant = Participant::join(&on_loopback(113)).unwrap();
+    let Some(mut rclpy) = Peer::start(183, "LOCALHOST") else { return };
+    let participant = Participant::join(&on_loopback(183)).unwrap();
     let node = participant.create_node(NodeName::new("/", "downbeat").unwrap()).unwrap();
     let mut core = Core::new();
     clock::publish(&mut core, &node, Duration::from_millis(10)).unwrap();
@@ -182,8 +182,8 @@ fn rclpy_hears_the_time_of_the_core() {
 
 #[test]
 fn the_core_follows_the_time_that_rclpy_publishes() {
-    let Some(mut rclpy) = Peer::start(114, "LOCALHOST") else { return };
-    let participant = Participant::join(&on_loopback(114)).unwrap();
+    let Some(mut rclpy) = Peer::start(184, "LOCALHOST") else { return };
+    let participant = Participant::join(&on_loopback(184)).unwrap();
     let node = participant.create_node(NodeName::new("/", "downbeat").unwrap()).unwrap();
     let clock = FollowedClock::new();
     let (core, following) = Following::start(&clock, &node);

@@ -9,7 +9,6 @@ use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::ros::{NodeName, Participant};
 use downbeat_executor::{Core, ManualClock, Module, Received, Setup, SetupError, Time};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
-use downbeat_msgs::qos::QosProfile;
 use std::sync::Arc;
 use std::sync::mpsc::{Sender, channel};
 use std::time::Duration;
@@ -43,13 +42,8 @@ fn once_a_second_modules_endpoints_and_what_else_is_watched_are_told_with_their_
     core.add("listener", Listener(sender)).unwrap();
     let participant = Participant::on(Arc::new(Hub::new().join())).unwrap();
     let node = participant.create_node(NodeName::new("/", "robot").unwrap()).unwrap();
-    let exposure = Exposure {
-        topic: "diagnostics".into(),
-        ros_topic: Some("/diagnostics".into()),
-        message_type: KnownType::named("diagnostic_msgs/msg/DiagnosticArray").unwrap(),
-        direction: Direction::Out,
-        qos: QosProfile::DEFAULT,
-    };
+    let kind = KnownType::named("diagnostic_msgs/msg/DiagnosticArray").unwrap();
+    let exposure = Exposure::new("diagnostics", kind, Direction::Out);
     diagnostics.watch_endpoints(expose(&mut core, &node, &[exposure]).unwrap());
     diagnostics
         .watch(|| vec![DiagnosticStatus { name: "robot: disk".into(), ..DiagnosticStatus::default() }]);

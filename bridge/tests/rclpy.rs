@@ -3,6 +3,7 @@
 
 mod common;
 
+use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{next, on_loopback, wait_until};
 use downbeat_bridge::edge::KnownType;
@@ -67,6 +68,9 @@ fn lists(answer: &Value, entry: &str) -> bool {
 #[test]
 fn rclpy_lists_our_node_with_its_topics_types_and_qos() {
     let Some(mut rclpy) = Peer::start(26, "LOCALHOST") else { return };
+    let _nodes = check("Graph", "node names", With::Rclpy, Way::Out);
+    let _endpoints =
+        check("Graph", "topics of a node with type, reliability, durability", With::Rclpy, Way::Out);
     let (_participant, node) = downbeat(26);
     let _states = node.publish("/joint_states", &joint_state(), QosProfile::DEFAULT).unwrap();
     let _text = node.publish("~/text", &string(), TRANSIENT_LOCAL).unwrap();
@@ -110,6 +114,7 @@ fn rclpy_lists_our_node_with_its_topics_types_and_qos() {
 #[test]
 fn what_we_publish_reaches_rclpy_unchanged() {
     let Some(mut rclpy) = Peer::start(27, "LOCALHOST") else { return };
+    let _check = check("Topics", "reliable messages to the byte", With::Rclpy, Way::Out);
     let (_participant, node) = downbeat(27);
     rclpy.ask(json!({
         "do": "subscribe", "topic": "/joint_states", "type": "sensor_msgs/msg/JointState", "qos": {"depth": 100},
@@ -137,6 +142,7 @@ fn what_we_publish_reaches_rclpy_unchanged() {
 #[test]
 fn what_rclpy_publishes_reaches_us_unchanged() {
     let Some(mut rclpy) = Peer::start(28, "LOCALHOST") else { return };
+    let _check = check("Topics", "reliable messages to the byte", With::Rclpy, Way::In);
     let (_participant, node) = downbeat(28);
     let (commands, samples) = subscribe(&node, "/joint_commands", &joint_state(), QosProfile::DEFAULT);
     rclpy.ask(json!({"do": "advertise", "topic": "/joint_commands", "type": "sensor_msgs/msg/JointState"}));
@@ -163,6 +169,7 @@ fn what_rclpy_publishes_reaches_us_unchanged() {
 #[test]
 fn our_node_is_gone_from_rclpy_within_two_seconds_of_our_leaving() {
     let Some(mut rclpy) = Peer::start(29, "LOCALHOST") else { return };
+    let _check = check("Graph", "a node that leaves is gone at once", With::Rclpy, Way::Out);
     let (participant, node) = downbeat(29);
     let states = node.publish("/joint_states", &joint_state(), QosProfile::DEFAULT).unwrap();
     let commands = subscribe(&node, "/joint_commands", &joint_state(), QosProfile::DEFAULT);
@@ -177,6 +184,8 @@ fn our_node_is_gone_from_rclpy_within_two_seconds_of_our_leaving() {
 #[test]
 fn we_name_the_node_of_rclpy_and_its_topics_until_it_leaves() {
     let Some(mut rclpy) = Peer::start(31, "LOCALHOST") else { return };
+    let _nodes = check("Graph", "node names", With::Rclpy, Way::In);
+    let _gone = check("Graph", "a node that leaves is gone at once", With::Rclpy, Way::In);
     let (participant, node) = downbeat(31);
     let (text, _samples) = subscribe(&node, "/text", &string(), QosProfile::DEFAULT);
     rclpy.ask(json!({"do": "advertise", "topic": "/text", "type": "std_msgs/msg/String"}));
@@ -199,6 +208,8 @@ fn we_name_the_node_of_rclpy_and_its_topics_until_it_leaves() {
 #[test]
 fn transient_local_messages_reach_those_that_come_late() {
     let Some(mut rclpy) = Peer::start(32, "LOCALHOST") else { return };
+    let _out = check("Topics", "latched messages to late joiners", With::Rclpy, Way::Out);
+    let _in = check("Topics", "latched messages to late joiners", With::Rclpy, Way::In);
     let (_participant, node) = downbeat(32);
     let latched = json!({"durability": "transient_local", "depth": 1});
     let ours = node.publish("/ours", &string(), QosProfile::LATCHED).unwrap();
@@ -241,16 +252,16 @@ impl Module for Robot {
 #[test]
 fn a_running_core_is_seen_and_driven_from_rclpy_and_leaves_at_once() {
     let Some(mut rclpy) = Peer::start(33, "LOCALHOST") else { return };
+    let _check = check("Topics", "topics of a running core at 125 Hz without loss", With::Rclpy, Way::Both);
     let (participant, node) = downbeat(33);
     let mut core = Core::new();
     let (sender, commands) = channel();
     core.add("robot", Robot { count: 0, commands: sender }).unwrap();
+    let joint_state = KnownType::named("sensor_msgs/msg/JointState").unwrap();
     let exposure = |topic: &str, direction| Exposure {
-        topic: topic.into(),
         ros_topic: Some(format!("/{topic}")),
-        message_type: KnownType::named("sensor_msgs/msg/JointState").unwrap(),
-        direction,
-        qos: QosProfile::DEFAULT.keep_last(100),
+        qos: QosProfile::DEFAULT.keep_last(100).into(),
+        ..Exposure::new(topic, joint_state, direction)
     };
     let exposures = [exposure("joint_states", Direction::Out), exposure("joint_commands", Direction::In)];
     let status = expose(&mut core, &node, &exposures).unwrap();
@@ -295,6 +306,7 @@ fn a_running_core_is_seen_and_driven_from_rclpy_and_leaves_at_once() {
 fn a_subscriber_that_was_killed_does_not_stop_the_others() {
     let Some(mut killed) = Peer::start(34, "LOCALHOST") else { return };
     let Some(mut rclpy) = Peer::start(34, "LOCALHOST") else { return };
+    let _check = check("Faults", "a killed subscriber does not stop the others", With::Rclpy, Way::Out);
     let (_participant, node) = downbeat(34);
     let text = node.publish("/text", &string(), QosProfile::DEFAULT).unwrap();
     let subscribe =

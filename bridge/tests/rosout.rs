@@ -8,7 +8,7 @@ use common::{on_loopback, wait_until};
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::middleware::{
     Endpoint, Gid, Middleware, MiddlewareError, Reader, RemoteEndpoint, Sample, SampleHandler, WriteError,
-    Writer,
+    WriteOptions, Writer,
 };
 use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant};
 use downbeat_bridge::rosout::{Rosout, RosoutError, RosoutStatus};
@@ -144,7 +144,15 @@ impl Writer for BrokenWriter {
         self.0.matched()
     }
 
-    fn write(&self, _cdr: bytes::Bytes) -> Result<(), WriteError> {
+    fn matched_readers(&self) -> Vec<Gid> {
+        self.0.matched_readers()
+    }
+
+    fn on_match(&self, handler: Box<dyn Fn() + Send + Sync>) {
+        self.0.on_match(handler);
+    }
+
+    fn write_with(&self, _cdr: bytes::Bytes, _options: WriteOptions) -> Result<i64, WriteError> {
         tracing::error!("the engine cannot send");
         Err(WriteError::WindowFull)
     }
@@ -177,8 +185,8 @@ fn a_line_that_cannot_be_sent_does_not_become_another_line() {
 fn rclpy_that_comes_late_hears_the_earlier_lines_with_all_they_say() {
     let rosout = Rosout::new();
     let log = tracing_subscriber::registry().with(rosout.layer()).set_default();
-    let Some(mut rclpy) = Peer::start(110, "LOCALHOST") else { return };
-    let participant = Participant::join(&on_loopback(110)).unwrap();
+    let Some(mut rclpy) = Peer::start(180, "LOCALHOST") else { return };
+    let participant = Participant::join(&on_loopback(180)).unwrap();
     let node = participant.create_node(NodeName::new("/robot", "downbeat").unwrap()).unwrap();
     let publishing = rosout.publish(&node).unwrap();
     let line = line!() + 1;

@@ -12,9 +12,9 @@ use downbeat::bridge::diagnostics::ProcessDiagnostics;
 use downbeat::bridge::expose::{self, BridgeStatus};
 use downbeat::bridge::middleware::{self, ParticipantOptions};
 use downbeat::bridge::robot_description::RobotDescription;
-use downbeat::bridge::ros::{Node, NodeName, Participant};
+use downbeat::bridge::ros::Participant;
 use downbeat::bridge::rosout::RosoutPublisher;
-use downbeat::executor::{Core, CoreHandle, RunError};
+use downbeat::executor::{Core, RunError};
 use downbeat::inspect::{InspectionServer, SocketDirectory};
 use downbeat::msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
 use downbeat::msgs::encoding::Encoding;
@@ -23,6 +23,7 @@ use downbeat::recorder::{self, WhenFull};
 use downbeat::robot::{ClockChoice, Robot, RobotFile};
 
 use super::faults::Faults;
+use super::inspected::InspectedRobot;
 use super::logging::Log;
 use super::screen::Screen;
 use super::statistics::Statistics;
@@ -48,8 +49,8 @@ struct Bridge {
     _description: Option<RobotDescription>,
     /// Dropped before the node, so that the last lines are sent.
     _rosout: Option<RosoutPublisher>,
-    /// In the graph of ROS 2 until it is dropped.
-    _node: Node,
+    /// Its node is in the graph of ROS 2 until it is dropped.
+    bridge: expose::Bridge,
 }
 
 const REFRESH: Duration = Duration::from_millis(250);
@@ -58,7 +59,7 @@ const LOG_INTERVAL: Duration = Duration::from_secs(10);
 impl Session {
     pub(crate) fn new(file: RobotFile) -> anyhow::Result<Self> {
         let statistics = Arc::new(Statistics::default());
-        let clock = (file.features.clock == ClockChoice::Follow).then(FollowedClock::new);
+        let clock = (file.expose.features.clock == ClockChoice::Follow).then(FollowedClock::new);
         let mut core = Core::new().with_probe(Arc::clone(&statistics) as _);
         if let Some(clock) = &clock {
             core = core.with_clock(clock.clone());
@@ -73,11 +74,12 @@ impl Session {
     pub(crate) fn expose(&mut self, options: &ParticipantOptions, log: &Log) -> anyhow::Result<()> {
         let Robot { file, .. } = &self.robot;
         let exposures = self.robot.exposures()?;
-        let name = NodeName::new(&file.namespace, &file.name)?;
-        let title = format!("{name}   domain {}", options.domain_id);
-        log.name_by(&name);
-        let node = Participant::join(options)?.create_node(name)?;
-        let rosout = if file.features.rosout {
+        let participant = Participant::join_with(options, file.remaps.clone())?;
+        let node = participant.create_node(file.given_node_name()?)?;
+        let title = format!("{}   domain {}", node.name(), options.domain_id);
+        let features = &file.expose.features;
+        log.name_by(node.name());
+        let rosout = if features.rosout && !file.is_rosout_disabled {
             Some(log.rosout.publish(&node)?)
         } else {
             log.rosout.turn_off();
@@ -85,16 +87,16 @@ impl Session {
         };
         let urdf = file.robot_description()?;
         let description = urdf.map(|urdf| RobotDescription::publish(&node, &urdf)).transpose()?;
-        if let ClockChoice::Publish(period) = file.features.clock {
+        if let ClockChoice::Publish(period) = features.clock {
             clock::publish(&mut self.robot.core, &node, period)?;
         }
         let handle = self.robot.core.handle();
         let following = self.clock.as_ref().map(|clock| clock.follow(&node, &handle)).transpose()?;
-        let status = expose::expose(&mut self.robot.core, &node, &exposures)?;
+        let bridge = expose::Bridge::start(&mut self.robot.core, &node, &exposures)?;
         if let Some(diagnostics) = &self.diagnostics {
-            diagnostics.watch_endpoints(status.clone());
+            diagnostics.watch_endpoints(bridge.status());
         }
-        for endpoint in status.endpoints() {
+        for endpoint in bridge.status().endpoints() {
             let arrow = match endpoint.direction {
                 middleware::Direction::Out => "to ROS 2",
                 middleware::Direction::In => "from ROS 2",
@@ -102,12 +104,12 @@ impl Session {
             tracing::info!("exposed {arrow}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
         }
         self.bridge = Some(Bridge {
-            status,
+            status: bridge.status(),
             title,
             _following: following,
             _description: description,
             _rosout: rosout,
-            _node: node,
+            bridge,
         });
         Ok(())
     }
@@ -128,13 +130,10 @@ impl Session {
         let recording = Recording::start(writer, Recording::DEFAULT_QUEUE_BYTES)
             .context("cannot start the thread that writes the bag")?;
         let topics = self.robot.recorded_topics()?;
-        let exposed: Vec<_> = file
-            .expose
-            .iter()
-            .map(|entry| (entry.topic.trim_start_matches('/').to_owned(), entry.qos))
-            .collect();
+        let exposed = self.robot.exposures()?;
         let qos_of = |name: &str| {
-            exposed.iter().find(|(topic, _)| topic == name).map_or(QosProfile::DEFAULT, |&(_, qos)| qos)
+            let exposure = exposed.iter().find(|exposure| exposure.topic == name);
+            exposure.and_then(|exposure| exposure.qos.profile()).unwrap_or(QosProfile::DEFAULT)
         };
         let encoding = encoding.unwrap_or(file.record.encoding);
         if let Some(diagnostics) = &self.diagnostics {
@@ -156,7 +155,13 @@ impl Session {
             .name("core".into())
             .spawn(move || core.run())
             .context("cannot start the thread of the core")?;
-        let inspection = inspection(&file.name, &handle);
+        let file = Arc::new(file);
+        let inspected = InspectedRobot {
+            core: handle.clone(),
+            bridge: bridge.as_ref().map(|bridge| bridge.bridge.clone()),
+            file: Arc::clone(&file),
+        };
+        let inspection = inspection(&file.name, inspected);
         let title = bridge.as_ref().map_or_else(|| file.name.clone(), |bridge| bridge.title.clone());
         let mut block = StatusBlock::new(Sources {
             title: if file.is_emulated() { format!("{title}   emulated") } else { title },
@@ -202,7 +207,7 @@ pub(crate) fn add_diagnostics(
     file: &RobotFile,
 ) -> anyhow::Result<Option<ProcessDiagnostics>> {
     let add = || ProcessDiagnostics::add(core, &file.name);
-    Ok(file.features.diagnostics.then(add).transpose()?)
+    Ok(file.expose.features.diagnostics.then(add).transpose()?)
 }
 
 fn recording_status(name: &str, statistics: &RecordingStatistics) -> DiagnosticStatus {
@@ -229,9 +234,9 @@ fn recording_status(name: &str, statistics: &RecordingStatistics) -> DiagnosticS
 }
 
 /// A robot that nobody can look at runs all the same.
-fn inspection(name: &str, handle: &CoreHandle) -> Option<InspectionServer> {
+fn inspection(name: &str, robot: InspectedRobot) -> Option<InspectionServer> {
     let open = || -> anyhow::Result<_> {
-        Ok(InspectionServer::start(&SocketDirectory::open()?, name, Arc::new(handle.clone()))?)
+        Ok(InspectionServer::start(&SocketDirectory::open()?, name, Arc::new(robot))?)
     };
     open().inspect_err(|error| tracing::warn!("`downbeat top` will not see this robot: {error}")).ok()
 }

@@ -1,5 +1,6 @@
 //! Developer commands: `cargo xtask test` runs everything that has to hold before a change lands.
 
+mod matrix;
 mod python;
 mod steps;
 mod test;

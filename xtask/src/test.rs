@@ -2,6 +2,7 @@
 
 use std::process::Command;
 
+use crate::matrix::Notes;
 use crate::python;
 use crate::steps::{Steps, run};
 
@@ -18,6 +19,10 @@ pub(crate) fn test() -> anyhow::Result<()> {
     steps.step("clippy", || {
         run(&mut cargo(&["clippy", "--workspace", "--all-targets", "--", "--deny", "warnings"]))
     });
+    steps.step("messages without optional packages", || {
+        let package = ["clippy", "--package", "downbeat-msgs", "--no-default-features"];
+        run(cargo(&package).args(["--", "--deny", "warnings"]))
+    });
     let has_nextest = cargo(&["nextest", "--version"]).output().is_ok_and(|output| output.status.success());
     let tests: &[&str] = if has_nextest {
         &["nextest", "run", "--workspace"]
@@ -25,9 +30,13 @@ pub(crate) fn test() -> anyhow::Result<()> {
         // One at a time: robots at 125 Hz with real peers beside them want the machine's cores.
         &["test", "--workspace", "--lib", "--bins", "--tests", "--", "--test-threads=1"]
     };
+    let notes = Notes::new()?;
     steps.step("tests, with real ROS 2 and others' bag readers", || {
-        run(cargo(tests).env("DOWNBEAT_PYTHON", &python).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"))
+        let mut command = cargo(tests);
+        command.env("DOWNBEAT_PYTHON", &python).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
+        run(command.env("DOWNBEAT_MATRIX", notes.folder()))
     });
+    steps.step("what works with ROS 2", || notes.compare());
     steps.step("documentation tests", || run(&mut cargo(&["test", "--workspace", "--doc", "--quiet"])));
     steps.step("documentation", || {
         let arguments = ["doc", "--workspace", "--no-deps", "--quiet"];

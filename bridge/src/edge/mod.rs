@@ -8,10 +8,12 @@
 //!
 //! Nothing here knows DDS.
 
+mod core_access;
 mod inlet;
 mod known_type;
 mod subscription;
 
-pub use inlet::{EncodedInlet, EncodedInletError};
+pub use core_access::CoreAccess;
+pub use inlet::{EncodedInlet, EncodedInletError, Waiting};
 pub use known_type::{KnownType, UnknownType};
-pub use subscription::Sink;
+pub use subscription::{Offered, Sink};

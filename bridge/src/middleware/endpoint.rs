@@ -1,8 +1,9 @@
 //! What an endpoint is, what it carries, and who it is.
 
 use bytes::Bytes;
-use downbeat_msgs::qos::{Durability, QosProfile, Reliability};
+use downbeat_msgs::qos::{Durability, Liveliness, QosProfile, Reliability};
 use std::fmt;
+use std::time::Duration;
 
 /// The identity of a participant or an endpoint: on DDS its GUID, 12 bytes of participant and 4 of endpoint.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
@@ -15,6 +16,12 @@ impl Gid {
         let mut prefix = [0; 12];
         prefix.copy_from_slice(&self.0[..12]);
         prefix
+    }
+
+    /// The two bytes with which the identities of all participants of one DDS implementation begin (RTPS 2.5, 9.3.1.5).
+    #[must_use]
+    pub fn vendor(self) -> [u8; 2] {
+        [self.0[0], self.0[1]]
     }
 }
 
@@ -75,6 +82,31 @@ pub struct Sample {
     pub writer: Gid,
     /// Its number among the samples of its writer, from 1.
     pub sequence_number: i64,
+    /// The sample it belongs to, if its writer named one: of a reply, the request.
+    pub related: Option<SampleIdentity>,
+}
+
+/// Names one sample: who wrote it, and its number there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct SampleIdentity {
+    /// The writer; in requests of ROS 2 the reader that waits for the reply.
+    pub endpoint: Gid,
+    /// The number, or [`UNKNOWN_NUMBER`](Self::UNKNOWN_NUMBER).
+    pub number: i64,
+}
+
+impl SampleIdentity {
+    /// Stands where no number is known (`SEQUENCENUMBER_UNKNOWN`, RTPS 2.5, 9.3.2).
+    pub const UNKNOWN_NUMBER: i64 = -(1 << 32);
+}
+
+/// What a sample is written with besides its payload.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WriteOptions {
+    /// The sample it belongs to.
+    pub related: Option<SampleIdentity>,
+    /// The only reader that is to receive it; nothing for all that are matched.
+    pub only_to: Option<Gid>,
 }
 
 /// Which way samples go through an endpoint, seen from its owner.
@@ -101,6 +133,12 @@ pub struct RemoteEndpoint {
     pub reliability: Reliability,
     /// Offered or requested durability.
     pub durability: Durability,
+    /// The longest time between two samples that it offers or accepts.
+    pub deadline: Option<Duration>,
+    /// Offered or requested liveliness.
+    pub liveliness: Liveliness,
+    /// How long a publisher may be silent before it counts as gone.
+    pub liveliness_lease_duration: Option<Duration>,
     /// The hash of the type, `RIHS01_` and 64 hex digits, where the peer tells it.
     pub type_hash: Option<String>,
 }

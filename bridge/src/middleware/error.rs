@@ -39,6 +39,9 @@ pub enum MiddlewareError {
     /// The thread that serves the readers could not start.
     #[error("starting the DDS reader thread failed: {0}")]
     ReaderThread(#[from] std::io::Error),
+    /// The thread that runs the handlers of services could not start.
+    #[error("starting the thread of the services failed: {0}")]
+    ServiceThread(std::io::Error),
     /// The engine panicked; the participant must not be used any more.
     #[error("the DDS engine panicked while {doing}; restart the bridge")]
     Panicked {
@@ -60,6 +63,16 @@ pub enum WriteError {
     Encapsulation {
         /// The first bytes of the payload, at most four.
         found: Vec<u8>,
+    },
+    /// The engine cannot say to which other sample so large a sample belongs.
+    #[error(
+        "a sample that names another (a reply) may have {limit} bytes on this DDS engine, this one has {length}"
+    )]
+    TooLargeToNameAnother {
+        /// The length of the payload.
+        length: usize,
+        /// The greatest length.
+        limit: usize,
     },
     /// The engine failed.
     #[error("the DDS engine failed: {0}")]

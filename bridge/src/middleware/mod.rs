@@ -6,16 +6,18 @@
 //!
 //! Two engines implement [`Middleware`]: [`dds`] (rustdds, speaks RTPS with every ROS 2 node) and [`in_process`]
 //! (a hub in memory: tests without a network, and `ROS_AUTOMATIC_DISCOVERY_RANGE=OFF`). One suite of tests,
-//! `tests/conformance.rs`, holds for both. Requests and replies will be a third kind of endpoint here.
+//! `tests/conformance.rs`, holds for both. Requests and replies ([`rpc`]) are made of samples that name the sample they
+//! belong to; `tests/requests.rs` holds for them.
 
 pub mod dds;
 pub mod in_process;
+pub mod rpc;
 
 mod endpoint;
 mod error;
 mod options;
 
-pub use endpoint::{Direction, Endpoint, Gid, RemoteEndpoint, Sample};
+pub use endpoint::{Direction, Endpoint, Gid, RemoteEndpoint, Sample, SampleIdentity, WriteOptions};
 pub use error::{MiddlewareError, OptionsError, WriteError};
 pub use options::{DiscoveryRange, MAX_DOMAIN_ID, ParticipantOptions};
 
@@ -26,6 +28,10 @@ use std::time::Duration;
 /// Receives the samples of one reader, in the order of each writer. It runs on a thread of the middleware that
 /// all readers of the participant share, so it must hand over and return.
 pub type SampleHandler = Box<dyn FnMut(Sample) + Send>;
+
+/// Is told that an endpoint was matched, or is matched no more. It runs on a thread of the middleware, so it must hand
+/// over and return.
+pub type MatchHandler = Box<dyn Fn() + Send + Sync>;
 
 /// A participant of a domain: creates endpoints, and knows those of others. It does not hear itself: its own readers
 /// neither match nor receive what its own writers write.
@@ -64,12 +70,26 @@ pub trait Writer: Send + Sync {
     /// How many readers receive what is written now.
     fn matched(&self) -> usize;
 
+    /// Which readers receive what is written now.
+    fn matched_readers(&self) -> Vec<Gid>;
+
+    /// Has `handler` called whenever the matched readers have changed, from now on. It replaces the one before.
+    fn on_match(&self, handler: MatchHandler);
+
     /// Writes one sample, stamped with the present time. Never blocks: a sample that does not fit the send window
     /// (a reliable reader has died and its lease still runs) is refused.
     ///
     /// # Errors
     /// [`WriteError`] when this sample was not written.
-    fn write(&self, cdr: Bytes) -> Result<(), WriteError>;
+    fn write(&self, cdr: Bytes) -> Result<(), WriteError> {
+        self.write_with(cdr, WriteOptions::default()).map(drop)
+    }
+
+    /// The same, with options. Returns the number of the sample, from 1.
+    ///
+    /// # Errors
+    /// [`WriteError`] when this sample was not written.
+    fn write_with(&self, cdr: Bytes, options: WriteOptions) -> Result<i64, WriteError>;
 
     /// Waits until every matched reliable reader has acknowledged all samples, or for `timeout`; tells which.
     fn flush(&self, timeout: Duration) -> bool;
@@ -82,6 +102,12 @@ pub trait Reader: Send + Sync {
 
     /// How many writers are heard now.
     fn matched(&self) -> usize;
+
+    /// Which writers are heard now.
+    fn matched_writers(&self) -> Vec<Gid>;
+
+    /// Has `handler` called whenever the matched writers have changed, from now on. It replaces the one before.
+    fn on_match(&self, handler: MatchHandler);
 }
 
 /// Joins the domain that the options name: over DDS, or alone when discovery is off.

@@ -1,9 +1,19 @@
 //! ROS 2 on top of raw topics: names, nodes, and the graph that tools show.
 
+mod client;
 mod graph;
 mod names;
 mod node;
+mod qos;
+mod remap;
+mod service;
+mod service_name;
 
+pub use client::{Client, RawClient};
 pub use graph::{RemoteNode, RemoteTopic};
 pub use names::{MessageType, NameError, NodeName, TopicName};
 pub use node::{Node, NodeError, Participant, Publisher, Subscription};
+pub use qos::{Policy, QosRequest};
+pub use remap::{Named, ParameterRule, Remap, RemapRule, RemapRules, RuleError};
+pub use service::{Reply, Service};
+pub use service_name::{ServiceName, ServiceType};

@@ -1,14 +1,16 @@
 //! A participant as ROS 2 sees it: nodes with publishers and subscriptions.
 
 use super::graph::{Graph, RemoteNode};
-use super::{MessageType, NameError, NodeName, TopicName};
+use super::{MessageType, NameError, NodeName, QosRequest, RemapRules, TopicName};
+use crate::middleware::rpc::RpcThread;
 use crate::middleware::{
     self, Direction, Endpoint, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader, RemoteEndpoint,
     SampleHandler, WriteError, Writer,
 };
 use bytes::Bytes;
 use downbeat_msgs::qos::QosProfile;
-use std::sync::Arc;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use thiserror::Error;
 
 /// A node or one of its endpoints could not be created.
@@ -34,10 +36,14 @@ pub struct Participant {
     shared: Arc<Shared>,
 }
 
-struct Shared {
+pub(super) struct Shared {
     // Fields drop in this order: the graph takes leave before the participant goes.
     graph: Graph,
-    middleware: Arc<dyn Middleware>,
+    pub(super) rpc: RpcThread,
+    pub(super) middleware: Arc<dyn Middleware>,
+    remaps: RemapRules,
+    /// The nodes there are, by the names they were asked for.
+    nodes: Mutex<BTreeMap<NodeName, Weak<Membership>>>,
 }
 
 impl Participant {
@@ -49,23 +55,45 @@ impl Participant {
         Self::on(middleware::join(options)?)
     }
 
+    /// Joins the domain that the options name; the rules apply to all names of its nodes.
+    ///
+    /// # Errors
+    /// [`MiddlewareError`] when the domain cannot be joined.
+    pub fn join_with(options: &ParticipantOptions, remaps: RemapRules) -> Result<Self, MiddlewareError> {
+        Self::on_with(middleware::join(options)?, remaps)
+    }
+
     /// Stands on a participant that exists, of whatever engine.
     ///
     /// # Errors
     /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
     pub fn on(middleware: Arc<dyn Middleware>) -> Result<Self, MiddlewareError> {
-        Ok(Self { shared: Arc::new(Shared { graph: Graph::join(&*middleware)?, middleware }) })
+        Self::on_with(middleware, RemapRules::default())
     }
 
-    /// Creates a node.
+    /// Stands on a participant that exists; the rules apply to all names of its nodes.
+    ///
+    /// # Errors
+    /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
+    pub fn on_with(middleware: Arc<dyn Middleware>, remaps: RemapRules) -> Result<Self, MiddlewareError> {
+        let rpc = RpcThread::start().map_err(MiddlewareError::ServiceThread)?;
+        let (graph, nodes) = (Graph::join(&*middleware)?, Mutex::default());
+        Ok(Self { shared: Arc::new(Shared { graph, rpc, middleware, remaps, nodes }) })
+    }
+
+    /// Creates a node, under another name where a remapping rule says so.
     ///
     /// # Errors
     /// [`NodeError::Exists`] when this participant has a node of that name.
     pub fn create_node(&self, name: NodeName) -> Result<Node, NodeError> {
+        let given = name;
+        let name = self.shared.remaps.node(&given)?;
         if !self.shared.graph.add_node(&name) {
             return Err(NodeError::Exists(name));
         }
-        Ok(Node { membership: Arc::new(Membership { shared: Arc::clone(&self.shared), name }) })
+        let membership = Arc::new(Membership { shared: Arc::clone(&self.shared), name });
+        self.shared.nodes().insert(given, Arc::downgrade(&membership));
+        Ok(Node { membership })
     }
 
     /// The endpoints of other participants that are known at this moment.
@@ -84,12 +112,18 @@ impl Participant {
 /// A ROS 2 node. It is in the graph of the others until it and its publishers and subscriptions are dropped.
 #[derive(Clone)]
 pub struct Node {
-    membership: Arc<Membership>,
+    pub(super) membership: Arc<Membership>,
 }
 
-struct Membership {
-    shared: Arc<Shared>,
+pub(super) struct Membership {
+    pub(super) shared: Arc<Shared>,
     name: NodeName,
+}
+
+impl Shared {
+    fn nodes(&self) -> std::sync::MutexGuard<'_, BTreeMap<NodeName, Weak<Membership>>> {
+        self.nodes.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl Drop for Membership {
@@ -105,6 +139,54 @@ impl Node {
         &self.membership.name
     }
 
+    /// The node of the same participant that was asked for under that name; it is created where there is none.
+    ///
+    /// # Errors
+    /// [`NodeError`] when a remapping rule gives it a name that is not valid, or one that another node has.
+    pub fn sibling(&self, name: &NodeName) -> Result<Self, NodeError> {
+        let shared = &self.membership.shared;
+        let found = shared.nodes().get(name).and_then(Weak::upgrade);
+        match found {
+            Some(membership) => Ok(Self { membership }),
+            None => Participant { shared: Arc::clone(shared) }.create_node(name.clone()),
+        }
+    }
+
+    /// The topic that `topic` means to this node: expanded, and remapped where a rule says so.
+    ///
+    /// # Errors
+    /// [`NameError`] when ROS 2 does not accept the name, or the one in its place.
+    pub fn topic_name(&self, topic: &str) -> Result<TopicName, NameError> {
+        self.membership.shared.remaps.topic(TopicName::expand(topic, self.name())?, self.name())
+    }
+
+    /// The service that `service` means to this node: expanded, and remapped where a rule says so.
+    ///
+    /// # Errors
+    /// [`NameError`] when ROS 2 does not accept the name, or the one in its place.
+    pub fn service_name(&self, service: &str) -> Result<TopicName, NameError> {
+        self.membership.shared.remaps.service(TopicName::expand(service, self.name())?, self.name())
+    }
+
+    /// What to offer or request on a topic now, in view of the endpoints of others that are known.
+    ///
+    /// # Errors
+    /// [`NameError`] when ROS 2 does not accept the name of the topic.
+    pub fn resolve_qos(
+        &self,
+        topic: &str,
+        direction: Direction,
+        request: &QosRequest,
+    ) -> Result<QosProfile, NameError> {
+        if let Some(profile) = request.profile() {
+            return Ok(profile);
+        }
+        let topic = self.topic_name(topic)?.to_wire();
+        let mut peers = self.membership.shared.middleware.remote_endpoints();
+        peers.retain(|peer| peer.topic_name == topic);
+        Ok(request.resolve(direction, &peers))
+    }
+
     /// Creates a publisher; `topic` may be absolute, relative or private (`~/…`).
     ///
     /// # Errors
@@ -115,7 +197,7 @@ impl Node {
         message_type: &MessageType,
         qos: QosProfile,
     ) -> Result<Publisher, NodeError> {
-        let topic = TopicName::expand(topic, self.name())?;
+        let topic = self.topic_name(topic)?;
         let endpoint = endpoint(&topic, message_type, qos);
         let writer = self.membership.shared.middleware.create_writer(&endpoint)?;
         let listed = Listed::new(&self.membership, Direction::Out, writer.gid());
@@ -141,7 +223,7 @@ impl Node {
         qos: QosProfile,
         on_sample: SampleHandler,
     ) -> Result<Subscription, NodeError> {
-        let topic = TopicName::expand(topic, self.name())?;
+        let topic = self.topic_name(topic)?;
         let endpoint = endpoint(&topic, message_type, qos);
         let reader = self.membership.shared.middleware.create_reader(&endpoint, on_sample)?;
         let listed = Listed::new(&self.membership, Direction::In, reader.gid());
@@ -240,14 +322,14 @@ impl Subscription {
 }
 
 /// The entry of an endpoint in the graph, under its node.
-struct Listed {
+pub(super) struct Listed {
     membership: Arc<Membership>,
     direction: Direction,
     endpoint: Gid,
 }
 
 impl Listed {
-    fn new(membership: &Arc<Membership>, direction: Direction, endpoint: Gid) -> Self {
+    pub(super) fn new(membership: &Arc<Membership>, direction: Direction, endpoint: Gid) -> Self {
         membership.shared.graph.add_endpoint(&membership.name, direction, endpoint);
         Self { membership: Arc::clone(membership), direction, endpoint }
     }

@@ -1,6 +1,7 @@
 //! What the tests share: domains of their own on loopback, and waiting on a condition with a watchdog.
 #![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc)]
 
+pub mod matrix;
 pub mod rclpy;
 
 use bytes::Bytes;

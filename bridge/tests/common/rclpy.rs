@@ -1,14 +1,17 @@
-//! A real rclpy in a process of its own.
+//! A real rclpy, or a real Cyclone DDS, in a process of its own.
 #![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc)]
 
 use super::WATCHDOG;
 use serde_json::{Value, json};
+use std::ffi::{OsStr, OsString};
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-/// A node of rclpy that obeys commands. Its process ends with the value.
+const CYCLONEDDS_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cyclonedds/peer.py");
+
+/// A node of rclpy, or a participant of Cyclone DDS, that obeys commands. Its process ends with the value.
 pub struct Peer {
     child: Child,
     commands: Option<ChildStdin>,
@@ -16,23 +19,34 @@ pub struct Peer {
 }
 
 impl Peer {
-    /// Starts node `/peer` in a domain, or says why not and returns nothing.
+    /// Starts node `/peer` of rclpy in a domain, or says why not and returns nothing.
     pub fn start(domain_id: u16, discovery_range: &str) -> Option<Self> {
-        let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
-            // Past the capture of test output, which shows nothing of a test that passes.
-            let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
-            let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
-            return None;
-        };
-        let mut child = Command::new(python)
-            .arg(super::PEER_SCRIPT)
+        Self::of_domain(super::PEER_SCRIPT, domain_id, discovery_range)
+    }
+
+    /// Starts a participant of Cyclone DDS in a domain on loopback, or says why not and returns nothing.
+    pub fn cyclonedds(domain_id: u16) -> Option<Self> {
+        Self::of_domain(CYCLONEDDS_SCRIPT, domain_id, "LOCALHOST")
+    }
+
+    /// Starts node `/peer` of rclpy by a command that runs the Python it is given; by itself it has no arguments yet.
+    pub fn start_by(command: impl FnOnce(&OsStr) -> Command) -> Option<Self> {
+        let python = python()?;
+        Some(Self::run(command(&python).arg(super::PEER_SCRIPT).arg("peer")))
+    }
+
+    fn of_domain(script: &str, domain_id: u16, discovery_range: &str) -> Option<Self> {
+        let mut command = Command::new(python()?);
+        command
+            .arg(script)
             .arg("peer")
             .env("ROS_DOMAIN_ID", domain_id.to_string())
-            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", discovery_range)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
+            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", discovery_range);
+        Some(Self::run(&mut command))
+    }
+
+    fn run(command: &mut Command) -> Self {
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let output = BufReader::new(child.stdout.take().unwrap());
         let (sender, answers) = channel();
         std::thread::spawn(move || {
@@ -44,13 +58,18 @@ impl Peer {
         });
         let peer = Self { commands: child.stdin.take(), child, answers };
         assert_eq!(peer.answer(), json!("ready"));
-        Some(peer)
+        peer
     }
 
     /// Sends a command and returns its answer.
     pub fn ask(&mut self, command: Value) -> Value {
-        writeln!(self.commands.as_mut().unwrap(), "{command}").unwrap();
+        self.send(command);
         self.answer()
+    }
+
+    /// Sends a command whose answer is taken with [`Peer::answer`].
+    pub fn send(&mut self, command: Value) {
+        writeln!(self.commands.as_mut().unwrap(), "{command}").unwrap();
     }
 
     /// The next messages on a topic, as many as `count`.
@@ -74,7 +93,8 @@ impl Peer {
         }
     }
 
-    fn answer(&self) -> Value {
+    /// The answer to a command that was sent.
+    pub fn answer(&self) -> Value {
         let line = self.answers.recv_timeout(WATCHDOG).expect("an answer of rclpy within the watchdog time");
         serde_json::from_str(&line).unwrap()
     }
@@ -86,4 +106,15 @@ impl Drop for Peer {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// The interpreter that has rclpy, or a line that says that there is none.
+fn python() -> Option<OsString> {
+    let python = std::env::var_os("DOWNBEAT_PYTHON");
+    if python.is_none() {
+        // Past the capture of test output, which shows nothing of a test that passes.
+        let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
+        let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
+    }
+    python
 }

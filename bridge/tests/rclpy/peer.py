@@ -8,9 +8,11 @@ import json
 import math
 import sys
 import threading
+import time
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
@@ -65,6 +67,8 @@ class Peer:
         self.publishers = {}
         self.subscriptions = {}
         self.received = {}
+        self.services = {}
+        self.clients = {}
         self.thread = threading.Thread(target=self.executor.spin)
         self.thread.start()
 
@@ -82,6 +86,10 @@ class Peer:
 
     def publishers_of(self, topic):
         return [endpoint_of(info) for info in self.node.get_publishers_info_by_topic(topic)]
+
+    def published_by(self, node, namespace="/"):
+        """What `ros2 node info` lists."""
+        return dict(self.node.get_publisher_names_and_types_by_node(node, namespace))
 
     def subscriptions_of(self, topic):
         return [endpoint_of(info) for info in self.node.get_subscriptions_info_by_topic(topic)]
@@ -107,6 +115,56 @@ class Peer:
             received.append({"cdr": bytes(cdr).hex(), "fields": fields_of(message)})
 
         self.subscriptions[topic] = self.node.create_subscription(kind, topic, on_message, profile(qos), raw=True)
+
+    def serve(self, service, type, suffix="", qos={}):
+        """A server of std_srvs/srv/SetBool or sensor_msgs/srv/SetCameraInfo that answers with what it was asked."""
+
+        def on_request(request, response):
+            if hasattr(request, "camera_info"):
+                response.status_message = request.camera_info.distortion_model
+            else:
+                response.success = request.data
+                response.message = f"data is {request.data}{suffix}"
+            return response
+
+        kind = message_class(type)
+        self.services[service] = self.node.create_service(kind, service, on_request, qos_profile=profile(qos))
+
+    def client(self, service, type, qos={}):
+        self.clients[service] = self.node.create_client(message_class(type), service, qos_profile=profile(qos))
+
+    def is_available(self, service):
+        return self.clients[service].service_is_ready()
+
+    def wait_for_service(self, service):
+        return self.clients[service].wait_for_service(timeout_sec=20.0)
+
+    def call(self, service, requests):
+        """All requests at once; the answers in their order, nothing for those without an answer in 20 s."""
+        client = self.clients[service]
+        futures = [client.call_async(fill(client.srv_type.Request(), request)) for request in requests]
+        done = threading.Semaphore(0)
+        for future in futures:
+            future.add_done_callback(lambda _: done.release())
+        deadline = time.monotonic() + 20.0
+        for _ in futures:
+            done.acquire(timeout=max(0.0, deadline - time.monotonic()))
+        return [fields_of(future.result()) if future.done() else None for future in futures]
+
+    def services_and_types(self):
+        return dict(self.node.get_service_names_and_types())
+
+    def services_of(self, node, namespace):
+        return self.by_node(self.node.get_service_names_and_types_by_node, node, namespace)
+
+    def clients_of(self, node, namespace):
+        return self.by_node(self.node.get_client_names_and_types_by_node, node, namespace)
+
+    def by_node(self, get, node, namespace):
+        try:
+            return dict(get(node, namespace))
+        except NodeNameNonExistentError:
+            return {}
 
     def take(self, topic):
         """What has been received since the last call."""

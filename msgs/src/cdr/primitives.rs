@@ -49,15 +49,6 @@ macro_rules! numbers {
             }
 
             numbers!(@bytes $number);
-
-            #[inline]
-            fn collect(bytes: &[u8], endianness: Endianness) -> Vec<Self> {
-                let places = bytes.as_chunks().0;
-                match endianness {
-                    Endianness::Little => places.iter().map(|place| Self::from_le_bytes(*place)).collect(),
-                    Endianness::Big => places.iter().map(|place| Self::from_be_bytes(*place)).collect(),
-                }
-            }
         }
 
         impl Cdr for $number {
@@ -109,8 +100,22 @@ macro_rules! numbers {
         fn as_bytes(values: &[Self]) -> Option<&[u8]> {
             Some(values)
         }
+
+        #[inline]
+        fn collect(bytes: &[u8], _endianness: Endianness) -> Vec<Self> {
+            bytes.to_vec()
+        }
     };
-    (@bytes $number:ident) => {};
+    (@bytes $number:ident) => {
+        #[inline]
+        fn collect(bytes: &[u8], endianness: Endianness) -> Vec<Self> {
+            let places = bytes.as_chunks().0;
+            match endianness {
+                Endianness::Little => places.iter().map(|place| Self::from_le_bytes(*place)).collect(),
+                Endianness::Big => places.iter().map(|place| Self::from_be_bytes(*place)).collect(),
+            }
+        }
+    };
 }
 
 numbers!(i8, u8, i16, u16, i32, u32, i64, u64, f32, f64);

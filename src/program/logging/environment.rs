@@ -1,7 +1,9 @@
 //! What the environment says about the log, in the words of ROS 2.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
+
+use downbeat::robot::LogArguments;
 
 use super::format::{self, Format};
 
@@ -74,9 +76,16 @@ impl LogOptions {
                 Some(true) => Stream::Output,
                 Some(false) | None => Stream::Error,
             },
-            file: log_folder(lookup).map(|folder| folder.join(file_name())),
+            file: log_folder(lookup).map(|folder| folder.join(file_name(None))),
             remarks,
         })
+    }
+
+    /// The same, with what the command line says.
+    pub(super) fn with(mut self, arguments: &LogArguments) -> Self {
+        let folder = self.file.as_deref().and_then(Path::parent).filter(|_| !arguments.is_external_disabled);
+        self.file = folder.map(|folder| folder.join(file_name(arguments.file_name.as_deref())));
+        self
     }
 }
 
@@ -91,11 +100,16 @@ fn log_folder(lookup: impl Fn(&str) -> Option<String>) -> Option<PathBuf> {
 }
 
 /// As `rcl_logging_spdlog` names it: the program, its process, and milliseconds since 1970.
-fn file_name() -> String {
+fn file_name(begins_with: Option<&str>) -> String {
     let program =
         std::env::current_exe().ok().and_then(|path| Some(path.file_stem()?.to_string_lossy().into_owned()));
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    format!("{}_{}_{}.log", program.as_deref().unwrap_or("downbeat"), std::process::id(), now.as_millis())
+    format!(
+        "{}_{}_{}.log",
+        begins_with.or(program.as_deref()).unwrap_or("downbeat"),
+        std::process::id(),
+        now.as_millis()
+    )
 }
 
 #[cfg(test)]
@@ -155,11 +169,20 @@ mod tests {
 
     #[test]
     fn a_file_is_named_by_program_process_and_time() {
-        let name = file_name();
+        let name = file_name(None);
         let parts: Vec<_> = name.strip_suffix(".log").unwrap().rsplitn(3, '_').collect();
         let [milliseconds, process, _program] = parts[..] else { panic!("{name}") };
         assert_eq!(process, std::process::id().to_string());
         assert!(milliseconds.parse::<u64>().unwrap() > 1_700_000_000_000);
+    }
+
+    #[test]
+    fn the_command_line_names_the_file_and_turns_it_off() {
+        let with =
+            |arguments: LogArguments| options(&[("ROS_LOG_DIR", "/logs")]).unwrap().with(&arguments).file;
+        let named = with(LogArguments { file_name: Some("walk".into()), ..LogArguments::default() }).unwrap();
+        assert!(named.to_str().unwrap().starts_with("/logs/walk_"), "{}", named.display());
+        assert_eq!(with(LogArguments { is_external_disabled: true, ..LogArguments::default() }), None);
     }
 
     #[test]

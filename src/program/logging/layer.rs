@@ -23,7 +23,9 @@ pub(super) struct LogLayer {
     pub(super) filter: EnvFilter,
     pub(super) levels: LoggerLevels,
     pub(super) node_logger: Arc<RwLock<String>>,
-    pub(super) console: Console,
+    /// Nothing where `--disable-stdout-logs` says so.
+    pub(super) console: Option<Console>,
+    pub(super) format: Format,
     pub(super) file: Option<LogFile>,
     pub(super) rosout: Rosout,
 }
@@ -70,9 +72,11 @@ where
             None => self.filter.enabled(event.metadata(), ctx),
         };
         if is_wanted {
-            self.console.write(&line, &logger);
+            if let Some(console) = &self.console {
+                console.write(&line, &logger);
+            }
             if let Some(file) = &self.file {
-                file.write(self.console.plain(&line, &logger));
+                file.write(plain(&self.format, &line, &logger));
             }
             self.rosout.log(line);
         }
@@ -123,15 +127,9 @@ impl Console {
     }
 
     fn write(&self, line: &LogLine, logger: &str) {
-        let text = if self.has_colors { self.colored(line, logger) } else { self.plain(line, logger) };
+        let text =
+            if self.has_colors { self.colored(line, logger) } else { plain(&self.format, line, logger) };
         self.screen.log(self.stream, &text);
-    }
-
-    fn plain(&self, line: &LogLine, logger: &str) -> String {
-        let mut text = String::with_capacity(128);
-        self.format.write(line, logger, &mut text);
-        text.push('\n');
-        text
     }
 
     /// In the colors of rcutils.
@@ -147,4 +145,11 @@ impl Console {
         text.push_str("\x1b[0m\n");
         text
     }
+}
+
+fn plain(format: &Format, line: &LogLine, logger: &str) -> String {
+    let mut text = String::with_capacity(128);
+    format.write(line, logger, &mut text);
+    text.push('\n');
+    text
 }

@@ -9,7 +9,8 @@ use std::sync::{Arc, PoisonError, RwLock};
 
 use anyhow::Context;
 use downbeat::bridge::ros::NodeName;
-use downbeat::bridge::rosout::{LoggerLevels, Rosout, logger_name};
+use downbeat::bridge::rosout::{LoggerLevels, Rosout, Severity, logger_name};
+use downbeat::robot::{LogArguments, LogLevel};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::prelude::*;
 
@@ -41,15 +42,18 @@ pub(crate) struct Log {
 
 impl Log {
     /// Sends log events where the environment says, above the status block.
-    pub(crate) fn start(screen: &Screen) -> anyhow::Result<Self> {
-        let options = LogOptions::from_variables(|name| std::env::var(name).ok())?;
+    pub(crate) fn start(screen: &Screen, arguments: &LogArguments) -> anyhow::Result<Self> {
+        let options = LogOptions::from_variables(|name| std::env::var(name).ok())?.with(arguments);
         let log = Self {
             rosout: Rosout::new(),
             levels: LoggerLevels::default(),
             node_logger: Arc::new(RwLock::new(PROGRAM.into())),
             file: options.file.as_deref().map(LogFile::create).transpose()?,
         };
-        let given = std::env::var(VARIABLE).ok();
+        for (logger, level) in &arguments.loggers {
+            log.levels.set(logger, severity(*level))?;
+        }
+        let given = filter_of(arguments).or_else(|| std::env::var(VARIABLE).ok());
         let filter = given.as_deref().map(EnvFilter::try_new).transpose();
         let (filter, problem) = match filter {
             Ok(filter) => (filter.unwrap_or_else(|| EnvFilter::new(DEFAULT)), None),
@@ -59,7 +63,8 @@ impl Log {
             filter,
             levels: log.levels.clone(),
             node_logger: Arc::clone(&log.node_logger),
-            console: Console::new(&options, screen),
+            console: (!arguments.is_stdout_disabled).then(|| Console::new(&options, screen)),
+            format: options.format.clone(),
             file: log.file.clone(),
             rosout: log.rosout.clone(),
         };
@@ -81,5 +86,29 @@ impl Log {
         if let Some(file) = &self.file {
             file.close();
         }
+    }
+}
+
+/// What `--log-level` says, which wins over the environment. The parts of a logger's name may also be those of a module path.
+fn filter_of(arguments: &LogArguments) -> Option<String> {
+    if arguments.level.is_none() && arguments.loggers.is_empty() {
+        return None;
+    }
+    let level = arguments.level.map_or("info", LogLevel::as_filter);
+    let mut filter = format!("{level},rustdds=off");
+    for (logger, level) in &arguments.loggers {
+        filter.push_str(&format!(",{}={}", logger.replace('.', "::"), level.as_filter()));
+    }
+    Some(filter)
+}
+
+fn severity(level: LogLevel) -> Option<Severity> {
+    match level {
+        LogLevel::Unset => None,
+        LogLevel::Debug => Some(Severity::Debug),
+        LogLevel::Info => Some(Severity::Info),
+        LogLevel::Warn => Some(Severity::Warn),
+        LogLevel::Error => Some(Severity::Error),
+        LogLevel::Fatal => Some(Severity::Fatal),
     }
 }

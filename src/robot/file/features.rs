@@ -3,7 +3,6 @@
 use std::time::Duration;
 
 use downbeat_bridge::clock;
-use downbeat_executor::SettingValue;
 
 use super::table::{Table, Value};
 use super::{Located, Result, RobotFile, choice};
@@ -48,11 +47,11 @@ impl NodeFeatures {
         let unless_given = Self::default();
         let description = table.take("robot_description");
         Ok(Self {
-            rosout: table.take("rosout").map_or(Ok(unless_given.rosout), |value| value.switch())?,
+            rosout: table.take("rosout").map_or(Ok(unless_given.rosout), |value| value.flag())?,
             clock: table.take("clock").map_or(Ok(unless_given.clock), clock_choice)?,
             diagnostics: table
                 .take("diagnostics")
-                .map_or(Ok(unless_given.diagnostics), |value| value.switch())?,
+                .map_or(Ok(unless_given.diagnostics), |value| value.flag())?,
             robot_description: description
                 .map(|value| Ok(Located { line: value.line(), value: value.text()?.to_owned() }))
                 .transpose()?,
@@ -66,7 +65,9 @@ impl RobotFile {
     /// # Errors
     /// If it cannot be read or is something else; with path and line of the robot file, and of the description where it is no XML.
     pub fn robot_description(&self) -> Result<Option<String>> {
-        let Some(Located { line, value: name }) = &self.features.robot_description else { return Ok(None) };
+        let Some(Located { line, value: name }) = &self.expose.features.robot_description else {
+            return Ok(None);
+        };
         let path = self.path().parent().map_or_else(|| name.into(), |folder| folder.join(name));
         let refuse = |problem: String| {
             self.source.error(*line, format!("robot_description {}: {problem}", path.display()))
@@ -95,11 +96,7 @@ fn clock_choice(value: Value<'_>) -> Result<ClockChoice> {
     };
     let rate = table.require("publish_hz")?;
     table.finish()?;
-    let number = match rate.setting()? {
-        SettingValue::Double(number) => number,
-        SettingValue::Integer(number) => number as f64,
-        _ => f64::NAN,
-    };
+    let number = rate.number()?;
     if (0.1..=1000.0).contains(&number) {
         return Ok(period(number));
     }

@@ -89,10 +89,19 @@ impl<'a> Value<'a> {
         }
     }
 
-    pub(crate) fn switch(&self) -> Result<bool> {
+    pub(crate) fn flag(&self) -> Result<bool> {
         match self.value.get_ref() {
-            DeValue::Boolean(switch) => Ok(*switch),
+            DeValue::Boolean(flag) => Ok(*flag),
             _ => Err(self.expected("true or false")),
+        }
+    }
+
+    /// A number, whole or not.
+    pub(crate) fn number(&self) -> Result<f64> {
+        match self.setting()? {
+            SettingValue::Integer(number) => Ok(number as f64),
+            SettingValue::Double(number) => Ok(number),
+            _ => Err(self.expected("a number")),
         }
     }
 

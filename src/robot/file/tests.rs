@@ -1,6 +1,9 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
+use std::time::Duration;
+
 use downbeat_executor::{Idle, Inbox, LifecycleState, Restart, Spin, Synchrony};
+use downbeat_msgs::qos::QosProfile;
 
 fn parse(text: &str) -> Result<RobotFile> {
     RobotFile::parse(Source::new(Path::new("robots/test.toml"), text.into())).map(|(file, _)| file)
@@ -18,7 +21,7 @@ fn what_is_not_said_has_a_default() {
     assert_eq!((file.name.as_str(), file.namespace.as_str()), ("r", "/"));
     assert_eq!(file.launcher.choice, LauncherChoice::Linear);
     assert_eq!(file.modules[0].name, "darwin_op");
-    assert!(file.expose.is_empty() && file.record.topics.is_none() && !file.is_emulated());
+    assert!(file.expose.topics.is_empty() && file.record.topics.is_none() && !file.is_emulated());
 }
 
 #[test]
@@ -28,10 +31,11 @@ fn an_exposed_topic_may_have_another_name_a_type_and_a_quality_of_service() {
          in = [{{ topic = \"d\", type = \"sensor_msgs/msg/JointState\", qos = \"latched\" }}]"
     ))
     .unwrap();
-    let [a, b, d] = file.expose.as_slice() else { panic!("three topics") };
-    assert_eq!((a.direction, a.qos), (Direction::Out, QosProfile::DEFAULT));
-    assert_eq!((b.ros_topic.as_str(), b.qos), ("c", QosProfile::SENSOR_DATA.keep_last(2)));
-    assert_eq!((d.direction, d.qos), (Direction::In, QosProfile::LATCHED));
+    let [a, b, d] = file.expose.topics.as_slice() else { panic!("three topics") };
+    assert_eq!((a.direction, a.qos), (Direction::Out, QosProfile::DEFAULT.into()));
+    assert_eq!(b.ros_topic.as_deref(), Some("c"));
+    assert_eq!(b.qos, QosProfile::SENSOR_DATA.keep_last(2).into());
+    assert_eq!((d.direction, d.qos), (Direction::In, QosProfile::LATCHED.into()));
 }
 
 #[test]
@@ -47,16 +51,17 @@ fn a_recording_is_cdr_unless_the_file_names_another_encoding() {
 
 #[test]
 fn the_log_goes_to_rosout_unless_the_file_says_otherwise() {
-    assert!(parse(ROBOT).unwrap().features.rosout);
-    assert!(parse(&format!("{ROBOT}[expose]")).unwrap().features.rosout);
-    assert!(!parse(&format!("{ROBOT}[expose]\nrosout = false")).unwrap().features.rosout);
+    assert!(parse(ROBOT).unwrap().expose.features.rosout);
+    assert!(parse(&format!("{ROBOT}[expose]")).unwrap().expose.features.rosout);
+    assert!(!parse(&format!("{ROBOT}[expose]\nrosout = false")).unwrap().expose.features.rosout);
     let wrong = problem(&format!("{ROBOT}[expose]\nrosout = \"no\""));
     assert!(wrong.contains(":6: expected true or false, found"), "{wrong}");
 }
 
 #[test]
 fn time_is_the_machines_unless_it_is_published_or_followed() {
-    let clock = |text: &str| parse(&format!("{ROBOT}[expose]\n{text}")).map(|file| file.features.clock);
+    let clock =
+        |text: &str| parse(&format!("{ROBOT}[expose]\n{text}")).map(|file| file.expose.features.clock);
     let milliseconds = |number| ClockChoice::Publish(Duration::from_millis(number));
     assert_eq!(clock("").unwrap(), ClockChoice::Own);
     assert_eq!(clock("clock = \"publish\"").unwrap(), milliseconds(25));
@@ -73,9 +78,9 @@ fn time_is_the_machines_unless_it_is_published_or_followed() {
     }
     let mut file = parse(ROBOT).unwrap();
     file.set_from_argument("use_sim_time:=true").unwrap();
-    assert_eq!(file.features.clock, ClockChoice::Follow);
+    assert_eq!(file.expose.features.clock, ClockChoice::Follow);
     file.set_from_argument("use_sim_time:=false").unwrap();
-    assert_eq!(file.features.clock, ClockChoice::Own);
+    assert_eq!(file.expose.features.clock, ClockChoice::Own);
     let wrong = file.set_from_argument("use_sim_time:=1").unwrap_err().to_string();
     assert!(wrong.contains("use_sim_time: expected true or false"), "{wrong}");
 }

@@ -4,7 +4,7 @@
 //! participant's, which holds 2048.
 
 use super::qos;
-use crate::middleware::{Direction, Gid, RemoteEndpoint};
+use crate::middleware::{Direction, Gid, MatchHandler, RemoteEndpoint};
 use rustdds::{DomainParticipantStatusEvent as Event, EndpointDescription, GUID, QosPolicies};
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -14,10 +14,21 @@ use std::time::Instant;
 /// The number of endpoints that one of ours is matched with, shared with its handle.
 pub(super) type MatchedCount = Arc<AtomicUsize>;
 
+/// The handlers of the endpoints whose matches have changed, to be called when the lock is free again.
+pub(super) type Changed = Vec<Arc<MatchHandler>>;
+
 #[derive(Default)]
 struct Matched {
     count: MatchedCount,
     peers: HashSet<Gid>,
+    on_change: Option<Arc<MatchHandler>>,
+}
+
+impl Matched {
+    fn changed(&self, changed: &mut Changed) {
+        self.count.store(self.peers.len(), Ordering::Release);
+        changed.extend(self.on_change.clone());
+    }
 }
 
 /// See the module.
@@ -38,6 +49,15 @@ impl Matches {
         Arc::clone(&self.local.entry(local).or_default().count)
     }
 
+    /// Whom a local endpoint is matched with.
+    pub(super) fn peers(&self, local: Gid) -> Vec<Gid> {
+        self.local.get(&local).map(|matched| matched.peers.iter().copied().collect()).unwrap_or_default()
+    }
+
+    pub(super) fn on_change(&mut self, local: Gid, handler: MatchHandler) {
+        self.local.entry(local).or_default().on_change = Some(Arc::new(handler));
+    }
+
     /// A local endpoint was removed.
     pub(super) fn forget(&mut self, local: Gid) {
         self.local.remove(&local);
@@ -55,7 +75,9 @@ impl Matches {
     }
 
     /// Applies one event of discovery.
-    pub(super) fn apply(&mut self, event: Event) {
+    #[must_use]
+    pub(super) fn apply(&mut self, event: Event) -> Changed {
+        let mut changed = Changed::new();
         match event {
             Event::ParticipantDiscovered { .. } => self.last_participant = Some(Instant::now()),
             Event::ReaderDetected { reader } => self.detected(reader, Direction::In),
@@ -63,23 +85,23 @@ impl Matches {
             Event::ReaderLost { guid, .. } | Event::WriterLost { guid, .. } => {
                 let lost = gid(guid);
                 self.remote.remove(&lost);
-                self.remove_peers(|peer| peer == lost);
+                self.remove_peers(|peer| peer == lost, &mut changed);
             }
             Event::ParticipantLost { id, .. } => {
                 let mut anyone = GUID::GUID_UNKNOWN;
                 anyone.prefix = id;
                 let lost = gid(anyone).participant();
                 self.remote.retain(|gid, _| gid.participant() != lost);
-                self.remove_peers(|peer| peer.participant() == lost);
+                self.remove_peers(|peer| peer.participant() == lost, &mut changed);
             }
             Event::RemoteReaderMatched { local_writer: local, remote_reader: peer }
             | Event::RemoteWriterMatched { local_reader: local, remote_writer: peer } => {
                 if gid(peer).participant() == self.own {
-                    return;
+                    return changed;
                 }
                 let matched = self.local.entry(gid(local)).or_default();
                 matched.peers.insert(gid(peer));
-                matched.count.store(matched.peers.len(), Ordering::Release);
+                matched.changed(&mut changed);
             }
             Event::RemoteReaderQosIncompatible { remote_reader, requested_qos, offered_qos, .. } => {
                 self.warn_about_incompatible("subscription", remote_reader, &requested_qos, &offered_qos);
@@ -89,6 +111,7 @@ impl Matches {
             }
             _ => {}
         }
+        changed
     }
 
     fn detected(&mut self, endpoint: EndpointDescription, direction: Direction) {
@@ -97,6 +120,7 @@ impl Matches {
             return;
         }
         let (reliability, durability) = qos::reliability_and_durability(&endpoint.qos, direction);
+        let (liveliness, liveliness_lease_duration) = qos::liveliness_and_lease(&endpoint.qos);
         self.remote.insert(
             gid,
             RemoteEndpoint {
@@ -106,15 +130,21 @@ impl Matches {
                 type_name: endpoint.type_name,
                 reliability,
                 durability,
+                deadline: qos::deadline(&endpoint.qos),
+                liveliness,
+                liveliness_lease_duration,
                 type_hash: type_hash(&endpoint.user_data),
             },
         );
     }
 
-    fn remove_peers(&mut self, is_lost: impl Fn(Gid) -> bool) {
+    fn remove_peers(&mut self, is_lost: impl Fn(Gid) -> bool, changed: &mut Changed) {
         for matched in self.local.values_mut() {
+            let before = matched.peers.len();
             matched.peers.retain(|peer| !is_lost(*peer));
-            matched.count.store(matched.peers.len(), Ordering::Release);
+            if matched.peers.len() != before {
+                matched.changed(changed);
+            }
         }
     }
 

@@ -13,8 +13,8 @@ mod reader_thread;
 mod writer;
 
 use super::{
-    Direction, DiscoveryRange, Endpoint, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader,
-    RemoteEndpoint, SampleHandler, Writer,
+    Direction, DiscoveryRange, Endpoint, Gid, MatchHandler, Middleware, MiddlewareError, ParticipantOptions,
+    Reader, RemoteEndpoint, SampleHandler, Writer,
 };
 use downbeat_msgs::qos::Durability;
 use matches::{MatchedCount, Matches};
@@ -157,6 +157,14 @@ impl Reader for DdsReader {
 
     fn matched(&self) -> usize {
         self.matched.load(Ordering::Acquire)
+    }
+
+    fn matched_writers(&self) -> Vec<Gid> {
+        lock(&self.matches).peers(self.gid)
+    }
+
+    fn on_match(&self, handler: MatchHandler) {
+        lock(&self.matches).on_change(self.gid, handler);
     }
 }
 

@@ -5,7 +5,7 @@
 use super::matches::gid;
 use super::payload::{ReceiveAny, ReceivedCdr};
 use super::{SharedMatches, lock};
-use crate::middleware::{Gid, Sample, SampleHandler};
+use crate::middleware::{Gid, Sample, SampleHandler, SampleIdentity};
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
 use rustdds::mio1::{Events, Interest, Poll, Registry, Token, Waker};
 use rustdds::{DomainParticipantStatusListener, StatusEvented, Timestamp};
@@ -217,7 +217,9 @@ impl Served {
     fn hear_discovery(&mut self) {
         let hear = || {
             while let Some(event) = self.discovery.try_recv_status() {
-                lock(&self.matches).apply(event);
+                // Not under the lock: the handlers ask who is matched.
+                let changed = lock(&self.matches).apply(event);
+                changed.iter().for_each(|on_change| on_change());
             }
         };
         if catch_unwind(AssertUnwindSafe(hear)).is_err() {
@@ -241,6 +243,10 @@ impl ServedReader {
                         source_time_ns: change.source_timestamp().and_then(unix_time_ns),
                         writer: gid(change.writer_guid()),
                         sequence_number: change.sequence_number.into(),
+                        related: change.related_sample_identity().map(|identity| SampleIdentity {
+                            endpoint: gid(identity.writer_guid),
+                            number: identity.sequence_number.into(),
+                        }),
                         cdr: change.into_value().0,
                     };
                     (self.on_sample)(sample);

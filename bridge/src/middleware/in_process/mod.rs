@@ -4,8 +4,8 @@
 //! delivers on the thread that writes, loses nothing, and matches by reliability and durability.
 
 use super::{
-    Direction, Endpoint, Gid, Middleware, MiddlewareError, Reader, RemoteEndpoint, Sample, SampleHandler,
-    WriteError, Writer,
+    Direction, Endpoint, Gid, MatchHandler, Middleware, MiddlewareError, Reader, RemoteEndpoint, Sample,
+    SampleHandler, WriteError, WriteOptions, Writer,
 };
 use bytes::Bytes;
 use downbeat_msgs::qos::{Durability, History, Reliability};
@@ -53,8 +53,23 @@ impl Middleware for InProcessParticipant {
         let mut state = lock(&self.hub.state);
         let gid = state.next_gid(self.gid);
         let history = Arc::new(Mutex::new(WriterHistory::default()));
-        state.writers.insert(gid, HubWriter { endpoint: endpoint.clone(), history: Arc::clone(&history) });
-        Ok(Box::new(InProcessWriter { gid, hub: self.hub.clone(), endpoint: endpoint.clone(), history }))
+        let on_match = SharedMatchHandler::default();
+        let writer = HubWriter {
+            endpoint: endpoint.clone(),
+            history: Arc::clone(&history),
+            on_match: Arc::clone(&on_match),
+        };
+        let changed = state.readers_of((&gid, endpoint));
+        state.writers.insert(gid, writer);
+        drop(state);
+        tell(changed);
+        Ok(Box::new(InProcessWriter {
+            gid,
+            hub: self.hub.clone(),
+            endpoint: endpoint.clone(),
+            history,
+            on_match,
+        }))
     }
 
     fn create_reader(
@@ -73,8 +88,23 @@ impl Middleware for InProcessParticipant {
             }
         }
         let handler = Arc::new(Mutex::new(Some(on_sample)));
-        state.readers.insert(gid, HubReader { endpoint: endpoint.clone(), handler: Arc::clone(&handler) });
-        Ok(Box::new(InProcessReader { gid, hub: self.hub.clone(), endpoint: endpoint.clone(), handler }))
+        let on_match = SharedMatchHandler::default();
+        let reader = HubReader {
+            endpoint: endpoint.clone(),
+            handler: Arc::clone(&handler),
+            on_match: Arc::clone(&on_match),
+        };
+        let changed = state.writers_to((&gid, endpoint));
+        state.readers.insert(gid, reader);
+        drop(state);
+        tell(changed);
+        Ok(Box::new(InProcessReader {
+            gid,
+            hub: self.hub.clone(),
+            endpoint: endpoint.clone(),
+            handler,
+            on_match,
+        }))
     }
 
     fn remote_endpoints(&self) -> Vec<RemoteEndpoint> {
@@ -91,6 +121,9 @@ impl Middleware for InProcessParticipant {
                 type_name: endpoint.type_name.clone(),
                 reliability: endpoint.qos.reliability,
                 durability: endpoint.qos.durability,
+                deadline: endpoint.qos.deadline,
+                liveliness: endpoint.qos.liveliness,
+                liveliness_lease_duration: endpoint.qos.liveliness_lease_duration,
                 type_hash: None,
             })
             .collect()
@@ -112,17 +145,32 @@ impl State {
         gid.0[12..].copy_from_slice(&self.endpoints.to_be_bytes());
         gid
     }
+
+    fn readers_of(&self, writer: (&Gid, &Endpoint)) -> Vec<SharedMatchHandler> {
+        let matching = self.readers.iter().filter(|(to, reader)| is_match(writer, (to, &reader.endpoint)));
+        matching.map(|(_, reader)| Arc::clone(&reader.on_match)).collect()
+    }
+
+    fn writers_to(&self, reader: (&Gid, &Endpoint)) -> Vec<SharedMatchHandler> {
+        let matching =
+            self.writers.iter().filter(|(from, writer)| is_match((from, &writer.endpoint), reader));
+        matching.map(|(_, writer)| Arc::clone(&writer.on_match)).collect()
+    }
 }
 
 struct HubWriter {
     endpoint: Endpoint,
     history: Arc<Mutex<WriterHistory>>,
+    on_match: SharedMatchHandler,
 }
 
 struct HubReader {
     endpoint: Endpoint,
     handler: SharedHandler,
+    on_match: SharedMatchHandler,
 }
+
+type SharedMatchHandler = Arc<Mutex<Option<Arc<MatchHandler>>>>;
 
 /// Empty once the reader is dropped.
 type SharedHandler = Arc<Mutex<Option<SampleHandler>>>;
@@ -139,6 +187,7 @@ struct InProcessWriter {
     hub: Hub,
     endpoint: Endpoint,
     history: Arc<Mutex<WriterHistory>>,
+    on_match: SharedMatchHandler,
 }
 
 impl InProcessWriter {
@@ -153,17 +202,27 @@ impl Writer for InProcessWriter {
     }
 
     fn matched(&self) -> usize {
-        let state = lock(&self.hub.state);
-        state.readers.iter().filter(|(to, reader)| self.is_match(to, reader)).count()
+        self.matched_readers().len()
     }
 
-    fn write(&self, cdr: Bytes) -> Result<(), WriteError> {
+    fn matched_readers(&self) -> Vec<Gid> {
+        let state = lock(&self.hub.state);
+        state.readers.iter().filter(|(to, reader)| self.is_match(to, reader)).map(|(to, _)| *to).collect()
+    }
+
+    fn on_match(&self, handler: MatchHandler) {
+        *lock(&self.on_match) = Some(Arc::new(handler));
+    }
+
+    fn write_with(&self, cdr: Bytes, options: WriteOptions) -> Result<i64, WriteError> {
         if !cdr.starts_with(&[0x00, 0x01, 0x00, 0x00]) {
             return Err(WriteError::Encapsulation { found: cdr[..cdr.len().min(4)].to_vec() });
         }
         let handlers: Vec<SharedHandler> = {
             let state = lock(&self.hub.state);
-            let matching = state.readers.iter().filter(|(to, reader)| self.is_match(to, reader));
+            let is_meant = |to: &Gid| options.only_to.is_none_or(|only| only == *to);
+            let matching =
+                state.readers.iter().filter(|(to, reader)| is_meant(to) && self.is_match(to, reader));
             matching.map(|(_, reader)| Arc::clone(&reader.handler)).collect()
         };
         // Held while the handlers run, so that samples of one writer stay in order.
@@ -174,6 +233,7 @@ impl Writer for InProcessWriter {
             source_time_ns: now_ns(),
             writer: self.gid,
             sequence_number: history.last_sequence_number,
+            related: options.related,
         };
         for handler in handlers {
             if let Some(on_sample) = lock(&handler).as_mut() {
@@ -188,7 +248,7 @@ impl Writer for InProcessWriter {
                 history.samples.pop_front();
             }
         }
-        Ok(())
+        Ok(history.last_sequence_number)
     }
 
     fn flush(&self, _timeout: Duration) -> bool {
@@ -198,7 +258,11 @@ impl Writer for InProcessWriter {
 
 impl Drop for InProcessWriter {
     fn drop(&mut self) {
-        lock(&self.hub.state).writers.remove(&self.gid);
+        let mut state = lock(&self.hub.state);
+        state.writers.remove(&self.gid);
+        let changed = state.readers_of((&self.gid, &self.endpoint));
+        drop(state);
+        tell(changed);
     }
 }
 
@@ -207,6 +271,7 @@ struct InProcessReader {
     hub: Hub,
     endpoint: Endpoint,
     handler: SharedHandler,
+    on_match: SharedMatchHandler,
 }
 
 impl Reader for InProcessReader {
@@ -215,15 +280,28 @@ impl Reader for InProcessReader {
     }
 
     fn matched(&self) -> usize {
+        self.matched_writers().len()
+    }
+
+    fn matched_writers(&self) -> Vec<Gid> {
         let state = lock(&self.hub.state);
         let to = (&self.gid, &self.endpoint);
-        state.writers.iter().filter(|(from, writer)| is_match((from, &writer.endpoint), to)).count()
+        let matching = state.writers.iter().filter(|(from, writer)| is_match((from, &writer.endpoint), to));
+        matching.map(|(from, _)| *from).collect()
+    }
+
+    fn on_match(&self, handler: MatchHandler) {
+        *lock(&self.on_match) = Some(Arc::new(handler));
     }
 }
 
 impl Drop for InProcessReader {
     fn drop(&mut self) {
-        lock(&self.hub.state).readers.remove(&self.gid);
+        let mut state = lock(&self.hub.state);
+        state.readers.remove(&self.gid);
+        let changed = state.writers_to((&self.gid, &self.endpoint));
+        drop(state);
+        tell(changed);
         lock(&self.handler).take();
     }
 }
@@ -236,6 +314,16 @@ fn is_match((writer_gid, writer): (&Gid, &Endpoint), (reader_gid, reader): (&Gid
         && writer.type_name == reader.type_name
         && (offered.reliability == Reliability::Reliable || requested.reliability == Reliability::BestEffort)
         && (offered.durability == Durability::TransientLocal || requested.durability == Durability::Volatile)
+}
+
+/// Calls the handlers of endpoints whose matches have changed; not under the lock, since they ask who is matched.
+fn tell(changed: Vec<SharedMatchHandler>) {
+    for on_match in changed {
+        let handler = lock(&on_match).clone();
+        if let Some(handler) = handler {
+            handler();
+        }
+    }
 }
 
 fn now_ns() -> Option<i64> {

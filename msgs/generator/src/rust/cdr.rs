@@ -21,18 +21,20 @@ impl RustSource<'_> {
         let name = struct_name(&message.name);
         let least = self.catalog.least_wire_size(&message.name)?;
         let mut source = format!("impl cdr::Cdr for {name} {{\n    const LEAST_SIZE: usize = {least};\n\n");
-        source.push_str("    fn end(&self, position: usize) -> usize {\n");
+        source.push_str("    #[inline]\n    fn end(&self, position: usize) -> usize {\n");
         for field in &message.fields {
             source.push_str(&format!(
                 "        let position = self.{}.end(position);\n",
                 identifier(&field.name)
             ));
         }
-        source.push_str("        position\n    }\n\n    fn encode(&self, writer: &mut cdr::Writer<'_>) {\n");
+        source.push_str("        position\n    }\n\n    #[inline]\n    fn encode(&self, writer: &mut cdr::Writer<'_>) {\n");
         for field in &message.fields {
             source.push_str(&format!("        writer.value(&self.{});\n", identifier(&field.name)));
         }
-        source.push_str("    }\n\n    fn decode(reader: &mut cdr::Reader<'_>) -> cdr::Result<Self> {\n");
+        source.push_str(
+            "    }\n\n    #[inline]\n    fn decode(reader: &mut cdr::Reader<'_>) -> cdr::Result<Self> {\n",
+        );
         source.push_str("        reader.message(|reader| {\n            Ok(Self {\n");
         for field in &message.fields {
             source.push_str(&field_line("                ", field, &decode_call(field)));
@@ -63,7 +65,8 @@ impl RustSource<'_> {
         }
         let Some(last) = checks.pop() else { return Ok(String::new()) };
         let mut source =
-            "\n    fn check_bounds(&self) -> ::std::result::Result<(), cdr::EncodeError> {\n".to_owned();
+            "\n    #[inline]\n    fn check_bounds(&self) -> ::std::result::Result<(), cdr::EncodeError> {\n"
+                .to_owned();
         for check in checks {
             source.push_str(&format!("        {check}?;\n"));
         }
@@ -138,7 +141,9 @@ fn plain_impl(message: &MessageDefinition, layout: &super::layout::Layout) -> St
     let trailing = if padding.is_empty() { padding } else { format!("        {padding}\n") };
     source.push_str(&format!("{trailing}        Self {{\n{fields}        }}\n    }}\n}}\n\n"));
     source.push_str(&format!("impl cdr::PlainMessage for {name} {{\n"));
-    source.push_str("    fn decode_fields(reader: &mut cdr::Reader<'_>) -> cdr::Result<Self> {\n");
+    source.push_str(
+        "    #[inline]\n    fn decode_fields(reader: &mut cdr::Reader<'_>) -> cdr::Result<Self> {\n",
+    );
     if message.fields.is_empty() {
         source.push_str("        reader.empty_message()?;\n");
     }

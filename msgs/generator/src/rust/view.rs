@@ -43,7 +43,7 @@ impl RustSource<'_> {
         }
         source.push_str(&format!(
             "}}\n\nimpl<'a> cdr::FromReader<'a> for {name}<'a> {{\n    const FEWEST_BYTES: usize = {least};\n\n    \
-             fn from_reader(reader: &mut cdr::Reader<'a>) -> cdr::Result<Self> {{\n        \
+             #[inline]\n    fn from_reader(reader: &mut cdr::Reader<'a>) -> cdr::Result<Self> {{\n        \
              reader.message(|reader| {{\n            Ok(Self {{\n"
         ));
         for field in &message.fields {

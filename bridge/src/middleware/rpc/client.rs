@@ -1,0 +1,334 @@
+//! The side that asks.
+
+use super::mapping::{Mapping, PayloadHeader};
+use super::thread::{RpcLink, RpcThread, TimeLimited};
+use super::{MAX_IN_FLIGHT, ServiceEndpoint, lock, of_participant, reading};
+use crate::middleware::{
+    Gid, Middleware, MiddlewareError, Reader, Sample, SampleIdentity, WriteError, WriteOptions, Writer,
+};
+use bytes::Bytes;
+use std::collections::{BTreeSet, HashMap};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use thiserror::Error;
+
+/// Tells the calls of one client apart.
+pub type CallNumber = i64;
+
+/// A call has no answer.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum CallError {
+    /// No server is matched in both directions.
+    #[error("service {service}: no server of another process is there")]
+    NoServer {
+        /// The service.
+        service: String,
+    },
+    /// The time was up before an answer came.
+    #[error("service {service}: no answer in {timeout:?}")]
+    TimedOut {
+        /// The service.
+        service: String,
+        /// How long the call waited.
+        timeout: Duration,
+    },
+    /// Too many calls wait for an answer.
+    #[error("service {service}: {MAX_IN_FLIGHT} calls wait for an answer already")]
+    TooManyCalls {
+        /// The service.
+        service: String,
+    },
+    /// The request was not written.
+    #[error("service {service}: the request was not sent: {error}")]
+    Write {
+        /// The service.
+        service: String,
+        /// Why not.
+        error: WriteError,
+    },
+    /// The answer is no message of the type of the service.
+    #[error("service {service}: the answer cannot be read: {reason}")]
+    Answer {
+        /// The service.
+        service: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The client was dropped before an answer came.
+    #[error("service {service}: the client was closed before an answer came")]
+    Closed {
+        /// The service.
+        service: String,
+    },
+}
+
+type ReplyHandler = Box<dyn FnOnce(Result<Bytes, CallError>) + Send>;
+
+/// Makes calls. Dropping it removes the endpoints and ends its calls.
+pub struct RequestClient {
+    shared: Arc<Shared>,
+    reader: Box<dyn Reader>,
+}
+
+struct Shared {
+    service: String,
+    writer: Box<dyn Writer>,
+    /// What `rmw_cyclonedds` calls the client guid.
+    header_id: u64,
+    link: RpcLink,
+    /// Held while a request is numbered and written: the number of the call must be known before its answer comes.
+    sending: Mutex<CallNumber>,
+    calls: Mutex<Calls>,
+    /// Beside `changed`, which tells that matches have changed.
+    waiting: Mutex<()>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct Calls {
+    by_number: HashMap<CallNumber, Call>,
+    by_deadline: BTreeSet<(Instant, CallNumber)>,
+}
+
+struct Call {
+    timeout: Duration,
+    deadline: Instant,
+    on_reply: ReplyHandler,
+}
+
+impl Calls {
+    fn take(&mut self, number: CallNumber) -> Option<Call> {
+        let call = self.by_number.remove(&number)?;
+        self.by_deadline.remove(&(call.deadline, number));
+        Some(call)
+    }
+}
+
+impl RequestClient {
+    /// Creates the two endpoints of a client, whose handlers run on `thread`.
+    ///
+    /// # Errors
+    /// [`MiddlewareError`] when the engine refuses an endpoint.
+    pub fn new(
+        middleware: &dyn Middleware,
+        thread: &RpcThread,
+        service: &ServiceEndpoint,
+    ) -> Result<Self, MiddlewareError> {
+        let writer = middleware.create_writer(&service.requests())?;
+        let shared = Arc::new(Shared {
+            service: service.name.clone(),
+            header_id: header_id(writer.gid()),
+            writer,
+            link: thread.link(),
+            sending: Mutex::new(0),
+            calls: Mutex::default(),
+            waiting: Mutex::default(),
+            changed: Condvar::new(),
+        });
+        shared.link.watch(Arc::<Shared>::downgrade(&shared) as _);
+        let weak = Arc::downgrade(&shared);
+        let reader_gid = Arc::new(std::sync::OnceLock::new());
+        let incoming = {
+            let (shared, reader_gid) = (weak.clone(), Arc::clone(&reader_gid));
+            move |sample| {
+                if let Some(shared) = shared.upgrade() {
+                    shared.receive(reader_gid.get().copied(), sample);
+                }
+            }
+        };
+        let reader = middleware.create_reader(&reading(service.replies()), Box::new(incoming))?;
+        // Nothing was asked yet, so no answer came before this.
+        let _ = reader_gid.set(reader.gid());
+        let on_match = move || {
+            if let Some(shared) = weak.upgrade() {
+                drop(lock(&shared.waiting));
+                shared.changed.notify_all();
+            }
+        };
+        shared.writer.on_match(Box::new(on_match.clone()));
+        reader.on_match(Box::new(on_match));
+        Ok(Self { shared, reader })
+    }
+
+    /// The identities of its two endpoints: the reader of replies, the writer of requests.
+    #[must_use]
+    pub fn gids(&self) -> (Gid, Gid) {
+        (self.reader.gid(), self.shared.writer.gid())
+    }
+
+    /// How many servers of other participants are matched in both directions.
+    #[must_use]
+    pub fn servers(&self) -> usize {
+        self.request_readers().len()
+    }
+
+    /// Waits until a server is there, or for `timeout`; tells which.
+    #[must_use]
+    pub fn wait_for_server(&self, timeout: Duration) -> bool {
+        let deadline = Instant::now() + timeout;
+        let mut waiting = lock(&self.shared.waiting);
+        loop {
+            if self.servers() > 0 {
+                return true;
+            }
+            let rest = deadline.saturating_duration_since(Instant::now());
+            if rest.is_zero() {
+                return false;
+            }
+            let woken = self.shared.changed.wait_timeout(waiting, rest);
+            waiting = woken.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    /// Sends a request: encapsulation header (little-endian) and body. `on_reply` is called once, on the thread of the
+    /// handlers: with the answer, encapsulation header and body, or with the reason why there is none. Does not block.
+    ///
+    /// Returns the number of the request, nothing if it was not sent.
+    pub fn call(
+        &self,
+        cdr: Bytes,
+        timeout: Duration,
+        on_reply: impl FnOnce(Result<Bytes, CallError>) + Send + 'static,
+    ) -> Option<CallNumber> {
+        let on_reply: ReplyHandler = Box::new(on_reply);
+        match self.send(cdr, timeout, on_reply) {
+            Ok(number) => Some(number),
+            Err((on_reply, error)) => {
+                self.shared.link.run(move || on_reply(Err(error)));
+                None
+            }
+        }
+    }
+
+    fn send(
+        &self,
+        cdr: Bytes,
+        timeout: Duration,
+        on_reply: ReplyHandler,
+    ) -> Result<CallNumber, (ReplyHandler, CallError)> {
+        let shared = &self.shared;
+        let service = || shared.service.clone();
+        let servers = self.request_readers();
+        let Some(server) = preferred(&servers) else {
+            return Err((on_reply, CallError::NoServer { service: service() }));
+        };
+        let is_mixed = servers.iter().any(|other| Mapping::of(*other) != Mapping::of(server));
+
+        let mut last = lock(&shared.sending);
+        let number = *last + 1;
+        let (payload, related) = match Mapping::of(server) {
+            Mapping::RelatedIdentity => {
+                let number = SampleIdentity::UNKNOWN_NUMBER;
+                (cdr, Some(SampleIdentity { endpoint: self.reader.gid(), number }))
+            }
+            Mapping::PayloadHeader => (PayloadHeader { client: shared.header_id, number }.put_on(&cdr), None),
+        };
+        let deadline = Instant::now() + timeout;
+        let is_first = {
+            let mut calls = lock(&shared.calls);
+            if calls.by_number.len() >= MAX_IN_FLIGHT {
+                return Err((on_reply, CallError::TooManyCalls { service: service() }));
+            }
+            calls.by_number.insert(number, Call { timeout, deadline, on_reply });
+            calls.by_deadline.insert((deadline, number));
+            calls.by_deadline.first() == Some(&(deadline, number))
+        };
+        let options = WriteOptions { related, only_to: is_mixed.then_some(server) };
+        let written = match shared.writer.write_with(payload.clone(), options) {
+            // The server then knows the request by its own identity, and does not wait for the reader of replies.
+            Err(WriteError::TooLargeToNameAnother { .. }) => {
+                shared.writer.write_with(payload, WriteOptions { related: None, ..options })
+            }
+            written => written,
+        };
+        match written {
+            Ok(written) => {
+                debug_assert_eq!(written, number, "only this client writes with its writer");
+                *last = written;
+                if is_first {
+                    shared.link.look_again();
+                }
+                Ok(number)
+            }
+            Err(error) => match lock(&shared.calls).take(number) {
+                Some(call) => Err((call.on_reply, CallError::Write { service: service(), error })),
+                // Its time was up already, and it was told so.
+                None => Ok(number),
+            },
+        }
+    }
+
+    /// The readers of requests whose participants can also answer.
+    fn request_readers(&self) -> Vec<Gid> {
+        let answering = self.reader.matched_writers();
+        let mut readers = self.shared.writer.matched_readers();
+        readers.retain(|reader| of_participant(&answering, reader.participant()).is_some());
+        readers
+    }
+}
+
+impl Drop for RequestClient {
+    fn drop(&mut self) {
+        let calls = std::mem::take(&mut *lock(&self.shared.calls));
+        for (_, call) in calls.by_number {
+            let error = CallError::Closed { service: self.shared.service.clone() };
+            self.shared.link.run(move || (call.on_reply)(Err(error)));
+        }
+    }
+}
+
+impl Shared {
+    /// Takes a reply, if it is to a call of this client.
+    fn receive(&self, reader: Option<Gid>, sample: Sample) {
+        let (number, cdr) = match sample.related {
+            Some(SampleIdentity { endpoint, number })
+                if Some(endpoint) == reader || endpoint == self.writer.gid() =>
+            {
+                (number, sample.cdr)
+            }
+            None if Mapping::of(sample.writer) == Mapping::PayloadHeader => {
+                match PayloadHeader::take_off(&sample.cdr) {
+                    Some((header, cdr)) if header.client == self.header_id => (header.number, cdr),
+                    _ => return,
+                }
+            }
+            _ => return,
+        };
+        if let Some(call) = lock(&self.calls).take(number) {
+            self.link.run(move || (call.on_reply)(Ok(cdr)));
+        }
+    }
+}
+
+impl TimeLimited for Shared {
+    fn due(&self) -> Option<Instant> {
+        lock(&self.calls).by_deadline.first().map(|&(deadline, _)| deadline)
+    }
+
+    fn expire(&self, now: Instant) {
+        loop {
+            let call = {
+                let mut calls = lock(&self.calls);
+                let Some(&(_, number)) = calls.by_deadline.first().filter(|(deadline, _)| *deadline <= now)
+                else {
+                    return;
+                };
+                calls.take(number)
+            };
+            if let Some(Call { timeout, on_reply, .. }) = call {
+                on_reply(Err(CallError::TimedOut { service: self.service.clone(), timeout }));
+            }
+        }
+    }
+}
+
+/// Of servers that are asked in different ways only one can be: one that is asked as most are, the first by identity.
+fn preferred(servers: &[Gid]) -> Option<Gid> {
+    servers.iter().copied().min_by_key(|server| (Mapping::of(*server) == Mapping::PayloadHeader, *server))
+}
+
+/// Eight bytes that tell this client from all others, of the sixteen of its writer.
+fn header_id(writer: Gid) -> u64 {
+    let whole = u128::from_be_bytes(writer.0);
+    (whole >> 64) as u64 ^ whole as u64
+}

@@ -1,0 +1,79 @@
+//! Raw requests and replies, made of two topics: clients write requests, servers write replies, and every client reads all
+//! replies and keeps its own.
+//!
+//! How a reply says to which request it belongs is not the same everywhere. `rmw_fastrtps` puts it beside the payload
+//! (the *related sample identity* of DDS-RPC, as inline quality of service), `rmw_cyclonedds` into the first 16 bytes of
+//! the payload. A server answers each request the way its client speaks, and a client asks the way the server that is
+//! matched speaks; which one that is follows from the vendor in the identity of the peer.
+//!
+//! As in `rmw_fastrtps`, a reply waits until the client that asked is matched, for at most [`REPLY_HOLD`]: discovery of
+//! a new client may have found one half of it only, and its first reply would be lost.
+//!
+//! Handlers run on the thread of an [`RpcThread`], one after the other: never on a thread of the engine, so that they may
+//! call and answer whatever they like.
+
+mod client;
+mod mapping;
+mod server;
+mod thread;
+
+pub use client::{CallError, CallNumber, RequestClient};
+pub use server::{IncomingRequest, ReplyError, RequestHandler, RequestServer, Responder};
+pub use thread::RpcThread;
+
+use super::{Endpoint, Gid};
+use downbeat_msgs::qos::{History, QosProfile};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// How long a reply waits for the reader of the client that asked.
+pub const REPLY_HOLD: Duration = Duration::from_secs(1);
+
+/// Requests that a server may have accepted and not answered, and calls that a client may have made and not received an
+/// answer to. What is above it is refused.
+pub const MAX_IN_FLIGHT: usize = 1024;
+
+/// The two topics of a service, with names as they stand on the wire.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ServiceEndpoint {
+    /// What errors and warnings call it.
+    pub name: String,
+    /// The topic of requests, such as `rq/resetRequest`.
+    pub request_topic: String,
+    /// The type of requests, such as `std_srvs::srv::dds_::Trigger_Request_`.
+    pub request_type: String,
+    /// The topic of replies, such as `rr/resetReply`.
+    pub reply_topic: String,
+    /// The type of replies, such as `std_srvs::srv::dds_::Trigger_Response_`.
+    pub reply_type: String,
+    /// What both topics offer and request.
+    pub qos: QosProfile,
+}
+
+impl ServiceEndpoint {
+    fn requests(&self) -> Endpoint {
+        Endpoint::new(&self.request_topic, &self.request_type, self.qos)
+    }
+
+    fn replies(&self) -> Endpoint {
+        Endpoint::new(&self.reply_topic, &self.reply_type, self.qos)
+    }
+}
+
+/// An endpoint for reading: with a history for all that may be in flight, since a burst of requests must not push out
+/// those that were not taken yet. The depth is not part of matching.
+fn reading(endpoint: Endpoint) -> Endpoint {
+    let depth = match endpoint.qos.history {
+        History::KeepLast(depth) => depth.max(MAX_IN_FLIGHT as u32),
+        History::KeepAll => return endpoint,
+    };
+    Endpoint { qos: endpoint.qos.keep_last(depth), ..endpoint }
+}
+
+fn of_participant(gids: &[Gid], participant: [u8; 12]) -> Option<Gid> {
+    gids.iter().copied().find(|gid| gid.participant() == participant)
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,275 @@
+//! The side that answers.
+
+use super::mapping::{Label, Mapping, ReturnAddress, request};
+use super::thread::{RpcLink, RpcThread, TimeLimited};
+use super::{MAX_IN_FLIGHT, REPLY_HOLD, ServiceEndpoint, lock, of_participant, reading};
+use crate::middleware::{Gid, Middleware, MiddlewareError, Reader, Sample, WriteError, WriteOptions, Writer};
+use bytes::Bytes;
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, Weak};
+use std::time::Instant;
+use thiserror::Error;
+
+/// Takes the requests of one server, in the order of each client.
+pub type RequestHandler = Box<dyn FnMut(IncomingRequest) + Send>;
+
+/// A request that a server has accepted.
+pub struct IncomingRequest {
+    /// The payload: encapsulation header and body.
+    pub cdr: Bytes,
+    /// Who asks: the writer of the request.
+    pub client: Gid,
+    /// The number of the request at its client.
+    pub number: i64,
+    /// Takes the answer.
+    pub responder: Responder,
+}
+
+/// A reply was not sent.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum ReplyError {
+    /// The server was dropped before its answer.
+    #[error("the server is gone, its reply was not sent")]
+    Closed,
+    /// The sample was not written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+}
+
+/// Accepts requests and sends replies. Dropping it removes the endpoints; a handler that is running ends by itself.
+pub struct RequestServer {
+    shared: Arc<Shared>,
+    reader: Box<dyn Reader>,
+}
+
+struct Shared {
+    service: String,
+    writer: Box<dyn Writer>,
+    link: RpcLink,
+    is_closed: AtomicBool,
+    open: Arc<AtomicUsize>,
+    held: Mutex<VecDeque<Held>>,
+    refused: AtomicU64,
+    unreachable: AtomicU64,
+}
+
+/// A reply that waits for its client.
+struct Held {
+    until: Instant,
+    address: ReturnAddress,
+    cdr: Bytes,
+    _open: Open,
+}
+
+impl RequestServer {
+    /// Creates the two endpoints of a server. `on_request` runs on `thread`.
+    ///
+    /// # Errors
+    /// [`MiddlewareError`] when the engine refuses an endpoint.
+    pub fn new(
+        middleware: &dyn Middleware,
+        thread: &RpcThread,
+        service: &ServiceEndpoint,
+        on_request: RequestHandler,
+    ) -> Result<Self, MiddlewareError> {
+        // The writer first: who finds the server by its request topic can be answered.
+        let shared = Arc::new(Shared {
+            service: service.name.clone(),
+            writer: middleware.create_writer(&service.replies())?,
+            link: thread.link(),
+            is_closed: AtomicBool::new(false),
+            open: Arc::default(),
+            held: Mutex::default(),
+            refused: AtomicU64::new(0),
+            unreachable: AtomicU64::new(0),
+        });
+        let limited: Weak<dyn TimeLimited> = Arc::<Shared>::downgrade(&shared) as _;
+        shared.link.watch(limited);
+        let matched = Arc::downgrade(&shared);
+        shared.writer.on_match(Box::new(move || {
+            if let Some(shared) = matched.upgrade() {
+                shared.send_held();
+            }
+        }));
+        let incoming = {
+            let shared = Arc::downgrade(&shared);
+            let on_request = Arc::new(Mutex::new(on_request));
+            move |sample| {
+                if let Some(shared) = shared.upgrade() {
+                    accept(&shared, &on_request, sample);
+                }
+            }
+        };
+        let reader = middleware.create_reader(&reading(service.requests()), Box::new(incoming))?;
+        Ok(Self { shared, reader })
+    }
+
+    /// The identities of its two endpoints: the reader of requests, the writer of replies.
+    #[must_use]
+    pub fn gids(&self) -> (Gid, Gid) {
+        (self.reader.gid(), self.shared.writer.gid())
+    }
+
+    /// How many clients of other participants are matched in both directions.
+    #[must_use]
+    pub fn matched_clients(&self) -> usize {
+        let readers = self.shared.writer.matched_readers();
+        let is_reached = |writer: &Gid| of_participant(&readers, writer.participant()).is_some();
+        self.reader.matched_writers().iter().filter(|writer| is_reached(writer)).count()
+    }
+
+    /// Requests that were refused since [`MAX_IN_FLIGHT`] others were not answered yet, or were no requests.
+    #[must_use]
+    pub fn refused_requests(&self) -> u64 {
+        self.shared.refused.load(Ordering::Relaxed)
+    }
+
+    /// Replies that were dropped since their client was not matched within [`REPLY_HOLD`].
+    #[must_use]
+    pub fn unreachable_clients(&self) -> u64 {
+        self.shared.unreachable.load(Ordering::Relaxed)
+    }
+}
+
+impl Drop for RequestServer {
+    fn drop(&mut self) {
+        self.shared.is_closed.store(true, Ordering::Release);
+    }
+}
+
+/// Answers one request. A responder that is dropped answers nothing: the client's time runs out.
+#[must_use = "a request is answered with `reply`"]
+pub struct Responder {
+    server: Weak<Shared>,
+    address: ReturnAddress,
+    open: Open,
+}
+
+impl Responder {
+    /// Sends the reply: encapsulation header (little-endian) and body. Does not block: while the client is not matched
+    /// the reply waits, for at most [`REPLY_HOLD`].
+    ///
+    /// # Errors
+    /// [`ReplyError`] when it was not sent.
+    pub fn reply(self, cdr: Bytes) -> Result<(), ReplyError> {
+        let Self { server, address, open } = self;
+        let server = server.upgrade().filter(|server| !server.is_closed.load(Ordering::Acquire));
+        let Some(server) = server else { return Err(ReplyError::Closed) };
+        {
+            // Held while looking: a client that is matched after the look finds its reply among those that wait.
+            let mut held = lock(&server.held);
+            if !server.reaches(&address) {
+                held.push_back(Held { until: Instant::now() + REPLY_HOLD, address, cdr, _open: open });
+                drop(held);
+                server.link.look_again();
+                return Ok(());
+            }
+        }
+        server.send(&address, &cdr)
+    }
+}
+
+/// The place of a request among those that are not answered.
+struct Open(Arc<AtomicUsize>);
+
+impl Open {
+    fn new(count: &Arc<AtomicUsize>) -> Option<Self> {
+        let more = |open: usize| (open < MAX_IN_FLIGHT).then_some(open + 1);
+        count.fetch_update(Ordering::AcqRel, Ordering::Acquire, more).ok()?;
+        Some(Self(Arc::clone(count)))
+    }
+}
+
+impl Drop for Open {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::AcqRel);
+    }
+}
+
+fn accept(shared: &Arc<Shared>, on_request: &Arc<Mutex<RequestHandler>>, sample: Sample) {
+    let (client, number) = (sample.writer, sample.sequence_number);
+    let Some((address, cdr)) = request(sample) else {
+        shared.refuse(client, "it is too short for its header");
+        return;
+    };
+    let Some(open) = Open::new(&shared.open) else {
+        shared.refuse(client, "1024 requests are not answered yet");
+        return;
+    };
+    let responder = Responder { server: Arc::downgrade(shared), address, open };
+    let request = IncomingRequest { cdr, client, number, responder };
+    let (server, on_request) = (Arc::downgrade(shared), Arc::clone(on_request));
+    shared.link.run(move || {
+        if server.upgrade().is_some_and(|server| !server.is_closed.load(Ordering::Acquire)) {
+            lock(&on_request)(request);
+        }
+    });
+}
+
+impl Shared {
+    fn refuse(&self, client: Gid, reason: &str) {
+        if self.refused.fetch_add(1, Ordering::Relaxed) == 0 {
+            let service = &self.service;
+            tracing::warn!(service, %client, "a request was refused: {reason}; from now on this is only counted");
+        }
+    }
+
+    fn reaches(&self, address: &ReturnAddress) -> bool {
+        let readers = self.writer.matched_readers();
+        match address.reader {
+            Some(reader) => readers.contains(&reader),
+            None => of_participant(&readers, address.participant).is_some(),
+        }
+    }
+
+    fn send(&self, address: &ReturnAddress, cdr: &Bytes) -> Result<(), ReplyError> {
+        let readers = self.writer.matched_readers();
+        let (payload, related) = match address.label {
+            Label::Related(identity) => (cdr.clone(), Some(identity)),
+            Label::Header(header) => (header.put_on(cdr), None),
+        };
+        // A client keeps replies apart that are mapped as it expects, and may fail at another.
+        let first = readers.first().copied().map(Mapping::of);
+        let is_mixed = readers.iter().any(|reader| Some(Mapping::of(*reader)) != first);
+        let only_to =
+            address.reader.or_else(|| of_participant(&readers, address.participant)).filter(|_| is_mixed);
+        self.writer.write_with(payload, WriteOptions { related, only_to })?;
+        Ok(())
+    }
+
+    fn send_held(&self) {
+        let reached: VecDeque<Held> = {
+            let mut held = lock(&self.held);
+            let (reached, waiting) = held.drain(..).partition(|held| self.reaches(&held.address));
+            *held = waiting;
+            reached
+        };
+        for Held { address, cdr, .. } in reached {
+            if let Err(error) = self.send(&address, &cdr) {
+                tracing::debug!(service = self.service, %error, "a reply that waited for its client was not sent");
+            }
+        }
+    }
+}
+
+impl TimeLimited for Shared {
+    fn due(&self) -> Option<Instant> {
+        lock(&self.held).front().map(|held| held.until)
+    }
+
+    fn expire(&self, now: Instant) {
+        let mut held = lock(&self.held);
+        while held.front().is_some_and(|held| held.until <= now) {
+            held.pop_front();
+            if self.unreachable.fetch_add(1, Ordering::Relaxed) == 0 {
+                let service = &self.service;
+                tracing::warn!(
+                    service,
+                    "a reply was dropped: the client that asked was not matched within {REPLY_HOLD:?}; from now on \
+                     this is only counted"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,163 @@
+//! Services that a node calls.
+
+use super::node::{Listed, Membership};
+use super::{Node, NodeError, ServiceName, ServiceType};
+use crate::middleware::Direction;
+use crate::middleware::rpc::{CallError, RequestClient};
+use bytes::Bytes;
+use downbeat_msgs::cdr;
+use downbeat_msgs::qos::QosProfile;
+use std::marker::PhantomData;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Calls a service of type `S` that nodes of other processes offer. See [`Service`](super::Service) for an example.
+pub struct Client<S> {
+    raw: RawClient,
+    service: PhantomData<fn() -> S>,
+}
+
+impl<S: downbeat_msgs::Service> Client<S> {
+    /// The absolute name of the service.
+    #[must_use]
+    pub fn name(&self) -> &ServiceName {
+        self.raw.name()
+    }
+
+    /// Whether a server is matched.
+    #[must_use]
+    pub fn is_available(&self) -> bool {
+        self.raw.is_available()
+    }
+
+    /// Waits until a server is matched, or for `timeout`; tells which.
+    #[must_use]
+    pub fn wait_for_service(&self, timeout: Duration) -> bool {
+        self.raw.wait_for_service(timeout)
+    }
+
+    /// Asks. `on_reply` is called once, with the answer or why there is none, on the thread that the services and clients
+    /// of the participant share; it must return soon, and may ask again. Does not block.
+    pub fn call(
+        &self,
+        request: &S::Request,
+        timeout: Duration,
+        on_reply: impl FnOnce(Result<S::Response, CallError>) + Send + 'static,
+    ) {
+        let service = self.name().to_string();
+        self.raw.call(cdr::to_vec(request).into(), timeout, move |result| {
+            on_reply(result.and_then(|cdr| {
+                cdr::from_slice(&cdr)
+                    .map_err(|error| CallError::Answer { service, reason: error.to_string() })
+            }));
+        });
+    }
+
+    /// Asks and waits for the answer. Not for handlers of services and clients: they run on the thread that would bring
+    /// the answer, so that the time would always run out.
+    ///
+    /// # Errors
+    /// [`CallError`] when there is no answer.
+    pub fn call_and_wait(&self, request: &S::Request, timeout: Duration) -> Result<S::Response, CallError> {
+        let (sender, answer) = crossbeam::channel::bounded(1);
+        self.call(request, timeout, move |result| {
+            // Who waits takes the first.
+            let _ = sender.try_send(result);
+        });
+        let service = || self.name().to_string();
+        match answer.recv_timeout(timeout.saturating_add(GRACE)) {
+            Ok(result) => result,
+            Err(_) => Err(CallError::TimedOut { service: service(), timeout }),
+        }
+    }
+}
+
+/// The thread of the handlers may be busy when the time is up.
+const GRACE: Duration = Duration::from_secs(1);
+
+/// Calls a service by bytes: encapsulation header and body.
+pub struct RawClient {
+    name: ServiceName,
+    service_type: ServiceType,
+    // Fields drop in this order, as in a publisher.
+    _listed: [Listed; 2],
+    client: RequestClient,
+    _membership: Arc<Membership>,
+}
+
+impl RawClient {
+    /// The absolute name of the service.
+    #[must_use]
+    pub fn name(&self) -> &ServiceName {
+        &self.name
+    }
+
+    /// Its type.
+    #[must_use]
+    pub fn service_type(&self) -> &ServiceType {
+        &self.service_type
+    }
+
+    /// Whether a server is matched.
+    #[must_use]
+    pub fn is_available(&self) -> bool {
+        self.client.servers() > 0
+    }
+
+    /// Waits until a server is matched, or for `timeout`; tells which.
+    #[must_use]
+    pub fn wait_for_service(&self, timeout: Duration) -> bool {
+        self.client.wait_for_server(timeout)
+    }
+
+    /// Asks, with the bytes of the request (little-endian); see [`Client::call`].
+    pub fn call(
+        &self,
+        request: Bytes,
+        timeout: Duration,
+        on_reply: impl FnOnce(Result<Bytes, CallError>) + Send + 'static,
+    ) {
+        self.client.call(request, timeout, on_reply);
+    }
+}
+
+impl Node {
+    /// A client of a service; `service` may be absolute, relative or private (`~/…`).
+    ///
+    /// # Errors
+    /// [`NodeError`] when a name is not valid or the engine refuses.
+    pub fn client<S: downbeat_msgs::Service>(
+        &self,
+        service: &str,
+        qos: QosProfile,
+    ) -> Result<Client<S>, NodeError> {
+        let raw = self.client_raw(service, &ServiceType::new(S::TYPE_NAME)?, qos)?;
+        Ok(Client { raw, service: PhantomData })
+    }
+
+    /// A client of a service whose type this program may not know.
+    ///
+    /// # Errors
+    /// [`NodeError`] when a name is not valid or the engine refuses.
+    pub fn client_raw(
+        &self,
+        service: &str,
+        service_type: &ServiceType,
+        qos: QosProfile,
+    ) -> Result<RawClient, NodeError> {
+        let name = ServiceName::expand(service, self.name())?;
+        let shared = &self.membership.shared;
+        let client = RequestClient::new(&*shared.middleware, &shared.rpc, &name.endpoint(service_type, qos))?;
+        let (reader, writer) = client.gids();
+        Ok(RawClient {
+            name,
+            service_type: service_type.clone(),
+            _listed: [
+                Listed::new(&self.membership, Direction::In, reader),
+                Listed::new(&self.membership, Direction::Out, writer),
+            ],
+            client,
+            _membership: Arc::clone(&self.membership),
+        })
+    }
+}

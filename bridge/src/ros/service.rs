@@ -1,0 +1,164 @@
+//! Services that a node offers.
+
+use super::node::{Listed, Membership};
+use super::{Node, NodeError, ServiceName, ServiceType};
+use crate::middleware::Direction;
+use crate::middleware::rpc::{IncomingRequest, ReplyError, RequestHandler, RequestServer, Responder};
+use downbeat_msgs::cdr;
+use downbeat_msgs::qos::QosProfile;
+use std::marker::PhantomData;
+use std::sync::Arc;
+
+/// A service that a node offers, until this is dropped.
+///
+/// ```
+/// # use downbeat_bridge::middleware::in_process::Hub;
+/// use downbeat_bridge::ros::{NodeName, Participant};
+/// use downbeat_msgs::qos::QosProfile;
+/// use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolResponse};
+/// use std::time::Duration;
+/// # let hub = Hub::new();
+/// # let join = || Participant::on(std::sync::Arc::new(hub.join()));
+///
+/// let robot = join()?.create_node(NodeName::new("/", "robot")?)?;
+/// let _light = robot.serve::<SetBool>("light", QosProfile::SERVICES, |request| SetBoolResponse {
+///     success: true,
+///     message: format!("on: {}", request.data),
+/// })?;
+///
+/// let script = join()?.create_node(NodeName::new("/", "script")?)?;
+/// let light = script.client::<SetBool>("light", QosProfile::SERVICES)?;
+/// assert!(light.wait_for_service(Duration::from_secs(10)));
+/// let answer = light.call_and_wait(&Default::default(), Duration::from_secs(10))?;
+/// assert_eq!(answer.message, "on: false");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct Service {
+    name: ServiceName,
+    service_type: ServiceType,
+    // Fields drop in this order, as in a publisher.
+    _listed: [Listed; 2],
+    server: RequestServer,
+    _membership: Arc<Membership>,
+}
+
+impl Service {
+    /// Its absolute name.
+    #[must_use]
+    pub fn name(&self) -> &ServiceName {
+        &self.name
+    }
+
+    /// Its type.
+    #[must_use]
+    pub fn service_type(&self) -> &ServiceType {
+        &self.service_type
+    }
+
+    /// How many clients of other participants are matched.
+    #[must_use]
+    pub fn matched_clients(&self) -> usize {
+        self.server.matched_clients()
+    }
+
+    /// Requests that were refused since too many others were not answered yet.
+    #[must_use]
+    pub fn refused_requests(&self) -> u64 {
+        self.server.refused_requests()
+    }
+
+    /// Replies that were dropped since their client was not matched in time.
+    #[must_use]
+    pub fn unreachable_clients(&self) -> u64 {
+        self.server.unreachable_clients()
+    }
+}
+
+/// Answers one request of service `S`. Dropped without an answer, the client's time runs out.
+#[must_use = "a request is answered with `send`"]
+pub struct Reply<S> {
+    responder: Responder,
+    service: PhantomData<fn() -> S>,
+}
+
+impl<S: downbeat_msgs::Service> Reply<S> {
+    /// Sends the answer. Does not block.
+    ///
+    /// # Errors
+    /// [`ReplyError`] when it was not sent.
+    pub fn send(self, response: &S::Response) -> Result<(), ReplyError> {
+        self.responder.reply(cdr::to_vec(response).into())
+    }
+}
+
+impl Node {
+    /// Offers a service whose requests are answered at once. `service` may be absolute, relative or private (`~/…`).
+    /// `on_request` runs on the thread that the services and clients of the participant share, so it must return soon.
+    ///
+    /// # Errors
+    /// [`NodeError`] when a name is not valid or the engine refuses.
+    pub fn serve<S: downbeat_msgs::Service>(
+        &self,
+        service: &str,
+        qos: QosProfile,
+        mut on_request: impl FnMut(S::Request) -> S::Response + Send + 'static,
+    ) -> Result<Service, NodeError> {
+        self.serve_later::<S>(service, qos, move |request, reply| {
+            if let Err(error) = reply.send(&on_request(request)) {
+                tracing::debug!(%error, "a reply was not sent");
+            }
+        })
+    }
+
+    /// Offers a service whose requests may be answered later, from any thread; see [`Node::serve`]. A request that is
+    /// not of the type of the service is not answered, as in rclcpp.
+    ///
+    /// # Errors
+    /// [`NodeError`] when a name is not valid or the engine refuses.
+    pub fn serve_later<S: downbeat_msgs::Service>(
+        &self,
+        service: &str,
+        qos: QosProfile,
+        mut on_request: impl FnMut(S::Request, Reply<S>) + Send + 'static,
+    ) -> Result<Service, NodeError> {
+        let take = move |IncomingRequest { cdr, client, responder, .. }: IncomingRequest| {
+            match cdr::from_slice(&cdr) {
+                Ok(request) => on_request(request, Reply { responder, service: PhantomData }),
+                Err(error) => {
+                    let type_name = S::TYPE_NAME;
+                    tracing::warn!(%client, "a request is not answered: its bytes are no {type_name}: {error}");
+                }
+            }
+        };
+        self.serve_raw(service, &ServiceType::new(S::TYPE_NAME)?, qos, Box::new(take))
+    }
+
+    /// Offers a service of a type that this program may not know: requests and replies are their bytes, encapsulation
+    /// header and body.
+    ///
+    /// # Errors
+    /// [`NodeError`] when a name is not valid or the engine refuses.
+    pub fn serve_raw(
+        &self,
+        service: &str,
+        service_type: &ServiceType,
+        qos: QosProfile,
+        on_request: RequestHandler,
+    ) -> Result<Service, NodeError> {
+        let name = ServiceName::expand(service, self.name())?;
+        let shared = &self.membership.shared;
+        let endpoint = name.endpoint(service_type, qos);
+        let server = RequestServer::new(&*shared.middleware, &shared.rpc, &endpoint, on_request)?;
+        let (reader, writer) = server.gids();
+        Ok(Service {
+            name,
+            service_type: service_type.clone(),
+            _listed: [
+                Listed::new(&self.membership, Direction::In, reader),
+                Listed::new(&self.membership, Direction::Out, writer),
+            ],
+            server,
+            _membership: Arc::clone(&self.membership),
+        })
+    }
+}

@@ -1,0 +1,89 @@
+//! Names of services and their types, and as they stand on the wire.
+//!
+//! The wire form is that of `rmw_fastrtps_shared_cpp/namespace_prefix.hpp` and `names.hpp` (branch jazzy).
+
+use super::{MessageType, NameError, NodeName, TopicName};
+use crate::middleware::rpc::ServiceEndpoint;
+use downbeat_msgs::qos::QosProfile;
+use std::fmt;
+
+/// The absolute name of a service, such as `/stand_up`.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct ServiceName(TopicName);
+
+impl ServiceName {
+    /// The service that a node means by `name`, by the rules of [`TopicName::expand`].
+    ///
+    /// # Errors
+    /// [`NameError`] when ROS 2 does not accept the name.
+    pub fn expand(name: &str, node: &NodeName) -> Result<Self, NameError> {
+        TopicName::expand(name, node).map(Self)
+    }
+
+    /// The absolute name.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        self.0.as_str()
+    }
+
+    pub(super) fn endpoint(&self, service_type: &ServiceType, qos: QosProfile) -> ServiceEndpoint {
+        ServiceEndpoint {
+            name: self.as_str().to_owned(),
+            request_topic: format!("rq{}Request", self.as_str()),
+            request_type: format!("{}Request_", service_type.0.to_wire()),
+            reply_topic: format!("rr{}Reply", self.as_str()),
+            reply_type: format!("{}Response_", service_type.0.to_wire()),
+            qos,
+        }
+    }
+}
+
+impl fmt::Display for ServiceName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+/// The name of a service type, such as `std_srvs/srv/SetBool`.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct ServiceType(MessageType);
+
+impl ServiceType {
+    /// A type as ROS 2 writes it: package, kind (`srv`, or `action` for the services of an action) and name.
+    ///
+    /// # Errors
+    /// [`NameError`] when the three parts are not there.
+    pub fn new(name: &str) -> Result<Self, NameError> {
+        MessageType::new(name).map(Self)
+    }
+
+    /// The name as ROS 2 writes it.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        self.0.as_str()
+    }
+}
+
+impl fmt::Display for ServiceType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_service_stands_on_the_wire_as_in_rmw() {
+        let node = NodeName::new("/robot", "downbeat").unwrap();
+        let service = ServiceName::expand("~/stand_up", &node).unwrap();
+        let endpoint =
+            service.endpoint(&ServiceType::new("std_srvs/srv/SetBool").unwrap(), QosProfile::SERVICES);
+        assert_eq!(endpoint.request_topic, "rq/robot/downbeat/stand_upRequest");
+        assert_eq!(endpoint.reply_topic, "rr/robot/downbeat/stand_upReply");
+        assert_eq!(endpoint.request_type, "std_srvs::srv::dds_::SetBool_Request_");
+        assert_eq!(endpoint.reply_type, "std_srvs::srv::dds_::SetBool_Response_");
+    }
+}

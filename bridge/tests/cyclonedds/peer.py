@@ -1,0 +1,152 @@
+"""A participant of Cyclone DDS that does what it is told, as `../rclpy/peer.py`: the second vendor of DDS.
+
+Topics and types are named as ROS 2 names them; what they are on the wire is done here.
+"""
+
+import json
+import os
+import sys
+from dataclasses import dataclass, fields, is_dataclass
+
+os.environ["CYCLONEDDS_URI"] = """<CycloneDDS><Domain id="any">
+  <General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces><AllowMulticast>false</AllowMulticast></General>
+  <Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
+    <Peers><Peer address="127.0.0.1"/></Peers></Discovery>
+</Domain></CycloneDDS>"""
+
+from cyclonedds.core import Policy, Qos  # noqa: E402, it reads the variable
+from cyclonedds.domain import DomainParticipant  # noqa: E402
+from cyclonedds.idl import IdlStruct, types  # noqa: E402
+from cyclonedds.pub import DataWriter  # noqa: E402
+from cyclonedds.sub import DataReader  # noqa: E402
+from cyclonedds.topic import Topic  # noqa: E402
+from cyclonedds.util import duration  # noqa: E402
+
+
+@dataclass
+class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
+    data: str = ""
+
+
+@dataclass
+class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
+    sec: types.int32 = 0
+    nanosec: types.uint32 = 0
+
+
+@dataclass
+class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
+    stamp: Time
+    frame_id: str = ""
+
+
+@dataclass
+class JointState(IdlStruct, typename="sensor_msgs::msg::dds_::JointState_"):
+    header: Header
+    name: types.sequence[str]
+    position: types.sequence[types.float64]
+    velocity: types.sequence[types.float64]
+    effort: types.sequence[types.float64]
+
+
+@dataclass
+class CompressedImage(IdlStruct, typename="sensor_msgs::msg::dds_::CompressedImage_"):
+    header: Header
+    format: str
+    data: types.sequence[types.uint8]
+
+
+TYPES = {
+    "std_msgs/msg/String": String,
+    "sensor_msgs/msg/JointState": JointState,
+    "sensor_msgs/msg/CompressedImage": CompressedImage,
+}
+
+
+def policies(qos):
+    is_reliable = qos.get("reliability", "reliable") == "reliable"
+    is_latched = qos.get("durability", "volatile") == "transient_local"
+    chosen = [
+        Policy.Reliability.Reliable(duration(milliseconds=100)) if is_reliable else Policy.Reliability.BestEffort,
+        Policy.Durability.TransientLocal if is_latched else Policy.Durability.Volatile,
+        Policy.History.KeepAll if qos.get("history") == "keep_all" else Policy.History.KeepLast(qos.get("depth", 10)),
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+    ]
+    if "deadline_ms" in qos:
+        chosen.append(Policy.Deadline(duration(milliseconds=qos["deadline_ms"])))
+    if "lifespan_ms" in qos:
+        chosen.append(Policy.Lifespan(duration(milliseconds=qos["lifespan_ms"])))
+    if "lease_ms" in qos:
+        lease = duration(milliseconds=qos["lease_ms"])
+        is_manual = qos.get("liveliness") == "manual_by_topic"
+        chosen.append(Policy.Liveliness.ManualByTopic(lease) if is_manual else Policy.Liveliness.Automatic(lease))
+    return Qos(*chosen)
+
+
+def message_of(kind, values):
+    given = {}
+    for field in fields(kind):
+        value = values.get(field.name)
+        nested = field.type if is_dataclass(field.type) else None
+        if nested:
+            given[field.name] = message_of(nested, value or {})
+        elif value is not None:
+            given[field.name] = value
+        else:
+            given[field.name] = {"str": "", str: ""}.get(field.type, 0 if "int" in str(field.type)[:30] else [])
+    return kind(**given)
+
+
+def fields_of(message):
+    if is_dataclass(message):
+        return {field.name: fields_of(getattr(message, field.name)) for field in fields(message)}
+    if isinstance(message, (bytes, bytearray)):
+        return list(message)
+    return message
+
+
+class Peer:
+    def __init__(self):
+        self.participant = DomainParticipant(int(os.environ["ROS_DOMAIN_ID"]))
+        self.writers = {}
+        self.readers = {}
+
+    def topic(self, name, type, qos):
+        return Topic(self.participant, "rt" + name, TYPES[type], qos=policies(qos))
+
+    def advertise(self, topic, type, qos={}):
+        writer = DataWriter(self.participant, self.topic(topic, type, qos), qos=policies(qos))
+        self.writers[topic] = (writer, TYPES[type])
+
+    def publish(self, topic, fields):
+        writer, kind = self.writers[topic]
+        writer.write(message_of(kind, fields))
+
+    def subscribe(self, topic, type, qos={}):
+        self.readers[topic] = DataReader(self.participant, self.topic(topic, type, qos), qos=policies(qos))
+
+    def matched(self, topic):
+        if topic in self.writers:
+            return len(self.writers[topic][0].get_matched_subscriptions())
+        return len(self.readers[topic].get_matched_publications())
+
+    def take(self, topic):
+        """What has been received since the last call."""
+        return [{"fields": fields_of(sample)} for sample in self.readers[topic].take(N=1000)]
+
+    def stop(self, topic):
+        """Removes the endpoint."""
+        self.writers.pop(topic, None)
+        self.readers.pop(topic, None)
+
+
+def main():
+    peer = Peer()
+    print(json.dumps("ready"), flush=True)
+    for line in sys.stdin:
+        command = json.loads(line)
+        answer = getattr(peer, command.pop("do"))(**command)
+        print(json.dumps(answer), flush=True)
+
+
+main()

@@ -1,0 +1,148 @@
+//! Services between us and the real rclpy.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::rclpy::Peer;
+use common::{WATCHDOG, on_loopback, wait_until};
+use downbeat_bridge::ros::{Client, Node, NodeName, Participant, Reply, Service};
+use downbeat_msgs::qos::QosProfile;
+use downbeat_msgs::sensor_msgs::srv::{SetCameraInfo, SetCameraInfoRequest};
+use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
+use serde_json::{Value, json};
+use std::sync::mpsc::channel;
+use std::time::Duration;
+
+fn downbeat(domain_id: u16) -> (Participant, Node) {
+    let participant = Participant::join(&on_loopback(domain_id)).unwrap();
+    let node = participant.create_node(NodeName::new("/robot", "downbeat").unwrap()).unwrap();
+    (participant, node)
+}
+
+fn light(request: SetBoolRequest) -> SetBoolResponse {
+    SetBoolResponse { success: request.data, message: format!("data is {}", request.data) }
+}
+
+fn answer(data: bool) -> Value {
+    json!({"success": data, "message": format!("data is {data}")})
+}
+
+#[test]
+fn rclpy_calls_us_with_many_requests_in_flight() {
+    const COUNT: usize = 300;
+    let Some(mut rclpy) = Peer::start(52, "LOCALHOST") else { return };
+    let (_participant, node) = downbeat(52);
+    let service = node.serve::<SetBool>("light", QosProfile::SERVICES, light).unwrap();
+    let name = "/robot/light";
+    // With the 10 of the default rclpy drops answers that it has not read yet.
+    let client =
+        json!({"do": "client", "service": name, "type": "std_srvs/srv/SetBool", "qos": {"depth": COUNT}});
+    rclpy.ask(client);
+    assert_eq!(rclpy.ask(json!({"do": "wait_for_service", "service": name})), true);
+
+    let requests: Vec<_> = (0..COUNT).map(|number| json!({"data": number % 3 == 0})).collect();
+    let answers = rclpy.ask(json!({"do": "call", "service": name, "requests": requests}));
+    let expected: Vec<_> = (0..COUNT).map(|number| answer(number % 3 == 0)).collect();
+    assert_eq!(answers, json!(expected));
+    assert_eq!((service.refused_requests(), service.unreachable_clients()), (0, 0));
+    assert_eq!(service.matched_clients(), 1);
+}
+
+#[test]
+fn we_call_rclpy_with_many_requests_in_flight() {
+    const COUNT: i32 = 300;
+    let Some(mut rclpy) = Peer::start(53, "LOCALHOST") else { return };
+    let (_participant, node) = downbeat(53);
+    // With the 10 of the default rclpy drops requests that it has not read yet.
+    let (kind, qos) = ("sensor_msgs/srv/SetCameraInfo", json!({"depth": COUNT}));
+    rclpy.ask(json!({"do": "serve", "service": "/camera", "type": kind, "qos": qos}));
+    let client: Client<SetCameraInfo> = node.client("/camera", QosProfile::SERVICES).unwrap();
+    assert!(client.wait_for_service(WATCHDOG));
+    let (sender, answers) = channel();
+    for number in 0..COUNT {
+        let sender = sender.clone();
+        let mut request = SetCameraInfoRequest::default();
+        request.camera_info.distortion_model = number.to_string();
+        client.call(&request, WATCHDOG, move |result| sender.send((number, result)).unwrap());
+    }
+    for _ in 0..COUNT {
+        let (number, result) = answers.recv_timeout(WATCHDOG).unwrap();
+        assert_eq!(result.unwrap().status_message, number.to_string());
+    }
+}
+
+#[test]
+fn rclpy_lists_our_services_and_clients_under_our_node() {
+    let Some(mut rclpy) = Peer::start(54, "LOCALHOST") else { return };
+    let (_participant, node) = downbeat(54);
+    let _service: Service = node.serve::<SetBool>("~/light", QosProfile::SERVICES, light).unwrap();
+    let _client: Client<SetCameraInfo> = node.client("/camera", QosProfile::SERVICES).unwrap();
+    let mut ask = |what: &str| rclpy.ask(json!({"do": what, "node": "downbeat", "namespace": "/robot"}));
+    wait_until("rclpy lists the service", || {
+        ask("services_of").get("/robot/downbeat/light") == Some(&json!(["std_srvs/srv/SetBool"]))
+    });
+    wait_until("rclpy lists the client", || {
+        ask("clients_of").get("/camera") == Some(&json!(["sensor_msgs/srv/SetCameraInfo"]))
+    });
+    assert_eq!(
+        rclpy.ask(json!({"do": "services_and_types"}))["/robot/downbeat/light"],
+        json!(["std_srvs/srv/SetBool"])
+    );
+}
+
+#[test]
+fn a_client_that_was_killed_leaves_the_others_their_answers() {
+    let Some(mut killed) = Peer::start(55, "LOCALHOST") else { return };
+    let Some(mut rclpy) = Peer::start(55, "LOCALHOST") else { return };
+    let (_participant, node) = downbeat(55);
+    let (sender, requests) = channel();
+    let later = move |request, reply: Reply<SetBool>| sender.send((request, reply)).unwrap();
+    let service = node.serve_later::<SetBool>("light", QosProfile::SERVICES, later).unwrap();
+    let name = "/robot/light";
+    for peer in [&mut killed, &mut rclpy] {
+        peer.ask(json!({"do": "client", "service": name, "type": "std_srvs/srv/SetBool"}));
+        assert_eq!(peer.ask(json!({"do": "wait_for_service", "service": name})), true);
+    }
+    wait_until("both are matched", || service.matched_clients() == 2);
+    killed.send(json!({"do": "call", "service": name, "requests": [{"data": true}]}));
+    let (request, unanswerable) = requests.recv_timeout(WATCHDOG).unwrap();
+    assert!(request.data);
+    drop(killed);
+    unanswerable.send(&SetBoolResponse::default()).unwrap();
+    for _ in 0..20 {
+        rclpy.send(json!({"do": "call", "service": name, "requests": [{"data": false}]}));
+        let (request, reply) = requests.recv_timeout(WATCHDOG).unwrap();
+        reply.send(&light(request)).unwrap();
+        assert_eq!(rclpy.answer(), json!([answer(false)]));
+    }
+}
+
+#[test]
+fn the_first_reply_of_a_fresh_server_reaches_a_waiting_client() {
+    let starts = std::env::var("DOWNBEAT_FRESH_STARTS").map_or(10, |count| count.parse().unwrap());
+    let Some(mut rclpy) = Peer::start(56, "LOCALHOST") else { return };
+    for start in 0..starts {
+        // Fast DDS believes in a server that left for as long as its lease runs, so each has a name of its own.
+        let name = format!("/light_{start}");
+        rclpy.ask(json!({"do": "client", "service": name, "type": "std_srvs/srv/SetBool"}));
+        let (_participant, node) = downbeat(56);
+        let _service = node.serve::<SetBool>(&name, QosProfile::SERVICES, light).unwrap();
+        assert_eq!(rclpy.ask(json!({"do": "wait_for_service", "service": name})), true);
+        let answers = rclpy.ask(json!({"do": "call", "service": name, "requests": [{"data": true}]}));
+        assert_eq!(answers, json!([answer(true)]), "start {start}");
+    }
+}
+
+#[test]
+fn the_first_answer_to_a_fresh_client_arrives() {
+    let starts = std::env::var("DOWNBEAT_FRESH_STARTS").map_or(10, |count| count.parse().unwrap());
+    let Some(mut rclpy) = Peer::start(57, "LOCALHOST") else { return };
+    rclpy.ask(json!({"do": "serve", "service": "/light", "type": "std_srvs/srv/SetBool"}));
+    for start in 0..starts {
+        let (_participant, node) = downbeat(57);
+        let client: Client<SetBool> = node.client("/light", QosProfile::SERVICES).unwrap();
+        assert!(client.wait_for_service(WATCHDOG));
+        let answer = client.call_and_wait(&SetBoolRequest { data: true }, Duration::from_secs(20));
+        assert_eq!(answer.unwrap_or_else(|error| panic!("start {start}: {error}")).message, "data is True");
+    }
+}

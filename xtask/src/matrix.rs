@@ -1,0 +1,156 @@
+//! The table of what was proven with which peer, made of what the tests note (`bridge/tests/common/matrix.rs`).
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use serde::Deserialize;
+
+use crate::steps::workspace;
+
+/// The order of the headings; others follow by name.
+const HEADINGS: [&str; 11] = [
+    "Selection",
+    "Topics",
+    "Quality of service",
+    "Services",
+    "Actions",
+    "Parameters",
+    "Node services",
+    "Graph",
+    "Environment",
+    "Faults",
+    "Several hosts",
+];
+
+const PAGE: &str = "docs/ros2_matrix.md";
+
+const COLUMNS: [(&str, &str); 2] =
+    [("rclpy", "rclpy, rmw_fastrtps_cpp"), ("cyclonedds", "Cyclone DDS, Python")];
+
+/// A note of a test.
+#[derive(Deserialize)]
+struct Check {
+    heading: String,
+    feature: String,
+    with: String,
+    way: String,
+    passed: bool,
+    /// Why it cannot be done, where the test shows that.
+    limit: Option<String>,
+    /// This machine does not allow what the check needs.
+    #[serde(default)]
+    is_skipped: bool,
+}
+
+/// Where tests note their checks.
+pub(crate) struct Notes {
+    folder: PathBuf,
+}
+
+impl Notes {
+    /// An empty place.
+    pub(crate) fn new() -> anyhow::Result<Self> {
+        let folder = workspace().join("target/matrix");
+        if folder.exists() {
+            std::fs::remove_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        }
+        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        Ok(Self { folder })
+    }
+
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Prints the matrix.
+    ///
+    /// # Errors
+    /// If it is not the page in the documentation.
+    pub(crate) fn compare(&self) -> anyhow::Result<()> {
+        let checks = self.read()?;
+        let skipped = checks.iter().filter(|check| check.is_skipped).count();
+        let found = page(&checks);
+        println!("{found}");
+        let made = self.folder.join("ros2_matrix.md");
+        std::fs::write(&made, &found).with_context(|| made.display().to_string())?;
+        if skipped > 0 {
+            println!("{PAGE} is not compared with it: {skipped} checks were skipped on this machine");
+            return Ok(());
+        }
+        let kept = std::fs::read_to_string(workspace().join(PAGE)).unwrap_or_default();
+        if kept != found {
+            bail!("{PAGE} is not what the tests show; if that is right, copy {} there", made.display());
+        }
+        Ok(())
+    }
+
+    fn read(&self) -> anyhow::Result<Vec<Check>> {
+        let mut checks = Vec::new();
+        for entry in std::fs::read_dir(&self.folder)? {
+            let path = entry?.path();
+            let text = std::fs::read_to_string(&path)?;
+            for line in text.lines() {
+                checks
+                    .push(serde_json::from_str(line).with_context(|| format!("{}: {line}", path.display()))?);
+            }
+        }
+        Ok(checks)
+    }
+}
+
+/// A feature's row: what became of it by peer and way.
+type Row<'a> = BTreeMap<(&'a str, &'a str), &'a Check>;
+
+fn page(checks: &[Check]) -> String {
+    let mut tables: BTreeMap<(usize, &str), BTreeMap<&str, Row<'_>>> = BTreeMap::new();
+    for check in checks.iter().filter(|check| !check.is_skipped) {
+        let order = HEADINGS.iter().position(|heading| *heading == check.heading).unwrap_or(HEADINGS.len());
+        let row = tables.entry((order, &check.heading)).or_default().entry(&check.feature).or_default();
+        let cell = row.entry((&check.with, &check.way)).or_insert(check);
+        // Of several tests of one thing, one that failed counts.
+        if !check.passed {
+            *cell = check;
+        }
+    }
+    let cells: Vec<&Check> =
+        tables.values().flat_map(BTreeMap::values).flat_map(BTreeMap::values).copied().collect();
+    let count = |holds: fn(&Check) -> bool| cells.iter().filter(|check| holds(check)).count();
+    let mut page = format!(
+        "# What works with ROS 2\n\nMade by `cargo xtask test` of what its tests did with real peers on this machine: {} checks \
+         passed, {} failed, {} are known not to be possible. *out*: from downbeat to the peer; *in*: the other way; *both*: it \
+         takes both.\n",
+        count(|check| check.passed && check.limit.is_none()),
+        count(|check| !check.passed),
+        count(|check| check.passed && check.limit.is_some()),
+    );
+    for ((_, heading), rows) in &tables {
+        let _ = write!(page, "\n## {heading}\n\n| |");
+        COLUMNS.iter().for_each(|(_, title)| page.push_str(&format!(" {title} |")));
+        page.push_str("\n| --- | --- | --- |\n");
+        for (feature, row) in rows {
+            let _ = write!(page, "| {feature} |");
+            for (peer, _) in COLUMNS {
+                let cell: Vec<String> = row
+                    .iter()
+                    .filter(|((with, _), _)| *with == peer)
+                    .map(|(_, check)| check.verdict())
+                    .collect();
+                let _ = write!(page, " {} |", cell.join("; "));
+            }
+            page.push('\n');
+        }
+    }
+    page
+}
+
+impl Check {
+    fn verdict(&self) -> String {
+        match (&self.limit, self.passed) {
+            (_, false) => format!("{}: **FAILED**", self.way),
+            (None, true) => format!("{}: pass", self.way),
+            (Some(reason), true) => format!("{}: not possible, {reason}", self.way),
+        }
+    }
+}
