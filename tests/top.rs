@@ -66,7 +66,7 @@ fn a_running_robot_is_watched_traced_and_found_by_name_and_number() {
     let robot = Robot::start(folder.path());
     let (_, json) = output(folder.path(), &["top", "--json", "quiet"]);
     let snapshot: Snapshot = serde_json::from_str(&json).unwrap();
-    assert_eq!(snapshot.modules[0].name, "motion");
+    assert!(snapshot.modules.iter().any(|module| module.name == "motion"));
     let pid = robot.0.id().to_string();
     let (is_found, text) = output(folder.path(), &["top", "--once", &pid]);
     assert!(is_found && text.starts_with(&format!("quiet (process {pid})")), "{text}");

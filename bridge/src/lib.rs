@@ -8,7 +8,11 @@
 //! - [`edge`] turns messages of the executor into bytes and back, by the name of their type. It knows no ROS node and
 //!   no DDS: a recorder stands on it too.
 
+pub mod clock;
+pub mod diagnostics;
 pub mod edge;
 pub mod expose;
 pub mod middleware;
+pub mod robot_description;
 pub mod ros;
+pub mod rosout;

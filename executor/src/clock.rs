@@ -8,7 +8,11 @@ use crate::Time;
 
 /// Where the executor takes the time from.
 pub trait Clock: Send + Sync {
-    /// The time now. Never goes back.
+    /// The time now. It may go back only where it is that of somebody else, such as a simulator who starts again: timers
+    /// whose last time lies ahead then are due one period after the new time. Tasks and the time-outs of calls keep
+    /// their times.
+    ///
+    /// Where it moves by other steps than those of the machine's clock, [`CoreHandle::clock_moved`](crate::CoreHandle::clock_moved) tells it.
     fn now(&self) -> Time;
 
     /// True if this clock goes on by itself. Where it does not, nothing may wait for it, and modules

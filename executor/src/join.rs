@@ -18,6 +18,8 @@ pub(crate) struct JoinQueue {
     requests: SegQueue<Request>,
     /// True if an inlet holds messages.
     inlets: AtomicBool,
+    /// True if the clock was moved.
+    clock: AtomicBool,
     core: Unparker,
     stop: AtomicBool,
     closed: AtomicBool,
@@ -41,6 +43,7 @@ impl JoinQueue {
         Self {
             requests: SegQueue::new(),
             inlets: AtomicBool::new(false),
+            clock: AtomicBool::new(false),
             core,
             stop: AtomicBool::new(false),
             closed: AtomicBool::new(false),
@@ -86,7 +89,21 @@ impl JoinQueue {
 
     /// True if nothing waits.
     pub(crate) fn is_empty(&self) -> bool {
-        self.requests.is_empty() && !self.inlets.load(Ordering::Acquire)
+        self.requests.is_empty()
+            && !self.inlets.load(Ordering::Acquire)
+            && !self.clock.load(Ordering::Acquire)
+    }
+
+    /// Has the core look at its clock.
+    pub(crate) fn announce_clock(&self) {
+        if !self.clock.swap(true, Ordering::AcqRel) {
+            self.core.unpark();
+        }
+    }
+
+    /// True once after the clock was moved; to be called before it is read.
+    pub(crate) fn take_clock_announcement(&self) -> bool {
+        self.clock.load(Ordering::Relaxed) && self.clock.swap(false, Ordering::AcqRel)
     }
 
     /// To be called after a message was put into an inlet's queue.

@@ -188,7 +188,7 @@ pub use error::SetupError;
 pub use inlet::{Inlet, InletError};
 pub use inspect::{
     CycleStatistics, CycleTrace, Graph, GraphEdge, GraphModule, GraphService, GraphTopic, ModuleState,
-    ModuleStatistics, Snapshot, TimeStatistics, TopicStatistics, TraceEvent, TraceEventKind,
+    ModuleStatistics, Snapshot, TimeStatistics, TopicStatistics, TraceEvent, TraceEventKind, running_module,
 };
 pub use job::{Completion, Job, JobError};
 pub use join::{DetachedStep, StepInput};

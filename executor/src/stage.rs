@@ -141,6 +141,11 @@ impl Stage {
         self.modules[slot] = Mutex::new(Some(cell));
     }
 
+    /// One more than the greatest slot there was.
+    pub(crate) fn slots(&self) -> usize {
+        self.modules.len()
+    }
+
     pub(crate) fn cell(&mut self, slot: usize) -> Option<&mut ModuleCell> {
         self.modules[slot].get_mut().unwrap_or_else(PoisonError::into_inner).as_mut()
     }

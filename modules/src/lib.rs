@@ -3,7 +3,8 @@
 //! - [`darwin_op`]: the hardware of the humanoid Darwin OP;
 //! - [`darwin_op_emulator`]: an emulated one behind a pseudo terminal;
 //! - [`joint_command_mux`]: who may command which joint;
-//! - [`stand_nod_wave`]: a small motion.
+//! - [`stand_nod_wave`]: a small motion;
+//! - [`transforms`]: no module, but what modules use: where frames are in each other over time.
 //!
 //! What each publishes, takes and can be set to is on its page, and all together in `README.md`.
 
@@ -11,6 +12,7 @@ pub mod darwin_op;
 pub mod darwin_op_emulator;
 pub mod joint_command_mux;
 pub mod stand_nod_wave;
+pub mod transforms;
 
 #[cfg(test)]
 mod testing;

@@ -8,6 +8,7 @@ use downbeat::robot::{ExposedEndpoint, KINDS, Robot, RosArgs};
 use serde_json::json;
 
 use super::cli::CheckArguments;
+use super::session::add_diagnostics;
 
 pub(crate) fn check(arguments: &CheckArguments, ros: &RosArgs) -> anyhow::Result<()> {
     if arguments.kinds {
@@ -21,7 +22,9 @@ fn check_robot(path: &Path, arguments: &CheckArguments, ros: &RosArgs) -> anyhow
     for problem in file.thread_problems() {
         tracing::warn!("on this machine the robot does not run: {problem}");
     }
-    let robot = file.on_any_machine().build(Core::new())?;
+    let mut core = Core::new();
+    add_diagnostics(&mut core, &file)?;
+    let robot = file.on_any_machine().build(core)?;
     if arguments.dump_params {
         print!("{}", robot.parameters());
         return Ok(());

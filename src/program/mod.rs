@@ -26,15 +26,19 @@ mod trace;
 use std::process::ExitCode;
 
 use cli::{BagCommand, Cli, Command, EmulateCommand};
+use logging::Log;
 use screen::Screen;
 
 /// Does what the command line says. An error is told on standard error and gives exit code 1.
 pub(crate) fn main(cli: Cli) -> ExitCode {
     let screen = Screen::new();
     let Cli { command, ros } = cli;
-    logging::start(&screen, &ros.log);
+    let log = match Log::start(&screen, &ros.log) {
+        Ok(log) => log,
+        Err(error) => return fail(&error),
+    };
     let result = match command {
-        Command::Run(arguments) => run::run(&arguments, &ros, &screen),
+        Command::Run(arguments) => run::run(&arguments, &ros, &screen, &log),
         Command::Check(arguments) => check::check(&arguments, &ros),
         Command::Top(arguments) => top::top(&arguments),
         Command::Expose(arguments) => expose::expose(&arguments),
@@ -49,13 +53,16 @@ pub(crate) fn main(cli: Cli) -> ExitCode {
         }
     };
     screen.show(Vec::new());
+    log.close();
     match result {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("downbeat: {}", in_one_line(&error));
-            ExitCode::FAILURE
-        }
+        Err(error) => fail(&error),
     }
+}
+
+fn fail(error: &anyhow::Error) -> ExitCode {
+    eprintln!("downbeat: {}", in_one_line(error));
+    ExitCode::FAILURE
 }
 
 /// The error and its causes, without those that the text before them tells already.

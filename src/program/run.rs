@@ -6,14 +6,15 @@ use downbeat::bridge::ros::{Node, NodeName, Participant};
 use downbeat::robot::RosArgs;
 
 use super::cli::RunArguments;
+use super::logging::Log;
 use super::screen::Screen;
 use super::session::Session;
 use super::stop::Stop;
 
-pub(crate) fn run(arguments: &RunArguments, ros: &RosArgs, screen: &Screen) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &RunArguments, ros: &RosArgs, screen: &Screen, log: &Log) -> anyhow::Result<()> {
     let mut session = Session::new(arguments.parameters.read_robot(&arguments.robot, ros)?)?;
     let options = participant_options(arguments.domain)?;
-    session.expose(&options)?;
+    session.expose(&options, log)?;
     if let Some(directory) = &arguments.record {
         session.record(directory, None, arguments.encoding)?;
     }

@@ -4,7 +4,8 @@ use std::io::{self, Write};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use console::Term;
-use tracing_subscriber::fmt::MakeWriter;
+
+use super::logging::Stream;
 
 /// Standard error, shared by the log and the status block. Where it is no terminal, the block is not drawn.
 #[derive(Clone)]
@@ -42,6 +43,17 @@ impl Screen {
         let _ = shared.draw();
     }
 
+    /// Writes a line of the log above the block.
+    pub(crate) fn log(&self, stream: Stream, line: &str) {
+        let shared = self.lock();
+        let _ = shared.erase();
+        let _ = match stream {
+            Stream::Error => (&shared.terminal).write_all(line.as_bytes()),
+            Stream::Output => io::stdout().write_all(line.as_bytes()).and_then(|()| io::stdout().flush()),
+        };
+        let _ = shared.draw();
+    }
+
     fn lock(&self) -> std::sync::MutexGuard<'_, Shared> {
         self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -58,39 +70,5 @@ impl Shared {
         self.block
             .iter()
             .try_for_each(|line| self.terminal.write_line(&console::truncate_str(line, width, "…")))
-    }
-}
-
-/// Writes one log event above the block.
-pub(crate) struct LogLine {
-    screen: Screen,
-    text: Vec<u8>,
-}
-
-impl Write for LogLine {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.text.extend_from_slice(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-impl Drop for LogLine {
-    fn drop(&mut self) {
-        let shared = self.screen.lock();
-        let _ = shared.erase();
-        let _ = (&shared.terminal).write_all(&self.text);
-        let _ = shared.draw();
-    }
-}
-
-impl<'a> MakeWriter<'a> for Screen {
-    type Writer = LogLine;
-
-    fn make_writer(&'a self) -> LogLine {
-        LogLine { screen: self.clone(), text: Vec::new() }
     }
 }

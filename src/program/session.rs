@@ -6,19 +6,25 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
-use downbeat::bags::{Compression, Recording, RecordingSummary, WriterOptions};
+use downbeat::bags::{Compression, Recording, RecordingStatistics, RecordingSummary, WriterOptions};
+use downbeat::bridge::clock::{self, FollowedClock, FollowedTime};
+use downbeat::bridge::diagnostics::ProcessDiagnostics;
 use downbeat::bridge::expose::{self, BridgeStatus};
 use downbeat::bridge::middleware::{self, ParticipantOptions};
+use downbeat::bridge::robot_description::RobotDescription;
 use downbeat::bridge::ros::Participant;
+use downbeat::bridge::rosout::RosoutPublisher;
 use downbeat::executor::{Core, RunError};
 use downbeat::inspect::{InspectionServer, SocketDirectory};
+use downbeat::msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
 use downbeat::msgs::encoding::Encoding;
 use downbeat::msgs::qos::QosProfile;
 use downbeat::recorder::{self, WhenFull};
-use downbeat::robot::{Robot, RobotFile};
+use downbeat::robot::{ClockChoice, Robot, RobotFile};
 
 use super::faults::Faults;
 use super::inspected::InspectedRobot;
+use super::logging::Log;
 use super::screen::Screen;
 use super::statistics::Statistics;
 use super::status::{Sources, StatusBlock};
@@ -29,6 +35,9 @@ pub(crate) struct Session {
     robot: Robot,
     statistics: Arc<Statistics>,
     faults: Faults,
+    /// Where time is that of `/clock`.
+    clock: Option<FollowedClock>,
+    diagnostics: Option<ProcessDiagnostics>,
     bridge: Option<Bridge>,
     recording: Option<Recording>,
 }
@@ -36,6 +45,10 @@ pub(crate) struct Session {
 struct Bridge {
     status: BridgeStatus,
     title: String,
+    _following: Option<FollowedTime>,
+    _description: Option<RobotDescription>,
+    /// Dropped before the node, so that the last lines are sent.
+    _rosout: Option<RosoutPublisher>,
     /// Its node is in the graph of ROS 2 until it is dropped.
     bridge: expose::Bridge,
 }
@@ -46,20 +59,43 @@ const LOG_INTERVAL: Duration = Duration::from_secs(10);
 impl Session {
     pub(crate) fn new(file: RobotFile) -> anyhow::Result<Self> {
         let statistics = Arc::new(Statistics::default());
-        let core = Core::new().with_probe(Arc::clone(&statistics) as _);
+        let clock = (file.expose.features.clock == ClockChoice::Follow).then(FollowedClock::new);
+        let mut core = Core::new().with_probe(Arc::clone(&statistics) as _);
+        if let Some(clock) = &clock {
+            core = core.with_clock(clock.clone());
+        }
+        let diagnostics = add_diagnostics(&mut core, &file)?;
         let mut robot = file.build(core)?;
         let faults = Faults::watch(&mut robot.core)?;
-        Ok(Self { robot, statistics, faults, bridge: None, recording: None })
+        Ok(Self { robot, statistics, faults, clock, diagnostics, bridge: None, recording: None })
     }
 
     /// Shows to ROS 2 what the robot file exposes.
-    pub(crate) fn expose(&mut self, options: &ParticipantOptions) -> anyhow::Result<()> {
+    pub(crate) fn expose(&mut self, options: &ParticipantOptions, log: &Log) -> anyhow::Result<()> {
         let Robot { file, .. } = &self.robot;
         let exposures = self.robot.exposures()?;
         let participant = Participant::join_with(options, file.remaps.clone())?;
         let node = participant.create_node(file.given_node_name()?)?;
         let title = format!("{}   domain {}", node.name(), options.domain_id);
+        let features = &file.expose.features;
+        log.name_by(node.name());
+        let rosout = if features.rosout && !file.is_rosout_disabled {
+            Some(log.rosout.publish(&node)?)
+        } else {
+            log.rosout.turn_off();
+            None
+        };
+        let urdf = file.robot_description()?;
+        let description = urdf.map(|urdf| RobotDescription::publish(&node, &urdf)).transpose()?;
+        if let ClockChoice::Publish(period) = features.clock {
+            clock::publish(&mut self.robot.core, &node, period)?;
+        }
+        let handle = self.robot.core.handle();
+        let following = self.clock.as_ref().map(|clock| clock.follow(&node, &handle)).transpose()?;
         let bridge = expose::Bridge::start(&mut self.robot.core, &node, &exposures)?;
+        if let Some(diagnostics) = &self.diagnostics {
+            diagnostics.watch_endpoints(bridge.status());
+        }
         for endpoint in bridge.status().endpoints() {
             let arrow = match endpoint.direction {
                 middleware::Direction::Out => "to ROS 2",
@@ -67,7 +103,14 @@ impl Session {
             };
             tracing::info!("exposed {arrow}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
         }
-        self.bridge = Some(Bridge { status: bridge.status(), title, bridge });
+        self.bridge = Some(Bridge {
+            status: bridge.status(),
+            title,
+            _following: following,
+            _description: description,
+            _rosout: rosout,
+            bridge,
+        });
         Ok(())
     }
 
@@ -93,6 +136,10 @@ impl Session {
             exposure.and_then(|exposure| exposure.qos.profile()).unwrap_or(QosProfile::DEFAULT)
         };
         let encoding = encoding.unwrap_or(file.record.encoding);
+        if let Some(diagnostics) = &self.diagnostics {
+            let (sender, name) = (recording.sender(), format!("{}: recording", file.name));
+            diagnostics.watch(move || vec![recording_status(&name, &sender.statistics())]);
+        }
         recorder::record(&mut self.robot.core, &recording, &topics, WhenFull::Lose, encoding, qos_of)?;
         tracing::info!("recording into {}", directory.display());
         self.recording = Some(recording);
@@ -102,7 +149,7 @@ impl Session {
     /// Runs the robot until `stop`, then stops it and tells how it went.
     pub(crate) fn run(self, stop: &Stop, screen: &Screen) -> anyhow::Result<()> {
         let topics = self.robot.core.topics().cloned().collect();
-        let Self { robot: Robot { file, mut core }, statistics, faults, bridge, recording } = self;
+        let Self { robot: Robot { file, mut core }, statistics, faults, bridge, recording, .. } = self;
         let handle = core.handle();
         let core: JoinHandle<Result<(), RunError>> = std::thread::Builder::new()
             .name("core".into())
@@ -150,6 +197,39 @@ impl Session {
         }
         tell(&statistics, summary.as_ref().ok().and_then(Option::as_ref));
         summary.map(drop).context("the recording is not complete")
+    }
+}
+
+/// The process tells of itself, unless the robot file says otherwise. Before the robot's modules, so that its topic is there when
+/// what is exposed is looked up.
+pub(crate) fn add_diagnostics(
+    core: &mut Core,
+    file: &RobotFile,
+) -> anyhow::Result<Option<ProcessDiagnostics>> {
+    let add = || ProcessDiagnostics::add(core, &file.name);
+    Ok(file.expose.features.diagnostics.then(add).transpose()?)
+}
+
+fn recording_status(name: &str, statistics: &RecordingStatistics) -> DiagnosticStatus {
+    let lost = statistics.summary.lost_count();
+    let (level, message) = match &statistics.failure {
+        Some(failure) => (DiagnosticStatus::ERROR, format!("stopped: {failure}")),
+        None if lost > 0 => (DiagnosticStatus::WARN, format!("{lost} messages lost, the disk is too slow")),
+        None => (DiagnosticStatus::OK, "recording".to_owned()),
+    };
+    let value = |key: &str, value: String| KeyValue { key: key.to_owned(), value };
+    DiagnosticStatus {
+        level,
+        name: name.to_owned(),
+        message,
+        values: vec![
+            value("bag", statistics.summary.path.display().to_string()),
+            value("messages", statistics.summary.message_count().to_string()),
+            value("messages lost", lost.to_string()),
+            value("bytes", statistics.summary.bytes.to_string()),
+            value("bytes waiting", statistics.queued_bytes.to_string()),
+        ],
+        ..DiagnosticStatus::default()
     }
 }
 

@@ -35,6 +35,7 @@ impl RobotFile {
         let robot = Robot { file: self, core };
         robot.exposures()?;
         robot.recorded_topics()?;
+        robot.file.robot_description()?;
         Ok(robot)
     }
 

@@ -68,6 +68,11 @@
 //!
 //! # `[expose]` and `[record]`
 //! - `[expose]`: topics that go `out` to ROS 2 or come `in`: each a name, a pattern, or a table, see below.
+//! - Also of `[expose]`: `rosout`, whether the log goes to `/rosout`, true unless given; `clock`, `"publish"` (or
+//!   `{ publish_hz = 100.0 }`, 40 unless given): the robot's time goes to `/clock`, or `"follow"`: the robot's time is that of
+//!   `/clock`, as with the parameter `use_sim_time`; `diagnostics`, whether the process tells of its modules and endpoints on the
+//!   topic `diagnostics`, true unless given (ROS 2 sees it where that topic is `out`); `robot_description`, a URDF file, relative
+//!   to this one, for the topic of that name.
 //! - `[record]`: what `--record` writes: `topics`, "all" or a list; `compression`, "none" or "zstd";
 //!   `encoding`, how messages are serialised: "cdr" as ROS 2 does, "json", "cbor", "protobuf", "foxglove-protobuf",
 //!   "flatbuffers" or "foxglove-flatbuffers" (see [`downbeat_msgs::encoding`]).
@@ -128,8 +133,8 @@ mod ros_args;
 pub use build::Robot;
 pub use exposed::{ExposedEndpoint, ExposedQos, ExposedTraffic};
 pub use file::{
-    Direction, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry, ModuleEntry, RecordEntry,
-    RobotFile, RobotFileError, TopicChoice,
+    ClockChoice, Direction, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry, ModuleEntry,
+    NodeFeatures, RecordEntry, RobotFile, RobotFileError, TopicChoice,
 };
 pub use kinds::{KINDS, Kind};
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};

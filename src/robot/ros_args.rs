@@ -163,11 +163,8 @@ impl RosArgs {
         if let Some(enclave) = self.enclave.as_deref().filter(|enclave| *enclave != "/") {
             tracing::warn!("--enclave {enclave} changes nothing: the DDS engine has no security");
         }
-        let LogArguments { file_name, config_file, .. } = &self.log;
-        for (flag, value) in [("--log-file-name", file_name), ("--log-config-file", config_file)] {
-            if let Some(value) = value {
-                tracing::warn!("{flag} {value} changes nothing: no log file is written");
-            }
+        if let Some(value) = &self.log.config_file {
+            tracing::warn!("--log-config-file {value} changes nothing: no such library writes the log file");
         }
     }
 

@@ -136,15 +136,7 @@ impl Recording {
     /// How the recording is doing.
     #[must_use]
     pub fn statistics(&self) -> RecordingStatistics {
-        let mut statistics = {
-            let progress = self.sender.shared.progress.lock().unwrap_or_else(PoisonError::into_inner);
-            let (summary, failure) = (progress.summary.clone(), progress.failure.clone());
-            RecordingStatistics { summary, queued_bytes: 0, failure }
-        };
-        let state = self.sender.shared.queue.lock();
-        statistics.queued_bytes = state.queued_bytes;
-        add_losses(&mut statistics.summary, &state.topics);
-        statistics
+        self.sender.statistics()
     }
 
     /// Writes what is queued and ends the bag. What is given to a sender from now on is refused.
@@ -173,6 +165,20 @@ impl Drop for Recording {
 }
 
 impl RecordingSender {
+    /// How the recording is doing.
+    #[must_use]
+    pub fn statistics(&self) -> RecordingStatistics {
+        let mut statistics = {
+            let progress = self.shared.progress.lock().unwrap_or_else(PoisonError::into_inner);
+            let (summary, failure) = (progress.summary.clone(), progress.failure.clone());
+            RecordingStatistics { summary, queued_bytes: 0, failure }
+        };
+        let state = self.shared.queue.lock();
+        statistics.queued_bytes = state.queued_bytes;
+        add_losses(&mut statistics.summary, &state.topics);
+        statistics
+    }
+
     /// Adds a topic, at any time. Adding it again with the same type returns the id it has.
     ///
     /// # Errors

@@ -102,6 +102,7 @@ impl ModuleCell {
         shared: Option<&Shared>,
         run: impl FnOnce(&mut dyn Behaviour, &mut Context<'_>),
     ) {
+        let _worn = self.badge.wear();
         let Self { io, behaviour: Some(behaviour), watch, .. } = self else { return };
         if let Some(watch) = watch {
             watch.begin();

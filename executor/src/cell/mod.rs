@@ -10,7 +10,7 @@ use std::sync::Arc;
 use crate::asked::Asked;
 use crate::behaviour::Behaviour;
 use crate::guard::{drop_guarded, end_of};
-use crate::inspect::{ModuleMeter, Span, spans_are_on};
+use crate::inspect::{Badge, ModuleMeter, Span, spans_are_on};
 use crate::module_io::{ModuleIo, Shared};
 use crate::receipt::ReceiptSender;
 use crate::watchdog::Watch;
@@ -28,6 +28,7 @@ pub(crate) struct ModuleCell {
     /// True if it has nothing but subscriptions, timers and settings.
     is_simple: bool,
     watch: Option<Watch>,
+    badge: Badge,
     panic: Option<String>,
     pub(crate) meter: ModuleMeter,
     /// The last run, in a cycle that is measured.
@@ -72,6 +73,7 @@ impl ModuleCell {
             && io.clients.is_empty()
             && io.tasks.is_empty()
             && !behaviour.has_each_run();
+        let badge = Badge::new(Arc::clone(&io.name));
         Self {
             io,
             behaviour: Some(behaviour),
@@ -81,6 +83,7 @@ impl ModuleCell {
             hold: Hold::Free,
             is_simple,
             watch: None,
+            badge,
             panic: None,
             meter,
             span: None,
@@ -162,6 +165,12 @@ impl ModuleCell {
             Hold::Step => true,
             Hold::Free => has_cause(),
         }
+    }
+
+    /// Time has gone back to `now`.
+    #[cold]
+    pub(crate) fn go_back(&mut self, now: Time) {
+        self.io.timers.iter_mut().for_each(|timer| timer.go_back(now));
     }
 
     /// When the next timer fires, the next task is due, or the next call is given up.
@@ -248,6 +257,7 @@ impl ModuleCell {
             return;
         }
         let is_simple = self.is_simple;
+        let _worn = self.badge.wear();
         let Self { io, behaviour: Some(behaviour), subscribed, watch, .. } = self else { return };
         if let Some(watch) = watch {
             watch.begin();

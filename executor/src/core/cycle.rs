@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use super::{Core, Idle, Pause, RunError, SyncPhase, World};
+use crate::detached::DetachedModule;
 use crate::inspect::{CycleInfo, Measuring, spans_are_on};
 use crate::join::DetachedStep;
 use crate::management::{Command, finish_leaving};
@@ -45,7 +46,14 @@ impl Core {
         if !self.world.is_running {
             self.start()?;
         }
+        if self.world.queue.take_clock_announcement() {
+            self.world.detached.iter().flatten().for_each(DetachedModule::wake);
+        }
         let now = self.world.clock.now();
+        if now < self.world.last_now {
+            self.go_back(now);
+        }
+        self.world.last_now = now;
         let (measuring, cycle) = (self.world.inspector.begin(), self.world.cycle);
         self.stage.exclusive().measuring = measuring;
         let due = if measuring.is_on() { self.world.earliest_due() } else { Time::MAX };
@@ -108,6 +116,20 @@ impl Core {
         });
         self.world.detached = detached;
         started
+    }
+
+    /// The clock is that of somebody else, and has gone back. Detached modules notice it themselves.
+    #[cold]
+    fn go_back(&mut self, now: Time) {
+        let by = self.world.last_now.saturating_since(now).as_secs_f64();
+        tracing::warn!("the clock went back by {by} s to {now}: timers start again from there");
+        let stage = self.stage.exclusive();
+        for slot in 0..stage.slots() {
+            if let Some(cell) = stage.cell(slot) {
+                cell.go_back(now);
+                self.world.agenda.wake_at(slot, cell.next_due());
+            }
+        }
     }
 
     fn take_readings(&mut self, info: CycleInfo) {

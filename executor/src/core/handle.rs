@@ -62,6 +62,59 @@ impl CoreHandle {
         self.queue.stop_is_requested()
     }
 
+    /// Has the core and its detached modules look at their clock: where time comes from somebody else, who has just
+    /// moved it. Otherwise they may sleep for as long as it would have taken the machine's clock.
+    ///
+    /// ```
+    /// use downbeat_executor::{Clock, Core, Module, Setup, SetupError, Time};
+    /// use std::sync::Arc;
+    /// use std::sync::atomic::{AtomicI64, Ordering};
+    /// use std::sync::mpsc::{Sender, channel};
+    /// use std::time::Duration;
+    ///
+    /// #[derive(Clone, Default)]
+    /// struct OfSimulator(Arc<AtomicI64>);
+    ///
+    /// impl Clock for OfSimulator {
+    ///     fn now(&self) -> Time {
+    ///         Time::from_nanos(self.0.load(Ordering::SeqCst))
+    ///     }
+    ///
+    ///     fn runs_by_itself(&self) -> bool {
+    ///         true
+    ///     }
+    /// }
+    ///
+    /// struct Hourly(Sender<Time>);
+    ///
+    /// impl Module for Hourly {
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         setup.every(Duration::from_secs(3600), |hourly: &mut Self, ctx| {
+    ///             let _ = hourly.0.send(ctx.now());
+    ///         })
+    ///     }
+    /// }
+    ///
+    /// let clock = OfSimulator::default();
+    /// let (sender, times) = channel();
+    /// let mut core = Core::new().with_clock(clock.clone());
+    /// core.add("hourly", Hourly(sender))?;
+    /// let handle = core.handle();
+    /// let running = std::thread::spawn(move || core.run());
+    /// let mut seconds = 0;
+    /// while times.try_recv().is_err() {
+    ///     seconds += 60;
+    ///     clock.0.store(seconds * 1_000_000_000, Ordering::SeqCst);
+    ///     handle.clock_moved();
+    /// }
+    /// handle.stop();
+    /// running.join().unwrap()?;
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn clock_moved(&self) {
+        self.queue.announce_clock();
+    }
+
     /// Holds the whole core, detached modules too: no cycle runs until it is resumed. Time goes on, and timers
     /// skip what they miss. Only [`Core::run`](crate::Core::run) heeds it.
     pub fn pause(&self) {

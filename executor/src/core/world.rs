@@ -20,6 +20,8 @@ const JOB_THREADS: std::num::NonZeroUsize = std::num::NonZeroUsize::new(4).unwra
 
 pub(crate) struct World {
     pub(crate) clock: Arc<dyn Clock>,
+    /// The time of the last cycle.
+    pub(crate) last_now: Time,
     pub(crate) queue: Arc<JoinQueue>,
     pub(crate) probe: Option<Arc<dyn Probe>>,
     pub(crate) members: Members,
@@ -107,6 +109,7 @@ impl World {
     pub(crate) fn new(clock: Arc<dyn Clock>, queue: Arc<JoinQueue>) -> Self {
         Self {
             clock,
+            last_now: Time::from_nanos(i64::MIN),
             queue,
             probe: None,
             members: Members::default(),

@@ -91,6 +91,7 @@ impl DetachedModule {
             queue: Arc::clone(&world.queue),
             probe: world.probe.clone(),
             step: 0,
+            last: crate::Time::from_nanos(i64::MIN),
             has_new_settings: false,
             _alive: alive,
         };
@@ -111,6 +112,11 @@ impl DetachedModule {
 
     pub(crate) fn send(&self, parcel: Parcel) {
         self.mailbox.lock().parcels.push(parcel);
+        self.mailbox.owner.unpark();
+    }
+
+    /// Has the module look at its clock.
+    pub(crate) fn wake(&self) {
         self.mailbox.owner.unpark();
     }
 

@@ -27,6 +27,8 @@ pub(super) struct Runner {
     pub(super) queue: Arc<JoinQueue>,
     pub(super) probe: Option<Arc<dyn Probe>>,
     pub(super) step: u64,
+    /// When it looked at the clock last.
+    pub(super) last: Time,
     pub(super) has_new_settings: bool,
     /// The last field, so that it is dropped after the module.
     pub(super) _alive: Sender<()>,
@@ -40,7 +42,12 @@ impl Runner {
             for parcel in contents.parcels {
                 self.open(parcel);
             }
-            let (now, due) = (self.clock.now(), self.cell.next_due());
+            let now = self.clock.now();
+            if now < self.last {
+                self.cell.go_back(now);
+            }
+            self.last = now;
+            let due = self.cell.next_due();
             if self.cell.has_work() || !contents.deliveries.is_empty() || due <= now || self.has_new_settings
             {
                 self.step(contents.deliveries, contents.skipped, now, due);

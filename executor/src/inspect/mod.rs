@@ -4,6 +4,7 @@
 //! run, so a [`Sampler`](sampler::Sampler) has as many cycles measured as cost half a hundredth of what they do. A
 //! core whose modules take microseconds is measured in every cycle.
 
+mod badge;
 mod counters;
 mod graph;
 mod histogram;
@@ -15,6 +16,8 @@ mod snapshot;
 mod span;
 mod trace;
 
+pub(crate) use badge::Badge;
+pub use badge::running_module;
 pub(crate) use counters::{ModuleMeter, TopicMeter};
 pub use graph::{Graph, GraphEdge, GraphModule, GraphService, GraphTopic};
 pub(crate) use inspector::{CycleInfo, Inspector};

@@ -22,6 +22,14 @@ impl Timer {
         self.due = now + self.period;
     }
 
+    /// Time has gone back to `now`. A timer whose last due time lies ahead then would be silent until it has come again: it is
+    /// due after one period, as those of rcl are (`rcl/src/rcl/timer.c`).
+    pub(crate) fn go_back(&mut self, now: Time) {
+        if self.due < Time::MAX && self.due > now + self.period {
+            self.start(now);
+        }
+    }
+
     pub(crate) fn stop(&mut self) {
         self.due = Time::MAX;
     }
@@ -61,6 +69,18 @@ mod tests {
         assert!(timer.fire(Time::from_nanos(150)));
         assert_eq!(timer.due(), Time::from_nanos(160));
         assert!(!timer.fire(Time::from_nanos(159)));
+    }
+
+    #[test]
+    fn a_timer_is_due_after_one_period_when_time_has_gone_back() {
+        let mut timer = Timer::new(Duration::from_nanos(10));
+        timer.go_back(Time::ZERO);
+        assert_eq!(timer.due(), Time::MAX, "it has not started");
+        timer.start(Time::from_nanos(100));
+        timer.go_back(Time::from_nanos(105));
+        assert_eq!(timer.due(), Time::from_nanos(110), "not further than to its last due time");
+        timer.go_back(Time::from_nanos(3));
+        assert_eq!(timer.due(), Time::from_nanos(13));
     }
 
     #[test]

@@ -10,7 +10,7 @@ use downbeat::bridge::ros::{MessageType, Node, Subscription, TopicName};
 use downbeat::encoding::topic_info;
 use downbeat::msgs::encoding::Encoding;
 use downbeat::msgs::qos::QosProfile;
-use downbeat::robot::{RobotFile, RosArgs};
+use downbeat::robot::{ClockChoice, RobotFile, RosArgs};
 
 use crate::program::cli::RecordArguments;
 use crate::program::run::node;
@@ -22,7 +22,10 @@ pub(crate) fn record(arguments: &RecordArguments, ros: &RosArgs, screen: &Screen
     let compression = if arguments.zstd { Compression::Zstd } else { Compression::None };
     match &arguments.robot {
         Some(robot) => {
-            let mut session = Session::new(RobotFile::read_with(robot, ros)?)?;
+            let mut file = RobotFile::read_with(robot, ros)?;
+            // There is no node to hear `/clock` with.
+            file.expose.features.clock = ClockChoice::Own;
+            let mut session = Session::new(file)?;
             session.record(&arguments.output, arguments.zstd.then_some(compression), arguments.encoding)?;
             session.run(&Stop::new(arguments.duration)?, screen)
         }

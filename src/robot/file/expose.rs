@@ -5,8 +5,8 @@ mod topic;
 
 pub use topic::{Direction, ExposeEntry, TopicChoice};
 
-use super::RobotFileError;
 use super::table::{Table, Value};
+use super::{NodeFeatures, RobotFileError};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -15,7 +15,9 @@ type Result<T> = std::result::Result<T, RobotFileError>;
 pub struct ExposeSection {
     /// Topics out of the robot and into it.
     pub topics: Vec<ExposeEntry>,
-    // One field for each of the other keys: services, calls, parameters, clock, rosout.
+    /// What the node has besides.
+    pub features: NodeFeatures,
+    // One field for each of the other keys: services, calls, parameters.
 }
 
 /// Reads `out` and `in` alone.
@@ -29,8 +31,9 @@ pub(super) fn entries(mut table: Table<'_>) -> Result<Vec<ExposeEntry>> {
 pub(super) fn expose(value: Value<'_>) -> Result<ExposeSection> {
     let mut table = value.table("[expose]")?;
     let topics = topic::topics(&mut table)?;
+    let features = NodeFeatures::take(&mut table)?;
     table.finish()?;
-    Ok(ExposeSection { topics })
+    Ok(ExposeSection { topics, features })
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Reading robot files; [`crate::robot`] says what they look like.
 
 mod expose;
+mod features;
 mod launcher;
 mod module;
 mod place;
@@ -15,6 +16,7 @@ use downbeat_msgs::encoding::Encoding;
 use toml::de::DeTable;
 
 pub use expose::{Direction, ExposeEntry, ExposeSection, TopicChoice};
+pub use features::{ClockChoice, NodeFeatures};
 pub use launcher::{LauncherChoice, LauncherEntry};
 pub use module::ModuleEntry;
 pub(crate) use place::{Given, ParameterPlace, Place};

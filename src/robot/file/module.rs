@@ -28,8 +28,14 @@ pub struct ModuleEntry {
 }
 
 /// The modules that the program adds to a robot.
-const RESERVED_NAMES: [&str; 4] =
-    [downbeat_bridge::expose::MODULE_NAME, "recorder", "fault_watch", "step_journal"];
+const RESERVED_NAMES: [&str; 6] = [
+    downbeat_bridge::expose::MODULE_NAME,
+    downbeat_bridge::clock::MODULE_NAME,
+    downbeat_bridge::diagnostics::MODULE_NAME,
+    "recorder",
+    "fault_watch",
+    "step_journal",
+];
 
 /// How long a module that panicked waits before it starts again, unless the file says otherwise.
 const USUAL_BACKOFF: Duration = Duration::from_secs(1);

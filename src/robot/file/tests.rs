@@ -49,6 +49,67 @@ fn a_recording_is_cdr_unless_the_file_names_another_encoding() {
     assert_eq!(problem, "robots/test.toml:6: unknown choice \"protobufs\", did you mean \"protobuf\"?");
 }
 
+#[test]
+fn the_log_goes_to_rosout_unless_the_file_says_otherwise() {
+    assert!(parse(ROBOT).unwrap().expose.features.rosout);
+    assert!(parse(&format!("{ROBOT}[expose]")).unwrap().expose.features.rosout);
+    assert!(!parse(&format!("{ROBOT}[expose]\nrosout = false")).unwrap().expose.features.rosout);
+    let wrong = problem(&format!("{ROBOT}[expose]\nrosout = \"no\""));
+    assert!(wrong.contains(":6: expected true or false, found"), "{wrong}");
+}
+
+#[test]
+fn time_is_the_machines_unless_it_is_published_or_followed() {
+    let clock =
+        |text: &str| parse(&format!("{ROBOT}[expose]\n{text}")).map(|file| file.expose.features.clock);
+    let milliseconds = |number| ClockChoice::Publish(Duration::from_millis(number));
+    assert_eq!(clock("").unwrap(), ClockChoice::Own);
+    assert_eq!(clock("clock = \"publish\"").unwrap(), milliseconds(25));
+    assert_eq!(clock("clock = { publish_hz = 100 }").unwrap(), milliseconds(10));
+    assert_eq!(clock("clock = \"follow\"").unwrap(), ClockChoice::Follow);
+    for (wrong, expected) in [
+        ("clock = \"folow\"", ":6: unknown choice \"folow\", did you mean \"follow\"?"),
+        ("clock = { publish_hz = 0 }", ":6: expected how often a second, from 0.1 to 1000"),
+        ("clock = { hz = 1 }", ":6: clock needs \"publish_hz\""),
+        ("diagnostics = 1", ":6: expected true or false"),
+    ] {
+        let problem = clock(wrong).err().unwrap().to_string();
+        assert!(problem.contains(expected), "{problem}\n  should contain\n{expected}");
+    }
+    let mut file = parse(ROBOT).unwrap();
+    file.set_from_argument("use_sim_time:=true").unwrap();
+    assert_eq!(file.expose.features.clock, ClockChoice::Follow);
+    file.set_from_argument("use_sim_time:=false").unwrap();
+    assert_eq!(file.expose.features.clock, ClockChoice::Own);
+    let wrong = file.set_from_argument("use_sim_time:=1").unwrap_err().to_string();
+    assert!(wrong.contains("use_sim_time: expected true or false"), "{wrong}");
+}
+
+#[test]
+fn a_robot_description_is_xml_with_a_robot_at_its_root() {
+    let folder = tempfile::tempdir().unwrap();
+    let description = |text: &str| {
+        std::fs::write(folder.path().join("robot.urdf"), text).unwrap();
+        let robot = format!("{ROBOT}[expose]\nrobot_description = \"robot.urdf\"");
+        let source = Source::new(&folder.path().join("robot.toml"), robot);
+        RobotFile::parse(source).unwrap().0.robot_description()
+    };
+    let urdf = "<?xml version=\"1.0\"?><robot name=\"stick\"><link name=\"stick\"/></robot>";
+    assert_eq!(description(urdf).unwrap().unwrap(), urdf);
+    for (wrong, expected) in [
+        ("<robot name=\"stick\">", "no XML: "),
+        ("<sdf/>", "its root is <sdf>, that of a URDF is <robot>"),
+        ("<xacro:macro xmlns:xacro=\"x\"/>", "expand it with xacro before"),
+    ] {
+        let problem = description(wrong).unwrap_err().to_string();
+        assert!(problem.contains("robot.toml:6: ") && problem.contains(expected), "{problem}");
+    }
+    let robot = parse(&format!("{ROBOT}[expose]\nrobot_description = \"no/such.urdf\"")).unwrap();
+    let problem = robot.robot_description().unwrap_err().to_string();
+    assert!(problem.contains("test.toml:6: robot_description robots/no/such.urdf"), "{problem}");
+    assert_eq!(parse(ROBOT).unwrap().robot_description().unwrap(), None);
+}
+
 fn launcher(text: &str) -> LauncherEntry {
     parse(&format!("{ROBOT}{text}")).unwrap().launcher
 }

@@ -13,7 +13,7 @@ use downbeat_executor::SettingValue;
 pub(crate) use line::line_of;
 
 use super::file::{Given, ParameterPlace, Place, Source, suggestion};
-use super::{RobotFile, RobotFileError};
+use super::{ClockChoice, RobotFile, RobotFileError};
 use file::Parameter;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
@@ -61,7 +61,10 @@ impl RobotFile {
                 let place = ParameterPlace { source: Arc::clone(source), keys: keys.clone() };
                 let value = value.clone().map_err(|problem| place.error(problem));
                 let first = name.split('.').next().unwrap_or_default();
-                if OF_EVERY_NODE.contains(&first) && !self.modules.iter().any(|module| module.name == first) {
+                if first != "use_sim_time"
+                    && OF_EVERY_NODE.contains(&first)
+                    && !self.modules.iter().any(|module| module.name == first)
+                {
                     tracing::warn!(
                         "{}",
                         place.error(format!("\"{name}\" has no effect on a robot's modules"))
@@ -81,6 +84,9 @@ impl RobotFile {
     }
 
     fn set(&mut self, parameter: &str, value: SettingValue, place: Place) -> Result<()> {
+        if parameter == "use_sim_time" {
+            return self.use_sim_time(&value, &place);
+        }
         let names = || self.modules.iter().map(|module| module.name.as_str());
         let (module, setting) = parameter.split_once('.').unwrap_or((parameter, ""));
         let Some(position) = names().position(|name| name == module) else {
@@ -92,6 +98,24 @@ impl RobotFile {
             return Err(self.error_at(&place, problem));
         }
         self.modules[position].settings.insert(setting.to_owned(), Given { place, value });
+        Ok(())
+    }
+}
+
+impl RobotFile {
+    /// The parameter of every ROS 2 node: whether time is that of `/clock`.
+    fn use_sim_time(&mut self, value: &SettingValue, place: &Place) -> Result<()> {
+        let clock = &mut self.expose.features.clock;
+        match value {
+            SettingValue::Bool(true) => *clock = ClockChoice::Follow,
+            SettingValue::Bool(false) if *clock == ClockChoice::Follow => *clock = ClockChoice::Own,
+            SettingValue::Bool(false) => {}
+            other => {
+                return Err(
+                    self.error_at(place, format!("use_sim_time: expected true or false, found {other}"))
+                );
+            }
+        }
         Ok(())
     }
 }

@@ -66,7 +66,8 @@ pub(super) fn policies(endpoint: &Endpoint, direction: Direction) -> Result<QosP
 
     if let Some(lifespan) = lifespan {
         builder = builder.lifespan(policy::Lifespan { duration: DdsDuration::from_std(lifespan) });
-        if direction == Direction::Out {
+        // Every node has `/rosout` with a lifespan; the documentation says it once.
+        if direction == Direction::Out && endpoint.topic_name != "rt/rosout" {
             tracing::warn!(
                 topic = endpoint.topic_name,
                 "lifespan is announced but not carried out: the DDS engine sends old samples to late subscriptions"

@@ -1,0 +1,142 @@
+//! The module that looks and tells.
+
+use super::status;
+use crate::expose::{BridgeStatus, EndpointReport};
+use downbeat_executor::{
+    Context, Core, CoreHandle, Inbox, Module, ModuleOptions, Publication, Receipt, Role, Setup, SetupError,
+    Snapshot, Synchrony, Task,
+};
+use downbeat_msgs::builtin_interfaces::msg::Time;
+use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
+use downbeat_msgs::std_msgs::msg::Header;
+use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+/// The name under which it joins a core.
+pub const MODULE_NAME: &str = "process_diagnostics";
+
+/// The topic of a core on which it publishes.
+pub const TOPIC: &str = "diagnostics";
+
+const PERIOD: Duration = Duration::from_secs(1);
+/// How long it takes a core that runs to answer; it is asked again as often.
+const PATIENCE: Duration = Duration::from_millis(50);
+/// It has no inputs.
+const INBOX: NonZeroUsize = NonZeroUsize::MIN;
+
+/// Tells once a second how the process is. Clones tell the same.
+#[derive(Clone)]
+pub struct ProcessDiagnostics {
+    sources: Arc<Mutex<Sources>>,
+}
+
+type Source = dyn FnMut() -> Vec<DiagnosticStatus> + Send;
+
+#[derive(Default)]
+struct Sources {
+    endpoints: Option<BridgeStatus>,
+    others: Vec<Box<Source>>,
+}
+
+impl ProcessDiagnostics {
+    /// Adds the detached observer [`MODULE_NAME`], which publishes on [`TOPIC`]. Names of components begin with `name`, that of
+    /// the node.
+    ///
+    /// # Errors
+    /// If the core has such a module, or the topic carries another type.
+    pub fn add(core: &mut Core, name: &str) -> Result<Self, SetupError> {
+        let sources = Arc::<Mutex<Sources>>::default();
+        let module = Teller {
+            name: name.to_owned(),
+            core: core.handle(),
+            sources: Arc::clone(&sources),
+            asked: None,
+            last: None,
+            endpoints: BTreeMap::new(),
+        };
+        let options = ModuleOptions {
+            synchrony: Synchrony::Detached(Inbox::KeepLast(INBOX)),
+            role: Role::Observer,
+            ..ModuleOptions::default()
+        };
+        core.add_with(MODULE_NAME, module, options)?;
+        Ok(Self { sources })
+    }
+
+    /// Tells of the endpoints of a bridge too.
+    pub fn watch_endpoints(&self, status: BridgeStatus) {
+        self.sources().endpoints = Some(status);
+    }
+
+    /// Tells what `look` returns too. It is called once a second on the thread of the module, and must not wait.
+    pub fn watch(&self, look: impl FnMut() -> Vec<DiagnosticStatus> + Send + 'static) {
+        self.sources().others.push(Box::new(look));
+    }
+
+    fn sources(&self) -> std::sync::MutexGuard<'_, Sources> {
+        lock(&self.sources)
+    }
+}
+
+struct Teller {
+    name: String,
+    core: CoreHandle,
+    sources: Arc<Mutex<Sources>>,
+    asked: Option<Receipt<Snapshot>>,
+    /// What was told of last: what has come since decides on levels.
+    last: Option<Snapshot>,
+    endpoints: BTreeMap<String, EndpointReport>,
+}
+
+impl Module for Teller {
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        let out = setup.publish::<DiagnosticArray>(TOPIC)?;
+        let take = setup.task(move |teller: &mut Self, ctx| teller.take(ctx, out));
+        setup.every(PERIOD, move |teller: &mut Self, ctx| teller.ask(ctx, out, take))
+    }
+}
+
+impl Teller {
+    fn ask(&mut self, ctx: &mut Context<'_>, out: Publication<DiagnosticArray>, take: Task) {
+        if self.asked.is_some() {
+            self.tell(ctx, out, None);
+        }
+        self.asked = Some(self.core.snapshot());
+        ctx.schedule_after(take, PATIENCE);
+    }
+
+    fn take(&mut self, ctx: &mut Context<'_>, out: Publication<DiagnosticArray>) {
+        let Some(asked) = &self.asked else { return };
+        // One that does not answer now is told to be stale when it is asked next.
+        if let Some(snapshot) = asked.try_take() {
+            self.asked = None;
+            self.tell(ctx, out, Some(snapshot));
+        }
+    }
+
+    fn tell(&mut self, ctx: &mut Context<'_>, out: Publication<DiagnosticArray>, snapshot: Option<Snapshot>) {
+        let mut statuses = Vec::new();
+        match &snapshot {
+            None => statuses.push(status::silent_core(&self.name)),
+            Some(snapshot) => statuses.extend(status::core(&self.name, snapshot, self.last.as_ref())),
+        }
+        {
+            let mut sources = lock(&self.sources);
+            for report in sources.endpoints.iter().flat_map(BridgeStatus::endpoints) {
+                let last = self.endpoints.get(&report.ros_topic);
+                statuses.push(status::endpoint(&self.name, &report, last));
+                self.endpoints.insert(report.ros_topic.clone(), report);
+            }
+            statuses.extend(sources.others.iter_mut().flat_map(|look| look()));
+        }
+        self.last = snapshot.or(self.last.take());
+        let header = Header { stamp: Time::from_nanos(ctx.now().as_nanos()), frame_id: String::new() };
+        ctx.publish(out, DiagnosticArray { header, status: statuses });
+    }
+}
+
+fn lock(sources: &Mutex<Sources>) -> std::sync::MutexGuard<'_, Sources> {
+    sources.lock().unwrap_or_else(PoisonError::into_inner)
+}

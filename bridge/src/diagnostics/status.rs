@@ -1,0 +1,163 @@
+//! From counts to levels: what has come since the last look decides, so that a warning ends when its cause does.
+
+use crate::expose::EndpointReport;
+use crate::middleware::Direction;
+use downbeat_executor::{ModuleState, ModuleStatistics, Snapshot, TimeStatistics};
+use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
+use std::fmt::Display;
+
+/// The core and its modules.
+pub(super) fn core(node: &str, now: &Snapshot, last: Option<&Snapshot>) -> Vec<DiagnosticStatus> {
+    let since = now.uptime_ns.saturating_sub(last.map_or(0, |last| last.uptime_ns)).max(1) as f64 / 1e9;
+    let rate =
+        |now: u64, last: Option<u64>| format!("{:.1}", now.saturating_sub(last.unwrap_or(0)) as f64 / since);
+    let mut values = vec![
+        value("cycles", now.cycle),
+        value("cycles per second", rate(now.cycle, last.map(|last| last.cycle))),
+        value("up, s", now.uptime_ns / 1_000_000_000),
+    ];
+    values.extend(times("cycle", &now.cycles.total));
+    values.extend(times("lateness", &now.cycles.lateness));
+    let message = if now.is_paused { "paused" } else { "running" };
+    let mut statuses = vec![status(DiagnosticStatus::OK, format!("{node}: core"), message.into(), values)];
+    for module in &now.modules {
+        let before = last.and_then(|last| last.modules.iter().find(|known| known.name == module.name));
+        let (level, message) = level_of_module(module, before);
+        let mut values = vec![
+            value("state", module.state),
+            value("runs", module.runs),
+            value("runs per second", rate(module.runs, before.map(|before| before.runs))),
+            value("runs past their deadline", module.overruns),
+            value("panics", module.panics),
+            value("restarts", module.restarts),
+            value("messages received", module.received),
+            value("messages published", module.published),
+        ];
+        if module.is_detached {
+            values.push(value("messages waiting", module.inbox));
+            values.push(value("messages dropped", module.dropped));
+        }
+        values.extend(times("run", &module.run_time));
+        statuses.push(status(level, format!("{node}: module {}", module.name), message, values));
+    }
+    statuses
+}
+
+/// A core that did not answer in a second.
+pub(super) fn silent_core(node: &str) -> DiagnosticStatus {
+    let message = "the core has not finished a cycle for a second".to_owned();
+    status(DiagnosticStatus::STALE, format!("{node}: core"), message, Vec::new())
+}
+
+/// One endpoint of the bridge.
+pub(super) fn endpoint(node: &str, now: &EndpointReport, last: Option<&EndpointReport>) -> DiagnosticStatus {
+    let peers = match now.direction {
+        Direction::Out => "subscriptions",
+        Direction::In => "publishers",
+    };
+    let failed = now.errors.saturating_sub(last.map_or(0, |last| last.errors));
+    let (level, message) = if failed > 0 {
+        let reason = now.last_error.as_deref().unwrap_or("unknown");
+        (DiagnosticStatus::WARN, format!("{failed} messages failed: {reason}"))
+    } else {
+        (DiagnosticStatus::OK, format!("{} {peers}", now.matched))
+    };
+    let values = vec![
+        value("type", now.type_name),
+        value(peers, now.matched),
+        value("messages", now.messages),
+        value("messages nobody heard", now.skipped),
+        value("messages failed", now.errors),
+    ];
+    status(level, format!("{node}: {}", now.ros_topic), message, values)
+}
+
+fn level_of_module(now: &ModuleStatistics, last: Option<&ModuleStatistics>) -> (u8, String) {
+    let gained = |count: fn(&ModuleStatistics) -> u64| count(now).saturating_sub(last.map_or(0, count));
+    let (overruns, dropped) = (gained(|module| module.overruns), gained(|module| module.dropped));
+    match now.state {
+        ModuleState::Failed => return (DiagnosticStatus::ERROR, "stopped by a panic".into()),
+        ModuleState::Restarting => {
+            return (DiagnosticStatus::ERROR, "stopped by a panic, will start again".into());
+        }
+        ModuleState::Unconfigured | ModuleState::Inactive | ModuleState::Paused | ModuleState::Finalized => {
+            return (DiagnosticStatus::OK, now.state.to_string());
+        }
+        ModuleState::Active => {}
+    }
+    let mut problems = Vec::new();
+    if gained(|module| module.panics) > 0 {
+        problems.push("started again after a panic".to_owned());
+    }
+    if overruns > 0 {
+        problems.push(format!("{overruns} runs past their deadline"));
+    }
+    if dropped > 0 {
+        problems.push(format!("{dropped} messages dropped, it is too slow"));
+    }
+    if problems.is_empty() {
+        (DiagnosticStatus::OK, "running".into())
+    } else {
+        (DiagnosticStatus::WARN, problems.join("; "))
+    }
+}
+
+/// In milliseconds; nothing where nothing was measured.
+fn times(what: &str, times: &TimeStatistics) -> Vec<KeyValue> {
+    if times.count == 0 {
+        return Vec::new();
+    }
+    let parts = [("p50", times.p50_ns), ("p99", times.p99_ns), ("max", times.max_ns)];
+    parts.map(|(part, ns)| value(&format!("{what} {part}, ms"), ns as f64 / 1e6)).to_vec()
+}
+
+fn status(level: u8, name: String, message: String, values: Vec<KeyValue>) -> DiagnosticStatus {
+    DiagnosticStatus { level, name, message, hardware_id: String::new(), values }
+}
+
+fn value(key: &str, value: impl Display) -> KeyValue {
+    KeyValue { key: key.to_owned(), value: value.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn module(change: impl FnOnce(&mut ModuleStatistics)) -> Snapshot {
+        let mut module = ModuleStatistics { name: "walker".into(), ..ModuleStatistics::default() };
+        change(&mut module);
+        Snapshot { modules: vec![module], ..Snapshot::default() }
+    }
+
+    #[test]
+    fn a_warning_lasts_as_long_as_its_cause() {
+        let level = |now: &Snapshot, last: &Snapshot| {
+            let statuses = core("robot", now, Some(last));
+            (statuses[1].level, statuses[1].message.clone())
+        };
+        let fine = module(|_| ());
+        let late = module(|module| (module.overruns, module.dropped) = (3, 2));
+        assert_eq!(level(&fine, &fine), (DiagnosticStatus::OK, "running".into()));
+        let problems = "3 runs past their deadline; 2 messages dropped, it is too slow";
+        assert_eq!(level(&late, &fine), (DiagnosticStatus::WARN, problems.into()));
+        assert_eq!(level(&late, &late), (DiagnosticStatus::OK, "running".into()));
+        let restarted = module(|module| module.panics = 1);
+        assert_eq!(level(&restarted, &fine).1, "started again after a panic");
+        let failed = module(|module| module.state = ModuleState::Failed);
+        assert_eq!(level(&failed, &failed), (DiagnosticStatus::ERROR, "stopped by a panic".into()));
+        let paused = module(|module| module.state = ModuleState::Paused);
+        assert_eq!(level(&paused, &fine), (DiagnosticStatus::OK, "paused".into()));
+    }
+
+    #[test]
+    fn rates_are_those_since_the_last_look() {
+        let at = |seconds: u64, cycle| Snapshot {
+            cycle,
+            uptime_ns: seconds * 1_000_000_000,
+            ..Snapshot::default()
+        };
+        let statuses = core("robot", &at(4, 700), Some(&at(2, 500)));
+        assert_eq!(statuses[0].name, "robot: core");
+        assert!(statuses[0].values.contains(&value("cycles per second", "100.0")), "{statuses:?}");
+    }
+}

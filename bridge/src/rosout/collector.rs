@@ -1,0 +1,177 @@
+//! From the threads that log to the one that publishes.
+
+use super::LogLine;
+use crossbeam::queue::ArrayQueue;
+use crossbeam::sync::{Parker, Unparker};
+use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use tracing::{Event, Subscriber};
+use tracing_subscriber::Layer;
+use tracing_subscriber::layer::Context;
+
+/// Lines that wait, for a node or for the thread that publishes; as many as `/rosout` keeps for those that come late.
+const WAITING: usize = 1000;
+
+thread_local! {
+    static PUBLISHES: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Collects lines from all threads for `/rosout`. Clones share the lines.
+///
+/// From the start it keeps the first 1000 lines, so that those from before there is a node are published too. What does
+/// not fit is dropped and counted; who reads `/rosout` is told how many lines are missing.
+#[derive(Clone)]
+pub struct Rosout {
+    pub(super) shared: Arc<Shared>,
+}
+
+/// What has become of the lines so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RosoutStatus {
+    /// Lines that were published.
+    pub published: u64,
+    /// Lines that were dropped since too many waited.
+    pub dropped: u64,
+    /// Lines that the middleware did not take.
+    pub failed: u64,
+}
+
+/// Gives the events of `tracing` to a [`Rosout`]. What the thread that publishes logs itself is left out: a line about a
+/// line that could not be sent would be the next that cannot be sent.
+pub struct RosoutLayer {
+    rosout: Rosout,
+}
+
+pub(super) struct Shared {
+    pub(super) queue: ArrayQueue<LogLine>,
+    pub(super) is_off: AtomicBool,
+    pub(super) published: AtomicU64,
+    pub(super) dropped: AtomicU64,
+    pub(super) failed: AtomicU64,
+    pub(super) unparker: Unparker,
+    /// Here while no thread publishes.
+    pub(super) parker: Mutex<Option<Parker>>,
+}
+
+impl Rosout {
+    /// Nothing collected yet.
+    #[must_use]
+    pub fn new() -> Self {
+        let parker = Parker::new();
+        let unparker = parker.unparker().clone();
+        Self {
+            shared: Arc::new(Shared {
+                queue: ArrayQueue::new(WAITING),
+                is_off: AtomicBool::new(false),
+                published: AtomicU64::new(0),
+                dropped: AtomicU64::new(0),
+                failed: AtomicU64::new(0),
+                unparker,
+                parker: Mutex::new(Some(parker)),
+            }),
+        }
+    }
+
+    /// A layer that collects the events of a subscriber of `tracing`.
+    #[must_use]
+    pub fn layer(&self) -> RosoutLayer {
+        RosoutLayer { rosout: self.clone() }
+    }
+
+    /// Takes a line to publish. Never waits.
+    pub fn log(&self, line: LogLine) {
+        let shared = &*self.shared;
+        if shared.is_off.load(Ordering::Relaxed) || PUBLISHES.get() {
+            return;
+        }
+        if shared.queue.push(line).is_err() {
+            shared.dropped.fetch_add(1, Ordering::Relaxed);
+        }
+        shared.unparker.unpark();
+    }
+
+    /// Forgets what was collected and collects no more: for a program that has no `/rosout`.
+    pub fn turn_off(&self) {
+        self.shared.is_off.store(true, Ordering::Relaxed);
+        while self.take().is_some() {}
+    }
+
+    /// What has become of the lines so far.
+    #[must_use]
+    pub fn status(&self) -> RosoutStatus {
+        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        let Shared { published, dropped, failed, .. } = &*self.shared;
+        RosoutStatus { published: read(published), dropped: read(dropped), failed: read(failed) }
+    }
+
+    pub(super) fn take(&self) -> Option<LogLine> {
+        self.shared.queue.pop()
+    }
+
+    pub(super) fn parker(&self) -> std::sync::MutexGuard<'_, Option<Parker>> {
+        self.shared.parker.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Default for Rosout {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<S: Subscriber> Layer<S> for RosoutLayer {
+    fn on_event(&self, event: &Event<'_>, _ctx: Context<'_, S>) {
+        // Looked at before the line is made.
+        if !PUBLISHES.get() && !self.rosout.shared.is_off.load(Ordering::Relaxed) {
+            self.rosout.log(LogLine::of(event));
+        }
+    }
+}
+
+/// Says that this thread publishes: nothing that it logs is collected from now on.
+pub(super) fn mark_this_thread() {
+    PUBLISHES.set(true);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rosout::Severity;
+    use tracing_subscriber::prelude::*;
+
+    #[test]
+    fn what_does_not_fit_is_dropped_and_counted() {
+        let rosout = Rosout::new();
+        for number in 0..WAITING + 5 {
+            rosout.log(LogLine::now(Severity::Info, number.to_string()));
+        }
+        assert_eq!(rosout.status(), RosoutStatus { dropped: 5, ..RosoutStatus::default() });
+        assert_eq!(rosout.take().map(|line| line.message), Some("0".to_owned()), "the first lines are kept");
+    }
+
+    #[test]
+    fn nothing_is_kept_after_it_was_turned_off() {
+        let rosout = Rosout::new();
+        rosout.log(LogLine::now(Severity::Info, "before".into()));
+        rosout.turn_off();
+        rosout.log(LogLine::now(Severity::Info, "after".into()));
+        assert_eq!(rosout.take(), None);
+    }
+
+    #[test]
+    fn what_the_thread_that_publishes_logs_is_left_out() {
+        let rosout = Rosout::new();
+        let layer = rosout.layer();
+        let logged = std::thread::spawn(move || {
+            tracing::subscriber::with_default(tracing_subscriber::registry().with(layer), || {
+                tracing::info!("first");
+                mark_this_thread();
+                tracing::warn!("the first could not be sent");
+            });
+        });
+        assert!(logged.join().is_ok());
+        assert_eq!(rosout.take().map(|line| line.message), Some("first".to_owned()));
+        assert_eq!(rosout.take(), None);
+    }
+}

@@ -1,0 +1,35 @@
+//! `/rosout`: what a program logs through `tracing`, for `rqt_console` and `ros2 topic echo /rosout`.
+//!
+//! [`Rosout`] collects lines from any thread without making it wait, and publishes them on a thread of its own once there
+//! is a node. Loggers are named as rclcpp names them: the node `robot.downbeat`, and for what a module logs
+//! `robot.downbeat.module`. [`LoggerLevels`] holds the levels that tools give to loggers while the program runs.
+//!
+//! ```
+//! use downbeat_bridge::middleware::in_process::Hub;
+//! use downbeat_bridge::ros::{NodeName, Participant};
+//! use downbeat_bridge::rosout::Rosout;
+//! use tracing_subscriber::prelude::*;
+//!
+//! let rosout = Rosout::new();
+//! let _guard = tracing_subscriber::registry().with(rosout.layer()).set_default();
+//! tracing::info!(joint = "head_pan", "calibrated"); // Waits for the node, and is published first.
+//!
+//! let participant = Participant::on(std::sync::Arc::new(Hub::new().join()))?;
+//! let node = participant.create_node(NodeName::new("/robot", "downbeat")?)?;
+//! let publishing = rosout.publish(&node)?;
+//! drop(publishing); // Sends what was logged until now, and ends the thread.
+//! assert_eq!(rosout.status().published, 1);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod collector;
+mod levels;
+mod line;
+mod publisher;
+mod severity;
+
+pub use collector::{Rosout, RosoutLayer, RosoutStatus};
+pub use levels::{LoggerLevels, TooManyLoggers};
+pub use line::{LogLine, logger_name};
+pub use publisher::{RosoutError, RosoutPublisher, TOPIC};
+pub use severity::Severity;

@@ -1,0 +1,254 @@
+//! Where a frame is in another one.
+
+use super::buffer::TransformBuffer;
+use super::error::LookupError;
+use super::geometry::transform_message;
+use super::history::{Gap, Sample};
+use super::{Isometry, Stamped, Transformable};
+use downbeat_executor::Time;
+use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
+use downbeat_msgs::geometry_msgs::msg::TransformStamped;
+use downbeat_msgs::std_msgs::msg::Header;
+
+/// The time of a lookup.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum At {
+    /// The latest at which all of the way is known (what time 0 means to tf2).
+    Latest,
+    /// This one.
+    Time(Time),
+}
+
+impl From<Time> for At {
+    fn from(time: Time) -> Self {
+        Self::Time(time)
+    }
+}
+
+impl From<Stamp> for At {
+    /// As tf2 reads a stamp: 0 is the latest.
+    fn from(stamp: Stamp) -> Self {
+        if stamp == Stamp::default() { Self::Latest } else { Self::Time(Time::from_nanos(stamp.as_nanos())) }
+    }
+}
+
+/// Where the source was in the target.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoundTransform {
+    /// The frame to express in.
+    pub target: String,
+    /// The frame that is expressed.
+    pub source: String,
+    /// At this time: the one asked for, or the latest that all of the way is known. The epoch where the latest was asked for
+    /// and nothing moves.
+    pub time: Time,
+    /// Takes coordinates in the source to coordinates in the target.
+    pub target_from_source: Isometry,
+}
+
+impl FoundTransform {
+    /// The message of it.
+    #[must_use]
+    pub fn to_message(&self) -> TransformStamped {
+        TransformStamped {
+            header: Header { stamp: Stamp::from_nanos(self.time.as_nanos()), frame_id: self.target.clone() },
+            child_frame_id: self.source.clone(),
+            transform: transform_message(&self.target_from_source),
+        }
+    }
+}
+
+/// A lookup, for its errors.
+#[derive(Clone, Copy)]
+struct Query<'a> {
+    target: &'a str,
+    source: &'a str,
+}
+
+/// The way up from a frame: frames, with the transform that takes coordinates in the first to each.
+struct Climb {
+    frames: Vec<(usize, Isometry)>,
+    /// Why it ended, if not at a root or where it was to end.
+    gap: Option<(usize, Gap)>,
+}
+
+impl TransformBuffer {
+    /// Where `source` is in `target`: takes coordinates in the source to coordinates in the target.
+    ///
+    /// # Errors
+    /// [`LookupError`]: which frame is not known, or not then and by how much.
+    pub fn lookup(
+        &self,
+        target: &str,
+        source: &str,
+        at: impl Into<At>,
+    ) -> Result<FoundTransform, LookupError> {
+        let query = Query { target, source };
+        let (to, from) = (self.frame(query, target)?, self.frame(query, source)?);
+        let time = match at.into() {
+            At::Time(time) => time,
+            At::Latest => self.common_time(query, to, from)?.unwrap_or(Time::ZERO),
+        };
+        let target_from_source = self.find_at(query, to, from, time)?;
+        Ok(FoundTransform { target: target.to_owned(), source: source.to_owned(), time, target_from_source })
+    }
+
+    /// Where `source` was at `source_time`, in `target` as it was at `target_time`, for what did not move in `fixed` meanwhile:
+    /// where was the ball that was seen a second ago, in the robot that has walked on since?
+    ///
+    /// # Errors
+    /// Those of [`lookup`](Self::lookup), of the two halves of the way.
+    pub fn lookup_through(
+        &self,
+        target: &str,
+        target_time: impl Into<At>,
+        source: &str,
+        source_time: impl Into<At>,
+        fixed: &str,
+    ) -> Result<FoundTransform, LookupError> {
+        let fixed_from_source = self.lookup(fixed, source, source_time)?.target_from_source;
+        let found = self.lookup(target, fixed, target_time)?;
+        let target_from_source = found.target_from_source * fixed_from_source;
+        Ok(FoundTransform { source: source.to_owned(), target_from_source, ..found })
+    }
+
+    /// The latest time at which all of the way between two frames is known; nothing where no part of it moves.
+    ///
+    /// # Errors
+    /// [`LookupError`] where a frame is not known, or the two are not connected.
+    pub fn latest_common_time(&self, target: &str, source: &str) -> Result<Option<Time>, LookupError> {
+        let query = Query { target, source };
+        self.common_time(query, self.frame(query, target)?, self.frame(query, source)?)
+    }
+
+    /// A stamped value in another frame, at the time of its stamp; the latest where that is 0.
+    ///
+    /// # Errors
+    /// Those of [`lookup`](Self::lookup).
+    pub fn transform<T: Stamped + Transformable>(&self, value: &T, target: &str) -> Result<T, LookupError> {
+        let Header { stamp, frame_id } = value.header();
+        let found = self.lookup(target, frame_id, *stamp)?;
+        let mut transformed = value.transformed(&found.target_from_source);
+        let header = Header { stamp: Stamp::from_nanos(found.time.as_nanos()), frame_id: found.target };
+        *transformed.header_mut() = header;
+        Ok(transformed)
+    }
+
+    fn frame(&self, query: Query<'_>, name: &str) -> Result<usize, LookupError> {
+        self.find(name).ok_or_else(|| LookupError::UnknownFrame {
+            target_frame: query.target.to_owned(),
+            source_frame: query.source.to_owned(),
+            frame: name.to_owned(),
+            nearest: self.nearest(name),
+        })
+    }
+
+    /// At most three names.
+    fn nearest(&self, name: &str) -> Vec<String> {
+        let likeness = |known: &str| strsim::jaro_winkler(known, name);
+        let mut names: Vec<_> = self.names.iter().map(|known| (likeness(known), known)).collect();
+        names.sort_by(|one, other| other.0.total_cmp(&one.0).then(one.1.cmp(other.1)));
+        let best = names.first().map_or(0.0, |&(likeness, _)| likeness);
+        let near = names.iter().take_while(|(likeness, _)| *likeness > best - 0.05);
+        near.take(3).map(|(_, known)| known.to_string()).collect()
+    }
+
+    fn find_at(
+        &self,
+        query: Query<'_>,
+        target: usize,
+        source: usize,
+        time: Time,
+    ) -> Result<Isometry, LookupError> {
+        let step = |frame: usize| self.histories[frame].at(time);
+        let from_source = self.climb(query, source, |frame| frame == target, step)?;
+        let met = |frame: usize| from_source.frames.iter().find(|(passed, _)| *passed == frame);
+        let from_target = self.climb(query, target, |frame| met(frame).is_some(), step)?;
+        let meeting = from_target.frames.last().and_then(|(frame, there_from_target)| {
+            let (_, there_from_source) = met(*frame)?;
+            Some(there_from_target.inverse() * *there_from_source)
+        });
+        // The way from the target ends in a gap only where the two have not met before.
+        match (meeting, from_target.gap.or(from_source.gap)) {
+            (Some(target_from_source), _) => Ok(target_from_source),
+            (None, Some((frame, gap))) => Err(self.extrapolation(query, frame, gap, time)),
+            (None, None) => Err(self.not_connected(query, &from_target, &from_source)),
+        }
+    }
+
+    fn common_time(
+        &self,
+        query: Query<'_>,
+        target: usize,
+        source: usize,
+    ) -> Result<Option<Time>, LookupError> {
+        if target == source {
+            return Ok(self.histories[target].span().map(|(_, latest)| latest));
+        }
+        let step = |frame: usize| Ok(self.histories[frame].latest().copied());
+        let from_source = self.climb(query, source, |frame| frame == target, step)?;
+        let position = |frame: usize| from_source.frames.iter().position(|(passed, _)| *passed == frame);
+        let from_target = self.climb(query, target, |frame| position(frame).is_some(), step)?;
+        let Some(meeting) = from_target.frames.last().and_then(|(frame, _)| position(*frame)) else {
+            return Err(self.not_connected(query, &from_target, &from_source));
+        };
+        let links =
+            from_source.frames[..meeting].iter().chain(&from_target.frames[..from_target.frames.len() - 1]);
+        Ok(links.filter_map(|&(frame, _)| self.histories[frame].span()).map(|(_, latest)| latest).min())
+    }
+
+    /// Goes up from a frame to a root, to a gap, or to where `is_end` says.
+    fn climb(
+        &self,
+        query: Query<'_>,
+        start: usize,
+        is_end: impl Fn(usize) -> bool,
+        step: impl Fn(usize) -> Result<Option<Sample>, Gap>,
+    ) -> Result<Climb, LookupError> {
+        let (mut frame, mut frame_from_start) = (start, Isometry::IDENTITY);
+        let mut frames = vec![(frame, frame_from_start)];
+        while !is_end(frame) {
+            let sample = match step(frame) {
+                Ok(Some(sample)) => sample,
+                Ok(None) => break,
+                Err(gap) => return Ok(Climb { frames, gap: Some((frame, gap)) }),
+            };
+            (frame, frame_from_start) = (sample.parent, sample.parent_from_frame * frame_from_start);
+            frames.push((frame, frame_from_start));
+            if frames.len() > self.names.len() {
+                return Err(LookupError::Loop {
+                    target_frame: query.target.to_owned(),
+                    source_frame: query.source.to_owned(),
+                    frame: self.names[frame].to_string(),
+                });
+            }
+        }
+        Ok(Climb { frames, gap: None })
+    }
+
+    fn extrapolation(&self, query: Query<'_>, frame: usize, gap: Gap, requested: Time) -> LookupError {
+        let Gap { oldest, latest, direction, by } = gap;
+        LookupError::Extrapolation {
+            target_frame: query.target.to_owned(),
+            source_frame: query.source.to_owned(),
+            frame: self.names[frame].to_string(),
+            requested,
+            oldest,
+            latest,
+            direction,
+            by,
+        }
+    }
+
+    fn not_connected(&self, query: Query<'_>, from_target: &Climb, from_source: &Climb) -> LookupError {
+        let root = |climb: &Climb| {
+            climb.frames.last().map(|(frame, _)| self.names[*frame].to_string()).unwrap_or_default()
+        };
+        LookupError::NotConnected {
+            target_frame: query.target.to_owned(),
+            source_frame: query.source.to_owned(),
+            target_root: root(from_target),
+            source_root: root(from_source),
+        }
+    }
+}

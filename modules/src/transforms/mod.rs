@@ -1,0 +1,65 @@
+//! Transforms between coordinate frames over time, with the rules of tf2.
+//!
+//! [`TransformBuffer`] keeps what comes on `/tf` and `/tf_static` and answers where a frame is in another one at a time. It is
+//! plain data: no thread, no lock, no clock. [`listen`] fills the buffer of a module, [`TransformBroadcaster`] publishes.
+//!
+//! ```
+//! use downbeat_executor::Time;
+//! use downbeat_modules::transforms::{At, TransformBuffer};
+//! use downbeat_msgs::geometry_msgs::msg::{Point, PointStamped, TransformStamped};
+//!
+//! let transform = |parent: &str, child: &str, x: f64, seconds: i64| {
+//!     let mut transform = TransformStamped { child_frame_id: child.into(), ..TransformStamped::default() };
+//!     transform.header.frame_id = parent.into();
+//!     transform.header.stamp.sec = seconds as i32;
+//!     transform.transform.translation.x = x;
+//!     transform
+//! };
+//! let mut buffer = TransformBuffer::new();
+//! buffer.insert(&transform("odom", "base_link", 1.0, 10))?;
+//! buffer.insert(&transform("odom", "base_link", 2.0, 12))?;
+//! buffer.insert_static(&transform("base_link", "camera", 0.1, 0))?;
+//!
+//! let eleven_seconds = Time::from_nanos(11_000_000_000);
+//! let found = buffer.lookup("odom", "camera", eleven_seconds)?;
+//! assert!((found.target_from_source.translation.x - 1.6).abs() < 1e-12);
+//!
+//! let mut seen = PointStamped { point: Point { x: 3.0, ..Point::default() }, ..PointStamped::default() };
+//! (seen.header.frame_id, seen.header.stamp.sec) = ("camera".into(), 11);
+//! assert!((buffer.transform(&seen, "odom")?.point.x - 4.6).abs() < 1e-12);
+//!
+//! let too_late = buffer.lookup("odom", "camera", Time::from_nanos(12_123_000_000)).unwrap_err();
+//! assert!(too_late.to_string().contains("extrapolation 0.123000000 s into the future"));
+//! assert_eq!(buffer.lookup("odom", "camera", At::Latest)?.time, Time::from_nanos(12_000_000_000));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # Frames and units
+//! A transform message with `header.frame_id` *p* and `child_frame_id` *c* is `p_from_c`: it takes coordinates in *c* to
+//! coordinates in *p* (metres, unit quaternions). Frames form a tree; the parent of a frame may change over time.
+//!
+//! # References
+//! - `tf2/src/buffer_core.cpp`, `tf2/src/cache.cpp` and `tf2_geometry_msgs` of `ros2/geometry2`, for what is looked up how.
+//! - REP-105 for names of frames.
+
+mod apply;
+mod broadcaster;
+mod buffer;
+mod error;
+mod geometry;
+mod history;
+mod isometry;
+mod listener;
+mod lookup;
+
+pub use apply::{Stamped, Transformable};
+pub use broadcaster::TransformBroadcaster;
+pub use buffer::{FrameInfo, Taken, TransformBuffer};
+pub use error::{Direction, LookupError, TransformRefused};
+pub use geometry::{isometry, transform_message};
+pub use isometry::Isometry;
+pub use listener::{TF, TF_STATIC, listen};
+pub use lookup::{At, FoundTransform};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,155 @@
+//! What becomes of an event: whether it is wanted, and where it goes.
+
+use std::io::IsTerminal;
+use std::sync::{Arc, PoisonError, RwLock};
+
+use downbeat::bridge::rosout::{LogLine, LoggerLevels, Rosout, Severity};
+use tracing::level_filters::LevelFilter;
+use tracing::subscriber::Interest;
+use tracing::{Event, Metadata, Subscriber, span};
+use tracing_subscriber::layer::Context;
+use tracing_subscriber::registry::LookupSpan;
+use tracing_subscriber::{EnvFilter, Layer};
+
+use super::environment::{Colors, LogOptions, Stream};
+use super::file::LogFile;
+use super::format::Format;
+use crate::program::screen::Screen;
+
+/// Filters events, and writes those that are wanted to the console, to a file, and to `/rosout`.
+///
+/// A logger that was given a level has that; for the others what `DOWNBEAT_LOG` says holds.
+pub(super) struct LogLayer {
+    pub(super) filter: EnvFilter,
+    pub(super) levels: LoggerLevels,
+    pub(super) node_logger: Arc<RwLock<String>>,
+    /// Nothing where `--disable-stdout-logs` says so.
+    pub(super) console: Option<Console>,
+    pub(super) format: Format,
+    pub(super) file: Option<LogFile>,
+    pub(super) rosout: Rosout,
+}
+
+/// Standard error or output, above the status block.
+pub(super) struct Console {
+    format: Format,
+    has_colors: bool,
+    stream: Stream,
+    screen: Screen,
+}
+
+impl<S> Layer<S> for LogLayer
+where
+    S: Subscriber + for<'a> LookupSpan<'a>,
+{
+    fn register_callsite(&self, metadata: &'static Metadata<'static>) -> Interest {
+        let interest = Layer::<S>::register_callsite(&self.filter, metadata);
+        if interest.is_never() && self.may_be_raised(metadata) { Interest::sometimes() } else { interest }
+    }
+
+    fn enabled(&self, metadata: &Metadata<'_>, ctx: Context<'_, S>) -> bool {
+        self.may_be_raised(metadata) || self.filter.enabled(metadata, ctx)
+    }
+
+    fn max_level_hint(&self) -> Option<LevelFilter> {
+        let raised = self.levels.least().map(|severity| match severity {
+            Severity::Debug => LevelFilter::DEBUG,
+            Severity::Info => LevelFilter::INFO,
+            Severity::Warn => LevelFilter::WARN,
+            Severity::Error | Severity::Fatal => LevelFilter::ERROR,
+        });
+        // No hint of the filter means that it may want everything.
+        let wanted = self.filter.max_level_hint()?;
+        Some(raised.map_or(wanted, |raised| raised.max(wanted)))
+    }
+
+    fn on_event(&self, event: &Event<'_>, ctx: Context<'_, S>) {
+        let node_logger = self.node_logger.read().unwrap_or_else(PoisonError::into_inner).clone();
+        let line = LogLine::of(event);
+        let logger = line.logger(&node_logger);
+        let is_wanted = match self.levels.effective(&logger) {
+            Some(level) => line.severity >= level,
+            None => self.filter.enabled(event.metadata(), ctx),
+        };
+        if is_wanted {
+            if let Some(console) = &self.console {
+                console.write(&line, &logger);
+            }
+            if let Some(file) = &self.file {
+                file.write(plain(&self.format, &line, &logger));
+            }
+            self.rosout.log(line);
+        }
+    }
+
+    fn on_new_span(&self, attributes: &span::Attributes<'_>, id: &span::Id, ctx: Context<'_, S>) {
+        self.filter.on_new_span(attributes, id, ctx);
+    }
+
+    fn on_record(&self, id: &span::Id, values: &span::Record<'_>, ctx: Context<'_, S>) {
+        self.filter.on_record(id, values, ctx);
+    }
+
+    fn on_enter(&self, id: &span::Id, ctx: Context<'_, S>) {
+        self.filter.on_enter(id, ctx);
+    }
+
+    fn on_exit(&self, id: &span::Id, ctx: Context<'_, S>) {
+        self.filter.on_exit(id, ctx);
+    }
+
+    fn on_close(&self, id: span::Id, ctx: Context<'_, S>) {
+        self.filter.on_close(id, ctx);
+    }
+}
+
+impl LogLayer {
+    /// True if some logger has a level at which such an event is wanted.
+    fn may_be_raised(&self, metadata: &Metadata<'_>) -> bool {
+        let severity = Severity::of(*metadata.level());
+        let is_ours = !metadata.target().starts_with(downbeat::bridge::middleware::dds::LOG_TARGET);
+        metadata.is_event() && is_ours && self.levels.least().is_some_and(|least| severity >= least)
+    }
+}
+
+impl Console {
+    pub(super) fn new(options: &LogOptions, screen: &Screen) -> Self {
+        let is_terminal = match options.stream {
+            Stream::Error => std::io::stderr().is_terminal(),
+            Stream::Output => std::io::stdout().is_terminal(),
+        };
+        let has_colors = match options.colors {
+            Colors::OnTerminals => is_terminal,
+            Colors::Always => true,
+            Colors::Never => false,
+        };
+        Self { format: options.format.clone(), has_colors, stream: options.stream, screen: screen.clone() }
+    }
+
+    fn write(&self, line: &LogLine, logger: &str) {
+        let text =
+            if self.has_colors { self.colored(line, logger) } else { plain(&self.format, line, logger) };
+        self.screen.log(self.stream, &text);
+    }
+
+    /// In the colors of rcutils.
+    fn colored(&self, line: &LogLine, logger: &str) -> String {
+        let mut text = String::with_capacity(128);
+        text.push_str(match line.severity {
+            Severity::Debug => "\x1b[32m",
+            Severity::Info => "\x1b[0m",
+            Severity::Warn => "\x1b[33m",
+            Severity::Error | Severity::Fatal => "\x1b[31m",
+        });
+        self.format.write(line, logger, &mut text);
+        text.push_str("\x1b[0m\n");
+        text
+    }
+}
+
+fn plain(format: &Format, line: &LogLine, logger: &str) -> String {
+    let mut text = String::with_capacity(128);
+    format.write(line, logger, &mut text);
+    text.push('\n');
+    text
+}

@@ -1,0 +1,114 @@
+//! Where log events go: to the console as ROS 2 writes it, to a file where one is asked for, and to `/rosout`.
+
+mod environment;
+mod file;
+mod format;
+mod layer;
+
+use std::sync::{Arc, PoisonError, RwLock};
+
+use anyhow::Context;
+use downbeat::bridge::ros::NodeName;
+use downbeat::bridge::rosout::{LoggerLevels, Rosout, Severity, logger_name};
+use downbeat::robot::{LogArguments, LogLevel};
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::prelude::*;
+
+use super::screen::Screen;
+use environment::LogOptions;
+pub(crate) use environment::Stream;
+use file::LogFile;
+use layer::{Console, LogLayer};
+
+/// The variable that says what is logged.
+const VARIABLE: &str = "DOWNBEAT_LOG";
+
+/// The DDS engine reports each repair and each refused sample as an error; what matters of it the bridge tells.
+const DEFAULT: &str = "info,rustdds=off";
+
+/// The name of the logger while there is no node.
+const PROGRAM: &str = "downbeat";
+
+/// The log of the program.
+#[derive(Clone)]
+pub(crate) struct Log {
+    /// What waits for `/rosout`.
+    pub(crate) rosout: Rosout,
+    /// The levels that loggers are given, which tools may change.
+    levels: LoggerLevels,
+    node_logger: Arc<RwLock<String>>,
+    file: Option<LogFile>,
+}
+
+impl Log {
+    /// Sends log events where the environment says, above the status block.
+    pub(crate) fn start(screen: &Screen, arguments: &LogArguments) -> anyhow::Result<Self> {
+        let options = LogOptions::from_variables(|name| std::env::var(name).ok())?.with(arguments);
+        let log = Self {
+            rosout: Rosout::new(),
+            levels: LoggerLevels::default(),
+            node_logger: Arc::new(RwLock::new(PROGRAM.into())),
+            file: options.file.as_deref().map(LogFile::create).transpose()?,
+        };
+        for (logger, level) in &arguments.loggers {
+            log.levels.set(logger, severity(*level))?;
+        }
+        let given = filter_of(arguments).or_else(|| std::env::var(VARIABLE).ok());
+        let filter = given.as_deref().map(EnvFilter::try_new).transpose();
+        let (filter, problem) = match filter {
+            Ok(filter) => (filter.unwrap_or_else(|| EnvFilter::new(DEFAULT)), None),
+            Err(error) => (EnvFilter::new(DEFAULT), Some(error)),
+        };
+        let layer = LogLayer {
+            filter,
+            levels: log.levels.clone(),
+            node_logger: Arc::clone(&log.node_logger),
+            console: (!arguments.is_stdout_disabled).then(|| Console::new(&options, screen)),
+            format: options.format.clone(),
+            file: log.file.clone(),
+            rosout: log.rosout.clone(),
+        };
+        tracing_subscriber::registry().with(layer).try_init().context("cannot start the log")?;
+        if let Some(error) = problem {
+            tracing::warn!("{VARIABLE}={} is not understood: {error}", given.unwrap_or_default());
+        }
+        options.remarks.iter().for_each(|remark| tracing::warn!("{remark}"));
+        Ok(log)
+    }
+
+    /// Lines are from now on those of a node.
+    pub(crate) fn name_by(&self, node: &NodeName) {
+        *self.node_logger.write().unwrap_or_else(PoisonError::into_inner) = logger_name(node);
+    }
+
+    /// Writes what still waits to be written.
+    pub(crate) fn close(&self) {
+        if let Some(file) = &self.file {
+            file.close();
+        }
+    }
+}
+
+/// What `--log-level` says, which wins over the environment. The parts of a logger's name may also be those of a module path.
+fn filter_of(arguments: &LogArguments) -> Option<String> {
+    if arguments.level.is_none() && arguments.loggers.is_empty() {
+        return None;
+    }
+    let level = arguments.level.map_or("info", LogLevel::as_filter);
+    let mut filter = format!("{level},rustdds=off");
+    for (logger, level) in &arguments.loggers {
+        filter.push_str(&format!(",{}={}", logger.replace('.', "::"), level.as_filter()));
+    }
+    Some(filter)
+}
+
+fn severity(level: LogLevel) -> Option<Severity> {
+    match level {
+        LogLevel::Unset => None,
+        LogLevel::Debug => Some(Severity::Debug),
+        LogLevel::Info => Some(Severity::Info),
+        LogLevel::Warn => Some(Severity::Warn),
+        LogLevel::Error => Some(Severity::Error),
+        LogLevel::Fatal => Some(Severity::Fatal),
+    }
+}

@@ -1,0 +1,104 @@
+//! What the ROS 2 node of a robot has beside topics, services and parameters.
+
+use std::time::Duration;
+
+use downbeat_bridge::clock;
+
+use super::table::{Table, Value};
+use super::{Located, Result, RobotFile, choice};
+
+/// What the node has besides.
+#[derive(Clone)]
+pub struct NodeFeatures {
+    /// Whether it publishes its log on `/rosout`.
+    pub rosout: bool,
+    /// What it does with `/clock`.
+    pub clock: ClockChoice,
+    /// Whether the process tells of itself on the topic `diagnostics` once a second.
+    pub diagnostics: bool,
+    /// A URDF file, relative to the robot file, to publish on `robot_description`.
+    pub(crate) robot_description: Option<Located<String>>,
+}
+
+/// Whose time it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClockChoice {
+    /// The machine's, and nobody is told.
+    Own,
+    /// The machine's, published on `/clock` once in this time.
+    Publish(Duration),
+    /// That of `/clock`, as of a node with `use_sim_time`.
+    Follow,
+}
+
+/// A robot is described in some hundred kilobytes.
+const LONGEST_DESCRIPTION: u64 = 16 * 1024 * 1024;
+
+impl Default for NodeFeatures {
+    /// What a node of rclcpp has.
+    fn default() -> Self {
+        Self { rosout: true, clock: ClockChoice::Own, diagnostics: true, robot_description: None }
+    }
+}
+
+impl NodeFeatures {
+    /// Takes its keys out of `[expose]`.
+    pub(super) fn take(table: &mut Table<'_>) -> Result<Self> {
+        let unless_given = Self::default();
+        let description = table.take("robot_description");
+        Ok(Self {
+            rosout: table.take("rosout").map_or(Ok(unless_given.rosout), |value| value.flag())?,
+            clock: table.take("clock").map_or(Ok(unless_given.clock), clock_choice)?,
+            diagnostics: table
+                .take("diagnostics")
+                .map_or(Ok(unless_given.diagnostics), |value| value.flag())?,
+            robot_description: description
+                .map(|value| Ok(Located { line: value.line(), value: value.text()?.to_owned() }))
+                .transpose()?,
+        })
+    }
+}
+
+impl RobotFile {
+    /// The text of the file that describes the robot, where one is named: XML with a `robot` at its root.
+    ///
+    /// # Errors
+    /// If it cannot be read or is something else; with path and line of the robot file, and of the description where it is no XML.
+    pub fn robot_description(&self) -> Result<Option<String>> {
+        let Some(Located { line, value: name }) = &self.expose.features.robot_description else {
+            return Ok(None);
+        };
+        let path = self.path().parent().map_or_else(|| name.into(), |folder| folder.join(name));
+        let refuse = |problem: String| {
+            self.source.error(*line, format!("robot_description {}: {problem}", path.display()))
+        };
+        let length = std::fs::metadata(&path).map_err(|error| refuse(error.to_string()))?.len();
+        if length > LONGEST_DESCRIPTION {
+            return Err(refuse(format!("it has {length} bytes, which is no URDF of a robot")));
+        }
+        let text = std::fs::read_to_string(&path).map_err(|error| refuse(error.to_string()))?;
+        let document =
+            roxmltree::Document::parse(&text).map_err(|error| refuse(format!("no XML: {error}")))?;
+        let root = document.root_element().tag_name().name();
+        if root != "robot" {
+            let hint = if text.contains("xacro") { "; expand it with xacro before" } else { "" };
+            return Err(refuse(format!("its root is <{root}>, that of a URDF is <robot>{hint}")));
+        }
+        Ok(Some(text))
+    }
+}
+
+fn clock_choice(value: Value<'_>) -> Result<ClockChoice> {
+    let period = |rate_hz: f64| ClockChoice::Publish(Duration::from_secs_f64(1.0 / rate_hz));
+    let Some(mut table) = value.as_table("clock") else {
+        let choices = [("publish", period(clock::DEFAULT_RATE_HZ)), ("follow", ClockChoice::Follow)];
+        return choice(value, &choices);
+    };
+    let rate = table.require("publish_hz")?;
+    table.finish()?;
+    let number = rate.number()?;
+    if (0.1..=1000.0).contains(&number) {
+        return Ok(period(number));
+    }
+    Err(rate.error("expected how often a second, from 0.1 to 1000"))
+}

@@ -1,0 +1,90 @@
+//! The log of a running robot: on the console as ROS 2 writes it, in a file, and on `/rosout`.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use common::rclpy::Peer;
+use common::{Running, downbeat, robot_file, wait_until};
+use serde_json::json;
+
+/// Runs the robot for a moment, without DDS; standard output and standard error.
+fn run_with(variables: &[(&str, &str)]) -> (bool, String, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let robot = robot_file(folder.path(), |text| text);
+    let output = downbeat(&["run", robot.to_str().unwrap(), "--duration", "300ms"])
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
+        .envs(variables.iter().copied())
+        .output()
+        .unwrap();
+    let [out, error] = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
+    (output.status.success(), out, error)
+}
+
+#[test]
+fn lines_look_as_those_of_ros_unless_told_otherwise() {
+    let (_, out, error) = run_with(&[]);
+    assert_eq!(out, "");
+    let exposed = error.lines().find(|line| line.contains("/joint_states")).unwrap();
+    assert!(
+        exposed.starts_with("[INFO] [1") && exposed.contains("] [darwin_op]: exposed to ROS 2:"),
+        "{exposed}"
+    );
+
+    let (_, out, error) = run_with(&[
+        ("RCUTILS_CONSOLE_OUTPUT_FORMAT", r"{severity}\t{name}|{message} {unknown}"),
+        ("RCUTILS_LOGGING_USE_STDOUT", "1"),
+        ("RCUTILS_COLORIZED_OUTPUT", "1"),
+        ("RCUTILS_LOGGING_BUFFERED_STREAM", "1"),
+    ]);
+    let expected = "\x1b[0mINFO\tdarwin_op|exposed to ROS 2: /joint_states [sensor_msgs/msg/JointState] {unknown}\x1b[0m\n";
+    assert!(out.contains(expected), "{out}\n{error}");
+    assert_eq!(error, "");
+}
+
+#[test]
+fn the_log_is_in_a_file_where_ros_log_dir_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let logs = folder.path().join("some/logs");
+    let (_, _, error) = run_with(&[("ROS_LOG_DIR", logs.to_str().unwrap())]);
+    let file = std::fs::read_dir(&logs).unwrap().next().unwrap().unwrap();
+    assert!(file.file_name().to_str().unwrap().starts_with("downbeat_"));
+    assert_eq!(std::fs::read_to_string(file.path()).unwrap(), error, "the file has what the console has");
+}
+
+#[test]
+fn what_cannot_be_done_is_refused_with_what_to_do() {
+    let (ended_well, _, error) = run_with(&[("RCUTILS_COLORIZED_OUTPUT", "yes")]);
+    assert!(!ended_well && error.contains("expected 0 (no colors), 1 (colors), or nothing"), "{error}");
+    let (ended_well, _, error) = run_with(&[("ROS_LOG_DIR", "/proc/nowhere")]);
+    assert!(!ended_well && error.contains("/proc/nowhere/downbeat_"), "{error}");
+}
+
+#[test]
+fn rclpy_hears_the_log_of_the_robot_unless_the_robot_file_says_no() {
+    for (domain, is_on) in [(181, true), (182, false)] {
+        let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
+        let folder = tempfile::tempdir().unwrap();
+        let with = |text: String| text.replace("[expose]", &format!("[expose]\nrosout = {is_on}"));
+        let robot = robot_file(folder.path(), with);
+        let mut robot = Running::start(&["run", robot.to_str().unwrap(), "--domain", &domain.to_string()]);
+        let of_robot = |peer: &mut Peer, ask: &str, topic: &str| {
+            let listed = peer.ask(json!({"do": ask, "topic": topic}));
+            listed.as_array().unwrap().iter().any(|info| info["node"] == "/darwin_op")
+        };
+        wait_until("the robot is listed", || of_robot(&mut peer, "publishers_of", "/joint_states"));
+        assert_eq!(of_robot(&mut peer, "publishers_of", "/rosout"), is_on);
+        if is_on {
+            let qos = json!({"depth": 1000, "durability": "transient_local"});
+            let kind = "rcl_interfaces/msg/Log";
+            peer.ask(json!({"do": "subscribe", "topic": "/rosout", "type": kind, "qos": qos}));
+            let text = "exposed to ROS 2: /joint_states [sensor_msgs/msg/JointState]";
+            wait_until("rclpy hears a line from before it came", || {
+                let lines = peer.ask(json!({"do": "take", "topic": "/rosout"}));
+                let lines = lines.as_array().unwrap().iter().map(|message| &message["fields"]);
+                lines.filter(|line| line["name"] == "darwin_op").any(|line| line["msg"] == text)
+            });
+        }
+        robot.interrupt();
+        peer.leave();
+    }
+}

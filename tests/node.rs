@@ -1,0 +1,106 @@
+//! What the node of a running robot has beside topics, seen from real rclpy.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use common::rclpy::Peer;
+use common::{Running, robot_file, wait_until};
+use serde_json::{Value, json};
+
+const URDF: &str = "<robot name=\"stick\"><link name=\"stick\"/></robot>";
+
+fn run(domain: u16, folder: &Path, expose: &str) -> Running {
+    std::fs::write(folder.join("stick.urdf"), URDF).unwrap();
+    let robot = robot_file(folder, |text| text.replace("[expose]", &format!("[expose]\n{expose}")));
+    let bag = folder.join("bag");
+    let domain = domain.to_string();
+    Running::start(&["run", robot.to_str().unwrap(), "--domain", &domain, "--record", bag.to_str().unwrap()])
+}
+
+fn peer(domain: u16) -> Option<Peer> {
+    Peer::start(domain, "LOCALHOST")
+}
+
+/// The latest levels and messages by component, once there are all of `names`.
+fn diagnostics(peer: &mut Peer, names: &[&str]) -> BTreeMap<String, (u64, String)> {
+    let mut known = BTreeMap::new();
+    wait_until("all components are told of", || {
+        for message in peer.ask(json!({"do": "take", "topic": "/diagnostics"})).as_array().unwrap() {
+            for status in message["fields"]["status"].as_array().unwrap() {
+                // A byte is a list of one number to rclpy's fields.
+                let level = status["level"].as_u64().or(status["level"][0].as_u64()).unwrap_or(0);
+                let text = |key: &str| status[key].as_str().unwrap_or_default().to_owned();
+                known.insert(text("name"), (level, text("message")));
+            }
+        }
+        names.iter().all(|name| known.contains_key(*name))
+    });
+    known
+}
+
+#[test]
+fn rclpy_hears_how_the_process_is_and_what_the_robot_looks_like() {
+    let Some(mut peer) = peer(185) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut robot = run(185, folder.path(), "robot_description = \"stick.urdf\"");
+    let kind = "diagnostic_msgs/msg/DiagnosticArray";
+    peer.ask(json!({"do": "subscribe", "topic": "/diagnostics", "type": kind}));
+    let names = [
+        "darwin_op: core",
+        "darwin_op: module hardware",
+        "darwin_op: module motion",
+        "darwin_op: /joint_states",
+        "darwin_op: recording",
+        "darwin_op: bus",
+    ];
+    let known = diagnostics(&mut peer, &names);
+    assert_eq!(known["darwin_op: module motion"], (0, "running".to_owned()));
+    assert_eq!(known["darwin_op: recording"].1, "recording");
+
+    let latched = json!({"depth": 1, "durability": "transient_local"});
+    let text = "std_msgs/msg/String";
+    peer.ask(json!({"do": "subscribe", "topic": "/robot_description", "type": text, "qos": latched}));
+    assert_eq!(peer.take("/robot_description", 1)[0]["fields"]["data"], URDF);
+    robot.interrupt();
+    peer.leave();
+}
+
+#[test]
+fn the_time_of_a_robot_is_published_where_its_file_says_so() {
+    let Some(mut peer) = peer(186) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut robot = run(186, folder.path(), "clock = { publish_hz = 100.0 }");
+    let qos = json!({"depth": 10, "reliability": "best_effort"});
+    peer.ask(json!({"do": "subscribe", "topic": "/clock", "type": "rosgraph_msgs/msg/Clock", "qos": qos}));
+    let times = peer.take("/clock", 20);
+    let seconds = |message: &Value| message["fields"]["clock"]["sec"].as_i64().unwrap();
+    assert!(seconds(&times[0]) > 1_700_000_000);
+    robot.interrupt();
+    peer.leave();
+}
+
+#[test]
+fn a_robot_that_follows_the_time_of_another_stamps_its_messages_with_it() {
+    let Some(mut peer) = peer(187) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut robot = run(187, folder.path(), "clock = \"follow\"");
+    peer.ask(json!({"do": "advertise", "topic": "/clock", "type": "rosgraph_msgs/msg/Clock"}));
+    let kind = "sensor_msgs/msg/JointState";
+    peer.ask(json!({"do": "subscribe", "topic": "/joint_states", "type": kind}));
+    let (mut milliseconds, mut stamps) = (1_000_000, Vec::new());
+    wait_until("joint states carry the time of rclpy", || {
+        milliseconds += 8;
+        let clock = json!({"sec": milliseconds / 1000, "nanosec": milliseconds % 1000 * 1_000_000});
+        peer.ask(json!({"do": "publish", "topic": "/clock", "fields": {"clock": clock}}));
+        let states = peer.ask(json!({"do": "take", "topic": "/joint_states"}));
+        let stamp = |state: &Value| state["fields"]["header"]["stamp"]["sec"].as_i64().unwrap();
+        stamps.extend(states.as_array().unwrap().iter().map(stamp));
+        stamps.iter().filter(|&&stamp| stamp >= 1000).count() >= 20
+    });
+    assert!(stamps.iter().all(|stamp| (0..=milliseconds / 1000).contains(stamp)), "{stamps:?}");
+    robot.interrupt();
+    peer.leave();
+}
