@@ -6,6 +6,7 @@ mod names;
 mod node;
 mod service;
 mod service_name;
+mod type_description;
 
 pub use client::{Client, RawClient};
 pub use graph::{RemoteNode, RemoteTopic};

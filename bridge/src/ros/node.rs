@@ -1,15 +1,17 @@
 //! A participant as ROS 2 sees it: nodes with publishers and subscriptions.
 
 use super::graph::{Graph, RemoteNode};
-use super::{MessageType, NameError, NodeName, TopicName};
-use crate::middleware::rpc::RpcThread;
+use super::{MessageType, NameError, NodeName, ServiceName, ServiceType, TopicName, type_description};
+use crate::middleware::rpc::{RequestServer, RpcThread};
 use crate::middleware::{
     self, Direction, Endpoint, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader, RemoteEndpoint,
     SampleHandler, WriteError, Writer,
 };
 use bytes::Bytes;
 use downbeat_msgs::qos::QosProfile;
-use std::sync::Arc;
+use downbeat_msgs::type_description_interfaces::srv::GetTypeDescription;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use thiserror::Error;
 
 /// A node or one of its endpoints could not be created.
@@ -38,6 +40,8 @@ pub struct Participant {
 pub(super) struct Shared {
     // Fields drop in this order: the graph takes leave before the participant goes.
     graph: Graph,
+    /// What nodes offer by themselves. Here, since a service that its node held would keep the node.
+    own_services: Mutex<HashMap<NodeName, Vec<RequestServer>>>,
     pub(super) rpc: RpcThread,
     pub(super) middleware: Arc<dyn Middleware>,
 }
@@ -57,18 +61,21 @@ impl Participant {
     /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
     pub fn on(middleware: Arc<dyn Middleware>) -> Result<Self, MiddlewareError> {
         let rpc = RpcThread::start().map_err(MiddlewareError::ServiceThread)?;
-        Ok(Self { shared: Arc::new(Shared { graph: Graph::join(&*middleware)?, rpc, middleware }) })
+        let (graph, own_services) = (Graph::join(&*middleware)?, Mutex::default());
+        Ok(Self { shared: Arc::new(Shared { graph, own_services, rpc, middleware }) })
     }
 
-    /// Creates a node.
+    /// Creates a node. It offers the service `~/get_type_description`, as all nodes of Jazzy do.
     ///
     /// # Errors
-    /// [`NodeError::Exists`] when this participant has a node of that name.
+    /// [`NodeError`] when this participant has a node of that name, or the engine refuses the service.
     pub fn create_node(&self, name: NodeName) -> Result<Node, NodeError> {
         if !self.shared.graph.add_node(&name) {
             return Err(NodeError::Exists(name));
         }
-        Ok(Node { membership: Arc::new(Membership { shared: Arc::clone(&self.shared), name }) })
+        let node = Node { membership: Arc::new(Membership { shared: Arc::clone(&self.shared), name }) };
+        node.serve_own::<GetTypeDescription>(type_description::SERVICE, type_description::answer)?;
+        Ok(node)
     }
 
     /// The endpoints of other participants that are known at this moment.
@@ -98,10 +105,42 @@ pub(super) struct Membership {
 impl Drop for Membership {
     fn drop(&mut self) {
         self.shared.graph.remove_node(&self.name);
+        let services = self.own_services().remove(&self.name);
+        // Not under the lock, which their going does not need.
+        drop(services);
+    }
+}
+
+impl Membership {
+    fn own_services(&self) -> MutexGuard<'_, HashMap<NodeName, Vec<RequestServer>>> {
+        self.shared.own_services.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Node {
+    /// Offers a service for as long as the node lives, without keeping it alive.
+    fn serve_own<S: downbeat_msgs::Service>(
+        &self,
+        service: &str,
+        answer: impl Fn(&S::Request) -> S::Response + Send + 'static,
+    ) -> Result<(), NodeError> {
+        let Membership { shared, name: node } = &*self.membership;
+        let name = ServiceName::expand(service, node)?;
+        let endpoint = name.endpoint(&ServiceType::new(S::TYPE_NAME)?, QosProfile::SERVICES);
+        let on_request = super::service::typed::<S>(move |request, reply| {
+            let result = reply.send(&answer(&request));
+            if let Err(error) = result {
+                tracing::warn!(service = name.as_str(), "a request is not answered: {error}");
+            }
+        });
+        let server = RequestServer::new(&*shared.middleware, &shared.rpc, &endpoint, on_request)?;
+        let (reader, writer) = server.gids();
+        shared.graph.add_endpoint(node, Direction::In, reader);
+        shared.graph.add_endpoint(node, Direction::Out, writer);
+        self.membership.own_services().entry(node.clone()).or_default().push(server);
+        Ok(())
+    }
+
     /// Its namespace and name.
     #[must_use]
     pub fn name(&self) -> &NodeName {
