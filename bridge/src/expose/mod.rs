@@ -24,7 +24,9 @@
 //! ```
 
 mod module;
+mod services;
 mod status;
 
 pub use module::{ExposeError, Exposure, MODULE_NAME, expose};
+pub use services::{CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServicesStatus, expose_services};
 pub use status::{BridgeStatus, EndpointReport};

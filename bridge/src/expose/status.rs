@@ -102,6 +102,11 @@ impl Traffic {
         self.skipped.fetch_add(1, Ordering::Relaxed);
     }
 
+    /// Messages and errors.
+    pub(super) fn totals(&self) -> (u64, u64) {
+        (self.messages.load(Ordering::Relaxed), self.errors.load(Ordering::Relaxed))
+    }
+
     /// Counts the message or the error; true for the first error, which is worth a log line.
     pub(super) fn count<E: Display>(&self, result: &Result<(), E>) -> bool {
         match result {

@@ -147,6 +147,18 @@ pub struct Responder {
 }
 
 impl Responder {
+    /// Has `encode` run and its result sent as the reply, on the thread of the handlers: for those whose own thread must
+    /// neither serialise nor write.
+    pub fn reply_later(self, encode: impl FnOnce() -> Bytes + Send + 'static) {
+        let Some(server) = self.server.upgrade() else { return };
+        server.link.run(move || {
+            let service = self.server.upgrade().map(|server| server.service.clone()).unwrap_or_default();
+            if let Err(error) = self.reply(encode()) {
+                tracing::warn!(service, "a request is not answered: {error}");
+            }
+        });
+    }
+
     /// Sends the reply: encapsulation header (little-endian) and body. Does not block: while the client is not matched
     /// the reply waits, for at most [`REPLY_HOLD`].
     ///
