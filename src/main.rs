@@ -2,9 +2,8 @@
 
 mod program;
 
-use clap::Parser;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    program::main(program::cli::Cli::parse())
+    program::main(program::cli::Cli::parse_with_ros_args(std::env::args_os()))
 }

@@ -90,13 +90,7 @@ impl Module for Listener {
 }
 
 fn text(direction: Direction) -> Exposure {
-    Exposure {
-        topic: "text".into(),
-        ros_topic: None,
-        message_type: KnownType::named("std_msgs/msg/String").unwrap(),
-        direction,
-        qos: QosProfile::DEFAULT,
-    }
+    Exposure::new("text", KnownType::named("std_msgs/msg/String").unwrap(), direction)
 }
 
 fn ros_string() -> MessageType {
@@ -136,7 +130,7 @@ fn what_nobody_hears_is_skipped_and_counted() {
 fn a_latched_topic_goes_out_even_when_nobody_hears_yet() {
     let mut world = world();
     world.core.add("talker", Talker { ticks: 0 }).unwrap();
-    let status = world.expose(Exposure { qos: QosProfile::LATCHED, ..text(Direction::Out) });
+    let status = world.expose(Exposure { qos: QosProfile::LATCHED.into(), ..text(Direction::Out) });
     world.cycles(4);
     let (_late, samples) = world.listen("/robot/text", QosProfile::LATCHED);
     assert_eq!(words(&samples), ["tick 2"]);

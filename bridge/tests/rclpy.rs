@@ -257,12 +257,11 @@ fn a_running_core_is_seen_and_driven_from_rclpy_and_leaves_at_once() {
     let mut core = Core::new();
     let (sender, commands) = channel();
     core.add("robot", Robot { count: 0, commands: sender }).unwrap();
+    let joint_state = KnownType::named("sensor_msgs/msg/JointState").unwrap();
     let exposure = |topic: &str, direction| Exposure {
-        topic: topic.into(),
         ros_topic: Some(format!("/{topic}")),
-        message_type: KnownType::named("sensor_msgs/msg/JointState").unwrap(),
-        direction,
-        qos: QosProfile::DEFAULT.keep_last(100),
+        qos: QosProfile::DEFAULT.keep_last(100).into(),
+        ..Exposure::new(topic, joint_state, direction)
     };
     let exposures = [exposure("joint_states", Direction::Out), exposure("joint_commands", Direction::In)];
     let status = expose(&mut core, &node, &exposures).unwrap();

@@ -3,11 +3,12 @@
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 
-use crate::Time;
+use crate::core::World;
 use crate::guard::drop_guarded;
 use crate::join::JoinQueue;
 use crate::messaging::{Outbox, Topics};
 use crate::queue::{Locked, Overflow, Pushed, Queue};
+use crate::{SetupError, Stage, Time};
 
 /// Why an [`Inlet`] did not take a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -85,6 +86,21 @@ impl<T: Send + 'static> Inlet<T> {
 /// The queue of inlets that were not given one.
 pub(crate) fn default_queue<T: Send + 'static>() -> Locked<T> {
     Locked::bounded(NonZeroUsize::MIN.saturating_add(Inlet::<T>::CAPACITY - 1), Overflow::Refuse)
+}
+
+/// Makes an inlet of a topic.
+pub(crate) fn open_inlet<T: Send + Sync + 'static>(
+    stage: &mut Stage,
+    world: &mut World,
+    topic: &str,
+    queue: impl Queue<T> + 'static,
+) -> Result<Inlet<T>, SetupError> {
+    let topics = &mut stage.shared.topics;
+    let index = topics.open::<T>(topic, "inlet")?;
+    topics.add_publisher(index);
+    let messages: Arc<dyn Queue<T>> = Arc::new(queue);
+    world.inlets.push(Box::new(InletPort::new(Arc::clone(&messages), index)));
+    Ok(Inlet::new(messages, Arc::clone(&world.queue)))
 }
 
 /// The core's side of an [`Inlet`].

@@ -9,6 +9,7 @@ use serde::de::DeserializeOwned;
 
 use super::protocol::Answer;
 use super::{Request, RunningRobot};
+use crate::robot::ExposedEndpoint;
 
 /// How long an answer may take. A trace waits for its cycles, and the robot gives up on them earlier.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -117,6 +118,30 @@ impl Client {
     /// If the robot is gone or refuses.
     pub fn step(&mut self) -> Result<(), ClientError> {
         self.value_of(Request::Step)
+    }
+
+    /// What ROS 2 sees of the robot.
+    ///
+    /// # Errors
+    /// If the robot is gone or refuses.
+    pub fn exposed(&mut self) -> Result<Vec<ExposedEndpoint>, ClientError> {
+        self.value_of(Request::Exposed)
+    }
+
+    /// Exposes more, as the keys `out` and `in` of `[expose]` in a robot file say it. Returns what was added.
+    ///
+    /// # Errors
+    /// If the robot is gone or refuses.
+    pub fn expose(&mut self, entries: String) -> Result<Vec<ExposedEndpoint>, ClientError> {
+        self.value_of(Request::Expose { entries })
+    }
+
+    /// Takes back what is exposed under these names or patterns. Returns what it was.
+    ///
+    /// # Errors
+    /// If the robot is gone or refuses.
+    pub fn take_back(&mut self, topics: Vec<String>) -> Result<Vec<ExposedEndpoint>, ClientError> {
+        self.value_of(Request::TakeBack { topics })
     }
 
     fn value_of<T: DeserializeOwned>(&mut self, request: Request) -> Result<T, ClientError> {

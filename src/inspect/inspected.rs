@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use downbeat_executor::{CoreHandle, CycleTrace, Graph, Snapshot};
 
+use crate::robot::ExposedEndpoint;
+
 /// How long a core may take to come to the end of a cycle.
 const PATIENCE: Duration = Duration::from_secs(5);
 
@@ -38,7 +40,33 @@ pub trait Inspected: Send + Sync + 'static {
 
     /// Has a held robot run one cycle.
     fn step(&self);
+
+    /// What ROS 2 sees of the robot.
+    ///
+    /// # Errors
+    /// If it has no ROS 2 node; in words.
+    fn exposed(&self) -> Result<Vec<ExposedEndpoint>, String> {
+        Err(NO_NODE.to_owned())
+    }
+
+    /// Exposes more, as the keys `out` and `in` of `[expose]` in a robot file say it. Returns what was added.
+    ///
+    /// # Errors
+    /// If what is asked for cannot be, or the robot has no ROS 2 node; in words.
+    fn expose(&self, _entries: &str) -> Result<Vec<ExposedEndpoint>, String> {
+        Err(NO_NODE.to_owned())
+    }
+
+    /// Takes back what is exposed under these names or patterns. Returns what it was.
+    ///
+    /// # Errors
+    /// If one of them is not exposed, or the robot has no ROS 2 node; in words.
+    fn take_back(&self, _topics: &[String]) -> Result<Vec<ExposedEndpoint>, String> {
+        Err(NO_NODE.to_owned())
+    }
 }
+
+const NO_NODE: &str = "it runs without a ROS 2 node";
 
 /// Why there is no answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]

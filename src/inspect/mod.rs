@@ -2,7 +2,7 @@
 //!
 //! A robot that runs opens a Unix socket in a directory that only its user can enter: see [`InspectionServer`]. Each
 //! line that comes is a [`Request`] in JSON, each line that goes is an answer, `{"ok": …}` or `{"error": "…"}`.
-//! `downbeat top` and `downbeat trace` are clients; so is this:
+//! `downbeat top`, `downbeat trace` and `downbeat expose` are clients; so is this:
 //!
 //! ```text
 //! $ echo '{"request":"snapshot"}' | nc -U $XDG_RUNTIME_DIR/downbeat/darwin_op-1234.sock

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 
 /// What a client can ask for: `{"request":"snapshot"}`, `{"request":"trace","cycles":10}`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "request", rename_all = "snake_case")]
 pub enum Request {
     /// The counters: answered with a [`Snapshot`](downbeat_executor::Snapshot).
@@ -22,6 +22,18 @@ pub enum Request {
     Resume,
     /// Have a held robot run one cycle.
     Step,
+    /// What ROS 2 sees: answered with a list of [`ExposedEndpoint`](crate::robot::ExposedEndpoint)s, as are the next two.
+    Exposed,
+    /// Expose more: answered with what was added.
+    Expose {
+        /// The keys `out` and `in` as under `[expose]` of a robot file.
+        entries: String,
+    },
+    /// Take back what is exposed: answered with what it was.
+    TakeBack {
+        /// Names of topics in ROS 2 or in the robot, or patterns.
+        topics: Vec<String>,
+    },
 }
 
 impl Request {

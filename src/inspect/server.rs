@@ -218,6 +218,9 @@ fn carry_out(request: Request, robot: &dyn Inspected) -> Result<Box<RawValue>, S
             robot.step();
             json(&())
         }
+        Request::Exposed => json(&robot.exposed()?),
+        Request::Expose { entries } => json(&robot.expose(&entries)?),
+        Request::TakeBack { topics } => json(&robot.take_back(&topics)?),
     }
 }
 

@@ -4,25 +4,31 @@ use std::path::Path;
 
 use downbeat::bridge::edge::KnownType;
 use downbeat::executor::{Core, TopicInfo};
-use downbeat::robot::{Direction, KINDS, Robot};
+use downbeat::robot::{ExposedEndpoint, KINDS, Robot, RosArgs};
+use serde_json::json;
 
 use super::cli::CheckArguments;
 
-pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<()> {
+pub(crate) fn check(arguments: &CheckArguments, ros: &RosArgs) -> anyhow::Result<()> {
     if arguments.kinds {
         list_kinds()?;
     }
-    arguments.robot.as_deref().map_or(Ok(()), |path| check_robot(path, arguments))
+    arguments.robot.as_deref().map_or(Ok(()), |path| check_robot(path, arguments, ros))
 }
 
-fn check_robot(path: &Path, arguments: &CheckArguments) -> anyhow::Result<()> {
-    let file = arguments.parameters.read_robot(path)?;
+fn check_robot(path: &Path, arguments: &CheckArguments, ros: &RosArgs) -> anyhow::Result<()> {
+    let file = arguments.parameters.read_robot(path, ros)?;
     for problem in file.thread_problems() {
         tracing::warn!("on this machine the robot does not run: {problem}");
     }
     let robot = file.on_any_machine().build(Core::new())?;
     if arguments.dump_params {
         print!("{}", robot.parameters());
+        return Ok(());
+    }
+    let exposed = robot.file.exposed(&robot.exposures()?)?;
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&as_json(&robot, &exposed)?)?);
         return Ok(());
     }
     let Robot { file, core } = &robot;
@@ -35,16 +41,47 @@ fn check_robot(path: &Path, arguments: &CheckArguments) -> anyhow::Result<()> {
     }
     println!("\ntopics");
     core.topics().for_each(print_topic);
-    println!("\nexposed to ROS 2 as node {}", file.name);
-    for entry in &file.expose {
-        let arrow = if entry.direction == Direction::Out { "->" } else { "<-" };
-        println!("  {:<24} {arrow} {}", entry.topic, entry.ros_topic);
-    }
+    println!("\nexposed to ROS 2 as node {}", file.node_name()?);
+    print_exposed(&exposed, &file.node_name()?.to_string());
     match &file.record.topics {
         None => println!("\nrecorded with --record: all topics"),
         Some(topics) => println!("\nrecorded with --record: {}", topics.join(", ")),
     }
     Ok(())
+}
+
+/// By node, in the order of the file.
+fn print_exposed<'a>(exposed: &'a [ExposedEndpoint], mut node: &'a str) {
+    for endpoint in exposed {
+        if endpoint.node != node {
+            node = &endpoint.node;
+            println!(" of node {node}");
+        }
+        println!("  {endpoint}");
+    }
+}
+
+fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_json::Value> {
+    let Robot { file, core } = robot;
+    let modules: Vec<_> =
+        file.modules.iter().map(|module| json!({ "name": module.name, "kind": module.kind.name })).collect();
+    let topics: Vec<_> = core
+        .topics()
+        .map(|topic| json!({ "name": *topic.name, "type": type_name(topic), "is_published": topic.is_published }))
+        .collect();
+    Ok(json!({
+        "robot": file.name,
+        "is_emulated": file.is_emulated(),
+        "node": file.node_name()?.to_string(),
+        "modules": modules,
+        "topics": topics,
+        "exposed": exposed,
+        "recorded": file.record.topics,
+    }))
+}
+
+fn type_name(topic: &TopicInfo) -> &'static str {
+    KnownType::of_rust_type(topic.message_type_id).map_or(topic.message_type, KnownType::name)
 }
 
 fn list_kinds() -> anyhow::Result<()> {
@@ -66,8 +103,7 @@ fn print_settings(core: &Core, module: &str) {
 }
 
 fn print_topic(topic: &TopicInfo) {
-    let type_name =
-        KnownType::of_rust_type(topic.message_type_id).map_or(topic.message_type, KnownType::name);
+    let type_name = type_name(topic);
     let role = if topic.is_published { "published" } else { "subscribed" };
     println!("  {:<24} {type_name:<40} {role}", topic.name);
 }

@@ -1,25 +1,56 @@
 //! The command line.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
 use downbeat::duration::parse as duration;
 use downbeat::inspect::Request;
 use downbeat::msgs::encoding::Encoding;
-use downbeat::robot::{RobotFile, RobotFileError};
+use downbeat::robot::{RobotFile, RobotFileError, RosArgs};
 
 use super::interface::InterfaceCommand;
 
 /// Robot software as small modules in one process, seen and driven from ROS 2 Jazzy, recorded and replayed.
 ///
 /// Environment: ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as ROS 2 reads them; DOWNBEAT_LOG sets what is
-/// logged, for example "debug" or "info,rustdds=warn".
+/// logged, for example "debug" or "info,rustdds=warn". Behind --ros-args stands what every ROS 2 program takes: -r, -p,
+/// --params-file, --log-level and so on.
 #[derive(Parser)]
 #[command(name = "downbeat", version, arg_required_else_help = true)]
 pub(crate) struct Cli {
     #[command(subcommand)]
     pub(crate) command: Command,
+    /// What stands behind `--ros-args`, and ROS_NAMESPACE.
+    #[arg(skip)]
+    pub(crate) ros: RosArgs,
+}
+
+impl Cli {
+    /// Reads the command line; where it is wrong the process ends with a message.
+    pub(crate) fn parse_with_ros_args(line: impl IntoIterator<Item = OsString>) -> Self {
+        let refuse = |problem: String| -> ! {
+            Self::command().error(clap::error::ErrorKind::ValueValidation, problem).exit()
+        };
+        let (others, ros) = match RosArgs::split(line) {
+            Ok((others, ros)) => (others, ros.with_variables(|name| std::env::var(name).ok())),
+            Err(error) => refuse(error.to_string()),
+        };
+        let cli = Self { ros, ..Self::parse_from(others) };
+        let makes_node = match &cli.command {
+            Command::Run(_) | Command::Check(_) => true,
+            Command::Bag(command) => !matches!(command, BagCommand::Info { .. }),
+            _ => false,
+        };
+        if !makes_node && !cli.ros.is_empty() {
+            refuse(
+                "--ros-args goes with commands that make a ROS 2 node: run, check, bag record, bag play"
+                    .into(),
+            );
+        }
+        cli
+    }
 }
 
 #[derive(Subcommand)]
@@ -32,6 +63,8 @@ pub(crate) enum Command {
     Top(TopArguments),
     /// Write down what runs in the next cycles of a running robot, for Perfetto or chrome://tracing.
     Trace(TraceArguments),
+    /// Show what a running robot exposes to ROS 2, expose more, or take it back.
+    Expose(ExposeArguments),
     /// Draw the modules, topics and services of a robot file, without running it.
     Graph(GraphArguments),
     /// Look at a bag, record one, play one.
@@ -83,8 +116,9 @@ pub(crate) struct ParameterArguments {
 }
 
 impl ParameterArguments {
-    pub(crate) fn read_robot(&self, path: &Path) -> Result<RobotFile, RobotFileError> {
-        let mut file = RobotFile::read(path)?;
+    pub(crate) fn read_robot(&self, path: &Path, ros: &RosArgs) -> Result<RobotFile, RobotFileError> {
+        ros.warn_about_what_is_ignored();
+        let mut file = RobotFile::read_with(path, ros)?;
         self.files.iter().try_for_each(|path| file.set_from_parameter_file(path))?;
         self.values.iter().try_for_each(|value| file.set_from_argument(value))?;
         Ok(file)
@@ -96,6 +130,9 @@ pub(crate) struct CheckArguments {
     /// The robot file.
     #[arg(value_name = "ROBOT.toml", required_unless_present = "kinds")]
     pub(crate) robot: Option<PathBuf>,
+    /// Print what the robot holds and what ROS 2 will see of it as JSON.
+    #[arg(long, requires = "robot", conflicts_with_all = ["kinds", "dump_params"])]
+    pub(crate) json: bool,
     /// Print nothing but a ROS 2 parameter file of all settings with their values.
     #[arg(long, requires = "robot", conflicts_with = "kinds")]
     pub(crate) dump_params: bool,
@@ -131,6 +168,73 @@ pub(crate) struct TraceArguments {
     /// The file to write.
     #[arg(long, short, value_name = "FILE.json")]
     pub(crate) output: PathBuf,
+}
+
+#[derive(Args)]
+pub(crate) struct ExposeArguments {
+    /// The robot's name, or the number of its process.
+    #[arg(value_name = "ROBOT|PID")]
+    pub(crate) robot: String,
+    #[command(subcommand)]
+    pub(crate) change: ExposeCommand,
+}
+
+#[derive(Subcommand)]
+pub(crate) enum ExposeCommand {
+    /// Print what is exposed.
+    List {
+        /// As JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Expose more, until the robot stops.
+    Add(ExposeAddArguments),
+    /// Take back what is exposed: its endpoints disappear from ROS 2 at once.
+    Remove {
+        /// Names of topics in ROS 2 or in the robot, or patterns: * within a part of a name, ** across parts.
+        #[arg(required = true, value_name = "TOPIC")]
+        topics: Vec<String>,
+    },
+}
+
+#[derive(Args)]
+pub(crate) struct ExposeAddArguments {
+    /// "out" for topics that the robot publishes, "in" for topics that it receives.
+    #[arg(value_enum)]
+    pub(crate) direction: ExposeDirection,
+    /// Topics of the robot, by name or pattern.
+    #[arg(required = true, value_name = "TOPIC")]
+    pub(crate) topics: Vec<String>,
+    /// The name in ROS 2; the wildcards of a pattern stand for what they matched.
+    #[arg(long = "as", value_name = "NAME")]
+    pub(crate) ros_topic: Option<String>,
+    /// The type that it has, or of a pattern the type that is meant.
+    #[arg(long = "type", value_name = "TYPE")]
+    pub(crate) type_name: Option<String>,
+    /// What a pattern does not mean. May be given more than once.
+    #[arg(long, value_name = "TOPIC")]
+    pub(crate) except: Vec<String>,
+    /// A QoS preset, or a table as in a robot file: '{ reliability = "best_effort", depth = 1 }'.
+    #[arg(long, value_name = "QOS")]
+    pub(crate) qos: Option<String>,
+    /// At most so many messages per second.
+    #[arg(long, value_name = "HZ")]
+    pub(crate) rate_hz: Option<f64>,
+    /// Only each n-th message.
+    #[arg(long, value_name = "N")]
+    pub(crate) every: Option<u32>,
+    /// Of the messages of one cycle only the last.
+    #[arg(long)]
+    pub(crate) latest_only: bool,
+    /// The node that has the endpoint, instead of the robot's.
+    #[arg(long, value_name = "NODE")]
+    pub(crate) node: Option<String>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum ExposeDirection {
+    Out,
+    In,
 }
 
 #[derive(Args)]
@@ -246,7 +350,6 @@ mod tests {
 
     #[test]
     fn the_command_line_is_consistent() {
-        use clap::CommandFactory;
         Cli::command().debug_assert();
     }
 }

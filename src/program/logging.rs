@@ -4,6 +4,8 @@ use std::io::IsTerminal;
 
 use tracing_subscriber::EnvFilter;
 
+use downbeat::robot::{LogArguments, LogLevel};
+
 use super::screen::Screen;
 
 /// The variable that says what is logged.
@@ -13,8 +15,8 @@ const VARIABLE: &str = "DOWNBEAT_LOG";
 const DEFAULT: &str = "info,rustdds=off";
 
 /// Sends log events to standard error, above the status block.
-pub(crate) fn start(screen: &Screen) {
-    let given = std::env::var(VARIABLE).ok();
+pub(crate) fn start(screen: &Screen, arguments: &LogArguments) {
+    let given = filter_of(arguments).or_else(|| std::env::var(VARIABLE).ok());
     let filter = given.as_deref().map(EnvFilter::try_new).transpose();
     let (filter, problem) = match filter {
         Ok(filter) => (filter.unwrap_or_else(|| EnvFilter::new(DEFAULT)), None),
@@ -29,4 +31,20 @@ pub(crate) fn start(screen: &Screen) {
     if let Some(error) = problem {
         tracing::warn!("{VARIABLE}={} is not understood: {error}", given.unwrap_or_default());
     }
+}
+
+/// What `--ros-args` say, which win over the environment. The parts of a logger's name are those of a module path.
+fn filter_of(arguments: &LogArguments) -> Option<String> {
+    if arguments.is_stdout_disabled {
+        return Some("off".into());
+    }
+    if arguments.level.is_none() && arguments.loggers.is_empty() {
+        return None;
+    }
+    let level = arguments.level.map_or("info", LogLevel::as_filter);
+    let mut filter = format!("{level},rustdds=off");
+    for (logger, level) in &arguments.loggers {
+        filter.push_str(&format!(",{}={}", logger.replace('.', "::"), level.as_filter()));
+    }
+    Some(filter)
 }

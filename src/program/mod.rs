@@ -8,8 +8,10 @@ mod check;
 mod choose;
 pub(crate) mod cli;
 mod emulate;
+mod expose;
 mod faults;
 mod graph;
+mod inspected;
 mod interface;
 mod logging;
 mod run;
@@ -29,16 +31,18 @@ use screen::Screen;
 /// Does what the command line says. An error is told on standard error and gives exit code 1.
 pub(crate) fn main(cli: Cli) -> ExitCode {
     let screen = Screen::new();
-    logging::start(&screen);
-    let result = match cli.command {
-        Command::Run(arguments) => run::run(&arguments, &screen),
-        Command::Check(arguments) => check::check(&arguments),
+    let Cli { command, ros } = cli;
+    logging::start(&screen, &ros.log);
+    let result = match command {
+        Command::Run(arguments) => run::run(&arguments, &ros, &screen),
+        Command::Check(arguments) => check::check(&arguments, &ros),
         Command::Top(arguments) => top::top(&arguments),
+        Command::Expose(arguments) => expose::expose(&arguments),
         Command::Trace(arguments) => trace::trace(&arguments),
         Command::Graph(arguments) => graph::graph(&arguments),
         Command::Bag(BagCommand::Info { bag }) => bag::info(&bag),
-        Command::Bag(BagCommand::Record(arguments)) => bag::record::record(&arguments, &screen),
-        Command::Bag(BagCommand::Play(arguments)) => bag::play::play(&arguments),
+        Command::Bag(BagCommand::Record(arguments)) => bag::record::record(&arguments, &ros, &screen),
+        Command::Bag(BagCommand::Play(arguments)) => bag::play::play(&arguments, &ros),
         Command::Interface(command) => interface::interface(&command),
         Command::Emulate(EmulateCommand::DarwinOp { link, seed, fault }) => {
             emulate::darwin_op(link, seed, &fault)

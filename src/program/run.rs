@@ -2,14 +2,16 @@
 
 use anyhow::Context;
 use downbeat::bridge::middleware::{MAX_DOMAIN_ID, ParticipantOptions};
+use downbeat::bridge::ros::{Node, NodeName, Participant};
+use downbeat::robot::RosArgs;
 
 use super::cli::RunArguments;
 use super::screen::Screen;
 use super::session::Session;
 use super::stop::Stop;
 
-pub(crate) fn run(arguments: &RunArguments, screen: &Screen) -> anyhow::Result<()> {
-    let mut session = Session::new(arguments.parameters.read_robot(&arguments.robot)?)?;
+pub(crate) fn run(arguments: &RunArguments, ros: &RosArgs, screen: &Screen) -> anyhow::Result<()> {
+    let mut session = Session::new(arguments.parameters.read_robot(&arguments.robot, ros)?)?;
     let options = participant_options(arguments.domain)?;
     session.expose(&options)?;
     if let Some(directory) = &arguments.record {
@@ -17,6 +19,15 @@ pub(crate) fn run(arguments: &RunArguments, screen: &Screen) -> anyhow::Result<(
     }
     let stop = Stop::new(arguments.duration)?;
     session.run(&stop, screen)
+}
+
+/// A node of a command that has one of its own.
+pub(crate) fn node(name: &str, domain: Option<u16>, ros: &RosArgs) -> anyhow::Result<(Participant, Node)> {
+    ros.warn_about_what_is_ignored();
+    let name = NodeName::new(ros.namespace.as_deref().unwrap_or("/"), name)?;
+    let participant = Participant::join_with(&participant_options(domain)?, ros.remap_rules())?;
+    let node = participant.create_node(name)?;
+    Ok((participant, node))
 }
 
 /// What the environment says, with the domain of the command line if there is one.

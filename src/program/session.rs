@@ -9,8 +9,8 @@ use anyhow::{Context, anyhow};
 use downbeat::bags::{Compression, Recording, RecordingSummary, WriterOptions};
 use downbeat::bridge::expose::{self, BridgeStatus};
 use downbeat::bridge::middleware::{self, ParticipantOptions};
-use downbeat::bridge::ros::{Node, NodeName, Participant};
-use downbeat::executor::{Core, CoreHandle, RunError};
+use downbeat::bridge::ros::Participant;
+use downbeat::executor::{Core, RunError};
 use downbeat::inspect::{InspectionServer, SocketDirectory};
 use downbeat::msgs::encoding::Encoding;
 use downbeat::msgs::qos::QosProfile;
@@ -18,6 +18,7 @@ use downbeat::recorder::{self, WhenFull};
 use downbeat::robot::{Robot, RobotFile};
 
 use super::faults::Faults;
+use super::inspected::InspectedRobot;
 use super::screen::Screen;
 use super::statistics::Statistics;
 use super::status::{Sources, StatusBlock};
@@ -35,8 +36,8 @@ pub(crate) struct Session {
 struct Bridge {
     status: BridgeStatus,
     title: String,
-    /// In the graph of ROS 2 until it is dropped.
-    node: Node,
+    /// Its node is in the graph of ROS 2 until it is dropped.
+    bridge: expose::Bridge,
 }
 
 const REFRESH: Duration = Duration::from_millis(250);
@@ -55,18 +56,18 @@ impl Session {
     pub(crate) fn expose(&mut self, options: &ParticipantOptions) -> anyhow::Result<()> {
         let Robot { file, .. } = &self.robot;
         let exposures = self.robot.exposures()?;
-        let name = NodeName::new(&file.namespace, &file.name)?;
-        let title = format!("{name}   domain {}", options.domain_id);
-        let node = Participant::join(options)?.create_node(name)?;
-        let status = expose::expose(&mut self.robot.core, &node, &exposures)?;
-        for endpoint in status.endpoints() {
+        let participant = Participant::join_with(options, file.remaps.clone())?;
+        let node = participant.create_node(file.given_node_name()?)?;
+        let title = format!("{}   domain {}", node.name(), options.domain_id);
+        let bridge = expose::Bridge::start(&mut self.robot.core, &node, &exposures)?;
+        for endpoint in bridge.status().endpoints() {
             let arrow = match endpoint.direction {
                 middleware::Direction::Out => "to ROS 2",
                 middleware::Direction::In => "from ROS 2",
             };
             tracing::info!("exposed {arrow}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
         }
-        self.bridge = Some(Bridge { status, title, node });
+        self.bridge = Some(Bridge { status: bridge.status(), title, bridge });
         Ok(())
     }
 
@@ -86,13 +87,10 @@ impl Session {
         let recording = Recording::start(writer, Recording::DEFAULT_QUEUE_BYTES)
             .context("cannot start the thread that writes the bag")?;
         let topics = self.robot.recorded_topics()?;
-        let exposed: Vec<_> = file
-            .expose
-            .iter()
-            .map(|entry| (entry.topic.trim_start_matches('/').to_owned(), entry.qos))
-            .collect();
+        let exposed = self.robot.exposures()?;
         let qos_of = |name: &str| {
-            exposed.iter().find(|(topic, _)| topic == name).map_or(QosProfile::DEFAULT, |&(_, qos)| qos)
+            let exposure = exposed.iter().find(|exposure| exposure.topic == name);
+            exposure.and_then(|exposure| exposure.qos.profile()).unwrap_or(QosProfile::DEFAULT)
         };
         let encoding = encoding.unwrap_or(file.record.encoding);
         recorder::record(&mut self.robot.core, &recording, &topics, WhenFull::Lose, encoding, qos_of)?;
@@ -110,7 +108,13 @@ impl Session {
             .name("core".into())
             .spawn(move || core.run())
             .context("cannot start the thread of the core")?;
-        let inspection = inspection(&file.name, &handle);
+        let file = Arc::new(file);
+        let inspected = InspectedRobot {
+            core: handle.clone(),
+            bridge: bridge.as_ref().map(|bridge| bridge.bridge.clone()),
+            file: Arc::clone(&file),
+        };
+        let inspection = inspection(&file.name, inspected);
         let title = bridge.as_ref().map_or_else(|| file.name.clone(), |bridge| bridge.title.clone());
         let mut block = StatusBlock::new(Sources {
             title: if file.is_emulated() { format!("{title}   emulated") } else { title },
@@ -142,7 +146,7 @@ impl Session {
         let summary = recording.map(Recording::finish).transpose();
         if let Some(bridge) = bridge {
             // Off the graph before the last lines, which may be what a script waits for.
-            drop(bridge.node);
+            drop(bridge);
         }
         tell(&statistics, summary.as_ref().ok().and_then(Option::as_ref));
         summary.map(drop).context("the recording is not complete")
@@ -150,9 +154,9 @@ impl Session {
 }
 
 /// A robot that nobody can look at runs all the same.
-fn inspection(name: &str, handle: &CoreHandle) -> Option<InspectionServer> {
+fn inspection(name: &str, robot: InspectedRobot) -> Option<InspectionServer> {
     let open = || -> anyhow::Result<_> {
-        Ok(InspectionServer::start(&SocketDirectory::open()?, name, Arc::new(handle.clone()))?)
+        Ok(InspectionServer::start(&SocketDirectory::open()?, name, Arc::new(robot))?)
     };
     open().inspect_err(|error| tracing::warn!("`downbeat top` will not see this robot: {error}")).ok()
 }

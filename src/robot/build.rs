@@ -1,17 +1,13 @@
 //! From a robot file to a core with its modules, and with the journal of their runs.
 
-use downbeat_bridge::edge::KnownType;
 use downbeat_bridge::expose::Exposure;
-use downbeat_bridge::middleware;
-use downbeat_bridge::ros::{NodeName, TopicName};
 use downbeat_executor::{
     Core, Idle, Linear, Pool, Scheduled, SetupError, ThreadError, ThreadOptions, Threads, TopicInfo,
 };
 
-use super::file::{
-    ExposeEntry, LauncherEntry, ModuleEntry, Place, RecordEntry, RobotFile, RobotFileError, suggestion,
-};
-use super::{Direction, LauncherChoice};
+use super::LauncherChoice;
+use super::expose::canonical;
+use super::file::{LauncherEntry, ModuleEntry, Place, RecordEntry, RobotFile, RobotFileError, suggestion};
 use crate::step_journal::StepJournal;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
@@ -144,19 +140,8 @@ impl Robot {
     /// # Errors
     /// If a topic is not there, nobody publishes what is to go out, or the type is another; with path and line.
     pub fn exposures(&self) -> Result<Vec<Exposure>> {
-        let node = NodeName::new(&self.file.namespace, &self.file.name)
-            .map_err(|error| self.file.source.error(1, error.to_string()))?;
-        let mut names = Vec::new();
-        for entry in &self.file.expose {
-            let refuse = |problem: String| self.file.source.error(entry.line, problem);
-            let ros_name =
-                TopicName::expand(&entry.ros_topic, &node).map_err(|error| refuse(error.to_string()))?;
-            if names.contains(&ros_name) {
-                return Err(refuse(format!("{} is exposed twice", ros_name.as_str())));
-            }
-            names.push(ros_name);
-        }
-        self.file.expose.iter().map(|entry| self.exposure(entry)).collect()
+        let topics: Vec<_> = self.core.topics().cloned().collect();
+        self.file.exposures_of(&self.file.expose.topics, &topics, &[])
     }
 
     /// The topics that a recording is to hold.
@@ -165,47 +150,29 @@ impl Robot {
     /// If a topic is not there; with path and line.
     pub fn recorded_topics(&self) -> Result<Vec<TopicInfo>> {
         let RecordEntry { topics, line, .. } = &self.file.record;
+        let known: Vec<_> = self.core.topics().cloned().collect();
         match topics {
-            None => Ok(self.core.topics().cloned().collect()),
-            Some(names) => names.iter().map(|name| self.topic(name, *line, "record").cloned()).collect(),
-        }
-    }
-
-    fn exposure(&self, entry: &ExposeEntry) -> Result<Exposure> {
-        let refuse = |problem: String| Err(self.file.source.error(entry.line, problem));
-        let topic = self.topic(&entry.topic, entry.line, "expose")?;
-        let name = &topic.name;
-        if entry.direction == Direction::Out && !topic.is_published {
-            return refuse(format!("no module publishes \"{name}\"; does it belong under \"in\"?"));
-        }
-        let Some(message_type) = KnownType::of_rust_type(topic.message_type_id) else {
-            return refuse(format!("\"{name}\" carries {}, which is no ROS message", topic.message_type));
-        };
-        let actual = message_type.name();
-        match entry.type_name.as_deref() {
-            Some(said) if said != actual => {
-                return refuse(format!("\"{name}\" is of type \"{actual}\", not \"{said}\""));
+            None => Ok(known),
+            Some(names) => {
+                let topic = |name: &String| self.file.topic(&known, name, *line, "record").cloned();
+                names.iter().map(topic).collect()
             }
-            Some(_) | None => {}
         }
-        Ok(Exposure {
-            topic: name.to_string(),
-            ros_topic: Some(entry.ros_topic.clone()),
-            message_type,
-            direction: match entry.direction {
-                Direction::Out => middleware::Direction::Out,
-                Direction::In => middleware::Direction::In,
-            },
-            qos: entry.qos,
-        })
     }
+}
 
-    fn topic(&self, name: &str, line: usize, what: &str) -> Result<&TopicInfo> {
-        let mut topics = self.core.topics();
-        let canonical = name.strip_prefix('/').unwrap_or(name);
-        topics.find(|topic| *topic.name == *canonical).ok_or_else(|| {
-            let hint = suggestion(canonical, self.core.topics().map(|topic| &*topic.name));
-            self.file.source.error(line, format!("no module has a topic \"{name}\" to {what}{hint}"))
+impl RobotFile {
+    /// The topic of that name.
+    pub(super) fn topic<'a>(
+        &self,
+        topics: &'a [TopicInfo],
+        name: &str,
+        line: usize,
+        what: &str,
+    ) -> Result<&'a TopicInfo> {
+        topics.iter().find(|topic| *topic.name == *canonical(name)).ok_or_else(|| {
+            let hint = suggestion(canonical(name), topics.iter().map(|topic| &*topic.name));
+            self.source.error(line, format!("no module has a topic \"{name}\" to {what}{hint}"))
         })
     }
 }

@@ -4,8 +4,9 @@
 //!
 //! ```toml
 //! [robot]
-//! name = "darwin_op"                  # the name of the ROS 2 node
-//! namespace = "/"                     # its namespace, none unless given
+//! name = "darwin_op"                  # also the name of the ROS 2 node, unless `node` is given
+//! namespace = "/"                     # of the node; ROS_NAMESPACE or none unless given
+//! remap = { joint_states = "states" } # ROS 2 remapping rules, see below
 //! params = ["params.yaml"]            # ROS 2 parameter files, relative to this file
 //!
 //! [launcher]
@@ -22,7 +23,7 @@
 //! deadline = "20ms"
 //!
 //! [expose]
-//! out = ["joint_states", { topic = "imu/data_raw", qos = "sensor_data" }]
+//! out = ["joint_states", { topic = "imu/*", as = "/sensors/*", qos = "sensor_data", rate_hz = 10.0 }]
 //! in = [{ topic = "joint_commands", type = "sensor_msgs/msg/JointState" }]
 //!
 //! [record]
@@ -66,12 +67,39 @@
 //! | `deadline` | how long a run may take before it is reported | none |
 //!
 //! # `[expose]` and `[record]`
-//! - `[expose]`: topics that go `out` to ROS 2 or come `in`; a name, or a table with `topic`, `as` (another name in
-//!   ROS 2), `type` (checked if given) and `qos`: a preset (`default`, `sensor_data`, `latched`, …) or a table with
-//!   `preset`, `reliability`, `durability`, `history`, `depth`, `deadline_ms`.
+//! - `[expose]`: topics that go `out` to ROS 2 or come `in`: each a name, a pattern, or a table, see below.
 //! - `[record]`: what `--record` writes: `topics`, "all" or a list; `compression`, "none" or "zstd";
 //!   `encoding`, how messages are serialised: "cdr" as ROS 2 does, "json", "cbor", "protobuf", "foxglove-protobuf",
 //!   "flatbuffers" or "foxglove-flatbuffers" (see [`downbeat_msgs::encoding`]).
+//!
+//! ## Exposed topics
+//! In a pattern `*` stands for any characters of one part of a name, `**` for any number of parts. It means the topics
+//! that carry ROS messages and that modules publish (`out`), or that modules receive and none publishes (`in`); it never
+//! means those of the executor, and leaves alone what another entry names.
+//!
+//! | key | value | unless given |
+//! | --- | --- | --- |
+//! | `topic` | a name or a pattern | needed |
+//! | `except` | names and patterns that a pattern does not mean | none |
+//! | `as` | the name in ROS 2; of a pattern with the same wildcards, which stand for what they matched | the same |
+//! | `type` | is checked; of a pattern it says which topics are meant | any |
+//! | `qos` | a preset: `"default"`, `"sensor_data"`, `"services"`, `"parameters"`, `"parameter_events"`, `"rosout"`, `"clock"`, `"latched"`, `"system_default"`, `"best_available"`; or a table | `"default"` |
+//! | `rate_hz` | at most so many messages per second, on average, by the time of the executor | all |
+//! | `every` | of so many messages one, the first among them | all |
+//! | `latest_only` | `true`: of the messages of one cycle only the last | all |
+//! | `node` | the node that has the endpoint: `"camera"` in the robot's namespace, or `"/front/camera"` | the robot's |
+//!
+//! A table of QoS has `preset` and what differs from it: `reliability`, `durability`, `history`, `depth`, `deadline`,
+//! `lifespan`, `liveliness`, `liveliness_lease_duration`; times such as `"100ms"` or `"infinite"`. `"best_available"` is
+//! decided when the endpoint is created, by the endpoints of others that are found by then, as in rmw; when a robot starts
+//! these are none, so it is for what is exposed later ([`downbeat_bridge::ros::QosRequest`] has the rules). Parameters
+//! `qos_overrides` of rclcpp are not heeded. `downbeat check` prints what would be exposed; `downbeat expose` changes it
+//! while the robot runs.
+//!
+//! # ROS 2 names
+//! `remap` in `[robot]` has the rules that ROS 2 programs take after `-r`: `joint_states = "states"`, `"__ns" = "/robot1"`,
+//! `"camera:__node" = "front"`, `"rosservice://reset" = "restart"`. Behind `--ros-args` on the command line stand more,
+//! which win: see [`RosArgs`]. As in rcl the first rule that applies to a name does, once.
 //!
 //! # ROS 2 parameters
 //! Settings also come from ROS 2 parameter files, in `params` or with `--params-file`, and from `-p
@@ -90,13 +118,18 @@
 //! What is wrong with a file is told with its path and line, and the nearest valid name.
 
 mod build;
+mod expose;
+mod exposed;
 mod file;
 mod kinds;
 mod parameters;
+mod ros_args;
 
 pub use build::Robot;
+pub use exposed::{ExposedEndpoint, ExposedQos, ExposedTraffic};
 pub use file::{
-    Direction, ExposeEntry, LauncherChoice, LauncherEntry, ModuleEntry, RecordEntry, RobotFile,
-    RobotFileError,
+    Direction, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry, ModuleEntry, RecordEntry,
+    RobotFile, RobotFileError, TopicChoice,
 };
 pub use kinds::{KINDS, Kind};
+pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};

@@ -1,6 +1,7 @@
 //! What the tests share: the program in a process of its own, robot files, and real rclpy.
 #![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc, missing_docs)]
 
+pub mod hosts;
 #[path = "../../bridge/tests/common/matrix.rs"]
 pub mod matrix;
 #[path = "../../bridge/tests/common/rclpy.rs"]
@@ -60,12 +61,17 @@ pub struct Running {
 
 impl Running {
     pub fn start(arguments: &[&str]) -> Self {
-        let mut child = downbeat(arguments)
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
+        Self::start_with(arguments, &[])
+    }
+
+    /// With variables of the environment.
+    pub fn start_with(arguments: &[&str], variables: &[(&str, &Path)]) -> Self {
+        Self::start_by(downbeat(arguments).envs(variables.iter().copied()))
+    }
+
+    pub fn start_by(command: &mut Command) -> Self {
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().unwrap();
         let output = Arc::default();
         collect(child.stdout.take().unwrap(), &output);
         collect(child.stderr.take().unwrap(), &output);

@@ -1,10 +1,12 @@
 //! Messages on their way into the executor.
 
-use super::KnownType;
 use super::known_type::PublishEncoded;
-use downbeat_executor::{Core, InletError, SetupError};
+use super::{CoreAccess, KnownType};
+use downbeat_executor::queue::{Locked, Overflow};
+use downbeat_executor::{Inlet, InletError, SetupError};
 use downbeat_msgs::{Message, cdr};
 use std::fmt;
+use std::num::NonZeroUsize;
 use std::sync::Arc;
 use thiserror::Error;
 
@@ -14,6 +16,16 @@ pub struct EncodedInlet {
     topic: Arc<str>,
     message_type: KnownType,
     publish: Arc<PublishEncoded>,
+}
+
+/// Which of the messages that come between two cycles enter.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Waiting {
+    /// All, up to [`Inlet::CAPACITY`]; more are refused.
+    #[default]
+    All,
+    /// The latest; those before it count as dropped by the topic.
+    Latest,
 }
 
 /// A serialized message did not enter.
@@ -71,8 +83,19 @@ impl fmt::Debug for EncodedInlet {
     }
 }
 
-pub(super) fn open<T: Message>(core: &mut Core, topic: &str) -> Result<Box<PublishEncoded>, SetupError> {
-    let inlet = core.inlet::<T>(topic)?;
+pub(super) fn open<T: Message>(
+    core: &mut CoreAccess<'_>,
+    topic: &str,
+    waiting: Waiting,
+) -> Result<Box<PublishEncoded>, SetupError> {
+    let all = NonZeroUsize::MIN.saturating_add(Inlet::<T>::CAPACITY - 1);
+    let inlet = core.inlet::<T>(
+        topic,
+        match waiting {
+            Waiting::All => Locked::bounded(all, Overflow::Refuse),
+            Waiting::Latest => Locked::bounded(NonZeroUsize::MIN, Overflow::DropOldest),
+        },
+    )?;
     let topic: Arc<str> = topic.into();
     Ok(Box::new(move |bytes| {
         let message = cdr::from_slice::<T>(bytes).map_err(|error| EncodedInletError::Decode {

@@ -1,6 +1,6 @@
 //! The registry of message types.
 
-use super::{EncodedInlet, EncodedInletError, Sink, inlet, subscription};
+use super::{CoreAccess, EncodedInlet, EncodedInletError, Sink, Waiting, inlet, subscription};
 use downbeat_executor::{Core, Setup, SetupError};
 use downbeat_msgs::Message;
 use std::any::TypeId;
@@ -99,7 +99,20 @@ impl KnownType {
     /// # Errors
     /// [`SetupError`] when the name is not valid or the topic carries another type.
     pub fn inlet(self, core: &mut Core, topic: &str) -> Result<EncodedInlet, SetupError> {
-        Ok(EncodedInlet::new(topic, self, (self.entry.open_inlet)(core, topic)?))
+        self.inlet_with(&mut CoreAccess::Idle(core), topic, Waiting::All)
+    }
+
+    /// An entry for serialized messages into a core that may be running, from any thread.
+    ///
+    /// # Errors
+    /// [`SetupError`] when the name is not valid, the topic carries another type, or the core does not answer.
+    pub fn inlet_with(
+        self,
+        core: &mut CoreAccess<'_>,
+        topic: &str,
+        waiting: Waiting,
+    ) -> Result<EncodedInlet, SetupError> {
+        Ok(EncodedInlet::new(topic, self, (self.entry.open_inlet)(core, topic, waiting)?))
     }
 
     /// Serializes the default value of the type: a message that every reader accepts, for tests and probes.
@@ -137,7 +150,7 @@ struct Entry {
     hash: &'static str,
     definition: &'static str,
     rust_type: fn() -> TypeId,
-    open_inlet: fn(&mut Core, &str) -> Result<Box<PublishEncoded>, SetupError>,
+    open_inlet: fn(&mut CoreAccess<'_>, &str, Waiting) -> Result<Box<PublishEncoded>, SetupError>,
     default_cdr: fn() -> Vec<u8>,
 }
 

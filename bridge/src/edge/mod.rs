@@ -12,13 +12,15 @@
 //! Nothing here knows DDS.
 
 mod call;
+mod core_access;
 mod inlet;
 mod known_service;
 mod known_type;
 mod subscription;
 
 pub use call::{EncodedAnswer, EncodedCallError, EncodedCaller, Outlet, RemoteCall};
-pub use inlet::{EncodedInlet, EncodedInletError};
+pub use core_access::CoreAccess;
+pub use inlet::{EncodedInlet, EncodedInletError, Waiting};
 pub use known_service::{KnownService, UnknownService};
 pub use known_type::{KnownType, UnknownType};
-pub use subscription::Sink;
+pub use subscription::{Offered, Sink};

@@ -7,12 +7,21 @@ use downbeat_msgs::{Message, cdr};
 /// Takes the serialized messages of a topic.
 pub trait Sink: Send + 'static {
     /// Whether the next message is wanted: asked before each is serialized, so that what nobody wants costs nothing.
-    fn is_wanted(&mut self) -> bool {
+    fn is_wanted(&mut self, _message: Offered) -> bool {
         true
     }
 
     /// Takes a message: the time of the cycle that published it; encapsulation header (little-endian) and body.
     fn take(&mut self, time: Time, cdr: Bytes);
+}
+
+/// What is known of a message before it is serialized.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Offered {
+    /// The time of the cycle that published it.
+    pub time: Time,
+    /// True if the topic carried no message after it in that cycle.
+    pub is_last_of_cycle: bool,
 }
 
 /// A closure wants everything.
@@ -29,7 +38,8 @@ pub(super) fn subscribe<T: Message, M: 'static>(
     mut sink: Box<dyn Sink>,
 ) -> Result<(), SetupError> {
     setup.subscribe(topic, move |_: &mut M, message: Received<'_, T>, _: &mut Context<'_>| {
-        if sink.is_wanted() {
+        let offered = Offered { time: message.time(), is_last_of_cycle: message.is_last() };
+        if sink.is_wanted(offered) {
             sink.take(message.time(), cdr::to_vec(&*message).into());
         }
     })

@@ -11,22 +11,29 @@
 //! let participant = Participant::on(std::sync::Arc::new(Hub::new().join()))?;
 //! let node = participant.create_node(NodeName::new("/", "downbeat")?)?;
 //! let mut core = Core::new();
+//! let joint_state = KnownType::named("sensor_msgs/msg/JointState")?;
 //! let states = Exposure {
-//!     topic: "joint_states".into(),
-//!     ros_topic: None,
-//!     message_type: KnownType::named("sensor_msgs/msg/JointState")?,
-//!     direction: Direction::Out,
-//!     qos: QosProfile::DEFAULT,
+//!     qos: QosProfile::SENSOR_DATA.into(),
+//!     ..Exposure::new("joint_states", joint_state, Direction::Out)
 //! };
 //! let status = expose(&mut core, &node, &[states])?;
 //! assert_eq!(status.endpoints()[0].ros_topic, "/joint_states");
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod bridge;
+mod endpoints;
+mod exposure;
+mod limit;
 mod module;
+mod pattern;
 mod services;
 mod status;
 
-pub use module::{ExposeError, Exposure, MODULE_NAME, expose};
+pub use bridge::{Bridge, expose};
+pub use exposure::{ExposeError, Exposure};
+pub use limit::{Limits, OfACycle};
+pub use module::MODULE_NAME;
+pub use pattern::{PatternError, TopicPattern};
 pub use services::{CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServicesStatus, expose_services};
 pub use status::{BridgeStatus, EndpointReport};

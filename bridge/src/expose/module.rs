@@ -1,180 +1,117 @@
-//! The bridge as a module of the executor.
+//! The part of the bridge that is a module of the executor: it sends out what it subscribes to.
 
-use super::status::{BridgeStatus, EndpointStatus, Traffic, WeakEndpoint};
-use crate::edge::{EncodedInlet, EncodedInletError, KnownType, Sink};
-use crate::middleware::{Direction, Sample};
-use crate::ros::{MessageType, NameError, Node, NodeError, Publisher, Subscription};
+use super::limit::{Limiter, OfACycle};
+use super::status::Traffic;
+use crate::edge::{KnownType, Offered, Sink};
+use crate::ros::Publisher;
 use bytes::Bytes;
-use downbeat_executor::{
-    Context, Core, Inbox, InletError, Module, ModuleOptions, Role, Setup, SetupError, Synchrony, Time,
-};
-use downbeat_msgs::qos::{Durability, QosProfile};
+use downbeat_executor::{Context, Inbox, Module, ModuleOptions, Role, Setup, SetupError, Synchrony, Time};
+use downbeat_msgs::qos::Durability;
 use std::num::NonZeroUsize;
-use std::sync::Arc;
-use thiserror::Error;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// The name under which the bridge joins a core.
+/// The name under which the bridge joins a core. What is exposed while the core runs has modules of its own,
+/// `bridge.1` and so on.
 pub const MODULE_NAME: &str = "bridge";
 
 /// Batches that wait while the bridge is busy: 8 s at 125 Hz. Older ones are dropped.
 const INBOX: NonZeroUsize = NonZeroUsize::new(1000).unwrap();
 
-/// A topic to show to ROS 2, or to take from it.
-#[derive(Clone, Debug)]
-pub struct Exposure {
-    /// The topic in the executor.
-    pub topic: String,
-    /// The topic in ROS 2 where it differs: absolute, relative to the node's namespace, or private (`~/…`).
-    pub ros_topic: Option<String>,
-    /// The type of the messages.
-    pub message_type: KnownType,
-    /// Out of the executor or into it.
-    pub direction: Direction,
-    /// What to offer or request.
-    pub qos: QosProfile,
-}
-
-/// A topic could not be exposed.
-#[derive(Debug, Error)]
-pub enum ExposeError {
-    /// Its ROS 2 endpoint could not be created.
-    #[error("exposing topic \"{topic}\": {error}")]
-    Endpoint {
-        /// The topic in the executor.
-        topic: String,
-        /// Why not.
-        error: NodeError,
-    },
-    /// The ROS 2 endpoints of a service could not be created.
-    #[error("exposing service \"{service}\": {error}")]
-    Service {
-        /// The service in the executor.
-        service: String,
-        /// Why not.
-        error: NodeError,
-    },
-    /// A message that came in would go out again, and reach those who heard it already.
-    #[error(
-        "topic \"{0}\" is exposed in both directions: what comes in would go out again; expose one of them under \
-         another topic of the executor"
-    )]
-    BothDirections(String),
-    /// The executor refused.
-    #[error(transparent)]
-    Setup(#[from] SetupError),
-}
-
-/// Creates the endpoints of all exposures on `node`, and adds the bridge to `core` as the detached observer
-/// [`MODULE_NAME`].
-///
-/// The endpoints go when the core stops; the node when its last handle is dropped after that.
-///
-/// # Errors
-/// [`ExposeError`] when a topic cannot be exposed.
-pub fn expose(core: &mut Core, node: &Node, exposures: &[Exposure]) -> Result<BridgeStatus, ExposeError> {
-    let mut bridge = Bridge::default();
-    let mut statuses = Vec::with_capacity(exposures.len());
-    for exposure in exposures {
-        if exposures.iter().any(|other| is_reverse(exposure, other)) {
-            return Err(ExposeError::BothDirections(exposure.topic.clone()));
-        }
-        statuses.push(match exposure.direction {
-            Direction::Out => bridge.add_out(node, exposure)?,
-            Direction::In => bridge.add_in(core, node, exposure)?,
-        });
-    }
-    let options = ModuleOptions {
+/// How the bridge's modules join a core.
+pub(super) fn options() -> ModuleOptions {
+    ModuleOptions {
         synchrony: Synchrony::Detached(Inbox::KeepLast(INBOX)),
         role: Role::Observer,
         ..ModuleOptions::default()
-    };
-    core.add_with(MODULE_NAME, bridge, options)?;
-    Ok(BridgeStatus::new(statuses))
+    }
 }
 
-#[derive(Default)]
-struct Bridge {
-    out: Vec<Out>,
-    subscriptions: Vec<Arc<Subscription>>,
+/// Subscribes to the topics of its slots.
+pub(super) struct Sender {
+    pub(super) slots: Vec<Arc<Slot>>,
+    /// Told when the module ends.
+    pub(super) on_end: Box<dyn Fn() + Send>,
 }
 
-struct Out {
-    topic: String,
-    message_type: KnownType,
-    publisher: Arc<Publisher>,
-    traffic: Arc<Traffic>,
-}
-
-impl Module for Bridge {
+impl Module for Sender {
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        for Out { topic, message_type, publisher, traffic } in self.out.drain(..) {
-            let is_latched = publisher.qos().durability == Durability::TransientLocal;
-            message_type.subscribe(setup, &topic, ToRos { publisher, traffic, is_latched })?;
+        for slot in &self.slots {
+            slot.message_type.subscribe(setup, &slot.topic, ToRos(Arc::clone(slot)))?;
         }
         Ok(())
     }
 
     fn shutdown(&mut self, _ctx: &mut Context<'_>) {
-        self.subscriptions.clear();
+        self.slots.iter().for_each(|slot| drop(slot.close()));
+        (self.on_end)();
     }
 }
 
-impl Bridge {
-    fn add_out(&mut self, node: &Node, exposure: &Exposure) -> Result<EndpointStatus, ExposeError> {
-        let message_type = ros_type(exposure)?;
-        let publisher = node
-            .publish(ros_topic(exposure), &message_type, exposure.qos)
-            .map_err(|error| failed(exposure, error))?;
-        let (publisher, traffic) = (Arc::new(publisher), Arc::<Traffic>::default());
-        let status = status(
-            exposure,
-            publisher.topic().to_string(),
-            WeakEndpoint::Publisher(Arc::downgrade(&publisher)),
-            &traffic,
-        );
-        let (topic, message_type) = (exposure.topic.clone(), exposure.message_type);
-        self.out.push(Out { topic, message_type, publisher, traffic });
-        Ok(status)
+/// A subscription of the executor, and the publisher that it feeds, if there is one at the moment: a subscription lasts
+/// as long as its module, a publisher comes and goes.
+pub(super) struct Slot {
+    pub(super) topic: String,
+    pub(super) message_type: KnownType,
+    outlet: Mutex<Option<Outlet>>,
+}
+
+/// What a subscription feeds.
+pub(super) struct Outlet {
+    pub(super) publisher: Arc<Publisher>,
+    pub(super) traffic: Arc<Traffic>,
+    pub(super) limiter: Limiter,
+    pub(super) of_a_cycle: OfACycle,
+}
+
+impl Slot {
+    pub(super) fn new(topic: &str, message_type: KnownType, outlet: Outlet) -> Self {
+        Self { topic: topic.to_owned(), message_type, outlet: Mutex::new(Some(outlet)) }
     }
 
-    fn add_in(
-        &mut self,
-        core: &mut Core,
-        node: &Node,
-        exposure: &Exposure,
-    ) -> Result<EndpointStatus, ExposeError> {
-        let message_type = ros_type(exposure)?;
-        let inlet = exposure.message_type.inlet(core, &exposure.topic)?;
-        let traffic = Arc::<Traffic>::default();
-        let from_ros = from_ros(inlet, Arc::clone(&traffic));
-        let subscription = node
-            .subscribe(ros_topic(exposure), &message_type, exposure.qos, Box::new(from_ros))
-            .map_err(|error| failed(exposure, error))?;
-        let subscription = Arc::new(subscription);
-        let endpoint = WeakEndpoint::Subscription(Arc::downgrade(&subscription));
-        let status = status(exposure, subscription.topic().to_string(), endpoint, &traffic);
-        self.subscriptions.push(subscription);
-        Ok(status)
+    pub(super) fn open(&self, outlet: Outlet) {
+        *self.lock() = Some(outlet);
+    }
+
+    /// Takes the publisher away, when the message that is being sent is sent.
+    pub(super) fn close(&self) -> Option<Outlet> {
+        self.lock().take()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Option<Outlet>> {
+        self.outlet.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Publishes the messages of one topic.
-struct ToRos {
-    publisher: Arc<Publisher>,
-    traffic: Arc<Traffic>,
-    is_latched: bool,
-}
+struct ToRos(Arc<Slot>);
 
 impl Sink for ToRos {
-    fn is_wanted(&mut self) -> bool {
-        let is_wanted = self.is_latched || self.publisher.matched_subscriptions() > 0;
+    fn is_wanted(&mut self, message: Offered) -> bool {
+        self.0.lock().as_mut().is_some_and(|outlet| outlet.wants(message))
+    }
+
+    fn take(&mut self, _time: Time, cdr: Bytes) {
+        if let Some(outlet) = self.0.lock().as_ref() {
+            outlet.send(cdr);
+        }
+    }
+}
+
+impl Outlet {
+    fn wants(&mut self, message: Offered) -> bool {
+        let is_too_old = self.of_a_cycle == OfACycle::Latest && !message.is_last_of_cycle;
+        if is_too_old || !self.limiter.lets_pass(message.time) {
+            self.traffic.count_limited();
+            return false;
+        }
+        let is_latched = self.publisher.qos().durability == Durability::TransientLocal;
+        let is_wanted = is_latched || self.publisher.matched_subscriptions() > 0;
         if !is_wanted {
             self.traffic.count_skipped();
         }
         is_wanted
     }
 
-    fn take(&mut self, _time: Time, cdr: Bytes) {
+    fn send(&self, cdr: Bytes) {
         let result = self.publisher.publish(cdr);
         if self.traffic.count(&result)
             && let Err(error) = result
@@ -182,54 +119,5 @@ impl Sink for ToRos {
             let topic = self.publisher.topic().as_str();
             tracing::warn!(topic, %error, "a message was not sent; from now on this is only counted");
         }
-    }
-}
-
-/// Takes the samples of one topic in.
-fn from_ros(inlet: EncodedInlet, traffic: Arc<Traffic>) -> impl FnMut(Sample) + Send {
-    move |sample| {
-        let result = inlet.publish(&sample.cdr);
-        if matches!(result, Err(EncodedInletError::Inlet { error: InletError::Stopped, .. })) {
-            return;
-        }
-        if traffic.count(&result)
-            && let Err(error) = result
-        {
-            tracing::warn!(writer = %sample.writer, %error, "a message was not taken in; from now on this is only counted");
-        }
-    }
-}
-
-fn is_reverse(one: &Exposure, other: &Exposure) -> bool {
-    let same_topic = one.topic.trim_start_matches('/') == other.topic.trim_start_matches('/');
-    same_topic && one.direction != other.direction
-}
-
-fn ros_topic(exposure: &Exposure) -> &str {
-    exposure.ros_topic.as_deref().unwrap_or(&exposure.topic)
-}
-
-fn ros_type(exposure: &Exposure) -> Result<MessageType, ExposeError> {
-    MessageType::new(exposure.message_type.name()).map_err(|error: NameError| failed(exposure, error.into()))
-}
-
-fn failed(exposure: &Exposure, error: NodeError) -> ExposeError {
-    ExposeError::Endpoint { topic: exposure.topic.clone(), error }
-}
-
-fn status(
-    exposure: &Exposure,
-    ros_topic: String,
-    endpoint: WeakEndpoint,
-    traffic: &Arc<Traffic>,
-) -> EndpointStatus {
-    EndpointStatus {
-        topic: exposure.topic.clone(),
-        ros_topic,
-        type_name: exposure.message_type.name(),
-        direction: exposure.direction,
-        qos: exposure.qos,
-        endpoint,
-        traffic: Arc::clone(traffic),
     }
 }

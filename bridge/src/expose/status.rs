@@ -1,5 +1,8 @@
 //! What the bridge is doing, for a status display on another thread.
 
+use super::Limits;
+use super::endpoints::Endpoints;
+use crate::edge::KnownType;
 use crate::middleware::Direction;
 use crate::ros::{Publisher, Subscription};
 use downbeat_msgs::qos::QosProfile;
@@ -10,7 +13,7 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 /// Shows the exposed endpoints. Clones show the same. It keeps no endpoint alive.
 #[derive(Clone, Default)]
 pub struct BridgeStatus {
-    endpoints: Arc<[EndpointStatus]>,
+    endpoints: Arc<Endpoints>,
 }
 
 /// One exposed endpoint at one moment.
@@ -20,18 +23,24 @@ pub struct EndpointReport {
     pub topic: String,
     /// The topic in ROS 2, absolute.
     pub ros_topic: String,
+    /// The node that has the endpoint, absolute.
+    pub node: String,
     /// The type in ROS 2.
     pub type_name: &'static str,
     /// Out of the executor or into it.
     pub direction: Direction,
     /// What is offered or requested.
     pub qos: QosProfile,
+    /// How much of it passes.
+    pub limits: Limits,
     /// How many endpoints of others are matched; 0 after the bridge has stopped.
     pub matched: usize,
     /// Messages that went through.
     pub messages: u64,
     /// Messages that were not serialized since nobody was matched.
     pub skipped: u64,
+    /// Messages that the limits held back.
+    pub limited: u64,
     /// Messages that should have gone through and did not.
     pub errors: u64,
     /// The last reason for that.
@@ -39,23 +48,25 @@ pub struct EndpointReport {
 }
 
 impl BridgeStatus {
-    pub(super) fn new(endpoints: impl IntoIterator<Item = EndpointStatus>) -> Self {
-        Self { endpoints: endpoints.into_iter().collect() }
+    pub(super) fn new(endpoints: Arc<Endpoints>) -> Self {
+        Self { endpoints }
     }
 
     /// The endpoints, in the order in which they were exposed.
     #[must_use]
     pub fn endpoints(&self) -> Vec<EndpointReport> {
-        self.endpoints.iter().map(EndpointStatus::report).collect()
+        self.endpoints.reports()
     }
 }
 
 pub(super) struct EndpointStatus {
     pub(super) topic: String,
     pub(super) ros_topic: String,
-    pub(super) type_name: &'static str,
+    pub(super) node: String,
+    pub(super) message_type: KnownType,
     pub(super) direction: Direction,
     pub(super) qos: QosProfile,
+    pub(super) limits: Limits,
     pub(super) endpoint: WeakEndpoint,
     pub(super) traffic: Arc<Traffic>,
 }
@@ -66,7 +77,7 @@ pub(super) enum WeakEndpoint {
 }
 
 impl EndpointStatus {
-    fn report(&self) -> EndpointReport {
+    pub(super) fn report(&self) -> EndpointReport {
         let matched = match &self.endpoint {
             WeakEndpoint::Publisher(publisher) => publisher.upgrade().map(|p| p.matched_subscriptions()),
             WeakEndpoint::Subscription(subscription) => {
@@ -76,12 +87,15 @@ impl EndpointStatus {
         EndpointReport {
             topic: self.topic.clone(),
             ros_topic: self.ros_topic.clone(),
-            type_name: self.type_name,
+            node: self.node.clone(),
+            type_name: self.message_type.name(),
             direction: self.direction,
             qos: self.qos,
+            limits: self.limits,
             matched: matched.unwrap_or(0),
             messages: self.traffic.messages.load(Ordering::Relaxed),
             skipped: self.traffic.skipped.load(Ordering::Relaxed),
+            limited: self.traffic.limited.load(Ordering::Relaxed),
             errors: self.traffic.errors.load(Ordering::Relaxed),
             last_error: self.traffic.last_error.lock().unwrap_or_else(PoisonError::into_inner).clone(),
         }
@@ -93,6 +107,7 @@ impl EndpointStatus {
 pub(super) struct Traffic {
     messages: AtomicU64,
     skipped: AtomicU64,
+    limited: AtomicU64,
     errors: AtomicU64,
     last_error: Mutex<Option<String>>,
 }
@@ -105,6 +120,10 @@ impl Traffic {
     /// Messages and errors.
     pub(super) fn totals(&self) -> (u64, u64) {
         (self.messages.load(Ordering::Relaxed), self.errors.load(Ordering::Relaxed))
+    }
+
+    pub(super) fn count_limited(&self) {
+        self.limited.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Counts the message or the error; true for the first error, which is worth a log line.

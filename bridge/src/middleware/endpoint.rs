@@ -1,8 +1,9 @@
 //! What an endpoint is, what it carries, and who it is.
 
 use bytes::Bytes;
-use downbeat_msgs::qos::{Durability, QosProfile, Reliability};
+use downbeat_msgs::qos::{Durability, Liveliness, QosProfile, Reliability};
 use std::fmt;
+use std::time::Duration;
 
 /// The identity of a participant or an endpoint: on DDS its GUID, 12 bytes of participant and 4 of endpoint.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
@@ -132,6 +133,12 @@ pub struct RemoteEndpoint {
     pub reliability: Reliability,
     /// Offered or requested durability.
     pub durability: Durability,
+    /// The longest time between two samples that it offers or accepts.
+    pub deadline: Option<Duration>,
+    /// Offered or requested liveliness.
+    pub liveliness: Liveliness,
+    /// How long a publisher may be silent before it counts as gone.
+    pub liveliness_lease_duration: Option<Duration>,
     /// The hash of the type, `RIHS01_` and 64 hex digits, where the peer tells it.
     pub type_hash: Option<String>,
 }

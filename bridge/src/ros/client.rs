@@ -145,7 +145,7 @@ impl Node {
         service_type: &ServiceType,
         qos: QosProfile,
     ) -> Result<RawClient, NodeError> {
-        let name = ServiceName::expand(service, self.name())?;
+        let name = self.service_name(service)?;
         let shared = &self.membership.shared;
         let client = RequestClient::new(&*shared.middleware, &shared.rpc, &name.endpoint(service_type, qos))?;
         let (reader, writer) = client.gids();

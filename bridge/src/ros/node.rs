@@ -1,7 +1,10 @@
 //! A participant as ROS 2 sees it: nodes with publishers and subscriptions.
 
 use super::graph::{Graph, RemoteNode};
-use super::{MessageType, NameError, NodeName, ServiceName, ServiceType, TopicName, type_description};
+use super::{
+    MessageType, NameError, NodeName, QosRequest, RemapRules, ServiceName, ServiceType, TopicName,
+    type_description,
+};
 use crate::middleware::rpc::{RequestServer, RpcThread};
 use crate::middleware::{
     self, Direction, Endpoint, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader, RemoteEndpoint,
@@ -10,8 +13,8 @@ use crate::middleware::{
 use bytes::Bytes;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::type_description_interfaces::srv::GetTypeDescription;
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::collections::{BTreeMap, HashMap};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use thiserror::Error;
 
 /// A node or one of its endpoints could not be created.
@@ -44,6 +47,9 @@ pub(super) struct Shared {
     own_services: Mutex<HashMap<NodeName, Vec<RequestServer>>>,
     pub(super) rpc: RpcThread,
     pub(super) middleware: Arc<dyn Middleware>,
+    remaps: RemapRules,
+    /// The nodes there are, by the names they were asked for.
+    nodes: Mutex<BTreeMap<NodeName, Weak<Membership>>>,
 }
 
 impl Participant {
@@ -55,26 +61,47 @@ impl Participant {
         Self::on(middleware::join(options)?)
     }
 
+    /// Joins the domain that the options name; the rules apply to all names of its nodes.
+    ///
+    /// # Errors
+    /// [`MiddlewareError`] when the domain cannot be joined.
+    pub fn join_with(options: &ParticipantOptions, remaps: RemapRules) -> Result<Self, MiddlewareError> {
+        Self::on_with(middleware::join(options)?, remaps)
+    }
+
     /// Stands on a participant that exists, of whatever engine.
     ///
     /// # Errors
     /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
     pub fn on(middleware: Arc<dyn Middleware>) -> Result<Self, MiddlewareError> {
-        let rpc = RpcThread::start().map_err(MiddlewareError::ServiceThread)?;
-        let (graph, own_services) = (Graph::join(&*middleware)?, Mutex::default());
-        Ok(Self { shared: Arc::new(Shared { graph, own_services, rpc, middleware }) })
+        Self::on_with(middleware, RemapRules::default())
     }
 
-    /// Creates a node. It offers the service `~/get_type_description`, as all nodes of Jazzy do.
+    /// Stands on a participant that exists; the rules apply to all names of its nodes.
+    ///
+    /// # Errors
+    /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
+    pub fn on_with(middleware: Arc<dyn Middleware>, remaps: RemapRules) -> Result<Self, MiddlewareError> {
+        let rpc = RpcThread::start().map_err(MiddlewareError::ServiceThread)?;
+        let (graph, own_services, nodes) = (Graph::join(&*middleware)?, Mutex::default(), Mutex::default());
+        Ok(Self { shared: Arc::new(Shared { graph, own_services, rpc, middleware, remaps, nodes }) })
+    }
+
+    /// Creates a node, under another name where a remapping rule says so. It offers the service
+    /// `~/get_type_description`, as all nodes of Jazzy do.
     ///
     /// # Errors
     /// [`NodeError`] when this participant has a node of that name, or the engine refuses the service.
     pub fn create_node(&self, name: NodeName) -> Result<Node, NodeError> {
+        let given = name;
+        let name = self.shared.remaps.node(&given)?;
         if !self.shared.graph.add_node(&name) {
             return Err(NodeError::Exists(name));
         }
-        let node = Node { membership: Arc::new(Membership { shared: Arc::clone(&self.shared), name }) };
+        let membership = Arc::new(Membership { shared: Arc::clone(&self.shared), name });
+        let node = Node { membership };
         node.serve_own::<GetTypeDescription>(type_description::SERVICE, type_description::answer)?;
+        self.shared.nodes().insert(given, Arc::downgrade(&node.membership));
         Ok(node)
     }
 
@@ -102,6 +129,12 @@ pub(super) struct Membership {
     name: NodeName,
 }
 
+impl Shared {
+    fn nodes(&self) -> std::sync::MutexGuard<'_, BTreeMap<NodeName, Weak<Membership>>> {
+        self.nodes.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
 impl Drop for Membership {
     fn drop(&mut self) {
         self.shared.graph.remove_node(&self.name);
@@ -125,7 +158,7 @@ impl Node {
         answer: impl Fn(&S::Request) -> S::Response + Send + 'static,
     ) -> Result<(), NodeError> {
         let Membership { shared, name: node } = &*self.membership;
-        let name = ServiceName::expand(service, node)?;
+        let name = self.service_name(service)?;
         let endpoint = name.endpoint(&ServiceType::new(S::TYPE_NAME)?, QosProfile::SERVICES);
         let on_request = super::service::typed::<S>(move |request, reply| {
             let result = reply.send(&answer(&request));
@@ -147,6 +180,55 @@ impl Node {
         &self.membership.name
     }
 
+    /// The node of the same participant that was asked for under that name; it is created where there is none.
+    ///
+    /// # Errors
+    /// [`NodeError`] when a remapping rule gives it a name that is not valid, or one that another node has.
+    pub fn sibling(&self, name: &NodeName) -> Result<Self, NodeError> {
+        let shared = &self.membership.shared;
+        let found = shared.nodes().get(name).and_then(Weak::upgrade);
+        match found {
+            Some(membership) => Ok(Self { membership }),
+            None => Participant { shared: Arc::clone(shared) }.create_node(name.clone()),
+        }
+    }
+
+    /// The topic that `topic` means to this node: expanded, and remapped where a rule says so.
+    ///
+    /// # Errors
+    /// [`NameError`] when ROS 2 does not accept the name, or the one in its place.
+    pub fn topic_name(&self, topic: &str) -> Result<TopicName, NameError> {
+        self.membership.shared.remaps.topic(TopicName::expand(topic, self.name())?, self.name())
+    }
+
+    /// The service that `service` means to this node: expanded, and remapped where a rule says so.
+    ///
+    /// # Errors
+    /// [`NameError`] when ROS 2 does not accept the name, or the one in its place.
+    pub fn service_name(&self, service: &str) -> Result<ServiceName, NameError> {
+        let expanded = TopicName::expand(service, self.name())?;
+        self.membership.shared.remaps.service(expanded, self.name()).map(ServiceName::of)
+    }
+
+    /// What to offer or request on a topic now, in view of the endpoints of others that are known.
+    ///
+    /// # Errors
+    /// [`NameError`] when ROS 2 does not accept the name of the topic.
+    pub fn resolve_qos(
+        &self,
+        topic: &str,
+        direction: Direction,
+        request: &QosRequest,
+    ) -> Result<QosProfile, NameError> {
+        if let Some(profile) = request.profile() {
+            return Ok(profile);
+        }
+        let topic = self.topic_name(topic)?.to_wire();
+        let mut peers = self.membership.shared.middleware.remote_endpoints();
+        peers.retain(|peer| peer.topic_name == topic);
+        Ok(request.resolve(direction, &peers))
+    }
+
     /// Creates a publisher; `topic` may be absolute, relative or private (`~/…`).
     ///
     /// # Errors
@@ -157,7 +239,7 @@ impl Node {
         message_type: &MessageType,
         qos: QosProfile,
     ) -> Result<Publisher, NodeError> {
-        let topic = TopicName::expand(topic, self.name())?;
+        let topic = self.topic_name(topic)?;
         let endpoint = endpoint(&topic, message_type, qos);
         let writer = self.membership.shared.middleware.create_writer(&endpoint)?;
         let listed = Listed::new(&self.membership, Direction::Out, writer.gid());
@@ -183,7 +265,7 @@ impl Node {
         qos: QosProfile,
         on_sample: SampleHandler,
     ) -> Result<Subscription, NodeError> {
-        let topic = TopicName::expand(topic, self.name())?;
+        let topic = self.topic_name(topic)?;
         let endpoint = endpoint(&topic, message_type, qos);
         let reader = self.membership.shared.middleware.create_reader(&endpoint, on_sample)?;
         let listed = Listed::new(&self.membership, Direction::In, reader.gid());

@@ -149,7 +149,7 @@ impl Node {
         qos: QosProfile,
         on_request: RequestHandler,
     ) -> Result<Service, NodeError> {
-        let name = ServiceName::expand(service, self.name())?;
+        let name = self.service_name(service)?;
         let shared = &self.membership.shared;
         let endpoint = name.endpoint(service_type, qos);
         let server = RequestServer::new(&*shared.middleware, &shared.rpc, &endpoint, on_request)?;

@@ -20,6 +20,10 @@ impl ServiceName {
         TopicName::expand(name, node).map(Self)
     }
 
+    pub(super) fn of(name: TopicName) -> Self {
+        Self(name)
+    }
+
     /// The absolute name.
     #[must_use]
     pub fn as_str(&self) -> &str {

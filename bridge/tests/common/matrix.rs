@@ -41,6 +41,11 @@ pub fn check(heading: &str, feature: &str, with: With, way: Way) -> Check {
 }
 
 impl Check {
+    /// This machine does not allow what the check needs.
+    pub fn skipped(mut self) {
+        self.0["is_skipped"] = true.into();
+    }
+
     /// The test goes on to show that this cannot be done, and why.
     pub fn limited_by(mut self, reason: &str) -> Self {
         self.0["limit"] = reason.into();

@@ -3,6 +3,7 @@
 
 use super::WATCHDOG;
 use serde_json::{Value, json};
+use std::ffi::{OsStr, OsString};
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
@@ -20,30 +21,32 @@ pub struct Peer {
 impl Peer {
     /// Starts node `/peer` of rclpy in a domain, or says why not and returns nothing.
     pub fn start(domain_id: u16, discovery_range: &str) -> Option<Self> {
-        Self::run(super::PEER_SCRIPT, domain_id, discovery_range)
+        Self::of_domain(super::PEER_SCRIPT, domain_id, discovery_range)
     }
 
     /// Starts a participant of Cyclone DDS in a domain on loopback, or says why not and returns nothing.
     pub fn cyclonedds(domain_id: u16) -> Option<Self> {
-        Self::run(CYCLONEDDS_SCRIPT, domain_id, "LOCALHOST")
+        Self::of_domain(CYCLONEDDS_SCRIPT, domain_id, "LOCALHOST")
     }
 
-    fn run(script: &str, domain_id: u16, discovery_range: &str) -> Option<Self> {
-        let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
-            // Past the capture of test output, which shows nothing of a test that passes.
-            let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
-            let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
-            return None;
-        };
-        let mut child = Command::new(python)
+    /// Starts node `/peer` of rclpy by a command that runs the Python it is given; by itself it has no arguments yet.
+    pub fn start_by(command: impl FnOnce(&OsStr) -> Command) -> Option<Self> {
+        let python = python()?;
+        Some(Self::run(command(&python).arg(super::PEER_SCRIPT).arg("peer")))
+    }
+
+    fn of_domain(script: &str, domain_id: u16, discovery_range: &str) -> Option<Self> {
+        let mut command = Command::new(python()?);
+        command
             .arg(script)
             .arg("peer")
             .env("ROS_DOMAIN_ID", domain_id.to_string())
-            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", discovery_range)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
+            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", discovery_range);
+        Some(Self::run(&mut command))
+    }
+
+    fn run(command: &mut Command) -> Self {
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let output = BufReader::new(child.stdout.take().unwrap());
         let (sender, answers) = channel();
         std::thread::spawn(move || {
@@ -55,7 +58,7 @@ impl Peer {
         });
         let peer = Self { commands: child.stdin.take(), child, answers };
         assert_eq!(peer.answer(), json!("ready"));
-        Some(peer)
+        peer
     }
 
     /// Sends a command and returns its answer.
@@ -103,4 +106,15 @@ impl Drop for Peer {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// The interpreter that has rclpy, or a line that says that there is none.
+fn python() -> Option<OsString> {
+    let python = std::env::var_os("DOWNBEAT_PYTHON");
+    if python.is_none() {
+        // Past the capture of test output, which shows nothing of a test that passes.
+        let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
+        let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
+    }
+    python
 }

@@ -87,6 +87,10 @@ class Peer:
     def publishers_of(self, topic):
         return [endpoint_of(info) for info in self.node.get_publishers_info_by_topic(topic)]
 
+    def published_by(self, node, namespace="/"):
+        """What `ros2 node info` lists."""
+        return dict(self.node.get_publisher_names_and_types_by_node(node, namespace))
+
     def subscriptions_of(self, topic):
         return [endpoint_of(info) for info in self.node.get_subscriptions_info_by_topic(topic)]
 

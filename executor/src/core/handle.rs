@@ -4,12 +4,14 @@ use std::sync::Arc;
 
 use crate::core::world::Pause;
 use crate::core::{ModuleInfo, World};
+use crate::inlet::open_inlet;
 use crate::join::{JoinQueue, Request};
 use crate::management::{Candidate, Command, Source};
+use crate::queue::Queue;
 use crate::receipt::{Receipt, ReceiptSender, receipt};
 use crate::{
-    CycleTrace, Graph, LifecycleState, Module, ModuleOptions, SettingInfo, SettingRefused, SettingValue,
-    SetupError, Snapshot, Stage, Transition, TransitionRefused, UnknownModule,
+    CycleTrace, Graph, Inlet, LifecycleState, Module, ModuleOptions, SettingInfo, SettingRefused,
+    SettingValue, SetupError, Snapshot, Stage, TopicInfo, Transition, TransitionRefused, UnknownModule,
 };
 
 /// Asks a running core for something from any thread; from [`Core::handle`](crate::Core::handle).
@@ -172,6 +174,40 @@ impl CoreHandle {
             let id = world.members.find(&module)?.id;
             Some(world.settings(stage, id))
         })
+    }
+
+    /// A way to publish on a topic from threads outside the executor, made while the core runs: behind those that were
+    /// made before.
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, Time};
+    /// use downbeat_executor::queue::{Locked, Overflow};
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.cycle()?;
+    /// let queue = Locked::bounded(std::num::NonZeroUsize::MIN, Overflow::DropOldest);
+    /// let receipt = core.handle().inlet_with::<f64>("range", queue); // m
+    /// core.cycle()?; // Makes it in its sync phase.
+    /// let range = receipt.try_take().unwrap()?;
+    /// range.publish(1.25)?;
+    /// core.cycle()?;
+    /// assert_eq!(core.topics().find(|topic| &*topic.name == "range").unwrap().counter.messages(), 1);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[must_use = "the answer is in the receipt"]
+    pub fn inlet_with<T: Send + Sync + 'static>(
+        &self,
+        topic: &str,
+        queue: impl Queue<T> + 'static,
+    ) -> Receipt<Result<Inlet<T>, SetupError>> {
+        let topic = topic.to_owned();
+        self.ask(move |stage, world| open_inlet(stage, world, &topic, queue))
+    }
+
+    /// The topics, in the order in which they were first declared.
+    #[must_use = "the answer is in the receipt"]
+    pub fn topics(&self) -> Receipt<Vec<TopicInfo>> {
+        self.ask(|stage, _| stage.shared.topics.infos().cloned().collect())
     }
 
     /// What is known of the modules, in the order of registration.

@@ -20,7 +20,7 @@ pub(crate) use world::Pause;
 pub(crate) use world::{JobResult, World};
 
 use crate::asked::Asked;
-use crate::inlet::{InletPort, default_queue};
+use crate::inlet::{default_queue, open_inlet};
 use crate::inspect::{Graph, Inspector};
 use crate::job::Jobs;
 use crate::join::JoinQueue;
@@ -129,6 +129,12 @@ impl Core {
         assert!(self.world.members.iter().next().is_none(), "give a core its clock before its modules");
         self.world.clock = Arc::new(clock);
         self
+    }
+
+    /// The clock from which modules have their time; for a thread beside the core that has to keep the same.
+    #[must_use]
+    pub fn clock(&self) -> Arc<dyn Clock> {
+        Arc::clone(&self.world.clock)
     }
 
     /// The same core, which does not take the times of cycles and runs unless a [trace](CoreHandle::trace) is asked for.
@@ -242,12 +248,7 @@ impl Core {
         topic: &str,
         queue: impl Queue<T> + 'static,
     ) -> Result<Inlet<T>, SetupError> {
-        let topics = &mut self.stage.exclusive().shared.topics;
-        let index = topics.open::<T>(topic, "inlet")?;
-        topics.add_publisher(index);
-        let messages: Arc<dyn Queue<T>> = Arc::new(queue);
-        self.world.inlets.push(Box::new(InletPort::new(Arc::clone(&messages), index)));
-        Ok(Inlet::new(messages, Arc::clone(&self.world.queue)))
+        open_inlet(self.stage.exclusive(), &mut self.world, topic, queue)
     }
 
     /// A way to call a service from threads outside the executor.

@@ -50,6 +50,12 @@ impl<T> Batch<T> {
         self.segments().iter().map(Vec::len).sum()
     }
 
+    fn is_last(&self, position: Position) -> bool {
+        let mut rest = self.segments().iter().skip(position.segment as usize);
+        rest.next().is_none_or(|segment| position.index as usize + 1 >= segment.len())
+            && rest.all(Vec::is_empty)
+    }
+
     fn get(&self, position: Position) -> &T {
         &self.segments[position.segment as usize][position.index as usize]
     }
@@ -78,6 +84,38 @@ impl<'a, T> Received<'a, T> {
     #[must_use]
     pub fn time(&self) -> Time {
         self.batch.time
+    }
+
+    /// True if the topic carried no message after this one in the same cycle: for who wants only the latest.
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+    /// struct Display;
+    ///
+    /// impl Module for Display {
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         let shown = setup.publish::<u32>("shown")?;
+    ///         setup.subscribe::<u32, _>("speed", move |_, speed, ctx| {
+    ///             if speed.is_last() {
+    ///                 ctx.publish(shown, *speed);
+    ///             }
+    ///         })
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add("display", Display)?;
+    /// let (left, right) = (core.inlet("speed")?, core.inlet("speed")?);
+    /// left.publish(1_u32)?;
+    /// right.publish(2_u32)?;
+    /// left.publish(3_u32)?;
+    /// (0..2).try_for_each(|_| core.cycle())?;
+    /// assert_eq!(core.topics().find(|topic| &*topic.name == "shown").unwrap().counter.messages(), 1);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[must_use]
+    pub fn is_last(&self) -> bool {
+        self.batch.is_last(self.position)
     }
 
     /// The message, for as long as the callback runs.

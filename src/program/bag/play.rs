@@ -4,32 +4,37 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use downbeat::bags::{BagMessage, Playback, PlaybackOptions, Rate, Reader, Recording, Step, WriterOptions};
-use downbeat::bridge::ros::{MessageType, Node, NodeName, Participant, Publisher};
+use downbeat::bridge::ros::{MessageType, Node, Publisher};
 use downbeat::encoding::RecordedType;
 use downbeat::executor::{Core, ManualClock, Time};
 use downbeat::msgs::qos::QosProfile;
 use downbeat::playback;
 use downbeat::recorder::{self, WhenFull};
-use downbeat::robot::RobotFile;
+use downbeat::robot::{RobotFile, RosArgs};
 
 use crate::program::cli::PlayArguments;
-use crate::program::run::participant_options;
+use crate::program::run::node;
 use crate::program::stop::Stop;
 
-pub(crate) fn play(arguments: &PlayArguments) -> anyhow::Result<()> {
+pub(crate) fn play(arguments: &PlayArguments, ros: &RosArgs) -> anyhow::Result<()> {
     let reader = Reader::open(&arguments.bag)?;
     for truncation in reader.truncation() {
         tracing::warn!("{truncation}");
     }
     match &arguments.into {
-        Some(robot) => play_into(&reader, robot, arguments),
-        None => play_to_ros(&reader, arguments),
+        Some(robot) => play_into(&reader, robot, arguments, ros),
+        None => play_to_ros(&reader, arguments, ros),
     }
 }
 
-fn play_into(reader: &Reader, robot: &std::path::Path, arguments: &PlayArguments) -> anyhow::Result<()> {
+fn play_into(
+    reader: &Reader,
+    robot: &std::path::Path,
+    arguments: &PlayArguments,
+    ros: &RosArgs,
+) -> anyhow::Result<()> {
     let clock = ManualClock::new(Time::from_nanos(reader.start_time().unwrap_or(0)));
-    let file = RobotFile::read(robot)?;
+    let file = RobotFile::read_with(robot, ros)?;
     file.refuse_devices()?;
     let mut robot = file.on_any_machine().build(Core::new().with_clock(clock.clone()))?;
     let recording = arguments
@@ -60,7 +65,7 @@ fn play_into(reader: &Reader, robot: &std::path::Path, arguments: &PlayArguments
 /// How long publishers wait to be found at the most: samples written before that reach nobody.
 const DISCOVERY: Duration = Duration::from_secs(3);
 
-fn play_to_ros(reader: &Reader, arguments: &PlayArguments) -> anyhow::Result<()> {
+fn play_to_ros(reader: &Reader, arguments: &PlayArguments, ros: &RosArgs) -> anyhow::Result<()> {
     let options = PlaybackOptions {
         rate: Rate::new(arguments.rate)?,
         start_offset: arguments.start_offset.unwrap_or_default(),
@@ -69,8 +74,7 @@ fn play_to_ros(reader: &Reader, arguments: &PlayArguments) -> anyhow::Result<()>
         }),
     };
     let mut playback = Playback::open(reader, &options)?;
-    let node = Participant::join(&participant_options(arguments.domain)?)?
-        .create_node(NodeName::new("/", "downbeat_bag_play")?)?;
+    let (_, node) = node("downbeat_bag_play", arguments.domain, ros)?;
     let publishers = publishers(reader, &options, &node)?;
     let stop = Stop::new(None)?;
     wait_for_subscriptions(&publishers, &stop);

@@ -6,27 +6,27 @@ use anyhow::Context;
 use downbeat::bags::{Compression, Recording, TopicInfo, WriterOptions};
 use downbeat::bridge::edge::KnownType;
 use downbeat::bridge::middleware::{Direction, RemoteEndpoint, Sample};
-use downbeat::bridge::ros::{MessageType, Node, NodeName, Participant, Subscription, TopicName};
+use downbeat::bridge::ros::{MessageType, Node, Subscription, TopicName};
 use downbeat::encoding::topic_info;
 use downbeat::msgs::encoding::Encoding;
 use downbeat::msgs::qos::QosProfile;
-use downbeat::robot::RobotFile;
+use downbeat::robot::{RobotFile, RosArgs};
 
 use crate::program::cli::RecordArguments;
-use crate::program::run::participant_options;
+use crate::program::run::node;
 use crate::program::screen::Screen;
 use crate::program::session::Session;
 use crate::program::stop::Stop;
 
-pub(crate) fn record(arguments: &RecordArguments, screen: &Screen) -> anyhow::Result<()> {
+pub(crate) fn record(arguments: &RecordArguments, ros: &RosArgs, screen: &Screen) -> anyhow::Result<()> {
     let compression = if arguments.zstd { Compression::Zstd } else { Compression::None };
     match &arguments.robot {
         Some(robot) => {
-            let mut session = Session::new(RobotFile::read(robot)?)?;
+            let mut session = Session::new(RobotFile::read_with(robot, ros)?)?;
             session.record(&arguments.output, arguments.zstd.then_some(compression), arguments.encoding)?;
             session.run(&Stop::new(arguments.duration)?, screen)
         }
-        None => record_from_ros(arguments, compression),
+        None => record_from_ros(arguments, compression, ros),
     }
 }
 
@@ -35,15 +35,16 @@ const POLL: Duration = Duration::from_millis(100);
 
 /// Records topics as their publishers offer them. The type and the reliability of a topic are those of its first
 /// publisher, which is waited for.
-fn record_from_ros(arguments: &RecordArguments, compression: Compression) -> anyhow::Result<()> {
+fn record_from_ros(
+    arguments: &RecordArguments,
+    compression: Compression,
+    ros: &RosArgs,
+) -> anyhow::Result<()> {
     let stop = Stop::new(arguments.duration)?;
-    let participant = Participant::join(&participant_options(arguments.domain)?)?;
-    let node = participant.create_node(NodeName::new("/", "downbeat_bag_record")?)?;
-    let mut awaited: Vec<TopicName> = arguments
-        .topics
-        .iter()
-        .map(|topic| TopicName::expand(topic, node.name()))
-        .collect::<Result<_, _>>()?;
+    let (participant, node) = node("downbeat_bag_record", arguments.domain, ros)?;
+    // As they were given, and as remapping rules have them.
+    let names = arguments.topics.iter().map(|given| Ok((given, node.topic_name(given)?)));
+    let mut awaited: Vec<(&String, TopicName)> = names.collect::<anyhow::Result<_>>()?;
     let writer = WriterOptions::new().compression(compression).create(&arguments.output)?;
     let recording = Recording::start(writer, Recording::DEFAULT_QUEUE_BYTES)
         .context("cannot start the thread that writes the bag")?;
@@ -52,9 +53,9 @@ fn record_from_ros(arguments: &RecordArguments, compression: Compression) -> any
     while !stop.is_due() {
         let endpoints = if awaited.is_empty() { Vec::new() } else { participant.remote_endpoints() };
         for endpoint in endpoints.iter().filter(|endpoint| endpoint.direction == Direction::Out) {
-            let position = awaited.iter().position(|topic| topic.to_wire() == endpoint.topic_name);
-            if let Some(topic) = position.map(|position| awaited.remove(position)) {
-                match subscribe(&node, &recording, &topic, endpoint, encoding) {
+            let position = awaited.iter().position(|(_, topic)| topic.to_wire() == endpoint.topic_name);
+            if let Some((given, topic)) = position.map(|position| awaited.remove(position)) {
+                match subscribe(&node, &recording, (given, &topic), endpoint, encoding) {
                     Ok(subscription) => subscriptions.push(subscription),
                     Err(error) => tracing::error!("{} is not recorded: {error:#}", topic.as_str()),
                 }
@@ -63,7 +64,7 @@ fn record_from_ros(arguments: &RecordArguments, compression: Compression) -> any
         stop.sleep(POLL);
     }
     drop(subscriptions);
-    for topic in &awaited {
+    for (_, topic) in &awaited {
         tracing::warn!("nothing is recorded of {}: nobody published it", topic.as_str());
     }
     let summary = recording.finish()?;
@@ -75,7 +76,7 @@ fn record_from_ros(arguments: &RecordArguments, compression: Compression) -> any
 fn subscribe(
     node: &Node,
     recording: &Recording,
-    topic: &TopicName,
+    (given, topic): (&str, &TopicName),
     publisher: &RemoteEndpoint,
     encoding: Encoding,
 ) -> anyhow::Result<Subscription> {
@@ -116,7 +117,7 @@ fn subscribe(
             tracing::debug!("{error}");
         }
     };
-    Ok(node.subscribe(name, &message_type, qos, Box::new(on_sample))?)
+    Ok(node.subscribe(given, &message_type, qos, Box::new(on_sample))?)
 }
 
 /// Samples that wait in the middleware, for bursts.

@@ -1,5 +1,6 @@
 //! Reading robot files; [`crate::robot`] says what they look like.
 
+mod expose;
 mod launcher;
 mod module;
 mod place;
@@ -7,13 +8,13 @@ mod source;
 mod table;
 
 use std::path::Path;
-use std::time::Duration;
 
 use downbeat_bags::Compression;
+use downbeat_bridge::ros::{RemapRule, RemapRules};
 use downbeat_msgs::encoding::Encoding;
-use downbeat_msgs::qos::{Durability, History, QosProfile, Reliability};
 use toml::de::DeTable;
 
+pub use expose::{Direction, ExposeEntry, ExposeSection, TopicChoice};
 pub use launcher::{LauncherChoice, LauncherEntry};
 pub use module::ModuleEntry;
 pub(crate) use place::{Given, ParameterPlace, Place};
@@ -22,47 +23,33 @@ pub(crate) use source::{Source, suggestion};
 pub(crate) use table::list_of;
 use table::{Table, Value};
 
+use super::RosArgs;
+
 type Result<T> = std::result::Result<T, RobotFileError>;
 
 /// What a robot file says. Names of topics and settings are checked when the robot is built.
 pub struct RobotFile {
     pub(crate) source: Source,
-    /// The name of the ROS 2 node.
+    /// True if the file itself says the namespace.
+    pub(crate) has_namespace: bool,
+    /// The name of the robot.
     pub name: String,
     /// The namespace of the ROS 2 node, `/` for none.
     pub namespace: String,
+    /// The name of the ROS 2 node, before remapping rules apply.
+    pub node: String,
+    /// The remapping rules: those given beside the file, then its own.
+    pub remaps: RemapRules,
+    /// True if what is logged is not to go to `/rosout`, whatever `[expose]` says.
+    pub is_rosout_disabled: bool,
     /// How the process phase runs.
     pub launcher: LauncherEntry,
     /// The modules, in the order of registration.
     pub modules: Vec<ModuleEntry>,
     /// What ROS 2 sees.
-    pub expose: Vec<ExposeEntry>,
+    pub expose: ExposeSection,
     /// What a recording holds.
     pub record: RecordEntry,
-}
-
-/// Whether ROS 2 receives a topic or sends it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Direction {
-    /// The robot publishes, ROS 2 subscribes.
-    Out,
-    /// ROS 2 publishes, the robot subscribes.
-    In,
-}
-
-/// A topic that ROS 2 sees.
-pub struct ExposeEntry {
-    pub(crate) line: usize,
-    /// The topic in the robot.
-    pub topic: String,
-    /// The topic in ROS 2.
-    pub ros_topic: String,
-    /// Its type, where the file names it.
-    pub type_name: Option<String>,
-    /// Which way it goes.
-    pub direction: Direction,
-    /// Its quality of service.
-    pub qos: QosProfile,
 }
 
 /// What a recording holds.
@@ -90,7 +77,18 @@ impl RobotFile {
     /// If it, or a parameter file that it names, cannot be read or says something that cannot be; with path and
     /// line.
     pub fn read(path: &Path) -> Result<Self> {
+        Self::read_with(path, &RosArgs::default())
+    }
+
+    /// Reads a robot file, and applies the arguments that ROS 2 programs take: remapping rules win over those of the
+    /// file, parameters over its settings.
+    ///
+    /// # Errors
+    /// If the file, or a parameter file, cannot be read or says something that cannot be, with path and line; or if an
+    /// argument says something that cannot be.
+    pub fn read_with(path: &Path, arguments: &RosArgs) -> Result<Self> {
         let (mut file, parameter_files) = Self::parse(Source::read(path, "robot file")?)?;
+        file.apply_names(arguments);
         let folder = path.parent().map(Path::to_owned).unwrap_or_default();
         for Located { line, value: name } in parameter_files {
             file.set_from_parameter_file(&folder.join(name)).map_err(|error| match error {
@@ -98,6 +96,7 @@ impl RobotFile {
                 other => other,
             })?;
         }
+        file.apply_parameters(arguments)?;
         Ok(file)
     }
 
@@ -111,7 +110,9 @@ impl RobotFile {
         let mut root = Table::new(&source, "a robot file", 1, document.get_ref());
         let mut robot = root.require("robot")?.table("[robot]")?;
         let name = identifier(robot.require("name")?)?;
-        let namespace = robot.take("namespace").map_or(Ok("/"), |value| value.text())?.to_owned();
+        let namespace = robot.take("namespace").map(|value| value.text().map(str::to_owned)).transpose()?;
+        let node = robot.take("node").map_or(Ok(name.clone()), identifier)?;
+        let remaps = robot.take("remap").map_or(Ok(RemapRules::default()), remaps)?;
         let launcher = launcher::launcher(&mut root, &mut robot)?;
         let parameter_files = robot.take("params").map_or(Ok(Vec::new()), |value| value.list())?;
         let parameter_files = parameter_files
@@ -121,10 +122,33 @@ impl RobotFile {
         robot.finish()?;
         let modules = root.require("module")?.list()?;
         let modules = modules.into_iter().map(module::module).collect::<Result<Vec<_>>>()?;
-        let expose = root.take("expose").map_or(Ok(Vec::new()), expose)?;
+        let expose = root.take("expose").map_or(Ok(ExposeSection::default()), expose::expose)?;
         let record = root.take("record").map_or(Ok(RecordEntry::default()), record)?;
         root.finish()?;
-        Ok((Self { source, name, namespace, launcher, modules, expose, record }, parameter_files))
+        let file = Self {
+            source,
+            name,
+            has_namespace: namespace.is_some(),
+            namespace: namespace.unwrap_or_else(|| "/".to_owned()),
+            node,
+            remaps,
+            is_rosout_disabled: false,
+            launcher,
+            modules,
+            expose,
+            record,
+        };
+        Ok((file, parameter_files))
+    }
+
+    /// The keys `out` and `in` of `[expose]` in a text of their own.
+    pub(crate) fn parse_entries(text: &str) -> Result<Vec<ExposeEntry>> {
+        let source = Source::new(Path::new("expose"), text.to_owned());
+        let document = DeTable::parse(text).map_err(|error| {
+            let line = source.line_of(&error.span().unwrap_or_default());
+            source.error(line, error.message())
+        })?;
+        expose::entries(Table::new(&source, "[expose]", 1, document.get_ref()))
     }
 
     /// The file's path.
@@ -144,86 +168,6 @@ impl Default for RecordEntry {
     fn default() -> Self {
         Self { line: 1, topics: None, compression: Compression::default(), encoding: Encoding::default() }
     }
-}
-
-fn expose(value: Value<'_>) -> Result<Vec<ExposeEntry>> {
-    let mut table = value.table("[expose]")?;
-    let mut entries = Vec::new();
-    for (key, direction) in [("out", Direction::Out), ("in", Direction::In)] {
-        for value in table.take(key).map_or(Ok(Vec::new()), |value| value.list())? {
-            entries.push(expose_entry(value, direction)?);
-        }
-    }
-    table.finish()?;
-    Ok(entries)
-}
-
-fn expose_entry(value: Value<'_>, direction: Direction) -> Result<ExposeEntry> {
-    let line = value.line();
-    let Some(mut table) = value.as_table("an exposed topic") else {
-        let topic = value.text()?.to_owned();
-        let ros_topic = topic.clone();
-        return Ok(ExposeEntry {
-            line,
-            topic,
-            ros_topic,
-            type_name: None,
-            direction,
-            qos: QosProfile::DEFAULT,
-        });
-    };
-    let topic = table.require("topic")?.text()?.to_owned();
-    let ros_topic = table.take("as").map_or(Ok(topic.as_str()), |value| value.text())?.to_owned();
-    let type_name = table.take("type").map(type_name).transpose()?;
-    let qos = table.take("qos").map_or(Ok(QosProfile::DEFAULT), qos)?;
-    table.finish()?;
-    Ok(ExposeEntry { line, topic, ros_topic, type_name, direction, qos })
-}
-
-fn type_name(value: Value<'_>) -> Result<String> {
-    let name = value.text()?;
-    if downbeat_msgs::TYPE_NAMES.contains(&name) {
-        return Ok(name.to_owned());
-    }
-    let hint = suggestion(name, downbeat_msgs::TYPE_NAMES.iter().copied());
-    Err(value.error(format!("unknown topic type \"{name}\"{hint}")))
-}
-
-/// A preset by name, or a table that says how it differs from one.
-fn qos(value: Value<'_>) -> Result<QosProfile> {
-    let preset = |value: Value<'_>| {
-        let name = value.text()?;
-        QosProfile::preset(name).ok_or_else(|| {
-            value.error(format!("unknown QoS preset \"{name}\"{}", suggestion(name, QosProfile::PRESETS)))
-        })
-    };
-    let Some(mut table) = value.as_table("qos") else { return preset(value) };
-    let mut qos = table.take("preset").map_or(Ok(QosProfile::DEFAULT), preset)?;
-    if let Some(value) = table.take("reliability") {
-        qos.reliability =
-            choice(value, &[("reliable", Reliability::Reliable), ("best_effort", Reliability::BestEffort)])?;
-    }
-    if let Some(value) = table.take("durability") {
-        let choices = [("volatile", Durability::Volatile), ("transient_local", Durability::TransientLocal)];
-        qos.durability = choice(value, &choices)?;
-    }
-    let depth = table.take("depth").map(|value| value.count()).transpose()?;
-    if let Some(depth) = depth {
-        qos.history = History::KeepLast(depth);
-    }
-    if let Some(value) = table.take("history")
-        && choice(value, &[("keep_last", false), ("keep_all", true)])?
-    {
-        if depth.is_some() {
-            return Err(value.error("\"depth\" goes with history = \"keep_last\""));
-        }
-        qos.history = History::KeepAll;
-    }
-    if let Some(value) = table.take("deadline_ms") {
-        qos.deadline = Some(Duration::from_millis(value.count()?.into()));
-    }
-    table.finish()?;
-    Ok(qos)
 }
 
 fn choice<T: Copy>(value: Value<'_>, choices: &[(&str, T)]) -> Result<T> {
@@ -256,6 +200,15 @@ fn record(value: Value<'_>) -> Result<RecordEntry> {
     };
     table.finish()?;
     Ok(RecordEntry { line, topics, compression, encoding })
+}
+
+/// `remap` of `[robot]`: what stands before `:=` in a remapping rule, and what stands behind it.
+fn remaps(value: Value<'_>) -> Result<RemapRules> {
+    let rule = |(from, to): (String, Value<'_>)| {
+        let rule = format!("{from}:={}", to.text()?);
+        rule.parse::<RemapRule>().map_err(|error| to.error(error.to_string()))
+    };
+    value.table("remap")?.take_rest().into_iter().map(rule).collect()
 }
 
 /// A name that is valid for a ROS 2 node.

@@ -89,6 +89,22 @@ impl<'a> Value<'a> {
         }
     }
 
+    pub(crate) fn flag(&self) -> Result<bool> {
+        match self.value.get_ref() {
+            DeValue::Boolean(flag) => Ok(*flag),
+            _ => Err(self.expected("true or false")),
+        }
+    }
+
+    /// A number, whole or not.
+    pub(crate) fn number(&self) -> Result<f64> {
+        match self.setting()? {
+            SettingValue::Integer(number) => Ok(number as f64),
+            SettingValue::Double(number) => Ok(number),
+            _ => Err(self.expected("a number")),
+        }
+    }
+
     pub(crate) fn count(&self) -> Result<u32> {
         match self.setting()? {
             SettingValue::Integer(count) if count > 0 => {

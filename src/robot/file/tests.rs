@@ -1,6 +1,9 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
+use std::time::Duration;
+
 use downbeat_executor::{Idle, Inbox, LifecycleState, Restart, Spin, Synchrony};
+use downbeat_msgs::qos::QosProfile;
 
 fn parse(text: &str) -> Result<RobotFile> {
     RobotFile::parse(Source::new(Path::new("robots/test.toml"), text.into())).map(|(file, _)| file)
@@ -18,7 +21,7 @@ fn what_is_not_said_has_a_default() {
     assert_eq!((file.name.as_str(), file.namespace.as_str()), ("r", "/"));
     assert_eq!(file.launcher.choice, LauncherChoice::Linear);
     assert_eq!(file.modules[0].name, "darwin_op");
-    assert!(file.expose.is_empty() && file.record.topics.is_none() && !file.is_emulated());
+    assert!(file.expose.topics.is_empty() && file.record.topics.is_none() && !file.is_emulated());
 }
 
 #[test]
@@ -28,10 +31,11 @@ fn an_exposed_topic_may_have_another_name_a_type_and_a_quality_of_service() {
          in = [{{ topic = \"d\", type = \"sensor_msgs/msg/JointState\", qos = \"latched\" }}]"
     ))
     .unwrap();
-    let [a, b, d] = file.expose.as_slice() else { panic!("three topics") };
-    assert_eq!((a.direction, a.qos), (Direction::Out, QosProfile::DEFAULT));
-    assert_eq!((b.ros_topic.as_str(), b.qos), ("c", QosProfile::SENSOR_DATA.keep_last(2)));
-    assert_eq!((d.direction, d.qos), (Direction::In, QosProfile::LATCHED));
+    let [a, b, d] = file.expose.topics.as_slice() else { panic!("three topics") };
+    assert_eq!((a.direction, a.qos), (Direction::Out, QosProfile::DEFAULT.into()));
+    assert_eq!(b.ros_topic.as_deref(), Some("c"));
+    assert_eq!(b.qos, QosProfile::SENSOR_DATA.keep_last(2).into());
+    assert_eq!((d.direction, d.qos), (Direction::In, QosProfile::LATCHED.into()));
 }
 
 #[test]

@@ -13,8 +13,9 @@ impl Robot {
     /// does not take.
     #[must_use]
     pub fn parameters(&self) -> String {
-        let namespace = self.file.namespace.trim_matches('/');
-        let separator = if namespace.is_empty() { "" } else { "/" };
+        // A name that ROS 2 does not accept was refused when the robot was built.
+        let node =
+            self.file.node_name().map_or_else(|_| format!("/{}", self.file.node), |node| node.to_string());
         let mut modules = String::new();
         for module in self.file.modules.iter().map(|module| &module.name) {
             let settings = self.core.settings(module).unwrap_or_default();
@@ -30,7 +31,7 @@ impl Robot {
             }
         }
         let modules = if modules.is_empty() { " {}\n".into() } else { format!("\n{modules}") };
-        format!("/{namespace}{separator}{}:\n  ros__parameters:{modules}", self.file.name)
+        format!("{node}:\n  ros__parameters:{modules}")
     }
 }
 

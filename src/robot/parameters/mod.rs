@@ -8,7 +8,6 @@ mod value;
 use std::path::Path;
 use std::sync::Arc;
 
-use downbeat_bridge::ros::NodeName;
 use downbeat_executor::SettingValue;
 
 pub(crate) use line::line_of;
@@ -53,9 +52,7 @@ impl RobotFile {
     }
 
     pub(crate) fn set_from_parameters(&mut self, source: &Arc<Source>) -> Result<()> {
-        let node = NodeName::new(&self.namespace, &self.name)
-            .map_err(|error| self.source.error(1, error.to_string()))?
-            .to_string();
+        let node = self.node_name()?.to_string();
         let nodes = file::nodes(source)?;
         let mut is_for_us = false;
         for (_, parameters) in nodes.iter().filter(|(pattern, _)| file::matches(pattern, &node)) {

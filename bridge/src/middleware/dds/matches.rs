@@ -120,6 +120,7 @@ impl Matches {
             return;
         }
         let (reliability, durability) = qos::reliability_and_durability(&endpoint.qos, direction);
+        let (liveliness, liveliness_lease_duration) = qos::liveliness_and_lease(&endpoint.qos);
         self.remote.insert(
             gid,
             RemoteEndpoint {
@@ -129,6 +130,9 @@ impl Matches {
                 type_name: endpoint.type_name,
                 reliability,
                 durability,
+                deadline: qos::deadline(&endpoint.qos),
+                liveliness,
+                liveliness_lease_duration,
                 type_hash: type_hash(&endpoint.user_data),
             },
         );

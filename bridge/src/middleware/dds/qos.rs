@@ -100,6 +100,29 @@ pub(super) fn reliability_and_durability(
     (reliability, durability)
 }
 
+/// The longest time between two samples; none where it is infinite.
+pub(super) fn deadline(qos: &QosPolicies) -> Option<Duration> {
+    qos.deadline().and_then(|policy::Deadline(deadline)| std_duration(deadline))
+}
+
+/// Liveliness and its lease. ROS 2 has no name for *manual by participant*: it counts as automatic.
+pub(super) fn liveliness_and_lease(qos: &QosPolicies) -> (Liveliness, Option<Duration>) {
+    match qos.liveliness() {
+        None => (Liveliness::Automatic, None),
+        Some(policy::Liveliness::ManualByTopic { lease_duration }) => {
+            (Liveliness::ManualByTopic, std_duration(lease_duration))
+        }
+        Some(
+            policy::Liveliness::Automatic { lease_duration }
+            | policy::Liveliness::ManualByParticipant { lease_duration },
+        ) => (Liveliness::Automatic, std_duration(lease_duration)),
+    }
+}
+
+fn std_duration(duration: DdsDuration) -> Option<Duration> {
+    (duration != DdsDuration::INFINITE).then(|| duration.to_std())
+}
+
 fn dds_duration(duration: Option<Duration>) -> DdsDuration {
     duration.map_or(DdsDuration::INFINITE, DdsDuration::from_std)
 }

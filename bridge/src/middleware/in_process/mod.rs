@@ -121,6 +121,9 @@ impl Middleware for InProcessParticipant {
                 type_name: endpoint.type_name.clone(),
                 reliability: endpoint.qos.reliability,
                 durability: endpoint.qos.durability,
+                deadline: endpoint.qos.deadline,
+                liveliness: endpoint.qos.liveliness,
+                liveliness_lease_duration: endpoint.qos.liveliness_lease_duration,
                 type_hash: None,
             })
             .collect()

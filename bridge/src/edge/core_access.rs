@@ -1,0 +1,57 @@
+//! A core before it runs, and while it does.
+
+use downbeat_executor::queue::Queue;
+use downbeat_executor::{Core, CoreHandle, Inlet, Module, ModuleOptions, Receipt, SetupError};
+use std::time::Duration;
+
+/// How long a running core may take to come to the end of a cycle.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// A core that is given modules and inlets, whether it runs already or not.
+pub enum CoreAccess<'a> {
+    /// It does not run: changes are made at once.
+    Idle(&'a mut Core),
+    /// It runs on another thread: changes are made in its next sync phase, which is waited for.
+    Running(&'a CoreHandle),
+}
+
+impl CoreAccess<'_> {
+    /// Adds a module.
+    ///
+    /// # Errors
+    /// Those of [`Core::add_with`], and one where the core does not answer.
+    pub fn add<M: Module>(
+        &mut self,
+        name: &str,
+        module: M,
+        options: ModuleOptions,
+    ) -> Result<(), SetupError> {
+        match self {
+            Self::Idle(core) => core.add_with(name, module, options),
+            Self::Running(core) => answer(name, &core.add(name, module, options)),
+        }
+    }
+
+    /// A way to publish on a topic from any thread.
+    ///
+    /// # Errors
+    /// Those of [`Core::inlet_with`], and one where the core does not answer.
+    pub fn inlet<T: Send + Sync + 'static>(
+        &mut self,
+        topic: &str,
+        queue: impl Queue<T> + 'static,
+    ) -> Result<Inlet<T>, SetupError> {
+        match self {
+            Self::Idle(core) => core.inlet_with(topic, queue),
+            Self::Running(core) => answer("inlet", &core.inlet_with(topic, queue)),
+        }
+    }
+}
+
+fn answer<T>(module: &str, receipt: &Receipt<Result<T, SetupError>>) -> Result<T, SetupError> {
+    receipt.wait(PATIENCE).unwrap_or_else(|| {
+        let reason =
+            "the core does not answer: it has stopped or is held, or a module does not return".into();
+        Err(SetupError::Refused { module: module.to_owned(), reason })
+    })
+}

@@ -1,0 +1,242 @@
+//! The bridge: what of a core is exposed, and changing it while the core runs.
+
+use super::endpoints::{Endpoints, Exposed, Held};
+use super::limit::Limiter;
+use super::module::{MODULE_NAME, Outlet, Sender, options};
+use super::status::{BridgeStatus, EndpointReport, EndpointStatus, Traffic, WeakEndpoint};
+use super::{ExposeError, Exposure, OfACycle};
+use crate::edge::{CoreAccess, EncodedInlet, EncodedInletError, Waiting};
+use crate::middleware::{Direction, Sample};
+use crate::ros::{MessageType, Node, NodeError, Policy, Publisher, Subscription};
+use downbeat_executor::{Clock, Core, CoreHandle, InletError};
+use downbeat_msgs::qos::{Liveliness, QosProfile};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Creates the endpoints of all exposures on `node`, and adds the bridge to `core` as the detached observer
+/// [`MODULE_NAME`].
+///
+/// The endpoints go when the core stops; the node when its last handle is dropped after that. [`Bridge::start`] does the
+/// same, for what is exposed to be changed while the core runs.
+///
+/// # Errors
+/// [`ExposeError`] when a topic cannot be exposed.
+pub fn expose(core: &mut Core, node: &Node, exposures: &[Exposure]) -> Result<BridgeStatus, ExposeError> {
+    Ok(Bridge::start(core, node, exposures)?.status())
+}
+
+/// Exposes topics of a core on a node, and changes while the core runs which. Clones change the same.
+///
+/// It keeps its node in the graph until it is dropped.
+#[derive(Clone)]
+pub struct Bridge {
+    node: Node,
+    core: CoreHandle,
+    clock: Arc<dyn Clock>,
+    endpoints: Arc<Endpoints>,
+    changes: Arc<Mutex<Changes>>,
+}
+
+/// Held while something is changed, so that one change follows the other.
+#[derive(Default)]
+struct Changes {
+    /// How many modules were added while the core ran.
+    modules: u64,
+}
+
+impl Bridge {
+    /// Creates the endpoints of all exposures on `node`, and adds the bridge to `core` as the detached observer
+    /// [`MODULE_NAME`].
+    ///
+    /// # Errors
+    /// [`ExposeError`] when a topic cannot be exposed.
+    pub fn start(core: &mut Core, node: &Node, exposures: &[Exposure]) -> Result<Self, ExposeError> {
+        let bridge = Self {
+            node: node.clone(),
+            core: core.handle(),
+            clock: core.clock(),
+            endpoints: Arc::default(),
+            changes: Arc::default(),
+        };
+        let mut exposed = bridge.create_all(&mut CoreAccess::Idle(core), exposures)?;
+        let slots = exposed.iter_mut().filter_map(|exposed| exposed.enter(MODULE_NAME)).collect();
+        let on_end = Box::new({
+            let endpoints = Arc::clone(&bridge.endpoints);
+            move || endpoints.close()
+        });
+        core.add_with(MODULE_NAME, Sender { slots, on_end }, options())?;
+        bridge.endpoints.extend(exposed)?;
+        Ok(bridge)
+    }
+
+    /// What the bridge is doing.
+    #[must_use]
+    pub fn status(&self) -> BridgeStatus {
+        BridgeStatus::new(Arc::clone(&self.endpoints))
+    }
+
+    /// The node that has the endpoints for which no other is named.
+    #[must_use]
+    pub fn node(&self) -> &Node {
+        &self.node
+    }
+
+    /// Exposes more while the core runs, all of it or, where one cannot be, nothing. Waits for the end of a cycle, so not
+    /// from the core's own thread. What goes out goes through a module of its own, so that nothing else is disturbed.
+    ///
+    /// # Errors
+    /// [`ExposeError`] when a topic cannot be exposed, or the core does not run.
+    pub fn add(&self, exposures: &[Exposure]) -> Result<Vec<EndpointReport>, ExposeError> {
+        let mut changes = self.changes.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut core = CoreAccess::Running(&self.core);
+        let mut exposed = self.create_all(&mut core, exposures)?;
+        let reports = exposed.iter().map(Exposed::report).collect();
+        exposed.iter_mut().for_each(|exposed| self.endpoints.use_again(exposed));
+        let module = format!("{MODULE_NAME}.{}", changes.modules + 1);
+        let slots: Vec<_> = exposed.iter_mut().filter_map(|exposed| exposed.enter(&module)).collect();
+        if !slots.is_empty() {
+            changes.modules += 1;
+            core.add(&module, Sender { slots, on_end: Box::new(|| ()) }, options())?;
+        }
+        self.endpoints.extend(exposed)?;
+        Ok(reports)
+    }
+
+    /// Takes back what is exposed where `is_meant` says so: its endpoints are gone from the graph of ROS 2 when this
+    /// returns. Returns what it was.
+    pub fn remove(&self, is_meant: impl Fn(&EndpointReport) -> bool) -> Vec<EndpointReport> {
+        let _changes = self.changes.lock().unwrap_or_else(PoisonError::into_inner);
+        let (reports, idle_modules) = self.endpoints.remove(is_meant);
+        for module in idle_modules.into_iter().filter(|module| module != MODULE_NAME) {
+            // Whether it was still there does not matter.
+            let _ = self.core.remove(&module);
+        }
+        reports
+    }
+
+    fn create_all(
+        &self,
+        core: &mut CoreAccess<'_>,
+        exposures: &[Exposure],
+    ) -> Result<Vec<Exposed>, ExposeError> {
+        let mut all = Vec::with_capacity(exposures.len());
+        for exposure in exposures {
+            let is_reverse =
+                |report: &EndpointReport| exposure.is_reverse_of(&report.topic, report.direction);
+            let others = exposures.iter().any(|other| exposure.is_reverse_of(&other.topic, other.direction));
+            if others || self.endpoints.any(is_reverse) {
+                return Err(ExposeError::BothDirections(exposure.topic.clone()));
+            }
+            let exposed = self.create(core, exposure)?;
+            let new = exposed.report();
+            let is_same = |report: &EndpointReport| {
+                report.direction == new.direction
+                    && report.ros_topic == new.ros_topic
+                    && report.node == new.node
+            };
+            if all.iter().map(Exposed::report).any(|report| is_same(&report)) || self.endpoints.any(is_same) {
+                return Err(ExposeError::Twice(new.ros_topic));
+            }
+            all.push(exposed);
+        }
+        Ok(all)
+    }
+
+    fn create(&self, core: &mut CoreAccess<'_>, exposure: &Exposure) -> Result<Exposed, ExposeError> {
+        let failed = |error| ExposeError::Endpoint { topic: exposure.topic.clone(), error };
+        let node = match &exposure.node {
+            None => self.node.clone(),
+            Some(name) => self.node.sibling(name).map_err(failed)?,
+        };
+        let traffic = Arc::<Traffic>::default();
+        let (held, endpoint, ros_topic, qos) = match exposure.direction {
+            Direction::Out => {
+                let publisher = Arc::new(publisher(&node, exposure).map_err(failed)?);
+                let (topic, qos) = (publisher.topic().to_string(), publisher.qos());
+                let endpoint = WeakEndpoint::Publisher(Arc::downgrade(&publisher));
+                let outlet = Outlet {
+                    publisher,
+                    traffic: Arc::clone(&traffic),
+                    limiter: Limiter::new(exposure.limits),
+                    of_a_cycle: exposure.limits.of_a_cycle,
+                };
+                (Held::Outlet(outlet), endpoint, topic, qos)
+            }
+            Direction::In => {
+                let waiting = match exposure.limits.of_a_cycle {
+                    OfACycle::All => Waiting::All,
+                    OfACycle::Latest => Waiting::Latest,
+                };
+                let inlet = exposure.message_type.inlet_with(core, &exposure.topic, waiting)?;
+                let limiter = Limiter::new(exposure.limits);
+                let take = from_ros(inlet, Arc::clone(&traffic), limiter, Arc::clone(&self.clock));
+                let subscription = Arc::new(subscription(&node, exposure, take).map_err(failed)?);
+                let (topic, qos) = (subscription.topic().to_string(), subscription.qos());
+                let endpoint = WeakEndpoint::Subscription(Arc::downgrade(&subscription));
+                (Held::Subscription(subscription), endpoint, topic, qos)
+            }
+        };
+        let status = EndpointStatus {
+            topic: exposure.topic.clone(),
+            ros_topic,
+            node: node.name().to_string(),
+            message_type: exposure.message_type,
+            direction: exposure.direction,
+            qos,
+            limits: exposure.limits,
+            endpoint,
+            traffic,
+        };
+        Ok(Exposed::new(status, held))
+    }
+}
+
+fn publisher(node: &Node, exposure: &Exposure) -> Result<Publisher, NodeError> {
+    let message_type = MessageType::new(exposure.message_type.name())?;
+    node.publish(exposure.ros_topic(), &message_type, qos(node, exposure)?)
+}
+
+fn subscription(
+    node: &Node,
+    exposure: &Exposure,
+    take: impl FnMut(Sample) + Send + 'static,
+) -> Result<Subscription, NodeError> {
+    let message_type = MessageType::new(exposure.message_type.name())?;
+    node.subscribe(exposure.ros_topic(), &message_type, qos(node, exposure)?, Box::new(take))
+}
+
+fn qos(node: &Node, exposure: &Exposure) -> Result<QosProfile, NodeError> {
+    let mut qos = node.resolve_qos(exposure.ros_topic(), exposure.direction, &exposure.qos)?;
+    let is_open = exposure.qos.liveliness == Policy::BestAvailable;
+    if is_open && exposure.direction == Direction::Out && qos.liveliness == Liveliness::ManualByTopic {
+        tracing::warn!(
+            topic = exposure.topic,
+            "a subscription asks for liveliness manual_by_topic, which the DDS engine cannot offer: it will not match"
+        );
+        qos.liveliness = Liveliness::Automatic;
+    }
+    Ok(qos)
+}
+
+/// Takes the samples of one topic in.
+fn from_ros(
+    inlet: EncodedInlet,
+    traffic: Arc<Traffic>,
+    mut limiter: Limiter,
+    clock: Arc<dyn Clock>,
+) -> impl FnMut(Sample) + Send {
+    move |sample| {
+        if !limiter.lets_pass(clock.now()) {
+            traffic.count_limited();
+            return;
+        }
+        let result = inlet.publish(&sample.cdr);
+        if matches!(result, Err(EncodedInletError::Inlet { error: InletError::Stopped, .. })) {
+            return;
+        }
+        if traffic.count(&result)
+            && let Err(error) = result
+        {
+            tracing::warn!(writer = %sample.writer, %error, "a message was not taken in; from now on this is only counted");
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! `downbeat expose`
+
+use downbeat::inspect::Client;
+use downbeat::robot::ExposedEndpoint;
+
+use super::choose::choose;
+use super::cli::{ExposeAddArguments, ExposeArguments, ExposeCommand, ExposeDirection};
+
+pub(crate) fn expose(arguments: &ExposeArguments) -> anyhow::Result<()> {
+    let mut client = Client::connect(&choose(Some(&arguments.robot))?)?;
+    match &arguments.change {
+        ExposeCommand::List { json: true } => {
+            println!("{}", serde_json::to_string_pretty(&client.exposed()?)?)
+        }
+        ExposeCommand::List { json: false } => print("", &client.exposed()?),
+        ExposeCommand::Add(added) => print("added ", &client.expose(entries(added))?),
+        ExposeCommand::Remove { topics } => print("removed ", &client.take_back(topics.clone())?),
+    }
+    Ok(())
+}
+
+fn print(what: &str, endpoints: &[ExposedEndpoint]) {
+    for endpoint in endpoints {
+        println!("{what}{endpoint}   of {}", endpoint.node);
+    }
+}
+
+/// The arguments as a robot file would say them, so that one reader understands both.
+fn entries(arguments: &ExposeAddArguments) -> String {
+    let list = |names: &[String]| names.iter().map(|name| text(name)).collect::<Vec<_>>().join(", ");
+    let mut keys = String::new();
+    let mut key = |name: &str, value: Option<String>| {
+        if let Some(value) = value {
+            keys.push_str(&format!(", {name} = {value}"));
+        }
+    };
+    let ExposeAddArguments { ros_topic, type_name, node, except, qos, rate_hz, every, .. } = arguments;
+    key("as", ros_topic.as_deref().map(text));
+    key("type", type_name.as_deref().map(text));
+    key("node", node.as_deref().map(text));
+    key("except", (!except.is_empty()).then(|| format!("[{}]", list(except))));
+    key(
+        "qos",
+        qos.as_deref().map(|qos| if qos.trim_start().starts_with('{') { qos.into() } else { text(qos) }),
+    );
+    key("rate_hz", rate_hz.map(|rate| format!("{rate:?}")));
+    key("every", every.map(|every| every.to_string()));
+    key("latest_only", arguments.latest_only.then(|| "true".into()));
+    let topics: Vec<_> =
+        arguments.topics.iter().map(|topic| format!("{{ topic = {}{keys} }}", text(topic))).collect();
+    let direction = match arguments.direction {
+        ExposeDirection::Out => "out",
+        ExposeDirection::In => "in",
+    };
+    format!("{direction} = [{}]", topics.join(", "))
+}
+
+/// A string of TOML, in which everything that is not plain is escaped.
+fn text(text: &str) -> String {
+    let escape = |c: char| match c {
+        '"' | '\\' => format!("\\{c}"),
+        c if c.is_control() => format!("\\u{:04x}", u32::from(c)),
+        c => c.to_string(),
+    };
+    format!("\"{}\"", text.chars().map(escape).collect::<String>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arguments_become_what_a_robot_file_says() {
+        let arguments = ExposeAddArguments {
+            direction: ExposeDirection::Out,
+            topics: vec!["camera/*".into(), "a\"b".into()],
+            ros_topic: Some("/cam/*".into()),
+            type_name: None,
+            except: vec!["camera/raw".into()],
+            qos: Some("sensor_data".into()),
+            rate_hz: Some(10.0),
+            every: None,
+            latest_only: true,
+            node: None,
+        };
+        let keys = "as = \"/cam/*\", except = [\"camera/raw\"], qos = \"sensor_data\", rate_hz = 10.0, latest_only = true";
+        let expected =
+            format!("out = [{{ topic = \"camera/*\", {keys} }}, {{ topic = \"a\\\"b\", {keys} }}]");
+        assert_eq!(entries(&arguments), expected);
+    }
+}

@@ -1,0 +1,85 @@
+//! A running robot as other processes see it: its core, and what it exposes to ROS 2.
+
+use std::sync::Arc;
+
+use downbeat::bridge::expose::{Bridge, EndpointReport, TopicPattern};
+use downbeat::executor::{CoreHandle, CycleTrace, Graph, Snapshot};
+use downbeat::inspect::{Inspected, Unavailable};
+use downbeat::robot::{ExposedEndpoint, RobotFile};
+
+pub(crate) struct InspectedRobot {
+    pub(crate) core: CoreHandle,
+    pub(crate) bridge: Option<Bridge>,
+    pub(crate) file: Arc<RobotFile>,
+}
+
+impl Inspected for InspectedRobot {
+    fn snapshot(&self) -> Result<Snapshot, Unavailable> {
+        Inspected::snapshot(&self.core)
+    }
+
+    fn trace(&self, cycles: u32) -> Result<CycleTrace, Unavailable> {
+        Inspected::trace(&self.core, cycles)
+    }
+
+    fn graph(&self) -> Result<Graph, Unavailable> {
+        Inspected::graph(&self.core)
+    }
+
+    fn pause(&self) {
+        self.core.pause();
+    }
+
+    fn resume(&self) {
+        self.core.resume();
+    }
+
+    fn step(&self) {
+        self.core.step();
+    }
+
+    fn exposed(&self) -> Result<Vec<ExposedEndpoint>, String> {
+        Ok(shown(self.bridge()?.status().endpoints()))
+    }
+
+    fn expose(&self, entries: &str) -> Result<Vec<ExposedEndpoint>, String> {
+        let exposures = self.file.exposures_while_running(entries, &self.core, &self.bridge()?.status());
+        let exposures = exposures.map_err(|error| error.to_string())?;
+        let added = self.bridge()?.add(&exposures).map_err(|error| error.to_string())?;
+        for endpoint in &added {
+            tracing::info!("exposed while running: {} [{}]", endpoint.ros_topic, endpoint.type_name);
+        }
+        Ok(shown(added))
+    }
+
+    fn take_back(&self, topics: &[String]) -> Result<Vec<ExposedEndpoint>, String> {
+        let bridge = self.bridge()?;
+        let patterns = topics.iter().map(|topic| TopicPattern::new(topic).map_err(|error| error.to_string()));
+        let patterns = patterns.collect::<Result<Vec<_>, _>>()?;
+        let is_meant = |report: &EndpointReport, pattern: &TopicPattern| {
+            pattern.matches(&report.ros_topic) || pattern.matches(&report.topic)
+        };
+        let exposed = bridge.status().endpoints();
+        for pattern in &patterns {
+            if !exposed.iter().any(|report| is_meant(report, pattern)) {
+                let names: Vec<_> = exposed.iter().map(|report| report.ros_topic.as_str()).collect();
+                return Err(format!("\"{pattern}\" is not exposed; there is {}", names.join(", ")));
+            }
+        }
+        let removed = bridge.remove(|report| patterns.iter().any(|pattern| is_meant(report, pattern)));
+        for endpoint in &removed {
+            tracing::info!("exposed no more: {} [{}]", endpoint.ros_topic, endpoint.type_name);
+        }
+        Ok(shown(removed))
+    }
+}
+
+impl InspectedRobot {
+    fn bridge(&self) -> Result<&Bridge, String> {
+        self.bridge.as_ref().ok_or_else(|| "it runs without a ROS 2 node".into())
+    }
+}
+
+fn shown(reports: Vec<EndpointReport>) -> Vec<ExposedEndpoint> {
+    reports.iter().map(ExposedEndpoint::of_report).collect()
+}

@@ -1,0 +1,223 @@
+//! From what a robot file exposes to what the bridge is to show of a core.
+
+use std::collections::BTreeSet;
+
+use downbeat_bridge::edge::KnownType;
+use downbeat_bridge::expose::{Exposure, TopicPattern};
+use downbeat_bridge::middleware;
+use downbeat_bridge::ros::{NameError, NodeName, TopicName};
+use downbeat_executor::TopicInfo;
+
+use super::file::{Direction, ExposeEntry, RobotFile, RobotFileError, TopicChoice, suggestion};
+use crate::step_journal;
+
+type Result<T> = std::result::Result<T, RobotFileError>;
+
+impl RobotFile {
+    /// The robot's node in ROS 2 before remapping rules apply.
+    ///
+    /// # Errors
+    /// If ROS 2 does not accept its name or namespace.
+    pub fn given_node_name(&self) -> Result<NodeName> {
+        NodeName::new(&self.namespace, &self.node).map_err(|error| self.source.error(1, error.to_string()))
+    }
+
+    /// The robot's node in ROS 2.
+    ///
+    /// # Errors
+    /// If ROS 2 does not accept its name or namespace, or those that remapping rules put in their place.
+    pub fn node_name(&self) -> Result<NodeName> {
+        self.remapped(&self.given_node_name()?)
+    }
+
+    /// What the bridge is to show of these topics, where those named `taken` are shown already. Patterns mean the topics
+    /// that carry ROS messages, go their way, and are not named or matched before; never those of the executor.
+    ///
+    /// # Errors
+    /// If a topic is not there, nobody publishes what is to go out, the type is another, or a pattern matches nothing;
+    /// with path and line.
+    pub(crate) fn exposures_of(
+        &self,
+        entries: &[ExposeEntry],
+        topics: &[TopicInfo],
+        taken: &[String],
+    ) -> Result<Vec<Exposure>> {
+        let mut selection = Selection { file: self, topics, claimed: claimed(entries), found: Vec::new() };
+        for direction in [Direction::Out, Direction::In] {
+            let taken = taken.iter().map(|name| (direction.key(), canonical(name).to_owned()));
+            selection.claimed.extend(taken);
+        }
+        entries.iter().try_for_each(|entry| selection.select(entry))?;
+        let Selection { found, .. } = selection;
+        self.refuse_the_same_name_twice(&found)?;
+        Ok(found.into_iter().map(|(_, exposure)| exposure).collect())
+    }
+
+    fn refuse_the_same_name_twice(&self, found: &[(usize, Exposure)]) -> Result<()> {
+        // Also where nothing is exposed, the node is.
+        self.node_name()?;
+        let mut names = BTreeSet::new();
+        for (line, exposure) in found {
+            let refuse = |error: NameError| self.source.error(*line, error.to_string());
+            let given = exposure.node.clone().map_or_else(|| self.given_node_name(), Ok)?;
+            let node = self.remapped(&given)?;
+            let topic = TopicName::expand(exposure.ros_topic(), &node).map_err(refuse)?;
+            let topic = self.remaps.topic(topic, &node).map_err(refuse)?;
+            let is_out = exposure.direction == middleware::Direction::Out;
+            if !names.insert((is_out, topic.clone(), node)) {
+                return Err(self.source.error(*line, format!("{topic} is exposed twice")));
+            }
+        }
+        Ok(())
+    }
+
+    fn remapped(&self, node: &NodeName) -> Result<NodeName> {
+        self.remaps
+            .node(node)
+            .map_err(|error| self.source.error(1, format!("remapping the node {node}: {error}")))
+    }
+
+    /// A node beside the robot's: absolute, or relative to the robot's namespace.
+    fn node_beside(&self, name: &str, line: usize) -> Result<NodeName> {
+        let (namespace, name) = match name.rsplit_once('/') {
+            None => (self.namespace.clone(), name),
+            Some((namespace, name)) if name.is_empty() || namespace.starts_with('/') => {
+                (namespace.to_owned(), name)
+            }
+            Some(("", name)) => ("/".to_owned(), name),
+            Some((namespace, name)) => {
+                (format!("{}/{namespace}", self.namespace.trim_end_matches('/')), name)
+            }
+        };
+        NodeName::new(&namespace, name).map_err(|error| self.source.error(line, error.to_string()))
+    }
+}
+
+/// The topics that are named, by direction: patterns leave them alone.
+fn claimed(entries: &[ExposeEntry]) -> BTreeSet<(&'static str, String)> {
+    let named = entries.iter().filter_map(|entry| match &entry.topics {
+        TopicChoice::Name(name) => Some((entry.direction.key(), canonical(name).to_owned())),
+        TopicChoice::Pattern { .. } => None,
+    });
+    named.collect()
+}
+
+struct Selection<'a> {
+    file: &'a RobotFile,
+    topics: &'a [TopicInfo],
+    claimed: BTreeSet<(&'static str, String)>,
+    found: Vec<(usize, Exposure)>,
+}
+
+impl Selection<'_> {
+    fn select(&mut self, entry: &ExposeEntry) -> Result<()> {
+        match &entry.topics {
+            TopicChoice::Name(name) => self.select_named(entry, name),
+            TopicChoice::Pattern { pattern, except } => self.select_matching(entry, pattern, except),
+        }
+    }
+
+    fn select_named(&mut self, entry: &ExposeEntry, name: &str) -> Result<()> {
+        let refuse = |problem: String| Err(self.file.source.error(entry.line, problem));
+        let topic = self.file.topic(self.topics, name, entry.line, "expose")?;
+        if entry.direction == Direction::Out && !topic.is_published {
+            return refuse(format!("no module publishes \"{}\"; does it belong under \"in\"?", topic.name));
+        }
+        let Some(message_type) = KnownType::of_rust_type(topic.message_type_id) else {
+            return refuse(format!(
+                "\"{}\" carries {}, which is no ROS message",
+                topic.name, topic.message_type
+            ));
+        };
+        let actual = message_type.name();
+        if let Some(said) = entry.type_name.as_deref().filter(|said| *said != actual) {
+            return refuse(format!("\"{}\" is of type \"{actual}\", not \"{said}\"", topic.name));
+        }
+        let ros_topic = entry.ros_topic.clone().unwrap_or_else(|| name.to_owned());
+        let exposure = self.exposure(entry, topic, message_type, ros_topic)?;
+        self.found.push((entry.line, exposure));
+        Ok(())
+    }
+
+    fn select_matching(
+        &mut self,
+        entry: &ExposeEntry,
+        pattern: &TopicPattern,
+        except: &[(usize, TopicPattern)],
+    ) -> Result<()> {
+        let key = entry.direction.key();
+        let candidates: Vec<_> = self.topics.iter().filter_map(|topic| candidate(entry, topic)).collect();
+        let matching: Vec<_> = candidates.iter().filter(|(topic, _)| pattern.matches(&topic.name)).collect();
+        let names = || candidates.iter().map(|(topic, _)| &*topic.name);
+        let refuse = |line, problem: String| Err(self.file.source.error(line, problem));
+        if matching.is_empty() {
+            let of_type =
+                entry.type_name.as_deref().map(|name| format!(" of type \"{name}\"")).unwrap_or_default();
+            let (hint, way) = (suggestion(&pattern.to_string(), names()), way(entry.direction));
+            return refuse(entry.line, format!("\"{pattern}\" matches no topic{of_type} {way}{hint}"));
+        }
+        for (line, excepted) in except {
+            if !matching.iter().any(|(topic, _)| excepted.matches(&topic.name)) {
+                let matched = matching.iter().map(|(topic, _)| &*topic.name);
+                let hint = suggestion(&excepted.to_string(), matched);
+                return refuse(*line, format!("\"{excepted}\" is none of what \"{pattern}\" matches{hint}"));
+            }
+        }
+        let is_excepted = |topic: &TopicInfo| except.iter().any(|(_, pattern)| pattern.matches(&topic.name));
+        let mut exposures = Vec::new();
+        for &&(topic, message_type) in matching.iter().filter(|(topic, _)| !is_excepted(topic)) {
+            if self.claimed.insert((key, topic.name.to_string())) {
+                let renamed = entry.ros_topic.as_ref().and_then(|to| pattern.rename(&topic.name, to));
+                let ros_topic = renamed.unwrap_or_else(|| topic.name.to_string());
+                exposures.push((entry.line, self.exposure(entry, topic, message_type, ros_topic)?));
+            }
+        }
+        self.found.extend(exposures);
+        Ok(())
+    }
+
+    fn exposure(
+        &self,
+        entry: &ExposeEntry,
+        topic: &TopicInfo,
+        message_type: KnownType,
+        ros_topic: String,
+    ) -> Result<Exposure> {
+        let node = entry.node.as_deref().map(|name| self.file.node_beside(name, entry.line)).transpose()?;
+        Ok(Exposure {
+            topic: topic.name.to_string(),
+            ros_topic: Some(ros_topic),
+            message_type,
+            direction: match entry.direction {
+                Direction::Out => middleware::Direction::Out,
+                Direction::In => middleware::Direction::In,
+            },
+            qos: entry.qos,
+            limits: entry.limits,
+            node,
+        })
+    }
+}
+
+/// A topic that a pattern may mean, with its type.
+fn candidate<'a>(entry: &ExposeEntry, topic: &'a TopicInfo) -> Option<(&'a TopicInfo, KnownType)> {
+    let is_internal = topic.name.starts_with("executor/") || &*topic.name == step_journal::TOPIC;
+    let goes_that_way = topic.is_published == (entry.direction == Direction::Out);
+    let message_type = KnownType::of_rust_type(topic.message_type_id)?;
+    let has_type = entry.type_name.as_deref().is_none_or(|name| name == message_type.name());
+    (!is_internal && goes_that_way && has_type).then_some((topic, message_type))
+}
+
+fn way(direction: Direction) -> &'static str {
+    match direction {
+        Direction::Out => "that a module publishes",
+        Direction::In => "that modules receive and none publishes",
+    }
+}
+
+pub(super) fn canonical(name: &str) -> &str {
+    name.strip_prefix('/').unwrap_or(name)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,97 @@
+//! `qos` of an exposed topic.
+
+use std::time::Duration;
+
+use downbeat_bridge::ros::{Policy, QosRequest};
+use downbeat_msgs::qos::{Durability, History, Liveliness, QosProfile, Reliability};
+
+use super::{Direction, Result};
+use crate::robot::file::table::{Table, Value};
+use crate::robot::file::{choice, suggestion};
+
+/// What is decided when the endpoint is created.
+const BEST_AVAILABLE: &str = "best_available";
+
+/// A preset by name, or a table that says how it differs from one.
+pub(super) fn request(value: Value<'_>, direction: Direction) -> Result<QosRequest> {
+    let Some(mut table) = value.as_table("qos") else { return preset(value, direction) };
+    let base = table.take("preset").map_or(Ok(QosRequest::default()), |value| preset(value, direction))?;
+    let reliabilities = [("reliable", Reliability::Reliable), ("best_effort", Reliability::BestEffort)];
+    let durabilities = [("volatile", Durability::Volatile), ("transient_local", Durability::TransientLocal)];
+    let livelinesses = [("automatic", Liveliness::Automatic), ("manual_by_topic", Liveliness::ManualByTopic)];
+    let request = QosRequest {
+        history: history(&mut table, base.history)?,
+        reliability: policy(table.take("reliability"), &reliabilities, base.reliability)?,
+        durability: policy(table.take("durability"), &durabilities, base.durability)?,
+        deadline: duration(table.take("deadline"), base.deadline)?,
+        lifespan: table.take("lifespan").map_or(Ok(base.lifespan), finite)?,
+        liveliness: policy(table.take("liveliness"), &livelinesses, base.liveliness)?,
+        liveliness_lease_duration: duration(
+            table.take("liveliness_lease_duration"),
+            base.liveliness_lease_duration,
+        )?,
+    };
+    table.finish()?;
+    Ok(request)
+}
+
+fn preset(value: Value<'_>, direction: Direction) -> Result<QosRequest> {
+    const MORE: [&str; 3] = ["services", "system_default", BEST_AVAILABLE];
+    let name = value.text()?;
+    Ok(match name {
+        BEST_AVAILABLE => QosRequest::BEST_AVAILABLE,
+        "services" => QosProfile::SERVICES.into(),
+        "system_default" => system_default(direction).into(),
+        _ => QosProfile::preset(name)
+            .ok_or_else(|| {
+                let hint = suggestion(name, QosProfile::PRESETS.into_iter().chain(MORE));
+                value.error(format!("unknown QoS preset \"{name}\"{hint}"))
+            })?
+            .into(),
+    })
+}
+
+/// What the middleware does when nothing is asked of it: the defaults of DDS, in which a writer is reliable and a reader
+/// is not.
+fn system_default(direction: Direction) -> QosProfile {
+    let reliability = match direction {
+        Direction::Out => Reliability::Reliable,
+        Direction::In => Reliability::BestEffort,
+    };
+    QosProfile { reliability, ..QosProfile::DEFAULT.keep_last(1) }
+}
+
+fn history(table: &mut Table<'_>, base: History) -> Result<History> {
+    let depth = table.take("depth").map(|value| value.count()).transpose()?;
+    let history = table.take("history");
+    let keeps_all = history.map(|value| choice(value, &[("keep_last", false), ("keep_all", true)]));
+    match (history, keeps_all.transpose()?, depth) {
+        (Some(value), Some(true), Some(_)) => Err(value.error("\"depth\" goes with history = \"keep_last\"")),
+        (_, Some(true), None) => Ok(History::KeepAll),
+        (_, _, Some(depth)) => Ok(History::KeepLast(depth)),
+        (_, Some(false), None) if base == History::KeepAll => Ok(QosProfile::DEFAULT.history),
+        (_, _, None) => Ok(base),
+    }
+}
+
+fn policy<T: Copy>(value: Option<Value<'_>>, choices: &[(&str, T)], base: Policy<T>) -> Result<Policy<T>> {
+    let Some(value) = value else { return Ok(base) };
+    let given = choices.iter().map(|&(name, policy)| (name, Policy::Given(policy)));
+    choice(value, &given.chain([(BEST_AVAILABLE, Policy::BestAvailable)]).collect::<Vec<_>>())
+}
+
+fn duration(value: Option<Value<'_>>, base: Policy<Option<Duration>>) -> Result<Policy<Option<Duration>>> {
+    match value {
+        None => Ok(base),
+        Some(value) if value.text().is_ok_and(|text| text == BEST_AVAILABLE) => Ok(Policy::BestAvailable),
+        Some(value) => finite(value).map(Policy::Given),
+    }
+}
+
+/// A time, or "infinite".
+fn finite(value: Value<'_>) -> Result<Option<Duration>> {
+    match value.text() {
+        Ok("infinite") => Ok(None),
+        _ => value.duration().map(Some),
+    }
+}

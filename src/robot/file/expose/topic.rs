@@ -1,0 +1,182 @@
+//! `out` and `in` of `[expose]`.
+
+use std::fmt;
+use std::time::Duration;
+
+use downbeat_bridge::expose::{Limits, OfACycle, TopicPattern};
+use downbeat_bridge::ros::QosRequest;
+
+use super::{Result, qos};
+use crate::robot::file::suggestion;
+use crate::robot::file::table::{Table, Value};
+
+/// Whether ROS 2 receives a topic or sends it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// The robot publishes, ROS 2 subscribes.
+    Out,
+    /// ROS 2 publishes, the robot subscribes.
+    In,
+}
+
+impl Direction {
+    /// The key under `[expose]`.
+    #[must_use]
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Out => "out",
+            Self::In => "in",
+        }
+    }
+}
+
+/// Topics that ROS 2 sees.
+#[derive(Clone)]
+pub struct ExposeEntry {
+    pub(crate) line: usize,
+    /// The topics in the robot.
+    pub topics: TopicChoice,
+    /// The topic in ROS 2 where it has another name; for a pattern the wildcards stand for what they matched.
+    pub ros_topic: Option<String>,
+    /// Its type, where the file names it.
+    pub type_name: Option<String>,
+    /// Which way it goes.
+    pub direction: Direction,
+    /// Its quality of service.
+    pub qos: QosRequest,
+    /// How much of it passes.
+    pub limits: Limits,
+    /// The node that has the endpoint, where it is another than the robot's: absolute, or relative to its namespace.
+    pub node: Option<String>,
+}
+
+/// Topics by name or by pattern.
+#[derive(Clone)]
+pub enum TopicChoice {
+    /// One topic.
+    Name(String),
+    /// All that match, but for those that match one of `except`.
+    Pattern {
+        /// Those that are meant.
+        pattern: TopicPattern,
+        /// Those of them that are not, with the lines on which they are named.
+        except: Vec<(usize, TopicPattern)>,
+    },
+}
+
+impl fmt::Display for TopicChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Name(name) => f.write_str(name),
+            Self::Pattern { pattern, .. } => pattern.fmt(f),
+        }
+    }
+}
+
+pub(super) fn topics(table: &mut Table<'_>) -> Result<Vec<ExposeEntry>> {
+    let mut topics = Vec::new();
+    for direction in [Direction::Out, Direction::In] {
+        for value in table.take(direction.key()).map_or(Ok(Vec::new()), |value| value.list())? {
+            topics.push(entry(value, direction)?);
+        }
+    }
+    Ok(topics)
+}
+
+fn entry(value: Value<'_>, direction: Direction) -> Result<ExposeEntry> {
+    let line = value.line();
+    let (qos, limits) = (QosRequest::default(), Limits::default());
+    let Some(mut table) = value.as_table("an exposed topic") else {
+        return Ok(ExposeEntry {
+            line,
+            topics: choice(value, None)?,
+            ros_topic: absolute_pattern(value)?,
+            type_name: None,
+            direction,
+            qos,
+            limits,
+            node: None,
+        });
+    };
+    let topic = table.require("topic")?;
+    let topics = choice(topic, table.take("except"))?;
+    let ros_topic = table.take("as").map(|value| new_name(value, &topics)).transpose()?;
+    let ros_topic = ros_topic.or(absolute_pattern(topic)?);
+    let entry = ExposeEntry {
+        line,
+        topics,
+        ros_topic,
+        type_name: table.take("type").map(type_name).transpose()?,
+        direction,
+        qos: table.take("qos").map_or(Ok(qos), |value| qos::request(value, direction))?,
+        limits: limits_of(&mut table)?,
+        node: table.take("node").map(|value| value.text().map(str::to_owned)).transpose()?,
+    };
+    table.finish()?;
+    Ok(entry)
+}
+
+fn choice(value: Value<'_>, except: Option<Value<'_>>) -> Result<TopicChoice> {
+    let name = value.text()?;
+    if TopicPattern::is_pattern(name) {
+        let except = except.map_or(Ok(Vec::new()), |except| except.list())?;
+        let except = except.into_iter().map(|value| Ok((value.line(), pattern(value)?)));
+        return Ok(TopicChoice::Pattern { pattern: pattern(value)?, except: except.collect::<Result<_>>()? });
+    }
+    match except {
+        Some(except) => {
+            Err(except.error(format!("\"except\" goes with a pattern, and \"{name}\" is a name")))
+        }
+        None => Ok(TopicChoice::Name(name.to_owned())),
+    }
+}
+
+/// The new name of what an absolute pattern matches, so that it is absolute too.
+fn absolute_pattern(value: Value<'_>) -> Result<Option<String>> {
+    let name = value.text()?;
+    Ok((name.starts_with('/') && TopicPattern::is_pattern(name)).then(|| name.to_owned()))
+}
+
+fn pattern(value: Value<'_>) -> Result<TopicPattern> {
+    TopicPattern::new(value.text()?).map_err(|error| value.error(error.to_string()))
+}
+
+fn new_name(value: Value<'_>, topics: &TopicChoice) -> Result<String> {
+    let name = value.text()?;
+    match topics {
+        TopicChoice::Pattern { pattern, .. } => {
+            pattern.check_rename(name).map_err(|error| value.error(error.to_string()))?;
+        }
+        TopicChoice::Name(topic) if TopicPattern::is_pattern(name) => {
+            return Err(value.error(format!("\"{name}\" has a wildcard, and \"{topic}\" has none for it")));
+        }
+        TopicChoice::Name(_) => {}
+    }
+    Ok(name.to_owned())
+}
+
+fn type_name(value: Value<'_>) -> Result<String> {
+    let name = value.text()?;
+    if downbeat_msgs::TYPE_NAMES.contains(&name) {
+        return Ok(name.to_owned());
+    }
+    let hint = suggestion(name, downbeat_msgs::TYPE_NAMES.iter().copied());
+    Err(value.error(format!("unknown topic type \"{name}\"{hint}")))
+}
+
+fn limits_of(table: &mut Table<'_>) -> Result<Limits> {
+    let period = table.take("rate_hz").map(period).transpose()?;
+    let every = table.take("every").map_or(Ok(Limits::default().every), |value| value.count())?;
+    let is_latest_only = table.take("latest_only").map_or(Ok(false), |value| value.flag())?;
+    let of_a_cycle = if is_latest_only { OfACycle::Latest } else { OfACycle::All };
+    Ok(Limits { period, every, of_a_cycle })
+}
+
+/// From a rate in messages per second.
+fn period(value: Value<'_>) -> Result<Duration> {
+    let rate = value.number()?;
+    let period =
+        Duration::try_from_secs_f64(1.0 / rate).ok().filter(|period| !period.is_zero() && rate > 0.0);
+    period
+        .ok_or_else(|| value.error(format!("{rate} is no rate; expected messages per second, such as 10.0")))
+}

@@ -1,0 +1,239 @@
+//! What a robot shows to ROS 2 as real rclpy sees it: names, nodes, QoS, rates, and changing it while it runs.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::path::Path;
+
+use common::rclpy::Peer;
+use common::{Running, downbeat, robot_file, text_of, wait_until};
+use downbeat::robot::ExposedEndpoint;
+use serde_json::{Value, json};
+
+/// The demo with its `[expose]` replaced.
+fn robot(folder: &Path, robot: &str, expose: &str) -> String {
+    let path = robot_file(folder, |text| {
+        let (before, rest) = text.split_once("[expose]").unwrap();
+        let (_, after) = rest.split_once("[record]").unwrap();
+        let before = before.replacen("[robot]\n", &format!("[robot]\n{robot}\n"), 1);
+        format!("{before}[expose]\n{expose}\n[record]{after}")
+    });
+    path.to_str().unwrap().to_owned()
+}
+
+fn run(domain: u16, robot: &str, more: &[&str]) -> Running {
+    let domain = domain.to_string();
+    Running::start(&[&["run", robot, "--domain", &domain], more].concat())
+}
+
+fn publishers(peer: &mut Peer, topic: &str) -> Vec<(String, String, String)> {
+    let listed = peer.ask(json!({"do": "publishers_of", "topic": topic}));
+    let text = |endpoint: &Value, key: &str| endpoint[key].as_str().unwrap().to_owned();
+    let endpoints = listed.as_array().unwrap().iter();
+    endpoints.map(|e| (text(e, "node"), text(e, "reliability"), text(e, "durability"))).collect()
+}
+
+fn nodes(peer: &mut Peer) -> Vec<String> {
+    let nodes = peer.ask(json!({"do": "nodes"}));
+    nodes.as_array().unwrap().iter().map(|node| node.as_str().unwrap().to_owned()).collect()
+}
+
+#[test]
+fn two_robots_in_namespaces_with_several_nodes_share_a_domain() {
+    let Some(mut peer) = Peer::start(80, "LOCALHOST") else { return };
+    let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+    let expose = "out = [\"joint_states\", { topic = \"imu/*\", as = \"~/*\", node = \"imu_driver\", qos = \"sensor_data\" }]\n\
+                  in = [\"joint_commands\"]";
+    let mut robots = ["/robot1", "/robot2"].map(|namespace| {
+        let folder = &folders[usize::from(namespace == "/robot2")];
+        run(80, &robot(folder.path(), "", expose), &["--ros-args", "-r", &format!("__ns:={namespace}")])
+    });
+    for namespace in ["/robot1", "/robot2"] {
+        wait_until("the robot's topics are listed with their nodes", || {
+            let of = |node: &str, reliability: &str| {
+                [(format!("{namespace}/{node}"), reliability.to_owned(), "VOLATILE".to_owned())]
+            };
+            publishers(&mut peer, &format!("{namespace}/joint_states")) == of("darwin_op", "RELIABLE")
+                && publishers(&mut peer, &format!("{namespace}/imu_driver/data_raw"))
+                    == of("imu_driver", "BEST_EFFORT")
+        });
+    }
+    let states =
+        json!({"do": "subscribe", "topic": "/robot2/joint_states", "type": "sensor_msgs/msg/JointState"});
+    peer.ask(states);
+    assert!(!peer.take("/robot2/joint_states", 1).is_empty());
+    assert!(publishers(&mut peer, "/joint_states").is_empty());
+    robots[0].interrupt();
+    wait_until("the first robot is gone with its nodes, the second is there", || {
+        let nodes = nodes(&mut peer);
+        !nodes.iter().any(|node| node.starts_with("/robot1/"))
+            && nodes.iter().any(|node| node == "/robot2/imu_driver")
+    });
+    robots[1].interrupt();
+    peer.leave();
+}
+
+#[test]
+fn remapping_rules_and_limits_are_seen_by_rclpy() {
+    let Some(mut peer) = Peer::start(81, "LOCALHOST") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let expose = "out = [{ topic = \"joint_states\", rate_hz = 5.0, qos = { durability = \"transient_local\", depth = 1 } }]";
+    let file = robot(folder.path(), "remap = { joint_states = \"/from_file\" }", expose);
+    let rules = [
+        "--ros-args",
+        "-r",
+        "__node:=renamed",
+        "-r",
+        "rostopic:///joint_states:=~/states",
+        "--log-level",
+        "warn",
+    ];
+    let mut robot = run(81, &file, &rules);
+    let expected = ("/renamed".to_owned(), "RELIABLE".to_owned(), "TRANSIENT_LOCAL".to_owned());
+    wait_until("the topic has its new name, node and durability", || {
+        publishers(&mut peer, "/renamed/states") == [expected.clone()]
+    });
+    let qos = json!({"depth": 100});
+    peer.ask(json!({"do": "subscribe", "topic": "/renamed/states", "type": "sensor_msgs/msg/JointState", "qos": qos}));
+    let stamps: Vec<f64> = peer
+        .take("/renamed/states", 6)
+        .iter()
+        .map(|message| {
+            let stamp = &message["fields"]["header"]["stamp"];
+            stamp["sec"].as_f64().unwrap() + stamp["nanosec"].as_f64().unwrap() / 1e9
+        })
+        .collect();
+    // On average, by the time of the robot: each message is at most one cycle of the bus late.
+    let span = stamps[stamps.len() - 1] - stamps[0];
+    let least = 0.2 * (stamps.len() - 1) as f64 - 0.05;
+    assert!(span >= least, "{stamps:?}");
+    assert!(!robot.output().contains("exposed to ROS 2"), "an event of level info: {}", robot.output());
+    robot.interrupt();
+    peer.leave();
+}
+
+fn expose(arguments: &[&str], pid: &str, sockets: &Path) -> (bool, String) {
+    let line = [&["expose", pid], arguments].concat();
+    let output = downbeat(&line).env("XDG_RUNTIME_DIR", sockets).output().unwrap();
+    let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+    (output.status.success(), text)
+}
+
+#[test]
+fn endpoints_come_and_go_in_rclpy_while_the_robot_runs() {
+    let Some(mut peer) = Peer::start(82, "LOCALHOST") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let file = robot(folder.path(), "", "out = [\"joint_states\"]");
+    let mut robot =
+        Running::start_with(&["run", &file, "--domain", "82"], &[("XDG_RUNTIME_DIR", folder.path())]);
+    wait_until("the robot can be asked", || expose(&["list"], "darwin_op", folder.path()).0);
+    wait_until("its topic is listed", || publishers(&mut peer, "/joint_states").len() == 1);
+
+    let add = [
+        "add",
+        "out",
+        "imu/*",
+        "--as",
+        "/sensors/*",
+        "--qos",
+        "{ reliability = \"best_effort\", depth = 2 }",
+        "--every",
+        "2",
+    ];
+    let (is_added, text) = expose(&add, "darwin_op", folder.path());
+    assert!(is_added && text.contains("added imu/data_raw") && text.contains("/sensors/data_raw"), "{text}");
+    wait_until("what was added is listed", || {
+        publishers(&mut peer, "/sensors/data_raw")
+            == [("/darwin_op".to_owned(), "BEST_EFFORT".to_owned(), "VOLATILE".to_owned())]
+    });
+    let qos = json!({"reliability": "best_effort"});
+    peer.ask(
+        json!({"do": "subscribe", "topic": "/sensors/data_raw", "type": "sensor_msgs/msg/Imu", "qos": qos}),
+    );
+    assert!(!peer.take("/sensors/data_raw", 3).is_empty());
+    let (_, listed) = expose(&["list", "--json"], "darwin_op", folder.path());
+    let listed: Vec<ExposedEndpoint> = serde_json::from_str(&listed).unwrap();
+    assert_eq!((listed.len(), listed[1].every, listed[1].traffic.unwrap().matched), (2, 2, 1));
+
+    let (is_removed, text) = expose(&["remove", "/sensors/**"], "darwin_op", folder.path());
+    assert!(is_removed && text.contains("removed imu/data_raw"), "{text}");
+    // Of its node at once; that the endpoint itself is gone Fast DDS does not understand from rustdds, see bridge/README.md.
+    wait_until("what was removed is gone from its node", || {
+        let published = peer.ask(json!({"do": "published_by", "node": "darwin_op"}));
+        published.get("/sensors/data_raw").is_none() && published.get("/joint_states").is_some()
+    });
+    peer.ask(json!({"do": "take", "topic": "/sensors/data_raw"}));
+    let (is_added, text) = expose(&add, "darwin_op", folder.path());
+    assert!(is_added, "{text}");
+    assert!(
+        !peer.take("/sensors/data_raw", 3).is_empty(),
+        "it is there again, for who has subscribed all the time"
+    );
+    let (is_removed, text) = expose(&["remove", "imu/*"], "darwin_op", folder.path());
+    assert!(is_removed, "{text}");
+    for (arguments, expected) in [
+        (vec!["remove", "/nothing"], "\"nothing\" is not exposed; there is /joint_states"),
+        (
+            vec!["add", "out", "imu/data_rwa"],
+            "expose:1: no module has a topic \"imu/data_rwa\" to expose, did you mean",
+        ),
+        (vec!["add", "out", "joint_states"], "/joint_states is exposed already"),
+        (vec!["add", "in", "joint_commands", "--qos", "best"], "unknown QoS preset \"best\""),
+    ] {
+        let (is_done, text) = expose(&arguments, "darwin_op", folder.path());
+        assert!(!is_done && text.contains(expected), "{text}");
+    }
+    robot.interrupt();
+    peer.leave();
+}
+
+#[test]
+fn check_says_what_would_be_exposed() {
+    let folder = tempfile::tempdir().unwrap();
+    let expose = "out = [{ topic = \"joint_states\", rate_hz = 10.0, latest_only = true }, { topic = \"imu/*\", as = \"/*\", node = \"imu\" }]\n\
+                  in = [{ topic = \"joint_commands\", qos = \"best_available\" }]";
+    let file = robot(folder.path(), "", expose);
+    let text = text_of(&["check", &file, "--ros-args", "-r", "__ns:=/robot1", "-r", "joint_states:=states"]);
+    let lines: Vec<_> =
+        text.lines().map(|line| line.split_whitespace().collect::<Vec<_>>().join(" ")).collect();
+    for expected in [
+        "exposed to ROS 2 as node /robot1/darwin_op",
+        "joint_states -> /robot1/states sensor_msgs/msg/JointState reliable volatile keep_last 10, at most 10 Hz, latest only",
+        "of node /robot1/imu",
+        "imu/data_raw -> /data_raw sensor_msgs/msg/Imu reliable volatile keep_last 10",
+        "joint_commands <- /robot1/joint_commands sensor_msgs/msg/JointState best_available best_available keep_last 10 \
+         deadline best_available liveliness best_available lease best_available",
+    ] {
+        assert!(lines.iter().any(|line| line == expected), "{expected}\n  is not in\n{text}");
+    }
+    let json: Value = serde_json::from_str(&text_of(&["check", &file, "--json"])).unwrap();
+    assert_eq!(json["node"], "/darwin_op");
+    assert_eq!(json["exposed"][0]["rate_hz"], 10.0);
+    assert_eq!(json["exposed"][1]["node"], "/imu");
+    assert_eq!(json["exposed"][2]["qos"]["durability"], "best_available");
+}
+
+#[test]
+fn what_ros_args_say_wrong_is_told_with_the_argument() {
+    let robot = "robots/darwin_op.toml";
+    for (arguments, expected) in [
+        (vec!["check", robot, "--ros-args", "-r", "a:="], "--ros-args -r a:=: \"a:=\" is no remapping rule"),
+        (vec!["check", robot, "--ros-args", "--lgo-level", "warn"], "did you mean \"--log-level\"?"),
+        (
+            vec!["check", robot, "--ros-args", "-p", "mix.hold_s:=1.0"],
+            "-p mix.hold_s:=1.0: the robot has no module \"mix\"",
+        ),
+        (vec!["check", robot, "--ros-args", "-r", "__ns:=/a/"], "namespace \"/a/\" is not valid"),
+        (
+            vec!["check", robot, "--ros-args", "--params-file", "nowhere.yaml"],
+            "cannot read the parameter file nowhere.yaml",
+        ),
+        (vec!["top", "--ros-args", "-r", "a:=b"], "--ros-args goes with commands that make a ROS 2 node"),
+    ] {
+        let output = common::output_of(&arguments);
+        let text = String::from_utf8(output.stderr).unwrap();
+        assert!(!output.status.success() && text.contains(expected), "{arguments:?}: {text}");
+    }
+    let text = text_of(&["check", robot, "--ros-args", "-p", "mux.hold_s:=0.125", "--enclave", "/secret"]);
+    assert!(text.contains("hold_s = 0.125") && text.contains("--enclave /secret changes nothing"), "{text}");
+}
