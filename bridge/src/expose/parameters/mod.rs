@@ -5,7 +5,7 @@
 //! jazzy), but for three things: a whole number is accepted for a double, atomic changes of several modules are taken back
 //! when one is refused rather than made at once, and a value that changes otherwise than through these services is told within a second.
 
-mod parameters;
+mod store;
 mod thread;
 mod value;
 
@@ -17,7 +17,7 @@ use downbeat_msgs::rcl_interfaces::srv::{
     DescribeParameters, GetParameterTypes, GetParameters, ListParameters, SetParameters,
     SetParametersAtomically,
 };
-use parameters::Parameters;
+use store::Parameters;
 use thiserror::Error;
 use thread::{Jobs, ParameterThread};
 

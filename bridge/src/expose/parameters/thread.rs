@@ -1,6 +1,6 @@
 //! The thread that answers requests for parameters.
 
-use super::parameters::Parameters;
+use super::store::Parameters;
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
