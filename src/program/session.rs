@@ -37,6 +37,7 @@ struct Bridge {
     status: BridgeStatus,
     title: String,
     /// Its node is in the graph of ROS 2 until it is dropped.
+    parameters: Option<expose::ParameterServices>,
     bridge: expose::Bridge,
 }
 
@@ -67,7 +68,16 @@ impl Session {
             };
             tracing::info!("exposed {arrow}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
         }
-        self.bridge = Some(Bridge { status: bridge.status(), title, bridge });
+        let (offered, called) = (self.robot.service_exposures()?, self.robot.call_exposures()?);
+        let services = expose::expose_services(&mut self.robot.core, &node, &offered, &called)?;
+        for (name, ..) in services.services() {
+            tracing::info!("exposed service: {name}");
+        }
+        let parameters = self.robot.parameter_exposure()?;
+        let parameters =
+            parameters.map(|exposure| expose::expose_parameters(&self.robot.core, &node, exposure));
+        let parameters = parameters.transpose()?;
+        self.bridge = Some(Bridge { status: bridge.status(), title, parameters, bridge });
         Ok(())
     }
 
