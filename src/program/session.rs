@@ -37,7 +37,8 @@ struct Bridge {
     status: BridgeStatus,
     title: String,
     /// Its node is in the graph of ROS 2 until it is dropped.
-    parameters: Option<expose::ParameterServices>,
+    /// Answered until it is dropped.
+    _parameters: Option<expose::ParameterServices>,
     bridge: expose::Bridge,
 }
 
@@ -77,7 +78,7 @@ impl Session {
         let parameters =
             parameters.map(|exposure| expose::expose_parameters(&self.robot.core, &node, exposure));
         let parameters = parameters.transpose()?;
-        self.bridge = Some(Bridge { status: bridge.status(), title, parameters, bridge });
+        self.bridge = Some(Bridge { status: bridge.status(), title, _parameters: parameters, bridge });
         Ok(())
     }
 
