@@ -42,6 +42,12 @@ pub enum MiddlewareError {
     /// The thread that runs the handlers of services could not start.
     #[error("starting the thread of the services failed: {0}")]
     ServiceThread(std::io::Error),
+    /// The thread that watches over the engine could not start.
+    #[error("starting the thread that watches over the DDS engine failed: {0}")]
+    Supervisor(std::io::Error),
+    /// The participant is not in its domain at this moment.
+    #[error("the participant is joining its domain again after it lost touch; try again in a second")]
+    Away,
     /// The engine panicked; the participant must not be used any more.
     #[error("the DDS engine panicked while {doing}; restart the bridge")]
     Panicked {
@@ -56,6 +62,9 @@ pub enum WriteError {
     /// The send window is full: a reliable reader does not acknowledge.
     #[error("the send window is full: a reliable reader does not acknowledge (its process may have died)")]
     WindowFull,
+    /// The participant is not in its domain at this moment.
+    #[error("the participant is joining its domain again after it lost touch")]
+    Away,
     /// The payload does not begin with an encapsulation header the engine can send.
     #[error(
         "a payload must begin with the encapsulation header of little-endian CDR, 00 01 00 00; found {found:02x?}"

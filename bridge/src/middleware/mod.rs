@@ -11,6 +11,7 @@
 
 pub mod dds;
 pub mod in_process;
+pub mod rejoining;
 pub mod rpc;
 
 mod endpoint;
@@ -22,6 +23,7 @@ pub use error::{MiddlewareError, OptionsError, WriteError};
 pub use options::{DiscoveryRange, MAX_DOMAIN_ID, ParticipantOptions};
 
 use bytes::Bytes;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -32,6 +34,23 @@ pub type SampleHandler = Box<dyn FnMut(Sample) + Send>;
 /// Is told that an endpoint was matched, or is matched no more. It runs on a thread of the middleware, so it must hand
 /// over and return.
 pub type MatchHandler = Box<dyn Fn() + Send + Sync>;
+
+/// Is told when a participant leaves its domain to join it again. It runs on a thread of the middleware.
+pub type RejoinHandler = Box<dyn Fn(&RejoinStep) + Send + Sync>;
+
+/// What becomes of a participant that has lost touch.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum RejoinStep {
+    /// It is about to leave: a last word can be written.
+    Leaving,
+    /// It is there again.
+    Joined {
+        /// The identity it has now.
+        participant: Gid,
+        /// The identities of its endpoints: before and now.
+        endpoints: BTreeMap<Gid, Gid>,
+    },
+}
 
 /// A participant of a domain: creates endpoints, and knows those of others. It does not hear itself: its own readers
 /// neither match nor receive what its own writers write.
@@ -60,6 +79,10 @@ pub trait Middleware: Send + Sync {
 
     /// The endpoints of other participants that are known at this moment.
     fn remote_endpoints(&self) -> Vec<RemoteEndpoint>;
+
+    /// Has `handler` called, besides those before, when the participant joins its domain again with other identities.
+    /// One that never does need not call it.
+    fn on_rejoin(&self, _handler: RejoinHandler) {}
 }
 
 /// Writes samples to one topic. Dropping it removes the endpoint.
@@ -120,5 +143,7 @@ pub fn join(options: &ParticipantOptions) -> Result<Arc<dyn Middleware>, Middlew
         tracing::warn!("ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: no other ROS 2 node will see this one");
         return Ok(Arc::new(in_process::Hub::new().join()));
     }
-    Ok(Arc::new(dds::DdsParticipant::new(options)?))
+    let options = options.clone();
+    let join = move |sink| Ok(Box::new(dds::DdsParticipant::watched(&options, sink)?) as Box<dyn Middleware>);
+    Ok(Arc::new(rejoining::Rejoining::join(join)?))
 }

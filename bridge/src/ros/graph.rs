@@ -6,7 +6,8 @@
 
 use super::{MessageType, NodeName, TopicName};
 use crate::middleware::{
-    Direction, Endpoint, Gid, Middleware, MiddlewareError, Reader, RemoteEndpoint, Sample, Writer,
+    Direction, Endpoint, Gid, Middleware, MiddlewareError, Reader, RejoinStep, RemoteEndpoint, Sample,
+    WriteError, Writer,
 };
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::{Durability, QosProfile};
@@ -40,18 +41,30 @@ pub struct RemoteTopic {
 
 /// The graph as one participant tells and hears it. Dropping it tells the others that its nodes are gone.
 pub(super) struct Graph {
-    participant: Gid,
-    own: Mutex<BTreeMap<NodeName, Own>>,
+    own: Arc<Own>,
     heard: Arc<Mutex<Heard>>,
-    writer: Box<dyn Writer>,
     _reader: Box<dyn Reader>,
 }
 
-#[derive(Default)]
+/// What is told to others.
 struct Own {
-    readers: BTreeSet<Gid>,
-    writers: BTreeSet<Gid>,
+    state: Mutex<OwnState>,
+    writer: Box<dyn Writer>,
 }
+
+struct OwnState {
+    participant: Gid,
+    nodes: BTreeMap<NodeName, OwnNode>,
+}
+
+#[derive(Default)]
+struct OwnNode {
+    readers: Endpoints,
+    writers: Endpoints,
+}
+
+/// The identities of endpoints: when they were created, and now.
+type Endpoints = BTreeMap<Gid, Gid>;
 
 /// The last message of each participant.
 type Heard = BTreeMap<[u8; 12], ParticipantEntitiesInfo>;
@@ -65,74 +78,58 @@ impl Graph {
             QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT.keep_last(1) },
         );
         let heard = Arc::<Mutex<Heard>>::default();
+        let state = OwnState { participant: middleware.gid(), nodes: BTreeMap::new() };
+        let own = Arc::new(Own { state: Mutex::new(state), writer: middleware.create_writer(&endpoint)? });
         let hear = {
-            let heard = Arc::clone(&heard);
-            let own = middleware.gid().participant();
-            move |sample| hear(&heard, own, &sample)
+            let (heard, own) = (Arc::clone(&heard), Arc::clone(&own));
+            move |sample| hear(&heard, lock(&own.state).participant.participant(), &sample)
         };
-        let reader_endpoint = Endpoint { qos: endpoint.qos.keep_last(100), ..endpoint.clone() };
-        Ok(Self {
-            participant: middleware.gid(),
-            own: Mutex::default(),
-            heard,
-            _reader: middleware.create_reader(&reader_endpoint, Box::new(hear))?,
-            writer: middleware.create_writer(&endpoint)?,
-        })
+        let reader_endpoint = Endpoint { qos: endpoint.qos.keep_last(100), ..endpoint };
+        let reader = middleware.create_reader(&reader_endpoint, Box::new(hear))?;
+        let rejoining = Arc::downgrade(&own);
+        middleware.on_rejoin(Box::new(move |step| {
+            if let Some(own) = rejoining.upgrade() {
+                own.rejoin(step);
+            }
+        }));
+        Ok(Self { own, heard, _reader: reader })
     }
 
     /// Adds a node; false when the participant has one of that name already.
     pub(super) fn add_node(&self, node: &NodeName) -> bool {
-        let mut own = lock(&self.own);
-        if own.contains_key(node) {
+        let mut state = lock(&self.own.state);
+        if state.nodes.contains_key(node) {
             return false;
         }
-        own.insert(node.clone(), Own::default());
-        self.tell(&own);
+        state.nodes.insert(node.clone(), OwnNode::default());
+        self.own.tell(&state);
         true
     }
 
     pub(super) fn remove_node(&self, node: &NodeName) {
-        let mut own = lock(&self.own);
-        own.remove(node);
-        self.tell(&own);
+        let mut state = lock(&self.own.state);
+        state.nodes.remove(node);
+        self.own.tell(&state);
     }
 
     pub(super) fn add_endpoint(&self, node: &NodeName, direction: Direction, endpoint: Gid) {
-        self.change(node, direction, |gids| gids.insert(endpoint));
+        self.change(node, direction, |gids| gids.insert(endpoint, endpoint).is_none());
     }
 
+    /// Takes away an endpoint, by the identity it was added with.
     pub(super) fn remove_endpoint(&self, node: &NodeName, direction: Direction, endpoint: Gid) {
-        self.change(node, direction, |gids| gids.remove(&endpoint));
+        self.change(node, direction, |gids| gids.remove(&endpoint).is_some());
     }
 
-    fn change(&self, node: &NodeName, direction: Direction, change: impl FnOnce(&mut BTreeSet<Gid>) -> bool) {
-        let mut own = lock(&self.own);
-        let Some(endpoints) = own.get_mut(node) else { return };
+    fn change(&self, node: &NodeName, direction: Direction, change: impl FnOnce(&mut Endpoints) -> bool) {
+        let mut state = lock(&self.own.state);
+        let Some(endpoints) = state.nodes.get_mut(node) else { return };
         let gids = match direction {
             Direction::In => &mut endpoints.readers,
             Direction::Out => &mut endpoints.writers,
         };
         if change(gids) {
-            self.tell(&own);
-        }
-    }
-
-    fn tell(&self, own: &BTreeMap<NodeName, Own>) {
-        let messages = |gids: &BTreeSet<Gid>| gids.iter().map(|gid| GidMessage { data: gid.0 }).collect();
-        let info = ParticipantEntitiesInfo {
-            gid: GidMessage { data: self.participant.0 },
-            node_entities_info_seq: own
-                .iter()
-                .map(|(node, endpoints)| NodeEntitiesInfo {
-                    node_namespace: node.namespace().to_owned(),
-                    node_name: node.name().to_owned(),
-                    reader_gid_seq: messages(&endpoints.readers),
-                    writer_gid_seq: messages(&endpoints.writers),
-                })
-                .collect(),
-        };
-        if let Err(error) = self.writer.write(cdr::to_vec(&info).into()) {
-            tracing::warn!(%error, "telling others about our nodes failed: node lists may be out of date");
+            self.own.tell(&state);
         }
     }
 
@@ -158,12 +155,61 @@ impl Graph {
     }
 }
 
+impl Own {
+    fn tell(&self, state: &OwnState) {
+        self.write(state.participant, &state.nodes);
+    }
+
+    fn write(&self, participant: Gid, nodes: &BTreeMap<NodeName, OwnNode>) {
+        let messages = |gids: &Endpoints| gids.values().map(|gid| GidMessage { data: gid.0 }).collect();
+        let info = ParticipantEntitiesInfo {
+            gid: GidMessage { data: participant.0 },
+            node_entities_info_seq: nodes
+                .iter()
+                .map(|(node, endpoints)| NodeEntitiesInfo {
+                    node_namespace: node.namespace().to_owned(),
+                    node_name: node.name().to_owned(),
+                    reader_gid_seq: messages(&endpoints.readers),
+                    writer_gid_seq: messages(&endpoints.writers),
+                })
+                .collect(),
+        };
+        match self.writer.write(cdr::to_vec(&info).into()) {
+            // It is told when the participant is there again.
+            Ok(()) | Err(WriteError::Away) => {}
+            Err(error) => {
+                tracing::warn!(%error, "telling others about our nodes failed: node lists may be out of date");
+            }
+        }
+    }
+
+    fn rejoin(&self, step: &RejoinStep) {
+        let mut state = lock(&self.state);
+        match step {
+            RejoinStep::Leaving => self.take_leave(state.participant),
+            RejoinStep::Joined { participant, endpoints } => {
+                state.participant = *participant;
+                let own = state.nodes.values_mut();
+                let gids = own.flat_map(|node| node.readers.values_mut().chain(node.writers.values_mut()));
+                for gid in gids {
+                    *gid = endpoints.get(gid).copied().unwrap_or(*gid);
+                }
+                self.tell(&state);
+            }
+        }
+    }
+
+    fn take_leave(&self, participant: Gid) {
+        self.write(participant, &BTreeMap::new());
+        self.writer.flush(FAREWELL);
+    }
+}
+
 impl Drop for Graph {
     fn drop(&mut self) {
-        let mut own = lock(&self.own);
-        own.clear();
-        self.tell(&own);
-        self.writer.flush(FAREWELL);
+        let mut state = lock(&self.own.state);
+        state.nodes.clear();
+        self.own.take_leave(state.participant);
     }
 }
 

@@ -4,8 +4,10 @@
 //! participant's, which holds 2048.
 
 use super::qos;
+use super::returned::ReturnWatch;
+use crate::middleware::rejoining::Trouble;
 use crate::middleware::{Direction, Gid, MatchHandler, RemoteEndpoint};
-use rustdds::{DomainParticipantStatusEvent as Event, EndpointDescription, GUID, QosPolicies};
+use rustdds::{DomainParticipantStatusEvent as Event, EndpointDescription, GUID, LostReason, QosPolicies};
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -37,11 +39,19 @@ pub(super) struct Matches {
     local: HashMap<Gid, Matched>,
     remote: HashMap<Gid, RemoteEndpoint>,
     last_participant: Option<Instant>,
+    /// Where there is a supervisor to tell.
+    watch: Option<ReturnWatch>,
 }
 
 impl Matches {
-    pub(super) fn new(own: Gid) -> Self {
-        Self { own: own.participant(), local: HashMap::new(), remote: HashMap::new(), last_participant: None }
+    pub(super) fn new(own: Gid, watch: Option<ReturnWatch>) -> Self {
+        Self {
+            own: own.participant(),
+            local: HashMap::new(),
+            remote: HashMap::new(),
+            last_participant: None,
+            watch,
+        }
     }
 
     /// The count of a local endpoint; events may have come before this call.
@@ -87,10 +97,13 @@ impl Matches {
                 self.remote.remove(&lost);
                 self.remove_peers(|peer| peer == lost, &mut changed);
             }
-            Event::ParticipantLost { id, .. } => {
+            Event::ParticipantLost { id, reason } => {
                 let mut anyone = GUID::GUID_UNKNOWN;
                 anyone.prefix = id;
                 let lost = gid(anyone).participant();
+                if let (LostReason::Timeout { .. }, Some(watch)) = (reason, &mut self.watch) {
+                    watch.lost(lost);
+                }
                 self.remote.retain(|gid, _| gid.participant() != lost);
                 self.remove_peers(|peer| peer.participant() == lost, &mut changed);
             }
@@ -112,6 +125,13 @@ impl Matches {
             _ => {}
         }
         changed
+    }
+
+    /// Tells the supervisor, if there is one.
+    pub(super) fn tell(&self, trouble: Trouble) {
+        if let Some(watch) = &self.watch {
+            watch.tell(trouble);
+        }
     }
 
     fn detected(&mut self, endpoint: EndpointDescription, direction: Direction) {

@@ -11,8 +11,10 @@ mod matches;
 mod payload;
 mod qos;
 mod reader_thread;
+mod returned;
 mod writer;
 
+use super::rejoining::TroubleSink;
 use super::{
     Direction, DiscoveryRange, Endpoint, Gid, MatchHandler, Middleware, MiddlewareError, ParticipantOptions,
     Reader, RemoteEndpoint, SampleHandler, Writer,
@@ -22,6 +24,7 @@ use first_fragment::FirstFragments;
 use matches::{MatchedCount, Matches};
 use payload::{OutgoingBody, ReceiveAny, ReceivedCdr, SendLittleEndian};
 use reader_thread::{DdsDataReader, ReaderThread};
+use returned::ReturnWatch;
 use rustdds::{DomainParticipant, DomainParticipantBuilder, QosPolicies, RTPSEntity, TopicKind};
 use std::net::Ipv4Addr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -55,6 +58,18 @@ impl DdsParticipant {
     /// # Errors
     /// [`MiddlewareError::Join`] when no participant can be created, for example because 120 exist on this machine.
     pub fn new(options: &ParticipantOptions) -> Result<Self, MiddlewareError> {
+        Self::with(options, None)
+    }
+
+    /// Joins a domain with an engine that tells when it has lost touch.
+    ///
+    /// # Errors
+    /// As [`DdsParticipant::new`].
+    pub fn watched(options: &ParticipantOptions, trouble: TroubleSink) -> Result<Self, MiddlewareError> {
+        Self::with(options, Some(trouble))
+    }
+
+    fn with(options: &ParticipantOptions, trouble: Option<TroubleSink>) -> Result<Self, MiddlewareError> {
         let failed = |reason: String| MiddlewareError::Join { domain_id: options.domain_id, reason };
         let (participant, publisher, subscriber) = guarded("joining the domain", || {
             let mut builder = DomainParticipantBuilder::new(options.domain_id);
@@ -70,7 +85,8 @@ impl DdsParticipant {
             Ok((participant, publisher, subscriber))
         })?;
         let gid = matches::gid(participant.guid());
-        let matches = Arc::new(Mutex::new(Matches::new(gid)));
+        let watch = trouble.map(|sink| ReturnWatch::new(options.domain_id, sink));
+        let matches = Arc::new(Mutex::new(Matches::new(gid, watch)));
         let reader_thread = ReaderThread::start(gid, participant.status_listener(), Arc::clone(&matches))?;
         let first_fragments = FirstFragments::new().map_err(|error| failed(error.to_string()))?;
         let first_fragments = Arc::new(first_fragments);

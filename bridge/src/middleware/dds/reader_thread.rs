@@ -5,6 +5,7 @@
 use super::matches::gid;
 use super::payload::{ReceiveAny, ReceivedCdr};
 use super::{SharedMatches, lock};
+use crate::middleware::rejoining::Trouble;
 use crate::middleware::{Gid, Sample, SampleHandler, SampleIdentity};
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
 use rustdds::mio1::{Events, Interest, Poll, Registry, Token, Waker};
@@ -144,6 +145,7 @@ impl Served {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
                 Err(error) => {
                     tracing::error!(%error, "polling the DDS readers failed: nothing is received any more");
+                    lock(&self.matches).tell(Trouble::Engine(format!("polling failed: {error}")));
                     return;
                 }
             }
@@ -226,6 +228,7 @@ impl Served {
             tracing::error!(
                 "the DDS engine panicked during discovery: numbers of matched peers may be wrong"
             );
+            lock(&self.matches).tell(Trouble::Engine("it panicked during discovery".to_owned()));
         }
     }
 }

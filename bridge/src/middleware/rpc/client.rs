@@ -75,11 +75,19 @@ struct Shared {
     writer: Box<dyn Writer>,
     link: RpcLink,
     /// Held while a request is numbered and written: the number of the call must be known before its answer comes.
-    sending: Mutex<CallNumber>,
+    sending: Mutex<Sending>,
+    /// The identity of the reader of replies, by which servers name it.
+    reader: Mutex<Gid>,
     calls: Mutex<Calls>,
     /// Beside `changed`, which tells that matches have changed.
     waiting: Mutex<()>,
     changed: Condvar,
+}
+
+/// The endpoint that sends, which a participant that rejoins its domain gets anew, and the number of its last sample.
+struct Sending {
+    writer: Gid,
+    last: CallNumber,
 }
 
 #[derive(Default)]
@@ -115,27 +123,27 @@ impl RequestClient {
         let writer = middleware.create_writer(&service.requests())?;
         let shared = Arc::new(Shared {
             service: service.name.clone(),
-            writer,
             link: thread.link(),
-            sending: Mutex::new(0),
+            sending: Mutex::new(Sending { writer: writer.gid(), last: 0 }),
+            reader: Mutex::default(),
+            writer,
             calls: Mutex::default(),
             waiting: Mutex::default(),
             changed: Condvar::new(),
         });
         shared.link.watch(Arc::<Shared>::downgrade(&shared) as _);
         let weak = Arc::downgrade(&shared);
-        let reader_gid = Arc::new(std::sync::OnceLock::new());
         let incoming = {
-            let (shared, reader_gid) = (weak.clone(), Arc::clone(&reader_gid));
+            let shared = weak.clone();
             move |sample| {
                 if let Some(shared) = shared.upgrade() {
-                    shared.receive(reader_gid.get().copied(), sample);
+                    shared.receive(sample);
                 }
             }
         };
         let reader = middleware.create_reader(&reading(service.replies()), Box::new(incoming))?;
         // Nothing was asked yet, so no answer came before this.
-        let _ = reader_gid.set(reader.gid());
+        *lock(&shared.reader) = reader.gid();
         let on_match = move || {
             if let Some(shared) = weak.upgrade() {
                 drop(lock(&shared.waiting));
@@ -211,8 +219,9 @@ impl RequestClient {
         };
         let is_mixed = servers.iter().any(|other| Mapping::of(*other) != Mapping::of(server));
 
-        let mut last = lock(&shared.sending);
-        let number = *last + 1;
+        let mut sending = lock(&shared.sending);
+        self.begin_anew_if_rejoined(&mut sending);
+        let number = sending.last + 1;
         let (payload, related) = match Mapping::of(server) {
             Mapping::RelatedIdentity => {
                 let number = SampleIdentity::UNKNOWN_NUMBER;
@@ -240,8 +249,16 @@ impl RequestClient {
         };
         match written {
             Ok(written) => {
-                debug_assert_eq!(written, number, "only this client writes with its writer");
-                *last = written;
+                // Only this client writes with its writer: another number is that of a writer that came in between.
+                if written != number
+                    && let Some(call) = lock(&shared.calls).take(number)
+                {
+                    return Err((
+                        call.on_reply,
+                        CallError::Write { service: service(), error: WriteError::Away },
+                    ));
+                }
+                sending.last = written;
                 if is_first {
                     shared.link.look_again();
                 }
@@ -252,6 +269,16 @@ impl RequestClient {
                 // Its time was up already, and it was told so.
                 None => Ok(number),
             },
+        }
+    }
+
+    /// What was asked before the participant left its domain is not answered any more, and samples count from 1 again.
+    fn begin_anew_if_rejoined(&self, sending: &mut Sending) {
+        let writer = self.shared.writer.gid();
+        if sending.writer != writer {
+            *sending = Sending { writer, last: 0 };
+            *lock(&self.shared.reader) = self.reader.gid();
+            self.shared.end_calls(|service| CallError::Write { service, error: WriteError::Away });
         }
     }
 
@@ -266,20 +293,25 @@ impl RequestClient {
 
 impl Drop for RequestClient {
     fn drop(&mut self) {
-        let calls = std::mem::take(&mut *lock(&self.shared.calls));
-        for (_, call) in calls.by_number {
-            let error = CallError::Closed { service: self.shared.service.clone() };
-            self.shared.link.run(move || (call.on_reply)(Err(error)));
-        }
+        self.shared.end_calls(|service| CallError::Closed { service });
     }
 }
 
 impl Shared {
+    /// Answers all calls that wait with an error.
+    fn end_calls(&self, error: impl Fn(String) -> CallError) {
+        let calls = std::mem::take(&mut *lock(&self.calls));
+        for (_, call) in calls.by_number {
+            let error = error(self.service.clone());
+            self.link.run(move || (call.on_reply)(Err(error)));
+        }
+    }
+
     /// Takes a reply, if it is to a call of this client.
-    fn receive(&self, reader: Option<Gid>, sample: Sample) {
+    fn receive(&self, sample: Sample) {
         let (number, cdr) = match sample.related {
             Some(SampleIdentity { endpoint, number })
-                if Some(endpoint) == reader || endpoint == self.writer.gid() =>
+                if endpoint == *lock(&self.reader) || endpoint == self.writer.gid() =>
             {
                 (number, sample.cdr)
             }
