@@ -6,8 +6,10 @@ mod common;
 use common::rclpy::Peer;
 use common::{WATCHDOG, on_loopback, wait_until};
 use downbeat_bridge::ros::{Client, Node, NodeName, Participant, Reply, Service};
+use downbeat_msgs::Message;
 use downbeat_msgs::qos::QosProfile;
-use downbeat_msgs::sensor_msgs::srv::{SetCameraInfo, SetCameraInfoRequest};
+use downbeat_msgs::sensor_msgs::msg::Imu;
+use downbeat_msgs::sensor_msgs::srv::{SetCameraInfo, SetCameraInfoRequest, SetCameraInfoResponse};
 use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
 use serde_json::{Value, json};
 use std::sync::mpsc::channel;
@@ -145,4 +147,65 @@ fn the_first_answer_to_a_fresh_client_arrives() {
         let answer = client.call_and_wait(&SetBoolRequest { data: true }, Duration::from_secs(20));
         assert_eq!(answer.unwrap_or_else(|error| panic!("start {start}: {error}")).message, "data is True");
     }
+}
+
+#[test]
+fn large_requests_and_replies_pass_between_us_and_rclpy() {
+    let Some(mut rclpy) = Peer::start(58, "LOCALHOST") else { return };
+    let (_participant, node) = downbeat(58);
+    let echo = |request: SetCameraInfoRequest| SetCameraInfoResponse {
+        success: true,
+        status_message: request.camera_info.distortion_model,
+    };
+    let _service = node.serve::<SetCameraInfo>("/ours", QosProfile::SERVICES, echo).unwrap();
+    let client: Client<SetCameraInfo> = node.client("/theirs", QosProfile::SERVICES).unwrap();
+    let kind = "sensor_msgs/srv/SetCameraInfo";
+    rclpy.ask(json!({"do": "client", "service": "/ours", "type": kind}));
+    rclpy.ask(json!({"do": "serve", "service": "/theirs", "type": kind}));
+    assert_eq!(rclpy.ask(json!({"do": "wait_for_service", "service": "/ours"})), true);
+    assert!(client.wait_for_service(WATCHDOG));
+    // Around these lies what fits into one packet of an Ethernet.
+    for length in (850..1060).step_by(10).chain((1200..1400).step_by(7)).chain([2000, 20_000, 100_000]) {
+        let text: String = "0123456789".chars().cycle().take(length).collect();
+        let request = json!({"camera_info": {"distortion_model": text}});
+        let answers = rclpy.ask(json!({"do": "call", "service": "/ours", "requests": [request]}));
+        assert_eq!(answers, json!([{"success": true, "status_message": text}]), "{length} to rclpy");
+
+        let mut request = SetCameraInfoRequest::default();
+        request.camera_info.distortion_model = text.clone();
+        let answer = client.call_and_wait(&request, WATCHDOG).unwrap();
+        assert_eq!(answer.status_message, text, "{length} from rclpy");
+    }
+}
+
+#[test]
+fn rclpy_learns_from_us_what_a_type_looks_like() {
+    let Some(mut rclpy) = Peer::start(59, "LOCALHOST") else { return };
+    let (_participant, _node) = downbeat(59);
+    let name = "/robot/downbeat/get_type_description";
+    let kind = "type_description_interfaces/srv/GetTypeDescription";
+    rclpy.ask(json!({"do": "client", "service": name, "type": kind}));
+    assert_eq!(rclpy.ask(json!({"do": "wait_for_service", "service": name})), true);
+    // Its own answer to the same question, for a type it has in use.
+    rclpy.ask(json!({"do": "subscribe", "topic": "/imu", "type": Imu::TYPE_NAME}));
+    let own = "/peer/get_type_description";
+    rclpy.ask(json!({"do": "client", "service": own, "type": kind}));
+    let request = json!({"type_name": Imu::TYPE_NAME, "type_hash": Imu::TYPE_HASH});
+    let mut ask = |service: &str, requests: Value| {
+        rclpy.ask(json!({"do": "call", "service": service, "requests": requests}))
+    };
+    let (ours, theirs) = (ask(name, json!([request])), ask(own, json!([request])));
+    assert_eq!(ours[0]["successful"], true);
+    assert_eq!(ours[0]["type_description"], theirs[0]["type_description"]);
+    let names = |answer: &Value| {
+        let sources = answer[0]["type_sources"].as_array().unwrap().clone();
+        sources
+            .into_iter()
+            .map(|source| (source["type_name"].clone(), source["encoding"].clone()))
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(names(&ours), names(&theirs));
+
+    let unknown = json!([{"type_name": "a/msg/B", "type_hash": format!("RIHS01_{}", "0".repeat(64))}]);
+    assert_eq!(ask(name, unknown.clone()), ask(own, unknown));
 }

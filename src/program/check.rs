@@ -46,9 +46,31 @@ fn check_robot(path: &Path, arguments: &CheckArguments, ros: &RosArgs) -> anyhow
     core.topics().for_each(print_topic);
     println!("\nexposed to ROS 2 as node {}", file.node_name()?);
     print_exposed(&exposed, &file.node_name()?.to_string());
+    print_services(&robot)?;
     match &file.record.topics {
         None => println!("\nrecorded with --record: all topics"),
         Some(topics) => println!("\nrecorded with --record: {}", topics.join(", ")),
+    }
+    Ok(())
+}
+
+fn print_services(robot: &Robot) -> anyhow::Result<()> {
+    for offered in robot.service_exposures()? {
+        let ros_service = offered.ros_service.as_deref().unwrap_or(&offered.service);
+        println!("  service {} -> {ros_service} {}", offered.service, offered.service_type);
+    }
+    for called in robot.call_exposures()? {
+        let ros_service = called.ros_service.as_deref().unwrap_or(&called.service);
+        println!("  service {} <- {ros_service} {}", called.service, called.service_type);
+    }
+    let Some(exposure) = robot.parameter_exposure()? else { return Ok(()) };
+    for module in robot.core.modules() {
+        for setting in robot.core.settings(&module.name).unwrap_or_default() {
+            let name = format!("{}.{}", module.name, setting.name);
+            if exposure.settings.iter().any(|pattern| pattern.matches(&name)) {
+                println!("  parameter {name} = {}", setting.value);
+            }
+        }
     }
     Ok(())
 }

@@ -49,6 +49,8 @@ struct Bridge {
     _description: Option<RobotDescription>,
     /// Dropped before the node, so that the last lines are sent.
     _rosout: Option<RosoutPublisher>,
+    /// Answered until it is dropped.
+    _parameters: Option<expose::ParameterServices>,
     /// Its node is in the graph of ROS 2 until it is dropped.
     bridge: expose::Bridge,
 }
@@ -103,12 +105,21 @@ impl Session {
             };
             tracing::info!("exposed {arrow}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
         }
+        let (offered, called) = (self.robot.service_exposures()?, self.robot.call_exposures()?);
+        let services = expose::expose_services(&mut self.robot.core, &node, &offered, &called)?;
+        for (name, ..) in services.services() {
+            tracing::info!("exposed service: {name}");
+        }
+        let parameters = self.robot.parameter_exposure()?;
+        let parameters =
+            parameters.map(|exposure| expose::expose_parameters(&self.robot.core, &node, exposure));
         self.bridge = Some(Bridge {
             status: bridge.status(),
             title,
             _following: following,
             _description: description,
             _rosout: rosout,
+            _parameters: parameters.transpose()?,
             bridge,
         });
         Ok(())

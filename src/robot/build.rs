@@ -34,6 +34,9 @@ impl RobotFile {
         StepJournal::add(&mut core).map_err(|error| self.source.error(1, error.to_string()))?;
         let robot = Robot { file: self, core };
         robot.exposures()?;
+        robot.service_exposures()?;
+        robot.call_exposures()?;
+        robot.parameter_exposure()?;
         robot.recorded_topics()?;
         robot.file.robot_description()?;
         Ok(robot)

@@ -67,7 +67,10 @@
 //! | `deadline` | how long a run may take before it is reported | none |
 //!
 //! # `[expose]` and `[record]`
-//! - `[expose]`: topics that go `out` to ROS 2 or come `in`: each a name, a pattern, or a table, see below.
+//! - `[expose]`: topics that go `out` to ROS 2 or come `in`: each a name, a pattern, or a table, see below; `services` of
+//!   modules that ROS 2 may call, and `calls`, services of ROS 2 that modules call: each a name, or a table of `service`,
+//!   `as`, the name in ROS 2, `type`, needed where no module knows it, and `timeout`, how long its server may take (10 s);
+//!   `parameters`: settings that are parameters of the node, by name (`module.setting`) or pattern (`"*"` for all).
 //! - Also of `[expose]`: `rosout`, whether the log goes to `/rosout`, true unless given; `clock`, `"publish"` (or
 //!   `{ publish_hz = 100.0 }`, 40 unless given): the robot's time goes to `/clock`, or `"follow"`: the robot's time is that of
 //!   `/clock`, as with the parameter `use_sim_time`; `diagnostics`, whether the process tells of its modules and endpoints on the
@@ -129,6 +132,7 @@ mod file;
 mod kinds;
 mod parameters;
 mod ros_args;
+mod services;
 
 pub use build::Robot;
 pub use exposed::{ExposedEndpoint, ExposedQos, ExposedTraffic};

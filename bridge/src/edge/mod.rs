@@ -6,14 +6,21 @@
 //! - a subscription that hands out serialized messages ([`KnownType::subscribe`]),
 //! - an inlet that takes serialized messages ([`KnownType::inlet`]).
 //!
+//! A [`KnownService`] does the same for services: it calls those of modules with serialized requests, and lets modules call
+//! what is outside.
+//!
 //! Nothing here knows DDS.
 
+mod call;
 mod core_access;
 mod inlet;
+mod known_service;
 mod known_type;
 mod subscription;
 
+pub use call::{EncodedAnswer, EncodedCallError, EncodedCaller, Outlet, RemoteCall};
 pub use core_access::CoreAccess;
 pub use inlet::{EncodedInlet, EncodedInletError, Waiting};
+pub use known_service::{KnownService, UnknownService};
 pub use known_type::{KnownType, UnknownType};
 pub use subscription::{Offered, Sink};

@@ -64,6 +64,14 @@ pub enum ExposeError {
         /// Why not.
         error: NodeError,
     },
+    /// The ROS 2 endpoints of a service could not be created.
+    #[error("exposing service \"{service}\": {error}")]
+    Service {
+        /// The service in the executor.
+        service: String,
+        /// Why not.
+        error: NodeError,
+    },
     /// A message that came in would go out again, and reach those who heard it already.
     #[error(
         "topic \"{0}\" is exposed in both directions: what comes in would go out again; expose one of them under \

@@ -26,12 +26,16 @@ mod endpoints;
 mod exposure;
 mod limit;
 mod module;
+mod parameters;
 mod pattern;
+mod services;
 mod status;
 
 pub use bridge::{Bridge, expose};
 pub use exposure::{ExposeError, Exposure};
 pub use limit::{Limits, OfACycle};
 pub use module::MODULE_NAME;
+pub use parameters::{ParameterExposure, ParameterServices, ParametersError, expose_parameters};
 pub use pattern::{PatternError, TopicPattern};
+pub use services::{CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServicesStatus, expose_services};
 pub use status::{BridgeStatus, EndpointReport};

@@ -117,6 +117,11 @@ impl Traffic {
         self.skipped.fetch_add(1, Ordering::Relaxed);
     }
 
+    /// Messages and errors.
+    pub(super) fn totals(&self) -> (u64, u64) {
+        (self.messages.load(Ordering::Relaxed), self.errors.load(Ordering::Relaxed))
+    }
+
     pub(super) fn count_limited(&self) {
         self.limited.fetch_add(1, Ordering::Relaxed);
     }

@@ -8,6 +8,7 @@ mod qos;
 mod remap;
 mod service;
 mod service_name;
+mod type_description;
 
 pub use client::{Client, RawClient};
 pub use graph::{RemoteNode, RemoteTopic};

@@ -1,16 +1,20 @@
 //! A participant as ROS 2 sees it: nodes with publishers and subscriptions.
 
 use super::graph::{Graph, RemoteNode};
-use super::{MessageType, NameError, NodeName, QosRequest, RemapRules, ServiceName, TopicName};
-use crate::middleware::rpc::RpcThread;
+use super::{
+    MessageType, NameError, NodeName, QosRequest, RemapRules, ServiceName, ServiceType, TopicName,
+    type_description,
+};
+use crate::middleware::rpc::{RequestServer, RpcThread};
 use crate::middleware::{
     self, Direction, Endpoint, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader, RemoteEndpoint,
     SampleHandler, WriteError, Writer,
 };
 use bytes::Bytes;
 use downbeat_msgs::qos::QosProfile;
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use downbeat_msgs::type_description_interfaces::srv::GetTypeDescription;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use thiserror::Error;
 
 /// A node or one of its endpoints could not be created.
@@ -39,6 +43,8 @@ pub struct Participant {
 pub(super) struct Shared {
     // Fields drop in this order: the graph takes leave before the participant goes.
     graph: Graph,
+    /// What nodes offer by themselves. Here, since a service that its node held would keep the node.
+    own_services: Mutex<HashMap<NodeName, Vec<RequestServer>>>,
     pub(super) rpc: RpcThread,
     pub(super) middleware: Arc<dyn Middleware>,
     remaps: RemapRules,
@@ -77,14 +83,15 @@ impl Participant {
     /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
     pub fn on_with(middleware: Arc<dyn Middleware>, remaps: RemapRules) -> Result<Self, MiddlewareError> {
         let rpc = RpcThread::start().map_err(MiddlewareError::ServiceThread)?;
-        let (graph, nodes) = (Graph::join(&*middleware)?, Mutex::default());
-        Ok(Self { shared: Arc::new(Shared { graph, rpc, middleware, remaps, nodes }) })
+        let (graph, own_services, nodes) = (Graph::join(&*middleware)?, Mutex::default(), Mutex::default());
+        Ok(Self { shared: Arc::new(Shared { graph, own_services, rpc, middleware, remaps, nodes }) })
     }
 
-    /// Creates a node, under another name where a remapping rule says so.
+    /// Creates a node, under another name where a remapping rule says so. It offers the service
+    /// `~/get_type_description`, as all nodes of Jazzy do.
     ///
     /// # Errors
-    /// [`NodeError::Exists`] when this participant has a node of that name.
+    /// [`NodeError`] when this participant has a node of that name, or the engine refuses the service.
     pub fn create_node(&self, name: NodeName) -> Result<Node, NodeError> {
         let given = name;
         let name = self.shared.remaps.node(&given)?;
@@ -92,8 +99,10 @@ impl Participant {
             return Err(NodeError::Exists(name));
         }
         let membership = Arc::new(Membership { shared: Arc::clone(&self.shared), name });
-        self.shared.nodes().insert(given, Arc::downgrade(&membership));
-        Ok(Node { membership })
+        let node = Node { membership };
+        node.serve_own::<GetTypeDescription>(type_description::SERVICE, type_description::answer)?;
+        self.shared.nodes().insert(given, Arc::downgrade(&node.membership));
+        Ok(node)
     }
 
     /// The endpoints of other participants that are known at this moment.
@@ -129,10 +138,42 @@ impl Shared {
 impl Drop for Membership {
     fn drop(&mut self) {
         self.shared.graph.remove_node(&self.name);
+        let services = self.own_services().remove(&self.name);
+        // Not under the lock, which their going does not need.
+        drop(services);
+    }
+}
+
+impl Membership {
+    fn own_services(&self) -> MutexGuard<'_, HashMap<NodeName, Vec<RequestServer>>> {
+        self.shared.own_services.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Node {
+    /// Offers a service for as long as the node lives, without keeping it alive.
+    fn serve_own<S: downbeat_msgs::Service>(
+        &self,
+        service: &str,
+        answer: impl Fn(&S::Request) -> S::Response + Send + 'static,
+    ) -> Result<(), NodeError> {
+        let Membership { shared, name: node } = &*self.membership;
+        let name = self.service_name(service)?;
+        let endpoint = name.endpoint(&ServiceType::new(S::TYPE_NAME)?, QosProfile::SERVICES);
+        let on_request = super::service::typed::<S>(move |request, reply| {
+            let result = reply.send(&answer(&request));
+            if let Err(error) = result {
+                tracing::warn!(service = name.as_str(), "a request is not answered: {error}");
+            }
+        });
+        let server = RequestServer::new(&*shared.middleware, &shared.rpc, &endpoint, on_request)?;
+        let (reader, writer) = server.gids();
+        shared.graph.add_endpoint(node, Direction::In, reader);
+        shared.graph.add_endpoint(node, Direction::Out, writer);
+        self.membership.own_services().entry(node.clone()).or_default().push(server);
+        Ok(())
+    }
+
     /// Its namespace and name.
     #[must_use]
     pub fn name(&self) -> &NodeName {

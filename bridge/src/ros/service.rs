@@ -91,6 +91,19 @@ impl<S: downbeat_msgs::Service> Reply<S> {
     }
 }
 
+/// A handler of raw requests that reads them.
+pub(super) fn typed<S: downbeat_msgs::Service>(
+    mut on_request: impl FnMut(S::Request, Reply<S>) + Send + 'static,
+) -> RequestHandler {
+    Box::new(move |IncomingRequest { cdr, client, responder, .. }| match cdr::from_slice(&cdr) {
+        Ok(request) => on_request(request, Reply { responder, service: PhantomData }),
+        Err(error) => {
+            let type_name = S::TYPE_NAME;
+            tracing::warn!(%client, "a request is not answered: its bytes are no {type_name}: {error}");
+        }
+    })
+}
+
 impl Node {
     /// Offers a service whose requests are answered at once. `service` may be absolute, relative or private (`~/…`).
     /// `on_request` runs on the thread that the services and clients of the participant share, so it must return soon.
@@ -119,18 +132,9 @@ impl Node {
         &self,
         service: &str,
         qos: QosProfile,
-        mut on_request: impl FnMut(S::Request, Reply<S>) + Send + 'static,
+        on_request: impl FnMut(S::Request, Reply<S>) + Send + 'static,
     ) -> Result<Service, NodeError> {
-        let take = move |IncomingRequest { cdr, client, responder, .. }: IncomingRequest| {
-            match cdr::from_slice(&cdr) {
-                Ok(request) => on_request(request, Reply { responder, service: PhantomData }),
-                Err(error) => {
-                    let type_name = S::TYPE_NAME;
-                    tracing::warn!(%client, "a request is not answered: its bytes are no {type_name}: {error}");
-                }
-            }
-        };
-        self.serve_raw(service, &ServiceType::new(S::TYPE_NAME)?, qos, Box::new(take))
+        self.serve_raw(service, &ServiceType::new(S::TYPE_NAME)?, qos, typed::<S>(on_request))
     }
 
     /// Offers a service of a type that this program may not know: requests and replies are their bytes, encapsulation

@@ -14,6 +14,8 @@ import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import NodeNameNonExistentError
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
@@ -77,6 +79,7 @@ class Peer:
         self.received = {}
         self.services = {}
         self.clients = {}
+        self.parameter_clients = {}
         self.thread = threading.Thread(target=self.executor.spin)
         self.thread.start()
 
@@ -158,6 +161,19 @@ class Peer:
         for _ in futures:
             done.acquire(timeout=max(0.0, deadline - time.monotonic()))
         return [fields_of(future.result()) if future.done() else None for future in futures]
+
+    def parameters(self, node, call, argument):
+        """What `ros2 param` calls, through rclpy's client: the answer, or nothing in 20 s."""
+        client = self.parameter_clients.get(node)
+        if client is None:
+            client = self.parameter_clients[node] = AsyncParameterClient(self.node, node)
+        if not client.wait_for_services(timeout_sec=20.0):
+            return "no services"
+        if call.startswith("set"):
+            argument = [Parameter(name, value=value) for name, value in argument.items()]
+        done = threading.Event()
+        future = getattr(client, call)(argument, callback=lambda _: done.set())
+        return fields_of(future.result()) if done.wait(20.0) else None
 
     def services_and_types(self):
         return dict(self.node.get_service_names_and_types())

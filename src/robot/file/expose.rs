@@ -1,12 +1,16 @@
 //! `[expose]` of a robot file.
 
 mod qos;
+mod service;
 mod topic;
 
+pub use service::ServiceEntry;
 pub use topic::{Direction, ExposeEntry, TopicChoice};
 
+use downbeat_bridge::expose::TopicPattern;
+
 use super::table::{Table, Value};
-use super::{NodeFeatures, RobotFileError};
+use super::{Located, NodeFeatures, RobotFileError};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -15,9 +19,14 @@ type Result<T> = std::result::Result<T, RobotFileError>;
 pub struct ExposeSection {
     /// Topics out of the robot and into it.
     pub topics: Vec<ExposeEntry>,
+    /// Services of modules that ROS 2 may call.
+    pub services: Vec<ServiceEntry>,
+    /// Services of ROS 2 that modules call.
+    pub calls: Vec<ServiceEntry>,
+    /// Settings of modules that are parameters.
+    pub(crate) parameters: Vec<Located<TopicPattern>>,
     /// What the node has besides.
     pub features: NodeFeatures,
-    // One field for each of the other keys: services, calls, parameters.
 }
 
 /// Reads `out` and `in` alone.
@@ -31,9 +40,12 @@ pub(super) fn entries(mut table: Table<'_>) -> Result<Vec<ExposeEntry>> {
 pub(super) fn expose(value: Value<'_>) -> Result<ExposeSection> {
     let mut table = value.table("[expose]")?;
     let topics = topic::topics(&mut table)?;
+    let services = service::services(&mut table, "services")?;
+    let calls = service::services(&mut table, "calls")?;
+    let parameters = service::parameters(&mut table)?;
     let features = NodeFeatures::take(&mut table)?;
     table.finish()?;
-    Ok(ExposeSection { topics, features })
+    Ok(ExposeSection { topics, services, calls, parameters, features })
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@
 //! rustdds says much at ERROR about lost and repaired packets that is no error. It logs through the `log` crate under
 //! the target [`LOG_TARGET`]; programs set that to `off` unless asked otherwise.
 
+mod first_fragment;
 mod matches;
 mod payload;
 mod qos;
@@ -19,6 +20,7 @@ use super::{
     Reader, RemoteEndpoint, SampleHandler, Writer,
 };
 use downbeat_msgs::qos::Durability;
+use first_fragment::FirstFragments;
 use matches::{MatchedCount, Matches};
 use payload::{OutgoingBody, ReceiveAny, ReceivedCdr, SendLittleEndian};
 use reader_thread::{DdsDataReader, ReaderThread};
@@ -44,6 +46,7 @@ pub struct DdsParticipant {
     // Fields drop in this order: the thread holds the readers and a strong reference to the participant.
     reader_thread: ReaderThread,
     matches: SharedMatches,
+    first_fragments: Arc<FirstFragments>,
     publisher: rustdds::Publisher,
     subscriber: rustdds::Subscriber,
     participant: DomainParticipant,
@@ -85,7 +88,9 @@ impl DdsParticipant {
         let watch = trouble.map(|sink| ReturnWatch::new(options.domain_id, sink));
         let matches = Arc::new(Mutex::new(Matches::new(gid, watch)));
         let reader_thread = ReaderThread::start(gid, participant.status_listener(), Arc::clone(&matches))?;
-        Ok(Self { gid, reader_thread, matches, publisher, subscriber, participant })
+        let first_fragments = FirstFragments::new().map_err(|error| failed(error.to_string()))?;
+        let first_fragments = Arc::new(first_fragments);
+        Ok(Self { gid, reader_thread, matches, first_fragments, publisher, subscriber, participant })
     }
 
     fn topic(
@@ -115,8 +120,7 @@ impl Middleware for DdsParticipant {
             });
             created.map_err(|error| refused("writer", endpoint, &error))
         })?;
-        let gid = matches::gid(writer.guid());
-        Ok(Box::new(writer::DdsWriter::new(writer, gid, self.watch(gid), Arc::clone(&self.matches))))
+        Ok(Box::new(writer::DdsWriter::new(writer, self)))
     }
 
     fn create_reader(

@@ -1,21 +1,20 @@
 //! The writing side of the DDS engine.
 
-use super::matches::MatchedCount;
+use super::first_fragment::{Addresses, FirstFragments, LargeSample};
+use super::matches::{MatchedCount, gid};
 use super::payload::{OutgoingBody, SendLittleEndian};
-use super::{SharedMatches, lock};
+use super::{DdsParticipant, SharedMatches, lock};
 use crate::middleware::{Gid, MatchHandler, WriteError, WriteOptions, Writer};
 use bytes::Bytes;
 use rustdds::dds::WriteError as DdsWriteError;
-use rustdds::{GUID, SampleIdentity, Timestamp, WriteOptionsBuilder};
+use rustdds::{DomainParticipant, GUID, RTPSEntity, Timestamp, WriteOptionsBuilder};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// The longest payload with a related sample identity. rustdds 0.15.1 spoils the inline quality of service of a sample
-/// that it fragments (`messages/submessages/data_frag.rs` writes the tag of an `Option` before the parameter list; with
-/// debug assertions its event loop panics), and it fragments what does not fit into one packet of the network, 1500
-/// bytes on Ethernet. This is what is left of them beside a heartbeat and the headers.
-const MAX_RELATED_PAYLOAD: usize = 1396;
+/// The vendor id of rustdds, which takes what a sample is from its last fragment.
+const RUSTDDS: [u8; 2] = [0x01, 0x12];
 
 type DdsDataWriter = rustdds::no_key::DataWriter<OutgoingBody, SendLittleEndian>;
 
@@ -24,17 +23,58 @@ pub(super) struct DdsWriter {
     gid: Gid,
     matched: MatchedCount,
     matches: SharedMatches,
+    first_fragments: Arc<FirstFragments>,
+    participant: DomainParticipant,
+    /// The number of the last sample; held while a sample is written, since that of a large reply must be known before.
+    last: Mutex<i64>,
 }
 
 impl DdsWriter {
-    pub(super) fn new(
-        writer: DdsDataWriter,
-        gid: Gid,
-        matched: MatchedCount,
-        matches: SharedMatches,
-    ) -> Self {
-        Self { writer, gid, matched, matches }
+    pub(super) fn new(writer: DdsDataWriter, of: &DdsParticipant) -> Self {
+        let gid = gid(writer.guid());
+        Self {
+            writer,
+            gid,
+            matched: of.watch(gid),
+            matches: Arc::clone(&of.matches),
+            first_fragments: Arc::clone(&of.first_fragments),
+            participant: of.participant.clone(),
+            last: Mutex::new(0),
+        }
     }
+
+    /// Has the reader know to which sample a sample belongs that rustdds will fragment; makes sure that it will.
+    fn announce(
+        &self,
+        body: &mut OutgoingBody,
+        number: i64,
+        related: crate::middleware::SampleIdentity,
+        reader: Option<Gid>,
+    ) -> Result<Announced, WriteError> {
+        let too_large = |limit| WriteError::TooLargeToNameAnother { length: body.payload_length(), limit };
+        let limit = self.first_fragments.sizes().whole;
+        if body.payload_length() <= limit {
+            return Ok(Announced::Inline);
+        }
+        let reader = reader.filter(|reader| reader.vendor() != RUSTDDS).ok_or_else(|| too_large(limit))?;
+        let addresses = Addresses::of(&self.participant, reader);
+        let sizes = self.first_fragments.sizes_to(&addresses);
+        if body.payload_length() <= sizes.whole {
+            return Ok(Announced::Inline);
+        }
+        let too_large = too_large(sizes.whole);
+        body.pad_to(sizes.fragmented);
+        let sample = LargeSample { writer: self.gid, reader, number, related, body: body.as_slice() };
+        if self.first_fragments.send(&addresses, &sample) { Ok(Announced::Before) } else { Err(too_large) }
+    }
+}
+
+/// How a reader learns to which sample a sample belongs.
+enum Announced {
+    /// By the sample itself.
+    Inline,
+    /// By its first fragment, which was sent already.
+    Before,
 }
 
 impl Writer for DdsWriter {
@@ -55,24 +95,29 @@ impl Writer for DdsWriter {
     }
 
     fn write_with(&self, cdr: Bytes, options: WriteOptions) -> Result<i64, WriteError> {
-        let length = cdr.len();
-        let body = OutgoingBody::from_cdr(cdr)?;
-        if options.related.is_some() && length > MAX_RELATED_PAYLOAD {
-            return Err(WriteError::TooLargeToNameAnother { length, limit: MAX_RELATED_PAYLOAD });
+        let mut body = OutgoingBody::from_cdr(cdr)?;
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut related = options.related;
+        if let Some(identity) = related
+            && matches!(self.announce(&mut body, *last + 1, identity, options.only_to)?, Announced::Before)
+        {
+            related = None;
         }
-        let related = options.related.map(|related| SampleIdentity {
-            writer_guid: GUID::from_bytes(related.endpoint.0),
-            sequence_number: related.number.into(),
-        });
         let mut builder = WriteOptionsBuilder::new()
             .source_timestamp(Timestamp::now())
-            .related_sample_identity_opt(related);
+            .related_sample_identity_opt(related.map(|related| rustdds::SampleIdentity {
+                writer_guid: GUID::from_bytes(related.endpoint.0),
+                sequence_number: related.number.into(),
+            }));
         if let Some(reader) = options.only_to {
             builder = builder.to_single_reader(GUID::from_bytes(reader.0));
         }
         let write = || self.writer.write_with_options(body, builder.build());
         match catch_unwind(AssertUnwindSafe(write)) {
-            Ok(Ok(identity)) => Ok(identity.sequence_number.into()),
+            Ok(Ok(identity)) => {
+                *last = identity.sequence_number.into();
+                Ok(*last)
+            }
             Ok(Err(DdsWriteError::WouldBlock { .. })) => Err(WriteError::WindowFull),
             Ok(Err(error)) => Err(WriteError::Engine(error.forget_data().to_string())),
             Err(_) => Err(WriteError::Panicked),

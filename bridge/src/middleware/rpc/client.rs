@@ -73,8 +73,6 @@ pub struct RequestClient {
 struct Shared {
     service: String,
     writer: Box<dyn Writer>,
-    /// What `rmw_cyclonedds` calls the client guid.
-    header_id: u64,
     link: RpcLink,
     /// Held while a request is numbered and written: the number of the call must be known before its answer comes.
     sending: Mutex<Sending>,
@@ -125,7 +123,6 @@ impl RequestClient {
         let writer = middleware.create_writer(&service.requests())?;
         let shared = Arc::new(Shared {
             service: service.name.clone(),
-            header_id: header_id(writer.gid()),
             link: thread.link(),
             sending: Mutex::new(Sending { writer: writer.gid(), last: 0 }),
             reader: Mutex::default(),
@@ -230,7 +227,7 @@ impl RequestClient {
                 let number = SampleIdentity::UNKNOWN_NUMBER;
                 (cdr, Some(SampleIdentity { endpoint: self.reader.gid(), number }))
             }
-            Mapping::PayloadHeader => (PayloadHeader { client: shared.header_id, number }.put_on(&cdr), None),
+            Mapping::PayloadHeader => (PayloadHeader::of(shared.writer.gid(), number).put_on(&cdr), None),
         };
         let deadline = Instant::now() + timeout;
         let is_first = {
@@ -318,13 +315,14 @@ impl Shared {
             {
                 (number, sample.cdr)
             }
-            None if Mapping::of(sample.writer) == Mapping::PayloadHeader => {
-                match PayloadHeader::take_off(&sample.cdr) {
-                    Some((header, cdr)) if header.client == self.header_id => (header.number, cdr),
-                    _ => return,
+            // A server of this program answers so too where the reply is large.
+            None => match PayloadHeader::take_off(&sample.cdr) {
+                Some((header, cdr)) if header == PayloadHeader::of(self.writer.gid(), header.number) => {
+                    (header.number, cdr)
                 }
-            }
-            _ => return,
+                _ => return,
+            },
+            Some(_) => return,
         };
         if let Some(call) = lock(&self.calls).take(number) {
             self.link.run(move || (call.on_reply)(Ok(cdr)));
@@ -357,10 +355,4 @@ impl TimeLimited for Shared {
 /// Of servers that are asked in different ways only one can be: one that is asked as most are, the first by identity.
 fn preferred(servers: &[Gid]) -> Option<Gid> {
     servers.iter().copied().min_by_key(|server| (Mapping::of(*server) == Mapping::PayloadHeader, *server))
-}
-
-/// Eight bytes that tell this client from all others, of the sixteen of its writer.
-fn header_id(writer: Gid) -> u64 {
-    let whole = u128::from_be_bytes(writer.0);
-    (whole >> 64) as u64 ^ whole as u64
 }

@@ -35,6 +35,12 @@ pub(super) struct PayloadHeader {
 }
 
 impl PayloadHeader {
+    /// The header by which a client of this program knows its own request.
+    pub(super) fn of(client: Gid, number: i64) -> Self {
+        let whole = u128::from_be_bytes(client.0);
+        Self { client: (whole >> 64) as u64 ^ whole as u64, number }
+    }
+
     /// Takes the header off a payload of either byte order; nothing if the payload is too short to have one.
     pub(super) fn take_off(cdr: &Bytes) -> Option<(Self, Bytes)> {
         let (encapsulation, rest) = cdr.split_at_checked(ENCAPSULATION)?;
@@ -68,8 +74,10 @@ impl PayloadHeader {
 /// Where the reply to a request goes, and what it says there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct ReturnAddress {
-    /// The participant that asked.
-    pub(super) participant: [u8; 12],
+    /// Who asked.
+    pub(super) client: Gid,
+    /// The number of the request there.
+    pub(super) number: i64,
     /// The reader that waits, where the request names it.
     pub(super) reader: Option<Gid>,
     pub(super) label: Label,
@@ -85,10 +93,10 @@ pub(super) enum Label {
 /// The address of a request, and its payload without what belongs to the mapping; nothing if it is none.
 pub(super) fn request(sample: Sample) -> Option<(ReturnAddress, Bytes)> {
     let Sample { writer, sequence_number, related, cdr, .. } = sample;
-    let participant = writer.participant();
+    let address = |reader, label| ReturnAddress { client: writer, number: sequence_number, reader, label };
     if Mapping::of(writer) == Mapping::PayloadHeader {
         let (header, cdr) = PayloadHeader::take_off(&cdr)?;
-        return Some((ReturnAddress { participant, reader: None, label: Label::Header(header) }, cdr));
+        return Some((address(None, Label::Header(header)), cdr));
     }
     let own = SampleIdentity { endpoint: writer, number: sequence_number };
     let (identity, reader) = match related.filter(|related| related.endpoint != Gid::default()) {
@@ -99,7 +107,7 @@ pub(super) fn request(sample: Sample) -> Option<(ReturnAddress, Bytes)> {
         }
         Some(identity) => (identity, None),
     };
-    Some((ReturnAddress { participant, reader, label: Label::Related(identity) }, cdr))
+    Some((address(reader, Label::Related(identity)), cdr))
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The side that answers.
 
-use super::mapping::{Label, Mapping, ReturnAddress, request};
+use super::mapping::{Label, PayloadHeader, ReturnAddress, request};
 use super::thread::{RpcLink, RpcThread, TimeLimited};
 use super::{MAX_IN_FLIGHT, REPLY_HOLD, ServiceEndpoint, lock, of_participant, reading};
 use crate::middleware::{Gid, Middleware, MiddlewareError, Reader, Sample, WriteError, WriteOptions, Writer};
@@ -147,6 +147,18 @@ pub struct Responder {
 }
 
 impl Responder {
+    /// Has `encode` run and its result sent as the reply, on the thread of the handlers: for those whose own thread must
+    /// neither serialise nor write.
+    pub fn reply_later(self, encode: impl FnOnce() -> Bytes + Send + 'static) {
+        let Some(server) = self.server.upgrade() else { return };
+        server.link.run(move || {
+            let service = self.server.upgrade().map(|server| server.service.clone()).unwrap_or_default();
+            if let Err(error) = self.reply(encode()) {
+                tracing::warn!(service, "a request is not answered: {error}");
+            }
+        });
+    }
+
     /// Sends the reply: encapsulation header (little-endian) and body. Does not block: while the client is not matched
     /// the reply waits, for at most [`REPLY_HOLD`].
     ///
@@ -219,23 +231,30 @@ impl Shared {
         let readers = self.writer.matched_readers();
         match address.reader {
             Some(reader) => readers.contains(&reader),
-            None => of_participant(&readers, address.participant).is_some(),
+            None => of_participant(&readers, address.client.participant()).is_some(),
         }
     }
 
     fn send(&self, address: &ReturnAddress, cdr: &Bytes) -> Result<(), ReplyError> {
         let readers = self.writer.matched_readers();
-        let (payload, related) = match address.label {
-            Label::Related(identity) => (cdr.clone(), Some(identity)),
-            Label::Header(header) => (header.put_on(cdr), None),
+        let reader = address.reader.or_else(|| of_participant(&readers, address.client.participant()));
+        let write = |label| {
+            let (payload, related) = match label {
+                Label::Related(identity) => (cdr.clone(), Some(identity)),
+                Label::Header(header) => (header.put_on(cdr), None),
+            };
+            self.writer.write_with(payload, WriteOptions { related, only_to: reader })
         };
-        // A client keeps replies apart that are mapped as it expects, and may fail at another.
-        let first = readers.first().copied().map(Mapping::of);
-        let is_mixed = readers.iter().any(|reader| Some(Mapping::of(*reader)) != first);
-        let only_to =
-            address.reader.or_else(|| of_participant(&readers, address.participant)).filter(|_| is_mixed);
-        self.writer.write_with(payload, WriteOptions { related, only_to })?;
-        Ok(())
+        let written = match write(address.label) {
+            // A client of this program also knows its request as those of rmw_cyclonedds do.
+            Err(WriteError::TooLargeToNameAnother { .. })
+                if address.client.vendor() == self.writer.gid().vendor() =>
+            {
+                write(Label::Header(PayloadHeader::of(address.client, address.number)))
+            }
+            written => written,
+        };
+        written.map(drop).map_err(ReplyError::from)
     }
 
     fn send_held(&self) {

@@ -1,0 +1,309 @@
+//! What the parameters are, and what is answered.
+
+use super::value::{descriptor, from_message, to_message, type_of};
+use super::{ParameterExposure, ParametersError};
+use crate::expose::TopicPattern;
+use crate::ros::{MessageType, Node, NodeError, Publisher};
+use downbeat_executor::{Core, CoreHandle, SettingInfo, SettingRefused, SettingValue};
+use downbeat_msgs::builtin_interfaces::msg::Time;
+use downbeat_msgs::qos::QosProfile;
+use downbeat_msgs::rcl_interfaces::msg::{
+    ListParametersResult, Parameter as ParameterMessage, ParameterEvent, SetParametersResult,
+};
+use downbeat_msgs::rcl_interfaces::srv::{
+    DescribeParametersRequest, DescribeParametersResponse, GetParameterTypesRequest,
+    GetParameterTypesResponse, GetParametersRequest, GetParametersResponse, ListParametersRequest,
+    ListParametersResponse, SetParametersAtomicallyRequest, SetParametersAtomicallyResponse,
+    SetParametersRequest, SetParametersResponse,
+};
+use downbeat_msgs::{Message, cdr};
+use std::collections::BTreeMap;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// How long the core may take to tell values; it may be paused.
+const TELL: Duration = Duration::from_secs(1);
+/// How long a module may take to accept a value: a detached one does between two of its runs.
+const ACCEPT: Duration = Duration::from_secs(5);
+
+/// See the module.
+pub(super) struct Parameters {
+    core: CoreHandle,
+    node: String,
+    patterns: Vec<TopicPattern>,
+    events: Publisher,
+    /// Those of the node itself.
+    own: Shown,
+    shown: Shown,
+}
+
+type Shown = BTreeMap<String, Parameter>;
+
+#[derive(Clone, PartialEq)]
+struct Parameter {
+    /// Whose setting it is; nothing for a parameter of the node itself.
+    module: Option<String>,
+    info: SettingInfo,
+}
+
+impl Parameters {
+    pub(super) fn new(
+        core: &Core,
+        node: &Node,
+        exposure: ParameterExposure,
+    ) -> Result<Self, ParametersError> {
+        let event_type = MessageType::new(ParameterEvent::TYPE_NAME).map_err(NodeError::from)?;
+        let mut parameters = Self {
+            core: core.handle(),
+            node: node.name().to_string(),
+            patterns: exposure.settings,
+            events: node.publish("/parameter_events", &event_type, QosProfile::PARAMETER_EVENTS)?,
+            own: own(exposure.follows_clock),
+            shown: Shown::new(),
+        };
+        let modules = core.modules().into_iter().map(|module| module.name.to_string());
+        let settings: Vec<_> =
+            modules.filter_map(|name| core.settings(&name).map(|infos| (name, infos))).collect();
+        parameters.shown = parameters.select(settings);
+        Ok(parameters)
+    }
+
+    /// Tells listeners of the parameters there are.
+    pub(super) fn announce(&mut self) {
+        self.tell(&Shown::new());
+    }
+
+    /// Tells listeners, where there are some, what somebody else has changed.
+    pub(super) fn look_for_listeners(&mut self) {
+        if self.events.matched_subscriptions() > 0 {
+            self.refresh();
+        }
+    }
+
+    pub(super) fn get(&mut self, request: GetParametersRequest) -> GetParametersResponse {
+        self.refresh();
+        // As in rclcpp: nothing at all when one of them is not there.
+        let values = request.names.iter().map(|name| Some(to_message(&self.shown.get(name)?.info.value)));
+        GetParametersResponse { values: values.collect::<Option<_>>().unwrap_or_default() }
+    }
+
+    pub(super) fn types(&mut self, request: GetParameterTypesRequest) -> GetParameterTypesResponse {
+        self.refresh();
+        let types = request.names.iter().map(|name| Some(type_of(&self.shown.get(name)?.info.value)));
+        GetParameterTypesResponse { types: types.collect::<Option<_>>().unwrap_or_default() }
+    }
+
+    pub(super) fn describe(&mut self, request: DescribeParametersRequest) -> DescribeParametersResponse {
+        self.refresh();
+        let descriptors =
+            request.names.iter().map(|name| Some(descriptor(name, &self.shown.get(name)?.info)));
+        DescribeParametersResponse { descriptors: descriptors.collect::<Option<_>>().unwrap_or_default() }
+    }
+
+    pub(super) fn list(&mut self, request: ListParametersRequest) -> ListParametersResponse {
+        self.refresh();
+        let ListParametersRequest { prefixes, depth } = request;
+        let names = self.shown.keys().filter(|name| is_listed(name, &prefixes, depth));
+        let mut result = ListParametersResult { names: names.cloned().collect(), prefixes: Vec::new() };
+        for name in &result.names {
+            if let Some((prefix, _)) = name.rsplit_once('.')
+                && !result.prefixes.iter().any(|known| known == prefix)
+            {
+                result.prefixes.push(prefix.to_owned());
+            }
+        }
+        ListParametersResponse { result }
+    }
+
+    pub(super) fn set(&mut self, request: SetParametersRequest) -> SetParametersResponse {
+        self.refresh();
+        let results = request.parameters.into_iter().map(|parameter| answer(self.set_one(parameter)));
+        let response = SetParametersResponse { results: results.collect() };
+        self.refresh();
+        response
+    }
+
+    pub(super) fn set_atomically(
+        &mut self,
+        request: SetParametersAtomicallyRequest,
+    ) -> SetParametersAtomicallyResponse {
+        self.refresh();
+        let before = self.shown.clone();
+        let mut names: Vec<String> = Vec::new();
+        let mut result = Ok(());
+        for parameter in request.parameters {
+            let name = parameter.name.clone();
+            result = self.set_one(parameter);
+            if result.is_err() {
+                break;
+            }
+            names.push(name);
+        }
+        if result.is_err() {
+            // In the reverse order, so that a value that was set twice ends as it began.
+            for name in names.iter().rev() {
+                if let Some(Parameter { module: Some(module), info }) = before.get(name)
+                    && let Err(reason) = self.ask(module, &info.name, info.value.clone())
+                {
+                    tracing::warn!("parameter {name} could not be set back: {reason}");
+                }
+            }
+        }
+        self.refresh();
+        SetParametersAtomicallyResponse { result: answer(result) }
+    }
+
+    /// # Errors
+    /// Why the value is not accepted.
+    fn set_one(&self, message: ParameterMessage) -> Result<(), String> {
+        let ParameterMessage { name, value } = message;
+        let Some(Parameter { module, info }) = self.shown.get(&name) else {
+            return Err(format!("parameter '{name}' cannot be set because it was not declared"));
+        };
+        if info.is_read_only {
+            return Err(format!("parameter '{name}' cannot be set because it is read-only"));
+        }
+        let value = from_message(value)?;
+        match module {
+            Some(module) => self.ask(module, &info.name, value),
+            None if value == info.value => Ok(()),
+            None => Err(format!(
+                "parameter '{name}' is {} while the robot runs: its robot file says which clock it follows",
+                info.value
+            )),
+        }
+    }
+
+    fn ask(&self, module: &str, setting: &str, value: SettingValue) -> Result<(), String> {
+        match self.core.set(module, setting, value).wait(ACCEPT) {
+            Some(Ok(())) => Ok(()),
+            Some(Err(SettingRefused::Refused { reason, .. })) => Err(reason),
+            Some(Err(error)) => Err(error.to_string()),
+            None => Err(format!("module \"{module}\" did not say within {ACCEPT:?} whether it accepts it")),
+        }
+    }
+
+    /// Asks the core for all values, and tells listeners what has changed. Where it does not answer, what was known stays.
+    fn refresh(&mut self) {
+        let Some(modules) = self.core.modules().wait(TELL) else { return };
+        let asked: Vec<_> = modules
+            .iter()
+            .map(|module| (module.name.to_string(), self.core.settings(&module.name)))
+            .collect();
+        let told = asked.into_iter().map(|(name, receipt)| {
+            let known = || {
+                let of_module =
+                    self.shown.values().filter(|parameter| parameter.module.as_ref() == Some(&name));
+                of_module.map(|parameter| parameter.info.clone()).collect()
+            };
+            let infos = receipt.wait(TELL).map_or_else(known, Option::unwrap_or_default);
+            (name, infos)
+        });
+        let told = told.collect();
+        let shown = self.select(told);
+        let before = std::mem::replace(&mut self.shown, shown);
+        self.tell(&before);
+    }
+
+    fn select(&self, settings: Vec<(String, Vec<SettingInfo>)>) -> Shown {
+        let mut shown = self.own.clone();
+        for (module, infos) in settings {
+            for info in infos {
+                let name = format!("{module}.{}", info.name);
+                if self.patterns.iter().any(|pattern| pattern.matches(&name)) {
+                    shown.insert(name, Parameter { module: Some(module.clone()), info });
+                }
+            }
+        }
+        shown
+    }
+
+    /// Tells listeners how the parameters differ from what they were.
+    fn tell(&self, before: &Shown) {
+        let message = |(name, parameter): (&String, &Parameter)| ParameterMessage {
+            name: name.clone(),
+            value: to_message(&parameter.info.value),
+        };
+        let is_new = |(name, _): &(&String, &Parameter)| !before.contains_key(*name);
+        let is_changed = |(name, parameter): &(&String, &Parameter)| {
+            before.get(*name).is_some_and(|before| before.info.value != parameter.info.value)
+        };
+        let is_gone = |(name, _): &(&String, &Parameter)| !self.shown.contains_key(*name);
+        let event = ParameterEvent {
+            stamp: now(),
+            node: self.node.clone(),
+            new_parameters: self.shown.iter().filter(is_new).map(message).collect(),
+            changed_parameters: self.shown.iter().filter(is_changed).map(message).collect(),
+            deleted_parameters: before.iter().filter(is_gone).map(message).collect(),
+        };
+        let is_empty = event.new_parameters.is_empty()
+            && event.changed_parameters.is_empty()
+            && event.deleted_parameters.is_empty();
+        if !is_empty && let Err(error) = self.events.publish(cdr::to_vec(&event).into()) {
+            tracing::warn!(%error, "a change of parameters was not told");
+        }
+    }
+}
+
+/// What every node of rclcpp declares.
+fn own(follows_clock: bool) -> Shown {
+    let declare = |name: &str, description: &str, value: bool, is_read_only| {
+        let info = SettingInfo {
+            name: name.to_owned(),
+            description: description.to_owned(),
+            value: value.into(),
+            range: None,
+            is_read_only,
+        };
+        (name.to_owned(), Parameter { module: None, info })
+    };
+    let service = "Start the ~/get_type_description service for this node.";
+    Shown::from([
+        declare("start_type_description_service", service, true, true),
+        declare("use_sim_time", "Follow the time on /clock.", follows_clock, false),
+    ])
+}
+
+fn answer(result: Result<(), String>) -> SetParametersResult {
+    SetParametersResult { successful: result.is_ok(), reason: result.err().unwrap_or_default() }
+}
+
+/// The rule of `NodeParameters::list_parameters`.
+fn is_listed(name: &str, prefixes: &[String], depth: u64) -> bool {
+    let is_within = |rest: &str| {
+        depth == ListParametersRequest::DEPTH_RECURSIVE || (rest.matches('.').count() as u64) < depth
+    };
+    if prefixes.is_empty() {
+        return is_within(name);
+    }
+    prefixes.iter().any(|prefix| {
+        name == prefix
+            || name
+                .strip_prefix(prefix.as_str())
+                .and_then(|rest| rest.strip_prefix('.'))
+                .is_some_and(is_within)
+    })
+}
+
+fn now() -> Time {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    Time { sec: i32::try_from(now.as_secs()).unwrap_or(i32::MAX), nanosec: now.subsec_nanos() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_listed;
+
+    #[test]
+    fn parameters_are_listed_by_prefix_and_depth_as_in_rclcpp() {
+        let listed = |prefixes: &[&str], depth| {
+            let prefixes: Vec<_> = prefixes.iter().map(|prefix| (*prefix).to_owned()).collect();
+            let names = ["use_sim_time", "arm.gain", "arm.left.gain", "armature.x"];
+            names.into_iter().filter(|name| is_listed(name, &prefixes, depth)).collect::<Vec<_>>()
+        };
+        assert_eq!(listed(&[], 0).len(), 4);
+        assert_eq!(listed(&[], 1), ["use_sim_time"]);
+        assert_eq!(listed(&["arm"], 0), ["arm.gain", "arm.left.gain"]);
+        assert_eq!(listed(&["arm"], 1), ["arm.gain"]);
+        assert_eq!(listed(&["use_sim_time", "arm.left"], 1), ["use_sim_time", "arm.left.gain"]);
+    }
+}

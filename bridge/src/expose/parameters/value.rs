@@ -1,0 +1,108 @@
+//! Values and kinds of settings as those of parameters.
+
+use downbeat_executor::{SettingInfo, SettingValue};
+use downbeat_msgs::rcl_interfaces::msg::{
+    FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType, ParameterValue,
+};
+
+pub(super) fn to_message(value: &SettingValue) -> ParameterValue {
+    let mut message = ParameterValue { r#type: type_of(value), ..ParameterValue::default() };
+    match value.clone() {
+        SettingValue::Bool(value) => message.bool_value = value,
+        SettingValue::Integer(value) => message.integer_value = value,
+        SettingValue::Double(value) => message.double_value = value,
+        SettingValue::Text(value) => message.string_value = value,
+        SettingValue::Integers(values) => message.integer_array_value = values,
+        SettingValue::Doubles(values) => message.double_array_value = values,
+        SettingValue::Texts(values) => message.string_array_value = values,
+    }
+    message
+}
+
+pub(super) fn type_of(value: &SettingValue) -> u8 {
+    match value {
+        SettingValue::Bool(_) => ParameterType::PARAMETER_BOOL,
+        SettingValue::Integer(_) => ParameterType::PARAMETER_INTEGER,
+        SettingValue::Double(_) => ParameterType::PARAMETER_DOUBLE,
+        SettingValue::Text(_) => ParameterType::PARAMETER_STRING,
+        SettingValue::Integers(_) => ParameterType::PARAMETER_INTEGER_ARRAY,
+        SettingValue::Doubles(_) => ParameterType::PARAMETER_DOUBLE_ARRAY,
+        SettingValue::Texts(_) => ParameterType::PARAMETER_STRING_ARRAY,
+    }
+}
+
+/// The value of a parameter for a setting.
+///
+/// # Errors
+/// What is wrong with it: settings are always set, and hold neither bytes nor lists of truth values.
+pub(super) fn from_message(message: ParameterValue) -> Result<SettingValue, String> {
+    Ok(match message.r#type {
+        ParameterType::PARAMETER_NOT_SET => return Err("a setting of a module cannot be removed".to_owned()),
+        ParameterType::PARAMETER_BOOL => SettingValue::Bool(message.bool_value),
+        ParameterType::PARAMETER_INTEGER => SettingValue::Integer(message.integer_value),
+        ParameterType::PARAMETER_DOUBLE => SettingValue::Double(message.double_value),
+        ParameterType::PARAMETER_STRING => SettingValue::Text(message.string_value),
+        ParameterType::PARAMETER_INTEGER_ARRAY => SettingValue::Integers(message.integer_array_value),
+        ParameterType::PARAMETER_DOUBLE_ARRAY => SettingValue::Doubles(message.double_array_value),
+        ParameterType::PARAMETER_STRING_ARRAY => SettingValue::Texts(message.string_array_value),
+        ParameterType::PARAMETER_BYTE_ARRAY => return Err("no setting is a list of bytes".to_owned()),
+        ParameterType::PARAMETER_BOOL_ARRAY => return Err("no setting is a list of truth values".to_owned()),
+        unknown => return Err(format!("{unknown} is no type of a parameter")),
+    })
+}
+
+pub(super) fn descriptor(name: &str, info: &SettingInfo) -> ParameterDescriptor {
+    let mut descriptor = ParameterDescriptor {
+        name: name.to_owned(),
+        r#type: type_of(&info.value),
+        description: info.description.clone(),
+        read_only: info.is_read_only,
+        ..ParameterDescriptor::default()
+    };
+    if let Some(range) = &info.range {
+        let (from, to) = (*range.start(), *range.end());
+        match info.value {
+            // A step of 0 means that there is none.
+            SettingValue::Integer(_) | SettingValue::Integers(_) => {
+                let (from_value, to_value) = (from.ceil() as i64, to.floor() as i64);
+                descriptor.integer_range = vec![IntegerRange { from_value, to_value, step: 0 }];
+            }
+            _ => {
+                let (from_value, to_value) = (from, to);
+                descriptor.floating_point_range =
+                    vec![FloatingPointRange { from_value, to_value, step: 0.0 }];
+            }
+        }
+    }
+    descriptor
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_value_survives_as_a_parameter() {
+        let values: [SettingValue; 7] = [
+            true.into(),
+            7_i64.into(),
+            0.5.into(),
+            "text".to_owned().into(),
+            vec![1_i64, 2].into(),
+            vec![0.5, -1.0].into(),
+            vec!["a".to_owned()].into(),
+        ];
+        for value in values {
+            assert_eq!(from_message(to_message(&value)), Ok(value));
+        }
+    }
+
+    #[test]
+    fn what_no_setting_holds_is_refused_with_the_reason() {
+        for (kind, word) in [(0, "removed"), (5, "bytes"), (6, "truth"), (10, "no type")] {
+            let message = ParameterValue { r#type: kind, ..ParameterValue::default() };
+            assert!(from_message(message).unwrap_err().contains(word));
+        }
+    }
+}

@@ -1,0 +1,220 @@
+//! Services of modules offered to ROS 2, and services of ROS 2 that modules call.
+
+use super::ExposeError;
+use super::status::Traffic;
+use crate::edge::{EncodedCallError, EncodedCaller, KnownService, Outlet, RemoteCall};
+use crate::middleware::rpc::IncomingRequest;
+use crate::ros::{Node, NodeError, RawClient, Service, ServiceType};
+use bytes::Bytes;
+use downbeat_executor::{
+    CallError, Context, Core, Inbox, Module, ModuleOptions, Role, Setup, SetupError, Synchrony,
+};
+use downbeat_msgs::cdr;
+use downbeat_msgs::qos::QosProfile;
+use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolResponse, Trigger, TriggerResponse};
+use std::num::NonZeroUsize;
+use std::sync::{Arc, Weak};
+use std::time::Duration;
+
+/// The name under which what serves the services of ROS 2 joins a core.
+pub const SERVICES_MODULE_NAME: &str = "bridge_services";
+
+/// Answers that wait while the module is busy; more than may be in flight.
+const INBOX: NonZeroUsize = NonZeroUsize::new(4096).unwrap();
+
+/// A service of modules to offer to ROS 2.
+#[derive(Clone, Debug)]
+pub struct ServiceExposure {
+    /// The service in the executor.
+    pub service: String,
+    /// The service in ROS 2 where it differs: absolute, relative to the node's namespace, or private (`~/…`).
+    pub ros_service: Option<String>,
+    /// The type of the service.
+    pub service_type: KnownService,
+    /// How long the module may take.
+    pub timeout: Duration,
+}
+
+/// A service of ROS 2 that modules call.
+#[derive(Clone, Debug)]
+pub struct CallExposure {
+    /// The service in the executor.
+    pub service: String,
+    /// The service in ROS 2 where it differs.
+    pub ros_service: Option<String>,
+    /// The type of the service.
+    pub service_type: KnownService,
+    /// How long the server in ROS 2 may take.
+    pub timeout: Duration,
+}
+
+/// What the services are doing, for a status display on another thread. It keeps no endpoint alive.
+#[derive(Clone, Default)]
+pub struct ServicesStatus {
+    services: Arc<[ServiceStatus]>,
+}
+
+struct ServiceStatus {
+    name: String,
+    traffic: Arc<Traffic>,
+    endpoint: WeakService,
+}
+
+enum WeakService {
+    Offered(Weak<Service>),
+    Called(Weak<RawClient>),
+}
+
+impl ServicesStatus {
+    /// Each service of ROS 2: its name, whether a peer is matched, calls with and without an answer.
+    #[must_use]
+    pub fn services(&self) -> Vec<(String, bool, u64, u64)> {
+        let report = |status: &ServiceStatus| {
+            let is_matched = match &status.endpoint {
+                WeakService::Offered(service) => service.upgrade().is_some_and(|s| s.matched_clients() > 0),
+                WeakService::Called(client) => client.upgrade().is_some_and(|client| client.is_available()),
+            };
+            let (answered, failed) = status.traffic.totals();
+            (status.name.clone(), is_matched, answered, failed)
+        };
+        self.services.iter().map(report).collect()
+    }
+}
+
+/// Offers services of modules on `node`, and adds the detached observer [`SERVICES_MODULE_NAME`] to `core`, which serves
+/// those that modules call.
+///
+/// ROS 2 has no word for a request that is refused. `std_srvs/srv/SetBool` and `Trigger` are then answered with
+/// `success: false` and the reason as message; a request of another type is not answered, and the reason is in the log.
+///
+/// The endpoints go when the core stops.
+///
+/// # Errors
+/// [`ExposeError`] when a service cannot be exposed.
+pub fn expose_services(
+    core: &mut Core,
+    node: &Node,
+    offered: &[ServiceExposure],
+    called: &[CallExposure],
+) -> Result<ServicesStatus, ExposeError> {
+    let mut module = Services::default();
+    let mut statuses = Vec::new();
+    for exposure in offered {
+        let traffic = Arc::<Traffic>::default();
+        let caller = exposure.service_type.caller(core, &exposure.service)?;
+        let service = offer(node, exposure, caller, Arc::clone(&traffic))
+            .map_err(|error| failed(&exposure.service, error))?;
+        let (name, service) = (service.name().to_string(), Arc::new(service));
+        statuses.push(ServiceStatus {
+            name,
+            traffic,
+            endpoint: WeakService::Offered(Arc::downgrade(&service)),
+        });
+        module.offered.push(service);
+    }
+    for exposure in called {
+        let traffic = Arc::<Traffic>::default();
+        let client = client(node, exposure).map_err(|error| failed(&exposure.service, error))?;
+        let (name, client) = (client.name().to_string(), Arc::new(client));
+        let endpoint = WeakService::Called(Arc::downgrade(&client));
+        let call = ToRos { client, timeout: exposure.timeout, traffic: Arc::clone(&traffic) };
+        module.outlets.push(exposure.service_type.outlet(core, &exposure.service, call)?);
+        statuses.push(ServiceStatus { name, traffic, endpoint });
+    }
+    let options = ModuleOptions {
+        synchrony: Synchrony::Detached(Inbox::KeepLast(INBOX)),
+        role: Role::Observer,
+        ..ModuleOptions::default()
+    };
+    core.add_with(SERVICES_MODULE_NAME, module, options)?;
+    Ok(ServicesStatus { services: statuses.into() })
+}
+
+#[derive(Default)]
+struct Services {
+    offered: Vec<Arc<Service>>,
+    outlets: Vec<Outlet>,
+}
+
+impl Module for Services {
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        self.outlets.drain(..).try_for_each(|outlet| KnownService::serve(setup, outlet))
+    }
+
+    fn shutdown(&mut self, _ctx: &mut Context<'_>) {
+        self.offered.clear();
+    }
+}
+
+fn offer(
+    node: &Node,
+    exposure: &ServiceExposure,
+    caller: EncodedCaller,
+    traffic: Arc<Traffic>,
+) -> Result<Service, NodeError> {
+    let name = exposure.ros_service.as_deref().unwrap_or(&exposure.service);
+    let (service_type, timeout) = (exposure.service_type, exposure.timeout);
+    let on_request = move |IncomingRequest { cdr, responder, .. }: IncomingRequest| {
+        let traffic = Arc::clone(&traffic);
+        caller.call(&cdr, timeout, move |result| {
+            let outcome = result.as_ref().map(drop).map_err(ToString::to_string);
+            if traffic.count(&outcome)
+                && let Err(error) = outcome
+            {
+                tracing::warn!("a request of ROS 2 was refused: {error}; from now on this is only counted");
+            }
+            match result {
+                // On the thread of the core, which neither serialises nor writes.
+                Ok(answer) => responder.reply_later(|| answer.into_cdr().into()),
+                Err(error) => {
+                    if let Some(refusal) = refusal(service_type, &error) {
+                        responder.reply_later(|| refusal);
+                    }
+                }
+            }
+        });
+    };
+    node.serve_raw(name, &ServiceType::new(service_type.name())?, QosProfile::SERVICES, Box::new(on_request))
+}
+
+/// The answer that says no, where the type has one.
+fn refusal(service_type: KnownService, error: &EncodedCallError) -> Option<Bytes> {
+    let message = match error {
+        EncodedCallError::Call(CallError::Refused { reason, .. }) => reason.clone(),
+        error => error.to_string(),
+    };
+    use downbeat_msgs::Service as _;
+    match service_type.name() {
+        SetBool::TYPE_NAME => Some(cdr::to_vec(&SetBoolResponse { success: false, message }).into()),
+        Trigger::TYPE_NAME => Some(cdr::to_vec(&TriggerResponse { success: false, message }).into()),
+        _ => None,
+    }
+}
+
+fn client(node: &Node, exposure: &CallExposure) -> Result<RawClient, NodeError> {
+    let name = exposure.ros_service.as_deref().unwrap_or(&exposure.service);
+    node.client_raw(name, &ServiceType::new(exposure.service_type.name())?, QosProfile::SERVICES)
+}
+
+/// Passes the calls of modules on.
+struct ToRos {
+    client: Arc<RawClient>,
+    timeout: Duration,
+    traffic: Arc<Traffic>,
+}
+
+impl RemoteCall for ToRos {
+    fn call(&mut self, request: Bytes, on_answer: Box<dyn FnOnce(Result<Bytes, String>) + Send>) {
+        let traffic = Arc::clone(&self.traffic);
+        self.client.call(request, self.timeout, move |result| {
+            let result = result.map_err(|error| error.to_string());
+            // The module that called is told; it says what it thinks worth a word.
+            traffic.count(&result.as_ref().map(drop));
+            on_answer(result);
+        });
+    }
+}
+
+fn failed(service: &str, error: NodeError) -> ExposeError {
+    ExposeError::Service { service: service.to_owned(), error }
+}

@@ -1,0 +1,175 @@
+//! `~/get_type_description`, which every node offers: what a type looks like, for those that meet it for the first time.
+//!
+//! As `rcl_node_type_description_service_handle_request` (`rcl/src/rcl/node.c`, branch jazzy) answers, but for all types
+//! this program was compiled with, not only those the node uses now.
+
+use downbeat_msgs::type_description_interfaces::msg::{TypeDescription, TypeSource};
+use downbeat_msgs::type_description_interfaces::srv::{
+    GetTypeDescriptionRequest, GetTypeDescriptionResponse,
+};
+use std::collections::HashMap;
+use std::sync::LazyLock;
+
+/// The name of the service.
+pub(super) const SERVICE: &str = "~/get_type_description";
+
+/// The answer to a request.
+pub(super) fn answer(request: &GetTypeDescriptionRequest) -> GetTypeDescriptionResponse {
+    let refuse = |reason: &str| GetTypeDescriptionResponse {
+        failure_reason: reason.to_owned(),
+        ..GetTypeDescriptionResponse::default()
+    };
+    if !is_hash(&request.type_hash) {
+        return refuse("Failed to parse type hash");
+    }
+    let Some(known) = KNOWN.get(request.type_hash.as_str()) else {
+        return refuse("Type not currently in use by this node");
+    };
+    let type_description = (known.describe)();
+    let type_sources =
+        if request.include_type_sources { sources(known, &type_description) } else { Vec::new() };
+    GetTypeDescriptionResponse {
+        successful: true,
+        type_description,
+        type_sources,
+        ..GetTypeDescriptionResponse::default()
+    }
+}
+
+struct Known {
+    name: &'static str,
+    definition: &'static str,
+    describe: fn() -> TypeDescription,
+}
+
+/// By hash.
+static KNOWN: LazyLock<HashMap<&'static str, Known>> = LazyLock::new(|| {
+    macro_rules! known {
+        ($kind:ident: $($path:ty),*) => {
+            vec![$((<$path as downbeat_msgs::$kind>::TYPE_HASH, Known {
+                name: <$path as downbeat_msgs::$kind>::TYPE_NAME,
+                definition: <$path as downbeat_msgs::$kind>::DEFINITION,
+                describe: <$path as downbeat_msgs::$kind>::type_description,
+            })),*]
+        };
+    }
+    macro_rules! messages { ($($path:ty),* $(,)?) => { known!(Message: $($path),*) }; }
+    macro_rules! services { ($($path:ty),* $(,)?) => { known!(Service: $($path),*) }; }
+    macro_rules! actions { ($($path:ty),* $(,)?) => { known!(Action: $($path),*) }; }
+    let messages: Vec<(&str, Known)> = downbeat_msgs::for_each_message!(messages);
+    let services: Vec<(&str, Known)> = downbeat_msgs::for_each_service!(services);
+    let actions: Vec<(&str, Known)> = downbeat_msgs::for_each_action!(actions);
+    messages.into_iter().chain(services).chain(actions).collect()
+});
+
+fn is_hash(text: &str) -> bool {
+    text.strip_prefix("RIHS01_")
+        .is_some_and(|digits| digits.len() == 64 && digits.bytes().all(|digit| digit.is_ascii_hexdigit()))
+}
+
+/// The definitions of the type and of all that it refers to, the type itself first, the others in the order of their names.
+/// What is no file of its own, such as the request of a service, has no text: rosidl calls that implicit.
+fn sources(known: &Known, described: &TypeDescription) -> Vec<TypeSource> {
+    let texts = texts(known);
+    let names = described.referenced_type_descriptions.iter().map(|referenced| referenced.type_name.as_str());
+    std::iter::once(known.name)
+        .chain(names)
+        .map(|name| {
+            let found = texts.get(name);
+            TypeSource {
+                type_name: name.to_owned(),
+                encoding: found.map_or("implicit", |(encoding, _)| *encoding).to_owned(),
+                raw_file_contents: found.map(|(_, text)| (*text).to_owned()).unwrap_or_default(),
+            }
+        })
+        .collect()
+}
+
+/// The parts of a definition text: encoding and text by name of the type.
+fn texts(known: &Known) -> HashMap<String, (&'static str, &'static str)> {
+    let rule = "=".repeat(80) + "\n";
+    let mut texts = HashMap::new();
+    for part in known.definition.split(rule.as_str()) {
+        let headed = part.split_once('\n').and_then(|(header, text)| {
+            let (kind, name) = header.split_once(": ")?;
+            let encoding = match kind {
+                "MSG" => "msg",
+                "SRV" => "srv",
+                "ACTION" => "action",
+                _ => return None,
+            };
+            // A message is named without its kind: `std_msgs/Header`.
+            let (package, short) = name.split_once('/')?;
+            let short = short.rsplit('/').next()?;
+            Some((format!("{package}/{encoding}/{short}"), (encoding, text)))
+        });
+        match headed {
+            Some((name, text)) => drop(texts.insert(name, text)),
+            // The text of a message comes first, without a header.
+            None if !part.is_empty() && known.name.contains("/msg/") => {
+                texts.insert(known.name.to_owned(), ("msg", part));
+            }
+            None => {}
+        }
+    }
+    texts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use downbeat_msgs::Message;
+    use downbeat_msgs::Service;
+    use downbeat_msgs::sensor_msgs::msg::Imu;
+    use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest};
+
+    fn asked(type_hash: &str) -> GetTypeDescriptionResponse {
+        answer(&GetTypeDescriptionRequest {
+            type_hash: type_hash.to_owned(),
+            ..GetTypeDescriptionRequest::default()
+        })
+    }
+
+    #[test]
+    fn a_message_is_described_with_the_sources_of_all_it_refers_to() {
+        let response = asked(Imu::TYPE_HASH);
+        assert!(response.successful);
+        assert_eq!(response.type_description, Imu::type_description());
+        let sources: Vec<_> =
+            response.type_sources.iter().map(|source| (&*source.type_name, &*source.encoding)).collect();
+        assert_eq!(
+            sources,
+            [
+                ("sensor_msgs/msg/Imu", "msg"),
+                ("builtin_interfaces/msg/Time", "msg"),
+                ("geometry_msgs/msg/Quaternion", "msg"),
+                ("geometry_msgs/msg/Vector3", "msg"),
+                ("std_msgs/msg/Header", "msg"),
+            ]
+        );
+        assert!(response.type_sources.iter().all(|source| source.raw_file_contents.contains('\n')));
+        assert!(response.type_sources[0].raw_file_contents.contains("angular_velocity"));
+    }
+
+    #[test]
+    fn a_service_has_a_source_and_its_request_is_implicit() {
+        let service = asked(SetBool::TYPE_HASH);
+        let encoding = |name: &str| {
+            let source = service.type_sources.iter().find(|source| source.type_name == name);
+            source.map(|source| source.encoding.clone())
+        };
+        assert_eq!(encoding("std_srvs/srv/SetBool").as_deref(), Some("srv"));
+        assert_eq!(encoding("std_srvs/srv/SetBool_Request").as_deref(), Some("implicit"));
+        assert_eq!(asked(SetBoolRequest::TYPE_HASH).type_sources[0].encoding, "implicit");
+    }
+
+    #[test]
+    fn what_is_not_known_is_refused_as_rcl_refuses_it() {
+        let unknown = asked(&format!("RIHS01_{}", "0".repeat(64)));
+        assert_eq!(
+            (unknown.successful, &*unknown.failure_reason),
+            (false, "Type not currently in use by this node")
+        );
+        assert_eq!(asked("RIHS01_0").failure_reason, "Failed to parse type hash");
+    }
+}

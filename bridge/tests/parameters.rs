@@ -1,0 +1,197 @@
+//! Settings of modules as parameters, seen by rclpy's parameter client, which is what `ros2 param` uses.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::rclpy::Peer;
+use common::{WATCHDOG, on_loopback, wait_until};
+use downbeat_bridge::expose::{ParameterExposure, ParameterServices, TopicPattern, expose_parameters};
+use downbeat_bridge::ros::{NodeName, Participant};
+use downbeat_executor::{Core, CoreHandle, Inbox, Module, ModuleOptions, Setup, SetupError, Synchrony};
+use serde_json::{Value, json};
+
+struct Arm;
+
+impl Module for Arm {
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        setup.setting_in("gain", 1.0, 0.0..=4.0, "of the joint controller, 1/s")?;
+        setup.setting("hard", false, "does not give way")?;
+        setup.setting_in("count", 3_i64, 1.0..=9.0, "of joints")?;
+        setup.setting("name", "left".to_owned(), "of the side")?;
+        setup.setting("limits", vec![-1.0, 1.0], "of a joint, rad")?;
+        setup.setting("ids", vec![1_i64, 2], "on the bus")?;
+        setup.setting("joints", vec!["a".to_owned()], "by name")?;
+        Ok(())
+    }
+}
+
+struct Robot {
+    handle: CoreHandle,
+    thread: Option<std::thread::JoinHandle<()>>,
+    _parameters: ParameterServices,
+    _participant: Participant,
+}
+
+impl Drop for Robot {
+    fn drop(&mut self) {
+        self.handle.stop();
+        if let Some(thread) = self.thread.take() {
+            // A panic in it has failed the test already.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Modules `arm`, `camera` (detached) and `secret`, of which the last is not selected.
+fn robot(domain_id: u16) -> Robot {
+    let mut core = Core::new();
+    core.add("arm", Arm).unwrap();
+    let detached =
+        ModuleOptions { synchrony: Synchrony::Detached(Inbox::KeepAll), ..ModuleOptions::default() };
+    core.add_with("camera", Arm, detached).unwrap();
+    core.add("secret", Arm).unwrap();
+    let participant = Participant::join(&on_loopback(domain_id)).unwrap();
+    let node = participant.create_node(NodeName::new("/", "robot").unwrap()).unwrap();
+    let settings = ["arm.*", "camera.gain"].map(|pattern| TopicPattern::new(pattern).unwrap()).into();
+    let exposure = ParameterExposure { settings, follows_clock: false };
+    let parameters = expose_parameters(&core, &node, exposure).unwrap();
+    let handle = core.handle();
+    let thread = Some(std::thread::spawn(move || core.run().unwrap()));
+    Robot { handle, thread, _parameters: parameters, _participant: participant }
+}
+
+const NAMES: [&str; 10] = [
+    "arm.count",
+    "arm.gain",
+    "arm.hard",
+    "arm.ids",
+    "arm.joints",
+    "arm.limits",
+    "arm.name",
+    "camera.gain",
+    "start_type_description_service",
+    "use_sim_time",
+];
+
+fn ask(rclpy: &mut Peer, call: &str, argument: Value) -> Value {
+    rclpy.ask(json!({"do": "parameters", "node": "/robot", "call": call, "argument": argument}))
+}
+
+#[test]
+fn rclpy_lists_gets_and_describes_what_is_selected() {
+    let Some(mut rclpy) = Peer::start(61, "LOCALHOST") else { return };
+    let _robot = robot(61);
+    let listed = ask(&mut rclpy, "list_parameters", json!([]));
+    assert_eq!(listed["result"], json!({"names": NAMES, "prefixes": ["arm", "camera"]}));
+    let listed = ask(&mut rclpy, "list_parameters", json!(["camera"]));
+    assert_eq!(listed["result"]["names"], json!(["camera.gain"]));
+
+    let got = ask(&mut rclpy, "get_parameters", json!(NAMES));
+    let values = got["values"].as_array().unwrap();
+    let types = [2, 3, 1, 7, 9, 8, 4, 3, 1, 1];
+    assert_eq!(values.iter().map(|value| value["type"].clone()).collect::<Vec<_>>(), types);
+    assert_eq!(
+        (&values[0]["integer_value"], &values[1]["double_value"], &values[2]["bool_value"]),
+        (&json!(3), &json!(1.0), &json!(false))
+    );
+    assert_eq!(values[3]["integer_array_value"], json!([1, 2]));
+    assert_eq!(values[4]["string_array_value"], json!(["a"]));
+    assert_eq!(values[5]["double_array_value"], json!([-1.0, 1.0]));
+    assert_eq!(values[6]["string_value"], "left");
+    assert_eq!(ask(&mut rclpy, "get_parameter_types", json!(NAMES))["types"], json!(types));
+    assert_eq!(ask(&mut rclpy, "get_parameters", json!(["secret.gain"]))["values"], json!([]));
+
+    let described = ask(&mut rclpy, "describe_parameters", json!(["arm.gain", "arm.count", "use_sim_time"]));
+    let described = described["descriptors"].as_array().unwrap();
+    assert_eq!(described[0]["description"], "of the joint controller, 1/s");
+    assert_eq!(
+        described[0]["floating_point_range"],
+        json!([{"from_value": 0.0, "to_value": 4.0, "step": 0.0}])
+    );
+    assert_eq!(described[1]["integer_range"], json!([{"from_value": 1, "to_value": 9, "step": 0}]));
+    assert_eq!((&described[2]["type"], &described[2]["read_only"]), (&json!(1), &json!(false)));
+}
+
+#[test]
+fn rclpy_sets_values_and_is_told_why_one_is_refused() {
+    let Some(mut rclpy) = Peer::start(62, "LOCALHOST") else { return };
+    let robot = robot(62);
+    let set = |rclpy: &mut Peer, name: &str, value: Value| {
+        let answer = ask(rclpy, "set_parameters", json!({name: value}));
+        let result = &answer["results"][0];
+        (result["successful"] == true, result["reason"].as_str().unwrap().to_owned())
+    };
+    let accepted = (true, String::new());
+    for (name, value) in [
+        ("arm.gain", json!(2.5)),
+        ("camera.gain", json!(0.5)),
+        ("arm.hard", json!(true)),
+        ("arm.count", json!(9)),
+        ("arm.name", json!("right")),
+        ("arm.limits", json!([-0.5, 0.5])),
+        ("arm.ids", json!([7, 8, 9])),
+        ("arm.joints", json!(["x", "y"])),
+        ("arm.gain", json!(2)),
+        ("use_sim_time", json!(false)),
+    ] {
+        assert_eq!(set(&mut rclpy, name, value), accepted, "{name}");
+    }
+    let value = |module: &str, setting: &str| {
+        let settings = robot.handle.settings(module).wait(WATCHDOG).unwrap().unwrap();
+        settings.into_iter().find(|info| info.name == setting).unwrap().value
+    };
+    assert_eq!((value("arm", "gain"), value("camera", "gain")), (2.0.into(), 0.5.into()));
+    assert_eq!(value("arm", "joints"), vec!["x".to_owned(), "y".to_owned()].into());
+
+    for (name, wrong, word) in [
+        ("arm.gain", json!(4.5), "out of range"),
+        ("camera.gain", json!(-1.0), "out of range"),
+        ("arm.gain", json!("fast"), "expected double"),
+        ("arm.hard", json!(1), "expected bool"),
+        ("secret.gain", json!(1.0), "was not declared"),
+        ("start_type_description_service", json!(false), "read-only"),
+        ("use_sim_time", json!(true), "robot file"),
+    ] {
+        let (is_accepted, reason) = set(&mut rclpy, name, wrong);
+        assert!(!is_accepted && reason.contains(word), "{name}: {reason}");
+    }
+    assert_eq!(value("arm", "gain"), 2.0.into());
+
+    let atomically = json!({"arm.gain": 3.0, "camera.gain": 3.0, "arm.count": 99});
+    let refused = ask(&mut rclpy, "set_parameters_atomically", atomically);
+    assert_eq!(refused["result"]["successful"], false);
+    assert!(refused["result"]["reason"].as_str().unwrap().contains("99"), "{refused}");
+    assert_eq!((value("arm", "gain"), value("camera", "gain")), (2.0.into(), 0.5.into()));
+    let accepted = ask(&mut rclpy, "set_parameters_atomically", json!({"arm.gain": 3.0, "arm.count": 1}));
+    assert_eq!(accepted["result"]["successful"], true);
+    assert_eq!((value("arm", "gain"), value("arm", "count")), (3.0.into(), 1_i64.into()));
+}
+
+#[test]
+fn changes_are_told_on_parameter_events_whoever_made_them() {
+    let Some(mut rclpy) = Peer::start(63, "LOCALHOST") else { return };
+    let topic = "/parameter_events";
+    let (kind, qos) = ("rcl_interfaces/msg/ParameterEvent", json!({"depth": 1000}));
+    rclpy.ask(json!({"do": "subscribe", "topic": topic, "type": kind, "qos": qos}));
+    let robot = robot(63);
+    wait_until("rclpy hears the robot", || {
+        let publishers = rclpy.ask(json!({"do": "publishers_of", "topic": topic}));
+        publishers.as_array().unwrap().iter().any(|publisher| publisher["node"] == "/robot")
+    });
+    let mut changes = Vec::new();
+    let mut wait_for = |rclpy: &mut Peer, gain: f64| {
+        wait_until("the change is told", || {
+            changes.extend(rclpy.ask(json!({"do": "take", "topic": topic})).as_array().unwrap().clone());
+            changes.iter().any(|event: &Value| {
+                let changed = &event["fields"]["changed_parameters"];
+                event["fields"]["node"] == "/robot"
+                    && changed[0]["name"] == "arm.gain"
+                    && changed[0]["value"]["double_value"] == gain
+            })
+        });
+    };
+    ask(&mut rclpy, "set_parameters", json!({"arm.gain": 2.0}));
+    wait_for(&mut rclpy, 2.0);
+    robot.handle.set("arm", "gain", 0.25).wait(WATCHDOG).unwrap().unwrap();
+    wait_for(&mut rclpy, 0.25);
+}

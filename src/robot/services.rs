@@ -1,0 +1,204 @@
+//! From the services and parameters that a robot file exposes to those that the bridge is to show of a core.
+
+use downbeat_bridge::edge::KnownService;
+use downbeat_bridge::expose::{CallExposure, ParameterExposure, ServiceExposure};
+use downbeat_executor::ServiceInfo;
+
+use super::Robot;
+use super::file::{ClockChoice, RobotFileError, ServiceEntry, suggestion};
+
+type Result<T> = std::result::Result<T, RobotFileError>;
+
+impl Robot {
+    /// The services of modules to offer to ROS 2.
+    ///
+    /// # Errors
+    /// If no module serves one, or its types are not those of a ROS 2 service; with path and line.
+    pub fn service_exposures(&self) -> Result<Vec<ServiceExposure>> {
+        let exposure = |entry: &ServiceEntry| {
+            let served: Vec<_> = self.core.services().filter(|service| service.server.is_some()).collect();
+            let Some(info) = served.iter().find(|info| is_named(info, &entry.service)) else {
+                let hint = suggestion(&entry.service, served.iter().map(|info| &*info.name));
+                return Err(self.refuse(entry, format!("no module serves \"{}\"{hint}", entry.service)));
+            };
+            Ok(ServiceExposure {
+                service: info.name.to_string(),
+                ros_service: entry.ros_service.clone(),
+                service_type: self.service_type(entry, Some(info))?,
+                timeout: entry.timeout,
+            })
+        };
+        self.file.expose.services.iter().map(exposure).collect()
+    }
+
+    /// The services of ROS 2 that modules call.
+    ///
+    /// # Errors
+    /// If a module serves one itself, or its type is not known or another than modules call; with path and line.
+    pub fn call_exposures(&self) -> Result<Vec<CallExposure>> {
+        let exposure = |entry: &ServiceEntry| {
+            let info = self.core.services().find(|info| is_named(info, &entry.service));
+            if let Some(server) = info.and_then(|info| info.server.as_ref()) {
+                let problem = format!("\"{}\" is served by module \"{server}\" already", entry.service);
+                return Err(self.refuse(entry, problem));
+            }
+            Ok(CallExposure {
+                service: entry.service.clone(),
+                ros_service: entry.ros_service.clone(),
+                service_type: self.service_type(entry, info)?,
+                timeout: entry.timeout,
+            })
+        };
+        self.file.expose.calls.iter().map(exposure).collect()
+    }
+
+    /// The settings that are parameters of the node; nothing if the file names none.
+    ///
+    /// # Errors
+    /// If a name or pattern means no setting of the modules; with path and line.
+    pub fn parameter_exposure(&self) -> Result<Option<ParameterExposure>> {
+        let entries = &self.file.expose.parameters;
+        let names: Vec<String> = self
+            .core
+            .modules()
+            .into_iter()
+            .flat_map(|module| {
+                let settings = self.core.settings(&module.name).unwrap_or_default();
+                settings.into_iter().map(move |setting| format!("{}.{}", module.name, setting.name))
+            })
+            .collect();
+        for entry in entries {
+            if !names.iter().any(|name| entry.value.matches(name)) {
+                let hint = suggestion(&entry.value.to_string(), names.iter().map(String::as_str));
+                let problem = format!("no module has a setting \"{}\"{hint}", entry.value);
+                return Err(self.file.source.error(entry.line, problem));
+            }
+        }
+        let settings: Vec<_> = entries.iter().map(|entry| entry.value.clone()).collect();
+        let follows_clock = self.file.expose.features.clock == ClockChoice::Follow;
+        Ok((!settings.is_empty()).then_some(ParameterExposure { settings, follows_clock }))
+    }
+
+    fn service_type(&self, entry: &ServiceEntry, info: Option<&ServiceInfo>) -> Result<KnownService> {
+        let found = info.map(|info| {
+            KnownService::of(info).ok_or_else(|| {
+                let (request, response) = (info.request_type, info.response_type);
+                let name = &entry.service;
+                self.refuse(entry, format!("\"{name}\" is {request} -> {response}, which is no ROS service"))
+            })
+        });
+        match (found.transpose()?, entry.service_type) {
+            (Some(found), Some(said)) if found != said => {
+                let name = &entry.service;
+                Err(self.refuse(entry, format!("\"{name}\" is of type \"{found}\", not \"{said}\"")))
+            }
+            (Some(found), _) => Ok(found),
+            (None, Some(said)) => Ok(said),
+            (None, None) => {
+                let problem = format!(
+                    "no module calls \"{}\"; add its type, such as type = \"std_srvs/srv/Trigger\"",
+                    entry.service
+                );
+                Err(self.refuse(entry, problem))
+            }
+        }
+    }
+
+    fn refuse(&self, entry: &ServiceEntry, problem: String) -> RobotFileError {
+        self.file.source.error(entry.line, problem)
+    }
+}
+
+fn is_named(info: &ServiceInfo, name: &str) -> bool {
+    *info.name == *name.trim_start_matches('/')
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::robot::RobotFile;
+    use crate::robot::file::Source;
+    use downbeat_executor::{Core, Module, Setup, SetupError};
+    use downbeat_msgs::std_srvs::srv::{SetBoolRequest, SetBoolResponse, TriggerRequest, TriggerResponse};
+    use std::path::Path;
+    use std::time::Duration;
+
+    /// Serves `stand_up` and `odd`, calls `plan`, and has the settings `gain` and `side`.
+    struct Legs;
+
+    impl Module for Legs {
+        fn setup(&mut self, setup: &mut Setup<'_, Self>) -> std::result::Result<(), SetupError> {
+            setup.serve::<SetBoolRequest, SetBoolResponse, _>("stand_up", |_, _, _| Err("no".into()))?;
+            setup.serve::<u32, u32, _>("odd", |_, _, _| Err("no".into()))?;
+            setup.client::<TriggerRequest, TriggerResponse, _>(
+                "plan",
+                Duration::from_secs(1),
+                |_, _, _| (),
+            )?;
+            setup.setting("gain", 1.0, "")?;
+            setup.setting("side", 1.0, "")?;
+            Ok(())
+        }
+    }
+
+    fn robot(expose: &str) -> Robot {
+        let text =
+            format!("[robot]\nname = \"r\"\n[[module]]\nkind = \"stand_nod_wave\"\n[expose]\n{expose}");
+        let file = RobotFile::parse(Source::new(Path::new("robot.toml"), text)).unwrap().0;
+        let mut core = Core::new();
+        core.add("legs", Legs).unwrap();
+        Robot { file, core }
+    }
+
+    #[test]
+    fn services_calls_and_parameters_are_read_with_the_types_of_the_modules() {
+        let robot = robot(
+            "services = [\"stand_up\"]\n\
+             calls = [{ service = \"plan\", as = \"/planner/plan\", timeout = \"2s\" }, \
+             { service = \"map\", type = \"std_srvs/srv/Empty\" }]\n\
+             parameters = [\"legs.g*\"]",
+        );
+        let offered = robot.service_exposures().unwrap();
+        assert_eq!(
+            (&*offered[0].service, offered[0].service_type.name()),
+            ("stand_up", "std_srvs/srv/SetBool")
+        );
+        let called = robot.call_exposures().unwrap();
+        assert_eq!(
+            (called[0].ros_service.as_deref(), called[0].timeout),
+            (Some("/planner/plan"), Duration::from_secs(2))
+        );
+        assert_eq!(called[0].service_type.name(), "std_srvs/srv/Trigger");
+        assert_eq!(called[1].service_type.name(), "std_srvs/srv/Empty");
+        let parameters = robot.parameter_exposure().unwrap().unwrap();
+        assert!(parameters.settings[0].matches("legs.gain") && !parameters.settings[0].matches("legs.side"));
+    }
+
+    #[test]
+    fn what_cannot_be_exposed_is_told_with_its_line_and_the_nearest_name() {
+        for (expose, words) in [
+            ("services = [\"stand_upp\"]", "no module serves \"stand_upp\", did you mean \"stand_up\"?"),
+            ("services = [\"odd\"]", "u32 -> u32, which is no ROS service"),
+            (
+                "services = [{ service = \"stand_up\", type = \"std_srvs/srv/Empty\" }]",
+                "is of type \"std_srvs/srv/SetBool\"",
+            ),
+            ("calls = [\"stand_up\"]", "served by module \"legs\" already"),
+            ("calls = [\"map\"]", "add its type"),
+            (
+                "parameters = [\"legs.gian\"]",
+                "no module has a setting \"legs.gian\", did you mean \"legs.gain\"?",
+            ),
+        ] {
+            let robot = robot(expose);
+            let errors = [
+                robot.service_exposures().err(),
+                robot.call_exposures().err(),
+                robot.parameter_exposure().err(),
+            ];
+            let error = errors.into_iter().flatten().next().unwrap().to_string();
+            assert!(error.starts_with("robot.toml:6: ") && error.contains(words), "{expose}: {error}");
+        }
+    }
+}
