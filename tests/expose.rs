@@ -41,7 +41,7 @@ fn nodes(peer: &mut Peer) -> Vec<String> {
 
 #[test]
 fn two_robots_in_namespaces_with_several_nodes_share_a_domain() {
-    let Some(mut peer) = Peer::start(80, "LOCALHOST") else { return };
+    let Some(mut peer) = Peer::start(190, "LOCALHOST") else { return };
     let _robots = check("Selection", "two robots in namespaces on one domain", With::Rclpy, Way::Out);
     let _nodes = check("Selection", "several nodes of one process", With::Rclpy, Way::Out);
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
@@ -49,7 +49,7 @@ fn two_robots_in_namespaces_with_several_nodes_share_a_domain() {
                   in = [\"joint_commands\"]";
     let mut robots = ["/robot1", "/robot2"].map(|namespace| {
         let folder = &folders[usize::from(namespace == "/robot2")];
-        run(80, &robot(folder.path(), "", expose), &["--ros-args", "-r", &format!("__ns:={namespace}")])
+        run(190, &robot(folder.path(), "", expose), &["--ros-args", "-r", &format!("__ns:={namespace}")])
     });
     for namespace in ["/robot1", "/robot2"] {
         wait_until("the robot's topics are listed with their nodes", || {
@@ -78,7 +78,7 @@ fn two_robots_in_namespaces_with_several_nodes_share_a_domain() {
 
 #[test]
 fn remapping_rules_and_limits_are_seen_by_rclpy() {
-    let Some(mut peer) = Peer::start(81, "LOCALHOST") else { return };
+    let Some(mut peer) = Peer::start(191, "LOCALHOST") else { return };
     let _names = check("Selection", "--ros-args: names and log level of a robot", With::Rclpy, Way::Out);
     let _rate = check("Selection", "rate limit", With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
@@ -93,7 +93,7 @@ fn remapping_rules_and_limits_are_seen_by_rclpy() {
         "--log-level",
         "warn",
     ];
-    let mut robot = run(81, &file, &rules);
+    let mut robot = run(191, &file, &rules);
     let expected = ("/renamed".to_owned(), "RELIABLE".to_owned(), "TRANSIENT_LOCAL".to_owned());
     wait_until("the topic has its new name, node and durability", || {
         publishers(&mut peer, "/renamed/states") == [expected.clone()]

@@ -3,6 +3,7 @@
 
 mod common;
 
+use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{Running, downbeat, robot_file, wait_until};
 use serde_json::json;
@@ -63,6 +64,7 @@ fn what_cannot_be_done_is_refused_with_what_to_do() {
 fn rclpy_hears_the_log_of_the_robot_unless_the_robot_file_says_no() {
     for (domain, is_on) in [(181, true), (182, false)] {
         let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
+        let _check = check("Selection", "/rosout of the program, on and off", With::Rclpy, Way::Out);
         let folder = tempfile::tempdir().unwrap();
         let with = |text: String| text.replace("[expose]", &format!("[expose]\nrosout = {is_on}"));
         let robot = robot_file(folder.path(), with);

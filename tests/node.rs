@@ -6,6 +6,7 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{Running, robot_file, wait_until};
 use serde_json::{Value, json};
@@ -44,6 +45,8 @@ fn diagnostics(peer: &mut Peer, names: &[&str]) -> BTreeMap<String, (u64, String
 #[test]
 fn rclpy_hears_how_the_process_is_and_what_the_robot_looks_like() {
     let Some(mut peer) = peer(185) else { return };
+    let _check = check("Node services", "/diagnostics of the process", With::Rclpy, Way::Out);
+    let _check2 = check("Node services", "robot_description", With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
     let mut robot = run(185, folder.path(), "robot_description = \"stick.urdf\"");
     let kind = "diagnostic_msgs/msg/DiagnosticArray";
@@ -71,6 +74,7 @@ fn rclpy_hears_how_the_process_is_and_what_the_robot_looks_like() {
 #[test]
 fn the_time_of_a_robot_is_published_where_its_file_says_so() {
     let Some(mut peer) = peer(186) else { return };
+    let _check = check("Selection", r#"clock = "publish" in the robot file"#, With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
     let mut robot = run(186, folder.path(), "clock = { publish_hz = 100.0 }");
     let qos = json!({"depth": 10, "reliability": "best_effort"});
@@ -85,6 +89,7 @@ fn the_time_of_a_robot_is_published_where_its_file_says_so() {
 #[test]
 fn a_robot_that_follows_the_time_of_another_stamps_its_messages_with_it() {
     let Some(mut peer) = peer(187) else { return };
+    let _check = check("Selection", r#"clock = "follow" in the robot file"#, With::Rclpy, Way::In);
     let folder = tempfile::tempdir().unwrap();
     let mut robot = run(187, folder.path(), "clock = \"follow\"");
     peer.ask(json!({"do": "advertise", "topic": "/clock", "type": "rosgraph_msgs/msg/Clock"}));

@@ -3,6 +3,7 @@
 
 mod common;
 
+use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{Running, robot_file, text_of};
 use serde_json::{Value, json};
@@ -17,8 +18,9 @@ fn settings_of_a_running_robot_are_parameters_of_its_node() {
     let checked = text_of(&["check", robot]);
     assert!(checked.contains("parameter mux.hold_s = 2"), "{checked}");
 
-    let Some(mut rclpy) = Peer::start(64, "LOCALHOST") else { return };
-    let _running = Running::start(&["run", robot, "--domain", "64"]);
+    let Some(mut rclpy) = Peer::start(188, "LOCALHOST") else { return };
+    let _check = check("Parameters", "settings of the demo", With::Rclpy, Way::In);
+    let _running = Running::start(&["run", robot, "--domain", "188"]);
     let mut ask = |call: &str, argument: Value| {
         rclpy.ask(json!({"do": "parameters", "node": "/darwin_op", "call": call, "argument": argument}))
     };

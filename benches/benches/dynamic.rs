@@ -148,8 +148,8 @@ fn print_table(samples: &[Sample], best: &BTreeMap<(usize, &str), f64>) {
 /// A Python that reads messages and takes the time.
 struct Peer {
     child: Child,
-    requests: ChildStdin,
-    answers: BufReader<ChildStdout>,
+    requests: Option<ChildStdin>,
+    answers: Option<BufReader<ChildStdout>>,
 }
 
 /// Gets names, definitions and bytes; then numbers of messages and how often to read them.
@@ -178,23 +178,30 @@ impl Peer {
         let python = std::env::var_os("DOWNBEAT_PYTHON")?;
         let mut command = Command::new(python);
         command.args(["-c", SCRIPT]).stdin(Stdio::piped()).stdout(Stdio::piped());
-        let mut child = command.spawn().unwrap_or_else(|error| panic!("{command:?}: {error}"));
-        let (mut requests, answers) = child.stdin.take().zip(child.stdout.take())?;
+        let child = command.spawn().unwrap_or_else(|error| panic!("{command:?}: {error}"));
+        let mut peer = Self { child, requests: None, answers: None };
+        (peer.requests, peer.answers) =
+            (peer.child.stdin.take(), peer.child.stdout.take().map(BufReader::new));
         for sample in samples {
             let (definition, bytes) = (hex(sample.definition.as_bytes()), hex(&sample.bytes));
-            writeln!(requests, "{} {definition} {bytes}", sample.of.name()).ok()?;
+            peer.say(&format!("{} {definition} {bytes}", sample.of.name()));
         }
-        writeln!(requests).ok()?;
-        Some(Self { child, requests, answers: BufReader::new(answers) })
+        peer.say("");
+        Some(peer)
+    }
+
+    fn say(&mut self, line: &str) {
+        let said = self.requests.as_mut().map(|requests| writeln!(requests, "{line}"));
+        assert!(matches!(said, Some(Ok(()))), "the Python peer does not listen: {said:?}");
     }
 
     fn read(&mut self, index: usize, count: u64) -> Duration {
+        self.say(&format!("{index} {count}"));
         let mut line = String::new();
-        let asked =
-            writeln!(self.requests, "{index} {count}").and_then(|()| self.answers.read_line(&mut line));
-        match (asked, line.trim().parse()) {
-            (Ok(_), Ok(nanoseconds)) => Duration::from_nanos(nanoseconds),
-            (asked, _) => panic!("the Python peer answers `{line}`: {asked:?}"),
+        let answered = self.answers.as_mut().map(|answers| answers.read_line(&mut line));
+        match (answered, line.trim().parse()) {
+            (Some(Ok(_)), Ok(nanoseconds)) => Duration::from_nanos(nanoseconds),
+            (answered, _) => panic!("the Python peer answers `{line}`: {answered:?}"),
         }
     }
 }

@@ -3,6 +3,7 @@
 
 mod common;
 
+use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{on_loopback, wait_until};
 use downbeat_bridge::clock::{self, FollowedClock};
@@ -157,6 +158,7 @@ fn the_time_of_the_core_is_published_while_somebody_hears_it() {
 #[test]
 fn rclpy_hears_the_time_of_the_core() {
     let Some(mut rclpy) = Peer::start(183, "LOCALHOST") else { return };
+    let _check = check("Node services", "/clock", With::Rclpy, Way::Out);
     let participant = Participant::join(&on_loopback(183)).unwrap();
     let node = participant.create_node(NodeName::new("/", "downbeat").unwrap()).unwrap();
     let mut core = Core::new();
@@ -183,6 +185,7 @@ fn rclpy_hears_the_time_of_the_core() {
 #[test]
 fn the_core_follows_the_time_that_rclpy_publishes() {
     let Some(mut rclpy) = Peer::start(184, "LOCALHOST") else { return };
+    let _check = check("Node services", "/clock", With::Rclpy, Way::In);
     let participant = Participant::join(&on_loopback(184)).unwrap();
     let node = participant.create_node(NodeName::new("/", "downbeat").unwrap()).unwrap();
     let clock = FollowedClock::new();

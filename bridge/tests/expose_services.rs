@@ -3,6 +3,7 @@
 
 mod common;
 
+use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{WATCHDOG, on_loopback, wait_until};
 use downbeat_bridge::edge::KnownService;
@@ -159,8 +160,10 @@ fn a_service_of_another_type_is_refused() {
 
 #[test]
 fn rclpy_calls_a_module_and_a_module_calls_rclpy() {
-    let Some(mut rclpy) = Peer::start(60, "LOCALHOST") else { return };
-    let participant = Participant::join(&on_loopback(60)).unwrap();
+    let Some(mut rclpy) = Peer::start(189, "LOCALHOST") else { return };
+    let _check = check("Services", "service of a module", With::Rclpy, Way::In);
+    let _check2 = check("Services", "service called by a module", With::Rclpy, Way::Out);
+    let participant = Participant::join(&on_loopback(189)).unwrap();
     let node = participant.create_node(NodeName::new("/", "robot").unwrap()).unwrap();
     let running = run(&node);
     let (name, kind) = ("/robot/stand_up", "std_srvs/srv/SetBool");

@@ -3,6 +3,7 @@
 
 mod common;
 
+use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{WATCHDOG, on_loopback, wait_until};
 use downbeat_bridge::expose::{ParameterExposure, ParameterServices, TopicPattern, expose_parameters};
@@ -79,8 +80,9 @@ fn ask(rclpy: &mut Peer, call: &str, argument: Value) -> Value {
 
 #[test]
 fn rclpy_lists_gets_and_describes_what_is_selected() {
-    let Some(mut rclpy) = Peer::start(61, "LOCALHOST") else { return };
-    let _robot = robot(61);
+    let Some(mut rclpy) = Peer::start(192, "LOCALHOST") else { return };
+    let _check = check("Parameters", "list, get, get types, describe", With::Rclpy, Way::In);
+    let _robot = robot(192);
     let listed = ask(&mut rclpy, "list_parameters", json!([]));
     assert_eq!(listed["result"], json!({"names": NAMES, "prefixes": ["arm", "camera"]}));
     let listed = ask(&mut rclpy, "list_parameters", json!(["camera"]));
@@ -114,8 +116,10 @@ fn rclpy_lists_gets_and_describes_what_is_selected() {
 
 #[test]
 fn rclpy_sets_values_and_is_told_why_one_is_refused() {
-    let Some(mut rclpy) = Peer::start(62, "LOCALHOST") else { return };
-    let robot = robot(62);
+    let Some(mut rclpy) = Peer::start(193, "LOCALHOST") else { return };
+    let _check =
+        check("Parameters", "set and set atomically, refusals with their reason", With::Rclpy, Way::In);
+    let robot = robot(193);
     let set = |rclpy: &mut Peer, name: &str, value: Value| {
         let answer = ask(rclpy, "set_parameters", json!({name: value}));
         let result = &answer["results"][0];
@@ -169,11 +173,12 @@ fn rclpy_sets_values_and_is_told_why_one_is_refused() {
 
 #[test]
 fn changes_are_told_on_parameter_events_whoever_made_them() {
-    let Some(mut rclpy) = Peer::start(63, "LOCALHOST") else { return };
+    let Some(mut rclpy) = Peer::start(194, "LOCALHOST") else { return };
+    let _check = check("Parameters", "/parameter_events", With::Rclpy, Way::Out);
     let topic = "/parameter_events";
     let (kind, qos) = ("rcl_interfaces/msg/ParameterEvent", json!({"depth": 1000}));
     rclpy.ask(json!({"do": "subscribe", "topic": topic, "type": kind, "qos": qos}));
-    let robot = robot(63);
+    let robot = robot(194);
     wait_until("rclpy hears the robot", || {
         let publishers = rclpy.ask(json!({"do": "publishers_of", "topic": topic}));
         publishers.as_array().unwrap().iter().any(|publisher| publisher["node"] == "/robot")

@@ -3,6 +3,7 @@
 
 mod common;
 
+use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{on_loopback, wait_until};
 use downbeat_bridge::middleware::in_process::Hub;
@@ -186,6 +187,8 @@ fn rclpy_that_comes_late_hears_the_earlier_lines_with_all_they_say() {
     let rosout = Rosout::new();
     let log = tracing_subscriber::registry().with(rosout.layer()).set_default();
     let Some(mut rclpy) = Peer::start(180, "LOCALHOST") else { return };
+    let _check =
+        check("Node services", "/rosout with level, file and line, for late joiners", With::Rclpy, Way::Out);
     let participant = Participant::join(&on_loopback(180)).unwrap();
     let node = participant.create_node(NodeName::new("/robot", "downbeat").unwrap()).unwrap();
     let publishing = rosout.publish(&node).unwrap();

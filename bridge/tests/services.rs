@@ -3,6 +3,7 @@
 
 mod common;
 
+use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{WATCHDOG, on_loopback, wait_until};
 use downbeat_bridge::ros::{Client, Node, NodeName, Participant, Reply, Service};
@@ -33,6 +34,7 @@ fn answer(data: bool) -> Value {
 fn rclpy_calls_us_with_many_requests_in_flight() {
     const COUNT: usize = 300;
     let Some(mut rclpy) = Peer::start(52, "LOCALHOST") else { return };
+    let _check = check("Services", "many requests in flight", With::Rclpy, Way::In);
     let (_participant, node) = downbeat(52);
     let service = node.serve::<SetBool>("light", QosProfile::SERVICES, light).unwrap();
     let name = "/robot/light";
@@ -54,6 +56,7 @@ fn rclpy_calls_us_with_many_requests_in_flight() {
 fn we_call_rclpy_with_many_requests_in_flight() {
     const COUNT: i32 = 300;
     let Some(mut rclpy) = Peer::start(53, "LOCALHOST") else { return };
+    let _check = check("Services", "many requests in flight", With::Rclpy, Way::Out);
     let (_participant, node) = downbeat(53);
     // With the 10 of the default rclpy drops requests that it has not read yet.
     let (kind, qos) = ("sensor_msgs/srv/SetCameraInfo", json!({"depth": COUNT}));
@@ -76,6 +79,7 @@ fn we_call_rclpy_with_many_requests_in_flight() {
 #[test]
 fn rclpy_lists_our_services_and_clients_under_our_node() {
     let Some(mut rclpy) = Peer::start(54, "LOCALHOST") else { return };
+    let _check = check("Graph", "services and clients of a node", With::Rclpy, Way::Out);
     let (_participant, node) = downbeat(54);
     let _service: Service = node.serve::<SetBool>("~/light", QosProfile::SERVICES, light).unwrap();
     let _client: Client<SetCameraInfo> = node.client("/camera", QosProfile::SERVICES).unwrap();
@@ -96,6 +100,7 @@ fn rclpy_lists_our_services_and_clients_under_our_node() {
 fn a_client_that_was_killed_leaves_the_others_their_answers() {
     let Some(mut killed) = Peer::start(55, "LOCALHOST") else { return };
     let Some(mut rclpy) = Peer::start(55, "LOCALHOST") else { return };
+    let _check = check("Faults", "a killed client leaves the others their answers", With::Rclpy, Way::In);
     let (_participant, node) = downbeat(55);
     let (sender, requests) = channel();
     let later = move |request, reply: Reply<SetBool>| sender.send((request, reply)).unwrap();
@@ -123,6 +128,7 @@ fn a_client_that_was_killed_leaves_the_others_their_answers() {
 fn the_first_reply_of_a_fresh_server_reaches_a_waiting_client() {
     let starts = std::env::var("DOWNBEAT_FRESH_STARTS").map_or(10, |count| count.parse().unwrap());
     let Some(mut rclpy) = Peer::start(56, "LOCALHOST") else { return };
+    let _check = check("Services", "first reply of a fresh server", With::Rclpy, Way::In);
     for start in 0..starts {
         // Fast DDS believes in a server that left for as long as its lease runs, so each has a name of its own.
         let name = format!("/light_{start}");
@@ -139,6 +145,7 @@ fn the_first_reply_of_a_fresh_server_reaches_a_waiting_client() {
 fn the_first_answer_to_a_fresh_client_arrives() {
     let starts = std::env::var("DOWNBEAT_FRESH_STARTS").map_or(10, |count| count.parse().unwrap());
     let Some(mut rclpy) = Peer::start(57, "LOCALHOST") else { return };
+    let _check = check("Services", "first answer to a fresh client", With::Rclpy, Way::Out);
     rclpy.ask(json!({"do": "serve", "service": "/light", "type": "std_srvs/srv/SetBool"}));
     for start in 0..starts {
         let (_participant, node) = downbeat(57);
@@ -152,6 +159,8 @@ fn the_first_answer_to_a_fresh_client_arrives() {
 #[test]
 fn large_requests_and_replies_pass_between_us_and_rclpy() {
     let Some(mut rclpy) = Peer::start(58, "LOCALHOST") else { return };
+    let _check = check("Services", "requests and replies of up to 100 kB", With::Rclpy, Way::In);
+    let _check2 = check("Services", "requests and replies of up to 100 kB", With::Rclpy, Way::Out);
     let (_participant, node) = downbeat(58);
     let echo = |request: SetCameraInfoRequest| SetCameraInfoResponse {
         success: true,
@@ -181,6 +190,7 @@ fn large_requests_and_replies_pass_between_us_and_rclpy() {
 #[test]
 fn rclpy_learns_from_us_what_a_type_looks_like() {
     let Some(mut rclpy) = Peer::start(59, "LOCALHOST") else { return };
+    let _check = check("Node services", "get_type_description, with sources", With::Rclpy, Way::In);
     let (_participant, _node) = downbeat(59);
     let name = "/robot/downbeat/get_type_description";
     let kind = "type_description_interfaces/srv/GetTypeDescription";
