@@ -119,7 +119,7 @@ fn page(checks: &[Check]) -> String {
     let count = |holds: fn(&Check) -> bool| cells.iter().filter(|check| holds(check)).count();
     let mut page = format!(
         "# What works with ROS 2\n\nMade by `cargo xtask test` of what its tests did with real peers on this machine: {} checks \
-         passed, {} failed, {} are known not to be possible. *out*: from downbeat to the peer; *in*: the other way; *both*: it \
+         passed, {} failed, {} known not to be possible. *out*: from downbeat to the peer; *in*: the other way; *both*: it \
          takes both.\n",
         count(|check| check.passed && check.limit.is_none()),
         count(|check| !check.passed),

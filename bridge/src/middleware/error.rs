@@ -94,6 +94,12 @@ pub enum WriteError {
 /// The environment asks for something that does not exist.
 #[derive(Debug, Error, PartialEq, Eq)]
 pub enum OptionsError {
+    /// Security is to be enforced, and the engine has none.
+    #[error(
+        "ROS_SECURITY_STRATEGY=Enforce cannot be honoured: the DDS engine has no security. Set ROS_SECURITY_STRATEGY=Permissive \
+         to join without it, or unset ROS_SECURITY_ENABLE"
+    )]
+    Security,
     /// `ROS_DOMAIN_ID` is not a domain.
     #[error("ROS_DOMAIN_ID={found:?} is not a domain: expected a whole number from 0 to 232")]
     DomainId {

@@ -25,16 +25,23 @@ pub struct ParticipantOptions {
     pub discovery_range: DiscoveryRange,
     /// `ROS_STATIC_PEERS`, which the engine cannot honour: told in a warning.
     pub static_peers: Vec<String>,
+    /// `ROS_SECURITY_ENABLE`, which the engine cannot honour: told in a warning.
+    pub wants_security: bool,
 }
 
 impl ParticipantOptions {
     /// Domain `domain_id`, and the range that ROS 2 takes unless told otherwise.
     #[must_use]
     pub fn new(domain_id: u16) -> Self {
-        Self { domain_id, discovery_range: DiscoveryRange::Subnet, static_peers: Vec::new() }
+        Self {
+            domain_id,
+            discovery_range: DiscoveryRange::Subnet,
+            static_peers: Vec::new(),
+            wants_security: false,
+        }
     }
 
-    /// What `ROS_DOMAIN_ID`, `ROS_AUTOMATIC_DISCOVERY_RANGE`, `ROS_LOCALHOST_ONLY` and `ROS_STATIC_PEERS` ask for.
+    /// What `ROS_DOMAIN_ID`, `ROS_AUTOMATIC_DISCOVERY_RANGE`, `ROS_LOCALHOST_ONLY`, `ROS_STATIC_PEERS` and `ROS_SECURITY_*` ask for.
     /// An empty variable counts as unset.
     ///
     /// # Errors
@@ -75,10 +82,20 @@ impl ParticipantOptions {
                 peers.split(';').map(|peer| peer.trim().to_owned()).filter(|p| !p.is_empty()).collect()
             })
             .unwrap_or_default();
-        Ok(Self { domain_id, discovery_range, static_peers })
+        // The values that rcl of Jazzy compares with (`rcl/src/security.c`).
+        let wants_security = lookup("ROS_SECURITY_ENABLE").is_some_and(|value| value == "true");
+        if wants_security && lookup("ROS_SECURITY_STRATEGY").is_some_and(|value| value == "Enforce") {
+            return Err(OptionsError::Security);
+        }
+        Ok(Self { domain_id, discovery_range, static_peers, wants_security })
     }
 
     pub(super) fn warn_about_what_is_ignored(&self) {
+        if self.wants_security {
+            tracing::warn!(
+                "ROS_SECURITY_ENABLE=true: the DDS engine has no security, this node joins without it"
+            );
+        }
         if !self.static_peers.is_empty() {
             tracing::warn!(
                 peers = self.static_peers.join(";"),
@@ -137,6 +154,15 @@ mod tests {
         };
         assert_eq!(range("1"), Ok(DiscoveryRange::Localhost));
         assert_eq!(range("0"), Ok(DiscoveryRange::Off));
+    }
+
+    #[test]
+    fn security_is_refused_where_it_is_enforced_and_noted_where_it_is_not() {
+        let enabled = ("ROS_SECURITY_ENABLE", "true");
+        assert!(options(&[enabled]).unwrap().wants_security);
+        assert!(!options(&[("ROS_SECURITY_ENABLE", "false")]).unwrap().wants_security);
+        let error = options(&[enabled, ("ROS_SECURITY_STRATEGY", "Enforce")]).unwrap_err();
+        assert!(error.to_string().contains("Permissive"), "{error}");
     }
 
     #[test]

@@ -32,7 +32,7 @@ const MOST_TOLD: usize = 64;
 ///         listen(setup, |looker| &mut looker.transforms)?;
 ///         setup.every(Duration::from_secs(1), |looker: &mut Looker, _| {
 ///             match looker.transforms.lookup("base_link", "camera", At::Latest) {
-///                 Ok(found) => tracing::info!("the camera is at {}", found.target_from_source),
+///                 Ok(found) => tracing::info!("the camera is at {:?}", found.target_from_source),
 ///                 Err(error) => tracing::warn!("{error}"),
 ///             }
 ///         })
