@@ -12,44 +12,37 @@ pub struct Hosts {
 impl Hosts {
     const CABLE: &str = "cable";
 
-    /// Makes them, or says why not and returns nothing: only root may.
+    /// Makes them, or says why not and returns nothing: only root may, and not on every machine.
     pub fn new() -> Option<Self> {
         let of = |host: &str| format!("downbeat_{}_{host}", std::process::id());
         let hosts = Self { names: [of("a"), of("b")], switch: of("switch") };
-        let switch = &hosts.switch;
-        if let Err(error) = try_ip(&["netns", "add", switch]) {
+        if let Err(error) = hosts.make() {
             let line = format!("skipped: hosts of their own need root and network namespaces: {error}\n");
             // Past the capture of test output, which shows nothing of a test that passes.
             let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
             return None;
         }
-        ip(&["-n", switch, "link", "add", "switch", "type", "bridge"]);
-        ip(&["-n", switch, "link", "set", "switch", "up"]);
-        for (name, port, address) in
-            [(&hosts.names[0], "port0", "10.77.0.1/24"), (&hosts.names[1], "port1", "10.77.0.2/24")]
-        {
-            ip(&["netns", "add", name]);
-            ip(&[
-                "-n",
-                switch,
-                "link",
-                "add",
-                port,
-                "type",
-                "veth",
-                "peer",
-                "name",
-                Self::CABLE,
-                "netns",
-                name,
-            ]);
-            ip(&["-n", switch, "link", "set", port, "master", "switch", "up"]);
-            ip(&["-n", name, "address", "add", address, "dev", Self::CABLE]);
-            ip(&["-n", name, "link", "set", "lo", "up"]);
-            ip(&["-n", name, "link", "set", Self::CABLE, "up"]);
-            ip(&["-n", name, "route", "add", "224.0.0.0/4", "dev", Self::CABLE]);
-        }
         Some(hosts)
+    }
+
+    fn make(&self) -> Result<(), String> {
+        let (switch, cable) = (&*self.switch, Self::CABLE);
+        try_ip(&["netns", "add", switch])?;
+        try_ip(&["-n", switch, "link", "add", "switch", "type", "bridge"])?;
+        try_ip(&["-n", switch, "link", "set", "switch", "up"])?;
+        let [a, b] = &self.names;
+        for (name, port, address) in [(a, "port0", "10.77.0.1/24"), (b, "port1", "10.77.0.2/24")] {
+            try_ip(&["netns", "add", name])?;
+            try_ip(&[
+                "-n", switch, "link", "add", port, "type", "veth", "peer", "name", cable, "netns", name,
+            ])?;
+            try_ip(&["-n", switch, "link", "set", port, "master", "switch", "up"])?;
+            try_ip(&["-n", name, "address", "add", address, "dev", cable])?;
+            try_ip(&["-n", name, "link", "set", "lo", "up"])?;
+            try_ip(&["-n", name, "link", "set", cable, "up"])?;
+            try_ip(&["-n", name, "route", "add", "224.0.0.0/4", "dev", cable])?;
+        }
+        Ok(())
     }
 
     /// A command on one of the hosts, 0 or 1. `ip` becomes the program, so that its process is the program's.
