@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use common::rclpy::Peer;
-use common::{Running, python, robot_file, text_of, wait_until};
+use common::{QUIET_ROBOT, Running, python, robot_file, text_of, wait_until};
 use downbeat::bags::{Reader, Selection};
 use serde_json::json;
 
@@ -70,20 +70,6 @@ fn a_killed_recording_is_readable_up_to_its_last_chunk() {
     assert_eq!(streamed["last_log_time"], ours.iter().map(|message| message.1).max().unwrap());
 }
 
-/// A robot without hardware: what it publishes follows from the bag alone.
-const MOTION_ONLY: &str = r#"
-[robot]
-name = "motion_only"
-
-[[module]]
-name = "motion"
-kind = "stand_nod_wave"
-
-[[module]]
-name = "mux"
-kind = "joint_command_mux"
-"#;
-
 #[test]
 fn a_bag_played_into_a_robot_gives_the_same_result_each_time() {
     let folder = tempfile::tempdir().unwrap();
@@ -94,10 +80,10 @@ fn a_bag_played_into_a_robot_gives_the_same_result_each_time() {
         text_of(&["bag", "play", text(&bag), "--into", text(&path), "--record", text(&output)]);
         messages(&output)
     };
-    let first = play(MOTION_ONLY, "first");
+    let first = play(QUIET_ROBOT, "first");
     assert!(first.iter().filter(|message| message.0 == "/joint_goals").count() > 100);
-    assert_eq!(play(MOTION_ONLY, "second"), first);
-    let on_two_threads = MOTION_ONLY.replace("[robot]", "[robot]\nlauncher = \"pool\"\nthreads = 2");
+    assert_eq!(play(QUIET_ROBOT, "second"), first);
+    let on_two_threads = QUIET_ROBOT.replace("[robot]", "[robot]\nlauncher = \"pool\"\nthreads = 2");
     assert_eq!(play(&on_two_threads, "pool"), first);
 }
 
@@ -142,7 +128,7 @@ fn a_bag_is_not_played_over_what_the_robot_publishes_or_into_a_device() {
     let folder = tempfile::tempdir().unwrap();
     let (bag, _) = recorded(folder.path(), "1s");
     let motion_only = folder.path().join("motion_only.toml");
-    std::fs::write(&motion_only, MOTION_ONLY).unwrap();
+    std::fs::write(&motion_only, QUIET_ROBOT).unwrap();
     let cases = [
         (motion_only, "/joint_goals", "publishes \"/joint_goals\" itself"),
         (folder.path().join("robot.toml"), "/joint_commands", "drives a device"),

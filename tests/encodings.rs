@@ -6,7 +6,7 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use common::{output_of, python, robot_file, text_of};
+use common::{QUIET_ROBOT, output_of, python, robot_file, text_of};
 use downbeat::bags::{Reader, Selection, TopicInfo, WriterOptions};
 use downbeat::bridge::edge::KnownType;
 use downbeat::encoding::{RecordedType, topic_info};
@@ -64,20 +64,6 @@ fn encoded(bag: &Path, into: &Path, encoding: Encoding, change: impl Fn(&mut Top
     writer.finish().unwrap();
 }
 
-/// A robot without hardware: what it publishes follows from the bag alone.
-const MOTION_ONLY: &str = r#"
-[robot]
-name = "motion_only"
-
-[[module]]
-name = "motion"
-kind = "stand_nod_wave"
-
-[[module]]
-name = "mux"
-kind = "joint_command_mux"
-"#;
-
 #[test]
 fn a_robot_recorded_as_foxglove_has_it_is_read_by_mcap_and_its_protobuf_support() {
     let folder = tempfile::tempdir().unwrap();
@@ -113,7 +99,7 @@ fn a_bag_plays_into_a_robot_the_same_whatever_its_encoding() {
     let folder = tempfile::tempdir().unwrap();
     let bag = recorded(folder.path(), &[], |text| text);
     let robot = folder.path().join("motion_only.toml");
-    std::fs::write(&robot, MOTION_ONLY).unwrap();
+    std::fs::write(&robot, QUIET_ROBOT).unwrap();
     let play = |bag: &Path, name: &str, arguments: &[&str]| {
         let output = folder.path().join(name);
         let common = ["bag", "play", text(bag), "--into", text(&robot), "--record", text(&output)];
@@ -143,7 +129,7 @@ fn messages_of_another_definition_or_of_an_unknown_encoding_are_not_guessed_at()
     let folder = tempfile::tempdir().unwrap();
     let bag = recorded(folder.path(), &[], |text| text);
     let robot = folder.path().join("motion_only.toml");
-    std::fs::write(&robot, MOTION_ONLY).unwrap();
+    std::fs::write(&robot, QUIET_ROBOT).unwrap();
     let refused = |name: &str, change: &dyn Fn(&mut TopicInfo)| {
         let other = folder.path().join(name);
         encoded(&bag, &other, Encoding::Protobuf, change);

@@ -6,29 +6,15 @@ mod common;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use common::{downbeat, output_of, text_of, wait_until};
+use common::{QUIET_ROBOT, downbeat, output_of, text_of, wait_until};
 use downbeat::executor::Snapshot;
-
-/// A robot that runs without ROS 2 and without a device: its mux has a timer, and nothing else.
-const ROBOT: &str = r#"
-[robot]
-name = "quiet"
-
-[[module]]
-name = "motion"
-kind = "stand_nod_wave"
-
-[[module]]
-name = "mux"
-kind = "joint_command_mux"
-"#;
 
 struct Robot(Child);
 
 impl Robot {
     fn start(folder: &Path) -> Self {
         let file = folder.join("quiet.toml");
-        std::fs::write(&file, ROBOT).unwrap();
+        std::fs::write(&file, QUIET_ROBOT).unwrap();
         let mut command =
             in_folder(folder, &["bag", "record", "--robot", file.to_str().unwrap(), "--output"]);
         command.arg(folder.join("bag")).stdout(Stdio::null()).stderr(Stdio::null());

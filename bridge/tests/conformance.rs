@@ -1,6 +1,7 @@
 //! What every engine behind `Middleware` must do, run for each of them.
 #![allow(clippy::unwrap_used)]
 
+#[macro_use]
 mod common;
 
 use common::{Dds, Domain, cdr, next, subscribe, wait_until};
@@ -8,18 +9,6 @@ use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::middleware::{Direction, Endpoint, WriteError};
 use downbeat_msgs::qos::{Durability, History, QosProfile, Reliability};
 use std::time::Duration;
-
-/// Instantiates the suite; every DDS test has a domain of its own.
-macro_rules! conformance {
-    ($($name:ident on $domain_id:literal;)*) => {
-        mod in_process {
-            $(#[test] fn $name() { super::$name(&super::Hub::new()); })*
-        }
-        mod dds {
-            $(#[test] fn $name() { super::$name(&super::Dds($domain_id)); })*
-        }
-    };
-}
 
 conformance! {
     a_sample_arrives_as_it_was_written on 10;

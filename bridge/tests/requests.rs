@@ -1,6 +1,7 @@
 //! What requests and replies must do over every engine behind `Middleware`.
 #![allow(clippy::unwrap_used)]
 
+#[macro_use]
 mod common;
 
 use bytes::Bytes;
@@ -14,18 +15,6 @@ use downbeat_bridge::middleware::{Endpoint, Middleware, SampleIdentity};
 use downbeat_msgs::qos::QosProfile;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
-
-/// Instantiates the suite; every DDS test has a domain of its own.
-macro_rules! conformance {
-    ($($name:ident on $domain_id:literal;)*) => {
-        mod in_process {
-            $(#[test] fn $name() { super::$name(&super::Hub::new()); })*
-        }
-        mod dds {
-            $(#[test] fn $name() { super::$name(&super::Dds($domain_id)); })*
-        }
-    };
-}
 
 conformance! {
     a_request_is_answered_to_the_client_that_asked on 40;

@@ -202,10 +202,8 @@ impl Session {
         core.join().map_err(|_| anyhow!("the core's thread panicked"))??;
         drop(inspection);
         let summary = recording.map(Recording::finish).transpose();
-        if let Some(bridge) = bridge {
-            // Off the graph before the last lines, which may be what a script waits for.
-            drop(bridge);
-        }
+        // Off the graph before the last lines, which may be what a script waits for.
+        drop(bridge);
         tell(&statistics, summary.as_ref().ok().and_then(Option::as_ref));
         summary.map(drop).context("the recording is not complete")
     }

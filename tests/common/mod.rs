@@ -13,6 +13,20 @@ use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+/// A robot without a device: what it does follows from its inputs and the time alone.
+pub const QUIET_ROBOT: &str = r#"
+[robot]
+name = "quiet"
+
+[[module]]
+name = "motion"
+kind = "stand_nod_wave"
+
+[[module]]
+name = "mux"
+kind = "joint_command_mux"
+"#;
+
 /// Generous: the machine may be busy.
 pub const WATCHDOG: Duration = Duration::from_secs(60);
 
@@ -151,12 +165,7 @@ pub fn robot_file(folder: &Path, edit: impl Fn(String) -> String) -> PathBuf {
 /// Runs a program of `tests/python` and returns what it prints as JSON; nothing, with a line that says so, where
 /// there is no Python.
 pub fn python(program: &str, arguments: &[&Path]) -> Option<serde_json::Value> {
-    let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
-        // Past the capture of test output, which shows nothing of a test that passes.
-        let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
-        let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
-        return None;
-    };
+    let python = rclpy::python()?;
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python").join(program);
     let output = Command::new(python).arg(script).args(arguments).output().unwrap();
     assert!(output.status.success(), "{program}: {}", String::from_utf8_lossy(&output.stderr));

@@ -1,6 +1,7 @@
 //! The registry of service types.
 
 use super::call::{self, Answers, CallEncoded, EncodedCaller, Outlet, RemoteCall};
+use super::nearest::nearest;
 use downbeat_executor::{Core, ServiceInfo, Setup, SetupError};
 use downbeat_msgs::Service;
 use std::any::type_name;
@@ -29,12 +30,9 @@ impl KnownService {
     /// # Errors
     /// [`UnknownService`] with the nearest name where there is none.
     pub fn named(name: &str) -> Result<Self, UnknownService> {
-        let likeness = |known: &Self| strsim::normalized_damerau_levenshtein(name, known.name());
         Self::all().find(|known| known.name() == name).ok_or_else(|| UnknownService {
             name: name.to_owned(),
-            nearest: Self::all()
-                .max_by(|a, b| likeness(a).total_cmp(&likeness(b)))
-                .map_or("std_srvs/srv/Trigger", Self::name),
+            nearest: nearest(name, Self::all().map(Self::name)),
         })
     }
 

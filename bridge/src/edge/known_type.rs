@@ -1,5 +1,6 @@
 //! The registry of message types.
 
+use super::nearest::nearest;
 use super::{CoreAccess, EncodedInlet, EncodedInletError, Sink, Waiting, inlet, subscription};
 use downbeat_executor::{Core, Setup, SetupError};
 use downbeat_msgs::Message;
@@ -29,9 +30,10 @@ impl KnownType {
     /// # Errors
     /// [`UnknownType`] with the nearest name where there is none.
     pub fn named(name: &str) -> Result<Self, UnknownType> {
-        Self::all()
-            .find(|known| known.name() == name)
-            .ok_or_else(|| UnknownType { name: name.to_owned(), nearest: nearest(name) })
+        Self::all().find(|known| known.name() == name).ok_or_else(|| UnknownType {
+            name: name.to_owned(),
+            nearest: nearest(name, Self::all().map(Self::name)),
+        })
     }
 
     /// The type whose Rust type is `type_id`, as
@@ -171,18 +173,6 @@ macro_rules! entries {
     };
 }
 downbeat_msgs::for_each_message!(entries);
-
-/// The known name that is most like `name`; the part behind the last slash says most about what was meant.
-fn nearest(name: &str) -> &'static str {
-    let (_, short) = name.rsplit_once('/').unwrap_or(("", name));
-    let likeness = |known: &str| {
-        let (_, known_short) = known.rsplit_once('/').unwrap_or(("", known));
-        strsim::normalized_damerau_levenshtein(name, known)
-            + strsim::normalized_damerau_levenshtein(short, known_short)
-    };
-    let names = ENTRIES.iter().map(|entry| entry.name);
-    names.max_by(|a, b| likeness(a).total_cmp(&likeness(b))).unwrap_or("std_msgs/msg/String")
-}
 
 #[cfg(test)]
 mod tests {

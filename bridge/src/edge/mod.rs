@@ -16,6 +16,7 @@ mod core_access;
 mod inlet;
 mod known_service;
 mod known_type;
+mod nearest;
 mod subscription;
 
 pub use call::{EncodedAnswer, EncodedCallError, EncodedCaller, Outlet, RemoteCall};

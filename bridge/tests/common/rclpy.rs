@@ -109,7 +109,7 @@ impl Drop for Peer {
 }
 
 /// The interpreter that has rclpy, or a line that says that there is none.
-fn python() -> Option<OsString> {
+pub fn python() -> Option<OsString> {
     let python = std::env::var_os("DOWNBEAT_PYTHON");
     if python.is_none() {
         // Past the capture of test output, which shows nothing of a test that passes.

@@ -1,6 +1,9 @@
-//! Serialised messages of every carried type. The first two bytes choose the type.
+//! Serialised messages of every carried type, and views of them. The first two bytes choose the type.
 
-use downbeat_msgs::{Message, cdr};
+use downbeat_msgs::{
+    Message,
+    cdr::{self, Viewed},
+};
 
 type Reader = fn(&[u8]);
 
@@ -15,8 +18,13 @@ pub fn run(bytes: &[u8]) {
     READERS[usize::from(u16::from_be_bytes([high, low])) % READERS.len()](bytes);
 }
 
-fn read<T: Message>(bytes: &[u8]) {
-    let Ok(message) = cdr::from_slice::<T>(bytes) else { return };
+fn read<T: Message + Viewed>(bytes: &[u8]) {
+    let message = cdr::from_slice::<T>(bytes);
+    let view = cdr::from_slice::<T::View<'_>>(bytes);
+    assert_eq!(message.is_ok(), view.is_ok(), "a message and its view are read alike: {view:?}");
+    // What a view borrows is looked at when it is shown.
+    let _ = std::hint::black_box(format!("{view:?}"));
+    let Ok(message) = message else { return };
     let written = cdr::to_vec(&message);
     let again: T = cdr::from_slice(&written).expect("what we wrote is read");
     // Not the values: NaN equals nothing.

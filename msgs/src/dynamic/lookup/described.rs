@@ -6,7 +6,7 @@ use downbeat_msgs_definitions::{
     Catalog, Error, FieldTypeDescription, IndividualTypeDescription, TypeDescription, TypeName,
 };
 
-use super::{DefinitionSource, Found, instead};
+use super::{DefinitionSource, Found, find_complete};
 use crate::dynamic::TypeError;
 use crate::type_description_interfaces::msg;
 
@@ -68,12 +68,7 @@ impl DefinitionSource for DescribedTypes {
     }
 
     fn find(&self, name: &TypeName) -> Result<Found<'_>, Error> {
-        let own = self.catalogs.get(name).into_iter();
-        let found = own.chain(self.catalogs.values()).find(|catalog| catalog.message(name).is_ok());
-        Ok(match found {
-            Some(catalog) => Found::Complete(catalog),
-            None => Found::Nothing(instead("it has described", self.catalogs.values(), name)),
-        })
+        Ok(find_complete(&self.catalogs, name, "it has described"))
     }
 }
 

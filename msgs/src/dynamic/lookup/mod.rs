@@ -4,7 +4,7 @@ mod ament;
 mod described;
 mod schemas;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use downbeat_msgs_definitions::{Catalog, Element, Error as DefinitionError, TypeName};
@@ -213,6 +213,15 @@ impl DefinitionSource for Carried {
             return Ok(Found::Complete(carried()));
         }
         Ok(Found::Nothing(instead("they have", [carried()].into_iter(), name)))
+    }
+}
+
+/// What a source finds that has definitions with all that they refer to: its own of that name, or one that refers to it.
+fn find_complete<'a>(catalogs: &'a BTreeMap<TypeName, Catalog>, name: &TypeName, subject: &str) -> Found<'a> {
+    let own = catalogs.get(name).into_iter();
+    match own.chain(catalogs.values()).find(|catalog| catalog.message(name).is_ok()) {
+        Some(catalog) => Found::Complete(catalog),
+        None => Found::Nothing(instead(subject, catalogs.values(), name)),
     }
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use downbeat_msgs_definitions::{Catalog, Error, TypeName};
 
-use super::{DefinitionSource, Found, instead};
+use super::{DefinitionSource, Found, find_complete};
 use crate::dynamic::layout::catalog_of;
 
 /// The schemas of a bag, or of another place that has definition texts with all that they refer to.
@@ -42,12 +42,6 @@ impl DefinitionSource for Schemas {
     }
 
     fn find(&self, name: &TypeName) -> Result<Found<'_>, Error> {
-        // Its own schema, or one that refers to it.
-        let own = self.catalogs.get(name).into_iter();
-        let found = own.chain(self.catalogs.values()).find(|catalog| catalog.message(name).is_ok());
-        Ok(match found {
-            Some(catalog) => Found::Complete(catalog),
-            None => Found::Nothing(instead("it has", self.catalogs.values(), name)),
-        })
+        Ok(find_complete(&self.catalogs, name, "it has"))
     }
 }
