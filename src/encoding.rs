@@ -78,7 +78,8 @@ impl RecordedType {
     /// # Errors
     /// If the type is not compiled in or was another one then, or the encoding is not read here.
     pub fn of(topic: &RecordedTopic) -> Result<Self, RecordedTypeError> {
-        let Some(format) = &topic.info.format else {
+        let Some(format) = topic.info.format.as_ref().filter(|format| format.message_encoding != "cdr")
+        else {
             return Ok(Self { message_type: KnownType::named(&topic.info.type_name)?, codec: None });
         };
         let schema = &format.schema;

@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use crate::metadata::NEVER;
 use crate::reader::{Reader, RecordedTopic, Truncation};
+use crate::sizes::{ServiceCalls, TopicSizes};
 use crate::topic::{SERVICE_EVENT_TOPIC, SERVICE_EVENT_TYPE, is_service_event};
 
 /// What a bag holds. Its [`Display`](fmt::Display) equals the text of `ros2 bag info`, except that times of day are
@@ -20,7 +21,7 @@ pub struct BagInfo {
     pub files: Vec<String>,
     /// Bytes of all files of the bag.
     pub size: u64,
-    /// `mcap`.
+    /// `mcap` or `sqlite3`.
     pub storage_identifier: String,
     /// `jazzy`, or `unknown`.
     pub ros_distro: String,
@@ -36,6 +37,9 @@ pub struct BagInfo {
     pub services: Vec<ServiceEvents>,
     /// What is missing.
     pub truncation: Vec<Truncation>,
+    /// What only reading all messages tells; nothing unless it was read. If it is there, it is printed as
+    /// `ros2 bag info --verbose` does.
+    pub sizes: Option<TopicSizes>,
 }
 
 /// A service whose events were recorded.
@@ -69,32 +73,43 @@ impl BagInfo {
             below.unwrap_or(path).display().to_string()
         };
         let metadata = reader.metadata();
-        let duration = match (reader.start_time(), reader.end_time()) {
-            (Some(start), Some(end)) => Duration::from_nanos(end.abs_diff(start)),
-            _ => Duration::ZERO,
-        };
         Ok(Self {
             files: match metadata {
                 Some(metadata) if reader.path().is_dir() => metadata.relative_file_paths.clone(),
                 _ => reader.files().map(relative).collect(),
             },
             size: size(reader)?,
-            storage_identifier: "mcap".to_owned(),
+            storage_identifier: reader.storage_identifier().to_owned(),
             ros_distro: metadata
                 .map(|metadata| metadata.ros_distro.clone())
                 .filter(|distro| !distro.is_empty())
                 .unwrap_or_else(|| "unknown".to_owned()),
-            duration,
+            duration: reader.duration(),
             starting_time: reader.start_time().unwrap_or(NEVER),
             message_count: topics.iter().map(|topic| topic.message_count).sum(),
             topics,
             services,
             truncation: reader.truncation().cloned().collect(),
+            sizes: None,
         })
     }
 }
 
+impl BagInfo {
+    /// A column, if it is known.
+    fn size_of(&self, topic: &str) -> String {
+        let size = self.sizes.as_ref().map(|sizes| Size(sizes.bytes_of(topic)));
+        size.map_or_else(String::new, |size| format!("Size Contribution: {size} | "))
+    }
+}
+
 impl ServiceEvents {
+    /// The topic on which it tells of them.
+    #[must_use]
+    pub fn event_topic(&self) -> String {
+        format!("{}{SERVICE_EVENT_TOPIC}", self.name)
+    }
+
     fn of(topic: &RecordedTopic) -> Self {
         let without = |text: &str, ending: &str| text.strip_suffix(ending).unwrap_or(text).to_owned();
         Self {
@@ -123,8 +138,9 @@ impl fmt::Display for BagInfo {
         writeln!(f, "{:INDENT$}{}", "Messages:", self.message_count)?;
         write!(f, "{:INDENT$}", "Topic information:")?;
         let topics = self.topics.iter().map(|topic| {
+            let size = self.size_of(&topic.info.name);
             format!(
-                "Topic: {} | Type: {} | Count: {} | Serialization Format: {}",
+                "Topic: {} | Type: {} | Count: {} | {size}Serialization Format: {}",
                 topic.info.name, topic.info.type_name, topic.message_count, topic.serialization_format
             )
         });
@@ -132,9 +148,17 @@ impl fmt::Display for BagInfo {
         writeln!(f, "{:INDENT$}{}", "Service:", self.services.len())?;
         write!(f, "Service information: ")?;
         let services = self.services.iter().map(|service| {
+            let ServiceEvents { name, type_name, event_count, serialization_format } = service;
+            let counts = self.sizes.as_ref().map_or_else(
+                || format!("Event Count: {event_count} | "),
+                |sizes| {
+                    let ServiceCalls { requests, responses } = sizes.calls_of(name);
+                    let size = self.size_of(&service.event_topic());
+                    format!("Request Count: {requests} | Response Count: {responses} | {size}")
+                },
+            );
             format!(
-                "Service: {} | Type: {} | Event Count: {} | Serialization Format: {}",
-                service.name, service.type_name, service.event_count, service.serialization_format
+                "Service: {name} | Type: {type_name} | {counts}Serialization Format: {serialization_format}"
             )
         });
         let services: Vec<String> = services.collect();

@@ -39,22 +39,33 @@
 //! The formats are those of ROS 2 Jazzy: metadata version 9 (`rosbag2_storage`), MCAP with profile `ros2`
 //! (`rosbag2_storage_mcap`).
 
+mod check;
+mod compare;
+mod diff;
+mod edit;
 mod info;
+mod lz4;
 pub mod metadata;
 mod playback;
 mod reader;
 mod recording;
+mod sizes;
 mod summary;
 mod topic;
 mod writer;
 mod zstd;
 
+pub use check::{Check, Problem, check};
+pub use compare::{Comparer, FieldDifference, FieldRule, FieldRuleError};
+pub use diff::{BagDiff, DiffOptions, MessageDiff, MessageDiffKind, TopicDiff, diff};
+pub use edit::{Copied, Copy, CopyError, Merged, TopicMap, TypeConflict, merge_topics, reindex};
 pub use info::{BagInfo, ServiceEvents};
 pub use playback::{Playback, PlaybackError, PlaybackOptions, Rate, Step};
 pub use reader::{
     BagMessage, Messages, Reader, ReaderError, RecordedTopic, Selection, Truncation, TruncationCause,
 };
 pub use recording::{RecordError, Recording, RecordingFailed, RecordingSender, RecordingStatistics};
+pub use sizes::{ServiceCalls, TopicSizes};
 pub use summary::{RecordingSummary, TopicCount};
 pub use topic::{MessageFormat, TopicId, TopicInfo};
 pub use writer::{Compression, Writer, WriterError, WriterOptions};

@@ -1,7 +1,7 @@
 //! What a bag knows of a topic.
 
 use downbeat_msgs::encoding::Schema;
-use downbeat_msgs::qos::QosProfile;
+use downbeat_msgs::qos::{Durability, History, QosProfile};
 
 /// A topic as a bag describes it. The strings come from whoever made the type; this crate knows no message types.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -19,11 +19,22 @@ pub struct TopicInfo {
     pub type_hash: String,
     /// What each publisher of the topic offered.
     pub offered_qos: Vec<QosProfile>,
-    /// How its messages are serialised, where that is not CDR.
+    /// How its messages are serialised, where that is not CDR described by a `ros2msg` text.
     pub format: Option<MessageFormat>,
 }
 
 impl TopicInfo {
+    /// How many of the last messages a publisher holds for subscribers to come (transient local); 0 if it holds none.
+    #[must_use]
+    pub fn latched_depth(&self) -> usize {
+        let depth = |qos: &QosProfile| match (qos.durability, qos.history) {
+            (Durability::Volatile, _) => 0,
+            (Durability::TransientLocal, History::KeepLast(depth)) => depth as usize,
+            (Durability::TransientLocal, History::KeepAll) => usize::MAX,
+        };
+        self.offered_qos.iter().map(depth).max().unwrap_or(0)
+    }
+
     /// What a channel and the metadata of a bag say of the serialisation.
     pub(crate) fn message_encoding(&self) -> &str {
         self.format.as_ref().map_or("cdr", |format| &format.message_encoding)
@@ -43,7 +54,8 @@ impl TopicInfo {
     }
 }
 
-/// A serialisation other than CDR, as an MCAP file describes it.
+/// A serialisation other than CDR, or CDR whose type is described by something other than a `ros2msg` text (`ros2idl`), as
+/// an MCAP file describes it.
 ///
 /// The type of the topic is that of ROS 2 all the same; a channel notes it as `topic_type` beside the `topic_type_hash`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -62,6 +74,12 @@ pub struct TopicId(u16);
 impl TopicId {
     pub(crate) fn from_index(index: usize) -> Option<Self> {
         u16::try_from(index).ok().map(Self)
+    }
+
+    /// The topic at that position, which no more than 65 535 are before.
+    #[must_use]
+    pub fn at(position: usize) -> Option<Self> {
+        Self::from_index(position)
     }
 
     /// The position in the list of topics.

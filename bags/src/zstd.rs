@@ -3,6 +3,8 @@
 //! # References
 //! The format is RFC 8878, "Zstandard Compression and the 'application/zstd' Media Type".
 
+use std::io::{self, BufRead, Read, Write};
+
 use ruzstd::decoding::errors::{FrameDecoderError, ReadFrameHeaderError};
 use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
@@ -23,22 +25,10 @@ pub(crate) fn compress(content: &[u8]) -> Vec<u8> {
 /// # Errors
 /// What is wrong, as the end of a sentence about the chunk.
 pub(crate) fn decompress(compressed: &[u8], expected: u64) -> Result<Vec<u8>, String> {
-    let mut decoder = FrameDecoder::new();
-    decoder.set_max_window_size(LARGEST_WINDOW);
     let mut content = Vec::new();
     let mut rest = compressed;
-    while !rest.is_empty() {
-        match decoder.reset(&mut rest) {
-            Ok(()) => decode_frame(&mut decoder, &mut rest, &mut content, expected)?,
-            Err(FrameDecoderError::ReadFrameHeaderError(ReadFrameHeaderError::SkipFrame {
-                length, ..
-            })) => {
-                let after = usize::try_from(length).ok().and_then(|length| rest.get(length..));
-                rest = after.ok_or_else(|| "it ends within a frame that is to be skipped".to_owned())?;
-            }
-            Err(error) => return Err(damaged(&error)),
-        }
-    }
+    let too_many = || format!("its header tells {expected} bytes of uncompressed content, more came out");
+    unpack(&mut rest, &mut content, expected, too_many)?;
     if content.len() as u64 != expected {
         return Err(format!(
             "its header tells {expected} bytes of uncompressed content, {} came out",
@@ -48,26 +38,72 @@ pub(crate) fn decompress(compressed: &[u8], expected: u64) -> Result<Vec<u8>, St
     Ok(content)
 }
 
+/// Decompresses all frames in `compressed`, which must not come to more than `limit` bytes.
+///
+/// # Errors
+/// As [`decompress`].
+pub(crate) fn decompress_within(compressed: &[u8], limit: u64) -> Result<Vec<u8>, String> {
+    let mut content = Vec::new();
+    let mut rest = compressed;
+    unpack(&mut rest, &mut content, limit, || format!("more than {limit} bytes came out of it"))?;
+    Ok(content)
+}
+
+/// Decompresses all frames of `source` into `content`, in bounded memory.
+///
+/// # Errors
+/// As [`decompress`]. What came out before is in `content`.
+pub(crate) fn unpack(
+    source: &mut impl BufRead,
+    content: &mut impl Write,
+    limit: u64,
+    too_many: impl Fn() -> String,
+) -> Result<u64, String> {
+    let mut decoder = FrameDecoder::new();
+    decoder.set_max_window_size(LARGEST_WINDOW);
+    let mut written = 0;
+    while !source.fill_buf().map_err(|error| error.to_string())?.is_empty() {
+        match decoder.reset(&mut *source) {
+            Ok(()) => written = decode_frame(&mut decoder, source, content, written, limit, &too_many)?,
+            Err(FrameDecoderError::ReadFrameHeaderError(ReadFrameHeaderError::SkipFrame {
+                length, ..
+            })) => {
+                let length = u64::from(length);
+                let skipped = io::copy(&mut source.by_ref().take(length), &mut io::sink());
+                if skipped.map_err(|error| error.to_string())? < length {
+                    return Err("it ends within a frame that is to be skipped".to_owned());
+                }
+            }
+            Err(error) => return Err(damaged(&error)),
+        }
+    }
+    Ok(written)
+}
+
+/// Returns how much was written so far.
 fn decode_frame(
     decoder: &mut FrameDecoder,
-    rest: &mut &[u8],
-    content: &mut Vec<u8>,
-    expected: u64,
-) -> Result<(), String> {
+    source: &mut impl BufRead,
+    content: &mut impl Write,
+    mut written: u64,
+    limit: u64,
+    too_many: impl Fn() -> String,
+) -> Result<u64, String> {
     while !decoder.is_finished() {
         decoder
-            .decode_blocks(&mut *rest, BlockDecodingStrategy::UptoBlocks(1))
+            .decode_blocks(&mut *source, BlockDecodingStrategy::UptoBlocks(1))
             .map_err(|error| damaged(&error))?;
-        if content.len() as u64 + decoder.can_collect() as u64 > expected {
-            return Err(format!("its header tells {expected} bytes of uncompressed content, more came out"));
+        if written + decoder.can_collect() as u64 > limit {
+            return Err(too_many());
         }
-        decoder.collect_to_writer(&mut *content).map_err(|error| error.to_string())?;
+        let collected = decoder.collect_to_writer(&mut *content).map_err(|error| error.to_string())?;
+        written += collected as u64;
     }
     match decoder.get_checksum_from_data() {
         Some(told) if decoder.get_calculated_checksum() != Some(told) => {
             Err("the checksum of its Zstandard frame is wrong".to_owned())
         }
-        _ => Ok(()),
+        _ => Ok(written),
     }
 }
 

@@ -23,6 +23,11 @@ pub(crate) fn test() -> anyhow::Result<()> {
         let package = ["clippy", "--package", "downbeat-msgs", "--no-default-features"];
         run(cargo(&package).args(["--", "--deny", "warnings"]))
     });
+    steps.step("bags in SQLite", || {
+        let package =
+            ["test", "--package", "downbeat-bags", "--features", "sqlite", "--test", "bags", "others"];
+        run(cargo(&package).env("DOWNBEAT_PYTHON", &python))
+    });
     let has_nextest = cargo(&["nextest", "--version"]).output().is_ok_and(|output| output.status.success());
     let tests: &[&str] = if has_nextest {
         &["nextest", "run", "--workspace"]

@@ -26,7 +26,7 @@ pub enum ReaderError {
         found: Vec<u8>,
     },
     /// The bag is of a kind that this crate does not read.
-    #[error("cannot read the bag {}: {found}; `ros2 bag convert` can make an MCAP bag without compressed files of it", path.display())]
+    #[error("cannot read the bag {}: {found}", path.display())]
     Unsupported {
         /// The bag.
         path: PathBuf,
@@ -81,6 +81,10 @@ pub enum TruncationCause {
     NoSummary,
     /// A chunk is not as it was written; later ones are read.
     DamagedChunk(String),
+    /// A compressed file does not decompress to its end; what came out before is read.
+    Packed(String),
+    /// Some rows of an SQLite file cannot be read; the others are.
+    DamagedRows(String),
 }
 
 impl fmt::Display for Truncation {
@@ -99,6 +103,14 @@ impl fmt::Display for Truncation {
             ),
             TruncationCause::NoSummary => {
                 write!(f, "{path}: the summary at byte {offset} is incomplete; all messages are readable")
+            }
+            TruncationCause::Packed(found) => write!(
+                f,
+                "{path}: the compressed file cannot be decompressed to its end: {found}; the first {offset} bytes of its \
+                 content are read"
+            ),
+            TruncationCause::DamagedRows(found) => {
+                write!(f, "{path}: rows of the messages cannot be read from number {offset} on: {found}")
             }
             TruncationCause::DamagedChunk(found) => {
                 write!(

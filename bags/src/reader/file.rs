@@ -2,13 +2,16 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
-use std::io;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use mcap::MAGIC;
 use mcap::records::{self, ChunkIndex, Footer, MetadataIndex, Record, Statistics, op};
 
+use tempfile::TempPath;
+
 use super::error::{ReaderError, Truncation, TruncationCause};
+use super::packed;
 use super::records::{Next, Place, RECORD_HEADER, RecordFile, has_plausible_length};
 use super::segment::{Content, Segment, decode};
 use super::walk::walk;
@@ -20,6 +23,9 @@ const ENDING: u64 = RECORD_HEADER + 20 + 8;
 #[derive(Debug)]
 pub(super) struct BagFile {
     pub(super) path: PathBuf,
+    pub(super) storage: Storage,
+    /// What came out of a file that is compressed as a whole; deleted with this.
+    pub(super) unpacked: Option<TempPath>,
     pub(super) length: u64,
     pub(super) schemas: HashMap<u16, Schema>,
     pub(super) channels: BTreeMap<u16, records::Channel>,
@@ -32,6 +38,14 @@ pub(super) struct BagFile {
     pub(super) metadata: Option<String>,
 }
 
+/// How a file stores messages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Storage {
+    Mcap,
+    #[cfg_attr(not(feature = "sqlite"), expect(dead_code, reason = "is made by the feature"))]
+    Sqlite,
+}
+
 #[derive(Debug)]
 pub(super) struct Schema {
     pub(super) name: String,
@@ -40,13 +54,36 @@ pub(super) struct Schema {
 }
 
 impl BagFile {
+    /// Opens a file by what it begins with: MCAP, SQLite, or either compressed as a whole.
     pub(super) fn open(path: &Path) -> Result<Self, ReaderError> {
         let read = |source| ReaderError::Read { path: path.to_owned(), source };
-        let mut input = File::open(path).and_then(RecordFile::new).map_err(read)?;
-        let start = input.read(input.length().min(MAGIC.len() as u64)).map_err(read)?;
+        let mut start = Vec::new();
+        File::open(path).and_then(|file| file.take(16).read_to_end(&mut start)).map_err(read)?;
+        if !start.starts_with(packed::MAGIC) {
+            return Self::open_content(path, path, &start);
+        }
+        let (unpacked, problem) = packed::unpack(path)?;
+        let mut start = Vec::new();
+        File::open(&unpacked).and_then(|file| file.take(16).read_to_end(&mut start)).map_err(read)?;
+        let mut file = Self::open_content(path, &unpacked, &start)?;
+        if let Some((length, found)) = problem {
+            file.miss(length, 0, TruncationCause::Packed(found));
+        }
+        file.unpacked = Some(unpacked);
+        Ok(file)
+    }
+
+    /// `path` is for errors; the content is that of `data`.
+    fn open_content(path: &Path, data: &Path, start: &[u8]) -> Result<Self, ReaderError> {
+        if start.starts_with(SQLITE_MAGIC) {
+            return open_sqlite(path, data);
+        }
+        let read = |source| ReaderError::Read { path: path.to_owned(), source };
+        let mut input = File::open(data).and_then(RecordFile::new).map_err(read)?;
+        let start = &start[..start.len().min(MAGIC.len())];
         // A file that ends within the first mark is one whose recording was interrupted at once.
-        if !MAGIC.starts_with(&start) {
-            return Err(ReaderError::NotMcap { path: path.to_owned(), found: start });
+        if !MAGIC.starts_with(start) {
+            return Err(ReaderError::NotMcap { path: path.to_owned(), found: start.to_vec() });
         }
         let mut file = Self::empty(path, input.length());
         let summary = file.read_summary(&mut input).map_err(read)?;
@@ -57,9 +94,16 @@ impl BagFile {
         Ok(file)
     }
 
-    fn empty(path: &Path, length: u64) -> Self {
+    /// Where its content is to be read.
+    pub(super) fn data_path(&self) -> &Path {
+        self.unpacked.as_deref().unwrap_or(&self.path)
+    }
+
+    pub(super) fn empty(path: &Path, length: u64) -> Self {
         Self {
             path: path.to_owned(),
+            storage: Storage::Mcap,
+            unpacked: None,
             length,
             schemas: HashMap::new(),
             channels: BTreeMap::new(),
@@ -202,6 +246,22 @@ impl BagFile {
     pub(super) fn miss(&mut self, offset: u64, lost_bytes: u64, cause: TruncationCause) {
         self.truncations.push(Truncation { path: self.path.clone(), offset, lost_bytes, cause });
     }
+}
+
+/// What an SQLite file begins with.
+const SQLITE_MAGIC: &[u8] = b"SQLite format 3\0";
+
+#[cfg(feature = "sqlite")]
+fn open_sqlite(path: &Path, data: &Path) -> Result<BagFile, ReaderError> {
+    super::sqlite::open(path, data)
+}
+
+#[cfg(not(feature = "sqlite"))]
+fn open_sqlite(path: &Path, _data: &Path) -> Result<BagFile, ReaderError> {
+    let found = "it is an SQLite file, which this build does not read; build with `--features sqlite`, which needs a C \
+                 compiler"
+        .to_owned();
+    Err(ReaderError::Unsupported { path: path.to_owned(), found })
 }
 
 /// What the summary of a file is good for.

@@ -12,9 +12,13 @@ use bytes::Bytes;
 
 use super::Reader;
 use super::error::ReaderError;
+use super::file::{BagFile, Storage};
 use super::records::RecordFile;
 use super::segment::{Content, Segment, decode};
+#[cfg(feature = "sqlite")]
+use super::sqlite::{SqliteFile, SqliteMessage};
 use crate::topic::TopicId;
+use crate::zstd;
 
 /// A recorded message.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -34,13 +38,14 @@ pub struct BagMessage {
 pub struct Selection {
     topics: Option<BTreeSet<TopicId>>,
     from: i64,
+    until: i64,
 }
 
 impl Selection {
     /// All messages.
     #[must_use]
     pub fn all() -> Self {
-        Self { topics: None, from: i64::MIN }
+        Self { topics: None, from: i64::MIN, until: i64::MAX }
     }
 
     /// Only these topics.
@@ -55,8 +60,15 @@ impl Selection {
         Self { from, ..self }
     }
 
+    /// Only messages received at this time, in nanoseconds since the epoch, or earlier.
+    #[must_use]
+    pub fn until(self, until: i64) -> Self {
+        Self { until, ..self }
+    }
+
     fn includes(&self, topic: TopicId, log_time: i64) -> bool {
-        log_time >= self.from && self.topics.as_ref().is_none_or(|topics| topics.contains(&topic))
+        (self.from..=self.until).contains(&log_time)
+            && self.topics.as_ref().is_none_or(|topics| topics.contains(&topic))
     }
 }
 
@@ -79,9 +91,20 @@ pub struct Messages {
 
 struct OpenFile {
     path: PathBuf,
-    input: RecordFile,
+    input: Input,
     topics: HashMap<u16, TopicId>,
+    /// Whether rosbag2 compressed each message (`--compression-mode message`).
+    has_packed_messages: bool,
 }
+
+enum Input {
+    Mcap(RecordFile),
+    #[cfg(feature = "sqlite")]
+    Sqlite(SqliteFile),
+}
+
+/// The most a message may grow to when it is decompressed: a guard against damaged lengths.
+const LARGEST_MESSAGE: u64 = 1 << 30;
 
 /// A loaded message; sorted by log time, then by its place in the bag.
 struct Pending {
@@ -95,12 +118,16 @@ impl Messages {
         let mut files = Vec::new();
         let mut segments = Vec::new();
         for (index, file) in reader.files.iter().enumerate() {
-            let input = File::open(&file.path)
-                .and_then(RecordFile::new)
-                .map_err(|source| ReaderError::Read { path: file.path.clone(), source })?;
-            let topics = reader.topics_of_channels[index].clone();
-            files.push(OpenFile { path: file.path.clone(), input, topics });
-            let wanted = file.segments.iter().filter(|segment| signed(segment.last) >= selection.from);
+            files.push(OpenFile {
+                path: file.path.clone(),
+                input: Input::open(file)?,
+                topics: reader.topics_of_channels[index].clone(),
+                has_packed_messages: reader.has_packed_messages(),
+            });
+            let is_wanted = |segment: &&Segment| {
+                signed(segment.last) >= selection.from && signed(segment.first) <= selection.until
+            };
+            let wanted = file.segments.iter().filter(is_wanted);
             segments.extend(wanted.map(|segment| (index, *segment)));
         }
         segments.sort_by_key(|(file, segment)| (segment.first, *file, segment.offset));
@@ -109,37 +136,78 @@ impl Messages {
 
     fn load(&mut self, file_index: usize, segment: &Segment) -> Result<(), ReaderError> {
         let file = &mut self.files[file_index];
-        let bytes = file
-            .input
-            .seek(segment.offset)
-            .and_then(|()| file.input.read(segment.length))
-            .map_err(|source| ReaderError::Read { path: file.path.clone(), source })?;
-        let mut number = 0;
+        let damaged = |found| ReaderError::Damaged { path: file.path.clone(), offset: segment.offset, found };
         let mut found = Vec::new();
-        decode(&bytes, |content| {
-            let Content::Message { header, data } = content else { return };
+        let mut problem = None;
+        let mut number = 0;
+        let mut take = |channel: u16, log_time: u64, publish_time: u64, data: &[u8]| {
             number += 1;
-            let Some(&topic) = file.topics.get(&header.channel_id) else { return };
-            let log_time = signed(header.log_time);
-            if self.selection.includes(topic, log_time) {
-                found.push(Pending {
-                    order: (header.log_time, file_index, segment.offset, number),
-                    message: BagMessage {
-                        topic,
-                        log_time,
-                        publish_time: signed(header.publish_time),
-                        data: Bytes::copy_from_slice(data),
-                    },
-                });
+            let Some(&topic) = file.topics.get(&channel) else { return };
+            if !self.selection.includes(topic, signed(log_time)) {
+                return;
             }
-        })
-        .map_err(|found| ReaderError::Damaged {
-            path: file.path.clone(),
-            offset: segment.offset,
-            found,
-        })?;
+            let data = if file.has_packed_messages {
+                match zstd::decompress_within(data, LARGEST_MESSAGE) {
+                    Ok(data) => data.into(),
+                    Err(found) => {
+                        problem.get_or_insert(format!("a compressed message: {found}"));
+                        return;
+                    }
+                }
+            } else {
+                Bytes::copy_from_slice(data)
+            };
+            found.push(Pending {
+                order: (log_time, file_index, segment.offset, number),
+                message: BagMessage {
+                    topic,
+                    log_time: signed(log_time),
+                    publish_time: signed(publish_time),
+                    data,
+                },
+            });
+        };
+        match &mut file.input {
+            Input::Mcap(input) => {
+                let bytes = input.seek(segment.offset).and_then(|()| input.read(segment.length));
+                let bytes = bytes.map_err(|source| ReaderError::Read { path: file.path.clone(), source })?;
+                decode(&bytes, |content| {
+                    if let Content::Message { header, data } = content {
+                        take(header.channel_id, header.log_time, header.publish_time, data);
+                    }
+                })
+                .map_err(damaged)?;
+            }
+            #[cfg(feature = "sqlite")]
+            Input::Sqlite(input) => {
+                let each = |message: SqliteMessage<'_>| {
+                    // The table has one time only.
+                    take(message.channel, message.time, message.time, message.data);
+                };
+                if let Err(found) = input.read(segment, each) {
+                    problem = Some(found);
+                }
+            }
+        }
         self.loaded.extend(found.into_iter().map(Reverse));
-        Ok(())
+        problem.map_or(Ok(()), |found| Err(damaged(found)))
+    }
+}
+
+impl Input {
+    fn open(file: &BagFile) -> Result<Self, ReaderError> {
+        let failed = |source| ReaderError::Read { path: file.path.clone(), source };
+        match file.storage {
+            Storage::Mcap => {
+                File::open(file.data_path()).and_then(RecordFile::new).map(Self::Mcap).map_err(failed)
+            }
+            #[cfg(feature = "sqlite")]
+            Storage::Sqlite => SqliteFile::open(file.data_path()).map(Self::Sqlite).map_err(|error| {
+                ReaderError::Damaged { path: file.path.clone(), offset: 0, found: error.to_string() }
+            }),
+            #[cfg(not(feature = "sqlite"))]
+            Storage::Sqlite => Err(failed(std::io::ErrorKind::Unsupported.into())),
+        }
     }
 }
 

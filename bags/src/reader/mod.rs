@@ -1,22 +1,26 @@
-//! Reading of a bag: a directory, a bare MCAP file, and what an interrupted recording left of either.
+//! Reading of a bag: a directory, a bare file, and what an interrupted recording left of either.
 
 mod error;
 mod file;
 mod messages;
+mod packed;
 mod records;
 mod segment;
+#[cfg(feature = "sqlite")]
+mod sqlite;
 mod topics;
 mod walk;
 
 use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-use crate::metadata::{self, Metadata};
+use crate::metadata::{self, FileMetadata, Metadata};
 use crate::topic::{TopicId, TopicInfo};
 
 pub use error::{ReaderError, Truncation, TruncationCause};
-use file::BagFile;
+use file::{BagFile, Storage};
 pub use messages::{BagMessage, Messages, Selection};
 
 /// An opened bag: its topics, what it counts, and access to its messages.
@@ -42,24 +46,35 @@ pub struct RecordedTopic {
 }
 
 impl Reader {
-    /// Opens a bag directory, with or without metadata.yaml, or a single `.mcap` file.
+    /// Opens a bag directory, with or without metadata.yaml, or a single file: MCAP, with the feature `sqlite` also SQLite
+    /// (`.db3`), and either compressed as a whole (`.mcap.zstd`), which is decompressed into a temporary file.
     ///
     /// A bag whose recording was interrupted opens too: see [`Reader::truncation`].
     ///
     /// # Errors
-    /// If it is no bag, not an MCAP bag, or cannot be read.
+    /// If it is no bag, of a kind that is not read, or cannot be read.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, ReaderError> {
         let path = path.as_ref();
         let read = |source| ReaderError::Read { path: path.to_owned(), source };
-        let (mut metadata, paths) = if fs::metadata(path).map_err(read)?.is_dir() {
+        let (metadata, paths) = if fs::metadata(path).map_err(read)?.is_dir() {
             files_of_directory(path)?
         } else {
             (None, vec![path.to_owned()])
         };
-        let mut files = Vec::new();
-        for path in &paths {
-            files.push(BagFile::open(path)?);
-        }
+        Self::open_files(path, metadata, &paths)
+    }
+
+    /// Opens the files of a bag directory, whatever its metadata.yaml says.
+    pub(crate) fn open_files_of(directory: &Path) -> Result<Self, ReaderError> {
+        Self::open_files(directory, None, &files_without_metadata(directory)?)
+    }
+
+    fn open_files(
+        path: &Path,
+        mut metadata: Option<Metadata>,
+        paths: &[PathBuf],
+    ) -> Result<Self, ReaderError> {
+        let files = paths.iter().map(|path| BagFile::open(path)).collect::<Result<Vec<_>, _>>()?;
         if metadata.is_none()
             && let Some(text) = files.last().and_then(|file| file.metadata.as_deref())
         {
@@ -100,6 +115,21 @@ impl Reader {
         self.files.iter().map(|file| file.path.as_path())
     }
 
+    /// What each file holds, as metadata.yaml tells it.
+    pub(crate) fn file_metadata(&self) -> impl Iterator<Item = FileMetadata> {
+        self.files.iter().map(|file| {
+            let name = file.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let first = file.segments.iter().map(|segment| segment.first).min();
+            let last = file.segments.iter().map(|segment| segment.last).max();
+            FileMetadata {
+                path: name,
+                starting_time: first.map_or(metadata::NEVER, messages::signed),
+                duration: Duration::from_nanos(last.unwrap_or(0).saturating_sub(first.unwrap_or(0))),
+                message_count: file.counts.values().sum(),
+            }
+        })
+    }
+
     /// Messages that can be read.
     #[must_use]
     pub fn message_count(&self) -> u64 {
@@ -118,6 +148,15 @@ impl Reader {
         self.segments().map(|segment| segment.last).max().map(messages::signed)
     }
 
+    /// From the first message to the last.
+    #[must_use]
+    pub fn duration(&self) -> Duration {
+        match (self.start_time(), self.end_time()) {
+            (Some(start), Some(end)) => Duration::from_nanos(end.abs_diff(start)),
+            _ => Duration::ZERO,
+        }
+    }
+
     /// What is missing in the files because recording was interrupted or a file was damaged; empty for a whole bag.
     pub fn truncation(&self) -> impl Iterator<Item = &Truncation> {
         self.files.iter().flat_map(|file| &file.truncations)
@@ -129,6 +168,22 @@ impl Reader {
     /// If a file cannot be opened any more.
     pub fn messages(&self, selection: Selection) -> Result<Messages, ReaderError> {
         Messages::open(self, selection)
+    }
+
+    /// `mcap` or `sqlite3`.
+    #[must_use]
+    pub fn storage_identifier(&self) -> &'static str {
+        match self.files.first().map(|file| file.storage) {
+            Some(Storage::Sqlite) => "sqlite3",
+            Some(Storage::Mcap) | None => "mcap",
+        }
+    }
+
+    /// Whether rosbag2 compressed each message by itself; they are given decompressed.
+    pub(crate) fn has_packed_messages(&self) -> bool {
+        self.metadata
+            .as_ref()
+            .is_some_and(|metadata| metadata.compression_mode.eq_ignore_ascii_case("message"))
     }
 
     /// Bytes of the bag files.
@@ -148,13 +203,17 @@ fn files_of_directory(directory: &Path) -> Result<(Option<Metadata>, Vec<PathBuf
     }
     let metadata = Metadata::read(&yaml)?;
     let unsupported = |found: String| ReaderError::Unsupported { path: directory.to_owned(), found };
-    if metadata.storage_identifier != "mcap" {
-        return Err(unsupported(format!("its storage is {}", metadata.storage_identifier)));
-    }
-    if !metadata.compression_mode.is_empty() && !metadata.compression_mode.eq_ignore_ascii_case("none") {
+    if !["mcap", "sqlite3"].contains(&metadata.storage_identifier.as_str()) {
         return Err(unsupported(format!(
-            "it is compressed with {} in mode {}",
-            metadata.compression_format, metadata.compression_mode
+            "its storage is {}; mcap and sqlite3 can be read",
+            metadata.storage_identifier
+        )));
+    }
+    let is_packed = !["", "none"].contains(&metadata.compression_mode.to_ascii_lowercase().as_str());
+    if is_packed && !metadata.compression_format.eq_ignore_ascii_case("zstd") {
+        return Err(unsupported(format!(
+            "it is compressed with {:?}, and only zstd can be read",
+            metadata.compression_format
         )));
     }
     let mut paths = Vec::new();
@@ -167,28 +226,39 @@ fn files_of_directory(directory: &Path) -> Result<(Option<Metadata>, Vec<PathBuf
     Ok((Some(metadata), paths))
 }
 
+/// Endings of bag files; of a directory those with the first one that is there are read.
+const ENDINGS: [&str; 4] = [".mcap", ".mcap.zstd", ".db3", ".db3.zstd"];
+
 fn files_without_metadata(directory: &Path) -> Result<Vec<PathBuf>, ReaderError> {
     let read = |source| ReaderError::Read { path: directory.to_owned(), source };
     let mut paths = Vec::new();
     for entry in fs::read_dir(directory).map_err(read)? {
         let path = entry.map_err(read)?.path();
-        if path.extension().is_some_and(|extension| extension == "mcap") && path.is_file() {
+        if path.is_file() {
             paths.push(path);
         }
     }
-    if paths.is_empty() {
+    let ends_with = |path: &Path, ending: &str| path.to_string_lossy().ends_with(ending);
+    let ending = ENDINGS.into_iter().find(|ending| paths.iter().any(|path| ends_with(path, ending)));
+    let Some(ending) = ending else {
         return Err(ReaderError::NotABag {
             path: directory.to_owned(),
-            found: format!("the directory has neither {} nor a file *.mcap", metadata::FILE_NAME),
+            found: format!(
+                "the directory has neither {} nor a file *{}",
+                metadata::FILE_NAME,
+                ENDINGS.join(", *")
+            ),
         });
-    }
-    paths.sort_by_key(|path| split_number(path));
+    };
+    paths.retain(|path| ends_with(path, ending));
+    paths.sort_by_key(|path| split_number(path, ending));
     Ok(paths)
 }
 
 /// rosbag2 numbers the files of a split bag, `run_9.mcap` before `run_10.mcap`.
-fn split_number(path: &Path) -> (u64, PathBuf) {
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+fn split_number(path: &Path, ending: &str) -> (u64, PathBuf) {
+    let name = path.to_string_lossy();
+    let stem = name.strip_suffix(ending).unwrap_or(&name);
     let number = stem.rsplit('_').next().and_then(|number| number.parse().ok());
     (number.unwrap_or(u64::MAX), path.to_owned())
 }

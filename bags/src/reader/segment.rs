@@ -7,7 +7,7 @@ use mcap::records::{self, MessageHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use super::records::{RECORD_HEADER, has_plausible_length};
-use crate::zstd;
+use crate::{lz4, zstd};
 
 /// The most a chunk may grow to when it is decompressed: a guard against damaged lengths. rosbag2 makes chunks of
 /// 4 MiB at most, unless one message is larger.
@@ -93,7 +93,8 @@ fn unpack(bytes: &[u8]) -> Result<Cow<'_, [u8]>, String> {
             ));
         }
         "zstd" => Cow::Owned(zstd::decompress(data, header.uncompressed_size)?),
-        other => return Err(format!("it is compressed with {other:?}; zstd and none can be read")),
+        "lz4" => Cow::Owned(lz4::decompress(data, header.uncompressed_size)?),
+        other => return Err(format!("it is compressed with {other:?}; lz4, zstd and none can be read")),
     };
     // 0 stands for no checksum, which is what the real recorder writes.
     if header.uncompressed_crc != 0 && crc32fast::hash(&content) != header.uncompressed_crc {

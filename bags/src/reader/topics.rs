@@ -75,7 +75,9 @@ fn from_channel(file: &BagFile, channel: &Channel) -> RecordedTopic {
                 .map_or_else(String::new, |schema| String::from_utf8_lossy(&schema.data).into_owned()),
             type_hash: text("topic_type_hash").to_owned(),
             offered_qos: offered_qos.iter().map(RecordedQos::to_profile).collect(),
-            format: (channel.message_encoding != "cdr").then(|| MessageFormat {
+            format: (channel.message_encoding != "cdr"
+                || schema.is_some_and(|schema| !["ros2msg", ""].contains(&schema.encoding.as_str())))
+            .then(|| MessageFormat {
                 message_encoding: channel.message_encoding.clone(),
                 schema: schema.map_or_else(Schema::default, |schema| Schema {
                     name: schema.name.clone(),

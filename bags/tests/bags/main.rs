@@ -4,9 +4,11 @@
 
 mod damage;
 mod dynamic;
+mod edit;
 mod fixtures;
 mod interrupted;
 mod layout;
 mod order;
+mod others;
 mod python;
 mod support;

@@ -1,0 +1,191 @@
+//! Whether a bag is as it should be.
+
+use std::fmt;
+
+use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
+
+use crate::reader::{Reader, ReaderError, RecordedTopic, Selection, Truncation};
+use crate::topic::TopicId;
+
+/// Something in a bag that is not as it should be.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Problem {
+    /// A file is not whole.
+    Truncated(Truncation),
+    /// A part of it cannot be read.
+    Unreadable(String),
+    /// metadata.yaml, or the record in the file, tells another number of messages.
+    Count {
+        /// The topic; nothing for the whole bag.
+        topic: Option<String>,
+        /// What it tells.
+        told: u64,
+        /// How many there are.
+        found: u64,
+    },
+    /// There is no metadata.yaml.
+    NoMetadata,
+    /// A topic has no definition of its type, so that others cannot read its messages.
+    NoDefinition {
+        /// The topic.
+        topic: String,
+        /// Its type.
+        type_name: String,
+    },
+    /// The definition of a type cannot be read.
+    Definition {
+        /// The topic.
+        topic: String,
+        /// What is wrong.
+        found: String,
+    },
+    /// A message is none of its type.
+    Message {
+        /// The topic.
+        topic: String,
+        /// How many such messages the topic has.
+        count: u64,
+        /// What is wrong with the first one.
+        first: String,
+    },
+    /// Messages were lost when the bag was recorded, as the recorder noted.
+    Lost(String),
+}
+
+/// What was looked at.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Check {
+    /// Messages that were read.
+    pub messages: u64,
+    /// Messages of them that were decoded by the definition of their type.
+    pub decoded: u64,
+    /// What is not as it should be.
+    pub problems: Vec<Problem>,
+}
+
+/// Reads a whole bag: checksums, counts, definitions and every message. `progress` is told how many messages have been read.
+///
+/// # Errors
+/// If a file cannot be opened any more.
+pub fn check(reader: &Reader, mut progress: impl FnMut(u64)) -> Result<Check, ReaderError> {
+    let mut check = Check { messages: 0, decoded: 0, problems: Vec::new() };
+    check.problems.extend(reader.truncation().cloned().map(Problem::Truncated));
+    let mut types = Vec::new();
+    for topic in reader.topics() {
+        types.push(check.definition(topic));
+    }
+    let mut counts = vec![0; types.len()];
+    let mut refused: Vec<(u64, String)> = vec![(0, String::new()); types.len()];
+    for message in reader.messages(Selection::all())? {
+        let message = match message {
+            Ok(message) => message,
+            Err(error) => {
+                check.problems.push(Problem::Unreadable(error.to_string()));
+                continue;
+            }
+        };
+        let topic = message.topic.index();
+        counts[topic] += 1;
+        check.messages += 1;
+        if let Some(of) = &types[topic] {
+            match DynamicMessage::from_cdr(of, &message.data) {
+                Ok(_) => check.decoded += 1,
+                Err(error) => {
+                    let (count, first) = &mut refused[topic];
+                    if *count == 0 {
+                        *first = error.to_string();
+                    }
+                    *count += 1;
+                }
+            }
+        }
+        if check.messages.is_multiple_of(256) {
+            progress(check.messages);
+        }
+    }
+    progress(check.messages);
+    for (topic, (count, first)) in reader.topics().iter().zip(refused) {
+        if count > 0 {
+            check.problems.push(Problem::Message { topic: topic.info.name.clone(), count, first });
+        }
+    }
+    check.compare_counts(reader, &counts);
+    Ok(check)
+}
+
+impl Check {
+    /// The type of a topic's messages, if they are CDR and the bag has its definition.
+    fn definition(&mut self, topic: &RecordedTopic) -> Option<DynamicType> {
+        let info = &topic.info;
+        let schema = info.schema();
+        if info.message_encoding() != "cdr" {
+            return None;
+        }
+        if schema.data.is_empty() {
+            // rosbag2 has no definitions of the events of services either.
+            if topic.message_count > 0 && !info.type_name.contains("/srv/") {
+                let (topic, type_name) = (info.name.clone(), info.type_name.clone());
+                self.problems.push(Problem::NoDefinition { topic, type_name });
+            }
+            return None;
+        }
+        let text = String::from_utf8_lossy(&schema.data);
+        match DynamicType::from_definition_text(&info.type_name, &schema.encoding, &text) {
+            Ok(of) => Some(of),
+            Err(error) => {
+                let (topic, found) = (info.name.clone(), error.to_string());
+                self.problems.push(Problem::Definition { topic, found });
+                None
+            }
+        }
+    }
+
+    fn compare_counts(&mut self, reader: &Reader, counts: &[u64]) {
+        let Some(metadata) = reader.metadata() else {
+            if reader.path().is_dir() {
+                self.problems.push(Problem::NoMetadata);
+            }
+            return;
+        };
+        if let Some(lost) = metadata.custom_data.get("lost_messages") {
+            self.problems.push(Problem::Lost(lost.clone()));
+        }
+        let mut compare = |topic: Option<&str>, told: u64, found: u64| {
+            if told != found {
+                self.problems.push(Problem::Count { topic: topic.map(str::to_owned), told, found });
+            }
+        };
+        compare(None, metadata.message_count, counts.iter().sum());
+        for topic in &metadata.topics {
+            let found = reader.topic(&topic.name).map(TopicId::index);
+            let found = found.and_then(|index| counts.get(index)).copied().unwrap_or(0);
+            compare(Some(&topic.name), topic.message_count, found);
+        }
+    }
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Truncated(truncation) => truncation.fmt(f),
+            Self::Unreadable(found) => f.write_str(found),
+            Self::Count { topic: None, told, found } => {
+                write!(f, "the metadata tells {told} messages, there are {found}")
+            }
+            Self::Count { topic: Some(topic), told, found } => {
+                write!(f, "{topic}: the metadata tells {told} messages, there are {found}")
+            }
+            Self::NoMetadata => f.write_str("there is no metadata.yaml; `downbeat bag reindex` makes it"),
+            Self::NoDefinition { topic, type_name } => {
+                write!(f, "{topic}: the bag has no definition of {type_name}")
+            }
+            Self::Definition { topic, found } => {
+                write!(f, "{topic}: the definition of its type cannot be read: {found}")
+            }
+            Self::Message { topic, count, first } => {
+                write!(f, "{topic}: {count} messages cannot be decoded; the first: {first}")
+            }
+            Self::Lost(lost) => write!(f, "messages were lost when it was recorded: {lost}"),
+        }
+    }
+}

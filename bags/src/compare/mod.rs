@@ -1,0 +1,209 @@
+//! Comparing messages field by field: bit for bit, or as exactly as rules ask for.
+//!
+//! ```
+//! use downbeat_bags::{Comparer, FieldRule, TopicInfo};
+//!
+//! let topic = TopicInfo {
+//!     name: "/battery".to_owned(),
+//!     type_name: "my_msgs/msg/Battery".to_owned(),
+//!     definition: "float32 voltage\n".to_owned(),
+//!     ..TopicInfo::default()
+//! };
+//! let (one, other) = ([0, 1, 0, 0, 0, 0, 64, 65], [0, 1, 0, 0, 1, 0, 64, 65]);
+//! let difference = Comparer::new(&topic, &[]).compare(&one, &other).expect("a bit differs");
+//! assert_eq!(difference.to_string(), "voltage: 12.0 and 12.000001");
+//!
+//! let rule = FieldRule::tolerance("battery:voltage=0.001")?;
+//! assert_eq!(Comparer::new(&topic, &[rule]).compare(&one, &other), None);
+//! # Ok::<(), downbeat_bags::FieldRuleError>(())
+//! ```
+
+mod field;
+mod rule;
+
+use std::fmt;
+
+use downbeat_msgs::dynamic::{Definitions, DynamicMessage, DynamicType};
+
+use crate::topic::TopicInfo;
+
+pub use rule::{FieldRule, FieldRuleError};
+
+/// Compares messages of one topic, given as CDR.
+#[derive(Debug)]
+pub struct Comparer {
+    /// Nothing where the definition is not known: then bytes are compared.
+    message_type: Option<DynamicType>,
+    rules: Vec<FieldRule>,
+}
+
+/// The first field in which two messages differ.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FieldDifference {
+    /// The path of the field, `position[3]`; `byte 17` where the fields are not known.
+    pub path: String,
+    /// What the first message has there.
+    pub first: String,
+    /// What the second message has there.
+    pub second: String,
+}
+
+impl fmt::Display for FieldDifference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {} and {}", self.path, self.first, self.second)
+    }
+}
+
+impl Comparer {
+    /// For messages of that topic. Of the rules those that mean the topic count; where several mean a field, the last.
+    #[must_use]
+    pub fn new(topic: &TopicInfo, rules: &[FieldRule]) -> Self {
+        let rules = rules.iter().filter(|rule| rule.means_topic(&topic.name)).cloned().collect();
+        Self { message_type: message_type(topic), rules }
+    }
+
+    /// Whether a rule says that nothing of the topic is compared.
+    #[must_use]
+    pub fn ignores_all(&self) -> bool {
+        self.rules.last().is_some_and(FieldRule::ignores_everything)
+    }
+
+    /// The first field in which the messages differ by more than the rules allow.
+    ///
+    /// Numbers are equal if their bits are, but where a rule gives a tolerance. Where fields cannot be read, bytes are
+    /// compared.
+    #[must_use]
+    pub fn compare(&self, first: &[u8], second: &[u8]) -> Option<FieldDifference> {
+        if first == second || self.ignores_all() {
+            return None;
+        }
+        let decode =
+            |bytes: &[u8]| self.message_type.as_ref().and_then(|of| DynamicMessage::from_cdr(of, bytes).ok());
+        match (decode(first), decode(second)) {
+            (Some(first), Some(second)) => {
+                field::first_difference(first.as_message(), second.as_message(), &self.rules)
+            }
+            _ => Some(bytes_difference(first, second)),
+        }
+    }
+}
+
+/// The definition of the topic's type: that of the bag, or else the one that is carried.
+fn message_type(topic: &TopicInfo) -> Option<DynamicType> {
+    DynamicType::from_definition_text(&topic.type_name, "ros2msg", &topic.definition)
+        .ok()
+        .filter(|_| !topic.definition.is_empty())
+        .or_else(|| Definitions::new().with_carried().find(&topic.type_name).ok())
+}
+
+fn bytes_difference(first: &[u8], second: &[u8]) -> FieldDifference {
+    let position = first.iter().zip(second).position(|(first, second)| first != second);
+    let position = position.unwrap_or(first.len().min(second.len()));
+    let at = |bytes: &[u8]| {
+        bytes.get(position).map_or_else(|| format!("{} bytes", bytes.len()), |byte| format!("0x{byte:02x}"))
+    };
+    FieldDifference { path: format!("byte {position}"), first: at(first), second: at(second) }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    const TEXT: &str = "string name\nfloat64[] angles\nPart[] parts\n\
+        ================================================================================\n\
+        MSG: my_msgs/Part\nint32 id\nfloat32 mass\n";
+
+    fn topic() -> TopicInfo {
+        TopicInfo {
+            name: "/robot/legs".to_owned(),
+            type_name: "my_msgs/msg/Legs".to_owned(),
+            definition: TEXT.to_owned(),
+            ..TopicInfo::default()
+        }
+    }
+
+    fn legs(change: impl Fn(&mut DynamicMessage)) -> Vec<u8> {
+        let of = DynamicType::from_definition_text("my_msgs/msg/Legs", "ros2msg", TEXT).unwrap();
+        let mut message = DynamicMessage::new(&of);
+        message.set("name", "left").unwrap();
+        message.set("angles", vec![0.5, f64::NAN, -0.0]).unwrap();
+        message.resize("parts", 2).unwrap();
+        message.set("parts[1].id", 7).unwrap();
+        message.set("parts[1].mass", 0.25_f32).unwrap();
+        change(&mut message);
+        message.to_cdr()
+    }
+
+    fn difference(rules: &[&str], change: impl Fn(&mut DynamicMessage)) -> Option<String> {
+        let rules: Vec<_> = rules
+            .iter()
+            .map(|rule| FieldRule::tolerance(rule).or_else(|_| FieldRule::ignore(rule)).unwrap())
+            .collect();
+        let comparer = Comparer::new(&topic(), &rules);
+        comparer.compare(&legs(|_| {}), &legs(change)).map(|found| found.to_string())
+    }
+
+    #[test]
+    fn the_first_field_that_differs_is_told_with_its_path_and_both_values() {
+        assert_eq!(difference(&[], |_| {}), None, "a NaN equals itself");
+        type Change = fn(&mut DynamicMessage);
+        let cases: [(&str, Change); 5] = [
+            ("name: \"left\" and \"right\"", |legs| legs.set("name", "right").unwrap()),
+            ("angles[2]: -0.0 and 0.0", |legs| legs.set("angles[2]", 0.0).unwrap()),
+            ("angles: 3 values and 2 values", |legs| legs.resize("angles", 2).unwrap()),
+            ("parts[1].id: 7 and 8", |legs| legs.set("parts[1].id", 8).unwrap()),
+            ("parts[1].mass: 0.25 and 0.5", |legs| legs.set("parts[1].mass", 0.5_f32).unwrap()),
+        ];
+        for (expected, change) in cases {
+            assert_eq!(difference(&[], change).as_deref(), Some(expected));
+        }
+    }
+
+    #[test]
+    fn another_nan_is_told_by_its_bits() {
+        let other = f64::from_bits(f64::NAN.to_bits() ^ 1);
+        let found = difference(&[], |legs| legs.set("angles[1]", other).unwrap()).unwrap();
+        assert_eq!(found, "angles[1]: NaN (0x7ff8000000000000) and NaN (0x7ff8000000000001)");
+    }
+
+    #[test]
+    fn a_tolerance_counts_for_the_fields_and_topics_that_it_names() {
+        let change = |legs: &mut DynamicMessage| legs.set("parts[1].mass", 0.26_f32).unwrap();
+        for allowed in [
+            "robot/legs:parts.mass=0.02",
+            "robot/*:parts[1].mass=0.02",
+            "**:parts=5%",
+            "=0.02",
+            "/robot/legs=5%",
+        ] {
+            assert_eq!(difference(&[allowed], change), None, "{allowed}");
+        }
+        for refused in
+            ["robot/legs:parts.mass=0.001", "robot/arms=1", "parts=1", ":mass=1", "robot/legs:parts[0]=1"]
+        {
+            assert!(difference(&[refused], change).is_some(), "{refused}");
+        }
+        assert!(difference(&["=1", ":parts=0"], change).is_some(), "the last rule counts");
+    }
+
+    #[test]
+    fn what_is_ignored_may_be_anything_and_of_any_length() {
+        let change = |legs: &mut DynamicMessage| {
+            legs.set("name", "right").unwrap();
+            legs.resize("parts", 9).unwrap();
+        };
+        assert_eq!(difference(&["**:name", ":parts"], change), None);
+        assert_eq!(difference(&["robot/legs"], change), None);
+        assert!(difference(&[":name"], change).is_some_and(|found| found.starts_with("parts: 2 values")));
+    }
+
+    #[test]
+    fn of_types_that_are_not_known_bytes_are_compared() {
+        let unknown = TopicInfo { type_name: "no_msgs/msg/Thing".to_owned(), ..TopicInfo::default() };
+        let comparer = Comparer::new(&unknown, &[]);
+        assert_eq!(comparer.compare(&[1, 2, 3], &[1, 9, 3]).unwrap().to_string(), "byte 1: 0x02 and 0x09");
+        assert_eq!(comparer.compare(&[1, 2], &[1, 2, 3]).unwrap().to_string(), "byte 2: 2 bytes and 0x03");
+    }
+}

@@ -1,0 +1,204 @@
+//! Bag files of rosbag2's storage `sqlite3`.
+//!
+//! The tables are those of `rosbag2_storage_sqlite3/src/rosbag2_storage_sqlite3/sqlite_storage.cpp`, branch jazzy; older ones
+//! have fewer columns. Rows are read in the order in which they were written, a run of them at a time.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use mcap::records::Channel;
+use rusqlite::types::ValueRef;
+use rusqlite::{Connection, Error, OpenFlags, Row};
+
+use super::error::{ReaderError, TruncationCause};
+use super::file::{BagFile, Schema, Storage};
+use super::segment::Segment;
+
+/// A run of rows is cut here, so that reading it takes bounded memory.
+const MOST_ROWS: u64 = 512;
+const MOST_BYTES: u64 = 8 * 1024 * 1024;
+
+/// A message of the table.
+pub(super) struct SqliteMessage<'a> {
+    pub(super) channel: u16,
+    pub(super) time: u64,
+    pub(super) data: &'a [u8],
+}
+
+/// An SQLite file that is open.
+pub(super) struct SqliteFile {
+    connection: Connection,
+    channels: HashMap<i64, u16>,
+}
+
+pub(super) fn open(path: &Path, data: &Path) -> Result<BagFile, ReaderError> {
+    let damaged =
+        |error: Error| ReaderError::Damaged { path: path.to_owned(), offset: 0, found: error.to_string() };
+    let length =
+        std::fs::metadata(data).map_err(|source| ReaderError::Read { path: path.to_owned(), source })?.len();
+    let mut file = BagFile::empty(path, length);
+    file.storage = Storage::Sqlite;
+    let input = SqliteFile::open(data).map_err(damaged)?;
+    input.read_topics(&mut file).map_err(damaged)?;
+    input.read_definitions(&mut file);
+    input.read_metadata(&mut file);
+    input.find_segments(&mut file);
+    Ok(file)
+}
+
+impl SqliteFile {
+    pub(super) fn open(data: &Path) -> Result<Self, Error> {
+        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let connection = Connection::open_with_flags(data, flags)?;
+        let mut channels = HashMap::new();
+        let mut statement = connection.prepare("SELECT id FROM topics ORDER BY id")?;
+        let mut rows = statement.query([])?;
+        while let Some(row) = rows.next()? {
+            let Ok(channel) = u16::try_from(channels.len()) else { break };
+            channels.insert(row.get(0)?, channel);
+        }
+        drop(rows);
+        drop(statement);
+        Ok(Self { connection, channels })
+    }
+
+    /// Gives each message of a run of rows.
+    pub(super) fn read(
+        &self,
+        segment: &Segment,
+        mut each: impl FnMut(SqliteMessage<'_>),
+    ) -> Result<(), String> {
+        let query = "SELECT topic_id, timestamp, data FROM messages WHERE id BETWEEN ?1 AND ?2 ORDER BY id";
+        let mut read = || -> Result<(), Error> {
+            let mut statement = self.connection.prepare_cached(query)?;
+            let first = row_of(segment.offset);
+            let last = row_of(segment.offset.saturating_add(segment.length).saturating_sub(1));
+            let mut rows = statement.query([first, last])?;
+            while let Some(row) = rows.next()? {
+                let Some(&channel) = self.channels.get(&row.get::<_, i64>(0)?) else { continue };
+                // Anything but bytes is no message.
+                if let ValueRef::Blob(data) = row.get_ref(2)? {
+                    each(SqliteMessage { channel, time: time(row.get(1)?), data });
+                }
+            }
+            Ok(())
+        };
+        read().map_err(|error| error.to_string())
+    }
+
+    fn read_topics(&self, file: &mut BagFile) -> Result<(), Error> {
+        let mut statement = self.connection.prepare("SELECT * FROM topics ORDER BY id")?;
+        let mut rows = statement.query([])?;
+        while let Some(row) = rows.next()? {
+            let Some(&channel) = self.channels.get(&row.get::<_, i64>("id")?) else { continue };
+            // Schemas are numbered from 1; 0 is none.
+            let schema_id = channel.saturating_add(1);
+            let name = text(row, "type");
+            let metadata = [
+                ("offered_qos_profiles", text(row, "offered_qos_profiles")),
+                ("topic_type_hash", text(row, "type_description_hash")),
+            ];
+            file.channels.insert(
+                channel,
+                Channel {
+                    id: channel,
+                    schema_id,
+                    topic: text(row, "name"),
+                    message_encoding: text(row, "serialization_format"),
+                    metadata: metadata.into_iter().map(|(key, value)| (key.to_owned(), value)).collect(),
+                },
+            );
+            file.schemas.insert(schema_id, Schema { name, encoding: String::new(), data: Vec::new() });
+        }
+        Ok(())
+    }
+
+    /// Older files have no such table.
+    fn read_definitions(&self, file: &mut BagFile) {
+        let query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions";
+        let read = || -> Result<Vec<(String, String, String)>, Error> {
+            let mut statement = self.connection.prepare(query)?;
+            let rows = statement.query_map([], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?;
+            rows.collect()
+        };
+        for (name, encoding, text) in read().unwrap_or_default() {
+            for schema in file.schemas.values_mut().filter(|schema| schema.name == name) {
+                schema.encoding.clone_from(&encoding);
+                schema.data = text.clone().into_bytes();
+            }
+        }
+    }
+
+    fn read_metadata(&self, file: &mut BagFile) {
+        let query = "SELECT metadata FROM metadata ORDER BY id DESC LIMIT 1";
+        file.metadata = self.connection.query_row(query, [], |row| row.get(0)).ok();
+    }
+
+    /// Looks at all rows but not at the data in them. Where rows are damaged, goes on behind them.
+    fn find_segments(&self, file: &mut BagFile) {
+        let mut next = i64::MIN;
+        let mut step = 1_i64;
+        loop {
+            let found = file.segments.len();
+            match self.find_segments_from(&mut next, file) {
+                Ok(()) => return,
+                Err(error) => {
+                    if step == 1 || file.segments.len() > found {
+                        let offset = u64::try_from(next).unwrap_or(0);
+                        file.miss(offset, 0, TruncationCause::DamagedRows(error.to_string()));
+                        step = 1;
+                    }
+                    // Twice as far each time, so that it ends soon.
+                    let Some(behind) = next.max(0).checked_add(step) else { return };
+                    (next, step) = (behind, step.saturating_mul(2));
+                }
+            }
+        }
+    }
+
+    fn find_segments_from(&self, next: &mut i64, file: &mut BagFile) -> Result<(), Error> {
+        let query = "SELECT id, topic_id, timestamp, length(data) FROM messages NOT INDEXED WHERE id >= ?1 ORDER BY id";
+        let mut statement = self.connection.prepare(query)?;
+        let mut rows = statement.query([*next])?;
+        let (mut run, mut bytes) = (None::<Segment>, 0);
+        let result = loop {
+            let row = match rows.next() {
+                Ok(Some(row)) => row,
+                Ok(None) => break Ok(()),
+                Err(error) => break Err(error),
+            };
+            let (id, topic, timestamp): (i64, i64, i64) = (row.get(0)?, row.get(1)?, row.get(2)?);
+            let length = row.get::<_, Option<i64>>(3)?.and_then(|length| u64::try_from(length).ok());
+            *next = id.saturating_add(1);
+            let (Some(length), Some(channel)) = (length, self.channels.get(&topic)) else { continue };
+            // Rows that SQLite numbers begin at 1.
+            let Ok(place) = u64::try_from(id) else { continue };
+            *file.counts.entry(*channel).or_default() += 1;
+            let time = time(timestamp);
+            let segment = run.get_or_insert(Segment { offset: place, length: 0, first: time, last: time });
+            segment.length = place - segment.offset + 1;
+            segment.first = segment.first.min(time);
+            segment.last = segment.last.max(time);
+            bytes += length;
+            if segment.length >= MOST_ROWS || bytes >= MOST_BYTES {
+                file.segments.extend(run.take());
+                bytes = 0;
+            }
+        };
+        file.segments.extend(run);
+        result
+    }
+}
+
+fn row_of(place: u64) -> i64 {
+    i64::try_from(place).unwrap_or(i64::MAX)
+}
+
+fn time(timestamp: i64) -> u64 {
+    u64::try_from(timestamp).unwrap_or(0)
+}
+
+/// Empty where there is no such column.
+fn text(row: &Row<'_>, column: &str) -> String {
+    row.get(column).unwrap_or_default()
+}

@@ -1,0 +1,212 @@
+//! Bags of others: what `rosbags` and `mcap-ros2-support` write, other storages, compressed files, older metadata.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use downbeat_bags::{BagInfo, Comparer, Reader, ReaderError};
+use serde_json::Value;
+
+use crate::support::{fixture, messages};
+
+#[test]
+fn bags_of_other_writers_are_read_message_by_message() {
+    let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
+        // Past the capture of test output, which shows nothing of a test that passes.
+        let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
+        let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/write_bags.py");
+    let output = Command::new(python).arg(script).arg(folder.path()).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let bags: serde_json::Map<String, Value> = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(bags.len(), 17);
+    for (name, expected) in &bags {
+        let path = folder.path().join(name);
+        if name.contains("sqlite3") && !cfg!(feature = "sqlite") {
+            assert_is_refused(&path);
+            continue;
+        }
+        let reader = Reader::open(&path).unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert_eq!(reader.truncation().next(), None, "{name}");
+        let comparers: Vec<_> = reader.topics().iter().map(|topic| Comparer::new(&topic.info, &[])).collect();
+        let read = messages(&reader);
+        let expected = expected.as_array().unwrap();
+        assert_eq!(read.len(), expected.len(), "{name}");
+        for (message, expected) in read.iter().zip(expected) {
+            let topic = &reader.topics()[message.topic.index()];
+            assert_eq!(topic.info.name, expected[0].as_str().unwrap(), "{name}");
+            assert_eq!(message.log_time, expected[1].as_i64().unwrap(), "{name}");
+            let data = bytes(expected[2].as_str().unwrap());
+            let difference = comparers[message.topic.index()].compare(&data, &message.data);
+            assert_eq!(difference, None, "{name}: {}", topic.info.name);
+        }
+        let info = BagInfo::of(&reader).unwrap().to_string();
+        assert!(info.contains("Messages:          400\n"), "{name}: {info}");
+        assert!(info.contains("Topic: /chatter | Type: std_msgs/msg/String | Count: 200"), "{name}: {info}");
+    }
+}
+
+fn bytes(hex: &str) -> Vec<u8> {
+    (0..hex.len() / 2).map(|n| u8::from_str_radix(&hex[2 * n..2 * n + 2], 16).unwrap()).collect()
+}
+
+fn assert_is_refused(bag: &Path) {
+    let error = Reader::open(bag).unwrap_err();
+    assert!(matches!(error, ReaderError::Unsupported { .. }), "{error}");
+    assert!(error.to_string().contains("--features sqlite"), "{error}");
+}
+
+#[test]
+fn a_bag_of_the_real_recorder_in_sqlite_is_read() {
+    let bag = fixture("jazzy_sqlite3");
+    if !cfg!(feature = "sqlite") {
+        return assert_is_refused(&bag);
+    }
+    let reader = Reader::open(&bag).unwrap();
+    let metadata = reader.metadata().unwrap().clone();
+    assert_eq!((reader.storage_identifier(), metadata.storage_identifier.as_str()), ("sqlite3", "sqlite3"));
+    let read = messages(&reader);
+    assert_eq!(read.len() as u64, metadata.message_count);
+    assert!(read.is_sorted_by_key(|message| message.log_time));
+    assert_eq!(read[0].log_time, metadata.starting_time);
+    assert_eq!(reader.duration(), metadata.duration);
+    for (told, found) in metadata.topics.iter().zip(reader.topics()) {
+        assert_eq!(found.message_count, told.message_count, "{}", told.name);
+        assert_eq!(found.info.type_hash, told.type_hash, "{}", told.name);
+    }
+    let joints = reader.topic("/reference/joint_states").unwrap();
+    assert!(reader.topics()[joints.index()].info.definition.contains("MSG: std_msgs/Header"));
+    // Without metadata.yaml, and as a bare file, it is the same bag.
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("jazzy_sqlite3_0.db3");
+    fs::copy(bag.join("jazzy_sqlite3_0.db3"), &file).unwrap();
+    for path in [folder.path(), &file] {
+        assert_eq!(messages(&Reader::open(path).unwrap()).len(), read.len(), "{}", path.display());
+    }
+}
+
+#[cfg(feature = "sqlite")]
+#[test]
+fn what_is_whole_in_a_damaged_sqlite_file_is_read_and_the_rest_is_told() {
+    let file = fixture("jazzy_sqlite3").join("jazzy_sqlite3_0.db3");
+    let whole = fs::read(&file).unwrap();
+    let count = messages(&Reader::open(&file).unwrap()).len();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("damaged.db3");
+    let (mut recovered, mut opened) = (0, 0);
+    // A page of SQLite is 4 KiB.
+    for page in 1..whole.len() / 4096 {
+        let mut damaged = whole.clone();
+        damaged[page * 4096..(page + 1) * 4096].fill(0xa5);
+        fs::write(&path, &damaged).unwrap();
+        let Ok(reader) = Reader::open(&path) else { continue };
+        opened += 1;
+        let read = messages(&reader).len();
+        assert!(read <= count, "page {page}");
+        if read < count && read > 0 {
+            recovered += 1;
+            let is_told = reader.truncation().count() > 0
+                || reader.messages(downbeat_bags::Selection::all()).unwrap().any(|read| read.is_err());
+            assert!(is_told, "page {page}: {read} of {count} messages");
+        }
+    }
+    assert!(opened > 20 && recovered > 10, "{opened} opened, {recovered} with some of the messages");
+    for length in [0, 100, 4096, 50_000, whole.len() - 5000] {
+        fs::write(&path, &whole[..length]).unwrap();
+        if let Ok(reader) = Reader::open(&path) {
+            assert!(messages(&reader).len() <= count);
+        }
+    }
+}
+
+/// Of a compressed file that was cut off, or changed, everything before that is read.
+#[test]
+fn a_damaged_compressed_file_is_read_as_far_as_it_decompresses() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = fs::read(fixture("jazzy_mcap").join("jazzy_mcap_0.mcap")).unwrap();
+    let count = messages(&Reader::open(fixture("jazzy_mcap")).unwrap()).len();
+    let path = folder.path().join("run_0.mcap.zstd");
+    let packed = ruzstd::encoding::compress_to_vec(&*whole, ruzstd::encoding::CompressionLevel::Fastest);
+    fs::write(&path, &packed).unwrap();
+    for opened in [path.as_path(), folder.path()] {
+        let reader = Reader::open(opened).unwrap();
+        assert_eq!(messages(&reader).len(), count);
+        assert_eq!(reader.truncation().next(), None);
+    }
+    fs::write(&path, &packed[..packed.len() - 100]).unwrap();
+    let reader = Reader::open(&path).unwrap();
+    assert!(reader.truncation().any(|lost| lost.to_string().contains("cannot be decompressed to its end")));
+    fs::write(&path, &packed[..20]).unwrap();
+    drop(Reader::open(&path));
+}
+
+const OLD: &str = "rosbag2_bagfile_information:
+  version: VERSION
+  storage_identifier: mcap
+  relative_file_paths:
+    - PATH
+  duration:
+    nanoseconds: 3700000000
+  starting_time:
+    nanoseconds_since_epoch: 1795230923877473869
+  message_count: 3
+  topics_with_message_count:
+    - topic_metadata:
+        name: /reference/robot_description
+        type: std_msgs/msg/String
+        serialization_format: cdrTOPIC
+      message_count: 1
+";
+
+#[test]
+fn metadata_of_every_version_is_read() {
+    let qos =
+        "\n        offered_qos_profiles: \"- history: 3\\n  depth: 0\\n  reliability: 1\\n  durability: 1\"";
+    let hash = "\n        type_description_hash: RIHS01_ab";
+    let compression = "  compression_format: \"\"\n  compression_mode: \"\"\n";
+    let files = "  files:\n    - path: run_0.mcap\n      starting_time:\n        nanoseconds_since_epoch: 0\n      \
+                 duration:\n        nanoseconds: 5\n      message_count: 3\n";
+    let custom = "  custom_data:\n    run: 7\n";
+    for version in 1..=9 {
+        let folder = tempfile::tempdir().unwrap();
+        let bag = folder.path().join("run");
+        fs::create_dir(&bag).unwrap();
+        fs::copy(fixture("jazzy_mcap").join("jazzy_mcap_0.mcap"), bag.join("run_0.mcap")).unwrap();
+        let topic = match version {
+            1..=3 => String::new(),
+            4..=6 => qos.to_owned(),
+            _ => format!("{qos}{hash}"),
+        };
+        let mut text = OLD.replace("VERSION", &version.to_string()).replace("TOPIC", &topic);
+        text = text.replace("PATH", if version < 4 { "run/run_0.mcap" } else { "run_0.mcap" });
+        for (since, part) in [(3, compression), (5, files), (6, custom), (8, "  ros_distro: rolling\n")] {
+            if version >= since {
+                text.push_str(part);
+            }
+        }
+        fs::write(bag.join("metadata.yaml"), text).unwrap();
+        let reader = Reader::open(&bag).unwrap_or_else(|error| panic!("version {version}: {error}"));
+        let metadata = reader.metadata().unwrap();
+        assert_eq!(metadata.version, version);
+        assert_eq!(metadata.files.len(), usize::from(version >= 5), "version {version}");
+        assert_eq!(metadata.ros_distro, if version >= 8 { "rolling" } else { "" });
+        assert_eq!(metadata.topics[0].offered_qos.len(), usize::from(version >= 4));
+        assert!(messages(&reader).len() > 100, "version {version}");
+    }
+}
+
+#[test]
+fn a_bag_that_is_not_read_says_why() {
+    let folder = tempfile::tempdir().unwrap();
+    let yaml = folder.path().join("metadata.yaml");
+    let whole = OLD.replace("VERSION", "9").replace("TOPIC", "").replace("PATH", "run_0.mcap");
+    fs::write(&yaml, whole.replace("storage_identifier: mcap", "storage_identifier: rocks")).unwrap();
+    let error = Reader::open(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("its storage is rocks; mcap and sqlite3 can be read"), "{error}");
+    fs::write(&yaml, format!("{whole}  compression_format: lz77\n  compression_mode: FILE\n")).unwrap();
+    let error = Reader::open(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("compressed with \"lz77\""), "{error}");
+}
