@@ -9,11 +9,13 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod cycle_journal;
 pub mod duration;
 pub mod encoding;
 pub mod inspect;
 pub mod playback;
 pub mod recorder;
+pub mod replay;
 pub mod robot;
 pub mod step_journal;
 

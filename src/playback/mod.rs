@@ -11,7 +11,7 @@ use downbeat_msgs::encoding;
 
 use crate::encoding::{RecordedType, RecordedTypeError};
 
-pub use steps::{ReplayError, replay_module};
+pub use steps::{ReplayError, ReplayedSteps, replay_module};
 
 /// Why a bag cannot be played into a core.
 #[derive(Debug, thiserror::Error)]
@@ -90,7 +90,7 @@ pub fn play_into(
 }
 
 /// Runs what is due before `end`, then moves the clock there.
-fn run_until(core: &mut Core, clock: &ManualClock, end: Time) -> Result<(), PlaybackError> {
+pub(crate) fn run_until(core: &mut Core, clock: &ManualClock, end: Time) -> Result<(), PlaybackError> {
     let (mut instant, mut cycles) = (clock.now(), 0);
     while let Some(event) = core.next_event().filter(|&event| event < end || event == clock.now()) {
         clock.set(event);

@@ -58,8 +58,17 @@ pub enum ReplayError {
     Run(#[from] RunError),
 }
 
+/// What was replayed of a detached module.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ReplayedSteps {
+    /// How many runs.
+    pub count: usize,
+    /// True if the module's end is among them: else its recording was interrupted.
+    pub is_whole: bool,
+}
+
 /// Runs a core that holds the module once for each run that `reader` has of it: at the recorded times and on the
-/// messages that each run received. Returns the number of runs.
+/// messages that each run received.
 ///
 /// The core's clock is `clock`, which stands at or before the first run, so that the module runs inside the
 /// cycle. Other modules may watch, but must not publish what the module receives.
@@ -71,7 +80,7 @@ pub fn replay_module(
     clock: &ManualClock,
     reader: &Reader,
     module: &str,
-) -> Result<usize, ReplayError> {
+) -> Result<ReplayedSteps, ReplayError> {
     let steps = read_steps(reader, module)?;
     let mut inputs = Inputs::read(core, reader, &steps)?;
     // A message that is given before a cycle joins in its sync phase and is received in the next one.
@@ -88,7 +97,7 @@ pub fn replay_module(
     }
     // What the last run published reaches those who watch.
     core.stop();
-    Ok(steps.len())
+    Ok(ReplayedSteps { count: steps.len(), is_whole: steps.last().is_some_and(|step| step.is_stop) })
 }
 
 fn read_steps(reader: &Reader, module: &str) -> Result<Vec<ModuleStep>, ReplayError> {

@@ -8,6 +8,7 @@ use downbeat_executor::{
 use super::LauncherChoice;
 use super::expose::canonical;
 use super::file::{LauncherEntry, ModuleEntry, Place, RecordEntry, RobotFile, RobotFileError, suggestion};
+use crate::cycle_journal::CycleJournal;
 use crate::step_journal::StepJournal;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
@@ -27,11 +28,13 @@ impl RobotFile {
     /// If a module cannot be set up as the file says, the file names topics that no module has, or the system does
     /// not allow the CPUs or priorities of a thread; with path and line.
     pub fn build(self, core: Core) -> Result<Robot> {
-        let mut core = self.launch(core)?;
-        for module in &self.modules {
-            self.add(module, &mut core)?;
-        }
-        StepJournal::add(&mut core).map_err(|error| self.source.error(1, error.to_string()))?;
+        let mut core = self.build_modules(self.launch(core)?, |_, _| None)?;
+        let journals = StepJournal::add(&mut core).and_then(|()| match self.launcher.idle {
+            Idle::Park => CycleJournal::add(&mut core),
+            // There would be millions, and nearly all of them idle.
+            Idle::Spin => Ok(()),
+        });
+        journals.map_err(|error| self.source.error(1, error.to_string()))?;
         let robot = Robot { file: self, core };
         robot.exposures()?;
         robot.service_exposures()?;
@@ -42,13 +45,23 @@ impl RobotFile {
         Ok(robot)
     }
 
-    fn add(&self, module: &ModuleEntry, core: &mut Core) -> Result<()> {
-        self.check_thread(module)?;
-        let added = module.kind.add_to(core, &module.name, module.options());
-        added.map_err(|error| self.located(module, &error))
+    /// Adds the file's modules to a core: each as its kind says, unless `instead` does something in place of that.
+    pub(crate) fn build_modules(
+        &self,
+        mut core: Core,
+        mut instead: impl FnMut(&ModuleEntry, &mut Core) -> Option<std::result::Result<(), SetupError>>,
+    ) -> Result<Core> {
+        for module in &self.modules {
+            self.check_thread(module)?;
+            let added = instead(module, &mut core)
+                .unwrap_or_else(|| module.kind.add_to(&mut core, &module.name, module.options()));
+            added.map_err(|error| self.located(module, &error))?;
+        }
+        Ok(core)
     }
 
-    fn launch(&self, core: Core) -> Result<Core> {
+    /// Gives a core the file's launcher.
+    pub(crate) fn launch(&self, core: Core) -> Result<Core> {
         let LauncherEntry { line, choice, threads, idle, deadline } = &self.launcher;
         let refuse = |problem: String| self.source.error(*line, problem);
         let mut core = core.with_idle(*idle);

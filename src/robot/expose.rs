@@ -9,7 +9,7 @@ use downbeat_bridge::ros::{NameError, NodeName, TopicName};
 use downbeat_executor::TopicInfo;
 
 use super::file::{Direction, ExposeEntry, RobotFile, RobotFileError, TopicChoice, suggestion};
-use crate::step_journal;
+use crate::{cycle_journal, step_journal};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -201,7 +201,8 @@ impl Selection<'_> {
 
 /// A topic that a pattern may mean, with its type.
 fn candidate<'a>(entry: &ExposeEntry, topic: &'a TopicInfo) -> Option<(&'a TopicInfo, KnownType)> {
-    let is_internal = topic.name.starts_with("executor/") || &*topic.name == step_journal::TOPIC;
+    let is_internal = topic.name.starts_with("executor/")
+        || [step_journal::TOPIC, cycle_journal::TOPIC].contains(&&*topic.name);
     let goes_that_way = topic.is_published == (entry.direction == Direction::Out);
     let message_type = KnownType::of_rust_type(topic.message_type_id)?;
     let has_type = entry.type_name.as_deref().is_none_or(|name| name == message_type.name());

@@ -2,12 +2,15 @@
 
 use std::num::NonZeroUsize;
 
+use bytes::Bytes;
 use downbeat_executor::{Core, Inbox, Module, ModuleOptions, SetupError, Synchrony};
 use downbeat_modules::darwin_op::DarwinOp;
-use downbeat_modules::darwin_op::bus::SerialBus;
+use downbeat_modules::darwin_op::bus::{Exchange, RecordedBus, SerialBus};
 use downbeat_modules::darwin_op_emulator::DarwinOpEmulator;
 use downbeat_modules::joint_command_mux::JointCommandMux;
 use downbeat_modules::stand_nod_wave::StandNodWave;
+use downbeat_msgs::cdr;
+use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 
 /// A kind of module.
 pub struct Kind {
@@ -21,7 +24,27 @@ pub struct Kind {
     pub uses_device: bool,
     /// How it runs, unless the robot file says otherwise.
     pub synchrony: Synchrony,
+    /// How it is replayed, if it drives a device and records what that answers.
+    pub(crate) replayed: Option<ReplayedDevice>,
     pub(super) add: fn(&mut Core, &str, ModuleOptions) -> Result<(), SetupError>,
+}
+
+/// How a module that drives a device runs without it.
+pub(crate) struct ReplayedDevice {
+    /// The module's own name of the topic on which it publishes what the device answered.
+    topic: &'static str,
+    /// Adds the module with these answers, the messages of the topic as CDR. The outer error says what is wrong with them.
+    pub(crate) add: AddReplayed,
+}
+
+type AddReplayed = fn(&mut Core, &str, ModuleOptions, &[Bytes]) -> Result<Result<(), SetupError>, String>;
+
+impl ReplayedDevice {
+    /// The topic in a bag.
+    pub(crate) fn topic_of(&self, options: &ModuleOptions) -> String {
+        let name = options.remaps.get(self.topic).map_or(self.topic, String::as_str);
+        format!("/{}", name.trim_start_matches('/'))
+    }
 }
 
 /// Batches that wait for a module whose input and output blocks: two seconds of commands at 125 Hz.
@@ -35,6 +58,7 @@ pub const KINDS: &[Kind] = &[
         is_emulated: false,
         uses_device: true,
         synchrony: Synchrony::Detached(INBOX),
+        replayed: Some(ReplayedDevice { topic: "bus/exchanges", add: add_darwin_op }),
         add: |core, name, options| {
             core.add_restartable(name, || DarwinOp::new(Box::new(SerialBus::new())), options)
         },
@@ -45,6 +69,7 @@ pub const KINDS: &[Kind] = &[
         is_emulated: true,
         uses_device: true,
         synchrony: Synchrony::WhenDue,
+        replayed: None,
         add: add::<DarwinOpEmulator>,
     },
     Kind {
@@ -53,6 +78,7 @@ pub const KINDS: &[Kind] = &[
         is_emulated: false,
         uses_device: false,
         synchrony: Synchrony::WhenDue,
+        replayed: None,
         add: add::<JointCommandMux>,
     },
     Kind {
@@ -61,6 +87,7 @@ pub const KINDS: &[Kind] = &[
         is_emulated: false,
         uses_device: false,
         synchrony: Synchrony::WhenDue,
+        replayed: None,
         add: add::<StandNodWave>,
     },
 ];
@@ -83,4 +110,19 @@ impl Kind {
 
 fn add<M: Module + Default>(core: &mut Core, name: &str, options: ModuleOptions) -> Result<(), SetupError> {
     core.add_restartable(name, M::default, options)
+}
+
+fn add_darwin_op(
+    core: &mut Core,
+    name: &str,
+    options: ModuleOptions,
+    answers: &[Bytes],
+) -> Result<Result<(), SetupError>, String> {
+    let exchange = |bytes: &Bytes| {
+        let message: BusExchange = cdr::from_slice(bytes).map_err(|error| error.to_string())?;
+        Exchange::try_from(message).map_err(|error| error.to_string())
+    };
+    let exchanges = answers.iter().map(exchange).collect::<Result<Vec<_>, String>>()?;
+    let (bus, _) = RecordedBus::new(exchanges);
+    Ok(core.add_with(name, DarwinOp::new(Box::new(bus)), options))
 }

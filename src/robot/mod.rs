@@ -80,6 +80,10 @@
 //!   `encoding`, how messages are serialised: "cdr" as ROS 2 does, "json", "cbor", "protobuf", "foxglove-protobuf",
 //!   "flatbuffers" or "foxglove-flatbuffers" (see [`downbeat_msgs::encoding`]).
 //!
+//! - `[replay]`: how `downbeat bag replay` compares: `modules`, the modules to run, all that can be unless given; `tolerance`,
+//!   a list such as `["joint_states:position=1e-6", "imu/*=0.1%"]`; `ignore`, a list such as `["diagnostics", "imu/data_raw:header"]`
+//!   (see [`FieldRule`](downbeat_bags::FieldRule)). Bit for bit where nothing is said.
+//!
 //! ## Exposed topics
 //! In a pattern `*` stands for any characters of one part of a name, `**` for any number of parts. It means the topics
 //! that carry ROS messages and that modules publish (`out`), or that modules receive and none publishes (`in`); it never
@@ -138,7 +142,7 @@ pub use build::Robot;
 pub use exposed::{ExposedEndpoint, ExposedQos, ExposedTraffic};
 pub use file::{
     ClockChoice, Direction, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry, ModuleEntry,
-    NodeFeatures, RecordEntry, RobotFile, RobotFileError, TopicChoice,
+    NodeFeatures, RecordEntry, ReplaySection, RobotFile, RobotFileError, TopicChoice,
 };
 pub use kinds::{KINDS, Kind};
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};

@@ -46,6 +46,7 @@ static FRAGILE: Kind = Kind {
     is_emulated: false,
     uses_device: false,
     synchrony: Synchrony::WhenDue,
+    replayed: None,
     add: |core, name, options| core.add_restartable(name, Fragile::default, options),
 };
 

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::num::NonZeroUsize;
+use std::str::FromStr;
 use std::time::Duration;
 
 use downbeat_executor::{Idle, Spin, ThreadOptions};
@@ -45,6 +46,27 @@ impl fmt::Display for LauncherChoice {
             Self::Threads => f.write_str("each module on a thread of its own"),
         }
     }
+}
+
+/// As on a command line: `linear`, `pool`, `pool:4`, `threads`.
+impl FromStr for LauncherChoice {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let (kind, threads) =
+            text.split_once(':').map_or((text, None), |(kind, threads)| (kind, Some(threads)));
+        let count = threads.map(|threads| threads.parse::<NonZeroUsize>().map_err(|_| threads));
+        match (kind, count.transpose()) {
+            ("linear", Ok(None)) => Ok(Self::Linear),
+            ("threads", Ok(None)) => Ok(Self::Threads),
+            ("pool", Ok(count)) => Ok(Self::Pool(count.unwrap_or_else(available))),
+            _ => Err(format!("\"{text}\" is no launcher; write linear, pool, pool:4 or threads")),
+        }
+    }
+}
+
+fn available() -> NonZeroUsize {
+    std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)
 }
 
 /// Reads `[launcher]`, or `launcher` and `threads` of `[robot]`.
@@ -103,7 +125,6 @@ fn choice(launcher: Option<Value<'_>>, threads: Option<Value<'_>>) -> Result<Lau
         }
         (Some((_, "pool")), threads) => {
             let threads = threads.and_then(|(_, count)| NonZeroUsize::new(count as usize));
-            let available = || std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
             Ok(LauncherChoice::Pool(threads.unwrap_or_else(available)))
         }
         (Some((value, other)), _) => {

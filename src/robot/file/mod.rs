@@ -5,6 +5,7 @@ mod features;
 mod launcher;
 mod module;
 mod place;
+mod replay;
 mod source;
 mod table;
 
@@ -20,6 +21,7 @@ pub use features::{ClockChoice, NodeFeatures};
 pub use launcher::{LauncherChoice, LauncherEntry};
 pub use module::ModuleEntry;
 pub(crate) use place::{Given, ParameterPlace, Place};
+pub use replay::ReplaySection;
 pub use source::RobotFileError;
 pub(crate) use source::{Source, suggestion};
 pub(crate) use table::list_of;
@@ -52,6 +54,8 @@ pub struct RobotFile {
     pub expose: ExposeSection,
     /// What a recording holds.
     pub record: RecordEntry,
+    /// How a bag of the robot is replayed.
+    pub replay: ReplaySection,
 }
 
 /// What a recording holds.
@@ -126,6 +130,7 @@ impl RobotFile {
         let modules = modules.into_iter().map(module::module).collect::<Result<Vec<_>>>()?;
         let expose = root.take("expose").map_or(Ok(ExposeSection::default()), expose::expose)?;
         let record = root.take("record").map_or(Ok(RecordEntry::default()), record)?;
+        let replay = root.take("replay").map_or(Ok(ReplaySection::default()), replay::replay)?;
         root.finish()?;
         let file = Self {
             source,
@@ -139,6 +144,7 @@ impl RobotFile {
             modules,
             expose,
             record,
+            replay,
         };
         Ok((file, parameter_files))
     }

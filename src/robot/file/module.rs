@@ -28,13 +28,14 @@ pub struct ModuleEntry {
 }
 
 /// The modules that the program adds to a robot.
-const RESERVED_NAMES: [&str; 6] = [
+const RESERVED_NAMES: [&str; 7] = [
     downbeat_bridge::expose::MODULE_NAME,
     downbeat_bridge::clock::MODULE_NAME,
     downbeat_bridge::diagnostics::MODULE_NAME,
     "recorder",
     "fault_watch",
     "step_journal",
+    crate::cycle_journal::CycleJournal::MODULE_NAME,
 ];
 
 /// How long a module that panicked waits before it starts again, unless the file says otherwise.

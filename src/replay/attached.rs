@@ -1,0 +1,183 @@
+//! Replay of the modules inside the cycle, together, in the recorded cycles.
+
+use std::collections::BTreeMap;
+use std::iter::Peekable;
+
+use downbeat_bags::{Messages, Reader, Selection, TopicId};
+use downbeat_bridge::edge::EncodedInlet;
+use downbeat_executor::{Core, ManualClock, Time};
+
+use super::ReplayError;
+use super::captured::Captured;
+use super::comparison::Comparisons;
+use super::cycles::Cycles;
+use super::plan::Plan;
+use crate::encoding::RecordedType;
+use crate::playback::run_until;
+use crate::robot::RobotFile;
+
+/// Returns how many cycles there were.
+pub(super) fn replay(
+    file: &RobotFile,
+    reader: &Reader,
+    plan: &Plan,
+    comparisons: &mut Comparisons,
+) -> Result<u64, ReplayError> {
+    let start = match &plan.cycles {
+        Cycles::Recorded { times, .. } => times.first().copied(),
+        Cycles::OfMessages | Cycles::Unknown => reader.start_time(),
+    };
+    let clock = ManualClock::new(Time::from_nanos(start.unwrap_or(0)));
+    let mut core = file.launch(Core::new().with_clock(clock.clone()))?;
+    core = build(file, reader, core, |module| plan.attached.iter().any(|name| name == module))?;
+    let captured = Captured::add(&mut core, |topic| plan.outputs.contains_key(topic))?;
+    let inputs = Inputs::open(&mut core, reader, plan)?;
+    let mut run = Run { core, clock, captured, inputs, comparisons, cycles: 0 };
+    match &plan.cycles {
+        Cycles::Recorded { times, is_whole: true } => {
+            times.iter().try_for_each(|&time| run.cycle(time))?;
+            // What the modules do at their end they did a moment later, at a time that their last messages tell.
+            if let Some(end) = run.comparisons.first_time_after(times.last().copied().unwrap_or(0))? {
+                run.clock.set(Time::from_nanos(end));
+            }
+            run.stop();
+        }
+        Cycles::Recorded { times, is_whole: false } => {
+            times.iter().try_for_each(|&time| run.cycle(time))?;
+            // The bag may lack what was published last.
+            run.comparisons.end_before(times.last().copied().unwrap_or(i64::MIN));
+        }
+        Cycles::OfMessages => {
+            let mut last = None;
+            for message in reader.messages(Selection::all())? {
+                let time = message?.log_time;
+                if last.replace(time) != Some(time) {
+                    run.cycle(time)?;
+                }
+            }
+            run.stop();
+        }
+        Cycles::Unknown => {
+            while let Some(time) = run.inputs.next_time()? {
+                run_until(&mut run.core, &run.clock, Time::from_nanos(time))?;
+                run.inputs.give(time)?;
+            }
+            let end = Time::from_nanos(reader.end_time().unwrap_or(0));
+            run_until(&mut run.core, &run.clock, end)?;
+            run.stop();
+        }
+    }
+    Ok(run.cycles)
+}
+
+/// Adds the modules that are wanted to a core; those that drive a device with its recorded answers.
+pub(super) fn build(
+    file: &RobotFile,
+    reader: &Reader,
+    core: Core,
+    is_wanted: impl Fn(&str) -> bool,
+) -> Result<Core, ReplayError> {
+    let mut problem = None;
+    let built = file.build_modules(core, |module, core| {
+        if !is_wanted(&module.name) {
+            return Some(Ok(()));
+        }
+        let replayed = module.kind.replayed.as_ref()?;
+        let options = module.options();
+        match recorded(reader, &replayed.topic_of(&options)) {
+            Ok(answers) => match (replayed.add)(core, &module.name, options, &answers) {
+                Ok(added) => Some(added),
+                Err(error) => {
+                    problem = Some(ReplayError::Device { module: module.name.clone(), problem: error });
+                    Some(Ok(()))
+                }
+            },
+            Err(error) => {
+                problem = Some(error);
+                Some(Ok(()))
+            }
+        }
+    });
+    problem.map_or_else(|| Ok(built?), Err)
+}
+
+fn recorded(reader: &Reader, topic: &str) -> Result<Vec<bytes::Bytes>, ReplayError> {
+    let Some(id) = reader.topic(topic) else { return Ok(Vec::new()) };
+    let recorded = RecordedType::of(&reader.topics()[id.index()])?;
+    let messages = reader.messages(Selection::all().topics([id]))?;
+    messages.map(|message| Ok(recorded.to_cdr(message?.data)?)).collect()
+}
+
+struct Run<'a> {
+    core: Core,
+    clock: ManualClock,
+    captured: Captured,
+    inputs: Inputs,
+    comparisons: &'a mut Comparisons,
+    cycles: u64,
+}
+
+impl Run<'_> {
+    /// What is given before a cycle joins in its sync phase, as it did when it was recorded.
+    fn cycle(&mut self, time: i64) -> Result<(), ReplayError> {
+        self.inputs.give(time)?;
+        self.clock.set(Time::from_nanos(time));
+        self.core.cycle()?;
+        self.cycles += 1;
+        self.collect();
+        Ok(())
+    }
+
+    fn stop(&mut self) {
+        self.core.stop();
+        self.collect();
+    }
+
+    fn collect(&mut self) {
+        for replayed in self.captured.take() {
+            self.comparisons.replayed(replayed);
+        }
+    }
+}
+
+/// What the modules receive from the bag.
+struct Inputs {
+    inlets: BTreeMap<TopicId, (EncodedInlet, RecordedType)>,
+    messages: Option<Peekable<Messages>>,
+}
+
+impl Inputs {
+    fn open(core: &mut Core, reader: &Reader, plan: &Plan) -> Result<Self, ReplayError> {
+        let mut inlets = BTreeMap::new();
+        for name in &plan.inputs {
+            let Some(id) = reader.topic(&format!("/{name}")) else { continue };
+            let recorded = RecordedType::of(&reader.topics()[id.index()])?;
+            inlets.insert(id, (recorded.message_type().inlet(core, name)?, recorded));
+        }
+        if inlets.is_empty() {
+            return Ok(Self { inlets, messages: None });
+        }
+        let messages = reader.messages(Selection::all().topics(inlets.keys().copied()))?;
+        Ok(Self { inlets, messages: Some(messages.peekable()) })
+    }
+
+    fn next_time(&mut self) -> Result<Option<i64>, ReplayError> {
+        let Some(messages) = &mut self.messages else { return Ok(None) };
+        if let Some(Err(error)) = messages.next_if(Result::is_err) {
+            return Err(error.into());
+        }
+        Ok(messages.peek().and_then(|message| message.as_ref().ok()).map(|message| message.log_time))
+    }
+
+    /// Gives all messages up to that time.
+    fn give(&mut self, time: i64) -> Result<(), ReplayError> {
+        while self.next_time()?.is_some_and(|next| next <= time) {
+            let message = self.messages.as_mut().and_then(Iterator::next);
+            let Some(message) = message.transpose()? else { break };
+            if let Some((inlet, recorded)) = self.inlets.get(&message.topic) {
+                inlet.publish(&recorded.to_cdr(message.data)?)?;
+            }
+        }
+        Ok(())
+    }
+}

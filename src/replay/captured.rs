@@ -1,0 +1,58 @@
+//! What replayed modules publish.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use bytes::Bytes;
+use downbeat_bridge::edge::KnownType;
+use downbeat_executor::{Core, Module, ModuleOptions, Role, Setup, SetupError, Time};
+
+/// A message that a replayed module published.
+pub(super) struct Replayed {
+    /// Without the leading slash.
+    pub(super) topic: Arc<str>,
+    /// The time of the cycle that published it.
+    pub(super) time: i64,
+    pub(super) cdr: Bytes,
+}
+
+/// The messages that were published and not taken yet.
+#[derive(Clone, Default)]
+pub(super) struct Captured(Arc<Mutex<Vec<Replayed>>>);
+
+impl Captured {
+    /// Adds a module to a core that captures what its modules publish on the topics that are wanted.
+    pub(super) fn add(core: &mut Core, is_wanted: impl Fn(&str) -> bool) -> Result<Self, SetupError> {
+        let captured = Self::default();
+        let topics = core.topics().filter(|topic| topic.is_published && is_wanted(&topic.name));
+        let topics = topics.filter_map(|topic| {
+            Some((Arc::clone(&topic.name), KnownType::of_rust_type(topic.message_type_id)?))
+        });
+        let watch = Watch { topics: topics.collect(), captured: captured.clone() };
+        let options = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
+        core.add_with("replay_watch", watch, options)?;
+        Ok(captured)
+    }
+
+    pub(super) fn take(&self) -> Vec<Replayed> {
+        std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+struct Watch {
+    topics: Vec<(Arc<str>, KnownType)>,
+    captured: Captured,
+}
+
+impl Module for Watch {
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        for (topic, message_type) in self.topics.drain(..) {
+            let (captured, name) = (self.captured.clone(), Arc::clone(&topic));
+            let sink = move |time: Time, cdr: Bytes| {
+                let replayed = Replayed { topic: Arc::clone(&name), time: time.as_nanos(), cdr };
+                captured.0.lock().unwrap_or_else(PoisonError::into_inner).push(replayed);
+            };
+            message_type.subscribe(setup, &topic, sink)?;
+        }
+        Ok(())
+    }
+}

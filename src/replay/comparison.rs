@@ -1,0 +1,231 @@
+//! What modules published when they were replayed, beside what the bag has.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::iter::Peekable;
+use std::ops::ControlFlow;
+
+use bytes::Bytes;
+use downbeat_bags::{Comparer, FieldRule, Messages, Reader, Selection, TopicId};
+
+use super::ReplayError;
+use super::captured::Replayed;
+use super::cycles::Cycles;
+use super::plan::Plan;
+use super::report::{Difference, TopicReport, What};
+use crate::encoding::RecordedType;
+
+/// Of all topics that are compared. The bag is read as far as the replay has come.
+pub(super) struct Comparisons {
+    recorded: Peekable<Messages>,
+    topics: BTreeMap<TopicId, Comparison>,
+    by_name: BTreeMap<String, TopicId>,
+    /// The first problem with the bag; told at the end.
+    failure: Option<ReplayError>,
+}
+
+struct Comparison {
+    report: TopicReport,
+    recorded_type: RecordedType,
+    comparer: Comparer,
+    is_shared: bool,
+    is_attached: bool,
+    /// Up to this time messages must have been published at the recorded times.
+    times_until: i64,
+    /// What is left over from this time on is no difference: the bag was interrupted.
+    open_from: i64,
+    recorded: VecDeque<(i64, Bytes)>,
+    replayed: VecDeque<(i64, Bytes)>,
+}
+
+/// How far ahead a message is looked for on a topic that others publish too.
+const WINDOW: usize = 1000;
+
+impl Comparisons {
+    pub(super) fn new(reader: &Reader, plan: &Plan, rules: &[FieldRule]) -> Result<Self, ReplayError> {
+        let (mut topics, mut by_name) = (BTreeMap::new(), BTreeMap::new());
+        let last_cycle = match &plan.cycles {
+            Cycles::Recorded { times, .. } => times.last().copied().unwrap_or(i64::MIN),
+            Cycles::OfMessages => i64::MAX,
+            Cycles::Unknown => i64::MIN,
+        };
+        for (name, output) in &plan.outputs {
+            let Some(id) = reader.topic(&format!("/{name}")) else { continue };
+            let recorded = &reader.topics()[id.index()];
+            let comparer = Comparer::new(&recorded.info, rules);
+            let is_attached = output.modules.iter().any(|name| plan.attached.contains(name));
+            let has_times = is_attached && !output.is_shared;
+            topics.insert(
+                id,
+                Comparison {
+                    report: TopicReport {
+                        topic: recorded.info.name.clone(),
+                        modules: output.modules.clone(),
+                        is_ignored: comparer.ignores_all(),
+                        compared: 0,
+                        different: 0,
+                        first: None,
+                    },
+                    recorded_type: RecordedType::of(recorded)?,
+                    comparer,
+                    is_shared: output.is_shared,
+                    is_attached,
+                    times_until: if has_times { last_cycle } else { i64::MIN },
+                    open_from: i64::MAX,
+                    recorded: VecDeque::new(),
+                    replayed: VecDeque::new(),
+                },
+            );
+            by_name.insert(name.clone(), id);
+        }
+        let ids: BTreeSet<TopicId> = topics.keys().copied().collect();
+        let recorded = reader.messages(Selection::all().topics(ids))?.peekable();
+        Ok(Self { recorded, topics, by_name, failure: None })
+    }
+
+    /// A message was published.
+    pub(super) fn replayed(&mut self, replayed: Replayed) {
+        let Some(id) = self.by_name.get(&*replayed.topic).copied() else { return };
+        let Some(topic) = self.topics.get_mut(&id) else { return };
+        topic.replayed.push_back((replayed.time, replayed.cdr));
+        if topic.is_shared {
+            return;
+        }
+        while self.topics.get(&id).is_some_and(|topic| topic.recorded.is_empty()) {
+            if self.read_next().is_break() {
+                return;
+            }
+        }
+        if let Some(topic) = self.topics.get_mut(&id) {
+            topic.compare_in_order();
+        }
+    }
+
+    /// The time of the first message after `time` that the modules inside the cycle published.
+    pub(super) fn first_time_after(&mut self, time: i64) -> Result<Option<i64>, ReplayError> {
+        loop {
+            let attached = self.topics.values().filter(|topic| topic.is_attached && !topic.is_shared);
+            let times = attached.flat_map(|topic| &topic.recorded).map(|(recorded, _)| *recorded);
+            if let Some(first) = times.filter(|&recorded| recorded > time).min() {
+                return Ok(Some(first));
+            }
+            if self.read_next().is_break() {
+                return Ok(None);
+            }
+        }
+    }
+
+    /// The bag was interrupted: of the modules inside the cycle it may lack what they published from `time` on.
+    pub(super) fn end_before(&mut self, time: i64) {
+        for topic in self.topics.values_mut().filter(|topic| topic.is_attached) {
+            topic.open_from = topic.open_from.min(time);
+        }
+    }
+
+    /// The bag was interrupted: it may lack the module's last messages, or the runs that published them.
+    pub(super) fn interrupted(&mut self, module: &str) {
+        for topic in self.topics.values_mut() {
+            if topic.report.modules.iter().any(|name| name == module) {
+                topic.open_from = i64::MIN;
+            }
+        }
+    }
+
+    /// Compares what is left.
+    pub(super) fn finish(mut self) -> Result<Vec<TopicReport>, ReplayError> {
+        while self.read_next().is_continue() {}
+        if let Some(failure) = self.failure {
+            return Err(failure);
+        }
+        let topics = self.topics.into_values().map(|mut topic| {
+            if topic.is_shared {
+                topic.compare_in_any_order();
+            } else {
+                topic.compare_in_order();
+                topic.compare_rest();
+            }
+            topic.report
+        });
+        Ok(topics.collect())
+    }
+
+    fn read_next(&mut self) -> ControlFlow<()> {
+        let Some(message) = self.recorded.next() else { return ControlFlow::Break(()) };
+        let message = match message {
+            Ok(message) => message,
+            Err(error) => {
+                self.failure.get_or_insert(error.into());
+                return ControlFlow::Continue(());
+            }
+        };
+        let Some(topic) = self.topics.get_mut(&message.topic) else { return ControlFlow::Continue(()) };
+        match topic.recorded_type.to_cdr(message.data) {
+            Ok(cdr) => topic.recorded.push_back((message.log_time, cdr)),
+            Err(error) => drop(self.failure.get_or_insert(error.into())),
+        }
+        ControlFlow::Continue(())
+    }
+}
+
+impl Comparison {
+    fn compare_in_order(&mut self) {
+        while !self.recorded.is_empty() && !self.replayed.is_empty() {
+            let (Some((recorded_time, recorded)), Some((replayed_time, replayed))) =
+                (self.recorded.pop_front(), self.replayed.pop_front())
+            else {
+                return;
+            };
+            let is_late = recorded_time <= self.times_until && recorded_time != replayed_time;
+            let what = match self.comparer.compare(&recorded, &replayed) {
+                Some(field) => Some(What::Field(field)),
+                None if is_late && !self.report.is_ignored => Some(What::Time { replayed: replayed_time }),
+                None => None,
+            };
+            self.note(recorded_time, what);
+        }
+    }
+
+    /// One of both is empty.
+    fn compare_rest(&mut self) {
+        for (time, _) in std::mem::take(&mut self.recorded) {
+            if time < self.open_from && !self.report.is_ignored {
+                self.note(time, Some(What::Missing));
+            }
+        }
+        for (time, _) in std::mem::take(&mut self.replayed) {
+            if time < self.open_from && !self.report.is_ignored {
+                self.note(time, Some(What::Extra));
+            }
+        }
+    }
+
+    /// Each message that was replayed must be among those recorded, in that order; others may stand between them.
+    fn compare_in_any_order(&mut self) {
+        let mut from = 0;
+        for (time, replayed) in std::mem::take(&mut self.replayed) {
+            let ahead = || self.recorded.range(from.min(self.recorded.len())..).take(WINDOW);
+            let same = ahead().position(|(_, recorded)| self.comparer.compare(recorded, &replayed).is_none());
+            if let Some(position) = same {
+                from += position + 1;
+                self.note(time, None);
+                continue;
+            }
+            let nearest = ahead().min_by_key(|(recorded, _)| recorded.abs_diff(time));
+            let difference =
+                nearest.and_then(|(at, recorded)| Some((*at, self.comparer.compare(recorded, &replayed)?)));
+            match difference {
+                Some((at, field)) => self.note(at, Some(What::Field(field))),
+                None if time < self.open_from => self.note(time, Some(What::Extra)),
+                None => {}
+            }
+        }
+    }
+
+    fn note(&mut self, time: i64, what: Option<What>) {
+        let number = self.report.compared;
+        self.report.compared += 1;
+        let Some(what) = what else { return };
+        self.report.different += 1;
+        let topic = &self.report.topic;
+        self.report.first.get_or_insert_with(|| Difference { topic: topic.clone(), number, time, what });
+    }
+}

@@ -1,0 +1,48 @@
+//! When the cycles of a recorded robot were.
+
+use downbeat_bags::{Reader, Selection};
+use downbeat_msgs::cdr;
+use downbeat_msgs::downbeat_interfaces::msg::CycleTimes;
+
+use super::ReplayError;
+use crate::cycle_journal;
+use crate::encoding::RecordedType;
+
+/// What a bag tells of the cycles.
+pub(super) enum Cycles {
+    /// The time of each cycle. If `is_whole`, the robot's end is among them, else its recording was interrupted.
+    Recorded { times: Vec<i64>, is_whole: bool },
+    /// The bag was recorded in a robot, but without these times: there were cycles at the times of its messages.
+    OfMessages,
+    /// The bag was recorded elsewhere, for example from ROS 2: timers fire at their exact times.
+    Unknown,
+}
+
+impl Cycles {
+    pub(super) fn read(reader: &Reader) -> Result<Self, ReplayError> {
+        let name = format!("/{}", cycle_journal::TOPIC);
+        let topic = reader.topic(&name).filter(|id| reader.topics()[id.index()].message_count > 0);
+        let Some(id) = topic else {
+            // What `Session` notes of each robot that it records.
+            let is_of_robot =
+                reader.metadata().is_some_and(|metadata| metadata.custom_data.contains_key("robot"));
+            return Ok(if is_of_robot { Self::OfMessages } else { Self::Unknown });
+        };
+        let recorded = RecordedType::of(&reader.topics()[id.index()])?;
+        let (mut times, mut is_whole) = (Vec::new(), false);
+        for message in reader.messages(Selection::all().topics([id]))? {
+            let message = cdr::from_slice::<CycleTimes>(&recorded.to_cdr(message?.data)?)
+                .map_err(|source| ReplayError::Message { topic: name.clone(), source })?;
+            if message.first != times.len() as u64 {
+                return Err(ReplayError::CyclesLost { expected: times.len() as u64, found: message.first });
+            }
+            times.extend_from_slice(&message.times);
+            is_whole = message.is_end;
+        }
+        Ok(Self::Recorded { times, is_whole })
+    }
+
+    pub(super) fn is_recorded(&self) -> bool {
+        matches!(self, Self::Recorded { .. })
+    }
+}

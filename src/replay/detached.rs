@@ -1,0 +1,33 @@
+//! Replay of a detached module by its recorded runs.
+
+use downbeat_bags::Reader;
+use downbeat_executor::{Core, ManualClock, Time};
+
+use super::captured::Captured;
+use super::comparison::Comparisons;
+use super::plan::Plan;
+use super::{ReplayError, attached};
+use crate::playback::replay_module;
+use crate::robot::RobotFile;
+
+/// Returns how many runs there were.
+pub(super) fn replay(
+    file: &RobotFile,
+    reader: &Reader,
+    plan: &Plan,
+    name: &str,
+    comparisons: &mut Comparisons,
+) -> Result<usize, ReplayError> {
+    let clock = ManualClock::new(Time::ZERO);
+    let core = Core::new().with_clock(clock.clone());
+    let mut core = attached::build(file, reader, core, |module| module == name)?;
+    let captured = Captured::add(&mut core, |topic| plan.outputs.contains_key(topic))?;
+    let steps = replay_module(&mut core, &clock, reader, name);
+    let steps =
+        steps.map_err(|source| ReplayError::Steps { module: name.to_owned(), source: Box::new(source) })?;
+    if !steps.is_whole {
+        comparisons.interrupted(name);
+    }
+    captured.take().into_iter().for_each(|replayed| comparisons.replayed(replayed));
+    Ok(steps.count)
+}

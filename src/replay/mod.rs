@@ -1,0 +1,166 @@
+//! A bag as a test: a robot's modules run again on what they received, and what they publish is compared with what they
+//! published then.
+//!
+//! Modules that run inside the cycle are run together, in the cycles that the bag tells (`cycle_times`) at their very
+//! times; what others published, and what came from ROS 2, joins in the cycle in which it joined then. Each detached
+//! module is run by itself, by its recorded runs (`module_steps`). As no module sees of another more than its messages,
+//! a robot whose parts all repeat bit for bit does so as a whole. Modules that drive a device run on the recorded answers
+//! of the device, if their kind records these; else they are left out, and what they published is input.
+//!
+//! Calls of services and changes of settings while the robot ran are in no bag: modules that depend on them differ.
+
+mod attached;
+mod captured;
+mod comparison;
+mod cycles;
+mod detached;
+mod plan;
+mod report;
+
+use std::time::Instant;
+
+use downbeat_bags::{FieldRule, Reader, ReaderError};
+use downbeat_bridge::edge::EncodedInletError;
+use downbeat_executor::{RunError, SetupError};
+use downbeat_msgs::{cdr, encoding};
+
+use crate::encoding::RecordedTypeError;
+use crate::playback::{PlaybackError, ReplayError as StepsError};
+use crate::robot::{RobotFile, RobotFileError};
+use comparison::Comparisons;
+use plan::Plan;
+
+pub use report::{Difference, LeftOut, ReplayReport, TopicReport, What};
+
+/// What to replay and how exactly to compare.
+#[derive(Clone, Debug, Default)]
+pub struct ReplayOptions {
+    /// Only these modules; what the others published is input. Empty: all that can be.
+    pub modules: Vec<String>,
+    /// How exactly fields are compared: bit for bit where no rule says otherwise.
+    pub rules: Vec<FieldRule>,
+}
+
+/// Why a bag cannot be replayed.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    /// The bag cannot be read.
+    #[error(transparent)]
+    Bag(#[from] ReaderError),
+    /// The robot file does not describe a robot.
+    #[error(transparent)]
+    Robot(#[from] RobotFileError),
+    /// A module was asked for that the robot does not have.
+    #[error("the robot has no module \"{module}\"; it has {}", known.join(", "))]
+    NoSuchModule {
+        /// What was asked for.
+        module: String,
+        /// What there is.
+        known: Vec<String>,
+    },
+    /// A module was asked for that cannot be replayed from this bag.
+    #[error("module \"{0}\" cannot be replayed: {1}")]
+    NotReplayable(String, String),
+    /// No module can be replayed, or none publishes anything that the bag has.
+    #[error("there is nothing to replay: {0}")]
+    Nothing(String),
+    /// What a module received cannot be told from what it published.
+    #[error(
+        "topic \"{topic}\" is received by modules that are replayed and published by them and by others; the bag does not \
+         say who published a message. Replay other modules than {}", modules.join(", ")
+    )]
+    SharedInput {
+        /// The topic.
+        topic: String,
+        /// The modules that are replayed and publish it.
+        modules: Vec<String>,
+    },
+    /// The bag's account of the cycles has a gap.
+    #[error(
+        "the bag does not tell the times of cycles {expected} to {found}: messages of /cycle_times were lost"
+    )]
+    CyclesLost {
+        /// The first that is not told.
+        expected: u64,
+        /// The first after the gap.
+        found: u64,
+    },
+    /// A message on which the replay depends is not what its topic says.
+    #[error("a message of \"{topic}\": {source}")]
+    Message {
+        /// The topic.
+        topic: String,
+        /// What is wrong.
+        source: cdr::Error,
+    },
+    /// The recorded answers of a device cannot be used.
+    #[error("module \"{module}\" cannot have its device's recorded answers: {problem}")]
+    Device {
+        /// The module.
+        module: String,
+        /// What is wrong with them.
+        problem: String,
+    },
+    /// A detached module cannot be replayed.
+    #[error("module \"{module}\": {source}")]
+    Steps {
+        /// The module.
+        module: String,
+        /// Why not.
+        source: Box<StepsError>,
+    },
+    /// The modules cannot be played to.
+    #[error(transparent)]
+    Playback(#[from] PlaybackError),
+    /// The type is not compiled in, or its messages are in an encoding that is not read here.
+    #[error(transparent)]
+    Type(#[from] RecordedTypeError),
+    /// A message is not what its encoding says.
+    #[error(transparent)]
+    Encoding(#[from] encoding::Error),
+    /// The core does not take the modules.
+    #[error(transparent)]
+    Setup(#[from] SetupError),
+    /// The core does not take a message.
+    #[error(transparent)]
+    Inlet(#[from] EncodedInletError),
+    /// The core does not run.
+    #[error(transparent)]
+    Run(#[from] RunError),
+}
+
+/// Runs a robot's modules on a bag, as fast as they can, and compares what they publish with what the bag has.
+///
+/// # Errors
+/// If the bag cannot be replayed. That the replay differs is no error: the report tells it.
+pub fn replay(
+    file: RobotFile,
+    reader: &Reader,
+    options: &ReplayOptions,
+) -> Result<ReplayReport, ReplayError> {
+    let started = Instant::now();
+    let file = file.on_any_machine();
+    let plan = Plan::make(&file, reader, options)?;
+    let mut comparisons = Comparisons::new(reader, &plan, &options.rules)?;
+    let mut runs = Vec::new();
+    for name in &plan.detached {
+        runs.push((name.clone(), detached::replay(&file, reader, &plan, name, &mut comparisons)?));
+    }
+    let cycles =
+        if plan.attached.is_empty() { 0 } else { attached::replay(&file, reader, &plan, &mut comparisons)? };
+    let topics = comparisons.finish()?;
+    Ok(ReplayReport {
+        robot: file.name.clone(),
+        modules: plan.attached,
+        cycles,
+        has_recorded_cycles: plan.cycles.is_recorded(),
+        detached: runs,
+        left_out: plan.left_out,
+        inputs: plan.inputs.into_iter().collect(),
+        missing_inputs: plan.missing_inputs.into_iter().collect(),
+        topics,
+        bag_start: reader.start_time().unwrap_or(0),
+        bag_duration: reader.duration(),
+        took: started.elapsed(),
+    })
+}

@@ -1,0 +1,194 @@
+//! Which modules are replayed, what they receive, and what of it can be compared.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use downbeat_bags::Reader;
+use downbeat_bridge::diagnostics::ProcessDiagnostics;
+use downbeat_bridge::middleware::Direction;
+use downbeat_executor::{Core, Graph, GraphEdge, Synchrony};
+
+use super::cycles::Cycles;
+use super::{LeftOut, ReplayError, ReplayOptions};
+use crate::cycle_journal::CycleJournal;
+use crate::robot::{ModuleEntry, RobotFile};
+use crate::step_journal::{self, StepJournal};
+
+pub(super) struct Plan {
+    /// Modules inside the cycle, run together.
+    pub(super) attached: Vec<String>,
+    /// Detached modules, each run by itself.
+    pub(super) detached: Vec<String>,
+    pub(super) left_out: Vec<LeftOut>,
+    /// The topics that replayed modules publish and the bag has, without the leading slash.
+    pub(super) outputs: BTreeMap<String, Output>,
+    /// The topics that the modules inside the cycle receive from the bag.
+    pub(super) inputs: BTreeSet<String>,
+    /// Those that they receive, that others publish, and that are not in the bag.
+    pub(super) missing_inputs: BTreeSet<String>,
+    pub(super) cycles: Cycles,
+}
+
+/// A topic that replayed modules publish.
+pub(super) struct Output {
+    /// The modules that do.
+    pub(super) modules: Vec<String>,
+    /// True if not all of its messages in the bag come from one of them in order.
+    pub(super) is_shared: bool,
+}
+
+impl Plan {
+    pub(super) fn make(
+        file: &RobotFile,
+        reader: &Reader,
+        options: &ReplayOptions,
+    ) -> Result<Self, ReplayError> {
+        check_names(file, options)?;
+        let graph = Wiring::of(file)?;
+        let is_in_bag = |topic: &str| reader.topic(&format!("/{topic}")).is_some();
+        let mut plan = Self {
+            attached: Vec::new(),
+            detached: Vec::new(),
+            left_out: Vec::new(),
+            outputs: BTreeMap::new(),
+            inputs: BTreeSet::new(),
+            missing_inputs: BTreeSet::new(),
+            cycles: Cycles::read(reader)?,
+        };
+        for module in &file.modules {
+            let is_asked_for = options.modules.contains(&module.name);
+            match replayability(module, reader) {
+                _ if !options.modules.is_empty() && !is_asked_for => {}
+                Ok(()) if matches!(module.options().synchrony, Synchrony::Detached(_)) => {
+                    plan.detached.push(module.name.clone());
+                }
+                Ok(()) => plan.attached.push(module.name.clone()),
+                Err(reason) if is_asked_for => {
+                    return Err(ReplayError::NotReplayable(module.name.clone(), reason));
+                }
+                Err(reason) => plan.left_out.push(LeftOut { module: module.name.clone(), reason }),
+            }
+        }
+        for (topic, publishers) in &graph.publishers {
+            let is_replayed = |name: &&String| plan.attached.contains(name) || plan.detached.contains(name);
+            let modules: Vec<String> = publishers.iter().filter(is_replayed).cloned().collect();
+            if !modules.is_empty() && is_in_bag(topic) {
+                let is_shared = publishers.len() > modules.len()
+                    || (modules.len() > 1 && modules.iter().any(|name| plan.detached.contains(name)));
+                plan.outputs.insert(topic.clone(), Output { modules, is_shared });
+            }
+        }
+        plan.find_inputs(&graph, is_in_bag)?;
+        plan.check()?;
+        Ok(plan)
+    }
+
+    fn find_inputs(&mut self, graph: &Wiring, is_in_bag: impl Fn(&str) -> bool) -> Result<(), ReplayError> {
+        for (topic, subscribers) in &graph.subscribers {
+            if topic.starts_with("executor/") || !subscribers.iter().any(|name| self.attached.contains(name))
+            {
+                continue;
+            }
+            let nobody = BTreeSet::new();
+            let publishers = graph.publishers.get(topic).unwrap_or(&nobody);
+            let (own, others): (Vec<_>, Vec<_>) =
+                publishers.iter().cloned().partition(|name| self.attached.contains(name));
+            match (own.is_empty(), others.is_empty()) {
+                (true, _) if is_in_bag(topic) => drop(self.inputs.insert(topic.clone())),
+                // Where nobody publishes it, nothing came.
+                (true, false) => drop(self.missing_inputs.insert(topic.clone())),
+                (true, true) | (false, true) => {}
+                (false, false) => {
+                    return Err(ReplayError::SharedInput { topic: topic.clone(), modules: own });
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn check(&self) -> Result<(), ReplayError> {
+        if self.attached.is_empty() && self.detached.is_empty() {
+            let reasons = self.left_out.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
+            return Err(ReplayError::Nothing(reasons));
+        }
+        if self.outputs.is_empty() {
+            let modules = self.attached.iter().chain(&self.detached).cloned().collect::<Vec<_>>().join(", ");
+            return Err(ReplayError::Nothing(format!("the bag has no topic that {modules} publish")));
+        }
+        Ok(())
+    }
+}
+
+fn check_names(file: &RobotFile, options: &ReplayOptions) -> Result<(), ReplayError> {
+    let known = || file.modules.iter().map(|module| module.name.clone()).collect();
+    match options.modules.iter().find(|name| !file.modules.iter().any(|module| module.name == **name)) {
+        Some(unknown) => Err(ReplayError::NoSuchModule { module: unknown.clone(), known: known() }),
+        None => Ok(()),
+    }
+}
+
+/// Why not, in words.
+fn replayability(module: &ModuleEntry, reader: &Reader) -> Result<(), String> {
+    if module.kind.uses_device {
+        let Some(replayed) = &module.kind.replayed else {
+            return Err("it drives a device, whose answers are not recorded".to_owned());
+        };
+        let topic = replayed.topic_of(&module.options());
+        if reader.topic(&topic).is_none() {
+            return Err(format!("it drives a device, and the bag has no {topic} with the device's answers"));
+        }
+    }
+    let steps = format!("/{}", step_journal::TOPIC);
+    if matches!(module.options().synchrony, Synchrony::Detached(_)) && reader.topic(&steps).is_none() {
+        return Err(format!("it is detached, and the bag has no {steps} with its runs"));
+    }
+    Ok(())
+}
+
+/// Who publishes and who receives a topic.
+struct Wiring {
+    publishers: BTreeMap<String, BTreeSet<String>>,
+    subscribers: BTreeMap<String, BTreeSet<String>>,
+}
+
+/// Stands for publishers of what comes in.
+const ROS: &str = "ROS 2";
+
+impl Wiring {
+    fn of(file: &RobotFile) -> Result<Self, ReplayError> {
+        let mut core = Core::new();
+        if file.expose.features.diagnostics {
+            ProcessDiagnostics::add(&mut core, &file.name)?;
+        }
+        let mut core = file.build_modules(core, |_, _| None)?;
+        StepJournal::add(&mut core)?;
+        CycleJournal::add(&mut core)?;
+        let Graph { modules, topics, edges, .. } = core.graph();
+        let mut wiring = Self { publishers: BTreeMap::new(), subscribers: BTreeMap::new() };
+        let names = |module: usize, topic: usize| {
+            Some((modules.get(module)?.name.clone(), topics.get(topic)?.name.clone()))
+        };
+        for edge in edges {
+            match edge {
+                GraphEdge::Publishes { module, topic } => {
+                    if let Some((module, topic)) = names(module, topic) {
+                        wiring.publishers.entry(topic).or_default().insert(module);
+                    }
+                }
+                GraphEdge::Subscribes { module, topic } => {
+                    if let Some((module, topic)) = names(module, topic) {
+                        wiring.subscribers.entry(topic).or_default().insert(module);
+                    }
+                }
+                _ => {}
+            }
+        }
+        let known: Vec<_> = core.topics().cloned().collect();
+        for exposure in file.exposures_of(&file.expose.topics, &known, &[])? {
+            if exposure.direction == Direction::In {
+                let topic = exposure.topic.trim_start_matches('/').to_owned();
+                wiring.publishers.entry(topic).or_default().insert(ROS.to_owned());
+            }
+        }
+        Ok(wiring)
+    }
+}

@@ -1,0 +1,171 @@
+//! What a replay found.
+
+use std::fmt;
+use std::time::Duration;
+
+use downbeat_bags::FieldDifference;
+use downbeat_executor::Time;
+
+/// What was replayed, and where it differs from the bag.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReplayReport {
+    /// The robot's name.
+    pub robot: String,
+    /// The modules that ran together inside the cycle.
+    pub modules: Vec<String>,
+    /// How many cycles they ran.
+    pub cycles: u64,
+    /// True if the bag told the times of the cycles.
+    pub has_recorded_cycles: bool,
+    /// The detached modules, and how many runs each had.
+    pub detached: Vec<(String, usize)>,
+    /// The modules that were not replayed.
+    pub left_out: Vec<LeftOut>,
+    /// The topics that the modules inside the cycle received from the bag.
+    pub inputs: Vec<String>,
+    /// The topics that they received when they were recorded, and that are not in the bag.
+    pub missing_inputs: Vec<String>,
+    /// What was compared.
+    pub topics: Vec<TopicReport>,
+    /// The first message of the bag, nanoseconds since the epoch.
+    pub bag_start: i64,
+    /// The length of the bag.
+    pub bag_duration: Duration,
+    /// How long the replay took.
+    pub took: Duration,
+}
+
+/// A module that was not replayed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LeftOut {
+    /// Its name.
+    pub module: String,
+    /// Why, in words.
+    pub reason: String,
+}
+
+/// What was compared of a topic.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TopicReport {
+    /// With the leading slash.
+    pub topic: String,
+    /// The replayed modules that publish it.
+    pub modules: Vec<String>,
+    /// True if a rule says that its messages may be anything.
+    pub is_ignored: bool,
+    /// How many messages were compared.
+    pub compared: u64,
+    /// How many of them differ.
+    pub different: u64,
+    /// The first that does.
+    pub first: Option<Difference>,
+}
+
+/// A message that differs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Difference {
+    /// With the leading slash.
+    pub topic: String,
+    /// Which message of the topic, from 0.
+    pub number: u64,
+    /// When it was recorded, nanoseconds since the epoch; of one that was not, when it was replayed.
+    pub time: i64,
+    /// How.
+    pub what: What,
+}
+
+/// How a message differs.
+#[derive(Clone, Debug, PartialEq)]
+pub enum What {
+    /// In a field: first is what was recorded, second what was replayed.
+    Field(FieldDifference),
+    /// It was published in another cycle.
+    Time {
+        /// The time of that, nanoseconds since the epoch.
+        replayed: i64,
+    },
+    /// It was recorded, and not published in the replay.
+    Missing,
+    /// It was published in the replay, and not recorded.
+    Extra,
+}
+
+impl ReplayReport {
+    /// How many messages differ.
+    #[must_use]
+    pub fn different(&self) -> u64 {
+        self.topics.iter().map(|topic| topic.different).sum()
+    }
+
+    /// The earliest difference.
+    #[must_use]
+    pub fn first_difference(&self) -> Option<&Difference> {
+        self.topics.iter().filter_map(|topic| topic.first.as_ref()).min_by_key(|difference| difference.time)
+    }
+}
+
+impl fmt::Display for LeftOut {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.module, self.reason)
+    }
+}
+
+/// As the program prints it.
+impl fmt::Display for ReplayReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (seconds, took) = (self.bag_duration.as_secs_f64(), self.took.as_secs_f64());
+        let times = seconds / took.max(1e-9);
+        writeln!(
+            f,
+            "replayed {seconds:.3} s of {} in {took:.3} s, {times:.0} times as fast as it was recorded",
+            self.robot
+        )?;
+        if !self.modules.is_empty() {
+            let exact = if self.has_recorded_cycles { "" } else { ", whose times the bag does not tell" };
+            writeln!(f, "  {} in {} cycles{exact}", self.modules.join(", "), self.cycles)?;
+        }
+        for (module, runs) in &self.detached {
+            writeln!(f, "  {module} in {runs} runs of its own")?;
+        }
+        for left_out in &self.left_out {
+            writeln!(f, "  not {left_out}")?;
+        }
+        for topic in &self.missing_inputs {
+            writeln!(f, "  without /{topic}, which is not in the bag")?;
+        }
+        let width = self.topics.iter().map(|topic| topic.topic.len()).max().unwrap_or(0).max(5);
+        writeln!(f, "\n  {:<width$}  {:>9}  {:>9}", "topic", "compared", "different")?;
+        for topic in &self.topics {
+            let note = if topic.is_ignored { "  (ignored)" } else { "" };
+            let TopicReport { topic, compared, different, .. } = topic;
+            writeln!(f, "  {topic:<width$}  {compared:>9}  {different:>9}{note}")?;
+        }
+        if let Some(difference) = self.first_difference() {
+            let into = Duration::from_nanos(u64::try_from(difference.time - self.bag_start).unwrap_or(0));
+            let time = Time::from_nanos(difference.time);
+            writeln!(f, "\nfirst difference: {time}, {:.6} s into the bag", into.as_secs_f64())?;
+            write!(f, "{difference}")?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Difference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "  {} message {}", self.topic, self.number)?;
+        match &self.what {
+            What::Field(FieldDifference { path, first, second }) => {
+                writeln!(f, "  {path}\n    recorded {first}\n    replayed {second}")
+            }
+            What::Time { replayed } => {
+                let (recorded, replayed) = (Time::from_nanos(self.time), Time::from_nanos(*replayed));
+                writeln!(
+                    f,
+                    "  the time at which it was published\n    recorded {recorded}\n    replayed {replayed}"
+                )
+            }
+            What::Missing => writeln!(f, "    recorded\n    replayed not at all"),
+            What::Extra => writeln!(f, "    recorded not at all\n    replayed"),
+        }
+    }
+}
