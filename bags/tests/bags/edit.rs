@@ -99,7 +99,8 @@ fn what_is_readable_of_a_damaged_bag_becomes_a_whole_one() {
     std::mem::forget(writer);
     let file = bag.join("killed_0.mcap");
     let mut bytes = fs::read(&file).unwrap();
-    bytes.truncate(bytes.len() - 10);
+    // Into the last chunk, whose index takes less than that.
+    bytes.truncate(bytes.len() - 1000);
     fs::write(&file, bytes).unwrap();
     let bags = [Reader::open(&bag).unwrap()];
     let found = check(&bags[0], |_| {}).unwrap();
