@@ -65,6 +65,8 @@ pub struct ReplayedSteps {
     pub count: usize,
     /// True if the module's end is among them: else its recording was interrupted.
     pub is_whole: bool,
+    /// The time of the last one.
+    pub last: Time,
 }
 
 /// Runs a core that holds the module once for each run that `reader` has of it: at the recorded times and on the
@@ -97,7 +99,10 @@ pub fn replay_module(
     }
     // What the last run published reaches those who watch.
     core.stop();
-    Ok(ReplayedSteps { count: steps.len(), is_whole: steps.last().is_some_and(|step| step.is_stop) })
+    let (is_whole, last) = steps
+        .last()
+        .map_or((false, Time::ZERO), |step| (step.is_stop, Time::from_nanos(step.stamp.as_nanos())));
+    Ok(ReplayedSteps { count: steps.len(), is_whole, last })
 }
 
 fn read_steps(reader: &Reader, module: &str) -> Result<Vec<ModuleStep>, ReplayError> {
