@@ -6,6 +6,7 @@ mod damage;
 mod dynamic;
 mod edit;
 mod fixtures;
+mod fuzz;
 mod interrupted;
 mod layout;
 mod order;
