@@ -10,6 +10,14 @@ use downbeat::inspect::Request;
 use downbeat::msgs::encoding::Encoding;
 use downbeat::robot::{RobotFile, RobotFileError, RosArgs};
 
+use super::bag::check::CheckBagArguments;
+use super::bag::convert::ConvertArguments;
+use super::bag::cut::CutArguments;
+use super::bag::diff::DiffArguments;
+use super::bag::info::InfoArguments;
+use super::bag::reindex::ReindexArguments;
+use super::bag::repair::RepairArguments;
+use super::bag::replay::ReplayArguments;
 use super::interface::InterfaceCommand;
 
 /// Robot software as small modules in one process, seen and driven from ROS 2 Jazzy, recorded and replayed.
@@ -40,12 +48,14 @@ impl Cli {
         let cli = Self { ros, ..Self::parse_from(others) };
         let makes_node = match &cli.command {
             Command::Run(_) | Command::Check(_) => true,
-            Command::Bag(command) => !matches!(command, BagCommand::Info { .. }),
+            Command::Bag(command) => {
+                matches!(command, BagCommand::Record(_) | BagCommand::Play(_) | BagCommand::Replay(_))
+            }
             _ => false,
         };
         if !makes_node && !cli.ros.is_empty() {
             refuse(
-                "--ros-args goes with commands that make a ROS 2 node: run, check, bag record, bag play"
+                "--ros-args goes with commands that make a ROS 2 node: run, check, bag record, bag play, bag replay"
                     .into(),
             );
         }
@@ -258,14 +268,28 @@ pub(crate) enum GraphFormat {
 #[derive(Subcommand)]
 pub(crate) enum BagCommand {
     /// Print what a bag holds, as `ros2 bag info` does.
-    Info {
-        /// A rosbag2 directory or an MCAP file.
-        bag: PathBuf,
-    },
+    Info(InfoArguments),
     /// Record ROS 2 topics from the network, or with --robot the topics inside a robot, into a new bag.
     Record(RecordArguments),
     /// Play a bag to ROS 2, or with --into into a robot's modules.
     Play(PlayArguments),
+    /// Run a robot's modules on what a bag says they received, and compare what they publish with the bag.
+    ///
+    /// The modules run as fast as they can, in the recorded cycles at their recorded times; detached modules by their recorded
+    /// runs. Where a message differs the first one is told, with its time, topic and field, and the exit code is 1.
+    Replay(ReplayArguments),
+    /// Read a whole bag, and say what of it is not as it should be.
+    Check(CheckBagArguments),
+    /// Make a whole bag of what can be read of one whose recording was interrupted, or whose files are damaged.
+    Repair(RepairArguments),
+    /// Make the metadata.yaml of a bag again from its files.
+    Reindex(ReindexArguments),
+    /// Write a bag anew: merge several, leave out topics, compress.
+    Convert(ConvertArguments),
+    /// Write a part of a bag, from one time to another, into a bag of its own.
+    Cut(CutArguments),
+    /// Compare two bags message by message; where they differ the first difference is told, and the exit code is 1.
+    Diff(DiffArguments),
 }
 
 #[derive(Args)]

@@ -44,9 +44,16 @@ pub(crate) fn main(cli: Cli) -> ExitCode {
         Command::Expose(arguments) => expose::expose(&arguments),
         Command::Trace(arguments) => trace::trace(&arguments),
         Command::Graph(arguments) => graph::graph(&arguments),
-        Command::Bag(BagCommand::Info { bag }) => bag::info(&bag),
+        Command::Bag(BagCommand::Info(arguments)) => bag::info::info(&arguments),
         Command::Bag(BagCommand::Record(arguments)) => bag::record::record(&arguments, &ros, &screen),
         Command::Bag(BagCommand::Play(arguments)) => bag::play::play(&arguments, &ros),
+        Command::Bag(BagCommand::Replay(arguments)) => bag::replay::replay(&arguments, &ros),
+        Command::Bag(BagCommand::Check(arguments)) => bag::check::check(&arguments),
+        Command::Bag(BagCommand::Repair(arguments)) => bag::repair::repair(&arguments),
+        Command::Bag(BagCommand::Reindex(arguments)) => bag::reindex::reindex(&arguments),
+        Command::Bag(BagCommand::Convert(arguments)) => bag::convert::convert(&arguments),
+        Command::Bag(BagCommand::Cut(arguments)) => bag::cut::cut(&arguments),
+        Command::Bag(BagCommand::Diff(arguments)) => bag::diff::diff(&arguments),
         Command::Interface(command) => interface::interface(&command),
         Command::Emulate(EmulateCommand::DarwinOp { link, seed, fault }) => {
             emulate::darwin_op(link, seed, &fault)

@@ -1,18 +1,34 @@
-//! `downbeat bag`
+//! `downbeat bag`, one file for each command.
 
+pub(super) mod check;
+pub(super) mod convert;
+pub(super) mod cut;
+pub(super) mod diff;
+pub(super) mod info;
+mod output;
 pub(super) mod play;
+mod progress;
 pub(super) mod record;
+pub(super) mod reindex;
+pub(super) mod repair;
+pub(super) mod replay;
+mod select;
 
 use std::path::Path;
 
-use downbeat::bags::{BagInfo, Reader};
+use downbeat::bags::Reader;
 
-/// Prints what a bag holds, and on standard error what of it is lost.
-pub(crate) fn info(bag: &Path) -> anyhow::Result<()> {
+/// Opens a bag, and tells what of it is lost.
+fn open(bag: &Path) -> anyhow::Result<Reader> {
     let reader = Reader::open(bag)?;
-    print!("{}", BagInfo::of(&reader)?);
     for truncation in reader.truncation() {
-        eprintln!("downbeat: {truncation}");
+        tracing::warn!("{truncation}");
     }
-    Ok(())
+    Ok(reader)
+}
+
+/// What some bags noted of themselves; where two say different things, the first.
+fn custom_data(bags: &[Reader]) -> impl Iterator<Item = (String, String)> {
+    let noted = bags.iter().rev().filter_map(Reader::metadata);
+    noted.flat_map(|metadata| metadata.custom_data.clone())
 }

@@ -1,0 +1,41 @@
+//! `downbeat bag check`
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use clap::Args;
+use downbeat::bags::{Check, Reader, check as check_bag};
+use serde_json::json;
+
+use super::progress::Progress;
+
+#[derive(Args)]
+pub(crate) struct CheckBagArguments {
+    /// A rosbag2 directory or a single file.
+    pub(crate) bag: PathBuf,
+    /// Print what was found as JSON.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+pub(crate) fn check(arguments: &CheckBagArguments) -> anyhow::Result<()> {
+    let reader = Reader::open(&arguments.bag)?;
+    let mut progress = Progress::new("reading", reader.message_count());
+    let found = check_bag(&reader, |read| progress.at(read))?;
+    drop(progress);
+    let Check { messages, decoded, problems } = &found;
+    if arguments.json {
+        let problems: Vec<_> = problems.iter().map(ToString::to_string).collect();
+        let report = json!({ "messages": messages, "decoded": decoded, "problems": problems });
+        println!("{}", serde_json::to_string_pretty(&report)?);
+    } else {
+        for problem in problems {
+            println!("{problem}");
+        }
+        println!("read {messages} messages, decoded {decoded} of them, found {} problems", problems.len());
+    }
+    if !problems.is_empty() {
+        bail!("{} is not as it should be", arguments.bag.display());
+    }
+    Ok(())
+}

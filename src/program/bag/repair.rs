@@ -1,0 +1,42 @@
+//! `downbeat bag repair`
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use downbeat::bags::{Copy, Reader};
+
+use super::custom_data;
+use super::output::{CompressionChoice, write};
+
+#[derive(Args)]
+pub(crate) struct RepairArguments {
+    /// A rosbag2 directory or a single file; it stays as it is.
+    pub(crate) bag: PathBuf,
+    /// The new rosbag2 directory; the name of the bag with `_repaired` unless given.
+    #[arg(long, short, value_name = "DIR")]
+    pub(crate) output: Option<PathBuf>,
+    /// How the chunks of the new bag are compressed.
+    #[arg(long, value_enum, default_value_t = CompressionChoice::None)]
+    pub(crate) compression: CompressionChoice,
+}
+
+pub(crate) fn repair(arguments: &RepairArguments) -> anyhow::Result<()> {
+    let bags = [Reader::open(&arguments.bag)?];
+    let truncations: Vec<_> = bags[0].truncation().collect();
+    for truncation in &truncations {
+        println!("{truncation}");
+    }
+    if truncations.is_empty() {
+        println!("no file is cut off");
+    }
+    let output = arguments.output.clone().unwrap_or_else(|| beside(&arguments.bag));
+    write(Copy::of(&bags)?, custom_data(&bags), &output, arguments.compression)?;
+    Ok(())
+}
+
+fn beside(bag: &Path) -> PathBuf {
+    let mut name =
+        bag.file_stem().filter(|_| bag.is_file()).or(bag.file_name()).unwrap_or_default().to_owned();
+    name.push("_repaired");
+    bag.with_file_name(name)
+}

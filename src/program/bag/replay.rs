@@ -1,0 +1,117 @@
+//! `downbeat bag replay`
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use clap::Args;
+use downbeat::bags::{FieldDifference, FieldRule, Reader};
+use downbeat::replay::{Difference, ReplayOptions, ReplayReport, TopicReport, What, replay as replay_robot};
+use downbeat::robot::{LauncherChoice, RosArgs};
+use serde_json::{Value, json};
+
+use super::open;
+use crate::program::cli::ParameterArguments;
+
+#[derive(Args)]
+pub(crate) struct ReplayArguments {
+    /// The robot file, as it was when the bag was recorded but for what is to be tested.
+    #[arg(value_name = "ROBOT.toml")]
+    pub(crate) robot: PathBuf,
+    /// A rosbag2 directory or an MCAP file.
+    pub(crate) bag: PathBuf,
+    /// Run only these modules; what others published is input.
+    #[arg(long, num_args = 1.., value_name = "MODULE")]
+    pub(crate) modules: Vec<String>,
+    /// Let numbers be so far apart: "joint_states:position=1e-6", "imu/*=0.1%"; without a topic everywhere. May be given
+    /// more than once; the last one that means a field counts.
+    #[arg(long, value_name = "[TOPIC][:FIELD]=AMOUNT", value_parser = FieldRule::tolerance)]
+    pub(crate) tolerance: Vec<FieldRule>,
+    /// Do not compare this: "diagnostics", "imu/data_raw:header.stamp", ":header.stamp". May be given more than once.
+    #[arg(long, value_name = "[TOPIC][:FIELD]", value_parser = FieldRule::ignore)]
+    pub(crate) ignore: Vec<FieldRule>,
+    /// Run the modules on one thread (linear), on n (pool:4) or each on its own (threads), instead of as the robot file
+    /// says. The result is the same.
+    #[arg(long)]
+    pub(crate) launcher: Option<LauncherChoice>,
+    /// Print the report as JSON.
+    #[arg(long)]
+    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) parameters: ParameterArguments,
+}
+
+pub(crate) fn replay(arguments: &ReplayArguments, ros: &RosArgs) -> anyhow::Result<()> {
+    let mut file = arguments.parameters.read_robot(&arguments.robot, ros)?;
+    if let Some(launcher) = arguments.launcher {
+        file.launcher.choice = launcher;
+    }
+    let reader = open(&arguments.bag)?;
+    warn_of_lost_messages(&reader);
+    let given = if arguments.modules.is_empty() { &file.replay.modules } else { &arguments.modules };
+    let (tolerances, ignored) = (&arguments.tolerance, &arguments.ignore);
+    let rules = file.replay.rules.iter().chain(tolerances).chain(ignored).cloned().collect();
+    let options = ReplayOptions { modules: given.clone(), rules };
+    let report = replay_robot(file, &reader, &options)?;
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&as_json(&report))?);
+    } else {
+        print!("{report}");
+    }
+    let topics = report.topics.iter().filter(|topic| topic.different > 0).count();
+    if topics > 0 {
+        bail!("the replay differs from the bag in {} messages on {topics} topics", report.different());
+    }
+    Ok(())
+}
+
+/// What the recorder noted: a robot that is replayed without what it received may differ for that reason alone.
+fn warn_of_lost_messages(reader: &Reader) {
+    let lost = reader.metadata().and_then(|metadata| metadata.custom_data.get("lost_messages"));
+    if let Some(lost) = lost {
+        tracing::warn!("when the bag was recorded messages were lost, so the replay may differ: {lost}");
+    }
+}
+
+fn as_json(report: &ReplayReport) -> Value {
+    let detached = report.detached.iter().map(|(module, runs)| json!({ "module": module, "runs": runs }));
+    let left_out = report.left_out.iter().map(|left| json!({ "module": left.module, "reason": left.reason }));
+    let topics = report.topics.iter().map(|topic| {
+        let TopicReport { topic, modules, is_ignored, compared, different, first } = topic;
+        json!({
+            "topic": topic,
+            "modules": modules,
+            "is_ignored": is_ignored,
+            "compared": compared,
+            "different": different,
+            "first_difference": first.as_ref().map(difference),
+        })
+    });
+    json!({
+        "robot": report.robot,
+        "modules": report.modules,
+        "cycles": report.cycles,
+        "has_recorded_cycles": report.has_recorded_cycles,
+        "detached": detached.collect::<Vec<_>>(),
+        "left_out": left_out.collect::<Vec<_>>(),
+        "inputs": report.inputs,
+        "missing_inputs": report.missing_inputs,
+        "topics": topics.collect::<Vec<_>>(),
+        "first_difference": report.first_difference().map(difference),
+        "different": report.different(),
+        "bag_seconds": report.bag_duration.as_secs_f64(),
+        "seconds": report.took.as_secs_f64(),
+    })
+}
+
+fn difference(difference: &Difference) -> Value {
+    let Difference { topic, number, time, what } = difference;
+    let what = match what {
+        What::Field(FieldDifference { path, first, second }) => {
+            json!({ "kind": "field", "field": path, "recorded": first, "replayed": second })
+        }
+        What::Time { replayed } => json!({ "kind": "time", "replayed_ns": replayed }),
+        What::Missing => json!({ "kind": "missing" }),
+        What::Extra => json!({ "kind": "extra" }),
+    };
+    json!({ "topic": topic, "message": number, "time_ns": time, "what": what })
+}

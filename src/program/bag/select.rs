@@ -1,0 +1,150 @@
+//! Which topics of a bag are meant: the options of `ros2 bag play`.
+
+use anyhow::Context;
+use clap::Args;
+use downbeat::bags::TopicInfo;
+use regex::Regex;
+
+#[derive(Args, Clone, Default)]
+pub(crate) struct TopicArguments {
+    /// Only these topics.
+    #[arg(long, num_args = 1.., value_name = "TOPIC")]
+    pub(crate) topics: Vec<String>,
+    /// Only topics of these types: sensor_msgs/msg/Imu.
+    #[arg(long, num_args = 1.., value_name = "TYPE")]
+    pub(crate) topic_types: Vec<String>,
+    /// Only these services, of which a bag has events.
+    #[arg(long, num_args = 1.., value_name = "SERVICE")]
+    pub(crate) services: Vec<String>,
+    /// Only topics whose whole name matches this regular expression, besides those that are named.
+    #[arg(long, short = 'e', value_name = "REGEX")]
+    pub(crate) regex: Option<String>,
+    /// Not the topics whose whole name matches this regular expression.
+    #[arg(long, short = 'x', value_name = "REGEX")]
+    pub(crate) exclude_regex: Option<String>,
+    /// Not these topics.
+    #[arg(long, num_args = 1.., value_name = "TOPIC")]
+    pub(crate) exclude_topics: Vec<String>,
+    /// Not the topics of these types.
+    #[arg(long, num_args = 1.., value_name = "TYPE")]
+    pub(crate) exclude_topic_types: Vec<String>,
+    /// Not these services.
+    #[arg(long, num_args = 1.., value_name = "SERVICE")]
+    pub(crate) exclude_services: Vec<String>,
+}
+
+/// [`TopicArguments`], understood.
+pub(crate) struct TopicFilter {
+    names: Vec<String>,
+    types: Vec<String>,
+    regex: Option<Regex>,
+    excluded_names: Vec<String>,
+    excluded_types: Vec<String>,
+    excluded_regex: Option<Regex>,
+}
+
+impl TopicArguments {
+    pub(crate) fn filter(&self) -> anyhow::Result<TopicFilter> {
+        Ok(TopicFilter {
+            names: names(&self.topics, &self.services),
+            types: self.topic_types.clone(),
+            regex: self.regex.as_deref().map(whole).transpose()?,
+            excluded_names: names(&self.exclude_topics, &self.exclude_services),
+            excluded_types: self.exclude_topic_types.clone(),
+            excluded_regex: self.exclude_regex.as_deref().map(whole).transpose()?,
+        })
+    }
+
+    /// Checks that every topic that is named is there: a wrong name would silently mean nothing.
+    pub(crate) fn check<'a>(
+        &self,
+        topics: impl Iterator<Item = &'a TopicInfo> + Clone,
+    ) -> anyhow::Result<()> {
+        for name in names(&self.topics, &self.services) {
+            if !topics.clone().any(|topic| topic.name == name) {
+                let known: Vec<_> = topics.map(|topic| topic.name.as_str()).collect();
+                anyhow::bail!("the bag has no topic {name}; it has {}", known.join(", "));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl TopicFilter {
+    pub(crate) fn is_wanted(&self, topic: &TopicInfo) -> bool {
+        let TopicInfo { name, type_name, .. } = topic;
+        let is_anything_named = !self.names.is_empty() || !self.types.is_empty() || self.regex.is_some();
+        let is_named = self.names.contains(name)
+            || self.types.contains(type_name)
+            || self.regex.as_ref().is_some_and(|regex| regex.is_match(name));
+        let is_excluded = self.excluded_names.contains(name)
+            || self.excluded_types.contains(type_name)
+            || self.excluded_regex.as_ref().is_some_and(|regex| regex.is_match(name));
+        (is_named || !is_anything_named) && !is_excluded
+    }
+}
+
+/// Absolute names of the topics, and of the topics on which services tell their events.
+fn names(topics: &[String], services: &[String]) -> Vec<String> {
+    let absolute = |name: &String| format!("/{}", name.trim_start_matches('/'));
+    let events = services.iter().map(|service| format!("{}/_service_event", absolute(service)));
+    topics.iter().map(absolute).chain(events).collect()
+}
+
+fn whole(regex: &str) -> anyhow::Result<Regex> {
+    Regex::new(&format!("^(?:{regex})$")).with_context(|| format!("\"{regex}\" is no regular expression"))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    fn wanted(arguments: &TopicArguments) -> Vec<&'static str> {
+        let topics = [
+            ("/imu/data", "sensor_msgs/msg/Imu"),
+            ("/imu/raw", "sensor_msgs/msg/Imu"),
+            ("/camera/image", "sensor_msgs/msg/Image"),
+            ("/reset/_service_event", "std_srvs/srv/Empty_Event"),
+        ];
+        let filter = arguments.filter().unwrap();
+        let info = |(name, type_name): (&str, &str)| TopicInfo {
+            name: name.to_owned(),
+            type_name: type_name.to_owned(),
+            ..TopicInfo::default()
+        };
+        let wanted = topics.into_iter().filter(|topic| filter.is_wanted(&info(*topic)));
+        wanted.map(|(name, _)| name).collect()
+    }
+
+    fn texts(texts: &[&str]) -> Vec<String> {
+        texts.iter().map(|text| (*text).to_owned()).collect()
+    }
+
+    #[test]
+    fn topics_are_selected_as_ros2_bag_play_selects_them() {
+        let all = TopicArguments::default();
+        assert_eq!(wanted(&all).len(), 4);
+        let named = TopicArguments { topics: texts(&["imu/data"]), ..all.clone() };
+        assert_eq!(wanted(&named), ["/imu/data"]);
+        let also = TopicArguments { regex: Some("/cam.*".into()), ..named.clone() };
+        assert_eq!(wanted(&also), ["/imu/data", "/camera/image"]);
+        let part = TopicArguments { regex: Some("cam".into()), ..all.clone() };
+        assert!(wanted(&part).is_empty(), "the whole name has to match");
+        let types = TopicArguments {
+            topic_types: texts(&["sensor_msgs/msg/Imu"]),
+            exclude_topics: texts(&["/imu/raw"]),
+            ..all.clone()
+        };
+        assert_eq!(wanted(&types), ["/imu/data"]);
+        let without = TopicArguments {
+            exclude_regex: Some("/imu/.*".into()),
+            exclude_services: texts(&["reset"]),
+            ..all.clone()
+        };
+        assert_eq!(wanted(&without), ["/camera/image"]);
+        let services = TopicArguments { services: texts(&["/reset"]), ..all };
+        assert_eq!(wanted(&services), ["/reset/_service_event"]);
+    }
+}

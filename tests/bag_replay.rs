@@ -1,0 +1,202 @@
+//! A bag as a test of a robot: `downbeat bag replay`.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use common::{Running, output_of, robot_file, text_of, wait_until};
+use downbeat::bags::{Reader, Selection, WriterOptions};
+use downbeat::msgs::cdr;
+use downbeat::msgs::sensor_msgs::msg::Imu;
+use serde_json::Value;
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// Records the demo from its first cycle to its last.
+fn recorded(folder: &Path, edit: impl Fn(String) -> String) -> (PathBuf, PathBuf) {
+    let (robot, bag) = (robot_file(folder, edit), folder.join("bag"));
+    text_of(&["bag", "record", "--robot", text(&robot), "--output", text(&bag), "--duration", "2s"]);
+    (robot, bag)
+}
+
+fn replayed(robot: &Path, bag: &Path, options: &[&str]) -> Output {
+    output_of(&[&["bag", "replay", text(robot), text(bag)], options].concat())
+}
+
+fn told(output: &Output) -> String {
+    [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat()
+}
+
+fn report(robot: &Path, bag: &Path, options: &[&str]) -> Value {
+    let output = replayed(robot, bag, &[options, &["--json"]].concat());
+    assert!(output.status.success(), "{}", told(&output));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn compared(report: &Value, topic: &str) -> u64 {
+    let topics = report["topics"].as_array().unwrap();
+    let found = topics.iter().find(|known| known["topic"] == topic);
+    found.unwrap_or_else(|| panic!("{topic} in {report}"))["compared"].as_u64().unwrap()
+}
+
+/// The bag with the messages of a topic changed; `change` is given the number of each.
+fn altered(bag: &Path, topic: &str, change: impl Fn(usize, Vec<u8>) -> Option<Vec<u8>>) -> PathBuf {
+    let reader = Reader::open(bag).unwrap();
+    let target = bag.with_file_name("altered");
+    let robot = reader.metadata().unwrap().custom_data["robot"].clone();
+    let mut writer = WriterOptions::new().custom_data("robot", robot).create(&target).unwrap();
+    let topics = reader.topics().iter().map(|topic| writer.add_topic(topic.info.clone()).unwrap());
+    let topics: Vec<_> = topics.collect();
+    let mut number = 0;
+    for message in reader.messages(Selection::all()).unwrap() {
+        let message = message.unwrap();
+        let mut data = Some(message.data.to_vec());
+        if reader.topics()[message.topic.index()].info.name == topic {
+            data = change(number, message.data.to_vec());
+            number += 1;
+        }
+        if let Some(data) = data {
+            let id = topics[message.topic.index()];
+            writer.write(id, message.log_time, message.publish_time, &data).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    target
+}
+
+#[test]
+fn a_recorded_robot_repeats_bit_for_bit_under_every_launcher() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = recorded(folder.path(), |text| text);
+    for launcher in ["linear", "pool:2", "threads"] {
+        let report = report(&robot, &bag, &["--launcher", launcher]);
+        assert_eq!(report["different"], 0, "{launcher}: {report}");
+        assert_eq!(report["has_recorded_cycles"], true);
+        for topic in ["/motion/joint_commands", "/joint_goals", "/joint_states", "/bus/exchanges"] {
+            assert!(compared(&report, topic) > 100, "{topic} in {report}");
+        }
+        assert!(compared(&report, "/diagnostics") > 0, "which the process publishes too: {report}");
+        assert_eq!(report["left_out"][0]["module"], "emulator");
+    }
+    let printed = told(&replayed(&robot, &bag, &[]));
+    assert!(printed.contains("motion, mux in") && printed.contains("hardware in"), "{printed}");
+}
+
+#[test]
+fn a_message_that_differs_is_told_with_its_time_topic_field_and_both_values() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = recorded(folder.path(), |text| text);
+    let (mut before, mut after) = (0.0, 0.0);
+    let reader = Reader::open(&bag).unwrap();
+    let id = reader.topic("/imu/data_raw").unwrap();
+    let of_topic = reader.messages(Selection::all().topics([id])).unwrap();
+    let message = of_topic.map(Result::unwrap).nth(40).unwrap();
+    for (imu, bits) in [(&mut before, 0), (&mut after, 1)] {
+        let decoded: Imu = cdr::from_slice(&message.data).unwrap();
+        *imu = f64::from_bits(decoded.linear_acceleration.z.to_bits() ^ bits);
+    }
+    let bag = altered(&bag, "/imu/data_raw", |number, data| {
+        let mut imu: Imu = cdr::from_slice(&data).unwrap();
+        if number == 40 {
+            imu.linear_acceleration.z = after;
+        }
+        Some(cdr::to_vec(&imu))
+    });
+    let output = replayed(&robot, &bag, &[]);
+    let printed = told(&output);
+    assert!(!output.status.success());
+    for expected in [
+        "/imu/data_raw message 40\n  linear_acceleration.z\n".to_owned(),
+        format!("recorded {after:?}"),
+        format!("replayed {before:?}"),
+        format!("first difference: {}", downbeat::executor::Time::from_nanos(message.log_time)),
+        "differs from the bag in 1 messages on 1 topics".to_owned(),
+    ] {
+        assert!(printed.contains(&expected), "{expected:?} in {printed}");
+    }
+    for allowed in [
+        ["--tolerance", "imu/data_raw:linear_acceleration=1e-9"],
+        ["--tolerance", "=0.001%"],
+        ["--ignore", "imu/*:linear_acceleration.z"],
+        ["--ignore", "imu/data_raw"],
+    ] {
+        let output = replayed(&robot, &bag, &allowed);
+        assert!(output.status.success(), "{allowed:?}: {}", told(&output));
+    }
+    let section = "\n[replay]\ntolerance = [\"imu/data_raw:linear_acceleration=1e-9\"]\n";
+    let robot_text = std::fs::read_to_string(&robot).unwrap() + section;
+    std::fs::write(&robot, robot_text).unwrap();
+    let output = replayed(&robot, &bag, &[]);
+    assert!(output.status.success(), "as [replay] says: {}", told(&output));
+}
+
+#[test]
+fn a_message_too_many_or_too_few_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = recorded(folder.path(), |text| text);
+    let shorter = altered(&bag, "/battery_state", |number, data| (number == 0).then_some(data));
+    let printed = told(&replayed(&robot, &shorter, &["--modules", "hardware"]));
+    assert!(printed.contains("/battery_state message 1\n    recorded not at all\n"), "{printed}");
+    std::fs::remove_dir_all(&shorter).unwrap();
+    let last = Reader::open(&bag).unwrap();
+    let count = last.topics()[last.topic("/bus/exchanges").unwrap().index()].message_count as usize;
+    let without_answer = altered(&bag, "/bus/exchanges", |number, data| (number + 1 < count).then_some(data));
+    let output = replayed(&robot, &without_answer, &["--modules", "hardware"]);
+    assert!(!output.status.success(), "{}", told(&output));
+}
+
+#[test]
+fn another_setting_gives_another_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = recorded(folder.path(), |text| text);
+    let output = replayed(&robot, &bag, &["-p", "motion.stand_s:=1.0"]);
+    let printed = told(&output);
+    assert!(!output.status.success() && printed.contains("/motion/joint_commands message "), "{printed}");
+    assert!(printed.contains("position["), "{printed}");
+    let only = report(&robot, &bag, &["-p", "motion.stand_s:=1.0", "--modules", "mux", "hardware"]);
+    assert_eq!(only["modules"], serde_json::json!(["mux"]), "the others ran on what was recorded: {only}");
+}
+
+#[test]
+fn a_killed_recording_replays_as_far_as_it_goes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = (robot_file(folder.path(), |text| text), folder.path().join("bag"));
+    let mut running = Running::start(&["bag", "record", "--robot", text(&robot), "--output", text(&bag)]);
+    wait_until("two seconds are written", || {
+        bag.join("bag_0.mcap").exists()
+            && Reader::open(&bag).is_ok_and(|reader| reader.duration().as_secs_f64() > 2.0)
+    });
+    running.signal("-KILL");
+    running.wait();
+    let report = report(&robot, &bag, &[]);
+    assert!(compared(&report, "/joint_goals") > 100 && compared(&report, "/joint_states") > 100, "{report}");
+}
+
+#[test]
+fn a_detached_module_replays_from_a_bag_without_the_times_of_cycles() {
+    let recordings = Path::new(env!("CARGO_MANIFEST_DIR")).join("bags/recordings");
+    let (robot, bag) = (recordings.join("darwin_op_emulated.toml"), recordings.join("darwin_op_emulated"));
+    let report = report(&robot, &bag, &["--modules", "hardware"]);
+    assert!(compared(&report, "/diagnostics") > 10 && compared(&report, "/imu/data_raw") > 1000, "{report}");
+}
+
+#[test]
+fn what_cannot_be_replayed_is_told_with_the_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = recorded(folder.path(), |text| {
+        text.replace("topics = \"all\"", "topics = [\"joint_goals\", \"cycle_times\"]")
+    });
+    let printed = told(&replayed(&robot, &bag, &["--modules", "hardware"]));
+    assert!(
+        printed.contains("\"hardware\" cannot be replayed") && printed.contains("/bus/exchanges"),
+        "{printed}"
+    );
+    let printed = told(&replayed(&robot, &bag, &["--modules", "legs"]));
+    assert!(printed.contains("no module \"legs\"; it has emulator, hardware, motion, mux"), "{printed}");
+    let printed = told(&replayed(&robot, &bag, &["--modules", "motion"]));
+    assert!(printed.contains("no topic that motion publish"), "{printed}");
+}
