@@ -47,6 +47,7 @@ mod info;
 mod lz4;
 pub mod metadata;
 mod playback;
+mod player;
 mod reader;
 mod recording;
 mod sizes;
@@ -61,6 +62,7 @@ pub use diff::{BagDiff, DiffOptions, MessageDiff, MessageDiffKind, TopicDiff, di
 pub use edit::{Copied, Copy, CopyError, Merged, TopicMap, TypeConflict, merge_topics, reindex};
 pub use info::{BagInfo, ServiceEvents};
 pub use playback::{Playback, PlaybackError, PlaybackOptions, Rate, Step};
+pub use player::{Player, PlayerOptions};
 pub use reader::{
     BagMessage, Messages, Reader, ReaderError, RecordedTopic, Selection, Truncation, TruncationCause,
 };

@@ -4,6 +4,7 @@
 
 use std::time::Duration;
 
+use crate::edit::TypeConflict;
 use crate::reader::{BagMessage, Messages, Reader, ReaderError, Selection};
 use crate::topic::TopicId;
 
@@ -14,6 +15,12 @@ pub struct Rate(f64);
 impl Rate {
     /// As it was recorded.
     pub const ORIGINAL: Self = Self(1.0);
+
+    /// Bag time per real time.
+    #[must_use]
+    pub fn as_f64(self) -> f64 {
+        self.0
+    }
 
     /// `2.0` is twice as fast.
     ///
@@ -72,6 +79,9 @@ pub enum PlaybackError {
         /// What the bag has.
         known: Vec<String>,
     },
+    /// The bags have a topic with different types.
+    #[error(transparent)]
+    Conflict(#[from] TypeConflict),
     /// The bag ends before playing would begin.
     #[error("cannot begin {offset:?} into the bag: it is {length:?} long")]
     StartOffset {
@@ -96,6 +106,8 @@ pub enum Step {
     Paused,
     /// A part of the bag cannot be read; asking again goes on behind it.
     Failed(ReaderError),
+    /// All messages were given, and it begins again: of a [`Player`](crate::Player) that repeats.
+    Repeats,
     /// All messages were given.
     Finished,
 }
@@ -192,6 +204,44 @@ impl<M: Iterator<Item = Result<BagMessage, ReaderError>>> Playback<M> {
         if let Clock::Paused(played) = self.clock {
             self.clock = Clock::Running(now.saturating_sub(played));
         }
+    }
+
+    /// Plays on from here at another rate.
+    pub fn set_rate(&mut self, now: Duration, rate: Rate) {
+        self.jump(now, self.bag_time(now));
+        self.rate = rate;
+    }
+
+    /// Sets the bag's time, in nanoseconds since the epoch. The messages stay where they are.
+    pub(crate) fn jump(&mut self, now: Duration, bag_time: i64) {
+        self.from = bag_time;
+        self.clock = match self.clock {
+            Clock::Running(_) => Clock::Running(now),
+            Clock::NotStarted => Clock::NotStarted,
+            Clock::Paused(_) => Clock::Paused(Duration::ZERO),
+        };
+    }
+
+    /// Goes on with other messages.
+    pub(crate) fn replace(&mut self, messages: M) {
+        (self.messages, self.next) = (messages, None);
+    }
+
+    /// The next message, whenever it is due.
+    pub(crate) fn take_next(&mut self) -> Option<Result<BagMessage, ReaderError>> {
+        self.next.take().map(Ok).or_else(|| self.messages.next())
+    }
+
+    /// True between [`Playback::pause`] and [`Playback::resume`].
+    #[must_use]
+    pub fn is_paused(&self) -> bool {
+        matches!(self.clock, Clock::Paused(_))
+    }
+
+    /// How fast it plays.
+    #[must_use]
+    pub fn rate(&self) -> Rate {
+        self.rate
     }
 
     /// The bag's time at `now`, in nanoseconds since the epoch: what to publish on `/clock`.

@@ -15,6 +15,7 @@ use super::bag::convert::ConvertArguments;
 use super::bag::cut::CutArguments;
 use super::bag::diff::DiffArguments;
 use super::bag::info::InfoArguments;
+use super::bag::play::PlayArguments;
 use super::bag::reindex::ReindexArguments;
 use super::bag::repair::RepairArguments;
 use super::bag::replay::ReplayArguments;
@@ -313,35 +314,6 @@ pub(crate) struct RecordArguments {
     /// Stop after this time: 500ms, 10s, 5m, 1h.
     #[arg(long, value_parser = duration, value_name = "TIME")]
     pub(crate) duration: Option<Duration>,
-    /// The ROS domain, instead of ROS_DOMAIN_ID.
-    #[arg(long, value_name = "N")]
-    pub(crate) domain: Option<u16>,
-}
-
-#[derive(Args)]
-pub(crate) struct PlayArguments {
-    /// A rosbag2 directory or an MCAP file.
-    pub(crate) bag: PathBuf,
-    /// Play only these topics.
-    #[arg(long, num_args = 1.., value_name = "TOPIC")]
-    pub(crate) topics: Vec<String>,
-    /// How many times as fast as it was recorded.
-    #[arg(long, short, default_value_t = 1.0)]
-    pub(crate) rate: f64,
-    /// Begin this far into the bag: 500ms, 10s, 5m.
-    #[arg(long, value_parser = duration, value_name = "TIME")]
-    pub(crate) start_offset: Option<Duration>,
-    /// Run the modules of this robot on the bag instead of playing to ROS 2: time from the bag, as fast as the
-    /// machine can, with the same result each time.
-    #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["rate", "start_offset", "domain"])]
-    pub(crate) into: Option<PathBuf>,
-    /// With --into: record what the modules publish into this new rosbag2 directory.
-    #[arg(long, value_name = "DIR", requires = "into")]
-    pub(crate) record: Option<PathBuf>,
-    /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers, cdr
-    /// unless given.
-    #[arg(long, value_name = "ENCODING", requires = "record")]
-    pub(crate) encoding: Option<Encoding>,
     /// The ROS domain, instead of ROS_DOMAIN_ID.
     #[arg(long, value_name = "N")]
     pub(crate) domain: Option<u16>,

@@ -1,0 +1,360 @@
+//! Playing of bags with all that `ros2 bag play` can be told meanwhile.
+//!
+//! Nothing here reads a clock or waits; see [`Playback`].
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use crate::edit::{Merged, TopicMap, merge_topics};
+use crate::playback::{Playback, PlaybackError, Rate, Step};
+use crate::reader::{BagMessage, Reader, ReaderError, RecordedTopic, Selection};
+use crate::topic::{TopicId, TopicInfo};
+
+/// What to play and how.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlayerOptions {
+    /// How fast.
+    pub rate: Rate,
+    /// How far into the bags to begin.
+    pub start_offset: Duration,
+    /// The last time to play, in nanoseconds since the epoch.
+    pub until: i64,
+    /// How long to play at the most, in the time of the bags, from where it begins.
+    pub duration: Option<Duration>,
+    /// Whether to begin again at the end.
+    pub repeats: bool,
+    /// Whether to wait for [`Player::resume`] first.
+    pub starts_paused: bool,
+    /// Whether what latched topics (transient local) had last sent before the beginning comes first, as a subscriber would
+    /// have received it then.
+    pub plays_latched: bool,
+}
+
+impl Default for PlayerOptions {
+    fn default() -> Self {
+        Self {
+            rate: Rate::ORIGINAL,
+            start_offset: Duration::ZERO,
+            until: i64::MAX,
+            duration: None,
+            repeats: false,
+            starts_paused: false,
+            plays_latched: true,
+        }
+    }
+}
+
+/// Plays one bag, or several merged by time.
+pub struct Player<'a> {
+    bags: &'a [Reader],
+    topics: Vec<RecordedTopic>,
+    ids: Vec<TopicMap>,
+    is_wanted: Vec<bool>,
+    /// The first message of the bags, where playing begins, and the last time that is played.
+    start: i64,
+    begin: i64,
+    end: i64,
+    repeats: bool,
+    plays_latched: bool,
+    latched: VecDeque<BagMessage>,
+    playback: Playback<Merged>,
+    /// Messages given since the last beginning: bags without any do not repeat for ever.
+    given: u64,
+}
+
+impl<'a> Player<'a> {
+    /// Prepares to play the topics that are wanted.
+    ///
+    /// # Errors
+    /// If the bags have a topic with different types, end before the beginning, or cannot be read.
+    pub fn open(
+        bags: &'a [Reader],
+        options: &PlayerOptions,
+        is_wanted: impl Fn(&TopicInfo) -> bool,
+    ) -> Result<Self, PlaybackError> {
+        let of_each: Vec<&[RecordedTopic]> = bags.iter().map(Reader::topics).collect();
+        let (topics, ids) = merge_topics(&of_each)?;
+        let is_wanted = topics.iter().map(|topic| is_wanted(&topic.info)).collect();
+        let start = bags.iter().filter_map(Reader::start_time).min().unwrap_or(0);
+        let last = bags.iter().filter_map(Reader::end_time).max().unwrap_or(0);
+        let after = |from: i64, distance: Duration| {
+            from.saturating_add(i64::try_from(distance.as_nanos()).unwrap_or(i64::MAX))
+        };
+        let begin = after(start, options.start_offset);
+        if last < begin {
+            let length = Duration::from_nanos(last.abs_diff(start));
+            return Err(PlaybackError::StartOffset { offset: options.start_offset, length });
+        }
+        let end = options.duration.map_or(i64::MAX, |duration| after(begin, duration)).min(options.until);
+        let mut player = Self {
+            bags,
+            topics,
+            ids,
+            is_wanted,
+            start,
+            begin,
+            end,
+            repeats: options.repeats,
+            plays_latched: options.plays_latched,
+            latched: VecDeque::new(),
+            playback: Playback::new(Merged::new(Vec::new()), begin, options.rate),
+            given: 0,
+        };
+        if options.starts_paused {
+            player.playback.pause(Duration::ZERO);
+        }
+        player.go_to(begin)?;
+        Ok(player)
+    }
+
+    /// The topics of all bags; messages name them by position.
+    #[must_use]
+    pub fn topics(&self) -> &[RecordedTopic] {
+        &self.topics
+    }
+
+    /// Whether a topic is played.
+    #[must_use]
+    pub fn is_played(&self, topic: TopicId) -> bool {
+        self.is_wanted.get(topic.index()).copied().unwrap_or(false)
+    }
+
+    /// When the first message of the bags was received, in nanoseconds since the epoch.
+    #[must_use]
+    pub fn start_time(&self) -> i64 {
+        self.start
+    }
+
+    /// What is to be done at `now`, a reading of any steady clock.
+    pub fn step(&mut self, now: Duration) -> Step {
+        if !self.playback.is_paused()
+            && let Some(message) = self.latched.pop_front()
+        {
+            return Step::Due(message);
+        }
+        match self.playback.step(now) {
+            Step::Finished if self.repeats && self.given > 0 => {
+                self.given = 0;
+                match self.seek(now, self.begin) {
+                    Ok(()) => Step::Repeats,
+                    Err(error) => Step::Failed(error),
+                }
+            }
+            Step::Due(message) => {
+                self.given += 1;
+                Step::Due(message)
+            }
+            other => other,
+        }
+    }
+
+    /// The next message, whenever it is due; the time of the bags goes to it. For stepping while paused.
+    pub fn play_next(&mut self, now: Duration) -> Option<Result<BagMessage, ReaderError>> {
+        if let Some(message) = self.latched.pop_front() {
+            return Some(Ok(message));
+        }
+        let next = self.playback.take_next()?;
+        if let Ok(message) = &next {
+            self.given += 1;
+            self.playback.jump(now, message.log_time);
+        }
+        Some(next)
+    }
+
+    /// Plays on from that time of the bags, in nanoseconds since the epoch; one before their first message is that of the
+    /// first message.
+    ///
+    /// # Errors
+    /// If a bag cannot be opened any more.
+    pub fn seek(&mut self, now: Duration, time: i64) -> Result<(), ReaderError> {
+        let time = time.max(self.start);
+        self.go_to(time)?;
+        self.playback.jump(now, time);
+        Ok(())
+    }
+
+    /// Changes the rate from now on.
+    pub fn set_rate(&mut self, now: Duration, rate: Rate) {
+        self.playback.set_rate(now, rate);
+    }
+
+    /// How fast it plays.
+    #[must_use]
+    pub fn rate(&self) -> Rate {
+        self.playback.rate()
+    }
+
+    /// Stops the time of the bags.
+    pub fn pause(&mut self, now: Duration) {
+        self.playback.pause(now);
+    }
+
+    /// Lets it go on where it was stopped.
+    pub fn resume(&mut self, now: Duration) {
+        self.playback.resume(now);
+    }
+
+    /// True between [`Player::pause`] and [`Player::resume`].
+    #[must_use]
+    pub fn is_paused(&self) -> bool {
+        self.playback.is_paused()
+    }
+
+    /// The time of the bags at `now`, in nanoseconds since the epoch: what to publish on `/clock`.
+    #[must_use]
+    pub fn bag_time(&self, now: Duration) -> i64 {
+        self.playback.bag_time(now)
+    }
+
+    fn go_to(&mut self, time: i64) -> Result<(), ReaderError> {
+        let messages = self.messages(Selection::all().from(time).until(self.end), |_| true)?;
+        self.playback.replace(messages);
+        self.latched = if self.plays_latched { self.latched_before(time)? } else { VecDeque::new() };
+        Ok(())
+    }
+
+    fn messages(
+        &self,
+        selection: Selection,
+        also: impl Fn(&RecordedTopic) -> bool,
+    ) -> Result<Merged, ReaderError> {
+        let mut streams = Vec::new();
+        for (bag, ids) in self.bags.iter().zip(&self.ids) {
+            let wanted = ids.iter().enumerate().filter_map(|(index, merged)| {
+                let merged = (*merged)?;
+                let is_wanted = self.is_played(merged) && also(&self.topics[merged.index()]);
+                is_wanted.then(|| TopicId::from_index(index)).flatten()
+            });
+            streams.push((bag.messages(selection.clone().topics(wanted))?, ids.clone()));
+        }
+        Ok(Merged::new(streams))
+    }
+
+    /// The last messages of latched topics before that time.
+    fn latched_before(&self, time: i64) -> Result<VecDeque<BagMessage>, ReaderError> {
+        let is_latched = |topic: &RecordedTopic| topic.info.latched_depth() > 0;
+        let is_any = self.topics.iter().any(is_latched);
+        if time <= self.start || !is_any {
+            return Ok(VecDeque::new());
+        }
+        let mut last: Vec<VecDeque<BagMessage>> = vec![VecDeque::new(); self.topics.len()];
+        let before = Selection::all().until(time.saturating_sub(1));
+        // What cannot be read is told when the messages are played.
+        for message in self.messages(before, is_latched)?.flatten() {
+            let depth = self.topics[message.topic.index()].info.latched_depth();
+            let kept = &mut last[message.topic.index()];
+            kept.push_back(message);
+            if kept.len() > depth {
+                kept.pop_front();
+            }
+        }
+        let mut kept: Vec<BagMessage> = last.into_iter().flatten().collect();
+        kept.sort_by_key(|message| message.log_time);
+        Ok(kept.into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use downbeat_msgs::qos::QosProfile;
+
+    use super::*;
+    use crate::writer::WriterOptions;
+
+    /// Two bags: `/a` at 0, 100, 200, … ms and the latched `/map` at 50 ms; `/b` at 250 ms.
+    fn bags(folder: &std::path::Path) -> Vec<Reader> {
+        let info = |name: &str, qos: QosProfile| TopicInfo {
+            name: name.to_owned(),
+            type_name: "std_msgs/msg/String".to_owned(),
+            offered_qos: vec![qos],
+            ..TopicInfo::default()
+        };
+        let ms = 1_000_000;
+        let mut writer = WriterOptions::new().create(folder.join("one")).unwrap();
+        let a = writer.add_topic(info("/a", QosProfile::DEFAULT)).unwrap();
+        let map = writer.add_topic(info("/map", QosProfile::LATCHED)).unwrap();
+        for n in 0..10 {
+            writer.write(a, n * 100 * ms, 0, &[]).unwrap();
+        }
+        writer.write(map, 50 * ms, 0, &[]).unwrap();
+        writer.finish().unwrap();
+        let mut writer = WriterOptions::new().create(folder.join("two")).unwrap();
+        let b = writer.add_topic(info("/b", QosProfile::DEFAULT)).unwrap();
+        writer.write(b, 250 * ms, 0, &[]).unwrap();
+        writer.finish().unwrap();
+        ["one", "two"].map(|name| Reader::open(folder.join(name)).unwrap()).into()
+    }
+
+    fn ms(ms: u64) -> Duration {
+        Duration::from_millis(ms)
+    }
+
+    /// What is played from `now` on without waiting: topic and time in ms.
+    fn due(player: &mut Player<'_>, now: Duration) -> Vec<(String, i64)> {
+        let mut played = Vec::new();
+        while let Step::Due(message) = player.step(now) {
+            let name = player.topics()[message.topic.index()].info.name.clone();
+            played.push((name, message.log_time / 1_000_000));
+        }
+        played
+    }
+
+    fn of(played: &[(&str, i64)]) -> Vec<(String, i64)> {
+        played.iter().map(|(name, time)| ((*name).to_owned(), *time)).collect()
+    }
+
+    #[test]
+    fn several_bags_are_played_by_time_between_two_times() {
+        let folder = tempfile::tempdir().unwrap();
+        let bags = bags(folder.path());
+        let options =
+            PlayerOptions { start_offset: ms(150), duration: Some(ms(200)), ..PlayerOptions::default() };
+        let mut player = Player::open(&bags, &options, |_| true).unwrap();
+        assert_eq!(due(&mut player, ms(0)), of(&[("/map", 50)]), "which was latched before");
+        assert!(matches!(player.step(ms(0)), Step::Wait(wait) if wait == ms(50)));
+        assert_eq!(due(&mut player, ms(1000)), of(&[("/a", 200), ("/b", 250), ("/a", 300)]));
+        assert!(matches!(player.step(ms(1000)), Step::Finished));
+        let without = PlayerOptions { plays_latched: false, ..options };
+        let mut player = Player::open(&bags, &without, |topic| topic.name != "/b").unwrap();
+        player.step(ms(0));
+        assert_eq!(due(&mut player, ms(1000)), of(&[("/a", 200), ("/a", 300)]));
+        let late = PlayerOptions { start_offset: ms(901), ..PlayerOptions::default() };
+        assert!(matches!(Player::open(&bags, &late, |_| true), Err(PlaybackError::StartOffset { .. })));
+    }
+
+    #[test]
+    fn a_player_that_is_paused_steps_seeks_and_changes_its_rate() {
+        let folder = tempfile::tempdir().unwrap();
+        let bags = bags(folder.path());
+        let options = PlayerOptions { starts_paused: true, ..PlayerOptions::default() };
+        let mut player = Player::open(&bags, &options, |topic| topic.name == "/a").unwrap();
+        assert!(matches!(player.step(ms(500)), Step::Paused));
+        let next = |player: &mut Player<'_>| player.play_next(ms(500)).unwrap().unwrap().log_time / 1_000_000;
+        assert_eq!((next(&mut player), next(&mut player)), (0, 100));
+        assert_eq!(player.bag_time(ms(900)), 100_000_000);
+        player.seek(ms(900), 650_000_000).unwrap();
+        assert_eq!(player.bag_time(ms(900)), 650_000_000);
+        player.set_rate(ms(900), Rate::new(2.0).unwrap());
+        player.resume(ms(1000));
+        assert!(matches!(player.step(ms(1000)), Step::Wait(wait) if wait == ms(25)));
+        assert_eq!(due(&mut player, ms(1025)), of(&[("/a", 700)]));
+        player.set_rate(ms(1025), Rate::new(0.5).unwrap());
+        assert!(matches!(player.step(ms(1025)), Step::Wait(wait) if wait == ms(200)));
+        player.seek(ms(1025), -5).unwrap();
+        assert_eq!(due(&mut player, ms(1025)), of(&[("/a", 0)]), "a time before the bag is its beginning");
+    }
+
+    #[test]
+    fn a_player_that_repeats_begins_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let bags = bags(folder.path());
+        let options = PlayerOptions { repeats: true, start_offset: ms(800), ..PlayerOptions::default() };
+        let mut player = Player::open(&bags, &options, |topic| topic.name == "/a").unwrap();
+        assert_eq!(due(&mut player, ms(0)), of(&[("/a", 800)]));
+        assert_eq!(due(&mut player, ms(100)), of(&[("/a", 900)]));
+        assert_eq!(due(&mut player, ms(100)), of(&[("/a", 800)]), "again");
+        assert!(matches!(player.step(ms(100)), Step::Wait(wait) if wait == ms(100)));
+    }
+}

@@ -1,0 +1,94 @@
+//! What is asked of a player while it plays: the services of rosbag2's.
+//!
+//! Names, types and answers are those of `rosbag2_transport/src/rosbag2_transport/player.cpp`, branch jazzy.
+
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::Duration;
+
+use downbeat::bridge::ros::{Node, NodeError, Reply, Service};
+use downbeat::msgs::Service as ServiceType;
+use downbeat::msgs::qos::QosProfile;
+use downbeat::msgs::rosbag2_interfaces::srv::{
+    Burst, GetRate, IsPaused, Pause, Play, PlayNext, Resume, Seek, SetRate, Stop, TogglePaused,
+};
+
+/// A request, with the way back for its answer.
+pub(super) enum Control {
+    Burst(u64, Reply<Burst>),
+    GetRate(Reply<GetRate>),
+    IsPaused(Reply<IsPaused>),
+    Pause(Reply<Pause>),
+    /// Play anew from so far into the bag.
+    Play(PlayRequest, Reply<Play>),
+    PlayNext(Reply<PlayNext>),
+    Resume(Reply<Resume>),
+    /// To this time, in nanoseconds since the epoch.
+    Seek(i64, Reply<Seek>),
+    SetRate(f64, Reply<SetRate>),
+    Stop(Reply<Stop>),
+    TogglePaused(Reply<TogglePaused>),
+}
+
+pub(super) struct PlayRequest {
+    pub(super) start_offset: Duration,
+}
+
+/// The services, until it is dropped.
+pub(super) struct Controls {
+    requests: Receiver<Control>,
+    _services: Vec<Service>,
+}
+
+impl Controls {
+    pub(super) fn offer(node: &Node) -> Result<Self, NodeError> {
+        let (sender, requests) = channel();
+        let services = vec![
+            serve::<Burst>(node, "~/burst", &sender, |request, reply| {
+                Control::Burst(request.num_messages, reply)
+            })?,
+            serve::<GetRate>(node, "~/get_rate", &sender, |_, reply| Control::GetRate(reply))?,
+            serve::<IsPaused>(node, "~/is_paused", &sender, |_, reply| Control::IsPaused(reply))?,
+            serve::<Pause>(node, "~/pause", &sender, |_, reply| Control::Pause(reply))?,
+            serve::<Play>(node, "~/play", &sender, |request, reply| {
+                let offset = u64::try_from(request.start_offset.as_nanos()).unwrap_or(0);
+                Control::Play(PlayRequest { start_offset: Duration::from_nanos(offset) }, reply)
+            })?,
+            serve::<PlayNext>(node, "~/play_next", &sender, |_, reply| Control::PlayNext(reply))?,
+            serve::<Resume>(node, "~/resume", &sender, |_, reply| Control::Resume(reply))?,
+            serve::<Seek>(node, "~/seek", &sender, |request, reply| {
+                Control::Seek(request.time.as_nanos(), reply)
+            })?,
+            serve::<SetRate>(node, "~/set_rate", &sender, |request, reply| {
+                Control::SetRate(request.rate, reply)
+            })?,
+            serve::<Stop>(node, "~/stop", &sender, |_, reply| Control::Stop(reply))?,
+            serve::<TogglePaused>(node, "~/toggle_paused", &sender, |_, reply| Control::TogglePaused(reply))?,
+        ];
+        Ok(Self { requests, _services: services })
+    }
+
+    /// Waits for a request, but no longer than that.
+    pub(super) fn wait(&self, most: Duration) -> Option<Control> {
+        self.requests.recv_timeout(most).ok()
+    }
+}
+
+fn serve<S: ServiceType>(
+    node: &Node,
+    name: &str,
+    sender: &Sender<Control>,
+    control: fn(S::Request, Reply<S>) -> Control,
+) -> Result<Service, NodeError> {
+    let sender = sender.clone();
+    node.serve_later::<S>(name, QosProfile::SERVICES, move |request, reply| {
+        // Where nobody plays any more, the service is about to go.
+        let _ = sender.send(control(request, reply));
+    })
+}
+
+/// Answers; a client that is gone needs none.
+pub(super) fn answer<S: ServiceType>(reply: Reply<S>, response: &S::Response) {
+    if let Err(error) = reply.send(response) {
+        tracing::debug!("an answer was not sent: {error}");
+    }
+}

@@ -1,0 +1,47 @@
+//! Playing into the modules of a robot.
+
+use std::path::Path;
+
+use downbeat::bags::{Reader, Recording, WriterOptions};
+use downbeat::executor::{Core, ManualClock, Time};
+use downbeat::msgs::qos::QosProfile;
+use downbeat::playback;
+use downbeat::recorder::{self, WhenFull};
+use downbeat::robot::{RobotFile, RosArgs};
+
+use super::PlayArguments;
+
+pub(super) fn play_into(
+    reader: &Reader,
+    robot: &Path,
+    arguments: &PlayArguments,
+    ros: &RosArgs,
+) -> anyhow::Result<()> {
+    let clock = ManualClock::new(Time::from_nanos(reader.start_time().unwrap_or(0)));
+    let file = RobotFile::read_with(robot, ros)?;
+    file.refuse_devices()?;
+    let mut robot = file.on_any_machine().build(Core::new().with_clock(clock.clone()))?;
+    let recording = arguments
+        .record
+        .as_ref()
+        .map(|directory| -> anyhow::Result<Recording> {
+            let writer = WriterOptions::new().custom_data("played_from", reader.path().display().to_string());
+            let recording = Recording::start(writer.create(directory)?, Recording::DEFAULT_QUEUE_BYTES)?;
+            let published: Vec<_> = robot.core.topics().filter(|topic| topic.is_published).cloned().collect();
+            let wait = WhenFull::Wait;
+            let encoding = arguments.encoding.unwrap_or_default();
+            recorder::record(&mut robot.core, &recording, &published, wait, encoding, |_| {
+                QosProfile::DEFAULT
+            })?;
+            Ok(recording)
+        })
+        .transpose()?;
+    let played = playback::play_into(&mut robot.core, &clock, reader, &arguments.topics.topics)?;
+    println!("played {played} messages into {}", robot.file.name);
+    if let Some(recording) = recording {
+        let summary = recording.finish()?;
+        let (messages, lost) = (summary.message_count(), summary.lost_count());
+        println!("recorded {messages} messages, lost {lost}, in {}", summary.path.display());
+    }
+    Ok(())
+}

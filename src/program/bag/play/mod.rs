@@ -1,0 +1,99 @@
+//! `downbeat bag play`
+
+mod controls;
+mod into;
+mod ros;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::bail;
+use clap::Args;
+use downbeat::bags::Reader;
+use downbeat::msgs::encoding::Encoding;
+use downbeat::robot::RosArgs;
+
+use super::open;
+use super::select::TopicArguments;
+
+#[derive(Args)]
+pub(crate) struct PlayArguments {
+    /// Bags to play, merged by time: rosbag2 directories or single files.
+    #[arg(required = true)]
+    pub(crate) bags: Vec<PathBuf>,
+    #[command(flatten)]
+    pub(crate) topics: TopicArguments,
+    /// How many times as fast as it was recorded.
+    #[arg(long, short, default_value_t = 1.0)]
+    pub(crate) rate: f64,
+    /// Begin this far into the bag: seconds, or with a unit 500ms, 10s, 5m.
+    #[arg(long, value_parser = seconds, value_name = "TIME")]
+    pub(crate) start_offset: Option<Duration>,
+    /// Play so much of the bag: seconds, or with a unit.
+    #[arg(long, value_parser = seconds, value_name = "TIME")]
+    pub(crate) playback_duration: Option<Duration>,
+    /// Play until this time, in seconds since the epoch.
+    #[arg(long, value_name = "SECONDS", conflicts_with = "playback_until_nsec")]
+    pub(crate) playback_until_sec: Option<f64>,
+    /// Play until this time, in nanoseconds since the epoch.
+    #[arg(long, value_name = "NANOSECONDS")]
+    pub(crate) playback_until_nsec: Option<i64>,
+    /// Begin again at the end.
+    #[arg(long = "loop", short = 'l')]
+    pub(crate) repeats: bool,
+    /// Wait so long before it begins, each time: seconds, or with a unit.
+    #[arg(long, short, value_parser = seconds, value_name = "TIME")]
+    pub(crate) delay: Option<Duration>,
+    /// Publish topics under other names: /old:=/new.
+    #[arg(long, short = 'm', num_args = 1.., value_name = "OLD:=NEW")]
+    pub(crate) remap: Vec<String>,
+    /// Publish the time of the bag on /clock so many times per second, 40 unless given; /clock of the bag is not played.
+    #[arg(long, num_args = 0..=1, default_missing_value = "40", value_name = "HZ", conflicts_with_all = ["clock_topics", "clock_topics_all"])]
+    pub(crate) clock: Option<f64>,
+    /// Publish the time on /clock before each message of these topics.
+    #[arg(long, num_args = 1.., value_name = "TOPIC", conflicts_with = "clock_topics_all")]
+    pub(crate) clock_topics: Vec<String>,
+    /// Publish the time on /clock before each message.
+    #[arg(long)]
+    pub(crate) clock_topics_all: bool,
+    /// Begin paused, and wait for ~/resume or ~/play_next.
+    #[arg(long, short = 'p')]
+    pub(crate) start_paused: bool,
+    /// Leave out what latched topics (transient local) had last sent before the beginning, as `ros2 bag play` does.
+    #[arg(long)]
+    pub(crate) no_latched: bool,
+    /// Run the modules of this robot on the bag instead of playing to ROS 2: time from the bag, as fast as the
+    /// machine can, with the same result each time.
+    #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["rate", "start_offset", "domain", "playback_duration",
+          "playback_until_sec", "playback_until_nsec", "repeats", "delay", "remap", "clock", "clock_topics",
+          "clock_topics_all", "start_paused", "topic_types", "services", "regex", "exclude_regex", "exclude_topics",
+          "exclude_topic_types", "exclude_services"])]
+    pub(crate) into: Option<PathBuf>,
+    /// With --into: record what the modules publish into this new rosbag2 directory.
+    #[arg(long, value_name = "DIR", requires = "into")]
+    pub(crate) record: Option<PathBuf>,
+    /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers, cdr
+    /// unless given.
+    #[arg(long, value_name = "ENCODING", requires = "record")]
+    pub(crate) encoding: Option<Encoding>,
+    /// The ROS domain, instead of ROS_DOMAIN_ID.
+    #[arg(long, value_name = "N")]
+    pub(crate) domain: Option<u16>,
+}
+
+pub(crate) fn play(arguments: &PlayArguments, ros: &RosArgs) -> anyhow::Result<()> {
+    let bags = arguments.bags.iter().map(|bag| open(bag)).collect::<anyhow::Result<Vec<Reader>>>()?;
+    match (&arguments.into, &bags[..]) {
+        (Some(robot), [bag]) => into::play_into(bag, robot, arguments, ros),
+        (Some(_), _) => bail!("one bag is played into a robot; merge them first: downbeat bag convert"),
+        (None, bags) => ros::play(bags, arguments, ros),
+    }
+}
+
+/// As `ros2 bag play` takes it, in seconds, or with a unit.
+fn seconds(text: &str) -> Result<Duration, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) => Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string()),
+        Err(_) => downbeat::duration::parse(text),
+    }
+}

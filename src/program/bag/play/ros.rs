@@ -1,0 +1,327 @@
+//! Playing to ROS 2.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use downbeat::bags::{BagMessage, Player, PlayerOptions, Rate, Reader, Step, TopicId};
+use downbeat::bridge::ros::{MessageType, Node, Publisher};
+use downbeat::encoding::RecordedType;
+use downbeat::msgs::builtin_interfaces::msg::Time;
+use downbeat::msgs::qos::QosProfile;
+use downbeat::msgs::rosbag2_interfaces::srv::{
+    BurstResponse, GetRateResponse, IsPausedResponse, PauseResponse, PlayNextResponse, PlayResponse,
+    ResumeResponse, SeekResponse, SetRateResponse, StopResponse, TogglePausedResponse,
+};
+use downbeat::msgs::rosgraph_msgs::msg::Clock;
+use downbeat::msgs::{Message, cdr};
+use downbeat::robot::RosArgs;
+
+use super::PlayArguments;
+use super::controls::{Control, Controls, answer};
+use crate::program::run::node;
+use crate::program::stop::Stop;
+
+/// How long publishers wait to be found at the most: samples written before that reach nobody.
+const DISCOVERY: Duration = Duration::from_secs(3);
+/// How long at the most until a signal is heeded.
+const POLL: Duration = Duration::from_millis(50);
+/// The node that `ros2 bag play` makes.
+const NODE_NAME: &str = "rosbag2_player";
+
+pub(super) fn play(bags: &[Reader], arguments: &PlayArguments, ros: &RosArgs) -> anyhow::Result<()> {
+    let filter = arguments.topics.filter()?;
+    arguments.topics.check(bags.iter().flat_map(Reader::topics).map(|topic| &topic.info))?;
+    let options = options(arguments)?;
+    let player = Player::open(bags, &options, |topic| {
+        let is_replaced = arguments.clock.is_some() && topic.name == "/clock";
+        filter.is_wanted(topic) && !is_replaced
+    })?;
+    let (_participant, node) = node(NODE_NAME, arguments.domain, ros)?;
+    let publishers = publishers(&player, &node, &remaps(&arguments.remap)?)?;
+    let clock = PublishedClock::new(&node, arguments)?;
+    let controls = Controls::offer(&node)?;
+    let stop = Stop::new(None)?;
+    wait_for_subscriptions(&publishers, &stop);
+    let mut run = Run {
+        player,
+        publishers,
+        clock,
+        started: Instant::now(),
+        delay: arguments.delay.unwrap_or_default(),
+        played: 0,
+        refused: 0,
+        is_over: false,
+    };
+    stop.sleep(run.delay);
+    run.started = Instant::now();
+    run.run(&controls, &stop);
+    println!("played {} messages; {} were refused by the middleware", run.played, run.refused);
+    Ok(())
+}
+
+fn options(arguments: &PlayArguments) -> anyhow::Result<PlayerOptions> {
+    let until_sec = arguments.playback_until_sec.filter(|seconds| *seconds >= 0.0);
+    let until_nsec = arguments.playback_until_nsec.filter(|nanoseconds| *nanoseconds >= 0);
+    Ok(PlayerOptions {
+        rate: Rate::new(arguments.rate)?,
+        start_offset: arguments.start_offset.unwrap_or_default(),
+        until: until_nsec.or(until_sec.map(|seconds| (seconds * 1e9) as i64)).unwrap_or(i64::MAX),
+        duration: arguments.playback_duration,
+        repeats: arguments.repeats,
+        starts_paused: arguments.start_paused,
+        plays_latched: !arguments.no_latched,
+    })
+}
+
+/// Who publishes a topic, and what makes CDR of its messages if they are something else.
+type Played = (Publisher, Option<RecordedType>);
+
+fn remaps(rules: &[String]) -> anyhow::Result<BTreeMap<String, String>> {
+    let absolute = |name: &str| format!("/{}", name.trim_start_matches('/'));
+    let rule = |rule: &String| match rule.split_once(":=") {
+        Some((from, to)) if !from.is_empty() && !to.is_empty() => Ok((absolute(from), absolute(to))),
+        _ => bail!("--remap {rule}: write /old:=/new"),
+    };
+    rules.iter().map(rule).collect()
+}
+
+/// A publisher for each topic that is played, at the position of its id.
+fn publishers(
+    player: &Player<'_>,
+    node: &Node,
+    remaps: &BTreeMap<String, String>,
+) -> anyhow::Result<Vec<Option<Played>>> {
+    let create = |(index, topic): (usize, &downbeat::bags::RecordedTopic)| {
+        let info = &topic.info;
+        if !TopicId::at(index).is_some_and(|id| player.is_played(id)) {
+            return Ok(None);
+        }
+        // CDR is passed through, also of types that are not compiled in.
+        let is_cdr = info.format.as_ref().is_none_or(|format| format.message_encoding == "cdr");
+        let recorded = (!is_cdr).then(|| RecordedType::of(topic)).transpose()?;
+        let type_name = recorded.as_ref().map_or(&*info.type_name, |recorded| recorded.message_type().name());
+        let message_type = MessageType::new(type_name)?;
+        let qos = info.offered_qos.first().copied().unwrap_or_default();
+        let name = remaps.get(&info.name).unwrap_or(&info.name);
+        let publisher = node.publish(name, &message_type, qos);
+        let publisher = publisher.with_context(|| format!("cannot publish {name}"))?;
+        Ok(Some((publisher, recorded)))
+    };
+    player.topics().iter().enumerate().map(create).collect()
+}
+
+fn wait_for_subscriptions(publishers: &[Option<Played>], stop: &Stop) {
+    let started = Instant::now();
+    let is_heard = |(publisher, _): &Played| publisher.matched_subscriptions() > 0;
+    while !publishers.iter().flatten().all(is_heard) && started.elapsed() < DISCOVERY && !stop.is_due() {
+        stop.sleep(POLL);
+    }
+}
+
+/// `/clock`, if it is asked for.
+struct PublishedClock {
+    publisher: Option<Publisher>,
+    period: Option<Duration>,
+    next: Instant,
+    /// Before messages of these topics; all of them if `before_all`.
+    topics: Vec<String>,
+    before_all: bool,
+}
+
+impl PublishedClock {
+    fn new(node: &Node, arguments: &PlayArguments) -> anyhow::Result<Self> {
+        let PlayArguments { clock, clock_topics, clock_topics_all, .. } = arguments;
+        let period = match *clock {
+            Some(hz) if hz > 0.0 && hz.is_finite() => Some(Duration::from_secs_f64(1.0 / hz)),
+            Some(hz) => bail!("--clock {hz}: a frequency is above 0"),
+            None => None,
+        };
+        let is_wanted = period.is_some() || !clock_topics.is_empty() || *clock_topics_all;
+        let open = || -> anyhow::Result<_> {
+            let message_type = MessageType::new(Clock::TYPE_NAME)?;
+            node.publish("/clock", &message_type, QosProfile::CLOCK).context("cannot publish /clock")
+        };
+        Ok(Self {
+            publisher: is_wanted.then(open).transpose()?,
+            period,
+            next: Instant::now(),
+            topics: clock_topics.iter().map(|topic| format!("/{}", topic.trim_start_matches('/'))).collect(),
+            before_all: *clock_topics_all,
+        })
+    }
+
+    fn publish(&self, time: i64) {
+        let Some(publisher) = &self.publisher else { return };
+        let message = Clock { clock: Time::from_nanos(time) };
+        if let Err(error) = publisher.publish(cdr::to_vec(&message).into()) {
+            tracing::debug!("/clock: {error}");
+        }
+    }
+
+    /// Publishes if it is time to, and tells how long until it is again.
+    fn publish_if_due(&mut self, time: i64) -> Duration {
+        let Some(period) = self.period else { return POLL };
+        let now = Instant::now();
+        if now >= self.next {
+            self.publish(time);
+            // What was missed is not made up for.
+            self.next = (self.next + period).max(now);
+        }
+        self.next.saturating_duration_since(now)
+    }
+
+    fn precedes(&self, topic: &str) -> bool {
+        self.before_all || self.topics.iter().any(|named| named == topic)
+    }
+}
+
+struct Run<'a> {
+    player: Player<'a>,
+    publishers: Vec<Option<Played>>,
+    clock: PublishedClock,
+    started: Instant,
+    delay: Duration,
+    played: u64,
+    refused: u64,
+    is_over: bool,
+}
+
+impl Run<'_> {
+    fn run(&mut self, controls: &Controls, stop: &Stop) {
+        while !stop.is_due() && !self.is_over {
+            let now = self.started.elapsed();
+            let until_clock = self.clock.publish_if_due(self.player.bag_time(now));
+            let wait = match self.player.step(now) {
+                Step::Due(message) => {
+                    self.publish(message);
+                    Duration::ZERO
+                }
+                Step::Wait(wait) => wait,
+                Step::Paused => POLL,
+                Step::Failed(error) => {
+                    tracing::warn!("{error}");
+                    Duration::ZERO
+                }
+                Step::Repeats => {
+                    self.player.pause(now);
+                    stop.sleep(self.delay);
+                    self.player.resume(self.started.elapsed());
+                    Duration::ZERO
+                }
+                Step::Finished => return,
+            };
+            if let Some(control) = controls.wait(wait.min(until_clock).min(POLL)) {
+                self.obey(control);
+            }
+        }
+    }
+
+    fn publish(&mut self, BagMessage { topic, log_time, data, .. }: BagMessage) {
+        let Some((publisher, recorded)) = self.publishers.get(topic.index()).and_then(Option::as_ref) else {
+            return;
+        };
+        let name = &self.player.topics()[topic.index()].info.name;
+        if self.clock.precedes(name) {
+            self.clock.publish(log_time);
+        }
+        let data = match recorded.as_ref().map_or(Ok(data.clone()), |recorded| recorded.to_cdr(data)) {
+            Ok(data) => data,
+            Err(error) => return tracing::warn!("{name}: {error}"),
+        };
+        match publisher.publish(data) {
+            Ok(()) => self.played += 1,
+            Err(error) => {
+                self.refused += 1;
+                tracing::debug!("{name}: {error}");
+            }
+        }
+    }
+
+    /// The next message, published; false at the end.
+    fn play_next(&mut self) -> bool {
+        loop {
+            match self.player.play_next(self.started.elapsed()) {
+                None => return false,
+                Some(Ok(message)) => {
+                    self.publish(message);
+                    return true;
+                }
+                Some(Err(error)) => tracing::warn!("{error}"),
+            }
+        }
+    }
+
+    fn seek(&mut self, time: i64) -> bool {
+        let sought = self.player.seek(self.started.elapsed(), time);
+        sought.inspect_err(|error| tracing::warn!("{error}")).is_ok()
+    }
+
+    fn obey(&mut self, control: Control) {
+        let now = self.started.elapsed();
+        let is_paused = self.player.is_paused();
+        match control {
+            Control::Burst(count, reply) => {
+                if !is_paused {
+                    tracing::warn!("bursts are played while paused only");
+                }
+                let mut actually_burst = 0;
+                // 0 stands for all that are left.
+                while is_paused && (count == 0 || actually_burst < count) && self.play_next() {
+                    actually_burst += 1;
+                }
+                answer(reply, &BurstResponse { actually_burst });
+            }
+            Control::GetRate(reply) => {
+                answer(reply, &GetRateResponse { rate: self.player.rate().as_f64() });
+            }
+            Control::IsPaused(reply) => answer(reply, &IsPausedResponse { paused: is_paused }),
+            Control::Pause(reply) => {
+                self.player.pause(now);
+                answer(reply, &PauseResponse::default());
+            }
+            Control::Resume(reply) => {
+                self.player.resume(now);
+                answer(reply, &ResumeResponse::default());
+            }
+            Control::TogglePaused(reply) => {
+                if is_paused {
+                    self.player.resume(now)
+                } else {
+                    self.player.pause(now)
+                }
+                answer(reply, &TogglePausedResponse::default());
+            }
+            Control::PlayNext(reply) => {
+                let success = is_paused && self.play_next();
+                answer(reply, &PlayNextResponse { success });
+            }
+            Control::Seek(time, reply) => {
+                let success = self.seek(time);
+                answer(reply, &SeekResponse { success });
+            }
+            Control::SetRate(rate, reply) => {
+                let rate = Rate::new(rate);
+                let success = rate.is_ok();
+                if let Ok(rate) = rate {
+                    self.player.set_rate(now, rate);
+                }
+                answer(reply, &SetRateResponse { success });
+            }
+            // rosbag2's refuses while it plays; here it is nearly always playing, so a pause is what counts.
+            Control::Play(request, reply) => {
+                let offset = i64::try_from(request.start_offset.as_nanos()).unwrap_or(i64::MAX);
+                let time = self.player.start_time().saturating_add(offset);
+                let success = is_paused && self.seek(time);
+                if success {
+                    self.player.resume(self.started.elapsed());
+                }
+                answer(reply, &PlayResponse { success });
+            }
+            Control::Stop(reply) => {
+                self.is_over = true;
+                answer(reply, &StopResponse::default());
+            }
+        }
+    }
+}

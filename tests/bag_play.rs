@@ -1,0 +1,133 @@
+//! Playing to ROS 2, and what a player can be told meanwhile.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::path::{Path, PathBuf};
+
+use common::rclpy::Peer;
+use common::{Running, WATCHDOG, text_of};
+use downbeat::bags::{TopicInfo, WriterOptions};
+use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions};
+use downbeat::bridge::ros::{Node, NodeName, Participant};
+use downbeat::msgs::builtin_interfaces::msg::Time;
+use downbeat::msgs::qos::QosProfile;
+use downbeat::msgs::rosbag2_interfaces::srv::{
+    Burst, BurstRequest, GetRate, GetRateRequest, IsPaused, IsPausedRequest, Pause, PauseRequest, PlayNext,
+    PlayNextRequest, Resume, ResumeRequest, Seek, SeekRequest, SetRate, SetRateRequest, Stop, StopRequest,
+};
+use downbeat::msgs::{Message, Service, cdr, std_msgs};
+use serde_json::json;
+
+const START: i64 = 1_700_000_000;
+
+/// `number 0` … one per second on `/chatter`, and a latched `/map` before them.
+fn bag(folder: &Path, count: i64) -> PathBuf {
+    let bag = folder.join("bag");
+    let info = |name: &str, qos: QosProfile| TopicInfo {
+        name: name.to_owned(),
+        type_name: std_msgs::msg::String::TYPE_NAME.to_owned(),
+        definition: std_msgs::msg::String::DEFINITION.to_owned(),
+        type_hash: std_msgs::msg::String::TYPE_HASH.to_owned(),
+        offered_qos: vec![qos],
+        format: None,
+    };
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    let map = writer.add_topic(info("/map", QosProfile::LATCHED)).unwrap();
+    let chatter = writer.add_topic(info("/chatter", QosProfile::DEFAULT.keep_last(100))).unwrap();
+    let string = |data: String| cdr::to_vec(&std_msgs::msg::String { data });
+    writer.write(map, START * 1_000_000_000, 0, &string("the map".into())).unwrap();
+    for n in 0..count {
+        let time = (START + n) * 1_000_000_000;
+        writer.write(chatter, time, time, &string(format!("number {n}"))).unwrap();
+    }
+    writer.finish().unwrap();
+    bag
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+fn texts(messages: &[serde_json::Value]) -> Vec<String> {
+    messages.iter().map(|message| message["fields"]["data"].as_str().unwrap().to_owned()).collect()
+}
+
+fn numbers(range: std::ops::Range<i64>) -> Vec<String> {
+    range.map(|number| format!("number {number}")).collect()
+}
+
+fn node(domain: u16) -> Node {
+    let options =
+        ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(domain) };
+    let participant = Participant::join(&options).unwrap();
+    participant.create_node(NodeName::new("/", "remote_control").unwrap()).unwrap()
+}
+
+fn call<S: Service>(node: &Node, name: &str, request: &S::Request) -> S::Response {
+    let client = node.client::<S>(&format!("/rosbag2_player/{name}"), QosProfile::SERVICES).unwrap();
+    assert!(client.wait_for_service(WATCHDOG), "{name}");
+    client.call_and_wait(request, WATCHDOG).unwrap()
+}
+
+#[test]
+fn a_player_is_paused_stepped_sought_and_stopped_by_services() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = bag(folder.path(), 10);
+    let Some(mut peer) = Peer::start(205, "LOCALHOST") else { return };
+    let qos = json!({"depth": 100});
+    peer.ask(json!({"do": "subscribe", "topic": "/renamed", "type": "std_msgs/msg/String", "qos": qos}));
+    let clock = json!({"depth": 1, "reliability": "best_effort"});
+    peer.ask(json!({"do": "subscribe", "topic": "/clock", "type": "rosgraph_msgs/msg/Clock", "qos": clock}));
+    let arguments =
+        ["--remap", "/chatter:=/renamed", "--clock", "100", "--exclude-topics", "/map", "--domain", "205"];
+    let mut player =
+        Running::start(&[&["bag", "play", text(&bag), "--start-paused"], &arguments[..]].concat());
+    let node = node(205);
+    assert!(call::<IsPaused>(&node, "is_paused", &IsPausedRequest::default()).paused);
+    assert!(call::<PlayNext>(&node, "play_next", &PlayNextRequest::default()).success);
+    assert_eq!(texts(&peer.take("/renamed", 1)), numbers(0..1));
+    let burst = call::<Burst>(&node, "burst", &BurstRequest { num_messages: 2 });
+    assert_eq!(burst.actually_burst, 2);
+    assert_eq!(texts(&peer.take("/renamed", 2)), numbers(1..3));
+    let time = Time::from_nanos((START + 5) * 1_000_000_000 - 1);
+    assert!(call::<Seek>(&node, "seek", &SeekRequest { time }).success);
+    assert!(call::<PlayNext>(&node, "play_next", &PlayNextRequest::default()).success);
+    assert_eq!(texts(&peer.take("/renamed", 1)), numbers(5..6));
+    assert_eq!(call::<GetRate>(&node, "get_rate", &GetRateRequest::default()).rate, 1.0);
+    assert!(!call::<SetRate>(&node, "set_rate", &SetRateRequest { rate: -1.0 }).success);
+    assert!(call::<SetRate>(&node, "set_rate", &SetRateRequest { rate: 20.0 }).success);
+    call::<Resume>(&node, "resume", &ResumeRequest::default());
+    assert_eq!(texts(&peer.take("/renamed", 4)), numbers(6..10));
+    let clock = peer.take("/clock", 1);
+    assert!(clock[0]["fields"]["clock"]["sec"].as_i64().unwrap() >= START, "{clock:?}");
+    assert!(player.wait().success(), "{}", player.output());
+    peer.leave();
+}
+
+#[test]
+fn a_player_that_repeats_is_stopped_by_a_service() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = bag(folder.path(), 3);
+    let mut player = Running::start(&["bag", "play", text(&bag), "--loop", "-r", "100", "--domain", "206"]);
+    let node = node(206);
+    call::<Pause>(&node, "pause", &PauseRequest::default());
+    assert!(call::<IsPaused>(&node, "is_paused", &IsPausedRequest::default()).paused);
+    call::<Stop>(&node, "stop", &StopRequest::default());
+    assert!(player.wait().success(), "{}", player.output());
+    assert!(player.output().contains("played "), "{}", player.output());
+}
+
+#[test]
+fn what_was_latched_before_the_start_is_played_and_the_end_is_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = bag(folder.path(), 10);
+    let options = ["-r", "100", "--start-offset", "4", "--playback-duration", "2.5", "--domain", "207"];
+    let played = text_of(&[&["bag", "play", text(&bag)], &options[..]].concat());
+    assert!(played.contains("played 4 messages"), "the map, and 4 to 6: {played}");
+    let played = text_of(&[&["bag", "play", text(&bag), "--no-latched"], &options[..]].concat());
+    assert!(played.contains("played 3 messages"), "{played}");
+    let until = ["-r", "100", "--playback-until-sec", "1700000001", "-e", "/chat.*", "--domain", "207"];
+    let played = text_of(&[&["bag", "play", text(&bag)], &until[..]].concat());
+    assert!(played.contains("played 2 messages"), "{played}");
+}
