@@ -13,7 +13,7 @@ use downbeat::bridge::expose::{self, BridgeStatus};
 use downbeat::bridge::middleware::{self, ParticipantOptions};
 use downbeat::bridge::robot_description::RobotDescription;
 use downbeat::bridge::ros::Participant;
-use downbeat::bridge::rosout::RosoutPublisher;
+use downbeat::bridge::rosout::{LoggerServices, RosoutPublisher};
 use downbeat::executor::{Core, RunError};
 use downbeat::inspect::{InspectionServer, SocketDirectory};
 use downbeat::msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
@@ -49,6 +49,7 @@ struct Bridge {
     _description: Option<RobotDescription>,
     /// Dropped before the node, so that the last lines are sent.
     _rosout: Option<RosoutPublisher>,
+    _logger_services: Option<LoggerServices>,
     /// Answered until it is dropped.
     _parameters: Option<expose::ParameterServices>,
     /// Its node is in the graph of ROS 2 until it is dropped.
@@ -87,6 +88,7 @@ impl Session {
             log.rosout.turn_off();
             None
         };
+        let logger_services = features.logger_service.then(|| log.levels.serve(&node)).transpose()?;
         let urdf = file.robot_description()?;
         let description = urdf.map(|urdf| RobotDescription::publish(&node, &urdf)).transpose()?;
         if let ClockChoice::Publish(period) = features.clock {
@@ -119,6 +121,7 @@ impl Session {
             _following: following,
             _description: description,
             _rosout: rosout,
+            _logger_services: logger_services,
             _parameters: parameters.transpose()?,
             bridge,
         });
