@@ -26,6 +26,8 @@
 mod collector;
 mod levels;
 mod line;
+mod names;
+mod of_node;
 mod publisher;
 mod services;
 mod severity;
@@ -33,6 +35,8 @@ mod severity;
 pub use collector::{Rosout, RosoutLayer, RosoutStatus};
 pub use levels::{LoggerLevels, TooManyLoggers};
 pub use line::{LogLine, logger_name};
+pub use names::LoggerNames;
+pub use of_node::RosoutOfNode;
 pub use publisher::{RosoutError, RosoutPublisher, TOPIC};
 pub use services::LoggerServices;
 pub use severity::Severity;
