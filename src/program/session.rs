@@ -60,7 +60,7 @@ const LOG_INTERVAL: Duration = Duration::from_secs(10);
 
 impl Session {
     pub(crate) fn new(file: RobotFile) -> anyhow::Result<Self> {
-        let statistics = Arc::new(Statistics::default());
+        let statistics = Arc::new(Statistics::of(file.modules.iter().map(|module| module.name.clone())));
         let clock = (file.expose.features.clock == ClockChoice::Follow).then(FollowedClock::new);
         let mut core = Core::new().with_probe(Arc::clone(&statistics) as _);
         if let Some(clock) = &clock {
