@@ -12,6 +12,7 @@ pub mod clock;
 pub mod diagnostics;
 pub mod edge;
 pub mod expose;
+pub mod lifecycle;
 pub mod middleware;
 pub mod robot_description;
 pub mod ros;

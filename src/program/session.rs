@@ -7,13 +7,13 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
 use downbeat::bags::{Compression, Recording, RecordingStatistics, RecordingSummary, WriterOptions};
-use downbeat::bridge::clock::{self, FollowedClock, FollowedTime};
+use downbeat::bridge::clock::{self, NodeClock, SimTime};
 use downbeat::bridge::diagnostics::ProcessDiagnostics;
-use downbeat::bridge::expose::{self, BridgeStatus};
+use downbeat::bridge::expose::{self, BridgeStatus, ParameterExposure, ParameterServer};
 use downbeat::bridge::middleware::{self, ParticipantOptions};
 use downbeat::bridge::robot_description::RobotDescription;
-use downbeat::bridge::ros::Participant;
-use downbeat::bridge::rosout::RosoutPublisher;
+use downbeat::bridge::ros::{Furnishing, Node, Participant};
+use downbeat::bridge::rosout::{LoggerServices, RosoutPublisher};
 use downbeat::executor::{Core, RunError};
 use downbeat::inspect::{InspectionServer, SocketDirectory};
 use downbeat::msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
@@ -35,8 +35,7 @@ pub(crate) struct Session {
     robot: Robot,
     statistics: Arc<Statistics>,
     faults: Faults,
-    /// Where time is that of `/clock`.
-    clock: Option<FollowedClock>,
+    clock: NodeClock,
     diagnostics: Option<ProcessDiagnostics>,
     bridge: Option<Bridge>,
     recording: Option<Recording>,
@@ -45,12 +44,14 @@ pub(crate) struct Session {
 struct Bridge {
     status: BridgeStatus,
     title: String,
-    _following: Option<FollowedTime>,
+    _sim_time: Option<SimTime>,
     _description: Option<RobotDescription>,
     /// Dropped before the node, so that the last lines are sent.
     _rosout: Option<RosoutPublisher>,
-    /// Answered until it is dropped.
-    _parameters: Option<expose::ParameterServices>,
+    _logger_services: Option<LoggerServices>,
+    /// Answered until they are dropped.
+    _parameters: expose::ParameterServices,
+    _furnishing: Furnishing,
     /// Its node is in the graph of ROS 2 until it is dropped.
     bridge: expose::Bridge,
 }
@@ -61,11 +62,8 @@ const LOG_INTERVAL: Duration = Duration::from_secs(10);
 impl Session {
     pub(crate) fn new(file: RobotFile) -> anyhow::Result<Self> {
         let statistics = Arc::new(Statistics::of(file.modules.iter().map(|module| module.name.clone())));
-        let clock = (file.expose.features.clock == ClockChoice::Follow).then(FollowedClock::new);
-        let mut core = Core::new().with_probe(Arc::clone(&statistics) as _);
-        if let Some(clock) = &clock {
-            core = core.with_clock(clock.clone());
-        }
+        let clock = NodeClock::default();
+        let mut core = Core::new().with_probe(Arc::clone(&statistics) as _).with_clock(clock.clone());
         let diagnostics = add_diagnostics(&mut core, &file)?;
         let mut robot = file.build(core)?;
         let faults = Faults::watch(&mut robot.core)?;
@@ -87,13 +85,22 @@ impl Session {
             log.rosout.turn_off();
             None
         };
+        let logger_services = features.logger_service.then(|| log.levels.serve(&node)).transpose()?;
         let urdf = file.robot_description()?;
         let description = urdf.map(|urdf| RobotDescription::publish(&node, &urdf)).transpose()?;
         if let ClockChoice::Publish(period) = features.clock {
             clock::publish(&mut self.robot.core, &node, period)?;
         }
-        let handle = self.robot.core.handle();
-        let following = self.clock.as_ref().map(|clock| clock.follow(&node, &handle)).transpose()?;
+        let sim_time = self.sim_time(&node)?;
+        let parameters = ParameterServer::start(&self.robot.core, sim_time.clone())
+            .context("cannot start the thread of the parameters")?;
+        let of_robot = parameters.serve(&node, self.robot.parameter_exposure()?)?;
+        // As the robot's node, so the others that the robot file names.
+        let furnishing = participant.furnish(move |node| {
+            let services = parameters.serve(node, ParameterExposure::default())?;
+            node.attach(services);
+            Ok(())
+        });
         let bridge = expose::Bridge::start(&mut self.robot.core, &node, &exposures)?;
         if let Some(diagnostics) = &self.diagnostics {
             diagnostics.watch_endpoints(bridge.status());
@@ -110,19 +117,29 @@ impl Session {
         for (name, ..) in services.services() {
             tracing::info!("exposed service: {name}");
         }
-        let parameters = self.robot.parameter_exposure()?;
-        let parameters =
-            parameters.map(|exposure| expose::expose_parameters(&self.robot.core, &node, exposure));
         self.bridge = Some(Bridge {
             status: bridge.status(),
             title,
-            _following: following,
+            _sim_time: sim_time,
             _description: description,
             _rosout: rosout,
-            _parameters: parameters.transpose()?,
+            _logger_services: logger_services,
+            _parameters: of_robot,
+            _furnishing: furnishing,
             bridge,
         });
         Ok(())
+    }
+
+    /// What `use_sim_time` sets, unless others follow the time of this robot.
+    fn sim_time(&self, node: &Node) -> anyhow::Result<Option<SimTime>> {
+        let choice = self.robot.file.expose.features.clock;
+        if matches!(choice, ClockChoice::Publish(_)) {
+            return Ok(None);
+        }
+        let sim_time = self.clock.sim_time(node, &self.robot.core.handle());
+        sim_time.set(choice == ClockChoice::Follow)?;
+        Ok(Some(sim_time))
     }
 
     /// Records what the robot file's `[record]` names, with its compression and encoding unless others are asked for.

@@ -71,7 +71,8 @@
 //!   modules that ROS 2 may call, and `calls`, services of ROS 2 that modules call: each a name, or a table of `service`,
 //!   `as`, the name in ROS 2, `type`, needed where no module knows it, and `timeout`, how long its server may take (10 s);
 //!   `parameters`: settings that are parameters of the node, by name (`module.setting`) or pattern (`"*"` for all).
-//! - Also of `[expose]`: `rosout`, whether the log goes to `/rosout`, true unless given; `clock`, `"publish"` (or
+//! - Also of `[expose]`: `rosout`, whether the log goes to `/rosout`, and `logger_service`, whether tools may read and set the
+//!   levels of loggers (`~/get_logger_levels`, `~/set_logger_levels`), both true unless given; `clock`, `"publish"` (or
 //!   `{ publish_hz = 100.0 }`, 40 unless given): the robot's time goes to `/clock`, or `"follow"`: the robot's time is that of
 //!   `/clock`, as with the parameter `use_sim_time`; `diagnostics`, whether the process tells of its modules and endpoints on the
 //!   topic `diagnostics`, true unless given (ROS 2 sees it where that topic is `out`); `robot_description`, a URDF file, relative

@@ -35,7 +35,7 @@ pub(crate) struct Log {
     /// What waits for `/rosout`.
     pub(crate) rosout: Rosout,
     /// The levels that loggers are given, which tools may change.
-    levels: LoggerLevels,
+    pub(crate) levels: LoggerLevels,
     node_logger: Arc<RwLock<String>>,
     file: Option<LogFile>,
 }
@@ -44,16 +44,16 @@ impl Log {
     /// Sends log events where the environment says, above the status block.
     pub(crate) fn start(screen: &Screen, arguments: &LogArguments) -> anyhow::Result<Self> {
         let options = LogOptions::from_variables(|name| std::env::var(name).ok())?.with(arguments);
+        let given = filter_of(arguments).or_else(|| std::env::var(VARIABLE).ok());
         let log = Self {
             rosout: Rosout::new(),
-            levels: LoggerLevels::default(),
+            levels: LoggerLevels::starting_at(start_of(given.as_deref().unwrap_or(DEFAULT))),
             node_logger: Arc::new(RwLock::new(PROGRAM.into())),
             file: options.file.as_deref().map(LogFile::create).transpose()?,
         };
         for (logger, level) in &arguments.loggers {
             log.levels.set(logger, severity(*level))?;
         }
-        let given = filter_of(arguments).or_else(|| std::env::var(VARIABLE).ok());
         let filter = given.as_deref().map(EnvFilter::try_new).transpose();
         let (filter, problem) = match filter {
             Ok(filter) => (filter.unwrap_or_else(|| EnvFilter::new(DEFAULT)), None),
@@ -102,6 +102,13 @@ fn filter_of(arguments: &LogArguments) -> Option<String> {
     Some(filter)
 }
 
+/// The severity from which on a filter lets pass what no directive of its names.
+fn start_of(filter: &str) -> Severity {
+    let general = filter.split(',').filter_map(|directive| directive.trim().parse::<tracing::Level>().ok());
+    // A filter that lets nothing pass in general has no such directive, or `off`.
+    general.last().map_or(Severity::Fatal, Severity::of)
+}
+
 fn severity(level: LogLevel) -> Option<Severity> {
     match level {
         LogLevel::Unset => None,
@@ -110,5 +117,22 @@ fn severity(level: LogLevel) -> Option<Severity> {
         LogLevel::Warn => Some(Severity::Warn),
         LogLevel::Error => Some(Severity::Error),
         LogLevel::Fatal => Some(Severity::Fatal),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_root_logger_has_the_level_of_the_filter_where_it_names_none() {
+        for (filter, expected) in [
+            (DEFAULT, Severity::Info),
+            ("warn,downbeat_bridge=debug", Severity::Warn),
+            ("downbeat=info, ERROR", Severity::Error),
+            ("off", Severity::Fatal),
+        ] {
+            assert_eq!(start_of(filter), expected, "{filter}");
+        }
     }
 }

@@ -12,6 +12,8 @@ use super::{Located, Result, RobotFile, choice};
 pub struct NodeFeatures {
     /// Whether it publishes its log on `/rosout`.
     pub rosout: bool,
+    /// Whether tools may read and set the levels of its loggers.
+    pub logger_service: bool,
     /// What it does with `/clock`.
     pub clock: ClockChoice,
     /// Whether the process tells of itself on the topic `diagnostics` once a second.
@@ -35,9 +37,15 @@ pub enum ClockChoice {
 const LONGEST_DESCRIPTION: u64 = 16 * 1024 * 1024;
 
 impl Default for NodeFeatures {
-    /// What a node of rclcpp has.
+    /// What a node of rclcpp has, and levels of loggers that tools can set.
     fn default() -> Self {
-        Self { rosout: true, clock: ClockChoice::Own, diagnostics: true, robot_description: None }
+        Self {
+            rosout: true,
+            logger_service: true,
+            clock: ClockChoice::Own,
+            diagnostics: true,
+            robot_description: None,
+        }
     }
 }
 
@@ -48,6 +56,9 @@ impl NodeFeatures {
         let description = table.take("robot_description");
         Ok(Self {
             rosout: table.take("rosout").map_or(Ok(unless_given.rosout), |value| value.flag())?,
+            logger_service: table
+                .take("logger_service")
+                .map_or(Ok(unless_given.logger_service), |value| value.flag())?,
             clock: table.take("clock").map_or(Ok(unless_given.clock), clock_choice)?,
             diagnostics: table
                 .take("diagnostics")

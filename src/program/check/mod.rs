@@ -63,7 +63,7 @@ fn print_services(robot: &Robot) -> anyhow::Result<()> {
         let ros_service = called.ros_service.as_deref().unwrap_or(&called.service);
         println!("  service {} <- {ros_service} {}", called.service, called.service_type);
     }
-    let Some(exposure) = robot.parameter_exposure()? else { return Ok(()) };
+    let exposure = robot.parameter_exposure()?;
     for module in robot.core.modules() {
         for setting in robot.core.settings(&module.name).unwrap_or_default() {
             let name = format!("{}.{}", module.name, setting.name);
