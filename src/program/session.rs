@@ -67,7 +67,7 @@ const LOG_INTERVAL: Duration = Duration::from_secs(10);
 
 impl Session {
     pub(crate) fn new(file: RobotFile) -> anyhow::Result<Self> {
-        let statistics = Arc::new(Statistics::default());
+        let statistics = Arc::new(Statistics::of(file.modules.iter().map(|module| module.name.clone())));
         let clock = NodeClock::default();
         let mut core = Core::new().with_probe(Arc::clone(&statistics) as _).with_clock(clock.clone());
         let diagnostics = add_diagnostics(&mut core, &file)?;
