@@ -14,6 +14,7 @@ pub mod edge;
 pub mod expose;
 pub mod lifecycle;
 pub mod middleware;
+pub mod network;
 pub mod robot_description;
 pub mod ros;
 pub mod rosout;

@@ -3,6 +3,7 @@
 mod client;
 mod graph;
 mod names;
+mod network;
 mod node;
 mod participant;
 mod publisher;

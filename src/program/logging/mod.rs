@@ -5,11 +5,8 @@ mod file;
 mod format;
 mod layer;
 
-use std::sync::{Arc, PoisonError, RwLock};
-
 use anyhow::Context;
-use downbeat::bridge::ros::NodeName;
-use downbeat::bridge::rosout::{LoggerLevels, Rosout, Severity, logger_name};
+use downbeat::bridge::rosout::{LoggerLevels, LoggerNames, Rosout, Severity};
 use downbeat::robot::{LogArguments, LogLevel};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::prelude::*;
@@ -36,7 +33,8 @@ pub(crate) struct Log {
     pub(crate) rosout: Rosout,
     /// The levels that loggers are given, which tools may change.
     pub(crate) levels: LoggerLevels,
-    node_logger: Arc<RwLock<String>>,
+    /// The names of loggers, on the console and in the file.
+    pub(crate) names: LoggerNames,
     file: Option<LogFile>,
 }
 
@@ -48,7 +46,7 @@ impl Log {
         let log = Self {
             rosout: Rosout::new(),
             levels: LoggerLevels::starting_at(start_of(given.as_deref().unwrap_or(DEFAULT))),
-            node_logger: Arc::new(RwLock::new(PROGRAM.into())),
+            names: LoggerNames::new(PROGRAM),
             file: options.file.as_deref().map(LogFile::create).transpose()?,
         };
         for (logger, level) in &arguments.loggers {
@@ -62,7 +60,7 @@ impl Log {
         let layer = LogLayer {
             filter,
             levels: log.levels.clone(),
-            node_logger: Arc::clone(&log.node_logger),
+            names: log.names.clone(),
             console: (!arguments.is_stdout_disabled).then(|| Console::new(&options, screen)),
             format: options.format.clone(),
             file: log.file.clone(),
@@ -74,11 +72,6 @@ impl Log {
         }
         options.remarks.iter().for_each(|remark| tracing::warn!("{remark}"));
         Ok(log)
-    }
-
-    /// Lines are from now on those of a node.
-    pub(crate) fn name_by(&self, node: &NodeName) {
-        *self.node_logger.write().unwrap_or_else(PoisonError::into_inner) = logger_name(node);
     }
 
     /// Writes what still waits to be written.
@@ -104,9 +97,10 @@ fn filter_of(arguments: &LogArguments) -> Option<String> {
 
 /// The severity from which on a filter lets pass what no directive of its names.
 fn start_of(filter: &str) -> Severity {
-    let general = filter.split(',').filter_map(|directive| directive.trim().parse::<tracing::Level>().ok());
+    let mut general =
+        filter.split(',').filter_map(|directive| directive.trim().parse::<tracing::Level>().ok());
     // A filter that lets nothing pass in general has no such directive, or `off`.
-    general.last().map_or(Severity::Fatal, Severity::of)
+    general.next_back().map_or(Severity::Fatal, Severity::of)
 }
 
 fn severity(level: LogLevel) -> Option<Severity> {

@@ -14,6 +14,10 @@ pub struct NodeFeatures {
     pub rosout: bool,
     /// Whether tools may read and set the levels of its loggers.
     pub logger_service: bool,
+    /// Whether others may change what is exposed, by `~/expose`.
+    pub expose_service: bool,
+    /// Whether modules are told of the ROS 2 network, on the topic `network`.
+    pub network: bool,
     /// What it does with `/clock`.
     pub clock: ClockChoice,
     /// Whether the process tells of itself on the topic `diagnostics` once a second.
@@ -42,6 +46,8 @@ impl Default for NodeFeatures {
         Self {
             rosout: true,
             logger_service: true,
+            expose_service: false,
+            network: false,
             clock: ClockChoice::Own,
             diagnostics: true,
             robot_description: None,
@@ -59,6 +65,10 @@ impl NodeFeatures {
             logger_service: table
                 .take("logger_service")
                 .map_or(Ok(unless_given.logger_service), |value| value.flag())?,
+            expose_service: table
+                .take("expose_service")
+                .map_or(Ok(unless_given.expose_service), |value| value.flag())?,
+            network: table.take("network").map_or(Ok(unless_given.network), |value| value.flag())?,
             clock: table.take("clock").map_or(Ok(unless_given.clock), clock_choice)?,
             diagnostics: table
                 .take("diagnostics")
