@@ -12,10 +12,11 @@ PATIENCE = 2.0
 
 def options():
     parser = argparse.ArgumentParser()
-    parser.add_argument("--role", choices=["ping", "echo", "acknowledge"], required=True)
+    parser.add_argument("--role", choices=["ping", "echo", "acknowledge", "count"], required=True)
     parser.add_argument("--size", type=int, default=100)
     parser.add_argument("--window", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=3.0)
+    parser.add_argument("--best-effort", action="store_true")
     return parser.parse_args()
 
 

@@ -4,7 +4,7 @@ import array
 
 import peer
 import rclpy
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
 QOS = QoSProfile(depth=100)
@@ -37,11 +37,26 @@ def echo(node, options):
         rclpy.spin_once(node, timeout_sec=0.1)
 
 
+def count(node, options):
+    """Tells how many messages it has heard, once nothing more is sent."""
+    heard = set()
+    reliability = ReliabilityPolicy.BEST_EFFORT if options.best_effort else ReliabilityPolicy.RELIABLE
+    take = lambda message: heard.add(message.data[:8].tobytes())
+    node.create_subscription(UInt8MultiArray, "ping", take, QoSProfile(depth=10, reliability=reliability))
+    ended = peer.end_of_input()
+    while not ended.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
+    print(len(heard), flush=True)
+
+
+ROLES = {"ping": ping, "echo": echo, "acknowledge": echo, "count": count}
+
+
 def main():
     options = peer.options()
     rclpy.init()
     node = rclpy.create_node(f"rclpy_{options.role}")
-    (ping if options.role == "ping" else echo)(node, options)
+    ROLES[options.role](node, options)
     node.destroy_node()
     rclpy.shutdown()
 

@@ -44,6 +44,11 @@ pub struct Contestant {
 
 impl Contestant {
     pub fn start(kind: Kind, role: Role, task: &Task) -> anyhow::Result<Self> {
+        Self::start_with(kind, role, task, &[])
+    }
+
+    /// The same, with options that only some contestants know.
+    pub fn start_with(kind: Kind, role: Role, task: &Task, more: &[&str]) -> anyhow::Result<Self> {
         let mut command = match kind {
             Kind::Downbeat => {
                 let mut command = Command::new(std::env::current_exe()?);
@@ -56,6 +61,7 @@ impl Contestant {
         let role = clap::ValueEnum::to_possible_value(&role).context("a role has a name")?;
         command
             .args(["--role", role.get_name(), "--size", &task.size.to_string()])
+            .args(more)
             .args(["--window", &task.window.to_string(), "--seconds", &task.seconds.to_string()])
             .env("ROS_DOMAIN_ID", task.domain_id.to_string())
             .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -92,6 +98,13 @@ impl Contestant {
     /// Its resident memory in bytes.
     pub fn resident_bytes(&self) -> anyhow::Result<u64> {
         resident_bytes(self.process.id())
+    }
+
+    /// Ends its input; what it tells then is a number.
+    pub fn count(&mut self) -> anyhow::Result<u64> {
+        drop(self.process.stdin.take());
+        let line = self.line()?;
+        line.parse().with_context(|| line)
     }
 
     /// Ends it by the end of its input.

@@ -4,14 +4,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use downbeat_bridge::middleware::ParticipantOptions;
 use downbeat_bridge::ros::{NodeName, Participant};
 use downbeat_executor::{Context, Core, Module, Received, Setup, SetupError};
 use downbeat_msgs::std_msgs::msg::UInt8MultiArray;
 
 use crate::contestant::{Contestant, Kind, Task, resident_bytes};
 use crate::payload;
-use crate::peer::{Role, Running};
+use crate::peer::{Role, Running, on_this_machine};
 
 #[derive(clap::Args)]
 pub struct Options {
@@ -31,12 +30,7 @@ const SIZE: usize = 100;
 pub fn run(options: &Options) -> anyhow::Result<()> {
     let task = Task { size: SIZE, window: 1, seconds: 0.0, domain_id: options.domain };
     let echo = Contestant::start(options.peer, Role::Echo, &task)?;
-    let environment = |name: &str| match name {
-        "ROS_DOMAIN_ID" => Some(options.domain.to_string()),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE" => Some("LOCALHOST".to_owned()),
-        _ => None,
-    };
-    let participant = Participant::join(&ParticipantOptions::from_variables(environment)?)?;
+    let participant = Participant::join(&on_this_machine(options.domain)?)?;
     let node = participant.create_node(NodeName::new("/", "downbeat_hold")?)?;
     let counts = Arc::<Counts>::default();
     let mut core = Core::new();

@@ -8,6 +8,7 @@ mod added_delay;
 mod contest;
 mod contestant;
 mod hold;
+mod images;
 mod payload;
 mod peer;
 
@@ -26,6 +27,8 @@ enum Command {
     Pairs(contest::Options),
     /// From the publish of a module until the bridge hands the bytes to the middleware.
     AddedDelay(added_delay::Options),
+    /// How many large messages reach an rclpy node.
+    Images(images::Options),
     /// 1000 messages a second to another process and back, and the memory of both each minute.
     Hold(hold::Options),
     /// One end of a pair; its results are lines of JSON.
@@ -37,6 +40,7 @@ fn main() -> anyhow::Result<()> {
     match Cli::parse().command {
         Command::Pairs(options) => contest::run(&options),
         Command::AddedDelay(options) => added_delay::run(&options),
+        Command::Images(options) => images::run(&options),
         Command::Hold(options) => hold::run(&options),
         Command::Peer(options) => peer::run(&options),
     }

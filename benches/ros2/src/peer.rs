@@ -45,6 +45,8 @@ pub enum Role {
     Echo,
     /// Sends back the number of what it hears.
     Acknowledge,
+    /// Counts what it hears; of Python contestants only.
+    Count,
 }
 
 /// What the end that sends has measured.
@@ -69,6 +71,7 @@ pub const GO: &str = "go";
 pub fn run(options: &Options) -> anyhow::Result<()> {
     let participant = Participant::join(&ParticipantOptions::from_env()?)?;
     match options.role {
+        Role::Count => anyhow::bail!("this end does not count"),
         Role::Ping => {
             let node = participant.create_node(NodeName::new("/", "downbeat_ping")?)?;
             println!("{}", serde_json::to_string(&ping(&node, options)?)?);
@@ -84,6 +87,15 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
         }
     }
     Ok(())
+}
+
+/// A domain, and nobody but who is on this machine.
+pub fn on_this_machine(domain_id: u16) -> anyhow::Result<ParticipantOptions> {
+    Ok(ParticipantOptions::from_variables(|name| match name {
+        "ROS_DOMAIN_ID" => Some(domain_id.to_string()),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE" => Some("LOCALHOST".to_owned()),
+        _ => None,
+    })?)
 }
 
 fn ping(node: &Node, options: &Options) -> anyhow::Result<Outcome> {
@@ -124,11 +136,22 @@ pub struct Running {
 
 impl Running {
     /// Exposes one topic each way and runs the core.
-    pub fn start(mut core: Core, node: &Node, heard: &str, told: &str) -> anyhow::Result<Self> {
-        let of = KnownType::named("std_msgs/msg/UInt8MultiArray")?;
+    pub fn start(core: Core, node: &Node, heard: &str, told: &str) -> anyhow::Result<Self> {
         let qos = QosProfile { history: History::KeepLast(100), ..QosProfile::DEFAULT };
-        let exposure = |topic, direction| Exposure { qos: qos.into(), ..Exposure::new(topic, of, direction) };
-        let exposures = [exposure(heard, Direction::In), exposure(told, Direction::Out)];
+        Self::start_with(core, node, &[(heard, Direction::In), (told, Direction::Out)], qos)
+    }
+
+    /// Exposes these topics and runs the core.
+    pub fn start_with(
+        mut core: Core,
+        node: &Node,
+        topics: &[(&str, Direction)],
+        qos: QosProfile,
+    ) -> anyhow::Result<Self> {
+        let of = KnownType::named("std_msgs/msg/UInt8MultiArray")?;
+        let exposure =
+            |&(topic, direction): &_| Exposure { qos: qos.into(), ..Exposure::new(topic, of, direction) };
+        let exposures: Vec<_> = topics.iter().map(exposure).collect();
         let status = expose(&mut core, node, &exposures)?;
         let handle = core.handle();
         let thread = std::thread::Builder::new().name("core".into());
@@ -136,7 +159,7 @@ impl Running {
         Ok(Self { handle, status, thread })
     }
 
-    /// Waits until both topics have a peer.
+    /// Waits until all topics have a peer.
     pub fn wait_for_peer(&self, patience: Duration) -> anyhow::Result<()> {
         let end = Instant::now() + patience;
         while self.status.endpoints().iter().any(|endpoint| endpoint.matched == 0) {
