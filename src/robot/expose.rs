@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use downbeat_bridge::edge::KnownType;
-use downbeat_bridge::expose::{Exposure, TopicPattern};
+use downbeat_bridge::expose::{Exposure, QOS_EVENTS_TOPIC, TopicPattern};
 use downbeat_bridge::middleware;
 use downbeat_bridge::ros::{NameError, NodeName, TopicName};
 use downbeat_executor::TopicInfo;
@@ -201,7 +201,8 @@ impl Selection<'_> {
 
 /// A topic that a pattern may mean, with its type.
 fn candidate<'a>(entry: &ExposeEntry, topic: &'a TopicInfo) -> Option<(&'a TopicInfo, KnownType)> {
-    let is_internal = topic.name.starts_with("executor/") || &*topic.name == step_journal::TOPIC;
+    let is_internal = topic.name.starts_with("executor/")
+        || [step_journal::TOPIC, QOS_EVENTS_TOPIC].contains(&&*topic.name);
     let goes_that_way = topic.is_published == (entry.direction == Direction::Out);
     let message_type = KnownType::of_rust_type(topic.message_type_id)?;
     let has_type = entry.type_name.as_deref().is_none_or(|name| name == message_type.name());

@@ -28,6 +28,7 @@ mod limit;
 mod module;
 mod parameters;
 mod pattern;
+mod qos_events;
 mod services;
 mod status;
 
@@ -37,5 +38,6 @@ pub use limit::{Limits, OfACycle};
 pub use module::MODULE_NAME;
 pub use parameters::{ParameterExposure, ParameterServices, ParametersError, expose_parameters};
 pub use pattern::{PatternError, TopicPattern};
+pub use qos_events::{QOS_EVENTS_TOPIC, QosCounts};
 pub use services::{CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServicesStatus, expose_services};
 pub use status::{BridgeStatus, EndpointReport};

@@ -2,6 +2,7 @@
 
 mod client;
 mod graph;
+mod incompatible;
 mod names;
 mod node;
 mod qos;

@@ -1,14 +1,16 @@
 //! A participant as ROS 2 sees it: nodes with publishers and subscriptions.
 
 use super::graph::{Graph, RemoteNode};
+use super::incompatible::Warned;
 use super::{
     MessageType, NameError, NodeName, QosRequest, RemapRules, ServiceName, ServiceType, TopicName,
     type_description,
 };
+use crate::edge::KnownType;
 use crate::middleware::rpc::{RequestServer, RpcThread};
 use crate::middleware::{
-    self, Direction, Endpoint, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader, RemoteEndpoint,
-    SampleHandler, WriteError, Writer,
+    self, Direction, Endpoint, EventHandler, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader,
+    RemoteEndpoint, SampleHandler, WriteError, Writer,
 };
 use bytes::Bytes;
 use downbeat_msgs::qos::QosProfile;
@@ -241,11 +243,14 @@ impl Node {
         let topic = self.topic_name(topic)?;
         let endpoint = endpoint(&topic, message_type, qos);
         let writer = self.membership.shared.middleware.create_writer(&endpoint)?;
+        let warned = Warned::default();
+        writer.on_event(warned.and(&topic, Direction::Out, Box::new(|_| ())));
         let listed = Listed::new(&self.membership, Direction::Out, writer.gid());
         Ok(Publisher {
             topic,
             message_type: message_type.clone(),
             qos,
+            warned,
             _listed: listed,
             writer,
             _membership: Arc::clone(&self.membership),
@@ -267,11 +272,14 @@ impl Node {
         let topic = self.topic_name(topic)?;
         let endpoint = endpoint(&topic, message_type, qos);
         let reader = self.membership.shared.middleware.create_reader(&endpoint, on_sample)?;
+        let warned = Warned::default();
+        reader.on_event(warned.and(&topic, Direction::In, Box::new(|_| ())));
         let listed = Listed::new(&self.membership, Direction::In, reader.gid());
         Ok(Subscription {
             topic,
             message_type: message_type.clone(),
             qos,
+            warned,
             _listed: listed,
             reader,
             _membership: Arc::clone(&self.membership),
@@ -284,6 +292,7 @@ pub struct Publisher {
     topic: TopicName,
     message_type: MessageType,
     qos: QosProfile,
+    warned: Warned,
     // Fields drop in this order: the entry in the graph, so that no tool sees an endpoint without a node; the endpoint;
     // and perhaps with the last of them the participant.
     _listed: Listed,
@@ -316,6 +325,12 @@ impl Publisher {
         self.writer.matched()
     }
 
+    /// Has `handler` told what happens to the quality of service of this publisher: what holds already, then what changes.
+    /// It runs on a thread of the middleware, so it must hand over and return. It replaces the one before.
+    pub fn on_event(&self, handler: EventHandler) {
+        self.writer.on_event(self.warned.and(&self.topic, Direction::Out, handler));
+    }
+
     /// Publishes one message: encapsulation header (little-endian) and body. Does not block.
     ///
     /// # Errors
@@ -330,6 +345,7 @@ pub struct Subscription {
     topic: TopicName,
     message_type: MessageType,
     qos: QosProfile,
+    warned: Warned,
     // In this order, as in a publisher.
     _listed: Listed,
     reader: Box<dyn Reader>,
@@ -360,6 +376,12 @@ impl Subscription {
     pub fn matched_publishers(&self) -> usize {
         self.reader.matched()
     }
+
+    /// Has `handler` told what happens to the quality of service of this subscription: what holds already, then what
+    /// changes. It runs on a thread of the middleware, so it must hand over and return. It replaces the one before.
+    pub fn on_event(&self, handler: EventHandler) {
+        self.reader.on_event(self.warned.and(&self.topic, Direction::In, handler));
+    }
 }
 
 /// The entry of an endpoint in the graph, under its node.
@@ -389,7 +411,8 @@ fn endpoint(topic: &TopicName, message_type: &MessageType, qos: QosProfile) -> E
     } else {
         Endpoint::SEND_WINDOW
     };
-    Endpoint { send_window, ..Endpoint::new(topic.to_wire(), message_type.to_wire(), qos) }
+    let type_hash = KnownType::named(message_type.as_str()).ok().map(|known| known.hash().to_owned());
+    Endpoint { send_window, type_hash, ..Endpoint::new(topic.to_wire(), message_type.to_wire(), qos) }
 }
 
 /// Types whose messages have hundreds of kilobytes.
