@@ -1,6 +1,7 @@
 //! The bridge: what of a core is exposed, and changing it while the core runs.
 
 use super::endpoints::{Endpoints, Exposed, Held};
+use super::learning::learn;
 use super::limit::Limiter;
 use super::module::{MODULE_NAME, Outlet, Sender, options};
 use super::qos_events::{EndpointQos, QosEvents};
@@ -129,9 +130,15 @@ impl Bridge {
     ) -> Result<Vec<Exposed>, ExposeError> {
         let mut all = Vec::with_capacity(exposures.len());
         for exposure in exposures {
-            let is_reverse =
-                |report: &EndpointReport| exposure.is_reverse_of(&report.topic, report.direction);
-            let others = exposures.iter().any(|other| exposure.is_reverse_of(&other.topic, other.direction));
+            let name = self.name_of(exposure);
+            let is_reverse = |report: &EndpointReport| {
+                exposure.is_reverse_of(&report.topic, report.direction)
+                    && !(exposure.message_type.is_raw() && name.as_ref() != Some(&report.ros_topic))
+            };
+            let others = exposures.iter().any(|other| {
+                exposure.is_reverse_of(&other.topic, other.direction)
+                    && !(exposure.message_type.is_raw() && name != self.name_of(other))
+            });
             if others || self.endpoints.any(is_reverse) {
                 return Err(ExposeError::BothDirections(exposure.topic.clone()));
             }
@@ -148,6 +155,13 @@ impl Bridge {
             all.push(exposed);
         }
         Ok(all)
+    }
+
+    /// The name that the topic of an exposure has in ROS 2; nothing where it is not valid, which its creation tells.
+    fn name_of(&self, exposure: &Exposure) -> Option<String> {
+        let node =
+            exposure.node.as_ref().map_or_else(|| Ok(self.node.clone()), |name| self.node.sibling(name));
+        node.ok()?.topic_name(exposure.ros_topic()).ok().map(|topic| topic.to_string())
     }
 
     fn create(&self, core: &mut CoreAccess<'_>, exposure: &Exposure) -> Result<Exposed, ExposeError> {
@@ -186,6 +200,9 @@ impl Bridge {
                 let limiter = Limiter::new(exposure.limits);
                 let take = from_ros(inlet, Arc::clone(&traffic), limiter, Arc::clone(&self.clock));
                 let subscription = Arc::new(subscription(&node, exposure, take).map_err(failed)?);
+                if let Err(error) = learn(&node, &subscription, exposure.message_type) {
+                    tracing::warn!(topic = exposure.topic, %error, "nobody is asked what the type looks like: no thread");
+                }
                 let (topic, qos) = (subscription.topic().to_string(), subscription.qos());
                 let events = events(&topic);
                 let told = Arc::clone(&events);

@@ -24,6 +24,7 @@
 mod bridge;
 mod endpoints;
 mod exposure;
+mod learning;
 mod limit;
 mod module;
 mod parameters;

@@ -1,6 +1,7 @@
 //! ROS 2 on top of raw topics: names, nodes, and the graph that tools show.
 
 mod client;
+mod describe;
 mod graph;
 mod incompatible;
 mod names;
@@ -12,6 +13,7 @@ mod service_name;
 mod type_description;
 
 pub use client::{Client, RawClient};
+pub use describe::DescribeError;
 pub use graph::{RemoteNode, RemoteTopic};
 pub use names::{MessageType, NameError, NodeName, TopicName};
 pub use node::{Node, NodeError, Participant, Publisher, Subscription};

@@ -44,7 +44,7 @@ pub struct Participant {
 
 pub(super) struct Shared {
     // Fields drop in this order: the graph takes leave before the participant goes.
-    graph: Graph,
+    pub(super) graph: Graph,
     /// What nodes offer by themselves. Here, since a service that its node held would keep the node.
     own_services: Mutex<HashMap<NodeName, Vec<RequestServer>>>,
     pub(super) rpc: RpcThread,

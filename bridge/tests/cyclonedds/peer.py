@@ -56,7 +56,14 @@ class CompressedImage(IdlStruct, typename="sensor_msgs::msg::dds_::CompressedIma
     data: types.sequence[types.uint8]
 
 
+@dataclass
+class Leg(IdlStruct, typename="legs::msg::dds_::Leg_"):
+    angles: types.sequence[types.float64]
+    name: str = ""
+
+
 TYPES = {
+    "legs/msg/Leg": Leg,
     "std_msgs/msg/String": String,
     "sensor_msgs/msg/JointState": JointState,
     "sensor_msgs/msg/CompressedImage": CompressedImage,

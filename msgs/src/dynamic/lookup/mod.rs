@@ -4,6 +4,7 @@ mod ament;
 mod described;
 mod schemas;
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
@@ -40,6 +41,17 @@ pub use schemas::Schemas;
 #[derive(Default)]
 pub struct Definitions {
     sources: Vec<Box<dyn DefinitionSource>>,
+}
+
+/// A type, and what is kept of it beside messages.
+#[derive(Clone, Debug)]
+pub struct TypeDefinition {
+    /// The type.
+    pub message_type: DynamicType,
+    /// The `ros2msg` text with all dependencies, as rosbag2 stores it.
+    pub text: String,
+    /// `RIHS01_` and 64 hexadecimal digits.
+    pub hash: String,
 }
 
 /// Where definitions can be found.
@@ -127,32 +139,43 @@ impl Definitions {
     /// If no place has it or something it refers to; the error says what was found where. Or if it cannot be used.
     pub fn find(&self, name: &str) -> Result<DynamicType, LookupError> {
         let name: TypeName = name.parse().map_err(|error| LookupError::Name(Box::new(error)))?;
+        let (catalog, place) = self.gather(&name)?;
+        DynamicType::new(&catalog, &name).map_err(|problem| unusable(&name, &place, problem))
+    }
+
+    /// The type of that name with the text that a bag has of it and its hash.
+    ///
+    /// # Errors
+    /// As [`Definitions::find`].
+    pub fn describe(&self, name: &str) -> Result<TypeDefinition, LookupError> {
+        let name: TypeName = name.parse().map_err(|error| LookupError::Name(Box::new(error)))?;
+        let (catalog, place) = self.gather(&name)?;
+        let refuse = |problem: TypeError| unusable(&name, &place, problem);
+        Ok(TypeDefinition {
+            message_type: DynamicType::new(&catalog, &name).map_err(refuse)?,
+            text: catalog.definition_text(&name).map_err(|error| refuse(error.into()))?,
+            hash: catalog.type_hash(&name).map_err(|error| refuse(error.into()))?,
+        })
+    }
+
+    /// The definition of a type and of all it refers to, and the place that has it.
+    fn gather(&self, name: &TypeName) -> Result<(Cow<'_, Catalog>, String), LookupError> {
         let mut gathered = Catalog::new();
         let mut asked = BTreeSet::from([name.clone()]);
         let mut wanted: Vec<(TypeName, Option<TypeName>)> = vec![(name.clone(), None)];
         let mut first_place = String::new();
         while let Some((next, owner)) = wanted.pop() {
             let (place, found) = self.ask(&next, owner)?;
-            let unusable = |problem: TypeError| LookupError::Unusable {
-                name: Box::new(next.clone()),
-                place: place.clone(),
-                problem: Box::new(problem),
-            };
+            let refuse = |problem: DefinitionError| unusable(&next, &place, problem.into());
             if first_place.is_empty() {
                 first_place.clone_from(&place);
             }
             match found {
-                Found::Complete(catalog) if next == name => {
-                    return DynamicType::new(catalog, &name).map_err(unusable);
-                }
-                Found::Complete(catalog) => {
-                    gathered.add_message_from(catalog, &next).map_err(|error| unusable(error.into()))?;
-                }
+                Found::Complete(catalog) if next == *name => return Ok((Cow::Borrowed(catalog), place)),
+                Found::Complete(catalog) => gathered.add_message_from(catalog, &next).map_err(refuse)?,
                 Found::Alone(catalog) => {
                     for owner in catalog.messages() {
-                        gathered
-                            .add_message_from(&catalog, &owner.name)
-                            .map_err(|error| unusable(error.into()))?;
+                        gathered.add_message_from(&catalog, &owner.name).map_err(refuse)?;
                         for field in &owner.fields {
                             if let Element::Message(inner) = &field.field_type.element
                                 && catalog.message(inner).is_err()
@@ -166,11 +189,7 @@ impl Definitions {
                 Found::Nothing(_) => {}
             }
         }
-        DynamicType::new(&gathered, &name).map_err(|problem| LookupError::Unusable {
-            name: Box::new(name),
-            place: first_place,
-            problem: Box::new(problem),
-        })
+        Ok((Cow::Owned(gathered), first_place))
     }
 
     /// What the first source that has the type has, and what the source is called.
@@ -237,6 +256,11 @@ fn instead<'a>(subject: &str, catalogs: impl Iterator<Item = &'a Catalog>, name:
         Some(nearest) => format!("{subject} {nearest} of that package"),
         None => format!("{subject} nothing of that package"),
     }
+}
+
+fn unusable(name: &TypeName, place: &str, problem: TypeError) -> LookupError {
+    let (name, problem) = (Box::new(name.clone()), Box::new(problem));
+    LookupError::Unusable { name, place: place.to_owned(), problem }
 }
 
 fn needed_by(owner: Option<&TypeName>) -> String {
