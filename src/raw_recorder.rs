@@ -56,7 +56,7 @@ impl RawToBag {
             type_name: message_type.name().into(),
             definition: message_type.definition().into(),
             type_hash: message_type.hash().into(),
-            offered_qos: vec![self.qos],
+            offered_qos: vec![self.qos.into()],
             ..TopicInfo::default()
         };
         match self.sender.add_topic(info) {

@@ -22,7 +22,7 @@ pub(super) fn learn(
     if !message_type.is_raw() || !message_type.hash().is_empty() {
         return Ok(());
     }
-    let (node, subscription) = (node.downgrade(), Arc::downgrade(subscription));
+    let (node, subscription) = (node.weak(), Arc::downgrade(subscription));
     let look = move || {
         let Ok(ros_type) = MessageType::new(message_type.name()) else { return };
         let mut is_told = false;

@@ -7,7 +7,7 @@ use crate::middleware::rpc::CallError;
 use downbeat_msgs::dynamic::{Definitions, DescribedTypes, LookupError, TypeDefinition, TypeError};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::type_description_interfaces::srv::{GetTypeDescription, GetTypeDescriptionRequest};
-use std::sync::{Arc, Weak};
+use std::sync::Weak;
 use std::time::Duration;
 use thiserror::Error;
 
@@ -60,13 +60,13 @@ pub(crate) struct WeakNode(Weak<Membership>);
 impl WeakNode {
     /// The node, if it is still there.
     pub(crate) fn upgrade(&self) -> Option<Node> {
-        self.0.upgrade().map(|membership| Node { membership })
+        self.0.upgrade().map(Node::of)
     }
 }
 
 impl Node {
-    pub(crate) fn downgrade(&self) -> WeakNode {
-        WeakNode(Arc::downgrade(&self.membership))
+    pub(crate) fn weak(&self) -> WeakNode {
+        WeakNode(self.downgrade())
     }
 
     fn remote(&self) -> (Vec<RemoteEndpoint>, Vec<RemoteNode>) {

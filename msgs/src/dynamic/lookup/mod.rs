@@ -138,44 +138,68 @@ impl Definitions {
     /// # Errors
     /// If no place has it or something it refers to; the error says what was found where. Or if it cannot be used.
     pub fn find(&self, name: &str) -> Result<DynamicType, LookupError> {
-        let name: TypeName = name.parse().map_err(|error| LookupError::Name(Box::new(error)))?;
-        let (catalog, place) = self.gather(&name)?;
+        let (name, place, catalog) = self.gather(name)?;
         DynamicType::new(&catalog, &name).map_err(|problem| unusable(&name, &place, problem))
+    }
+
+    /// The definition text of the type of that name, as a bag holds it, and its RIHS01 hash.
+    ///
+    /// ```
+    /// use downbeat_msgs::Message;
+    /// use downbeat_msgs::dynamic::Definitions;
+    /// use downbeat_msgs::std_msgs::msg::Header;
+    ///
+    /// let (text, hash) = Definitions::new().with_carried().find_text("std_msgs/msg/Header")?;
+    /// assert_eq!((text.as_str(), hash.as_str()), (Header::DEFINITION, Header::TYPE_HASH));
+    /// # Ok::<(), downbeat_msgs::dynamic::LookupError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As those of [`Definitions::find`].
+    pub fn find_text(&self, name: &str) -> Result<(String, String), LookupError> {
+        let (name, place, catalog) = self.gather(name)?;
+        let unusable = |problem: DefinitionError| unusable(&name, &place, problem.into());
+        let text = catalog.definition_text(&name).map_err(unusable)?;
+        Ok((text, catalog.type_description(&name).map_err(unusable)?.hash()))
     }
 
     /// The type of that name with the text that a bag has of it and its hash.
     ///
     /// # Errors
-    /// As [`Definitions::find`].
+    /// As those of [`Definitions::find`].
     pub fn describe(&self, name: &str) -> Result<TypeDefinition, LookupError> {
-        let name: TypeName = name.parse().map_err(|error| LookupError::Name(Box::new(error)))?;
-        let (catalog, place) = self.gather(&name)?;
-        let refuse = |problem: TypeError| unusable(&name, &place, problem);
-        Ok(TypeDefinition {
-            message_type: DynamicType::new(&catalog, &name).map_err(refuse)?,
-            text: catalog.definition_text(&name).map_err(|error| refuse(error.into()))?,
-            hash: catalog.type_hash(&name).map_err(|error| refuse(error.into()))?,
-        })
+        let message_type = self.find(name)?;
+        let (text, hash) = self.find_text(name)?;
+        Ok(TypeDefinition { message_type, text, hash })
     }
 
-    /// The definition of a type and of all it refers to, and the place that has it.
-    fn gather(&self, name: &TypeName) -> Result<(Cow<'_, Catalog>, String), LookupError> {
+    /// A catalog that has the type and all it refers to, and where the type was found.
+    fn gather(&self, name: &str) -> Result<(TypeName, String, Cow<'_, Catalog>), LookupError> {
+        let name: TypeName = name.parse().map_err(|error| LookupError::Name(Box::new(error)))?;
         let mut gathered = Catalog::new();
         let mut asked = BTreeSet::from([name.clone()]);
         let mut wanted: Vec<(TypeName, Option<TypeName>)> = vec![(name.clone(), None)];
         let mut first_place = String::new();
         while let Some((next, owner)) = wanted.pop() {
             let (place, found) = self.ask(&next, owner)?;
-            let refuse = |problem: DefinitionError| unusable(&next, &place, problem.into());
+            let unusable = |problem: DefinitionError| unusable(&next, &place, problem.into());
             if first_place.is_empty() {
                 first_place.clone_from(&place);
             }
             match found {
-                Found::Complete(catalog) if next == *name => return Ok((Cow::Borrowed(catalog), place)),
-                Found::Complete(catalog) => gathered.add_message_from(catalog, &next).map_err(refuse)?,
+                Found::Complete(catalog) if next == name => return Ok((name, place, Cow::Borrowed(catalog))),
+                Found::Complete(catalog) => {
+                    gathered.add_message_from(catalog, &next).map_err(unusable)?;
+                }
                 Found::Alone(catalog) => {
+                    if next == name {
+                        // With the service or action that the message belongs to.
+                        gathered = (*catalog).clone();
+                    }
                     for owner in catalog.messages() {
-                        gathered.add_message_from(&catalog, &owner.name).map_err(refuse)?;
+                        if next != name {
+                            gathered.add_message_from(&catalog, &owner.name).map_err(unusable)?;
+                        }
                         for field in &owner.fields {
                             if let Element::Message(inner) = &field.field_type.element
                                 && catalog.message(inner).is_err()
@@ -189,7 +213,7 @@ impl Definitions {
                 Found::Nothing(_) => {}
             }
         }
-        Ok((Cow::Owned(gathered), first_place))
+        Ok((name, first_place, Cow::Owned(gathered)))
     }
 
     /// What the first source that has the type has, and what the source is called.
@@ -259,8 +283,11 @@ fn instead<'a>(subject: &str, catalogs: impl Iterator<Item = &'a Catalog>, name:
 }
 
 fn unusable(name: &TypeName, place: &str, problem: TypeError) -> LookupError {
-    let (name, problem) = (Box::new(name.clone()), Box::new(problem));
-    LookupError::Unusable { name, place: place.to_owned(), problem }
+    LookupError::Unusable {
+        name: Box::new(name.clone()),
+        place: place.to_owned(),
+        problem: Box::new(problem),
+    }
 }
 
 fn needed_by(owner: Option<&TypeName>) -> String {
