@@ -13,6 +13,7 @@ pub mod duration;
 pub mod encoding;
 pub mod inspect;
 pub mod playback;
+mod raw_recorder;
 pub mod recorder;
 pub mod robot;
 pub mod step_journal;

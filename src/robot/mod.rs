@@ -98,12 +98,18 @@
 //! | `topic` | a name or a pattern | needed |
 //! | `except` | names and patterns that a pattern does not mean | none |
 //! | `as` | the name in ROS 2; of a pattern with the same wildcards, which stand for what they matched | the same |
-//! | `type` | is checked; of a pattern it says which topics are meant | any |
+//! | `type` | is checked; of a pattern it says which topics are meant; one of a package that is not compiled in passes as bytes | any |
+//! | `raw` | `true`: messages pass as bytes, also of a type that is compiled in; needs `type` | by the type |
 //! | `qos` | a preset: `"default"`, `"sensor_data"`, `"services"`, `"parameters"`, `"parameter_events"`, `"rosout"`, `"clock"`, `"latched"`, `"system_default"`, `"best_available"`; or a table | `"default"` |
 //! | `rate_hz` | at most so many messages per second, on average, by the time of the executor | all |
 //! | `every` | of so many messages one, the first among them | all |
 //! | `latest_only` | `true`: of the messages of one cycle only the last | all |
 //! | `node` | the node that has the endpoint: `"camera"` in the robot's namespace, or `"/front/camera"` | the robot's |
+//!
+//! A topic whose messages pass as bytes needs no module: modules that want it receive
+//! [`RawMessage`](downbeat_bridge::edge::RawMessage)s, a bag holds it with its definition (from `AMENT_PREFIX_PATH`, else its
+//! publisher is asked by `get_type_description`), and what comes in may go out under another name:
+//! `in = [{ topic = "legs", type = "legs/msg/Leg" }]`, `out = [{ topic = "legs", as = "/robot2/legs", type = "legs/msg/Leg" }]`.
 //!
 //! A table of QoS has `preset` and what differs from it: `reliability`, `durability`, `history`, `depth`, `deadline`,
 //! `lifespan`, `liveliness`, `liveliness_lease_duration`; times such as `"100ms"` or `"infinite"`. `"best_available"` is

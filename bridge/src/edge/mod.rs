@@ -17,6 +17,7 @@ mod inlet;
 mod known_service;
 mod known_type;
 mod nearest;
+mod raw;
 mod subscription;
 
 pub use call::{EncodedAnswer, EncodedCallError, EncodedCaller, Outlet, RemoteCall};
@@ -24,4 +25,5 @@ pub use core_access::CoreAccess;
 pub use inlet::{EncodedInlet, EncodedInletError, Waiting};
 pub use known_service::{KnownService, UnknownService};
 pub use known_type::{KnownType, UnknownType};
+pub use raw::{RawError, RawMessage, RawTypeError};
 pub use subscription::{Offered, Sink};

@@ -24,10 +24,12 @@
 mod bridge;
 mod endpoints;
 mod exposure;
+mod learning;
 mod limit;
 mod module;
 mod parameters;
 mod pattern;
+mod qos_events;
 mod services;
 mod status;
 
@@ -37,5 +39,6 @@ pub use limit::{Limits, OfACycle};
 pub use module::MODULE_NAME;
 pub use parameters::{ParameterExposure, ParameterServer, ParameterServices};
 pub use pattern::{PatternError, TopicPattern};
+pub use qos_events::{QOS_EVENTS_TOPIC, QosCounts};
 pub use services::{CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServicesStatus, expose_services};
 pub use status::{BridgeStatus, EndpointReport};

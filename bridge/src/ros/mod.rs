@@ -1,7 +1,9 @@
 //! ROS 2 on top of raw topics: names, nodes, and the graph that tools show.
 
 mod client;
+mod describe;
 mod graph;
+mod incompatible;
 mod names;
 mod network;
 mod node;
@@ -15,6 +17,7 @@ mod subscription;
 mod type_description;
 
 pub use client::{Client, RawClient};
+pub use describe::DescribeError;
 pub use graph::{RemoteNode, RemoteTopic};
 pub use names::{MessageType, NameError, NodeName, TopicName};
 pub use node::Node;

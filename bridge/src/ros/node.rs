@@ -37,6 +37,10 @@ impl Node {
         Self { membership: Arc::new(membership), is_by_itself: false }
     }
 
+    pub(super) fn of(membership: Arc<Membership>) -> Self {
+        Self { membership, is_by_itself: false }
+    }
+
     /// Its namespace and name.
     #[must_use]
     pub fn name(&self) -> &NodeName {

@@ -1,8 +1,10 @@
 //! What a node publishes.
 
+use super::incompatible::Warned;
 use super::node::{Hold, Listed};
 use super::{MessageType, Node, NodeError, TopicName};
-use crate::middleware::{Direction, Endpoint, WriteError, Writer};
+use crate::edge::KnownType;
+use crate::middleware::{Direction, Endpoint, EventHandler, WriteError, Writer};
 use bytes::Bytes;
 use downbeat_msgs::qos::QosProfile;
 
@@ -11,6 +13,7 @@ pub struct Publisher {
     topic: TopicName,
     message_type: MessageType,
     qos: QosProfile,
+    warned: Warned,
     // Fields drop in this order: the entry in the graph, so that no tool sees an endpoint without a node; the endpoint;
     // and perhaps with the last of them the participant.
     _listed: Listed,
@@ -43,6 +46,12 @@ impl Publisher {
         self.writer.matched()
     }
 
+    /// Has `handler` told what happens to the quality of service of this publisher: what holds already, then what changes.
+    /// It runs on a thread of the middleware, so it must hand over and return. It replaces the one before.
+    pub fn on_event(&self, handler: EventHandler) {
+        self.writer.on_event(self.warned.and(&self.topic, Direction::Out, handler));
+    }
+
     /// Publishes one message: encapsulation header (little-endian) and body. Does not block.
     ///
     /// # Errors
@@ -66,11 +75,14 @@ impl Node {
         let topic = self.topic_name(topic)?;
         let endpoint = endpoint(&topic, message_type, qos);
         let writer = self.membership.shared.middleware.create_writer(&endpoint)?;
+        let warned = Warned::default();
+        writer.on_event(warned.and(&topic, Direction::Out, Box::new(|_| ())));
         let listed = Listed::new(self.hold(), Direction::Out, writer.gid());
         Ok(Publisher {
             topic,
             message_type: message_type.clone(),
             qos,
+            warned,
             _listed: listed,
             writer,
             _hold: self.hold(),
@@ -84,7 +96,8 @@ pub(super) fn endpoint(topic: &TopicName, message_type: &MessageType, qos: QosPr
     } else {
         Endpoint::SEND_WINDOW
     };
-    Endpoint { send_window, ..Endpoint::new(topic.to_wire(), message_type.to_wire(), qos) }
+    let type_hash = KnownType::named(message_type.as_str()).ok().map(|known| known.hash().to_owned());
+    Endpoint { send_window, type_hash, ..Endpoint::new(topic.to_wire(), message_type.to_wire(), qos) }
 }
 
 /// Types whose messages have hundreds of kilobytes.

@@ -57,6 +57,12 @@ class CompressedImage(IdlStruct, typename="sensor_msgs::msg::dds_::CompressedIma
 
 
 @dataclass
+class Leg(IdlStruct, typename="legs::msg::dds_::Leg_"):
+    angles: types.sequence[types.float64]
+    name: str = ""
+
+
+@dataclass
 class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
     x: types.float64
     y: types.float64
@@ -93,6 +99,7 @@ class TFMessage(IdlStruct, typename="tf2_msgs::msg::dds_::TFMessage_"):
 ELEMENTS = {"transforms": TransformStamped}
 
 TYPES = {
+    "legs/msg/Leg": Leg,
     "tf2_msgs/msg/TFMessage": TFMessage,
     "std_msgs/msg/String": String,
     "sensor_msgs/msg/JointState": JointState,

@@ -13,6 +13,7 @@ import time
 
 import rclpy
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import NodeNameNonExistentError
 from rclpy.parameter import Parameter
@@ -73,6 +74,9 @@ def endpoint_of(info):
     }
 
 
+EVENT_FIELDS = ["total_count", "current_count", "alive_count", "not_alive_count"]
+
+
 class Peer:
     def __init__(self, name):
         rclpy.init()
@@ -82,6 +86,7 @@ class Peer:
         self.publishers = {}
         self.subscriptions = {}
         self.received = {}
+        self.events = {}
         self.services = {}
         self.clients = {}
         self.parameter_clients = {}
@@ -110,8 +115,32 @@ class Peer:
     def subscriptions_of(self, topic):
         return [endpoint_of(info) for info in self.node.get_subscriptions_info_by_topic(topic)]
 
-    def advertise(self, topic, type, qos={}):
-        self.publishers[topic] = self.node.create_publisher(message_class(type), topic, profile(qos))
+    def noting(self, topic, kinds):
+        """Callbacks that note what happens to the quality of service of an endpoint."""
+        noted = self.events.setdefault(topic, [])
+
+        def note(kind):
+            def on_event(info):
+                values = {name: getattr(info, name) for name in EVENT_FIELDS if hasattr(info, name)}
+                noted.append({"event": kind, **values})
+
+            return on_event
+
+        return {kind: note(kind) for kind in kinds}
+
+    def take_events(self, topic):
+        """What has happened since the last call."""
+        noted = self.events[topic]
+        taken = noted[:]
+        del noted[: len(taken)]
+        return taken
+
+    def advertise(self, topic, type, qos={}, events=False):
+        kinds = ["deadline", "liveliness", "incompatible_qos", "matched"] if events else []
+        callbacks = PublisherEventCallbacks(**self.noting(topic, kinds))
+        self.publishers[topic] = self.node.create_publisher(
+            message_class(type), topic, profile(qos), event_callbacks=callbacks
+        )
 
     def publish(self, topic, fields):
         publisher = self.publishers[topic]
@@ -122,15 +151,19 @@ class Peer:
             return self.publishers[topic].get_subscription_count()
         return self.node.count_publishers(topic)
 
-    def subscribe(self, topic, type, qos={}):
+    def subscribe(self, topic, type, qos={}, events=False):
         received = self.received.setdefault(topic, [])
+        kinds = ["deadline", "liveliness", "message_lost", "incompatible_qos", "matched"] if events else []
+        callbacks = SubscriptionEventCallbacks(**self.noting(topic, kinds))
         kind = message_class(type)
 
         def on_message(cdr):
             message = deserialize_message(cdr, kind)
             received.append({"cdr": bytes(cdr).hex(), "fields": fields_of(message)})
 
-        self.subscriptions[topic] = self.node.create_subscription(kind, topic, on_message, profile(qos), raw=True)
+        self.subscriptions[topic] = self.node.create_subscription(
+            kind, topic, on_message, profile(qos), raw=True, event_callbacks=callbacks
+        )
 
     def serve(self, service, type, suffix="", qos={}):
         """A server of std_srvs/srv/SetBool or sensor_msgs/srv/SetCameraInfo that answers with what it was asked."""

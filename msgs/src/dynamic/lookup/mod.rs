@@ -43,6 +43,17 @@ pub struct Definitions {
     sources: Vec<Box<dyn DefinitionSource>>,
 }
 
+/// A type, and what is kept of it beside messages.
+#[derive(Clone, Debug)]
+pub struct TypeDefinition {
+    /// The type.
+    pub message_type: DynamicType,
+    /// The `ros2msg` text with all dependencies, as rosbag2 stores it.
+    pub text: String,
+    /// `RIHS01_` and 64 hexadecimal digits.
+    pub hash: String,
+}
+
 /// Where definitions can be found.
 pub trait DefinitionSource: Send + Sync {
     /// What to call it in an error: `walk.mcap`.
@@ -150,6 +161,16 @@ impl Definitions {
         let unusable = |problem: DefinitionError| unusable(&name, &place, problem.into());
         let text = catalog.definition_text(&name).map_err(unusable)?;
         Ok((text, catalog.type_description(&name).map_err(unusable)?.hash()))
+    }
+
+    /// The type of that name with the text that a bag has of it and its hash.
+    ///
+    /// # Errors
+    /// As those of [`Definitions::find`].
+    pub fn describe(&self, name: &str) -> Result<TypeDefinition, LookupError> {
+        let message_type = self.find(name)?;
+        let (text, hash) = self.find_text(name)?;
+        Ok(TypeDefinition { message_type, text, hash })
     }
 
     /// A catalog that has the type and all it refers to, and where the type was found.

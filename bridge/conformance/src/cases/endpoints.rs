@@ -1,38 +1,18 @@
-//! What every engine behind `Middleware` must do, run for each of them.
+//! Endpoints, what goes between them, and the graph of them.
 #![allow(clippy::unwrap_used)]
 
-#[macro_use]
-mod common;
-
-use common::{Dds, Domain, cdr, next, subscribe, wait_until};
-use downbeat_bridge::middleware::in_process::Hub;
-use downbeat_bridge::middleware::{Direction, Endpoint, WriteError};
+use crate::engine::Domain;
+use crate::peer::chatter;
+use crate::support::{cdr, next, subscribe, wait_until};
+use downbeat_bridge::middleware::{Direction, WriteError};
 use downbeat_msgs::qos::{Durability, History, QosProfile, Reliability};
 use std::time::Duration;
-
-conformance! {
-    a_sample_arrives_as_it_was_written on 10;
-    a_best_effort_reader_hears_a_reliable_writer on 11;
-    samples_of_a_writer_arrive_in_order_and_none_is_lost on 12;
-    a_late_reader_of_a_transient_local_writer_catches_up_in_order on 13;
-    a_participant_does_not_hear_itself on 14;
-    matched_counts_follow_what_comes_and_goes on 15;
-    a_reader_that_asks_for_more_than_is_offered_is_not_matched on 16;
-    a_dropped_reader_hears_nothing_more on 17;
-    endpoints_of_others_are_listed_until_they_go on 18;
-    a_payload_without_a_little_endian_header_is_refused on 19;
-    a_sample_of_many_fragments_arrives_whole on 20;
-}
 
 const TRANSIENT_LOCAL: QosProfile =
     QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT };
 const KEEP_ALL: QosProfile = QosProfile { history: History::KeepAll, ..QosProfile::DEFAULT };
 
-fn chatter(qos: QosProfile) -> Endpoint {
-    Endpoint::new("rt/chatter", "std_msgs::msg::dds_::String_", qos)
-}
-
-fn a_sample_arrives_as_it_was_written(domain: &dyn Domain) {
+pub(super) fn a_sample_arrives_as_it_was_written(domain: &Domain<'_>) {
     let (alice, bob) = (domain.join(), domain.join());
     let (reader, samples) = subscribe(&*bob, &chatter(QosProfile::DEFAULT));
     let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
@@ -53,7 +33,7 @@ fn a_sample_arrives_as_it_was_written(domain: &dyn Domain) {
     assert!(writer.flush(Duration::from_secs(10)), "the reader acknowledges");
 }
 
-fn a_best_effort_reader_hears_a_reliable_writer(domain: &dyn Domain) {
+pub(super) fn a_best_effort_reader_hears_a_reliable_writer(domain: &Domain<'_>) {
     let (alice, bob) = (domain.join(), domain.join());
     let (reader, samples) = subscribe(&*bob, &chatter(QosProfile::SENSOR_DATA));
     let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
@@ -62,7 +42,7 @@ fn a_best_effort_reader_hears_a_reliable_writer(domain: &dyn Domain) {
     assert_eq!(next(&samples).cdr, cdr([7; 8]));
 }
 
-fn samples_of_a_writer_arrive_in_order_and_none_is_lost(domain: &dyn Domain) {
+pub(super) fn samples_of_a_writer_arrive_in_order_and_none_is_lost(domain: &Domain<'_>) {
     const COUNT: u32 = 2000;
     let (alice, bob) = (domain.join(), domain.join());
     let (reader, samples) = subscribe(&*bob, &chatter(KEEP_ALL));
@@ -76,23 +56,7 @@ fn samples_of_a_writer_arrive_in_order_and_none_is_lost(domain: &dyn Domain) {
     }
 }
 
-fn a_late_reader_of_a_transient_local_writer_catches_up_in_order(domain: &dyn Domain) {
-    let (alice, bob) = (domain.join(), domain.join());
-    let writer = alice.create_writer(&chatter(TRANSIENT_LOCAL.keep_last(3))).unwrap();
-    for number in 1..=5_u32 {
-        writer.write(cdr(number.to_le_bytes())).unwrap();
-    }
-    let (_reader, samples) = subscribe(&*bob, &chatter(TRANSIENT_LOCAL));
-    let mut received = Vec::new();
-    while received.last() != Some(&cdr(5_u32.to_le_bytes())) {
-        received.push(next(&samples).cdr);
-    }
-    // The history holds at least its depth; rustdds forgets what is beyond it only every few seconds.
-    let expected: Vec<_> = (1..=5_u32).map(|number| cdr(number.to_le_bytes())).collect();
-    assert!(received.len() >= 3 && expected.ends_with(&received), "{received:?}");
-}
-
-fn a_participant_does_not_hear_itself(domain: &dyn Domain) {
+pub(super) fn a_participant_does_not_hear_itself(domain: &Domain<'_>) {
     let (alice, bob) = (domain.join(), domain.join());
     let (own_reader, own_samples) = subscribe(&*alice, &chatter(QosProfile::DEFAULT));
     let own_writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
@@ -107,7 +71,7 @@ fn a_participant_does_not_hear_itself(domain: &dyn Domain) {
     assert_eq!(next(&own_samples).cdr, cdr([2; 4]), "not her own, which was written before");
 }
 
-fn matched_counts_follow_what_comes_and_goes(domain: &dyn Domain) {
+pub(super) fn matched_counts_follow_what_comes_and_goes(domain: &Domain<'_>) {
     let (alice, bob, carol) = (domain.join(), domain.join(), domain.join());
     let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
     assert_eq!(writer.matched(), 0);
@@ -129,20 +93,7 @@ fn matched_counts_follow_what_comes_and_goes(domain: &dyn Domain) {
     wait_until("a writer that left no longer counts", || again.matched() == 0);
 }
 
-fn a_reader_that_asks_for_more_than_is_offered_is_not_matched(domain: &dyn Domain) {
-    let (alice, bob) = (domain.join(), domain.join());
-    let offered = QosProfile { reliability: Reliability::BestEffort, ..QosProfile::DEFAULT };
-    let writer = alice.create_writer(&chatter(offered)).unwrap();
-    let (reliable, _) = subscribe(&*bob, &chatter(QosProfile::DEFAULT));
-    let (transient_local, _) =
-        subscribe(&*bob, &chatter(QosProfile { durability: Durability::TransientLocal, ..offered }));
-    let (suits, _) = subscribe(&*bob, &chatter(offered));
-    // Created last, so discovered last: the others have been judged by then.
-    wait_until("the reader that suits is matched", || suits.matched() == 1 && writer.matched() >= 1);
-    assert_eq!((writer.matched(), reliable.matched(), transient_local.matched()), (1, 0, 0));
-}
-
-fn a_dropped_reader_hears_nothing_more(domain: &dyn Domain) {
+pub(super) fn a_dropped_reader_hears_nothing_more(domain: &Domain<'_>) {
     let (alice, bob) = (domain.join(), domain.join());
     let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
     let (dropped, dropped_samples) = subscribe(&*bob, &chatter(QosProfile::DEFAULT));
@@ -158,7 +109,14 @@ fn a_dropped_reader_hears_nothing_more(domain: &dyn Domain) {
     assert!(dropped_samples.recv().is_err(), "its handler is gone, and with it the sending half");
 }
 
-fn endpoints_of_others_are_listed_until_they_go(domain: &dyn Domain) {
+pub(super) fn a_payload_without_a_little_endian_header_is_refused(domain: &Domain<'_>) {
+    let alice = domain.join();
+    let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
+    let big_endian = bytes::Bytes::from_static(&[0, 0, 0, 0, 1, 2, 3, 4]);
+    assert_eq!(writer.write(big_endian), Err(WriteError::Encapsulation { found: vec![0; 4] }));
+}
+
+pub(super) fn endpoints_of_others_are_listed_until_they_go(domain: &Domain<'_>) {
     let (alice, bob) = (domain.join(), domain.join());
     let writer = alice.create_writer(&chatter(TRANSIENT_LOCAL)).unwrap();
     let (reader, _samples) = subscribe(&*alice, &chatter(QosProfile::SENSOR_DATA));
@@ -190,23 +148,6 @@ fn endpoints_of_others_are_listed_until_they_go(domain: &dyn Domain) {
     drop(reader);
     drop(alice);
     wait_until("nothing is left", || on_chatter().is_empty());
-}
-
-fn a_payload_without_a_little_endian_header_is_refused(domain: &dyn Domain) {
-    let alice = domain.join();
-    let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
-    let big_endian = bytes::Bytes::from_static(&[0, 0, 0, 0, 1, 2, 3, 4]);
-    assert_eq!(writer.write(big_endian), Err(WriteError::Encapsulation { found: vec![0; 4] }));
-}
-
-fn a_sample_of_many_fragments_arrives_whole(domain: &dyn Domain) {
-    let (alice, bob) = (domain.join(), domain.join());
-    let (reader, samples) = subscribe(&*bob, &chatter(QosProfile::DEFAULT));
-    let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
-    wait_until("both are matched", || writer.matched() == 1 && reader.matched() == 1);
-    let image: Vec<u8> = (0..300_000_u32).map(|index| index.to_le_bytes()[1]).collect();
-    writer.write(cdr(&image)).unwrap();
-    assert!(next(&samples).cdr == cdr(&image), "300 kB arrive unchanged");
 }
 
 fn unix_time_ns() -> i64 {

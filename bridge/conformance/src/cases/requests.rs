@@ -1,12 +1,9 @@
-//! What requests and replies must do over every engine behind `Middleware`.
+//! Requests and replies.
 #![allow(clippy::unwrap_used)]
 
-#[macro_use]
-mod common;
-
+use crate::engine::Domain;
+use crate::support::{WATCHDOG, cdr, next, subscribe, wait_until};
 use bytes::Bytes;
-use common::{Dds, Domain, WATCHDOG, cdr, next, wait_until};
-use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::middleware::rpc::{
     CallError, IncomingRequest, MAX_IN_FLIGHT, RequestClient, RequestServer, Responder, RpcThread,
     ServiceEndpoint,
@@ -15,20 +12,6 @@ use downbeat_bridge::middleware::{Endpoint, Middleware, SampleIdentity};
 use downbeat_msgs::qos::QosProfile;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
-
-conformance! {
-    a_request_is_answered_to_the_client_that_asked on 40;
-    many_requests_in_flight_are_each_answered_in_whatever_order on 41;
-    a_call_without_a_server_ends_at_once on 42;
-    a_call_that_is_not_answered_ends_when_its_time_is_up on 43;
-    a_reply_waits_until_the_client_that_asked_is_matched on 44;
-    a_reply_to_a_client_that_never_comes_is_dropped on 45;
-    requests_beyond_the_bound_are_refused_and_counted on 46;
-    calls_beyond_the_bound_are_refused on 47;
-    a_server_that_left_is_no_longer_there on 48;
-    a_dropped_client_ends_its_calls on 49;
-    large_requests_and_replies_arrive_whole on 50;
-}
 
 fn reset() -> ServiceEndpoint {
     ServiceEndpoint {
@@ -48,7 +31,7 @@ struct Peer {
 }
 
 impl Peer {
-    fn join(domain: &dyn Domain) -> Self {
+    fn join(domain: &Domain<'_>) -> Self {
         Self { thread: RpcThread::start().unwrap(), middleware: domain.join() }
     }
 
@@ -97,7 +80,7 @@ fn is_echo(answer: &Receiver<Answer>, body: &[u8]) {
     assert_eq!(self::answer(answer).unwrap()[..expected.len()], expected[..]);
 }
 
-fn a_request_is_answered_to_the_client_that_asked(domain: &dyn Domain) {
+pub(super) fn a_request_is_answered_to_the_client_that_asked(domain: &Domain<'_>) {
     let (alice, bob, carol) = (Peer::join(domain), Peer::join(domain), Peer::join(domain));
     let server = alice.serve(echo);
     let clients = [bob.client(), bob.client(), carol.client()];
@@ -115,7 +98,7 @@ fn a_request_is_answered_to_the_client_that_asked(domain: &dyn Domain) {
     assert_eq!((server.refused_requests(), server.unreachable_clients()), (0, 0));
 }
 
-fn many_requests_in_flight_are_each_answered_in_whatever_order(domain: &dyn Domain) {
+pub(super) fn many_requests_in_flight_are_each_answered_in_whatever_order(domain: &Domain<'_>) {
     const COUNT: u32 = 500;
     let (alice, bob) = (Peer::join(domain), Peer::join(domain));
     let (_server, requests) = alice.listen();
@@ -130,7 +113,7 @@ fn many_requests_in_flight_are_each_answered_in_whatever_order(domain: &dyn Doma
     }
 }
 
-fn a_call_without_a_server_ends_at_once(domain: &dyn Domain) {
+pub(super) fn a_call_without_a_server_ends_at_once(domain: &Domain<'_>) {
     let bob = Peer::join(domain);
     let client = bob.client();
     assert!(!client.wait_for_server(Duration::from_millis(1)));
@@ -138,7 +121,7 @@ fn a_call_without_a_server_ends_at_once(domain: &dyn Domain) {
     assert_eq!(error, CallError::NoServer { service: "/reset".into() });
 }
 
-fn a_call_that_is_not_answered_ends_when_its_time_is_up(domain: &dyn Domain) {
+pub(super) fn a_call_that_is_not_answered_ends_when_its_time_is_up(domain: &Domain<'_>) {
     let (alice, bob) = (Peer::join(domain), Peer::join(domain));
     let (_server, requests) = alice.listen();
     let client = bob.client();
@@ -154,7 +137,7 @@ fn a_call_that_is_not_answered_ends_when_its_time_is_up(domain: &dyn Domain) {
     assert!(short.recv().is_err(), "the answer that came too late is not given as a second one");
 }
 
-fn a_reply_waits_until_the_client_that_asked_is_matched(domain: &dyn Domain) {
+pub(super) fn a_reply_waits_until_the_client_that_asked_is_matched(domain: &Domain<'_>) {
     let (alice, bob) = (Peer::join(domain), Peer::join(domain));
     let (_server, requests) = alice.listen();
     let ServiceEndpoint { request_topic, request_type, reply_topic, reply_type, qos, .. } = reset();
@@ -168,14 +151,13 @@ fn a_reply_waits_until_the_client_that_asked_is_matched(domain: &dyn Domain) {
             break number;
         }
     };
-    let (_reader, replies) =
-        common::subscribe(&*bob.middleware, &Endpoint::new(reply_topic, reply_type, qos));
+    let (_reader, replies) = subscribe(&*bob.middleware, &Endpoint::new(reply_topic, reply_type, qos));
     let reply = next(&replies);
     assert_eq!(reply.cdr, cdr([7; 4]));
     assert_eq!(reply.related, Some(SampleIdentity { endpoint: writer.gid(), number }));
 }
 
-fn a_reply_to_a_client_that_never_comes_is_dropped(domain: &dyn Domain) {
+pub(super) fn a_reply_to_a_client_that_never_comes_is_dropped(domain: &Domain<'_>) {
     let (alice, bob) = (Peer::join(domain), Peer::join(domain));
     let server = alice.serve(echo);
     let ServiceEndpoint { request_topic, request_type, qos, .. } = reset();
@@ -185,7 +167,7 @@ fn a_reply_to_a_client_that_never_comes_is_dropped(domain: &dyn Domain) {
     wait_until("the reply is dropped", || server.unreachable_clients() == 1);
 }
 
-fn requests_beyond_the_bound_are_refused_and_counted(domain: &dyn Domain) {
+pub(super) fn requests_beyond_the_bound_are_refused_and_counted(domain: &Domain<'_>) {
     let (alice, bob, carol) = (Peer::join(domain), Peer::join(domain), Peer::join(domain));
     let (server, requests) = alice.listen();
     let clients = [bob.client(), carol.client()];
@@ -210,7 +192,7 @@ fn requests_beyond_the_bound_are_refused_and_counted(domain: &dyn Domain) {
     is_echo(&again, &[3; 4]);
 }
 
-fn calls_beyond_the_bound_are_refused(domain: &dyn Domain) {
+pub(super) fn calls_beyond_the_bound_are_refused(domain: &Domain<'_>) {
     let (alice, bob) = (Peer::join(domain), Peer::join(domain));
     let (_server, requests) = alice.listen();
     let client = bob.client();
@@ -224,7 +206,7 @@ fn calls_beyond_the_bound_are_refused(domain: &dyn Domain) {
     }
 }
 
-fn a_server_that_left_is_no_longer_there(domain: &dyn Domain) {
+pub(super) fn a_server_that_left_is_no_longer_there(domain: &Domain<'_>) {
     let (alice, bob) = (Peer::join(domain), Peer::join(domain));
     let (server, requests) = alice.listen();
     let client = bob.client();
@@ -239,7 +221,7 @@ fn a_server_that_left_is_no_longer_there(domain: &dyn Domain) {
     assert_eq!(answer(&unanswered), Err(CallError::Closed { service: "/reset".into() }));
 }
 
-fn a_dropped_client_ends_its_calls(domain: &dyn Domain) {
+pub(super) fn a_dropped_client_ends_its_calls(domain: &Domain<'_>) {
     let (alice, bob) = (Peer::join(domain), Peer::join(domain));
     let (server, requests) = alice.listen();
     let client = bob.client();
@@ -253,7 +235,7 @@ fn a_dropped_client_ends_its_calls(domain: &dyn Domain) {
     wait_until("its reply is dropped", || server.unreachable_clients() == 1);
 }
 
-fn large_requests_and_replies_arrive_whole(domain: &dyn Domain) {
+pub(super) fn large_requests_and_replies_arrive_whole(domain: &Domain<'_>) {
     let (alice, bob) = (Peer::join(domain), Peer::join(domain));
     let _server = alice.serve(echo);
     let client = bob.client();
