@@ -15,6 +15,7 @@ pub mod inspect;
 pub mod playback;
 pub mod recorder;
 pub mod robot;
+pub mod ros_recorder;
 pub mod step_journal;
 
 pub use downbeat_bags as bags;
