@@ -37,6 +37,7 @@ impl RobotFile {
         robot.service_exposures()?;
         robot.call_exposures()?;
         robot.parameter_exposure()?;
+        robot.lifecycle_exposures()?;
         robot.recorded_topics()?;
         robot.file.robot_description()?;
         Ok(robot)

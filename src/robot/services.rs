@@ -5,9 +5,12 @@ use downbeat_bridge::expose::{CallExposure, ParameterExposure, ServiceExposure};
 use downbeat_executor::ServiceInfo;
 
 use super::Robot;
-use super::file::{ClockChoice, RobotFileError, ServiceEntry, suggestion};
+use super::file::{RobotFileError, ServiceEntry, suggestion};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
+
+/// Means all settings, also where there are none.
+const ALL: &str = "*";
 
 impl Robot {
     /// The services of modules to offer to ROS 2.
@@ -52,11 +55,11 @@ impl Robot {
         self.file.expose.calls.iter().map(exposure).collect()
     }
 
-    /// The settings that are parameters of the node; nothing if the file names none.
+    /// The settings that are parameters of the node.
     ///
     /// # Errors
     /// If a name or pattern means no setting of the modules; with path and line.
-    pub fn parameter_exposure(&self) -> Result<Option<ParameterExposure>> {
+    pub fn parameter_exposure(&self) -> Result<ParameterExposure> {
         let entries = &self.file.expose.parameters;
         let names: Vec<String> = self
             .core
@@ -68,15 +71,14 @@ impl Robot {
             })
             .collect();
         for entry in entries {
-            if !names.iter().any(|name| entry.value.matches(name)) {
+            if entry.value.to_string() != ALL && !names.iter().any(|name| entry.value.matches(name)) {
                 let hint = suggestion(&entry.value.to_string(), names.iter().map(String::as_str));
                 let problem = format!("no module has a setting \"{}\"{hint}", entry.value);
                 return Err(self.file.source.error(entry.line, problem));
             }
         }
-        let settings: Vec<_> = entries.iter().map(|entry| entry.value.clone()).collect();
-        let follows_clock = self.file.expose.features.clock == ClockChoice::Follow;
-        Ok((!settings.is_empty()).then_some(ParameterExposure { settings, follows_clock }))
+        let settings = entries.iter().map(|entry| entry.value.clone()).collect();
+        Ok(ParameterExposure { settings, of_module: None })
     }
 
     fn service_type(&self, entry: &ServiceEntry, info: Option<&ServiceInfo>) -> Result<KnownService> {
@@ -171,7 +173,7 @@ mod tests {
         );
         assert_eq!(called[0].service_type.name(), "std_srvs/srv/Trigger");
         assert_eq!(called[1].service_type.name(), "std_srvs/srv/Empty");
-        let parameters = robot.parameter_exposure().unwrap().unwrap();
+        let parameters = robot.parameter_exposure().unwrap();
         assert!(parameters.settings[0].matches("legs.gain") && !parameters.settings[0].matches("legs.side"));
     }
 

@@ -1,6 +1,6 @@
 //! Services that a node calls.
 
-use super::node::{Listed, Membership};
+use super::node::{Hold, Listed};
 use super::{Node, NodeError, ServiceName, ServiceType};
 use crate::middleware::Direction;
 use crate::middleware::rpc::{CallError, RequestClient};
@@ -8,7 +8,6 @@ use bytes::Bytes;
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
 use std::marker::PhantomData;
-use std::sync::Arc;
 use std::time::Duration;
 
 /// Calls a service of type `S` that nodes of other processes offer. See [`Service`](super::Service) for an example.
@@ -82,7 +81,7 @@ pub struct RawClient {
     // Fields drop in this order, as in a publisher.
     _listed: [Listed; 2],
     client: RequestClient,
-    _membership: Arc<Membership>,
+    _hold: Hold,
 }
 
 impl RawClient {
@@ -153,11 +152,11 @@ impl Node {
             name,
             service_type: service_type.clone(),
             _listed: [
-                Listed::new(&self.membership, Direction::In, reader),
-                Listed::new(&self.membership, Direction::Out, writer),
+                Listed::new(self.hold(), Direction::In, reader),
+                Listed::new(self.hold(), Direction::Out, writer),
             ],
             client,
-            _membership: Arc::clone(&self.membership),
+            _hold: self.hold(),
         })
     }
 }

@@ -3,18 +3,25 @@
 mod client;
 mod graph;
 mod names;
+mod network;
 mod node;
+mod participant;
+mod publisher;
 mod qos;
 mod remap;
 mod service;
 mod service_name;
+mod subscription;
 mod type_description;
 
 pub use client::{Client, RawClient};
 pub use graph::{RemoteNode, RemoteTopic};
 pub use names::{MessageType, NameError, NodeName, TopicName};
-pub use node::{Node, NodeError, Participant, Publisher, Subscription};
+pub use node::Node;
+pub use participant::{Furnishing, NodeError, Participant};
+pub use publisher::Publisher;
 pub use qos::{Policy, QosRequest};
 pub use remap::{Named, ParameterRule, Remap, RemapRule, RemapRules, RuleError};
 pub use service::{Reply, Service};
 pub use service_name::{ServiceName, ServiceType};
+pub use subscription::Subscription;

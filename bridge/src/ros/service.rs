@@ -1,13 +1,12 @@
 //! Services that a node offers.
 
-use super::node::{Listed, Membership};
+use super::node::{Hold, Listed};
 use super::{Node, NodeError, ServiceName, ServiceType};
 use crate::middleware::Direction;
 use crate::middleware::rpc::{IncomingRequest, ReplyError, RequestHandler, RequestServer, Responder};
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
 use std::marker::PhantomData;
-use std::sync::Arc;
 
 /// A service that a node offers, until this is dropped.
 ///
@@ -39,7 +38,7 @@ pub struct Service {
     // Fields drop in this order, as in a publisher.
     _listed: [Listed; 2],
     server: RequestServer,
-    _membership: Arc<Membership>,
+    _hold: Hold,
 }
 
 impl Service {
@@ -92,7 +91,7 @@ impl<S: downbeat_msgs::Service> Reply<S> {
 }
 
 /// A handler of raw requests that reads them.
-pub(super) fn typed<S: downbeat_msgs::Service>(
+fn typed<S: downbeat_msgs::Service>(
     mut on_request: impl FnMut(S::Request, Reply<S>) + Send + 'static,
 ) -> RequestHandler {
     Box::new(move |IncomingRequest { cdr, client, responder, .. }| match cdr::from_slice(&cdr) {
@@ -158,11 +157,11 @@ impl Node {
             name,
             service_type: service_type.clone(),
             _listed: [
-                Listed::new(&self.membership, Direction::In, reader),
-                Listed::new(&self.membership, Direction::Out, writer),
+                Listed::new(self.hold(), Direction::In, reader),
+                Listed::new(self.hold(), Direction::Out, writer),
             ],
             server,
-            _membership: Arc::clone(&self.membership),
+            _hold: self.hold(),
         })
     }
 }

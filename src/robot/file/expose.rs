@@ -1,9 +1,11 @@
 //! `[expose]` of a robot file.
 
+mod lifecycle;
 mod qos;
 mod service;
 mod topic;
 
+pub use lifecycle::LifecycleEntry;
 pub use service::ServiceEntry;
 pub use topic::{Direction, ExposeEntry, TopicChoice};
 
@@ -25,6 +27,8 @@ pub struct ExposeSection {
     pub calls: Vec<ServiceEntry>,
     /// Settings of modules that are parameters.
     pub(crate) parameters: Vec<Located<TopicPattern>>,
+    /// Modules that are managed nodes.
+    pub lifecycle: Vec<LifecycleEntry>,
     /// What the node has besides.
     pub features: NodeFeatures,
 }
@@ -43,9 +47,10 @@ pub(super) fn expose(value: Value<'_>) -> Result<ExposeSection> {
     let services = service::services(&mut table, "services")?;
     let calls = service::services(&mut table, "calls")?;
     let parameters = service::parameters(&mut table)?;
+    let lifecycle = lifecycle::lifecycle(&mut table)?;
     let features = NodeFeatures::take(&mut table)?;
     table.finish()?;
-    Ok(ExposeSection { topics, services, calls, parameters, features })
+    Ok(ExposeSection { topics, services, calls, parameters, lifecycle, features })
 }
 
 #[cfg(test)]

@@ -1,11 +1,15 @@
 //! `downbeat check`
 
+mod node;
+
 use std::path::Path;
 
 use downbeat::bridge::edge::KnownType;
 use downbeat::executor::{Core, TopicInfo};
 use downbeat::robot::{ExposedEndpoint, KINDS, Robot, RosArgs};
 use serde_json::json;
+
+use node::NodeReport;
 
 use super::cli::CheckArguments;
 use super::session::add_diagnostics;
@@ -46,33 +50,12 @@ fn check_robot(path: &Path, arguments: &CheckArguments, ros: &RosArgs) -> anyhow
     core.topics().for_each(print_topic);
     println!("\nexposed to ROS 2 as node {}", file.node_name()?);
     print_exposed(&exposed, &file.node_name()?.to_string());
-    print_services(&robot)?;
+    print!("{}", NodeReport::of(&robot)?);
     let recorded: Vec<String> = robot.recorded_topics()?.iter().map(|topic| topic.name.to_string()).collect();
     if recorded.len() == core.topics().count() {
         println!("\nrecorded with --record: all topics");
     } else {
         println!("\nrecorded with --record: {}", recorded.join(", "));
-    }
-    Ok(())
-}
-
-fn print_services(robot: &Robot) -> anyhow::Result<()> {
-    for offered in robot.service_exposures()? {
-        let ros_service = offered.ros_service.as_deref().unwrap_or(&offered.service);
-        println!("  service {} -> {ros_service} {}", offered.service, offered.service_type);
-    }
-    for called in robot.call_exposures()? {
-        let ros_service = called.ros_service.as_deref().unwrap_or(&called.service);
-        println!("  service {} <- {ros_service} {}", called.service, called.service_type);
-    }
-    let Some(exposure) = robot.parameter_exposure()? else { return Ok(()) };
-    for module in robot.core.modules() {
-        for setting in robot.core.settings(&module.name).unwrap_or_default() {
-            let name = format!("{}.{}", module.name, setting.name);
-            if exposure.settings.iter().any(|pattern| pattern.matches(&name)) {
-                println!("  parameter {name} = {}", setting.value);
-            }
-        }
     }
     Ok(())
 }
@@ -96,6 +79,7 @@ fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_j
         .topics()
         .map(|topic| json!({ "name": *topic.name, "type": type_name(topic), "is_published": topic.is_published }))
         .collect();
+    let NodeReport { features, services, calls, parameters, lifecycle } = NodeReport::of(robot)?;
     Ok(json!({
         "robot": file.name,
         "is_emulated": file.is_emulated(),
@@ -103,6 +87,11 @@ fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_j
         "modules": modules,
         "topics": topics,
         "exposed": exposed,
+        "features": features,
+        "services": services,
+        "calls": calls,
+        "parameters": parameters,
+        "lifecycle": lifecycle,
         "recorded": file.record.topics,
     }))
 }
