@@ -132,7 +132,7 @@ impl Inquiry {
             return Err(format!("its node says: {}", answer.failure_reason));
         }
         let name = self.type_name.parse::<TypeName>().map_err(|error| format!("{error}"))?;
-        if let Some(text) = self.from_sources(&name, answer) {
+        if let Some(text) = self.text_in_sources(&name, answer) {
             return Ok(Definition { text, hash: self.hash.clone() });
         }
         let described = TypeDescription::from(&answer.type_description);
@@ -150,7 +150,7 @@ impl Inquiry {
     }
 
     /// The texts that the authors wrote, comments and all, if they define that type.
-    fn from_sources(&self, name: &TypeName, answer: &GetTypeDescriptionResponse) -> Option<String> {
+    fn text_in_sources(&self, name: &TypeName, answer: &GetTypeDescriptionResponse) -> Option<String> {
         let mut catalog = Catalog::new();
         for source in answer.type_sources.iter().filter(|source| source.encoding != "implicit") {
             let of = source.type_name.parse::<TypeName>().ok()?;

@@ -91,13 +91,13 @@ impl RecordArguments {
                 "--exclude-regex argument requires either --all, --all-topics, --topic-types, --all-services or --regex"
             );
         }
-        if !selection.exclude_topics.is_empty() && !(is_open || topics || types) {
+        if !(selection.exclude_topics.is_empty() || is_open || topics || types) {
             bail!("--exclude-topics argument requires either --all, --all-topics, --topic-types or --regex");
         }
-        if !selection.exclude_topic_types.is_empty() && !(is_open || topics || types) {
+        if !(selection.exclude_topic_types.is_empty() || is_open || topics || types) {
             bail!("--exclude-topic-types argument requires either --all, --all-topics or --regex");
         }
-        if !selection.exclude_services.is_empty() && !(is_open || selection.all_services) {
+        if !(selection.exclude_services.is_empty() || is_open || selection.all_services) {
             bail!("--exclude-services argument requires either --all, --all-services or --regex");
         }
         if (selection.all || selection.all_services) && !selection.services.is_empty() {
