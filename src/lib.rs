@@ -16,6 +16,7 @@ pub mod playback;
 mod raw_recorder;
 pub mod recorder;
 pub mod robot;
+pub mod ros_recorder;
 pub mod step_journal;
 
 pub use downbeat_bags as bags;

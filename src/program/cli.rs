@@ -10,6 +10,7 @@ use downbeat::inspect::Request;
 use downbeat::msgs::encoding::Encoding;
 use downbeat::robot::{RobotFile, RobotFileError, RosArgs};
 
+use super::bag::record::arguments::RecordArguments;
 use super::interface::InterfaceCommand;
 
 /// Robot software as small modules in one process, seen and driven from ROS 2 Jazzy, recorded and replayed.
@@ -37,7 +38,12 @@ impl Cli {
             Ok((others, ros)) => (others, ros.with_variables(|name| std::env::var(name).ok())),
             Err(error) => refuse(error.to_string()),
         };
-        let cli = Self { ros, ..Self::parse_from(others) };
+        let mut cli = Self { ros, ..Self::parse_from(others) };
+        if let Command::Bag(BagCommand::Record(arguments)) = &cli.command
+            && let Some(level) = arguments.log_level
+        {
+            cli.ros.log.level = Some(level.into());
+        }
         let makes_node = match &cli.command {
             Command::Run(_) | Command::Check(_) => true,
             Command::Graph(arguments) => arguments.robot.is_none(),
@@ -277,35 +283,11 @@ pub(crate) enum BagCommand {
         bag: PathBuf,
     },
     /// Record ROS 2 topics from the network, or with --robot the topics inside a robot, into a new bag.
-    Record(RecordArguments),
+    ///
+    /// The options are those of `ros2 bag record`. Space pauses and resumes.
+    Record(Box<RecordArguments>),
     /// Play a bag to ROS 2, or with --into into a robot's modules.
     Play(PlayArguments),
-}
-
-#[derive(Args)]
-pub(crate) struct RecordArguments {
-    /// The ROS 2 topics to record; not needed with --robot.
-    #[arg(required_unless_present = "robot", conflicts_with = "robot")]
-    pub(crate) topics: Vec<String>,
-    /// Run this robot without a bridge and record its topics from the very first message.
-    #[arg(long, value_name = "ROBOT.toml", conflicts_with = "domain")]
-    pub(crate) robot: Option<PathBuf>,
-    /// The new rosbag2 directory.
-    #[arg(long, short, value_name = "DIR")]
-    pub(crate) output: PathBuf,
-    /// Compress with Zstandard.
-    #[arg(long)]
-    pub(crate) zstd: bool,
-    /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers, cdr
-    /// unless given or, with --robot, the robot file's [record] says another.
-    #[arg(long, value_name = "ENCODING")]
-    pub(crate) encoding: Option<Encoding>,
-    /// Stop after this time: 500ms, 10s, 5m, 1h.
-    #[arg(long, value_parser = duration, value_name = "TIME")]
-    pub(crate) duration: Option<Duration>,
-    /// The ROS domain, instead of ROS_DOMAIN_ID.
-    #[arg(long, value_name = "N")]
-    pub(crate) domain: Option<u16>,
 }
 
 #[derive(Args)]

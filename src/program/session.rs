@@ -1,21 +1,22 @@
 //! A robot while it runs: its core on a thread, the bridge and the recorder beside it, the status on the screen.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
-use downbeat::bags::{Compression, Recording, RecordingStatistics, RecordingSummary, WriterOptions};
+use downbeat::bags::{Recording, RecordingOptions, RecordingStatistics, RecordingSummary, WriterOptions};
 use downbeat::bridge::clock::{self, NodeClock, SimTime};
 use downbeat::bridge::diagnostics::ProcessDiagnostics;
+use downbeat::bridge::edge::KnownType;
 use downbeat::bridge::expose::{self, BridgeStatus, ParameterExposure, ParameterServer};
 use downbeat::bridge::lifecycle::{LifecycleExposure, LifecycleNodes, expose_lifecycle};
 use downbeat::bridge::middleware::{self, ParticipantOptions};
 use downbeat::bridge::network::NetworkWatch;
 use downbeat::bridge::robot_description::RobotDescription;
-use downbeat::bridge::ros::{Furnishing, Node, Participant};
+use downbeat::bridge::ros::{Furnishing, Node, NodeName, Participant};
 use downbeat::bridge::rosout::{LoggerServices, Rosout, RosoutPublisher};
 use downbeat::executor::{Core, RunError};
 use downbeat::inspect::{InspectionServer, SocketDirectory};
@@ -24,6 +25,7 @@ use downbeat::msgs::encoding::Encoding;
 use downbeat::msgs::qos::QosProfile;
 use downbeat::recorder::{self, WhenFull};
 use downbeat::robot::{ClockChoice, Robot, RobotFile};
+use downbeat::ros_recorder::{RecorderServices, TopicFilter, serve, split_events};
 
 use super::expose_service::ExposeService;
 use super::faults::Faults;
@@ -34,6 +36,29 @@ use super::statistics::Statistics;
 use super::status::{Sources, StatusBlock};
 use super::stop::Stop;
 
+/// What to record, and how.
+pub(crate) struct RecordPlan {
+    pub(crate) directory: PathBuf,
+    pub(crate) writer: WriterOptions,
+    pub(crate) recording: RecordingOptions,
+    pub(crate) encoding: Encoding,
+    /// Which of the topics that the robot file names.
+    pub(crate) filter: Option<TopicFilter>,
+}
+
+impl RecordPlan {
+    /// As the robot file says, but for the encoding if another is asked for.
+    pub(crate) fn of_robot(directory: &Path, file: &RobotFile, encoding: Option<Encoding>) -> Self {
+        Self {
+            directory: directory.to_owned(),
+            writer: file.record.writer_options(),
+            recording: file.record.recording_options(),
+            encoding: encoding.unwrap_or(file.record.encoding),
+            filter: None,
+        }
+    }
+}
+
 /// A robot ready to run, with all that watches it.
 pub(crate) struct Session {
     robot: Robot,
@@ -43,11 +68,15 @@ pub(crate) struct Session {
     diagnostics: Option<ProcessDiagnostics>,
     bridge: Option<Bridge>,
     recording: Option<Recording>,
+    /// By which ROS 2 steers the recording, until they are dropped.
+    recorder_services: Option<RecorderServices>,
 }
 
 struct Bridge {
     status: BridgeStatus,
     title: String,
+    /// The robot's.
+    node: Node,
     _sim_time: Option<SimTime>,
     _description: Option<RobotDescription>,
     /// Dropped before the node, so that the last lines are sent.
@@ -73,7 +102,16 @@ impl Session {
         let diagnostics = add_diagnostics(&mut core, &file)?;
         let mut robot = file.build(core)?;
         let faults = Faults::watch(&mut robot.core)?;
-        Ok(Self { robot, statistics, faults, clock, diagnostics, bridge: None, recording: None })
+        Ok(Self {
+            robot,
+            statistics,
+            faults,
+            clock,
+            diagnostics,
+            bridge: None,
+            recording: None,
+            recorder_services: None,
+        })
     }
 
     /// Shows to ROS 2 what the robot file exposes.
@@ -131,6 +169,7 @@ impl Session {
         self.bridge = Some(Bridge {
             status: bridge.status(),
             title,
+            node: node.clone(),
             _sim_time: sim_time,
             _description: description,
             _rosout: rosout,
@@ -181,28 +220,44 @@ impl Session {
         Ok(Some(sim_time))
     }
 
-    /// Records what the robot file's `[record]` names, with its compression and encoding unless others are asked for.
-    pub(crate) fn record(
-        &mut self,
-        directory: &Path,
-        compression: Option<Compression>,
-        encoding: Option<Encoding>,
-    ) -> anyhow::Result<()> {
+    /// What the robot file says.
+    pub(crate) fn file(&self) -> &RobotFile {
+        &self.robot.file
+    }
+
+    /// Records what the robot file's `[record]` names, and of that what the plan's filter takes.
+    pub(crate) fn record(&mut self, plan: RecordPlan) -> anyhow::Result<()> {
+        let RecordPlan { directory, mut writer, recording, encoding, filter } = plan;
         let file = &self.robot.file;
-        let mut options = WriterOptions::new().compression(compression.unwrap_or(file.record.compression));
-        if file.is_emulated() {
-            options = options.custom_data("emulated", "true");
+        let mut topics = self.robot.recorded_topics()?;
+        if let Some(filter) = filter {
+            topics.retain(|topic| {
+                let known = KnownType::of_rust_type(topic.message_type_id);
+                known.is_some_and(|known| {
+                    filter.takes_name_and_type(&format!("/{}", topic.name), known.name())
+                })
+            });
         }
-        let writer = options.custom_data("robot", file.name.clone()).create(directory)?;
-        let recording = Recording::start(writer, Recording::DEFAULT_QUEUE_BYTES)
+        if file.is_emulated() {
+            writer = writer.custom_data("emulated", "true");
+        }
+        let mut writer = writer.custom_data("robot", file.name.clone()).create(&directory)?;
+        let node = self.bridge.as_ref().map(|bridge| recorder_node(&bridge.node)).transpose()?;
+        let takes_snapshots = recording.takes_snapshots();
+        match &node {
+            Some(node) => writer.on_split(split_events(node)?),
+            None if takes_snapshots => tracing::warn!("no snapshot can be asked for without a ROS 2 node"),
+            None => {}
+        }
+        let recording = Recording::start_with(writer, &recording)
             .context("cannot start the thread that writes the bag")?;
-        let topics = self.robot.recorded_topics()?;
+        let services = node.map(|node| serve(&node, &recording.control(), takes_snapshots));
+        self.recorder_services = services.transpose()?;
         let exposed = self.robot.exposures()?;
         let qos_of = |name: &str| {
             let exposure = exposed.iter().find(|exposure| exposure.topic == name);
             exposure.and_then(|exposure| exposure.qos.profile()).unwrap_or(QosProfile::DEFAULT)
         };
-        let encoding = encoding.unwrap_or(file.record.encoding);
         if let Some(diagnostics) = &self.diagnostics {
             let (sender, name) = (recording.sender(), format!("{}: recording", file.name));
             diagnostics.watch(move || vec![recording_status(&name, &sender.statistics())]);
@@ -216,7 +271,15 @@ impl Session {
     /// Runs the robot until `stop`, then stops it and tells how it went.
     pub(crate) fn run(self, stop: &Stop, screen: &Screen) -> anyhow::Result<()> {
         let topics = self.robot.core.topics().cloned().collect();
-        let Self { robot: Robot { file, mut core }, statistics, faults, bridge, recording, .. } = self;
+        let Self {
+            robot: Robot { file, mut core },
+            statistics,
+            faults,
+            bridge,
+            recording,
+            recorder_services,
+            ..
+        } = self;
         let handle = core.handle();
         let core: JoinHandle<Result<(), RunError>> = std::thread::Builder::new()
             .name("core".into())
@@ -265,11 +328,17 @@ impl Session {
         drop(inspection);
         drop(expose_service);
         let summary = recording.map(Recording::finish).transpose();
+        drop(recorder_services);
         // Off the graph before the last lines, which may be what a script waits for.
         drop(bridge);
         tell(&statistics, summary.as_ref().ok().and_then(Option::as_ref));
         summary.map(drop).context("the recording is not complete")
     }
+}
+
+/// The node that offers what the recorder of rosbag2 does, beside the robot's.
+fn recorder_node(robot: &Node) -> anyhow::Result<Node> {
+    Ok(robot.sibling(&NodeName::new(robot.name().namespace(), "rosbag2_recorder")?)?)
 }
 
 /// The process tells of itself, unless the robot file says otherwise. Before the robot's modules, so that its topic is there when

@@ -84,9 +84,7 @@
 //!   `/clock`, as with the parameter `use_sim_time`; `diagnostics`, whether the process tells of its modules and endpoints on the
 //!   topic `diagnostics`, true unless given (ROS 2 sees it where that topic is `out`); `robot_description`, a URDF file, relative
 //!   to this one, for the topic of that name.
-//! - `[record]`: what `--record` writes: `topics`, "all" or a list; `compression`, "none" or "zstd";
-//!   `encoding`, how messages are serialised: "cdr" as ROS 2 does, "json", "cbor", "protobuf", "foxglove-protobuf",
-//!   "flatbuffers" or "foxglove-flatbuffers" (see [`downbeat_msgs::encoding`]).
+//! - `[record]`: what `--record` writes, and how, see below.
 //!
 //! ## Exposed topics
 //! In a pattern `*` stands for any characters of one part of a name, `**` for any number of parts. It means the topics
@@ -118,6 +116,30 @@
 //! `qos_overrides` of rclcpp are not heeded. `downbeat check` prints what would be exposed; `downbeat expose` changes it
 //! while the robot runs.
 //!
+//! ## Recorded topics
+//!
+//! | key | value | unless given |
+//! | --- | --- | --- |
+//! | `topics` | `"all"`, or a list of names and patterns as above | `"all"` |
+//! | `except` | names and patterns that are not recorded | none |
+//! | `types` | only topics of these types | all |
+//! | `modules` | only what these modules publish | all |
+//! | `exposed` | `true`: only what is exposed to ROS 2; `false`: only what is not | both |
+//! | `encoding` | how messages are serialised: `"cdr"` as ROS 2 does, `"json"`, `"cbor"`, `"protobuf"`, `"foxglove-protobuf"`, `"flatbuffers"`, `"foxglove-flatbuffers"` (see [`downbeat_msgs::encoding`]) | `"cdr"` |
+//! | `preset` | of rosbag2: `"none"`, `"fastwrite"`, `"zstd_fast"`, `"zstd_small"` | `"none"`, with checksums |
+//! | `compression` | of chunks: `"none"`, `"lz4"`, `"zstd"` | as the preset |
+//! | `chunk_size` | bytes of a chunk | as the preset, 786432 |
+//! | `max_bag_size`, `max_bag_duration` | bytes, or time, after which the bag goes on in a new file | one file |
+//! | `max_bag_files` | the oldest file is deleted when there would be more | all are kept |
+//! | `max_cache_size` | bytes of messages that may wait for the disk | 64 MiB |
+//! | `snapshot` | nothing is written but, on request, the messages of that time | all is written |
+//! | `slow_disk` | when messages come faster than they can be written: `"drop"` them and count, or `"stop"` recording | `"drop"` |
+//! | `disk_full` | when there is no room: `"stop"` recording, or `"drop"` and count until there is | `"stop"` |
+//! | `sync` | when to wait for the medium: `"never"`, at the end of `"files"`, after `"chunks"` | `"files"` |
+//!
+//! While `downbeat run --record` records, the node `rosbag2_recorder` beside the robot's offers the services of the recorder of
+//! rosbag2: `pause`, `resume`, `is_paused`, `split_bagfile`, `stop`, and `snapshot` where there are any.
+//!
 //! # ROS 2 names
 //! `remap` in `[robot]` has the rules that ROS 2 programs take after `-r`: `joint_states = "states"`, `"__ns" = "/robot1"`,
 //! `"camera:__node" = "front"`, `"rosservice://reset" = "restart"`. Behind `--ros-args` on the command line stand more,
@@ -146,6 +168,7 @@ mod file;
 mod kinds;
 mod lifecycle;
 mod parameters;
+mod recorded;
 mod ros_args;
 mod services;
 

@@ -51,9 +51,11 @@ fn check_robot(path: &Path, arguments: &CheckArguments, ros: &RosArgs) -> anyhow
     println!("\nexposed to ROS 2 as node {}", file.node_name()?);
     print_exposed(&exposed, &file.node_name()?.to_string());
     print!("{}", NodeReport::of(&robot)?);
-    match &file.record.topics {
-        None => println!("\nrecorded with --record: all topics"),
-        Some(topics) => println!("\nrecorded with --record: {}", topics.join(", ")),
+    let recorded: Vec<String> = robot.recorded_topics()?.iter().map(|topic| topic.name.to_string()).collect();
+    if recorded.len() == core.topics().count() {
+        println!("\nrecorded with --record: all topics");
+    } else {
+        println!("\nrecorded with --record: {}", recorded.join(", "));
     }
     Ok(())
 }
