@@ -21,6 +21,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod actions;
 mod bridge;
 mod endpoints;
 mod exposure;
@@ -31,6 +32,7 @@ mod pattern;
 mod services;
 mod status;
 
+pub use actions::ActionExposure;
 pub use bridge::{Bridge, expose};
 pub use exposure::{ExposeError, Exposure};
 pub use limit::{Limits, OfACycle};

@@ -9,6 +9,7 @@ use bytes::Bytes;
 use downbeat_executor::{
     CallError, Context, Core, Inbox, Module, ModuleOptions, Role, Setup, SetupError, Synchrony,
 };
+use downbeat_msgs::action_msgs::srv::{CancelGoal, CancelGoalResponse};
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolResponse, Trigger, TriggerResponse};
@@ -85,7 +86,8 @@ impl ServicesStatus {
 /// those that modules call.
 ///
 /// ROS 2 has no word for a request that is refused. `std_srvs/srv/SetBool` and `Trigger` are then answered with
-/// `success: false` and the reason as message; a request of another type is not answered, and the reason is in the log.
+/// `success: false` and the reason as message, those of actions with a goal that is not accepted, not known or not canceled; a
+/// request of another type is not answered, and the reason is in the log.
 ///
 /// The endpoints go when the core stops.
 ///
@@ -187,6 +189,12 @@ fn refusal(service_type: KnownService, error: &EncodedCallError) -> Option<Bytes
     match service_type.name() {
         SetBool::TYPE_NAME => Some(cdr::to_vec(&SetBoolResponse { success: false, message }).into()),
         Trigger::TYPE_NAME => Some(cdr::to_vec(&TriggerResponse { success: false, message }).into()),
+        CancelGoal::TYPE_NAME => {
+            let return_code = CancelGoalResponse::ERROR_REJECTED;
+            Some(cdr::to_vec(&CancelGoalResponse { return_code, ..CancelGoalResponse::default() }).into())
+        }
+        // Of an action: not accepted, or not known.
+        name if name.contains("/action/") => Some(service_type.default_response().into()),
         _ => None,
     }
 }
