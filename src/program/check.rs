@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use downbeat::bridge::edge::KnownType;
+use downbeat::bridge::expose::ActionExposure;
 use downbeat::executor::{Core, TopicInfo};
 use downbeat::robot::{ExposedEndpoint, KINDS, Robot, RosArgs};
 use serde_json::json;
@@ -63,6 +64,11 @@ fn print_services(robot: &Robot) -> anyhow::Result<()> {
         let ros_service = called.ros_service.as_deref().unwrap_or(&called.service);
         println!("  service {} <- {ros_service} {}", called.service, called.service_type);
     }
+    for (actions, arrow) in [(robot.action_exposures()?, "->"), (robot.action_call_exposures()?, "<-")] {
+        for action in actions {
+            println!("  action {} {arrow} {} {}", action.action, action.ros_action(), action.action_type);
+        }
+    }
     let Some(exposure) = robot.parameter_exposure()? else { return Ok(()) };
     for module in robot.core.modules() {
         for setting in robot.core.settings(&module.name).unwrap_or_default() {
@@ -94,6 +100,18 @@ fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_j
         .topics()
         .map(|topic| json!({ "name": *topic.name, "type": type_name(topic), "is_published": topic.is_published }))
         .collect();
+    let mut actions = Vec::new();
+    for (direction, exposures) in [("out", robot.action_exposures()?), ("in", robot.action_call_exposures()?)]
+    {
+        for ActionExposure { action, ros_action, action_type, .. } in exposures {
+            actions.push(json!({
+                "action": action,
+                "ros_action": ros_action.as_ref().unwrap_or(&action),
+                "direction": direction,
+                "type": action_type.name(),
+            }));
+        }
+    }
     Ok(json!({
         "robot": file.name,
         "is_emulated": file.is_emulated(),
@@ -101,6 +119,7 @@ fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_j
         "modules": modules,
         "topics": topics,
         "exposed": exposed,
+        "actions": actions,
         "recorded": file.record.topics,
     }))
 }

@@ -75,7 +75,7 @@ impl Session {
     /// Shows to ROS 2 what the robot file exposes.
     pub(crate) fn expose(&mut self, options: &ParticipantOptions, log: &Log) -> anyhow::Result<()> {
         let Robot { file, .. } = &self.robot;
-        let exposures = self.robot.exposures()?;
+        let exposed = self.robot.exposed()?;
         let participant = Participant::join_with(options, file.remaps.clone())?;
         let node = participant.create_node(file.given_node_name()?)?;
         let title = format!("{}   domain {}", node.name(), options.domain_id);
@@ -94,7 +94,7 @@ impl Session {
         }
         let handle = self.robot.core.handle();
         let following = self.clock.as_ref().map(|clock| clock.follow(&node, &handle)).transpose()?;
-        let bridge = expose::Bridge::start(&mut self.robot.core, &node, &exposures)?;
+        let bridge = expose::Bridge::start(&mut self.robot.core, &node, &exposed.topics)?;
         if let Some(diagnostics) = &self.diagnostics {
             diagnostics.watch_endpoints(bridge.status());
         }
@@ -105,8 +105,8 @@ impl Session {
             };
             tracing::info!("exposed {arrow}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
         }
-        let (offered, called) = (self.robot.service_exposures()?, self.robot.call_exposures()?);
-        let services = expose::expose_services(&mut self.robot.core, &node, &offered, &called)?;
+        let services =
+            expose::expose_services(&mut self.robot.core, &node, &exposed.services, &exposed.calls)?;
         for (name, ..) in services.services() {
             tracing::info!("exposed service: {name}");
         }
@@ -141,7 +141,7 @@ impl Session {
         let recording = Recording::start(writer, Recording::DEFAULT_QUEUE_BYTES)
             .context("cannot start the thread that writes the bag")?;
         let topics = self.robot.recorded_topics()?;
-        let exposed = self.robot.exposures()?;
+        let exposed = self.robot.exposed()?.topics;
         let qos_of = |name: &str| {
             let exposure = exposed.iter().find(|exposure| exposure.topic == name);
             exposure.and_then(|exposure| exposure.qos.profile()).unwrap_or(QosProfile::DEFAULT)

@@ -70,6 +70,8 @@
 //! - `[expose]`: topics that go `out` to ROS 2 or come `in`: each a name, a pattern, or a table, see below; `services` of
 //!   modules that ROS 2 may call, and `calls`, services of ROS 2 that modules call: each a name, or a table of `service`,
 //!   `as`, the name in ROS 2, `type`, needed where no module knows it, and `timeout`, how long its server may take (10 s);
+//!   `actions` of modules that ROS 2 may use, and `action_calls`, actions of ROS 2 that modules use, in the same way, with `action`
+//!   in place of `service`;
 //!   `parameters`: settings that are parameters of the node, by name (`module.setting`) or pattern (`"*"` for all).
 //! - Also of `[expose]`: `rosout`, whether the log goes to `/rosout`, true unless given; `clock`, `"publish"` (or
 //!   `{ publish_hz = 100.0 }`, 40 unless given): the robot's time goes to `/clock`, or `"follow"`: the robot's time is that of
@@ -83,7 +85,7 @@
 //! ## Exposed topics
 //! In a pattern `*` stands for any characters of one part of a name, `**` for any number of parts. It means the topics
 //! that carry ROS messages and that modules publish (`out`), or that modules receive and none publishes (`in`); it never
-//! means those of the executor, and leaves alone what another entry names.
+//! means those of the executor or of actions, and leaves alone what another entry names.
 //!
 //! | key | value | unless given |
 //! | --- | --- | --- |
@@ -125,6 +127,7 @@
 //!
 //! What is wrong with a file is told with its path and line, and the nearest valid name.
 
+mod actions;
 mod build;
 mod expose;
 mod exposed;
@@ -134,11 +137,12 @@ mod parameters;
 mod ros_args;
 mod services;
 
+pub use actions::Exposed;
 pub use build::Robot;
 pub use exposed::{ExposedEndpoint, ExposedQos, ExposedTraffic};
 pub use file::{
-    ClockChoice, Direction, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry, ModuleEntry,
-    NodeFeatures, RecordEntry, RobotFile, RobotFileError, TopicChoice,
+    ActionEntry, ClockChoice, Direction, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry,
+    ModuleEntry, NodeFeatures, RecordEntry, RobotFile, RobotFileError, TopicChoice,
 };
 pub use kinds::{KINDS, Kind};
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};

@@ -4,7 +4,7 @@ mod qos;
 mod service;
 mod topic;
 
-pub use service::ServiceEntry;
+pub use service::{ActionEntry, ServiceEntry};
 pub use topic::{Direction, ExposeEntry, TopicChoice};
 
 use downbeat_bridge::expose::TopicPattern;
@@ -23,6 +23,10 @@ pub struct ExposeSection {
     pub services: Vec<ServiceEntry>,
     /// Services of ROS 2 that modules call.
     pub calls: Vec<ServiceEntry>,
+    /// Actions of modules that ROS 2 may use.
+    pub actions: Vec<ActionEntry>,
+    /// Actions of ROS 2 that modules use.
+    pub action_calls: Vec<ActionEntry>,
     /// Settings of modules that are parameters.
     pub(crate) parameters: Vec<Located<TopicPattern>>,
     /// What the node has besides.
@@ -42,10 +46,12 @@ pub(super) fn expose(value: Value<'_>) -> Result<ExposeSection> {
     let topics = topic::topics(&mut table)?;
     let services = service::services(&mut table, "services")?;
     let calls = service::services(&mut table, "calls")?;
+    let actions = service::actions(&mut table, "actions")?;
+    let action_calls = service::actions(&mut table, "action_calls")?;
     let parameters = service::parameters(&mut table)?;
     let features = NodeFeatures::take(&mut table)?;
     table.finish()?;
-    Ok(ExposeSection { topics, services, calls, parameters, features })
+    Ok(ExposeSection { topics, services, calls, actions, action_calls, parameters, features })
 }
 
 #[cfg(test)]
