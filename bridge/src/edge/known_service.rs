@@ -1,6 +1,7 @@
 //! The registry of service types.
 
 use super::call::{self, Answers, CallEncoded, EncodedCaller, Outlet, RemoteCall};
+use super::event::{self, EncodeEvent};
 use super::nearest::nearest;
 use downbeat_executor::{Core, ServiceInfo, Setup, SetupError};
 use downbeat_msgs::{Service, cdr};
@@ -63,6 +64,12 @@ impl KnownService {
     #[must_use]
     pub fn default_response(self) -> Vec<u8> {
         (self.entry.default_response)()
+    }
+
+    /// Serializes events of the service.
+    #[must_use]
+    pub fn encode_event(self) -> EncodeEvent {
+        self.entry.encode_event
     }
 
     /// Calls a service of modules with serialized requests, from any thread.
@@ -137,6 +144,7 @@ struct Entry {
     open_caller: fn(&mut Core, &str) -> Result<Box<CallEncoded>, SetupError>,
     open_answers: fn(&mut Core, &str) -> Result<Answers, SetupError>,
     default_response: fn() -> Vec<u8>,
+    encode_event: EncodeEvent,
 }
 
 const fn entry<S: Service>() -> Entry {
@@ -147,6 +155,7 @@ const fn entry<S: Service>() -> Entry {
         open_caller: call::open_caller::<S>,
         open_answers: call::open_answers::<S>,
         default_response: || cdr::to_vec(&S::Response::default()),
+        encode_event: event::encode_event::<S>,
     }
 }
 

@@ -13,6 +13,7 @@
 
 mod call;
 mod core_access;
+mod event;
 mod inlet;
 mod known_action;
 mod known_service;
@@ -22,6 +23,7 @@ mod subscription;
 
 pub use call::{EncodedAnswer, EncodedCallError, EncodedCaller, Outlet, RemoteCall};
 pub use core_access::CoreAccess;
+pub use event::{EncodeEvent, EventContent, encode_event};
 pub use inlet::{EncodedInlet, EncodedInletError, Waiting};
 pub use known_action::{KnownAction, UnknownAction};
 pub use known_service::{KnownService, UnknownService};

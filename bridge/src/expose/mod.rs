@@ -39,5 +39,8 @@ pub use limit::{Limits, OfACycle};
 pub use module::MODULE_NAME;
 pub use parameters::{ParameterExposure, ParameterServices, ParametersError, expose_parameters};
 pub use pattern::{PatternError, TopicPattern};
-pub use services::{CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServicesStatus, expose_services};
+pub use services::{
+    CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection, ServicesStatus,
+    expose_services, expose_services_with,
+};
 pub use status::{BridgeStatus, EndpointReport};

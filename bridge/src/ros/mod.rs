@@ -2,6 +2,7 @@
 
 mod client;
 mod graph;
+mod introspection;
 mod names;
 mod node;
 mod qos;
@@ -12,6 +13,7 @@ mod type_description;
 
 pub use client::{Client, RawClient};
 pub use graph::{RemoteNode, RemoteTopic};
+pub use introspection::{Introspection, UnknownIntrospection};
 pub use names::{MessageType, NameError, NodeName, TopicName};
 pub use node::{Node, NodeError, Participant, Publisher, Subscription};
 pub use qos::{Policy, QosRequest};
