@@ -105,8 +105,14 @@ impl Session {
             };
             tracing::info!("exposed {arrow}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
         }
-        let services =
-            expose::expose_services(&mut self.robot.core, &node, &exposed.services, &exposed.calls)?;
+        let introspection = self.robot.file.expose.introspection;
+        let services = expose::expose_services_with(
+            &mut self.robot.core,
+            &node,
+            &exposed.services,
+            &exposed.calls,
+            introspection,
+        )?;
         for (name, ..) in services.services() {
             tracing::info!("exposed service: {name}");
         }

@@ -72,7 +72,9 @@
 //!   `as`, the name in ROS 2, `type`, needed where no module knows it, and `timeout`, how long its server may take (10 s);
 //!   `actions` of modules that ROS 2 may use, and `action_calls`, actions of ROS 2 that modules use, in the same way, with `action`
 //!   in place of `service`;
-//!   `parameters`: settings that are parameters of the node, by name (`module.setting`) or pattern (`"*"` for all).
+//!   `service_introspection` and `client_introspection`: what services and calls publish on `<service>/_service_event`, "disabled",
+//!   "metadata" or "contents", which the settings `service_configure_introspection` and `client_configure_introspection` of the module
+//!   `bridge_services` change while the robot runs; `parameters`: settings that are parameters of the node, by name (`module.setting`) or pattern (`"*"` for all).
 //! - Also of `[expose]`: `rosout`, whether the log goes to `/rosout`, true unless given; `clock`, `"publish"` (or
 //!   `{ publish_hz = 100.0 }`, 40 unless given): the robot's time goes to `/clock`, or `"follow"`: the robot's time is that of
 //!   `/clock`, as with the parameter `use_sim_time`; `diagnostics`, whether the process tells of its modules and endpoints on the

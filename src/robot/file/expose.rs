@@ -7,7 +7,7 @@ mod topic;
 pub use service::{ActionEntry, ServiceEntry};
 pub use topic::{Direction, ExposeEntry, TopicChoice};
 
-use downbeat_bridge::expose::TopicPattern;
+use downbeat_bridge::expose::{ServiceIntrospection, TopicPattern};
 
 use super::table::{Table, Value};
 use super::{Located, NodeFeatures, RobotFileError};
@@ -27,6 +27,8 @@ pub struct ExposeSection {
     pub actions: Vec<ActionEntry>,
     /// Actions of ROS 2 that modules use.
     pub action_calls: Vec<ActionEntry>,
+    /// What services and calls tell of themselves at the start.
+    pub introspection: ServiceIntrospection,
     /// Settings of modules that are parameters.
     pub(crate) parameters: Vec<Located<TopicPattern>>,
     /// What the node has besides.
@@ -48,10 +50,11 @@ pub(super) fn expose(value: Value<'_>) -> Result<ExposeSection> {
     let calls = service::services(&mut table, "calls")?;
     let actions = service::actions(&mut table, "actions")?;
     let action_calls = service::actions(&mut table, "action_calls")?;
+    let introspection = service::introspection(&mut table)?;
     let parameters = service::parameters(&mut table)?;
     let features = NodeFeatures::take(&mut table)?;
     table.finish()?;
-    Ok(ExposeSection { topics, services, calls, actions, action_calls, parameters, features })
+    Ok(ExposeSection { topics, services, calls, actions, action_calls, introspection, parameters, features })
 }
 
 #[cfg(test)]

@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use downbeat_bridge::edge::{KnownAction, KnownService};
-use downbeat_bridge::expose::TopicPattern;
+use downbeat_bridge::expose::{ServiceIntrospection, TopicPattern};
+use downbeat_bridge::ros::{Introspection, UnknownIntrospection};
 
 use super::Result;
 use crate::robot::file::Located;
@@ -50,6 +51,24 @@ pub(super) fn services(table: &mut Table<'_>, key: &'static str) -> Result<Vec<S
 pub(super) fn actions(table: &mut Table<'_>, key: &'static str) -> Result<Vec<ActionEntry>> {
     let values = table.take(key).map_or(Ok(Vec::new()), |value| value.list())?;
     values.into_iter().map(action).collect()
+}
+
+/// What services and calls publish of what they do.
+pub(super) fn introspection(table: &mut Table<'_>) -> Result<ServiceIntrospection> {
+    let mut chosen = |key| {
+        let word = |value: Value<'_>| {
+            let word: Introspection = value
+                .text()?
+                .parse()
+                .map_err(|error: UnknownIntrospection| value.error(error.to_string()))?;
+            Ok(word)
+        };
+        table.take(key).map_or(Ok(Introspection::Off), word)
+    };
+    Ok(ServiceIntrospection {
+        services: chosen("service_introspection")?,
+        clients: chosen("client_introspection")?,
+    })
 }
 
 /// Which settings are parameters: names `module.setting`, or patterns for them.
