@@ -58,7 +58,7 @@ pub fn record(
             tracing::debug!("{} is not recorded: {} is no ROS message", topic.name, topic.message_type);
             continue;
         };
-        let qos = vec![qos_of(&topic.name)];
+        let qos = vec![qos_of(&topic.name).into()];
         let (info, codec) = topic_info(format!("/{}", topic.name), message_type, qos, encoding)?;
         let id = sender.add_topic(info)?;
         recorder.topics.push((topic.name.to_string(), message_type, codec, id));

@@ -40,12 +40,13 @@ impl Cli {
         let cli = Self { ros, ..Self::parse_from(others) };
         let makes_node = match &cli.command {
             Command::Run(_) | Command::Check(_) => true,
+            Command::Graph(arguments) => arguments.robot.is_none(),
             Command::Bag(command) => !matches!(command, BagCommand::Info { .. }),
             _ => false,
         };
         if !makes_node && !cli.ros.is_empty() {
             refuse(
-                "--ros-args goes with commands that make a ROS 2 node: run, check, bag record, bag play"
+                "--ros-args goes with commands that make a ROS 2 node: run, check, graph of the network, bag record, bag play"
                     .into(),
             );
         }
@@ -65,7 +66,7 @@ pub(crate) enum Command {
     Trace(TraceArguments),
     /// Show what a running robot exposes to ROS 2, expose more, or take it back.
     Expose(ExposeArguments),
-    /// Draw the modules, topics and services of a robot file, without running it.
+    /// Show the nodes, topics and services of the ROS 2 network, or draw the modules of a robot file without running it.
     Graph(GraphArguments),
     /// Look at a bag, record one, play one.
     #[command(subcommand)]
@@ -239,16 +240,29 @@ pub(crate) enum ExposeDirection {
 
 #[derive(Args)]
 pub(crate) struct GraphArguments {
-    /// The robot file.
+    /// The robot file; without one it is the network that is looked at.
     #[arg(value_name = "ROBOT.toml")]
-    pub(crate) robot: PathBuf,
-    /// The language to draw in.
-    #[arg(long, value_enum, default_value_t = GraphFormat::Dot)]
-    pub(crate) format: GraphFormat,
+    pub(crate) robot: Option<PathBuf>,
+    /// How to show it: text for the network unless given, dot for a robot file.
+    #[arg(long, value_enum)]
+    pub(crate) format: Option<GraphFormat>,
+    /// As JSON.
+    #[arg(long, conflicts_with = "format")]
+    pub(crate) json: bool,
+    /// The ROS domain to look at, instead of ROS_DOMAIN_ID.
+    #[arg(long, value_name = "N", conflicts_with = "robot")]
+    pub(crate) domain: Option<u16>,
+    /// How long to look at the most: until the nodes of all endpoints are known, which takes seconds.
+    #[arg(long, value_parser = duration, value_name = "TIME", default_value = "8s", conflicts_with = "robot")]
+    pub(crate) wait: Duration,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 pub(crate) enum GraphFormat {
+    /// Lines.
+    Text,
+    /// For programs.
+    Json,
     /// For Graphviz: `downbeat graph robot.toml | dot -Tsvg > robot.svg`.
     Dot,
     /// For Mermaid, which pages of many code hosts show.

@@ -1,5 +1,6 @@
 //! A robot while it runs: its core on a thread, the bridge and the recorder beside it, the status on the screen.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -7,13 +8,15 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
 use downbeat::bags::{Compression, Recording, RecordingStatistics, RecordingSummary, WriterOptions};
-use downbeat::bridge::clock::{self, FollowedClock, FollowedTime};
+use downbeat::bridge::clock::{self, NodeClock, SimTime};
 use downbeat::bridge::diagnostics::ProcessDiagnostics;
-use downbeat::bridge::expose::{self, BridgeStatus};
+use downbeat::bridge::expose::{self, BridgeStatus, ParameterExposure, ParameterServer};
+use downbeat::bridge::lifecycle::{LifecycleExposure, LifecycleNodes, expose_lifecycle};
 use downbeat::bridge::middleware::{self, ParticipantOptions};
+use downbeat::bridge::network::NetworkWatch;
 use downbeat::bridge::robot_description::RobotDescription;
-use downbeat::bridge::ros::Participant;
-use downbeat::bridge::rosout::RosoutPublisher;
+use downbeat::bridge::ros::{Furnishing, Node, Participant};
+use downbeat::bridge::rosout::{LoggerServices, Rosout, RosoutPublisher};
 use downbeat::executor::{Core, RunError};
 use downbeat::inspect::{InspectionServer, SocketDirectory};
 use downbeat::msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
@@ -22,6 +25,7 @@ use downbeat::msgs::qos::QosProfile;
 use downbeat::recorder::{self, WhenFull};
 use downbeat::robot::{ClockChoice, Robot, RobotFile};
 
+use super::expose_service::ExposeService;
 use super::faults::Faults;
 use super::inspected::InspectedRobot;
 use super::logging::Log;
@@ -35,8 +39,7 @@ pub(crate) struct Session {
     robot: Robot,
     statistics: Arc<Statistics>,
     faults: Faults,
-    /// Where time is that of `/clock`.
-    clock: Option<FollowedClock>,
+    clock: NodeClock,
     diagnostics: Option<ProcessDiagnostics>,
     bridge: Option<Bridge>,
     recording: Option<Recording>,
@@ -45,12 +48,16 @@ pub(crate) struct Session {
 struct Bridge {
     status: BridgeStatus,
     title: String,
-    _following: Option<FollowedTime>,
+    _sim_time: Option<SimTime>,
     _description: Option<RobotDescription>,
     /// Dropped before the node, so that the last lines are sent.
     _rosout: Option<RosoutPublisher>,
-    /// Answered until it is dropped.
-    _parameters: Option<expose::ParameterServices>,
+    _logger_services: Option<LoggerServices>,
+    /// Answered until they are dropped.
+    _parameters: expose::ParameterServices,
+    _lifecycle: LifecycleNodes,
+    _network: Option<NetworkWatch>,
+    _furnishing: Furnishing,
     /// Its node is in the graph of ROS 2 until it is dropped.
     bridge: expose::Bridge,
 }
@@ -60,12 +67,9 @@ const LOG_INTERVAL: Duration = Duration::from_secs(10);
 
 impl Session {
     pub(crate) fn new(file: RobotFile) -> anyhow::Result<Self> {
-        let statistics = Arc::new(Statistics::default());
-        let clock = (file.expose.features.clock == ClockChoice::Follow).then(FollowedClock::new);
-        let mut core = Core::new().with_probe(Arc::clone(&statistics) as _);
-        if let Some(clock) = &clock {
-            core = core.with_clock(clock.clone());
-        }
+        let statistics = Arc::new(Statistics::of(file.modules.iter().map(|module| module.name.clone())));
+        let clock = NodeClock::default();
+        let mut core = Core::new().with_probe(Arc::clone(&statistics) as _).with_clock(clock.clone());
         let diagnostics = add_diagnostics(&mut core, &file)?;
         let mut robot = file.build(core)?;
         let faults = Faults::watch(&mut robot.core)?;
@@ -80,20 +84,34 @@ impl Session {
         let node = participant.create_node(file.given_node_name()?)?;
         let title = format!("{}   domain {}", node.name(), options.domain_id);
         let features = &file.expose.features;
-        log.name_by(node.name());
+        log.names.set_node(node.name());
         let rosout = if features.rosout && !file.is_rosout_disabled {
             Some(log.rosout.publish(&node)?)
         } else {
             log.rosout.turn_off();
             None
         };
+        let logger_services = features.logger_service.then(|| log.levels.serve(&node)).transpose()?;
         let urdf = file.robot_description()?;
         let description = urdf.map(|urdf| RobotDescription::publish(&node, &urdf)).transpose()?;
+        let has_network = features.network;
         if let ClockChoice::Publish(period) = features.clock {
             clock::publish(&mut self.robot.core, &node, period)?;
         }
-        let handle = self.robot.core.handle();
-        let following = self.clock.as_ref().map(|clock| clock.follow(&node, &handle)).transpose()?;
+        let network = has_network.then(|| NetworkWatch::start(&mut self.robot.core, &participant));
+        let network = network.transpose()?;
+        let sim_time = self.sim_time(&node)?;
+        let parameters = ParameterServer::start(&self.robot.core, sim_time.clone())
+            .context("cannot start the thread of the parameters")?;
+        let of_robot = parameters.serve(&node, self.robot.parameter_exposure()?)?;
+        let furnishing =
+            self.furnish(&participant, parameters, rosout.is_some().then(|| log.rosout.clone()))?;
+        let managed = self.robot.lifecycle_exposures()?;
+        let lifecycle = expose_lifecycle(&self.robot.core, &participant, &managed)?;
+        for (LifecycleExposure { module, .. }, node) in managed.iter().zip(lifecycle.nodes()) {
+            log.names.set_module(module, node.name());
+            tracing::info!("exposed lifecycle: {}", node.name());
+        }
         let bridge = expose::Bridge::start(&mut self.robot.core, &node, &exposed.topics)?;
         if let Some(diagnostics) = &self.diagnostics {
             diagnostics.watch_endpoints(bridge.status());
@@ -116,19 +134,57 @@ impl Session {
         for (name, ..) in services.services() {
             tracing::info!("exposed service: {name}");
         }
-        let parameters = self.robot.parameter_exposure()?;
-        let parameters =
-            parameters.map(|exposure| expose::expose_parameters(&self.robot.core, &node, exposure));
         self.bridge = Some(Bridge {
             status: bridge.status(),
             title,
-            _following: following,
+            _sim_time: sim_time,
             _description: description,
             _rosout: rosout,
-            _parameters: parameters.transpose()?,
+            _logger_services: logger_services,
+            _parameters: of_robot,
+            _lifecycle: lifecycle,
+            _network: network,
+            _furnishing: furnishing,
             bridge,
         });
         Ok(())
+    }
+
+    /// Gives the other nodes that the robot file names what every node has, parameters and `/rosout`, and to those that stand
+    /// for a module its settings and its lines.
+    fn furnish(
+        &self,
+        participant: &Participant,
+        parameters: ParameterServer,
+        rosout: Option<Rosout>,
+    ) -> anyhow::Result<Furnishing> {
+        let (file, settings) = (&self.robot.file, self.robot.parameter_exposure()?.settings);
+        let module = |exposure: LifecycleExposure| Ok((file.remaps.node(&exposure.node)?, exposure.module));
+        let modules = self.robot.lifecycle_exposures()?.into_iter().map(module);
+        let modules: BTreeMap<_, _> = modules.collect::<anyhow::Result<_>>()?;
+        Ok(participant.furnish(move |node| {
+            let module = modules.get(node.name());
+            if let Some(rosout) = &rosout {
+                node.attach(rosout.publish_also(node, module.map(String::as_str))?);
+            }
+            let exposure = module.map_or_else(ParameterExposure::default, |module| ParameterExposure {
+                settings: settings.clone(),
+                of_module: Some(module.clone()),
+            });
+            node.attach(parameters.serve(node, exposure)?);
+            Ok(())
+        }))
+    }
+
+    /// What `use_sim_time` sets, unless others follow the time of this robot.
+    fn sim_time(&self, node: &Node) -> anyhow::Result<Option<SimTime>> {
+        let choice = self.robot.file.expose.features.clock;
+        if matches!(choice, ClockChoice::Publish(_)) {
+            return Ok(None);
+        }
+        let sim_time = self.clock.sim_time(node, &self.robot.core.handle());
+        sim_time.set(choice == ClockChoice::Follow)?;
+        Ok(Some(sim_time))
     }
 
     /// Records what the robot file's `[record]` names, with its compression and encoding unless others are asked for.
@@ -173,12 +229,18 @@ impl Session {
             .spawn(move || core.run())
             .context("cannot start the thread of the core")?;
         let file = Arc::new(file);
-        let inspected = InspectedRobot {
+        let inspected = Arc::new(InspectedRobot {
             core: handle.clone(),
             bridge: bridge.as_ref().map(|bridge| bridge.bridge.clone()),
             file: Arc::clone(&file),
-        };
-        let inspection = inspection(&file.name, inspected);
+        });
+        let inspection = inspection(&file.name, Arc::clone(&inspected));
+        let node = bridge.as_ref().map(|bridge| bridge.bridge.node());
+        let expose_service = node.filter(|_| file.expose.features.expose_service);
+        let expose_service = expose_service.and_then(|node| {
+            let started = ExposeService::start(node, inspected);
+            started.inspect_err(|error| tracing::error!("~/expose is not offered: {error:#}")).ok()
+        });
         let title = bridge.as_ref().map_or_else(|| file.name.clone(), |bridge| bridge.title.clone());
         let mut block = StatusBlock::new(Sources {
             title: if file.is_emulated() { format!("{title}   emulated") } else { title },
@@ -207,6 +269,7 @@ impl Session {
         handle.stop();
         core.join().map_err(|_| anyhow!("the core's thread panicked"))??;
         drop(inspection);
+        drop(expose_service);
         let summary = recording.map(Recording::finish).transpose();
         // Off the graph before the last lines, which may be what a script waits for.
         drop(bridge);
@@ -249,10 +312,9 @@ fn recording_status(name: &str, statistics: &RecordingStatistics) -> DiagnosticS
 }
 
 /// A robot that nobody can look at runs all the same.
-fn inspection(name: &str, robot: InspectedRobot) -> Option<InspectionServer> {
-    let open = || -> anyhow::Result<_> {
-        Ok(InspectionServer::start(&SocketDirectory::open()?, name, Arc::new(robot))?)
-    };
+fn inspection(name: &str, robot: Arc<InspectedRobot>) -> Option<InspectionServer> {
+    let open =
+        || -> anyhow::Result<_> { Ok(InspectionServer::start(&SocketDirectory::open()?, name, robot)?) };
     open().inspect_err(|error| tracing::warn!("`downbeat top` will not see this robot: {error}")).ok()
 }
 

@@ -35,6 +35,7 @@ impl RobotFile {
         let robot = Robot { file: self, core };
         robot.exposed()?;
         robot.parameter_exposure()?;
+        robot.lifecycle_exposures()?;
         robot.recorded_topics()?;
         robot.file.robot_description()?;
         Ok(robot)

@@ -78,7 +78,7 @@ impl RobotFile {
     }
 
     /// A node beside the robot's: absolute, or relative to the robot's namespace.
-    fn node_beside(&self, name: &str, line: usize) -> Result<NodeName> {
+    pub(super) fn node_beside(&self, name: &str, line: usize) -> Result<NodeName> {
         let (namespace, name) = match name.rsplit_once('/') {
             None => (self.namespace.clone(), name),
             Some((namespace, name)) if name.is_empty() || namespace.starts_with('/') => {

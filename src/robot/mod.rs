@@ -74,8 +74,17 @@
 //!   in place of `service`;
 //!   `service_introspection` and `client_introspection`: what services and calls publish on `<service>/_service_event`, "disabled",
 //!   "metadata" or "contents", which the settings `service_configure_introspection` and `client_configure_introspection` of the module
-//!   `bridge_services` change while the robot runs; `parameters`: settings that are parameters of the node, by name (`module.setting`) or pattern (`"*"` for all).
-//! - Also of `[expose]`: `rosout`, whether the log goes to `/rosout`, true unless given; `clock`, `"publish"` (or
+//!   `bridge_services` change while the robot runs;
+//!   `parameters`: settings that are parameters of the node, by name (`module.setting`) or pattern (`"*"` for all); the node has
+//!   `use_sim_time` and what else rclcpp declares in any case.
+//! - `lifecycle` of `[expose]`: modules that are managed nodes of ROS 2, by name or pattern: each is a node of that name with the
+//!   services that `ros2 lifecycle` calls, `~/transition_event`, and its settings that are parameters under their own names;
+//!   `{ module = "camera", node = "front_camera" }` gives the node another name. With `initial_state = "unconfigured"` a module
+//!   waits for who manages it.
+//! - Also of `[expose]`: `rosout`, whether the log goes to `/rosout`, and `logger_service`, whether tools may read and set the
+//!   levels of loggers (`~/get_logger_levels`, `~/set_logger_levels`), both true unless given; `expose_service`, whether others
+//!   may change what is exposed while the robot runs (`~/expose`), false unless given; `network`, whether
+//!   modules are told of nodes, topics and services of others on the topic `network`, false unless given; `clock`, `"publish"` (or
 //!   `{ publish_hz = 100.0 }`, 40 unless given): the robot's time goes to `/clock`, or `"follow"`: the robot's time is that of
 //!   `/clock`, as with the parameter `use_sim_time`; `diagnostics`, whether the process tells of its modules and endpoints on the
 //!   topic `diagnostics`, true unless given (ROS 2 sees it where that topic is `out`); `robot_description`, a URDF file, relative
@@ -135,6 +144,7 @@ mod expose;
 mod exposed;
 mod file;
 mod kinds;
+mod lifecycle;
 mod parameters;
 mod ros_args;
 mod services;
@@ -144,7 +154,7 @@ pub use build::Robot;
 pub use exposed::{ExposedEndpoint, ExposedQos, ExposedTraffic};
 pub use file::{
     ActionEntry, ClockChoice, Direction, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry,
-    ModuleEntry, NodeFeatures, RecordEntry, RobotFile, RobotFileError, TopicChoice,
+    LifecycleEntry, ModuleEntry, NodeFeatures, RecordEntry, RobotFile, RobotFileError, TopicChoice,
 };
 pub use kinds::{KINDS, Kind};
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};

@@ -7,9 +7,12 @@ use downbeat_bridge::expose::{
 use downbeat_executor::ServiceInfo;
 
 use super::Robot;
-use super::file::{ClockChoice, RobotFileError, ServiceEntry, suggestion};
+use super::file::{RobotFileError, ServiceEntry, suggestion};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
+
+/// Means all settings, also where there are none.
+const ALL: &str = "*";
 
 impl Robot {
     /// The services of modules to offer to ROS 2.
@@ -54,11 +57,11 @@ impl Robot {
         self.file.expose.calls.iter().map(exposure).collect()
     }
 
-    /// The settings that are parameters of the node; nothing if the file names none.
+    /// The settings that are parameters of the node.
     ///
     /// # Errors
     /// If a name or pattern means no setting of the modules; with path and line.
-    pub fn parameter_exposure(&self) -> Result<Option<ParameterExposure>> {
+    pub fn parameter_exposure(&self) -> Result<ParameterExposure> {
         let entries = &self.file.expose.parameters;
         let mut names: Vec<String> = self
             .core
@@ -73,15 +76,14 @@ impl Robot {
         let introspection = [ServiceIntrospection::OF_SERVICES, ServiceIntrospection::OF_CLIENTS];
         names.extend(introspection.map(|setting| format!("{SERVICES_MODULE_NAME}.{setting}")));
         for entry in entries {
-            if !names.iter().any(|name| entry.value.matches(name)) {
+            if entry.value.to_string() != ALL && !names.iter().any(|name| entry.value.matches(name)) {
                 let hint = suggestion(&entry.value.to_string(), names.iter().map(String::as_str));
                 let problem = format!("no module has a setting \"{}\"{hint}", entry.value);
                 return Err(self.file.source.error(entry.line, problem));
             }
         }
-        let settings: Vec<_> = entries.iter().map(|entry| entry.value.clone()).collect();
-        let follows_clock = self.file.expose.features.clock == ClockChoice::Follow;
-        Ok((!settings.is_empty()).then_some(ParameterExposure { settings, follows_clock }))
+        let settings = entries.iter().map(|entry| entry.value.clone()).collect();
+        Ok(ParameterExposure { settings, of_module: None })
     }
 
     fn service_type(&self, entry: &ServiceEntry, info: Option<&ServiceInfo>) -> Result<KnownService> {
@@ -176,7 +178,7 @@ mod tests {
         );
         assert_eq!(called[0].service_type.name(), "std_srvs/srv/Trigger");
         assert_eq!(called[1].service_type.name(), "std_srvs/srv/Empty");
-        let parameters = robot.parameter_exposure().unwrap().unwrap();
+        let parameters = robot.parameter_exposure().unwrap();
         assert!(parameters.settings[0].matches("legs.gain") && !parameters.settings[0].matches("legs.side"));
     }
 
@@ -186,7 +188,8 @@ mod tests {
         let robot = robot("service_introspection = \"contents\"\nparameters = [\"bridge_services.*\"]");
         let chosen = robot.file.expose.introspection;
         assert_eq!((chosen.services, chosen.clients), (Introspection::Contents, Introspection::Off));
-        assert!(robot.parameter_exposure().unwrap().is_some());
+        let parameters = robot.parameter_exposure().unwrap();
+        assert!(parameters.settings[0].matches("bridge_services.service_configure_introspection"));
         let text = "[robot]\nname = \"r\"\n[[module]]\nkind = \"stand_nod_wave\"\n[expose]\nclient_introspection = \"on\"";
         let error = RobotFile::parse(Source::new(Path::new("robot.toml"), text.to_owned())).err().unwrap();
         assert_eq!(

@@ -2,11 +2,17 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod beside;
+mod control;
 mod damage;
+mod disk;
 mod dynamic;
 mod fixtures;
 mod interrupted;
+mod killed;
 mod layout;
 mod order;
 mod python;
+mod splits;
+mod storage;
 mod support;

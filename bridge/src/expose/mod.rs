@@ -37,7 +37,7 @@ pub use bridge::{Bridge, expose};
 pub use exposure::{ExposeError, Exposure};
 pub use limit::{Limits, OfACycle};
 pub use module::MODULE_NAME;
-pub use parameters::{ParameterExposure, ParameterServices, ParametersError, expose_parameters};
+pub use parameters::{ParameterExposure, ParameterServer, ParameterServices};
 pub use pattern::{PatternError, TopicPattern};
 pub use services::{
     CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection, ServicesStatus,

@@ -1,7 +1,7 @@
 //! Services that a node calls.
 
 use super::introspection::{Event, ServiceEvents};
-use super::node::{Listed, Membership};
+use super::node::{Hold, Listed};
 use super::{Introspection, Node, NodeError, ServiceName, ServiceType};
 use crate::middleware::Direction;
 use crate::middleware::rpc::{Answer, CallError, RequestClient};
@@ -99,7 +99,7 @@ pub struct RawClient {
     _listed: [Listed; 2],
     client: RequestClient,
     events: Arc<ServiceEvents>,
-    _membership: Arc<Membership>,
+    _hold: Hold,
 }
 
 impl RawClient {
@@ -198,12 +198,12 @@ impl Node {
             name,
             service_type: service_type.clone(),
             _listed: [
-                Listed::new(&self.membership, Direction::In, reader),
-                Listed::new(&self.membership, Direction::Out, writer),
+                Listed::new(self.hold(), Direction::In, reader),
+                Listed::new(self.hold(), Direction::Out, writer),
             ],
             client,
             events,
-            _membership: Arc::clone(&self.membership),
+            _hold: self.hold(),
         })
     }
 }

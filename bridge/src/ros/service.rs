@@ -1,7 +1,7 @@
 //! Services that a node offers.
 
 use super::introspection::{Event, ServiceEvents};
-use super::node::{Listed, Membership};
+use super::node::{Hold, Listed};
 use super::{Introspection, Node, NodeError, ServiceName, ServiceType};
 use crate::middleware::Direction;
 use crate::middleware::rpc::{IncomingRequest, ReplyError, RequestHandler, RequestServer, Responder};
@@ -42,7 +42,7 @@ pub struct Service {
     _listed: [Listed; 2],
     server: RequestServer,
     events: Arc<ServiceEvents>,
-    _membership: Arc<Membership>,
+    _hold: Hold,
 }
 
 impl Service {
@@ -110,7 +110,7 @@ impl<S: downbeat_msgs::Service> Reply<S> {
 }
 
 /// A handler of raw requests that reads them.
-pub(super) fn typed<S: downbeat_msgs::Service>(
+fn typed<S: downbeat_msgs::Service>(
     mut on_request: impl FnMut(S::Request, Reply<S>) + Send + 'static,
 ) -> RequestHandler {
     Box::new(move |IncomingRequest { cdr, client, responder, .. }| match cdr::from_slice(&cdr) {
@@ -190,12 +190,12 @@ impl Node {
             name,
             service_type: service_type.clone(),
             _listed: [
-                Listed::new(&self.membership, Direction::In, reader),
-                Listed::new(&self.membership, Direction::Out, writer),
+                Listed::new(self.hold(), Direction::In, reader),
+                Listed::new(self.hold(), Direction::Out, writer),
             ],
             server,
             events,
-            _membership: Arc::clone(&self.membership),
+            _hold: self.hold(),
         })
     }
 }

@@ -30,6 +30,9 @@ pub const WATCHDOG: Duration = Duration::from_secs(30);
 /// The program behind [`rclpy::Peer`].
 pub const PEER_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/rclpy/peer.py");
 
+/// The program behind [`rclpy::Peer::cyclonedds`].
+pub const CYCLONEDDS_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cyclonedds/peer.py");
+
 /// Something participants can join.
 pub trait Domain {
     fn join(&self) -> Box<dyn Middleware>;

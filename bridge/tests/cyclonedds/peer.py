@@ -57,6 +57,42 @@ class CompressedImage(IdlStruct, typename="sensor_msgs::msg::dds_::CompressedIma
     data: types.sequence[types.uint8]
 
 
+@dataclass
+class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
+    x: types.float64
+    y: types.float64
+    z: types.float64
+
+
+@dataclass
+class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
+    x: types.float64
+    y: types.float64
+    z: types.float64
+    w: types.float64
+
+
+@dataclass
+class Transform(IdlStruct, typename="geometry_msgs::msg::dds_::Transform_"):
+    translation: Vector3
+    rotation: Quaternion
+
+
+@dataclass
+class TransformStamped(IdlStruct, typename="geometry_msgs::msg::dds_::TransformStamped_"):
+    header: Header
+    child_frame_id: str
+    transform: Transform
+
+
+@dataclass
+class TFMessage(IdlStruct, typename="tf2_msgs::msg::dds_::TFMessage_"):
+    transforms: types.sequence[TransformStamped]
+
+
+# The elements of lists, by field.
+ELEMENTS = {"transforms": TransformStamped}
+
 # Requests and responses as rmw_cyclonedds has them: in front of each who asks, and the number of the request
 # (`cdds_request_header_t` in `rmw_cyclonedds_cpp/src/serdata.hpp`, branch jazzy).
 
@@ -77,6 +113,7 @@ class SetBoolResponse(IdlStruct, typename="std_srvs::srv::dds_::SetBool_Response
 
 
 TYPES = {
+    "tf2_msgs/msg/TFMessage": TFMessage,
     "std_msgs/msg/String": String,
     "sensor_msgs/msg/JointState": JointState,
     "sensor_msgs/msg/CompressedImage": CompressedImage,
@@ -110,6 +147,8 @@ def message_of(kind, values):
         nested = field.type if is_dataclass(field.type) else None
         if nested:
             given[field.name] = message_of(nested, value or {})
+        elif field.name in ELEMENTS:
+            given[field.name] = [message_of(ELEMENTS[field.name], item) for item in value]
         elif value is not None:
             given[field.name] = value
         else:
@@ -122,6 +161,8 @@ def fields_of(message):
         return {field.name: fields_of(getattr(message, field.name)) for field in fields(message)}
     if isinstance(message, (bytes, bytearray)):
         return list(message)
+    if isinstance(message, list):
+        return [fields_of(item) for item in message]
     return message
 
 

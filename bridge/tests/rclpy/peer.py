@@ -6,6 +6,7 @@ It ends when its standard input closes.
 import importlib
 import json
 import math
+import re
 import sys
 import threading
 import time
@@ -49,6 +50,10 @@ def fill(message, fields):
     for name, value in fields.items():
         if isinstance(value, dict):
             fill(getattr(message, name), value)
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            package, kind = re.match(r"sequence<(\w+)/(\w+)", message.get_fields_and_field_types()[name]).groups()
+            element = message_class(f"{package}/msg/{kind}")
+            setattr(message, name, [fill(element(), item) for item in value])
         else:
             setattr(message, name, value)
     return message

@@ -285,7 +285,7 @@ impl ModuleCell {
             self.meter.overran(1);
         }
         if let Err(panic) = outcome {
-            self.end_by_panic(panic);
+            self.end_by_panic(panic, None);
         }
     }
 }

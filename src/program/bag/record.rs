@@ -98,10 +98,10 @@ fn subscribe(
     let qos = QosProfile { reliability, durability, ..QosProfile::DEFAULT.keep_last(DEPTH) };
     let sender = recording.sender();
     let (mut info, codec) = match known {
-        Some(known) => topic_info(name.to_owned(), known, vec![qos], encoding)?,
+        Some(known) => topic_info(name.to_owned(), known, vec![qos.into()], encoding)?,
         None => {
             let (name, type_name) = (name.to_owned(), message_type.as_str().to_owned());
-            (TopicInfo { name, type_name, offered_qos: vec![qos], ..TopicInfo::default() }, None)
+            (TopicInfo { name, type_name, offered_qos: vec![qos.into()], ..TopicInfo::default() }, None)
         }
     };
     info.type_hash = hash.unwrap_or_default();

@@ -1,9 +1,11 @@
 //! `[expose]` of a robot file.
 
+mod lifecycle;
 mod qos;
 mod service;
 mod topic;
 
+pub use lifecycle::LifecycleEntry;
 pub use service::{ActionEntry, ServiceEntry};
 pub use topic::{Direction, ExposeEntry, TopicChoice};
 
@@ -31,6 +33,8 @@ pub struct ExposeSection {
     pub introspection: ServiceIntrospection,
     /// Settings of modules that are parameters.
     pub(crate) parameters: Vec<Located<TopicPattern>>,
+    /// Modules that are managed nodes.
+    pub lifecycle: Vec<LifecycleEntry>,
     /// What the node has besides.
     pub features: NodeFeatures,
 }
@@ -52,9 +56,20 @@ pub(super) fn expose(value: Value<'_>) -> Result<ExposeSection> {
     let action_calls = service::actions(&mut table, "action_calls")?;
     let introspection = service::introspection(&mut table)?;
     let parameters = service::parameters(&mut table)?;
+    let lifecycle = lifecycle::lifecycle(&mut table)?;
     let features = NodeFeatures::take(&mut table)?;
     table.finish()?;
-    Ok(ExposeSection { topics, services, calls, actions, action_calls, introspection, parameters, features })
+    Ok(ExposeSection {
+        topics,
+        services,
+        calls,
+        actions,
+        action_calls,
+        introspection,
+        parameters,
+        lifecycle,
+        features,
+    })
 }
 
 #[cfg(test)]

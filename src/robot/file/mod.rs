@@ -15,7 +15,9 @@ use downbeat_bridge::ros::{RemapRule, RemapRules};
 use downbeat_msgs::encoding::Encoding;
 use toml::de::DeTable;
 
-pub use expose::{ActionEntry, Direction, ExposeEntry, ExposeSection, ServiceEntry, TopicChoice};
+pub use expose::{
+    ActionEntry, Direction, ExposeEntry, ExposeSection, LifecycleEntry, ServiceEntry, TopicChoice,
+};
 pub use features::{ClockChoice, NodeFeatures};
 pub use launcher::{LauncherChoice, LauncherEntry};
 pub use module::ModuleEntry;

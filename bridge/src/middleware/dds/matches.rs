@@ -192,9 +192,10 @@ pub(super) fn gid(guid: GUID) -> Gid {
     Gid(guid.to_bytes())
 }
 
-/// The hash in the user data of an endpoint: `typehash=RIHS01_…;` among other `key=value;` pairs.
+/// The hash in the user data of an endpoint: `typehash=RIHS01_…;` among other `key=value;` pairs. The engine gives the value of
+/// the parameter as it stands on the wire: a sequence of bytes, which begins with its length.
 fn type_hash(user_data: &[u8]) -> Option<String> {
-    let text = std::str::from_utf8(user_data).ok()?;
+    let text = std::str::from_utf8(user_data.get(4..)?).ok()?;
     text.split(';').find_map(|pair| pair.strip_prefix("typehash=")).map(str::to_owned)
 }
 
@@ -204,8 +205,8 @@ mod tests {
 
     #[test]
     fn a_type_hash_is_found_among_other_user_data() {
-        assert_eq!(type_hash(b"a=b;typehash=RIHS01_00;").as_deref(), Some("RIHS01_00"));
+        assert_eq!(type_hash(b"\x17\0\0\0a=b;typehash=RIHS01_00;\0").as_deref(), Some("RIHS01_00"));
         assert_eq!(type_hash(b""), None);
-        assert_eq!(type_hash(&[0xff, 0xfe]), None);
+        assert_eq!(type_hash(&[2, 0, 0, 0, 0xff, 0xfe]), None);
     }
 }

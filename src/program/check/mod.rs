@@ -1,5 +1,7 @@
 //! `downbeat check`
 
+mod node;
+
 use std::path::Path;
 
 use downbeat::bridge::edge::KnownType;
@@ -7,6 +9,8 @@ use downbeat::bridge::expose::ActionExposure;
 use downbeat::executor::{Core, TopicInfo};
 use downbeat::robot::{ExposedEndpoint, KINDS, Robot, RosArgs};
 use serde_json::json;
+
+use node::NodeReport;
 
 use super::cli::CheckArguments;
 use super::session::add_diagnostics;
@@ -47,7 +51,8 @@ fn check_robot(path: &Path, arguments: &CheckArguments, ros: &RosArgs) -> anyhow
     core.topics().for_each(print_topic);
     println!("\nexposed to ROS 2 as node {}", file.node_name()?);
     print_exposed(&exposed, &file.node_name()?.to_string());
-    print_services(&robot)?;
+    print!("{}", NodeReport::of(&robot)?);
+    print_actions(&robot)?;
     match &file.record.topics {
         None => println!("\nrecorded with --record: all topics"),
         Some(topics) => println!("\nrecorded with --record: {}", topics.join(", ")),
@@ -55,27 +60,10 @@ fn check_robot(path: &Path, arguments: &CheckArguments, ros: &RosArgs) -> anyhow
     Ok(())
 }
 
-fn print_services(robot: &Robot) -> anyhow::Result<()> {
-    for offered in robot.service_exposures()? {
-        let ros_service = offered.ros_service.as_deref().unwrap_or(&offered.service);
-        println!("  service {} -> {ros_service} {}", offered.service, offered.service_type);
-    }
-    for called in robot.call_exposures()? {
-        let ros_service = called.ros_service.as_deref().unwrap_or(&called.service);
-        println!("  service {} <- {ros_service} {}", called.service, called.service_type);
-    }
+fn print_actions(robot: &Robot) -> anyhow::Result<()> {
     for (actions, arrow) in [(robot.action_exposures()?, "->"), (robot.action_call_exposures()?, "<-")] {
         for action in actions {
             println!("  action {} {arrow} {} {}", action.action, action.ros_action(), action.action_type);
-        }
-    }
-    let Some(exposure) = robot.parameter_exposure()? else { return Ok(()) };
-    for module in robot.core.modules() {
-        for setting in robot.core.settings(&module.name).unwrap_or_default() {
-            let name = format!("{}.{}", module.name, setting.name);
-            if exposure.settings.iter().any(|pattern| pattern.matches(&name)) {
-                println!("  parameter {name} = {}", setting.value);
-            }
         }
     }
     Ok(())
@@ -100,6 +88,7 @@ fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_j
         .topics()
         .map(|topic| json!({ "name": *topic.name, "type": type_name(topic), "is_published": topic.is_published }))
         .collect();
+    let NodeReport { features, services, calls, parameters, lifecycle } = NodeReport::of(robot)?;
     let mut actions = Vec::new();
     for (direction, exposures) in [("out", robot.action_exposures()?), ("in", robot.action_call_exposures()?)]
     {
@@ -120,6 +109,11 @@ fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_j
         "topics": topics,
         "exposed": exposed,
         "actions": actions,
+        "features": features,
+        "services": services,
+        "calls": calls,
+        "parameters": parameters,
+        "lifecycle": lifecycle,
         "recorded": file.record.topics,
     }))
 }
