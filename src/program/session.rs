@@ -117,7 +117,7 @@ impl Session {
     /// Shows to ROS 2 what the robot file exposes.
     pub(crate) fn expose(&mut self, options: &ParticipantOptions, log: &Log) -> anyhow::Result<()> {
         let Robot { file, .. } = &self.robot;
-        let exposures = self.robot.exposures()?;
+        let exposed = self.robot.exposed()?;
         let participant = Participant::join_with(options, file.remaps.clone())?;
         let node = participant.create_node(file.given_node_name()?)?;
         let title = format!("{}   domain {}", node.name(), options.domain_id);
@@ -150,7 +150,7 @@ impl Session {
             log.names.set_module(module, node.name());
             tracing::info!("exposed lifecycle: {}", node.name());
         }
-        let bridge = expose::Bridge::start(&mut self.robot.core, &node, &exposures)?;
+        let bridge = expose::Bridge::start(&mut self.robot.core, &node, &exposed.topics)?;
         if let Some(diagnostics) = &self.diagnostics {
             diagnostics.watch_endpoints(bridge.status());
         }
@@ -161,8 +161,14 @@ impl Session {
             };
             tracing::info!("exposed {arrow}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
         }
-        let (offered, called) = (self.robot.service_exposures()?, self.robot.call_exposures()?);
-        let services = expose::expose_services(&mut self.robot.core, &node, &offered, &called)?;
+        let introspection = self.robot.file.expose.introspection;
+        let services = expose::expose_services_with(
+            &mut self.robot.core,
+            &node,
+            &exposed.services,
+            &exposed.calls,
+            introspection,
+        )?;
         for (name, ..) in services.services() {
             tracing::info!("exposed service: {name}");
         }
@@ -253,7 +259,7 @@ impl Session {
             .context("cannot start the thread that writes the bag")?;
         let services = node.map(|node| serve(&node, &recording.control(), takes_snapshots));
         self.recorder_services = services.transpose()?;
-        let exposed = self.robot.exposures()?;
+        let exposed = self.robot.exposed()?.topics;
         let qos_of = |name: &str| {
             let exposure = exposed.iter().find(|exposure| exposure.topic == name);
             exposure.and_then(|exposure| exposure.qos.profile()).unwrap_or(QosProfile::DEFAULT)

@@ -33,9 +33,7 @@ impl RobotFile {
         }
         StepJournal::add(&mut core).map_err(|error| self.source.error(1, error.to_string()))?;
         let robot = Robot { file: self, core };
-        robot.exposures()?;
-        robot.service_exposures()?;
-        robot.call_exposures()?;
+        robot.exposed()?;
         robot.parameter_exposure()?;
         robot.lifecycle_exposures()?;
         robot.recorded_topics()?;

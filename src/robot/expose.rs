@@ -228,8 +228,10 @@ impl Selection<'_> {
 
 /// A topic that a pattern may mean, with its type.
 fn candidate<'a>(entry: &ExposeEntry, topic: &'a TopicInfo) -> Option<(&'a TopicInfo, KnownType)> {
+    // An action is exposed as a whole.
     let is_internal = topic.name.starts_with("executor/")
-        || [step_journal::TOPIC, QOS_EVENTS_TOPIC].contains(&&*topic.name);
+        || [step_journal::TOPIC, QOS_EVENTS_TOPIC].contains(&&*topic.name)
+        || topic.name.contains("/_action/");
     let goes_that_way = topic.is_published == (entry.direction == Direction::Out);
     let message_type = KnownType::of_rust_type(topic.message_type_id)?;
     let has_type = entry.type_name.as_deref().is_none_or(|name| name == message_type.name());

@@ -70,6 +70,11 @@
 //! - `[expose]`: topics that go `out` to ROS 2 or come `in`: each a name, a pattern, or a table, see below; `services` of
 //!   modules that ROS 2 may call, and `calls`, services of ROS 2 that modules call: each a name, or a table of `service`,
 //!   `as`, the name in ROS 2, `type`, needed where no module knows it, and `timeout`, how long its server may take (10 s);
+//!   `actions` of modules that ROS 2 may use, and `action_calls`, actions of ROS 2 that modules use, in the same way, with `action`
+//!   in place of `service`;
+//!   `service_introspection` and `client_introspection`: what services and calls publish on `<service>/_service_event`, "disabled",
+//!   "metadata" or "contents", which the settings `service_configure_introspection` and `client_configure_introspection` of the module
+//!   `bridge_services` change while the robot runs;
 //!   `parameters`: settings that are parameters of the node, by name (`module.setting`) or pattern (`"*"` for all); the node has
 //!   `use_sim_time` and what else rclcpp declares in any case.
 //! - `lifecycle` of `[expose]`: modules that are managed nodes of ROS 2, by name or pattern: each is a node of that name with the
@@ -89,7 +94,7 @@
 //! ## Exposed topics
 //! In a pattern `*` stands for any characters of one part of a name, `**` for any number of parts. It means the topics
 //! that carry ROS messages and that modules publish (`out`), or that modules receive and none publishes (`in`); it never
-//! means those of the executor, and leaves alone what another entry names.
+//! means those of the executor or of actions, and leaves alone what another entry names.
 //!
 //! | key | value | unless given |
 //! | --- | --- | --- |
@@ -161,6 +166,7 @@
 //!
 //! What is wrong with a file is told with its path and line, and the nearest valid name.
 
+mod actions;
 mod build;
 mod expose;
 mod exposed;
@@ -172,11 +178,12 @@ mod recorded;
 mod ros_args;
 mod services;
 
+pub use actions::Exposed;
 pub use build::Robot;
 pub use exposed::{ExposedEndpoint, ExposedQos, ExposedTraffic};
 pub use file::{
-    ClockChoice, Direction, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry, LifecycleEntry,
-    ModuleEntry, NodeFeatures, RecordEntry, RobotFile, RobotFileError, TopicChoice,
+    ActionEntry, ClockChoice, Direction, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry,
+    LifecycleEntry, ModuleEntry, NodeFeatures, RecordEntry, RobotFile, RobotFileError, TopicChoice,
 };
 pub use kinds::{KINDS, Kind};
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};

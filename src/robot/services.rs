@@ -1,7 +1,9 @@
 //! From the services and parameters that a robot file exposes to those that the bridge is to show of a core.
 
 use downbeat_bridge::edge::KnownService;
-use downbeat_bridge::expose::{CallExposure, ParameterExposure, ServiceExposure};
+use downbeat_bridge::expose::{
+    CallExposure, ParameterExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection,
+};
 use downbeat_executor::ServiceInfo;
 
 use super::Robot;
@@ -61,7 +63,7 @@ impl Robot {
     /// If a name or pattern means no setting of the modules; with path and line.
     pub fn parameter_exposure(&self) -> Result<ParameterExposure> {
         let entries = &self.file.expose.parameters;
-        let names: Vec<String> = self
+        let mut names: Vec<String> = self
             .core
             .modules()
             .into_iter()
@@ -70,6 +72,9 @@ impl Robot {
                 settings.into_iter().map(move |setting| format!("{}.{}", module.name, setting.name))
             })
             .collect();
+        // Of a module that joins when services are exposed.
+        let introspection = [ServiceIntrospection::OF_SERVICES, ServiceIntrospection::OF_CLIENTS];
+        names.extend(introspection.map(|setting| format!("{SERVICES_MODULE_NAME}.{setting}")));
         for entry in entries {
             if entry.value.to_string() != ALL && !names.iter().any(|name| entry.value.matches(name)) {
                 let hint = suggestion(&entry.value.to_string(), names.iter().map(String::as_str));
@@ -175,6 +180,22 @@ mod tests {
         assert_eq!(called[1].service_type.name(), "std_srvs/srv/Empty");
         let parameters = robot.parameter_exposure().unwrap();
         assert!(parameters.settings[0].matches("legs.gain") && !parameters.settings[0].matches("legs.side"));
+    }
+
+    #[test]
+    fn introspection_is_chosen_in_the_words_of_ros_and_can_be_a_parameter() {
+        use downbeat_bridge::ros::Introspection;
+        let robot = robot("service_introspection = \"contents\"\nparameters = [\"bridge_services.*\"]");
+        let chosen = robot.file.expose.introspection;
+        assert_eq!((chosen.services, chosen.clients), (Introspection::Contents, Introspection::Off));
+        let parameters = robot.parameter_exposure().unwrap();
+        assert!(parameters.settings[0].matches("bridge_services.service_configure_introspection"));
+        let text = "[robot]\nname = \"r\"\n[[module]]\nkind = \"stand_nod_wave\"\n[expose]\nclient_introspection = \"on\"";
+        let error = RobotFile::parse(Source::new(Path::new("robot.toml"), text.to_owned())).err().unwrap();
+        assert_eq!(
+            error.to_string(),
+            "robot.toml:6: \"on\" is none of \"disabled\", \"metadata\" and \"contents\""
+        );
     }
 
     #[test]

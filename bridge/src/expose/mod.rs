@@ -21,6 +21,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod actions;
 mod bridge;
 mod endpoints;
 mod exposure;
@@ -33,6 +34,7 @@ mod qos_events;
 mod services;
 mod status;
 
+pub use actions::ActionExposure;
 pub use bridge::{Bridge, expose};
 pub use exposure::{ExposeError, Exposure};
 pub use limit::{Limits, OfACycle};
@@ -40,5 +42,8 @@ pub use module::MODULE_NAME;
 pub use parameters::{ParameterExposure, ParameterServer, ParameterServices};
 pub use pattern::{PatternError, TopicPattern};
 pub use qos_events::{QOS_EVENTS_TOPIC, QosCounts};
-pub use services::{CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServicesStatus, expose_services};
+pub use services::{
+    CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection, ServicesStatus,
+    expose_services, expose_services_with,
+};
 pub use status::{BridgeStatus, EndpointReport};

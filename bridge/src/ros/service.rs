@@ -1,12 +1,15 @@
 //! Services that a node offers.
 
+use super::introspection::{Event, ServiceEvents};
 use super::node::{Hold, Listed};
-use super::{Node, NodeError, ServiceName, ServiceType};
+use super::{Introspection, Node, NodeError, ServiceName, ServiceType};
 use crate::middleware::Direction;
 use crate::middleware::rpc::{IncomingRequest, ReplyError, RequestHandler, RequestServer, Responder};
+use downbeat_executor::Clock;
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
 use std::marker::PhantomData;
+use std::sync::Arc;
 
 /// A service that a node offers, until this is dropped.
 ///
@@ -38,6 +41,7 @@ pub struct Service {
     // Fields drop in this order, as in a publisher.
     _listed: [Listed; 2],
     server: RequestServer,
+    events: Arc<ServiceEvents>,
     _hold: Hold,
 }
 
@@ -52,6 +56,21 @@ impl Service {
     #[must_use]
     pub fn service_type(&self) -> &ServiceType {
         &self.service_type
+    }
+
+    /// Publishes on `<service>/_service_event` what this service receives and sends, or no more; `node` is the one that
+    /// offers it, `clock` stamps the events.
+    ///
+    /// # Errors
+    /// [`NodeError`] when the engine refuses the publisher.
+    pub fn configure_introspection(
+        &self,
+        node: &Node,
+        introspection: Introspection,
+        qos: QosProfile,
+        clock: Arc<dyn Clock>,
+    ) -> Result<(), NodeError> {
+        self.events.configure(node, introspection, qos, clock)
     }
 
     /// How many clients of other participants are matched.
@@ -103,6 +122,18 @@ fn typed<S: downbeat_msgs::Service>(
     })
 }
 
+/// Tells of each request and its response.
+fn observed(events: Arc<ServiceEvents>, mut on_request: RequestHandler) -> RequestHandler {
+    Box::new(move |mut request: IncomingRequest| {
+        let (client, number, events) = (request.request_client, request.number, Arc::clone(&events));
+        events.tell(Event::RequestReceived, client, number, &request.cdr);
+        request.responder = request
+            .responder
+            .when_sent(move |response| events.tell(Event::ResponseSent, client, number, response));
+        on_request(request);
+    })
+}
+
 impl Node {
     /// Offers a service whose requests are answered at once. `service` may be absolute, relative or private (`~/…`).
     /// `on_request` runs on the thread that the services and clients of the participant share, so it must return soon.
@@ -151,6 +182,8 @@ impl Node {
         let name = self.service_name(service)?;
         let shared = &self.membership.shared;
         let endpoint = name.endpoint(service_type, qos);
+        let events = ServiceEvents::new(&name, service_type);
+        let on_request = observed(Arc::clone(&events), on_request);
         let server = RequestServer::new(&*shared.middleware, &shared.rpc, &endpoint, on_request)?;
         let (reader, writer) = server.gids();
         Ok(Service {
@@ -161,6 +194,7 @@ impl Node {
                 Listed::new(self.hold(), Direction::Out, writer),
             ],
             server,
+            events,
             _hold: self.hold(),
         })
     }

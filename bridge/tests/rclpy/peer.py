@@ -21,9 +21,14 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
+from actions import Actions
+
 
 def message_class(type_name):
     package, kind, name = type_name.split("/")
+    if kind == "srv" and name.endswith("_Event"):
+        # As `ros2 service echo` finds it.
+        return message_class(type_name.removesuffix("_Event")).Event
     return getattr(importlib.import_module(f"{package}.{kind}"), name)
 
 
@@ -58,6 +63,8 @@ def fill(message, fields):
 def fields_of(message):
     if hasattr(message, "get_fields_and_field_types"):
         return {name: fields_of(getattr(message, name)) for name in message.get_fields_and_field_types()}
+    if hasattr(message, "tolist"):
+        return message.tolist()  # of numpy: an array, or a number of one
     if isinstance(message, float) and not math.isfinite(message):
         return None  # JSON has no other word for it
     if isinstance(message, (str, bool, int, float)):
@@ -77,8 +84,12 @@ def endpoint_of(info):
 EVENT_FIELDS = ["total_count", "current_count", "alive_count", "not_alive_count"]
 
 
-class Peer:
+class Peer(Actions):
+    message_class = staticmethod(message_class)
+    fill = staticmethod(fill)
+
     def __init__(self, name):
+        super().__init__()
         rclpy.init()
         self.node = rclpy.create_node(name)
         self.executor = SingleThreadedExecutor()

@@ -5,6 +5,7 @@ mod node;
 use std::path::Path;
 
 use downbeat::bridge::edge::KnownType;
+use downbeat::bridge::expose::ActionExposure;
 use downbeat::executor::{Core, TopicInfo};
 use downbeat::robot::{ExposedEndpoint, KINDS, Robot, RosArgs};
 use serde_json::json;
@@ -51,11 +52,21 @@ fn check_robot(path: &Path, arguments: &CheckArguments, ros: &RosArgs) -> anyhow
     println!("\nexposed to ROS 2 as node {}", file.node_name()?);
     print_exposed(&exposed, &file.node_name()?.to_string());
     print!("{}", NodeReport::of(&robot)?);
+    print_actions(&robot)?;
     let recorded: Vec<String> = robot.recorded_topics()?.iter().map(|topic| topic.name.to_string()).collect();
     if recorded.len() == core.topics().count() {
         println!("\nrecorded with --record: all topics");
     } else {
         println!("\nrecorded with --record: {}", recorded.join(", "));
+    }
+    Ok(())
+}
+
+fn print_actions(robot: &Robot) -> anyhow::Result<()> {
+    for (actions, arrow) in [(robot.action_exposures()?, "->"), (robot.action_call_exposures()?, "<-")] {
+        for action in actions {
+            println!("  action {} {arrow} {} {}", action.action, action.ros_action(), action.action_type);
+        }
     }
     Ok(())
 }
@@ -80,6 +91,18 @@ fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_j
         .map(|topic| json!({ "name": *topic.name, "type": type_name(topic), "is_published": topic.is_published }))
         .collect();
     let NodeReport { features, services, calls, parameters, lifecycle } = NodeReport::of(robot)?;
+    let mut actions = Vec::new();
+    for (direction, exposures) in [("out", robot.action_exposures()?), ("in", robot.action_call_exposures()?)]
+    {
+        for ActionExposure { action, ros_action, action_type, .. } in exposures {
+            actions.push(json!({
+                "action": action,
+                "ros_action": ros_action.as_ref().unwrap_or(&action),
+                "direction": direction,
+                "type": action_type.name(),
+            }));
+        }
+    }
     Ok(json!({
         "robot": file.name,
         "is_emulated": file.is_emulated(),
@@ -87,6 +110,7 @@ fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_j
         "modules": modules,
         "topics": topics,
         "exposed": exposed,
+        "actions": actions,
         "features": features,
         "services": services,
         "calls": calls,

@@ -14,7 +14,9 @@ use std::path::Path;
 use downbeat_bridge::ros::{RemapRule, RemapRules};
 use toml::de::DeTable;
 
-pub use expose::{Direction, ExposeEntry, ExposeSection, LifecycleEntry, ServiceEntry, TopicChoice};
+pub use expose::{
+    ActionEntry, Direction, ExposeEntry, ExposeSection, LifecycleEntry, ServiceEntry, TopicChoice,
+};
 pub use features::{ClockChoice, NodeFeatures};
 pub use launcher::{LauncherChoice, LauncherEntry};
 pub use module::ModuleEntry;

@@ -65,7 +65,7 @@ fn call(client: &RequestClient, body: &[u8], timeout: Duration) -> Receiver<Answ
     let (sender, answer) = channel();
     client.call(cdr(body), timeout, move |result| {
         // The test may have stopped listening.
-        let _ = sender.send(result);
+        let _ = sender.send(result.map(|answer| answer.cdr));
     });
     answer
 }

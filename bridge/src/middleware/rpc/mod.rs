@@ -17,7 +17,7 @@ mod mapping;
 mod server;
 mod thread;
 
-pub use client::{CallError, CallNumber, RequestClient};
+pub use client::{Answer, CallError, CallNumber, RequestClient};
 pub use server::{IncomingRequest, ReplyError, RequestHandler, RequestServer, Responder};
 pub use thread::RpcThread;
 pub(super) use thread::TimeLimited;
