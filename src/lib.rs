@@ -14,9 +14,11 @@ pub mod duration;
 pub mod encoding;
 pub mod inspect;
 pub mod playback;
+mod raw_recorder;
 pub mod recorder;
 pub mod replay;
 pub mod robot;
+pub mod ros_recorder;
 pub mod step_journal;
 
 pub use downbeat_bags as bags;

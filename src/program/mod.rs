@@ -9,6 +9,7 @@ mod choose;
 pub(crate) mod cli;
 mod emulate;
 mod expose;
+mod expose_service;
 mod faults;
 mod graph;
 mod inspected;
@@ -43,7 +44,7 @@ pub(crate) fn main(cli: Cli) -> ExitCode {
         Command::Top(arguments) => top::top(&arguments),
         Command::Expose(arguments) => expose::expose(&arguments),
         Command::Trace(arguments) => trace::trace(&arguments),
-        Command::Graph(arguments) => graph::graph(&arguments),
+        Command::Graph(arguments) => graph::graph(&arguments, &ros),
         Command::Bag(BagCommand::Info(arguments)) => bag::info::info(&arguments),
         Command::Bag(BagCommand::Record(arguments)) => bag::record::record(&arguments, &ros, &screen),
         Command::Bag(BagCommand::Play(arguments)) => bag::play::play(&arguments, &ros),

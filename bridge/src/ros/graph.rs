@@ -4,6 +4,7 @@
 //! something changes; see `rmw_dds_common` (branch jazzy) and
 //! <https://design.ros2.org/articles/Node_to_Participant_mapping.html>.
 
+use super::network::Owners;
 use super::{MessageType, NodeName, TopicName};
 use crate::middleware::{
     Direction, Endpoint, Gid, Middleware, MiddlewareError, Reader, RejoinStep, RemoteEndpoint, Sample,
@@ -133,6 +134,21 @@ impl Graph {
         }
     }
 
+    /// The nodes of others, and whose endpoints are whose, by what they told.
+    pub(super) fn remote_owners(&self, endpoints: &[RemoteEndpoint]) -> Owners {
+        let alive: BTreeSet<_> = endpoints.iter().map(|endpoint| endpoint.gid.participant()).collect();
+        let mut owners = Owners::default();
+        for (_, info) in lock(&self.heard).iter().filter(|(participant, _)| alive.contains(*participant)) {
+            for node in &info.node_entities_info_seq {
+                let name = full_name(node);
+                let gids = node.reader_gid_seq.iter().chain(&node.writer_gid_seq);
+                owners.owners.extend(gids.map(|gid| (Gid(gid.data), name.clone())));
+                owners.nodes.push((Gid(info.gid.data), name));
+            }
+        }
+        owners
+    }
+
     /// The nodes of others, by what they told and the endpoints that discovery found.
     pub(super) fn remote_nodes(&self, endpoints: &[RemoteEndpoint]) -> Vec<RemoteNode> {
         // A participant that vanished without a last word is known by having no endpoints any more.
@@ -146,10 +162,7 @@ impl Graph {
                 let mut endpoints: Vec<_> =
                     gids.filter_map(|gid| remote_topic(by_gid.get(&Gid(gid.data))?)).collect();
                 endpoints.sort();
-                RemoteNode {
-                    name: format!("{}/{}", node.node_namespace.trim_end_matches('/'), node.node_name),
-                    endpoints,
-                }
+                RemoteNode { name: full_name(node), endpoints }
             })
             .collect()
     }
@@ -230,6 +243,10 @@ fn hear(heard: &Mutex<Heard>, own: [u8; 12], sample: &Sample) {
             tracing::debug!(writer = %sample.writer, %error, "a message on ros_discovery_info is not valid")
         }
     }
+}
+
+fn full_name(node: &NodeEntitiesInfo) -> String {
+    format!("{}/{}", node.node_namespace.trim_end_matches('/'), node.node_name)
 }
 
 fn remote_topic(endpoint: &RemoteEndpoint) -> Option<RemoteTopic> {

@@ -138,7 +138,7 @@ fn publishers(
         let recorded = info.format.as_ref().map(|_| RecordedType::of(topic)).transpose()?;
         let type_name = recorded.as_ref().map_or(&*info.type_name, |recorded| recorded.message_type().name());
         let message_type = MessageType::new(type_name)?;
-        let qos = info.offered_qos.first().copied().unwrap_or_default();
+        let qos = info.offered_qos.first().map_or(QosProfile::DEFAULT, |offered| offered.to_profile());
         let publisher = node.publish(&info.name, &message_type, qos);
         let publisher = publisher.with_context(|| format!("cannot publish {}", info.name))?;
         Ok(Some((publisher, recorded)))
