@@ -64,7 +64,7 @@ def fields_of(message):
     if hasattr(message, "get_fields_and_field_types"):
         return {name: fields_of(getattr(message, name)) for name in message.get_fields_and_field_types()}
     if hasattr(message, "tolist"):
-        return message.tolist()  # of numpy: an array, or a number of one
+        return fields_of(message.tolist())  # of numpy: an array, or a number of one
     if isinstance(message, float) and not math.isfinite(message):
         return None  # JSON has no other word for it
     if isinstance(message, (str, bool, int, float)):
