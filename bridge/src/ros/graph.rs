@@ -10,7 +10,6 @@ use crate::middleware::{
     Direction, Endpoint, Gid, Middleware, MiddlewareError, Reader, RejoinStep, RemoteEndpoint, Sample,
     WriteError, Writer,
 };
-use bytes::Bytes;
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::{Durability, QosProfile};
 use downbeat_msgs::rmw_dds_common::msg::{Gid as GidMessage, NodeEntitiesInfo, ParticipantEntitiesInfo};
@@ -20,10 +19,6 @@ use std::time::Duration;
 
 /// At exit the last message gets this long to be acknowledged; on one machine it takes a millisecond.
 const FAREWELL: Duration = Duration::from_millis(500);
-
-/// Many endpoints that come or go at once are told faster than the engine takes it; a moment later it does.
-const MOMENT: Duration = Duration::from_millis(1);
-const TRIES: u32 = 20;
 
 /// A node of another participant, and its topics.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -192,16 +187,7 @@ impl Own {
                 })
                 .collect(),
         };
-        let message = Bytes::from(cdr::to_vec(&info));
-        let mut result = self.writer.write(message.clone());
-        for _ in 0..TRIES {
-            if result != Err(WriteError::WindowFull) {
-                break;
-            }
-            std::thread::sleep(MOMENT);
-            result = self.writer.write(message.clone());
-        }
-        match result {
+        match self.writer.write(cdr::to_vec(&info).into()) {
             // It is told when the participant is there again.
             Ok(()) | Err(WriteError::Away) => {}
             Err(error) => {
