@@ -170,7 +170,8 @@ impl Module for Flood {
 
 #[test]
 fn what_the_inbox_of_the_bridge_drops_is_counted_by_topic() {
-    const CYCLES: u64 = 1500;
+    // More than the inbox holds, twice: what the bridge took before it was held up, and what waits then.
+    const CYCLES: u64 = 10_000;
     let hub = Hub::new();
     let mut core = Core::new();
     let synchrony = Synchrony::EveryCycle;
