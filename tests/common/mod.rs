@@ -28,7 +28,7 @@ kind = "joint_command_mux"
 "#;
 
 /// Generous: the machine may be busy.
-pub const WATCHDOG: Duration = Duration::from_secs(120);
+pub const WATCHDOG: Duration = Duration::from_secs(60);
 
 /// The program behind [`rclpy::Peer`].
 pub const PEER_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/bridge/tests/rclpy/peer.py");

@@ -128,21 +128,28 @@ impl Bridge {
         core: &mut CoreAccess<'_>,
         exposures: &[Exposure],
     ) -> Result<Vec<Exposed>, ExposeError> {
+        // Each node is created once and kept until its endpoints keep it: peers need not see it come and go.
+        let nodes = exposures.iter().map(|exposure| self.node_of(exposure)).collect::<Result<Vec<_>, _>>()?;
+        // The names that the topics have in ROS 2; nothing where one is not valid, which the creation tells.
+        let names: Vec<_> = exposures
+            .iter()
+            .zip(&nodes)
+            .map(|(exposure, node)| node.topic_name(exposure.ros_topic()).ok().map(|topic| topic.to_string()))
+            .collect();
         let mut all = Vec::with_capacity(exposures.len());
-        for exposure in exposures {
-            let name = self.name_of(exposure);
+        for ((exposure, node), name) in exposures.iter().zip(&nodes).zip(&names) {
             let is_reverse = |report: &EndpointReport| {
                 exposure.is_reverse_of(&report.topic, report.direction)
                     && !(exposure.message_type.is_raw() && name.as_ref() != Some(&report.ros_topic))
             };
-            let others = exposures.iter().any(|other| {
+            let others = exposures.iter().zip(&names).any(|(other, name_of_other)| {
                 exposure.is_reverse_of(&other.topic, other.direction)
-                    && !(exposure.message_type.is_raw() && name != self.name_of(other))
+                    && !(exposure.message_type.is_raw() && name != name_of_other)
             });
             if others || self.endpoints.any(is_reverse) {
                 return Err(ExposeError::BothDirections(exposure.topic.clone()));
             }
-            let exposed = self.create(core, exposure)?;
+            let exposed = self.create(core, node, exposure)?;
             let new = exposed.report();
             let is_same = |report: &EndpointReport| {
                 report.direction == new.direction
@@ -157,19 +164,21 @@ impl Bridge {
         Ok(all)
     }
 
-    /// The name that the topic of an exposure has in ROS 2; nothing where it is not valid, which its creation tells.
-    fn name_of(&self, exposure: &Exposure) -> Option<String> {
-        let node =
-            exposure.node.as_ref().map_or_else(|| Ok(self.node.clone()), |name| self.node.sibling(name));
-        node.ok()?.topic_name(exposure.ros_topic()).ok().map(|topic| topic.to_string())
+    fn node_of(&self, exposure: &Exposure) -> Result<Node, ExposeError> {
+        let failed = |error| ExposeError::Endpoint { topic: exposure.topic.clone(), error };
+        match &exposure.node {
+            None => Ok(self.node.clone()),
+            Some(name) => self.node.sibling(name).map_err(failed),
+        }
     }
 
-    fn create(&self, core: &mut CoreAccess<'_>, exposure: &Exposure) -> Result<Exposed, ExposeError> {
+    fn create(
+        &self,
+        core: &mut CoreAccess<'_>,
+        node: &Node,
+        exposure: &Exposure,
+    ) -> Result<Exposed, ExposeError> {
         let failed = |error| ExposeError::Endpoint { topic: exposure.topic.clone(), error };
-        let node = match &exposure.node {
-            None => self.node.clone(),
-            Some(name) => self.node.sibling(name).map_err(failed)?,
-        };
         let traffic = Arc::<Traffic>::default();
         let events = |ros_topic: &str| {
             let events = self.events.clone();
@@ -177,7 +186,7 @@ impl Bridge {
         };
         let (held, endpoint, ros_topic, qos, events) = match exposure.direction {
             Direction::Out => {
-                let publisher = Arc::new(publisher(&node, exposure).map_err(failed)?);
+                let publisher = Arc::new(publisher(node, exposure).map_err(failed)?);
                 let (topic, qos) = (publisher.topic().to_string(), publisher.qos());
                 let events = events(&topic);
                 let told = Arc::clone(&events);
@@ -199,8 +208,8 @@ impl Bridge {
                 let inlet = exposure.message_type.inlet_with(core, &exposure.topic, waiting)?;
                 let limiter = Limiter::new(exposure.limits);
                 let take = from_ros(inlet, Arc::clone(&traffic), limiter, Arc::clone(&self.clock));
-                let subscription = Arc::new(subscription(&node, exposure, take).map_err(failed)?);
-                if let Err(error) = learn(&node, &subscription, exposure.message_type) {
+                let subscription = Arc::new(subscription(node, exposure, take).map_err(failed)?);
+                if let Err(error) = learn(node, &subscription, exposure.message_type) {
                     tracing::warn!(topic = exposure.topic, %error, "nobody is asked what the type looks like: no thread");
                 }
                 let (topic, qos) = (subscription.topic().to_string(), subscription.qos());

@@ -84,7 +84,8 @@ impl Participant {
     /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
     pub fn on_with(middleware: Arc<dyn Middleware>, remaps: RemapRules) -> Result<Self, MiddlewareError> {
         let rpc = RpcThread::start().map_err(MiddlewareError::ServiceThread)?;
-        let (graph, nodes, furnishers) = (Graph::join(&*middleware)?, Mutex::default(), Mutex::default());
+        let graph = Graph::join(&*middleware, rpc.link())?;
+        let (nodes, furnishers) = (Mutex::default(), Mutex::default());
         Ok(Self { shared: Arc::new(Shared { graph, rpc, middleware, remaps, nodes, furnishers }) })
     }
 

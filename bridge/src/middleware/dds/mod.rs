@@ -42,6 +42,9 @@ pub const LOG_TARGET: &str = "rustdds";
 /// When rustdds has surely answered a participant that was found.
 const ANSWERED: Duration = Duration::from_millis(100);
 
+/// How long a participant that joins looks for others before it has endpoints; more by [`ANSWERED`] when it finds some.
+const FIRST_LOOK: Duration = Duration::from_millis(100);
+
 type SharedMatches = Arc<Mutex<Matches>>;
 
 /// A participant of a DDS domain.
@@ -102,7 +105,7 @@ impl DdsParticipant {
         let static_peers = listening.map(announce).transpose().map_err(|error| failed(error.to_string()))?;
         let first_fragments = FirstFragments::new().map_err(|error| failed(error.to_string()))?;
         let first_fragments = Arc::new(first_fragments);
-        Ok(Self {
+        let joined = Self {
             gid,
             reader_thread,
             matches,
@@ -111,7 +114,28 @@ impl DdsParticipant {
             publisher,
             subscriber,
             participant,
-        })
+        };
+        joined.look_around();
+        Ok(joined)
+    }
+
+    /// Waits until those who are there have surely found this participant.
+    ///
+    /// They are then told of its endpoints one by one and in order. Were endpoints created meanwhile, the first would come
+    /// again behind later ones, and Fast DDS 2.14 forgets some when two participants do that at once: it keeps what
+    /// comes out of order sorted by source timestamps (`ReaderHistory::add_change`), of which rustdds sends none with
+    /// announcements. Such an endpoint would stay unknown to that peer for ever.
+    fn look_around(&self) {
+        std::thread::sleep(FIRST_LOOK);
+        self.wait_until_all_are_answered();
+    }
+
+    fn wait_until_all_are_answered(&self) {
+        let last_participant = lock(&self.matches).last_participant();
+        let answering = last_participant.and_then(|found| ANSWERED.checked_sub(found.elapsed()));
+        if let Some(rest) = answering {
+            std::thread::sleep(rest);
+        }
     }
 
     fn topic(
@@ -177,11 +201,7 @@ impl Drop for DdsParticipant {
         // 10 ms after a participant was found the discovery thread of rustdds 0.15 holds a strong reference for a moment,
         // to answer it. Were ours dropped in that moment, that thread would drop the participant, fail to join itself,
         // and never tell the others that we leave.
-        let last_participant = lock(&self.matches).last_participant();
-        let answering = last_participant.and_then(|found| ANSWERED.checked_sub(found.elapsed()));
-        if let Some(rest) = answering {
-            std::thread::sleep(rest);
-        }
+        self.wait_until_all_are_answered();
     }
 }
 

@@ -20,7 +20,7 @@ mod thread;
 pub use client::{Answer, CallError, CallNumber, RequestClient};
 pub use server::{IncomingRequest, ReplyError, RequestHandler, RequestServer, Responder};
 pub use thread::RpcThread;
-pub(super) use thread::TimeLimited;
+pub(crate) use thread::{RpcLink, TimeLimited};
 
 use super::{Endpoint, Gid};
 use downbeat_msgs::qos::{History, QosProfile};

@@ -27,7 +27,7 @@ impl RpcThread {
     }
 
     /// The same for other time limits, under another name.
-    pub(in crate::middleware) fn start_named(name: &str) -> io::Result<Self> {
+    pub(crate) fn start_named(name: &str) -> io::Result<Self> {
         // Unbounded as such; what comes in is bounded by what servers and clients may have in flight.
         let (sender, jobs) = unbounded();
         let thread =
@@ -36,7 +36,7 @@ impl RpcThread {
         Ok(Self { link, thread: Some(thread) })
     }
 
-    pub(in crate::middleware) fn link(&self) -> RpcLink {
+    pub(crate) fn link(&self) -> RpcLink {
         self.link.clone()
     }
 }
@@ -55,7 +55,7 @@ impl Drop for RpcThread {
 
 /// Hands jobs to the thread; keeps it not alive.
 #[derive(Clone)]
-pub(in crate::middleware) struct RpcLink {
+pub(crate) struct RpcLink {
     jobs: Sender<Job>,
     thread: ThreadId,
 }
@@ -67,12 +67,12 @@ impl RpcLink {
     }
 
     /// Keeps the time limits of `limited` until it is gone.
-    pub(in crate::middleware) fn watch(&self, limited: Weak<dyn TimeLimited>) {
+    pub(crate) fn watch(&self, limited: Weak<dyn TimeLimited>) {
         self.send(Job::Watch(limited));
     }
 
     /// Has the thread ask again what is due next.
-    pub(in crate::middleware) fn look_again(&self) {
+    pub(crate) fn look_again(&self) {
         self.send(Job::LookAgain);
     }
 
@@ -88,7 +88,7 @@ impl RpcLink {
 }
 
 /// Something with time limits.
-pub(in crate::middleware) trait TimeLimited: Send + Sync {
+pub(crate) trait TimeLimited: Send + Sync {
     /// When the first of them is due.
     fn due(&self) -> Option<Instant>;
     /// Ends what is due by `now`.
