@@ -4,11 +4,11 @@
 //! bag becomes CDR by what the bag itself says of a topic, so that playback and replay need not be told.
 
 use bytes::Bytes;
+use downbeat_bags::metadata::RecordedQos;
 use downbeat_bags::{MessageFormat, RecordedTopic, TopicInfo};
 use downbeat_bridge::edge::{KnownType, UnknownType};
 use downbeat_msgs::encoding::{self, Codec, Encoding};
 use downbeat_msgs::foxglove;
-use downbeat_msgs::qos::QosProfile;
 
 /// How a bag describes a topic of that type in that encoding, and what encodes its messages; nothing does if that is CDR.
 ///
@@ -17,24 +17,36 @@ use downbeat_msgs::qos::QosProfile;
 pub fn topic_info(
     name: String,
     message_type: KnownType,
-    offered_qos: Vec<QosProfile>,
+    offered_qos: Vec<RecordedQos>,
     encoding: Encoding,
 ) -> Result<(TopicInfo, Option<Codec>), encoding::Error> {
-    let codec = match encoding {
-        Encoding::Cdr => None,
-        other => Some(other.codec_of_text(message_type.name(), message_type.definition())?),
-    };
     let info = TopicInfo {
         name,
         type_name: message_type.name().into(),
         definition: message_type.definition().into(),
         type_hash: message_type.hash().into(),
         offered_qos,
-        format: codec.as_ref().map(|codec| MessageFormat {
-            message_encoding: codec.message_encoding().into(),
-            schema: codec.schema().clone(),
-        }),
+        format: None,
     };
+    described_topic_info(info, encoding)
+}
+
+/// The same of a topic whose type is told by its definition alone.
+///
+/// # Errors
+/// If the type cannot be in the encoding, its definition is none, or this build lacks the encoding.
+pub fn described_topic_info(
+    mut info: TopicInfo,
+    encoding: Encoding,
+) -> Result<(TopicInfo, Option<Codec>), encoding::Error> {
+    let codec = match encoding {
+        Encoding::Cdr => None,
+        other => Some(other.codec_of_text(&info.type_name, &info.definition)?),
+    };
+    info.format = codec.as_ref().map(|codec| MessageFormat {
+        message_encoding: codec.message_encoding().into(),
+        schema: codec.schema().clone(),
+    });
     Ok((info, codec))
 }
 

@@ -14,10 +14,13 @@ pub mod duration;
 pub mod encoding;
 pub mod inspect;
 pub mod playback;
+mod raw_recorder;
 pub mod recorder;
 pub mod replay;
 pub mod robot;
+pub mod ros_recorder;
 pub mod step_journal;
+pub mod table;
 
 pub use downbeat_bags as bags;
 pub use downbeat_bridge as bridge;

@@ -2,14 +2,17 @@
 
 use bytes::Bytes;
 use downbeat_bags::{RecordError, Recording, RecordingSender, TopicId};
-use downbeat_bridge::edge::{KnownType, Sink};
+use downbeat_bridge::edge::{KnownType, RawMessage, Sink};
 use downbeat_executor::{
-    Core, Inbox, Module, ModuleOptions, Role, Setup, SetupError, Synchrony, Time, TopicInfo,
+    Context, Core, Inbox, Module, ModuleOptions, Received, Role, Setup, SetupError, Synchrony, Time,
+    TopicInfo,
 };
 use downbeat_msgs::encoding::{self, Codec, Encoding};
 use downbeat_msgs::qos::QosProfile;
 
 use crate::encoding::topic_info;
+use crate::raw_recorder::RawToBag;
+use std::any::TypeId;
 
 /// Why a robot cannot be recorded.
 #[derive(Debug, thiserror::Error)]
@@ -52,13 +55,18 @@ pub fn record(
     qos_of: impl Fn(&str) -> QosProfile,
 ) -> Result<(), RecorderError> {
     let sender = recording.sender();
-    let mut recorder = Recorder { sender: sender.clone(), when_full, topics: Vec::new() };
+    let mut recorder = Recorder { sender: sender.clone(), when_full, topics: Vec::new(), raw: Vec::new() };
     for topic in topics {
+        if topic.message_type_id == TypeId::of::<RawMessage>() {
+            let (name, qos) = (format!("/{}", topic.name), qos_of(&topic.name));
+            recorder.raw.push((topic.name.to_string(), RawToBag::new(sender.clone(), when_full, name, qos)));
+            continue;
+        }
         let Some(message_type) = KnownType::of_rust_type(topic.message_type_id) else {
             tracing::debug!("{} is not recorded: {} is no ROS message", topic.name, topic.message_type);
             continue;
         };
-        let qos = vec![qos_of(&topic.name)];
+        let qos = vec![qos_of(&topic.name).into()];
         let (info, codec) = topic_info(format!("/{}", topic.name), message_type, qos, encoding)?;
         let id = sender.add_topic(info)?;
         recorder.topics.push((topic.name.to_string(), message_type, codec, id));
@@ -75,6 +83,8 @@ struct Recorder {
     sender: RecordingSender,
     when_full: WhenFull,
     topics: Vec<(String, KnownType, Option<Codec>, TopicId)>,
+    /// By the name of the topic in the core.
+    raw: Vec<(String, RawToBag)>,
 }
 
 impl Module for Recorder {
@@ -83,7 +93,19 @@ impl Module for Recorder {
             let to_bag = ToBag { sender: self.sender.clone(), when_full: self.when_full, codec, topic };
             message_type.subscribe(setup, &name, to_bag)?;
         }
+        for (index, (name, _)) in self.raw.iter().enumerate() {
+            let take = move |recorder: &mut Self, message: Received<'_, RawMessage>, _: &mut Context<'_>| {
+                if let Some((_, to_bag)) = recorder.raw.get_mut(index) {
+                    to_bag.take(message.time(), &message);
+                }
+            };
+            setup.subscribe(name, take)?;
+        }
         Ok(())
+    }
+
+    fn shutdown(&mut self, _ctx: &mut Context<'_>) {
+        self.raw.iter_mut().for_each(|(_, to_bag)| to_bag.write_waiting());
     }
 }
 

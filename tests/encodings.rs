@@ -79,7 +79,7 @@ fn a_robot_recorded_as_foxglove_has_it_is_read_by_mcap_and_its_protobuf_support(
     assert_eq!(found["schemas"]["/imu/data_raw"], "sensor_msgs.msg.Imu");
     let mut counts = BTreeMap::<&str, u64>::new();
     ours.iter().for_each(|(topic, ..)| *counts.entry(topic).or_default() += 1);
-    assert!(counts["/joint_states"] > 100, "{counts:?}");
+    assert!(counts["/joint_states"] > 10, "{counts:?}");
     assert_eq!(found["counts"], serde_json::to_value(&counts).unwrap());
 
     let (_, _, last) = ours.iter().rfind(|message| message.0 == "/joint_states").unwrap();

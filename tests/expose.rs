@@ -208,6 +208,49 @@ fn endpoints_come_and_go_in_rclpy_while_the_robot_runs() {
 }
 
 #[test]
+fn rclpy_changes_what_is_exposed_by_a_service_of_the_node() {
+    let Some(mut peer) = Peer::start(145, "LOCALHOST") else { return };
+    let _check = check("Selection", "the service `~/expose`", With::Rclpy, Way::In);
+    let folder = tempfile::tempdir().unwrap();
+    let file = robot(folder.path(), "", "out = [\"joint_states\"]\nexpose_service = true");
+    let mut robot = Running::start(&["run", &file, "--domain", "145"]);
+    let (service, kind) = ("/darwin_op/expose", "rcl_interfaces/srv/SetParameters");
+    peer.ask(json!({"do": "client", "service": service, "type": kind}));
+    assert_eq!(peer.ask(json!({"do": "wait_for_service", "service": service})), true);
+    let change = |peer: &mut Peer, topic: &str, value: Value| {
+        let request = json!({"parameters": [{"name": topic, "value": value}]});
+        let answer = peer.ask(json!({"do": "call", "service": service, "requests": [request]}));
+        let result = &answer[0]["results"][0];
+        (result["successful"] == true, result["reason"].as_str().unwrap().to_owned())
+    };
+    let how = json!({"type": 4, "string_value": "out, as = \"/sensors/*\", qos = \"sensor_data\""});
+    let added = change(&mut peer, "imu/*", how.clone());
+    assert_eq!(added, (true, "/sensors/data_raw [sensor_msgs/msg/Imu]".to_owned()));
+    let qos = json!({"reliability": "best_effort"});
+    peer.ask(
+        json!({"do": "subscribe", "topic": "/sensors/data_raw", "type": "sensor_msgs/msg/Imu", "qos": qos}),
+    );
+    assert!(!peer.take("/sensors/data_raw", 3).is_empty());
+    for (topic, value, problem) in [
+        ("imu/data_raw", how, "has a wildcard"),
+        ("joint_states", json!({"type": 4, "string_value": "out"}), "exposed already"),
+        ("buttons", json!({"type": 4, "string_value": "out, rate = 10"}), "expose:1: "),
+        ("buttons", json!({"type": 3, "double_value": 1.0}), "value of type 3"),
+        ("/nothing", json!({}), "is not exposed; there is"),
+    ] {
+        let (is_done, reason) = change(&mut peer, topic, value);
+        assert!(!is_done && reason.contains(problem), "{topic}: {reason}");
+    }
+    assert!(change(&mut peer, "/sensors/**", json!({})).0);
+    wait_until("what was taken back is gone from its node", || {
+        let published = peer.ask(json!({"do": "published_by", "node": "darwin_op"}));
+        published.get("/sensors/data_raw").is_none() && published.get("/joint_states").is_some()
+    });
+    robot.interrupt();
+    peer.leave();
+}
+
+#[test]
 fn check_says_what_would_be_exposed() {
     let folder = tempfile::tempdir().unwrap();
     let expose = "out = [{ topic = \"joint_states\", rate_hz = 10.0, latest_only = true }, { topic = \"imu/*\", as = \"/*\", node = \"imu\" }]\n\
@@ -228,9 +271,43 @@ fn check_says_what_would_be_exposed() {
     }
     let json: Value = serde_json::from_str(&text_of(&["check", &file, "--json"])).unwrap();
     assert_eq!(json["node"], "/darwin_op");
+    assert_eq!((&json["lifecycle"], &json["features"]["clock"]), (&serde_json::json!([]), &"own".into()));
     assert_eq!(json["exposed"][0]["rate_hz"], 10.0);
     assert_eq!(json["exposed"][1]["node"], "/imu");
     assert_eq!(json["exposed"][2]["qos"]["durability"], "best_available");
+}
+
+#[test]
+fn check_says_what_the_node_would_have_besides() {
+    let folder = tempfile::tempdir().unwrap();
+    let expose = "clock = { publish_hz = 50.0 }\nexpose_service = true\nlogger_service = false\nnetwork = true\n\
+                  parameters = [\"mux.*\"]\nlifecycle = [\"m*\"]\n\
+                  calls = [{ service = \"plan\", as = \"~/plan\", type = \"std_srvs/srv/Trigger\" }]";
+    let file = robot(folder.path(), "", expose);
+    let text = text_of(&["check", &file, "--ros-args", "-r", "__ns:=/robot1", "-r", "motion:__node:=legs"]);
+    let lines: Vec<_> =
+        text.lines().map(|line| line.split_whitespace().collect::<Vec<_>>().join(" ")).collect();
+    for expected in [
+        "time -> /clock, 50 Hz",
+        "log -> /rosout",
+        "what is exposed <- ~/expose",
+        "what else is on the network -> topic network of the robot",
+        "service plan <- /robot1/darwin_op/plan std_srvs/srv/Trigger",
+        "lifecycle of motion -> node /robot1/legs",
+        "lifecycle of mux -> node /robot1/mux",
+        "parameter mux.hold_s = 2",
+    ] {
+        assert!(lines.iter().any(|line| line == expected), "{expected}\n  is not in\n{text}");
+    }
+    assert!(!text.contains("levels of loggers"), "{text}");
+    let json: Value = serde_json::from_str(&text_of(&["check", &file, "--json"])).unwrap();
+    assert_eq!(json["features"]["clock_hz"], 50.0);
+    assert_eq!(json["features"]["logger_service"], false);
+    assert_eq!(json["lifecycle"][1], serde_json::json!({"module": "mux", "node": "/mux"}));
+    assert_eq!(
+        (&json["parameters"][0]["name"], &json["calls"][0]["timeout_s"]),
+        (&"mux.hold_s".into(), &10.0.into())
+    );
 }
 
 #[test]

@@ -90,3 +90,58 @@ fn rclpy_hears_the_log_of_the_robot_unless_the_robot_file_says_no() {
         peer.leave();
     }
 }
+
+#[test]
+fn rclpy_reads_and_sets_the_levels_of_loggers_of_a_running_robot() {
+    let Some(mut peer) = Peer::start(140, "LOCALHOST") else { return };
+    let _check = check("Node services", "get_logger_levels, set_logger_levels", With::Rclpy, Way::In);
+    let folder = tempfile::tempdir().unwrap();
+    let robot = robot_file(folder.path(), |text| text);
+    let sockets = folder.path().join("sockets");
+    std::fs::create_dir(&sockets).unwrap();
+    let run = ["run", robot.to_str().unwrap(), "--domain", "140"];
+    let mut running = Running::start_with(&run, &[("XDG_RUNTIME_DIR", &sockets)]);
+    let qos = json!({"depth": 1000, "durability": "transient_local"});
+    peer.ask(json!({"do": "subscribe", "topic": "/rosout", "type": "rcl_interfaces/msg/Log", "qos": qos}));
+    let service = |verb: &str| format!("/darwin_op/{verb}_logger_levels");
+    for (verb, kind) in [("get", "GetLoggerLevels"), ("set", "SetLoggerLevels")] {
+        let client =
+            json!({"do": "client", "service": service(verb), "type": format!("rcl_interfaces/srv/{kind}")});
+        peer.ask(client);
+        assert_eq!(peer.ask(json!({"do": "wait_for_service", "service": service(verb)})), true);
+    }
+    let get = |peer: &mut Peer, names: serde_json::Value| {
+        let request = json!({"names": names});
+        let answer = peer.ask(json!({"do": "call", "service": service("get"), "requests": [request]}));
+        let levels = answer[0]["levels"].as_array().unwrap().iter().map(|level| level["level"].clone());
+        levels.collect::<Vec<_>>()
+    };
+    let set = |peer: &mut Peer, level: u32| {
+        let request = json!({"levels": [{"name": "darwin_op", "level": level}]});
+        let answer = peer.ask(json!({"do": "call", "service": service("set"), "requests": [request]}));
+        answer[0]["results"][0].clone()
+    };
+    let accepted = json!({"successful": true, "reason": ""});
+    assert_eq!(get(&mut peer, json!(["", "darwin_op"])), [20, 0]);
+    let expose = |verb: &[&str]| {
+        let mut command = downbeat(&[&["expose", "darwin_op"], verb].concat());
+        assert!(command.env("XDG_RUNTIME_DIR", &sockets).status().unwrap().success());
+    };
+    assert_eq!(set(&mut peer, 40), accepted);
+    assert_eq!(get(&mut peer, json!(["darwin_op"])), [40]);
+    expose(&["add", "out", "joint_goals", "--as", "quietly"]);
+    assert_eq!(set(&mut peer, 20), accepted);
+    expose(&["add", "out", "joint_goals", "--as", "aloud"]);
+    let mut told = Vec::new();
+    wait_until("rclpy hears what is logged at the new level", || {
+        let lines = peer.ask(json!({"do": "take", "topic": "/rosout"}));
+        told.extend(lines.as_array().unwrap().iter().map(|line| line["fields"]["msg"].to_string()));
+        told.iter().any(|line| line.contains("/aloud"))
+    });
+    assert!(!told.iter().any(|line| line.contains("/quietly")), "{told:?}");
+    running.wait_for_output("exposed while running: /aloud");
+    assert!(!running.output().contains("/quietly"));
+    assert_eq!(set(&mut peer, 15)["successful"], false);
+    running.interrupt();
+    peer.leave();
+}

@@ -11,9 +11,7 @@ use serde_json::{Value, json};
 #[test]
 fn settings_of_a_running_robot_are_parameters_of_its_node() {
     let folder = tempfile::tempdir().unwrap();
-    let robot = robot_file(folder.path(), |text| {
-        text.replacen("[expose]\n", "[expose]\nparameters = [\"mux.*\", \"*.stand_s\"]\n", 1)
-    });
+    let robot = robot_file(folder.path(), |text| text);
     let robot = robot.to_str().unwrap();
     let checked = text_of(&["check", robot]);
     assert!(checked.contains("parameter mux.hold_s = 2"), "{checked}");

@@ -16,7 +16,7 @@
 //!     type_name: "std_msgs/msg/String".to_owned(),
 //!     definition: "string data\n".to_owned(),
 //!     type_hash: "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18".to_owned(),
-//!     offered_qos: vec![downbeat_msgs::qos::QosProfile::DEFAULT],
+//!     offered_qos: vec![downbeat_msgs::qos::QosProfile::DEFAULT.into()],
 //!     format: None,
 //! })?;
 //! let hi = Bytes::from_static(b"\x00\x01\x00\x00\x03\x00\x00\x00hi\x00");
@@ -48,6 +48,7 @@ mod lz4;
 pub mod metadata;
 mod playback;
 mod player;
+mod read_ahead;
 mod reader;
 mod recording;
 mod sizes;
@@ -66,8 +67,14 @@ pub use player::{Player, PlayerOptions};
 pub use reader::{
     BagMessage, Messages, Reader, ReaderError, RecordedTopic, Selection, Truncation, TruncationCause,
 };
-pub use recording::{RecordError, Recording, RecordingFailed, RecordingSender, RecordingStatistics};
+pub use recording::{
+    ControlError, RecordError, Recording, RecordingControl, RecordingFailed, RecordingOptions,
+    RecordingSender, RecordingStatistics, SnapshotLimits, WhenSlow,
+};
 pub use sizes::{ServiceCalls, TopicSizes};
 pub use summary::{RecordingSummary, TopicCount};
 pub use topic::{MessageFormat, TopicId, TopicInfo};
-pub use writer::{Compression, Writer, WriterError, WriterOptions};
+pub use writer::{
+    Compression, CompressionLevel, FileSplit, McapOptions, SplitLimits, StorageConfigError, StoragePreset,
+    SyncPolicy, WhenDiskFull, Writer, WriterError, WriterOptions,
+};

@@ -93,6 +93,9 @@ pub enum PlaybackError {
     /// The bag cannot be read.
     #[error(transparent)]
     Read(#[from] ReaderError),
+    /// The system has no thread left that reads ahead.
+    #[error("cannot start the thread that reads a bag: {0}")]
+    Thread(#[source] std::io::Error),
 }
 
 /// What is to be done now.

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use crate::edit::{Merged, TopicMap, merge_topics};
 use crate::playback::{Playback, PlaybackError, Rate, Step};
+use crate::read_ahead::{AheadOf, ReadAhead};
 use crate::reader::{BagMessage, Reader, ReaderError, RecordedTopic, Selection};
 use crate::topic::{TopicId, TopicInfo};
 
@@ -28,6 +29,13 @@ pub struct PlayerOptions {
     /// Whether what latched topics (transient local) had last sent before the beginning comes first, as a subscriber would
     /// have received it then.
     pub plays_latched: bool,
+    /// How many messages are read before they are due.
+    pub read_ahead: usize,
+}
+
+impl PlayerOptions {
+    /// As many as `ros2 bag play` reads ahead.
+    pub const DEFAULT_READ_AHEAD: usize = 1000;
 }
 
 impl Default for PlayerOptions {
@@ -40,6 +48,7 @@ impl Default for PlayerOptions {
             repeats: false,
             starts_paused: false,
             plays_latched: true,
+            read_ahead: Self::DEFAULT_READ_AHEAD,
         }
     }
 }
@@ -50,14 +59,16 @@ pub struct Player<'a> {
     topics: Vec<RecordedTopic>,
     ids: Vec<TopicMap>,
     is_wanted: Vec<bool>,
-    /// The first message of the bags, where playing begins, and the last time that is played.
+    /// The first and the last message of the bags, where playing begins, and the last time that is played.
     start: i64,
+    last: i64,
     begin: i64,
     end: i64,
     repeats: bool,
     plays_latched: bool,
     latched: VecDeque<BagMessage>,
-    playback: Playback<Merged>,
+    playback: Playback<AheadOf>,
+    read_ahead: ReadAhead,
     /// Messages given since the last beginning: bags without any do not repeat for ever.
     given: u64,
 }
@@ -86,18 +97,21 @@ impl<'a> Player<'a> {
             return Err(PlaybackError::StartOffset { offset: options.start_offset, length });
         }
         let end = options.duration.map_or(i64::MAX, |duration| after(begin, duration)).min(options.until);
+        let read_ahead = ReadAhead::start(options.read_ahead).map_err(PlaybackError::Thread)?;
         let mut player = Self {
             bags,
             topics,
             ids,
             is_wanted,
             start,
+            last,
             begin,
             end,
             repeats: options.repeats,
             plays_latched: options.plays_latched,
             latched: VecDeque::new(),
-            playback: Playback::new(Merged::new(Vec::new()), begin, options.rate),
+            playback: Playback::new(read_ahead.read(Merged::new(Vec::new())), begin, options.rate),
+            read_ahead,
             given: 0,
         };
         if options.starts_paused {
@@ -123,6 +137,12 @@ impl<'a> Player<'a> {
     #[must_use]
     pub fn start_time(&self) -> i64 {
         self.start
+    }
+
+    /// When the last message that is played was received.
+    #[must_use]
+    pub fn end_time(&self) -> i64 {
+        self.last.min(self.end)
     }
 
     /// What is to be done at `now`, a reading of any steady clock.
@@ -208,7 +228,7 @@ impl<'a> Player<'a> {
 
     fn go_to(&mut self, time: i64) -> Result<(), ReaderError> {
         let messages = self.messages(Selection::all().from(time).until(self.end), |_| true)?;
-        self.playback.replace(messages);
+        self.playback.replace(self.read_ahead.read(messages));
         self.latched = if self.plays_latched { self.latched_before(time)? } else { VecDeque::new() };
         Ok(())
     }

@@ -8,8 +8,12 @@ use std::time::Duration;
 pub struct RecordingSummary {
     /// The bag directory.
     pub path: PathBuf,
-    /// Size of the bag file in bytes.
+    /// Size of the bag files in bytes.
     pub bytes: u64,
+    /// How many files there are.
+    pub files: usize,
+    /// Messages in files that were deleted, since there would have been too many.
+    pub deleted: u64,
     /// When the first message was received, in nanoseconds since the epoch; `None` without messages.
     pub starting_time: Option<i64>,
     /// From the first to the last message.

@@ -3,6 +3,8 @@
 use downbeat_msgs::encoding::Schema;
 use downbeat_msgs::qos::{Durability, History, QosProfile};
 
+use crate::metadata::RecordedQos;
+
 /// A topic as a bag describes it. The strings come from whoever made the type; this crate knows no message types.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TopicInfo {
@@ -10,15 +12,16 @@ pub struct TopicInfo {
     pub name: String,
     /// ROS type name, `sensor_msgs/msg/JointState`.
     pub type_name: String,
-    /// The `ros2msg` text of the type, its dependencies included, as rosbag2 writes it.
+    /// The text of the type, its dependencies included, as rosbag2 writes it: that of a message, or, where the topic carries
+    /// the events of a service, that of the service, which begins with a line `SRV: package/srv/Name` below a rule.
     ///
     /// Empty when it is not known. A reader also leaves it empty when the bag holds something other than `ros2msg`, and a
     /// writer does not write it where [`TopicInfo::format`] has a schema.
     pub definition: String,
     /// Type hash as in REP-2016, `RIHS01_…`; empty when it is not known.
     pub type_hash: String,
-    /// What each publisher of the topic offered.
-    pub offered_qos: Vec<QosProfile>,
+    /// What each publisher of the topic offered, as far as it is known: what is heard in discovery has no history.
+    pub offered_qos: Vec<RecordedQos>,
     /// How its messages are serialised, where that is not CDR described by a `ros2msg` text.
     pub format: Option<MessageFormat>,
 }
@@ -27,12 +30,12 @@ impl TopicInfo {
     /// How many of the last messages a publisher holds for subscribers to come (transient local); 0 if it holds none.
     #[must_use]
     pub fn latched_depth(&self) -> usize {
-        let depth = |qos: &QosProfile| match (qos.durability, qos.history) {
+        let depth = |qos: QosProfile| match (qos.durability, qos.history) {
             (Durability::Volatile, _) => 0,
             (Durability::TransientLocal, History::KeepLast(depth)) => depth as usize,
             (Durability::TransientLocal, History::KeepAll) => usize::MAX,
         };
-        self.offered_qos.iter().map(depth).max().unwrap_or(0)
+        self.offered_qos.iter().map(RecordedQos::to_profile).map(depth).max().unwrap_or(0)
     }
 
     /// What a channel and the metadata of a bag say of the serialisation.
@@ -45,8 +48,7 @@ impl TopicInfo {
         self.format.as_ref().map_or_else(
             || Schema {
                 name: self.type_name.clone(),
-                // The format asks for an empty encoding where there is no schema text.
-                encoding: if self.definition.is_empty() { "" } else { "ros2msg" }.to_owned(),
+                encoding: encoding_of(&self.definition).to_owned(),
                 data: self.definition.clone().into_bytes(),
             },
             |format| format.schema.clone(),
@@ -88,6 +90,23 @@ impl TopicId {
         usize::from(self.0)
     }
 }
+
+/// What rosbag2 calls the encoding of a definition text (`local_message_definition_source.cpp`).
+fn encoding_of(definition: &str) -> &'static str {
+    let headed = definition.strip_prefix(RULE).and_then(|rest| rest.strip_prefix('\n'));
+    match headed {
+        // The format asks for an empty encoding where there is no text.
+        None if definition.is_empty() => "",
+        None => "ros2msg",
+        Some(headed) if headed.starts_with("IDL: ") => "ros2idl",
+        // A service that refers to no message: the form is decided by what it refers to.
+        Some(headed) if headed.starts_with("SRV: ") && !headed.contains(RULE) => "unknown",
+        Some(_) => "ros2msg",
+    }
+}
+
+/// The line between definitions.
+const RULE: &str = "================================================================================";
 
 /// Whether a topic carries the events of a service (service introspection), which `ros2 bag info` lists apart.
 ///

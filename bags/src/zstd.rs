@@ -3,6 +3,9 @@
 //! # References
 //! The format is RFC 8878, "Zstandard Compression and the 'application/zstd' Media Type".
 
+mod entropy;
+mod fast;
+
 use std::io::{self, BufRead, Read, Write};
 
 use ruzstd::decoding::errors::{FrameDecoderError, ReadFrameHeaderError};
@@ -12,7 +15,15 @@ use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 /// How far back a frame may refer: what the reference implementation accepts unless told otherwise.
 const LARGEST_WINDOW: u64 = 128 * 1024 * 1024;
 
-/// Compresses to one frame with a checksum, at the fastest level.
+/// Compresses to one frame without a checksum, as fast as can be.
+pub(crate) fn compress_fast(content: &[u8]) -> Vec<u8> {
+    if u32::try_from(content.len()).is_err() {
+        return compress(content);
+    }
+    fast::compress(content)
+}
+
+/// Compresses to one frame with a checksum, at the only level that `ruzstd` has.
 pub(crate) fn compress(content: &[u8]) -> Vec<u8> {
     compress_to_vec(content, CompressionLevel::Fastest)
 }
@@ -143,11 +154,51 @@ mod tests {
     fn content_of_any_length_comes_back() {
         for length in (0..300).chain([4095, 131_071, 131_072, 131_073, 400_000]) {
             for content in [mixed(length), vec![7; length]] {
-                let compressed = compress(&content);
-                assert_eq!(decompress(&compressed, length as u64).as_ref(), Ok(&content), "{length}");
+                for compressed in [compress(&content), compress_fast(&content)] {
+                    assert_eq!(decompress(&compressed, length as u64).as_ref(), Ok(&content), "{length}");
+                }
             }
         }
+        assert!(compress_fast(&mixed(400_000)).len() < 250_000);
         assert!(compress(&mixed(400_000)).len() < 200_000);
+    }
+
+    /// Long and short matches, near and far, runs, and what does not repeat, in an order that a seed decides.
+    fn patchwork(seed: u32, length: usize) -> Vec<u8> {
+        let mut state = seed;
+        let mut random = |below: usize| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) as usize % below.max(1)
+        };
+        let mut content: Vec<u8> = Vec::new();
+        while content.len() < length {
+            let most = [3, 30, 300, 3000, 200_000][random(5)];
+            let size = 1 + random(most);
+            match random(3) {
+                0 => content.extend((0..size).map(|_| random(256) as u8)),
+                1 => {
+                    let byte = random(256) as u8;
+                    content.extend(std::iter::repeat_n(byte, size));
+                }
+                _ => {
+                    let from = random(content.len());
+                    for position in from..from + size.min(content.len()) {
+                        content.push(content[position]);
+                    }
+                }
+            }
+        }
+        content
+    }
+
+    #[test]
+    fn whatever_is_compressed_fast_comes_back() {
+        for seed in 0..300 {
+            let content = patchwork(seed, 1 << (seed % 22));
+            let compressed = compress_fast(&content);
+            let read = decompress(&compressed, content.len() as u64);
+            assert!(read.as_ref() == Ok(&content), "seed {seed}: {:?}", read.err());
+        }
     }
 
     #[test]

@@ -78,15 +78,20 @@ fn what_we_publish_reaches_cyclone() {
     wait_until("both are matched", || {
         states.matched_subscriptions() == 1 && is_matched(&mut peer, "/joint_states")
     });
-    for number in 0..100 {
+    let send = |number: f64| {
         let state = JointState {
             header: Header { frame_id: "base_link".into(), ..Header::default() },
             name: vec!["head_pan".into(), "head_tilt".into()],
-            position: vec![0.25, f64::from(number)],
+            position: vec![0.25, number],
             ..JointState::default()
         };
         states.publish(cdr::to_vec(&state).into()).unwrap();
-    }
+    };
+    // One of the first samples after the match may be missed, see the limits in README.md.
+    send(-1.0);
+    let take = |peer: &mut Peer| peer.ask(json!({"do": "take", "topic": "/joint_states"}));
+    wait_until("samples come", || !take(&mut peer).as_array().unwrap().is_empty());
+    (0..100).for_each(|number| send(f64::from(number)));
     for (number, message) in peer.take("/joint_states", 100).iter().enumerate() {
         assert_eq!(message["fields"]["name"], json!(["head_pan", "head_tilt"]));
         assert_eq!(message["fields"]["position"], json!([0.25, number as f64]));

@@ -6,7 +6,8 @@ mod common;
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{WATCHDOG, on_loopback, wait_until};
-use downbeat_bridge::expose::{ParameterExposure, ParameterServices, TopicPattern, expose_parameters};
+use downbeat_bridge::clock::{NodeClock, SimTime};
+use downbeat_bridge::expose::{ParameterExposure, ParameterServer, ParameterServices, TopicPattern};
 use downbeat_bridge::ros::{NodeName, Participant};
 use downbeat_executor::{Core, CoreHandle, Inbox, Module, ModuleOptions, Setup, SetupError, Synchrony};
 use serde_json::{Value, json};
@@ -22,6 +23,8 @@ impl Module for Arm {
         setup.setting("limits", vec![-1.0, 1.0], "of a joint, rad")?;
         setup.setting("ids", vec![1_i64, 2], "on the bus")?;
         setup.setting("joints", vec!["a".to_owned()], "by name")?;
+        setup.setting("mask", vec![true, false], "which joints give way")?;
+        setup.setting("key", vec![0_u8, 255], "of the bus")?;
         Ok(())
     }
 }
@@ -29,7 +32,8 @@ impl Module for Arm {
 struct Robot {
     handle: CoreHandle,
     thread: Option<std::thread::JoinHandle<()>>,
-    _parameters: ParameterServices,
+    sim_time: SimTime,
+    _parameters: [ParameterServices; 2],
     _participant: Participant,
 }
 
@@ -43,9 +47,11 @@ impl Drop for Robot {
     }
 }
 
-/// Modules `arm`, `camera` (detached) and `secret`, of which the last is not selected.
+/// Modules `arm`, `camera` (detached) and `secret`, of which the last is not selected; a node `/robot`, and `/arm` of that
+/// module alone.
 fn robot(domain_id: u16) -> Robot {
-    let mut core = Core::new();
+    let clock = NodeClock::default();
+    let mut core = Core::new().with_clock(clock.clone());
     core.add("arm", Arm).unwrap();
     let detached =
         ModuleOptions { synchrony: Synchrony::Detached(Inbox::KeepAll), ..ModuleOptions::default() };
@@ -53,23 +59,34 @@ fn robot(domain_id: u16) -> Robot {
     core.add("secret", Arm).unwrap();
     let participant = Participant::join(&on_loopback(domain_id)).unwrap();
     let node = participant.create_node(NodeName::new("/", "robot").unwrap()).unwrap();
-    let settings = ["arm.*", "camera.gain"].map(|pattern| TopicPattern::new(pattern).unwrap()).into();
-    let exposure = ParameterExposure { settings, follows_clock: false };
-    let parameters = expose_parameters(&core, &node, exposure).unwrap();
+    let arm = participant.create_node(NodeName::new("/", "arm").unwrap()).unwrap();
+    let settings: Vec<_> = ["arm.*", "camera.gain"].map(|pattern| TopicPattern::new(pattern).unwrap()).into();
     let handle = core.handle();
+    let sim_time = clock.sim_time(&node, &handle);
+    let server = ParameterServer::start(&core, Some(sim_time.clone())).unwrap();
+    let of_robot = ParameterExposure { settings: settings.clone(), of_module: None };
+    let of_arm = ParameterExposure { settings, of_module: Some("arm".into()) };
+    let parameters = [(&node, of_robot), (&arm, of_arm)];
+    let parameters = parameters.map(|(node, exposure)| server.serve(node, exposure).unwrap());
     let thread = Some(std::thread::spawn(move || core.run().unwrap()));
-    Robot { handle, thread, _parameters: parameters, _participant: participant }
+    Robot { handle, thread, sim_time, _parameters: parameters, _participant: participant }
 }
 
-const NAMES: [&str; 10] = [
+const NAMES: [&str; 16] = [
     "arm.count",
     "arm.gain",
     "arm.hard",
     "arm.ids",
     "arm.joints",
+    "arm.key",
     "arm.limits",
+    "arm.mask",
     "arm.name",
     "camera.gain",
+    "qos_overrides./parameter_events.publisher.depth",
+    "qos_overrides./parameter_events.publisher.durability",
+    "qos_overrides./parameter_events.publisher.history",
+    "qos_overrides./parameter_events.publisher.reliability",
     "start_type_description_service",
     "use_sim_time",
 ];
@@ -84,13 +101,16 @@ fn rclpy_lists_gets_and_describes_what_is_selected() {
     let _check = check("Parameters", "list, get, get types, describe", With::Rclpy, Way::In);
     let _robot = robot(192);
     let listed = ask(&mut rclpy, "list_parameters", json!([]));
-    assert_eq!(listed["result"], json!({"names": NAMES, "prefixes": ["arm", "camera"]}));
+    assert_eq!(
+        listed["result"],
+        json!({"names": NAMES, "prefixes": ["arm", "camera", "qos_overrides./parameter_events.publisher"]})
+    );
     let listed = ask(&mut rclpy, "list_parameters", json!(["camera"]));
     assert_eq!(listed["result"]["names"], json!(["camera.gain"]));
 
     let got = ask(&mut rclpy, "get_parameters", json!(NAMES));
     let values = got["values"].as_array().unwrap();
-    let types = [2, 3, 1, 7, 9, 8, 4, 3, 1, 1];
+    let types = [2, 3, 1, 7, 9, 5, 8, 6, 4, 3, 2, 4, 4, 4, 1, 1];
     assert_eq!(values.iter().map(|value| value["type"].clone()).collect::<Vec<_>>(), types);
     assert_eq!(
         (&values[0]["integer_value"], &values[1]["double_value"], &values[2]["bool_value"]),
@@ -98,8 +118,15 @@ fn rclpy_lists_gets_and_describes_what_is_selected() {
     );
     assert_eq!(values[3]["integer_array_value"], json!([1, 2]));
     assert_eq!(values[4]["string_array_value"], json!(["a"]));
-    assert_eq!(values[5]["double_array_value"], json!([-1.0, 1.0]));
-    assert_eq!(values[6]["string_value"], "left");
+    // A byte is a list of one number to rclpy's fields.
+    assert_eq!(values[5]["byte_array_value"], json!([[0], [255]]));
+    assert_eq!(values[6]["double_array_value"], json!([-1.0, 1.0]));
+    assert_eq!(values[7]["bool_array_value"], json!([true, false]));
+    assert_eq!(values[8]["string_value"], "left");
+    assert_eq!(
+        (&values[10]["integer_value"], &values[13]["string_value"]),
+        (&json!(1000), &json!("reliable"))
+    );
     assert_eq!(ask(&mut rclpy, "get_parameter_types", json!(NAMES))["types"], json!(types));
     assert_eq!(ask(&mut rclpy, "get_parameters", json!(["secret.gain"]))["values"], json!([]));
 
@@ -135,6 +162,8 @@ fn rclpy_sets_values_and_is_told_why_one_is_refused() {
         ("arm.limits", json!([-0.5, 0.5])),
         ("arm.ids", json!([7, 8, 9])),
         ("arm.joints", json!(["x", "y"])),
+        ("arm.mask", json!([false, true, true])),
+        ("arm.key", json!([1, 2, 3])),
         ("arm.gain", json!(2)),
         ("use_sim_time", json!(false)),
     ] {
@@ -154,18 +183,22 @@ fn rclpy_sets_values_and_is_told_why_one_is_refused() {
         ("arm.hard", json!(1), "expected bool"),
         ("secret.gain", json!(1.0), "was not declared"),
         ("start_type_description_service", json!(false), "read-only"),
-        ("use_sim_time", json!(true), "robot file"),
+        ("use_sim_time", json!("yes"), "is not allowed"),
+        ("qos_overrides./parameter_events.publisher.depth", json!(1), "read-only"),
     ] {
         let (is_accepted, reason) = set(&mut rclpy, name, wrong);
         assert!(!is_accepted && reason.contains(word), "{name}: {reason}");
     }
     assert_eq!(value("arm", "gain"), 2.0.into());
 
-    let atomically = json!({"arm.gain": 3.0, "camera.gain": 3.0, "arm.count": 99});
+    assert_eq!(value("arm", "key"), vec![1_u8, 2, 3].into());
+
+    let atomically = json!({"arm.gain": 3.0, "camera.gain": 3.0, "use_sim_time": true, "arm.count": 99});
     let refused = ask(&mut rclpy, "set_parameters_atomically", atomically);
     assert_eq!(refused["result"]["successful"], false);
     assert!(refused["result"]["reason"].as_str().unwrap().contains("99"), "{refused}");
     assert_eq!((value("arm", "gain"), value("camera", "gain")), (2.0.into(), 0.5.into()));
+    assert!(!robot.sim_time.is_on());
     let accepted = ask(&mut rclpy, "set_parameters_atomically", json!({"arm.gain": 3.0, "arm.count": 1}));
     assert_eq!(accepted["result"]["successful"], true);
     assert_eq!((value("arm", "gain"), value("arm", "count")), (3.0.into(), 1_i64.into()));
@@ -199,4 +232,53 @@ fn changes_are_told_on_parameter_events_whoever_made_them() {
     wait_for(&mut rclpy, 2.0);
     robot.handle.set("arm", "gain", 0.25).wait(WATCHDOG).unwrap().unwrap();
     wait_for(&mut rclpy, 0.25);
+}
+
+#[test]
+fn a_node_of_one_module_has_its_settings_by_their_own_names() {
+    let Some(mut rclpy) = Peer::start(141, "LOCALHOST") else { return };
+    let _check = check("Parameters", "of each node of a process", With::Rclpy, Way::In);
+    let robot = robot(141);
+    let mut ask = |call: &str, argument: Value| {
+        rclpy.ask(json!({"do": "parameters", "node": "/arm", "call": call, "argument": argument}))
+    };
+    let listed = ask("list_parameters", json!([]));
+    let names = listed["result"]["names"].as_array().unwrap();
+    assert!(names.contains(&json!("gain")) && names.contains(&json!("use_sim_time")), "{names:?}");
+    assert!(names.iter().all(|name| !name.as_str().unwrap().contains("arm.")), "{names:?}");
+    assert_eq!(ask("set_parameters", json!({"gain": 1.5}))["results"][0]["successful"], true);
+    let settings = robot.handle.settings("arm").wait(WATCHDOG).unwrap().unwrap();
+    assert_eq!(settings[0].value, 1.5.into());
+}
+
+#[test]
+fn a_node_that_is_told_to_use_sim_time_follows_the_clock_of_rclpy_until_it_is_told_not_to() {
+    let Some(mut rclpy) = Peer::start(142, "LOCALHOST") else { return };
+    let _check = check("Parameters", "use_sim_time while it runs", With::Rclpy, Way::In);
+    let robot = robot(142);
+    let own = robot.handle.snapshot().wait(WATCHDOG).unwrap().time;
+    let set = |rclpy: &mut Peer, is_on: bool| {
+        let answer = ask(rclpy, "set_parameters", json!({"use_sim_time": is_on}));
+        assert_eq!(answer["results"][0], json!({"successful": true, "reason": ""}));
+        assert_eq!(ask(rclpy, "get_parameters", json!(["use_sim_time"]))["values"][0]["bool_value"], is_on);
+    };
+    set(&mut rclpy, true);
+    let overrides = ask(&mut rclpy, "list_parameters", json!(["qos_overrides./clock"]));
+    assert_eq!(overrides["result"]["names"].as_array().unwrap().len(), 4);
+    rclpy.ask(json!({"do": "advertise", "topic": "/clock", "type": "rosgraph_msgs/msg/Clock"}));
+    let mut seconds = 0;
+    wait_until("the core has the time of rclpy", || {
+        seconds += 1;
+        let fields = json!({"clock": {"sec": 5_000 + seconds, "nanosec": 0}});
+        rclpy.ask(json!({"do": "publish", "topic": "/clock", "fields": fields}));
+        let now = robot.handle.snapshot().wait(WATCHDOG).unwrap().time;
+        (5_000..6_000).contains(&(now.as_nanos() / 1_000_000_000))
+    });
+    set(&mut rclpy, false);
+    wait_until("the core has its own time again", || {
+        robot.handle.snapshot().wait(WATCHDOG).unwrap().time >= own
+    });
+    let subscriptions = rclpy.ask(json!({"do": "subscriptions_of", "topic": "/clock"}));
+    let of_robot = |info: &Value| info["node"] == "/robot";
+    assert!(!subscriptions.as_array().unwrap().iter().any(of_robot), "{subscriptions}");
 }

@@ -8,8 +8,8 @@ use common::rclpy::Peer;
 use common::{on_loopback, wait_until};
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::middleware::{
-    Endpoint, Gid, Middleware, MiddlewareError, Reader, RemoteEndpoint, Sample, SampleHandler, WriteError,
-    WriteOptions, Writer,
+    Endpoint, EventHandler, Gid, Middleware, MiddlewareError, Reader, RemoteEndpoint, Sample, SampleHandler,
+    WriteError, WriteOptions, Writer,
 };
 use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant};
 use downbeat_bridge::rosout::{Rosout, RosoutError, RosoutStatus};
@@ -151,6 +151,10 @@ impl Writer for BrokenWriter {
 
     fn on_match(&self, handler: Box<dyn Fn() + Send + Sync>) {
         self.0.on_match(handler);
+    }
+
+    fn on_event(&self, handler: EventHandler) {
+        self.0.on_event(handler);
     }
 
     fn write_with(&self, _cdr: bytes::Bytes, _options: WriteOptions) -> Result<i64, WriteError> {

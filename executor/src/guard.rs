@@ -6,11 +6,18 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 /// Runs what drops messages of a user's type. A panic in there is told, and nothing else stops for it.
 /// Returns false if there was one.
 pub(crate) fn drop_guarded(what: &str, run: impl FnOnce()) -> bool {
-    let outcome = catch_unwind(AssertUnwindSafe(run)).map_err(end_of);
-    if let Err(panic) = &outcome {
-        tracing::error!("{what} panicked while it was dropped: {panic}");
+    match catch_unwind(AssertUnwindSafe(run)) {
+        Ok(()) => true,
+        Err(panic) => {
+            tell(what, panic);
+            false
+        }
     }
-    outcome.is_ok()
+}
+
+#[cold]
+fn tell(what: &str, panic: Box<dyn Any + Send>) {
+    tracing::error!("{what} panicked while it was dropped: {}", end_of(panic));
 }
 
 /// What a panic said, which ends here: what it carried may panic in its drop.

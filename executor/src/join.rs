@@ -9,6 +9,7 @@ use crossbeam::sync::Unparker;
 
 use crate::detached::StepOutcome;
 use crate::guard::drop_guarded;
+use crate::listeners::Listeners;
 use crate::management::Command;
 use crate::service::AnyCall;
 use crate::{ModuleId, Time};
@@ -21,6 +22,7 @@ pub(crate) struct JoinQueue {
     /// True if the clock was moved.
     clock: AtomicBool,
     core: Unparker,
+    pub(crate) listeners: Listeners,
     stop: AtomicBool,
     closed: AtomicBool,
     ended: AtomicBool,
@@ -45,6 +47,7 @@ impl JoinQueue {
             inlets: AtomicBool::new(false),
             clock: AtomicBool::new(false),
             core,
+            listeners: Listeners::default(),
             stop: AtomicBool::new(false),
             closed: AtomicBool::new(false),
             ended: AtomicBool::new(false),

@@ -84,6 +84,12 @@ impl<'a, M> Setup<'a, M> {
         self.registries.topics.infos()
     }
 
+    /// What stands for a name of the module's own where it was added, by the [remaps](crate::ModuleOptions::remaps) it was
+    /// given: for code that makes several names of one. Topics and services are remapped by themselves.
+    pub fn remapped(&mut self, name: &str) -> String {
+        self.resolve(name)
+    }
+
     /// An error with a reason of the module's own.
     #[must_use]
     pub fn refuse(&self, reason: impl Into<String>) -> SetupError {

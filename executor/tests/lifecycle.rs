@@ -268,3 +268,47 @@ fn a_module_that_is_removed_while_unconfigured_still_gets_its_last_callback() {
     cycles(&mut core, &clock, 1);
     assert_eq!(log.take(), ["shutdown"]);
 }
+
+#[test]
+fn who_listens_is_told_each_step_in_its_order_whatever_becomes_of_the_module() {
+    use std::sync::{Arc, Mutex};
+    let ((mut core, clock), log) = (manual_core(), Log::default());
+    let failing = Managed { fails_in: Some(Transition::Activate), ..Managed::new(&log) };
+    core.add_with("failing", failing, initially(Active)).unwrap();
+    let panicking = Managed { panics_in: Some(Transition::Configure), ..Managed::new(&log) };
+    core.add_with("panicking", panicking, initially(Inactive)).unwrap();
+    let told = Arc::<Mutex<Vec<LifeEvent>>>::default();
+    let events = Arc::clone(&told);
+    let listening = core.handle().on_transition(move |event| events.lock().unwrap().push(event.clone()));
+    let _other = core.handle().on_transition(|_| panic!("a listener that panics, as this test wants it"));
+    cycles(&mut core, &clock, 2);
+    let steps = |module: &str| {
+        let told = told.lock().unwrap();
+        told.iter().filter(|event| *event.module == *module).map(|event| event.step).collect::<Vec<_>>()
+    };
+    let (configure, activate) = (Transition::Configure, Transition::Activate);
+    assert_eq!(
+        steps("failing"),
+        [
+            LifeStep::Begins { transition: configure, from: Unconfigured },
+            LifeStep::Made { transition: configure, to: Inactive },
+            LifeStep::Begins { transition: activate, from: Inactive },
+            LifeStep::Failed { transition: activate, state: Inactive },
+        ]
+    );
+    assert_eq!(
+        steps("panicking"),
+        [
+            LifeStep::Begins { transition: configure, from: Unconfigured },
+            LifeStep::Panicked { transition: Some(configure), from: Unconfigured },
+        ]
+    );
+    core.handle().remove("failing");
+    cycles(&mut core, &clock, 1);
+    let ended = LifeStep::Made { transition: Transition::Shutdown, to: Finalized };
+    assert_eq!(steps("failing").last(), Some(&ended));
+    drop(listening);
+    core.add_with("failing", Managed::new(&log), initially(Inactive)).unwrap();
+    cycles(&mut core, &clock, 1);
+    assert_eq!(steps("failing").last(), Some(&ended), "nothing is told any more");
+}

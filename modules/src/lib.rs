@@ -1,5 +1,6 @@
 //! Ready robot modules.
 //!
+//! - [`actions`]: no module, but what modules use: actions that they serve and use;
 //! - [`darwin_op`]: the hardware of the humanoid Darwin OP;
 //! - [`darwin_op_emulator`]: an emulated one behind a pseudo terminal;
 //! - [`joint_command_mux`]: who may command which joint;
@@ -8,6 +9,7 @@
 //!
 //! What each publishes, takes and can be set to is on its page, and all together in `README.md`.
 
+pub mod actions;
 pub mod darwin_op;
 pub mod darwin_op_emulator;
 pub mod joint_command_mux;

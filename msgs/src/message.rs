@@ -2,9 +2,12 @@
 
 use std::fmt::Debug;
 
+use crate::builtin_interfaces::msg::Time;
 use crate::cdr::Cdr;
 use crate::description::{Description, Field, FieldType, expand};
+use crate::service_msgs::msg::ServiceEventInfo;
 use crate::type_description_interfaces::msg::TypeDescription;
+use crate::unique_identifier_msgs::msg::UUID;
 
 /// A ROS 2 message.
 pub trait Message: Cdr + Clone + Default + Debug + PartialEq + Send + Sync + 'static {
@@ -59,9 +62,26 @@ pub trait Service: Send + Sync + 'static {
     fn type_description() -> TypeDescription {
         expand(Self::DESCRIPTION)
     }
+
+    /// Puts together what service introspection publishes.
+    #[must_use]
+    fn event(
+        info: ServiceEventInfo,
+        request: Option<Self::Request>,
+        response: Option<Self::Response>,
+    ) -> Self::Event;
 }
 
+/// The request of a service.
+type Request<S> = <S as Service>::Request;
+
+/// The response of a service.
+type Response<S> = <S as Service>::Response;
+
 /// A ROS 2 action. The types that implement it have no values, they name it.
+///
+/// Its functions put the messages by which client and server talk together, and take them apart, for code that treats all
+/// actions alike.
 pub trait Action: Send + Sync + 'static {
     /// As in `test_msgs/action/Fibonacci`.
     const TYPE_NAME: &'static str;
@@ -101,6 +121,46 @@ pub trait Action: Send + Sync + 'static {
     fn type_description() -> TypeDescription {
         expand(Self::DESCRIPTION)
     }
+
+    /// A request of `send_goal`.
+    #[must_use]
+    fn send_goal_request(goal_id: UUID, goal: Self::Goal) -> Request<Self::SendGoal>;
+
+    /// The goal of a request of `send_goal`, and its id.
+    #[must_use]
+    fn goal_of(request: Request<Self::SendGoal>) -> (UUID, Self::Goal);
+
+    /// A response of `send_goal`: whether the goal was accepted, and when.
+    #[must_use]
+    fn send_goal_response(accepted: bool, stamp: Time) -> Response<Self::SendGoal>;
+
+    /// Whether a goal was accepted, and when.
+    #[must_use]
+    fn acceptance_of(response: Response<Self::SendGoal>) -> (bool, Time);
+
+    /// A request of `get_result`.
+    #[must_use]
+    fn get_result_request(goal_id: UUID) -> Request<Self::GetResult>;
+
+    /// The goal whose result is asked for.
+    #[must_use]
+    fn goal_id_of(request: Request<Self::GetResult>) -> UUID;
+
+    /// A response of `get_result`; the status is one of `action_msgs/msg/GoalStatus`.
+    #[must_use]
+    fn get_result_response(status: i8, result: Self::Result) -> Response<Self::GetResult>;
+
+    /// The status in which a goal ended, and its result.
+    #[must_use]
+    fn result_of(response: Response<Self::GetResult>) -> (i8, Self::Result);
+
+    /// A message of the topic `feedback`.
+    #[must_use]
+    fn feedback_message(goal_id: UUID, feedback: Self::Feedback) -> Self::FeedbackMessage;
+
+    /// The goal that a message of the topic `feedback` is about, and what it says.
+    #[must_use]
+    fn feedback_of(message: &Self::FeedbackMessage) -> (UUID, &Self::Feedback);
 }
 
 const fn service_field(name: &'static str, service: &'static Description) -> Field {
@@ -134,6 +194,40 @@ mod tests {
         assert_eq!(SetBool::TYPE_NAME, "std_srvs/srv/SetBool");
         assert_eq!(<SetBool as Service>::Request::TYPE_NAME, "std_srvs/srv/SetBool_Request");
         assert_eq!(<SetBool as Service>::Event::DEFINITION, SetBool::DEFINITION);
+    }
+
+    #[test]
+    fn an_event_holds_the_request_or_the_response() {
+        use crate::service_msgs::msg::ServiceEventInfo;
+        use crate::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
+        let info = ServiceEventInfo { sequence_number: 7, ..ServiceEventInfo::default() };
+        let (request, response) = (SetBoolRequest { data: true }, SetBoolResponse::default());
+        let event = SetBool::event(info, Some(request), None);
+        assert_eq!(
+            (event.info.sequence_number, &event.request[..], event.response.len()),
+            (7, &[request][..], 0)
+        );
+        let event = SetBool::event(info, None, Some(response.clone()));
+        assert_eq!((event.request.len(), &event.response[..]), (0, &[response][..]));
+    }
+
+    #[cfg(feature = "test_msgs")]
+    #[test]
+    fn the_messages_of_an_action_are_taken_apart_into_what_they_were_made_of() {
+        use super::Action;
+        use crate::test_msgs::action::{Fibonacci, FibonacciFeedback, FibonacciGoal, FibonacciResult};
+        use crate::{builtin_interfaces::msg::Time, unique_identifier_msgs::msg::UUID};
+        let (id, stamp) = (UUID { uuid: [7; 16] }, Time { sec: 1, nanosec: 2 });
+        let goal = FibonacciGoal { order: 9 };
+        assert_eq!(Fibonacci::goal_of(Fibonacci::send_goal_request(id, goal)), (id, goal));
+        assert_eq!(Fibonacci::acceptance_of(Fibonacci::send_goal_response(true, stamp)), (true, stamp));
+        assert_eq!(Fibonacci::goal_id_of(Fibonacci::get_result_request(id)), id);
+        let result = FibonacciResult { sequence: vec![0, 1, 1] };
+        let response = Fibonacci::get_result_response(4, result.clone());
+        assert_eq!(Fibonacci::result_of(response), (4, result));
+        let feedback = FibonacciFeedback { sequence: vec![0, 1] };
+        let message = Fibonacci::feedback_message(id, feedback.clone());
+        assert_eq!(Fibonacci::feedback_of(&message), (id, &feedback));
     }
 
     #[test]

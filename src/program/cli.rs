@@ -14,8 +14,11 @@ use super::bag::check::CheckBagArguments;
 use super::bag::convert::ConvertArguments;
 use super::bag::cut::CutArguments;
 use super::bag::diff::DiffArguments;
+use super::bag::export::ExportArguments;
 use super::bag::info::InfoArguments;
 use super::bag::play::PlayArguments;
+use super::bag::plot::PlotArguments;
+use super::bag::record::arguments::RecordArguments;
 use super::bag::reindex::ReindexArguments;
 use super::bag::repair::RepairArguments;
 use super::bag::replay::ReplayArguments;
@@ -46,9 +49,15 @@ impl Cli {
             Ok((others, ros)) => (others, ros.with_variables(|name| std::env::var(name).ok())),
             Err(error) => refuse(error.to_string()),
         };
-        let cli = Self { ros, ..Self::parse_from(others) };
+        let mut cli = Self { ros, ..Self::parse_from(others) };
+        if let Command::Bag(BagCommand::Record(arguments)) = &cli.command
+            && let Some(level) = arguments.log_level
+        {
+            cli.ros.log.level = Some(level.into());
+        }
         let makes_node = match &cli.command {
             Command::Run(_) | Command::Check(_) => true,
+            Command::Graph(arguments) => arguments.robot.is_none(),
             Command::Bag(command) => {
                 matches!(command, BagCommand::Record(_) | BagCommand::Play(_) | BagCommand::Replay(_))
             }
@@ -56,7 +65,7 @@ impl Cli {
         };
         if !makes_node && !cli.ros.is_empty() {
             refuse(
-                "--ros-args goes with commands that make a ROS 2 node: run, check, bag record, bag play, bag replay"
+                "--ros-args goes with commands that make a ROS 2 node: run, check, graph of the network, bag record, bag play, bag replay"
                     .into(),
             );
         }
@@ -76,7 +85,7 @@ pub(crate) enum Command {
     Trace(TraceArguments),
     /// Show what a running robot exposes to ROS 2, expose more, or take it back.
     Expose(ExposeArguments),
-    /// Draw the modules, topics and services of a robot file, without running it.
+    /// Show the nodes, topics and services of the ROS 2 network, or draw the modules of a robot file without running it.
     Graph(GraphArguments),
     /// Look at a bag, record one, play one.
     #[command(subcommand)]
@@ -250,16 +259,29 @@ pub(crate) enum ExposeDirection {
 
 #[derive(Args)]
 pub(crate) struct GraphArguments {
-    /// The robot file.
+    /// The robot file; without one it is the network that is looked at.
     #[arg(value_name = "ROBOT.toml")]
-    pub(crate) robot: PathBuf,
-    /// The language to draw in.
-    #[arg(long, value_enum, default_value_t = GraphFormat::Dot)]
-    pub(crate) format: GraphFormat,
+    pub(crate) robot: Option<PathBuf>,
+    /// How to show it: text for the network unless given, dot for a robot file.
+    #[arg(long, value_enum)]
+    pub(crate) format: Option<GraphFormat>,
+    /// As JSON.
+    #[arg(long, conflicts_with = "format")]
+    pub(crate) json: bool,
+    /// The ROS domain to look at, instead of ROS_DOMAIN_ID.
+    #[arg(long, value_name = "N", conflicts_with = "robot")]
+    pub(crate) domain: Option<u16>,
+    /// How long to look at the most: until the nodes of all endpoints are known, which takes seconds.
+    #[arg(long, value_parser = duration, value_name = "TIME", default_value = "8s", conflicts_with = "robot")]
+    pub(crate) wait: Duration,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 pub(crate) enum GraphFormat {
+    /// Lines.
+    Text,
+    /// For programs.
+    Json,
     /// For Graphviz: `downbeat graph robot.toml | dot -Tsvg > robot.svg`.
     Dot,
     /// For Mermaid, which pages of many code hosts show.
@@ -271,9 +293,13 @@ pub(crate) enum BagCommand {
     /// Print what a bag holds, as `ros2 bag info` does.
     Info(InfoArguments),
     /// Record ROS 2 topics from the network, or with --robot the topics inside a robot, into a new bag.
-    Record(RecordArguments),
+    ///
+    /// The options are those of `ros2 bag record`. Space pauses and resumes.
+    Record(Box<RecordArguments>),
     /// Play a bag to ROS 2, or with --into into a robot's modules.
-    Play(PlayArguments),
+    ///
+    /// The options, services and keys are those of `ros2 bag play`.
+    Play(Box<PlayArguments>),
     /// Run a robot's modules on what a bag says they received, and compare what they publish with the bag.
     ///
     /// The modules run as fast as they can, in the recorded cycles at their recorded times; detached modules by their recorded
@@ -291,32 +317,10 @@ pub(crate) enum BagCommand {
     Cut(CutArguments),
     /// Compare two bags message by message; where they differ the first difference is told, and the exit code is 1.
     Diff(DiffArguments),
-}
-
-#[derive(Args)]
-pub(crate) struct RecordArguments {
-    /// The ROS 2 topics to record; not needed with --robot.
-    #[arg(required_unless_present = "robot", conflicts_with = "robot")]
-    pub(crate) topics: Vec<String>,
-    /// Run this robot without a bridge and record its topics from the very first message.
-    #[arg(long, value_name = "ROBOT.toml", conflicts_with = "domain")]
-    pub(crate) robot: Option<PathBuf>,
-    /// The new rosbag2 directory.
-    #[arg(long, short, value_name = "DIR")]
-    pub(crate) output: PathBuf,
-    /// Compress with Zstandard.
-    #[arg(long)]
-    pub(crate) zstd: bool,
-    /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers, cdr
-    /// unless given or, with --robot, the robot file's [record] says another.
-    #[arg(long, value_name = "ENCODING")]
-    pub(crate) encoding: Option<Encoding>,
-    /// Stop after this time: 500ms, 10s, 5m, 1h.
-    #[arg(long, value_parser = duration, value_name = "TIME")]
-    pub(crate) duration: Option<Duration>,
-    /// The ROS domain, instead of ROS_DOMAIN_ID.
-    #[arg(long, value_name = "N")]
-    pub(crate) domain: Option<u16>,
+    /// Write topics as tables: CSV, JSON lines or Apache Parquet, one file for each.
+    Export(ExportArguments),
+    /// Draw fields of messages over time, as SVG or PNG.
+    Plot(PlotArguments),
 }
 
 #[derive(Subcommand)]

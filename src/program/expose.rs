@@ -56,7 +56,7 @@ fn entries(arguments: &ExposeAddArguments) -> String {
 }
 
 /// A string of TOML, in which everything that is not plain is escaped.
-fn text(text: &str) -> String {
+pub(super) fn text(text: &str) -> String {
     let escape = |c: char| match c {
         '"' | '\\' => format!("\\{c}"),
         c if c.is_control() => format!("\\u{:04x}", u32::from(c)),

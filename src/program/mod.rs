@@ -9,10 +9,12 @@ mod choose;
 pub(crate) mod cli;
 mod emulate;
 mod expose;
+mod expose_service;
 mod faults;
 mod graph;
 mod inspected;
 mod interface;
+mod keyboard;
 mod logging;
 mod run;
 mod screen;
@@ -43,10 +45,10 @@ pub(crate) fn main(cli: Cli) -> ExitCode {
         Command::Top(arguments) => top::top(&arguments),
         Command::Expose(arguments) => expose::expose(&arguments),
         Command::Trace(arguments) => trace::trace(&arguments),
-        Command::Graph(arguments) => graph::graph(&arguments),
+        Command::Graph(arguments) => graph::graph(&arguments, &ros),
         Command::Bag(BagCommand::Info(arguments)) => bag::info::info(&arguments),
         Command::Bag(BagCommand::Record(arguments)) => bag::record::record(&arguments, &ros, &screen),
-        Command::Bag(BagCommand::Play(arguments)) => bag::play::play(&arguments, &ros),
+        Command::Bag(BagCommand::Play(arguments)) => bag::play::play(&arguments, &ros, &screen),
         Command::Bag(BagCommand::Replay(arguments)) => bag::replay::replay(&arguments, &ros),
         Command::Bag(BagCommand::Check(arguments)) => bag::check::check(&arguments),
         Command::Bag(BagCommand::Repair(arguments)) => bag::repair::repair(&arguments),
@@ -54,6 +56,8 @@ pub(crate) fn main(cli: Cli) -> ExitCode {
         Command::Bag(BagCommand::Convert(arguments)) => bag::convert::convert(&arguments),
         Command::Bag(BagCommand::Cut(arguments)) => bag::cut::cut(&arguments),
         Command::Bag(BagCommand::Diff(arguments)) => bag::diff::diff(&arguments),
+        Command::Bag(BagCommand::Export(arguments)) => bag::export::export(&arguments),
+        Command::Bag(BagCommand::Plot(arguments)) => bag::plot::plot(&arguments),
         Command::Interface(command) => interface::interface(&command),
         Command::Emulate(EmulateCommand::DarwinOp { link, seed, fault }) => {
             emulate::darwin_op(link, seed, &fault)

@@ -8,7 +8,7 @@ use downbeat::robot::RosArgs;
 use super::cli::RunArguments;
 use super::logging::Log;
 use super::screen::Screen;
-use super::session::Session;
+use super::session::{RecordPlan, Session};
 use super::stop::Stop;
 
 pub(crate) fn run(arguments: &RunArguments, ros: &RosArgs, screen: &Screen, log: &Log) -> anyhow::Result<()> {
@@ -16,7 +16,7 @@ pub(crate) fn run(arguments: &RunArguments, ros: &RosArgs, screen: &Screen, log:
     let options = participant_options(arguments.domain)?;
     session.expose(&options, log)?;
     if let Some(directory) = &arguments.record {
-        session.record(directory, None, arguments.encoding)?;
+        session.record(RecordPlan::of_robot(directory, session.file(), arguments.encoding))?;
     }
     let stop = Stop::new(arguments.duration)?;
     session.run(&stop, screen)

@@ -1,6 +1,6 @@
 //! How long cycles take and how regular they are.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -11,6 +11,8 @@ use hdrhistogram::Histogram;
 /// Collects what a core reports.
 #[derive(Default)]
 pub(crate) struct Statistics {
+    /// Whose loops are told: those of the robot, and none of those that only look at it.
+    modules: BTreeSet<String>,
     collected: Mutex<Collected>,
 }
 
@@ -20,7 +22,7 @@ pub(crate) struct Collected {
     pub(crate) cycles: u64,
     /// Process and sync phase together.
     pub(crate) cycle: Times,
-    /// Detached modules with a timer, by name.
+    /// The robot's detached modules with a timer, by name.
     pub(crate) detached: BTreeMap<String, Loop>,
 }
 
@@ -35,6 +37,11 @@ pub(crate) struct Loop {
 }
 
 impl Statistics {
+    /// Of cycles, and of the loops of these modules.
+    pub(crate) fn of(modules: impl IntoIterator<Item = String>) -> Self {
+        Self { modules: modules.into_iter().collect(), ..Self::default() }
+    }
+
     pub(crate) fn collected(&self) -> Collected {
         self.lock().clone()
     }
@@ -52,7 +59,7 @@ impl Probe for Statistics {
     }
 
     fn step(&self, report: &StepReport<'_>) {
-        if report.lateness.is_none() {
+        if report.lateness.is_none() || !self.modules.contains(report.module) {
             return;
         }
         let mut collected = self.lock();
@@ -127,19 +134,21 @@ mod tests {
 
     #[test]
     fn the_period_of_a_loop_is_counted_between_runs_for_which_a_timer_was_due() {
-        let statistics = Statistics::default();
-        let step = |milliseconds: i64, lateness| StepReport {
-            module: "hardware",
+        let statistics = Statistics::of(["hardware".to_owned()]);
+        let step = |module, milliseconds: i64, lateness| StepReport {
+            module,
             step: 0,
             time: Time::from_nanos(milliseconds * 1_000_000),
             lateness,
             duration: Duration::from_millis(7),
         };
         let due = Some(Duration::ZERO);
-        for report in [step(0, due), step(3, None), step(8, due), step(16, due)] {
-            statistics.step(&report);
+        for (milliseconds, lateness) in [(0, due), (3, None), (8, due), (16, due)] {
+            statistics.step(&step("hardware", milliseconds, lateness));
+            statistics.step(&step("watcher", milliseconds, lateness));
         }
         let collected = statistics.collected();
+        assert_eq!(collected.detached.len(), 1);
         let hardware = &collected.detached["hardware"];
         assert_eq!(hardware.period.0.len(), 2);
         assert!(hardware.period.to_string().starts_with("p50 8.0"), "{}", hardware.period);

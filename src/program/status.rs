@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use downbeat::bags::Recording;
+use downbeat::bags::{Recording, RecordingStatistics};
 use downbeat::bridge::expose::{BridgeStatus, EndpointReport};
 use downbeat::bridge::middleware::Direction;
 use downbeat::executor::TopicInfo;
@@ -44,7 +44,8 @@ impl<'a> StatusBlock<'a> {
         lines.extend(self.cycles(now));
         lines.extend(self.topics(now));
         lines.extend(self.bridge());
-        lines.extend(self.sources.recording.map(|recording| labelled("bag", &bag(recording))));
+        let recording = self.sources.recording.map(Recording::statistics);
+        lines.extend(recording.map(|statistics| labelled("bag", &bag(&statistics))));
         lines.extend(self.faults());
         lines
     }
@@ -62,7 +63,7 @@ impl<'a> StatusBlock<'a> {
             let peers: usize = endpoints.iter().map(|endpoint| endpoint.matched).sum();
             parts.push(format!("{peers} endpoints of others matched"));
         }
-        parts.extend(self.sources.recording.map(bag));
+        parts.extend(self.sources.recording.map(|recording| bag(&recording.statistics())));
         parts.extend(self.sources.faults.worst_first().into_iter().next());
         parts.join(";  ")
     }
@@ -124,14 +125,35 @@ fn endpoint(report: &EndpointReport) -> String {
     format!("{arrow} {ros_topic}   {matched} {peers}   {messages} messages{problems}")
 }
 
-fn bag(recording: &Recording) -> String {
-    let statistics = recording.statistics();
+/// How a recording is doing, in a line.
+pub(crate) fn bag(statistics: &RecordingStatistics) -> String {
     let summary = &statistics.summary;
     let mebibytes = summary.bytes as f64 / (1024.0 * 1024.0);
     let (messages, lost) = (summary.message_count(), summary.lost_count());
-    let failure = statistics.failure.map(|failure| format!("   stopped: {failure}")).unwrap_or_default();
     let path = summary.path.display();
-    format!("{path}   {mebibytes:.1} MiB   {messages} messages   {lost} lost{failure}")
+    let mut line = format!("{path}   {mebibytes:.1} MiB   {messages} messages   {lost} lost");
+    let mut add = |text: &str| {
+        line.push_str("   ");
+        line.push_str(text);
+    };
+    if summary.files > 1 {
+        add(&format!("{} files", summary.files));
+    }
+    // The worst alone: it is a line.
+    let worst = summary.topics.iter().filter(|topic| topic.lost > 0).max_by_key(|topic| topic.lost);
+    if let Some(topic) = worst {
+        add(&format!("most of {} ({})", topic.name, topic.lost));
+    }
+    if statistics.is_paused {
+        add("paused");
+    }
+    if statistics.is_disk_full {
+        add("the disk is full");
+    }
+    if let Some(failure) = &statistics.failure {
+        add(&format!("stopped: {failure}"));
+    }
+    line
 }
 
 /// What some counters gain per second, over at least a second.

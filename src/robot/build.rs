@@ -7,7 +7,7 @@ use downbeat_executor::{
 
 use super::LauncherChoice;
 use super::expose::canonical;
-use super::file::{LauncherEntry, ModuleEntry, Place, RecordEntry, RobotFile, RobotFileError, suggestion};
+use super::file::{LauncherEntry, ModuleEntry, Place, RobotFile, RobotFileError, suggestion};
 use crate::cycle_journal::CycleJournal;
 use crate::step_journal::StepJournal;
 
@@ -36,10 +36,9 @@ impl RobotFile {
         });
         journals.map_err(|error| self.source.error(1, error.to_string()))?;
         let robot = Robot { file: self, core };
-        robot.exposures()?;
-        robot.service_exposures()?;
-        robot.call_exposures()?;
+        robot.exposed()?;
         robot.parameter_exposure()?;
+        robot.lifecycle_exposures()?;
         robot.recorded_topics()?;
         robot.file.robot_description()?;
         Ok(robot)
@@ -159,22 +158,6 @@ impl Robot {
     pub fn exposures(&self) -> Result<Vec<Exposure>> {
         let topics: Vec<_> = self.core.topics().cloned().collect();
         self.file.exposures_of(&self.file.expose.topics, &topics, &[])
-    }
-
-    /// The topics that a recording is to hold.
-    ///
-    /// # Errors
-    /// If a topic is not there; with path and line.
-    pub fn recorded_topics(&self) -> Result<Vec<TopicInfo>> {
-        let RecordEntry { topics, line, .. } = &self.file.record;
-        let known: Vec<_> = self.core.topics().cloned().collect();
-        match topics {
-            None => Ok(known),
-            Some(names) => {
-                let topic = |name: &String| self.file.topic(&known, name, *line, "record").cloned();
-                names.iter().map(topic).collect()
-            }
-        }
     }
 }
 

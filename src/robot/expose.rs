@@ -3,10 +3,11 @@
 use std::collections::BTreeSet;
 
 use downbeat_bridge::edge::KnownType;
-use downbeat_bridge::expose::{Exposure, TopicPattern};
+use downbeat_bridge::expose::{Exposure, QOS_EVENTS_TOPIC, TopicPattern};
 use downbeat_bridge::middleware;
 use downbeat_bridge::ros::{NameError, NodeName, TopicName};
 use downbeat_executor::TopicInfo;
+use downbeat_msgs::dynamic::Definitions;
 
 use super::file::{Direction, ExposeEntry, RobotFile, RobotFileError, TopicChoice, suggestion};
 use crate::{cycle_journal, step_journal};
@@ -78,7 +79,7 @@ impl RobotFile {
     }
 
     /// A node beside the robot's: absolute, or relative to the robot's namespace.
-    fn node_beside(&self, name: &str, line: usize) -> Result<NodeName> {
+    pub(super) fn node_beside(&self, name: &str, line: usize) -> Result<NodeName> {
         let (namespace, name) = match name.rsplit_once('/') {
             None => (self.namespace.clone(), name),
             Some((namespace, name)) if name.is_empty() || namespace.starts_with('/') => {
@@ -119,6 +120,9 @@ impl Selection<'_> {
 
     fn select_named(&mut self, entry: &ExposeEntry, name: &str) -> Result<()> {
         let refuse = |problem: String| Err(self.file.source.error(entry.line, problem));
+        if entry.is_raw {
+            return self.select_raw(entry, canonical(name));
+        }
         let topic = self.file.topic(self.topics, name, entry.line, "expose")?;
         if entry.direction == Direction::Out && !topic.is_published {
             return refuse(format!("no module publishes \"{}\"; does it belong under \"in\"?", topic.name));
@@ -134,7 +138,30 @@ impl Selection<'_> {
             return refuse(format!("\"{}\" is of type \"{actual}\", not \"{said}\"", topic.name));
         }
         let ros_topic = entry.ros_topic.clone().unwrap_or_else(|| name.to_owned());
-        let exposure = self.exposure(entry, topic, message_type, ros_topic)?;
+        let exposure = self.exposure(entry, &topic.name, message_type, ros_topic)?;
+        self.found.push((entry.line, exposure));
+        Ok(())
+    }
+
+    /// A topic of bytes, which no module need have: what comes in may go out again under another name, or into a bag.
+    fn select_raw(&mut self, entry: &ExposeEntry, name: &str) -> Result<()> {
+        let refuse = |problem: String| self.file.source.error(entry.line, problem);
+        let type_name = entry.type_name.as_deref().unwrap_or_default();
+        let message_type = KnownType::raw(type_name, &Definitions::from_environment())
+            .map_err(|error| refuse(error.to_string()))?;
+        let topic = self.topics.iter().find(|topic| *topic.name == *name);
+        if let Some(topic) = topic.filter(|topic| topic.message_type_id != message_type.rust_type()) {
+            let carried = &topic.message_type;
+            return Err(refuse(format!(
+                "\"{name}\" carries {carried}; only what modules take or give as bytes can be raw"
+            )));
+        }
+        let comes_in = self.claimed.contains(&(Direction::In.key(), name.to_owned()));
+        if entry.direction == Direction::Out && !comes_in && !topic.is_some_and(|topic| topic.is_published) {
+            return Err(refuse(format!("no module publishes \"{name}\", and it is not under \"in\" either")));
+        }
+        let ros_topic = entry.ros_topic.clone().unwrap_or_else(|| name.to_owned());
+        let exposure = self.exposure(entry, name, message_type, ros_topic)?;
         self.found.push((entry.line, exposure));
         Ok(())
     }
@@ -169,7 +196,7 @@ impl Selection<'_> {
             if self.claimed.insert((key, topic.name.to_string())) {
                 let renamed = entry.ros_topic.as_ref().and_then(|to| pattern.rename(&topic.name, to));
                 let ros_topic = renamed.unwrap_or_else(|| topic.name.to_string());
-                exposures.push((entry.line, self.exposure(entry, topic, message_type, ros_topic)?));
+                exposures.push((entry.line, self.exposure(entry, &topic.name, message_type, ros_topic)?));
             }
         }
         self.found.extend(exposures);
@@ -179,13 +206,13 @@ impl Selection<'_> {
     fn exposure(
         &self,
         entry: &ExposeEntry,
-        topic: &TopicInfo,
+        topic: &str,
         message_type: KnownType,
         ros_topic: String,
     ) -> Result<Exposure> {
         let node = entry.node.as_deref().map(|name| self.file.node_beside(name, entry.line)).transpose()?;
         Ok(Exposure {
-            topic: topic.name.to_string(),
+            topic: topic.to_owned(),
             ros_topic: Some(ros_topic),
             message_type,
             direction: match entry.direction {
@@ -201,8 +228,10 @@ impl Selection<'_> {
 
 /// A topic that a pattern may mean, with its type.
 fn candidate<'a>(entry: &ExposeEntry, topic: &'a TopicInfo) -> Option<(&'a TopicInfo, KnownType)> {
+    // An action is exposed as a whole.
     let is_internal = topic.name.starts_with("executor/")
-        || [step_journal::TOPIC, cycle_journal::TOPIC].contains(&&*topic.name);
+        || [step_journal::TOPIC, cycle_journal::TOPIC, QOS_EVENTS_TOPIC].contains(&&*topic.name)
+        || topic.name.contains("/_action/");
     let goes_that_way = topic.is_published == (entry.direction == Direction::Out);
     let message_type = KnownType::of_rust_type(topic.message_type_id)?;
     let has_type = entry.type_name.as_deref().is_none_or(|name| name == message_type.name());

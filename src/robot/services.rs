@@ -1,13 +1,18 @@
 //! From the services and parameters that a robot file exposes to those that the bridge is to show of a core.
 
 use downbeat_bridge::edge::KnownService;
-use downbeat_bridge::expose::{CallExposure, ParameterExposure, ServiceExposure};
+use downbeat_bridge::expose::{
+    CallExposure, ParameterExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection,
+};
 use downbeat_executor::ServiceInfo;
 
 use super::Robot;
-use super::file::{ClockChoice, RobotFileError, ServiceEntry, suggestion};
+use super::file::{RobotFileError, ServiceEntry, suggestion};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
+
+/// Means all settings, also where there are none.
+const ALL: &str = "*";
 
 impl Robot {
     /// The services of modules to offer to ROS 2.
@@ -52,13 +57,13 @@ impl Robot {
         self.file.expose.calls.iter().map(exposure).collect()
     }
 
-    /// The settings that are parameters of the node; nothing if the file names none.
+    /// The settings that are parameters of the node.
     ///
     /// # Errors
     /// If a name or pattern means no setting of the modules; with path and line.
-    pub fn parameter_exposure(&self) -> Result<Option<ParameterExposure>> {
+    pub fn parameter_exposure(&self) -> Result<ParameterExposure> {
         let entries = &self.file.expose.parameters;
-        let names: Vec<String> = self
+        let mut names: Vec<String> = self
             .core
             .modules()
             .into_iter()
@@ -67,16 +72,18 @@ impl Robot {
                 settings.into_iter().map(move |setting| format!("{}.{}", module.name, setting.name))
             })
             .collect();
+        // Of a module that joins when services are exposed.
+        let introspection = [ServiceIntrospection::OF_SERVICES, ServiceIntrospection::OF_CLIENTS];
+        names.extend(introspection.map(|setting| format!("{SERVICES_MODULE_NAME}.{setting}")));
         for entry in entries {
-            if !names.iter().any(|name| entry.value.matches(name)) {
+            if entry.value.to_string() != ALL && !names.iter().any(|name| entry.value.matches(name)) {
                 let hint = suggestion(&entry.value.to_string(), names.iter().map(String::as_str));
                 let problem = format!("no module has a setting \"{}\"{hint}", entry.value);
                 return Err(self.file.source.error(entry.line, problem));
             }
         }
-        let settings: Vec<_> = entries.iter().map(|entry| entry.value.clone()).collect();
-        let follows_clock = self.file.expose.features.clock == ClockChoice::Follow;
-        Ok((!settings.is_empty()).then_some(ParameterExposure { settings, follows_clock }))
+        let settings = entries.iter().map(|entry| entry.value.clone()).collect();
+        Ok(ParameterExposure { settings, of_module: None })
     }
 
     fn service_type(&self, entry: &ServiceEntry, info: Option<&ServiceInfo>) -> Result<KnownService> {
@@ -171,8 +178,24 @@ mod tests {
         );
         assert_eq!(called[0].service_type.name(), "std_srvs/srv/Trigger");
         assert_eq!(called[1].service_type.name(), "std_srvs/srv/Empty");
-        let parameters = robot.parameter_exposure().unwrap().unwrap();
+        let parameters = robot.parameter_exposure().unwrap();
         assert!(parameters.settings[0].matches("legs.gain") && !parameters.settings[0].matches("legs.side"));
+    }
+
+    #[test]
+    fn introspection_is_chosen_in_the_words_of_ros_and_can_be_a_parameter() {
+        use downbeat_bridge::ros::Introspection;
+        let robot = robot("service_introspection = \"contents\"\nparameters = [\"bridge_services.*\"]");
+        let chosen = robot.file.expose.introspection;
+        assert_eq!((chosen.services, chosen.clients), (Introspection::Contents, Introspection::Off));
+        let parameters = robot.parameter_exposure().unwrap();
+        assert!(parameters.settings[0].matches("bridge_services.service_configure_introspection"));
+        let text = "[robot]\nname = \"r\"\n[[module]]\nkind = \"stand_nod_wave\"\n[expose]\nclient_introspection = \"on\"";
+        let error = RobotFile::parse(Source::new(Path::new("robot.toml"), text.to_owned())).err().unwrap();
+        assert_eq!(
+            error.to_string(),
+            "robot.toml:6: \"on\" is none of \"disabled\", \"metadata\" and \"contents\""
+        );
     }
 
     #[test]

@@ -33,6 +33,9 @@ pub const WATCHDOG: Duration = Duration::from_secs(60);
 /// The program behind [`rclpy::Peer`].
 pub const PEER_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/bridge/tests/rclpy/peer.py");
 
+/// The program behind [`rclpy::Peer::cyclonedds`].
+pub const CYCLONEDDS_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/bridge/tests/cyclonedds/peer.py");
+
 /// Polls a condition that has no event to wait on.
 pub fn wait_until(what: &str, mut condition: impl FnMut() -> bool) {
     let start = Instant::now();

@@ -58,8 +58,5 @@ pub fn reindex(directory: &Path) -> Result<Metadata, CopyError> {
 fn offered_qos(topic: &RecordedTopic, told: Option<&Metadata>) -> Vec<RecordedQos> {
     let topics = told.map(|told| told.topics.as_slice()).unwrap_or_default();
     let told = topics.iter().find(|told| told.name == topic.info.name && !told.offered_qos.is_empty());
-    told.map_or_else(
-        || topic.info.offered_qos.iter().map(RecordedQos::from).collect(),
-        |told| told.offered_qos.clone(),
-    )
+    told.map_or(&topic.info.offered_qos, |told| &told.offered_qos).clone()
 }

@@ -155,13 +155,34 @@ impl Metadata {
     /// What the operating system said.
     pub fn replace_in(&self, directory: &Path) -> io::Result<()> {
         let temporary = directory.join(".metadata.yaml.new");
-        let mut file = fs::File::create(&temporary)?;
-        file.write_all(self.to_yaml().as_bytes())?;
-        drop(file);
-        fs::rename(&temporary, directory.join(FILE_NAME)).inspect_err(|_| {
-            // The rename's error is the one to report.
+        let write = || fs::File::create(&temporary)?.write_all(self.to_yaml().as_bytes());
+        write().and_then(|()| fs::rename(&temporary, directory.join(FILE_NAME))).inspect_err(|_| {
+            // The first error is the one to report.
             let _ = fs::remove_file(&temporary);
         })
+    }
+}
+
+impl Metadata {
+    /// Writes over the metadata.yaml of `directory` where it stands, if it fits into the room that the file has: on a full disk
+    /// nothing else can be written. Who reads it just then may see half of it.
+    #[cfg(unix)]
+    pub(crate) fn overwrite_in(&self, directory: &Path) -> io::Result<()> {
+        use std::os::unix::fs::MetadataExt;
+        let text = self.to_yaml();
+        let mut file = fs::OpenOptions::new().write(true).open(directory.join(FILE_NAME))?;
+        // `st_blocks` counts in units of 512 bytes on every system.
+        if file.metadata()?.blocks().saturating_mul(512) < text.len() as u64 {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        file.write_all(text.as_bytes())?;
+        file.set_len(text.len() as u64)
+    }
+
+    /// Not known to work elsewhere.
+    #[cfg(not(unix))]
+    pub(crate) fn overwrite_in(&self, _: &Path) -> io::Result<()> {
+        Err(io::ErrorKind::StorageFull.into())
     }
 }
 
@@ -169,7 +190,13 @@ impl Metadata {
 #[must_use]
 pub fn qos_to_yaml(profiles: &[QosProfile]) -> String {
     let recorded: Vec<RecordedQos> = profiles.iter().map(RecordedQos::from).collect();
-    emit::qos_text(&recorded)
+    recorded_qos_to_yaml(&recorded)
+}
+
+/// The YAML text of the MCAP channel metadata `offered_qos_profiles`, of profiles as a bag has them.
+#[must_use]
+pub fn recorded_qos_to_yaml(profiles: &[RecordedQos]) -> String {
+    emit::qos_text(profiles)
 }
 
 /// Reads the YAML text of the MCAP channel metadata `offered_qos_profiles`; `path` is for error messages.

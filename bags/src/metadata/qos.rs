@@ -159,6 +159,20 @@ impl RecordedQos {
     }
 }
 
+impl RecordedQos {
+    /// What discovery tells of a publisher that offers this: its history is not among it.
+    #[must_use]
+    pub fn without_history(self) -> Self {
+        Self { history: RecordedHistory::Unknown, depth: 0, ..self }
+    }
+}
+
+impl From<QosProfile> for RecordedQos {
+    fn from(profile: QosProfile) -> Self {
+        Self::from(&profile)
+    }
+}
+
 impl From<&QosProfile> for RecordedQos {
     fn from(profile: &QosProfile) -> Self {
         let (history, depth) = match profile.history {

@@ -7,7 +7,7 @@ use mcap::records::Channel;
 
 use super::RecordedTopic;
 use super::file::BagFile;
-use crate::metadata::{Metadata, RecordedQos, TopicMetadata, qos_from_yaml};
+use crate::metadata::{Metadata, TopicMetadata, qos_from_yaml};
 use crate::topic::{MessageFormat, TopicId, TopicInfo};
 
 /// Returns the topics, in the order of the metadata where it names them, and for each file the topic of each channel.
@@ -50,7 +50,7 @@ fn from_metadata(topic: &TopicMetadata) -> RecordedTopic {
             type_name: topic.type_name.clone(),
             definition: String::new(),
             type_hash: topic.type_hash.clone(),
-            offered_qos: topic.offered_qos.iter().map(RecordedQos::to_profile).collect(),
+            offered_qos: topic.offered_qos.clone(),
             format: None,
         },
         serialization_format: topic.serialization_format.clone(),
@@ -74,7 +74,7 @@ fn from_channel(file: &BagFile, channel: &Channel) -> RecordedTopic {
                 .filter(|schema| schema.encoding == "ros2msg")
                 .map_or_else(String::new, |schema| String::from_utf8_lossy(&schema.data).into_owned()),
             type_hash: text("topic_type_hash").to_owned(),
-            offered_qos: offered_qos.iter().map(RecordedQos::to_profile).collect(),
+            offered_qos,
             format: (channel.message_encoding != "cdr"
                 || schema.is_some_and(|schema| !["ros2msg", ""].contains(&schema.encoding.as_str())))
             .then(|| MessageFormat {

@@ -1,6 +1,9 @@
 //! Recording on a thread of its own, for producers that must not wait for a disk.
 
+mod control;
+mod options;
 mod queue;
+mod ring;
 
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,7 +14,11 @@ use bytes::Bytes;
 use crate::summary::{RecordingSummary, TopicCount};
 use crate::topic::{TopicId, TopicInfo};
 use crate::writer::{Writer, WriterError};
+use control::Done;
+pub use control::{ControlError, RecordingControl};
+pub use options::{RecordingOptions, WhenSlow};
 use queue::{Item, Queue, QueuedTopic, Work};
+pub use ring::SnapshotLimits;
 
 /// A [`Writer`] on a thread of its own.
 ///
@@ -34,8 +41,12 @@ pub struct RecordingSender {
 pub struct RecordingStatistics {
     /// What has been handed to the operating system, and what was lost.
     pub summary: RecordingSummary,
-    /// Bytes that wait to be written.
+    /// Bytes that wait to be written, or for a snapshot.
     pub queued_bytes: usize,
+    /// Whether what comes in is passed over.
+    pub is_paused: bool,
+    /// Whether the last chunk found no room on the disk and was given up.
+    pub is_disk_full: bool,
     /// Why recording has stopped by itself, if it has.
     pub failure: Option<String>,
 }
@@ -99,6 +110,7 @@ struct Shared {
 
 struct Progress {
     summary: RecordingSummary,
+    is_disk_full: bool,
     failure: Option<String>,
 }
 
@@ -111,14 +123,22 @@ impl Recording {
     /// # Errors
     /// If the operating system gives no thread.
     pub fn start(writer: Writer, queue_bytes: usize) -> io::Result<Self> {
+        Self::start_with(writer, &RecordingOptions::new().cache_bytes(queue_bytes))
+    }
+
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// If the operating system gives no thread.
+    pub fn start_with(writer: Writer, options: &RecordingOptions) -> io::Result<Self> {
         let topics = writer.topics().map(|info| QueuedTopic {
             name: info.name.clone(),
             type_name: info.type_name.clone(),
             lost: 0,
         });
         let shared = Arc::new(Shared {
-            queue: Queue::new(queue_bytes, topics.collect()),
-            progress: Mutex::new(Progress { summary: writer.summary(), failure: None }),
+            queue: Queue::new(options, topics.collect()),
+            progress: Mutex::new(Progress::of(&writer)),
         });
         let of_thread = Arc::clone(&shared);
         let thread = std::thread::Builder::new()
@@ -131,6 +151,12 @@ impl Recording {
     #[must_use]
     pub fn sender(&self) -> RecordingSender {
         self.sender.clone()
+    }
+
+    /// Something to pause, split, take snapshots and stop with; can be cloned and sent to other threads.
+    #[must_use]
+    pub fn control(&self) -> RecordingControl {
+        RecordingControl::new(Arc::clone(&self.sender.shared))
     }
 
     /// How the recording is doing.
@@ -171,10 +197,12 @@ impl RecordingSender {
         let mut statistics = {
             let progress = self.shared.progress.lock().unwrap_or_else(PoisonError::into_inner);
             let (summary, failure) = (progress.summary.clone(), progress.failure.clone());
-            RecordingStatistics { summary, queued_bytes: 0, failure }
+            let is_disk_full = progress.is_disk_full;
+            RecordingStatistics { summary, queued_bytes: 0, is_paused: false, is_disk_full, failure }
         };
         let state = self.shared.queue.lock();
-        statistics.queued_bytes = state.queued_bytes;
+        statistics.queued_bytes = state.held_bytes();
+        statistics.is_paused = state.is_paused;
         add_losses(&mut statistics.summary, &state.topics);
         statistics
     }
@@ -225,13 +253,19 @@ fn message(topic: TopicId, log_time: i64, publish_time: i64, data: Bytes) -> Res
     Ok(Item::Message { topic, log_time, publish_time, data })
 }
 
+impl Progress {
+    fn of(writer: &Writer) -> Self {
+        Self { summary: writer.summary(), is_disk_full: writer.is_disk_full(), failure: None }
+    }
+}
+
 /// Writes until the queue is closed or writing fails; what it returns lacks the losses of the queue.
 fn run(shared: &Shared, mut writer: Writer) -> Result<RecordingSummary, RecordingFailed> {
-    let outcome = write_all(shared, &mut writer);
+    let outcome = write_all(shared, &mut writer).and_then(|()| refuse_overrun(shared, &writer));
     if let Err(error) = &outcome {
         shared.progress.lock().unwrap_or_else(PoisonError::into_inner).failure = Some(error.to_string());
     }
-    note_losses(shared, &mut writer);
+    note_losses(shared, &mut writer, &mut 0);
     let before = writer.summary();
     // After a failed write this returns what was kept.
     let finished = writer.finish();
@@ -270,8 +304,9 @@ fn add_losses(summary: &mut RecordingSummary, queued: &[QueuedTopic]) {
 
 fn write_all(shared: &Shared, writer: &mut Writer) -> Result<(), WriterError> {
     let mut batch = Vec::new();
-    let mut written = 0;
+    let (mut written, mut noted) = (0, 0);
     loop {
+        note_losses(shared, writer, &mut noted);
         let timeout = writer.flush_if_due().inspect_err(|_| shared.queue.abandon([]))?;
         let work = shared.queue.take(&mut batch, written, timeout);
         written = Queue::cost(&batch);
@@ -288,8 +323,16 @@ fn write_all(shared: &Shared, writer: &mut Writer) -> Result<(), WriterError> {
                 }
             }
         }
-        shared.progress.lock().unwrap_or_else(PoisonError::into_inner).summary = writer.summary();
+        *shared.progress.lock().unwrap_or_else(PoisonError::into_inner) = Progress::of(writer);
     }
+}
+
+/// A recording that was to stop rather than lose messages has lost one.
+fn refuse_overrun(shared: &Shared, writer: &Writer) -> Result<(), WriterError> {
+    if !shared.queue.lock().is_overrun {
+        return Ok(());
+    }
+    Err(WriterError::TooSlow { path: writer.path().to_owned(), cache_bytes: shared.queue.limit() })
 }
 
 fn write(writer: &mut Writer, item: Item) -> Result<(), WriterError> {
@@ -298,19 +341,25 @@ fn write(writer: &mut Writer, item: Item) -> Result<(), WriterError> {
         Item::Message { topic, log_time, publish_time, data } => {
             writer.write(topic, log_time, publish_time, &data)
         }
+        Item::Split(done) => writer.split().map(|split| done.tell(Ok(split))),
+        Item::Flush(done) => writer.flush().map(|()| done.tell(Ok(()))),
     }
 }
 
-fn note_losses(shared: &Shared, writer: &mut Writer) {
+/// Has the bag tell what the queue refused, if that is more than was noted.
+fn note_losses(shared: &Shared, writer: &mut Writer, noted: &mut u64) {
     let state = shared.queue.lock();
-    let losses: Vec<String> = state
-        .topics
-        .iter()
-        .filter(|topic| topic.lost > 0)
-        .map(|topic| format!("{}: {}", topic.name, topic.lost))
-        .collect();
-    if !losses.is_empty() {
-        writer.set_custom_data("lost_messages", losses.join(", "));
+    if state.lost == *noted {
+        return;
+    }
+    let mut has_all = true;
+    for (index, topic) in state.topics.iter().enumerate().filter(|(_, topic)| topic.lost > 0) {
+        let id = TopicId::from_index(index);
+        // A topic may still be on its way to the writer.
+        has_all &= id.is_some_and(|id| writer.set_refused(id, topic.lost));
+    }
+    if has_all {
+        *noted = state.lost;
     }
 }
 

@@ -9,8 +9,10 @@ use std::time::Duration;
 
 use bytes::Bytes;
 
-use super::RecordError;
+use super::ring::Ring;
+use super::{Done, RecordError, RecordingOptions, WhenSlow};
 use crate::topic::{TopicId, TopicInfo};
+use crate::writer::FileSplit;
 
 /// What a queued message costs besides its data.
 const OVERHEAD: usize = size_of::<Item>();
@@ -27,13 +29,25 @@ pub(super) enum Item {
         publish_time: i64,
         data: Bytes,
     },
+    /// Go on in a new file.
+    Split(Done<FileSplit>),
+    /// Hand all before to the operating system.
+    Flush(Done<()>),
 }
 
 impl Item {
-    fn cost(&self) -> usize {
+    pub(super) fn cost(&self) -> usize {
         match self {
-            Self::Topic(_) => OVERHEAD,
             Self::Message { data, .. } => OVERHEAD + data.len(),
+            Self::Topic(_) | Self::Split(_) | Self::Flush(_) => OVERHEAD,
+        }
+    }
+
+    /// When a message was received.
+    pub(super) fn log_time(&self) -> Option<i64> {
+        match self {
+            Self::Message { log_time, .. } => Some(*log_time),
+            Self::Topic(_) | Self::Split(_) | Self::Flush(_) => None,
         }
     }
 }
@@ -45,6 +59,7 @@ pub(super) struct Queue {
     /// Something was written, or the queue was closed.
     drained: Condvar,
     limit: usize,
+    when_slow: WhenSlow,
 }
 
 #[derive(Default)]
@@ -54,7 +69,21 @@ pub(super) struct State {
     pub(super) queued_bytes: usize,
     /// Names and types of the topics, in the order of their ids, and their lost messages.
     pub(super) topics: Vec<QueuedTopic>,
+    /// Messages of all topics that were lost.
+    pub(super) lost: u64,
+    /// Where messages wait for a snapshot instead of being written.
+    ring: Option<Ring>,
+    pub(super) is_paused: bool,
+    /// Closed since a message found no room.
+    pub(super) is_overrun: bool,
     is_closed: bool,
+}
+
+impl State {
+    /// Cost of what is held, for a snapshot or to be written.
+    pub(super) fn held_bytes(&self) -> usize {
+        self.queued_bytes + self.ring.as_ref().map_or(0, Ring::bytes)
+    }
 }
 
 pub(super) struct QueuedTopic {
@@ -73,9 +102,15 @@ pub(super) enum Work {
 }
 
 impl Queue {
-    pub(super) fn new(limit: usize, topics: Vec<QueuedTopic>) -> Self {
-        let state = State { topics, ..State::default() };
-        Self { state: Mutex::new(state), filled: Condvar::new(), drained: Condvar::new(), limit }
+    pub(super) fn new(options: &RecordingOptions, topics: Vec<QueuedTopic>) -> Self {
+        let (limit, when_slow) = (options.cache_bytes, options.when_slow);
+        let ring = options.snapshot.map(Ring::new);
+        let state = State { topics, ring, is_paused: options.is_paused, ..State::default() };
+        Self { state: Mutex::new(state), filled: Condvar::new(), drained: Condvar::new(), limit, when_slow }
+    }
+
+    pub(super) fn limit(&self) -> usize {
+        self.limit
     }
 
     /// A panic elsewhere leaves the counts usable.
@@ -110,17 +145,23 @@ impl Queue {
     /// Queues the message if there is room; else counts it as lost.
     pub(super) fn try_add(&self, topic: TopicId, item: Item) -> Result<(), RecordError> {
         let mut state = self.lock();
-        let is_closed = state.is_closed;
-        let has_room = self.has_room(&state, &item);
-        let entry = state.topics.get_mut(topic.index()).ok_or(RecordError::UnknownTopic)?;
-        if is_closed || !has_room {
-            entry.lost += 1;
-            let (topic, lost) = (entry.name.clone(), entry.lost);
-            return Err(if is_closed {
-                RecordError::Stopped
-            } else {
-                RecordError::QueueFull { topic, lost }
-            });
+        if state.topics.get(topic.index()).is_none() {
+            return Err(RecordError::UnknownTopic);
+        }
+        if state.is_closed {
+            lose(&mut state, topic);
+            return Err(RecordError::Stopped);
+        }
+        if state.is_paused {
+            return Ok(());
+        }
+        if !self.has_room(&state, &item) {
+            let (name, lost) = lose(&mut state, topic);
+            if self.when_slow == WhenSlow::Stop {
+                state.is_overrun = true;
+                self.close_locked(&mut state);
+            }
+            return Err(RecordError::QueueFull { topic: name, lost });
         }
         self.push(&mut state, item);
         Ok(())
@@ -129,16 +170,67 @@ impl Queue {
     /// Waits until there is room, and queues the message.
     pub(super) fn add(&self, topic: TopicId, item: Item) -> Result<(), RecordError> {
         let state = self.lock();
-        let waiting = |state: &mut State| !state.is_closed && !self.has_room(state, &item);
+        if state.ring.is_some() {
+            drop(state);
+            // The oldest makes room at once.
+            return self.try_add(topic, item);
+        }
+        let waiting =
+            |state: &mut State| !state.is_closed && !state.is_paused && !self.has_room(state, &item);
         let mut state = self.drained.wait_while(state, waiting).unwrap_or_else(PoisonError::into_inner);
-        let is_closed = state.is_closed;
-        let entry = state.topics.get_mut(topic.index()).ok_or(RecordError::UnknownTopic)?;
-        if is_closed {
-            entry.lost += 1;
+        if state.topics.get(topic.index()).is_none() {
+            return Err(RecordError::UnknownTopic);
+        }
+        if state.is_closed {
+            lose(&mut state, topic);
             return Err(RecordError::Stopped);
         }
-        self.push(&mut state, item);
+        if !state.is_paused {
+            self.push(&mut state, item);
+        }
         Ok(())
+    }
+
+    /// Queues what is no message; there is always room. Gives it back if the queue is closed.
+    pub(super) fn ask(&self, item: Item) -> Result<(), Item> {
+        let mut state = self.lock();
+        if state.is_closed {
+            return Err(item);
+        }
+        state.queued_bytes += item.cost();
+        state.items.push_back(item);
+        self.filled.notify_one();
+        Ok(())
+    }
+
+    /// Queues what waits for a snapshot, and the request that tells when it is written. Gives it back where there are no
+    /// snapshots, or the queue is closed.
+    pub(super) fn snapshot(&self, request: Item) -> Result<(), Item> {
+        let mut state = self.lock();
+        let State { ring: Some(ring), items, queued_bytes, is_closed: false, .. } = &mut *state else {
+            return Err(request);
+        };
+        *queued_bytes += ring.bytes() + request.cost();
+        items.extend(ring.drain());
+        items.push_back(request);
+        self.filled.notify_one();
+        Ok(())
+    }
+
+    pub(super) fn keeps_snapshots(&self) -> bool {
+        self.lock().ring.is_some()
+    }
+
+    pub(super) fn is_closed(&self) -> bool {
+        self.lock().is_closed
+    }
+
+    /// Who waits for room is let go: its message is not recorded.
+    pub(super) fn set_paused(&self, change: impl FnOnce(bool) -> bool) -> bool {
+        let mut state = self.lock();
+        state.is_paused = change(state.is_paused);
+        self.drained.notify_all();
+        state.is_paused
     }
 
     /// Nothing comes in any more; what is queued can still be taken.
@@ -148,14 +240,13 @@ impl Queue {
 
     /// Closes the queue and counts what is in it, and the rest of a batch, as lost.
     pub(super) fn abandon(&self, rest: impl IntoIterator<Item = Item>) {
-        let mut state = self.lock();
+        // Dropped after the lock is free: a request answers then.
         let mut items: Vec<Item> = rest.into_iter().collect();
+        let mut state = self.lock();
         items.extend(state.items.drain(..));
-        for item in items {
-            if let Item::Message { topic, .. } = item
-                && let Some(topic) = state.topics.get_mut(topic.index())
-            {
-                topic.lost += 1;
+        for item in &items {
+            if let Item::Message { topic, .. } = item {
+                lose(&mut state, *topic);
             }
         }
         state.queued_bytes = 0;
@@ -193,6 +284,9 @@ impl Queue {
 
     /// A message larger than the limit may pass alone, else it could never.
     fn has_room(&self, state: &State, item: &Item) -> bool {
+        if let Some(ring) = &state.ring {
+            return ring.fits(item);
+        }
         state.queued_bytes == 0 || state.queued_bytes + item.cost() <= self.limit
     }
 
@@ -203,8 +297,19 @@ impl Queue {
     }
 
     fn push(&self, state: &mut State, item: Item) {
+        if let (Some(ring), Item::Message { .. }) = (&mut state.ring, &item) {
+            return ring.push(item);
+        }
         state.queued_bytes += item.cost();
         state.items.push_back(item);
         self.filled.notify_one();
     }
+}
+
+/// Counts a message as lost; returns the name of its topic, and how many of it are.
+fn lose(state: &mut State, topic: TopicId) -> (String, u64) {
+    let Some(entry) = state.topics.get_mut(topic.index()) else { return (String::new(), 0) };
+    entry.lost += 1;
+    state.lost += 1;
+    (entry.name.clone(), entry.lost)
 }

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use bytes::Bytes;
 
 use super::queue::{Queue, QueuedTopic};
-use super::{Progress, RecordError, Recording, RecordingSender, Shared, run, with_losses};
+use super::{Progress, RecordError, Recording, RecordingOptions, RecordingSender, Shared, run, with_losses};
 use crate::metadata::Metadata;
 use crate::reader::{Reader, Selection};
 use crate::topic::TopicInfo;
@@ -22,8 +22,8 @@ fn without_thread(writer: &Writer, queue_bytes: usize) -> RecordingSender {
         type_name: info.type_name.clone(),
         lost: 0,
     });
-    let queue = Queue::new(queue_bytes, topics.collect());
-    let progress = Mutex::new(Progress { summary: writer.summary(), failure: None });
+    let queue = Queue::new(&RecordingOptions::new().cache_bytes(queue_bytes), topics.collect());
+    let progress = Mutex::new(Progress::of(writer));
     RecordingSender { shared: Arc::new(Shared { queue, progress }) }
 }
 

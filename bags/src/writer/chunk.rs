@@ -5,8 +5,8 @@ use std::io;
 
 use mcap::records::{ChunkHeader, ChunkIndex, MessageHeader, MessageIndexEntry};
 
-use super::{Compression, records};
-use crate::zstd;
+use super::compress::compress;
+use super::{McapOptions, records};
 
 #[derive(Default)]
 pub(super) struct Chunk {
@@ -15,8 +15,6 @@ pub(super) struct Chunk {
     messages: BTreeMap<u16, Vec<MessageIndexEntry>>,
     /// Earliest and latest log time.
     times: Option<(u64, u64)>,
-    /// Size of the message records.
-    message_bytes: u64,
 }
 
 impl Chunk {
@@ -24,8 +22,9 @@ impl Chunk {
         self.content.is_empty()
     }
 
-    pub(super) fn message_bytes(&self) -> u64 {
-        self.message_bytes
+    /// Its size before compression.
+    pub(super) fn bytes(&self) -> u64 {
+        self.content.len() as u64
     }
 
     /// The number of messages of each channel.
@@ -33,15 +32,19 @@ impl Chunk {
         self.messages.iter().map(|(channel, entries)| (*channel, entries.len() as u64))
     }
 
-    /// Adds the schema or channel records in `bytes`.
-    pub(super) fn add_records(&mut self, bytes: &[u8]) {
-        self.content.extend_from_slice(bytes);
+    /// Earliest and latest log time.
+    pub(super) fn times(&self) -> Option<(u64, u64)> {
+        self.times
+    }
+
+    /// Where schema and channel records go.
+    pub(super) fn records(&mut self) -> &mut Vec<u8> {
+        &mut self.content
     }
 
     pub(super) fn add_message(&mut self, header: &MessageHeader, data: &[u8]) -> io::Result<()> {
         let offset = self.content.len() as u64;
         records::message(&mut self.content, header, data)?;
-        self.message_bytes += self.content.len() as u64 - offset;
         let time = header.log_time;
         let entry = MessageIndexEntry { log_time: time, offset };
         self.messages.entry(header.channel_id).or_default().push(entry);
@@ -49,37 +52,46 @@ impl Chunk {
         Ok(())
     }
 
+    /// Makes it empty and keeps its room.
+    pub(super) fn clear(&mut self) {
+        self.content.clear();
+        self.messages.clear();
+        self.times = None;
+    }
+
+    /// Appends the records as they are to `out`: a file without chunks.
+    pub(super) fn emit_records(&self, out: &mut Vec<u8>) {
+        out.extend_from_slice(&self.content);
+    }
+
     /// Appends the chunk and the index of its messages to `out`, which will be written at `position` in the file.
     pub(super) fn emit(
         &self,
         out: &mut Vec<u8>,
         position: u64,
-        compression: Compression,
+        options: &McapOptions,
     ) -> io::Result<ChunkIndex> {
-        let compressed;
-        let (name, data) = match compression {
-            Compression::None => ("", &self.content),
-            Compression::Zstd => {
-                compressed = zstd::compress(&self.content);
-                ("zstd", &compressed)
-            }
-        };
+        let (compression, compressed) = compress(&self.content, options)?;
+        let data = compressed.as_ref().unwrap_or(&self.content);
         let (first, last) = self.times.unwrap_or((0, 0));
         let header = ChunkHeader {
             message_start_time: first,
             message_end_time: last,
             uncompressed_size: self.content.len() as u64,
-            uncompressed_crc: crc32fast::hash(&self.content),
-            compression: name.to_owned(),
+            // 0 stands for none.
+            uncompressed_crc: if options.has_chunk_crc { crc32fast::hash(&self.content) } else { 0 },
+            compression: compression.to_owned(),
             compressed_size: data.len() as u64,
         };
         let start = out.len();
         records::chunk(out, &header, data)?;
         let indexes = out.len();
         let mut message_index_offsets = BTreeMap::new();
-        for (channel, entries) in &self.messages {
-            message_index_offsets.insert(*channel, position + (out.len() - start) as u64);
-            records::message_index(out, *channel, entries)?;
+        if options.has_message_index {
+            for (channel, entries) in &self.messages {
+                message_index_offsets.insert(*channel, position + (out.len() - start) as u64);
+                records::message_index(out, *channel, entries)?;
+            }
         }
         Ok(ChunkIndex {
             message_start_time: first,

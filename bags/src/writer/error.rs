@@ -18,6 +18,15 @@ pub enum WriterError {
         /// The path that was given.
         path: PathBuf,
     },
+    /// Files are to be smaller than a file can be.
+    #[error(
+        "cannot split a bag into files of {bytes} bytes: the least is {}",
+        super::SplitLimits::LEAST_BYTES
+    )]
+    SplitSize {
+        /// The size that was asked for.
+        bytes: u64,
+    },
     /// The directory or a first file in it could not be created.
     #[error("cannot create {}: {source}", path.display())]
     Create {
@@ -38,6 +47,18 @@ pub enum WriterError {
         source: io::Error,
         /// Messages that can be read from the bag.
         kept: u64,
+    },
+    /// Messages came faster than they could be written, and recording was to stop then
+    /// ([`WhenSlow::Stop`](crate::WhenSlow::Stop)). All before is kept.
+    #[error(
+        "cannot keep up with recording into {}: {cache_bytes} bytes wait to be written; recording has stopped, what came before is kept",
+        path.display()
+    )]
+    TooSlow {
+        /// The bag directory.
+        path: PathBuf,
+        /// How much may wait.
+        cache_bytes: usize,
     },
     /// Recording has stopped after an earlier [`WriterError::Write`], which told why.
     #[error("cannot record into {}: recording has stopped after a failed write", path.display())]

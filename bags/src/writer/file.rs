@@ -10,34 +10,41 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::{MessageHeader, MetadataIndex};
 
+use super::channels::Channels;
 use super::chunk::Chunk;
 use super::summary::Summary;
-use super::{Compression, records};
-use crate::metadata::qos_to_yaml;
+use super::{McapOptions, SyncPolicy, records};
 use crate::topic::TopicInfo;
 
 pub(super) struct ChunkedFile {
     path: PathBuf,
     file: File,
-    compression: Compression,
+    options: McapOptions,
+    sync: SyncPolicy,
     /// Length up to the end of the last complete chunk.
     kept: u64,
     /// Checksum of everything up to there.
     data_crc: crc32fast::Hasher,
+    channels: Channels,
     chunk: Chunk,
     summary: Summary,
+    /// What is on its way to the file; kept for its room.
+    outgoing: Vec<u8>,
 }
 
 impl ChunkedFile {
-    pub(super) fn create(path: &Path, compression: Compression) -> io::Result<Self> {
+    pub(super) fn create(path: &Path, options: McapOptions, sync: SyncPolicy) -> io::Result<Self> {
         let mut file = Self {
             path: path.to_owned(),
             file: OpenOptions::new().write(true).create_new(true).open(path)?,
-            compression,
+            options,
+            sync,
             kept: 0,
             data_crc: crc32fast::Hasher::new(),
+            channels: Channels::default(),
             chunk: Chunk::default(),
             summary: Summary::default(),
+            outgoing: Vec::new(),
         };
         let mut start = mcap::MAGIC.to_vec();
         records::header(&mut start, "ros2", concat!("downbeat ", env!("CARGO_PKG_VERSION")))?;
@@ -54,25 +61,14 @@ impl ChunkedFile {
         self.kept
     }
 
-    /// Size of the messages in the open chunk, before compression.
+    /// Size of the open chunk, before compression.
     pub(super) fn open_bytes(&self) -> u64 {
-        self.chunk.message_bytes()
+        self.chunk.bytes()
     }
 
     /// Returns the channel of the topic.
     pub(super) fn add_topic(&mut self, topic: &TopicInfo) -> io::Result<u16> {
-        let mut metadata = BTreeMap::from([
-            ("offered_qos_profiles".to_owned(), qos_to_yaml(&topic.offered_qos)),
-            ("topic_type_hash".to_owned(), topic.type_hash.clone()),
-        ]);
-        if topic.format.is_some() {
-            // The schema may have another name.
-            metadata.insert("topic_type".to_owned(), topic.type_name.clone());
-        }
-        let mut new_records = Vec::new();
-        let channel = self.summary.add_topic(topic, &metadata, &mut new_records)?;
-        self.chunk.add_records(&new_records);
-        Ok(channel)
+        self.channels.add(topic)
     }
 
     pub(super) fn write(
@@ -82,21 +78,39 @@ impl ChunkedFile {
         publish_time: u64,
         data: &[u8],
     ) -> io::Result<()> {
+        self.channels.tell(channel_id, self.chunk.records());
         // The real recorder leaves the sequence number at 0.
         self.chunk.add_message(&MessageHeader { channel_id, sequence: 0, log_time, publish_time }, data)
     }
 
-    /// Ends the open chunk and hands it to the operating system.
+    /// Ends the open chunk and hands it to the operating system. If that fails the chunk is still open, and the file may
+    /// have a part of it behind its end.
     pub(super) fn flush(&mut self) -> io::Result<()> {
         if self.chunk.is_empty() {
             return Ok(());
         }
-        let mut bytes = Vec::new();
-        let index = self.chunk.emit(&mut bytes, self.kept, self.compression)?;
-        self.append(&bytes)?;
-        self.summary.add_chunk(index, self.chunk.counts());
-        self.chunk = Chunk::default();
+        let mut bytes = std::mem::take(&mut self.outgoing);
+        bytes.clear();
+        let index = if self.options.is_chunked {
+            Some(self.chunk.emit(&mut bytes, self.kept, &self.options)?)
+        } else {
+            self.chunk.emit_records(&mut bytes);
+            None
+        };
+        let appended = self.append(&bytes);
+        self.outgoing = bytes;
+        appended?;
+        self.summary.add(&self.chunk, index);
+        self.channels.keep();
+        self.chunk.clear();
         Ok(())
+    }
+
+    /// After a flush that failed: cuts the file back to its end, and gives the open chunk up.
+    pub(super) fn drop_chunk(&mut self) -> io::Result<()> {
+        self.channels.forget();
+        self.chunk.clear();
+        self.rewind()
     }
 
     /// Writes the record in which rosbag2 keeps its metadata, after the open chunk.
@@ -111,32 +125,45 @@ impl ChunkedFile {
         Ok(())
     }
 
-    /// Writes summary and footer and waits until the medium has them: robots are switched off after a recording.
+    /// Writes summary and footer, and waits until the medium has them unless the policy is not to.
     pub(super) fn finish(&mut self) -> io::Result<()> {
         self.flush()?;
         let mut ending = Vec::new();
-        records::data_end(&mut ending, self.data_crc.clone().finalize())?;
-        self.summary.emit(&mut ending, self.kept)?;
+        let checksum = if self.options.has_data_crc { self.data_crc.clone().finalize() } else { 0 };
+        records::data_end(&mut ending, checksum)?;
+        self.summary.emit(&mut ending, self.kept, &self.channels, &self.options)?;
         self.append(&ending)?;
-        self.file.sync_all()
+        match self.sync {
+            SyncPolicy::Never => Ok(()),
+            SyncPolicy::Files | SyncPolicy::Chunks => self.file.sync_all(),
+        }
     }
 
     /// After a failed write: cuts the file back to its last complete chunk and ends it there without a summary. That
     /// takes 50 bytes, usually fewer than what was cut off, so it succeeds on a full disk; if not, readers miss only
     /// the end mark.
     pub(super) fn give_up(&mut self) -> io::Result<()> {
-        self.file.set_len(self.kept)?;
-        self.file.seek(SeekFrom::Start(self.kept))?;
+        self.rewind()?;
         let mut ending = Vec::new();
         records::data_end(&mut ending, 0)?; // no checksum of the data
         Summary::emit_none(&mut ending);
         self.file.write_all(&ending)
     }
 
+    fn rewind(&mut self) -> io::Result<()> {
+        self.file.set_len(self.kept)?;
+        self.file.seek(SeekFrom::Start(self.kept)).map(drop)
+    }
+
     fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.file.write_all(bytes)?;
+        if self.sync == SyncPolicy::Chunks {
+            self.file.sync_data()?;
+        }
         self.kept += bytes.len() as u64;
-        self.data_crc.update(bytes);
+        if self.options.has_data_crc {
+            self.data_crc.update(bytes);
+        }
         Ok(())
     }
 }

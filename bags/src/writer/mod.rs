@@ -1,22 +1,36 @@
 //! Writing of a bag: the recorder without its thread.
 
+mod channels;
 mod chunk;
+mod compress;
+mod describe;
 mod error;
 mod file;
+mod hand_over;
 mod options;
 mod records;
+mod split;
+mod storage;
 mod summary;
+mod times;
 
+use std::collections::VecDeque;
+use std::ffi::OsString;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use crate::metadata::{self, FileMetadata, Metadata, RecordedQos, TopicMetadata};
-use crate::summary::{RecordingSummary, TopicCount};
+use crate::metadata;
+use crate::summary::RecordingSummary;
 use crate::topic::{TopicId, TopicInfo};
 
 pub use error::WriterError;
 use file::ChunkedFile;
-pub use options::{Compression, WriterOptions};
+pub use options::{SplitLimits, SyncPolicy, WhenDiskFull, WriterOptions};
+pub use split::FileSplit;
+use split::{SplitHandler, WrittenFile};
+pub use storage::{Compression, CompressionLevel, McapOptions, StorageConfigError, StoragePreset};
+use times::Times;
 
 /// Writes one bag directory.
 ///
@@ -29,11 +43,15 @@ pub use options::{Compression, WriterOptions};
 /// fails then.
 pub struct Writer {
     directory: PathBuf,
+    /// What the names of the files begin with.
+    name: OsString,
     options: WriterOptions,
     file: ChunkedFile,
+    /// The files of the bag; the last is the one that is written.
+    files: VecDeque<WrittenFile>,
+    /// The number of the next file.
+    next_number: u64,
     topics: Vec<Topic>,
-    /// Of the messages in finished chunks.
-    written: Times,
     /// Of the messages in the open chunk.
     open: Times,
     /// When the first message came into the open chunk.
@@ -41,6 +59,11 @@ pub struct Writer {
     /// When metadata.yaml was last written, and whether it knows all topics.
     metadata_written: Instant,
     metadata_has_all_topics: bool,
+    /// Messages in files that were deleted.
+    deleted: u64,
+    /// Whether the last chunk found no room.
+    is_disk_full: bool,
+    on_split: Option<SplitHandler>,
     state: State,
 }
 
@@ -58,8 +81,10 @@ struct Topic {
     written: u64,
     /// Messages in the open chunk.
     open: u64,
-    /// Messages in a chunk that could not be written.
+    /// Messages in chunks that could not be written.
     lost: u64,
+    /// Messages that were refused before they reached the writer.
+    refused: u64,
 }
 
 /// The shortest time between two updates of metadata.yaml while recording.
@@ -99,7 +124,7 @@ impl Writer {
             return Err(WriterError::TooManyTopics { topic: info.name });
         };
         let channel = self.file.add_topic(&info).map_err(|source| self.fail(source))?;
-        self.topics.push(Topic { info, channel, written: 0, open: 0, lost: 0 });
+        self.topics.push(Topic { info, channel, written: 0, open: 0, lost: 0, refused: 0 });
         self.metadata_has_all_topics = false;
         Ok(id)
     }
@@ -143,30 +168,35 @@ impl Writer {
         Ok(Some(left))
     }
 
+    /// Goes on in a new file.
+    ///
+    /// # Errors
+    /// If the new file cannot be created, writing fails, or recording has stopped.
+    pub fn split(&mut self) -> Result<FileSplit, WriterError> {
+        self.split_at(Instant::now())
+    }
+
+    /// Has `handler` called after each file that was ended, the last one too. It replaces the one before.
+    pub fn on_split(&mut self, handler: impl FnMut(&FileSplit) + Send + 'static) {
+        self.on_split = Some(Box::new(handler));
+    }
+
     /// Notes something in the `custom_data` of the metadata. It is in the bag from the next flush on.
     pub fn set_custom_data(&mut self, key: impl Into<String>, value: impl Into<String>) {
         self.options.custom_data.insert(key.into(), value.into());
     }
 
-    /// What has been handed to the operating system so far: the open chunk does not count.
+    /// Notes how many messages of a topic were refused in all before they reached this writer: they are told in
+    /// `custom_data` with those that it lost itself. False where it has no such topic.
+    pub fn set_refused(&mut self, topic: TopicId, messages: u64) -> bool {
+        let found = self.topics.get_mut(topic.index());
+        found.map(|topic| topic.refused = messages).is_some()
+    }
+
+    /// Whether there was no room for the last chunk, and it was given up ([`WhenDiskFull::Drop`]).
     #[must_use]
-    pub fn summary(&self) -> RecordingSummary {
-        RecordingSummary {
-            path: self.directory.clone(),
-            bytes: self.file.kept(),
-            starting_time: self.written.first(),
-            duration: self.written.duration(),
-            topics: self
-                .topics
-                .iter()
-                .map(|topic| TopicCount {
-                    name: topic.info.name.clone(),
-                    type_name: topic.info.type_name.clone(),
-                    written: topic.written,
-                    lost: topic.lost,
-                })
-                .collect(),
-        }
+    pub fn is_disk_full(&self) -> bool {
+        self.is_disk_full
     }
 
     /// Ends the bag and waits until the medium has it. After a failed write, which was reported then, returns what
@@ -183,34 +213,33 @@ impl Writer {
         let Some(name) = directory.file_name() else {
             return Err(WriterError::Unnamed { path: directory.to_owned() });
         };
-        let mut file_name = name.to_owned();
-        file_name.push("_0.mcap");
         options::create_directory(directory)?;
 
-        let path = directory.join(file_name);
         let failed = |path: &Path| {
             let path = path.to_owned();
             move |source| WriterError::Create { path, source }
         };
-        let file = ChunkedFile::create(&path, options.compression).map_err(failed(&path))?;
+        let path = split::path(directory, name, 0);
+        let file = ChunkedFile::create(&path, options.storage, options.sync).map_err(failed(&path))?;
         let mut writer = Self {
             directory: directory.to_owned(),
+            name: name.to_owned(),
             options,
+            files: VecDeque::from([WrittenFile::new(&path)]),
             file,
+            next_number: 1,
             topics: Vec::new(),
-            written: Times::default(),
             open: Times::default(),
             open_since: None,
             metadata_written: Instant::now(),
             metadata_has_all_topics: true,
+            deleted: 0,
+            is_disk_full: false,
+            on_split: None,
             state: State::Recording,
         };
         let metadata = writer.metadata();
-        writer
-            .file
-            .write_metadata(metadata.to_record())
-            .and_then(|()| writer.file.flush())
-            .map_err(failed(&path))?;
+        writer.file.write_metadata(metadata.to_record()).map_err(failed(&path))?;
         metadata.replace_in(directory).map_err(failed(&directory.join(metadata::FILE_NAME)))?;
         Ok(writer)
     }
@@ -225,7 +254,7 @@ impl Writer {
     ) -> Result<(), WriterError> {
         self.check_recording()?;
         let topics = self.topics.len();
-        let Some(entry) = self.topics.get_mut(topic.index()) else {
+        let Some(entry) = self.topics.get(topic.index()) else {
             return Err(WriterError::UnknownTopic { index: topic.index(), topics });
         };
         let unsigned = |time: i64| {
@@ -233,6 +262,10 @@ impl Writer {
                 .map_err(|_| WriterError::NegativeTime { topic: entry.info.name.clone(), time })
         };
         let (log, publish) = (unsigned(log_time)?, unsigned(publish_time)?);
+        if self.is_split_due(log_time) {
+            self.split_at(now)?;
+        }
+        let Some(entry) = self.topics.get_mut(topic.index()) else { return Ok(()) };
         let written = self.file.write(entry.channel, log, publish, data);
         entry.open += 1;
         written.map_err(|source| self.fail(source))?;
@@ -240,7 +273,7 @@ impl Writer {
         self.open.include(log_time);
         let since = *self.open_since.get_or_insert(now);
         let is_due = now.saturating_duration_since(since) >= self.options.flush_interval;
-        if is_due || self.file.open_bytes() >= self.options.chunk_size {
+        if is_due || self.file.open_bytes() >= self.options.storage.chunk_size {
             self.flush_at(now)?;
         }
         Ok(())
@@ -248,26 +281,12 @@ impl Writer {
 
     fn flush_at(&mut self, now: Instant) -> Result<(), WriterError> {
         self.check_recording()?;
-        // A chunk of topics without messages can wait: readers sort chunks by the times of their messages.
-        if self.open_since.is_some() {
-            self.file.flush().map_err(|source| self.fail(source))?;
-            self.count_open_chunk();
-        }
+        self.hand_over()?;
         let is_stale = now.saturating_duration_since(self.metadata_written) >= METADATA_INTERVAL;
         if is_stale || !self.metadata_has_all_topics {
-            self.metadata().replace_in(&self.directory).map_err(|source| self.fail(source))?;
-            self.metadata_written = now;
-            self.metadata_has_all_topics = true;
+            self.replace_metadata(now)?;
         }
         Ok(())
-    }
-
-    fn count_open_chunk(&mut self) {
-        for topic in &mut self.topics {
-            topic.written += std::mem::take(&mut topic.open);
-        }
-        self.written.merge(std::mem::take(&mut self.open));
-        self.open_since = None;
     }
 
     fn close(&mut self) -> Result<(), WriterError> {
@@ -275,8 +294,7 @@ impl Writer {
             State::Recording => {}
             State::Stopped | State::Closed => return Ok(()),
         }
-        self.file.flush().map_err(|source| self.fail(source))?;
-        self.count_open_chunk();
+        self.hand_over()?;
         let metadata = self.metadata();
         self.file
             .write_metadata(metadata.to_record())
@@ -284,19 +302,18 @@ impl Writer {
             .and_then(|()| metadata.replace_in(&self.directory))
             .map_err(|source| self.fail(source))?;
         self.state = State::Closed;
+        self.tell_split(&FileSplit { closed: self.file.path().to_owned(), opened: None });
         Ok(())
     }
 
     /// Keeps what is complete, and makes the error to report.
-    fn fail(&mut self, source: std::io::Error) -> WriterError {
+    fn fail(&mut self, source: io::Error) -> WriterError {
         self.state = State::Stopped;
-        self.open = Times::default();
-        for topic in &mut self.topics {
-            topic.lost += std::mem::take(&mut topic.open);
-        }
-        // These two fail for the reason that is being reported; the bag is readable without them.
+        self.lose_open_chunk();
+        // These fail for the reason that is being reported; the bag is readable without them.
         let _ = self.file.give_up();
-        let _ = self.metadata().replace_in(&self.directory);
+        let metadata = self.metadata();
+        let _ = metadata.replace_in(&self.directory).or_else(|_| metadata.overwrite_in(&self.directory));
         let kept = self.topics.iter().map(|topic| topic.written).sum();
         WriterError::Write { path: self.file.path().to_owned(), source, kept }
     }
@@ -307,38 +324,6 @@ impl Writer {
             State::Stopped | State::Closed => Err(WriterError::Stopped { path: self.directory.clone() }),
         }
     }
-
-    fn metadata(&self) -> Metadata {
-        let message_count = self.topics.iter().map(|topic| topic.written).sum();
-        let path = self.file.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let starting_time = self.written.first().unwrap_or(metadata::NEVER);
-        let duration = self.written.duration();
-        Metadata {
-            version: metadata::FORMAT_VERSION,
-            storage_identifier: "mcap".to_owned(),
-            duration,
-            starting_time,
-            message_count,
-            topics: self
-                .topics
-                .iter()
-                .map(|topic| TopicMetadata {
-                    name: topic.info.name.clone(),
-                    type_name: topic.info.type_name.clone(),
-                    serialization_format: topic.info.message_encoding().to_owned(),
-                    offered_qos: topic.info.offered_qos.iter().map(RecordedQos::from).collect(),
-                    type_hash: topic.info.type_hash.clone(),
-                    message_count: topic.written,
-                })
-                .collect(),
-            compression_format: String::new(),
-            compression_mode: String::new(),
-            relative_file_paths: vec![path.clone()],
-            files: vec![FileMetadata { path, starting_time, duration, message_count }],
-            custom_data: self.options.custom_data.clone(),
-            ros_distro: "jazzy".to_owned(),
-        }
-    }
 }
 
 impl Drop for Writer {
@@ -346,31 +331,6 @@ impl Drop for Writer {
         if let Err(error) = self.close() {
             tracing::error!("{error}");
         }
-    }
-}
-
-/// The first and the last of some times, in nanoseconds since the epoch.
-#[derive(Clone, Copy, Default)]
-struct Times(Option<(i64, i64)>);
-
-impl Times {
-    fn include(&mut self, time: i64) {
-        self.merge(Self(Some((time, time))));
-    }
-
-    fn merge(&mut self, other: Self) {
-        self.0 = match (self.0, other.0) {
-            (Some(a), Some(b)) => Some((a.0.min(b.0), a.1.max(b.1))),
-            (one, None) | (None, one) => one,
-        };
-    }
-
-    fn first(self) -> Option<i64> {
-        self.0.map(|(first, _)| first)
-    }
-
-    fn duration(self) -> Duration {
-        self.0.map_or(Duration::ZERO, |(first, last)| Duration::from_nanos(last.abs_diff(first)))
     }
 }
 

@@ -3,34 +3,25 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::io;
+use std::num::NonZeroUsize;
 use std::path::Path;
 use std::time::Duration;
 
+use super::storage::{Compression, DEFAULT_CHUNK_SIZE, McapOptions};
 use super::{Writer, WriterError};
-
-/// Whether chunks are compressed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Compression {
-    /// They are not: least work while recording. What rosbag2 does unless told otherwise.
-    #[default]
-    None,
-    /// With Zstandard at the fastest level, as rosbag2's preset `zstd_fast`. The compressor is slower than the one in C
-    /// (see README.md), and works when a chunk is handed over: record with [`Recording`](crate::Recording) where the
-    /// thread must not wait for a full chunk.
-    Zstd,
-}
 
 /// How to record a bag.
 ///
 /// ```
 /// use std::time::Duration;
-/// use downbeat_bags::{Compression, WriterOptions};
+/// use downbeat_bags::{Compression, SplitLimits, WriterOptions};
 ///
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// # let folder = tempfile::tempdir()?;
 /// let writer = WriterOptions::new()
 ///     .compression(Compression::Zstd)
 ///     .flush_interval(Duration::from_millis(250))
+///     .split(SplitLimits { max_duration: Some(Duration::from_secs(60)), ..SplitLimits::NONE })
 ///     .custom_data("emulated", "true")
 ///     .create(folder.path().join("morning_run"))?;
 /// assert!(writer.path().join("morning_run_0.mcap").exists());
@@ -39,45 +30,125 @@ pub enum Compression {
 /// ```
 #[derive(Clone, Debug)]
 pub struct WriterOptions {
-    pub(super) compression: Compression,
-    pub(super) chunk_size: u64,
+    pub(super) storage: McapOptions,
     pub(super) flush_interval: Duration,
+    pub(super) split: SplitLimits,
+    pub(super) max_bag_files: Option<NonZeroUsize>,
+    pub(super) sync: SyncPolicy,
+    pub(super) disk_full: WhenDiskFull,
     pub(super) custom_data: BTreeMap<String, String>,
+}
+
+/// When a bag goes on in a new file: at the first of these limits that a file reaches.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SplitLimits {
+    /// Bytes of a file, those of its open chunk before compression included; `--max-bag-size`. A file is larger by its last
+    /// message and its summary.
+    pub max_bytes: Option<u64>,
+    /// From the first message of a file to its last, by the times at which they were received; `--max-bag-duration`.
+    pub max_duration: Option<Duration>,
+}
+
+impl SplitLimits {
+    /// One file.
+    pub const NONE: Self = Self { max_bytes: None, max_duration: None };
+    /// The least that rosbag2 takes for `max_bytes` (`MCAPStorage::get_minimum_split_file_size`).
+    pub const LEAST_BYTES: u64 = 1024;
+}
+
+/// When to wait until the medium has what was written. A process that is killed loses nothing either way; a machine that loses
+/// power loses what its operating system had not written yet.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SyncPolicy {
+    /// Never: when is up to the operating system, as with rosbag2.
+    Never,
+    /// At the end of each file: robots are switched off after a recording.
+    #[default]
+    Files,
+    /// After each chunk too: no more than that of the open one is lost, and writing is as slow as the medium.
+    Chunks,
+}
+
+/// What to do when there is no room for a chunk.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum WhenDiskFull {
+    /// End the file after its last chunk and record no more.
+    #[default]
+    Stop,
+    /// Give the chunk up, count its messages as lost, and go on: there may be room again, where something else deletes or
+    /// [`WriterOptions::max_bag_files`] does.
+    Drop,
 }
 
 impl WriterOptions {
     /// The chunk size of rosbag2 (that of the MCAP C++ library it carries): 768 KiB.
-    pub const DEFAULT_CHUNK_SIZE: u64 = 768 * 1024;
+    pub const DEFAULT_CHUNK_SIZE: u64 = DEFAULT_CHUNK_SIZE;
     /// 1 s.
     pub const DEFAULT_FLUSH_INTERVAL: Duration = Duration::from_secs(1);
 
-    /// No compression, [`Self::DEFAULT_CHUNK_SIZE`], [`Self::DEFAULT_FLUSH_INTERVAL`], no custom data.
+    /// One file without compression, [`Self::DEFAULT_CHUNK_SIZE`], [`Self::DEFAULT_FLUSH_INTERVAL`], no custom data.
     #[must_use]
     pub fn new() -> Self {
         Self {
-            compression: Compression::None,
-            chunk_size: Self::DEFAULT_CHUNK_SIZE,
+            storage: McapOptions::default(),
             flush_interval: Self::DEFAULT_FLUSH_INTERVAL,
+            split: SplitLimits::NONE,
+            max_bag_files: None,
+            sync: SyncPolicy::default(),
+            disk_full: WhenDiskFull::default(),
             custom_data: BTreeMap::new(),
         }
     }
 
-    /// Whether chunks are compressed.
+    /// How the files are laid out, compression included.
     #[must_use]
-    pub fn compression(self, compression: Compression) -> Self {
-        Self { compression, ..self }
+    pub fn storage(self, storage: McapOptions) -> Self {
+        Self { storage, ..self }
+    }
+
+    /// How chunks are compressed.
+    #[must_use]
+    pub fn compression(mut self, compression: Compression) -> Self {
+        self.storage.compression = compression;
+        self
     }
 
     /// The size in bytes, before compression, from which on a chunk is closed.
     #[must_use]
-    pub fn chunk_size(self, chunk_size: u64) -> Self {
-        Self { chunk_size, ..self }
+    pub fn chunk_size(mut self, chunk_size: u64) -> Self {
+        self.storage.chunk_size = chunk_size;
+        self
     }
 
     /// The age at which a chunk is closed though it is not full: what a killed process loses at most.
     #[must_use]
     pub fn flush_interval(self, flush_interval: Duration) -> Self {
         Self { flush_interval, ..self }
+    }
+
+    /// When the bag goes on in a new file.
+    #[must_use]
+    pub fn split(self, split: SplitLimits) -> Self {
+        Self { split, ..self }
+    }
+
+    /// How many files the bag has at the most: when there would be one more, the oldest is deleted. Its messages are then
+    /// no longer counted, and `custom_data` says how many were (`deleted_messages`).
+    #[must_use]
+    pub fn max_bag_files(self, max_bag_files: NonZeroUsize) -> Self {
+        Self { max_bag_files: Some(max_bag_files), ..self }
+    }
+
+    /// When to wait until the medium has what was written.
+    #[must_use]
+    pub fn sync(self, sync: SyncPolicy) -> Self {
+        Self { sync, ..self }
+    }
+
+    /// What to do when there is no room for a chunk.
+    #[must_use]
+    pub fn when_disk_full(self, disk_full: WhenDiskFull) -> Self {
+        Self { disk_full, ..self }
     }
 
     /// Adds an entry to the `custom_data` of the metadata.
@@ -90,8 +161,11 @@ impl WriterOptions {
     /// Creates the bag directory, the folders above it where they are missing, and the files in it.
     ///
     /// # Errors
-    /// If it exists already, or cannot be created.
+    /// If it exists already or cannot be created, or files are to be smaller than [`SplitLimits::LEAST_BYTES`].
     pub fn create(self, directory: impl AsRef<Path>) -> Result<Writer, WriterError> {
+        if let Some(bytes) = self.split.max_bytes.filter(|bytes| *bytes < SplitLimits::LEAST_BYTES) {
+            return Err(WriterError::SplitSize { bytes });
+        }
         Writer::create(directory.as_ref(), self)
     }
 }

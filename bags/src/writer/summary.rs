@@ -3,95 +3,99 @@
 use std::collections::BTreeMap;
 use std::io;
 
-use downbeat_msgs::encoding::Schema;
 use mcap::records::{ChunkIndex, MetadataIndex, Statistics, op};
 
-use super::records;
-use crate::topic::TopicInfo;
+use super::channels::Channels;
+use super::chunk::Chunk;
+use super::{McapOptions, records};
 
 #[derive(Default)]
 pub(super) struct Summary {
-    /// The id of a schema is its position, counted from 1: 0 means none.
-    schemas: Vec<Schema>,
-    /// The records of all schemas, and of all channels.
-    schema_records: Vec<u8>,
-    channel_records: Vec<u8>,
-    channels: u16,
-    /// Messages in finished chunks.
+    /// Messages in what is written.
     counts: BTreeMap<u16, u64>,
+    /// Earliest and latest log time of them.
+    times: Option<(u64, u64)>,
     chunks: Vec<ChunkIndex>,
     metadata: Vec<MetadataIndex>,
+    metadata_count: u32,
 }
 
 impl Summary {
-    /// Returns the channel of the topic, and appends to `out` the records that tell of it.
-    pub(super) fn add_topic(
-        &mut self,
-        topic: &TopicInfo,
-        metadata: &BTreeMap<String, String>,
-        out: &mut Vec<u8>,
-    ) -> io::Result<u16> {
-        let too_many = |_| io::Error::other("MCAP has no place for more types");
-        let of_topic = topic.schema();
-        let known = self.schemas.iter().position(|schema| *schema == of_topic);
-        let schema = u16::try_from(known.unwrap_or(self.schemas.len()) + 1).map_err(too_many)?;
-        let mut of_schema = Vec::new();
-        if known.is_none() {
-            records::schema(&mut of_schema, schema, &of_topic)?;
-        }
-        let channel = self.channels;
-        let mut of_channel = Vec::new();
-        records::channel(&mut of_channel, channel, schema, topic, metadata)?;
-
-        if known.is_none() {
-            self.schemas.push(of_topic);
-        }
-        self.channels += 1;
-        self.schema_records.extend_from_slice(&of_schema);
-        self.channel_records.extend_from_slice(&of_channel);
-        out.extend_from_slice(&of_schema);
-        out.extend_from_slice(&of_channel);
-        Ok(channel)
-    }
-
-    pub(super) fn add_chunk(&mut self, index: ChunkIndex, counts: impl Iterator<Item = (u16, u64)>) {
-        self.chunks.push(index);
-        for (channel, count) in counts {
+    /// Counts what was written.
+    pub(super) fn add(&mut self, chunk: &Chunk, index: Option<ChunkIndex>) {
+        self.chunks.extend(index);
+        for (channel, count) in chunk.counts() {
             *self.counts.entry(channel).or_default() += count;
         }
+        self.times = match (self.times, chunk.times()) {
+            (Some(a), Some(b)) => Some((a.0.min(b.0), a.1.max(b.1))),
+            (one, other) => one.or(other),
+        };
     }
 
     pub(super) fn add_metadata(&mut self, index: MetadataIndex) {
         self.metadata.push(index);
+        self.metadata_count = self.metadata_count.saturating_add(1);
     }
 
     /// Appends summary, footer and end mark to `out`, which will be written at `position` in the file.
-    pub(super) fn emit(&self, out: &mut Vec<u8>, position: u64) -> io::Result<()> {
+    pub(super) fn emit(
+        &self,
+        out: &mut Vec<u8>,
+        position: u64,
+        channels: &Channels,
+        options: &McapOptions,
+    ) -> io::Result<()> {
+        if !options.has_summary {
+            Self::emit_none(out);
+            return Ok(());
+        }
         let begin = out.len();
         let mut groups = Vec::new();
-        let mut group = |opcode, out: &mut Vec<u8>, write: &dyn Fn(&mut Vec<u8>) -> io::Result<()>| {
-            let start = out.len();
-            write(out)?;
-            if out.len() > start {
-                groups.push((opcode, position + start as u64, (out.len() - start) as u64));
-            }
-            io::Result::Ok(())
-        };
-        group(op::SCHEMA, out, &|out| io::Write::write_all(out, &self.schema_records))?;
-        group(op::CHANNEL, out, &|out| io::Write::write_all(out, &self.channel_records))?;
-        group(op::STATISTICS, out, &|out| records::statistics(out, &self.statistics()))?;
-        group(op::CHUNK_INDEX, out, &|out| {
+        let mut group =
+            |opcode, wanted: bool, out: &mut Vec<u8>, write: &dyn Fn(&mut Vec<u8>) -> io::Result<()>| {
+                let start = out.len();
+                if wanted {
+                    write(out)?;
+                }
+                if out.len() > start {
+                    groups.push((opcode, position + start as u64, (out.len() - start) as u64));
+                }
+                io::Result::Ok(())
+            };
+        group(op::SCHEMA, options.repeats_schemas, out, &|out| {
+            channels.repeat_schemas(out);
+            Ok(())
+        })?;
+        group(op::CHANNEL, options.repeats_channels, out, &|out| {
+            channels.repeat_channels(out);
+            Ok(())
+        })?;
+        group(op::STATISTICS, options.has_statistics, out, &|out| {
+            records::statistics(out, &self.statistics(channels))
+        })?;
+        group(op::CHUNK_INDEX, options.has_chunk_index, out, &|out| {
             self.chunks.iter().try_for_each(|index| records::chunk_index(out, index))
         })?;
-        group(op::METADATA_INDEX, out, &|out| {
+        group(op::METADATA_INDEX, options.has_metadata_index, out, &|out| {
             self.metadata.iter().try_for_each(|index| records::metadata_index(out, index))
         })?;
         let offsets = out.len();
-        for (opcode, start, length) in groups {
-            records::summary_offset(out, opcode, start, length)?;
+        let mut offsets_start = 0;
+        if options.has_summary_offsets && !groups.is_empty() {
+            offsets_start = position + offsets as u64;
+            for (opcode, start, length) in groups {
+                records::summary_offset(out, opcode, start, length)?;
+            }
         }
+        // A summary of nothing is none.
+        let summary_start = if out.len() > begin { position + begin as u64 } else { 0 };
         // The checksum covers the summary and the footer up to the checksum.
-        footer(out, position + begin as u64, position + offsets as u64, |out| crc32fast::hash(&out[begin..]));
+        let checksum = |out: &[u8]| {
+            let summary = out.get(begin..).unwrap_or_default();
+            if options.has_summary_crc { crc32fast::hash(summary) } else { 0 }
+        };
+        footer(out, summary_start, offsets_start, checksum);
         Ok(())
     }
 
@@ -100,17 +104,17 @@ impl Summary {
         footer(out, 0, 0, |_| 0);
     }
 
-    fn statistics(&self) -> Statistics {
-        let with_messages = || self.chunks.iter().filter(|chunk| !chunk.message_index_offsets.is_empty());
+    fn statistics(&self, channels: &Channels) -> Statistics {
+        let (message_start_time, message_end_time) = self.times.unwrap_or((0, 0));
         Statistics {
             message_count: self.counts.values().sum(),
-            schema_count: u16::try_from(self.schemas.len()).unwrap_or(u16::MAX),
-            channel_count: u32::from(self.channels),
+            schema_count: u16::try_from(channels.schema_count()).unwrap_or(u16::MAX),
+            channel_count: u32::try_from(channels.channel_count()).unwrap_or(u32::MAX),
             attachment_count: 0,
-            metadata_count: u32::try_from(self.metadata.len()).unwrap_or(u32::MAX),
+            metadata_count: self.metadata_count,
             chunk_count: u32::try_from(self.chunks.len()).unwrap_or(u32::MAX),
-            message_start_time: with_messages().map(|chunk| chunk.message_start_time).min().unwrap_or(0),
-            message_end_time: with_messages().map(|chunk| chunk.message_end_time).max().unwrap_or(0),
+            message_start_time,
+            message_end_time,
             channel_message_counts: self.counts.clone(),
         }
     }

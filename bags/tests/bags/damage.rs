@@ -3,17 +3,24 @@
 use std::fs;
 use std::path::Path;
 
-use downbeat_bags::{BagInfo, Compression, Reader, ReaderError, Selection, TruncationCause, WriterOptions};
+use downbeat_bags::{
+    BagInfo, Compression, McapOptions, Reader, ReaderError, Selection, TruncationCause, WriterOptions,
+};
 
 use crate::support::{fixture, messages, value, write_numbers};
 
 const COUNT: i64 = 80;
 
+/// Small chunks, which are compressed all the same.
+fn storage(compression: Compression) -> McapOptions {
+    McapOptions { compression, is_compression_forced: true, chunk_size: 200, ..McapOptions::default() }
+}
+
 /// The bytes of a bag file with many chunks, and for each chunk where it ends and how many messages the file has until
 /// there.
 fn many_chunks(folder: &Path, compression: Compression) -> (Vec<u8>, Vec<(usize, usize)>) {
     let bag = folder.join("whole");
-    let mut writer = WriterOptions::new().compression(compression).chunk_size(200).create(&bag).unwrap();
+    let mut writer = WriterOptions::new().storage(storage(compression)).create(&bag).unwrap();
     write_numbers(&mut writer, COUNT);
     writer.finish().unwrap();
     let bytes = fs::read(bag.join("whole_0.mcap")).unwrap();

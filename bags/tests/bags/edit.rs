@@ -63,7 +63,7 @@ fn a_part_of_a_bag_begins_with_what_latched_topics_had_last_sent() {
     let mut writer = WriterOptions::new().create(folder.path().join("whole")).unwrap();
     let numbers = writer.add_topic(topic("/numbers")).unwrap();
     let mut info = topic("/map");
-    info.offered_qos = vec![QosProfile::LATCHED.keep_last(2)];
+    info.offered_qos = vec![QosProfile::LATCHED.keep_last(2).into()];
     let map = writer.add_topic(info).unwrap();
     for n in 0..100 {
         writer.write(numbers, 10 * n, 10 * n, &number(n)).unwrap();

@@ -12,9 +12,9 @@ use downbeat_bags::{Reader, Recording, TruncationCause, WriterError, WriterOptio
 
 use crate::support::{messages, number, topic, value, write_numbers};
 
-const BAG: &str = "DOWNBEAT_TEST_BAG";
+pub const BAG: &str = "DOWNBEAT_TEST_BAG";
 
-fn child(test: &str, bag: &Path, launcher: Option<&str>) -> Command {
+pub fn child(test: &str, bag: &Path, launcher: Option<&str>) -> Command {
     let program = std::env::current_exe().unwrap();
     let mut command = match launcher {
         None => Command::new(program),

@@ -2,14 +2,20 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod beside;
+mod control;
 mod damage;
+mod disk;
 mod dynamic;
 mod edit;
 mod fixtures;
 mod fuzz;
 mod interrupted;
+mod killed;
 mod layout;
 mod order;
 mod others;
 mod python;
+mod splits;
+mod storage;
 mod support;

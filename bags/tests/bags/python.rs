@@ -15,13 +15,13 @@ fn topic<M: Message>(name: &str, qos: QosProfile) -> TopicInfo {
         type_name: M::TYPE_NAME.to_owned(),
         definition: M::DEFINITION.to_owned(),
         type_hash: M::TYPE_HASH.to_owned(),
-        offered_qos: vec![qos],
+        offered_qos: vec![qos.into()],
         format: None,
     }
 }
 
 /// What a program in `tests/python` prints of a bag; `None` when there is no Python.
-fn read_with_python(program: &str, bag: &Path) -> Option<Value> {
+pub fn read_with_python(program: &str, bag: &Path) -> Option<Value> {
     let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
         // Past the capture of test output, which shows nothing of a test that passes.
         let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";

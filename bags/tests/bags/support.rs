@@ -16,7 +16,7 @@ pub fn topic(name: &str) -> TopicInfo {
         type_name: "std_msgs/msg/Int64".to_owned(),
         definition: "int64 data\n".to_owned(),
         type_hash: String::new(),
-        offered_qos: vec![QosProfile::DEFAULT],
+        offered_qos: vec![QosProfile::DEFAULT.into()],
         format: None,
     }
 }

@@ -17,9 +17,11 @@
 
 mod follow;
 mod publish;
+mod sim_time;
 
 pub use follow::{FollowedClock, FollowedTime};
 pub use publish::{DEFAULT_RATE_HZ, MODULE_NAME, publish};
+pub use sim_time::{NodeClock, SimTime, SimTimeError};
 
 /// Absolute: there is one time, whatever the namespaces.
 pub const TOPIC: &str = "/clock";

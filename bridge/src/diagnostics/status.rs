@@ -1,7 +1,7 @@
 //! From counts to levels: what has come since the last look decides, so that a warning ends when its cause does.
 
 use crate::expose::EndpointReport;
-use crate::middleware::Direction;
+use crate::middleware::{Direction, QosPolicyKind};
 use downbeat_executor::{ModuleState, ModuleStatistics, Snapshot, TimeStatistics};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
 use std::fmt::Display;
@@ -55,10 +55,15 @@ pub(super) fn endpoint(node: &str, now: &EndpointReport, last: Option<&EndpointR
         Direction::Out => "subscriptions",
         Direction::In => "publishers",
     };
-    let failed = now.errors.saturating_sub(last.map_or(0, |last| last.errors));
+    let gained = |count: fn(&EndpointReport) -> u64| count(now).saturating_sub(last.map_or(0, count));
+    let (failed, dropped) = (gained(|report| report.errors), gained(|report| report.dropped));
     let (level, message) = if failed > 0 {
         let reason = now.last_error.as_deref().unwrap_or("unknown");
         (DiagnosticStatus::WARN, format!("{failed} messages failed: {reason}"))
+    } else if dropped > 0 {
+        (DiagnosticStatus::WARN, format!("{dropped} messages dropped, the bridge is too slow"))
+    } else if gained(|report| report.qos_counts.problems()) > 0 {
+        (DiagnosticStatus::WARN, qos_problems(now, last))
     } else {
         (DiagnosticStatus::OK, format!("{} {peers}", now.matched))
     };
@@ -68,8 +73,34 @@ pub(super) fn endpoint(node: &str, now: &EndpointReport, last: Option<&EndpointR
         value("messages", now.messages),
         value("messages nobody heard", now.skipped),
         value("messages failed", now.errors),
+        value("messages dropped", now.dropped),
+        value("messages lost", now.qos_counts.lost),
+        value("deadlines missed", now.qos_counts.deadlines_missed),
+        value("liveliness lost", now.qos_counts.liveliness_lost + now.qos_counts.silences),
+        value("incompatible", now.qos_counts.incompatible),
     ];
     status(level, format!("{node}: {}", now.ros_topic), message, values)
+}
+
+fn qos_problems(now: &EndpointReport, last: Option<&EndpointReport>) -> String {
+    let before = last.map(|last| last.qos_counts.clone()).unwrap_or_default();
+    let counts = &now.qos_counts;
+    let policy = counts.last_incompatible.map_or("", QosPolicyKind::name);
+    let problems = [
+        (
+            counts.incompatible.saturating_sub(before.incompatible),
+            format!("endpoints do not match: {policy}"),
+        ),
+        (counts.deadlines_missed.saturating_sub(before.deadlines_missed), "deadlines missed".to_owned()),
+        (
+            counts.liveliness_lost.saturating_sub(before.liveliness_lost),
+            "times not shown to be alive".to_owned(),
+        ),
+        (counts.silences.saturating_sub(before.silences), "publishers not alive".to_owned()),
+        (counts.lost.saturating_sub(before.lost), "messages lost".to_owned()),
+    ];
+    let told = problems.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
+    told.collect::<Vec<_>>().join("; ")
 }
 
 fn level_of_module(now: &ModuleStatistics, last: Option<&ModuleStatistics>) -> (u8, String) {

@@ -48,7 +48,7 @@ impl CoreAccess<'_> {
     }
 }
 
-fn answer<T>(module: &str, receipt: &Receipt<Result<T, SetupError>>) -> Result<T, SetupError> {
+fn answer<T: 'static>(module: &str, receipt: &Receipt<Result<T, SetupError>>) -> Result<T, SetupError> {
     receipt.wait(PATIENCE).unwrap_or_else(|| {
         let reason =
             "the core does not answer: it has stopped or is held, or a module does not return".into();

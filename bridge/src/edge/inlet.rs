@@ -83,19 +83,28 @@ impl fmt::Debug for EncodedInlet {
     }
 }
 
-pub(super) fn open<T: Message>(
+/// An inlet whose queue holds what is to wait.
+pub(super) fn open_queue<T: Send + Sync + 'static>(
     core: &mut CoreAccess<'_>,
     topic: &str,
     waiting: Waiting,
-) -> Result<Box<PublishEncoded>, SetupError> {
+) -> Result<Inlet<T>, SetupError> {
     let all = NonZeroUsize::MIN.saturating_add(Inlet::<T>::CAPACITY - 1);
-    let inlet = core.inlet::<T>(
+    core.inlet::<T>(
         topic,
         match waiting {
             Waiting::All => Locked::bounded(all, Overflow::Refuse),
             Waiting::Latest => Locked::bounded(NonZeroUsize::MIN, Overflow::DropOldest),
         },
-    )?;
+    )
+}
+
+pub(super) fn open<T: Message>(
+    core: &mut CoreAccess<'_>,
+    topic: &str,
+    waiting: Waiting,
+) -> Result<Box<PublishEncoded>, SetupError> {
+    let inlet = open_queue::<T>(core, topic, waiting)?;
     let topic: Arc<str> = topic.into();
     Ok(Box::new(move |bytes| {
         let message = cdr::from_slice::<T>(bytes).map_err(|error| EncodedInletError::Decode {

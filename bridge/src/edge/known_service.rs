@@ -1,9 +1,10 @@
 //! The registry of service types.
 
 use super::call::{self, Answers, CallEncoded, EncodedCaller, Outlet, RemoteCall};
+use super::event::{self, EncodeEvent};
 use super::nearest::nearest;
 use downbeat_executor::{Core, ServiceInfo, Setup, SetupError};
-use downbeat_msgs::Service;
+use downbeat_msgs::{Service, cdr};
 use std::any::type_name;
 use std::fmt;
 use thiserror::Error;
@@ -57,6 +58,18 @@ impl KnownService {
     #[must_use]
     pub fn hash(self) -> &'static str {
         self.entry.hash
+    }
+
+    /// The response that says nothing, serialized: all its fields have their defaults.
+    #[must_use]
+    pub fn default_response(self) -> Vec<u8> {
+        (self.entry.default_response)()
+    }
+
+    /// Serializes events of the service.
+    #[must_use]
+    pub fn encode_event(self) -> EncodeEvent {
+        self.entry.encode_event
     }
 
     /// Calls a service of modules with serialized requests, from any thread.
@@ -130,6 +143,8 @@ struct Entry {
     rust_types: fn() -> (&'static str, &'static str),
     open_caller: fn(&mut Core, &str) -> Result<Box<CallEncoded>, SetupError>,
     open_answers: fn(&mut Core, &str) -> Result<Answers, SetupError>,
+    default_response: fn() -> Vec<u8>,
+    encode_event: EncodeEvent,
 }
 
 const fn entry<S: Service>() -> Entry {
@@ -139,6 +154,8 @@ const fn entry<S: Service>() -> Entry {
         rust_types: || (type_name::<S::Request>(), type_name::<S::Response>()),
         open_caller: call::open_caller::<S>,
         open_answers: call::open_answers::<S>,
+        default_response: || cdr::to_vec(&S::Response::default()),
+        encode_event: event::encode_event::<S>,
     }
 }
 

@@ -1,14 +1,17 @@
 //! The registry of message types.
 
 use super::nearest::nearest;
+use super::raw::{self, Learned};
 use super::{CoreAccess, EncodedInlet, EncodedInletError, Sink, Waiting, inlet, subscription};
 use downbeat_executor::{Core, Setup, SetupError};
 use downbeat_msgs::Message;
+use downbeat_msgs::dynamic::DynamicMessage;
 use std::any::TypeId;
 use std::fmt;
+use std::sync::OnceLock;
 use thiserror::Error;
 
-/// A message type of ROS 2 that this program was compiled with.
+/// A message type of ROS 2: one that this program was compiled with, or one that passes through ([`KnownType::raw`]).
 #[derive(Clone, Copy)]
 pub struct KnownType {
     entry: &'static Entry,
@@ -43,7 +46,7 @@ impl KnownType {
         Self::all().find(|known| known.rust_type() == type_id)
     }
 
-    /// Every type, by name.
+    /// Every type that is compiled in, by name.
     pub fn all() -> impl Iterator<Item = Self> {
         ENTRIES.iter().map(|entry| Self { entry })
     }
@@ -54,22 +57,31 @@ impl KnownType {
         self.entry.name
     }
 
-    /// `RIHS01_` and 64 hexadecimal digits.
+    /// `RIHS01_` and 64 hexadecimal digits; empty of a raw type whose definition is not known.
     #[must_use]
     pub fn hash(self) -> &'static str {
-        self.entry.hash
+        match &self.entry.rust {
+            Rust::Compiled(compiled) => compiled.hash,
+            Rust::Raw(learned) => learned.get().map_or("", |learned| &learned.hash),
+        }
     }
 
-    /// The `ros2msg` text with all dependencies, as rosbag2 stores it.
+    /// The `ros2msg` text with all dependencies, as rosbag2 stores it; empty of a raw type whose definition is not known.
     #[must_use]
     pub fn definition(self) -> &'static str {
-        self.entry.definition
+        match &self.entry.rust {
+            Rust::Compiled(compiled) => compiled.definition,
+            Rust::Raw(learned) => learned.get().map_or("", |learned| &learned.definition),
+        }
     }
 
-    /// The Rust type.
+    /// The Rust type; that of [`RawMessage`](super::RawMessage) is one for all raw types.
     #[must_use]
     pub fn rust_type(self) -> TypeId {
-        (self.entry.rust_type)()
+        match &self.entry.rust {
+            Rust::Compiled(compiled) => (compiled.rust_type)(),
+            Rust::Raw(_) => raw::rust_type(),
+        }
     }
 
     /// In a module's setup: gives each message of `topic` to `sink`, serialized, with the time of the cycle that
@@ -83,6 +95,9 @@ impl KnownType {
         topic: &str,
         sink: impl Sink,
     ) -> Result<(), SetupError> {
+        if self.is_raw() {
+            return raw::subscribe(self, setup, topic, Box::new(sink));
+        }
         let rust_type = self.rust_type();
         macro_rules! subscribe_as_the_one {
             ($($message:ty),* $(,)?) => {
@@ -114,13 +129,32 @@ impl KnownType {
         topic: &str,
         waiting: Waiting,
     ) -> Result<EncodedInlet, SetupError> {
-        Ok(EncodedInlet::new(topic, self, (self.entry.open_inlet)(core, topic, waiting)?))
+        let publish = match &self.entry.rust {
+            Rust::Compiled(compiled) => (compiled.open_inlet)(core, topic, waiting)?,
+            Rust::Raw(_) => raw::open(self, core, topic, waiting)?,
+        };
+        Ok(EncodedInlet::new(topic, self, publish))
     }
 
-    /// Serializes the default value of the type: a message that every reader accepts, for tests and probes.
+    /// Serializes the default value of the type: a message that every reader accepts, for tests and probes. Of a raw type
+    /// whose definition is not known it has no body.
     #[must_use]
     pub fn default_cdr(self) -> Vec<u8> {
-        (self.entry.default_cdr)()
+        match &self.entry.rust {
+            Rust::Compiled(compiled) => (compiled.default_cdr)(),
+            Rust::Raw(_) => {
+                let message = self.dynamic().map(|dynamic| DynamicMessage::new(&dynamic).to_cdr());
+                message.unwrap_or_else(|| vec![0, 1, 0, 0])
+            }
+        }
+    }
+
+    pub(super) fn of_entry(entry: &'static Entry) -> Self {
+        Self { entry }
+    }
+
+    pub(super) fn entry(self) -> &'static Entry {
+        self.entry
     }
 }
 
@@ -138,7 +172,7 @@ impl fmt::Display for KnownType {
 
 impl PartialEq for KnownType {
     fn eq(&self, other: &Self) -> bool {
-        self.name() == other.name()
+        self.name() == other.name() && self.is_raw() == other.is_raw()
     }
 }
 
@@ -147,8 +181,19 @@ impl Eq for KnownType {}
 /// Decodes one message and publishes it.
 pub(super) type PublishEncoded = dyn Fn(&[u8]) -> Result<(), EncodedInletError> + Send + Sync;
 
-struct Entry {
-    name: &'static str,
+pub(super) struct Entry {
+    pub(super) name: &'static str,
+    pub(super) rust: Rust,
+}
+
+/// What a type is in Rust.
+pub(super) enum Rust {
+    Compiled(Compiled),
+    /// With what is known of it.
+    Raw(&'static OnceLock<Learned>),
+}
+
+pub(super) struct Compiled {
     hash: &'static str,
     definition: &'static str,
     rust_type: fn() -> TypeId,
@@ -159,11 +204,13 @@ struct Entry {
 const fn entry<T: Message>() -> Entry {
     Entry {
         name: T::TYPE_NAME,
-        hash: T::TYPE_HASH,
-        definition: T::DEFINITION,
-        rust_type: TypeId::of::<T>,
-        open_inlet: inlet::open::<T>,
-        default_cdr: || downbeat_msgs::cdr::to_vec(&T::default()),
+        rust: Rust::Compiled(Compiled {
+            hash: T::TYPE_HASH,
+            definition: T::DEFINITION,
+            rust_type: TypeId::of::<T>,
+            open_inlet: inlet::open::<T>,
+            default_cdr: || downbeat_msgs::cdr::to_vec(&T::default()),
+        }),
     }
 }
 

@@ -7,21 +7,27 @@
 //! - an inlet that takes serialized messages ([`KnownType::inlet`]).
 //!
 //! A [`KnownService`] does the same for services: it calls those of modules with serialized requests, and lets modules call
-//! what is outside.
+//! what is outside. A [`KnownAction`] names the services and topics of an action.
 //!
 //! Nothing here knows DDS.
 
 mod call;
 mod core_access;
+mod event;
 mod inlet;
+mod known_action;
 mod known_service;
 mod known_type;
 mod nearest;
+mod raw;
 mod subscription;
 
 pub use call::{EncodedAnswer, EncodedCallError, EncodedCaller, Outlet, RemoteCall};
 pub use core_access::CoreAccess;
+pub use event::{EncodeEvent, EventContent, encode_event};
 pub use inlet::{EncodedInlet, EncodedInletError, Waiting};
+pub use known_action::{KnownAction, UnknownAction};
 pub use known_service::{KnownService, UnknownService};
 pub use known_type::{KnownType, UnknownType};
+pub use raw::{RawError, RawMessage, RawTypeError};
 pub use subscription::{Offered, Sink};

@@ -22,6 +22,8 @@ pub struct Offered {
     pub time: Time,
     /// True if the topic carried no message after it in that cycle.
     pub is_last_of_cycle: bool,
+    /// How many messages before it the inbox of the module dropped, because the module was too slow.
+    pub missed: u32,
 }
 
 /// A closure wants everything.
@@ -37,8 +39,9 @@ pub(super) fn subscribe<T: Message, M: 'static>(
     topic: &str,
     mut sink: Box<dyn Sink>,
 ) -> Result<(), SetupError> {
-    setup.subscribe(topic, move |_: &mut M, message: Received<'_, T>, _: &mut Context<'_>| {
-        let offered = Offered { time: message.time(), is_last_of_cycle: message.is_last() };
+    setup.subscribe(topic, move |_: &mut M, message: Received<'_, T>, ctx: &mut Context<'_>| {
+        let (time, is_last_of_cycle) = (message.time(), message.is_last());
+        let offered = Offered { time, is_last_of_cycle, missed: ctx.take_missed() };
         if sink.is_wanted(offered) {
             sink.take(message.time(), cdr::to_vec(&*message).into());
         }

@@ -1,15 +1,17 @@
 //! The bridge: what of a core is exposed, and changing it while the core runs.
 
 use super::endpoints::{Endpoints, Exposed, Held};
+use super::learning::learn;
 use super::limit::Limiter;
 use super::module::{MODULE_NAME, Outlet, Sender, options};
+use super::qos_events::{EndpointQos, QosEvents};
 use super::status::{BridgeStatus, EndpointReport, EndpointStatus, Traffic, WeakEndpoint};
 use super::{ExposeError, Exposure, OfACycle};
 use crate::edge::{CoreAccess, EncodedInlet, EncodedInletError, Waiting};
 use crate::middleware::{Direction, Sample};
-use crate::ros::{MessageType, Node, NodeError, Policy, Publisher, Subscription};
+use crate::ros::{MessageType, Node, NodeError, Publisher, Subscription};
 use downbeat_executor::{Clock, Core, CoreHandle, InletError};
-use downbeat_msgs::qos::{Liveliness, QosProfile};
+use downbeat_msgs::qos::QosProfile;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Creates the endpoints of all exposures on `node`, and adds the bridge to `core` as the detached observer
@@ -32,6 +34,7 @@ pub struct Bridge {
     node: Node,
     core: CoreHandle,
     clock: Arc<dyn Clock>,
+    events: QosEvents,
     endpoints: Arc<Endpoints>,
     changes: Arc<Mutex<Changes>>,
 }
@@ -50,10 +53,12 @@ impl Bridge {
     /// # Errors
     /// [`ExposeError`] when a topic cannot be exposed.
     pub fn start(core: &mut Core, node: &Node, exposures: &[Exposure]) -> Result<Self, ExposeError> {
+        let clock = core.clock();
         let bridge = Self {
             node: node.clone(),
             core: core.handle(),
-            clock: core.clock(),
+            events: QosEvents::open(&mut CoreAccess::Idle(core), Arc::clone(&clock))?,
+            clock,
             endpoints: Arc::default(),
             changes: Arc::default(),
         };
@@ -123,15 +128,28 @@ impl Bridge {
         core: &mut CoreAccess<'_>,
         exposures: &[Exposure],
     ) -> Result<Vec<Exposed>, ExposeError> {
+        // Each node is created once and kept until its endpoints keep it: peers need not see it come and go.
+        let nodes = exposures.iter().map(|exposure| self.node_of(exposure)).collect::<Result<Vec<_>, _>>()?;
+        // The names that the topics have in ROS 2; nothing where one is not valid, which the creation tells.
+        let names: Vec<_> = exposures
+            .iter()
+            .zip(&nodes)
+            .map(|(exposure, node)| node.topic_name(exposure.ros_topic()).ok().map(|topic| topic.to_string()))
+            .collect();
         let mut all = Vec::with_capacity(exposures.len());
-        for exposure in exposures {
-            let is_reverse =
-                |report: &EndpointReport| exposure.is_reverse_of(&report.topic, report.direction);
-            let others = exposures.iter().any(|other| exposure.is_reverse_of(&other.topic, other.direction));
+        for ((exposure, node), name) in exposures.iter().zip(&nodes).zip(&names) {
+            let is_reverse = |report: &EndpointReport| {
+                exposure.is_reverse_of(&report.topic, report.direction)
+                    && !(exposure.message_type.is_raw() && name.as_ref() != Some(&report.ros_topic))
+            };
+            let others = exposures.iter().zip(&names).any(|(other, name_of_other)| {
+                exposure.is_reverse_of(&other.topic, other.direction)
+                    && !(exposure.message_type.is_raw() && name != name_of_other)
+            });
             if others || self.endpoints.any(is_reverse) {
                 return Err(ExposeError::BothDirections(exposure.topic.clone()));
             }
-            let exposed = self.create(core, exposure)?;
+            let exposed = self.create(core, node, exposure)?;
             let new = exposed.report();
             let is_same = |report: &EndpointReport| {
                 report.direction == new.direction
@@ -146,17 +164,33 @@ impl Bridge {
         Ok(all)
     }
 
-    fn create(&self, core: &mut CoreAccess<'_>, exposure: &Exposure) -> Result<Exposed, ExposeError> {
+    fn node_of(&self, exposure: &Exposure) -> Result<Node, ExposeError> {
         let failed = |error| ExposeError::Endpoint { topic: exposure.topic.clone(), error };
-        let node = match &exposure.node {
-            None => self.node.clone(),
-            Some(name) => self.node.sibling(name).map_err(failed)?,
-        };
+        match &exposure.node {
+            None => Ok(self.node.clone()),
+            Some(name) => self.node.sibling(name).map_err(failed),
+        }
+    }
+
+    fn create(
+        &self,
+        core: &mut CoreAccess<'_>,
+        node: &Node,
+        exposure: &Exposure,
+    ) -> Result<Exposed, ExposeError> {
+        let failed = |error| ExposeError::Endpoint { topic: exposure.topic.clone(), error };
         let traffic = Arc::<Traffic>::default();
-        let (held, endpoint, ros_topic, qos) = match exposure.direction {
+        let events = |ros_topic: &str| {
+            let events = self.events.clone();
+            Arc::new(EndpointQos::new(&exposure.topic, ros_topic, exposure.direction, events))
+        };
+        let (held, endpoint, ros_topic, qos, events) = match exposure.direction {
             Direction::Out => {
-                let publisher = Arc::new(publisher(&node, exposure).map_err(failed)?);
+                let publisher = Arc::new(publisher(node, exposure).map_err(failed)?);
                 let (topic, qos) = (publisher.topic().to_string(), publisher.qos());
+                let events = events(&topic);
+                let told = Arc::clone(&events);
+                publisher.on_event(Box::new(move |event| told.happened(event)));
                 let endpoint = WeakEndpoint::Publisher(Arc::downgrade(&publisher));
                 let outlet = Outlet {
                     publisher,
@@ -164,7 +198,7 @@ impl Bridge {
                     limiter: Limiter::new(exposure.limits),
                     of_a_cycle: exposure.limits.of_a_cycle,
                 };
-                (Held::Outlet(outlet), endpoint, topic, qos)
+                (Held::Outlet(outlet), endpoint, topic, qos, events)
             }
             Direction::In => {
                 let waiting = match exposure.limits.of_a_cycle {
@@ -174,10 +208,16 @@ impl Bridge {
                 let inlet = exposure.message_type.inlet_with(core, &exposure.topic, waiting)?;
                 let limiter = Limiter::new(exposure.limits);
                 let take = from_ros(inlet, Arc::clone(&traffic), limiter, Arc::clone(&self.clock));
-                let subscription = Arc::new(subscription(&node, exposure, take).map_err(failed)?);
+                let subscription = Arc::new(subscription(node, exposure, take).map_err(failed)?);
+                if let Err(error) = learn(node, &subscription, exposure.message_type) {
+                    tracing::warn!(topic = exposure.topic, %error, "nobody is asked what the type looks like: no thread");
+                }
                 let (topic, qos) = (subscription.topic().to_string(), subscription.qos());
+                let events = events(&topic);
+                let told = Arc::clone(&events);
+                subscription.on_event(Box::new(move |event| told.happened(event)));
                 let endpoint = WeakEndpoint::Subscription(Arc::downgrade(&subscription));
-                (Held::Subscription(subscription), endpoint, topic, qos)
+                (Held::Subscription(subscription), endpoint, topic, qos, events)
             }
         };
         let status = EndpointStatus {
@@ -190,6 +230,7 @@ impl Bridge {
             limits: exposure.limits,
             endpoint,
             traffic,
+            events,
         };
         Ok(Exposed::new(status, held))
     }
@@ -210,16 +251,7 @@ fn subscription(
 }
 
 fn qos(node: &Node, exposure: &Exposure) -> Result<QosProfile, NodeError> {
-    let mut qos = node.resolve_qos(exposure.ros_topic(), exposure.direction, &exposure.qos)?;
-    let is_open = exposure.qos.liveliness == Policy::BestAvailable;
-    if is_open && exposure.direction == Direction::Out && qos.liveliness == Liveliness::ManualByTopic {
-        tracing::warn!(
-            topic = exposure.topic,
-            "a subscription asks for liveliness manual_by_topic, which the DDS engine cannot offer: it will not match"
-        );
-        qos.liveliness = Liveliness::Automatic;
-    }
-    Ok(qos)
+    Ok(node.resolve_qos(exposure.ros_topic(), exposure.direction, &exposure.qos)?)
 }
 
 /// Takes the samples of one topic in.

@@ -21,21 +21,29 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod actions;
 mod bridge;
 mod endpoints;
 mod exposure;
+mod learning;
 mod limit;
 mod module;
 mod parameters;
 mod pattern;
+mod qos_events;
 mod services;
 mod status;
 
+pub use actions::ActionExposure;
 pub use bridge::{Bridge, expose};
 pub use exposure::{ExposeError, Exposure};
 pub use limit::{Limits, OfACycle};
 pub use module::MODULE_NAME;
-pub use parameters::{ParameterExposure, ParameterServices, ParametersError, expose_parameters};
+pub use parameters::{ParameterExposure, ParameterServer, ParameterServices};
 pub use pattern::{PatternError, TopicPattern};
-pub use services::{CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServicesStatus, expose_services};
+pub use qos_events::{QOS_EVENTS_TOPIC, QosCounts};
+pub use services::{
+    CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection, ServicesStatus,
+    expose_services, expose_services_with,
+};
 pub use status::{BridgeStatus, EndpointReport};

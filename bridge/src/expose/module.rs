@@ -98,6 +98,7 @@ impl Sink for ToRos {
 
 impl Outlet {
     fn wants(&mut self, message: Offered) -> bool {
+        self.traffic.count_dropped(message.missed);
         let is_too_old = self.of_a_cycle == OfACycle::Latest && !message.is_last_of_cycle;
         if is_too_old || !self.limiter.lets_pass(message.time) {
             self.traffic.count_limited();

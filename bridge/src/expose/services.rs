@@ -4,11 +4,13 @@ use super::ExposeError;
 use super::status::Traffic;
 use crate::edge::{EncodedCallError, EncodedCaller, KnownService, Outlet, RemoteCall};
 use crate::middleware::rpc::IncomingRequest;
-use crate::ros::{Node, NodeError, RawClient, Service, ServiceType};
+use crate::ros::{Introspection, Node, NodeError, RawClient, Service, ServiceName, ServiceType};
 use bytes::Bytes;
 use downbeat_executor::{
-    CallError, Context, Core, Inbox, Module, ModuleOptions, Role, Setup, SetupError, Synchrony,
+    CallError, Clock, Context, Core, Inbox, Module, ModuleOptions, Role, Setting, Setup, SetupError,
+    Synchrony,
 };
+use downbeat_msgs::action_msgs::srv::{CancelGoal, CancelGoalResponse};
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolResponse, Trigger, TriggerResponse};
@@ -48,6 +50,22 @@ pub struct CallExposure {
     pub timeout: Duration,
 }
 
+/// What is published of services and calls on `<service>/_service_event`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ServiceIntrospection {
+    /// Of services of modules.
+    pub services: Introspection,
+    /// Of services that modules call.
+    pub clients: Introspection,
+}
+
+impl ServiceIntrospection {
+    /// The setting of [`SERVICES_MODULE_NAME`] for services; named as the parameter of `demo_nodes_cpp`.
+    pub const OF_SERVICES: &str = "service_configure_introspection";
+    /// The setting of [`SERVICES_MODULE_NAME`] for calls; named as the parameter of `demo_nodes_cpp`.
+    pub const OF_CLIENTS: &str = "client_configure_introspection";
+}
+
 /// What the services are doing, for a status display on another thread. It keeps no endpoint alive.
 #[derive(Clone, Default)]
 pub struct ServicesStatus {
@@ -85,7 +103,8 @@ impl ServicesStatus {
 /// those that modules call.
 ///
 /// ROS 2 has no word for a request that is refused. `std_srvs/srv/SetBool` and `Trigger` are then answered with
-/// `success: false` and the reason as message; a request of another type is not answered, and the reason is in the log.
+/// `success: false` and the reason as message, those of actions with a goal that is not accepted, not known or not canceled; a
+/// request of another type is not answered, and the reason is in the log.
 ///
 /// The endpoints go when the core stops.
 ///
@@ -97,7 +116,28 @@ pub fn expose_services(
     offered: &[ServiceExposure],
     called: &[CallExposure],
 ) -> Result<ServicesStatus, ExposeError> {
-    let mut module = Services::default();
+    expose_services_with(core, node, offered, called, ServiceIntrospection::default())
+}
+
+/// The same, with service introspection; settings of [`SERVICES_MODULE_NAME`] change that while the core runs:
+/// [`ServiceIntrospection::OF_SERVICES`] and [`ServiceIntrospection::OF_CLIENTS`], "disabled", "metadata" or "contents".
+///
+/// # Errors
+/// [`ExposeError`] when a service cannot be exposed.
+pub fn expose_services_with(
+    core: &mut Core,
+    node: &Node,
+    offered: &[ServiceExposure],
+    called: &[CallExposure],
+    introspection: ServiceIntrospection,
+) -> Result<ServicesStatus, ExposeError> {
+    let mut module = Services {
+        offered: Vec::new(),
+        clients: Vec::new(),
+        outlets: Vec::new(),
+        introspection,
+        at: Some((node.clone(), core.clock())),
+    };
     let mut statuses = Vec::new();
     for exposure in offered {
         let traffic = Arc::<Traffic>::default();
@@ -117,6 +157,7 @@ pub fn expose_services(
         let client = client(node, exposure).map_err(|error| failed(&exposure.service, error))?;
         let (name, client) = (client.name().to_string(), Arc::new(client));
         let endpoint = WeakService::Called(Arc::downgrade(&client));
+        module.clients.push(Arc::downgrade(&client));
         let call = ToRos { client, timeout: exposure.timeout, traffic: Arc::clone(&traffic) };
         module.outlets.push(exposure.service_type.outlet(core, &exposure.service, call)?);
         statuses.push(ServiceStatus { name, traffic, endpoint });
@@ -130,19 +171,80 @@ pub fn expose_services(
     Ok(ServicesStatus { services: statuses.into() })
 }
 
-#[derive(Default)]
 struct Services {
     offered: Vec<Arc<Service>>,
+    clients: Vec<Weak<RawClient>>,
     outlets: Vec<Outlet>,
+    introspection: ServiceIntrospection,
+    /// Where events are published, until the core stops.
+    at: Option<(Node, Arc<dyn Clock>)>,
 }
 
 impl Module for Services {
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        self.outlets.drain(..).try_for_each(|outlet| KnownService::serve(setup, outlet))
+        self.outlets.drain(..).try_for_each(|outlet| KnownService::serve(setup, outlet))?;
+        let ServiceIntrospection { services, clients } = self.introspection;
+        let of_services = introspection_setting(setup, ServiceIntrospection::OF_SERVICES, services)?;
+        let of_clients = introspection_setting(setup, ServiceIntrospection::OF_CLIENTS, clients)?;
+        setup.on_change(of_services, move |module: &mut Self, ctx| {
+            module.introspect_services(chosen(ctx.get(of_services).as_str()));
+        });
+        setup.on_change(of_clients, move |module: &mut Self, ctx| {
+            module.introspect_clients(chosen(ctx.get(of_clients).as_str()));
+        });
+        self.introspect_services(services);
+        self.introspect_clients(clients);
+        Ok(())
     }
 
     fn shutdown(&mut self, _ctx: &mut Context<'_>) {
+        self.introspect_clients(Introspection::Off);
         self.offered.clear();
+        self.at = None;
+    }
+}
+
+impl Services {
+    fn introspect_services(&self, introspection: Introspection) {
+        let Some((node, clock)) = &self.at else { return };
+        for service in &self.offered {
+            let configured =
+                service.configure_introspection(node, introspection, QosProfile::SERVICES, Arc::clone(clock));
+            tell(service.name(), configured);
+        }
+    }
+
+    fn introspect_clients(&self, introspection: Introspection) {
+        let Some((node, clock)) = &self.at else { return };
+        for client in self.clients.iter().filter_map(Weak::upgrade) {
+            let configured =
+                client.configure_introspection(node, introspection, QosProfile::SERVICES, Arc::clone(clock));
+            tell(client.name(), configured);
+        }
+    }
+}
+
+fn introspection_setting(
+    setup: &mut Setup<'_, Services>,
+    name: &str,
+    default: Introspection,
+) -> Result<Setting<String>, SetupError> {
+    let about = "what is published on <service>/_service_event: disabled, metadata or contents";
+    let setting = setup.setting(name, default.to_string(), about)?;
+    setup.accept_if(setting, |_, text: &String| {
+        text.parse::<Introspection>().map(drop).map_err(|error| error.to_string())
+    });
+    Ok(setting)
+}
+
+/// The value was accepted, so it is one of the words.
+fn chosen(setting: &str) -> Introspection {
+    setting.parse().unwrap_or_default()
+}
+
+fn tell(service: &ServiceName, configured: Result<(), NodeError>) {
+    if let Err(error) = configured {
+        tracing::warn!("events of service {service} are not published: {error}");
     }
 }
 
@@ -187,6 +289,12 @@ fn refusal(service_type: KnownService, error: &EncodedCallError) -> Option<Bytes
     match service_type.name() {
         SetBool::TYPE_NAME => Some(cdr::to_vec(&SetBoolResponse { success: false, message }).into()),
         Trigger::TYPE_NAME => Some(cdr::to_vec(&TriggerResponse { success: false, message }).into()),
+        CancelGoal::TYPE_NAME => {
+            let return_code = CancelGoalResponse::ERROR_REJECTED;
+            Some(cdr::to_vec(&CancelGoalResponse { return_code, ..CancelGoalResponse::default() }).into())
+        }
+        // Of an action: not accepted, or not known.
+        name if name.contains("/action/") => Some(service_type.default_response().into()),
         _ => None,
     }
 }

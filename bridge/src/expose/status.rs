@@ -2,6 +2,7 @@
 
 use super::Limits;
 use super::endpoints::Endpoints;
+use super::qos_events::{EndpointQos, QosCounts};
 use crate::edge::KnownType;
 use crate::middleware::Direction;
 use crate::ros::{Publisher, Subscription};
@@ -41,6 +42,10 @@ pub struct EndpointReport {
     pub skipped: u64,
     /// Messages that the limits held back.
     pub limited: u64,
+    /// Messages that were dropped before the bridge came to them: more than its bounded inbox holds came while it was busy.
+    pub dropped: u64,
+    /// What happened to the quality of service.
+    pub qos_counts: QosCounts,
     /// Messages that should have gone through and did not.
     pub errors: u64,
     /// The last reason for that.
@@ -69,6 +74,7 @@ pub(super) struct EndpointStatus {
     pub(super) limits: Limits,
     pub(super) endpoint: WeakEndpoint,
     pub(super) traffic: Arc<Traffic>,
+    pub(super) events: Arc<EndpointQos>,
 }
 
 pub(super) enum WeakEndpoint {
@@ -96,6 +102,8 @@ impl EndpointStatus {
             messages: self.traffic.messages.load(Ordering::Relaxed),
             skipped: self.traffic.skipped.load(Ordering::Relaxed),
             limited: self.traffic.limited.load(Ordering::Relaxed),
+            dropped: self.traffic.dropped.load(Ordering::Relaxed),
+            qos_counts: self.events.counts(),
             errors: self.traffic.errors.load(Ordering::Relaxed),
             last_error: self.traffic.last_error.lock().unwrap_or_else(PoisonError::into_inner).clone(),
         }
@@ -108,6 +116,7 @@ pub(super) struct Traffic {
     messages: AtomicU64,
     skipped: AtomicU64,
     limited: AtomicU64,
+    dropped: AtomicU64,
     errors: AtomicU64,
     last_error: Mutex<Option<String>>,
 }
@@ -124,6 +133,12 @@ impl Traffic {
 
     pub(super) fn count_limited(&self) {
         self.limited.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(super) fn count_dropped(&self, messages: u32) {
+        if messages > 0 {
+            self.dropped.fetch_add(messages.into(), Ordering::Relaxed);
+        }
     }
 
     /// Counts the message or the error; true for the first error, which is worth a log line.

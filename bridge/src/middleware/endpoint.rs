@@ -50,6 +50,8 @@ pub struct Endpoint {
     /// dead or best-effort reader can cost: about this number times the size of a sample. A transient local writer
     /// holds no more than the greater of 64 and its history depth.
     pub send_window: u32,
+    /// The hash of the type, `RIHS01_` and 64 hex digits, for engines that can tell it to others.
+    pub type_hash: Option<String>,
 }
 
 impl Endpoint {
@@ -67,6 +69,7 @@ impl Endpoint {
             type_name: type_name.into(),
             qos,
             send_window: Self::SEND_WINDOW,
+            type_hash: None,
         }
     }
 }

@@ -5,24 +5,28 @@
 //! encapsulation header, then the body, as `rclpy.serialization.serialize_message` gives them.
 //!
 //! Two engines implement [`Middleware`]: [`dds`] (rustdds, speaks RTPS with every ROS 2 node) and [`in_process`]
-//! (a hub in memory: tests without a network, and `ROS_AUTOMATIC_DISCOVERY_RANGE=OFF`). One suite of tests,
-//! `tests/conformance.rs`, holds for both. Requests and replies ([`rpc`]) are made of samples that name the sample they
-//! belong to; `tests/requests.rs` holds for them.
+//! (a hub in memory: tests without a network, and `ROS_AUTOMATIC_DISCOVERY_RANGE=OFF`). One suite, the package in
+//! `conformance/`, holds for both, and for the requests and replies ([`rpc`]) that are made of samples that name the sample
+//! they belong to. What an engine does not tell of its endpoints is observed from outside ([`observing`]).
 
 pub mod dds;
 pub mod in_process;
+pub mod observing;
 pub mod rejoining;
 pub mod rpc;
 
 mod endpoint;
 mod error;
+mod event;
 mod options;
 
 pub use endpoint::{Direction, Endpoint, Gid, RemoteEndpoint, Sample, SampleIdentity, WriteOptions};
 pub use error::{MiddlewareError, OptionsError, WriteError};
+pub use event::{Aliveness, EndpointEvent, EventHandler, QosPolicyKind};
 pub use options::{DiscoveryRange, MAX_DOMAIN_ID, ParticipantOptions};
 
 use bytes::Bytes;
+use observing::Observing;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -99,6 +103,10 @@ pub trait Writer: Send + Sync {
     /// Has `handler` called whenever the matched readers have changed, from now on. It replaces the one before.
     fn on_match(&self, handler: MatchHandler);
 
+    /// Has `handler` told what happens to this endpoint: first what holds already, then what changes. It replaces the one
+    /// before. An engine tells at least who is matched and who is not for what policy; [`observing`] adds the rest.
+    fn on_event(&self, handler: EventHandler);
+
     /// Writes one sample, stamped with the present time. Never blocks: a sample that does not fit the send window
     /// (a reliable reader has died and its lease still runs) is refused.
     ///
@@ -131,6 +139,10 @@ pub trait Reader: Send + Sync {
 
     /// Has `handler` called whenever the matched writers have changed, from now on. It replaces the one before.
     fn on_match(&self, handler: MatchHandler);
+
+    /// Has `handler` told what happens to this endpoint: first what holds already, then what changes. It replaces the one
+    /// before. An engine tells at least who is matched and who is not for what policy; [`observing`] adds the rest.
+    fn on_event(&self, handler: EventHandler);
 }
 
 /// Joins the domain that the options name: over DDS, or alone when discovery is off.
@@ -138,12 +150,12 @@ pub trait Reader: Send + Sync {
 /// # Errors
 /// [`MiddlewareError`] when the participant cannot be created.
 pub fn join(options: &ParticipantOptions) -> Result<Arc<dyn Middleware>, MiddlewareError> {
-    options.warn_about_what_is_ignored();
+    options.not_honoured().iter().for_each(|sentence| tracing::warn!("{sentence}"));
     if options.discovery_range == DiscoveryRange::Off {
         tracing::warn!("ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: no other ROS 2 node will see this one");
-        return Ok(Arc::new(in_process::Hub::new().join()));
+        return Ok(Arc::new(Observing::over(Box::new(in_process::Hub::new().join()))));
     }
     let options = options.clone();
     let join = move |sink| Ok(Box::new(dds::DdsParticipant::watched(&options, sink)?) as Box<dyn Middleware>);
-    Ok(Arc::new(rejoining::Rejoining::join(join)?))
+    Ok(Arc::new(Observing::over(Box::new(rejoining::Rejoining::join(join)?))))
 }

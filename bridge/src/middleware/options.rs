@@ -23,7 +23,7 @@ pub struct ParticipantOptions {
     pub domain_id: u16,
     /// How far to look.
     pub discovery_range: DiscoveryRange,
-    /// `ROS_STATIC_PEERS`, which the engine cannot honour: told in a warning.
+    /// `ROS_STATIC_PEERS`: hosts to announce to besides, by address or name.
     pub static_peers: Vec<String>,
     /// `ROS_SECURITY_ENABLE`, which the engine cannot honour: told in a warning.
     pub wants_security: bool,
@@ -74,10 +74,13 @@ impl ParticipantOptions {
             },
         };
         // rcl of Jazzy honours the older variable where it is on, before the newer.
-        if lookup("ROS_LOCALHOST_ONLY").is_some_and(|value| value.trim() == "1") {
+        let is_localhost_only = lookup("ROS_LOCALHOST_ONLY").is_some_and(|value| value.trim() == "1");
+        if is_localhost_only {
             discovery_range = DiscoveryRange::Localhost;
         }
+        // As in rcl, it leaves no room for other hosts.
         let static_peers = lookup("ROS_STATIC_PEERS")
+            .filter(|_| !is_localhost_only)
             .map(|peers| {
                 peers.split(';').map(|peer| peer.trim().to_owned()).filter(|p| !p.is_empty()).collect()
             })
@@ -90,18 +93,28 @@ impl ParticipantOptions {
         Ok(Self { domain_id, discovery_range, static_peers, wants_security })
     }
 
-    pub(super) fn warn_about_what_is_ignored(&self) {
+    /// What is asked for and cannot be done, each with what to do instead: a sentence for the log.
+    #[must_use]
+    pub fn not_honoured(&self) -> Vec<String> {
+        let mut sentences = Vec::new();
         if self.wants_security {
-            tracing::warn!(
-                "ROS_SECURITY_ENABLE=true: the DDS engine has no security, this node joins without it"
-            );
+            let text = "ROS_SECURITY_ENABLE=true: the DDS engine has no security, this node joins without it. Unset it, or set \
+                        ROS_SECURITY_STRATEGY=Enforce to have such a node not start";
+            sentences.push(text.to_owned());
         }
-        if !self.static_peers.is_empty() {
-            tracing::warn!(
-                peers = self.static_peers.join(";"),
-                "ROS_STATIC_PEERS cannot be honoured: the DDS engine only finds peers by multicast and on this machine"
-            );
+        let peers = self.static_peers.join(";");
+        match self.discovery_range {
+            _ if peers.is_empty() => {}
+            DiscoveryRange::Subnet => {}
+            DiscoveryRange::Off => sentences.push(format!(
+                "ROS_STATIC_PEERS={peers} is not looked for with ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: set it to SUBNET"
+            )),
+            DiscoveryRange::Localhost => sentences.push(format!(
+                "ROS_STATIC_PEERS={peers} cannot answer with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, unless they are on this \
+                 machine: the DDS engine tells them its address on the loopback interface only. Set it to SUBNET"
+            )),
         }
+        sentences
     }
 }
 
@@ -163,6 +176,21 @@ mod tests {
         assert!(!options(&[("ROS_SECURITY_ENABLE", "false")]).unwrap().wants_security);
         let error = options(&[enabled, ("ROS_SECURITY_STRATEGY", "Enforce")]).unwrap_err();
         assert!(error.to_string().contains("Permissive"), "{error}");
+    }
+
+    #[test]
+    fn what_cannot_be_honoured_is_told_with_what_to_do() {
+        let told = |variables: &[_]| options(variables).unwrap().not_honoured().join("\n");
+        let peers = ("ROS_STATIC_PEERS", "10.0.0.7");
+        let range = |value| ("ROS_AUTOMATIC_DISCOVERY_RANGE", value);
+        assert_eq!(told(&[peers]), "");
+        assert_eq!(told(&[peers, range("SUBNET")]), "");
+        for value in ["OFF", "LOCALHOST"] {
+            let text = told(&[peers, range(value)]);
+            assert!(text.contains("10.0.0.7") && text.contains(value) && text.contains("SUBNET"), "{text}");
+        }
+        assert!(told(&[("ROS_SECURITY_ENABLE", "true")]).contains("Enforce"));
+        assert_eq!(told(&[peers, ("ROS_LOCALHOST_ONLY", "1")]), "", "as in rcl they are not there then");
     }
 
     #[test]

@@ -1,10 +1,12 @@
 //! Services that a node calls.
 
-use super::node::{Listed, Membership};
-use super::{Node, NodeError, ServiceName, ServiceType};
+use super::introspection::{Event, ServiceEvents};
+use super::node::{Hold, Listed};
+use super::{Introspection, Node, NodeError, ServiceName, ServiceType};
 use crate::middleware::Direction;
-use crate::middleware::rpc::{CallError, RequestClient};
+use crate::middleware::rpc::{Answer, CallError, RequestClient};
 use bytes::Bytes;
+use downbeat_executor::Clock;
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
 use std::marker::PhantomData;
@@ -34,6 +36,20 @@ impl<S: downbeat_msgs::Service> Client<S> {
     #[must_use]
     pub fn wait_for_service(&self, timeout: Duration) -> bool {
         self.raw.wait_for_service(timeout)
+    }
+
+    /// Publishes what this client sends and receives; see [`RawClient::configure_introspection`].
+    ///
+    /// # Errors
+    /// [`NodeError`] when the engine refuses the publisher.
+    pub fn configure_introspection(
+        &self,
+        node: &Node,
+        introspection: Introspection,
+        qos: QosProfile,
+        clock: Arc<dyn Clock>,
+    ) -> Result<(), NodeError> {
+        self.raw.configure_introspection(node, introspection, qos, clock)
     }
 
     /// Asks. `on_reply` is called once, with the answer or why there is none, on the thread that the services and clients
@@ -82,7 +98,8 @@ pub struct RawClient {
     // Fields drop in this order, as in a publisher.
     _listed: [Listed; 2],
     client: RequestClient,
-    _membership: Arc<Membership>,
+    events: Arc<ServiceEvents>,
+    _hold: Hold,
 }
 
 impl RawClient {
@@ -117,7 +134,34 @@ impl RawClient {
         timeout: Duration,
         on_reply: impl FnOnce(Result<Bytes, CallError>) + Send + 'static,
     ) {
-        self.client.call(request, timeout, on_reply);
+        let (_, client) = self.client.gids();
+        let events = Arc::clone(&self.events);
+        // Held until the request is told of: its answer is not told before.
+        let telling = self.events.hold();
+        let number = self.client.call(request.clone(), timeout, move |answer| {
+            on_reply(answer.map(|Answer { number, cdr }| {
+                events.tell(Event::ResponseReceived, client, number, &cdr);
+                cdr
+            }));
+        });
+        if let Some(number) = number {
+            telling.tell(Event::RequestSent, client, number, &request);
+        }
+    }
+
+    /// Publishes on `<service>/_service_event` what this client sends and receives, or no more; `node` is the one that has it,
+    /// `clock` stamps the events.
+    ///
+    /// # Errors
+    /// [`NodeError`] when the engine refuses the publisher.
+    pub fn configure_introspection(
+        &self,
+        node: &Node,
+        introspection: Introspection,
+        qos: QosProfile,
+        clock: Arc<dyn Clock>,
+    ) -> Result<(), NodeError> {
+        self.events.configure(node, introspection, qos, clock)
     }
 }
 
@@ -149,15 +193,17 @@ impl Node {
         let shared = &self.membership.shared;
         let client = RequestClient::new(&*shared.middleware, &shared.rpc, &name.endpoint(service_type, qos))?;
         let (reader, writer) = client.gids();
+        let events = ServiceEvents::new(&name, service_type);
         Ok(RawClient {
             name,
             service_type: service_type.clone(),
             _listed: [
-                Listed::new(&self.membership, Direction::In, reader),
-                Listed::new(&self.membership, Direction::Out, writer),
+                Listed::new(self.hold(), Direction::In, reader),
+                Listed::new(self.hold(), Direction::Out, writer),
             ],
             client,
-            _membership: Arc::clone(&self.membership),
+            events,
+            _hold: self.hold(),
         })
     }
 }

@@ -4,7 +4,9 @@
 //! something changes; see `rmw_dds_common` (branch jazzy) and
 //! <https://design.ros2.org/articles/Node_to_Participant_mapping.html>.
 
+use super::network::Owners;
 use super::{MessageType, NodeName, TopicName};
+use crate::middleware::rpc::{RpcLink, TimeLimited};
 use crate::middleware::{
     Direction, Endpoint, Gid, Middleware, MiddlewareError, Reader, RejoinStep, RemoteEndpoint, Sample,
     WriteError, Writer,
@@ -13,11 +15,17 @@ use downbeat_msgs::cdr;
 use downbeat_msgs::qos::{Durability, QosProfile};
 use downbeat_msgs::rmw_dds_common::msg::{Gid as GidMessage, NodeEntitiesInfo, ParticipantEntitiesInfo};
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::{Duration, Instant};
 
-/// At exit the last message gets this long to be acknowledged; on one machine it takes a millisecond.
+/// At exit the last message gets this long to be sent, and as long to be acknowledged; on one machine it takes some
+/// milliseconds.
 const FAREWELL: Duration = Duration::from_millis(500);
+
+/// A peer acknowledges within some milliseconds: a message that finds no room is written again after this time, then
+/// after twice as long, up to [`LONGEST_WAIT`].
+const FIRST_WAIT: Duration = Duration::from_millis(2);
+const LONGEST_WAIT: Duration = Duration::from_secs(1);
 
 /// A node of another participant, and its topics.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -50,11 +58,19 @@ pub(super) struct Graph {
 struct Own {
     state: Mutex<OwnState>,
     writer: Box<dyn Writer>,
+    thread: RpcLink,
 }
 
 struct OwnState {
     participant: Gid,
     nodes: BTreeMap<NodeName, OwnNode>,
+    untold: Option<Untold>,
+}
+
+/// The last message found no room in the send window, as when many endpoints come or go at once.
+struct Untold {
+    again: Instant,
+    wait: Duration,
 }
 
 #[derive(Default)]
@@ -70,7 +86,8 @@ type Endpoints = BTreeMap<Gid, Gid>;
 type Heard = BTreeMap<[u8; 12], ParticipantEntitiesInfo>;
 
 impl Graph {
-    pub(super) fn join(middleware: &dyn Middleware) -> Result<Self, MiddlewareError> {
+    /// What finds no room is told again on the thread.
+    pub(super) fn join(middleware: &dyn Middleware, thread: RpcLink) -> Result<Self, MiddlewareError> {
         // As rmw_dds_common does, but for the history of the reader: a message replaces the one before.
         let endpoint = Endpoint::new(
             "ros_discovery_info",
@@ -78,8 +95,11 @@ impl Graph {
             QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT.keep_last(1) },
         );
         let heard = Arc::<Mutex<Heard>>::default();
-        let state = OwnState { participant: middleware.gid(), nodes: BTreeMap::new() };
-        let own = Arc::new(Own { state: Mutex::new(state), writer: middleware.create_writer(&endpoint)? });
+        let state = OwnState { participant: middleware.gid(), nodes: BTreeMap::new(), untold: None };
+        let writer = middleware.create_writer(&endpoint)?;
+        let own = Arc::new(Own { state: Mutex::new(state), writer, thread });
+        let retold: Weak<dyn TimeLimited> = Arc::<Own>::downgrade(&own) as _;
+        own.thread.watch(retold);
         let hear = {
             let (heard, own) = (Arc::clone(&heard), Arc::clone(&own));
             move |sample| hear(&heard, lock(&own.state).participant.participant(), &sample)
@@ -102,14 +122,14 @@ impl Graph {
             return false;
         }
         state.nodes.insert(node.clone(), OwnNode::default());
-        self.own.tell(&state);
+        self.own.tell(&mut state);
         true
     }
 
     pub(super) fn remove_node(&self, node: &NodeName) {
         let mut state = lock(&self.own.state);
         state.nodes.remove(node);
-        self.own.tell(&state);
+        self.own.tell(&mut state);
     }
 
     pub(super) fn add_endpoint(&self, node: &NodeName, direction: Direction, endpoint: Gid) {
@@ -129,8 +149,23 @@ impl Graph {
             Direction::Out => &mut endpoints.writers,
         };
         if change(gids) {
-            self.own.tell(&state);
+            self.own.tell(&mut state);
         }
+    }
+
+    /// The nodes of others, and whose endpoints are whose, by what they told.
+    pub(super) fn remote_owners(&self, endpoints: &[RemoteEndpoint]) -> Owners {
+        let alive: BTreeSet<_> = endpoints.iter().map(|endpoint| endpoint.gid.participant()).collect();
+        let mut owners = Owners::default();
+        for (_, info) in lock(&self.heard).iter().filter(|(participant, _)| alive.contains(*participant)) {
+            for node in &info.node_entities_info_seq {
+                let name = full_name(node);
+                let gids = node.reader_gid_seq.iter().chain(&node.writer_gid_seq);
+                owners.owners.extend(gids.map(|gid| (Gid(gid.data), name.clone())));
+                owners.nodes.push((Gid(info.gid.data), name));
+            }
+        }
+        owners
     }
 
     /// The nodes of others, by what they told and the endpoints that discovery found.
@@ -146,41 +181,49 @@ impl Graph {
                 let mut endpoints: Vec<_> =
                     gids.filter_map(|gid| remote_topic(by_gid.get(&Gid(gid.data))?)).collect();
                 endpoints.sort();
-                RemoteNode {
-                    name: format!("{}/{}", node.node_namespace.trim_end_matches('/'), node.node_name),
-                    endpoints,
-                }
+                RemoteNode { name: full_name(node), endpoints }
             })
             .collect()
     }
 }
 
 impl Own {
-    fn tell(&self, state: &OwnState) {
-        self.write(state.participant, &state.nodes);
-    }
-
-    fn write(&self, participant: Gid, nodes: &BTreeMap<NodeName, OwnNode>) {
-        let messages = |gids: &Endpoints| gids.values().map(|gid| GidMessage { data: gid.0 }).collect();
-        let info = ParticipantEntitiesInfo {
-            gid: GidMessage { data: participant.0 },
-            node_entities_info_seq: nodes
-                .iter()
-                .map(|(node, endpoints)| NodeEntitiesInfo {
-                    node_namespace: node.namespace().to_owned(),
-                    node_name: node.name().to_owned(),
-                    reader_gid_seq: messages(&endpoints.readers),
-                    writer_gid_seq: messages(&endpoints.writers),
-                })
-                .collect(),
-        };
-        match self.writer.write(cdr::to_vec(&info).into()) {
-            // It is told when the participant is there again.
-            Ok(()) | Err(WriteError::Away) => {}
+    /// Tells all there is, now or as soon as there is room for it.
+    fn tell(&self, state: &mut OwnState) {
+        match self.write(state) {
+            // While the participant is away nothing can be told; it is once it is there again.
+            Ok(()) | Err(WriteError::Away) => state.untold = None,
+            Err(WriteError::WindowFull) => {
+                let waited = state.untold.take().map(|untold| untold.wait);
+                let wait = waited.map_or(FIRST_WAIT, |waited| (waited * 2).min(LONGEST_WAIT));
+                if wait == LONGEST_WAIT && waited != Some(LONGEST_WAIT) {
+                    tracing::warn!(
+                        "others do not acknowledge what we tell of our nodes: node lists may be out of date"
+                    );
+                }
+                state.untold = Some(Untold { again: Instant::now() + wait, wait });
+                self.thread.look_again();
+            }
             Err(error) => {
+                state.untold = None;
                 tracing::warn!(%error, "telling others about our nodes failed: node lists may be out of date");
             }
         }
+    }
+
+    fn write(&self, state: &OwnState) -> Result<(), WriteError> {
+        let messages = |gids: &Endpoints| gids.values().map(|gid| GidMessage { data: gid.0 }).collect();
+        let node = |(node, endpoints): (&NodeName, &OwnNode)| NodeEntitiesInfo {
+            node_namespace: node.namespace().to_owned(),
+            node_name: node.name().to_owned(),
+            reader_gid_seq: messages(&endpoints.readers),
+            writer_gid_seq: messages(&endpoints.writers),
+        };
+        let info = ParticipantEntitiesInfo {
+            gid: GidMessage { data: state.participant.0 },
+            node_entities_info_seq: state.nodes.iter().map(node).collect(),
+        };
+        self.writer.write(cdr::to_vec(&info).into())
     }
 
     fn rejoin(&self, step: &RejoinStep) {
@@ -194,14 +237,32 @@ impl Own {
                 for gid in gids {
                     *gid = endpoints.get(gid).copied().unwrap_or(*gid);
                 }
-                self.tell(&state);
+                self.tell(&mut state);
             }
         }
     }
 
+    /// Tells that there are no nodes any more, and waits until the others have heard it.
     fn take_leave(&self, participant: Gid) {
-        self.write(participant, &BTreeMap::new());
+        let nobody = OwnState { participant, nodes: BTreeMap::new(), untold: None };
+        let start = Instant::now();
+        while matches!(self.write(&nobody), Err(WriteError::WindowFull)) && start.elapsed() < FAREWELL {
+            std::thread::sleep(FIRST_WAIT);
+        }
         self.writer.flush(FAREWELL);
+    }
+}
+
+impl TimeLimited for Own {
+    fn due(&self) -> Option<Instant> {
+        lock(&self.state).untold.as_ref().map(|untold| untold.again)
+    }
+
+    fn expire(&self, now: Instant) {
+        let mut state = lock(&self.state);
+        if state.untold.as_ref().is_some_and(|untold| untold.again <= now) {
+            self.tell(&mut state);
+        }
     }
 }
 
@@ -209,6 +270,7 @@ impl Drop for Graph {
     fn drop(&mut self) {
         let mut state = lock(&self.own.state);
         state.nodes.clear();
+        state.untold = None;
         self.own.take_leave(state.participant);
     }
 }
@@ -230,6 +292,10 @@ fn hear(heard: &Mutex<Heard>, own: [u8; 12], sample: &Sample) {
             tracing::debug!(writer = %sample.writer, %error, "a message on ros_discovery_info is not valid")
         }
     }
+}
+
+fn full_name(node: &NodeEntitiesInfo) -> String {
+    format!("{}/{}", node.node_namespace.trim_end_matches('/'), node.node_name)
 }
 
 fn remote_topic(endpoint: &RemoteEndpoint) -> Option<RemoteTopic> {

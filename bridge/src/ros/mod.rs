@@ -1,20 +1,32 @@
 //! ROS 2 on top of raw topics: names, nodes, and the graph that tools show.
 
 mod client;
+mod describe;
 mod graph;
+mod incompatible;
+mod introspection;
 mod names;
+mod network;
 mod node;
+mod participant;
+mod publisher;
 mod qos;
 mod remap;
 mod service;
 mod service_name;
+mod subscription;
 mod type_description;
 
 pub use client::{Client, RawClient};
+pub use describe::DescribeError;
 pub use graph::{RemoteNode, RemoteTopic};
+pub use introspection::{Introspection, UnknownIntrospection};
 pub use names::{MessageType, NameError, NodeName, TopicName};
-pub use node::{Node, NodeError, Participant, Publisher, Subscription};
+pub use node::Node;
+pub use participant::{Furnishing, NodeError, Participant};
+pub use publisher::Publisher;
 pub use qos::{Policy, QosRequest};
 pub use remap::{Named, ParameterRule, Remap, RemapRule, RemapRules, RuleError};
 pub use service::{Reply, Service};
 pub use service_name::{ServiceName, ServiceType};
+pub use subscription::Subscription;

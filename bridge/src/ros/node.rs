@@ -1,177 +1,44 @@
-//! A participant as ROS 2 sees it: nodes with publishers and subscriptions.
+//! Nodes: a name in the graph, and the endpoints under it.
 
-use super::graph::{Graph, RemoteNode};
-use super::{
-    MessageType, NameError, NodeName, QosRequest, RemapRules, ServiceName, ServiceType, TopicName,
-    type_description,
-};
-use crate::middleware::rpc::{RequestServer, RpcThread};
-use crate::middleware::{
-    self, Direction, Endpoint, Gid, Middleware, MiddlewareError, ParticipantOptions, Reader, RemoteEndpoint,
-    SampleHandler, WriteError, Writer,
-};
-use bytes::Bytes;
+use super::participant::Shared;
+use super::{NameError, NodeError, NodeName, Participant, QosRequest, ServiceName, TopicName};
+use crate::middleware::{Direction, Gid};
 use downbeat_msgs::qos::QosProfile;
-use downbeat_msgs::type_description_interfaces::srv::GetTypeDescription;
-use std::collections::{BTreeMap, HashMap};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
-use thiserror::Error;
-
-/// A node or one of its endpoints could not be created.
-#[derive(Debug, Error)]
-pub enum NodeError {
-    /// A name is not valid.
-    #[error(transparent)]
-    Name(#[from] NameError),
-    /// The participant has a node of that name already.
-    #[error("this process has a ROS 2 node {0} already; give one of them another name or namespace")]
-    Exists(NodeName),
-    /// The engine refused.
-    #[error(transparent)]
-    Middleware(#[from] MiddlewareError),
-}
-
-/// What all nodes of a process share: one participant of the domain.
-///
-/// When the last node, publisher and subscription made from it is dropped too, it leaves the domain: its nodes are
-/// gone from the graph of the others at once, and its threads have ended when the drop returns.
-#[derive(Clone)]
-pub struct Participant {
-    shared: Arc<Shared>,
-}
-
-pub(super) struct Shared {
-    // Fields drop in this order: the graph takes leave before the participant goes.
-    graph: Graph,
-    /// What nodes offer by themselves. Here, since a service that its node held would keep the node.
-    own_services: Mutex<HashMap<NodeName, Vec<RequestServer>>>,
-    pub(super) rpc: RpcThread,
-    pub(super) middleware: Arc<dyn Middleware>,
-    remaps: RemapRules,
-    /// The nodes there are, by the names they were asked for.
-    nodes: Mutex<BTreeMap<NodeName, Weak<Membership>>>,
-}
-
-impl Participant {
-    /// Joins the domain that the options name.
-    ///
-    /// # Errors
-    /// [`MiddlewareError`] when the domain cannot be joined.
-    pub fn join(options: &ParticipantOptions) -> Result<Self, MiddlewareError> {
-        Self::on(middleware::join(options)?)
-    }
-
-    /// Joins the domain that the options name; the rules apply to all names of its nodes.
-    ///
-    /// # Errors
-    /// [`MiddlewareError`] when the domain cannot be joined.
-    pub fn join_with(options: &ParticipantOptions, remaps: RemapRules) -> Result<Self, MiddlewareError> {
-        Self::on_with(middleware::join(options)?, remaps)
-    }
-
-    /// Stands on a participant that exists, of whatever engine.
-    ///
-    /// # Errors
-    /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
-    pub fn on(middleware: Arc<dyn Middleware>) -> Result<Self, MiddlewareError> {
-        Self::on_with(middleware, RemapRules::default())
-    }
-
-    /// Stands on a participant that exists; the rules apply to all names of its nodes.
-    ///
-    /// # Errors
-    /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
-    pub fn on_with(middleware: Arc<dyn Middleware>, remaps: RemapRules) -> Result<Self, MiddlewareError> {
-        let rpc = RpcThread::start().map_err(MiddlewareError::ServiceThread)?;
-        let (graph, own_services, nodes) = (Graph::join(&*middleware)?, Mutex::default(), Mutex::default());
-        Ok(Self { shared: Arc::new(Shared { graph, own_services, rpc, middleware, remaps, nodes }) })
-    }
-
-    /// Creates a node, under another name where a remapping rule says so. It offers the service
-    /// `~/get_type_description`, as all nodes of Jazzy do.
-    ///
-    /// # Errors
-    /// [`NodeError`] when this participant has a node of that name, or the engine refuses the service.
-    pub fn create_node(&self, name: NodeName) -> Result<Node, NodeError> {
-        let given = name;
-        let name = self.shared.remaps.node(&given)?;
-        if !self.shared.graph.add_node(&name) {
-            return Err(NodeError::Exists(name));
-        }
-        let membership = Arc::new(Membership { shared: Arc::clone(&self.shared), name });
-        let node = Node { membership };
-        node.serve_own::<GetTypeDescription>(type_description::SERVICE, type_description::answer)?;
-        self.shared.nodes().insert(given, Arc::downgrade(&node.membership));
-        Ok(node)
-    }
-
-    /// The endpoints of other participants that are known at this moment.
-    #[must_use]
-    pub fn remote_endpoints(&self) -> Vec<RemoteEndpoint> {
-        self.shared.middleware.remote_endpoints()
-    }
-
-    /// The nodes of other participants. Those that were there before take some seconds to be heard of.
-    #[must_use]
-    pub fn remote_nodes(&self) -> Vec<RemoteNode> {
-        self.shared.graph.remote_nodes(&self.shared.middleware.remote_endpoints())
-    }
-}
+use std::any::Any;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 /// A ROS 2 node. It is in the graph of the others until it and its publishers and subscriptions are dropped.
 #[derive(Clone)]
 pub struct Node {
     pub(super) membership: Arc<Membership>,
+    /// True if its endpoints do not keep it.
+    is_by_itself: bool,
 }
 
 pub(super) struct Membership {
     pub(super) shared: Arc<Shared>,
-    name: NodeName,
-}
-
-impl Shared {
-    fn nodes(&self) -> std::sync::MutexGuard<'_, BTreeMap<NodeName, Weak<Membership>>> {
-        self.nodes.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+    pub(super) name: NodeName,
+    /// What goes with the node.
+    attached: Mutex<Vec<Box<dyn Any + Send>>>,
 }
 
 impl Drop for Membership {
     fn drop(&mut self) {
         self.shared.graph.remove_node(&self.name);
-        let services = self.own_services().remove(&self.name);
-        // Not under the lock, which their going does not need.
-        drop(services);
-    }
-}
-
-impl Membership {
-    fn own_services(&self) -> MutexGuard<'_, HashMap<NodeName, Vec<RequestServer>>> {
-        self.shared.own_services.lock().unwrap_or_else(PoisonError::into_inner)
+        let attached = std::mem::take(&mut *self.attached.lock().unwrap_or_else(PoisonError::into_inner));
+        // Before the participant, which may go with this node.
+        drop(attached);
     }
 }
 
 impl Node {
-    /// Offers a service for as long as the node lives, without keeping it alive.
-    fn serve_own<S: downbeat_msgs::Service>(
-        &self,
-        service: &str,
-        answer: impl Fn(&S::Request) -> S::Response + Send + 'static,
-    ) -> Result<(), NodeError> {
-        let Membership { shared, name: node } = &*self.membership;
-        let name = self.service_name(service)?;
-        let endpoint = name.endpoint(&ServiceType::new(S::TYPE_NAME)?, QosProfile::SERVICES);
-        let on_request = super::service::typed::<S>(move |request, reply| {
-            let result = reply.send(&answer(&request));
-            if let Err(error) = result {
-                tracing::warn!(service = name.as_str(), "a request is not answered: {error}");
-            }
-        });
-        let server = RequestServer::new(&*shared.middleware, &shared.rpc, &endpoint, on_request)?;
-        let (reader, writer) = server.gids();
-        shared.graph.add_endpoint(node, Direction::In, reader);
-        shared.graph.add_endpoint(node, Direction::Out, writer);
-        self.membership.own_services().entry(node.clone()).or_default().push(server);
-        Ok(())
+    pub(super) fn new(shared: &Arc<Shared>, name: NodeName) -> Self {
+        let membership = Membership { shared: Arc::clone(shared), name, attached: Mutex::default() };
+        Self { membership: Arc::new(membership), is_by_itself: false }
+    }
+
+    pub(super) fn of(membership: Arc<Membership>) -> Self {
+        Self { membership, is_by_itself: false }
     }
 
     /// Its namespace and name.
@@ -188,9 +55,45 @@ impl Node {
         let shared = &self.membership.shared;
         let found = shared.nodes().get(name).and_then(Weak::upgrade);
         match found {
-            Some(membership) => Ok(Self { membership }),
+            Some(membership) => Ok(Self { membership, is_by_itself: false }),
             None => Participant { shared: Arc::clone(shared) }.create_node(name.clone()),
         }
+    }
+
+    /// The participant it is a node of.
+    #[must_use]
+    pub fn participant(&self) -> Participant {
+        Participant { shared: Arc::clone(&self.membership.shared) }
+    }
+
+    /// The same node for what it has by itself: endpoints made from this do not keep the node.
+    ///
+    /// ```
+    /// # use downbeat_bridge::middleware::in_process::Hub;
+    /// use downbeat_bridge::ros::{MessageType, NodeName, Participant};
+    /// use downbeat_msgs::qos::QosProfile;
+    ///
+    /// # let hub = Hub::new();
+    /// let participant = Participant::on(std::sync::Arc::new(hub.join()))?;
+    /// let observer = Participant::on(std::sync::Arc::new(hub.join()))?;
+    /// let node = participant.create_node(NodeName::new("/", "robot")?)?;
+    /// let kind = MessageType::new("std_msgs/msg/Empty")?;
+    /// let beat = node.by_itself().publish("~/beat", &kind, QosProfile::DEFAULT)?;
+    /// assert_eq!(observer.remote_nodes().len(), 1);
+    /// drop(node);
+    /// assert_eq!(observer.remote_nodes().len(), 0);
+    /// # drop(beat);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[must_use]
+    pub fn by_itself(&self) -> Self {
+        Self { membership: Arc::clone(&self.membership), is_by_itself: true }
+    }
+
+    /// Keeps something until the node is gone from the graph. It must not hold the node.
+    pub fn attach(&self, thing: impl Any + Send) {
+        let mut attached = self.membership.attached.lock().unwrap_or_else(PoisonError::into_inner);
+        attached.push(Box::new(thing));
     }
 
     /// The topic that `topic` means to this node: expanded, and remapped where a rule says so.
@@ -228,175 +131,57 @@ impl Node {
         Ok(request.resolve(direction, &peers))
     }
 
-    /// Creates a publisher; `topic` may be absolute, relative or private (`~/…`).
-    ///
-    /// # Errors
-    /// [`NodeError`] when a name is not valid or the engine refuses.
-    pub fn publish(
-        &self,
-        topic: &str,
-        message_type: &MessageType,
-        qos: QosProfile,
-    ) -> Result<Publisher, NodeError> {
-        let topic = self.topic_name(topic)?;
-        let endpoint = endpoint(&topic, message_type, qos);
-        let writer = self.membership.shared.middleware.create_writer(&endpoint)?;
-        let listed = Listed::new(&self.membership, Direction::Out, writer.gid());
-        Ok(Publisher {
-            topic,
-            message_type: message_type.clone(),
-            qos,
-            _listed: listed,
-            writer,
-            _membership: Arc::clone(&self.membership),
-        })
+    pub(super) fn hold(&self) -> Hold {
+        match self.is_by_itself {
+            true => Hold::Belongs(self.downgrade()),
+            false => Hold::Keeps(Arc::clone(&self.membership)),
+        }
     }
 
-    /// Creates a subscription; `topic` may be absolute, relative or private (`~/…`). `on_sample` runs on the thread
-    /// that all subscriptions of the participant share, so it must hand over and return.
-    ///
-    /// # Errors
-    /// [`NodeError`] when a name is not valid or the engine refuses.
-    pub fn subscribe(
-        &self,
-        topic: &str,
-        message_type: &MessageType,
-        qos: QosProfile,
-        on_sample: SampleHandler,
-    ) -> Result<Subscription, NodeError> {
-        let topic = self.topic_name(topic)?;
-        let endpoint = endpoint(&topic, message_type, qos);
-        let reader = self.membership.shared.middleware.create_reader(&endpoint, on_sample)?;
-        let listed = Listed::new(&self.membership, Direction::In, reader.gid());
-        Ok(Subscription {
-            topic,
-            message_type: message_type.clone(),
-            qos,
-            _listed: listed,
-            reader,
-            _membership: Arc::clone(&self.membership),
-        })
+    pub(super) fn downgrade(&self) -> Weak<Membership> {
+        Arc::downgrade(&self.membership)
     }
 }
 
-/// Publishes serialized messages on one topic.
-pub struct Publisher {
-    topic: TopicName,
-    message_type: MessageType,
-    qos: QosProfile,
-    // Fields drop in this order: the entry in the graph, so that no tool sees an endpoint without a node; the endpoint;
-    // and perhaps with the last of them the participant.
-    _listed: Listed,
-    writer: Box<dyn Writer>,
-    _membership: Arc<Membership>,
-}
-
-impl Publisher {
-    /// The absolute name of its topic.
-    #[must_use]
-    pub fn topic(&self) -> &TopicName {
-        &self.topic
-    }
-
-    /// The type of its messages.
-    #[must_use]
-    pub fn message_type(&self) -> &MessageType {
-        &self.message_type
-    }
-
-    /// What it offers.
-    #[must_use]
-    pub fn qos(&self) -> QosProfile {
-        self.qos
-    }
-
-    /// How many subscriptions of other participants are matched.
-    #[must_use]
-    pub fn matched_subscriptions(&self) -> usize {
-        self.writer.matched()
-    }
-
-    /// Publishes one message: encapsulation header (little-endian) and body. Does not block.
-    ///
-    /// # Errors
-    /// [`WriteError`] when it was not sent.
-    pub fn publish(&self, cdr: Bytes) -> Result<(), WriteError> {
-        self.writer.write(cdr)
-    }
-}
-
-/// Keeps a subscription alive.
-pub struct Subscription {
-    topic: TopicName,
-    message_type: MessageType,
-    qos: QosProfile,
-    // In this order, as in a publisher.
-    _listed: Listed,
-    reader: Box<dyn Reader>,
-    _membership: Arc<Membership>,
-}
-
-impl Subscription {
-    /// The absolute name of its topic.
-    #[must_use]
-    pub fn topic(&self) -> &TopicName {
-        &self.topic
-    }
-
-    /// The type of its messages.
-    #[must_use]
-    pub fn message_type(&self) -> &MessageType {
-        &self.message_type
-    }
-
-    /// What it requests.
-    #[must_use]
-    pub fn qos(&self) -> QosProfile {
-        self.qos
-    }
-
-    /// How many publishers of other participants are matched.
-    #[must_use]
-    pub fn matched_publishers(&self) -> usize {
-        self.reader.matched()
-    }
+/// What an endpoint has of its node.
+#[derive(Clone)]
+pub(super) enum Hold {
+    /// The node is there as long as the endpoint.
+    Keeps(Arc<Membership>),
+    /// The endpoint is there as long as the node, which holds it.
+    Belongs(Weak<Membership>),
 }
 
 /// The entry of an endpoint in the graph, under its node.
 pub(super) struct Listed {
-    membership: Arc<Membership>,
+    hold: Hold,
     direction: Direction,
     endpoint: Gid,
 }
 
 impl Listed {
-    pub(super) fn new(membership: &Arc<Membership>, direction: Direction, endpoint: Gid) -> Self {
-        membership.shared.graph.add_endpoint(&membership.name, direction, endpoint);
-        Self { membership: Arc::clone(membership), direction, endpoint }
+    pub(super) fn new(hold: Hold, direction: Direction, endpoint: Gid) -> Self {
+        if let Some(membership) = hold.membership() {
+            membership.shared.graph.add_endpoint(&membership.name, direction, endpoint);
+        }
+        Self { hold, direction, endpoint }
+    }
+}
+
+impl Hold {
+    /// Nothing if the node is gone from the graph, and with it all its entries.
+    fn membership(&self) -> Option<Arc<Membership>> {
+        match self {
+            Self::Keeps(membership) => Some(Arc::clone(membership)),
+            Self::Belongs(membership) => membership.upgrade(),
+        }
     }
 }
 
 impl Drop for Listed {
     fn drop(&mut self) {
-        let Membership { shared, name } = &*self.membership;
-        shared.graph.remove_endpoint(name, self.direction, self.endpoint);
+        if let Some(membership) = self.hold.membership() {
+            membership.shared.graph.remove_endpoint(&membership.name, self.direction, self.endpoint);
+        }
     }
 }
-
-fn endpoint(topic: &TopicName, message_type: &MessageType, qos: QosProfile) -> Endpoint {
-    let send_window = if LARGE_MESSAGES.contains(&message_type.as_str()) {
-        Endpoint::SEND_WINDOW_LARGE_SAMPLES
-    } else {
-        Endpoint::SEND_WINDOW
-    };
-    Endpoint { send_window, ..Endpoint::new(topic.to_wire(), message_type.to_wire(), qos) }
-}
-
-/// Types whose messages have hundreds of kilobytes.
-const LARGE_MESSAGES: [&str; 5] = [
-    "nav_msgs/msg/OccupancyGrid",
-    "sensor_msgs/msg/CompressedImage",
-    "sensor_msgs/msg/Image",
-    "sensor_msgs/msg/PointCloud",
-    "sensor_msgs/msg/PointCloud2",
-];

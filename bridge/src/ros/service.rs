@@ -1,9 +1,11 @@
 //! Services that a node offers.
 
-use super::node::{Listed, Membership};
-use super::{Node, NodeError, ServiceName, ServiceType};
+use super::introspection::{Event, ServiceEvents};
+use super::node::{Hold, Listed};
+use super::{Introspection, Node, NodeError, ServiceName, ServiceType};
 use crate::middleware::Direction;
 use crate::middleware::rpc::{IncomingRequest, ReplyError, RequestHandler, RequestServer, Responder};
+use downbeat_executor::Clock;
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
 use std::marker::PhantomData;
@@ -39,7 +41,8 @@ pub struct Service {
     // Fields drop in this order, as in a publisher.
     _listed: [Listed; 2],
     server: RequestServer,
-    _membership: Arc<Membership>,
+    events: Arc<ServiceEvents>,
+    _hold: Hold,
 }
 
 impl Service {
@@ -53,6 +56,21 @@ impl Service {
     #[must_use]
     pub fn service_type(&self) -> &ServiceType {
         &self.service_type
+    }
+
+    /// Publishes on `<service>/_service_event` what this service receives and sends, or no more; `node` is the one that
+    /// offers it, `clock` stamps the events.
+    ///
+    /// # Errors
+    /// [`NodeError`] when the engine refuses the publisher.
+    pub fn configure_introspection(
+        &self,
+        node: &Node,
+        introspection: Introspection,
+        qos: QosProfile,
+        clock: Arc<dyn Clock>,
+    ) -> Result<(), NodeError> {
+        self.events.configure(node, introspection, qos, clock)
     }
 
     /// How many clients of other participants are matched.
@@ -92,7 +110,7 @@ impl<S: downbeat_msgs::Service> Reply<S> {
 }
 
 /// A handler of raw requests that reads them.
-pub(super) fn typed<S: downbeat_msgs::Service>(
+fn typed<S: downbeat_msgs::Service>(
     mut on_request: impl FnMut(S::Request, Reply<S>) + Send + 'static,
 ) -> RequestHandler {
     Box::new(move |IncomingRequest { cdr, client, responder, .. }| match cdr::from_slice(&cdr) {
@@ -101,6 +119,18 @@ pub(super) fn typed<S: downbeat_msgs::Service>(
             let type_name = S::TYPE_NAME;
             tracing::warn!(%client, "a request is not answered: its bytes are no {type_name}: {error}");
         }
+    })
+}
+
+/// Tells of each request and its response.
+fn observed(events: Arc<ServiceEvents>, mut on_request: RequestHandler) -> RequestHandler {
+    Box::new(move |mut request: IncomingRequest| {
+        let (client, number, events) = (request.request_client, request.number, Arc::clone(&events));
+        events.tell(Event::RequestReceived, client, number, &request.cdr);
+        request.responder = request
+            .responder
+            .when_sent(move |response| events.tell(Event::ResponseSent, client, number, response));
+        on_request(request);
     })
 }
 
@@ -152,17 +182,20 @@ impl Node {
         let name = self.service_name(service)?;
         let shared = &self.membership.shared;
         let endpoint = name.endpoint(service_type, qos);
+        let events = ServiceEvents::new(&name, service_type);
+        let on_request = observed(Arc::clone(&events), on_request);
         let server = RequestServer::new(&*shared.middleware, &shared.rpc, &endpoint, on_request)?;
         let (reader, writer) = server.gids();
         Ok(Service {
             name,
             service_type: service_type.clone(),
             _listed: [
-                Listed::new(&self.membership, Direction::In, reader),
-                Listed::new(&self.membership, Direction::Out, writer),
+                Listed::new(self.hold(), Direction::In, reader),
+                Listed::new(self.hold(), Direction::Out, writer),
             ],
             server,
-            _membership: Arc::clone(&self.membership),
+            events,
+            _hold: self.hold(),
         })
     }
 }

@@ -1,6 +1,7 @@
 //! From the threads that log to the one that publishes.
 
 use super::LogLine;
+use super::of_node::OfModules;
 use crossbeam::queue::ArrayQueue;
 use crossbeam::sync::{Parker, Unparker};
 use std::cell::Cell;
@@ -46,6 +47,7 @@ pub struct RosoutLayer {
 pub(super) struct Shared {
     pub(super) queue: ArrayQueue<LogLine>,
     pub(super) is_off: AtomicBool,
+    pub(super) of_modules: OfModules,
     pub(super) published: AtomicU64,
     pub(super) dropped: AtomicU64,
     pub(super) failed: AtomicU64,
@@ -64,6 +66,7 @@ impl Rosout {
             shared: Arc::new(Shared {
                 queue: ArrayQueue::new(WAITING),
                 is_off: AtomicBool::new(false),
+                of_modules: OfModules::default(),
                 published: AtomicU64::new(0),
                 dropped: AtomicU64::new(0),
                 failed: AtomicU64::new(0),

@@ -8,6 +8,9 @@ use thiserror::Error;
 /// Names come from outside.
 const MOST_LOGGERS: usize = 1024;
 
+/// The name of the logger above all.
+const ROOT: &str = "";
+
 /// From which severity on each logger writes, where somebody has said so. Clones share the levels.
 ///
 /// Names are those of rcutils: `robot.downbeat` is the parent of `robot.downbeat.walker`, and a logger that has no level has
@@ -27,6 +30,8 @@ const MOST_LOGGERS: usize = 1024;
 #[derive(Clone, Debug, Default)]
 pub struct LoggerLevels {
     by_name: Arc<RwLock<BTreeMap<String, Severity>>>,
+    /// What the program was started with, nothing for info.
+    start: Option<Severity>,
 }
 
 /// No more loggers can be given levels.
@@ -38,6 +43,12 @@ pub struct TooManyLoggers {
 }
 
 impl LoggerLevels {
+    /// The levels of a program that writes from this severity on; it is what is told of the root logger.
+    #[must_use]
+    pub fn starting_at(level: Severity) -> Self {
+        Self { start: Some(level), ..Self::default() }
+    }
+
     /// Gives a logger a level, or none of its own. Takes effect at once, on all threads.
     ///
     /// # Errors
@@ -58,10 +69,11 @@ impl LoggerLevels {
         Ok(())
     }
 
-    /// The level a logger was given, if it was.
+    /// The level a logger was given, if it was. The root always has one.
     #[must_use]
     pub fn own(&self, logger: &str) -> Option<Severity> {
-        self.by_name.read().unwrap_or_else(PoisonError::into_inner).get(logger).copied()
+        let given = self.by_name.read().unwrap_or_else(PoisonError::into_inner).get(logger).copied();
+        given.or_else(|| logger.is_empty().then(|| self.start.unwrap_or(Severity::Info)))
     }
 
     /// The level a logger was given, or the nearest of its ancestors.
@@ -71,7 +83,8 @@ impl LoggerLevels {
         if by_name.is_empty() {
             return None;
         }
-        std::iter::successors(Some(logger), parent).find_map(|name| by_name.get(name).copied())
+        let mut ancestors = std::iter::successors(Some(logger), parent).chain([ROOT]);
+        ancestors.find_map(|name| by_name.get(name).copied())
     }
 
     /// The least severity that some logger was given: what a filter before the loggers has to let pass.
@@ -101,6 +114,18 @@ mod tests {
         assert_eq!((levels.own("a.b"), levels.least()), (None, Some(Severity::Debug)));
         levels.set("a.b.c", None).unwrap();
         assert_eq!(levels.effective("a.b.c"), Some(Severity::Error));
+    }
+
+    #[test]
+    fn the_root_is_above_all_loggers_and_begins_with_the_level_of_the_program() {
+        let levels = LoggerLevels::starting_at(Severity::Warn);
+        assert_eq!((levels.own(""), levels.effective("a.b")), (Some(Severity::Warn), None));
+        levels.set("", Some(Severity::Error)).unwrap();
+        assert_eq!((levels.own(""), levels.effective("a.b")), (Some(Severity::Error), Some(Severity::Error)));
+        levels.set("a", Some(Severity::Info)).unwrap();
+        assert_eq!(levels.effective("a.b"), Some(Severity::Info));
+        levels.set("", None).unwrap();
+        assert_eq!((levels.own(""), levels.effective("b")), (Some(Severity::Warn), None));
     }
 
     #[test]

@@ -101,12 +101,21 @@ struct Fields {
     others: Text,
 }
 
+impl Fields {
+    fn add_other(&mut self, name: &str, value: fmt::Arguments<'_>) {
+        // Where a line of the crate `log` comes from its target says.
+        if !matches!(name, "log.module_path" | "log.file" | "log.line") {
+            self.others.add(format_args!(" {name}={value}"));
+        }
+    }
+}
+
 impl Visit for Fields {
     fn record_str(&mut self, field: &Field, value: &str) {
         match field.name() {
             "message" => self.message.add(format_args!("{value}")),
             "module" => self.module = Some(value.to_owned()),
-            name => self.others.add(format_args!(" {name}={value:?}")),
+            name => self.add_other(name, format_args!("{value:?}")),
         }
     }
 
@@ -115,7 +124,7 @@ impl Visit for Fields {
             "message" => self.message.add(format_args!("{value:?}")),
             // Written with `%`, and so without quotes.
             "module" => self.module = Some(format!("{value:?}")),
-            name => self.others.add(format_args!(" {name}={value:?}")),
+            name => self.add_other(name, format_args!("{value:?}")),
         }
     }
 }

@@ -2,7 +2,8 @@
 //!
 //! [`Rosout`] collects lines from any thread without making it wait, and publishes them on a thread of its own once there
 //! is a node. Loggers are named as rclcpp names them: the node `robot.downbeat`, and for what a module logs
-//! `robot.downbeat.module`. [`LoggerLevels`] holds the levels that tools give to loggers while the program runs.
+//! `robot.downbeat.module`. [`LoggerLevels`] holds the levels that tools give to loggers while the program runs,
+//! and offers the services by which they do.
 //!
 //! ```
 //! use downbeat_bridge::middleware::in_process::Hub;
@@ -25,11 +26,17 @@
 mod collector;
 mod levels;
 mod line;
+mod names;
+mod of_node;
 mod publisher;
+mod services;
 mod severity;
 
 pub use collector::{Rosout, RosoutLayer, RosoutStatus};
 pub use levels::{LoggerLevels, TooManyLoggers};
 pub use line::{LogLine, logger_name};
+pub use names::LoggerNames;
+pub use of_node::RosoutOfNode;
 pub use publisher::{RosoutError, RosoutPublisher, TOPIC};
+pub use services::LoggerServices;
 pub use severity::Severity;

@@ -2,6 +2,7 @@
 
 use super::collector::{Rosout, mark_this_thread};
 use super::{LogLine, Severity, logger_name};
+use crate::middleware::WriteError;
 use crate::ros::{MessageType, Node, NodeError, Publisher};
 use crossbeam::sync::Parker;
 use downbeat_msgs::qos::QosProfile;
@@ -10,10 +11,14 @@ use downbeat_msgs::{Message, cdr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
+use std::time::Duration;
 use thiserror::Error;
 
 /// Absolute: all nodes publish on one topic, whatever their namespace.
 pub const TOPIC: &str = "/rosout";
+
+/// How often it is tried again while the participant is away, some 100 ms.
+const RETRY: Duration = Duration::from_millis(20);
 
 /// `/rosout` could not be published.
 #[derive(Debug, Error)]
@@ -84,9 +89,9 @@ impl Sender {
             // Read before the lines, so that what was logged before the end is sent.
             let is_last = is_ending.load(Ordering::Acquire);
             while let Some(line) = self.rosout.take() {
-                self.send(&line);
+                self.send(&line, &parker, is_ending);
             }
-            self.tell_what_is_missing();
+            self.tell_what_is_missing(&parker, is_ending);
             if is_last {
                 break;
             }
@@ -97,26 +102,40 @@ impl Sender {
         *rosout.parker() = Some(parker);
     }
 
-    fn send(&self, line: &LogLine) {
-        let message = line.to_message(&self.logger);
+    /// Sends a line, after the participant has joined its domain again if it is just doing that.
+    fn send(&self, line: &LogLine, parker: &Parker, is_ending: &AtomicBool) {
         let counters = &self.rosout.shared;
-        match self.publisher.publish(cdr::to_vec(&message).into()) {
-            Ok(()) => drop(counters.published.fetch_add(1, Ordering::Relaxed)),
-            Err(error) => {
-                if counters.failed.fetch_add(1, Ordering::Relaxed) == 0 {
-                    tracing::warn!(%error, "a line was not sent on {TOPIC}; from now on this is only counted");
+        loop {
+            match self.publish(line) {
+                Ok(()) => drop(counters.published.fetch_add(1, Ordering::Relaxed)),
+                Err(WriteError::Away) if !is_ending.load(Ordering::Acquire) => {
+                    parker.park_timeout(RETRY);
+                    continue;
+                }
+                Err(error) => {
+                    if counters.failed.fetch_add(1, Ordering::Relaxed) == 0 {
+                        tracing::warn!(%error, "a line was not sent on {TOPIC}; from now on this is only counted");
+                    }
                 }
             }
+            return;
         }
     }
 
-    fn tell_what_is_missing(&mut self) {
+    fn publish(&self, line: &LogLine) -> Result<(), WriteError> {
+        match self.rosout.shared.of_modules.find(line) {
+            Some((publisher, message)) => publisher.publish(cdr::to_vec(&message).into()),
+            None => self.publisher.publish(cdr::to_vec(&line.to_message(&self.logger)).into()),
+        }
+    }
+
+    fn tell_what_is_missing(&mut self, parker: &Parker, is_ending: &AtomicBool) {
         let dropped = self.rosout.status().dropped;
         let missing = dropped.saturating_sub(self.missing);
         if missing > 0 {
             self.missing = dropped;
             let text = format!("{missing} lines are missing here: more were logged at once than could wait");
-            self.send(&LogLine::now(Severity::Warn, text));
+            self.send(&LogLine::now(Severity::Warn, text), parker, is_ending);
         }
     }
 }

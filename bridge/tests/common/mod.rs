@@ -11,24 +11,14 @@ use downbeat_bridge::middleware::{DiscoveryRange, Endpoint, Middleware, Particip
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-/// Has a suite hold for every engine; every test over DDS has a domain of its own.
-#[allow(unused_macros)]
-macro_rules! conformance {
-    ($($name:ident on $domain_id:literal;)*) => {
-        mod in_process {
-            $(#[test] fn $name() { super::$name(&super::Hub::new()); })*
-        }
-        mod dds {
-            $(#[test] fn $name() { super::$name(&super::Dds($domain_id)); })*
-        }
-    };
-}
-
 /// Generous: the machine may be busy, and transient local data of a late reader takes seconds by design of rustdds.
 pub const WATCHDOG: Duration = Duration::from_secs(30);
 
 /// The program behind [`rclpy::Peer`].
 pub const PEER_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/rclpy/peer.py");
+
+/// The program behind [`rclpy::Peer::cyclonedds`].
+pub const CYCLONEDDS_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cyclonedds/peer.py");
 
 /// Something participants can join.
 pub trait Domain {

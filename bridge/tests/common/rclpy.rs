@@ -9,8 +9,6 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-const CYCLONEDDS_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cyclonedds/peer.py");
-
 /// A node of rclpy, or a participant of Cyclone DDS, that obeys commands. Its process ends with the value.
 pub struct Peer {
     child: Child,
@@ -26,7 +24,7 @@ impl Peer {
 
     /// Starts a participant of Cyclone DDS in a domain on loopback, or says why not and returns nothing.
     pub fn cyclonedds(domain_id: u16) -> Option<Self> {
-        Self::of_domain(CYCLONEDDS_SCRIPT, domain_id, "LOCALHOST")
+        Self::of_domain(super::CYCLONEDDS_SCRIPT, domain_id, "LOCALHOST")
     }
 
     /// Starts node `/peer` of rclpy by a command that runs the Python it is given; by itself it has no arguments yet.

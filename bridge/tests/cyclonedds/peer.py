@@ -6,6 +6,7 @@ Topics and types are named as ROS 2 names them; what they are on the wire is don
 import json
 import os
 import sys
+import time
 from dataclasses import dataclass, fields, is_dataclass
 
 os.environ["CYCLONEDDS_URI"] = """<CycloneDDS><Domain id="any">
@@ -56,7 +57,70 @@ class CompressedImage(IdlStruct, typename="sensor_msgs::msg::dds_::CompressedIma
     data: types.sequence[types.uint8]
 
 
+@dataclass
+class Leg(IdlStruct, typename="legs::msg::dds_::Leg_"):
+    angles: types.sequence[types.float64]
+    name: str = ""
+
+
+@dataclass
+class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
+    x: types.float64
+    y: types.float64
+    z: types.float64
+
+
+@dataclass
+class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
+    x: types.float64
+    y: types.float64
+    z: types.float64
+    w: types.float64
+
+
+@dataclass
+class Transform(IdlStruct, typename="geometry_msgs::msg::dds_::Transform_"):
+    translation: Vector3
+    rotation: Quaternion
+
+
+@dataclass
+class TransformStamped(IdlStruct, typename="geometry_msgs::msg::dds_::TransformStamped_"):
+    header: Header
+    child_frame_id: str
+    transform: Transform
+
+
+@dataclass
+class TFMessage(IdlStruct, typename="tf2_msgs::msg::dds_::TFMessage_"):
+    transforms: types.sequence[TransformStamped]
+
+
+# The elements of lists, by field.
+ELEMENTS = {"transforms": TransformStamped}
+
+# Requests and responses as rmw_cyclonedds has them: in front of each who asks, and the number of the request
+# (`cdds_request_header_t` in `rmw_cyclonedds_cpp/src/serdata.hpp`, branch jazzy).
+
+
+@dataclass
+class SetBoolRequest(IdlStruct, typename="std_srvs::srv::dds_::SetBool_Request_"):
+    guid: types.uint64 = 0
+    seq: types.int64 = 0
+    data: bool = False
+
+
+@dataclass
+class SetBoolResponse(IdlStruct, typename="std_srvs::srv::dds_::SetBool_Response_"):
+    guid: types.uint64 = 0
+    seq: types.int64 = 0
+    success: bool = False
+    message: str = ""
+
+
 TYPES = {
+    "legs/msg/Leg": Leg,
+    "tf2_msgs/msg/TFMessage": TFMessage,
     "std_msgs/msg/String": String,
     "sensor_msgs/msg/JointState": JointState,
     "sensor_msgs/msg/CompressedImage": CompressedImage,
@@ -90,6 +154,8 @@ def message_of(kind, values):
         nested = field.type if is_dataclass(field.type) else None
         if nested:
             given[field.name] = message_of(nested, value or {})
+        elif field.name in ELEMENTS:
+            given[field.name] = [message_of(ELEMENTS[field.name], item) for item in value]
         elif value is not None:
             given[field.name] = value
         else:
@@ -102,6 +168,8 @@ def fields_of(message):
         return {field.name: fields_of(getattr(message, field.name)) for field in fields(message)}
     if isinstance(message, (bytes, bytearray)):
         return list(message)
+    if isinstance(message, list):
+        return [fields_of(item) for item in message]
     return message
 
 
@@ -110,6 +178,57 @@ class Peer:
         self.participant = DomainParticipant(int(os.environ["ROS_DOMAIN_ID"]))
         self.writers = {}
         self.readers = {}
+        self.services = {}
+        self.clients = {}
+
+    def service_topics(self, service):
+        """Those of requests and of responses of std_srvs/srv/SetBool."""
+        qos = policies({"depth": 100})
+        return (
+            Topic(self.participant, f"rq{service}Request", SetBoolRequest, qos=qos),
+            Topic(self.participant, f"rr{service}Reply", SetBoolResponse, qos=qos),
+            qos,
+        )
+
+    def serve(self, service):
+        requests, responses, qos = self.service_topics(service)
+        writer = DataWriter(self.participant, responses, qos=qos)
+        self.services[service] = (DataReader(self.participant, requests, qos=qos), writer)
+
+    def answer(self, service, suffix=""):
+        """Answers what was asked since the last time; what that was."""
+        reader, writer = self.services[service]
+        asked = reader.take(N=1000)
+        for request in asked:
+            message = f"data is {request.data}{suffix}"
+            writer.write(SetBoolResponse(request.guid, request.seq, request.data, message))
+        return [request.data for request in asked]
+
+    def client(self, service, name="client"):
+        """A client knows itself by a number of its own, as the instance handle of its writer is in rmw_cyclonedds."""
+        requests, responses, qos = self.service_topics(service)
+        reader = DataReader(self.participant, responses, qos=qos)
+        writer = DataWriter(self.participant, requests, qos=qos)
+        self.clients[name] = (writer, reader, int.from_bytes(os.urandom(8), "little"))
+
+    def is_available(self, name="client"):
+        writer, reader, _ = self.clients[name]
+        return len(writer.get_matched_subscriptions()) > 0 and len(reader.get_matched_publications()) > 0
+
+    def call(self, requests, name="client"):
+        """All requests at once; the answers in their order, nothing for those without an answer in 20 s."""
+        writer, reader, guid = self.clients[name]
+        for seq, data in enumerate(requests, 1):
+            writer.write(SetBoolRequest(guid, seq, data))
+        answers = {}
+        deadline = time.monotonic() + 20.0
+        while len(answers) < len(requests) and time.monotonic() < deadline:
+            for response in reader.take(N=1000):
+                # Every client reads all responses and keeps its own.
+                if response.guid == guid:
+                    answers.setdefault(response.seq, []).append([response.success, response.message])
+            time.sleep(0.002)
+        return [answers.get(seq) for seq in range(1, len(requests) + 1)]
 
     def topic(self, name, type, qos):
         return Topic(self.participant, "rt" + name, TYPES[type], qos=policies(qos))

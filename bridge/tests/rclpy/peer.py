@@ -6,12 +6,14 @@ It ends when its standard input closes.
 import importlib
 import json
 import math
+import re
 import sys
 import threading
 import time
 
 import rclpy
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import NodeNameNonExistentError
 from rclpy.parameter import Parameter
@@ -19,9 +21,14 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
+from actions import Actions
+
 
 def message_class(type_name):
     package, kind, name = type_name.split("/")
+    if kind == "srv" and name.endswith("_Event"):
+        # As `ros2 service echo` finds it.
+        return message_class(type_name.removesuffix("_Event")).Event
     return getattr(importlib.import_module(f"{package}.{kind}"), name)
 
 
@@ -44,6 +51,10 @@ def fill(message, fields):
     for name, value in fields.items():
         if isinstance(value, dict):
             fill(getattr(message, name), value)
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            package, kind = re.match(r"sequence<(\w+)/(\w+)", message.get_fields_and_field_types()[name]).groups()
+            element = message_class(f"{package}/msg/{kind}")
+            setattr(message, name, [fill(element(), item) for item in value])
         else:
             setattr(message, name, value)
     return message
@@ -52,6 +63,8 @@ def fill(message, fields):
 def fields_of(message):
     if hasattr(message, "get_fields_and_field_types"):
         return {name: fields_of(getattr(message, name)) for name in message.get_fields_and_field_types()}
+    if hasattr(message, "tolist"):
+        return fields_of(message.tolist())  # of numpy: an array, or a number of one
     if isinstance(message, float) and not math.isfinite(message):
         return None  # JSON has no other word for it
     if isinstance(message, (str, bool, int, float)):
@@ -68,8 +81,15 @@ def endpoint_of(info):
     }
 
 
-class Peer:
+EVENT_FIELDS = ["total_count", "current_count", "alive_count", "not_alive_count"]
+
+
+class Peer(Actions):
+    message_class = staticmethod(message_class)
+    fill = staticmethod(fill)
+
     def __init__(self, name):
+        super().__init__()
         rclpy.init()
         self.node = rclpy.create_node(name)
         self.executor = SingleThreadedExecutor()
@@ -77,6 +97,7 @@ class Peer:
         self.publishers = {}
         self.subscriptions = {}
         self.received = {}
+        self.events = {}
         self.services = {}
         self.clients = {}
         self.parameter_clients = {}
@@ -105,8 +126,32 @@ class Peer:
     def subscriptions_of(self, topic):
         return [endpoint_of(info) for info in self.node.get_subscriptions_info_by_topic(topic)]
 
-    def advertise(self, topic, type, qos={}):
-        self.publishers[topic] = self.node.create_publisher(message_class(type), topic, profile(qos))
+    def noting(self, topic, kinds):
+        """Callbacks that note what happens to the quality of service of an endpoint."""
+        noted = self.events.setdefault(topic, [])
+
+        def note(kind):
+            def on_event(info):
+                values = {name: getattr(info, name) for name in EVENT_FIELDS if hasattr(info, name)}
+                noted.append({"event": kind, **values})
+
+            return on_event
+
+        return {kind: note(kind) for kind in kinds}
+
+    def take_events(self, topic):
+        """What has happened since the last call."""
+        noted = self.events[topic]
+        taken = noted[:]
+        del noted[: len(taken)]
+        return taken
+
+    def advertise(self, topic, type, qos={}, events=False):
+        kinds = ["deadline", "liveliness", "incompatible_qos", "matched"] if events else []
+        callbacks = PublisherEventCallbacks(**self.noting(topic, kinds))
+        self.publishers[topic] = self.node.create_publisher(
+            message_class(type), topic, profile(qos), event_callbacks=callbacks
+        )
 
     def publish(self, topic, fields):
         publisher = self.publishers[topic]
@@ -117,15 +162,19 @@ class Peer:
             return self.publishers[topic].get_subscription_count()
         return self.node.count_publishers(topic)
 
-    def subscribe(self, topic, type, qos={}):
+    def subscribe(self, topic, type, qos={}, events=False):
         received = self.received.setdefault(topic, [])
+        kinds = ["deadline", "liveliness", "message_lost", "incompatible_qos", "matched"] if events else []
+        callbacks = SubscriptionEventCallbacks(**self.noting(topic, kinds))
         kind = message_class(type)
 
         def on_message(cdr):
             message = deserialize_message(cdr, kind)
             received.append({"cdr": bytes(cdr).hex(), "fields": fields_of(message)})
 
-        self.subscriptions[topic] = self.node.create_subscription(kind, topic, on_message, profile(qos), raw=True)
+        self.subscriptions[topic] = self.node.create_subscription(
+            kind, topic, on_message, profile(qos), raw=True, event_callbacks=callbacks
+        )
 
     def serve(self, service, type, suffix="", qos={}):
         """A server of std_srvs/srv/SetBool or sensor_msgs/srv/SetCameraInfo that answers with what it was asked."""

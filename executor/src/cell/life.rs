@@ -9,7 +9,7 @@ use crate::asked::Asked;
 use crate::behaviour::Behaviour;
 use crate::guard::{drop_guarded, end_of};
 use crate::module_io::Shared;
-use crate::{Context, LifecycleState, Time, Transition, TransitionRefused};
+use crate::{Context, LifeStep, LifecycleState, Time, Transition, TransitionRefused};
 
 impl ModuleCell {
     pub(crate) fn transition_later(&mut self, transition: Transition, receipt: TransitionReceipt) {
@@ -21,11 +21,16 @@ impl ModuleCell {
         if self.has_ended() {
             return;
         }
-        self.guarded(now, shared, |behaviour, ctx| {
+        let transition = Transition::Shutdown;
+        self.tell(LifeStep::Begins { transition, from: self.state });
+        self.guarded(transition, now, shared, |behaviour, ctx| {
             // Has no way to fail.
-            let _ = behaviour.transition(Transition::Shutdown, ctx);
+            let _ = behaviour.transition(transition, ctx);
         });
-        self.end();
+        if !self.has_ended() {
+            self.end();
+            self.tell(LifeStep::Made { transition, to: self.state });
+        }
     }
 
     /// What comes before the callbacks of a run, where there is something. False if none may run.
@@ -71,12 +76,16 @@ impl ModuleCell {
         let Some(target) = transition.from(self.state) else {
             return Err(TransitionRefused::WrongState { module, transition, state: self.state });
         };
+        self.tell(LifeStep::Begins { transition, from: self.state });
         let mut result = Ok(());
-        self.guarded(now, shared, |behaviour, ctx| result = behaviour.transition(transition, ctx));
+        self.guarded(transition, now, shared, |behaviour, ctx| {
+            result = behaviour.transition(transition, ctx)
+        });
         if self.has_ended() {
             return Err(TransitionRefused::Panicked { module, transition });
         }
         if let Err(reason) = result {
+            self.tell(LifeStep::Failed { transition, state: self.state });
             let (state, reason) = (self.state, reason.to_string());
             return Err(TransitionRefused::ByModule { module, transition, state, reason });
         }
@@ -92,12 +101,14 @@ impl ModuleCell {
             Transition::Configure | Transition::Cleanup => {}
         }
         self.state = target;
+        self.tell(LifeStep::Made { transition, to: target });
         Ok(target)
     }
 
     /// A panic ends the module, and only it: what it asked for in this run is discarded.
     fn guarded(
         &mut self,
+        transition: Transition,
         now: Time,
         shared: Option<&Shared>,
         run: impl FnOnce(&mut dyn Behaviour, &mut Context<'_>),
@@ -115,17 +126,23 @@ impl ModuleCell {
             self.meter.overran(1);
         }
         if let Err(panic) = outcome {
-            self.end_by_panic(panic);
+            self.end_by_panic(panic, Some(transition));
         }
     }
 
     #[cold]
-    pub(super) fn end_by_panic(&mut self, panic: Box<dyn Any + Send>) {
+    pub(super) fn end_by_panic(&mut self, panic: Box<dyn Any + Send>, transition: Option<Transition>) {
+        let from = self.state;
         drop_guarded("a message", || self.io.discard());
         self.io.asked = Asked::PANIC;
         self.meter.panicked();
         self.panic = Some(end_of(panic));
         self.end();
+        self.tell(LifeStep::Panicked { transition, from });
+    }
+
+    fn tell(&self, step: LifeStep) {
+        self.io.queue.listeners.tell(&self.io.name, step);
     }
 
     fn end(&mut self) {

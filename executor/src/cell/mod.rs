@@ -51,6 +51,8 @@ pub(crate) struct Delivery {
     pub(crate) topic: usize,
     pub(crate) batch: Arc<dyn Any + Send + Sync>,
     pub(crate) messages: u32,
+    /// Messages of the topic that its inbox dropped since the delivery before.
+    pub(crate) missed: u32,
 }
 
 impl ModuleCell {
@@ -229,6 +231,7 @@ impl ModuleCell {
             Role::Part => {
                 for (subscription, &topic) in subscribed.iter().enumerate() {
                     for delivery in deliveries.iter().filter(|delivery| delivery.topic == topic) {
+                        ctx.io().missed = delivery.missed;
                         behaviour.receive_shared(subscription, Arc::clone(&delivery.batch), ctx);
                     }
                 }
@@ -237,6 +240,7 @@ impl ModuleCell {
                 for delivery in deliveries {
                     let is_for = |&(_, &topic): &(usize, &usize)| topic == delivery.topic;
                     for (subscription, _) in subscribed.iter().enumerate().filter(is_for) {
+                        ctx.io().missed = delivery.missed;
                         behaviour.receive_shared(subscription, Arc::clone(&delivery.batch), ctx);
                     }
                 }
@@ -285,7 +289,7 @@ impl ModuleCell {
             self.meter.overran(1);
         }
         if let Err(panic) = outcome {
-            self.end_by_panic(panic);
+            self.end_by_panic(panic, None);
         }
     }
 }

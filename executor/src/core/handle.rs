@@ -10,8 +10,9 @@ use crate::management::{Candidate, Command, Source};
 use crate::queue::Queue;
 use crate::receipt::{Receipt, ReceiptSender, receipt};
 use crate::{
-    CycleTrace, Graph, Inlet, LifecycleState, Module, ModuleOptions, SettingInfo, SettingRefused,
-    SettingValue, SetupError, Snapshot, Stage, TopicInfo, Transition, TransitionRefused, UnknownModule,
+    CycleTrace, Graph, Inlet, LifeEvent, LifecycleState, Listening, Module, ModuleOptions, SettingInfo,
+    SettingRefused, SettingValue, SetupError, Snapshot, Stage, TopicInfo, Transition, TransitionRefused,
+    UnknownModule,
 };
 
 /// Asks a running core for something from any thread; from [`Core::handle`](crate::Core::handle).
@@ -199,6 +200,37 @@ impl CoreHandle {
     ) -> Receipt<Result<LifecycleState, TransitionRefused>> {
         let module = module.to_owned();
         self.command(|receipt| Command::Transition { module, transition, receipt })
+    }
+
+    /// Has `listener` told of each step in the life of each module, from now on and until the value returned is dropped. It
+    /// is called while the module runs, on its thread, so it must hand over and return; what it does must not come back to
+    /// the modules otherwise than as a message, a request or a setting.
+    ///
+    /// ```
+    /// use downbeat_executor::{Core, LifeStep, LifecycleState, ManualClock, Module, Setup, SetupError, Time, Transition};
+    /// use std::sync::mpsc::channel;
+    ///
+    /// struct Camera;
+    ///
+    /// impl Module for Camera {
+    ///     fn setup(&mut self, _: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         Ok(())
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add("camera", Camera)?;
+    /// let (sender, events) = channel();
+    /// let _listening = core.handle().on_transition(move |event| drop(sender.send(event.clone())));
+    /// core.cycle()?;
+    /// let steps: Vec<_> = events.try_iter().map(|event| event.step).collect();
+    /// let (transition, from) = (Transition::Configure, LifecycleState::Unconfigured);
+    /// assert_eq!(steps[0], LifeStep::Begins { transition, from });
+    /// assert_eq!(steps[3], LifeStep::Made { transition: Transition::Activate, to: LifecycleState::Active });
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn on_transition(&self, listener: impl Fn(&LifeEvent) + Send + Sync + 'static) -> Listening {
+        self.queue.listeners.add(listener)
     }
 
     /// Changes a setting of a module.

@@ -66,8 +66,8 @@ impl Mailbox {
 }
 
 impl Contents {
-    /// Drops the oldest batch of the topic if `limit` of them wait.
-    pub(super) fn make_room(&mut self, topic: usize, limit: usize) {
+    /// Drops the oldest batch of the topic if `limit` of them wait. Returns how many messages the next one misses.
+    pub(super) fn make_room(&mut self, topic: usize, limit: usize) -> u32 {
         let mut waiting = (0..self.deliveries.len()).filter(|&index| self.deliveries[index].topic == topic);
         let (oldest, others) = (waiting.next(), waiting.count());
         if let Some(oldest) = oldest
@@ -75,7 +75,13 @@ impl Contents {
             && let Some(dropped) = self.deliveries.remove(oldest)
         {
             self.skip(topic, dropped.messages);
+            let missed = dropped.missed.saturating_add(dropped.messages);
+            match self.deliveries.iter_mut().find(|delivery| delivery.topic == topic) {
+                Some(next) => next.missed = next.missed.saturating_add(missed),
+                None => return missed,
+            }
         }
+        0
     }
 
     fn skip(&mut self, topic: usize, messages: u32) {

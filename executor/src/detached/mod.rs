@@ -100,10 +100,10 @@ impl DetachedModule {
         Ok(())
     }
 
-    pub(crate) fn deliver(&self, delivery: Delivery) {
+    pub(crate) fn deliver(&self, mut delivery: Delivery) {
         let mut contents = self.mailbox.lock();
         if let Inbox::KeepLast(limit) = self.mailbox.capacity {
-            contents.make_room(delivery.topic, limit.get());
+            delivery.missed = contents.make_room(delivery.topic, limit.get());
         }
         contents.deliveries.push_back(delivery);
         drop(contents);

@@ -294,7 +294,7 @@ fn hold(phase: &mut SyncPhase<'_>, id: ModuleId, parcel: Parcel) {
     }
 }
 
-fn answer<T>(receipt: Option<ReceiptSender<T>>, answer: T) {
+fn answer<T: Send + 'static>(receipt: Option<ReceiptSender<T>>, answer: T) {
     if let Some(receipt) = receipt {
         receipt.send(answer);
     }

@@ -84,7 +84,7 @@ fn distribute(phase: &mut SyncPhase<'_>) {
 fn deliver(topics: &Topics, topic: usize, module: Option<&DetachedModule>) {
     if let Some(module) = module {
         let (batch, messages) = topics.share(topic);
-        module.deliver(Delivery { topic, batch, messages });
+        module.deliver(Delivery { topic, batch, messages, missed: 0 });
     }
 }
 

@@ -181,26 +181,40 @@ impl Topics {
         name: &str,
         module: &str,
     ) -> Result<usize, SetupError> {
+        let make = |counter: TopicCounter| {
+            Box::new(Topic::<T> { batch: Arc::default(), counter }) as Box<dyn AnyTopic>
+        };
+        self.open_of((TypeId::of::<T>(), type_name::<T>()), make, name, module)
+    }
+
+    /// The same for a type of that identity and name: compiled once, for however many types of messages there are.
+    fn open_of(
+        &mut self,
+        (message_type_id, message_type): (TypeId, &'static str),
+        make: fn(TopicCounter) -> Box<dyn AnyTopic>,
+        name: &str,
+        module: &str,
+    ) -> Result<usize, SetupError> {
         let name = canonical_name(name)
             .ok_or_else(|| SetupError::InvalidTopicName { module: module.into(), topic: name.into() })?;
         if let Some(&index) = self.by_name.get(name) {
             let known = &self.entries[index].info;
-            if known.message_type_id != TypeId::of::<T>() {
+            if known.message_type_id != message_type_id {
                 return Err(SetupError::TopicType {
                     module: module.into(),
                     topic: name.into(),
-                    asked: type_name::<T>(),
+                    asked: message_type,
                     known: known.message_type,
                 });
             }
             return Ok(index);
         }
         let (name, counter) = (Arc::<str>::from(name), TopicCounter::default());
-        let topic = Box::new(Topic::<T> { batch: Arc::default(), counter: counter.clone() });
+        let topic = make(counter.clone());
         let info = TopicInfo {
             name: Arc::clone(&name),
-            message_type: type_name::<T>(),
-            message_type_id: TypeId::of::<T>(),
+            message_type,
+            message_type_id,
             is_published: false,
             counter,
         };

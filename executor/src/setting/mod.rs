@@ -22,6 +22,10 @@ pub enum SettingValue {
     Double(f64),
     /// Text.
     Text(String),
+    /// Truth values.
+    Bools(Vec<bool>),
+    /// Bytes; whole numbers from 0 to 255 are taken too.
+    Bytes(Vec<u8>),
     /// Whole numbers.
     Integers(Vec<i64>),
     /// Numbers.
@@ -37,6 +41,8 @@ impl SettingValue {
             Self::Integer(_) => "integer",
             Self::Double(_) => "double",
             Self::Text(_) => "text",
+            Self::Bools(_) => "list of bools",
+            Self::Bytes(_) => "list of bytes",
             Self::Integers(_) => "list of integers",
             Self::Doubles(_) => "list of doubles",
             Self::Texts(_) => "list of texts",
@@ -50,7 +56,8 @@ impl SettingValue {
             Self::Double(value) => vec![*value],
             Self::Integers(values) => values.iter().map(|&value| value as f64).collect(),
             Self::Doubles(values) => values.clone(),
-            Self::Bool(_) | Self::Text(_) | Self::Texts(_) => Vec::new(),
+            Self::Bytes(values) => values.iter().map(|&value| value.into()).collect(),
+            Self::Bool(_) | Self::Text(_) | Self::Bools(_) | Self::Texts(_) => Vec::new(),
         }
     }
 
@@ -61,8 +68,13 @@ impl SettingValue {
             (Self::Integers(values), Self::Doubles(_)) => {
                 Self::Doubles(values.into_iter().map(|value| value as f64).collect())
             }
+            (Self::Integers(values), Self::Bytes(_)) => {
+                let byte = |value| u8::try_from(value).map_err(|_| format!("expected bytes, found {value}"));
+                Self::Bytes(values.into_iter().map(byte).collect::<Result<_, _>>()?)
+            }
             // An empty list in a file has no kind of its own.
             (Self::Integers(values), Self::Texts(_)) if values.is_empty() => Self::Texts(Vec::new()),
+            (Self::Integers(values), Self::Bools(_)) if values.is_empty() => Self::Bools(Vec::new()),
             (value, pattern) if value.kind() == pattern.kind() => value,
             (value, pattern) => {
                 return Err(format!("expected {}, found {} {value}", pattern.kind(), value.kind()));
@@ -78,6 +90,8 @@ impl fmt::Display for SettingValue {
             Self::Integer(value) => write!(f, "{value}"),
             Self::Double(value) => write!(f, "{value}"),
             Self::Text(value) => write!(f, "{value:?}"),
+            Self::Bools(values) => write!(f, "{values:?}"),
+            Self::Bytes(values) => write!(f, "{values:?}"),
             Self::Integers(values) => write!(f, "{values:?}"),
             Self::Doubles(values) => write!(f, "{values:?}"),
             Self::Texts(values) => write!(f, "{values:?}"),
@@ -121,6 +135,8 @@ setting_types! {
     i64 => Integer,
     f64 => Double,
     String => Text,
+    Vec<bool> => Bools,
+    Vec<u8> => Bytes,
     Vec<i64> => Integers,
     Vec<f64> => Doubles,
     Vec<String> => Texts,
@@ -290,6 +306,28 @@ mod tests {
         let mut settings = Settings::default();
         settings.declare("m", gain(), Some(SettingValue::Integer(2))).unwrap();
         assert_eq!(settings.value(0), Some(&SettingValue::Double(2.0)));
+    }
+
+    #[test]
+    fn whole_numbers_are_valid_bytes_where_they_fit() {
+        let mut settings = Settings::default();
+        let mask = SettingInfo { value: vec![1_u8].into(), range: Some(0.0..=254.0), ..gain() };
+        settings.declare("m", mask, Some(vec![0_i64, 254].into())).unwrap();
+        assert_eq!(settings.value(0), Some(&vec![0_u8, 254].into()));
+        for (wrong, word) in [(256_i64, "found 256"), (-1, "found -1"), (255, "255 is out of range")] {
+            let refusal = set(&mut settings, "gain", vec![wrong].into()).unwrap_err();
+            assert!(refusal.contains(word), "{refusal}");
+        }
+    }
+
+    #[test]
+    fn an_empty_list_is_valid_for_every_list() {
+        for list in [SettingValue::Bools(vec![true]), vec![1_u8].into(), vec![0.5].into()] {
+            let mut settings = Settings::default();
+            let empty = Vec::<i64>::new();
+            settings.declare("m", SettingInfo { value: list, range: None, ..gain() }, None).unwrap();
+            set(&mut settings, "gain", empty.into()).unwrap();
+        }
     }
 
     #[test]

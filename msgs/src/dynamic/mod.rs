@@ -40,6 +40,7 @@ pub use error::{ConvertError, FieldError, FieldProblem, TypeError};
 pub use layout::{DynamicField, DynamicType};
 pub use lookup::{
     AmentPrefixPath, DefinitionSource, Definitions, DescribedTypes, Found, LookupError, Schemas,
+    TypeDefinition,
 };
 pub use message::{DynamicMessage, MessageRef};
 pub use text::{Stamps, TextError, TextProblem, YamlStyle};

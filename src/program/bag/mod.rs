@@ -1,12 +1,15 @@
 //! `downbeat bag`, one file for each command.
 
+mod chart;
 pub(super) mod check;
 pub(super) mod convert;
 pub(super) mod cut;
 pub(super) mod diff;
+pub(super) mod export;
 pub(super) mod info;
 mod output;
 pub(super) mod play;
+pub(super) mod plot;
 mod progress;
 pub(super) mod record;
 pub(super) mod reindex;

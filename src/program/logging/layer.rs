@@ -1,9 +1,8 @@
 //! What becomes of an event: whether it is wanted, and where it goes.
 
 use std::io::IsTerminal;
-use std::sync::{Arc, PoisonError, RwLock};
 
-use downbeat::bridge::rosout::{LogLine, LoggerLevels, Rosout, Severity};
+use downbeat::bridge::rosout::{LogLine, LoggerLevels, LoggerNames, Rosout, Severity};
 use tracing::level_filters::LevelFilter;
 use tracing::subscriber::Interest;
 use tracing::{Event, Metadata, Subscriber, span};
@@ -22,7 +21,7 @@ use crate::program::screen::Screen;
 pub(super) struct LogLayer {
     pub(super) filter: EnvFilter,
     pub(super) levels: LoggerLevels,
-    pub(super) node_logger: Arc<RwLock<String>>,
+    pub(super) names: LoggerNames,
     /// Nothing where `--disable-stdout-logs` says so.
     pub(super) console: Option<Console>,
     pub(super) format: Format,
@@ -64,9 +63,8 @@ where
     }
 
     fn on_event(&self, event: &Event<'_>, ctx: Context<'_, S>) {
-        let node_logger = self.node_logger.read().unwrap_or_else(PoisonError::into_inner).clone();
         let line = LogLine::of(event);
-        let logger = line.logger(&node_logger);
+        let logger = self.names.of(&line);
         let is_wanted = match self.levels.effective(&logger) {
             Some(level) => line.severity >= level,
             None => self.filter.enabled(event.metadata(), ctx),

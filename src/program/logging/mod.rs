@@ -5,11 +5,8 @@ mod file;
 mod format;
 mod layer;
 
-use std::sync::{Arc, PoisonError, RwLock};
-
 use anyhow::Context;
-use downbeat::bridge::ros::NodeName;
-use downbeat::bridge::rosout::{LoggerLevels, Rosout, Severity, logger_name};
+use downbeat::bridge::rosout::{LoggerLevels, LoggerNames, Rosout, Severity};
 use downbeat::robot::{LogArguments, LogLevel};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::prelude::*;
@@ -35,8 +32,9 @@ pub(crate) struct Log {
     /// What waits for `/rosout`.
     pub(crate) rosout: Rosout,
     /// The levels that loggers are given, which tools may change.
-    levels: LoggerLevels,
-    node_logger: Arc<RwLock<String>>,
+    pub(crate) levels: LoggerLevels,
+    /// The names of loggers, on the console and in the file.
+    pub(crate) names: LoggerNames,
     file: Option<LogFile>,
 }
 
@@ -44,16 +42,16 @@ impl Log {
     /// Sends log events where the environment says, above the status block.
     pub(crate) fn start(screen: &Screen, arguments: &LogArguments) -> anyhow::Result<Self> {
         let options = LogOptions::from_variables(|name| std::env::var(name).ok())?.with(arguments);
+        let given = filter_of(arguments).or_else(|| std::env::var(VARIABLE).ok());
         let log = Self {
             rosout: Rosout::new(),
-            levels: LoggerLevels::default(),
-            node_logger: Arc::new(RwLock::new(PROGRAM.into())),
+            levels: LoggerLevels::starting_at(start_of(given.as_deref().unwrap_or(DEFAULT))),
+            names: LoggerNames::new(PROGRAM),
             file: options.file.as_deref().map(LogFile::create).transpose()?,
         };
         for (logger, level) in &arguments.loggers {
             log.levels.set(logger, severity(*level))?;
         }
-        let given = filter_of(arguments).or_else(|| std::env::var(VARIABLE).ok());
         let filter = given.as_deref().map(EnvFilter::try_new).transpose();
         let (filter, problem) = match filter {
             Ok(filter) => (filter.unwrap_or_else(|| EnvFilter::new(DEFAULT)), None),
@@ -62,7 +60,7 @@ impl Log {
         let layer = LogLayer {
             filter,
             levels: log.levels.clone(),
-            node_logger: Arc::clone(&log.node_logger),
+            names: log.names.clone(),
             console: (!arguments.is_stdout_disabled).then(|| Console::new(&options, screen)),
             format: options.format.clone(),
             file: log.file.clone(),
@@ -74,11 +72,6 @@ impl Log {
         }
         options.remarks.iter().for_each(|remark| tracing::warn!("{remark}"));
         Ok(log)
-    }
-
-    /// Lines are from now on those of a node.
-    pub(crate) fn name_by(&self, node: &NodeName) {
-        *self.node_logger.write().unwrap_or_else(PoisonError::into_inner) = logger_name(node);
     }
 
     /// Writes what still waits to be written.
@@ -102,6 +95,14 @@ fn filter_of(arguments: &LogArguments) -> Option<String> {
     Some(filter)
 }
 
+/// The severity from which on a filter lets pass what no directive of its names.
+fn start_of(filter: &str) -> Severity {
+    let mut general =
+        filter.split(',').filter_map(|directive| directive.trim().parse::<tracing::Level>().ok());
+    // A filter that lets nothing pass in general has no such directive, or `off`.
+    general.next_back().map_or(Severity::Fatal, Severity::of)
+}
+
 fn severity(level: LogLevel) -> Option<Severity> {
     match level {
         LogLevel::Unset => None,
@@ -110,5 +111,22 @@ fn severity(level: LogLevel) -> Option<Severity> {
         LogLevel::Warn => Some(Severity::Warn),
         LogLevel::Error => Some(Severity::Error),
         LogLevel::Fatal => Some(Severity::Fatal),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_root_logger_has_the_level_of_the_filter_where_it_names_none() {
+        for (filter, expected) in [
+            (DEFAULT, Severity::Info),
+            ("warn,downbeat_bridge=debug", Severity::Warn),
+            ("downbeat=info, ERROR", Severity::Error),
+            ("off", Severity::Fatal),
+        ] {
+            assert_eq!(start_of(filter), expected, "{filter}");
+        }
     }
 }

@@ -182,3 +182,39 @@ fn the_namespace_of_the_environment_is_for_robots_without_one() {
     assert_eq!(of(ROBOT), "/robot7/r");
     assert_eq!(of(&ROBOT.replacen("name = \"r\"\n", "name = \"r\"\nnamespace = \"/own\"\n", 1)), "/own/r");
 }
+
+#[test]
+fn bytes_of_a_type_that_is_not_compiled_in_need_no_module() {
+    let relay = "in = [{ topic = \"legs\", type = \"legs/msg/Leg\" }]\n\
+                 out = [{ topic = \"legs\", as = \"/far/legs\", type = \"legs/msg/Leg\" }]";
+    let endpoints = exposed_with(relay, "");
+    let told = |endpoint: &crate::robot::ExposedEndpoint| {
+        (endpoint.direction.clone(), endpoint.ros_topic.clone(), endpoint.type_name.clone())
+    };
+    let expected = |direction: &str, topic: &str| (direction.into(), topic.into(), "legs/msg/Leg".into());
+    assert_eq!(
+        endpoints.iter().map(told).collect::<Vec<_>>(),
+        [expected("out", "/far/legs"), expected("in", "/legs")]
+    );
+    assert_eq!(
+        names("in = [{ topic = \"buffer\", type = \"sensor_msgs/msg/Imu\", raw = true }]"),
+        ["buffer"],
+        "asked for, of a type that is compiled in"
+    );
+    for (expose, expected) in [
+        ("in = [{ topic = \"legs\", raw = true }]", "\"raw\" needs a \"type\""),
+        ("in = [{ topic = \"legs/*\", type = \"legs/msg/Leg\" }]", "is named"),
+        (
+            "in = [{ topic = \"x\", type = \"sensor_msgs/msg/Imuu\" }]",
+            "did you mean \"sensor_msgs/msg/Imu\"?",
+        ),
+        ("out = [{ topic = \"legs\", type = \"legs/msg/Leg\" }]", "no module publishes \"legs\""),
+        (
+            "in = [{ topic = \"joint_commands\", type = \"legs/msg/Leg\" }]",
+            "only what modules take or give as bytes can be raw",
+        ),
+    ] {
+        let problem = problem(expose);
+        assert!(problem.contains(expected), "{problem}");
+    }
+}

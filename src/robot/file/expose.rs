@@ -1,13 +1,15 @@
 //! `[expose]` of a robot file.
 
+mod lifecycle;
 mod qos;
 mod service;
 mod topic;
 
-pub use service::ServiceEntry;
+pub use lifecycle::LifecycleEntry;
+pub use service::{ActionEntry, ServiceEntry};
 pub use topic::{Direction, ExposeEntry, TopicChoice};
 
-use downbeat_bridge::expose::TopicPattern;
+use downbeat_bridge::expose::{ServiceIntrospection, TopicPattern};
 
 use super::table::{Table, Value};
 use super::{Located, NodeFeatures, RobotFileError};
@@ -23,8 +25,16 @@ pub struct ExposeSection {
     pub services: Vec<ServiceEntry>,
     /// Services of ROS 2 that modules call.
     pub calls: Vec<ServiceEntry>,
+    /// Actions of modules that ROS 2 may use.
+    pub actions: Vec<ActionEntry>,
+    /// Actions of ROS 2 that modules use.
+    pub action_calls: Vec<ActionEntry>,
+    /// What services and calls tell of themselves at the start.
+    pub introspection: ServiceIntrospection,
     /// Settings of modules that are parameters.
     pub(crate) parameters: Vec<Located<TopicPattern>>,
+    /// Modules that are managed nodes.
+    pub lifecycle: Vec<LifecycleEntry>,
     /// What the node has besides.
     pub features: NodeFeatures,
 }
@@ -42,10 +52,24 @@ pub(super) fn expose(value: Value<'_>) -> Result<ExposeSection> {
     let topics = topic::topics(&mut table)?;
     let services = service::services(&mut table, "services")?;
     let calls = service::services(&mut table, "calls")?;
+    let actions = service::actions(&mut table, "actions")?;
+    let action_calls = service::actions(&mut table, "action_calls")?;
+    let introspection = service::introspection(&mut table)?;
     let parameters = service::parameters(&mut table)?;
+    let lifecycle = lifecycle::lifecycle(&mut table)?;
     let features = NodeFeatures::take(&mut table)?;
     table.finish()?;
-    Ok(ExposeSection { topics, services, calls, parameters, features })
+    Ok(ExposeSection {
+        topics,
+        services,
+        calls,
+        actions,
+        action_calls,
+        introspection,
+        parameters,
+        lifecycle,
+        features,
+    })
 }
 
 #[cfg(test)]

@@ -12,6 +12,12 @@ use super::{Located, Result, RobotFile, choice};
 pub struct NodeFeatures {
     /// Whether it publishes its log on `/rosout`.
     pub rosout: bool,
+    /// Whether tools may read and set the levels of its loggers.
+    pub logger_service: bool,
+    /// Whether others may change what is exposed, by `~/expose`.
+    pub expose_service: bool,
+    /// Whether modules are told of the ROS 2 network, on the topic `network`.
+    pub network: bool,
     /// What it does with `/clock`.
     pub clock: ClockChoice,
     /// Whether the process tells of itself on the topic `diagnostics` once a second.
@@ -35,9 +41,17 @@ pub enum ClockChoice {
 const LONGEST_DESCRIPTION: u64 = 16 * 1024 * 1024;
 
 impl Default for NodeFeatures {
-    /// What a node of rclcpp has.
+    /// What a node of rclcpp has, and levels of loggers that tools can set.
     fn default() -> Self {
-        Self { rosout: true, clock: ClockChoice::Own, diagnostics: true, robot_description: None }
+        Self {
+            rosout: true,
+            logger_service: true,
+            expose_service: false,
+            network: false,
+            clock: ClockChoice::Own,
+            diagnostics: true,
+            robot_description: None,
+        }
     }
 }
 
@@ -48,6 +62,13 @@ impl NodeFeatures {
         let description = table.take("robot_description");
         Ok(Self {
             rosout: table.take("rosout").map_or(Ok(unless_given.rosout), |value| value.flag())?,
+            logger_service: table
+                .take("logger_service")
+                .map_or(Ok(unless_given.logger_service), |value| value.flag())?,
+            expose_service: table
+                .take("expose_service")
+                .map_or(Ok(unless_given.expose_service), |value| value.flag())?,
+            network: table.take("network").map_or(Ok(unless_given.network), |value| value.flag())?,
             clock: table.take("clock").map_or(Ok(unless_given.clock), clock_choice)?,
             diagnostics: table
                 .take("diagnostics")

@@ -5,22 +5,24 @@ mod features;
 mod launcher;
 mod module;
 mod place;
+mod record;
 mod replay;
 mod source;
 mod table;
 
 use std::path::Path;
 
-use downbeat_bags::Compression;
 use downbeat_bridge::ros::{RemapRule, RemapRules};
-use downbeat_msgs::encoding::Encoding;
 use toml::de::DeTable;
 
-pub use expose::{Direction, ExposeEntry, ExposeSection, ServiceEntry, TopicChoice};
+pub use expose::{
+    ActionEntry, Direction, ExposeEntry, ExposeSection, LifecycleEntry, ServiceEntry, TopicChoice,
+};
 pub use features::{ClockChoice, NodeFeatures};
 pub use launcher::{LauncherChoice, LauncherEntry};
 pub use module::ModuleEntry;
 pub(crate) use place::{Given, ParameterPlace, Place};
+pub use record::RecordEntry;
 pub use replay::ReplaySection;
 pub use source::RobotFileError;
 pub(crate) use source::{Source, suggestion};
@@ -56,17 +58,6 @@ pub struct RobotFile {
     pub record: RecordEntry,
     /// How a bag of the robot is replayed.
     pub replay: ReplaySection,
-}
-
-/// What a recording holds.
-pub struct RecordEntry {
-    pub(crate) line: usize,
-    /// The topics, or nothing for all of them.
-    pub topics: Option<Vec<String>>,
-    /// How the bag is compressed.
-    pub compression: Compression,
-    /// How its messages are serialised.
-    pub encoding: Encoding,
 }
 
 /// A value and its line.
@@ -129,7 +120,7 @@ impl RobotFile {
         let modules = root.require("module")?.list()?;
         let modules = modules.into_iter().map(module::module).collect::<Result<Vec<_>>>()?;
         let expose = root.take("expose").map_or(Ok(ExposeSection::default()), expose::expose)?;
-        let record = root.take("record").map_or(Ok(RecordEntry::default()), record)?;
+        let record = root.take("record").map_or(Ok(RecordEntry::default()), record::record)?;
         let replay = root.take("replay").map_or(Ok(ReplaySection::default()), replay::replay)?;
         root.finish()?;
         let file = Self {
@@ -172,42 +163,12 @@ impl RobotFile {
     }
 }
 
-impl Default for RecordEntry {
-    fn default() -> Self {
-        Self { line: 1, topics: None, compression: Compression::default(), encoding: Encoding::default() }
-    }
-}
-
 fn choice<T: Copy>(value: Value<'_>, choices: &[(&str, T)]) -> Result<T> {
     let name = value.text()?;
     choices.iter().find(|(known, _)| *known == name).map(|&(_, choice)| choice).ok_or_else(|| {
         let hint = suggestion(name, choices.iter().map(|&(known, _)| known));
         value.error(format!("unknown choice \"{name}\"{hint}"))
     })
-}
-
-fn record(value: Value<'_>) -> Result<RecordEntry> {
-    let mut table = value.table("[record]")?;
-    let topics = table.take("topics");
-    let line = topics.map_or(table.line(), |value| value.line());
-    let topics = match topics {
-        Some(value) if value.text().is_ok_and(|text| text == "all") => None,
-        Some(value) => {
-            let names = value.list().map_err(|_| value.error("expected \"all\" or a list of topics"))?;
-            Some(names.iter().map(|name| Ok(name.text()?.to_owned())).collect::<Result<_>>()?)
-        }
-        None => None,
-    };
-    let compression = match table.take("compression") {
-        Some(value) => choice(value, &[("none", Compression::None), ("zstd", Compression::Zstd)])?,
-        None => Compression::default(),
-    };
-    let encoding = match table.take("encoding") {
-        Some(value) => choice(value, &Encoding::ALL.map(|encoding| (encoding.as_str(), encoding)))?,
-        None => Encoding::default(),
-    };
-    table.finish()?;
-    Ok(RecordEntry { line, topics, compression, encoding })
 }
 
 /// `remap` of `[robot]`: what stands before `:=` in a remapping rule, and what stands behind it.

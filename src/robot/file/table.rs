@@ -160,7 +160,7 @@ impl<'a> Value<'a> {
             }
             DeValue::Array(_) => self.setting_list(),
             DeValue::Table(_) | DeValue::Datetime(_) => {
-                Err(self.expected("true, false, a number, text, or a list of numbers or texts"))
+                Err(self.expected("true, false, a number, text, or a list of one of these"))
             }
         }
     }
@@ -175,7 +175,8 @@ impl<'a> Value<'a> {
 
     fn setting_list(&self) -> Result<SettingValue> {
         let values = self.list()?.iter().map(Value::setting).collect::<Result<Vec<_>>>()?;
-        list_of(values).ok_or_else(|| self.expected("a list of numbers only, or of texts only"))
+        list_of(values)
+            .ok_or_else(|| self.expected("a list of numbers only, of texts only, or of truth values only"))
     }
 
     fn expected(&self, what: &str) -> RobotFileError {
@@ -185,7 +186,7 @@ impl<'a> Value<'a> {
     }
 }
 
-/// The values as one list; nothing if they are not all numbers or all texts.
+/// The values as one list; nothing if they are not all numbers, all texts, or all truth values.
 pub(crate) fn list_of(values: Vec<SettingValue>) -> Option<SettingValue> {
     let all = |matches: fn(&SettingValue) -> bool| values.iter().all(matches);
     if all(|value| matches!(value, SettingValue::Integer(_))) {
@@ -195,6 +196,10 @@ pub(crate) fn list_of(values: Vec<SettingValue>) -> Option<SettingValue> {
     if all(|value| matches!(value, SettingValue::Text(_))) {
         let text = |value| if let SettingValue::Text(text) = value { Some(text) } else { None };
         return values.into_iter().map(text).collect::<Option<_>>().map(SettingValue::Texts);
+    }
+    if all(|value| matches!(value, SettingValue::Bool(_))) {
+        let flag = |value| if let SettingValue::Bool(flag) = value { Some(flag) } else { None };
+        return values.into_iter().map(flag).collect::<Option<_>>().map(SettingValue::Bools);
     }
     let number = |value| match value {
         SettingValue::Integer(number) => Some(number as f64),

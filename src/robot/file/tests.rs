@@ -3,6 +3,7 @@ use super::*;
 use std::time::Duration;
 
 use downbeat_executor::{Idle, Inbox, LifecycleState, Restart, Spin, Synchrony};
+use downbeat_msgs::encoding::Encoding;
 use downbeat_msgs::qos::QosProfile;
 
 fn parse(text: &str) -> Result<RobotFile> {
@@ -271,7 +272,7 @@ fn mistakes_are_told_with_file_line_and_the_nearest_name() {
     let wrong_qos = format!("{ROBOT}[expose]\nout = [\n  {{ topic = \"x\", qos = \"sensor\" }}\n]");
     assert!(problem(&wrong_qos).contains(":7: unknown QoS preset \"sensor\", did you mean \"sensor_data\"?"));
     let mixed = "[robot]\nname = \"r\"\n[[module]]\nkind = \"darwin_op\"\nsettings.offsets = [1, \"a\"]";
-    assert!(
-        problem(mixed).contains(":5: expected a list of numbers only, or of texts only, found [1, \"a\"]")
-    );
+    assert!(problem(mixed).contains(
+        ":5: expected a list of numbers only, of texts only, or of truth values only, found [1, \"a\"]"
+    ));
 }

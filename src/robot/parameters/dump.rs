@@ -51,6 +51,8 @@ fn value(value: &SettingValue) -> String {
         SettingValue::Integer(value) => value.to_string(),
         SettingValue::Double(value) => double(*value),
         SettingValue::Text(value) => text(value),
+        SettingValue::Bools(values) => list(values, ToString::to_string),
+        SettingValue::Bytes(values) => list(values, ToString::to_string),
         SettingValue::Integers(values) => list(values, ToString::to_string),
         SettingValue::Doubles(values) => list(values, |&value| double(value)),
         SettingValue::Texts(values) => list(values, |value| text(value)),
@@ -121,6 +123,7 @@ mod tests {
         let mut values = vec![
             SettingValue::Bool(true),
             SettingValue::Integer(i64::MIN),
+            vec![true, false].into(),
             vec![1_i64, -2].into(),
             doubles.to_vec().into(),
             texts.to_vec().into(),

@@ -17,7 +17,9 @@ pub(super) fn setting_value(value: &Value) -> Result<SettingValue, String> {
         },
         Value::Sequence(elements) => {
             let values = elements.iter().map(setting_value).collect::<Result<Vec<_>, _>>()?;
-            list_of(values).ok_or_else(|| "expected a list of numbers only, or of texts only".into())
+            list_of(values).ok_or_else(|| {
+                "expected a list of numbers only, of texts only, or of truth values only".into()
+            })
         }
         Value::Null => Err(expected("nothing")),
         Value::Mapping(_) => Err(expected("a map")),
@@ -26,7 +28,7 @@ pub(super) fn setting_value(value: &Value) -> Result<SettingValue, String> {
 }
 
 fn expected(found: &str) -> String {
-    format!("expected true, false, a number, text, or a list of numbers or texts; found {found}")
+    format!("expected true, false, a number, text, or a list of one of these; found {found}")
 }
 
 #[cfg(test)]
@@ -48,6 +50,7 @@ mod tests {
         assert_eq!(read("/dev/ttyUSB0"), Ok("/dev/ttyUSB0".to_owned().into()));
         assert_eq!(read("[1, 2]"), Ok(vec![1_i64, 2].into()));
         assert_eq!(read("[1, 2.5]"), Ok(vec![1.0, 2.5].into()));
+        assert_eq!(read("[true, false]"), Ok(vec![true, false].into()));
         assert_eq!(read("[a, b]"), Ok(vec!["a".to_owned(), "b".to_owned()].into()));
     }
 
@@ -55,8 +58,8 @@ mod tests {
     fn what_no_setting_holds_is_refused() {
         for (text, problem) in [
             ("~", "found nothing"),
-            ("[1, a]", "numbers only, or of texts only"),
-            ("[true]", "numbers only, or of texts only"),
+            ("[1, a]", "of numbers only, of texts only"),
+            ("[true, 1]", "or of truth values only"),
             ("18446744073709551615", "64 bits"),
             ("!x 3", "with a tag"),
         ] {

@@ -1,10 +1,10 @@
 //! What the parameters are, and what is answered.
 
 use super::value::{descriptor, from_message, to_message, type_of};
-use super::{ParameterExposure, ParametersError};
-use crate::expose::TopicPattern;
+use super::{ParameterExposure, own};
+use crate::clock::SimTime;
 use crate::ros::{MessageType, Node, NodeError, Publisher};
-use downbeat_executor::{Core, CoreHandle, SettingInfo, SettingRefused, SettingValue};
+use downbeat_executor::{CoreHandle, SettingInfo, SettingRefused, SettingValue};
 use downbeat_msgs::builtin_interfaces::msg::Time;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::rcl_interfaces::msg::{
@@ -17,7 +17,7 @@ use downbeat_msgs::rcl_interfaces::srv::{
     SetParametersRequest, SetParametersResponse,
 };
 use downbeat_msgs::{Message, cdr};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// How long the core may take to tell values; it may be paused.
@@ -28,11 +28,11 @@ const ACCEPT: Duration = Duration::from_secs(5);
 /// See the module.
 pub(super) struct Parameters {
     core: CoreHandle,
+    sim_time: Option<SimTime>,
     node: String,
-    patterns: Vec<TopicPattern>,
+    exposure: ParameterExposure,
     events: Publisher,
-    /// Those of the node itself.
-    own: Shown,
+    has_followed: bool,
     shown: Shown,
 }
 
@@ -47,23 +47,23 @@ struct Parameter {
 
 impl Parameters {
     pub(super) fn new(
-        core: &Core,
+        core: CoreHandle,
+        sim_time: Option<SimTime>,
         node: &Node,
         exposure: ParameterExposure,
-    ) -> Result<Self, ParametersError> {
-        let event_type = MessageType::new(ParameterEvent::TYPE_NAME).map_err(NodeError::from)?;
+        settings: &[(String, Vec<SettingInfo>)],
+    ) -> Result<Self, NodeError> {
+        let event_type = MessageType::new(ParameterEvent::TYPE_NAME)?;
         let mut parameters = Self {
-            core: core.handle(),
+            core,
+            has_followed: sim_time.as_ref().is_some_and(SimTime::is_on),
+            sim_time,
             node: node.name().to_string(),
-            patterns: exposure.settings,
+            exposure,
             events: node.publish("/parameter_events", &event_type, QosProfile::PARAMETER_EVENTS)?,
-            own: own(exposure.follows_clock),
             shown: Shown::new(),
         };
-        let modules = core.modules().into_iter().map(|module| module.name.to_string());
-        let settings: Vec<_> =
-            modules.filter_map(|name| core.settings(&name).map(|infos| (name, infos))).collect();
-        parameters.shown = parameters.select(settings);
+        parameters.shown = parameters.select(settings.to_vec());
         Ok(parameters)
     }
 
@@ -141,8 +141,8 @@ impl Parameters {
         if result.is_err() {
             // In the reverse order, so that a value that was set twice ends as it began.
             for name in names.iter().rev() {
-                if let Some(Parameter { module: Some(module), info }) = before.get(name)
-                    && let Err(reason) = self.ask(module, &info.name, info.value.clone())
+                if let Some(parameter) = before.get(name)
+                    && let Err(reason) = self.put(name, parameter, parameter.info.value.clone())
                 {
                     tracing::warn!("parameter {name} could not be set back: {reason}");
                 }
@@ -156,20 +156,34 @@ impl Parameters {
     /// Why the value is not accepted.
     fn set_one(&self, message: ParameterMessage) -> Result<(), String> {
         let ParameterMessage { name, value } = message;
-        let Some(Parameter { module, info }) = self.shown.get(&name) else {
+        let Some(parameter) = self.shown.get(&name) else {
             return Err(format!("parameter '{name}' cannot be set because it was not declared"));
         };
-        if info.is_read_only {
+        if parameter.info.is_read_only {
             return Err(format!("parameter '{name}' cannot be set because it is read-only"));
         }
-        let value = from_message(value)?;
-        match module {
-            Some(module) => self.ask(module, &info.name, value),
-            None if value == info.value => Ok(()),
-            None => Err(format!(
-                "parameter '{name}' is {} while the robot runs: its robot file says which clock it follows",
-                info.value
+        self.put(&name, parameter, from_message(value)?)
+    }
+
+    fn put(&self, name: &str, parameter: &Parameter, value: SettingValue) -> Result<(), String> {
+        match (&parameter.module, value) {
+            (Some(module), value) => self.ask(module, &parameter.info.name, value),
+            // Of a node's own parameters this one can be set.
+            (None, SettingValue::Bool(is_on)) if name == own::USE_SIM_TIME => self.use_sim_time(is_on),
+            (None, value) => Err(format!(
+                "parameter '{name}' is {}, setting it to {value} is not allowed",
+                parameter.info.value
             )),
+        }
+    }
+
+    fn use_sim_time(&self, is_on: bool) -> Result<(), String> {
+        match &self.sim_time {
+            Some(sim_time) => sim_time.set(is_on).map_err(|error| error.to_string()),
+            None if !is_on => Ok(()),
+            None => {
+                Err("use_sim_time stays false: others follow the time of this node, on /clock".to_owned())
+            }
         }
     }
 
@@ -184,33 +198,62 @@ impl Parameters {
 
     /// Asks the core for all values, and tells listeners what has changed. Where it does not answer, what was known stays.
     fn refresh(&mut self) {
-        let Some(modules) = self.core.modules().wait(TELL) else { return };
-        let asked: Vec<_> = modules
-            .iter()
-            .map(|module| (module.name.to_string(), self.core.settings(&module.name)))
-            .collect();
-        let told = asked.into_iter().map(|(name, receipt)| {
-            let known = || {
-                let of_module =
-                    self.shown.values().filter(|parameter| parameter.module.as_ref() == Some(&name));
-                of_module.map(|parameter| parameter.info.clone()).collect()
-            };
-            let infos = receipt.wait(TELL).map_or_else(known, Option::unwrap_or_default);
-            (name, infos)
-        });
-        let told = told.collect();
+        self.has_followed |= self.is_following();
+        let told = self.ask_for_settings();
         let shown = self.select(told);
         let before = std::mem::replace(&mut self.shown, shown);
         self.tell(&before);
     }
 
+    fn is_following(&self) -> bool {
+        self.sim_time.as_ref().is_some_and(SimTime::is_on)
+    }
+
+    fn ask_for_settings(&self) -> Vec<(String, Vec<SettingInfo>)> {
+        if self.exposure.settings.is_empty() {
+            return Vec::new();
+        }
+        let Some(modules) = self.core.modules().wait(TELL) else {
+            return self.known_settings();
+        };
+        let asked: Vec<_> = modules
+            .iter()
+            .map(|module| (module.name.to_string(), self.core.settings(&module.name)))
+            .collect();
+        let told = asked.into_iter().map(|(name, receipt)| {
+            let infos =
+                receipt.wait(TELL).map_or_else(|| self.known_settings_of(&name), Option::unwrap_or_default);
+            (name, infos)
+        });
+        told.collect()
+    }
+
+    fn known_settings(&self) -> Vec<(String, Vec<SettingInfo>)> {
+        let modules: BTreeSet<_> =
+            self.shown.values().filter_map(|parameter| parameter.module.as_ref()).collect();
+        modules.into_iter().map(|module| (module.clone(), self.known_settings_of(module))).collect()
+    }
+
+    fn known_settings_of(&self, module: &str) -> Vec<SettingInfo> {
+        let is_of_module = |parameter: &&Parameter| parameter.module.as_deref() == Some(module);
+        self.shown.values().filter(is_of_module).map(|parameter| parameter.info.clone()).collect()
+    }
+
     fn select(&self, settings: Vec<(String, Vec<SettingInfo>)>) -> Shown {
-        let mut shown = self.own.clone();
+        let own = own::parameters(self.is_following(), self.has_followed).into_iter();
+        let mut shown: Shown =
+            own.map(|info| (info.name.clone(), Parameter { module: None, info })).collect();
+        let ParameterExposure { settings: patterns, of_module } = &self.exposure;
         for (module, infos) in settings {
             for info in infos {
-                let name = format!("{module}.{}", info.name);
-                if self.patterns.iter().any(|pattern| pattern.matches(&name)) {
-                    shown.insert(name, Parameter { module: Some(module.clone()), info });
+                let full_name = format!("{module}.{}", info.name);
+                let name = match of_module {
+                    None => full_name.clone(),
+                    Some(of) if *of == module => info.name.clone(),
+                    Some(_) => continue,
+                };
+                if patterns.iter().any(|pattern| pattern.matches(&full_name)) {
+                    shown.entry(name).or_insert_with(|| Parameter { module: Some(module.clone()), info });
                 }
             }
         }
@@ -242,25 +285,6 @@ impl Parameters {
             tracing::warn!(%error, "a change of parameters was not told");
         }
     }
-}
-
-/// What every node of rclcpp declares.
-fn own(follows_clock: bool) -> Shown {
-    let declare = |name: &str, description: &str, value: bool, is_read_only| {
-        let info = SettingInfo {
-            name: name.to_owned(),
-            description: description.to_owned(),
-            value: value.into(),
-            range: None,
-            is_read_only,
-        };
-        (name.to_owned(), Parameter { module: None, info })
-    };
-    let service = "Start the ~/get_type_description service for this node.";
-    Shown::from([
-        declare("start_type_description_service", service, true, true),
-        declare("use_sim_time", "Follow the time on /clock.", follows_clock, false),
-    ])
 }
 
 fn answer(result: Result<(), String>) -> SetParametersResult {

@@ -12,6 +12,8 @@ pub(super) fn to_message(value: &SettingValue) -> ParameterValue {
         SettingValue::Integer(value) => message.integer_value = value,
         SettingValue::Double(value) => message.double_value = value,
         SettingValue::Text(value) => message.string_value = value,
+        SettingValue::Bools(values) => message.bool_array_value = values,
+        SettingValue::Bytes(values) => message.byte_array_value = values,
         SettingValue::Integers(values) => message.integer_array_value = values,
         SettingValue::Doubles(values) => message.double_array_value = values,
         SettingValue::Texts(values) => message.string_array_value = values,
@@ -25,6 +27,8 @@ pub(super) fn type_of(value: &SettingValue) -> u8 {
         SettingValue::Integer(_) => ParameterType::PARAMETER_INTEGER,
         SettingValue::Double(_) => ParameterType::PARAMETER_DOUBLE,
         SettingValue::Text(_) => ParameterType::PARAMETER_STRING,
+        SettingValue::Bools(_) => ParameterType::PARAMETER_BOOL_ARRAY,
+        SettingValue::Bytes(_) => ParameterType::PARAMETER_BYTE_ARRAY,
         SettingValue::Integers(_) => ParameterType::PARAMETER_INTEGER_ARRAY,
         SettingValue::Doubles(_) => ParameterType::PARAMETER_DOUBLE_ARRAY,
         SettingValue::Texts(_) => ParameterType::PARAMETER_STRING_ARRAY,
@@ -34,7 +38,7 @@ pub(super) fn type_of(value: &SettingValue) -> u8 {
 /// The value of a parameter for a setting.
 ///
 /// # Errors
-/// What is wrong with it: settings are always set, and hold neither bytes nor lists of truth values.
+/// What is wrong with it: settings always have a value.
 pub(super) fn from_message(message: ParameterValue) -> Result<SettingValue, String> {
     Ok(match message.r#type {
         ParameterType::PARAMETER_NOT_SET => return Err("a setting of a module cannot be removed".to_owned()),
@@ -45,8 +49,8 @@ pub(super) fn from_message(message: ParameterValue) -> Result<SettingValue, Stri
         ParameterType::PARAMETER_INTEGER_ARRAY => SettingValue::Integers(message.integer_array_value),
         ParameterType::PARAMETER_DOUBLE_ARRAY => SettingValue::Doubles(message.double_array_value),
         ParameterType::PARAMETER_STRING_ARRAY => SettingValue::Texts(message.string_array_value),
-        ParameterType::PARAMETER_BYTE_ARRAY => return Err("no setting is a list of bytes".to_owned()),
-        ParameterType::PARAMETER_BOOL_ARRAY => return Err("no setting is a list of truth values".to_owned()),
+        ParameterType::PARAMETER_BYTE_ARRAY => SettingValue::Bytes(message.byte_array_value),
+        ParameterType::PARAMETER_BOOL_ARRAY => SettingValue::Bools(message.bool_array_value),
         unknown => return Err(format!("{unknown} is no type of a parameter")),
     })
 }
@@ -84,11 +88,13 @@ mod tests {
 
     #[test]
     fn a_value_survives_as_a_parameter() {
-        let values: [SettingValue; 7] = [
+        let values: [SettingValue; 9] = [
             true.into(),
             7_i64.into(),
             0.5.into(),
             "text".to_owned().into(),
+            vec![true, false].into(),
+            vec![0_u8, 255].into(),
             vec![1_i64, 2].into(),
             vec![0.5, -1.0].into(),
             vec!["a".to_owned()].into(),
@@ -100,7 +106,7 @@ mod tests {
 
     #[test]
     fn what_no_setting_holds_is_refused_with_the_reason() {
-        for (kind, word) in [(0, "removed"), (5, "bytes"), (6, "truth"), (10, "no type")] {
+        for (kind, word) in [(0, "removed"), (10, "no type")] {
             let message = ParameterValue { r#type: kind, ..ParameterValue::default() };
             assert!(from_message(message).unwrap_err().contains(word));
         }

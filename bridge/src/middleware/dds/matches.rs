@@ -6,8 +6,11 @@
 use super::qos;
 use super::returned::ReturnWatch;
 use crate::middleware::rejoining::Trouble;
-use crate::middleware::{Direction, Gid, MatchHandler, RemoteEndpoint};
-use rustdds::{DomainParticipantStatusEvent as Event, EndpointDescription, GUID, LostReason, QosPolicies};
+use crate::middleware::{
+    Direction, EndpointEvent, EventHandler, Gid, MatchHandler, QosPolicyKind, RemoteEndpoint,
+};
+use downbeat_msgs::qos::Liveliness;
+use rustdds::{DomainParticipantStatusEvent as Event, EndpointDescription, GUID, LostReason};
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -16,20 +19,76 @@ use std::time::Instant;
 /// The number of endpoints that one of ours is matched with, shared with its handle.
 pub(super) type MatchedCount = Arc<AtomicUsize>;
 
-/// The handlers of the endpoints whose matches have changed, to be called when the lock is free again.
-pub(super) type Changed = Vec<Arc<MatchHandler>>;
+/// What the handlers of endpoints are to be told when the lock is free again.
+#[derive(Default)]
+pub(super) struct News {
+    on_change: Vec<Arc<MatchHandler>>,
+    events: Vec<(Arc<EventHandler>, EndpointEvent)>,
+}
 
+impl News {
+    pub(super) fn tell(&self) {
+        self.on_change.iter().for_each(|on_change| on_change());
+        self.events.iter().for_each(|(handler, event)| handler(event));
+    }
+}
+
+/// How one of our endpoints stands to those of others.
 #[derive(Default)]
 struct Matched {
+    /// What it offers or requests; not known yet where an event comes before its creation has returned.
+    liveliness: Option<(Direction, Liveliness)>,
     count: MatchedCount,
     peers: HashSet<Gid>,
+    /// Those that are on the topic and do not suit. An announcement is repeated, what it says is told once.
+    unsuited: HashMap<Gid, QosPolicyKind>,
     on_change: Option<Arc<MatchHandler>>,
+    on_event: Option<Arc<EventHandler>>,
 }
 
 impl Matched {
-    fn changed(&self, changed: &mut Changed) {
+    /// rustdds 0.15.1 does not compare the kinds of liveliness (`Ord for Liveliness` in `dds/qos.rs` compares one with itself),
+    /// so it takes a match for granted that the other side does not.
+    fn suits(&self, theirs: Liveliness) -> bool {
+        let (automatic, manual) = (Liveliness::Automatic, Liveliness::ManualByTopic);
+        match self.liveliness {
+            Some((Direction::Out, ours)) => (ours, theirs) != (automatic, manual),
+            Some((Direction::In, ours)) => (ours, theirs) != (manual, automatic),
+            None => true,
+        }
+    }
+
+    fn matched(&mut self, peer: Gid, news: &mut News) {
+        self.unsuited.remove(&peer);
+        let is_new = self.peers.insert(peer);
         self.count.store(self.peers.len(), Ordering::Release);
-        changed.extend(self.on_change.clone());
+        news.on_change.extend(self.on_change.clone());
+        if is_new {
+            self.event(EndpointEvent::Matched { peer }, news);
+        }
+    }
+
+    fn incompatible(&mut self, peer: Gid, policy: QosPolicyKind, news: &mut News) {
+        if self.unsuited.insert(peer, policy) != Some(policy) {
+            self.event(EndpointEvent::IncompatibleQos { peer, policy }, news);
+        }
+    }
+
+    fn remove(&mut self, is_lost: impl Fn(Gid) -> bool, news: &mut News) {
+        self.unsuited.retain(|peer, _| !is_lost(*peer));
+        let lost: Vec<Gid> = self.peers.extract_if(|peer| is_lost(*peer)).collect();
+        if lost.is_empty() {
+            return;
+        }
+        self.count.store(self.peers.len(), Ordering::Release);
+        news.on_change.extend(self.on_change.clone());
+        for peer in lost {
+            self.event(EndpointEvent::Unmatched { peer }, news);
+        }
+    }
+
+    fn event(&self, event: EndpointEvent, news: &mut News) {
+        news.events.extend(self.on_event.clone().map(|handler| (handler, event)));
     }
 }
 
@@ -55,8 +114,19 @@ impl Matches {
     }
 
     /// The count of a local endpoint; events may have come before this call.
-    pub(super) fn watch(&mut self, local: Gid) -> MatchedCount {
-        Arc::clone(&self.local.entry(local).or_default().count)
+    pub(super) fn watch(&mut self, local: Gid, direction: Direction, liveliness: Liveliness) -> MatchedCount {
+        let matched = self.local.entry(local).or_default();
+        matched.liveliness = Some((direction, liveliness));
+        let known = |peer: &Gid| self.remote.get(peer).map(|remote| remote.liveliness);
+        let unsuited =
+            matched.peers.iter().filter(|peer| known(peer).is_some_and(|kind| !matched.suits(kind)));
+        let unsuited: Vec<Gid> = unsuited.copied().collect();
+        for peer in unsuited {
+            matched.peers.remove(&peer);
+            matched.unsuited.insert(peer, QosPolicyKind::Liveliness);
+        }
+        matched.count.store(matched.peers.len(), Ordering::Release);
+        Arc::clone(&matched.count)
     }
 
     /// Whom a local endpoint is matched with.
@@ -66,6 +136,24 @@ impl Matches {
 
     pub(super) fn on_change(&mut self, local: Gid, handler: MatchHandler) {
         self.local.entry(local).or_default().on_change = Some(Arc::new(handler));
+    }
+
+    /// Has `handler` told of a local endpoint: what holds now is returned. Called on the thread that applies events, so that
+    /// nothing comes in between.
+    #[must_use]
+    pub(super) fn listen(&mut self, local: Gid, handler: EventHandler) -> News {
+        let mut news = News::default();
+        // It may have been removed before its turn came.
+        if let Some(matched) = self.local.get_mut(&local) {
+            matched.on_event = Some(Arc::new(handler));
+            for &peer in &matched.peers {
+                matched.event(EndpointEvent::Matched { peer }, &mut news);
+            }
+            for (&peer, &policy) in &matched.unsuited {
+                matched.event(EndpointEvent::IncompatibleQos { peer, policy }, &mut news);
+            }
+        }
+        news
     }
 
     /// A local endpoint was removed.
@@ -86,8 +174,8 @@ impl Matches {
 
     /// Applies one event of discovery.
     #[must_use]
-    pub(super) fn apply(&mut self, event: Event) -> Changed {
-        let mut changed = Changed::new();
+    pub(super) fn apply(&mut self, event: Event) -> News {
+        let mut news = News::default();
         match event {
             Event::ParticipantDiscovered { .. } => self.last_participant = Some(Instant::now()),
             Event::ReaderDetected { reader } => self.detected(reader, Direction::In),
@@ -95,7 +183,7 @@ impl Matches {
             Event::ReaderLost { guid, .. } | Event::WriterLost { guid, .. } => {
                 let lost = gid(guid);
                 self.remote.remove(&lost);
-                self.remove_peers(|peer| peer == lost, &mut changed);
+                self.remove_peers(|peer| peer == lost, &mut news);
             }
             Event::ParticipantLost { id, reason } => {
                 let mut anyone = GUID::GUID_UNKNOWN;
@@ -105,26 +193,38 @@ impl Matches {
                     watch.lost(lost);
                 }
                 self.remote.retain(|gid, _| gid.participant() != lost);
-                self.remove_peers(|peer| peer.participant() == lost, &mut changed);
+                self.remove_peers(|peer| peer.participant() == lost, &mut news);
             }
             Event::RemoteReaderMatched { local_writer: local, remote_reader: peer }
             | Event::RemoteWriterMatched { local_reader: local, remote_writer: peer } => {
-                if gid(peer).participant() == self.own {
-                    return changed;
+                let peer = gid(peer);
+                if peer.participant() != self.own {
+                    let matched = self.local.entry(gid(local)).or_default();
+                    if self.remote.get(&peer).is_none_or(|remote| matched.suits(remote.liveliness)) {
+                        matched.matched(peer, &mut news);
+                    } else {
+                        matched.incompatible(peer, QosPolicyKind::Liveliness, &mut news);
+                    }
                 }
-                let matched = self.local.entry(gid(local)).or_default();
-                matched.peers.insert(gid(peer));
-                matched.changed(&mut changed);
             }
-            Event::RemoteReaderQosIncompatible { remote_reader, requested_qos, offered_qos, .. } => {
-                self.warn_about_incompatible("subscription", remote_reader, &requested_qos, &offered_qos);
+            Event::RemoteReaderQosIncompatible {
+                local_writer: local,
+                remote_reader: peer,
+                requested_qos,
+                offered_qos,
             }
-            Event::RemoteWriterQosIncompatible { remote_writer, requested_qos, offered_qos, .. } => {
-                self.warn_about_incompatible("publisher", remote_writer, &requested_qos, &offered_qos);
+            | Event::RemoteWriterQosIncompatible {
+                local_reader: local,
+                remote_writer: peer,
+                requested_qos,
+                offered_qos,
+            } if gid(peer).participant() != self.own => {
+                let policy = qos::incompatibility(&offered_qos, &requested_qos);
+                self.local.entry(gid(local)).or_default().incompatible(gid(peer), policy, &mut news);
             }
             _ => {}
         }
-        changed
+        news
     }
 
     /// Tells the supervisor, if there is one.
@@ -158,32 +258,8 @@ impl Matches {
         );
     }
 
-    fn remove_peers(&mut self, is_lost: impl Fn(Gid) -> bool, changed: &mut Changed) {
-        for matched in self.local.values_mut() {
-            let before = matched.peers.len();
-            matched.peers.retain(|peer| !is_lost(*peer));
-            if matched.peers.len() != before {
-                matched.changed(changed);
-            }
-        }
-    }
-
-    fn warn_about_incompatible(
-        &self,
-        what: &str,
-        peer: GUID,
-        requested: &QosPolicies,
-        offered: &QosPolicies,
-    ) {
-        let peer = gid(peer);
-        let requested = qos::reliability_and_durability(requested, Direction::In);
-        let offered = qos::reliability_and_durability(offered, Direction::Out);
-        let topic = self.remote.get(&peer).map_or("", |endpoint| endpoint.topic_name.as_str());
-        tracing::warn!(
-            topic,
-            %peer,
-            "a {what} does not match: requested {requested:?}, offered {offered:?} (or deadline or liveliness differ)"
-        );
+    fn remove_peers(&mut self, is_lost: impl Fn(Gid) -> bool, news: &mut News) {
+        self.local.values_mut().for_each(|matched| matched.remove(&is_lost, news));
     }
 }
 
@@ -192,9 +268,10 @@ pub(super) fn gid(guid: GUID) -> Gid {
     Gid(guid.to_bytes())
 }
 
-/// The hash in the user data of an endpoint: `typehash=RIHS01_…;` among other `key=value;` pairs.
+/// The hash in the user data of an endpoint: `typehash=RIHS01_…;` among other `key=value;` pairs. The engine gives the value of
+/// the parameter as it stands on the wire: a sequence of bytes, which begins with its length.
 fn type_hash(user_data: &[u8]) -> Option<String> {
-    let text = std::str::from_utf8(user_data).ok()?;
+    let text = std::str::from_utf8(user_data.get(4..)?).ok()?;
     text.split(';').find_map(|pair| pair.strip_prefix("typehash=")).map(str::to_owned)
 }
 
@@ -204,8 +281,8 @@ mod tests {
 
     #[test]
     fn a_type_hash_is_found_among_other_user_data() {
-        assert_eq!(type_hash(b"a=b;typehash=RIHS01_00;").as_deref(), Some("RIHS01_00"));
+        assert_eq!(type_hash(b"\x17\0\0\0a=b;typehash=RIHS01_00;\0").as_deref(), Some("RIHS01_00"));
         assert_eq!(type_hash(b""), None);
-        assert_eq!(type_hash(&[0xff, 0xfe]), None);
+        assert_eq!(type_hash(&[2, 0, 0, 0, 0xff, 0xfe]), None);
     }
 }

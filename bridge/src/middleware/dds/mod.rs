@@ -6,26 +6,30 @@
 //! rustdds says much at ERROR about lost and repaired packets that is no error. It logs through the `log` crate under
 //! the target [`LOG_TARGET`]; programs set that to `off` unless asked otherwise.
 
+mod engine_threads;
 mod first_fragment;
 mod matches;
 mod payload;
 mod qos;
 mod reader_thread;
 mod returned;
+mod static_peers;
 mod writer;
 
 use super::rejoining::TroubleSink;
 use super::{
-    Direction, DiscoveryRange, Endpoint, Gid, MatchHandler, Middleware, MiddlewareError, ParticipantOptions,
-    Reader, RemoteEndpoint, SampleHandler, Writer,
+    Direction, DiscoveryRange, Endpoint, EventHandler, Gid, MatchHandler, Middleware, MiddlewareError,
+    ParticipantOptions, Reader, RemoteEndpoint, SampleHandler, Writer,
 };
 use downbeat_msgs::qos::Durability;
+use engine_threads::EngineThreads;
 use first_fragment::FirstFragments;
 use matches::{MatchedCount, Matches};
 use payload::{OutgoingBody, ReceiveAny, ReceivedCdr, SendLittleEndian};
 use reader_thread::{DdsDataReader, ReaderThread};
 use returned::ReturnWatch;
 use rustdds::{DomainParticipant, DomainParticipantBuilder, QosPolicies, RTPSEntity, TopicKind};
+use static_peers::{Listening, StaticPeers};
 use std::net::Ipv4Addr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::Ordering;
@@ -38,6 +42,9 @@ pub const LOG_TARGET: &str = "rustdds";
 /// When rustdds has surely answered a participant that was found.
 const ANSWERED: Duration = Duration::from_millis(100);
 
+/// How long a participant that joins looks for others before it has endpoints; more by [`ANSWERED`] when it finds some.
+const FIRST_LOOK: Duration = Duration::from_millis(100);
+
 type SharedMatches = Arc<Mutex<Matches>>;
 
 /// A participant of a DDS domain.
@@ -47,6 +54,7 @@ pub struct DdsParticipant {
     reader_thread: ReaderThread,
     matches: SharedMatches,
     first_fragments: Arc<FirstFragments>,
+    _static_peers: Option<StaticPeers>,
     publisher: rustdds::Publisher,
     subscriber: rustdds::Subscriber,
     participant: DomainParticipant,
@@ -71,26 +79,63 @@ impl DdsParticipant {
 
     fn with(options: &ParticipantOptions, trouble: Option<TroubleSink>) -> Result<Self, MiddlewareError> {
         let failed = |reason: String| MiddlewareError::Join { domain_id: options.domain_id, reason };
-        let (participant, publisher, subscriber) = guarded("joining the domain", || {
+        let hosts = options.static_peers.clone();
+        let listening = (!hosts.is_empty()).then(|| StaticPeers::start(options.domain_id, hosts));
+        let listening = listening.transpose().map_err(|error| failed(error.to_string()))?;
+        let ((participant, publisher, subscriber), threads) = guarded("joining the domain", || {
             let mut builder = DomainParticipantBuilder::new(options.domain_id);
             if options.discovery_range == DiscoveryRange::Localhost {
                 builder = builder.with_only_networks([Ipv4Addr::LOCALHOST]);
             }
-            let participant = builder.build().map_err(|error| failed(error.to_string()))?;
+            let build = || builder.build().map_err(|error| failed(error.to_string()));
+            let (participant, threads) = EngineThreads::started_by(build)?;
             let unset = QosPolicies::default();
             let publisher =
                 participant.create_publisher(&unset).map_err(|error| failed(error.to_string()))?;
             let subscriber =
                 participant.create_subscriber(&unset).map_err(|error| failed(error.to_string()))?;
-            Ok((participant, publisher, subscriber))
+            Ok(((participant, publisher, subscriber), threads))
         })?;
         let gid = matches::gid(participant.guid());
         let watch = trouble.map(|sink| ReturnWatch::new(options.domain_id, sink));
         let matches = Arc::new(Mutex::new(Matches::new(gid, watch)));
-        let reader_thread = ReaderThread::start(gid, participant.status_listener(), Arc::clone(&matches))?;
+        let listener = participant.status_listener();
+        let reader_thread = ReaderThread::start(gid, listener, Arc::clone(&matches), threads)?;
+        let announce = |listening: Listening| listening.announce(gid.participant());
+        let static_peers = listening.map(announce).transpose().map_err(|error| failed(error.to_string()))?;
         let first_fragments = FirstFragments::new().map_err(|error| failed(error.to_string()))?;
         let first_fragments = Arc::new(first_fragments);
-        Ok(Self { gid, reader_thread, matches, first_fragments, publisher, subscriber, participant })
+        let joined = Self {
+            gid,
+            reader_thread,
+            matches,
+            first_fragments,
+            _static_peers: static_peers,
+            publisher,
+            subscriber,
+            participant,
+        };
+        joined.look_around();
+        Ok(joined)
+    }
+
+    /// Waits until those who are there have surely found this participant.
+    ///
+    /// They are then told of its endpoints one by one and in order. Were endpoints created meanwhile, the first would come
+    /// again behind later ones, and Fast DDS 2.14 forgets some when two participants do that at once: it keeps what
+    /// comes out of order sorted by source timestamps (`ReaderHistory::add_change`), of which rustdds sends none with
+    /// announcements. Such an endpoint would stay unknown to that peer for ever.
+    fn look_around(&self) {
+        std::thread::sleep(FIRST_LOOK);
+        self.wait_until_all_are_answered();
+    }
+
+    fn wait_until_all_are_answered(&self) {
+        let last_participant = lock(&self.matches).last_participant();
+        let answering = last_participant.and_then(|found| ANSWERED.checked_sub(found.elapsed()));
+        if let Some(rest) = answering {
+            std::thread::sleep(rest);
+        }
     }
 
     fn topic(
@@ -102,8 +147,8 @@ impl DdsParticipant {
         self.participant.create_topic(topic_name.clone(), type_name.clone(), qos, TopicKind::NoKey)
     }
 
-    fn watch(&self, local: Gid) -> MatchedCount {
-        lock(&self.matches).watch(local)
+    fn watch(&self, local: Gid, direction: Direction, endpoint: &Endpoint) -> MatchedCount {
+        lock(&self.matches).watch(local, direction, endpoint.qos.liveliness)
     }
 }
 
@@ -120,7 +165,7 @@ impl Middleware for DdsParticipant {
             });
             created.map_err(|error| refused("writer", endpoint, &error))
         })?;
-        Ok(Box::new(writer::DdsWriter::new(writer, self)))
+        Ok(Box::new(writer::DdsWriter::new(writer, self, endpoint)))
     }
 
     fn create_reader(
@@ -140,9 +185,10 @@ impl Middleware for DdsParticipant {
             Ok(reader)
         })?;
         let gid = matches::gid(reader.guid());
-        let matched = self.watch(gid);
+        let matched = self.watch(gid, Direction::In, endpoint);
         let slot = self.reader_thread.add(reader, endpoint.topic_name.clone(), on_sample);
-        Ok(Box::new(DdsReader { gid, matched, matches: Arc::clone(&self.matches), _slot: slot }))
+        let (matches, link) = (Arc::clone(&self.matches), self.reader_thread.link());
+        Ok(Box::new(DdsReader { gid, matched, matches, link, _slot: slot }))
     }
 
     fn remote_endpoints(&self) -> Vec<RemoteEndpoint> {
@@ -155,11 +201,7 @@ impl Drop for DdsParticipant {
         // 10 ms after a participant was found the discovery thread of rustdds 0.15 holds a strong reference for a moment,
         // to answer it. Were ours dropped in that moment, that thread would drop the participant, fail to join itself,
         // and never tell the others that we leave.
-        let last_participant = lock(&self.matches).last_participant();
-        let answering = last_participant.and_then(|found| ANSWERED.checked_sub(found.elapsed()));
-        if let Some(rest) = answering {
-            std::thread::sleep(rest);
-        }
+        self.wait_until_all_are_answered();
     }
 }
 
@@ -167,6 +209,7 @@ struct DdsReader {
     gid: Gid,
     matched: MatchedCount,
     matches: SharedMatches,
+    link: reader_thread::Link,
     _slot: reader_thread::Slot,
 }
 
@@ -185,6 +228,10 @@ impl Reader for DdsReader {
 
     fn on_match(&self, handler: MatchHandler) {
         lock(&self.matches).on_change(self.gid, handler);
+    }
+
+    fn on_event(&self, handler: EventHandler) {
+        self.link.listen(self.gid, handler);
     }
 }
 
@@ -224,3 +271,6 @@ fn guarded<T>(
 fn lock(matches: &SharedMatches) -> std::sync::MutexGuard<'_, Matches> {
     matches.lock().unwrap_or_else(PoisonError::into_inner)
 }
+
+#[cfg(test)]
+mod tests;

@@ -2,11 +2,12 @@
 //!
 //! Readers are owned by the thread: rustdds registers a reader for polling through `&mut`. Handles send commands.
 
+use super::engine_threads::EngineThreads;
 use super::matches::gid;
 use super::payload::{ReceiveAny, ReceivedCdr};
 use super::{SharedMatches, lock};
 use crate::middleware::rejoining::Trouble;
-use crate::middleware::{Gid, Sample, SampleHandler, SampleIdentity};
+use crate::middleware::{EventHandler, Gid, Sample, SampleHandler, SampleIdentity};
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
 use rustdds::mio1::{Events, Interest, Poll, Registry, Token, Waker};
 use rustdds::{DomainParticipantStatusListener, StatusEvented, Timestamp};
@@ -16,7 +17,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 pub(super) type DdsDataReader = rustdds::no_key::SimpleDataReader<ReceivedCdr, ReceiveAny>;
 
@@ -26,6 +27,9 @@ const FIRST_READER: usize = 2;
 
 /// After so many samples of one reader the others get their turn.
 const SAMPLES_PER_TURN: usize = 256;
+
+/// How often it is looked whether the threads of the engine are still there.
+const LOOK_AT_THREADS: Duration = Duration::from_secs(1);
 
 /// A running thread; dropping it stops and joins the thread.
 pub(super) struct ReaderThread {
@@ -39,12 +43,13 @@ impl ReaderThread {
         own: Gid,
         discovery: DomainParticipantStatusListener,
         matches: SharedMatches,
+        threads: EngineThreads,
     ) -> io::Result<Self> {
         let poll = Poll::new()?;
         let waker = Arc::new(Waker::new(poll.registry(), WAKE)?);
         let (sender, commands) = unbounded();
-        let mut served =
-            Served { own: own.participant(), poll, commands, discovery, matches, readers: HashMap::new() };
+        let (own, readers) = (own.participant(), HashMap::new());
+        let mut served = Served { own, poll, commands, discovery, matches, threads, readers };
         served.discovery.as_status_source_mio1().register(
             served.poll.registry(),
             DISCOVERY,
@@ -61,6 +66,11 @@ impl ReaderThread {
         let token = Token(self.next_token.fetch_add(1, Ordering::Relaxed));
         self.link.send(Command::Add(token, Box::new(ServedReader { reader, topic_name, on_sample })));
         Slot { token, link: self.link.clone() }
+    }
+
+    /// A way to the thread for an endpoint.
+    pub(super) fn link(&self) -> Link {
+        self.link.clone()
     }
 }
 
@@ -93,14 +103,20 @@ impl Drop for Slot {
     }
 }
 
+/// A way to the thread.
 #[derive(Clone)]
-struct Link {
+pub(super) struct Link {
     commands: Sender<Command>,
     waker: Arc<Waker>,
     thread: std::thread::ThreadId,
 }
 
 impl Link {
+    /// Has `handler` told what happens to an endpoint of ours, on the thread.
+    pub(super) fn listen(&self, local: Gid, handler: EventHandler) {
+        self.send(Command::Listen(local, handler));
+    }
+
     fn send(&self, command: Command) {
         // Fails only when the thread has stopped, and then there is nothing left to command.
         if self.commands.send(command).is_ok() {
@@ -113,6 +129,7 @@ enum Command {
     Add(Token, Box<ServedReader>),
     /// The sender is dropped when the reader is gone.
     Remove(Token, Sender<()>),
+    Listen(Gid, EventHandler),
     Stop,
 }
 
@@ -129,6 +146,7 @@ struct Served {
     commands: Receiver<Command>,
     discovery: DomainParticipantStatusListener,
     matches: SharedMatches,
+    threads: EngineThreads,
     readers: HashMap<Token, Box<ServedReader>>,
 }
 
@@ -136,10 +154,11 @@ impl Served {
     fn run(mut self) {
         let mut events = Events::with_capacity(128);
         let mut ready = Vec::new();
+        let (mut looked, mut is_told) = (Instant::now(), false);
         self.hear_discovery();
         loop {
             // Readers that used up their turn are still ready, and polling would not tell again.
-            let timeout = if ready.is_empty() { None } else { Some(Duration::ZERO) };
+            let timeout = if ready.is_empty() { Some(LOOK_AT_THREADS) } else { Some(Duration::ZERO) };
             match self.poll.poll(&mut events, timeout) {
                 Ok(()) => {}
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
@@ -147,6 +166,16 @@ impl Served {
                     tracing::error!(%error, "polling the DDS readers failed: nothing is received any more");
                     lock(&self.matches).tell(Trouble::Engine(format!("polling failed: {error}")));
                     return;
+                }
+            }
+            if looked.elapsed() >= LOOK_AT_THREADS {
+                looked = Instant::now();
+                if !is_told && self.threads.is_one_gone() {
+                    is_told = true;
+                    tracing::error!(
+                        "a thread of the DDS engine has ended: nothing goes out or comes in any more"
+                    );
+                    lock(&self.matches).tell(Trouble::Engine("a thread of its ended".to_owned()));
                 }
             }
             for event in &events {
@@ -183,6 +212,12 @@ impl Served {
                     }
                 }
                 Command::Remove(token, _done) => self.remove(token),
+                Command::Listen(local, handler) => {
+                    let news = lock(&self.matches).listen(local, handler);
+                    if catch_unwind(AssertUnwindSafe(|| news.tell())).is_err() {
+                        tracing::error!("a handler of QoS events panicked");
+                    }
+                }
                 Command::Stop => return false,
             }
         }
@@ -193,11 +228,19 @@ impl Served {
     fn serve(&mut self, token: Token) -> bool {
         let Some(reader) = self.readers.get_mut(&token) else { return false };
         match catch_unwind(AssertUnwindSafe(|| reader.take_a_turn(self.own))) {
-            Ok(may_hold_more) => may_hold_more,
+            Ok(Turn::MayHoldMore) => true,
+            Ok(Turn::Empty) => false,
+            Ok(Turn::EnginePanicked) => {
+                let topic = reader.topic_name.clone();
+                tracing::error!(topic, "the DDS engine panicked while it was read");
+                self.remove(token);
+                lock(&self.matches).tell(Trouble::Engine(format!("it panicked while {topic} was read")));
+                false
+            }
             Err(_) => {
                 tracing::error!(
                     topic = reader.topic_name,
-                    "receiving panicked: this topic is not received any more"
+                    "what takes the samples panicked: this topic is not received any more"
                 );
                 self.remove(token);
                 false
@@ -220,8 +263,8 @@ impl Served {
         let hear = || {
             while let Some(event) = self.discovery.try_recv_status() {
                 // Not under the lock: the handlers ask who is matched.
-                let changed = lock(&self.matches).apply(event);
-                changed.iter().for_each(|on_change| on_change());
+                let news = lock(&self.matches).apply(event);
+                news.tell();
             }
         };
         if catch_unwind(AssertUnwindSafe(hear)).is_err() {
@@ -234,12 +277,14 @@ impl Served {
 }
 
 impl ServedReader {
-    /// True when the reader may hold more.
-    fn take_a_turn(&mut self, own: [u8; 12]) -> bool {
+    fn take_a_turn(&mut self, own: [u8; 12]) -> Turn {
         self.reader.drain_read_notifications();
         for _ in 0..SAMPLES_PER_TURN {
-            match self.reader.try_take_one() {
-                Ok(None) => return false,
+            let Ok(taken) = catch_unwind(AssertUnwindSafe(|| self.reader.try_take_one())) else {
+                return Turn::EnginePanicked;
+            };
+            match taken {
+                Ok(None) => return Turn::Empty,
                 Ok(Some(change)) if gid(change.writer_guid()).participant() == own => {}
                 Ok(Some(change)) => {
                     let sample = Sample {
@@ -257,8 +302,15 @@ impl ServedReader {
                 Err(error) => tracing::warn!(topic = self.topic_name, %error, "a sample could not be read"),
             }
         }
-        true
+        Turn::MayHoldMore
     }
+}
+
+/// How a turn of a reader ended.
+enum Turn {
+    Empty,
+    MayHoldMore,
+    EnginePanicked,
 }
 
 fn register(reader: &mut DdsDataReader, registry: &Registry, token: Token) -> io::Result<()> {

@@ -101,7 +101,7 @@ impl Shared {
 
 /// The port of a domain to which announcements are multicast (RTPS 2.5, 9.6.2.4.1). The groups are those that the sockets
 /// of rustdds have joined, on the interfaces they have chosen: Linux gives their packets to every socket of the port.
-fn listen(domain_id: u16) -> io::Result<UdpSocket> {
+pub(super) fn listen(domain_id: u16) -> io::Result<UdpSocket> {
     let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
     socket.set_reuse_address(true)?;
     socket.set_reuse_port(true)?;
@@ -111,7 +111,7 @@ fn listen(domain_id: u16) -> io::Result<UdpSocket> {
 }
 
 /// The participant in the header of an RTPS message: `RTPS`, version and vendor of two bytes each, then its prefix.
-fn sender_of(packet: &[u8]) -> Option<[u8; 12]> {
+pub(super) fn sender_of(packet: &[u8]) -> Option<[u8; 12]> {
     packet.strip_prefix(b"RTPS")?.get(4..16)?.try_into().ok()
 }
 

@@ -3,8 +3,11 @@
 use super::first_fragment::{Addresses, FirstFragments, LargeSample};
 use super::matches::{MatchedCount, gid};
 use super::payload::{OutgoingBody, SendLittleEndian};
+use super::reader_thread::Link;
 use super::{DdsParticipant, SharedMatches, lock};
-use crate::middleware::{Gid, MatchHandler, WriteError, WriteOptions, Writer};
+use crate::middleware::{
+    Direction, Endpoint, EventHandler, Gid, MatchHandler, WriteError, WriteOptions, Writer,
+};
 use bytes::Bytes;
 use rustdds::dds::WriteError as DdsWriteError;
 use rustdds::{DomainParticipant, GUID, RTPSEntity, Timestamp, WriteOptionsBuilder};
@@ -23,6 +26,7 @@ pub(super) struct DdsWriter {
     gid: Gid,
     matched: MatchedCount,
     matches: SharedMatches,
+    link: Link,
     first_fragments: Arc<FirstFragments>,
     participant: DomainParticipant,
     /// The number of the last sample; held while a sample is written, since that of a large reply must be known before.
@@ -30,13 +34,14 @@ pub(super) struct DdsWriter {
 }
 
 impl DdsWriter {
-    pub(super) fn new(writer: DdsDataWriter, of: &DdsParticipant) -> Self {
+    pub(super) fn new(writer: DdsDataWriter, of: &DdsParticipant, endpoint: &Endpoint) -> Self {
         let gid = gid(writer.guid());
         Self {
             writer,
             gid,
-            matched: of.watch(gid),
+            matched: of.watch(gid, Direction::Out, endpoint),
             matches: Arc::clone(&of.matches),
+            link: of.reader_thread.link(),
             first_fragments: Arc::clone(&of.first_fragments),
             participant: of.participant.clone(),
             last: Mutex::new(0),
@@ -92,6 +97,10 @@ impl Writer for DdsWriter {
 
     fn on_match(&self, handler: MatchHandler) {
         lock(&self.matches).on_change(self.gid, handler);
+    }
+
+    fn on_event(&self, handler: EventHandler) {
+        self.link.listen(self.gid, handler);
     }
 
     fn write_with(&self, cdr: Bytes, options: WriteOptions) -> Result<i64, WriteError> {

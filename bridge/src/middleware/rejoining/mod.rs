@@ -18,6 +18,7 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use slot::{ReaderSlot, RejoiningReader, RejoiningWriter, WriterSlot};
 use std::collections::BTreeMap;
 use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -30,6 +31,9 @@ const PAUSE: Duration = Duration::from_secs(5);
 
 /// Trouble that waits to be seen to; what is more says nothing new.
 const MOST_TROUBLE: usize = 64;
+
+/// How long an engine may take to end.
+const BURIAL: Duration = Duration::from_secs(5);
 
 /// Why a participant has lost touch.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -223,9 +227,11 @@ impl Shared {
         let engine = now.engine.take();
         drop(now);
         // Outside of all locks: handlers that still run ask for them.
-        writers.iter().for_each(|slot| drop(slot.take()));
-        readers.iter().for_each(|slot| drop(slot.take()));
-        drop(engine);
+        let writing = writers.iter().filter_map(|slot| slot.leave()).collect();
+        let reading = readers.iter().filter_map(|slot| slot.leave()).collect();
+        bury(writing, reading, engine);
+        writers.iter().for_each(|slot| slot.tell_unmatched());
+        readers.iter().for_each(|slot| slot.tell_unmatched());
     }
 
     fn join_again(&self) -> Result<(), MiddlewareError> {
@@ -254,6 +260,33 @@ impl Shared {
 
     fn tell(&self, step: &RejoinStep) {
         lock(&self.on_rejoin).iter().for_each(|handler| handler(step));
+    }
+}
+
+/// Drops an engine with its endpoints, which may have failed: it may panic again, or not come to an end. Then it is left
+/// behind.
+fn bury(writers: Vec<Box<dyn Writer>>, readers: Vec<Box<dyn Reader>>, engine: Option<Box<dyn Middleware>>) {
+    let (done, end) = bounded::<()>(0);
+    let drop_all = move || {
+        let _done = done;
+        // Each by itself: two panics at once would end the program.
+        writers.into_iter().for_each(drop_guarded);
+        readers.into_iter().for_each(drop_guarded);
+        drop_guarded(engine);
+    };
+    match std::thread::Builder::new().name("downbeat-bury".to_owned()).spawn(drop_all) {
+        // Ends when the thread drops its end of the channel.
+        Ok(_) if end.recv_timeout(BURIAL) == Err(RecvTimeoutError::Timeout) => {
+            tracing::warn!("the engine that failed does not end, and is left behind");
+        }
+        Ok(_) => {}
+        Err(error) => tracing::warn!(%error, "no thread to end the old engine on"),
+    }
+}
+
+fn drop_guarded<T>(what: T) {
+    if catch_unwind(AssertUnwindSafe(|| drop(what))).is_err() {
+        tracing::warn!("the engine that failed panicked again when it was ended");
     }
 }
 

@@ -2,8 +2,8 @@
 
 use super::{Trouble, TroubleSink, lock};
 use crate::middleware::{
-    Endpoint, Gid, MatchHandler, Middleware, MiddlewareError, Reader, Sample, SampleHandler, WriteError,
-    WriteOptions, Writer,
+    Endpoint, EndpointEvent, EventHandler, Gid, MatchHandler, Middleware, MiddlewareError, Reader, Sample,
+    SampleHandler, WriteError, WriteOptions, Writer,
 };
 use bytes::Bytes;
 use downbeat_msgs::qos::{Durability, History};
@@ -21,6 +21,9 @@ type Moved = (Gid, Gid);
 struct Slot<E: ?Sized> {
     now: RwLock<Now<E>>,
     on_match: Mutex<Option<Arc<MatchHandler>>>,
+    on_event: Mutex<Option<Arc<EventHandler>>>,
+    /// With whom it was matched when it was taken out.
+    left: Mutex<Vec<Gid>>,
 }
 
 struct Now<E: ?Sized> {
@@ -30,7 +33,12 @@ struct Now<E: ?Sized> {
 
 impl<E: ?Sized> Slot<E> {
     fn new(gid: Gid, endpoint: Box<E>) -> Self {
-        Self { now: RwLock::new(Now { gid, endpoint: Some(endpoint) }), on_match: Mutex::default() }
+        Self {
+            now: RwLock::new(Now { gid, endpoint: Some(endpoint) }),
+            on_match: Mutex::default(),
+            on_event: Mutex::default(),
+            left: Mutex::default(),
+        }
     }
 
     fn read(&self) -> RwLockReadGuard<'_, Now<E>> {
@@ -66,6 +74,19 @@ impl<E: ?Sized> Slot<E> {
             handler();
         }
     }
+
+    fn event_handler(&self) -> Option<EventHandler> {
+        let handler = lock(&self.on_event).clone()?;
+        Some(Box::new(move |event| (*handler)(event)))
+    }
+
+    /// The engine of the endpoint is gone, and with it those it was matched with.
+    fn tell_unmatched(&self) {
+        let peers = std::mem::take(&mut *lock(&self.left));
+        if let Some(handler) = self.event_handler() {
+            peers.into_iter().for_each(|peer| handler(&EndpointEvent::Unmatched { peer }));
+        }
+    }
 }
 
 pub(super) struct WriterSlot {
@@ -86,6 +107,17 @@ impl WriterSlot {
         self.slot.take()
     }
 
+    /// Takes the endpoint out, for it to end with its engine.
+    pub(super) fn leave(&self) -> Option<Box<dyn Writer>> {
+        let writer = self.slot.take()?;
+        *lock(&self.slot.left) = writer.matched_readers();
+        Some(writer)
+    }
+
+    pub(super) fn tell_unmatched(&self) {
+        self.slot.tell_unmatched();
+    }
+
     pub(super) fn tell_matches(&self) {
         self.slot.tell_matches();
     }
@@ -100,6 +132,9 @@ impl WriterSlot {
         }
         if let Some(handler) = self.slot.handler() {
             writer.on_match(handler);
+        }
+        if let Some(handler) = self.slot.event_handler() {
+            writer.on_event(handler);
         }
         Ok(self.slot.put(writer.gid(), writer))
     }
@@ -137,6 +172,17 @@ impl ReaderSlot {
         self.slot.take()
     }
 
+    /// Takes the endpoint out, for it to end with its engine.
+    pub(super) fn leave(&self) -> Option<Box<dyn Reader>> {
+        let reader = self.slot.take()?;
+        *lock(&self.slot.left) = reader.matched_writers();
+        Some(reader)
+    }
+
+    pub(super) fn tell_unmatched(&self) {
+        self.slot.tell_unmatched();
+    }
+
     pub(super) fn tell_matches(&self) {
         self.slot.tell_matches();
     }
@@ -145,6 +191,9 @@ impl ReaderSlot {
         let reader = engine.create_reader(&self.endpoint, hand_to(&self.on_sample))?;
         if let Some(handler) = self.slot.handler() {
             reader.on_match(handler);
+        }
+        if let Some(handler) = self.slot.event_handler() {
+            reader.on_event(handler);
         }
         Ok(self.slot.put(reader.gid(), reader))
     }
@@ -175,6 +224,13 @@ impl Writer for RejoiningWriter {
         *lock(&self.0.slot.on_match) = Some(Arc::new(handler));
         if let (Some(handler), Some(writer)) = (self.0.slot.handler(), &self.0.slot.read().endpoint) {
             writer.on_match(handler);
+        }
+    }
+
+    fn on_event(&self, handler: EventHandler) {
+        *lock(&self.0.slot.on_event) = Some(Arc::new(handler));
+        if let (Some(handler), Some(writer)) = (self.0.slot.event_handler(), &self.0.slot.read().endpoint) {
+            writer.on_event(handler);
         }
     }
 
@@ -221,6 +277,13 @@ impl Reader for RejoiningReader {
         *lock(&self.0.slot.on_match) = Some(Arc::new(handler));
         if let (Some(handler), Some(reader)) = (self.0.slot.handler(), &self.0.slot.read().endpoint) {
             reader.on_match(handler);
+        }
+    }
+
+    fn on_event(&self, handler: EventHandler) {
+        *lock(&self.0.slot.on_event) = Some(Arc::new(handler));
+        if let (Some(handler), Some(reader)) = (self.0.slot.event_handler(), &self.0.slot.read().endpoint) {
+            reader.on_event(handler);
         }
     }
 }

@@ -62,7 +62,16 @@ pub enum CallError {
     },
 }
 
-type ReplyHandler = Box<dyn FnOnce(Result<Bytes, CallError>) + Send>;
+type ReplyHandler = Box<dyn FnOnce(Result<Answer, CallError>) + Send>;
+
+/// What came back for a call.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Answer {
+    /// The number of the call.
+    pub number: CallNumber,
+    /// Encapsulation header and body.
+    pub cdr: Bytes,
+}
 
 /// Makes calls. Dropping it removes the endpoints and ends its calls.
 pub struct RequestClient {
@@ -186,14 +195,14 @@ impl RequestClient {
     }
 
     /// Sends a request: encapsulation header (little-endian) and body. `on_reply` is called once, on the thread of the
-    /// handlers: with the answer, encapsulation header and body, or with the reason why there is none. Does not block.
+    /// handlers: with the answer, or with the reason why there is none. Does not block.
     ///
     /// Returns the number of the request, nothing if it was not sent.
     pub fn call(
         &self,
         cdr: Bytes,
         timeout: Duration,
-        on_reply: impl FnOnce(Result<Bytes, CallError>) + Send + 'static,
+        on_reply: impl FnOnce(Result<Answer, CallError>) + Send + 'static,
     ) -> Option<CallNumber> {
         let on_reply: ReplyHandler = Box::new(on_reply);
         match self.send(cdr, timeout, on_reply) {
@@ -325,7 +334,7 @@ impl Shared {
             Some(_) => return,
         };
         if let Some(call) = lock(&self.calls).take(number) {
-            self.link.run(move || (call.on_reply)(Ok(cdr)));
+            self.link.run(move || (call.on_reply)(Ok(Answer { number, cdr })));
         }
     }
 }

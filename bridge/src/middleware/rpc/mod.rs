@@ -17,9 +17,10 @@ mod mapping;
 mod server;
 mod thread;
 
-pub use client::{CallError, CallNumber, RequestClient};
+pub use client::{Answer, CallError, CallNumber, RequestClient};
 pub use server::{IncomingRequest, ReplyError, RequestHandler, RequestServer, Responder};
 pub use thread::RpcThread;
+pub(crate) use thread::{RpcLink, TimeLimited};
 
 use super::{Endpoint, Gid};
 use downbeat_msgs::qos::{History, QosProfile};

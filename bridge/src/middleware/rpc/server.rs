@@ -22,6 +22,9 @@ pub struct IncomingRequest {
     pub client: Gid,
     /// The number of the request at its client.
     pub number: i64,
+    /// By which its client is known in ROS 2: the reader that waits for the reply where the request names it, as it does for
+    /// `rmw_fastrtps`, and the writer of the request otherwise.
+    pub request_client: Gid,
     /// Takes the answer.
     pub responder: Responder,
 }
@@ -138,15 +141,24 @@ impl Drop for RequestServer {
     }
 }
 
+type OnSent = Box<dyn FnOnce(&Bytes) + Send>;
+
 /// Answers one request. A responder that is dropped answers nothing: the client's time runs out.
 #[must_use = "a request is answered with `reply`"]
 pub struct Responder {
     server: Weak<Shared>,
     address: ReturnAddress,
     open: Open,
+    on_sent: Option<OnSent>,
 }
 
 impl Responder {
+    /// Has `on_sent` called with the reply when it was sent, or waits for its client.
+    pub fn when_sent(mut self, on_sent: impl FnOnce(&Bytes) + Send + 'static) -> Self {
+        self.on_sent = Some(Box::new(on_sent));
+        self
+    }
+
     /// Has `encode` run and its result sent as the reply, on the thread of the handlers: for those whose own thread must
     /// neither serialise nor write.
     pub fn reply_later(self, encode: impl FnOnce() -> Bytes + Send + 'static) {
@@ -165,20 +177,24 @@ impl Responder {
     /// # Errors
     /// [`ReplyError`] when it was not sent.
     pub fn reply(self, cdr: Bytes) -> Result<(), ReplyError> {
-        let Self { server, address, open } = self;
+        let Self { server, address, open, on_sent } = self;
         let server = server.upgrade().filter(|server| !server.is_closed.load(Ordering::Acquire));
         let Some(server) = server else { return Err(ReplyError::Closed) };
         {
             // Held while looking: a client that is matched after the look finds its reply among those that wait.
             let mut held = lock(&server.held);
             if !server.reaches(&address) {
-                held.push_back(Held { until: Instant::now() + REPLY_HOLD, address, cdr, _open: open });
+                let until = Instant::now() + REPLY_HOLD;
+                held.push_back(Held { until, address, cdr: cdr.clone(), _open: open });
                 drop(held);
                 server.link.look_again();
+                on_sent.into_iter().for_each(|on_sent| on_sent(&cdr));
                 return Ok(());
             }
         }
-        server.send(&address, &cdr)
+        server.send(&address, &cdr)?;
+        on_sent.into_iter().for_each(|on_sent| on_sent(&cdr));
+        Ok(())
     }
 }
 
@@ -209,8 +225,9 @@ fn accept(shared: &Arc<Shared>, on_request: &Arc<Mutex<RequestHandler>>, sample:
         shared.refuse(client, "1024 requests are not answered yet");
         return;
     };
-    let responder = Responder { server: Arc::downgrade(shared), address, open };
-    let request = IncomingRequest { cdr, client, number, responder };
+    let request_client = address.reader.unwrap_or(client);
+    let responder = Responder { server: Arc::downgrade(shared), address, open, on_sent: None };
+    let request = IncomingRequest { cdr, client, number, request_client, responder };
     let (server, on_request) = (Arc::downgrade(shared), Arc::clone(on_request));
     shared.link.run(move || {
         if server.upgrade().is_some_and(|server| !server.is_closed.load(Ordering::Acquire)) {

@@ -23,16 +23,20 @@ impl RpcThread {
     /// # Errors
     /// When the system has no thread left.
     pub fn start() -> io::Result<Self> {
+        Self::start_named("downbeat-rpc")
+    }
+
+    /// The same for other time limits, under another name.
+    pub(crate) fn start_named(name: &str) -> io::Result<Self> {
         // Unbounded as such; what comes in is bounded by what servers and clients may have in flight.
         let (sender, jobs) = unbounded();
-        let thread = std::thread::Builder::new()
-            .name("downbeat-rpc".to_owned())
-            .spawn(move || Worker::new(jobs).run())?;
+        let thread =
+            std::thread::Builder::new().name(name.to_owned()).spawn(move || Worker::new(jobs).run())?;
         let link = RpcLink { jobs: sender, thread: thread.thread().id() };
         Ok(Self { link, thread: Some(thread) })
     }
 
-    pub(super) fn link(&self) -> RpcLink {
+    pub(crate) fn link(&self) -> RpcLink {
         self.link.clone()
     }
 }
@@ -51,7 +55,7 @@ impl Drop for RpcThread {
 
 /// Hands jobs to the thread; keeps it not alive.
 #[derive(Clone)]
-pub(super) struct RpcLink {
+pub(crate) struct RpcLink {
     jobs: Sender<Job>,
     thread: ThreadId,
 }
@@ -63,12 +67,12 @@ impl RpcLink {
     }
 
     /// Keeps the time limits of `limited` until it is gone.
-    pub(super) fn watch(&self, limited: Weak<dyn TimeLimited>) {
+    pub(crate) fn watch(&self, limited: Weak<dyn TimeLimited>) {
         self.send(Job::Watch(limited));
     }
 
     /// Has the thread ask again what is due next.
-    pub(super) fn look_again(&self) {
+    pub(crate) fn look_again(&self) {
         self.send(Job::LookAgain);
     }
 
@@ -84,7 +88,7 @@ impl RpcLink {
 }
 
 /// Something with time limits.
-pub(super) trait TimeLimited: Send + Sync {
+pub(crate) trait TimeLimited: Send + Sync {
     /// When the first of them is due.
     fn due(&self) -> Option<Instant>;
     /// Ends what is due by `now`.

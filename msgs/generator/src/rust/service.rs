@@ -21,6 +21,15 @@ impl RustSource<'_> {
         for part in ["Request", "Response", "Event"] {
             source.push_str(&format!("    type {part} = {name}{part};\n"));
         }
+        let runtime = &self.modules.runtime;
+        source.push_str(&format!(
+            "\n    fn event(\n        \
+                 info: {runtime}::service_msgs::msg::ServiceEventInfo,\n        \
+                 request: ::core::option::Option<{name}Request>,\n        \
+                 response: ::core::option::Option<{name}Response>,\n    ) -> {name}Event {{\n        \
+                 {name}Event {{ info, request: request.into_iter().collect(), response: response.into_iter().collect() }}\n    \
+                 }}\n"
+        ));
         source.push_str("}\n");
         Ok(source)
     }

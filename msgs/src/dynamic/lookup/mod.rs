@@ -4,6 +4,7 @@ mod ament;
 mod described;
 mod schemas;
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
@@ -40,6 +41,17 @@ pub use schemas::Schemas;
 #[derive(Default)]
 pub struct Definitions {
     sources: Vec<Box<dyn DefinitionSource>>,
+}
+
+/// A type, and what is kept of it beside messages.
+#[derive(Clone, Debug)]
+pub struct TypeDefinition {
+    /// The type.
+    pub message_type: DynamicType,
+    /// The `ros2msg` text with all dependencies, as rosbag2 stores it.
+    pub text: String,
+    /// `RIHS01_` and 64 hexadecimal digits.
+    pub hash: String,
 }
 
 /// Where definitions can be found.
@@ -126,6 +138,43 @@ impl Definitions {
     /// # Errors
     /// If no place has it or something it refers to; the error says what was found where. Or if it cannot be used.
     pub fn find(&self, name: &str) -> Result<DynamicType, LookupError> {
+        let (name, place, catalog) = self.gather(name)?;
+        DynamicType::new(&catalog, &name).map_err(|problem| unusable(&name, &place, problem))
+    }
+
+    /// The definition text of the type of that name, as a bag holds it, and its RIHS01 hash.
+    ///
+    /// ```
+    /// use downbeat_msgs::Message;
+    /// use downbeat_msgs::dynamic::Definitions;
+    /// use downbeat_msgs::std_msgs::msg::Header;
+    ///
+    /// let (text, hash) = Definitions::new().with_carried().find_text("std_msgs/msg/Header")?;
+    /// assert_eq!((text.as_str(), hash.as_str()), (Header::DEFINITION, Header::TYPE_HASH));
+    /// # Ok::<(), downbeat_msgs::dynamic::LookupError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As those of [`Definitions::find`].
+    pub fn find_text(&self, name: &str) -> Result<(String, String), LookupError> {
+        let (name, place, catalog) = self.gather(name)?;
+        let unusable = |problem: DefinitionError| unusable(&name, &place, problem.into());
+        let text = catalog.definition_text(&name).map_err(unusable)?;
+        Ok((text, catalog.type_description(&name).map_err(unusable)?.hash()))
+    }
+
+    /// The type of that name with the text that a bag has of it and its hash.
+    ///
+    /// # Errors
+    /// As those of [`Definitions::find`].
+    pub fn describe(&self, name: &str) -> Result<TypeDefinition, LookupError> {
+        let message_type = self.find(name)?;
+        let (text, hash) = self.find_text(name)?;
+        Ok(TypeDefinition { message_type, text, hash })
+    }
+
+    /// A catalog that has the type and all it refers to, and where the type was found.
+    fn gather(&self, name: &str) -> Result<(TypeName, String, Cow<'_, Catalog>), LookupError> {
         let name: TypeName = name.parse().map_err(|error| LookupError::Name(Box::new(error)))?;
         let mut gathered = Catalog::new();
         let mut asked = BTreeSet::from([name.clone()]);
@@ -133,26 +182,24 @@ impl Definitions {
         let mut first_place = String::new();
         while let Some((next, owner)) = wanted.pop() {
             let (place, found) = self.ask(&next, owner)?;
-            let unusable = |problem: TypeError| LookupError::Unusable {
-                name: Box::new(next.clone()),
-                place: place.clone(),
-                problem: Box::new(problem),
-            };
+            let unusable = |problem: DefinitionError| unusable(&next, &place, problem.into());
             if first_place.is_empty() {
                 first_place.clone_from(&place);
             }
             match found {
-                Found::Complete(catalog) if next == name => {
-                    return DynamicType::new(catalog, &name).map_err(unusable);
-                }
+                Found::Complete(catalog) if next == name => return Ok((name, place, Cow::Borrowed(catalog))),
                 Found::Complete(catalog) => {
-                    gathered.add_message_from(catalog, &next).map_err(|error| unusable(error.into()))?;
+                    gathered.add_message_from(catalog, &next).map_err(unusable)?;
                 }
                 Found::Alone(catalog) => {
+                    if next == name {
+                        // With the service or action that the message belongs to.
+                        gathered = (*catalog).clone();
+                    }
                     for owner in catalog.messages() {
-                        gathered
-                            .add_message_from(&catalog, &owner.name)
-                            .map_err(|error| unusable(error.into()))?;
+                        if next != name {
+                            gathered.add_message_from(&catalog, &owner.name).map_err(unusable)?;
+                        }
                         for field in &owner.fields {
                             if let Element::Message(inner) = &field.field_type.element
                                 && catalog.message(inner).is_err()
@@ -166,11 +213,7 @@ impl Definitions {
                 Found::Nothing(_) => {}
             }
         }
-        DynamicType::new(&gathered, &name).map_err(|problem| LookupError::Unusable {
-            name: Box::new(name),
-            place: first_place,
-            problem: Box::new(problem),
-        })
+        Ok((name, first_place, Cow::Owned(gathered)))
     }
 
     /// What the first source that has the type has, and what the source is called.
@@ -236,6 +279,14 @@ fn instead<'a>(subject: &str, catalogs: impl Iterator<Item = &'a Catalog>, name:
     match nearest {
         Some(nearest) => format!("{subject} {nearest} of that package"),
         None => format!("{subject} nothing of that package"),
+    }
+}
+
+fn unusable(name: &TypeName, place: &str, problem: TypeError) -> LookupError {
+    LookupError::Unusable {
+        name: Box::new(name.clone()),
+        place: place.to_owned(),
+        problem: Box::new(problem),
     }
 }
 

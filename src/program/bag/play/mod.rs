@@ -9,12 +9,13 @@ use std::time::Duration;
 
 use anyhow::bail;
 use clap::Args;
-use downbeat::bags::Reader;
+use downbeat::bags::{PlayerOptions, Reader};
 use downbeat::msgs::encoding::Encoding;
 use downbeat::robot::RosArgs;
 
 use super::open;
 use super::select::TopicArguments;
+use crate::program::screen::Screen;
 
 #[derive(Args)]
 pub(crate) struct PlayArguments {
@@ -56,17 +57,30 @@ pub(crate) struct PlayArguments {
     /// Publish the time on /clock before each message.
     #[arg(long)]
     pub(crate) clock_topics_all: bool,
-    /// Begin paused, and wait for ~/resume or ~/play_next.
+    /// Begin paused, and wait for a key, ~/resume or ~/play_next.
     #[arg(long, short = 'p')]
     pub(crate) start_paused: bool,
     /// Leave out what latched topics (transient local) had last sent before the beginning, as `ros2 bag play` does.
     #[arg(long)]
     pub(crate) no_latched: bool,
+    /// How many messages are read before they are due.
+    #[arg(long, default_value_t = PlayerOptions::DEFAULT_READ_AHEAD, value_name = "MESSAGES")]
+    pub(crate) read_ahead_queue_size: usize,
+    /// A YAML file of QoS profiles to publish topics with, in place of what was recorded.
+    #[arg(long, value_name = "FILE.yaml")]
+    pub(crate) qos_profile_overrides_path: Option<PathBuf>,
+    /// At the end, wait up to so many milliseconds until reliable subscribers have everything, 0 for as long as it takes;
+    /// a negative number does not wait.
+    #[arg(long, default_value_t = -1, allow_negative_numbers = true, value_name = "MS")]
+    pub(crate) wait_for_all_acked: i64,
+    /// Leave keys to others: space pauses and resumes, right plays the next message of a pause, up and down change the rate.
+    #[arg(long)]
+    pub(crate) disable_keyboard_controls: bool,
     /// Run the modules of this robot on the bag instead of playing to ROS 2: time from the bag, as fast as the
     /// machine can, with the same result each time.
     #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["rate", "start_offset", "domain", "playback_duration",
           "playback_until_sec", "playback_until_nsec", "repeats", "delay", "remap", "clock", "clock_topics",
-          "clock_topics_all", "start_paused", "topic_types", "services", "regex", "exclude_regex", "exclude_topics",
+          "clock_topics_all", "start_paused", "read_ahead_queue_size", "qos_profile_overrides_path", "wait_for_all_acked", "topic_types", "services", "regex", "exclude_regex", "exclude_topics",
           "exclude_topic_types", "exclude_services"])]
     pub(crate) into: Option<PathBuf>,
     /// With --into: record what the modules publish into this new rosbag2 directory.
@@ -81,12 +95,12 @@ pub(crate) struct PlayArguments {
     pub(crate) domain: Option<u16>,
 }
 
-pub(crate) fn play(arguments: &PlayArguments, ros: &RosArgs) -> anyhow::Result<()> {
+pub(crate) fn play(arguments: &PlayArguments, ros: &RosArgs, screen: &Screen) -> anyhow::Result<()> {
     let bags = arguments.bags.iter().map(|bag| open(bag)).collect::<anyhow::Result<Vec<Reader>>>()?;
     match (&arguments.into, &bags[..]) {
         (Some(robot), [bag]) => into::play_into(bag, robot, arguments, ros),
         (Some(_), _) => bail!("one bag is played into a robot; merge them first: downbeat bag convert"),
-        (None, bags) => ros::play(bags, arguments, ros),
+        (None, bags) => ros::play(bags, arguments, ros, screen),
     }
 }
 

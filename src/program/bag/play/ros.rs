@@ -4,7 +4,10 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
+use bytes::Bytes;
+use downbeat::bags::metadata::RecordedQos;
 use downbeat::bags::{BagMessage, Player, PlayerOptions, Rate, Reader, Step, TopicId};
+use downbeat::bridge::middleware::WriteError;
 use downbeat::bridge::ros::{MessageType, Node, Publisher};
 use downbeat::encoding::RecordedType;
 use downbeat::msgs::builtin_interfaces::msg::Time;
@@ -16,20 +19,38 @@ use downbeat::msgs::rosbag2_interfaces::srv::{
 use downbeat::msgs::rosgraph_msgs::msg::Clock;
 use downbeat::msgs::{Message, cdr};
 use downbeat::robot::RosArgs;
+use downbeat::ros_recorder::QosOverrides;
 
 use super::PlayArguments;
 use super::controls::{Control, Controls, answer};
+use crate::program::keyboard::{Key, Keyboard};
 use crate::program::run::node;
+use crate::program::screen::Screen;
 use crate::program::stop::Stop;
 
 /// How long publishers wait to be found at the most: samples written before that reach nobody.
 const DISCOVERY: Duration = Duration::from_secs(3);
-/// How long at the most until a signal is heeded.
+/// How long at the most until a signal or a key is heeded.
 const POLL: Duration = Duration::from_millis(50);
+/// How often the line on the screen is drawn.
+const REFRESH: Duration = Duration::from_millis(100);
+/// How long a message waits for subscribers that lag behind, as in rmw_fastrtps (`max_blocking_time`).
+const PATIENCE: Duration = Duration::from_millis(100);
+/// By how much a key changes the rate, as in rosbag2.
+const RATE_STEP: f64 = 0.1;
 /// The node that `ros2 bag play` makes.
 const NODE_NAME: &str = "rosbag2_player";
 
-pub(super) fn play(bags: &[Reader], arguments: &PlayArguments, ros: &RosArgs) -> anyhow::Result<()> {
+pub(super) fn play(
+    bags: &[Reader],
+    arguments: &PlayArguments,
+    ros: &RosArgs,
+    screen: &Screen,
+) -> anyhow::Result<()> {
+    let overrides = match &arguments.qos_profile_overrides_path {
+        Some(path) => QosOverrides::read(path)?,
+        None => QosOverrides::default(),
+    };
     let filter = arguments.topics.filter()?;
     arguments.topics.check(bags.iter().flat_map(Reader::topics).map(|topic| &topic.info))?;
     let options = options(arguments)?;
@@ -37,12 +58,16 @@ pub(super) fn play(bags: &[Reader], arguments: &PlayArguments, ros: &RosArgs) ->
         let is_replaced = arguments.clock.is_some() && topic.name == "/clock";
         filter.is_wanted(topic) && !is_replaced
     })?;
+    let stop = Stop::new()?;
     let (_participant, node) = node(NODE_NAME, arguments.domain, ros)?;
-    let publishers = publishers(&player, &node, &remaps(&arguments.remap)?)?;
+    let publishers = publishers(&player, &node, &remaps(&arguments.remap)?, &overrides)?;
     let clock = PublishedClock::new(&node, arguments)?;
     let controls = Controls::offer(&node)?;
-    let stop = Stop::new(None)?;
     wait_for_subscriptions(&publishers, &stop);
+    let keyboard = (!arguments.disable_keyboard_controls).then(Keyboard::open).flatten();
+    if keyboard.is_some() {
+        tracing::info!("Press SPACE for pausing/resuming, RIGHT for the next message, UP and DOWN for the rate");
+    }
     let mut run = Run {
         player,
         publishers,
@@ -55,7 +80,10 @@ pub(super) fn play(bags: &[Reader], arguments: &PlayArguments, ros: &RosArgs) ->
     };
     stop.sleep(run.delay);
     run.started = Instant::now();
-    run.run(&controls, &stop);
+    run.run(&controls, keyboard.as_ref(), screen, &stop);
+    drop(keyboard);
+    screen.show(Vec::new());
+    run.wait_for_all_acked(arguments.wait_for_all_acked, &stop);
     println!("played {} messages; {} were refused by the middleware", run.played, run.refused);
     Ok(())
 }
@@ -71,6 +99,7 @@ fn options(arguments: &PlayArguments) -> anyhow::Result<PlayerOptions> {
         repeats: arguments.repeats,
         starts_paused: arguments.start_paused,
         plays_latched: !arguments.no_latched,
+        read_ahead: arguments.read_ahead_queue_size,
     })
 }
 
@@ -91,6 +120,7 @@ fn publishers(
     player: &Player<'_>,
     node: &Node,
     remaps: &BTreeMap<String, String>,
+    overrides: &QosOverrides,
 ) -> anyhow::Result<Vec<Option<Played>>> {
     let create = |(index, topic): (usize, &downbeat::bags::RecordedTopic)| {
         let info = &topic.info;
@@ -102,7 +132,8 @@ fn publishers(
         let recorded = (!is_cdr).then(|| RecordedType::of(topic)).transpose()?;
         let type_name = recorded.as_ref().map_or(&*info.type_name, |recorded| recorded.message_type().name());
         let message_type = MessageType::new(type_name)?;
-        let qos = info.offered_qos.first().copied().unwrap_or_default();
+        let recorded_qos = info.offered_qos.first().map_or(QosProfile::DEFAULT, RecordedQos::to_profile);
+        let qos = overrides.of(&info.name).unwrap_or(recorded_qos);
         let name = remaps.get(&info.name).unwrap_or(&info.name);
         let publisher = node.publish(name, &message_type, qos);
         let publisher = publisher.with_context(|| format!("cannot publish {name}"))?;
@@ -176,6 +207,19 @@ impl PublishedClock {
     }
 }
 
+/// Publishes, and waits for a moment where subscribers lag behind.
+fn publish_soon(publisher: &Publisher, data: &Bytes) -> Result<(), WriteError> {
+    let started = Instant::now();
+    loop {
+        match publisher.publish(data.clone()) {
+            Err(WriteError::WindowFull) if started.elapsed() < PATIENCE => {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            result => return result,
+        }
+    }
+}
+
 struct Run<'a> {
     player: Player<'a>,
     publishers: Vec<Option<Played>>,
@@ -188,9 +232,17 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    fn run(&mut self, controls: &Controls, stop: &Stop) {
+    fn run(&mut self, controls: &Controls, keyboard: Option<&Keyboard>, screen: &Screen, stop: &Stop) {
+        let mut next_refresh = Duration::ZERO;
         while !stop.is_due() && !self.is_over {
+            while let Some(key) = keyboard.and_then(Keyboard::pressed) {
+                self.act_on(key);
+            }
             let now = self.started.elapsed();
+            if now >= next_refresh && screen.is_terminal() {
+                next_refresh = now + REFRESH;
+                screen.show(vec![self.progress(now)]);
+            }
             let until_clock = self.clock.publish_if_due(self.player.bag_time(now));
             let wait = match self.player.step(now) {
                 Step::Due(message) => {
@@ -229,11 +281,63 @@ impl Run<'_> {
             Ok(data) => data,
             Err(error) => return tracing::warn!("{name}: {error}"),
         };
-        match publisher.publish(data) {
+        match publish_soon(publisher, &data) {
             Ok(()) => self.played += 1,
             Err(error) => {
                 self.refused += 1;
                 tracing::debug!("{name}: {error}");
+            }
+        }
+    }
+
+    fn act_on(&mut self, key: Key) {
+        let now = self.started.elapsed();
+        match key {
+            Key::Space => self.toggle_paused(now),
+            Key::Right if self.player.is_paused() => drop(self.play_next()),
+            Key::Right => {}
+            Key::Up => self.scale_rate(now, 1.0 + RATE_STEP),
+            Key::Down => self.scale_rate(now, 1.0 - RATE_STEP),
+        }
+    }
+
+    fn toggle_paused(&mut self, now: Duration) {
+        if self.player.is_paused() {
+            self.player.resume(now);
+        } else {
+            self.player.pause(now);
+        }
+    }
+
+    fn scale_rate(&mut self, now: Duration, by: f64) {
+        if let Ok(rate) = Rate::new(self.player.rate().as_f64() * by) {
+            self.player.set_rate(now, rate);
+        }
+    }
+
+    /// Where it is in the bags, for the screen.
+    fn progress(&self, now: Duration) -> String {
+        const WIDTH: usize = 30;
+        let seconds = |from: i64, to: i64| to.saturating_sub(from).max(0) as f64 / 1e9;
+        let length = seconds(self.player.start_time(), self.player.end_time());
+        let played = seconds(self.player.start_time(), self.player.bag_time(now)).min(length);
+        let done = if length > 0.0 { (played / length * WIDTH as f64) as usize } else { WIDTH };
+        let bar = format!("{}{}", "#".repeat(done), "-".repeat(WIDTH - done));
+        let state = if self.player.is_paused() { "paused" } else { "playing" };
+        let rate = self.player.rate().as_f64();
+        format!("[{bar}] {played:.1} of {length:.1} s  x {rate:.2}  {state}  {} messages", self.played)
+    }
+
+    /// As `--wait-for-all-acked` says, which counts milliseconds.
+    fn wait_for_all_acked(&self, timeout: i64, stop: &Stop) {
+        let Ok(milliseconds) = u64::try_from(timeout) else { return };
+        let limit = (milliseconds > 0).then(|| Instant::now() + Duration::from_millis(milliseconds));
+        for (publisher, _) in self.publishers.iter().flatten() {
+            while !publisher.wait_for_all_acked(POLL) {
+                if stop.is_due() || limit.is_some_and(|limit| Instant::now() >= limit) {
+                    tracing::warn!("{}: not all was acknowledged in time", publisher.topic());
+                    return;
+                }
             }
         }
     }
@@ -285,11 +389,7 @@ impl Run<'_> {
                 answer(reply, &ResumeResponse::default());
             }
             Control::TogglePaused(reply) => {
-                if is_paused {
-                    self.player.resume(now)
-                } else {
-                    self.player.pause(now)
-                }
+                self.toggle_paused(now);
                 answer(reply, &TogglePausedResponse::default());
             }
             Control::PlayNext(reply) => {

@@ -1,9 +1,10 @@
-//! `services`, `calls` and `parameters` of `[expose]`.
+//! `services`, `calls`, `actions`, `action_calls` and `parameters` of `[expose]`.
 
 use std::time::Duration;
 
-use downbeat_bridge::edge::KnownService;
-use downbeat_bridge::expose::TopicPattern;
+use downbeat_bridge::edge::{KnownAction, KnownService};
+use downbeat_bridge::expose::{ServiceIntrospection, TopicPattern};
+use downbeat_bridge::ros::{Introspection, UnknownIntrospection};
 
 use super::Result;
 use crate::robot::file::Located;
@@ -26,10 +27,48 @@ pub struct ServiceEntry {
     pub timeout: Duration,
 }
 
+/// An action that passes between the robot and ROS 2.
+#[derive(Clone)]
+pub struct ActionEntry {
+    pub(crate) line: usize,
+    /// The action in the robot.
+    pub action: String,
+    /// The action in ROS 2 where it has another name.
+    pub ros_action: Option<String>,
+    /// Its type, where the file names it.
+    pub action_type: Option<KnownAction>,
+    /// How long its server may take to say whether it takes a goal or cancels one.
+    pub timeout: Duration,
+}
+
 /// The services under a key, by name or as a table that says more.
 pub(super) fn services(table: &mut Table<'_>, key: &'static str) -> Result<Vec<ServiceEntry>> {
     let values = table.take(key).map_or(Ok(Vec::new()), |value| value.list())?;
-    values.into_iter().map(entry).collect()
+    values.into_iter().map(service).collect()
+}
+
+/// The actions under a key, by name or as a table that says more.
+pub(super) fn actions(table: &mut Table<'_>, key: &'static str) -> Result<Vec<ActionEntry>> {
+    let values = table.take(key).map_or(Ok(Vec::new()), |value| value.list())?;
+    values.into_iter().map(action).collect()
+}
+
+/// What services and calls publish of what they do.
+pub(super) fn introspection(table: &mut Table<'_>) -> Result<ServiceIntrospection> {
+    let mut chosen = |key| {
+        let word = |value: Value<'_>| {
+            let word: Introspection = value
+                .text()?
+                .parse()
+                .map_err(|error: UnknownIntrospection| value.error(error.to_string()))?;
+            Ok(word)
+        };
+        table.take(key).map_or(Ok(Introspection::Off), word)
+    };
+    Ok(ServiceIntrospection {
+        services: chosen("service_introspection")?,
+        clients: chosen("client_introspection")?,
+    })
 }
 
 /// Which settings are parameters: names `module.setting`, or patterns for them.
@@ -42,23 +81,48 @@ pub(super) fn parameters(table: &mut Table<'_>) -> Result<Vec<Located<TopicPatte
     values.into_iter().map(pattern).collect()
 }
 
-fn entry(value: Value<'_>) -> Result<ServiceEntry> {
+fn service(value: Value<'_>) -> Result<ServiceEntry> {
+    let known =
+        |value: Value<'_>| KnownService::named(value.text()?).map_err(|error| value.error(error.to_string()));
+    let entry = entry(value, "service", known)?;
+    let Entry { line, name: service, ros_name: ros_service, known: service_type, timeout } = entry;
+    Ok(ServiceEntry { line, service, ros_service, service_type, timeout })
+}
+
+fn action(value: Value<'_>) -> Result<ActionEntry> {
+    let known =
+        |value: Value<'_>| KnownAction::named(value.text()?).map_err(|error| value.error(error.to_string()));
+    let entry = entry(value, "action", known)?;
+    let Entry { line, name: action, ros_name: ros_action, known: action_type, timeout } = entry;
+    Ok(ActionEntry { line, action, ros_action, action_type, timeout })
+}
+
+/// What a service and an action have in common.
+struct Entry<T> {
+    line: usize,
+    name: String,
+    ros_name: Option<String>,
+    known: Option<T>,
+    timeout: Duration,
+}
+
+fn entry<'a, T>(
+    value: Value<'a>,
+    kind: &'static str,
+    known: impl FnOnce(Value<'a>) -> Result<T>,
+) -> Result<Entry<T>> {
     let line = value.line();
-    let Some(mut table) = value.as_table("an exposed service") else {
-        let service = value.text()?.to_owned();
-        return Ok(ServiceEntry { line, service, ros_service: None, service_type: None, timeout: TIMEOUT });
+    let Some(mut table) = value.as_table(&format!("an exposed {kind}")) else {
+        let name = value.text()?.to_owned();
+        return Ok(Entry { line, name, ros_name: None, known: None, timeout: TIMEOUT });
     };
-    let entry = ServiceEntry {
+    let entry = Entry {
         line,
-        service: table.require("service")?.text()?.to_owned(),
-        ros_service: table.take("as").map(|value| value.text().map(str::to_owned)).transpose()?,
-        service_type: table.take("type").map(service_type).transpose()?,
+        name: table.require(kind)?.text()?.to_owned(),
+        ros_name: table.take("as").map(|value| value.text().map(str::to_owned)).transpose()?,
+        known: table.take("type").map(known).transpose()?,
         timeout: table.take("timeout").map_or(Ok(TIMEOUT), |value| value.duration())?,
     };
     table.finish()?;
     Ok(entry)
-}
-
-fn service_type(value: Value<'_>) -> Result<KnownService> {
-    KnownService::named(value.text()?).map_err(|error| value.error(error.to_string()))
 }

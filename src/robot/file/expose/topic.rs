@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use downbeat_bridge::expose::{Limits, OfACycle, TopicPattern};
 use downbeat_bridge::ros::QosRequest;
+use downbeat_msgs::definitions::{Kind, TypeName};
 
 use super::{Result, qos};
 use crate::robot::file::suggestion;
@@ -40,6 +41,8 @@ pub struct ExposeEntry {
     pub ros_topic: Option<String>,
     /// Its type, where the file names it.
     pub type_name: Option<String>,
+    /// True where its messages pass as bytes: asked for, or of a type that is not compiled in.
+    pub is_raw: bool,
     /// Which way it goes.
     pub direction: Direction,
     /// Its quality of service.
@@ -92,6 +95,7 @@ fn entry(value: Value<'_>, direction: Direction) -> Result<ExposeEntry> {
             topics: choice(value, None)?,
             ros_topic: absolute_pattern(value)?,
             type_name: None,
+            is_raw: false,
             direction,
             qos,
             limits,
@@ -102,11 +106,26 @@ fn entry(value: Value<'_>, direction: Direction) -> Result<ExposeEntry> {
     let topics = choice(topic, table.take("except"))?;
     let ros_topic = table.take("as").map(|value| new_name(value, &topics)).transpose()?;
     let ros_topic = ros_topic.or(absolute_pattern(topic)?);
+    let type_value = table.take("type");
+    let raw_value = table.take("raw");
+    let wants_raw = raw_value.map_or(Ok(false), |value| value.flag())?;
+    let type_name = type_value.map(|value| type_name(value, wants_raw)).transpose()?;
+    let is_known = |name: &String| downbeat_msgs::TYPE_NAMES.contains(&name.as_str());
+    let is_raw = wants_raw || type_name.as_ref().is_some_and(|name| !is_known(name));
+    if let (TopicChoice::Pattern { .. }, true) = (&topics, is_raw) {
+        let value = raw_value.or(type_value).unwrap_or(topic);
+        return Err(value
+            .error("a pattern means topics that modules have; one whose messages pass as bytes is named"));
+    }
+    if let (Some(value), true, None) = (raw_value, is_raw, &type_name) {
+        return Err(value.error("\"raw\" needs a \"type\": the bytes do not say what they are"));
+    }
     let entry = ExposeEntry {
         line,
         topics,
         ros_topic,
-        type_name: table.take("type").map(type_name).transpose()?,
+        type_name,
+        is_raw,
         direction,
         qos: table.take("qos").map_or(Ok(qos), |value| qos::request(value, direction))?,
         limits: limits_of(&mut table)?,
@@ -155,9 +174,18 @@ fn new_name(value: Value<'_>, topics: &TopicChoice) -> Result<String> {
     Ok(name.to_owned())
 }
 
-fn type_name(value: Value<'_>) -> Result<String> {
+/// A type that is compiled in, or of a package that is not.
+fn type_name(value: Value<'_>, wants_raw: bool) -> Result<String> {
     let name = value.text()?;
     if downbeat_msgs::TYPE_NAMES.contains(&name) {
+        return Ok(name.to_owned());
+    }
+    let of_package = |known: &&str, package: &str| known.split('/').next() == Some(package);
+    let parsed: Option<TypeName> = name.parse().ok().filter(|name: &TypeName| name.kind == Kind::Message);
+    let is_other = |name: &TypeName| {
+        wants_raw || !downbeat_msgs::TYPE_NAMES.iter().any(|known| of_package(known, &name.package))
+    };
+    if parsed.as_ref().is_some_and(is_other) {
         return Ok(name.to_owned());
     }
     let hint = suggestion(name, downbeat_msgs::TYPE_NAMES.iter().copied());

@@ -1,0 +1,74 @@
+//! How a recording treats what comes in.
+
+#[cfg(doc)]
+use super::RecordingSender;
+use super::SnapshotLimits;
+
+/// What to do with a message that comes in while the cache is full: [`RecordingSender::record`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum WhenSlow {
+    /// It is lost, and counted.
+    #[default]
+    Drop,
+    /// Recording stops: a bag without gaps, if a short one.
+    Stop,
+}
+
+/// How a [`Recording`](super::Recording) treats what comes in.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecordingOptions {
+    pub(super) cache_bytes: usize,
+    pub(super) snapshot: Option<SnapshotLimits>,
+    pub(super) is_paused: bool,
+    pub(super) when_slow: WhenSlow,
+}
+
+impl RecordingOptions {
+    /// [`Recording::DEFAULT_QUEUE_BYTES`](super::Recording::DEFAULT_QUEUE_BYTES), everything is written at once.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            cache_bytes: super::Recording::DEFAULT_QUEUE_BYTES,
+            snapshot: None,
+            is_paused: false,
+            when_slow: WhenSlow::default(),
+        }
+    }
+
+    /// How many bytes of messages may wait to be written; `--max-cache-size`. A message larger than that passes alone.
+    #[must_use]
+    pub fn cache_bytes(self, cache_bytes: usize) -> Self {
+        Self { cache_bytes, ..self }
+    }
+
+    /// Keeps the latest messages in memory and writes them when [`RecordingControl::snapshot`](super::RecordingControl::snapshot)
+    /// asks for it, and never otherwise; `--snapshot-mode`.
+    #[must_use]
+    pub fn snapshot(self, limits: SnapshotLimits) -> Self {
+        Self { snapshot: Some(limits), ..self }
+    }
+
+    /// Whether messages wait for a snapshot.
+    #[must_use]
+    pub fn takes_snapshots(&self) -> bool {
+        self.snapshot.is_some()
+    }
+
+    /// Begins paused; `--start-paused`.
+    #[must_use]
+    pub fn start_paused(self) -> Self {
+        Self { is_paused: true, ..self }
+    }
+
+    /// What to do with a message that finds the cache full.
+    #[must_use]
+    pub fn when_slow(self, when_slow: WhenSlow) -> Self {
+        Self { when_slow, ..self }
+    }
+}
+
+impl Default for RecordingOptions {
+    fn default() -> Self {
+        Self::new()
+    }
+}

@@ -1,0 +1,80 @@
+//! The open chunk on its way to the disk: counted as written, or given up and counted as lost.
+
+use std::io;
+use std::time::Instant;
+
+use super::times::Times;
+use super::{Topic, WhenDiskFull, Writer, WriterError};
+
+impl Writer {
+    /// Gives the open chunk to the operating system, or gives it up if there is no room and that was chosen.
+    pub(super) fn hand_over(&mut self) -> Result<(), WriterError> {
+        if self.open_since.is_none() {
+            return Ok(());
+        }
+        match self.file.flush() {
+            Ok(()) => {
+                self.count_open_chunk();
+                if std::mem::take(&mut self.is_disk_full) {
+                    tracing::info!("{}: there is room again, recording goes on", self.directory.display());
+                }
+                Ok(())
+            }
+            Err(source) if self.goes_on_after(&source) => {
+                self.file.drop_chunk().map_err(|source| self.fail(source))?;
+                let lost = self.lose_open_chunk();
+                // Once, and not with each of many chunks: the counts tell the rest.
+                if !std::mem::replace(&mut self.is_disk_full, true) {
+                    let path = self.file.path().display();
+                    tracing::error!(
+                        "cannot write to {path}: {source}; {lost} messages are lost, and so are all until there is room"
+                    );
+                }
+                Ok(())
+            }
+            Err(source) => Err(self.fail(source)),
+        }
+    }
+
+    pub(super) fn replace_metadata(&mut self, now: Instant) -> Result<(), WriterError> {
+        match self.metadata().replace_in(&self.directory) {
+            Ok(()) => self.metadata_has_all_topics = true,
+            // The old one is still there, and the next flush tries again.
+            Err(source) if self.goes_on_after(&source) => {}
+            Err(source) => return Err(self.fail(source)),
+        }
+        self.metadata_written = now;
+        Ok(())
+    }
+
+    pub(super) fn goes_on_after(&self, error: &io::Error) -> bool {
+        use io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
+        self.options.disk_full == WhenDiskFull::Drop
+            && matches!(error.kind(), StorageFull | QuotaExceeded | FileTooLarge)
+    }
+
+    pub(super) fn count_open_chunk(&mut self) {
+        self.open_since = None;
+        let times = std::mem::take(&mut self.open);
+        let Some(file) = self.files.back_mut() else { return };
+        file.times.merge(times);
+        file.counts.resize(self.topics.len(), 0);
+        for (topic, count) in self.topics.iter_mut().zip(&mut file.counts) {
+            let open = std::mem::take(&mut topic.open);
+            topic.written += open;
+            *count += open;
+        }
+    }
+
+    /// Returns how many messages it had.
+    pub(super) fn lose_open_chunk(&mut self) -> u64 {
+        self.open_since = None;
+        self.open = Times::default();
+        let lose = |topic: &mut Topic| {
+            let open = std::mem::take(&mut topic.open);
+            topic.lost += open;
+            open
+        };
+        self.topics.iter_mut().map(lose).sum()
+    }
+}

@@ -1,0 +1,144 @@
+//! Bags of several files: when one ends, and which are kept.
+
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use super::file::ChunkedFile;
+use super::times::Times;
+use super::{Writer, WriterError};
+
+/// A file of a bag was ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FileSplit {
+    /// The file that is complete.
+    pub closed: PathBuf,
+    /// The file in which the bag goes on; none at its end.
+    pub opened: Option<PathBuf>,
+}
+
+pub(super) type SplitHandler = Box<dyn FnMut(&FileSplit) + Send>;
+
+/// A file of the bag.
+pub(super) struct WrittenFile {
+    /// Relative to the bag directory.
+    pub(super) name: String,
+    /// Of its messages in finished chunks.
+    pub(super) times: Times,
+    /// Those messages by topic; topics that came later may be missing.
+    pub(super) counts: Vec<u64>,
+    /// Its size once it is ended.
+    pub(super) bytes: u64,
+}
+
+impl WrittenFile {
+    pub(super) fn new(path: &Path) -> Self {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        Self { name, times: Times::default(), counts: Vec::new(), bytes: 0 }
+    }
+
+    pub(super) fn message_count(&self) -> u64 {
+        self.counts.iter().sum()
+    }
+}
+
+/// The path of a file: `<bag>/<bag>_<number>.mcap`.
+pub(super) fn path(directory: &Path, name: &OsStr, number: u64) -> PathBuf {
+    let mut file_name = name.to_owned();
+    file_name.push(format!("_{number}.mcap"));
+    directory.join(file_name)
+}
+
+impl Writer {
+    /// Whether a message with that time belongs into a new file. A file has a message at least.
+    pub(super) fn is_split_due(&self, log_time: i64) -> bool {
+        let limits = &self.options.split;
+        let Some(file) = self.files.back() else { return false };
+        let mut times = file.times;
+        times.merge(self.open);
+        let Some(first) = times.first() else { return false };
+        let is_large = limits.max_bytes.is_some_and(|most| self.file.kept() + self.file.open_bytes() >= most);
+        let age = u128::try_from(log_time.saturating_sub(first)).unwrap_or(0);
+        is_large || limits.max_duration.is_some_and(|most| age > most.as_nanos())
+    }
+
+    pub(super) fn split_at(&mut self, now: Instant) -> Result<FileSplit, WriterError> {
+        self.check_recording()?;
+        self.hand_over()?;
+        // Before the file is ended: on a full disk this makes the room for its end.
+        let most = self.options.max_bag_files.map_or(usize::MAX, std::num::NonZeroUsize::get);
+        self.delete_oldest(most.max(2) - 1, now)?;
+
+        let closed = self.file.path().to_owned();
+        let metadata = self.metadata().to_record();
+        let ended = self.file.write_metadata(metadata).and_then(|()| self.file.finish());
+        match ended {
+            Ok(()) => {}
+            // What is in it stays readable, and there may be room for the next.
+            Err(source) if self.goes_on_after(&source) => {
+                self.file.give_up().map_err(|source| self.fail(source))?;
+            }
+            Err(source) => return Err(self.fail(source)),
+        }
+        if let Some(file) = self.files.back_mut() {
+            file.bytes = self.file.kept();
+        }
+        let opened = path(&self.directory, &self.name, self.next_number);
+        self.file = self.next_file(&opened).map_err(|source| self.fail_to_open(&opened, source))?;
+        self.next_number += 1;
+        self.files.push_back(WrittenFile::new(&opened));
+        let metadata = self.metadata().to_record();
+        self.file.write_metadata(metadata).map_err(|source| self.fail(source))?;
+        self.replace_metadata(now)?;
+        self.delete_oldest(most, now)?;
+        let split = FileSplit { closed, opened: Some(opened) };
+        self.tell_split(&split);
+        Ok(split)
+    }
+
+    pub(super) fn tell_split(&mut self, split: &FileSplit) {
+        if let Some(handler) = &mut self.on_split {
+            handler(split);
+        }
+    }
+
+    /// A file that knows the topics of the bag.
+    fn next_file(&mut self, path: &Path) -> std::io::Result<ChunkedFile> {
+        let mut file = ChunkedFile::create(path, self.options.storage, self.options.sync)?;
+        for topic in &mut self.topics {
+            topic.channel = file.add_topic(&topic.info)?;
+        }
+        Ok(file)
+    }
+
+    /// The file before is ended already: only what was begun is taken back.
+    fn fail_to_open(&mut self, path: &Path, source: std::io::Error) -> WriterError {
+        self.state = super::State::Stopped;
+        // It may not be there; if it is, a bag with it would be damaged.
+        let _ = std::fs::remove_file(path);
+        let _ = self.metadata().replace_in(&self.directory);
+        let kept = self.topics.iter().map(|topic| topic.written).sum();
+        WriterError::Write { path: path.to_owned(), source, kept }
+    }
+
+    /// Deletes the oldest files until there are no more than that many.
+    fn delete_oldest(&mut self, most: usize, now: Instant) -> Result<(), WriterError> {
+        while self.files.len() > most {
+            let Some(oldest) = self.files.pop_front() else { return Ok(()) };
+            for (topic, count) in self.topics.iter_mut().zip(&oldest.counts) {
+                topic.written = topic.written.saturating_sub(*count);
+            }
+            self.deleted += oldest.message_count();
+            // First, so that metadata.yaml never names a file that is not there.
+            self.replace_metadata(now)?;
+            let path = self.directory.join(&oldest.name);
+            if let Err(error) = std::fs::remove_file(&path) {
+                tracing::warn!(
+                    "cannot delete {}, which is no part of the bag any more: {error}",
+                    path.display()
+                );
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,163 @@
+//! A disk that is full: a small one in memory, where a test may mount it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use bytes::Bytes;
+use downbeat_bags::metadata::{FILE_NAME, Metadata};
+use downbeat_bags::{
+    Reader, Recording, SplitLimits, TruncationCause, WhenDiskFull, WriterError, WriterOptions,
+};
+
+use crate::support::{messages, number, topic};
+
+/// A file system of that many KiB in memory, unmounted when dropped.
+struct SmallDisk {
+    path: PathBuf,
+    _folder: tempfile::TempDir,
+}
+
+impl SmallDisk {
+    /// None where that is not allowed, with a line that says so.
+    fn mount(kibibytes: u32) -> Option<Self> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("disk");
+        fs::create_dir(&path).unwrap();
+        let mounted = rustix::process::geteuid().is_root()
+            && Command::new("mount")
+                .args(["-t", "tmpfs", "-o", &format!("size={kibibytes}k"), "downbeat_test"])
+                .arg(&path)
+                .status()
+                .is_ok_and(|status| status.success());
+        if !mounted {
+            // Past the capture of test output, which shows nothing of a test that passes.
+            let line = "skipped: a small disk can be mounted by root alone\n";
+            let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
+            return None;
+        }
+        Some(Self { path, _folder: folder })
+    }
+}
+
+impl Drop for SmallDisk {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg("-l").arg(&self.path).status();
+    }
+}
+
+fn read(bag: &Path) -> Vec<i64> {
+    let value = |data: &[u8]| i64::from_le_bytes(data[4..12].try_into().unwrap());
+    messages(&Reader::open(bag).unwrap()).iter().map(|message| value(&message.data)).collect()
+}
+
+/// A message of 1 KiB that begins as a number does.
+fn large(n: i64) -> Bytes {
+    let mut data = number(n);
+    data.resize(1024, 0);
+    data.into()
+}
+
+#[test]
+fn recording_stops_on_a_full_disk_and_everything_before_is_kept() {
+    let Some(disk) = SmallDisk::mount(300) else { return };
+    let bag = disk.path.join("bag");
+    let recording =
+        Recording::start(WriterOptions::new().chunk_size(10_000).create(&bag).unwrap(), 100_000).unwrap();
+    let sender = recording.sender();
+    let id = sender.add_topic(topic("/numbers")).unwrap();
+    let mut offered = 0;
+    while sender.record_blocking(id, offered, offered, large(offered)).is_ok() {
+        offered += 1;
+    }
+    // The robot runs on: what it publishes now is refused at once, and counted.
+    for _ in 0..100 {
+        offered += 1;
+        assert!(sender.record(id, offered, offered, large(offered)).is_err());
+    }
+    let start = std::time::Instant::now();
+    let told = loop {
+        if let Some(told) = sender.statistics().failure {
+            break told;
+        }
+        assert!(start.elapsed() < std::time::Duration::from_secs(60), "the failure is not told");
+        std::thread::yield_now();
+    };
+    assert!(told.contains("recording has stopped"), "{told}");
+    let failed = recording.finish().unwrap_err();
+    assert!(matches!(failed.error, WriterError::Write { .. }), "{failed}");
+    let kept = failed.summary.message_count() as i64;
+    assert!(kept > 200, "{kept}");
+    assert_eq!(kept + failed.summary.lost_count() as i64, offered + 1, "written or counted");
+    assert_eq!(read(&bag), (0..kept).collect::<Vec<_>>());
+    assert_eq!(Reader::open(&bag).unwrap().truncation().count(), 0, "the file was ended");
+    assert_eq!(Metadata::read(&bag.join(FILE_NAME)).unwrap().message_count as i64, kept);
+}
+
+#[test]
+fn recording_that_is_to_drop_goes_on_when_there_is_room_again() {
+    let Some(disk) = SmallDisk::mount(300) else { return };
+    let (bag, ballast) = (disk.path.join("bag"), disk.path.join("ballast"));
+    fs::write(&ballast, vec![0; 200_000]).unwrap();
+    let options = WriterOptions::new().chunk_size(10_000).when_disk_full(WhenDiskFull::Drop);
+    let mut writer = options.create(&bag).unwrap();
+    let id = writer.add_topic(topic("/numbers")).unwrap();
+    let mut next = 0;
+    let mut write = |writer: &mut downbeat_bags::Writer, count: i64| {
+        for n in next..next + count {
+            writer.write(id, n, n, &large(n)).unwrap();
+        }
+        next += count;
+    };
+    write(&mut writer, 200);
+    assert!(writer.is_disk_full());
+    let (kept, lost) = (writer.summary().message_count() as i64, writer.summary().lost_count() as i64);
+    assert!(kept > 30 && lost > 50, "{kept} {lost}");
+    fs::remove_file(&ballast).unwrap();
+    write(&mut writer, 100);
+    assert!(!writer.is_disk_full());
+    let summary = writer.finish().unwrap();
+    assert_eq!(summary.message_count() + summary.lost_count(), 300, "written or counted");
+
+    let found = read(&bag);
+    assert_eq!(found.len() as u64, summary.message_count());
+    assert!(found.iter().take(kept as usize).copied().eq(0..kept), "nothing before is lost");
+    assert_eq!(found.last(), Some(&299));
+    let metadata = Metadata::read(&bag.join(FILE_NAME)).unwrap();
+    assert_eq!(metadata.custom_data["lost_messages"], format!("/numbers: {}", summary.lost_count()));
+}
+
+#[test]
+fn a_bag_that_deletes_its_oldest_files_records_on_a_disk_of_any_size() {
+    let Some(disk) = SmallDisk::mount(300) else { return };
+    let bag = disk.path.join("bag");
+    let limits = SplitLimits { max_bytes: Some(50_000), ..SplitLimits::NONE };
+    let options = WriterOptions::new().chunk_size(10_000).split(limits);
+    let options = options.max_bag_files(std::num::NonZeroUsize::new(3).unwrap());
+    let mut writer = options.create(&bag).unwrap();
+    let id = writer.add_topic(topic("/numbers")).unwrap();
+    for n in 0..3000 {
+        writer.write(id, n, n, &large(n)).unwrap();
+    }
+    let summary = writer.finish().unwrap();
+    assert_eq!(summary.message_count() + summary.deleted, 3000);
+    assert_eq!(read(&bag), (summary.deleted as i64..3000).collect::<Vec<_>>());
+}
+
+#[test]
+fn what_a_full_disk_leaves_of_a_killed_recording_is_read() {
+    let Some(disk) = SmallDisk::mount(300) else { return };
+    let bag = disk.path.join("bag");
+    let mut writer =
+        WriterOptions::new().chunk_size(10_000).when_disk_full(WhenDiskFull::Drop).create(&bag).unwrap();
+    let id = writer.add_topic(topic("/numbers")).unwrap();
+    for n in 0..400 {
+        writer.write(id, n, n, &large(n)).unwrap();
+    }
+    let kept = writer.summary().message_count() as i64;
+    // As a kill does it: nothing is ended.
+    std::mem::forget(writer);
+    assert_eq!(read(&bag), (0..kept).collect::<Vec<_>>());
+    let causes: Vec<_> = Reader::open(&bag).unwrap().truncation().map(|t| t.cause.clone()).collect();
+    assert_eq!(causes, [TruncationCause::NoEnd]);
+}

@@ -1,0 +1,111 @@
+//! Recordings that are killed at any moment: what a reader finds, and what it cannot.
+
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use downbeat_bags::{Compression, McapOptions, Reader, SplitLimits, StoragePreset, WriterOptions};
+
+use crate::interrupted::{BAG, child};
+use crate::support::{messages, number, topic, value};
+
+/// How the child writes: another way for each seed.
+const SEED: &str = "DOWNBEAT_TEST_SEED";
+
+const FLUSH_INTERVAL: Duration = Duration::from_millis(40);
+
+fn options(seed: u64) -> WriterOptions {
+    let storage = match seed % 5 {
+        0 => StoragePreset::FastWrite.options(),
+        1 => StoragePreset::ZstdFast.options(),
+        2 => McapOptions { compression: Compression::Zstd, ..McapOptions::default() },
+        _ => McapOptions::default(),
+    };
+    let chunk_size = [2_000, 20_000, 768 * 1024][(seed / 5 % 3) as usize];
+    let split = if seed % 4 == 3 {
+        SplitLimits { max_bytes: Some(30_000), ..SplitLimits::NONE }
+    } else {
+        SplitLimits::NONE
+    };
+    WriterOptions::new().storage(storage).chunk_size(chunk_size).split(split).flush_interval(FLUSH_INTERVAL)
+}
+
+/// Says of each message its number and, on the clock of the writer, a time before it was written and one after.
+#[test]
+fn child_records_and_says_when() {
+    let (Some(bag), Ok(seed)) = (std::env::var_os(BAG), std::env::var(SEED)) else { return };
+    let mut writer = options(seed.parse().unwrap()).create(bag).unwrap();
+    let id = writer.add_topic(topic("/numbers")).unwrap();
+    let start = Instant::now();
+    let mut output = std::io::stdout().lock();
+    for n in 0.. {
+        let before = start.elapsed().as_nanos();
+        writer.write(id, n, n, &number(n)).unwrap();
+        let after = start.elapsed().as_nanos();
+        // It ends when nobody reads.
+        if writeln!(output, "wrote {n} {before} {after}").and_then(|()| output.flush()).is_err() {
+            return;
+        }
+    }
+}
+
+struct Killed {
+    /// What can be read.
+    read: Vec<i64>,
+    /// Before and after of the messages of which the child said that they were written.
+    said: BTreeMap<i64, (u64, u64)>,
+}
+
+/// Kills a recording after the child has said so many messages, wherever it is then.
+fn kill_after(seed: u64, count: usize, bag: &Path) -> Killed {
+    let mut command = child("killed::child_records_and_says_when", bag, None);
+    let mut child = command.env(SEED, seed.to_string()).spawn().unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let mut said = BTreeMap::new();
+    let mut note = |line: &str| {
+        let Some((_, rest)) = line.split_once("wrote ") else { return };
+        let mut numbers = rest.split(' ').map(|number| number.parse::<u64>().ok());
+        if let (Some(Some(n)), Some(Some(before)), Some(Some(after))) =
+            (numbers.next(), numbers.next(), numbers.next())
+        {
+            said.insert(n as i64, (before, after));
+        }
+    };
+    for line in lines.by_ref().take(count) {
+        note(&line.unwrap());
+    }
+    child.kill().unwrap(); // SIGKILL
+    // What is left in the pipe; the last line may be torn.
+    lines.map_while(Result::ok).for_each(|line| note(&line));
+    child.wait().unwrap();
+    let read = messages(&Reader::open(bag).unwrap()).iter().map(value).collect();
+    Killed { read, said }
+}
+
+#[test]
+fn a_recording_killed_at_any_of_50_moments_loses_no_more_than_the_open_chunk() {
+    let mut state = 20_260_101_u64;
+    for seed in 0..50 {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let count = 10 + (state >> 33) as usize % 3000;
+        let folder = tempfile::tempdir().unwrap();
+        let bag = folder.path().join("bag");
+        let Killed { read, said } = kill_after(seed, count, &bag);
+        let kept = read.len() as i64;
+        assert_eq!(
+            read,
+            (0..kept).collect::<Vec<_>>(),
+            "seed {seed}: nothing within is missing or out of order"
+        );
+        let Some((last, (before_last, _))) = said.last_key_value() else {
+            panic!("seed {seed}: nothing said")
+        };
+        // The first that is lost opened the chunk that was not written: it was younger than the interval when the last
+        // message came, or it would have been written with it.
+        if let Some((_, after_first)) = said.get(&kept) {
+            let age = Duration::from_nanos(before_last.saturating_sub(*after_first));
+            assert!(age < FLUSH_INTERVAL, "seed {seed}: {kept} read of {last}, {age:?} lost");
+        }
+    }
+}

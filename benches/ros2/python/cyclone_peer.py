@@ -1,0 +1,94 @@
+"""One end of a pair on Cyclone DDS."""
+
+import os
+import time
+from dataclasses import dataclass
+
+import peer
+from cyclonedds.core import Listener, Policy, Qos
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import sequence, uint8, uint32
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+
+@dataclass
+class Dimension(IdlStruct, typename="std_msgs::msg::dds_::MultiArrayDimension_"):
+    label: str
+    size: uint32
+    stride: uint32
+
+
+@dataclass
+class Layout(IdlStruct, typename="std_msgs::msg::dds_::MultiArrayLayout_"):
+    dim: sequence[Dimension]
+    data_offset: uint32
+
+
+@dataclass
+class Bytes(IdlStruct, typename="std_msgs::msg::dds_::UInt8MultiArray_"):
+    layout: Layout
+    data: sequence[uint8]
+
+
+LAYOUT = Layout(dim=[], data_offset=0)
+QOS = Qos(
+    Policy.Reliability.Reliable(max_blocking_time=duration(seconds=1)),
+    Policy.Durability.Volatile,
+    Policy.History.KeepLast(100),
+)
+
+
+class Arrivals(Listener):
+    def __init__(self, take):
+        super().__init__()
+        self.take = take
+
+    def on_data_available(self, reader):
+        for sample in reader.take(N=100):
+            if isinstance(sample, Bytes):
+                self.take(sample)
+
+
+def writer_of(participant, topic):
+    return DataWriter(participant, Topic(participant, topic, Bytes), qos=QOS)
+
+
+def reader_of(participant, topic, take):
+    return DataReader(participant, Topic(participant, topic, Bytes), qos=QOS, listener=Arrivals(take))
+
+
+def ping(participant, options):
+    writer = writer_of(participant, "rt/ping")
+    pinger = peer.Pinger(options, lambda data: writer.write(Bytes(layout=LAYOUT, data=data)))
+    reader = reader_of(participant, "rt/pong", lambda pong: pinger.take(bytes(pong.data[:8])))
+    peer.wait_for(lambda: writer.get_matched_subscriptions() and reader.get_matched_publications())
+    pinger.start()
+    while not pinger.is_over():
+        time.sleep(0.01)
+    pinger.tell()
+
+
+def echo(participant, options):
+    writer = writer_of(participant, "rt/pong")
+
+    def answer(sample):
+        if options.role == "acknowledge":
+            sample.data = sample.data[:8]
+        writer.write(sample)
+
+    reader = reader_of(participant, "rt/ping", answer)
+    peer.end_of_input().wait()
+    del reader
+
+
+def main():
+    options = peer.options()
+    participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
+    (ping if options.role == "ping" else echo)(participant, options)
+
+
+main()

@@ -1,0 +1,95 @@
+"""What the Python ends of a pair share: their options, and the one that sends and waits for what comes back."""
+
+import argparse
+import json
+import sys
+import threading
+import time
+
+PATIENCE = 2.0
+"""How long a message may be under way before it counts as lost, in seconds."""
+
+
+def options():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--role", choices=["ping", "echo", "acknowledge", "count"], required=True)
+    parser.add_argument("--size", type=int, default=100)
+    parser.add_argument("--window", type=int, default=1)
+    parser.add_argument("--seconds", type=float, default=3.0)
+    parser.add_argument("--best-effort", action="store_true")
+    return parser.parse_args()
+
+
+def wait_for(matched):
+    end = time.monotonic() + 20
+    while not matched():
+        if time.monotonic() > end:
+            sys.exit("no peer within 20 s")
+        time.sleep(0.02)
+    time.sleep(0.5)  # one end may not know of the other yet
+
+
+def end_of_input():
+    """An event that is set when the input ends."""
+    ended = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+    return ended
+
+
+class Pinger:
+    """Keeps a window of messages under way. `publish` sends the bytes it is given."""
+
+    def __init__(self, options, publish):
+        self.options, self.publish = options, publish
+        self.rest = b"\x5a" * max(0, options.size - 8)
+        self.lock = threading.RLock()
+        self.under_way, self.times = {}, []
+        self.next, self.lost, self.started, self.last = 1, 0, None, None
+
+    def start(self):
+        print("go", flush=True)
+        with self.lock:
+            self.started = time.perf_counter()
+            self.send()
+
+    def is_over(self):
+        """Whether all is sent and back or lost. To be asked often: it looks for what is late."""
+        with self.lock:
+            now = time.perf_counter()
+            late = [number for number, sent in self.under_way.items() if now - sent > PATIENCE]
+            for number in late:
+                del self.under_way[number]
+            self.lost += len(late)
+            self.send()
+            return now - self.started >= self.options.seconds and not self.under_way
+
+    def send(self):
+        while len(self.under_way) < self.options.window:
+            if time.perf_counter() - self.started >= self.options.seconds:
+                return
+            number, self.next = self.next, self.next + 1
+            self.under_way[number] = time.perf_counter()
+            self.publish(number.to_bytes(8, "little") + self.rest)
+
+    def take(self, first_bytes):
+        with self.lock:
+            sent = self.under_way.pop(int.from_bytes(first_bytes, "little"), None)
+            if sent is not None:
+                self.last = time.perf_counter()
+                self.times.append(self.last - sent)
+            if self.started is not None:
+                self.send()
+
+    def tell(self):
+        self.times.sort()
+        outcome = {
+            "messages": len(self.times),
+            "lost": self.lost,
+            "seconds": self.last - self.started if self.times else 0.0,
+            "p50_us": self.quantile_us(0.5),
+            "p99_us": self.quantile_us(0.99),
+        }
+        print(json.dumps(outcome), flush=True)
+
+    def quantile_us(self, part):
+        return self.times[min(int(len(self.times) * part), len(self.times) - 1)] * 1e6 if self.times else 0.0

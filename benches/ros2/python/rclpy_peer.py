@@ -1,0 +1,64 @@
+"""One end of a pair on rclpy."""
+
+import array
+
+import peer
+import rclpy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import UInt8MultiArray
+
+QOS = QoSProfile(depth=100)
+
+
+def ping(node, options):
+    publisher = node.create_publisher(UInt8MultiArray, "ping", QOS)
+    pinger = peer.Pinger(options, lambda data: publisher.publish(UInt8MultiArray(data=array.array("B", data))))
+    subscription = node.create_subscription(
+        UInt8MultiArray, "pong", lambda pong: pinger.take(pong.data[:8].tobytes()), QOS
+    )
+    peer.wait_for(lambda: publisher.get_subscription_count() and node.count_publishers(subscription.topic_name))
+    pinger.start()
+    while not pinger.is_over():
+        rclpy.spin_once(node, timeout_sec=0.01)
+    pinger.tell()
+
+
+def echo(node, options):
+    publisher = node.create_publisher(UInt8MultiArray, "pong", QOS)
+
+    def answer(message):
+        if options.role == "acknowledge":
+            message.data = message.data[:8]
+        publisher.publish(message)
+
+    node.create_subscription(UInt8MultiArray, "ping", answer, QOS)
+    ended = peer.end_of_input()
+    while not ended.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
+
+
+def count(node, options):
+    """Tells how many messages it has heard, once nothing more is sent."""
+    heard = set()
+    reliability = ReliabilityPolicy.BEST_EFFORT if options.best_effort else ReliabilityPolicy.RELIABLE
+    take = lambda message: heard.add(message.data[:8].tobytes())
+    node.create_subscription(UInt8MultiArray, "ping", take, QoSProfile(depth=10, reliability=reliability))
+    ended = peer.end_of_input()
+    while not ended.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
+    print(len(heard), flush=True)
+
+
+ROLES = {"ping": ping, "echo": echo, "acknowledge": echo, "count": count}
+
+
+def main():
+    options = peer.options()
+    rclpy.init()
+    node = rclpy.create_node(f"rclpy_{options.role}")
+    ROLES[options.role](node, options)
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+main()

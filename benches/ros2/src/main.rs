@@ -1,0 +1,47 @@
+//! What the bridge costs: round trips and throughput beside pairs of rclpy and of Cyclone DDS in the same run, the delay
+//! that it adds itself, and its memory after a long time.
+//!
+//! A contestant is a process: downbeat (a core, a bridge and DDS), or a Python program on rclpy or `cyclonedds`, which need
+//! `DOWNBEAT_PYTHON`, an interpreter that has them. All stay on this machine.
+
+mod added_delay;
+mod contest;
+mod contestant;
+mod hold;
+mod images;
+mod payload;
+mod peer;
+
+use clap::{Parser, Subcommand};
+
+#[derive(Parser)]
+#[command(about = "What the bridge costs, beside rclpy and Cyclone DDS in the same run")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Round trips and throughput of pairs of processes, and the processor time they take.
+    Pairs(contest::Options),
+    /// From the publish of a module until the bridge hands the bytes to the middleware.
+    AddedDelay(added_delay::Options),
+    /// How many large messages reach an rclpy node.
+    Images(images::Options),
+    /// 1000 messages a second to another process and back, and the memory of both each minute.
+    Hold(hold::Options),
+    /// One end of a pair; its results are lines of JSON.
+    #[command(hide = true)]
+    Peer(peer::Options),
+}
+
+fn main() -> anyhow::Result<()> {
+    match Cli::parse().command {
+        Command::Pairs(options) => contest::run(&options),
+        Command::AddedDelay(options) => added_delay::run(&options),
+        Command::Images(options) => images::run(&options),
+        Command::Hold(options) => hold::run(&options),
+        Command::Peer(options) => peer::run(&options),
+    }
+}

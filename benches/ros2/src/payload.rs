@@ -1,0 +1,18 @@
+//! The message that all contestants carry: bytes that begin with its number.
+
+use downbeat_msgs::std_msgs::msg::UInt8MultiArray;
+
+/// The bytes of a number, which no message is shorter than.
+pub const NUMBER_BYTES: usize = 8;
+
+/// A message of `size` bytes, not counting its envelope.
+pub fn message(number: u64, size: usize) -> UInt8MultiArray {
+    let mut data = vec![0x5a; size.max(NUMBER_BYTES)];
+    data[..NUMBER_BYTES].copy_from_slice(&number.to_le_bytes());
+    UInt8MultiArray { data, ..UInt8MultiArray::default() }
+}
+
+/// The number of a message, if it has one.
+pub fn number(message: &UInt8MultiArray) -> Option<u64> {
+    message.data.first_chunk().map(|bytes| u64::from_le_bytes(*bytes))
+}

@@ -1,0 +1,155 @@
+//! The cases.
+
+mod endpoints;
+mod figures;
+mod large;
+mod late;
+mod peers;
+mod qos;
+mod requests;
+
+use std::fmt;
+
+use crate::engine::Domain;
+
+/// What every engine must do.
+#[derive(Clone, Copy)]
+pub struct Case {
+    /// A sentence.
+    pub name: &'static str,
+    /// What it belongs to.
+    pub heading: Heading,
+    /// Its DDS domain, which no other case has.
+    pub domain_id: u16,
+    pub(crate) run: fn(&Domain<'_>) -> Ran,
+}
+
+/// What a case belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Heading {
+    /// Endpoints, what goes between them, who sees them.
+    Endpoints,
+    /// Matching, and its events.
+    Qos,
+    /// What those get that come later.
+    LateJoiners,
+    /// Large samples.
+    LargeSamples,
+    /// Requests and replies.
+    Requests,
+    /// Other processes, that end in one way or another.
+    Peers,
+    /// What discovery tells and finds.
+    Discovery,
+    /// Times.
+    Figures,
+}
+
+/// How far a case came, where it did not panic.
+pub(crate) enum Ran {
+    /// With a figure, where one was measured.
+    Done(Option<String>),
+    /// With what was found.
+    Failed(String),
+    /// Why not.
+    NotApplicable(&'static str),
+}
+
+impl From<()> for Ran {
+    fn from((): ()) -> Self {
+        Self::Done(None)
+    }
+}
+
+impl From<String> for Ran {
+    fn from(figure: String) -> Self {
+        Self::Done(Some(figure))
+    }
+}
+
+impl fmt::Debug for Case {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Case").field("name", &self.name).field("domain_id", &self.domain_id).finish()
+    }
+}
+
+impl fmt::Display for Heading {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Endpoints => "endpoints",
+            Self::Qos => "quality of service",
+            Self::LateJoiners => "late joiners",
+            Self::LargeSamples => "large samples",
+            Self::Requests => "requests and replies",
+            Self::Peers => "peers",
+            Self::Discovery => "discovery",
+            Self::Figures => "figures",
+        })
+    }
+}
+
+macro_rules! cases {
+    ($($heading:ident: { $($module:ident::$name:ident on $domain_id:literal;)* })*) => {
+        /// All cases, in the order of the list.
+        pub const CASES: &[Case] = &[$($(Case {
+            name: stringify!($name),
+            heading: Heading::$heading,
+            domain_id: $domain_id,
+            run: |domain| $module::$name(domain).into(),
+        },)*)*];
+    };
+}
+
+cases! {
+    Endpoints: {
+        endpoints::a_sample_arrives_as_it_was_written on 10;
+        endpoints::a_best_effort_reader_hears_a_reliable_writer on 11;
+        endpoints::samples_of_a_writer_arrive_in_order_and_none_is_lost on 12;
+        endpoints::a_participant_does_not_hear_itself on 14;
+        endpoints::matched_counts_follow_what_comes_and_goes on 15;
+        endpoints::a_dropped_reader_hears_nothing_more on 17;
+        endpoints::endpoints_of_others_are_listed_until_they_go on 18;
+        endpoints::a_payload_without_a_little_endian_header_is_refused on 19;
+    }
+    Qos: {
+        qos::a_reader_that_asks_for_more_than_is_offered_is_not_matched on 16;
+        qos::each_policy_keeps_apart_what_does_not_suit_and_is_named_on_both_sides on 157;
+        qos::matches_are_told_as_they_come_and_go on 158;
+        qos::deadlines_and_lost_samples_are_observed_from_outside on 159;
+    }
+    LateJoiners: {
+        late::a_late_reader_of_a_transient_local_writer_catches_up_in_order on 13;
+        late::a_late_reader_gets_no_more_than_the_history_depth on 160;
+        late::a_late_volatile_reader_gets_no_history on 161;
+    }
+    LargeSamples: {
+        large::a_sample_of_many_fragments_arrives_whole on 20;
+        large::samples_of_64_kilobytes_to_8_megabytes_arrive_whole on 162;
+    }
+    Requests: {
+        requests::a_request_is_answered_to_the_client_that_asked on 40;
+        requests::many_requests_in_flight_are_each_answered_in_whatever_order on 41;
+        requests::a_call_without_a_server_ends_at_once on 42;
+        requests::a_call_that_is_not_answered_ends_when_its_time_is_up on 43;
+        requests::a_reply_waits_until_the_client_that_asked_is_matched on 44;
+        requests::a_reply_to_a_client_that_never_comes_is_dropped on 45;
+        requests::requests_beyond_the_bound_are_refused_and_counted on 46;
+        requests::calls_beyond_the_bound_are_refused on 47;
+        requests::a_server_that_left_is_no_longer_there on 48;
+        requests::a_dropped_client_ends_its_calls on 49;
+        requests::large_requests_and_replies_arrive_whole on 50;
+    }
+    Peers: {
+        peers::a_peer_that_leaves_is_gone_at_once on 164;
+        peers::a_killed_reader_does_not_stop_the_writer on 163;
+    }
+    Discovery: {
+        peers::the_hash_of_a_type_is_told on 165;
+        peers::static_peers_are_announced_to on 166;
+    }
+    Figures: {
+        figures::time_until_a_new_participant_is_matched on 167;
+        figures::round_trip_of_100_bytes on 168;
+        figures::throughput on 169;
+    }
+}

@@ -1,0 +1,98 @@
+//! Who suits whom, and what is told of it.
+#![allow(clippy::unwrap_used)]
+
+use crate::engine::Domain;
+use crate::peer::chatter;
+use crate::support::{cdr, events, next, subscribe, wait_until};
+use downbeat_bridge::middleware::observing::Observing;
+use downbeat_bridge::middleware::{Endpoint, EndpointEvent, Middleware, QosPolicyKind, WriteOptions};
+use downbeat_msgs::qos::{Durability, Liveliness, QosProfile, Reliability};
+use std::time::Duration;
+
+pub(super) fn a_reader_that_asks_for_more_than_is_offered_is_not_matched(domain: &Domain<'_>) {
+    let (alice, bob) = (domain.join(), domain.join());
+    let offered = QosProfile { reliability: Reliability::BestEffort, ..QosProfile::DEFAULT };
+    let writer = alice.create_writer(&chatter(offered)).unwrap();
+    let (reliable, _) = subscribe(&*bob, &chatter(QosProfile::DEFAULT));
+    let (transient_local, _) =
+        subscribe(&*bob, &chatter(QosProfile { durability: Durability::TransientLocal, ..offered }));
+    let (suits, _) = subscribe(&*bob, &chatter(offered));
+    // Created last, so discovered last: the others have been judged by then.
+    wait_until("the reader that suits is matched", || suits.matched() == 1 && writer.matched() >= 1);
+    assert_eq!((writer.matched(), reliable.matched(), transient_local.matched()), (1, 0, 0));
+}
+
+pub(super) fn each_policy_keeps_apart_what_does_not_suit_and_is_named_on_both_sides(domain: &Domain<'_>) {
+    let (alice, bob) = (domain.join(), domain.join());
+    let ms = |ms| Some(Duration::from_millis(ms));
+    let default = QosProfile::DEFAULT;
+    let manual = QosProfile { liveliness: Liveliness::ManualByTopic, ..default };
+    let lease = |lease| QosProfile { liveliness_lease_duration: lease, ..default };
+    let pairs = [
+        (QosProfile::SENSOR_DATA, default, QosPolicyKind::Reliability),
+        (default, QosProfile::LATCHED, QosPolicyKind::Durability),
+        (
+            QosProfile { deadline: ms(500), ..default },
+            QosProfile { deadline: ms(250), ..default },
+            QosPolicyKind::Deadline,
+        ),
+        (default, manual, QosPolicyKind::Liveliness),
+        (lease(ms(500)), lease(ms(250)), QosPolicyKind::Liveliness),
+    ];
+    for (number, (offered, requested, policy)) in pairs.into_iter().enumerate() {
+        let on = |qos| Endpoint { topic_name: format!("rt/pair_{number}"), ..chatter(qos) };
+        let writer = alice.create_writer(&on(offered)).unwrap();
+        let (reader, _samples) = subscribe(&*bob, &on(requested));
+        let (of_writer, of_reader) =
+            (events(|handler| writer.on_event(handler)), events(|handler| reader.on_event(handler)));
+        let incompatible = |peer| EndpointEvent::IncompatibleQos { peer, policy };
+        assert_eq!(next(&of_writer), incompatible(reader.gid()));
+        assert_eq!(next(&of_reader), incompatible(writer.gid()));
+        assert_eq!((writer.matched(), reader.matched()), (0, 0), "{offered:?} {requested:?}");
+    }
+}
+
+pub(super) fn matches_are_told_as_they_come_and_go(domain: &Domain<'_>) {
+    let (alice, bob) = (domain.join(), domain.join());
+    let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
+    let of_writer = events(|handler| writer.on_event(handler));
+    let (reader, _samples) = subscribe(&*bob, &chatter(QosProfile::SENSOR_DATA));
+    let peer = reader.gid();
+    assert_eq!(next(&of_writer), EndpointEvent::Matched { peer });
+    wait_until("the reader is matched", || reader.matched() == 1);
+    // Who listens later is told what holds.
+    let of_reader = events(|handler| reader.on_event(handler));
+    assert_eq!(next(&of_reader), EndpointEvent::Matched { peer: writer.gid() });
+    drop(reader);
+    assert_eq!(next(&of_writer), EndpointEvent::Unmatched { peer });
+    let (again, _samples) = subscribe(&*bob, &chatter(QosProfile::SENSOR_DATA));
+    assert_eq!(next(&of_writer), EndpointEvent::Matched { peer: again.gid() });
+    let of_again = events(|handler| again.on_event(handler));
+    assert_eq!(next(&of_again), EndpointEvent::Matched { peer: writer.gid() });
+    let peer = writer.gid();
+    drop(writer);
+    assert_eq!(next(&of_again), EndpointEvent::Unmatched { peer });
+}
+
+pub(super) fn deadlines_and_lost_samples_are_observed_from_outside(domain: &Domain<'_>) {
+    let (alice, bob) = (Observing::over(domain.join()), Observing::over(domain.join()));
+    let (other, _others) = subscribe(&alice, &chatter(QosProfile::SENSOR_DATA));
+    // Exact on the wire.
+    let qos = QosProfile { deadline: Some(Duration::from_millis(250)), ..QosProfile::DEFAULT };
+    let writer = alice.create_writer(&chatter(qos)).unwrap();
+    let (reader, samples) = subscribe(&bob, &chatter(qos));
+    let (of_writer, of_reader) =
+        (events(|handler| writer.on_event(handler)), events(|handler| reader.on_event(handler)));
+    assert_eq!(next(&of_writer), EndpointEvent::Matched { peer: reader.gid() });
+    assert_eq!(next(&of_reader), EndpointEvent::Matched { peer: writer.gid() });
+    // One is for somebody else, so that its number never comes.
+    let for_another = WriteOptions { only_to: Some(other.gid()), ..WriteOptions::default() };
+    for options in [WriteOptions::default(), for_another, WriteOptions::default()] {
+        writer.write_with(cdr([1; 4]), options).unwrap();
+    }
+    next(&samples);
+    next(&samples);
+    assert_eq!(next(&of_reader), EndpointEvent::MessagesLost { peer: writer.gid(), count: 1 });
+    assert!(matches!(next(&of_writer), EndpointEvent::DeadlineMissed { count: 1.. }));
+    assert!(matches!(next(&of_reader), EndpointEvent::DeadlineMissed { count: 1.. }));
+}

@@ -1,0 +1,203 @@
+//! What happens to the quality of service of exposed endpoints: counted, told in the log, and given to modules.
+
+use crate::edge::CoreAccess;
+use crate::middleware::{Aliveness, Direction, EndpointEvent, Gid, QosPolicyKind};
+use downbeat_executor::queue::{Locked, Overflow};
+use downbeat_executor::{Clock, Inlet, SetupError};
+use downbeat_msgs::builtin_interfaces::msg::Time;
+use downbeat_msgs::downbeat_interfaces::msg::QosEvent;
+use std::collections::HashSet;
+use std::num::NonZeroUsize;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// The topic of a core on which a bridge tells what happens to the quality of service of its endpoints: messages of
+/// `downbeat_interfaces/msg/QosEvent`. They come from outside like all that is taken in, so a bag that holds them repeats them.
+pub const QOS_EVENTS_TOPIC: &str = "bridge/qos_events";
+
+/// Events that wait for the core; older ones are dropped, and counted by the topic.
+const WAITING: NonZeroUsize = NonZeroUsize::new(256).unwrap();
+
+/// What happened to the quality of service of one endpoint since it is there.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct QosCounts {
+    /// Endpoints of others that were matched.
+    pub matched: u64,
+    /// Endpoints of others that were on the topic and did not match.
+    pub incompatible: u64,
+    /// A policy that kept the last of them away.
+    pub last_incompatible: Option<QosPolicyKind>,
+    /// Times in which no message went through, though one was offered or requested to.
+    pub deadlines_missed: u64,
+    /// How often a publisher did not show in time that it is alive.
+    pub liveliness_lost: u64,
+    /// How often a publisher was silent for longer than its lease.
+    pub silences: u64,
+    /// Messages of publishers that did not come.
+    pub lost: u64,
+}
+
+impl QosCounts {
+    /// What a user should look at: what was not as offered or requested.
+    #[must_use]
+    pub fn problems(&self) -> u64 {
+        self.incompatible + self.deadlines_missed + self.liveliness_lost + self.silences + self.lost
+    }
+}
+
+/// The core's side: where events enter.
+#[derive(Clone)]
+pub(super) struct QosEvents {
+    inlet: Inlet<QosEvent>,
+    clock: Arc<dyn Clock>,
+}
+
+impl QosEvents {
+    pub(super) fn open(core: &mut CoreAccess<'_>, clock: Arc<dyn Clock>) -> Result<Self, SetupError> {
+        let queue = Locked::bounded(WAITING, Overflow::DropOldest);
+        Ok(Self { inlet: core.inlet(QOS_EVENTS_TOPIC, queue)?, clock })
+    }
+}
+
+/// One endpoint's.
+pub(super) struct EndpointQos {
+    topic: String,
+    ros_topic: String,
+    direction: Direction,
+    events: QosEvents,
+    state: Mutex<State>,
+}
+
+#[derive(Default)]
+struct State {
+    counts: QosCounts,
+    current: u64,
+    alive: HashSet<Gid>,
+    silent: HashSet<Gid>,
+}
+
+impl EndpointQos {
+    pub(super) fn new(topic: &str, ros_topic: &str, direction: Direction, events: QosEvents) -> Self {
+        let (topic, ros_topic) = (topic.to_owned(), ros_topic.to_owned());
+        Self { topic, ros_topic, direction, events, state: Mutex::default() }
+    }
+
+    pub(super) fn counts(&self) -> QosCounts {
+        self.lock().counts.clone()
+    }
+
+    pub(super) fn happened(&self, event: &EndpointEvent) {
+        let (message, warning) = self.note(event);
+        if let Some(warning) = warning {
+            tracing::warn!(topic = self.ros_topic, "{warning}; from now on this is only counted");
+        }
+        // Fails only when the core has stopped.
+        let _ = self.events.inlet.publish(message);
+    }
+
+    /// Counts it. What is worth a line in the log is so the first time. (That an endpoint does not match is told by the node.)
+    fn note(&self, event: &EndpointEvent) -> (QosEvent, Option<String>) {
+        let mut state = self.lock();
+        let State { counts, current, alive, silent } = &mut *state;
+        let mut message = QosEvent {
+            stamp: Time::from_nanos(self.events.clock.now().as_nanos()),
+            topic: self.topic.clone(),
+            ros_topic: self.ros_topic.clone(),
+            is_publisher: self.direction == Direction::Out,
+            count: 1,
+            ..QosEvent::default()
+        };
+        let mut warning = None;
+        let peer = match *event {
+            EndpointEvent::Matched { peer } => {
+                counts.matched += 1;
+                *current += 1;
+                (message.kind, message.total) = (QosEvent::MATCHED, counts.matched);
+                peer
+            }
+            EndpointEvent::Unmatched { peer } => {
+                *current = current.saturating_sub(1);
+                (message.kind, message.count, message.total) = (QosEvent::MATCHED, -1, counts.matched);
+                peer
+            }
+            EndpointEvent::IncompatibleQos { peer, policy } => {
+                counts.incompatible += 1;
+                counts.last_incompatible = Some(policy);
+                (message.kind, message.total) = (QosEvent::INCOMPATIBLE_QOS, counts.incompatible);
+                message.policy = policy.name().to_owned();
+                peer
+            }
+            EndpointEvent::DeadlineMissed { count } => {
+                if counts.deadlines_missed == 0 {
+                    warning = Some(self.deadline_warning());
+                }
+                counts.deadlines_missed += u64::from(count);
+                message.count = count.into();
+                (message.kind, message.total) = (QosEvent::DEADLINE_MISSED, counts.deadlines_missed);
+                Gid::default()
+            }
+            EndpointEvent::LivelinessLost => {
+                if counts.liveliness_lost == 0 {
+                    let text = "no message was sent within the liveliness lease that is offered: subscriptions take the \
+                                publisher for dead. To do: publish more often, or offer a longer liveliness_lease_duration";
+                    warning = Some(text.to_owned());
+                }
+                counts.liveliness_lost += 1;
+                (message.kind, message.total) = (QosEvent::LIVELINESS_LOST, counts.liveliness_lost);
+                Gid::default()
+            }
+            EndpointEvent::LivelinessChanged { peer, now } => {
+                alive.remove(&peer);
+                silent.remove(&peer);
+                match now {
+                    Aliveness::Gone => false,
+                    Aliveness::Alive => alive.insert(peer),
+                    Aliveness::NotAlive => {
+                        if counts.silences == 0 {
+                            warning = Some(format!(
+                                "publisher {peer} was silent for longer than the lease that is asked for and counts as not \
+                                 alive. To do: look whether it hangs, or ask for a longer liveliness_lease_duration"
+                            ));
+                        }
+                        counts.silences += 1;
+                        silent.insert(peer)
+                    }
+                };
+                (message.kind, message.total) = (QosEvent::LIVELINESS_CHANGED, counts.silences);
+                peer
+            }
+            EndpointEvent::MessagesLost { peer, count } => {
+                if counts.lost == 0 {
+                    warning = Some(format!(
+                        "{count} messages of publisher {peer} did not come. To do: ask for reliability reliable, a deeper history \
+                         or fewer messages; for large ones raise net.core.rmem_max"
+                    ));
+                }
+                counts.lost = counts.lost.saturating_add(count);
+                message.count = i64::try_from(count).unwrap_or(i64::MAX);
+                (message.kind, message.total) = (QosEvent::MESSAGE_LOST, counts.lost);
+                peer
+            }
+        };
+        message.peer = peer.0;
+        (message.current, message.not_alive) = match message.kind {
+            QosEvent::MATCHED => (*current, 0),
+            QosEvent::LIVELINESS_CHANGED => (alive.len() as u64, silent.len() as u64),
+            _ => (0, 0),
+        };
+        (message, warning)
+    }
+
+    fn deadline_warning(&self) -> String {
+        match self.direction {
+            Direction::Out => "no message was sent within the deadline that is offered. To do: publish more often, or offer a \
+                               longer deadline",
+            Direction::In => "no message came within the deadline that is asked for. To do: look whether its publisher hangs, or \
+                              ask for a longer deadline",
+        }
+        .to_owned()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

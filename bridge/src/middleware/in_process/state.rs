@@ -1,0 +1,189 @@
+//! What a hub knows: the endpoints of all participants, and who suits whom.
+
+use super::{lock, now_ns};
+use crate::middleware::{
+    Endpoint, EndpointEvent, EventHandler, Gid, MatchHandler, QosPolicyKind, Sample, SampleHandler,
+    WriteOptions,
+};
+use bytes::Bytes;
+use downbeat_msgs::qos::{Durability, History};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Mutex};
+
+#[derive(Default)]
+pub(super) struct State {
+    pub(super) participants: u32,
+    endpoints: u32,
+    pub(super) writers: BTreeMap<Gid, HubWriter>,
+    pub(super) readers: BTreeMap<Gid, HubReader>,
+}
+
+pub(super) struct HubWriter {
+    pub(super) endpoint: Endpoint,
+    pub(super) history: Arc<Mutex<WriterHistory>>,
+    pub(super) handlers: Handlers,
+}
+
+pub(super) struct HubReader {
+    pub(super) endpoint: Endpoint,
+    pub(super) on_sample: SharedHandler,
+    pub(super) handlers: Handlers,
+}
+
+/// Empty once the reader is dropped.
+pub(super) type SharedHandler = Arc<Mutex<Option<SampleHandler>>>;
+
+/// Those of one endpoint; clones are the same.
+#[derive(Clone, Default)]
+pub(super) struct Handlers {
+    pub(super) on_match: Arc<Mutex<Option<Arc<MatchHandler>>>>,
+    pub(super) on_event: Arc<Mutex<Option<Arc<EventHandler>>>>,
+}
+
+#[derive(Default)]
+pub(super) struct WriterHistory {
+    pub(super) last_sequence_number: i64,
+    /// For late readers, where the writer is transient local.
+    pub(super) samples: VecDeque<Sample>,
+}
+
+/// What endpoints are to be told when the state is no longer locked, since their handlers ask it.
+pub(super) type News = Vec<(Handlers, EndpointEvent)>;
+
+/// How a writer and a reader of one topic stand to each other.
+enum Suits {
+    Yes,
+    No(QosPolicyKind),
+}
+
+impl State {
+    pub(super) fn next_gid(&mut self, participant: Gid) -> Gid {
+        self.endpoints += 1;
+        let mut gid = participant;
+        gid.0[12..].copy_from_slice(&self.endpoints.to_be_bytes());
+        gid
+    }
+
+    pub(super) fn readers_of(&self, from: Gid, writer: &Endpoint) -> impl Iterator<Item = (Gid, &HubReader)> {
+        self.readers.iter().map(|(to, reader)| (*to, reader)).filter(move |(to, reader)| {
+            matches!(suits((from, writer), (*to, &reader.endpoint)), Some(Suits::Yes))
+        })
+    }
+
+    pub(super) fn writers_to(&self, to: Gid, reader: &Endpoint) -> impl Iterator<Item = (Gid, &HubWriter)> {
+        self.writers.iter().map(|(from, writer)| (*from, writer)).filter(move |(from, writer)| {
+            matches!(suits((*from, &writer.endpoint), (to, reader)), Some(Suits::Yes))
+        })
+    }
+
+    pub(super) fn add_writer(&mut self, from: Gid, writer: HubWriter) -> News {
+        let news = self.readers.iter().filter_map(|(to, reader)| {
+            let event = event_of(suits((from, &writer.endpoint), (*to, &reader.endpoint))?, from);
+            Some((reader.handlers.clone(), event))
+        });
+        let news = news.collect();
+        self.writers.insert(from, writer);
+        news
+    }
+
+    pub(super) fn add_reader(&mut self, to: Gid, reader: HubReader) -> News {
+        let news = self.writers.iter().filter_map(|(from, writer)| {
+            let event = event_of(suits((*from, &writer.endpoint), (to, &reader.endpoint))?, to);
+            Some((writer.handlers.clone(), event))
+        });
+        let news = news.collect();
+        self.readers.insert(to, reader);
+        news
+    }
+
+    pub(super) fn remove_writer(&mut self, from: Gid) -> News {
+        let Some(writer) = self.writers.remove(&from) else { return News::new() };
+        let readers = self.readers_of(from, &writer.endpoint);
+        let gone = EndpointEvent::Unmatched { peer: from };
+        readers.map(|(_, reader)| (reader.handlers.clone(), gone)).collect()
+    }
+
+    pub(super) fn remove_reader(&mut self, to: Gid) -> News {
+        let Some(reader) = self.readers.remove(&to) else { return News::new() };
+        let writers = self.writers_to(to, &reader.endpoint);
+        let gone = EndpointEvent::Unmatched { peer: to };
+        writers.map(|(_, writer)| (writer.handlers.clone(), gone)).collect()
+    }
+
+    /// What holds for a writer.
+    pub(super) fn events_of_writer(&self, from: Gid, writer: &Endpoint) -> Vec<EndpointEvent> {
+        let readers = self.readers.iter();
+        let events = readers
+            .filter_map(|(to, reader)| Some(event_of(suits((from, writer), (*to, &reader.endpoint))?, *to)));
+        events.collect()
+    }
+
+    /// What holds for a reader.
+    pub(super) fn events_of_reader(&self, to: Gid, reader: &Endpoint) -> Vec<EndpointEvent> {
+        let writers = self.writers.iter();
+        let events = writers.filter_map(|(from, writer)| {
+            Some(event_of(suits((*from, &writer.endpoint), (to, reader))?, *from))
+        });
+        events.collect()
+    }
+}
+
+impl WriterHistory {
+    /// The next sample of the writer, kept for late readers where there is need.
+    pub(super) fn next(
+        &mut self,
+        writer: Gid,
+        endpoint: &Endpoint,
+        cdr: Bytes,
+        options: WriteOptions,
+    ) -> Sample {
+        self.last_sequence_number += 1;
+        let sample = Sample {
+            cdr,
+            source_time_ns: now_ns(),
+            writer,
+            sequence_number: self.last_sequence_number,
+            related: options.related,
+        };
+        if endpoint.qos.durability == Durability::TransientLocal {
+            self.samples.push_back(sample.clone());
+            if let History::KeepLast(depth) = endpoint.qos.history
+                && self.samples.len() > depth as usize
+            {
+                self.samples.pop_front();
+            }
+        }
+        sample
+    }
+}
+
+/// Calls the handlers that the news is for.
+pub(super) fn tell(news: News) {
+    for (handlers, event) in news {
+        if matches!(event, EndpointEvent::Matched { .. } | EndpointEvent::Unmatched { .. }) {
+            let on_match = lock(&handlers.on_match).clone();
+            if let Some(handler) = on_match {
+                handler();
+            }
+        }
+        let on_event = lock(&handlers.on_event).clone();
+        if let Some(handler) = on_event {
+            handler(&event);
+        }
+    }
+}
+
+fn event_of(suits: Suits, peer: Gid) -> EndpointEvent {
+    match suits {
+        Suits::Yes => EndpointEvent::Matched { peer },
+        Suits::No(policy) => EndpointEvent::IncompatibleQos { peer, policy },
+    }
+}
+
+/// Nothing where the two have nothing to do with each other, as endpoints of one participant.
+fn suits((from, writer): (Gid, &Endpoint), (to, reader): (Gid, &Endpoint)) -> Option<Suits> {
+    let concerns = from.participant() != to.participant()
+        && writer.topic_name == reader.topic_name
+        && writer.type_name == reader.type_name;
+    concerns.then(|| QosPolicyKind::between(&writer.qos, &reader.qos).map_or(Suits::Yes, Suits::No))
+}

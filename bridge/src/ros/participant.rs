@@ -1,0 +1,152 @@
+//! A participant as ROS 2 sees it: nodes in the graph.
+
+use super::graph::{Graph, RemoteNode};
+use super::node::Membership;
+use super::{NameError, Node, NodeName, RemapRules, type_description};
+use crate::middleware::rpc::RpcThread;
+use crate::middleware::{self, Middleware, MiddlewareError, ParticipantOptions, RemoteEndpoint};
+use downbeat_msgs::qos::QosProfile;
+use downbeat_msgs::type_description_interfaces::srv::GetTypeDescription;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use thiserror::Error;
+
+/// A node or one of its endpoints could not be created.
+#[derive(Debug, Error)]
+pub enum NodeError {
+    /// A name is not valid.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// The participant has a node of that name already.
+    #[error("this process has a ROS 2 node {0} already; give one of them another name or namespace")]
+    Exists(NodeName),
+    /// The engine refused.
+    #[error(transparent)]
+    Middleware(#[from] MiddlewareError),
+}
+
+/// What all nodes of a process share: one participant of the domain.
+///
+/// When the last node, publisher and subscription made from it is dropped too, it leaves the domain: its nodes are
+/// gone from the graph of the others at once, and its threads have ended when the drop returns.
+#[derive(Clone)]
+pub struct Participant {
+    pub(super) shared: Arc<Shared>,
+}
+
+pub(super) struct Shared {
+    // Fields drop in this order: the graph takes leave before the participant goes.
+    pub(super) graph: Graph,
+    pub(super) rpc: RpcThread,
+    pub(super) middleware: Arc<dyn Middleware>,
+    pub(super) remaps: RemapRules,
+    /// The nodes there are, by the names they were asked for.
+    nodes: Mutex<BTreeMap<NodeName, Weak<Membership>>>,
+    /// What gives each new node the endpoints that all nodes have.
+    furnishers: Mutex<Vec<Weak<Furnisher>>>,
+}
+
+type Furnisher = dyn Fn(&Node) -> Result<(), NodeError> + Send + Sync;
+
+/// Has new nodes furnished until it is dropped, see [`Participant::furnish`].
+pub struct Furnishing {
+    _furnisher: Arc<Furnisher>,
+}
+
+impl Participant {
+    /// Joins the domain that the options name.
+    ///
+    /// # Errors
+    /// [`MiddlewareError`] when the domain cannot be joined.
+    pub fn join(options: &ParticipantOptions) -> Result<Self, MiddlewareError> {
+        Self::on(middleware::join(options)?)
+    }
+
+    /// Joins the domain that the options name; the rules apply to all names of its nodes.
+    ///
+    /// # Errors
+    /// [`MiddlewareError`] when the domain cannot be joined.
+    pub fn join_with(options: &ParticipantOptions, remaps: RemapRules) -> Result<Self, MiddlewareError> {
+        Self::on_with(middleware::join(options)?, remaps)
+    }
+
+    /// Stands on a participant that exists, of whatever engine.
+    ///
+    /// # Errors
+    /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
+    pub fn on(middleware: Arc<dyn Middleware>) -> Result<Self, MiddlewareError> {
+        Self::on_with(middleware, RemapRules::default())
+    }
+
+    /// Stands on a participant that exists; the rules apply to all names of its nodes.
+    ///
+    /// # Errors
+    /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
+    pub fn on_with(middleware: Arc<dyn Middleware>, remaps: RemapRules) -> Result<Self, MiddlewareError> {
+        let rpc = RpcThread::start().map_err(MiddlewareError::ServiceThread)?;
+        let graph = Graph::join(&*middleware, rpc.link())?;
+        let (nodes, furnishers) = (Mutex::default(), Mutex::default());
+        Ok(Self { shared: Arc::new(Shared { graph, rpc, middleware, remaps, nodes, furnishers }) })
+    }
+
+    /// Creates a node, under another name where a remapping rule says so. It offers the service
+    /// `~/get_type_description`, as all nodes of Jazzy do.
+    ///
+    /// # Errors
+    /// [`NodeError`] when this participant has a node of that name, or the engine refuses the service.
+    pub fn create_node(&self, name: NodeName) -> Result<Node, NodeError> {
+        let given = name;
+        let name = self.shared.remaps.node(&given)?;
+        if !self.shared.graph.add_node(&name) {
+            return Err(NodeError::Exists(name));
+        }
+        let node = Node::new(&self.shared, name);
+        let service = node.by_itself().serve::<GetTypeDescription>(
+            type_description::SERVICE,
+            QosProfile::SERVICES,
+            |request| type_description::answer(&request),
+        )?;
+        node.attach(service);
+        let furnishers: Vec<_> = self.shared.furnishers().iter().filter_map(Weak::upgrade).collect();
+        furnishers.iter().try_for_each(|furnish| furnish(&node.by_itself()))?;
+        self.shared.nodes().insert(given, node.downgrade());
+        Ok(node)
+    }
+
+    /// Has `furnish` called with each node that is created from now on, until the value returned is dropped: for the
+    /// endpoints that all nodes of a program have. Those that are made from the node it is given go when the node goes,
+    /// and are given to [`Node::attach`] for that.
+    #[must_use = "it ends when it is dropped"]
+    pub fn furnish(
+        &self,
+        furnish: impl Fn(&Node) -> Result<(), NodeError> + Send + Sync + 'static,
+    ) -> Furnishing {
+        let furnisher: Arc<Furnisher> = Arc::new(furnish);
+        let mut furnishers = self.shared.furnishers();
+        furnishers.retain(|furnisher| furnisher.strong_count() > 0);
+        furnishers.push(Arc::downgrade(&furnisher));
+        Furnishing { _furnisher: furnisher }
+    }
+
+    /// The endpoints of other participants that are known at this moment.
+    #[must_use]
+    pub fn remote_endpoints(&self) -> Vec<RemoteEndpoint> {
+        self.shared.middleware.remote_endpoints()
+    }
+
+    /// The nodes of other participants. Those that were there before take some seconds to be heard of.
+    #[must_use]
+    pub fn remote_nodes(&self) -> Vec<RemoteNode> {
+        self.shared.graph.remote_nodes(&self.shared.middleware.remote_endpoints())
+    }
+}
+
+impl Shared {
+    pub(super) fn nodes(&self) -> MutexGuard<'_, BTreeMap<NodeName, Weak<Membership>>> {
+        self.nodes.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn furnishers(&self) -> MutexGuard<'_, Vec<Weak<Furnisher>>> {
+        self.furnishers.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,117 @@
+//! What a node publishes.
+
+use super::incompatible::Warned;
+use super::node::{Hold, Listed};
+use super::{MessageType, Node, NodeError, TopicName};
+use crate::edge::KnownType;
+use crate::middleware::{Direction, Endpoint, EventHandler, WriteError, Writer};
+use bytes::Bytes;
+use downbeat_msgs::qos::QosProfile;
+use std::time::Duration;
+
+/// Publishes serialized messages on one topic.
+pub struct Publisher {
+    topic: TopicName,
+    message_type: MessageType,
+    qos: QosProfile,
+    warned: Warned,
+    // Fields drop in this order: the entry in the graph, so that no tool sees an endpoint without a node; the endpoint;
+    // and perhaps with the last of them the participant.
+    _listed: Listed,
+    writer: Box<dyn Writer>,
+    _hold: Hold,
+}
+
+impl Publisher {
+    /// The absolute name of its topic.
+    #[must_use]
+    pub fn topic(&self) -> &TopicName {
+        &self.topic
+    }
+
+    /// The type of its messages.
+    #[must_use]
+    pub fn message_type(&self) -> &MessageType {
+        &self.message_type
+    }
+
+    /// What it offers.
+    #[must_use]
+    pub fn qos(&self) -> QosProfile {
+        self.qos
+    }
+
+    /// How many subscriptions of other participants are matched.
+    #[must_use]
+    pub fn matched_subscriptions(&self) -> usize {
+        self.writer.matched()
+    }
+
+    /// Has `handler` told what happens to the quality of service of this publisher: what holds already, then what changes.
+    /// It runs on a thread of the middleware, so it must hand over and return. It replaces the one before.
+    pub fn on_event(&self, handler: EventHandler) {
+        self.writer.on_event(self.warned.and(&self.topic, Direction::Out, handler));
+    }
+
+    /// Publishes one message: encapsulation header (little-endian) and body. Does not block.
+    ///
+    /// # Errors
+    /// [`WriteError`] when it was not sent.
+    pub fn publish(&self, cdr: Bytes) -> Result<(), WriteError> {
+        self.writer.write(cdr)
+    }
+
+    /// Waits until the reliable subscriptions that are matched have acknowledged all messages; false when some have not
+    /// after `timeout`.
+    pub fn wait_for_all_acked(&self, timeout: Duration) -> bool {
+        self.writer.flush(timeout)
+    }
+}
+
+impl Node {
+    /// Creates a publisher; `topic` may be absolute, relative or private (`~/…`).
+    ///
+    /// # Errors
+    /// [`NodeError`] when a name is not valid or the engine refuses.
+    pub fn publish(
+        &self,
+        topic: &str,
+        message_type: &MessageType,
+        qos: QosProfile,
+    ) -> Result<Publisher, NodeError> {
+        let topic = self.topic_name(topic)?;
+        let endpoint = endpoint(&topic, message_type, qos);
+        let writer = self.membership.shared.middleware.create_writer(&endpoint)?;
+        let warned = Warned::default();
+        writer.on_event(warned.and(&topic, Direction::Out, Box::new(|_| ())));
+        let listed = Listed::new(self.hold(), Direction::Out, writer.gid());
+        Ok(Publisher {
+            topic,
+            message_type: message_type.clone(),
+            qos,
+            warned,
+            _listed: listed,
+            writer,
+            _hold: self.hold(),
+        })
+    }
+}
+
+pub(super) fn endpoint(topic: &TopicName, message_type: &MessageType, qos: QosProfile) -> Endpoint {
+    let send_window = if LARGE_MESSAGES.contains(&message_type.as_str()) {
+        Endpoint::SEND_WINDOW_LARGE_SAMPLES
+    } else {
+        Endpoint::SEND_WINDOW
+    };
+    let type_hash = KnownType::named(message_type.as_str()).ok().map(|known| known.hash().to_owned());
+    Endpoint { send_window, type_hash, ..Endpoint::new(topic.to_wire(), message_type.to_wire(), qos) }
+}
+
+/// Types whose messages have hundreds of kilobytes.
+const LARGE_MESSAGES: [&str; 5] = [
+    "nav_msgs/msg/OccupancyGrid",
+    "sensor_msgs/msg/CompressedImage",
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/PointCloud",
+    "sensor_msgs/msg/PointCloud2",
+];

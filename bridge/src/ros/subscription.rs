@@ -1,0 +1,83 @@
+//! What a node hears.
+
+use super::incompatible::Warned;
+use super::node::{Hold, Listed};
+use super::publisher::endpoint;
+use super::{MessageType, Node, NodeError, TopicName};
+use crate::middleware::{Direction, EventHandler, Reader, SampleHandler};
+use downbeat_msgs::qos::QosProfile;
+
+/// Keeps a subscription alive.
+pub struct Subscription {
+    topic: TopicName,
+    message_type: MessageType,
+    qos: QosProfile,
+    warned: Warned,
+    // In this order, as in a publisher.
+    _listed: Listed,
+    reader: Box<dyn Reader>,
+    _hold: Hold,
+}
+
+impl Subscription {
+    /// The absolute name of its topic.
+    #[must_use]
+    pub fn topic(&self) -> &TopicName {
+        &self.topic
+    }
+
+    /// The type of its messages.
+    #[must_use]
+    pub fn message_type(&self) -> &MessageType {
+        &self.message_type
+    }
+
+    /// What it requests.
+    #[must_use]
+    pub fn qos(&self) -> QosProfile {
+        self.qos
+    }
+
+    /// How many publishers of other participants are matched.
+    #[must_use]
+    pub fn matched_publishers(&self) -> usize {
+        self.reader.matched()
+    }
+
+    /// Has `handler` told what happens to the quality of service of this subscription: what holds already, then what
+    /// changes. It runs on a thread of the middleware, so it must hand over and return. It replaces the one before.
+    pub fn on_event(&self, handler: EventHandler) {
+        self.reader.on_event(self.warned.and(&self.topic, Direction::In, handler));
+    }
+}
+
+impl Node {
+    /// Creates a subscription; `topic` may be absolute, relative or private (`~/…`). `on_sample` runs on the thread
+    /// that all subscriptions of the participant share, so it must hand over and return.
+    ///
+    /// # Errors
+    /// [`NodeError`] when a name is not valid or the engine refuses.
+    pub fn subscribe(
+        &self,
+        topic: &str,
+        message_type: &MessageType,
+        qos: QosProfile,
+        on_sample: SampleHandler,
+    ) -> Result<Subscription, NodeError> {
+        let topic = self.topic_name(topic)?;
+        let endpoint = endpoint(&topic, message_type, qos);
+        let reader = self.membership.shared.middleware.create_reader(&endpoint, on_sample)?;
+        let warned = Warned::default();
+        reader.on_event(warned.and(&topic, Direction::In, Box::new(|_| ())));
+        let listed = Listed::new(self.hold(), Direction::In, reader.gid());
+        Ok(Subscription {
+            topic,
+            message_type: message_type.clone(),
+            qos,
+            warned,
+            _listed: listed,
+            reader,
+            _hold: self.hold(),
+        })
+    }
+}

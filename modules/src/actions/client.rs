@@ -1,0 +1,199 @@
+//! The goals that a module has sent.
+
+use super::client_builder::ClientKeys;
+use super::{ClientBuilder, GoalId, GoalStatus, stamp};
+use downbeat_executor::{CallError, CallId, Context, Time};
+use downbeat_msgs::Action;
+use downbeat_msgs::action_msgs::msg::{GoalInfo, GoalStatusArray};
+use downbeat_msgs::action_msgs::srv::CancelGoalRequest;
+use downbeat_msgs::unique_identifier_msgs::msg::UUID;
+use std::time::Duration;
+use thiserror::Error;
+
+/// The goals of one action that a module has sent and that have not ended; see the [module page](super).
+pub struct ActionClient<A: Action> {
+    action: String,
+    keys: Option<ClientKeys<A>>,
+    next: u64,
+    goals: Vec<SentGoal>,
+}
+
+/// A goal whose end is not known yet.
+#[derive(Clone, Copy, Debug)]
+struct SentGoal {
+    id: GoalId,
+    status: GoalStatus,
+    /// The call that is to be answered next: of `send_goal`, then of `get_result`.
+    call: CallId,
+    is_accepted: bool,
+}
+
+/// A goal that was sent is not pursued.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum GoalRefused {
+    /// The server does not take it.
+    #[error("goal {0} was rejected")]
+    Rejected(GoalId),
+    /// There is no answer.
+    #[error("goal {goal} was not answered: {error}")]
+    Call {
+        /// The goal.
+        goal: GoalId,
+        /// Why not.
+        error: CallError,
+    },
+}
+
+/// How a goal ended.
+pub struct GoalResult<A: Action> {
+    /// Succeeded, canceled or aborted; unknown if the server had forgotten it.
+    pub status: GoalStatus,
+    /// What the server said at the end.
+    pub result: A::Result,
+}
+
+/// What has come of a request for a result.
+pub(super) struct Ended<A: Action> {
+    pub(super) id: GoalId,
+    pub(super) result: Result<GoalResult<A>, CallError>,
+}
+
+impl<A: Action> Default for ActionClient<A> {
+    /// One that can send nothing until it is declared.
+    fn default() -> Self {
+        Self { action: String::new(), keys: None, next: 0, goals: Vec::new() }
+    }
+}
+
+impl<A: Action> ActionClient<A> {
+    /// How long a server may take to say whether it takes a goal or cancels one, unless said otherwise.
+    pub const TIMEOUT: Duration = Duration::from_secs(10);
+
+    /// Begins a declaration; `access` tells where in the module its client is.
+    pub fn builder<M: 'static>(access: fn(&mut M) -> &mut Self) -> ClientBuilder<A, M> {
+        ClientBuilder::new(access)
+    }
+
+    /// For a module that was set up before, the counter goes on: the ids stay different.
+    pub(super) fn declare(&mut self, action: &str, keys: ClientKeys<A>) {
+        *self = Self { action: action.to_owned(), keys: Some(keys), next: self.next, goals: Vec::new() };
+    }
+
+    /// Sends a goal. What becomes of it is told to the callbacks of the declaration.
+    ///
+    /// # Panics
+    /// If the client was not declared in the module's setup, which stops the module.
+    pub fn send(&mut self, ctx: &mut Context<'_>, goal: A::Goal) -> GoalId {
+        let id = GoalId::new(ctx.module_name(), &self.action, ctx.now(), self.next);
+        self.next += 1;
+        let send_goal = self.keys().send_goal;
+        let call = ctx.call(send_goal, A::send_goal_request(id.into(), goal));
+        self.goals.push(SentGoal { id, status: GoalStatus::Unknown, call, is_accepted: false });
+        id
+    }
+
+    /// Asks that a goal be canceled.
+    ///
+    /// # Panics
+    /// As [`send`](Self::send).
+    pub fn cancel(&self, ctx: &mut Context<'_>, id: GoalId) {
+        self.ask_to_cancel(ctx, GoalInfo { goal_id: id.into(), ..GoalInfo::default() });
+    }
+
+    /// Asks that all goals of the server be canceled, those of others too.
+    ///
+    /// # Panics
+    /// As [`send`](Self::send).
+    pub fn cancel_all(&self, ctx: &mut Context<'_>) {
+        self.ask_to_cancel(ctx, GoalInfo::default());
+    }
+
+    /// Asks that all goals that the server accepted at that time or before be canceled, those of others too.
+    ///
+    /// # Panics
+    /// As [`send`](Self::send).
+    pub fn cancel_before(&self, ctx: &mut Context<'_>, time: Time) {
+        self.ask_to_cancel(ctx, GoalInfo { goal_id: UUID::default(), stamp: stamp(time) });
+    }
+
+    /// The goals that were sent and have not ended, in the order in which they were sent, with what the server last said
+    /// of them; unknown until it has said something.
+    pub fn goals(&self) -> impl Iterator<Item = (GoalId, GoalStatus)> {
+        self.goals.iter().map(|goal| (goal.id, goal.status))
+    }
+
+    /// What the server last said of a goal; nothing if it was not sent from here or has ended.
+    #[must_use]
+    pub fn status(&self, id: GoalId) -> Option<GoalStatus> {
+        self.goals().find(|(known, _)| *known == id).map(|(_, status)| status)
+    }
+
+    fn ask_to_cancel(&self, ctx: &mut Context<'_>, goal_info: GoalInfo) {
+        ctx.call(self.keys().cancel_goal, CancelGoalRequest { goal_info });
+    }
+
+    fn keys(&self) -> &ClientKeys<A> {
+        match &self.keys {
+            Some(keys) => keys,
+            None => {
+                panic!("a client of {} is used that was not declared in the module's setup", A::TYPE_NAME)
+            }
+        }
+    }
+}
+
+/// What answers and messages do.
+impl<A: Action> ActionClient<A> {
+    /// Takes the answer to a goal that was sent, and asks for the result of one that was accepted.
+    pub(super) fn answered(
+        &mut self,
+        ctx: &mut Context<'_>,
+        call: CallId,
+        answer: Result<(bool, Time), CallError>,
+    ) -> Option<(GoalId, Result<Time, GoalRefused>)> {
+        let get_result = self.keys().get_result;
+        let position = self.goals.iter().position(|goal| !goal.is_accepted && goal.call == call)?;
+        let goal = &mut self.goals[position];
+        let id = goal.id;
+        let response = match answer {
+            Ok((true, stamp)) => {
+                goal.is_accepted = true;
+                goal.call = ctx.call(get_result, A::get_result_request(id.into()));
+                // A status that came before may say more.
+                if goal.status == GoalStatus::Unknown {
+                    goal.status = GoalStatus::Accepted;
+                }
+                return Some((id, Ok(stamp)));
+            }
+            Ok((false, _)) => GoalRefused::Rejected(id),
+            Err(error) => GoalRefused::Call { goal: id, error },
+        };
+        self.goals.remove(position);
+        Some((id, Err(response)))
+    }
+
+    pub(super) fn ended(
+        &mut self,
+        call: CallId,
+        answer: Result<(i8, A::Result), CallError>,
+    ) -> Option<Ended<A>> {
+        let position = self.goals.iter().position(|goal| goal.is_accepted && goal.call == call)?;
+        let id = self.goals.remove(position).id;
+        let result =
+            answer.map(|(status, result)| GoalResult { status: GoalStatus::from_message(status), result });
+        Some(Ended { id, result })
+    }
+
+    pub(super) fn is_ours(&self, id: GoalId) -> bool {
+        self.goals.iter().any(|goal| goal.id == id)
+    }
+
+    pub(super) fn take_status(&mut self, statuses: &GoalStatusArray) {
+        for status in &statuses.status_list {
+            let id = GoalId::from(status.goal_info.goal_id);
+            if let Some(goal) = self.goals.iter_mut().find(|goal| goal.id == id) {
+                goal.status = GoalStatus::from_message(status.status);
+            }
+        }
+    }
+}

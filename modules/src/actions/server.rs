@@ -1,0 +1,280 @@
+//! The goals that a module was given.
+
+use super::goal::GoalEvent;
+use super::server_builder::ResultResponder;
+use super::{GetResultResponse, GoalError, GoalId, GoalStatus, ServerBuilder, stamp};
+use downbeat_executor::{Context, Publication, Task, Time};
+use downbeat_msgs::Action;
+use downbeat_msgs::action_msgs::msg::{GoalInfo, GoalStatus as StatusMessage, GoalStatusArray};
+use downbeat_msgs::action_msgs::srv::{CancelGoalRequest, CancelGoalResponse};
+use downbeat_msgs::unique_identifier_msgs::msg::UUID;
+use std::time::Duration;
+
+/// The goals of one action that a module serves; see the [module page](super).
+pub struct ActionServer<A: Action> {
+    action: String,
+    keys: Option<Keys<A>>,
+    /// In the order in which they were accepted.
+    goals: Vec<Goal<A>>,
+    result_timeout: Duration,
+}
+
+/// A goal that was accepted.
+pub struct Goal<A: Action> {
+    id: GoalId,
+    goal: A::Goal,
+    accepted_at: Time,
+    status: GoalStatus,
+    /// When it ended, and how.
+    end: Option<(Time, A::Result)>,
+    /// Those that asked for its result.
+    waiting: Vec<ResultResponder<A>>,
+}
+
+pub(super) struct Keys<A: Action> {
+    pub(super) feedback: Publication<A::FeedbackMessage>,
+    pub(super) status: Publication<GoalStatusArray>,
+    pub(super) expiry: Task,
+}
+
+impl<A: Action> Default for ActionServer<A> {
+    /// One that serves nothing until it is declared.
+    fn default() -> Self {
+        Self { action: String::new(), keys: None, goals: Vec::new(), result_timeout: Self::RESULT_TIMEOUT }
+    }
+}
+
+impl<A: Action> ActionServer<A> {
+    /// How long the result of a goal that has ended is kept, unless said otherwise: that of `rcl_action`
+    /// (`rcl_action_server_get_default_options`, branch jazzy).
+    pub const RESULT_TIMEOUT: Duration = Duration::from_secs(10);
+
+    /// As many goals are kept, those that have ended among them. What is above it is rejected.
+    pub const MAX_GOALS: usize = 1024;
+
+    /// Begins a declaration; `access` tells where in the module its server is.
+    pub fn builder<M: 'static>(access: fn(&mut M) -> &mut Self) -> ServerBuilder<A, M> {
+        ServerBuilder::new(access)
+    }
+
+    pub(super) fn declared(action: &str, keys: Keys<A>, result_timeout: Duration) -> Self {
+        Self { action: action.to_owned(), keys: Some(keys), goals: Vec::new(), result_timeout }
+    }
+
+    /// All goals whose result has not expired, in the order in which they were accepted.
+    pub fn goals(&self) -> impl Iterator<Item = &Goal<A>> {
+        self.goals.iter()
+    }
+
+    /// The goal of that id.
+    #[must_use]
+    pub fn goal(&self, id: GoalId) -> Option<&Goal<A>> {
+        self.goals.iter().find(|goal| goal.id == id)
+    }
+
+    /// Begins to execute a goal that was accepted for later.
+    ///
+    /// # Errors
+    /// If there is no such goal, or it does not wait.
+    pub fn execute(&mut self, ctx: &mut Context<'_>, id: GoalId) -> Result<(), GoalError> {
+        self.change(id, GoalEvent::Execute)?;
+        self.publish_status(ctx);
+        Ok(())
+    }
+
+    /// Tells those that listen how far a goal is.
+    ///
+    /// # Errors
+    /// If there is no such goal, or it has ended.
+    pub fn publish_feedback(
+        &self,
+        ctx: &mut Context<'_>,
+        id: GoalId,
+        feedback: A::Feedback,
+    ) -> Result<(), GoalError> {
+        let goal = self.goal(id).ok_or_else(|| self.unknown(id))?;
+        if !goal.status.is_active() {
+            return Err(self.not_in(goal, "told of"));
+        }
+        if let Some(keys) = &self.keys {
+            ctx.publish(keys.feedback, A::feedback_message(id.into(), feedback));
+        }
+        Ok(())
+    }
+
+    /// Ends a goal that was reached.
+    ///
+    /// # Errors
+    /// If there is no such goal, or it is neither executed nor to be canceled.
+    pub fn succeed(&mut self, ctx: &mut Context<'_>, id: GoalId, result: A::Result) -> Result<(), GoalError> {
+        self.end(ctx, id, GoalEvent::Succeed, result)
+    }
+
+    /// Ends a goal that cannot be reached.
+    ///
+    /// # Errors
+    /// If there is no such goal, or it is neither executed nor to be canceled.
+    pub fn abort(&mut self, ctx: &mut Context<'_>, id: GoalId, result: A::Result) -> Result<(), GoalError> {
+        self.end(ctx, id, GoalEvent::Abort, result)
+    }
+
+    /// Ends a goal that is to be canceled.
+    ///
+    /// # Errors
+    /// If there is no such goal, or nobody canceled it.
+    pub fn canceled(
+        &mut self,
+        ctx: &mut Context<'_>,
+        id: GoalId,
+        result: A::Result,
+    ) -> Result<(), GoalError> {
+        self.end(ctx, id, GoalEvent::Canceled, result)
+    }
+
+    fn end(
+        &mut self,
+        ctx: &mut Context<'_>,
+        id: GoalId,
+        event: GoalEvent,
+        result: A::Result,
+    ) -> Result<(), GoalError> {
+        let goal = self.change(id, event)?;
+        for responder in goal.waiting.drain(..) {
+            ctx.reply(responder, Ok(A::get_result_response(goal.status.to_message(), result.clone())));
+        }
+        goal.end = Some((ctx.now(), result));
+        if let Some(keys) = &self.keys {
+            ctx.schedule_after(keys.expiry, self.result_timeout);
+        }
+        self.publish_status(ctx);
+        Ok(())
+    }
+
+    fn change(&mut self, id: GoalId, event: GoalEvent) -> Result<&mut Goal<A>, GoalError> {
+        let Some(position) = self.goals.iter().position(|goal| goal.id == id) else {
+            return Err(self.unknown(id));
+        };
+        match self.goals[position].status.after(event) {
+            Some(status) => self.goals[position].status = status,
+            None => return Err(self.not_in(&self.goals[position], &event.to_string())),
+        }
+        Ok(&mut self.goals[position])
+    }
+
+    fn unknown(&self, goal: GoalId) -> GoalError {
+        GoalError::Unknown { action: self.action.clone(), goal }
+    }
+
+    fn not_in(&self, goal: &Goal<A>, asked: &str) -> GoalError {
+        let (action, asked) = (self.action.clone(), asked.to_owned());
+        GoalError::Status { action, goal: goal.id, asked, status: goal.status }
+    }
+}
+
+/// What requests do.
+impl<A: Action> ActionServer<A> {
+    /// Why a goal cannot be taken, whatever the module thinks of it.
+    pub(super) fn refusal(&self, id: GoalId) -> Option<String> {
+        if self.goal(id).is_some() {
+            return Some("there is one of that id already".to_owned());
+        }
+        let is_full = self.goals.len() >= Self::MAX_GOALS;
+        is_full.then(|| format!("there are {} goals already", Self::MAX_GOALS))
+    }
+
+    pub(super) fn accept(&mut self, id: GoalId, goal: A::Goal, status: GoalStatus, accepted_at: Time) {
+        self.goals.push(Goal { id, goal, accepted_at, status, end: None, waiting: Vec::new() });
+    }
+
+    /// The goals that a request means to cancel, and the answer where it is none, as `rcl_action_process_cancel_request`
+    /// has it: by id; or all that were accepted at a time or before; or all.
+    pub(super) fn meant_by(&self, request: &CancelGoalRequest) -> (i8, Vec<GoalId>) {
+        let GoalInfo { goal_id, stamp: time } = request.goal_info;
+        let is_cancelable = |goal: &&Goal<A>| goal.status.after(GoalEvent::Cancel).is_some();
+        let (id, has_time) = (GoalId::from(goal_id), time != stamp(Time::ZERO));
+        if goal_id != UUID::default() && !has_time {
+            return match self.goal(id) {
+                None => (CancelGoalResponse::ERROR_UNKNOWN_GOAL_ID, Vec::new()),
+                Some(goal) if is_cancelable(&goal) => (CancelGoalResponse::ERROR_NONE, vec![id]),
+                Some(_) => (CancelGoalResponse::ERROR_GOAL_TERMINATED, Vec::new()),
+            };
+        }
+        let is_meant =
+            |goal: &&Goal<A>| !has_time || goal.accepted_at.as_nanos() <= time.as_nanos() || goal.id == id;
+        let goals = self.goals.iter().filter(is_cancelable).filter(is_meant).map(|goal| goal.id);
+        (CancelGoalResponse::ERROR_NONE, goals.collect())
+    }
+
+    /// Marks a goal as to be canceled; nothing if it has ended by now.
+    pub(super) fn cancel(&mut self, id: GoalId) -> Option<GoalInfo> {
+        self.change(id, GoalEvent::Cancel).ok().map(|goal| goal.info())
+    }
+
+    /// Answers a request for a result, now or when there is one.
+    pub(super) fn tell_result(&mut self, ctx: &mut Context<'_>, id: GoalId, responder: ResultResponder<A>) {
+        let answer: GetResultResponse<A> = match self.goals.iter_mut().find(|goal| goal.id == id) {
+            None => A::get_result_response(GoalStatus::Unknown.to_message(), A::Result::default()),
+            Some(Goal { status, end: Some((_, result)), .. }) => {
+                A::get_result_response(status.to_message(), result.clone())
+            }
+            Some(goal) => return goal.waiting.push(responder),
+        };
+        ctx.reply(responder, Ok(answer));
+    }
+
+    /// Forgets goals that ended long enough ago.
+    pub(super) fn expire(&mut self, now: Time) {
+        let timeout = self.result_timeout;
+        let is_over = |goal: &Goal<A>| goal.end.as_ref().is_some_and(|(end, _)| *end + timeout <= now);
+        self.goals.retain(|goal| !is_over(goal));
+    }
+
+    pub(super) fn publish_status(&self, ctx: &mut Context<'_>) {
+        let Some(keys) = &self.keys else { return };
+        let status =
+            |goal: &Goal<A>| StatusMessage { goal_info: goal.info(), status: goal.status.to_message() };
+        ctx.publish(keys.status, GoalStatusArray { status_list: self.goals.iter().map(status).collect() });
+    }
+}
+
+impl<A: Action> Goal<A> {
+    /// Its id.
+    #[must_use]
+    pub fn id(&self) -> GoalId {
+        self.id
+    }
+
+    /// What is wanted.
+    #[must_use]
+    pub fn goal(&self) -> &A::Goal {
+        &self.goal
+    }
+
+    /// When it was accepted.
+    #[must_use]
+    pub fn accepted_at(&self) -> Time {
+        self.accepted_at
+    }
+
+    /// What has become of it.
+    #[must_use]
+    pub fn status(&self) -> GoalStatus {
+        self.status
+    }
+
+    /// True until it has ended.
+    #[must_use]
+    pub fn is_active(&self) -> bool {
+        self.status.is_active()
+    }
+
+    /// True if it is to be canceled.
+    #[must_use]
+    pub fn is_canceling(&self) -> bool {
+        self.status == GoalStatus::Canceling
+    }
+
+    fn info(&self) -> GoalInfo {
+        GoalInfo { goal_id: self.id.into(), stamp: stamp(self.accepted_at) }
+    }
+}

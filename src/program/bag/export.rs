@@ -1,0 +1,182 @@
+//! `downbeat bag export`
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use bytes::Bytes;
+use clap::{Args, ValueEnum};
+use downbeat::bags::{Reader, RecordedTopic, Selection, TopicId};
+use downbeat::table::{Cell, Columns, DecodeError, Decoder, ParquetTable, Survey};
+
+use super::open;
+use super::progress::Progress;
+use super::select::TopicArguments;
+
+#[derive(Args)]
+pub(crate) struct ExportArguments {
+    /// A rosbag2 directory or a single file.
+    pub(crate) bag: PathBuf,
+    /// The new directory, in which each topic gets a file.
+    #[arg(long, short, value_name = "DIR")]
+    pub(crate) output: PathBuf,
+    /// What the files are.
+    #[arg(long, short, value_enum, default_value_t = Format::Csv)]
+    pub(crate) format: Format,
+    #[command(flatten)]
+    pub(crate) topics: TopicArguments,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum Format {
+    /// A column for each field, bytes in Base64.
+    Csv,
+    /// One JSON object for each message.
+    Jsonl,
+    /// Apache Parquet: typed columns, for pandas, Polars and DuckDB.
+    Parquet,
+}
+
+impl Format {
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Csv => "csv",
+            Self::Jsonl => "jsonl",
+            Self::Parquet => "parquet",
+        }
+    }
+}
+
+pub(crate) fn export(arguments: &ExportArguments) -> anyhow::Result<()> {
+    let bag = open(&arguments.bag)?;
+    let filter = arguments.topics.filter()?;
+    arguments.topics.check(bag.topics().iter().map(|topic| &topic.info))?;
+    let output = &arguments.output;
+    std::fs::create_dir(output).with_context(|| format!("cannot make the directory {}", output.display()))?;
+    let topics = bag.topics().iter().enumerate();
+    let wanted: Vec<_> = topics.filter(|(_, topic)| filter.is_wanted(&topic.info)).collect();
+    for (index, topic) in wanted {
+        let Some(id) = TopicId::at(index) else { continue };
+        let file = output.join(format!("{}.{}", file_stem(&topic.info.name), arguments.format.extension()));
+        let source = Source { bag: &bag, id, topic };
+        let told = match arguments.format {
+            Format::Csv => source.write_csv(&file),
+            Format::Jsonl => source.write_jsonl(&file),
+            Format::Parquet => source.write_parquet(&file),
+        };
+        match told {
+            Ok(messages) => println!("{}: {messages} messages in {}", topic.info.name, file.display()),
+            // The others are of use all the same.
+            Err(error) => tracing::warn!("{} is left out: {error:#}", topic.info.name),
+        }
+    }
+    if std::fs::read_dir(output)?.next().is_none() {
+        bail!("nothing was exported");
+    }
+    Ok(())
+}
+
+/// `/imu/data_raw` becomes `imu.data_raw`.
+fn file_stem(topic: &str) -> String {
+    topic.trim_start_matches('/').replace('/', ".")
+}
+
+/// When a message was received and when published, in nanoseconds since the epoch: the first columns.
+const TIMES: [&str; 2] = ["log_time", "publish_time"];
+
+/// A topic of a bag.
+struct Source<'a> {
+    bag: &'a Reader,
+    id: TopicId,
+    topic: &'a RecordedTopic,
+}
+
+impl Source<'_> {
+    fn write_csv(&self, path: &Path) -> anyhow::Result<u64> {
+        let decoder = Decoder::of(self.topic)?;
+        let columns = self.columns(&decoder)?;
+        let mut writer = csv::Writer::from_path(path)?;
+        let names = columns.iter().map(|column| column.name.as_str());
+        writer.write_record(TIMES.into_iter().chain(names))?;
+        let rows = |data| Ok(columns.row(&decoder.decode(data)?));
+        let messages = self.each("writing", rows, |times, row| {
+            let times = times.map(|time| time.to_string());
+            Ok(writer.write_record(times.into_iter().chain(row.iter().map(Cell::to_text)))?)
+        })?;
+        writer.flush()?;
+        Ok(messages)
+    }
+
+    fn write_parquet(&self, path: &Path) -> anyhow::Result<u64> {
+        let decoder = Decoder::of(self.topic)?;
+        let columns = self.columns(&decoder)?;
+        let mut table = ParquetTable::create(path, TIMES, &columns)?;
+        let rows = |data| Ok(columns.row(&decoder.decode(data)?));
+        let messages = self.each("writing", rows, |times, row| Ok(table.push(times, row)?))?;
+        table.finish()?;
+        Ok(messages)
+    }
+
+    fn write_jsonl(&self, path: &Path) -> anyhow::Result<u64> {
+        let decoder = Decoder::of(self.topic)?;
+        let mut writer = BufWriter::new(File::create(path)?);
+        let messages = self.each("writing", |data| decoder.to_json(data), |times, json| {
+            for (name, time) in TIMES.into_iter().zip(times) {
+                write!(writer, "{}\"{name}\":{time}", if name == TIMES[0] { '{' } else { ',' })?;
+            }
+            writer.write_all(b",\"message\":")?;
+            writer.write_all(&json)?;
+            Ok(writer.write_all(b"}\n")?)
+        })?;
+        writer.flush()?;
+        Ok(messages)
+    }
+
+    fn columns(&self, decoder: &Decoder) -> anyhow::Result<Columns> {
+        let mut survey = Survey::default();
+        let decode = |data| decoder.decode(data);
+        self.each("looking", decode, |_, message| {
+            survey.see(&message);
+            Ok(())
+        })?;
+        Ok(survey.columns())
+    }
+
+    /// Does something with the times and the content of each message. What cannot be read is told and left out.
+    fn each<T>(
+        &self,
+        doing: &'static str,
+        decode: impl Fn(Bytes) -> Result<T, DecodeError>,
+        mut act: impl FnMut([i64; 2], T) -> anyhow::Result<()>,
+    ) -> anyhow::Result<u64> {
+        let mut progress = Progress::new(doing, self.topic.message_count);
+        let (mut seen, mut done, mut broken) = (0, 0, 0_u64);
+        for message in self.bag.messages(Selection::all().topics([self.id]))? {
+            let message = match message {
+                Ok(message) => message,
+                Err(error) => {
+                    tracing::warn!("{error}");
+                    continue;
+                }
+            };
+            seen += 1;
+            progress.at(seen);
+            match decode(message.data) {
+                Ok(content) => {
+                    act([message.log_time, message.publish_time], content)?;
+                    done += 1;
+                }
+                Err(error) if broken == 0 => {
+                    broken = 1;
+                    tracing::warn!("{}: message {seen}: {error}", self.topic.info.name);
+                }
+                Err(_) => broken += 1,
+            }
+        }
+        if broken > 1 {
+            tracing::warn!("{}: {broken} messages cannot be read", self.topic.info.name);
+        }
+        Ok(done)
+    }
+}

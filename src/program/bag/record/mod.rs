@@ -1,0 +1,272 @@
+//! `downbeat bag record`
+
+pub(crate) mod arguments;
+mod writing;
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use downbeat::bags::{Recording, RecordingControl, RecordingSummary};
+use downbeat::robot::{ClockChoice, RecordEntry, RobotFile, RosArgs};
+use downbeat::ros_recorder::{
+    QosOverrides, RosRecorder, RosRecorderOptions, TopicFilter, serve, split_events,
+};
+
+use crate::program::keyboard::{Key, Keyboard};
+use crate::program::run::node;
+use crate::program::screen::Screen;
+use crate::program::session::{RecordPlan, Session};
+use crate::program::stop::Stop;
+use arguments::{Exposed, RecordArguments};
+
+pub(crate) fn record(arguments: &RecordArguments, ros: &RosArgs, screen: &Screen) -> anyhow::Result<()> {
+    let output = arguments.output.clone().unwrap_or_else(|| {
+        PathBuf::from(chrono::Local::now().format("rosbag2_%Y_%m_%d-%H_%M_%S").to_string())
+    });
+    match &arguments.robot {
+        Some(robot) => record_robot(arguments, robot, output, ros, screen),
+        None => record_from_ros(arguments, output, ros, screen),
+    }
+}
+
+fn record_robot(
+    arguments: &RecordArguments,
+    robot: &std::path::Path,
+    directory: PathBuf,
+    ros: &RosArgs,
+    screen: &Screen,
+) -> anyhow::Result<()> {
+    let mut file = RobotFile::read_with(robot, ros)?;
+    // There is no node to hear `/clock` with.
+    file.expose.features.clock = ClockChoice::Own;
+    writing::apply(&arguments.writing, &mut file.record)?;
+    if !arguments.selection.modules.is_empty() {
+        file.record.modules.clone_from(&arguments.selection.modules);
+    }
+    if let Some(exposed) = arguments.selection.exposed {
+        file.record.exposed = Some(exposed == Exposed::Only);
+    }
+    let mut filter = filter(arguments, |name| Ok(format!("/{}", name.trim_start_matches('/'))))?;
+    if arguments.topics().next().is_some() || arguments.selection.is_given() {
+        file.record.topics = None;
+    } else {
+        // What the robot file says; the command line excludes.
+        filter.all_topics = true;
+        filter.includes_hidden = true;
+    }
+    let plan = RecordPlan {
+        directory,
+        writer: writing::writer_options(&arguments.writing, &file.record),
+        recording: writing::recording_options(&arguments.writing, &file.record, arguments.start_paused),
+        encoding: file.record.encoding,
+        filter: Some(filter),
+    };
+    let mut session = Session::new(file)?;
+    session.record(plan)?;
+    session.run(&Stop::new(arguments.duration)?, screen)
+}
+
+impl RecordArguments {
+    /// The topics that are asked for by name.
+    fn topics(&self) -> impl Iterator<Item = &String> {
+        self.topics_positional.iter().chain(&self.selection.topics)
+    }
+
+    /// What `ros2bag/verb/record.py` refuses, in its words.
+    fn check(&self) -> anyhow::Result<()> {
+        let selection = &self.selection;
+        let is_open = selection.all || selection.regex.is_some();
+        let has_topics = self.topics().next().is_some();
+        if !selection.is_given() && !has_topics {
+            bail!(
+                "Need to specify at least one option out of --all, --all-topics, --all-services, --services, --topics, \
+                 --topic-types or --regex"
+            );
+        }
+        let (types, topics) = (!selection.topic_types.is_empty(), selection.all_topics);
+        if selection.exclude_regex.is_some() && !(is_open || topics || types || selection.all_services) {
+            bail!(
+                "--exclude-regex argument requires either --all, --all-topics, --topic-types, --all-services or --regex"
+            );
+        }
+        if !(selection.exclude_topics.is_empty() || is_open || topics || types) {
+            bail!("--exclude-topics argument requires either --all, --all-topics, --topic-types or --regex");
+        }
+        if !(selection.exclude_topic_types.is_empty() || is_open || topics || types) {
+            bail!("--exclude-topic-types argument requires either --all, --all-topics or --regex");
+        }
+        if !(selection.exclude_services.is_empty() || is_open || selection.all_services) {
+            bail!("--exclude-services argument requires either --all, --all-services or --regex");
+        }
+        if (selection.all || selection.all_services) && !selection.services.is_empty() {
+            tracing::warn!("--all or --all-services will override --services");
+        }
+        if (selection.all || selection.all_topics) && has_topics {
+            tracing::warn!("--all or --all-topics will override --topics");
+        }
+        if (selection.all || selection.all_topics || selection.all_services) && selection.regex.is_some() {
+            tracing::warn!("--all, --all-topics or --all-services will override --regex");
+        }
+        Ok(())
+    }
+}
+
+/// What is asked for, by absolute names.
+fn filter(
+    arguments: &RecordArguments,
+    absolute: impl Fn(&str) -> anyhow::Result<String>,
+) -> anyhow::Result<TopicFilter> {
+    let selection = &arguments.selection;
+    let names =
+        |names: &[String]| names.iter().map(|name| absolute(name)).collect::<anyhow::Result<Vec<_>>>();
+    Ok(TopicFilter {
+        all_topics: selection.all || selection.all_topics,
+        all_services: selection.all || selection.all_services,
+        topics: arguments.topics().map(|name| absolute(name)).collect::<anyhow::Result<_>>()?,
+        topic_types: selection.topic_types.clone(),
+        services: names(&selection.services)?,
+        regex: selection.regex.clone(),
+        exclude_regex: selection.exclude_regex.clone(),
+        exclude_topics: names(&selection.exclude_topics)?,
+        exclude_topic_types: selection.exclude_topic_types.clone(),
+        exclude_services: names(&selection.exclude_services)?,
+        includes_hidden: arguments.discovery.include_hidden_topics,
+        includes_unpublished: arguments.discovery.include_unpublished_topics,
+        ignores_leaves: arguments.discovery.ignore_leaf_topics,
+    })
+}
+
+fn record_from_ros(
+    arguments: &RecordArguments,
+    output: PathBuf,
+    ros: &RosArgs,
+    screen: &Screen,
+) -> anyhow::Result<()> {
+    arguments.check()?;
+    let RecordArguments { storage, writing: written, .. } = arguments;
+    let format = written.serialization_format.as_deref().unwrap_or("cdr");
+    tracing::debug!(
+        "storage {storage}, serialization {format}, compression mode {}",
+        written.compression_mode
+    );
+    let stop = Stop::new(arguments.duration)?;
+    let mut entry = RecordEntry::default();
+    entry.cache_bytes = writing::DEFAULT_CACHE_BYTES;
+    writing::apply(&arguments.writing, &mut entry)?;
+    let qos_overrides = match &arguments.discovery.qos_profile_overrides_path {
+        Some(path) => QosOverrides::read(path)?,
+        None => QosOverrides::default(),
+    };
+    let (participant, node) = node(&arguments.node_name, arguments.domain, ros)?;
+    let options = RosRecorderOptions {
+        filter: filter(arguments, |name| Ok(node.topic_name(name)?.as_str().to_owned()))?,
+        qos_overrides,
+        encoding: entry.encoding,
+        uses_sim_time: arguments.use_sim_time,
+        waits_for_room: entry.cache_bytes == 0,
+    };
+    let mut writer = writing::writer_options(&arguments.writing, &entry).create(&output)?;
+    writer.on_split(split_events(&node)?);
+    let recording_options = writing::recording_options(&arguments.writing, &entry, arguments.start_paused);
+    let recording = Recording::start_with(writer, &recording_options)
+        .context("cannot start the thread that writes the bag")?;
+    let control = recording.control();
+    let services = serve(&node, &control, arguments.writing.snapshot_mode)?;
+    let mut recorder = RosRecorder::new(&participant, &node, recording.sender(), options)?;
+
+    let keyboard = (!arguments.disable_keyboard_controls).then(Keyboard::open).flatten();
+    if keyboard.is_some() {
+        tracing::info!("Press SPACE for pausing/resuming");
+    }
+    tracing::info!("Listening for topics...");
+    tracing::info!("{}", if control.is_paused() { "Wait for recording: paused." } else { "Recording..." });
+    look_and_record(arguments, &mut recorder, &recording, &stop, keyboard.as_ref(), screen);
+    drop(keyboard);
+    screen.show(Vec::new());
+    for topic in recorder.missing() {
+        tracing::warn!("nothing is recorded of {topic}: nobody published it");
+    }
+    drop(recorder);
+    let outcome = recording.finish();
+    drop(services);
+    drop(node);
+    tracing::info!("Recording stopped");
+    let summary = match &outcome {
+        Ok(summary) => summary,
+        Err(failed) => &*failed.summary,
+    };
+    tell(summary);
+    outcome.map(drop).context("the recording is not complete")
+}
+
+/// How long topics that are there get to be found when no later ones are looked for.
+const FIRST_LOOK: Duration = Duration::from_secs(2);
+/// How often the block on the screen is drawn.
+const REFRESH: Duration = Duration::from_millis(250);
+/// How often keys and signals are looked at.
+const STEP: Duration = Duration::from_millis(20);
+
+fn look_and_record(
+    arguments: &RecordArguments,
+    recorder: &mut RosRecorder,
+    recording: &Recording,
+    stop: &Stop,
+    keyboard: Option<&Keyboard>,
+    screen: &Screen,
+) {
+    let control = recording.control();
+    let started = Instant::now();
+    let interval = Duration::from_millis(arguments.discovery.polling_interval);
+    let (mut next_look, mut next_refresh) = (started, started);
+    let (mut is_looking, mut is_failure_told) = (true, false);
+    while !stop.is_due() && !control.is_stopped() {
+        let now = Instant::now();
+        if now >= next_look {
+            next_look = now + interval;
+            if is_looking {
+                recorder.discover();
+            } else {
+                recorder.describe();
+            }
+            if is_looking && recorder.is_complete() {
+                tracing::info!("All requested topics are subscribed. Stopping discovery...");
+                is_looking = false;
+            }
+            is_looking &= !(arguments.discovery.no_discovery && started.elapsed() >= FIRST_LOOK);
+        }
+        while let Some(key) = keyboard.and_then(Keyboard::pressed) {
+            act_on(key, &control);
+        }
+        if now >= next_refresh {
+            next_refresh = now + REFRESH;
+            let statistics = recording.statistics();
+            if let Some(failure) = statistics.failure.as_ref().filter(|_| !is_failure_told) {
+                tracing::error!("the recording has stopped: {failure}");
+                is_failure_told = true;
+            }
+            if screen.is_terminal() {
+                screen.show(vec![crate::program::status::bag(&statistics)]);
+            }
+        }
+        stop.sleep(STEP.min(interval));
+    }
+}
+
+fn act_on(key: Key, control: &RecordingControl) {
+    if key == Key::Space {
+        let is_paused = control.toggle_paused();
+        tracing::info!("{} recording.", if is_paused { "Pausing" } else { "Resuming" });
+    }
+}
+
+fn tell(summary: &RecordingSummary) {
+    let (messages, lost) = (summary.message_count(), summary.lost_count());
+    println!("recorded {messages} messages, lost {lost}, in {}", summary.path.display());
+    for topic in summary.topics.iter().filter(|topic| topic.lost > 0) {
+        println!("  {}: {} lost", topic.name, topic.lost);
+    }
+    if summary.deleted > 0 {
+        println!("  {} more were in files that were deleted, the oldest first", summary.deleted);
+    }
+}

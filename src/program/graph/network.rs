@@ -1,0 +1,136 @@
+//! The graph of the network.
+
+use std::time::{Duration, Instant};
+
+use downbeat::bridge::ros::Participant;
+use downbeat::executor::{Graph, GraphEdge, GraphModule, GraphService, GraphTopic};
+use downbeat::msgs::downbeat_interfaces::msg::{NetworkEndpoint, NetworkGraph};
+use downbeat::robot::RosArgs;
+use serde_json::{Value, json};
+
+use crate::program::cli::GraphArguments;
+use crate::program::run::node;
+
+const LOOK: Duration = Duration::from_millis(100);
+
+/// Whoever is there answers the first announcement within this time; some more is for those that are slow.
+const AT_LEAST: Duration = Duration::from_secs(2);
+
+/// For how long nothing new has to be found.
+const QUIET: Duration = Duration::from_secs(1);
+
+/// Joins the domain under a hidden name and looks until all that was found has a node, or the time is up.
+pub(super) fn look(arguments: &GraphArguments, ros: &RosArgs) -> anyhow::Result<NetworkGraph> {
+    // As the tools of ROS 2 hide theirs.
+    let name = format!("_downbeat_graph_{}", std::process::id());
+    let (participant, _node) = node(&name, arguments.domain, ros)?;
+    Ok(wait(&participant, arguments.wait))
+}
+
+fn wait(participant: &Participant, longest: Duration) -> NetworkGraph {
+    let begin = Instant::now();
+    let mut network = participant.network();
+    let mut changed = begin;
+    while begin.elapsed() < longest {
+        let has_all_nodes = network.endpoints.iter().all(|endpoint| !endpoint.node.is_empty());
+        if has_all_nodes && begin.elapsed() >= AT_LEAST && changed.elapsed() >= QUIET {
+            break;
+        }
+        std::thread::sleep(LOOK);
+        let now = participant.network();
+        if now != network {
+            (network, changed) = (now, Instant::now());
+        }
+    }
+    network
+}
+
+/// A word for each kind of endpoint.
+pub(super) fn kind(endpoint: &NetworkEndpoint) -> &'static str {
+    match endpoint.kind {
+        NetworkEndpoint::PUBLISHER => "publisher",
+        NetworkEndpoint::SUBSCRIPTION => "subscription",
+        NetworkEndpoint::SERVER => "server",
+        _ => "client",
+    }
+}
+
+pub(super) fn is_of_topic(endpoint: &NetworkEndpoint) -> bool {
+    matches!(endpoint.kind, NetworkEndpoint::PUBLISHER | NetworkEndpoint::SUBSCRIPTION)
+}
+
+pub(super) fn as_json(network: &NetworkGraph) -> Value {
+    let nodes: Vec<_> = network
+        .nodes
+        .iter()
+        .map(|node| {
+            let participant: String = node.participant.iter().map(|byte| format!("{byte:02x}")).collect();
+            json!({ "name": node.name, "vendor": node.vendor, "participant": participant })
+        })
+        .collect();
+    let endpoint = |endpoint: &NetworkEndpoint| {
+        let told = |text: &String| (!text.is_empty()).then(|| text.clone());
+        let limit = |nanoseconds: i64| (nanoseconds > 0).then_some(nanoseconds);
+        json!({
+            "kind": kind(endpoint),
+            "name": endpoint.name,
+            "type": endpoint.r#type,
+            "type_hash": told(&endpoint.type_hash),
+            "node": told(&endpoint.node),
+            "reliability": if endpoint.is_reliable { "reliable" } else { "best_effort" },
+            "durability": if endpoint.is_transient_local { "transient_local" } else { "volatile" },
+            "deadline_ns": limit(endpoint.deadline_ns),
+            "liveliness": if endpoint.is_manual_by_topic { "manual_by_topic" } else { "automatic" },
+            "liveliness_lease_ns": limit(endpoint.liveliness_lease_ns),
+        })
+    };
+    json!({ "nodes": nodes, "endpoints": network.endpoints.iter().map(endpoint).collect::<Vec<_>>() })
+}
+
+/// As the executor draws modules: nodes in their place, and one for endpoints without.
+pub(super) fn as_graph(network: &NetworkGraph) -> Graph {
+    let mut graph = Graph::default();
+    for endpoint in &network.endpoints {
+        let name = if endpoint.node.is_empty() { "(unknown node)" } else { &endpoint.node };
+        let module = position(
+            &mut graph.modules,
+            |node| node.name == name,
+            || GraphModule { name: name.to_owned(), is_detached: false },
+        );
+        let edge = if is_of_topic(endpoint) {
+            let topic = position(
+                &mut graph.topics,
+                |topic| topic.name == endpoint.name,
+                || GraphTopic { name: endpoint.name.clone(), message_type: endpoint.r#type.clone() },
+            );
+            match endpoint.kind {
+                NetworkEndpoint::PUBLISHER => GraphEdge::Publishes { module, topic },
+                _ => GraphEdge::Subscribes { module, topic },
+            }
+        } else {
+            let service = position(
+                &mut graph.services,
+                |service| service.name == endpoint.name,
+                || GraphService {
+                    name: endpoint.name.clone(),
+                    request_type: format!("{}_Request", endpoint.r#type),
+                    response_type: format!("{}_Response", endpoint.r#type),
+                },
+            );
+            match endpoint.kind {
+                NetworkEndpoint::SERVER => GraphEdge::Serves { module, service },
+                _ => GraphEdge::Calls { module, service },
+            }
+        };
+        graph.edges.push(edge);
+    }
+    graph
+}
+
+/// Where it is in the list, at whose end it is put where it is not there yet.
+fn position<T>(list: &mut Vec<T>, is_it: impl Fn(&T) -> bool, make: impl FnOnce() -> T) -> usize {
+    list.iter().position(is_it).unwrap_or_else(|| {
+        list.push(make());
+        list.len() - 1
+    })
+}

@@ -1,0 +1,84 @@
+//! Keys that are pressed while a command runs.
+
+use std::io::{self, Read};
+use std::sync::mpsc::{self, Receiver};
+
+use rustix::termios::{LocalModes, OptionalActions, Termios, tcgetattr, tcsetattr};
+
+/// A key that means something to some command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Key {
+    Space,
+    Right,
+    Up,
+    Down,
+}
+
+/// Gives each key as it is pressed, until it is dropped. The terminal still ends the program with Ctrl-C.
+pub(crate) struct Keyboard {
+    before: Termios,
+    keys: Receiver<Key>,
+}
+
+impl Keyboard {
+    /// Nothing where standard input is no terminal.
+    pub(crate) fn open() -> Option<Self> {
+        let before = tcgetattr(io::stdin()).ok()?;
+        let mut by_key = before.clone();
+        by_key.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
+        tcsetattr(io::stdin(), OptionalActions::Now, &by_key).ok()?;
+        let (sender, keys) = mpsc::channel();
+        let read = move || forward(io::stdin(), |key| sender.send(key).is_ok());
+        // It waits for keys until the process ends.
+        let started = std::thread::Builder::new().name("keyboard".to_owned()).spawn(read);
+        let keyboard = Self { before, keys };
+        started.is_ok().then_some(keyboard)
+    }
+
+    /// A key that was pressed since the last look.
+    pub(crate) fn pressed(&self) -> Option<Key> {
+        self.keys.try_recv().ok()
+    }
+}
+
+impl Drop for Keyboard {
+    fn drop(&mut self) {
+        // A terminal that is gone needs no repair.
+        let _ = tcsetattr(io::stdin(), OptionalActions::Now, &self.before);
+    }
+}
+
+fn forward(input: impl Read, mut send: impl FnMut(Key) -> bool) {
+    let mut sequence = Vec::new();
+    for byte in input.bytes().map_while(Result::ok) {
+        sequence.push(byte);
+        let key = match *sequence {
+            // The beginning of what a cursor key sends (ECMA-48, CSI).
+            [0x1b] | [0x1b, b'['] => continue,
+            [0x1b, b'[', b'A'] => Some(Key::Up),
+            [0x1b, b'[', b'B'] => Some(Key::Down),
+            [0x1b, b'[', b'C'] => Some(Key::Right),
+            [.., b' '] => Some(Key::Space),
+            _ => None,
+        };
+        sequence.clear();
+        if key.is_some_and(|key| !send(key)) {
+            return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cursor_keys_are_told_from_others() {
+        let mut keys = Vec::new();
+        forward(&b"x \x1b[A\x1b[D\x1b[B\x1b \x1b[C[A"[..], |key| {
+            keys.push(key);
+            true
+        });
+        assert_eq!(keys, [Key::Space, Key::Up, Key::Down, Key::Space, Key::Right]);
+    }
+}

@@ -1,0 +1,227 @@
+//! From the actions that a robot file exposes to those that the bridge is to show of a core.
+
+use downbeat_bridge::edge::KnownAction;
+use downbeat_bridge::expose::{ActionExposure, CallExposure, Exposure, ServiceExposure};
+use downbeat_bridge::middleware::Direction;
+use downbeat_executor::ServiceInfo;
+
+use super::Robot;
+use super::expose::canonical;
+use super::file::{ActionEntry, RobotFileError, suggestion};
+
+type Result<T> = std::result::Result<T, RobotFileError>;
+
+/// What ends the name of the service by which an action is known.
+const SEND_GOAL: &str = "/_action/send_goal";
+
+/// All that the bridge is to show of a robot: topics, services and actions taken together.
+pub struct Exposed {
+    /// Topics, those of actions among them.
+    pub topics: Vec<Exposure>,
+    /// Services of modules, those of actions among them.
+    pub services: Vec<ServiceExposure>,
+    /// Services of ROS 2 that modules call, those of actions among them.
+    pub calls: Vec<CallExposure>,
+}
+
+impl Robot {
+    /// The actions of modules to offer to ROS 2.
+    ///
+    /// # Errors
+    /// If no module serves one, or its type is another; with path and line.
+    pub fn action_exposures(&self) -> Result<Vec<ActionExposure>> {
+        let exposure = |entry: &ActionEntry| {
+            let served: Vec<_> =
+                self.actions().filter(|(_, info)| info.server.is_some()).map(|(name, _)| name).collect();
+            let Some((action, info)) = self.action(entry).filter(|(_, info)| info.server.is_some()) else {
+                let hint = suggestion(&entry.action, served);
+                let problem = format!("no module serves an action \"{}\"{hint}", entry.action);
+                return Err(self.file.source.error(entry.line, problem));
+            };
+            self.action_exposure(entry, action, Some(info))
+        };
+        self.file.expose.actions.iter().map(exposure).collect()
+    }
+
+    /// The actions of ROS 2 that modules use.
+    ///
+    /// # Errors
+    /// If a module serves one itself, or its type is not known or another than modules use; with path and line.
+    pub fn action_call_exposures(&self) -> Result<Vec<ActionExposure>> {
+        let exposure = |entry: &ActionEntry| {
+            let found = self.action(entry);
+            if let Some(server) = found.and_then(|(_, info)| info.server.as_ref()) {
+                let problem = format!("\"{}\" is served by module \"{server}\" already", entry.action);
+                return Err(self.file.source.error(entry.line, problem));
+            }
+            let action = canonical(&entry.action);
+            self.action_exposure(entry, action, found.map(|(_, info)| info))
+        };
+        self.file.expose.action_calls.iter().map(exposure).collect()
+    }
+
+    /// All that the file exposes of topics, services and actions.
+    ///
+    /// # Errors
+    /// Those of its parts.
+    pub fn exposed(&self) -> Result<Exposed> {
+        let (served, used) = (self.action_exposures()?, self.action_call_exposures()?);
+        let mut all = Exposed {
+            topics: self.exposures()?,
+            services: self.service_exposures()?,
+            calls: self.call_exposures()?,
+        };
+        for action in &served {
+            all.topics.extend(action.topics(Direction::Out));
+            all.services.extend(action.services());
+        }
+        for action in &used {
+            all.topics.extend(action.topics(Direction::In));
+            all.calls.extend(action.calls());
+        }
+        Ok(all)
+    }
+
+    /// The actions that modules serve or use, by name.
+    fn actions(&self) -> impl Iterator<Item = (&str, &ServiceInfo)> {
+        self.core.services().filter_map(|info| Some((info.name.strip_suffix(SEND_GOAL)?, info)))
+    }
+
+    fn action(&self, entry: &ActionEntry) -> Option<(&str, &ServiceInfo)> {
+        self.actions().find(|(name, _)| *name == canonical(&entry.action))
+    }
+
+    fn action_exposure(
+        &self,
+        entry: &ActionEntry,
+        action: &str,
+        info: Option<&ServiceInfo>,
+    ) -> Result<ActionExposure> {
+        let name = &entry.action;
+        let refuse = |problem| Err(self.file.source.error(entry.line, problem));
+        let action_type = match (info.map(|info| (info, KnownAction::of_send_goal(info))), entry.action_type)
+        {
+            (Some((info, None)), _) => {
+                return refuse(format!("\"{name}\" takes {}, which is no goal of ROS 2", info.request_type));
+            }
+            (Some((_, Some(found))), Some(said)) if found != said => {
+                return refuse(format!("\"{name}\" is of type \"{found}\", not \"{said}\""));
+            }
+            (Some((_, Some(found))), _) => found,
+            (None, Some(said)) => said,
+            (None, None) => {
+                let such = "tf2_msgs/action/LookupTransform";
+                return refuse(format!("no module uses \"{name}\"; add its type, such as type = \"{such}\""));
+            }
+        };
+        Ok(ActionExposure {
+            action: action.to_owned(),
+            ros_action: Some(entry.ros_action.clone().unwrap_or_else(|| name.clone())),
+            action_type,
+            timeout: entry.timeout,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::robot::RobotFile;
+    use crate::robot::file::Source;
+    use downbeat_executor::{Core, Module, Setup, SetupError};
+    use downbeat_modules::actions::{ActionClient, ActionServer};
+    use downbeat_msgs::tf2_msgs::action::LookupTransform;
+    use std::path::Path;
+
+    /// Serves `lookup` and uses `far/lookup`.
+    #[derive(Default)]
+    struct Frames {
+        server: ActionServer<LookupTransform>,
+        client: ActionClient<LookupTransform>,
+    }
+
+    impl Module for Frames {
+        fn setup(&mut self, setup: &mut Setup<'_, Self>) -> std::result::Result<(), SetupError> {
+            ActionServer::builder(|frames: &mut Self| &mut frames.server).declare(
+                setup,
+                "lookup",
+                &mut self.server,
+            )?;
+            ActionClient::builder(|frames: &mut Self| &mut frames.client).declare(
+                setup,
+                "far/lookup",
+                &mut self.client,
+            )
+        }
+    }
+
+    fn robot(expose: &str) -> Robot {
+        let text =
+            format!("[robot]\nname = \"r\"\n[[module]]\nkind = \"stand_nod_wave\"\n[expose]\n{expose}");
+        let file = RobotFile::parse(Source::new(Path::new("robot.toml"), text)).unwrap().0;
+        let mut core = Core::new();
+        core.add("frames", Frames::default()).unwrap();
+        Robot { file, core }
+    }
+
+    #[test]
+    fn an_action_is_exposed_as_three_services_and_two_topics() {
+        let robot = robot(
+            "actions = [{ action = \"lookup\", as = \"~/lookup\", timeout = \"2s\" }]\naction_calls = [\"/far/lookup\"]",
+        );
+        let exposed = robot.exposed().unwrap();
+        let services: Vec<_> =
+            exposed.services.iter().map(|service| service.ros_service.as_deref().unwrap()).collect();
+        assert_eq!(
+            services,
+            ["send_goal", "cancel_goal", "get_result"].map(|part| format!("~/lookup/_action/{part}"))
+        );
+        let calls: Vec<_> = exposed.calls.iter().map(|call| &*call.service).collect();
+        assert_eq!(
+            calls,
+            ["send_goal", "cancel_goal", "get_result"].map(|part| format!("far/lookup/_action/{part}"))
+        );
+        let topics: Vec<_> =
+            exposed.topics.iter().map(|topic| (topic.ros_topic().to_owned(), topic.direction)).collect();
+        let topic = |name: &str, direction| (name.to_owned(), direction);
+        assert_eq!(
+            topics,
+            [
+                topic("~/lookup/_action/feedback", Direction::Out),
+                topic("~/lookup/_action/status", Direction::Out),
+                topic("/far/lookup/_action/feedback", Direction::In),
+                topic("/far/lookup/_action/status", Direction::In),
+            ]
+        );
+        assert_eq!(exposed.services[0].timeout.as_secs(), 2);
+        let everything = robot.file.expose.topics.is_empty();
+        assert!(everything, "nothing but the actions");
+    }
+
+    #[test]
+    fn patterns_of_topics_leave_those_of_actions_alone() {
+        let text = "[robot]\nname = \"r\"\n[[module]]\nkind = \"stand_nod_wave\"\n[expose]\nout = [\"**\"]";
+        let file = RobotFile::parse(Source::new(Path::new("robot.toml"), text.to_owned())).unwrap().0;
+        let mut robot = file.build(Core::new()).unwrap();
+        robot.core.add("frames", Frames::default()).unwrap();
+        assert!(robot.exposed().unwrap().topics.iter().all(|topic| !topic.topic.contains("_action")));
+    }
+
+    #[test]
+    fn what_cannot_be_exposed_is_told_with_its_line_and_the_nearest_name() {
+        for (expose, words) in [
+            ("actions = [\"lokup\"]", "no module serves an action \"lokup\", did you mean \"lookup\"?"),
+            ("actions = [\"far/lookup\"]", "no module serves an action \"far/lookup\""),
+            ("action_calls = [\"lookup\"]", "served by module \"frames\" already"),
+            ("action_calls = [\"walk\"]", "no module uses \"walk\"; add its type"),
+        ] {
+            let error = robot(expose).exposed().err().unwrap().to_string();
+            assert!(error.starts_with("robot.toml:6: ") && error.contains(words), "{expose}: {error}");
+        }
+        let wrong = "[robot]\nname = \"r\"\n[[module]]\nkind = \"stand_nod_wave\"\n[expose]\n\
+            action_calls = [{ action = \"a\", type = \"tf2_msgs/LookupTransform\" }]";
+        let error = RobotFile::parse(Source::new(Path::new("robot.toml"), wrong.to_owned())).err().unwrap();
+        assert!(error.to_string().contains("did you mean \"tf2_msgs/action/LookupTransform\"?"), "{error}");
+    }
+}

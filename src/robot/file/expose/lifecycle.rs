@@ -1,0 +1,45 @@
+//! `lifecycle` of `[expose]`.
+
+use downbeat_bridge::expose::TopicPattern;
+
+use super::Result;
+use crate::robot::file::table::{Table, Value};
+
+/// Modules that are shown as managed nodes.
+#[derive(Clone)]
+pub struct LifecycleEntry {
+    pub(crate) line: usize,
+    /// The modules, by name or pattern.
+    pub modules: TopicPattern,
+    /// The node where it has another name than the module: absolute, or relative to the robot's namespace.
+    pub node: Option<String>,
+}
+
+/// Modules by name or pattern, or as a table that names the node.
+pub(super) fn lifecycle(table: &mut Table<'_>) -> Result<Vec<LifecycleEntry>> {
+    let values = table.take("lifecycle").map_or(Ok(Vec::new()), |value| value.list())?;
+    values.into_iter().map(entry).collect()
+}
+
+fn entry(value: Value<'_>) -> Result<LifecycleEntry> {
+    let line = value.line();
+    let Some(mut table) = value.as_table("a module with a lifecycle") else {
+        return Ok(LifecycleEntry { line, modules: pattern(value)?, node: None });
+    };
+    let module = table.require("module")?;
+    let node = table.take("node");
+    table.finish()?;
+    match node {
+        Some(node) if TopicPattern::is_pattern(module.text()?) => {
+            Err(node.error("\"node\" goes with the name of one module, not with a pattern"))
+        }
+        node => {
+            let node = node.map(|node| node.text().map(str::to_owned)).transpose()?;
+            Ok(LifecycleEntry { line, modules: pattern(module)?, node })
+        }
+    }
+}
+
+fn pattern(value: Value<'_>) -> Result<TopicPattern> {
+    TopicPattern::new(value.text()?).map_err(|error| value.error(error.to_string()))
+}

@@ -1,0 +1,91 @@
+//! From the modules that a robot file exposes with their lifecycle to the nodes that stand for them.
+
+use std::collections::BTreeSet;
+
+use downbeat_bridge::lifecycle::LifecycleExposure;
+
+use super::Robot;
+use super::file::{LifecycleEntry, RobotFileError, suggestion};
+
+type Result<T> = std::result::Result<T, RobotFileError>;
+
+impl Robot {
+    /// The modules to show as managed nodes of ROS 2, in the order of the file's entries and of its modules.
+    ///
+    /// # Errors
+    /// If an entry means no module of the file, or a node would have the name of another; with path and line.
+    pub fn lifecycle_exposures(&self) -> Result<Vec<LifecycleExposure>> {
+        let file = &self.file;
+        let mut exposures = Vec::new();
+        let mut taken = BTreeSet::from([file.node_name()?]);
+        for entry in &file.expose.lifecycle {
+            for module in self.meant(entry, &exposures)? {
+                let refuse = |problem: String| file.source.error(entry.line, problem);
+                let node = file.node_beside(entry.node.as_deref().unwrap_or(module), entry.line)?;
+                let remapped = file.remaps.node(&node).map_err(|error| refuse(error.to_string()))?;
+                if !taken.insert(remapped.clone()) {
+                    return Err(refuse(format!(
+                        "module \"{module}\" would be the node {remapped}, which there is already; give it another \
+                         with node = \"…\""
+                    )));
+                }
+                exposures.push(LifecycleExposure { module: module.to_owned(), node });
+            }
+        }
+        Ok(exposures)
+    }
+
+    /// The modules that an entry means and none before it.
+    fn meant<'a>(&'a self, entry: &LifecycleEntry, before: &[LifecycleExposure]) -> Result<Vec<&'a str>> {
+        let names = || self.file.modules.iter().map(|module| module.name.as_str());
+        let meant: Vec<_> = names().filter(|name| entry.modules.matches(name)).collect();
+        if meant.is_empty() {
+            let hint = suggestion(&entry.modules.to_string(), names());
+            let problem = format!("the robot has no module \"{}\"{hint}", entry.modules);
+            return Err(self.file.source.error(entry.line, problem));
+        }
+        let is_new = |name: &&str| before.iter().all(|exposure| exposure.module != *name);
+        Ok(meant.into_iter().filter(is_new).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::path::Path;
+
+    use downbeat_executor::Core;
+
+    use super::*;
+    use crate::robot::RobotFile;
+    use crate::robot::file::Source;
+
+    fn exposures(lifecycle: &str) -> Result<Vec<(String, String)>> {
+        let text = format!(
+            "[robot]\nname = \"r\"\nnamespace = \"/robot\"\n[[module]]\nkind = \"stand_nod_wave\"\nname = \"motion\"\n\
+             [[module]]\nkind = \"joint_command_mux\"\nname = \"r\"\n[expose]\nlifecycle = {lifecycle}\n"
+        );
+        let (file, _) = RobotFile::parse(Source::new(Path::new("robot.toml"), text))?;
+        let exposures = Robot { file, core: Core::new() }.lifecycle_exposures()?;
+        Ok(exposures.into_iter().map(|exposure| (exposure.module, exposure.node.to_string())).collect())
+    }
+
+    #[test]
+    fn modules_are_nodes_of_their_own_in_the_namespace_of_the_robot() {
+        let named = exposures("[{ module = \"r\", node = \"/arm/mux\" }, \"m*\"]").unwrap();
+        let expected = [("r", "/arm/mux"), ("motion", "/robot/motion")];
+        assert_eq!(named, expected.map(|(module, node)| (module.to_owned(), node.to_owned())));
+    }
+
+    #[test]
+    fn what_cannot_be_a_node_is_told_with_its_line() {
+        for (lifecycle, problem) in [
+            ("[\"moton\"]", "the robot has no module \"moton\", did you mean \"motion\"?"),
+            ("[\"r\"]", "would be the node /robot/r, which there is already"),
+            ("[{ module = \"*\", node = \"x\" }]", "not with a pattern"),
+        ] {
+            let error = exposures(lifecycle).unwrap_err().to_string();
+            assert!(error.starts_with("robot.toml:11: ") && error.contains(problem), "{error}");
+        }
+    }
+}

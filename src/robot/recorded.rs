@@ -1,0 +1,90 @@
+//! Which topics of a robot are recorded.
+
+use std::collections::BTreeSet;
+
+use downbeat_bridge::edge::KnownType;
+use downbeat_bridge::expose::TopicPattern;
+use downbeat_executor::{GraphEdge, TopicInfo};
+
+use super::Robot;
+use super::expose::canonical;
+use super::file::{RecordEntry, RobotFileError, suggestion};
+
+type Result<T> = std::result::Result<T, RobotFileError>;
+
+impl Robot {
+    /// The topics that a recording is to hold, by what the file's `[record]` says.
+    ///
+    /// # Errors
+    /// If a topic or a module is not there; with path and line.
+    pub fn recorded_topics(&self) -> Result<Vec<TopicInfo>> {
+        self.topics_of(&self.file.record)
+    }
+
+    /// The topics that a recording is to hold by that entry.
+    ///
+    /// # Errors
+    /// If a topic or a module is not there; with path and line.
+    pub fn topics_of(&self, entry: &RecordEntry) -> Result<Vec<TopicInfo>> {
+        let known: Vec<_> = self.core.topics().cloned().collect();
+        let mut chosen = match &entry.topics {
+            None => known,
+            Some(names) => {
+                let mut chosen: Vec<TopicInfo> = Vec::new();
+                for name in names {
+                    let found: Vec<&TopicInfo> = if TopicPattern::is_pattern(name) {
+                        known.iter().filter(|topic| matches(name, &topic.name)).collect()
+                    } else {
+                        vec![self.file.topic(&known, name, entry.line, "record")?]
+                    };
+                    for topic in found {
+                        if chosen.iter().all(|other| other.name != topic.name) {
+                            chosen.push(topic.clone());
+                        }
+                    }
+                }
+                chosen
+            }
+        };
+        chosen.retain(|topic| !entry.except.iter().any(|pattern| matches(pattern, &topic.name)));
+        if !entry.types.is_empty() {
+            chosen.retain(|topic| {
+                let known = KnownType::of_rust_type(topic.message_type_id);
+                known.is_some_and(|known| entry.types.iter().any(|name| name == known.name()))
+            });
+        }
+        if !entry.modules.is_empty() {
+            let published = self.published_by(entry)?;
+            chosen.retain(|topic| published.contains(&*topic.name));
+        }
+        if let Some(is_wanted) = entry.exposed {
+            let exposed = self.exposures()?;
+            chosen.retain(|topic| exposed.iter().any(|exposure| *exposure.topic == *topic.name) == is_wanted);
+        }
+        Ok(chosen)
+    }
+
+    /// The topics that the named modules publish.
+    fn published_by(&self, entry: &RecordEntry) -> Result<BTreeSet<String>> {
+        let graph = self.core.graph();
+        let mut published = BTreeSet::new();
+        for name in &entry.modules {
+            let found = graph.modules.iter().position(|module| module.name == *name);
+            let module = found.ok_or_else(|| {
+                let hint = suggestion(name, graph.modules.iter().map(|module| module.name.as_str()));
+                self.file.source.error(entry.line, format!("there is no module \"{name}\" to record{hint}"))
+            })?;
+            published.extend(graph.edges.iter().filter_map(|edge| match edge {
+                GraphEdge::Publishes { module: publisher, topic } if *publisher == module => {
+                    graph.topics.get(*topic).map(|topic| topic.name.clone())
+                }
+                _ => None,
+            }));
+        }
+        Ok(published)
+    }
+}
+
+fn matches(pattern: &str, topic: &str) -> bool {
+    TopicPattern::new(canonical(pattern)).is_ok_and(|pattern| pattern.matches(topic))
+}

@@ -1,0 +1,395 @@
+//! `downbeat bag record`: what is selected, and how others steer it.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::{Arc, Mutex};
+
+use common::matrix::{Way, With, check};
+use common::rclpy::{Peer, python as rclpy_python};
+use common::{Running, WATCHDOG, downbeat, output_of, python, robot_file, text_of, wait_until};
+use downbeat::bags::metadata::{Metadata, RecordedDurability, RecordedHistory, RecordedReliability};
+use downbeat::bags::{Reader, Selection};
+use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions, Sample};
+use downbeat::bridge::ros::{MessageType, Node, NodeName, Participant};
+use downbeat::msgs::qos::QosProfile;
+use downbeat::msgs::rosbag2_interfaces::msg::WriteSplitEvent;
+use downbeat::msgs::rosbag2_interfaces::srv::{IsPaused, Pause, Resume, Snapshot, SplitBagfile, Stop};
+use downbeat::msgs::{Message, Service, cdr, std_msgs};
+use serde_json::json;
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// How many messages of each topic a bag has.
+fn counts(bag: &Path) -> BTreeMap<String, u64> {
+    let reader = Reader::open(bag).unwrap();
+    let topics = reader.topics().iter();
+    topics.map(|topic| (topic.info.name.clone(), topic.message_count)).collect()
+}
+
+/// A node of this process, on loopback.
+fn node(name: &str, domain_id: u16) -> Node {
+    let options = ParticipantOptions {
+        domain_id,
+        discovery_range: DiscoveryRange::Localhost,
+        ..ParticipantOptions::from_env().unwrap()
+    };
+    let participant = Participant::join(&options).unwrap();
+    participant.create_node(NodeName::new("/", name).unwrap()).unwrap()
+}
+
+fn call<S: Service>(node: &Node, service: &str, request: &S::Request) -> S::Response {
+    let client = node.client::<S>(service, QosProfile::SERVICES).unwrap();
+    assert!(client.wait_for_service(WATCHDOG), "{service}");
+    client.call_and_wait(request, WATCHDOG).unwrap()
+}
+
+/// A publisher of numbered texts whose recorder is there.
+struct Talker {
+    publisher: downbeat::bridge::ros::Publisher,
+    next: u32,
+}
+
+impl Talker {
+    fn new(node: &Node) -> Self {
+        let message_type = MessageType::new(std_msgs::msg::String::TYPE_NAME).unwrap();
+        let publisher = node.publish("/chatter", &message_type, QosProfile::DEFAULT).unwrap();
+        Self { publisher, next: 0 }
+    }
+
+    fn say(&mut self, count: u32) {
+        wait_until("the recorder is matched", || self.publisher.matched_subscriptions() > 0);
+        for number in self.next..self.next + count {
+            let message = std_msgs::msg::String { data: number.to_string() };
+            self.publisher.publish(cdr::to_vec(&message).into()).unwrap();
+        }
+        self.next += count;
+    }
+}
+
+fn said(bag: &Path) -> Vec<u32> {
+    let reader = Reader::open(bag).unwrap();
+    let messages = reader.messages(Selection::all()).unwrap().map(Result::unwrap);
+    let text = |data: &[u8]| cdr::from_slice::<std_msgs::msg::String>(data).unwrap().data;
+    messages.map(|message| text(&message.data).parse().unwrap()).collect()
+}
+
+#[test]
+fn without_a_selection_it_says_what_ros2_bag_record_says() {
+    for (arguments, words) in [
+        (&["bag", "record"][..], "Need to specify at least one option out of --all"),
+        (&["bag", "record", "/a", "--exclude-regex", "b"], "--exclude-regex argument requires either --all"),
+        (&["bag", "record", "/a", "--exclude-topics", "/b"], "--exclude-topics argument requires either"),
+        (&["bag", "record", "-a", "-b", "1000"], "the least is 1024"),
+        (&["bag", "record", "-a", "-e", "("], "regex parse error"),
+        (
+            &["bag", "record", "-a", "--storage-preset-profile", "small"],
+            "none, fastwrite, zstd_fast, zstd_small",
+        ),
+        (&["bag", "record", "-a", "-s", "sqlite3"], "mcap"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let output = downbeat(arguments).args(["--domain", "195"]).current_dir(&folder).output().unwrap();
+        let told = String::from_utf8(output.stderr).unwrap();
+        assert!(!output.status.success() && told.contains(words), "{arguments:?}: {told}");
+    }
+}
+
+#[test]
+fn all_topics_of_real_nodes_are_recorded_as_the_real_recorder_notes_them() {
+    let Some(mut peer) = Peer::start(195, "LOCALHOST") else { return };
+    let note = check("Bags", "`bag record --all --exclude-regex`, any type", With::Rclpy, Way::In);
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let latched = json!({"durability": "transient_local", "depth": 1});
+    let best_effort = json!({"reliability": "best_effort"});
+    for (topic, kind, qos) in [
+        ("/chatter", "std_msgs/msg/String", json!({})),
+        ("/imu", "sensor_msgs/msg/Imu", best_effort),
+        ("/map_name", "std_msgs/msg/String", latched),
+        ("/noise", "std_msgs/msg/String", json!({})),
+        ("/_hidden", "std_msgs/msg/String", json!({})),
+        ("/joy", "sensor_msgs/msg/Joy", json!({})),
+    ] {
+        peer.ask(json!({"do": "advertise", "topic": topic, "type": kind, "qos": qos}));
+    }
+    peer.ask(json!({"do": "publish", "topic": "/map_name", "fields": {"data": "lawn"}}));
+    let arguments = ["bag", "record", "-a", "--exclude-regex", "noi.e", "-o", text(&bag), "--domain", "195"];
+    let mut recorder = Running::start(&arguments);
+    for topic in ["/chatter", "/imu", "/map_name", "/joy"] {
+        wait_until("the recorder is matched", || peer.ask(json!({"do": "matched", "topic": topic})) == 1);
+    }
+    for number in 0..20 {
+        let data = format!("number {number}");
+        peer.ask(json!({"do": "publish", "topic": "/chatter", "fields": {"data": data}}));
+        peer.ask(json!({"do": "publish", "topic": "/noise", "fields": {"data": data}}));
+        peer.ask(json!({"do": "publish", "topic": "/_hidden", "fields": {"data": data}}));
+        peer.ask(json!({"do": "publish", "topic": "/imu", "fields": {"orientation": {"w": 1.0}}}));
+        peer.ask(json!({"do": "publish", "topic": "/joy", "fields": {"axes": [0.5]}}));
+    }
+    wait_until("the messages are in the file", || {
+        bag.join("metadata.yaml").exists()
+            && ["/chatter", "/joy"].iter().all(|topic| counts(&bag).get(*topic) == Some(&20))
+            && counts(&bag).get("/map_name") == Some(&1)
+    });
+    recorder.interrupt();
+    peer.leave();
+
+    let counts = counts(&bag);
+    assert!(!counts.contains_key("/noise") && !counts.contains_key("/_hidden"), "{counts:?}");
+    let metadata = Metadata::read(&bag.join("metadata.yaml")).unwrap();
+    let qos = |name: &str| {
+        let topic = metadata.topics.iter().find(|topic| topic.name == name).unwrap();
+        assert_eq!(topic.offered_qos.len(), 1, "{name}");
+        let qos = topic.offered_qos[0];
+        assert_eq!(
+            (qos.history, qos.depth),
+            (RecordedHistory::Unknown, 0),
+            "{name}: discovery does not tell it"
+        );
+        assert!(topic.type_hash.starts_with("RIHS01_"), "{name}");
+        (qos.reliability, qos.durability)
+    };
+    assert_eq!(qos("/chatter"), (RecordedReliability::Reliable, RecordedDurability::Volatile));
+    assert_eq!(qos("/imu"), (RecordedReliability::BestEffort, RecordedDurability::Volatile));
+    assert_eq!(qos("/map_name"), (RecordedReliability::Reliable, RecordedDurability::TransientLocal));
+    let Some(found) = python("decode_bag.py", &[&bag]) else { return };
+    for reader in ["mcap", "mcap_ros2", "rosbags"] {
+        assert_eq!(found[reader], found["metadata"], "{reader}");
+    }
+    drop(note);
+}
+
+#[test]
+fn services_pause_resume_split_and_stop_a_recorder() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let node = node("steering", 196);
+    let events: Arc<Mutex<Vec<WriteSplitEvent>>> = Arc::default();
+    let heard = Arc::clone(&events);
+    let on_event =
+        Box::new(move |sample: Sample| heard.lock().unwrap().push(cdr::from_slice(&sample.cdr).unwrap()));
+    let message_type = MessageType::new(WriteSplitEvent::TYPE_NAME).unwrap();
+    let listening =
+        node.subscribe("/events/write_split", &message_type, QosProfile::DEFAULT, on_event).unwrap();
+    let mut talker = Talker::new(&node);
+    let mut recorder =
+        Running::start(&["bag", "record", "--topics", "/chatter", "-o", text(&bag), "--domain", "196"]);
+    talker.say(10);
+    let is_paused = || call::<IsPaused>(&node, "/rosbag2_recorder/is_paused", &Default::default()).paused;
+    assert!(!is_paused());
+    let flushed = |count: usize| {
+        wait_until("the messages are in the file", || {
+            bag.join("bag_0.mcap").exists() && said(&bag).len() == count
+        });
+    };
+    flushed(10);
+    call::<Pause>(&node, "/rosbag2_recorder/pause", &Default::default());
+    assert!(is_paused());
+    talker.say(5);
+    // The messages and the answers go different ways: another call comes behind them all.
+    call::<SplitBagfile>(&node, "/rosbag2_recorder/split_bagfile", &Default::default());
+    wait_until("the split is told", || events.lock().unwrap().len() == 1);
+    let event = events.lock().unwrap()[0].clone();
+    assert_eq!(
+        (event.closed_file.as_str(), event.opened_file.as_str()),
+        (text(&bag.join("bag_0.mcap")), text(&bag.join("bag_1.mcap")))
+    );
+    assert_eq!(event.node_name, "/rosbag2_recorder");
+    call::<Resume>(&node, "/rosbag2_recorder/resume", &Default::default());
+    assert!(!is_paused());
+    talker.say(3);
+    flushed(13);
+    call::<Stop>(&node, "/rosbag2_recorder/stop", &Default::default());
+    assert!(recorder.wait().success(), "{}", recorder.output());
+    let numbers: BTreeSet<u32> = said(&bag).into_iter().collect();
+    assert_eq!(numbers, (0..10).chain(15..18).collect());
+    assert_eq!(Metadata::read(&bag.join("metadata.yaml")).unwrap().files.len(), 2);
+    drop(listening);
+}
+
+#[test]
+fn a_snapshot_is_written_when_the_service_asks_for_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let node = node("snapshots", 197);
+    let mut talker = Talker::new(&node);
+    let mut recorder = Running::start(&[
+        "bag",
+        "record",
+        "/chatter",
+        "--snapshot-mode",
+        "--max-cache-size",
+        "4000",
+        "-o",
+        text(&bag),
+        "--domain",
+        "197",
+    ]);
+    talker.say(500);
+    let mut found = Vec::new();
+    // What was said may still be on its way: the last snapshot has the last messages.
+    wait_until("a snapshot has the last message", || {
+        assert!(call::<Snapshot>(&node, "/rosbag2_recorder/snapshot", &Default::default()).success);
+        found = said(&bag);
+        found.last() == Some(&499)
+    });
+    recorder.interrupt();
+    assert!(found.len() < 500, "only the latest: {}", found.len());
+    assert!(found.is_sorted());
+    assert_eq!(said(&bag), found, "nothing is written without being asked for");
+}
+
+#[test]
+fn a_type_that_only_the_ament_path_knows_is_recorded_with_its_definition() {
+    let folder = tempfile::tempdir().unwrap();
+    let package = folder.path().join("prefix/share/lawn_msgs/msg");
+    std::fs::create_dir_all(&package).unwrap();
+    let blade = "# Of grass.\nfloat32 height # m\nstd_msgs/Header header\n";
+    std::fs::write(package.join("Blade.msg"), blade).unwrap();
+    let bag = folder.path().join("bag");
+    let node = node("gardener", 198);
+    let message_type = MessageType::new("lawn_msgs/msg/Blade").unwrap();
+    let publisher = node.publish("/blades", &message_type, QosProfile::DEFAULT).unwrap();
+    let mut command =
+        downbeat(&["bag", "record", "-e", "bla", "-o", text(&bag), "--domain", "198", "-f", "cdr"]);
+    let mut recorder = Running::start_by(command.env("AMENT_PREFIX_PATH", folder.path().join("prefix")));
+    wait_until("the recorder is matched", || publisher.matched_subscriptions() > 0);
+    // Little-endian CDR: height, stamp, frame_id.
+    let message = [0, 1, 0, 0, 0, 0, 128, 63, 1, 0, 0, 0, 2, 0, 0, 0, 2, 0, 0, 0, b'a', 0];
+    for _ in 0..7 {
+        publisher.publish(message.to_vec().into()).unwrap();
+    }
+    wait_until("the messages are in the file", || {
+        bag.join("metadata.yaml").exists() && counts(&bag).get("/blades") == Some(&7)
+    });
+    recorder.interrupt();
+    let reader = Reader::open(&bag).unwrap();
+    let info = &reader.topics()[reader.topic("/blades").unwrap().index()].info;
+    assert!(info.definition.starts_with(blade) && info.definition.contains("MSG: std_msgs/Header"));
+    assert!(info.type_hash.starts_with("RIHS01_"));
+    let Some(found) = python("decode_bag.py", &[&bag]) else { return };
+    assert_eq!(found["mcap_ros2"], json!({"/blades": 7}));
+    assert_eq!(found["rosbags"], json!({"/blades": 7}));
+}
+
+#[test]
+fn events_of_a_service_of_a_real_node_are_recorded() {
+    let Some(interpreter) = rclpy_python() else { return };
+    let note =
+        check("Bags", "`bag record --services`: events of service introspection", With::Rclpy, Way::In);
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/introspected_service.py");
+    let mut node = Command::new(interpreter)
+        .arg(script)
+        .env("ROS_DOMAIN_ID", "199")
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(node.stdout.take().unwrap()).lines();
+    assert_eq!(lines.next().unwrap().unwrap(), "ready");
+    let mut recorder =
+        Running::start(&["bag", "record", "--services", "/set_torque", "-o", text(&bag), "--domain", "199"]);
+    recorder.wait_for_output("Subscribed to topic '/set_torque/_service_event'");
+    let events = |bag: &Path| counts(bag).get("/set_torque/_service_event").copied().unwrap_or(0);
+    let mut input = node.stdin.take().unwrap();
+    // A request and an answer, each sent and received: events are transient local, so none is missed.
+    writeln!(input, "go").unwrap();
+    assert_eq!(lines.next().unwrap().unwrap(), "called");
+    wait_until("the events are in the file", || bag.join("metadata.yaml").exists() && events(&bag) >= 8);
+    recorder.interrupt();
+    drop(input);
+    node.wait().unwrap();
+    let info = text_of(&["bag", "info", text(&bag)]);
+    assert!(info.contains("Service: /set_torque | Type: std_srvs/srv/SetBool | Event Count: 8"), "{info}");
+    let metadata = Metadata::read(&bag.join("metadata.yaml")).unwrap();
+    assert_eq!(metadata.topics.len(), 1, "no other topic");
+    assert_eq!(metadata.topics[0].type_name, "std_srvs/srv/SetBool_Event");
+    drop(note);
+}
+
+#[test]
+fn a_robot_is_recorded_by_module_and_pattern_into_files_of_a_size() {
+    let folder = tempfile::tempdir().unwrap();
+    let robot = robot_file(folder.path(), |text| text);
+    let bag = folder.path().join("bag");
+    let output = text_of(&[
+        "bag",
+        "record",
+        "--robot",
+        text(&robot),
+        "-o",
+        text(&bag),
+        "--duration",
+        "3s",
+        "--modules",
+        "hardware",
+        "--exclude-regex",
+        "^/bus/",
+        "-b",
+        "60000",
+        "--max-bag-files",
+        "3",
+        "--storage-preset-profile",
+        "zstd_fast",
+        "--custom-data",
+        "place=lawn",
+        "weather=fine",
+    ]);
+    let metadata = Metadata::read(&bag.join("metadata.yaml")).unwrap();
+    let topics: BTreeSet<&str> = metadata.topics.iter().map(|topic| topic.name.as_str()).collect();
+    assert!(topics.contains("/joint_states") && topics.contains("/imu/data_raw"), "{topics:?}");
+    assert!(!topics.contains("/bus/exchanges") && !topics.contains("/joint_goals"), "{topics:?}");
+    assert!(metadata.files.len() > 1 && metadata.files.len() <= 3, "{}", metadata.files.len());
+    assert_eq!((&*metadata.custom_data["place"], &*metadata.custom_data["weather"]), ("lawn", "fine"));
+    assert!(output.contains("lost 0"), "{output}");
+    let Some(found) = python("decode_bag.py", &[&bag]) else { return };
+    for reader in ["mcap", "mcap_ros2", "rosbags"] {
+        assert_eq!(found[reader], found["metadata"], "{reader}");
+    }
+}
+
+#[test]
+fn a_robot_file_says_what_is_recorded_and_check_prints_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = |keys: &str| {
+        let robot = robot_file(folder.path(), |text| {
+            let before = text.split("[record]").next().unwrap().to_owned();
+            format!("{before}\n[record]\n{keys}\n")
+        });
+        let output = output_of(&["check", text(&robot)]);
+        let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+        text.lines()
+            .rfind(|line| line.contains("recorded with") || line.contains(".toml:"))
+            .unwrap()
+            .to_owned()
+    };
+    assert!(
+        record("topics = [\"imu/*\", \"joint_states\"]")
+            .ends_with("recorded with --record: imu/data_raw, joint_states")
+    );
+    let by_type = record(
+        "types = [\"sensor_msgs/msg/JointState\"]\nexcept = [\"joint_goals\"]\nmodules = [\"hardware\"]",
+    );
+    assert!(by_type.ends_with("recorded with --record: joint_states"), "{by_type}");
+    let hidden = record("exposed = false");
+    assert!(hidden.contains("bus/exchanges") && !hidden.contains("joint_states"), "{hidden}");
+    for (keys, problem) in [
+        ("modules = [\"hardwear\"]", "there is no module \"hardwear\" to record, did you mean \"hardware\"?"),
+        ("preset = \"zstd_tiny\"", "unknown choice \"zstd_tiny\""),
+        ("max_bag_size = 10", "1024 or more"),
+        ("disk_full = \"explode\"", "unknown choice"),
+    ] {
+        let told = record(keys);
+        assert!(told.contains(problem), "{told}");
+    }
+}

@@ -1,0 +1,162 @@
+//! Transforms with a peer on Cyclone DDS (the wheels of rclpy have no `tf2_msgs`): what it publishes is in the buffer of a
+//! module, and what a module publishes arrives.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::time::Duration;
+
+use common::matrix::{Way, With, check};
+use common::rclpy::Peer;
+use common::wait_until;
+use downbeat::bridge::edge::KnownType;
+use downbeat::bridge::expose::{Exposure, expose};
+use downbeat::bridge::middleware::{Direction, DiscoveryRange, ParticipantOptions};
+use downbeat::bridge::ros::{NodeName, Participant};
+use downbeat::executor::{Context, Core, Module, ModuleOptions, Setup, SetupError, TransitionError};
+use downbeat::modules::transforms::{At, TransformBroadcaster, TransformBuffer, listen};
+use downbeat::msgs::geometry_msgs::msg::TransformStamped;
+use downbeat::msgs::qos::QosProfile;
+use serde_json::{Value, json};
+
+/// Looks up where the camera is in the map.
+#[derive(Default)]
+struct Finder {
+    transforms: TransformBuffer,
+}
+
+/// Tells where the camera was seen, and where its parts are.
+#[derive(Default)]
+struct Teller {
+    broadcaster: Option<TransformBroadcaster>,
+}
+
+fn transform(parent: &str, child: &str, x: f64) -> TransformStamped {
+    let mut transform = TransformStamped { child_frame_id: child.into(), ..TransformStamped::default() };
+    transform.header.frame_id = parent.into();
+    transform.transform.translation.x = x;
+    transform
+}
+
+impl Module for Finder {
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        listen(setup, |finder| &mut finder.transforms)?;
+        let seen = setup.publish("seen")?;
+        setup.every(Duration::from_millis(20), move |finder: &mut Self, ctx| {
+            let Ok(found) = finder.transforms.lookup("map", "camera", At::Latest) else { return };
+            let mut transform = transform("map", "camera_seen", found.target_from_source.translation.x);
+            transform.header.stamp.sec = i32::try_from(found.time.as_nanos() / 1_000_000_000).unwrap();
+            ctx.publish(seen, transform);
+        })
+    }
+}
+
+impl Module for Teller {
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        self.broadcaster = Some(TransformBroadcaster::declare(setup)?);
+        setup.subscribe::<TransformStamped, _>("seen", |teller, seen, ctx| {
+            if let Some(broadcaster) = &teller.broadcaster {
+                broadcaster.send(ctx, [seen.clone()]);
+            }
+        })
+    }
+
+    fn activate(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        if let Some(broadcaster) = &mut self.broadcaster {
+            broadcaster.send_static(ctx, [transform("camera", "lens", 0.02)]);
+            broadcaster.send_static(ctx, [transform("camera", "shutter", 0.01)]);
+        }
+        Ok(())
+    }
+}
+
+fn exposures() -> Vec<Exposure> {
+    let kind = KnownType::named("tf2_msgs/msg/TFMessage").unwrap();
+    let fixed = QosProfile::LATCHED.keep_last(100);
+    let exposure = |topic: &str, ros_topic: &str, direction, qos: QosProfile| Exposure {
+        ros_topic: Some(ros_topic.into()),
+        qos: qos.into(),
+        ..Exposure::new(topic, kind, direction)
+    };
+    vec![
+        exposure("tf", "/tf", Direction::In, QosProfile::DEFAULT.keep_last(100)),
+        exposure("tf_static", "/tf_static", Direction::In, fixed),
+        exposure("own/tf", "/tf", Direction::Out, QosProfile::DEFAULT.keep_last(100)),
+        exposure("own/tf_static", "/tf_static", Direction::Out, fixed),
+    ]
+}
+
+fn message(parent: &str, child: &str, x: f64, seconds: i32) -> Value {
+    json!({"transforms": [{
+        "header": {"frame_id": parent, "stamp": {"sec": seconds}},
+        "child_frame_id": child,
+        "transform": {
+            "translation": {"x": x, "y": 0.0, "z": 0.0},
+            "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        },
+    }]})
+}
+
+#[test]
+fn transforms_of_peer_are_looked_up_by_a_module_and_those_of_the_module_arrive() {
+    let Some(mut peer) = Peer::cyclonedds(148) else { return };
+    let _check = check("Topics", "/tf and /tf_static with the transform buffer", With::Cyclone, Way::In);
+    let _check2 =
+        check("Topics", "/tf and /tf_static of a broadcaster, for late joiners too", With::Cyclone, Way::Out);
+    let kind = "tf2_msgs/msg/TFMessage";
+    let fixed = json!({"depth": 100, "durability": "transient_local"});
+    peer.ask(json!({"do": "advertise", "topic": "/tf_static", "type": kind, "qos": fixed}));
+    // Before the robot is there: it hears of it late.
+    peer.ask(
+        json!({"do": "publish", "topic": "/tf_static", "fields": message("base_link", "camera", 0.25, 0)}),
+    );
+    peer.ask(json!({"do": "advertise", "topic": "/tf", "type": kind, "qos": {"depth": 100}}));
+    peer.ask(json!({"do": "subscribe", "topic": "/tf", "type": kind, "qos": {"depth": 100}}));
+
+    let mut core = Core::new();
+    core.add("finder", Finder::default()).unwrap();
+    let remaps = ["tf", "tf_static"].map(|topic| (topic.to_owned(), format!("own/{topic}")));
+    let options = ModuleOptions { remaps: remaps.into(), ..ModuleOptions::default() };
+    core.add_with("teller", Teller::default(), options).unwrap();
+    let options =
+        ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(148) };
+    let participant = Participant::join(&options).unwrap();
+    let node = participant.create_node(NodeName::new("/", "robot").unwrap()).unwrap();
+    let _status = expose(&mut core, &node, &exposures()).unwrap();
+    let handle = core.handle();
+    let running = std::thread::spawn(move || core.run().unwrap());
+
+    let mut seconds = 100;
+    let mut seen = Value::Null;
+    wait_until("the module has found the camera in the map", || {
+        seconds += 1;
+        let moving = message("map", "base_link", f64::from(seconds), seconds);
+        peer.ask(json!({"do": "publish", "topic": "/tf", "fields": moving}));
+        for heard in peer.ask(json!({"do": "take", "topic": "/tf"})).as_array().unwrap() {
+            let transform = &heard["fields"]["transforms"][0];
+            if transform["child_frame_id"] == "camera_seen" {
+                seen = transform.clone();
+            }
+        }
+        !seen.is_null()
+    });
+    let x = seen["transform"]["translation"]["x"].as_f64().unwrap();
+    let at = seen["header"]["stamp"]["sec"].as_f64().unwrap();
+    assert!(
+        (x - (at + 0.25)).abs() < 1e-9,
+        "the camera is 0.25 m before the base, which is where the peer said: {seen}"
+    );
+
+    peer.ask(json!({"do": "subscribe", "topic": "/tf_static", "type": kind, "qos": fixed}));
+    let mut children = Vec::new();
+    wait_until("the peer, which has come late, has all that is fixed", || {
+        for heard in peer.ask(json!({"do": "take", "topic": "/tf_static"})).as_array().unwrap() {
+            let transforms = heard["fields"]["transforms"].as_array().unwrap().clone();
+            children.extend(transforms.into_iter().map(|transform| transform["child_frame_id"].clone()));
+        }
+        ["lens", "shutter"].iter().all(|child| children.contains(&json!(child)))
+    });
+    handle.stop();
+    running.join().unwrap();
+    peer.leave();
+}
