@@ -74,9 +74,9 @@ fn play_to_ros(reader: &Reader, arguments: &PlayArguments, ros: &RosArgs) -> any
         }),
     };
     let mut playback = Playback::open(reader, &options)?;
+    let stop = Stop::new()?;
     let (_, node) = node("downbeat_bag_play", arguments.domain, ros)?;
     let publishers = publishers(reader, &options, &node)?;
-    let stop = Stop::new(None)?;
     wait_for_subscriptions(&publishers, &stop);
     let (started, mut played, mut refused) = (Instant::now(), 0_u64, 0_u64);
     while !stop.is_due() {
