@@ -104,19 +104,13 @@ fn record_and_receive(domain: u16) -> Option<(Vec<i64>, Vec<i64>)> {
 
 #[test]
 fn joint_states_arrive_at_125_hz_without_loss() {
-    // What is published must arrive, each time. The emulated bus may skip cycles on a machine that is busy with
-    // something else; five times in a row it does not.
-    let mut rates = Vec::new();
-    for domain in [61, 62, 63, 67, 68] {
-        let Some((published, received)) = record_and_receive(domain) else { return };
-        assert_eq!(received, published);
-        let span = (received[received.len() - 1] - received[0]) as f64 / 1e9;
-        rates.push((received.len() - 1) as f64 / span);
-        if (112.5..=137.5).contains(&rates[rates.len() - 1]) {
-            return;
-        }
-    }
-    panic!("joint states came at {rates:?} Hz, not at 125 Hz");
+    let Some((published, received)) = record_and_receive(61) else { return };
+    assert_eq!(received, published);
+    // A busy machine skips cycles of the emulated bus; half of them come when they are due all the same.
+    let mut periods: Vec<i64> = received.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    periods.sort_unstable();
+    let rate = 1e9 / periods[periods.len() / 2] as f64;
+    assert!((112.5..=137.5).contains(&rate), "joint states come at {rate} Hz, not at 125 Hz");
 }
 
 #[test]

@@ -13,7 +13,7 @@ pub(crate) fn darwin_op(link: PathBuf, seed: u64, faults: &[String]) -> anyhow::
         .iter()
         .map(|text| text.parse::<Fault>().with_context(|| format!("--fault {text}")))
         .collect::<Result<_, _>>()?;
-    let stop = Stop::new(None)?;
+    let stop = Stop::new()?;
     let options = EmulatorOptions { link: Some(link.clone()), seed, faults, ..EmulatorOptions::default() };
     let emulator = Emulator::start(options)?;
     tracing::info!("an emulated Darwin OP is at {}", link.display());

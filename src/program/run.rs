@@ -12,14 +12,14 @@ use super::session::{RecordPlan, Session};
 use super::stop::Stop;
 
 pub(crate) fn run(arguments: &RunArguments, ros: &RosArgs, screen: &Screen, log: &Log) -> anyhow::Result<()> {
+    let stop = Stop::new()?;
     let mut session = Session::new(arguments.parameters.read_robot(&arguments.robot, ros)?)?;
     let options = participant_options(arguments.domain)?;
     session.expose(&options, log)?;
     if let Some(directory) = &arguments.record {
         session.record(RecordPlan::of_robot(directory, session.file(), arguments.encoding))?;
     }
-    let stop = Stop::new(arguments.duration)?;
-    session.run(&stop, screen)
+    session.run(&stop.after(arguments.duration), screen)
 }
 
 /// A node of a command that has one of its own.

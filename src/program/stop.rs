@@ -14,8 +14,8 @@ pub(crate) struct Stop {
 }
 
 impl Stop {
-    /// Takes over SIGINT and SIGTERM; `duration` counts from now.
-    pub(crate) fn new(duration: Option<Duration>) -> anyhow::Result<Self> {
+    /// Takes over SIGINT and SIGTERM: to be done before others can see what has to be left in order.
+    pub(crate) fn new() -> anyhow::Result<Self> {
         let signalled = Arc::new(AtomicBool::new(false));
         for signal in [SIGINT, SIGTERM] {
             // The order matters: the first signal finds the flag unset, sets it, and only a second one exits.
@@ -23,7 +23,12 @@ impl Stop {
                 .and_then(|_| signal_hook::flag::register(signal, Arc::clone(&signalled)))
                 .context("cannot handle SIGINT and SIGTERM")?;
         }
-        Ok(Self { signalled, end: duration.map(|duration| Instant::now() + duration) })
+        Ok(Self { signalled, end: None })
+    }
+
+    /// Ends after this time as well, counted from now.
+    pub(crate) fn after(self, duration: Option<Duration>) -> Self {
+        Self { end: duration.map(|duration| Instant::now() + duration), ..self }
     }
 
     pub(crate) fn is_due(&self) -> bool {

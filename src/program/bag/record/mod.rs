@@ -62,9 +62,10 @@ fn record_robot(
         encoding: file.record.encoding,
         filter: Some(filter),
     };
+    let stop = Stop::new()?;
     let mut session = Session::new(file)?;
     session.record(plan)?;
-    session.run(&Stop::new(arguments.duration)?, screen)
+    session.run(&stop.after(arguments.duration), screen)
 }
 
 impl RecordArguments {
@@ -150,7 +151,7 @@ fn record_from_ros(
         "storage {storage}, serialization {format}, compression mode {}",
         written.compression_mode
     );
-    let stop = Stop::new(arguments.duration)?;
+    let stop = Stop::new()?.after(arguments.duration);
     let mut entry = RecordEntry::default();
     entry.cache_bytes = writing::DEFAULT_CACHE_BYTES;
     writing::apply(&arguments.writing, &mut entry)?;
