@@ -29,7 +29,7 @@ fn bag(folder: &Path, count: i64) -> PathBuf {
         type_name: std_msgs::msg::String::TYPE_NAME.to_owned(),
         definition: std_msgs::msg::String::DEFINITION.to_owned(),
         type_hash: std_msgs::msg::String::TYPE_HASH.to_owned(),
-        offered_qos: vec![qos],
+        offered_qos: vec![(&qos).into()],
         format: None,
     };
     let mut writer = WriterOptions::new().create(&bag).unwrap();

@@ -81,6 +81,9 @@ fn bags_are_filtered_merged_cut_and_compared() {
     assert!(count(&at("imu")) > 10 && count(&at("imu")) + count(&at("rest")) == count(&bag));
     let same = text_of(&["bag", "diff", text(&bag), text(&at("all")), "--times"]);
     assert!(same.contains(&format!("{} messages on ", count(&bag))), "{same}");
+    part("split", &["-d", "1", "--storage-preset-profile", "zstd_fast"]);
+    assert!(at("split").join("split_2.mcap").exists());
+    text_of(&["bag", "diff", text(&bag), text(&at("split")), "--times"]);
     let output = output_of(&["bag", "diff", text(&bag), text(&at("rest"))]);
     let printed = String::from_utf8(output.stdout).unwrap();
     assert!(!output.status.success(), "{printed}");

@@ -288,7 +288,7 @@ mod tests {
         let info = |name: &str, qos: QosProfile| TopicInfo {
             name: name.to_owned(),
             type_name: "std_msgs/msg/String".to_owned(),
-            offered_qos: vec![qos],
+            offered_qos: vec![(&qos).into()],
             ..TopicInfo::default()
         };
         let ms = 1_000_000;

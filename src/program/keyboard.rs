@@ -48,10 +48,10 @@ impl Drop for Keyboard {
     }
 }
 
-fn forward(input: impl Read, mut send: impl FnMut(Key) -> bool) {
-    let mut sequence = Vec::new();
-    for byte in input.bytes().map_while(Result::ok) {
-        sequence.push(byte);
+fn forward(mut input: impl Read, mut send: impl FnMut(Key) -> bool) {
+    let (mut byte, mut sequence) = ([0], Vec::new());
+    while input.read_exact(&mut byte).is_ok() {
+        sequence.extend(byte);
         let key = match *sequence {
             // The beginning of what a cursor key sends (ECMA-48, CSI).
             [0x1b] | [0x1b, b'['] => continue,

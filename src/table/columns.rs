@@ -221,7 +221,9 @@ mod tests {
             message.set("data", vec![1_u8, 2, 255]).unwrap();
         });
         let mut survey = Survey::default();
-        [&short, &long].map(|message| survey.see(message));
+        for message in [&short, &long] {
+            survey.see(message);
+        }
         let columns = survey.columns();
         let names: Vec<_> = columns.iter().map(|column| column.name.as_str()).collect();
         assert_eq!(names, ["on", "count", "mass", "data", "parts[0].id", "parts[0].at[0]", "parts[0].at[1]"]);
@@ -237,7 +239,9 @@ mod tests {
         let many = message(|message| message.set("many", vec![7_i16; MOST_ELEMENTS + 1]).unwrap());
         for order in [[&few, &many], [&many, &few]] {
             let mut survey = Survey::default();
-            order.map(|message| survey.see(message));
+            for message in order {
+                survey.see(message);
+            }
             let columns = survey.columns();
             assert_eq!(columns.iter().last().unwrap().name, "many");
             assert_eq!(columns.row(&few).last(), Some(&Cell::Text("[1,2]".to_owned())));

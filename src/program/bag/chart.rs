@@ -49,7 +49,7 @@ impl Chart {
         const BYTES_PER_PIXEL: usize = 3;
         let (width, height) = self.size;
         let mut pixels = vec![0; width as usize * height as usize * BYTES_PER_PIXEL];
-        self.draw(&BitmapBackend::with_buffer(&mut pixels, self.size).into_drawing_area())?;
+        self.draw(&BitMapBackend::with_buffer(&mut pixels, self.size).into_drawing_area())?;
         let file = File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
         let mut encoder = png::Encoder::new(BufWriter::new(file), width, height);
         encoder.set_color(png::ColorType::Rgb);
@@ -97,7 +97,8 @@ impl Chart {
 
 /// From the least to the greatest, and by so much of their distance further at both ends.
 fn range(values: impl Iterator<Item = f64>, margin: f64) -> Range<f64> {
-    let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
+    let (low, high) =
+        values.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
     if low > high {
         return 0.0..1.0;
     }
@@ -112,7 +113,8 @@ fn drawn_parts(points: &[(f64, f64)], times: &Range<f64>, width: u32) -> Vec<Vec
     let parts = points.split(|(_, y)| !y.is_finite()).filter(|part| !part.is_empty());
     parts
         .map(|part| {
-            let of_a_pixel = part.chunk_by(|(one, _), (other, _)| (one / pixel).floor() == (other / pixel).floor());
+            let of_a_pixel =
+                part.chunk_by(|(one, _), (other, _)| (one / pixel).floor() == (other / pixel).floor());
             of_a_pixel.flat_map(extremes).collect()
         })
         .collect()

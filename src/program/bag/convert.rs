@@ -25,7 +25,7 @@ pub(crate) fn convert(arguments: &ConvertArguments) -> anyhow::Result<()> {
     let filter = arguments.topics.filter()?;
     arguments.topics.check(bags.iter().flat_map(Reader::topics).map(|topic| &topic.info))?;
     let copy = Copy::of(&bags)?.topics(|topic| filter.is_wanted(topic));
-    let OutputArguments { output, compression } = &arguments.output;
-    write(copy, custom_data(&bags), output, *compression)?;
+    let OutputArguments { output, layout } = &arguments.output;
+    write(copy, custom_data(&bags), output, layout)?;
     Ok(())
 }

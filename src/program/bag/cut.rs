@@ -88,7 +88,7 @@ pub(crate) fn cut(arguments: &CutArguments) -> anyhow::Result<()> {
     if !arguments.no_latched {
         copy = copy.keep_latched();
     }
-    write(copy, custom_data(&bags), &arguments.output.output, arguments.output.compression)?;
+    write(copy, custom_data(&bags), &arguments.output.output, &arguments.output.layout)?;
     Ok(())
 }
 

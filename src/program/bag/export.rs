@@ -121,14 +121,18 @@ impl Source<'_> {
     fn write_jsonl(&self, path: &Path) -> anyhow::Result<u64> {
         let decoder = Decoder::of(self.topic)?;
         let mut writer = BufWriter::new(File::create(path)?);
-        let messages = self.each("writing", |data| decoder.to_json(data), |times, json| {
-            for (name, time) in TIMES.into_iter().zip(times) {
-                write!(writer, "{}\"{name}\":{time}", if name == TIMES[0] { '{' } else { ',' })?;
-            }
-            writer.write_all(b",\"message\":")?;
-            writer.write_all(&json)?;
-            Ok(writer.write_all(b"}\n")?)
-        })?;
+        let messages = self.each(
+            "writing",
+            |data| decoder.to_json(data),
+            |times, json| {
+                for (name, time) in TIMES.into_iter().zip(times) {
+                    write!(writer, "{}\"{name}\":{time}", if name == TIMES[0] { '{' } else { ',' })?;
+                }
+                writer.write_all(b",\"message\":")?;
+                writer.write_all(&json)?;
+                Ok(writer.write_all(b"}\n")?)
+            },
+        )?;
         writer.flush()?;
         Ok(messages)
     }

@@ -1,9 +1,10 @@
 //! The bag that a command makes.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use downbeat::bags::{Compression, Copied, Copy, WriterOptions};
+use downbeat::bags::{Compression, Copied, Copy, SplitLimits, StoragePreset, WriterOptions};
 
 use super::progress::Progress;
 
@@ -13,25 +14,48 @@ pub(crate) struct OutputArguments {
     /// The new rosbag2 directory.
     #[arg(long, short, value_name = "DIR")]
     pub(crate) output: PathBuf,
-    /// How its chunks are compressed.
+    #[command(flatten)]
+    pub(crate) layout: LayoutArguments,
+}
+
+/// How its files are laid out.
+#[derive(Args)]
+pub(crate) struct LayoutArguments {
+    /// How chunks are compressed.
     #[arg(long, value_enum, default_value_t = CompressionChoice::None)]
-    pub(crate) compression: CompressionChoice,
+    compression: CompressionChoice,
+    /// How files are laid out, as ros2 bag record has it: none, fastwrite, zstd_fast or zstd_small.
+    #[arg(long, value_name = "PRESET", conflicts_with = "compression")]
+    storage_preset_profile: Option<StoragePreset>,
+    /// Bytes after which the bag goes on in a new file; 0 for never.
+    #[arg(short = 'b', long, default_value_t = 0, value_name = "BYTES")]
+    max_bag_size: u64,
+    /// Seconds after which the bag goes on in a new file; 0 for never.
+    #[arg(short = 'd', long, default_value_t = 0, value_name = "SECONDS")]
+    max_bag_duration: u64,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-pub(crate) enum CompressionChoice {
+enum CompressionChoice {
     /// Not at all.
     None,
+    /// With LZ4.
+    Lz4,
     /// With Zstandard.
     Zstd,
 }
 
-impl CompressionChoice {
-    fn compression(self) -> Compression {
-        match self {
-            Self::None => Compression::None,
-            Self::Zstd => Compression::Zstd,
-        }
+impl LayoutArguments {
+    fn writer_options(&self) -> WriterOptions {
+        let options = match (self.storage_preset_profile, self.compression) {
+            (Some(preset), _) => WriterOptions::new().storage(preset.options()),
+            (None, CompressionChoice::None) => WriterOptions::new().compression(Compression::None),
+            (None, CompressionChoice::Lz4) => WriterOptions::new().compression(Compression::Lz4),
+            (None, CompressionChoice::Zstd) => WriterOptions::new().compression(Compression::Zstd),
+        };
+        let max_bytes = (self.max_bag_size > 0).then_some(self.max_bag_size);
+        let max_duration = (self.max_bag_duration > 0).then(|| Duration::from_secs(self.max_bag_duration));
+        options.split(SplitLimits { max_bytes, max_duration })
     }
 }
 
@@ -40,10 +64,10 @@ pub(crate) fn write(
     copy: Copy<'_>,
     custom_data: impl Iterator<Item = (String, String)>,
     directory: &Path,
-    compression: CompressionChoice,
+    layout: &LayoutArguments,
 ) -> anyhow::Result<Copied> {
-    let options = WriterOptions::new().compression(compression.compression());
-    let options = custom_data.fold(options, |options, (key, value)| options.custom_data(key, value));
+    let options =
+        custom_data.fold(layout.writer_options(), |options, (key, value)| options.custom_data(key, value));
     let mut progress = Progress::new("writing", copy.message_count());
     let copied = copy.into_writer(options.create(directory)?, |written| progress.at(written))?;
     drop(progress);

@@ -64,7 +64,10 @@ pub(crate) fn plot(arguments: &PlotArguments) -> anyhow::Result<()> {
         curves.extend(curves_of(&bag, wanted)?);
     }
     if curves.len() > MOST_CURVES {
-        bail!("these are {} curves; name at most {MOST_CURVES}, as in joint_states:position[3]", curves.len());
+        bail!(
+            "these are {} curves; name at most {MOST_CURVES}, as in joint_states:position[3]",
+            curves.len()
+        );
     }
     let name = bag.path().file_name().map(|name| name.to_string_lossy().into_owned());
     let title = arguments.title.clone().or(name).unwrap_or_default();
@@ -89,7 +92,9 @@ fn curves_of(bag: &Reader, wanted: &Wanted) -> anyhow::Result<Vec<Curve>> {
     let mut curves: Vec<(usize, Curve)> = chosen
         .iter()
         .filter(|(_, column)| is_number(column.kind))
-        .map(|(index, column)| (*index, Curve { name: format!("{name}:{}", column.name), points: Vec::new() }))
+        .map(|(index, column)| {
+            (*index, Curve { name: format!("{name}:{}", column.name), points: Vec::new() })
+        })
         .collect();
     if curves.is_empty() {
         let numbers = columns.iter().filter(|column| is_number(column.kind));
@@ -137,8 +142,11 @@ fn number(cell: &Cell) -> Option<f64> {
 }
 
 fn size(text: &str) -> Result<(u32, u32), String> {
-    let parts = text.split_once('x').and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
+    let parts =
+        text.split_once('x').and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
     parts
         .filter(|(width, height)| (200..=10_000).contains(width) && (100..=10_000).contains(height))
-        .ok_or_else(|| "write width and height in pixels, 200x100 to 10000x10000, such as 1200x600".to_owned())
+        .ok_or_else(|| {
+            "write width and height in pixels, 200x100 to 10000x10000, such as 1200x600".to_owned()
+        })
 }

@@ -6,7 +6,7 @@ use clap::Args;
 use downbeat::bags::{Copy, Reader};
 
 use super::custom_data;
-use super::output::{CompressionChoice, write};
+use super::output::{LayoutArguments, write};
 
 #[derive(Args)]
 pub(crate) struct RepairArguments {
@@ -15,9 +15,8 @@ pub(crate) struct RepairArguments {
     /// The new rosbag2 directory; the name of the bag with `_repaired` unless given.
     #[arg(long, short, value_name = "DIR")]
     pub(crate) output: Option<PathBuf>,
-    /// How the chunks of the new bag are compressed.
-    #[arg(long, value_enum, default_value_t = CompressionChoice::None)]
-    pub(crate) compression: CompressionChoice,
+    #[command(flatten)]
+    pub(crate) layout: LayoutArguments,
 }
 
 pub(crate) fn repair(arguments: &RepairArguments) -> anyhow::Result<()> {
@@ -30,7 +29,7 @@ pub(crate) fn repair(arguments: &RepairArguments) -> anyhow::Result<()> {
         println!("no file is cut off");
     }
     let output = arguments.output.clone().unwrap_or_else(|| beside(&arguments.bag));
-    write(Copy::of(&bags)?, custom_data(&bags), &output, arguments.compression)?;
+    write(Copy::of(&bags)?, custom_data(&bags), &output, &arguments.layout)?;
     Ok(())
 }
 

@@ -66,7 +66,9 @@ pub(super) fn play(
     wait_for_subscriptions(&publishers, &stop);
     let keyboard = (!arguments.disable_keyboard_controls).then(Keyboard::open).flatten();
     if keyboard.is_some() {
-        tracing::info!("Press SPACE for pausing/resuming, RIGHT for the next message, UP and DOWN for the rate");
+        tracing::info!(
+            "Press SPACE for pausing/resuming, RIGHT for the next message, UP and DOWN for the rate"
+        );
     }
     let mut run = Run {
         player,

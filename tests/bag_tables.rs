@@ -1,0 +1,90 @@
+//! Tables and plots of what is in a bag, as others read them.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::path::{Path, PathBuf};
+
+use common::{output_of, python, text_of};
+use downbeat::bags::Reader;
+
+fn recording() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("bags/recordings/darwin_op_emulated")
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+#[test]
+fn duckdb_reads_from_every_table_what_rosbags_decodes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (bag, tables) = (recording(), folder.path().join("tables"));
+    std::fs::create_dir(&tables).unwrap();
+    let reader = Reader::open(&bag).unwrap();
+    let count = |topic: &str| reader.topics()[reader.topic(topic).unwrap().index()].message_count;
+    for format in ["csv", "jsonl", "parquet"] {
+        let output = folder.path().join(format);
+        let topics = ["--topics", "joint_states", "bus/exchanges"];
+        let told = text_of(
+            &[&["bag", "export", text(&bag), "-f", format, "-o", text(&output)], &topics[..]].concat(),
+        );
+        assert!(told.contains(&format!("/joint_states: {} messages", count("/joint_states"))), "{told}");
+        for file in std::fs::read_dir(&output).unwrap() {
+            let file = file.unwrap();
+            std::fs::rename(file.path(), tables.join(file.file_name())).unwrap();
+        }
+    }
+    let Some(compared) = python("read_tables.py", &[&bag, &tables]) else { return };
+    for (topic, stem) in [("/joint_states", "joint_states"), ("/bus/exchanges", "bus.exchanges")] {
+        for extension in ["csv", "parquet"] {
+            assert_eq!(compared[format!("{stem}.{extension}")], count(topic), "{compared}");
+        }
+    }
+    assert_eq!(compared["joint_states.jsonl"], count("/joint_states"));
+}
+
+#[test]
+fn fields_are_drawn_as_svg_and_png() {
+    let folder = tempfile::tempdir().unwrap();
+    let svg = folder.path().join("plot.svg");
+    let fields = ["joint_states:position[3]", "/imu/data_raw:angular_velocity"];
+    let line = |output: &Path| {
+        text_of(&[&["bag", "plot", text(&recording()), "-o", text(output)], &fields[..]].concat())
+    };
+    assert!(line(&svg).starts_with("4 curves in "));
+    let drawn = std::fs::read_to_string(&svg).unwrap();
+    for name in ["/joint_states:position[3]", "/imu/data_raw:angular_velocity.z", "seconds since"] {
+        assert!(drawn.contains(name), "{name}");
+    }
+    roxmltree::Document::parse(&drawn).unwrap();
+    let image = folder.path().join("plot.png");
+    line(&image);
+    let mut reader =
+        png::Decoder::new(std::io::BufReader::new(std::fs::File::open(&image).unwrap())).read_info().unwrap();
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut pixels).unwrap();
+    assert_eq!((info.width, info.height), (1200, 600));
+    let white = pixels.iter().filter(|value| **value == 255).count();
+    assert!(white > pixels.len() / 2 && white < pixels.len(), "lines on white");
+}
+
+#[test]
+fn what_cannot_be_drawn_or_exported_is_told_with_what_there_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = recording();
+    let plot = folder.path().join("plot.svg");
+    let refused = |arguments: &[&str]| {
+        let output = output_of(arguments);
+        assert!(!output.status.success());
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let field = |field: &str, output: &Path| refused(&["bag", "plot", text(&bag), field, "-o", text(output)]);
+    assert!(field("joint_state:position", &plot).contains("it has /joint_states"));
+    assert!(field("joint_states:positions", &plot).contains("it has header.stamp.sec, "));
+    assert!(field("joint_states:name", &plot).contains("no number at name"));
+    assert!(field("joint_states", &plot).contains("TOPIC:FIELD"));
+    assert!(field("joint_states:position", &folder.path().join("plot.pdf")).contains(".svg or .png"));
+    let there = refused(&["bag", "export", text(&bag), "-o", text(folder.path())]);
+    assert!(there.contains("cannot make the directory"), "{there}");
+}
