@@ -16,15 +16,28 @@ const DOWNBEAT: &str = env!("CARGO_BIN_EXE_downbeat");
 const JOINT_STATE: &str = "sensor_msgs/msg/JointState";
 
 fn run(hosts: &Hosts, folder: &Path, more: &[&str]) -> Running {
+    run_with(hosts, folder, more, &[])
+}
+
+fn run_with(hosts: &Hosts, folder: &Path, more: &[&str], variables: &[(&str, &str)]) -> Running {
     let robot = robot_file(folder, |text| text);
     let mut command = hosts.command(0, DOWNBEAT);
+    command.envs(variables.iter().copied());
     command.arg("run").arg(robot).args(more).current_dir(env!("CARGO_MANIFEST_DIR"));
     Running::start_by(&mut command)
 }
 
 /// Two hosts for a check, and rclpy on the second.
 fn hosts(check: Check) -> Option<(Hosts, Peer, Check)> {
-    let made = Hosts::new().and_then(|hosts| Some((rclpy(&hosts)?, hosts)));
+    hosts_that(check, |_| ())
+}
+
+/// The same, with hosts that something was done to before rclpy starts.
+fn hosts_that(check: Check, change: impl FnOnce(&Hosts)) -> Option<(Hosts, Peer, Check)> {
+    let made = Hosts::new().and_then(|hosts| {
+        change(&hosts);
+        Some((rclpy(&hosts)?, hosts))
+    });
     let Some((peer, hosts)) = made else {
         check.skipped();
         return None;
@@ -101,6 +114,21 @@ fn a_peer_that_is_killed_and_started_again_20_times_hears_the_robot_each_time() 
         hear(&mut peer);
     }
     robot.interrupt();
+}
+
+#[test]
+fn a_host_that_multicast_does_not_reach_is_found_by_its_address() {
+    let check = check("Environment", "ROS_STATIC_PEERS without multicast", With::Rclpy, Way::Both);
+    let Some((hosts, mut peer, _check)) = hosts_that(check, Hosts::without_multicast) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut robot = run_with(&hosts, folder.path(), &[], &[("ROS_STATIC_PEERS", "10.77.0.2")]);
+    hear(&mut peer);
+    peer.ask(json!({"do": "advertise", "topic": "/joint_commands", "type": JOINT_STATE}));
+    wait_until("the robot hears commands", || {
+        peer.ask(json!({"do": "matched", "topic": "/joint_commands"})) == 1
+    });
+    robot.interrupt();
+    peer.leave();
 }
 
 #[test]

@@ -53,6 +53,13 @@ impl Hosts {
         command
     }
 
+    /// Takes away the way for multicast: what is sent to a group goes nowhere.
+    pub fn without_multicast(&self) {
+        for name in &self.names {
+            ip(&["-n", name, "route", "delete", "224.0.0.0/4"]);
+        }
+    }
+
     /// Out of the switch: host 0 sees that its link is gone, host 1 only that nothing comes.
     pub fn pull_the_cable(&self) {
         ip(&["-n", &self.switch, "link", "set", "port0", "down"]);
