@@ -19,8 +19,9 @@ pub struct PlayerOptions {
     /// How far into the bags to begin.
     pub start_offset: Duration,
     /// The last time to play, in nanoseconds since the epoch.
-    pub until: i64,
-    /// How long to play at the most, in the time of the bags, from where it begins.
+    pub until: Option<i64>,
+    /// How long to play, in the time of the bags, from where it begins. With `until` the later of both ends it, as in
+    /// rosbag2.
     pub duration: Option<Duration>,
     /// Whether to begin again at the end.
     pub repeats: bool,
@@ -43,7 +44,7 @@ impl Default for PlayerOptions {
         Self {
             rate: Rate::ORIGINAL,
             start_offset: Duration::ZERO,
-            until: i64::MAX,
+            until: None,
             duration: None,
             repeats: false,
             starts_paused: false,
@@ -56,9 +57,9 @@ impl Default for PlayerOptions {
 /// Plays one bag, or several merged by time.
 pub struct Player<'a> {
     bags: &'a [Reader],
+    /// Those that are played.
     topics: Vec<RecordedTopic>,
     ids: Vec<TopicMap>,
-    is_wanted: Vec<bool>,
     /// The first and the last message of the bags, where playing begins, and the last time that is played.
     start: i64,
     last: i64,
@@ -67,6 +68,8 @@ pub struct Player<'a> {
     repeats: bool,
     plays_latched: bool,
     latched: VecDeque<BagMessage>,
+    /// All messages of latched topics, by time, once they were looked for.
+    all_latched: Option<Vec<BagMessage>>,
     playback: Playback<AheadOf>,
     read_ahead: ReadAhead,
     /// Messages given since the last beginning: bags without any do not repeat for ever.
@@ -83,9 +86,7 @@ impl<'a> Player<'a> {
         options: &PlayerOptions,
         is_wanted: impl Fn(&TopicInfo) -> bool,
     ) -> Result<Self, PlaybackError> {
-        let of_each: Vec<&[RecordedTopic]> = bags.iter().map(Reader::topics).collect();
-        let (topics, ids) = merge_topics(&of_each)?;
-        let is_wanted = topics.iter().map(|topic| is_wanted(&topic.info)).collect();
+        let (topics, ids) = merge_wanted(bags, is_wanted)?;
         let start = bags.iter().filter_map(Reader::start_time).min().unwrap_or(0);
         let last = bags.iter().filter_map(Reader::end_time).max().unwrap_or(0);
         let after = |from: i64, distance: Duration| {
@@ -96,13 +97,13 @@ impl<'a> Player<'a> {
             let length = Duration::from_nanos(last.abs_diff(start));
             return Err(PlaybackError::StartOffset { offset: options.start_offset, length });
         }
-        let end = options.duration.map_or(i64::MAX, |duration| after(begin, duration)).min(options.until);
+        let after_duration = options.duration.map(|duration| after(begin, duration));
+        let end = after_duration.into_iter().chain(options.until).max().unwrap_or(i64::MAX);
         let read_ahead = ReadAhead::start(options.read_ahead).map_err(PlaybackError::Thread)?;
         let mut player = Self {
             bags,
             topics,
             ids,
-            is_wanted,
             start,
             last,
             begin,
@@ -110,6 +111,7 @@ impl<'a> Player<'a> {
             repeats: options.repeats,
             plays_latched: options.plays_latched,
             latched: VecDeque::new(),
+            all_latched: None,
             playback: Playback::new(read_ahead.read(Merged::new(Vec::new())), begin, options.rate),
             read_ahead,
             given: 0,
@@ -121,16 +123,10 @@ impl<'a> Player<'a> {
         Ok(player)
     }
 
-    /// The topics of all bags; messages name them by position.
+    /// The topics of all bags that are played; messages name them by position.
     #[must_use]
     pub fn topics(&self) -> &[RecordedTopic] {
         &self.topics
-    }
-
-    /// Whether a topic is played.
-    #[must_use]
-    pub fn is_played(&self, topic: TopicId) -> bool {
-        self.is_wanted.get(topic.index()).copied().unwrap_or(false)
     }
 
     /// When the first message of the bags was received, in nanoseconds since the epoch.
@@ -153,13 +149,13 @@ impl<'a> Player<'a> {
             return Step::Due(message);
         }
         match self.playback.step(now) {
-            Step::Finished if self.repeats && self.given > 0 => {
-                self.given = 0;
-                match self.seek(now, self.begin) {
-                    Ok(()) => Step::Repeats,
-                    Err(error) => Step::Failed(error),
+            Step::Finished if self.repeats && self.given > 0 => match self.seek(now, self.begin) {
+                Ok(()) => {
+                    self.given = 0;
+                    Step::Repeats
                 }
-            }
+                Err(error) => Step::Failed(error),
+            },
             Step::Due(message) => {
                 self.given += 1;
                 Step::Due(message)
@@ -181,15 +177,16 @@ impl<'a> Player<'a> {
         Some(next)
     }
 
-    /// Plays on from that time of the bags, in nanoseconds since the epoch; one before their first message is that of the
-    /// first message.
+    /// Plays on from that time of the bags, in nanoseconds since the epoch; one before the beginning is the beginning.
     ///
     /// # Errors
     /// If a bag cannot be opened any more.
     pub fn seek(&mut self, now: Duration, time: i64) -> Result<(), ReaderError> {
-        let time = time.max(self.start);
+        let time = time.max(self.begin);
         self.go_to(time)?;
         self.playback.jump(now, time);
+        // Behind the end there is nothing to give; it repeats all the same.
+        self.given = 1;
         Ok(())
     }
 
@@ -228,7 +225,8 @@ impl<'a> Player<'a> {
 
     fn go_to(&mut self, time: i64) -> Result<(), ReaderError> {
         let messages = self.messages(Selection::all().from(time).until(self.end), |_| true)?;
-        self.playback.replace(self.read_ahead.read(messages));
+        let messages = self.read_ahead.read(messages);
+        self.playback.replace(messages);
         self.latched = if self.plays_latched { self.latched_before(time)? } else { VecDeque::new() };
         Ok(())
     }
@@ -236,13 +234,12 @@ impl<'a> Player<'a> {
     fn messages(
         &self,
         selection: Selection,
-        also: impl Fn(&RecordedTopic) -> bool,
+        is_meant: impl Fn(&RecordedTopic) -> bool,
     ) -> Result<Merged, ReaderError> {
         let mut streams = Vec::new();
         for (bag, ids) in self.bags.iter().zip(&self.ids) {
             let wanted = ids.iter().enumerate().filter_map(|(index, merged)| {
-                let merged = (*merged)?;
-                let is_wanted = self.is_played(merged) && also(&self.topics[merged.index()]);
+                let is_wanted = is_meant(&self.topics[(*merged)?.index()]);
                 is_wanted.then(|| TopicId::from_index(index)).flatten()
             });
             streams.push((bag.messages(selection.clone().topics(wanted))?, ids.clone()));
@@ -251,27 +248,47 @@ impl<'a> Player<'a> {
     }
 
     /// The last messages of latched topics before that time.
-    fn latched_before(&self, time: i64) -> Result<VecDeque<BagMessage>, ReaderError> {
+    fn latched_before(&mut self, time: i64) -> Result<VecDeque<BagMessage>, ReaderError> {
         let is_latched = |topic: &RecordedTopic| topic.info.latched_depth() > 0;
-        let is_any = self.topics.iter().any(is_latched);
-        if time <= self.start || !is_any {
+        if time <= self.start || !self.topics.iter().any(is_latched) {
             return Ok(VecDeque::new());
         }
+        let all = match self.all_latched.take() {
+            Some(all) => all,
+            // What cannot be read is told when the messages are played.
+            None => self.messages(Selection::all(), is_latched)?.flatten().collect(),
+        };
         let mut last: Vec<VecDeque<BagMessage>> = vec![VecDeque::new(); self.topics.len()];
-        let before = Selection::all().until(time.saturating_sub(1));
-        // What cannot be read is told when the messages are played.
-        for message in self.messages(before, is_latched)?.flatten() {
+        for message in all.iter().take_while(|message| message.log_time < time) {
             let depth = self.topics[message.topic.index()].info.latched_depth();
             let kept = &mut last[message.topic.index()];
-            kept.push_back(message);
+            kept.push_back(message.clone());
             if kept.len() > depth {
                 kept.pop_front();
             }
         }
+        self.all_latched = Some(all);
         let mut kept: Vec<BagMessage> = last.into_iter().flatten().collect();
         kept.sort_by_key(|message| message.log_time);
         Ok(kept.into())
     }
+}
+
+/// The topics of all bags that are wanted, and which of them those of each bag are. What is not wanted is no conflict.
+fn merge_wanted(
+    bags: &[Reader],
+    is_wanted: impl Fn(&TopicInfo) -> bool,
+) -> Result<(Vec<RecordedTopic>, Vec<TopicMap>), PlaybackError> {
+    let wanted = |bag: &Reader| bag.topics().iter().filter(|topic| is_wanted(&topic.info)).cloned().collect();
+    let of_each: Vec<Vec<RecordedTopic>> = bags.iter().map(wanted).collect();
+    let of_each: Vec<&[RecordedTopic]> = of_each.iter().map(Vec::as_slice).collect();
+    let (topics, ids) = merge_topics(&of_each)?;
+    let of_all = |(bag, ids): (&Reader, TopicMap)| {
+        let mut ids = ids.into_iter();
+        let of_topic = |topic: &RecordedTopic| is_wanted(&topic.info).then(|| ids.next().flatten()).flatten();
+        bag.topics().iter().map(of_topic).collect()
+    };
+    Ok((topics, bags.iter().zip(ids).map(of_all).collect()))
 }
 
 #[cfg(test)]

@@ -3,7 +3,8 @@
 use std::io::{self, Read};
 use std::sync::mpsc::{self, Receiver};
 
-use rustix::termios::{LocalModes, OptionalActions, Termios, tcgetattr, tcsetattr};
+use rustix::process::getpgrp;
+use rustix::termios::{LocalModes, OptionalActions, Termios, tcgetattr, tcgetpgrp, tcsetattr};
 
 /// A key that means something to some command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,9 +22,10 @@ pub(crate) struct Keyboard {
 }
 
 impl Keyboard {
-    /// Nothing where standard input is no terminal.
+    /// Nothing where standard input is no terminal, or one that another process has in the foreground.
     pub(crate) fn open() -> Option<Self> {
-        let before = tcgetattr(io::stdin()).ok()?;
+        let is_in_foreground = tcgetpgrp(io::stdin()).is_ok_and(|group| group == getpgrp());
+        let before = is_in_foreground.then(|| tcgetattr(io::stdin()).ok()).flatten()?;
         let mut by_key = before.clone();
         by_key.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
         tcsetattr(io::stdin(), OptionalActions::Now, &by_key).ok()?;

@@ -13,8 +13,9 @@ use parquet::schema::types::Type;
 
 use super::{Cell, ColumnKind, Columns};
 
-/// So many rows are held in memory, and written as one group.
+/// So many rows, or bytes of text and the like, are held in memory, and written as one group.
 const ROWS_OF_A_GROUP: usize = 8192;
+const BYTES_OF_A_GROUP: usize = 32 * 1024 * 1024;
 
 /// A file that is being written: two times of each message, in nanoseconds since the epoch, and its columns.
 pub struct ParquetTable {
@@ -23,6 +24,8 @@ pub struct ParquetTable {
     times: [Vec<Cell>; 2],
     /// The cells of each column that are not written yet.
     columns: Vec<Vec<Cell>>,
+    /// What they hold besides numbers.
+    bytes: usize,
 }
 
 impl ParquetTable {
@@ -40,7 +43,7 @@ impl ParquetTable {
         let writer = SerializedFileWriter::new(File::create(path)?, Arc::new(schema), Arc::new(properties))?;
         let kinds: Vec<_> = columns.iter().map(|column| column.kind).collect();
         let columns = vec![Vec::new(); kinds.len()];
-        Ok(Self { writer, kinds, times: Default::default(), columns })
+        Ok(Self { writer, kinds, times: Default::default(), columns, bytes: 0 })
     }
 
     /// Adds a message.
@@ -52,9 +55,15 @@ impl ParquetTable {
             column.push(Cell::Int(time));
         }
         for (column, cell) in self.columns.iter_mut().zip(row) {
+            self.bytes += match &cell {
+                Cell::Text(text) => text.len(),
+                Cell::Bytes(bytes) => bytes.len(),
+                _ => 0,
+            };
             column.push(cell);
         }
-        if self.times[0].len() == ROWS_OF_A_GROUP { self.write_group() } else { Ok(()) }
+        let is_full = self.times[0].len() >= ROWS_OF_A_GROUP || self.bytes >= BYTES_OF_A_GROUP;
+        if is_full { self.write_group() } else { Ok(()) }
     }
 
     /// Writes what is not written yet, and ends the file.
@@ -80,6 +89,7 @@ impl ParquetTable {
             cells.clear();
         }
         group.close()?;
+        self.bytes = 0;
         Ok(())
     }
 }

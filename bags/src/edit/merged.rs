@@ -25,9 +25,7 @@ struct Stream {
 
 /// Two bags have a topic of one name that is not the same.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "topic {topic} is of type {first} in one bag and {second} in another; leave it out, or remap it in one of them"
-)]
+#[error("topic {topic} is of type {first} in one bag and {second} in another; leave it out")]
 pub struct TypeConflict {
     /// The topic.
     pub topic: String,

@@ -122,14 +122,14 @@ impl Graph {
             return false;
         }
         state.nodes.insert(node.clone(), OwnNode::default());
-        self.own.tell(&mut state);
+        self.own.tell_change(&mut state);
         true
     }
 
     pub(super) fn remove_node(&self, node: &NodeName) {
         let mut state = lock(&self.own.state);
         state.nodes.remove(node);
-        self.own.tell(&mut state);
+        self.own.tell_change(&mut state);
     }
 
     pub(super) fn add_endpoint(&self, node: &NodeName, direction: Direction, endpoint: Gid) {
@@ -149,7 +149,7 @@ impl Graph {
             Direction::Out => &mut endpoints.writers,
         };
         if change(gids) {
-            self.own.tell(&mut state);
+            self.own.tell_change(&mut state);
         }
     }
 
@@ -188,6 +188,13 @@ impl Graph {
 }
 
 impl Own {
+    /// Tells a change, with those that wait for room, if some do.
+    fn tell_change(&self, state: &mut OwnState) {
+        if state.untold.is_none() {
+            self.tell(state);
+        }
+    }
+
     /// Tells all there is, now or as soon as there is room for it.
     fn tell(&self, state: &mut OwnState) {
         match self.write(state) {

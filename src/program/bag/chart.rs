@@ -61,7 +61,7 @@ impl Chart {
     where
         B::ErrorType: 'static,
     {
-        let all = || self.curves.iter().flat_map(|curve| &curve.points).filter(|(_, y)| y.is_finite());
+        let all = || self.curves.iter().flat_map(|curve| &curve.points).filter(|(_, y)| is_drawn(*y));
         let times = range(all().map(|(x, _)| *x), 0.0);
         let values = range(all().map(|(_, y)| *y), 0.05);
         area.fill(&WHITE)?;
@@ -74,14 +74,16 @@ impl Chart {
         chart.configure_mesh().x_desc("seconds since the beginning of the bag").draw()?;
         for (index, curve) in self.curves.iter().enumerate() {
             let color = Palette99::pick(index).to_rgba();
-            let mut parts = drawn_parts(&curve.points, &times, self.size.0).into_iter();
-            let first = parts.next().unwrap_or_default();
             chart
-                .draw_series(LineSeries::new(first, color))?
+                .draw_series(LineSeries::new([], color))?
                 .label(&curve.name)
                 .legend(move |(x, y)| PathElement::new(vec![(x, y), (x + 20, y)], color));
-            for part in parts {
-                chart.draw_series(LineSeries::new(part, color))?;
+            for part in drawn_parts(&curve.points, &times, self.size.0) {
+                // A line of one point would not be seen.
+                match part[..] {
+                    [point] => chart.draw_series([Circle::new(point, 2, color.filled())])?,
+                    _ => chart.draw_series(LineSeries::new(part, color))?,
+                };
             }
         }
         chart
@@ -93,6 +95,11 @@ impl Chart {
         area.present()?;
         Ok(())
     }
+}
+
+/// Numbers that are none, and those that stand for none, are gaps.
+fn is_drawn(value: f64) -> bool {
+    value.abs() < 1e300
 }
 
 /// From the least to the greatest, and by so much of their distance further at both ends.
@@ -110,7 +117,7 @@ fn range(values: impl Iterator<Item = f64>, margin: f64) -> Range<f64> {
 /// least and the greatest value there.
 fn drawn_parts(points: &[(f64, f64)], times: &Range<f64>, width: u32) -> Vec<Vec<(f64, f64)>> {
     let pixel = (times.end - times.start) / f64::from(width);
-    let parts = points.split(|(_, y)| !y.is_finite()).filter(|part| !part.is_empty());
+    let parts = points.split(|(_, y)| !is_drawn(*y)).filter(|part| !part.is_empty());
     parts
         .map(|part| {
             let of_a_pixel =
@@ -141,7 +148,7 @@ mod tests {
     fn a_curve_of_many_points_keeps_its_peaks_and_its_gaps() {
         let mut points: Vec<_> = (0..10_000).map(|n| (f64::from(n) / 1000.0, 0.0)).collect();
         points[1234].1 = 5.0;
-        points[5000].1 = f64::NAN;
+        points[5000].1 = f64::MAX;
         points[7000].1 = -3.0;
         let parts = drawn_parts(&points, &(0.0..10.0), 100);
         assert_eq!(parts.len(), 2);

@@ -68,7 +68,11 @@ pub(crate) fn export(arguments: &ExportArguments) -> anyhow::Result<()> {
         match told {
             Ok(messages) => println!("{}: {messages} messages in {}", topic.info.name, file.display()),
             // The others are of use all the same.
-            Err(error) => tracing::warn!("{} is left out: {error:#}", topic.info.name),
+            Err(error) => {
+                tracing::warn!("{} is left out: {error:#}", topic.info.name);
+                // It may not have come to be.
+                let _ = std::fs::remove_file(&file);
+            }
         }
     }
     if std::fs::read_dir(output)?.next().is_none() {

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, bail};
 use clap::Args;
 use downbeat::bags::{Reader, Selection, TopicId};
+use downbeat::msgs::dynamic::DynamicMessage;
 use downbeat::table::{Cell, Column, ColumnKind, Decoder, Survey};
 
 use super::chart::{Chart, Curve};
@@ -83,9 +84,8 @@ fn curves_of(bag: &Reader, wanted: &Wanted) -> anyhow::Result<Vec<Curve>> {
     let known = || bag.topics().iter().map(|topic| topic.info.name.as_str()).collect::<Vec<_>>().join(", ");
     let id = bag.topic(name).with_context(|| format!("the bag has no topic {name}; it has {}", known()))?;
     let decoder = Decoder::of(&bag.topics()[id.index()])?;
-    let messages = messages(bag, id, &decoder)?;
     let mut survey = Survey::default();
-    messages.iter().for_each(|(_, message)| survey.see(message));
+    each_message(bag, id, &decoder, "looking", |_, message| survey.see(message))?;
     let columns = survey.columns();
     let is_number = |kind| !matches!(kind, ColumnKind::Text | ColumnKind::Bytes);
     let chosen: Vec<_> = columns.iter().enumerate().filter(|(_, column)| wanted.holds(column)).collect();
@@ -102,32 +102,34 @@ fn curves_of(bag: &Reader, wanted: &Wanted) -> anyhow::Result<Vec<Curve>> {
         bail!("{name} has no number at {path}; it has {}", numbers.join(", "));
     }
     let start = bag.start_time().unwrap_or(0);
-    for (time, message) in &messages {
+    each_message(bag, id, &decoder, "reading", |time, message| {
         let row = columns.row(message);
         let seconds = time.saturating_sub(start) as f64 / 1e9;
         for (index, curve) in &mut curves {
             curve.points.extend(number(&row[*index]).map(|value| (seconds, value)));
         }
-    }
+    })?;
     Ok(curves.into_iter().map(|(_, curve)| curve).collect())
 }
 
-fn messages(
+/// Shows each message with its time. Only numbers are kept of them: images are large.
+fn each_message(
     bag: &Reader,
     id: TopicId,
     decoder: &Decoder,
-) -> anyhow::Result<Vec<(i64, downbeat::msgs::dynamic::DynamicMessage)>> {
-    let mut progress = Progress::new("reading", bag.topics()[id.index()].message_count);
-    let mut messages = Vec::new();
-    for message in bag.messages(Selection::all().topics([id]))? {
+    doing: &'static str,
+    mut show: impl FnMut(i64, &DynamicMessage),
+) -> anyhow::Result<()> {
+    let mut progress = Progress::new(doing, bag.topics()[id.index()].message_count);
+    for (count, message) in (1..).zip(bag.messages(Selection::all().topics([id]))?) {
         let read = message.map_err(anyhow::Error::from);
         match read.and_then(|message| Ok((message.log_time, decoder.decode(message.data)?))) {
-            Ok(message) => messages.push(message),
+            Ok((time, message)) => show(time, &message),
             Err(error) => tracing::warn!("{error}"),
         }
-        progress.at(messages.len() as u64);
+        progress.at(count);
     }
-    Ok(messages)
+    Ok(())
 }
 
 fn number(cell: &Cell) -> Option<f64> {

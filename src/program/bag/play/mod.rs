@@ -31,13 +31,20 @@ pub(crate) struct PlayArguments {
     #[arg(long, value_parser = seconds, value_name = "TIME")]
     pub(crate) start_offset: Option<Duration>,
     /// Play so much of the bag: seconds, or with a unit.
-    #[arg(long, value_parser = seconds, value_name = "TIME")]
-    pub(crate) playback_duration: Option<Duration>,
+    ///
+    /// With a time until which to play, the later of both ends it; what is negative means nothing.
+    #[arg(long, allow_negative_numbers = true, value_parser = seconds_or_endless, value_name = "TIME")]
+    pub(crate) playback_duration: Option<Limit>,
     /// Play until this time, in seconds since the epoch.
-    #[arg(long, value_name = "SECONDS", conflicts_with = "playback_until_nsec")]
+    #[arg(
+        long,
+        allow_negative_numbers = true,
+        value_name = "SECONDS",
+        conflicts_with = "playback_until_nsec"
+    )]
     pub(crate) playback_until_sec: Option<f64>,
     /// Play until this time, in nanoseconds since the epoch.
-    #[arg(long, value_name = "NANOSECONDS")]
+    #[arg(long, allow_negative_numbers = true, value_name = "NANOSECONDS")]
     pub(crate) playback_until_nsec: Option<i64>,
     /// Begin again at the end.
     #[arg(long = "loop", short = 'l')]
@@ -64,8 +71,9 @@ pub(crate) struct PlayArguments {
     #[arg(long)]
     pub(crate) no_latched: bool,
     /// How many messages are read before they are due.
-    #[arg(long, default_value_t = PlayerOptions::DEFAULT_READ_AHEAD, value_name = "MESSAGES")]
-    pub(crate) read_ahead_queue_size: usize,
+    #[arg(long, default_value_t = PlayerOptions::DEFAULT_READ_AHEAD as u32, value_name = "MESSAGES",
+          value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub(crate) read_ahead_queue_size: u32,
     /// A YAML file of QoS profiles to publish topics with, in place of what was recorded.
     #[arg(long, value_name = "FILE.yaml")]
     pub(crate) qos_profile_overrides_path: Option<PathBuf>,
@@ -80,7 +88,7 @@ pub(crate) struct PlayArguments {
     /// machine can, with the same result each time.
     #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["rate", "start_offset", "domain", "playback_duration",
           "playback_until_sec", "playback_until_nsec", "repeats", "delay", "remap", "clock", "clock_topics",
-          "clock_topics_all", "start_paused", "read_ahead_queue_size", "qos_profile_overrides_path", "wait_for_all_acked", "topic_types", "services", "regex", "exclude_regex", "exclude_topics",
+          "clock_topics_all", "start_paused", "no_latched", "disable_keyboard_controls", "read_ahead_queue_size", "qos_profile_overrides_path", "wait_for_all_acked", "topic_types", "services", "regex", "exclude_regex", "exclude_topics",
           "exclude_topic_types", "exclude_services"])]
     pub(crate) into: Option<PathBuf>,
     /// With --into: record what the modules publish into this new rosbag2 directory.
@@ -104,10 +112,23 @@ pub(crate) fn play(arguments: &PlayArguments, ros: &RosArgs, screen: &Screen) ->
     }
 }
 
+/// How long to play; for ever where it is negative.
+#[derive(Clone, Copy)]
+pub(crate) struct Limit(pub(crate) Option<Duration>);
+
+fn seconds_or_endless(text: &str) -> Result<Limit, String> {
+    if text.parse::<f64>().is_ok_and(|seconds| seconds < 0.0) {
+        return Ok(Limit(None));
+    }
+    seconds(text).map(|duration| Limit(Some(duration)))
+}
+
 /// As `ros2 bag play` takes it, in seconds, or with a unit.
 fn seconds(text: &str) -> Result<Duration, String> {
-    match text.parse::<f64>() {
+    const LONGEST: Duration = Duration::from_secs(100 * 365 * 24 * 3600);
+    let duration = match text.parse::<f64>() {
         Ok(seconds) => Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string()),
         Err(_) => downbeat::duration::parse(text),
-    }
+    };
+    duration.and_then(|time| if time <= LONGEST { Ok(time) } else { Err("more than a century".to_owned()) })
 }

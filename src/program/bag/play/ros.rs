@@ -6,12 +6,12 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use bytes::Bytes;
 use downbeat::bags::metadata::RecordedQos;
-use downbeat::bags::{BagMessage, Player, PlayerOptions, Rate, Reader, Step, TopicId};
+use downbeat::bags::{BagMessage, Player, PlayerOptions, Rate, Reader, RecordedTopic, Step, TopicInfo};
 use downbeat::bridge::middleware::WriteError;
 use downbeat::bridge::ros::{MessageType, Node, Publisher};
 use downbeat::encoding::RecordedType;
 use downbeat::msgs::builtin_interfaces::msg::Time;
-use downbeat::msgs::qos::QosProfile;
+use downbeat::msgs::qos::{Durability, QosProfile};
 use downbeat::msgs::rosbag2_interfaces::srv::{
     BurstResponse, GetRateResponse, IsPausedResponse, PauseResponse, PlayNextResponse, PlayResponse,
     ResumeResponse, SeekResponse, SetRateResponse, StopResponse, TogglePausedResponse,
@@ -60,7 +60,7 @@ pub(super) fn play(
     })?;
     let stop = Stop::new()?;
     let (_participant, node) = node(NODE_NAME, arguments.domain, ros)?;
-    let publishers = publishers(&player, &node, &remaps(&arguments.remap)?, &overrides)?;
+    let publishers = publishers(&player, &node, &remaps(&arguments.remap)?, &overrides);
     let clock = PublishedClock::new(&node, arguments)?;
     let controls = Controls::offer(&node)?;
     wait_for_subscriptions(&publishers, &stop);
@@ -96,12 +96,12 @@ fn options(arguments: &PlayArguments) -> anyhow::Result<PlayerOptions> {
     Ok(PlayerOptions {
         rate: Rate::new(arguments.rate)?,
         start_offset: arguments.start_offset.unwrap_or_default(),
-        until: until_nsec.or(until_sec.map(|seconds| (seconds * 1e9) as i64)).unwrap_or(i64::MAX),
-        duration: arguments.playback_duration,
+        until: until_nsec.or(until_sec.map(|seconds| (seconds * 1e9) as i64)),
+        duration: arguments.playback_duration.and_then(|limit| limit.0),
         repeats: arguments.repeats,
         starts_paused: arguments.start_paused,
         plays_latched: !arguments.no_latched,
-        read_ahead: arguments.read_ahead_queue_size,
+        read_ahead: arguments.read_ahead_queue_size as usize,
     })
 }
 
@@ -123,25 +123,42 @@ fn publishers(
     node: &Node,
     remaps: &BTreeMap<String, String>,
     overrides: &QosOverrides,
-) -> anyhow::Result<Vec<Option<Played>>> {
-    let create = |(index, topic): (usize, &downbeat::bags::RecordedTopic)| {
+) -> Vec<Option<Played>> {
+    let create = |topic: &RecordedTopic| -> anyhow::Result<Played> {
         let info = &topic.info;
-        if !TopicId::at(index).is_some_and(|id| player.is_played(id)) {
-            return Ok(None);
-        }
         // CDR is passed through, also of types that are not compiled in.
         let is_cdr = info.format.as_ref().is_none_or(|format| format.message_encoding == "cdr");
         let recorded = (!is_cdr).then(|| RecordedType::of(topic)).transpose()?;
         let type_name = recorded.as_ref().map_or(&*info.type_name, |recorded| recorded.message_type().name());
         let message_type = MessageType::new(type_name)?;
-        let recorded_qos = info.offered_qos.first().map_or(QosProfile::DEFAULT, RecordedQos::to_profile);
-        let qos = overrides.of(&info.name).unwrap_or(recorded_qos);
+        let qos = overrides.of(&info.name).unwrap_or_else(|| recorded_qos(info));
         let name = remaps.get(&info.name).unwrap_or(&info.name);
         let publisher = node.publish(name, &message_type, qos);
-        let publisher = publisher.with_context(|| format!("cannot publish {name}"))?;
-        Ok(Some((publisher, recorded)))
+        Ok((publisher.with_context(|| format!("cannot publish {name}"))?, recorded))
     };
-    player.topics().iter().enumerate().map(create).collect()
+    let create_or_tell = |topic| {
+        let created =
+            create(topic).inspect_err(|error| tracing::warn!("{} is not played: {error:#}", topic.info.name));
+        created.ok()
+    };
+    player.topics().iter().map(create_or_tell).collect()
+}
+
+/// As all publishers offered it; where they did not agree, what suits most subscribers.
+fn recorded_qos(info: &TopicInfo) -> QosProfile {
+    let mut offered = info.offered_qos.iter().map(RecordedQos::to_profile);
+    let first = offered.next().unwrap_or(QosProfile::DEFAULT);
+    if offered.all(|other| other == first) {
+        return first;
+    }
+    tracing::warn!("{}: its publishers offered different QoS; it is played reliably", info.name);
+    let depth = info.latched_depth();
+    match u32::try_from(depth) {
+        Ok(0) | Err(_) => QosProfile::DEFAULT,
+        Ok(depth) => {
+            QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT.keep_last(depth) }
+        }
+    }
 }
 
 fn wait_for_subscriptions(publishers: &[Option<Played>], stop: &Stop) {
@@ -166,8 +183,8 @@ impl PublishedClock {
     fn new(node: &Node, arguments: &PlayArguments) -> anyhow::Result<Self> {
         let PlayArguments { clock, clock_topics, clock_topics_all, .. } = arguments;
         let period = match *clock {
-            Some(hz) if hz > 0.0 && hz.is_finite() => Some(Duration::from_secs_f64(1.0 / hz)),
-            Some(hz) => bail!("--clock {hz}: a frequency is above 0"),
+            Some(hz) if (0.001..=10_000.0).contains(&hz) => Some(Duration::from_secs_f64(1.0 / hz)),
+            Some(hz) => bail!("--clock {hz}: a frequency is 0.001 to 10000 Hz"),
             None => None,
         };
         let is_wanted = period.is_some() || !clock_topics.is_empty() || *clock_topics_all;
@@ -248,7 +265,7 @@ impl Run<'_> {
             let until_clock = self.clock.publish_if_due(self.player.bag_time(now));
             let wait = match self.player.step(now) {
                 Step::Due(message) => {
-                    self.publish(message);
+                    let _ = self.publish(message);
                     Duration::ZERO
                 }
                 Step::Wait(wait) => wait,
@@ -266,30 +283,37 @@ impl Run<'_> {
                 Step::Finished => return,
             };
             if let Some(control) = controls.wait(wait.min(until_clock).min(POLL)) {
-                self.obey(control);
+                self.obey(control, stop);
             }
         }
     }
 
-    fn publish(&mut self, BagMessage { topic, log_time, data, .. }: BagMessage) {
+    /// False when nobody takes it.
+    fn publish(&mut self, BagMessage { topic, log_time, data, .. }: BagMessage) -> bool {
         let Some((publisher, recorded)) = self.publishers.get(topic.index()).and_then(Option::as_ref) else {
-            return;
+            return false;
         };
         let name = &self.player.topics()[topic.index()].info.name;
         if self.clock.precedes(name) {
-            self.clock.publish(log_time);
+            // What was latched before the beginning comes at the beginning.
+            self.clock.publish(log_time.max(self.player.bag_time(self.started.elapsed())));
         }
         let data = match recorded.as_ref().map_or(Ok(data.clone()), |recorded| recorded.to_cdr(data)) {
             Ok(data) => data,
-            Err(error) => return tracing::warn!("{name}: {error}"),
+            Err(error) => {
+                tracing::warn!("{name}: {error}");
+                return false;
+            }
         };
-        match publish_soon(publisher, &data) {
+        let published = publish_soon(publisher, &data);
+        match &published {
             Ok(()) => self.played += 1,
             Err(error) => {
                 self.refused += 1;
                 tracing::debug!("{name}: {error}");
             }
         }
+        published.is_ok()
     }
 
     fn act_on(&mut self, key: Key) {
@@ -344,26 +368,29 @@ impl Run<'_> {
         }
     }
 
-    /// The next message, published; false at the end.
+    /// The next message, published; false at the end, and where nobody takes it.
     fn play_next(&mut self) -> bool {
         loop {
             match self.player.play_next(self.started.elapsed()) {
                 None => return false,
-                Some(Ok(message)) => {
-                    self.publish(message);
-                    return true;
-                }
+                Some(Ok(message)) => return self.publish(message),
                 Some(Err(error)) => tracing::warn!("{error}"),
             }
         }
     }
 
     fn seek(&mut self, time: i64) -> bool {
+        // To look for what was latched may take a while, which is none of the bag's.
+        let is_paused = self.player.is_paused();
+        self.player.pause(self.started.elapsed());
         let sought = self.player.seek(self.started.elapsed(), time);
+        if !is_paused {
+            self.player.resume(self.started.elapsed());
+        }
         sought.inspect_err(|error| tracing::warn!("{error}")).is_ok()
     }
 
-    fn obey(&mut self, control: Control) {
+    fn obey(&mut self, control: Control, stop: &Stop) {
         let now = self.started.elapsed();
         let is_paused = self.player.is_paused();
         match control {
@@ -373,7 +400,11 @@ impl Run<'_> {
                 }
                 let mut actually_burst = 0;
                 // 0 stands for all that are left.
-                while is_paused && (count == 0 || actually_burst < count) && self.play_next() {
+                while is_paused
+                    && !stop.is_due()
+                    && (count == 0 || actually_burst < count)
+                    && self.play_next()
+                {
                     actually_burst += 1;
                 }
                 answer(reply, &BurstResponse { actually_burst });
