@@ -129,8 +129,11 @@ fn print_head() {
 
 fn print_row(row: &Row) {
     let Row { bytes, from, to, round_trip_p50_us, round_trip_p99_us, messages_per_second, lost, .. } = row;
+    // Where nothing came back there is no time.
+    let time = |us: &f64| if *us > 0.0 { format!("{us:.0} µs") } else { "none".to_owned() };
+    let (p50, p99) = (time(round_trip_p50_us), time(round_trip_p99_us));
     println!(
-        "| {bytes} | {from} | {to} | {round_trip_p50_us:.0} µs | {round_trip_p99_us:.0} µs | {messages_per_second:.0} | {lost} | {:.0} |",
+        "| {bytes} | {from} | {to} | {p50} | {p99} | {messages_per_second:.0} | {lost} | {:.0} |",
         row.processor_ms_per_1000
     );
 }
