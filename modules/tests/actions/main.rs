@@ -3,7 +3,7 @@
 
 mod modules;
 
-use downbeat_executor::{Core, ManualClock, ModuleOptions, Pool, Threads, Time};
+use downbeat_executor::{Core, Inlet, ManualClock, ModuleOptions, Pool, Threads, Time};
 use downbeat_modules::actions::{ActionServer, GoalId, GoalStatus};
 use downbeat_msgs::action_msgs::srv::{CancelGoalRequest, CancelGoalResponse};
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
@@ -79,6 +79,15 @@ fn uuid(id: u8) -> UUID {
     UUID { uuid: [id; 16] }
 }
 
+/// A world with a module that asks for what is published to it, and tells what it hears.
+fn with_caller() -> (World, Inlet<Asked>, Receiver<String>) {
+    let mut world = World::new();
+    let (told, heard) = channel();
+    world.core.add("caller", Caller::new(told)).unwrap();
+    let ask = world.core.inlet("ask").unwrap();
+    (world, ask, heard)
+}
+
 fn ended(answer: &Receiver<FibonacciGetResultResponse>) -> Option<(GoalStatus, Vec<i32>)> {
     let answer = answer.try_recv().ok()?;
     Some((GoalStatus::from_message(answer.status), answer.result.sequence))
@@ -86,10 +95,7 @@ fn ended(answer: &Receiver<FibonacciGetResultResponse>) -> Option<(GoalStatus, V
 
 #[test]
 fn a_goal_of_another_module_is_accepted_tells_how_far_it_is_and_ends_with_a_result() {
-    let mut world = World::new();
-    let (told, heard) = channel();
-    world.core.add("caller", Caller::new(told)).unwrap();
-    let ask = world.core.inlet("ask").unwrap();
+    let (mut world, ask, heard) = with_caller();
     ask.publish(Asked::Count(4)).unwrap();
     world.settle();
     assert_eq!(heard.try_iter().collect::<Vec<_>>(), ["accepted at 1000.000000000"]);
@@ -129,10 +135,7 @@ fn several_goals_are_under_way_at_once_and_a_client_hears_of_its_own() {
 
 #[test]
 fn a_client_cancels_its_goal_and_is_told() {
-    let mut world = World::new();
-    let (told, heard) = channel();
-    world.core.add("caller", Caller::new(told)).unwrap();
-    let ask = world.core.inlet("ask").unwrap();
+    let (mut world, ask, heard) = with_caller();
     ask.publish(Asked::Count(9)).unwrap();
     world.settle();
     world.pass(1);
@@ -146,10 +149,7 @@ fn a_client_cancels_its_goal_and_is_told() {
 
 #[test]
 fn a_client_is_told_when_there_is_no_server_or_it_goes() {
-    let mut world = World::new();
-    let (told, heard) = channel();
-    world.core.add("caller", Caller::new(told)).unwrap();
-    let ask = world.core.inlet("ask").unwrap();
+    let (mut world, ask, heard) = with_caller();
     ask.publish(Asked::Count(9)).unwrap();
     world.settle();
     let _removed = world.core.handle().remove("counter");
