@@ -45,7 +45,7 @@ impl Decoder {
     /// If nothing says what they look like.
     pub fn of(topic: &RecordedTopic) -> Result<Self, DecodeError> {
         let info = &topic.info;
-        let is_cdr = info.format.as_ref().is_none_or(|format| format.message_encoding == "cdr");
+        let is_cdr = info.format.is_none();
         let (name, definition, recorded) = if is_cdr && !info.definition.is_empty() {
             (info.type_name.as_str(), info.definition.as_str(), None)
         } else if is_cdr {

@@ -5,14 +5,13 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use bytes::Bytes;
 use clap::{Args, ValueEnum};
-use downbeat::bags::{Reader, RecordedTopic, Selection, TopicId};
-use downbeat::table::{Cell, Columns, DecodeError, Decoder, ParquetTable, Survey};
+use downbeat::bags::TopicId;
+use downbeat::table::{Cell, Decoder, ParquetTable};
 
 use super::open;
-use super::progress::Progress;
 use super::select::TopicArguments;
+use super::source::Source;
 
 #[derive(Args)]
 pub(crate) struct ExportArguments {
@@ -59,11 +58,11 @@ pub(crate) fn export(arguments: &ExportArguments) -> anyhow::Result<()> {
     for (index, topic) in wanted {
         let Some(id) = TopicId::at(index) else { continue };
         let file = output.join(format!("{}.{}", file_stem(&topic.info.name), arguments.format.extension()));
-        let source = Source { bag: &bag, id, topic };
+        let source = Source::new(&bag, id);
         let told = match arguments.format {
-            Format::Csv => source.write_csv(&file),
-            Format::Jsonl => source.write_jsonl(&file),
-            Format::Parquet => source.write_parquet(&file),
+            Format::Csv => write_csv(&source, &file),
+            Format::Jsonl => write_jsonl(&source, &file),
+            Format::Parquet => write_parquet(&source, &file),
         };
         match told {
             Ok(messages) => println!("{}: {messages} messages in {}", topic.info.name, file.display()),
@@ -89,102 +88,46 @@ fn file_stem(topic: &str) -> String {
 /// When a message was received and when published, in nanoseconds since the epoch: the first columns.
 const TIMES: [&str; 2] = ["log_time", "publish_time"];
 
-/// A topic of a bag.
-struct Source<'a> {
-    bag: &'a Reader,
-    id: TopicId,
-    topic: &'a RecordedTopic,
+fn write_csv(source: &Source<'_>, path: &Path) -> anyhow::Result<u64> {
+    let decoder = Decoder::of(source.topic)?;
+    let columns = source.columns(&decoder)?;
+    let mut writer = csv::Writer::from_path(path)?;
+    let names = columns.iter().map(|column| column.name.as_str());
+    writer.write_record(TIMES.into_iter().chain(names))?;
+    let rows = |data| Ok(columns.row(&decoder.decode(data)?));
+    let messages = source.each("writing", rows, |times, row| {
+        let times = times.map(|time| time.to_string());
+        Ok(writer.write_record(times.into_iter().chain(row.iter().map(Cell::to_text)))?)
+    })?;
+    writer.flush()?;
+    Ok(messages)
 }
 
-impl Source<'_> {
-    fn write_csv(&self, path: &Path) -> anyhow::Result<u64> {
-        let decoder = Decoder::of(self.topic)?;
-        let columns = self.columns(&decoder)?;
-        let mut writer = csv::Writer::from_path(path)?;
-        let names = columns.iter().map(|column| column.name.as_str());
-        writer.write_record(TIMES.into_iter().chain(names))?;
-        let rows = |data| Ok(columns.row(&decoder.decode(data)?));
-        let messages = self.each("writing", rows, |times, row| {
-            let times = times.map(|time| time.to_string());
-            Ok(writer.write_record(times.into_iter().chain(row.iter().map(Cell::to_text)))?)
-        })?;
-        writer.flush()?;
-        Ok(messages)
-    }
+fn write_parquet(source: &Source<'_>, path: &Path) -> anyhow::Result<u64> {
+    let decoder = Decoder::of(source.topic)?;
+    let columns = source.columns(&decoder)?;
+    let mut table = ParquetTable::create(path, TIMES, &columns)?;
+    let rows = |data| Ok(columns.row(&decoder.decode(data)?));
+    let messages = source.each("writing", rows, |times, row| Ok(table.push(times, row)?))?;
+    table.finish()?;
+    Ok(messages)
+}
 
-    fn write_parquet(&self, path: &Path) -> anyhow::Result<u64> {
-        let decoder = Decoder::of(self.topic)?;
-        let columns = self.columns(&decoder)?;
-        let mut table = ParquetTable::create(path, TIMES, &columns)?;
-        let rows = |data| Ok(columns.row(&decoder.decode(data)?));
-        let messages = self.each("writing", rows, |times, row| Ok(table.push(times, row)?))?;
-        table.finish()?;
-        Ok(messages)
-    }
-
-    fn write_jsonl(&self, path: &Path) -> anyhow::Result<u64> {
-        let decoder = Decoder::of(self.topic)?;
-        let mut writer = BufWriter::new(File::create(path)?);
-        let messages = self.each(
-            "writing",
-            |data| decoder.to_json(data),
-            |times, json| {
-                for (name, time) in TIMES.into_iter().zip(times) {
-                    write!(writer, "{}\"{name}\":{time}", if name == TIMES[0] { '{' } else { ',' })?;
-                }
-                writer.write_all(b",\"message\":")?;
-                writer.write_all(&json)?;
-                Ok(writer.write_all(b"}\n")?)
-            },
-        )?;
-        writer.flush()?;
-        Ok(messages)
-    }
-
-    fn columns(&self, decoder: &Decoder) -> anyhow::Result<Columns> {
-        let mut survey = Survey::default();
-        let decode = |data| decoder.decode(data);
-        self.each("looking", decode, |_, message| {
-            survey.see(&message);
-            Ok(())
-        })?;
-        Ok(survey.columns())
-    }
-
-    /// Does something with the times and the content of each message. What cannot be read is told and left out.
-    fn each<T>(
-        &self,
-        doing: &'static str,
-        decode: impl Fn(Bytes) -> Result<T, DecodeError>,
-        mut act: impl FnMut([i64; 2], T) -> anyhow::Result<()>,
-    ) -> anyhow::Result<u64> {
-        let mut progress = Progress::new(doing, self.topic.message_count);
-        let (mut seen, mut done, mut broken) = (0, 0, 0_u64);
-        for message in self.bag.messages(Selection::all().topics([self.id]))? {
-            let message = match message {
-                Ok(message) => message,
-                Err(error) => {
-                    tracing::warn!("{error}");
-                    continue;
-                }
-            };
-            seen += 1;
-            progress.at(seen);
-            match decode(message.data) {
-                Ok(content) => {
-                    act([message.log_time, message.publish_time], content)?;
-                    done += 1;
-                }
-                Err(error) if broken == 0 => {
-                    broken = 1;
-                    tracing::warn!("{}: message {seen}: {error}", self.topic.info.name);
-                }
-                Err(_) => broken += 1,
+fn write_jsonl(source: &Source<'_>, path: &Path) -> anyhow::Result<u64> {
+    let decoder = Decoder::of(source.topic)?;
+    let mut writer = BufWriter::new(File::create(path)?);
+    let messages = source.each(
+        "writing",
+        |data| decoder.to_json(data),
+        |times, json| {
+            for (name, time) in TIMES.into_iter().zip(times) {
+                write!(writer, "{}\"{name}\":{time}", if name == TIMES[0] { '{' } else { ',' })?;
             }
-        }
-        if broken > 1 {
-            tracing::warn!("{}: {broken} messages cannot be read", self.topic.info.name);
-        }
-        Ok(done)
-    }
+            writer.write_all(b",\"message\":")?;
+            writer.write_all(&json)?;
+            Ok(writer.write_all(b"}\n")?)
+        },
+    )?;
+    writer.flush()?;
+    Ok(messages)
 }

@@ -16,6 +16,7 @@ pub(super) mod reindex;
 pub(super) mod repair;
 pub(super) mod replay;
 mod select;
+mod source;
 
 use std::path::Path;
 

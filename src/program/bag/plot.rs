@@ -4,13 +4,13 @@ use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use clap::Args;
-use downbeat::bags::{Reader, Selection, TopicId};
-use downbeat::msgs::dynamic::DynamicMessage;
-use downbeat::table::{Cell, Column, ColumnKind, Decoder, Survey};
+use downbeat::bags::Reader;
+use downbeat::table::{Cell, Column, ColumnKind, Decoder};
 
 use super::chart::{Chart, Curve};
 use super::open;
-use super::progress::Progress;
+use super::select::absolute;
+use super::source::Source;
 
 /// More than can be told apart.
 const MOST_CURVES: usize = 40;
@@ -45,7 +45,7 @@ impl Wanted {
     fn parse(text: &str) -> Result<Self, String> {
         match text.rsplit_once(':') {
             Some((topic, path)) if !topic.is_empty() && !path.is_empty() => {
-                Ok(Self { topic: format!("/{}", topic.trim_start_matches('/')), path: path.to_owned() })
+                Ok(Self { topic: absolute(topic), path: path.to_owned() })
             }
             _ => Err("write TOPIC:FIELD, such as joint_states:position[3]".to_owned()),
         }
@@ -83,10 +83,9 @@ fn curves_of(bag: &Reader, wanted: &Wanted) -> anyhow::Result<Vec<Curve>> {
     let Wanted { topic: name, path } = wanted;
     let known = || bag.topics().iter().map(|topic| topic.info.name.as_str()).collect::<Vec<_>>().join(", ");
     let id = bag.topic(name).with_context(|| format!("the bag has no topic {name}; it has {}", known()))?;
-    let decoder = Decoder::of(&bag.topics()[id.index()])?;
-    let mut survey = Survey::default();
-    each_message(bag, id, &decoder, "looking", |_, message| survey.see(message))?;
-    let columns = survey.columns();
+    let source = Source::new(bag, id);
+    let decoder = Decoder::of(source.topic)?;
+    let columns = source.columns(&decoder)?;
     let is_number = |kind| !matches!(kind, ColumnKind::Text | ColumnKind::Bytes);
     let chosen: Vec<_> = columns.iter().enumerate().filter(|(_, column)| wanted.holds(column)).collect();
     let mut curves: Vec<(usize, Curve)> = chosen
@@ -102,34 +101,16 @@ fn curves_of(bag: &Reader, wanted: &Wanted) -> anyhow::Result<Vec<Curve>> {
         bail!("{name} has no number at {path}; it has {}", numbers.join(", "));
     }
     let start = bag.start_time().unwrap_or(0);
-    each_message(bag, id, &decoder, "reading", |time, message| {
-        let row = columns.row(message);
+    // Only numbers are kept: images are large.
+    let rows = |data| Ok(columns.row(&decoder.decode(data)?));
+    source.each("reading", rows, |[time, _], row| {
         let seconds = time.saturating_sub(start) as f64 / 1e9;
         for (index, curve) in &mut curves {
             curve.points.extend(number(&row[*index]).map(|value| (seconds, value)));
         }
+        Ok(())
     })?;
     Ok(curves.into_iter().map(|(_, curve)| curve).collect())
-}
-
-/// Shows each message with its time. Only numbers are kept of them: images are large.
-fn each_message(
-    bag: &Reader,
-    id: TopicId,
-    decoder: &Decoder,
-    doing: &'static str,
-    mut show: impl FnMut(i64, &DynamicMessage),
-) -> anyhow::Result<()> {
-    let mut progress = Progress::new(doing, bag.topics()[id.index()].message_count);
-    for (count, message) in (1..).zip(bag.messages(Selection::all().topics([id]))?) {
-        let read = message.map_err(anyhow::Error::from);
-        match read.and_then(|message| Ok((message.log_time, decoder.decode(message.data)?))) {
-            Ok((time, message)) => show(time, &message),
-            Err(error) => tracing::warn!("{error}"),
-        }
-        progress.at(count);
-    }
-    Ok(())
 }
 
 fn number(cell: &Cell) -> Option<f64> {

@@ -86,9 +86,13 @@ impl TopicFilter {
 
 /// Absolute names of the topics, and of the topics on which services tell their events.
 fn names(topics: &[String], services: &[String]) -> Vec<String> {
-    let absolute = |name: &String| format!("/{}", name.trim_start_matches('/'));
     let events = services.iter().map(|service| format!("{}/_service_event", absolute(service)));
-    topics.iter().map(absolute).chain(events).collect()
+    topics.iter().map(|topic| absolute(topic)).chain(events).collect()
+}
+
+/// As a bag has it: the slash in front may be left out on the command line.
+pub(super) fn absolute(name: &str) -> String {
+    format!("/{}", name.trim_start_matches('/'))
 }
 
 fn whole(regex: &str) -> anyhow::Result<Regex> {

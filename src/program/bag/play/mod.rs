@@ -10,6 +10,7 @@ use std::time::Duration;
 use anyhow::bail;
 use clap::Args;
 use downbeat::bags::{PlayerOptions, Reader};
+use downbeat::bridge::ros::RemapRule;
 use downbeat::msgs::encoding::Encoding;
 use downbeat::robot::RosArgs;
 
@@ -53,8 +54,8 @@ pub(crate) struct PlayArguments {
     #[arg(long, short, value_parser = seconds, value_name = "TIME")]
     pub(crate) delay: Option<Duration>,
     /// Publish topics under other names: /old:=/new.
-    #[arg(long, short = 'm', num_args = 1.., value_name = "OLD:=NEW")]
-    pub(crate) remap: Vec<String>,
+    #[arg(long, short = 'm', num_args = 1.., value_name = "OLD:=NEW", value_parser = remap_rule)]
+    pub(crate) remap: Vec<RemapRule>,
     /// Publish the time of the bag on /clock so many times per second, 40 unless given; /clock of the bag is not played.
     #[arg(long, num_args = 0..=1, default_missing_value = "40", value_name = "HZ", conflicts_with_all = ["clock_topics", "clock_topics_all"])]
     pub(crate) clock: Option<f64>,
@@ -110,6 +111,10 @@ pub(crate) fn play(arguments: &PlayArguments, ros: &RosArgs, screen: &Screen) ->
         (Some(_), _) => bail!("one bag is played into a robot; merge them first: downbeat bag convert"),
         (None, bags) => ros::play(bags, arguments, ros, screen),
     }
+}
+
+fn remap_rule(text: &str) -> Result<RemapRule, String> {
+    text.parse().map_err(|error| format!("{error}"))
 }
 
 /// How long to play; for ever where it is negative.

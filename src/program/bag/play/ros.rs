@@ -1,6 +1,5 @@
 //! Playing to ROS 2.
 
-use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
@@ -23,6 +22,7 @@ use downbeat::ros_recorder::QosOverrides;
 
 use super::PlayArguments;
 use super::controls::{Control, Controls, answer};
+use crate::program::bag::select::absolute;
 use crate::program::keyboard::{Key, Keyboard};
 use crate::program::run::node;
 use crate::program::screen::Screen;
@@ -59,8 +59,10 @@ pub(super) fn play(
         filter.is_wanted(topic) && !is_replaced
     })?;
     let stop = Stop::new()?;
-    let (_participant, node) = node(NODE_NAME, arguments.domain, ros)?;
-    let publishers = publishers(&player, &node, &remaps(&arguments.remap)?, &overrides);
+    let remaps = arguments.remap.iter().chain(&ros.remaps).cloned().collect();
+    let ros = RosArgs { remaps, ..ros.clone() };
+    let (_participant, node) = node(NODE_NAME, arguments.domain, &ros)?;
+    let publishers = publishers(&player, &node, &overrides);
     let clock = PublishedClock::new(&node, arguments)?;
     let controls = Controls::offer(&node)?;
     wait_for_subscriptions(&publishers, &stop);
@@ -108,33 +110,16 @@ fn options(arguments: &PlayArguments) -> anyhow::Result<PlayerOptions> {
 /// Who publishes a topic, and what makes CDR of its messages if they are something else.
 type Played = (Publisher, Option<RecordedType>);
 
-fn remaps(rules: &[String]) -> anyhow::Result<BTreeMap<String, String>> {
-    let absolute = |name: &str| format!("/{}", name.trim_start_matches('/'));
-    let rule = |rule: &String| match rule.split_once(":=") {
-        Some((from, to)) if !from.is_empty() && !to.is_empty() => Ok((absolute(from), absolute(to))),
-        _ => bail!("--remap {rule}: write /old:=/new"),
-    };
-    rules.iter().map(rule).collect()
-}
-
 /// A publisher for each topic that is played, at the position of its id.
-fn publishers(
-    player: &Player<'_>,
-    node: &Node,
-    remaps: &BTreeMap<String, String>,
-    overrides: &QosOverrides,
-) -> Vec<Option<Played>> {
+fn publishers(player: &Player<'_>, node: &Node, overrides: &QosOverrides) -> Vec<Option<Played>> {
     let create = |topic: &RecordedTopic| -> anyhow::Result<Played> {
         let info = &topic.info;
         // CDR is passed through, also of types that are not compiled in.
-        let is_cdr = info.format.as_ref().is_none_or(|format| format.message_encoding == "cdr");
-        let recorded = (!is_cdr).then(|| RecordedType::of(topic)).transpose()?;
+        let recorded = info.format.as_ref().map(|_| RecordedType::of(topic)).transpose()?;
         let type_name = recorded.as_ref().map_or(&*info.type_name, |recorded| recorded.message_type().name());
         let message_type = MessageType::new(type_name)?;
         let qos = overrides.of(&info.name).unwrap_or_else(|| recorded_qos(info));
-        let name = remaps.get(&info.name).unwrap_or(&info.name);
-        let publisher = node.publish(name, &message_type, qos);
-        Ok((publisher.with_context(|| format!("cannot publish {name}"))?, recorded))
+        Ok((node.publish(&info.name, &message_type, qos)?, recorded))
     };
     let create_or_tell = |topic| {
         let created =
@@ -196,7 +181,7 @@ impl PublishedClock {
             publisher: is_wanted.then(open).transpose()?,
             period,
             next: Instant::now(),
-            topics: clock_topics.iter().map(|topic| format!("/{}", topic.trim_start_matches('/'))).collect(),
+            topics: clock_topics.iter().map(|topic| absolute(topic)).collect(),
             before_all: *clock_topics_all,
         })
     }

@@ -13,6 +13,7 @@ use downbeat::ros_recorder::{
     QosOverrides, RosRecorder, RosRecorderOptions, TopicFilter, serve, split_events,
 };
 
+use crate::program::bag::select::absolute;
 use crate::program::keyboard::{Key, Keyboard};
 use crate::program::run::node;
 use crate::program::screen::Screen;
@@ -47,7 +48,7 @@ fn record_robot(
     if let Some(exposed) = arguments.selection.exposed {
         file.record.exposed = Some(exposed == Exposed::Only);
     }
-    let mut filter = filter(arguments, |name| Ok(format!("/{}", name.trim_start_matches('/'))))?;
+    let mut filter = filter(arguments, |name| Ok(absolute(name)))?;
     if arguments.topics().next().is_some() || arguments.selection.is_given() {
         file.record.topics = None;
     } else {

@@ -1,0 +1,68 @@
+//! The messages of one topic of a bag, one after the other.
+
+use bytes::Bytes;
+use downbeat::bags::{Reader, RecordedTopic, Selection, TopicId};
+use downbeat::table::{Columns, DecodeError, Decoder, Survey};
+
+use super::progress::Progress;
+
+/// A topic of a bag.
+pub(super) struct Source<'a> {
+    bag: &'a Reader,
+    id: TopicId,
+    pub(super) topic: &'a RecordedTopic,
+}
+
+impl<'a> Source<'a> {
+    pub(super) fn new(bag: &'a Reader, id: TopicId) -> Self {
+        Self { bag, id, topic: &bag.topics()[id.index()] }
+    }
+
+    /// The columns for all of its messages.
+    pub(super) fn columns(&self, decoder: &Decoder) -> anyhow::Result<Columns> {
+        let mut survey = Survey::default();
+        let decode = |data| decoder.decode(data);
+        self.each("looking", decode, |_, message| {
+            survey.see(&message);
+            Ok(())
+        })?;
+        Ok(survey.columns())
+    }
+
+    /// Does something with the times and the content of each message. What cannot be read is told and left out.
+    pub(super) fn each<T>(
+        &self,
+        doing: &'static str,
+        decode: impl Fn(Bytes) -> Result<T, DecodeError>,
+        mut act: impl FnMut([i64; 2], T) -> anyhow::Result<()>,
+    ) -> anyhow::Result<u64> {
+        let mut progress = Progress::new(doing, self.topic.message_count);
+        let (mut seen, mut done, mut broken) = (0, 0, 0_u64);
+        for message in self.bag.messages(Selection::all().topics([self.id]))? {
+            let message = match message {
+                Ok(message) => message,
+                Err(error) => {
+                    tracing::warn!("{error}");
+                    continue;
+                }
+            };
+            seen += 1;
+            progress.at(seen);
+            match decode(message.data) {
+                Ok(content) => {
+                    act([message.log_time, message.publish_time], content)?;
+                    done += 1;
+                }
+                Err(error) if broken == 0 => {
+                    broken = 1;
+                    tracing::warn!("{}: message {seen}: {error}", self.topic.info.name);
+                }
+                Err(_) => broken += 1,
+            }
+        }
+        if broken > 1 {
+            tracing::warn!("{}: {broken} messages cannot be read", self.topic.info.name);
+        }
+        Ok(done)
+    }
+}
