@@ -5,16 +5,18 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
+use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{Running, WATCHDOG, text_of};
 use downbeat::bags::{TopicInfo, WriterOptions};
 use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions};
 use downbeat::bridge::ros::{Node, NodeName, Participant};
-use downbeat::msgs::builtin_interfaces::msg::Time;
+use downbeat::msgs::builtin_interfaces::msg::{Duration, Time};
 use downbeat::msgs::qos::QosProfile;
 use downbeat::msgs::rosbag2_interfaces::srv::{
-    Burst, BurstRequest, GetRate, GetRateRequest, IsPaused, IsPausedRequest, Pause, PauseRequest, PlayNext,
-    PlayNextRequest, Resume, ResumeRequest, Seek, SeekRequest, SetRate, SetRateRequest, Stop, StopRequest,
+    Burst, BurstRequest, GetRate, GetRateRequest, IsPaused, IsPausedRequest, Pause, PauseRequest, Play,
+    PlayNext, PlayNextRequest, PlayRequest, Resume, ResumeRequest, Seek, SeekRequest, SetRate,
+    SetRateRequest, Stop, StopRequest,
 };
 use downbeat::msgs::{Message, Service, cdr, std_msgs};
 use serde_json::json;
@@ -106,6 +108,24 @@ fn a_player_is_paused_stepped_sought_and_stopped_by_services() {
 }
 
 #[test]
+fn a_service_plays_a_part_of_a_bag() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = bag(folder.path(), 10);
+    let options = ["--start-paused", "-r", "100", "--no-latched", "--domain", "209"];
+    let mut player = Running::start(&[&["bag", "play", text(&bag)], &options[..]].concat());
+    let node = node(209);
+    let seconds = |seconds: i64| Time::from_nanos(seconds * 1_000_000_000);
+    let part = PlayRequest {
+        start_offset: seconds(2),
+        playback_duration: Duration::from_nanos(1_500_000_000),
+        playback_until_timestamp: seconds(START + 6),
+    };
+    assert!(call::<Play>(&node, "play", &part).success);
+    assert!(player.wait().success(), "{}", player.output());
+    assert!(player.output().contains("played 5 messages"), "2 to 6: {}", player.output());
+}
+
+#[test]
 fn a_player_that_repeats_is_stopped_by_a_service() {
     let folder = tempfile::tempdir().unwrap();
     let bag = bag(folder.path(), 3);
@@ -113,9 +133,33 @@ fn a_player_that_repeats_is_stopped_by_a_service() {
     let node = node(206);
     call::<Pause>(&node, "pause", &PauseRequest::default());
     assert!(call::<IsPaused>(&node, "is_paused", &IsPausedRequest::default()).paused);
+    let playing = |part: PlayRequest| call::<Play>(&node, "play", &part).success;
+    assert!(playing(PlayRequest::default()));
+    assert!(!playing(PlayRequest::default()), "it is playing already");
     call::<Stop>(&node, "stop", &StopRequest::default());
     assert!(player.wait().success(), "{}", player.output());
     assert!(player.output().contains("played "), "{}", player.output());
+}
+
+#[test]
+fn recorded_requests_are_sent_to_a_server_again() {
+    let Some(mut peer) = Peer::start(208, "LOCALHOST") else { return };
+    let _check = check("Bags", "`bag play --publish-service-requests`", With::Rclpy, Way::Out);
+    let service = "/reference/set_torque";
+    peer.ask(json!({"do": "serve", "service": service, "type": "std_srvs/srv/SetBool"}));
+    // Of the real recorder, which noted no definition of the type.
+    let bag = concat!(env!("CARGO_MANIFEST_DIR"), "/bags/tests/data/jazzy_mcap");
+    let play = ["bag", "play", bag, "--publish-service-requests", "--services", service, "-r", "10"];
+    let played = text_of(&[&play[..], &["--domain", "208"]].concat());
+    assert!(played.contains("played 17 messages; 0 were refused"), "{played}");
+    let sent: Vec<_> = (0..17).map(|n| json!({"data": n % 2 == 0})).collect();
+    assert_eq!(peer.ask(json!({"do": "requests_to", "service": service})), json!(sent));
+    // No client told of what it sent.
+    let played = text_of(
+        &[&play[..], &["--service-requests-source", "client_introspection", "--domain", "208"]].concat(),
+    );
+    assert!(played.contains("played 0 messages; 0 were refused"), "{played}");
+    peer.leave();
 }
 
 #[test]

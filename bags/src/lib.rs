@@ -60,7 +60,7 @@ mod zstd;
 pub use check::{Check, Problem, check};
 pub use compare::{Comparer, FieldDifference, FieldRule, FieldRuleError};
 pub use diff::{BagDiff, DiffOptions, MessageDiff, MessageDiffKind, TopicDiff, diff};
-pub use edit::{Copied, Copy, CopyError, Merged, TopicMap, TypeConflict, merge_topics, reindex};
+pub use edit::{Copied, Copy, CopyError, Merged, MergedBags, TypeConflict, reindex};
 pub use info::{BagInfo, ServiceEvents};
 pub use playback::{Playback, PlaybackError, PlaybackOptions, Rate, Step};
 pub use player::{Player, PlayerOptions};

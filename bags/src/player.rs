@@ -5,11 +5,11 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use crate::edit::{Merged, TopicMap, merge_topics};
+use crate::edit::MergedBags;
 use crate::playback::{Playback, PlaybackError, Rate, Step};
 use crate::read_ahead::{AheadOf, ReadAhead};
 use crate::reader::{BagMessage, Reader, ReaderError, RecordedTopic, Selection};
-use crate::topic::{TopicId, TopicInfo};
+use crate::topic::TopicInfo;
 
 /// What to play and how.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,10 +56,7 @@ impl Default for PlayerOptions {
 
 /// Plays one bag, or several merged by time.
 pub struct Player<'a> {
-    bags: &'a [Reader],
-    /// Those that are played.
-    topics: Vec<RecordedTopic>,
-    ids: Vec<TopicMap>,
+    bags: MergedBags<'a>,
     /// The first and the last message of the bags, where playing begins, and the last time that is played.
     start: i64,
     last: i64,
@@ -86,24 +83,20 @@ impl<'a> Player<'a> {
         options: &PlayerOptions,
         is_wanted: impl Fn(&TopicInfo) -> bool,
     ) -> Result<Self, PlaybackError> {
-        let (topics, ids) = merge_wanted(bags, is_wanted)?;
+        let merged = MergedBags::new(bags, is_wanted)?;
         let start = bags.iter().filter_map(Reader::start_time).min().unwrap_or(0);
         let last = bags.iter().filter_map(Reader::end_time).max().unwrap_or(0);
-        let after = |from: i64, distance: Duration| {
-            from.saturating_add(i64::try_from(distance.as_nanos()).unwrap_or(i64::MAX))
-        };
         let begin = after(start, options.start_offset);
         if last < begin {
             let length = Duration::from_nanos(last.abs_diff(start));
             return Err(PlaybackError::StartOffset { offset: options.start_offset, length });
         }
-        let after_duration = options.duration.map(|duration| after(begin, duration));
-        let end = after_duration.into_iter().chain(options.until).max().unwrap_or(i64::MAX);
+        let end = later_end(begin, options.duration, options.until);
         let read_ahead = ReadAhead::start(options.read_ahead).map_err(PlaybackError::Thread)?;
+        let messages = merged.messages(&Selection::all().from(begin).until(end), |_| true)?;
         let mut player = Self {
-            bags,
-            topics,
-            ids,
+            playback: Playback::new(read_ahead.read(messages), begin, options.rate),
+            bags: merged,
             start,
             last,
             begin,
@@ -112,21 +105,20 @@ impl<'a> Player<'a> {
             plays_latched: options.plays_latched,
             latched: VecDeque::new(),
             all_latched: None,
-            playback: Playback::new(read_ahead.read(Merged::new(Vec::new())), begin, options.rate),
             read_ahead,
             given: 0,
         };
         if options.starts_paused {
             player.playback.pause(Duration::ZERO);
         }
-        player.go_to(begin)?;
+        player.latched = player.latched_before(begin)?;
         Ok(player)
     }
 
     /// The topics of all bags that are played; messages name them by position.
     #[must_use]
     pub fn topics(&self) -> &[RecordedTopic] {
-        &self.topics
+        self.bags.topics()
     }
 
     /// When the first message of the bags was received, in nanoseconds since the epoch.
@@ -190,6 +182,22 @@ impl<'a> Player<'a> {
         Ok(())
     }
 
+    /// As [`Player::seek`], and ends where [`PlayerOptions::duration`], from that time on, and [`PlayerOptions::until`] say
+    /// instead of where it was to end.
+    ///
+    /// # Errors
+    /// If a bag cannot be opened any more.
+    pub fn play_part(
+        &mut self,
+        now: Duration,
+        time: i64,
+        duration: Option<Duration>,
+        until: Option<i64>,
+    ) -> Result<(), ReaderError> {
+        self.end = later_end(time.max(self.begin), duration, until);
+        self.seek(now, time)
+    }
+
     /// Changes the rate from now on.
     pub fn set_rate(&mut self, now: Duration, rate: Rate) {
         self.playback.set_rate(now, rate);
@@ -224,71 +232,38 @@ impl<'a> Player<'a> {
     }
 
     fn go_to(&mut self, time: i64) -> Result<(), ReaderError> {
-        let messages = self.messages(Selection::all().from(time).until(self.end), |_| true)?;
+        let messages = self.bags.messages(&Selection::all().from(time).until(self.end), |_| true)?;
         let messages = self.read_ahead.read(messages);
         self.playback.replace(messages);
-        self.latched = if self.plays_latched { self.latched_before(time)? } else { VecDeque::new() };
+        self.latched = self.latched_before(time)?;
         Ok(())
     }
 
-    fn messages(
-        &self,
-        selection: Selection,
-        is_meant: impl Fn(&RecordedTopic) -> bool,
-    ) -> Result<Merged, ReaderError> {
-        let mut streams = Vec::new();
-        for (bag, ids) in self.bags.iter().zip(&self.ids) {
-            let wanted = ids.iter().enumerate().filter_map(|(index, merged)| {
-                let is_wanted = is_meant(&self.topics[(*merged)?.index()]);
-                is_wanted.then(|| TopicId::from_index(index)).flatten()
-            });
-            streams.push((bag.messages(selection.clone().topics(wanted))?, ids.clone()));
-        }
-        Ok(Merged::new(streams))
-    }
-
-    /// The last messages of latched topics before that time.
+    /// The last messages of latched topics before that time, if they are played.
     fn latched_before(&mut self, time: i64) -> Result<VecDeque<BagMessage>, ReaderError> {
         let is_latched = |topic: &RecordedTopic| topic.info.latched_depth() > 0;
-        if time <= self.start || !self.topics.iter().any(is_latched) {
+        if !self.plays_latched || time <= self.start || !self.topics().iter().any(is_latched) {
             return Ok(VecDeque::new());
         }
         let all = match self.all_latched.take() {
             Some(all) => all,
             // What cannot be read is told when the messages are played.
-            None => self.messages(Selection::all(), is_latched)?.flatten().collect(),
+            None => self.bags.messages(&Selection::all(), is_latched)?.flatten().collect(),
         };
-        let mut last: Vec<VecDeque<BagMessage>> = vec![VecDeque::new(); self.topics.len()];
-        for message in all.iter().take_while(|message| message.log_time < time) {
-            let depth = self.topics[message.topic.index()].info.latched_depth();
-            let kept = &mut last[message.topic.index()];
-            kept.push_back(message.clone());
-            if kept.len() > depth {
-                kept.pop_front();
-            }
-        }
+        let before = all.iter().take_while(|message| message.log_time < time).cloned();
+        let last = self.bags.last_latched(before);
         self.all_latched = Some(all);
-        let mut kept: Vec<BagMessage> = last.into_iter().flatten().collect();
-        kept.sort_by_key(|message| message.log_time);
-        Ok(kept.into())
+        Ok(last.into())
     }
 }
 
-/// The topics of all bags that are wanted, and which of them those of each bag are. What is not wanted is no conflict.
-fn merge_wanted(
-    bags: &[Reader],
-    is_wanted: impl Fn(&TopicInfo) -> bool,
-) -> Result<(Vec<RecordedTopic>, Vec<TopicMap>), PlaybackError> {
-    let wanted = |bag: &Reader| bag.topics().iter().filter(|topic| is_wanted(&topic.info)).cloned().collect();
-    let of_each: Vec<Vec<RecordedTopic>> = bags.iter().map(wanted).collect();
-    let of_each: Vec<&[RecordedTopic]> = of_each.iter().map(Vec::as_slice).collect();
-    let (topics, ids) = merge_topics(&of_each)?;
-    let of_all = |(bag, ids): (&Reader, TopicMap)| {
-        let mut ids = ids.into_iter();
-        let of_topic = |topic: &RecordedTopic| is_wanted(&topic.info).then(|| ids.next().flatten()).flatten();
-        bag.topics().iter().map(of_topic).collect()
-    };
-    Ok((topics, bags.iter().zip(ids).map(of_all).collect()))
+fn after(time: i64, distance: Duration) -> i64 {
+    time.saturating_add(i64::try_from(distance.as_nanos()).unwrap_or(i64::MAX))
+}
+
+/// The last time that is played.
+fn later_end(begin: i64, duration: Option<Duration>, until: Option<i64>) -> i64 {
+    duration.map(|duration| after(begin, duration)).into_iter().chain(until).max().unwrap_or(i64::MAX)
 }
 
 #[cfg(test)]

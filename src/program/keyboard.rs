@@ -2,6 +2,7 @@
 
 use std::io::{self, Read};
 use std::sync::mpsc::{self, Receiver};
+use std::sync::{Mutex, PoisonError};
 
 use rustix::process::getpgrp;
 use rustix::termios::{LocalModes, OptionalActions, Termios, tcgetattr, tcgetpgrp, tcsetattr};
@@ -17,8 +18,18 @@ pub(crate) enum Key {
 
 /// Gives each key as it is pressed, until it is dropped. The terminal still ends the program with Ctrl-C.
 pub(crate) struct Keyboard {
-    before: Termios,
     keys: Receiver<Key>,
+}
+
+/// How the terminal was while a [`Keyboard`] is open.
+static BEFORE: Mutex<Option<Termios>> = Mutex::new(None);
+
+/// Makes the terminal as it was: also for an end of the process that drops nothing.
+pub(crate) fn restore_terminal() {
+    if let Some(before) = BEFORE.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        // A terminal that is gone needs no repair.
+        let _ = tcsetattr(io::stdin(), OptionalActions::Now, &before);
+    }
 }
 
 impl Keyboard {
@@ -28,12 +39,13 @@ impl Keyboard {
         let before = is_in_foreground.then(|| tcgetattr(io::stdin()).ok()).flatten()?;
         let mut by_key = before.clone();
         by_key.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
-        tcsetattr(io::stdin(), OptionalActions::Now, &by_key).ok()?;
         let (sender, keys) = mpsc::channel();
+        *BEFORE.lock().unwrap_or_else(PoisonError::into_inner) = Some(before);
+        let keyboard = Self { keys };
+        tcsetattr(io::stdin(), OptionalActions::Now, &by_key).ok()?;
         let read = move || forward(io::stdin(), |key| sender.send(key).is_ok());
         // It waits for keys until the process ends.
         let started = std::thread::Builder::new().name("keyboard".to_owned()).spawn(read);
-        let keyboard = Self { before, keys };
         started.is_ok().then_some(keyboard)
     }
 
@@ -45,8 +57,7 @@ impl Keyboard {
 
 impl Drop for Keyboard {
     fn drop(&mut self) {
-        // A terminal that is gone needs no repair.
-        let _ = tcsetattr(io::stdin(), OptionalActions::Now, &self.before);
+        restore_terminal();
     }
 }
 

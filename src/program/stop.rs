@@ -1,28 +1,43 @@
 //! When a command that goes on by itself ends: Ctrl-C, SIGTERM, or its time is over.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+
+use super::keyboard;
 
 /// Asks for the end. A second signal ends the process at once.
 pub(crate) struct Stop {
-    signalled: Arc<AtomicBool>,
+    signalled: Arc<Signalled>,
     end: Option<Instant>,
+}
+
+#[derive(Default)]
+struct Signalled {
+    is_set: Mutex<bool>,
+    changed: Condvar,
 }
 
 impl Stop {
     /// Takes over SIGINT and SIGTERM: to be done before others can see what has to be left in order.
     pub(crate) fn new() -> anyhow::Result<Self> {
-        let signalled = Arc::new(AtomicBool::new(false));
-        for signal in [SIGINT, SIGTERM] {
-            // The order matters: the first signal finds the flag unset, sets it, and only a second one exits.
-            signal_hook::flag::register_conditional_shutdown(signal, 130, Arc::clone(&signalled))
-                .and_then(|_| signal_hook::flag::register(signal, Arc::clone(&signalled)))
-                .context("cannot handle SIGINT and SIGTERM")?;
-        }
+        let problem = "cannot handle SIGINT and SIGTERM";
+        let mut signals = Signals::new([SIGINT, SIGTERM]).context(problem)?;
+        let signalled = Arc::new(Signalled::default());
+        let of_thread = Arc::clone(&signalled);
+        let wait = move || {
+            for _ in signals.forever() {
+                if of_thread.set() {
+                    keyboard::restore_terminal();
+                    signal_hook::low_level::exit(130);
+                }
+            }
+        };
+        thread::Builder::new().name("signals".to_owned()).spawn(wait).context(problem)?;
         Ok(Self { signalled, end: None })
     }
 
@@ -32,20 +47,37 @@ impl Stop {
     }
 
     pub(crate) fn is_due(&self) -> bool {
-        self.signalled.load(Ordering::SeqCst) || self.end.is_some_and(|end| Instant::now() >= end)
+        self.signalled.get() || self.end.is_some_and(|end| Instant::now() >= end)
     }
 
     /// Sleeps for `time`, or until the end if that comes first.
     pub(crate) fn sleep(&self, time: Duration) {
         let until = Instant::now() + time;
-        while !self.is_due() {
-            // A signal sets a flag and wakes nobody: look at it now and then.
-            let rest = until.saturating_duration_since(Instant::now()).min(Duration::from_millis(50));
-            let rest = self.end.map_or(rest, |end| rest.min(end.saturating_duration_since(Instant::now())));
-            if rest.is_zero() {
+        self.signalled.wait_until(self.end.map_or(until, |end| end.min(until)));
+    }
+}
+
+impl Signalled {
+    fn get(&self) -> bool {
+        *self.is_set.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns whether it was set before.
+    fn set(&self) -> bool {
+        let before =
+            std::mem::replace(&mut *self.is_set.lock().unwrap_or_else(PoisonError::into_inner), true);
+        self.changed.notify_all();
+        before
+    }
+
+    fn wait_until(&self, until: Instant) {
+        let mut is_set = self.is_set.lock().unwrap_or_else(PoisonError::into_inner);
+        loop {
+            let rest = until.saturating_duration_since(Instant::now());
+            if *is_set || rest.is_zero() {
                 return;
             }
-            std::thread::sleep(rest);
+            is_set = self.changed.wait_timeout(is_set, rest).unwrap_or_else(PoisonError::into_inner).0;
         }
     }
 }

@@ -17,11 +17,11 @@ const CALL_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// A type as a bag describes it.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Definition {
+pub(crate) struct Definition {
     /// With all that it refers to; see [`downbeat_bags::TopicInfo::definition`].
-    pub(super) text: String,
+    pub(crate) text: String,
     /// RIHS01.
-    pub(super) hash: String,
+    pub(crate) hash: String,
 }
 
 /// The definition that is at hand: of a type with the announced hash where there is one, from `AMENT_PREFIX_PATH`, or from what
@@ -29,7 +29,7 @@ pub(super) struct Definition {
 ///
 /// # Errors
 /// Where it was looked for, and what is there.
-pub(super) fn at_hand(type_name: &str, announced: Option<&str>) -> Result<Definition, String> {
+pub(crate) fn at_hand(type_name: &str, announced: Option<&str>) -> Result<Definition, String> {
     let places = [
         Definitions::new().with(AmentPrefixPath::from_environment()).with_carried(),
         Definitions::new().with_carried(),

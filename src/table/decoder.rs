@@ -1,13 +1,15 @@
 //! Messages of a bag, field by field.
 
+use std::borrow::Cow;
+
 use bytes::Bytes;
 use downbeat_bags::RecordedTopic;
-use downbeat_bridge::edge::{KnownType, UnknownType};
 use downbeat_msgs::cdr;
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType, TypeError};
 use downbeat_msgs::encoding::{self, Codec, Encoding};
 
 use crate::encoding::{RecordedType, RecordedTypeError};
+use crate::ros_recorder::definition_at_hand;
 
 /// Reads the messages of a topic, in whatever encoding, by the definition that the bag has of them.
 #[derive(Debug)]
@@ -21,9 +23,14 @@ pub struct Decoder {
 /// Why messages cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum DecodeError {
-    /// The bag has no definition of the type, and it is not compiled in.
-    #[error(transparent)]
-    Unknown(#[from] UnknownType),
+    /// The bag has no definition of the type, and there is none at hand.
+    #[error("the bag has no definition of {type_name}, and {problem}")]
+    Unknown {
+        /// The type.
+        type_name: String,
+        /// Where else it was looked for.
+        problem: String,
+    },
     /// The encoding is not read here.
     #[error(transparent)]
     Encoding(#[from] RecordedTypeError),
@@ -46,18 +53,20 @@ impl Decoder {
     pub fn of(topic: &RecordedTopic) -> Result<Self, DecodeError> {
         let info = &topic.info;
         let is_cdr = info.format.is_none();
-        let (name, definition, recorded) = if is_cdr && !info.definition.is_empty() {
-            (info.type_name.as_str(), info.definition.as_str(), None)
-        } else if is_cdr {
-            let known = KnownType::named(&info.type_name)?;
-            (known.name(), known.definition(), None)
+        let (name, definition, recorded) = if is_cdr {
+            let unknown = |problem| DecodeError::Unknown { type_name: info.type_name.clone(), problem };
+            let definition = match info.definition.as_str() {
+                "" => Cow::Owned(definition_at_hand(&info.type_name, None).map_err(unknown)?.text),
+                recorded => Cow::Borrowed(recorded),
+            };
+            (info.type_name.as_str(), definition, None)
         } else {
             let recorded = RecordedType::of(topic)?;
             let known = recorded.message_type();
-            (known.name(), known.definition(), Some(recorded))
+            (known.name(), Cow::Borrowed(known.definition()), Some(recorded))
         };
-        let message_type = DynamicType::from_definition_text(name, "ros2msg", definition)?;
-        let json = Encoding::Json.codec_of_text(name, definition)?;
+        let message_type = DynamicType::from_definition_text(name, "ros2msg", &definition)?;
+        let json = Encoding::Json.codec_of_text(name, &definition)?;
         Ok(Self { message_type, json, recorded })
     }
 

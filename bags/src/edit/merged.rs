@@ -2,11 +2,11 @@
 
 use std::collections::VecDeque;
 
-use crate::reader::{BagMessage, Messages, ReaderError, RecordedTopic};
-use crate::topic::TopicId;
+use crate::reader::{BagMessage, Messages, Reader, ReaderError, RecordedTopic, Selection};
+use crate::topic::{TopicId, TopicInfo};
 
-/// The topics of several bags, each once, and the messages of all of them by time; where times are equal, in the order of
-/// the bags.
+/// The messages of several bags by time; where times are equal, in the order of the bags. Made by
+/// [`MergedBags::messages`].
 pub struct Merged {
     streams: Vec<Stream>,
     /// Told before further messages.
@@ -14,7 +14,7 @@ pub struct Merged {
 }
 
 /// What each topic of one bag, by position, is among those of several.
-pub type TopicMap = Vec<Option<TopicId>>;
+type TopicMap = Vec<Option<TopicId>>;
 
 struct Stream {
     messages: Messages,
@@ -35,54 +35,94 @@ pub struct TypeConflict {
     pub second: String,
 }
 
-/// The topics of several bags, each name once, with the counts of all, and for each bag which of them its topics are.
-///
-/// # Errors
-/// If one name has several types or serialisations.
-pub fn merge_topics(bags: &[&[RecordedTopic]]) -> Result<(Vec<RecordedTopic>, Vec<TopicMap>), TypeConflict> {
-    let mut all: Vec<RecordedTopic> = Vec::new();
-    let mut ids = Vec::new();
-    for topics in bags {
-        let mut of_bag = Vec::new();
-        for topic in *topics {
-            let known = all.iter().position(|known| known.info.name == topic.info.name);
-            let index = known.unwrap_or_else(|| {
-                all.push(RecordedTopic { message_count: 0, ..topic.clone() });
-                all.len() - 1
-            });
-            let merged = &mut all[index];
-            let kind =
-                |topic: &RecordedTopic| format!("{} as {}", topic.info.type_name, topic.serialization_format);
-            if kind(merged) != kind(topic) {
-                return Err(TypeConflict {
-                    topic: topic.info.name.clone(),
-                    first: kind(merged),
-                    second: kind(topic),
-                });
-            }
-            merged.message_count = merged.message_count.saturating_add(topic.message_count);
-            for qos in &topic.info.offered_qos {
-                if !merged.info.offered_qos.contains(qos) {
-                    merged.info.offered_qos.push(*qos);
-                }
-            }
-            if merged.info.definition.is_empty() {
-                merged.info.definition.clone_from(&topic.info.definition);
-            }
-            of_bag.push(TopicId::from_index(index));
-        }
-        ids.push(of_bag);
-    }
-    Ok((all, ids))
+/// Several bags as one: some of their topics, each name once.
+pub struct MergedBags<'a> {
+    bags: &'a [Reader],
+    topics: Vec<RecordedTopic>,
+    maps: Vec<TopicMap>,
 }
 
-impl Merged {
-    /// Merges these messages; beside each the topics that its own stand for, as [`merge_topics`] tells.
+impl<'a> MergedBags<'a> {
+    /// Merges the topics that are wanted; the others are no conflict.
+    ///
+    /// # Errors
+    /// If one name has several types or serialisations.
+    pub fn new(bags: &'a [Reader], is_wanted: impl Fn(&TopicInfo) -> bool) -> Result<Self, TypeConflict> {
+        let mut merged = Self { bags, topics: Vec::new(), maps: Vec::new() };
+        for bag in bags {
+            let topics = bag.topics().iter();
+            let map = topics.map(|topic| is_wanted(&topic.info).then(|| merged.add(topic)).transpose());
+            let map = map.collect::<Result<Vec<_>, _>>()?;
+            merged.maps.push(map.into_iter().map(Option::flatten).collect());
+        }
+        Ok(merged)
+    }
+
+    /// The topics, with the counts of all bags; messages name them by position.
     #[must_use]
-    pub fn new(streams: Vec<(Messages, TopicMap)>) -> Self {
-        let streams = streams.into_iter();
-        let streams = streams.map(|(messages, topics)| Stream { messages, next: None, topics });
-        Self { streams: streams.collect(), errors: VecDeque::new() }
+    pub fn topics(&self) -> &[RecordedTopic] {
+        &self.topics
+    }
+
+    /// The messages of all bags by time, of those topics for which `is_meant` is true.
+    ///
+    /// # Errors
+    /// If a bag cannot be opened any more.
+    pub fn messages(
+        &self,
+        selection: &Selection,
+        is_meant: impl Fn(&RecordedTopic) -> bool,
+    ) -> Result<Merged, ReaderError> {
+        let stream = |(bag, map): (&Reader, &TopicMap)| -> Result<Stream, ReaderError> {
+            let meant = map.iter().enumerate().filter_map(|(index, merged)| {
+                is_meant(&self.topics[(*merged)?.index()]).then(|| TopicId::from_index(index)).flatten()
+            });
+            let messages = bag.messages(selection.clone().topics(meant))?;
+            Ok(Stream { messages, next: None, topics: map.clone() })
+        };
+        let streams = self.bags.iter().zip(&self.maps).map(stream).collect::<Result<_, _>>()?;
+        Ok(Merged { streams, errors: VecDeque::new() })
+    }
+
+    /// Of latched topics (transient local) among these messages, which come by time, those that a subscriber would still
+    /// receive after them, by time.
+    pub(crate) fn last_latched(&self, messages: impl Iterator<Item = BagMessage>) -> Vec<BagMessage> {
+        let mut last: Vec<VecDeque<BagMessage>> = vec![VecDeque::new(); self.topics.len()];
+        for message in messages {
+            let topic = message.topic.index();
+            last[topic].push_back(message);
+            if last[topic].len() > self.topics[topic].info.latched_depth() {
+                last[topic].pop_front();
+            }
+        }
+        let mut kept: Vec<BagMessage> = last.into_iter().flatten().collect();
+        kept.sort_by_key(|message| message.log_time);
+        kept
+    }
+
+    fn add(&mut self, topic: &RecordedTopic) -> Result<Option<TopicId>, TypeConflict> {
+        let known = self.topics.iter().position(|known| known.info.name == topic.info.name);
+        let index = known.unwrap_or_else(|| {
+            self.topics.push(RecordedTopic { message_count: 0, ..topic.clone() });
+            self.topics.len() - 1
+        });
+        let merged = &mut self.topics[index];
+        let kind =
+            |topic: &RecordedTopic| format!("{} as {}", topic.info.type_name, topic.serialization_format);
+        if kind(merged) != kind(topic) {
+            let (first, second) = (kind(merged), kind(topic));
+            return Err(TypeConflict { topic: topic.info.name.clone(), first, second });
+        }
+        merged.message_count = merged.message_count.saturating_add(topic.message_count);
+        for qos in &topic.info.offered_qos {
+            if !merged.info.offered_qos.contains(qos) {
+                merged.info.offered_qos.push(*qos);
+            }
+        }
+        if merged.info.definition.is_empty() {
+            merged.info.definition.clone_from(&topic.info.definition);
+        }
+        Ok(TopicId::from_index(index))
     }
 }
 

@@ -5,5 +5,5 @@ mod merged;
 mod reindex;
 
 pub use copy::{Copied, Copy, CopyError};
-pub use merged::{Merged, TopicMap, TypeConflict, merge_topics};
+pub use merged::{Merged, MergedBags, TypeConflict};
 pub use reindex::reindex;

@@ -4,7 +4,6 @@ use std::borrow::Cow::{self, Borrowed};
 
 use mcap::McapError;
 use mcap::records::{self, MessageHeader, Record, op};
-use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use super::records::{RECORD_HEADER, has_plausible_length};
 use crate::{lz4, zstd};
@@ -35,28 +34,23 @@ pub(super) enum Content<'a> {
 /// checked before anything of them is given.
 pub(super) fn decode(bytes: &[u8], mut each: impl FnMut(Content<'_>)) -> Result<(), String> {
     let bytes = unpack(bytes)?;
-    let options = LinearReaderOptions::default()
-        .with_skip_start_magic(true)
-        .with_skip_end_magic(true)
-        .with_record_length_limit(bytes.len());
-    let mut reader = LinearReader::new_with_options(options);
     let mut rest = &*bytes;
-    while let Some(event) = reader.next_event() {
-        match event.map_err(|error| describe(&error))? {
-            LinearReadEvent::ReadRequest(wanted) => {
-                let (given, left) = rest.split_at(wanted.min(rest.len()));
-                reader.insert(given.len()).copy_from_slice(given);
-                reader.notify_read(given.len());
-                rest = left;
-            }
-            LinearReadEvent::Record { data, opcode } => {
-                if let Some(content) = content(opcode, data)? {
-                    each(content);
-                }
-            }
+    while !rest.is_empty() {
+        let (opcode, body) = split_record(&mut rest).ok_or("it ends within a record")?;
+        if let Some(content) = content(opcode, body)? {
+            each(content);
         }
     }
     Ok(())
+}
+
+/// Takes the first record off: opcode and body; nothing where it is cut off.
+fn split_record<'a>(rest: &mut &'a [u8]) -> Option<(u8, &'a [u8])> {
+    let (header, behind) = rest.split_first_chunk::<{ RECORD_HEADER as usize }>()?;
+    let [opcode, length @ ..] = *header;
+    let (body, behind) = behind.split_at_checked(usize::try_from(u64::from_le_bytes(length)).ok()?)?;
+    *rest = behind;
+    Some((opcode, body))
 }
 
 /// The records in a segment: of a chunk those that it holds, decompressed and checked.
@@ -122,7 +116,6 @@ fn describe(error: &McapError) -> String {
     match error {
         McapError::Io(source) => source.to_string(),
         McapError::Parse(source) => format!("a record is not as it should be ({source})"),
-        McapError::UnexpectedEof | McapError::UnexpectedEoc => "it ends within a record".to_owned(),
         other => other.to_string(),
     }
 }

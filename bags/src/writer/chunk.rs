@@ -1,11 +1,13 @@
 //! The open chunk: records that are collected in memory until they are written as one.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io;
 
 use mcap::records::{ChunkHeader, ChunkIndex, MessageHeader, MessageIndexEntry};
 
 use super::compress::compress;
+use super::output::Part;
 use super::{McapOptions, records};
 
 #[derive(Default)]
@@ -59,50 +61,69 @@ impl Chunk {
         self.times = None;
     }
 
-    /// Appends the records as they are to `out`: a file without chunks.
-    pub(super) fn emit_records(&self, out: &mut Vec<u8>) {
-        out.extend_from_slice(&self.content);
+    /// The records as they are: all of a file without chunks.
+    pub(super) fn content(&self) -> &[u8] {
+        &self.content
     }
 
-    /// Appends the chunk and the index of its messages to `out`, which will be written at `position` in the file.
+    /// Makes what goes into the file, where it will begin at `position`. `frame` gets what stands around the content.
     pub(super) fn emit(
         &self,
-        out: &mut Vec<u8>,
+        frame: &mut Vec<u8>,
         position: u64,
         options: &McapOptions,
-    ) -> io::Result<ChunkIndex> {
+    ) -> io::Result<Emitted<'_>> {
         let (compression, compressed) = compress(&self.content, options)?;
-        let data = compressed.as_ref().unwrap_or(&self.content);
+        let crc = options.has_chunk_crc.then(|| crc32fast::hash(&self.content));
+        let content_crc = crc.filter(|_| compressed.is_none());
+        let content = compressed.map_or(Cow::Borrowed(self.content.as_slice()), Cow::Owned);
         let (first, last) = self.times.unwrap_or((0, 0));
         let header = ChunkHeader {
             message_start_time: first,
             message_end_time: last,
             uncompressed_size: self.content.len() as u64,
             // 0 stands for none.
-            uncompressed_crc: if options.has_chunk_crc { crc32fast::hash(&self.content) } else { 0 },
+            uncompressed_crc: crc.unwrap_or(0),
             compression: compression.to_owned(),
-            compressed_size: data.len() as u64,
+            compressed_size: content.len() as u64,
         };
-        let start = out.len();
-        records::chunk(out, &header, data)?;
-        let indexes = out.len();
+        records::chunk_without_content(frame, &header)?;
+        let content_at = frame.len();
+        let chunk_length = (content_at + content.len()) as u64;
         let mut message_index_offsets = BTreeMap::new();
         if options.has_message_index {
             for (channel, entries) in &self.messages {
-                message_index_offsets.insert(*channel, position + (out.len() - start) as u64);
-                records::message_index(out, *channel, entries)?;
+                let offset = position + (frame.len() + content.len()) as u64;
+                message_index_offsets.insert(*channel, offset);
+                records::message_index(frame, *channel, entries)?;
             }
         }
-        Ok(ChunkIndex {
+        let index = ChunkIndex {
             message_start_time: first,
             message_end_time: last,
             chunk_start_offset: position,
-            chunk_length: (indexes - start) as u64,
+            chunk_length,
             message_index_offsets,
-            message_index_length: (out.len() - indexes) as u64,
+            message_index_length: (frame.len() - content_at) as u64,
             compression: header.compression,
             compressed_size: header.compressed_size,
             uncompressed_size: header.uncompressed_size,
-        })
+        };
+        Ok(Emitted { content, content_crc, content_at, index })
+    }
+}
+
+/// A chunk on its way to the file, apart from the bytes around its content.
+pub(super) struct Emitted<'a> {
+    content: Cow<'a, [u8]>,
+    content_crc: Option<u32>,
+    /// Where in the frame the content belongs.
+    pub(super) content_at: usize,
+    pub(super) index: ChunkIndex,
+}
+
+impl Emitted<'_> {
+    pub(super) fn content(&self) -> Part<'_> {
+        Part { bytes: &self.content, crc: self.content_crc }
     }
 }

@@ -4,51 +4,43 @@
 //! says. Whatever happens to the process, the file is a sequence of complete chunks and at most one torn one.
 
 use std::collections::BTreeMap;
-use std::fs::{File, OpenOptions};
-use std::io::{self, Seek, SeekFrom, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use mcap::records::{MessageHeader, MetadataIndex};
 
 use super::channels::Channels;
 use super::chunk::Chunk;
+use super::output::OutputFile;
 use super::summary::Summary;
 use super::{McapOptions, SyncPolicy, records};
 use crate::topic::TopicInfo;
 
 pub(super) struct ChunkedFile {
     path: PathBuf,
-    file: File,
+    output: OutputFile,
     options: McapOptions,
-    sync: SyncPolicy,
-    /// Length up to the end of the last complete chunk.
-    kept: u64,
-    /// Checksum of everything up to there.
-    data_crc: crc32fast::Hasher,
     channels: Channels,
     chunk: Chunk,
     summary: Summary,
-    /// What is on its way to the file; kept for its room.
-    outgoing: Vec<u8>,
+    /// What goes into the file around a chunk's content; kept for its room.
+    frame: Vec<u8>,
 }
 
 impl ChunkedFile {
     pub(super) fn create(path: &Path, options: McapOptions, sync: SyncPolicy) -> io::Result<Self> {
         let mut file = Self {
             path: path.to_owned(),
-            file: OpenOptions::new().write(true).create_new(true).open(path)?,
+            output: OutputFile::create(path, sync, options.has_data_crc)?,
             options,
-            sync,
-            kept: 0,
-            data_crc: crc32fast::Hasher::new(),
             channels: Channels::default(),
             chunk: Chunk::default(),
             summary: Summary::default(),
-            outgoing: Vec::new(),
+            frame: Vec::new(),
         };
         let mut start = mcap::MAGIC.to_vec();
         records::header(&mut start, "ros2", concat!("downbeat ", env!("CARGO_PKG_VERSION")))?;
-        file.append(&start)?;
+        file.output.append(&[start.as_slice().into()])?;
         Ok(file)
     }
 
@@ -58,7 +50,7 @@ impl ChunkedFile {
 
     /// Bytes that are in the file and readable.
     pub(super) fn kept(&self) -> u64 {
-        self.kept
+        self.output.kept()
     }
 
     /// Size of the open chunk, before compression.
@@ -89,17 +81,16 @@ impl ChunkedFile {
         if self.chunk.is_empty() {
             return Ok(());
         }
-        let mut bytes = std::mem::take(&mut self.outgoing);
-        bytes.clear();
+        self.frame.clear();
         let index = if self.options.is_chunked {
-            Some(self.chunk.emit(&mut bytes, self.kept, &self.options)?)
+            let emitted = self.chunk.emit(&mut self.frame, self.output.kept(), &self.options)?;
+            let (head, tail) = self.frame.split_at(emitted.content_at);
+            self.output.append(&[head.into(), emitted.content(), tail.into()])?;
+            Some(emitted.index)
         } else {
-            self.chunk.emit_records(&mut bytes);
+            self.output.append(&[self.chunk.content().into()])?;
             None
         };
-        let appended = self.append(&bytes);
-        self.outgoing = bytes;
-        appended?;
         self.summary.add(&self.chunk, index);
         self.channels.keep();
         self.chunk.clear();
@@ -110,7 +101,7 @@ impl ChunkedFile {
     pub(super) fn drop_chunk(&mut self) -> io::Result<()> {
         self.channels.forget();
         self.chunk.clear();
-        self.rewind()
+        self.output.rewind()
     }
 
     /// Writes the record in which rosbag2 keeps its metadata, after the open chunk.
@@ -119,8 +110,9 @@ impl ChunkedFile {
         let name = "rosbag2";
         let mut bytes = Vec::new();
         records::metadata(&mut bytes, name, &BTreeMap::from([("serialized_metadata".to_owned(), text)]))?;
-        let index = MetadataIndex { offset: self.kept, length: bytes.len() as u64, name: name.to_owned() };
-        self.append(&bytes)?;
+        let index =
+            MetadataIndex { offset: self.output.kept(), length: bytes.len() as u64, name: name.to_owned() };
+        self.output.append(&[bytes.as_slice().into()])?;
         self.summary.add_metadata(index);
         Ok(())
     }
@@ -129,41 +121,20 @@ impl ChunkedFile {
     pub(super) fn finish(&mut self) -> io::Result<()> {
         self.flush()?;
         let mut ending = Vec::new();
-        let checksum = if self.options.has_data_crc { self.data_crc.clone().finalize() } else { 0 };
-        records::data_end(&mut ending, checksum)?;
-        self.summary.emit(&mut ending, self.kept, &self.channels, &self.options)?;
-        self.append(&ending)?;
-        match self.sync {
-            SyncPolicy::Never => Ok(()),
-            SyncPolicy::Files | SyncPolicy::Chunks => self.file.sync_all(),
-        }
+        records::data_end(&mut ending, self.output.crc())?;
+        self.summary.emit(&mut ending, self.output.kept(), &self.channels, &self.options)?;
+        self.output.append(&[ending.as_slice().into()])?;
+        self.output.finish()
     }
 
     /// After a failed write: cuts the file back to its last complete chunk and ends it there without a summary. That
     /// takes 50 bytes, usually fewer than what was cut off, so it succeeds on a full disk; if not, readers miss only
     /// the end mark.
     pub(super) fn give_up(&mut self) -> io::Result<()> {
-        self.rewind()?;
+        self.output.rewind()?;
         let mut ending = Vec::new();
         records::data_end(&mut ending, 0)?; // no checksum of the data
         Summary::emit_none(&mut ending);
-        self.file.write_all(&ending)
-    }
-
-    fn rewind(&mut self) -> io::Result<()> {
-        self.file.set_len(self.kept)?;
-        self.file.seek(SeekFrom::Start(self.kept)).map(drop)
-    }
-
-    fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.file.write_all(bytes)?;
-        if self.sync == SyncPolicy::Chunks {
-            self.file.sync_data()?;
-        }
-        self.kept += bytes.len() as u64;
-        if self.options.has_data_crc {
-            self.data_crc.update(bytes);
-        }
-        Ok(())
+        self.output.write_unkept(&ending)
     }
 }

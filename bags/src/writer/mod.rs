@@ -8,6 +8,7 @@ mod error;
 mod file;
 mod hand_over;
 mod options;
+mod output;
 mod records;
 mod split;
 mod storage;

@@ -20,11 +20,21 @@ fn record(
     opcode: u8,
     write: impl FnOnce(&mut Vec<u8>) -> io::Result<()>,
 ) -> io::Result<()> {
+    record_before(out, opcode, 0, write)
+}
+
+/// Appends a record of whose body the last `missing` bytes are written elsewhere.
+fn record_before(
+    out: &mut Vec<u8>,
+    opcode: u8,
+    missing: u64,
+    write: impl FnOnce(&mut Vec<u8>) -> io::Result<()>,
+) -> io::Result<()> {
     out.push(opcode);
     let start = out.len() + 8;
     out.extend_from_slice(&[0; 8]);
     write(out)?;
-    let length = (out.len() - start) as u64;
+    let length = (out.len() - start) as u64 + missing;
     out[start - 8..start].copy_from_slice(&length.to_le_bytes());
     Ok(())
 }
@@ -75,15 +85,15 @@ pub(super) fn message(out: &mut Vec<u8>, header: &MessageHeader, data: &[u8]) ->
     })
 }
 
-pub(super) fn chunk(out: &mut Vec<u8>, header: &ChunkHeader, content: &[u8]) -> io::Result<()> {
-    record(out, op::CHUNK, |out| {
+/// What comes before the content of a chunk.
+pub(super) fn chunk_without_content(out: &mut Vec<u8>, header: &ChunkHeader) -> io::Result<()> {
+    record_before(out, op::CHUNK, header.compressed_size, |out| {
         out.extend_from_slice(&header.message_start_time.to_le_bytes());
         out.extend_from_slice(&header.message_end_time.to_le_bytes());
         out.extend_from_slice(&header.uncompressed_size.to_le_bytes());
         out.extend_from_slice(&header.uncompressed_crc.to_le_bytes());
         text(out, &header.compression)?;
         out.extend_from_slice(&header.compressed_size.to_le_bytes());
-        out.extend_from_slice(content);
         Ok(())
     })
 }

@@ -99,6 +99,7 @@ class Peer(Actions):
         self.received = {}
         self.events = {}
         self.services = {}
+        self.requests = {}
         self.clients = {}
         self.parameter_clients = {}
         self.thread = threading.Thread(target=self.executor.spin)
@@ -180,6 +181,7 @@ class Peer(Actions):
         """A server of std_srvs/srv/SetBool or sensor_msgs/srv/SetCameraInfo that answers with what it was asked."""
 
         def on_request(request, response):
+            self.requests.setdefault(service, []).append(fields_of(request))
             if hasattr(request, "camera_info"):
                 response.status_message = request.camera_info.distortion_model
             else:
@@ -189,6 +191,10 @@ class Peer(Actions):
 
         kind = message_class(type)
         self.services[service] = self.node.create_service(kind, service, on_request, qos_profile=profile(qos))
+
+    def requests_to(self, service):
+        """What a server of ours was asked."""
+        return self.requests.get(service, [])
 
     def client(self, service, type, qos={}):
         self.clients[service] = self.node.create_client(message_class(type), service, qos_profile=profile(qos))

@@ -8,7 +8,6 @@ use crate::cdr;
 use crate::foxglove;
 use crate::interchange::{self, Direction, Error, Problem, Value};
 use crate::message::Message;
-use crate::service_msgs::msg::ServiceEventInfo;
 
 /// Goes between the CDR of one message type and an encoding.
 #[derive(Clone, Debug)]
@@ -88,15 +87,6 @@ impl Encoding {
         let name: TypeName = type_name.parse()?;
         let mut catalog = Catalog::new();
         catalog.add_definition_text(&name, DefinitionEncoding::Ros2Msg, definition, type_name)?;
-        // The texts of services leave it out.
-        let implied: TypeName = ServiceEventInfo::TYPE_NAME.parse()?;
-        let text = ServiceEventInfo::DEFINITION;
-        catalog.add_definition_text(
-            &implied,
-            DefinitionEncoding::Ros2Msg,
-            text,
-            ServiceEventInfo::TYPE_NAME,
-        )?;
         self.codec(&catalog, &name)
     }
 

@@ -6,6 +6,8 @@ use downbeat_msgs::cdr;
 use downbeat_msgs::encoding::Encoding;
 use downbeat_msgs::geometry_msgs::msg::Quaternion;
 use downbeat_msgs::sensor_msgs::msg::{Image, JointState};
+use downbeat_msgs::service_msgs::msg::ServiceEventInfo;
+use downbeat_msgs::std_srvs::srv::{SetBoolEvent, SetBoolRequest};
 
 use crate::random::Random;
 use crate::types::{Type, catalog, every_type, name};
@@ -151,4 +153,21 @@ fn large_messages_go_through_every_encoding_that_has_bytes() {
     }
     // A watchdog against work per byte that grows with the message, not a measurement.
     assert!(start.elapsed() < Duration::from_secs(60));
+}
+
+#[test]
+fn events_of_services_have_a_codec_by_the_text_of_their_service() {
+    let text = format!(
+        "{}\nSRV: std_srvs/srv/SetBool\nbool data\n---\nbool success\nstring message\n",
+        "=".repeat(80)
+    );
+    let codec = Encoding::Json.codec_of_text("std_srvs/srv/SetBool_Event", &text).unwrap();
+    let event = SetBoolEvent {
+        info: ServiceEventInfo { event_type: 1, ..ServiceEventInfo::default() },
+        request: vec![SetBoolRequest { data: true }],
+        response: Vec::new(),
+    };
+    let json = codec.encode(&cdr::to_vec(&event)).unwrap();
+    let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
+    assert_eq!((&json["info"]["event_type"], &json["request"][0]["data"]), (&1.into(), &true.into()));
 }

@@ -24,7 +24,7 @@ pub(crate) fn convert(arguments: &ConvertArguments) -> anyhow::Result<()> {
     let bags = arguments.bags.iter().map(|bag| open(bag)).collect::<anyhow::Result<Vec<Reader>>>()?;
     let filter = arguments.topics.filter()?;
     arguments.topics.check(bags.iter().flat_map(Reader::topics).map(|topic| &topic.info))?;
-    let copy = Copy::of(&bags)?.topics(|topic| filter.is_wanted(topic));
+    let copy = Copy::of(&bags, |topic| filter.is_wanted(topic))?;
     let OutputArguments { output, layout } = &arguments.output;
     write(copy, custom_data(&bags), output, layout)?;
     Ok(())

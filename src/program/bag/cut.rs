@@ -84,7 +84,7 @@ pub(crate) fn cut(arguments: &CutArguments) -> anyhow::Result<()> {
     }
     let filter = arguments.topics.filter()?;
     arguments.topics.check(bags.iter().flat_map(Reader::topics).map(|topic| &topic.info))?;
-    let mut copy = Copy::of(&bags)?.topics(|topic| filter.is_wanted(topic)).times(from, until);
+    let mut copy = Copy::of(&bags, |topic| filter.is_wanted(topic))?.times(from, until);
     if !arguments.no_latched {
         copy = copy.keep_latched();
     }

@@ -1,7 +1,9 @@
 //! `downbeat bag export`
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{BufWriter, Write};
+use std::iter;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -55,9 +57,11 @@ pub(crate) fn export(arguments: &ExportArguments) -> anyhow::Result<()> {
     std::fs::create_dir(output).with_context(|| format!("cannot make the directory {}", output.display()))?;
     let topics = bag.topics().iter().enumerate();
     let wanted: Vec<_> = topics.filter(|(_, topic)| filter.is_wanted(&topic.info)).collect();
+    let mut taken = BTreeSet::new();
     for (index, topic) in wanted {
         let Some(id) = TopicId::at(index) else { continue };
-        let file = output.join(format!("{}.{}", file_stem(&topic.info.name), arguments.format.extension()));
+        let stem = file_stem(&topic.info.name, &mut taken);
+        let file = output.join(format!("{stem}.{}", arguments.format.extension()));
         let source = Source::new(&bag, id);
         let told = match arguments.format {
             Format::Csv => write_csv(&source, &file),
@@ -80,9 +84,13 @@ pub(crate) fn export(arguments: &ExportArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// `/imu/data_raw` becomes `imu.data_raw`.
-fn file_stem(topic: &str) -> String {
-    topic.trim_start_matches('/').replace('/', ".")
+/// `/imu/data_raw` becomes `imu.data_raw`. Where another topic has that already, as one of a bag of others may, a number is
+/// added.
+fn file_stem(topic: &str, taken: &mut BTreeSet<String>) -> String {
+    let plain = topic.trim_start_matches('/').replace('/', ".");
+    let numbered = (2..).map(|number| format!("{plain}-{number}"));
+    let mut candidates = iter::once(plain.clone()).chain(numbered);
+    candidates.find(|stem| taken.insert(stem.clone())).unwrap_or_default()
 }
 
 /// When a message was received and when published, in nanoseconds since the epoch: the first columns.
@@ -130,4 +138,16 @@ fn write_jsonl(source: &Source<'_>, path: &Path) -> anyhow::Result<u64> {
     )?;
     writer.flush()?;
     Ok(messages)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_two_topics_share_a_file() {
+        let mut taken = BTreeSet::new();
+        let stems = ["/imu/data", "imu.data", "/imu.data", "/imu"].map(|topic| file_stem(topic, &mut taken));
+        assert_eq!(stems, ["imu.data", "imu.data-2", "imu.data-3", "imu"]);
+    }
 }

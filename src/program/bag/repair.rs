@@ -29,7 +29,7 @@ pub(crate) fn repair(arguments: &RepairArguments) -> anyhow::Result<()> {
         println!("no file is cut off");
     }
     let output = arguments.output.clone().unwrap_or_else(|| beside(&arguments.bag));
-    write(Copy::of(&bags)?, custom_data(&bags), &output, &arguments.layout)?;
+    write(Copy::of(&bags, |_| true)?, custom_data(&bags), &output, &arguments.layout)?;
     Ok(())
 }
 

@@ -9,7 +9,7 @@ use downbeat::bridge::ros::{Node, NodeError, Reply, Service};
 use downbeat::msgs::Service as ServiceType;
 use downbeat::msgs::qos::QosProfile;
 use downbeat::msgs::rosbag2_interfaces::srv::{
-    Burst, GetRate, IsPaused, Pause, Play, PlayNext, Resume, Seek, SetRate, Stop, TogglePaused,
+    Burst, GetRate, IsPaused, Pause, Play, PlayNext, PlayRequest, Resume, Seek, SetRate, Stop, TogglePaused,
 };
 
 /// A request, with the way back for its answer.
@@ -18,8 +18,8 @@ pub(super) enum Control {
     GetRate(Reply<GetRate>),
     IsPaused(Reply<IsPaused>),
     Pause(Reply<Pause>),
-    /// Play anew from so far into the bag.
-    Play(PlayRequest, Reply<Play>),
+    /// Play a part anew.
+    Play(Part, Reply<Play>),
     PlayNext(Reply<PlayNext>),
     Resume(Reply<Resume>),
     /// To this time, in nanoseconds since the epoch.
@@ -29,8 +29,25 @@ pub(super) enum Control {
     TogglePaused(Reply<TogglePaused>),
 }
 
-pub(super) struct PlayRequest {
+/// What part of the bag.
+pub(super) struct Part {
     pub(super) start_offset: Duration,
+    pub(super) duration: Option<Duration>,
+    /// In nanoseconds since the epoch.
+    pub(super) until: Option<i64>,
+}
+
+impl From<PlayRequest> for Part {
+    /// A duration or time of zero, as of a request that does not mention it, or below is none.
+    fn from(request: PlayRequest) -> Self {
+        let positive = |nanos: i64| u64::try_from(nanos).ok().filter(|nanos| *nanos > 0);
+        let duration = |nanos| positive(nanos).map(Duration::from_nanos);
+        Self {
+            start_offset: duration(request.start_offset.as_nanos()).unwrap_or_default(),
+            duration: duration(request.playback_duration.as_nanos()),
+            until: Some(request.playback_until_timestamp.as_nanos()).filter(|until| *until > 0),
+        }
+    }
 }
 
 /// The services, until it is dropped.
@@ -49,10 +66,7 @@ impl Controls {
             serve::<GetRate>(node, "~/get_rate", &sender, |_, reply| Control::GetRate(reply))?,
             serve::<IsPaused>(node, "~/is_paused", &sender, |_, reply| Control::IsPaused(reply))?,
             serve::<Pause>(node, "~/pause", &sender, |_, reply| Control::Pause(reply))?,
-            serve::<Play>(node, "~/play", &sender, |request, reply| {
-                let offset = u64::try_from(request.start_offset.as_nanos()).unwrap_or(0);
-                Control::Play(PlayRequest { start_offset: Duration::from_nanos(offset) }, reply)
-            })?,
+            serve::<Play>(node, "~/play", &sender, |request, reply| Control::Play(request.into(), reply))?,
             serve::<PlayNext>(node, "~/play_next", &sender, |_, reply| Control::PlayNext(reply))?,
             serve::<Resume>(node, "~/resume", &sender, |_, reply| Control::Resume(reply))?,
             serve::<Seek>(node, "~/seek", &sender, |request, reply| {

@@ -2,7 +2,9 @@
 
 mod controls;
 mod into;
+mod requests;
 mod ros;
+mod target;
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -17,6 +19,7 @@ use downbeat::robot::RosArgs;
 use super::open;
 use super::select::TopicArguments;
 use crate::program::screen::Screen;
+use requests::RequestsSource;
 
 #[derive(Args)]
 pub(crate) struct PlayArguments {
@@ -71,6 +74,12 @@ pub(crate) struct PlayArguments {
     /// Leave out what latched topics (transient local) had last sent before the beginning, as `ros2 bag play` does.
     #[arg(long)]
     pub(crate) no_latched: bool,
+    /// Send the requests to services that the bag tells of again, instead of publishing the events of services.
+    #[arg(long)]
+    pub(crate) publish_service_requests: bool,
+    /// Whose account of the requests to follow: that of the server, or those of the clients.
+    #[arg(long, value_enum, default_value_t, requires = "publish_service_requests", value_name = "SOURCE")]
+    pub(crate) service_requests_source: RequestsSource,
     /// How many messages are read before they are due.
     #[arg(long, default_value_t = PlayerOptions::DEFAULT_READ_AHEAD as u32, value_name = "MESSAGES",
           value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
@@ -89,7 +98,7 @@ pub(crate) struct PlayArguments {
     /// machine can, with the same result each time.
     #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["rate", "start_offset", "domain", "playback_duration",
           "playback_until_sec", "playback_until_nsec", "repeats", "delay", "remap", "clock", "clock_topics",
-          "clock_topics_all", "start_paused", "no_latched", "disable_keyboard_controls", "read_ahead_queue_size", "qos_profile_overrides_path", "wait_for_all_acked", "topic_types", "services", "regex", "exclude_regex", "exclude_topics",
+          "clock_topics_all", "start_paused", "no_latched", "publish_service_requests", "disable_keyboard_controls", "read_ahead_queue_size", "qos_profile_overrides_path", "wait_for_all_acked", "topic_types", "services", "regex", "exclude_regex", "exclude_topics",
           "exclude_topic_types", "exclude_services"])]
     pub(crate) into: Option<PathBuf>,
     /// With --into: record what the modules publish into this new rosbag2 directory.

@@ -3,14 +3,11 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use bytes::Bytes;
-use downbeat::bags::metadata::RecordedQos;
-use downbeat::bags::{BagMessage, Player, PlayerOptions, Rate, Reader, RecordedTopic, Step, TopicInfo};
+use downbeat::bags::{BagMessage, Player, PlayerOptions, Rate, Reader, ReaderError, Step};
 use downbeat::bridge::middleware::WriteError;
 use downbeat::bridge::ros::{MessageType, Node, Publisher};
-use downbeat::encoding::RecordedType;
 use downbeat::msgs::builtin_interfaces::msg::Time;
-use downbeat::msgs::qos::{Durability, QosProfile};
+use downbeat::msgs::qos::QosProfile;
 use downbeat::msgs::rosbag2_interfaces::srv::{
     BurstResponse, GetRateResponse, IsPausedResponse, PauseResponse, PlayNextResponse, PlayResponse,
     ResumeResponse, SeekResponse, SetRateResponse, StopResponse, TogglePausedResponse,
@@ -22,6 +19,7 @@ use downbeat::ros_recorder::QosOverrides;
 
 use super::PlayArguments;
 use super::controls::{Control, Controls, answer};
+use super::target::{Target, targets};
 use crate::program::bag::select::absolute;
 use crate::program::keyboard::{Key, Keyboard};
 use crate::program::run::node;
@@ -34,8 +32,6 @@ const DISCOVERY: Duration = Duration::from_secs(3);
 const POLL: Duration = Duration::from_millis(50);
 /// How often the line on the screen is drawn.
 const REFRESH: Duration = Duration::from_millis(100);
-/// How long a message waits for subscribers that lag behind, as in rmw_fastrtps (`max_blocking_time`).
-const PATIENCE: Duration = Duration::from_millis(100);
 /// By how much a key changes the rate, as in rosbag2.
 const RATE_STEP: f64 = 0.1;
 /// The node that `ros2 bag play` makes.
@@ -62,10 +58,11 @@ pub(super) fn play(
     let remaps = arguments.remap.iter().chain(&ros.remaps).cloned().collect();
     let ros = RosArgs { remaps, ..ros.clone() };
     let (_participant, node) = node(NODE_NAME, arguments.domain, &ros)?;
-    let publishers = publishers(&player, &node, &overrides);
+    let requests = arguments.publish_service_requests.then_some(arguments.service_requests_source);
+    let targets = targets(&player, &node, &overrides, requests);
     let clock = PublishedClock::new(&node, arguments)?;
     let controls = Controls::offer(&node)?;
-    wait_for_subscriptions(&publishers, &stop);
+    wait_for_peers(&targets, &stop);
     let keyboard = (!arguments.disable_keyboard_controls).then(Keyboard::open).flatten();
     if keyboard.is_some() {
         tracing::info!(
@@ -74,7 +71,7 @@ pub(super) fn play(
     }
     let mut run = Run {
         player,
-        publishers,
+        targets,
         clock,
         started: Instant::now(),
         delay: arguments.delay.unwrap_or_default(),
@@ -87,8 +84,9 @@ pub(super) fn play(
     run.run(&controls, keyboard.as_ref(), screen, &stop);
     drop(keyboard);
     screen.show(Vec::new());
+    run.wait_for_answers(&stop);
     run.wait_for_all_acked(arguments.wait_for_all_acked, &stop);
-    println!("played {} messages; {} were refused by the middleware", run.played, run.refused);
+    println!("played {} messages; {} were refused", run.played, run.refused);
     Ok(())
 }
 
@@ -107,49 +105,10 @@ fn options(arguments: &PlayArguments) -> anyhow::Result<PlayerOptions> {
     })
 }
 
-/// Who publishes a topic, and what makes CDR of its messages if they are something else.
-type Played = (Publisher, Option<RecordedType>);
-
-/// A publisher for each topic that is played, at the position of its id.
-fn publishers(player: &Player<'_>, node: &Node, overrides: &QosOverrides) -> Vec<Option<Played>> {
-    let create = |topic: &RecordedTopic| -> anyhow::Result<Played> {
-        let info = &topic.info;
-        // CDR is passed through, also of types that are not compiled in.
-        let recorded = info.format.as_ref().map(|_| RecordedType::of(topic)).transpose()?;
-        let type_name = recorded.as_ref().map_or(&*info.type_name, |recorded| recorded.message_type().name());
-        let message_type = MessageType::new(type_name)?;
-        let qos = overrides.of(&info.name).unwrap_or_else(|| recorded_qos(info));
-        Ok((node.publish(&info.name, &message_type, qos)?, recorded))
-    };
-    let create_or_tell = |topic| {
-        let created =
-            create(topic).inspect_err(|error| tracing::warn!("{} is not played: {error:#}", topic.info.name));
-        created.ok()
-    };
-    player.topics().iter().map(create_or_tell).collect()
-}
-
-/// As all publishers offered it; where they did not agree, what suits most subscribers.
-fn recorded_qos(info: &TopicInfo) -> QosProfile {
-    let mut offered = info.offered_qos.iter().map(RecordedQos::to_profile);
-    let first = offered.next().unwrap_or(QosProfile::DEFAULT);
-    if offered.all(|other| other == first) {
-        return first;
-    }
-    tracing::warn!("{}: its publishers offered different QoS; it is played reliably", info.name);
-    let depth = info.latched_depth();
-    match u32::try_from(depth) {
-        Ok(0) | Err(_) => QosProfile::DEFAULT,
-        Ok(depth) => {
-            QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT.keep_last(depth) }
-        }
-    }
-}
-
-fn wait_for_subscriptions(publishers: &[Option<Played>], stop: &Stop) {
+fn wait_for_peers(targets: &[Option<Target>], stop: &Stop) {
     let started = Instant::now();
-    let is_heard = |(publisher, _): &Played| publisher.matched_subscriptions() > 0;
-    while !publishers.iter().flatten().all(is_heard) && started.elapsed() < DISCOVERY && !stop.is_due() {
+    while !targets.iter().flatten().all(Target::is_matched) && started.elapsed() < DISCOVERY && !stop.is_due()
+    {
         stop.sleep(POLL);
     }
 }
@@ -211,22 +170,9 @@ impl PublishedClock {
     }
 }
 
-/// Publishes, and waits for a moment where subscribers lag behind.
-fn publish_soon(publisher: &Publisher, data: &Bytes) -> Result<(), WriteError> {
-    let started = Instant::now();
-    loop {
-        match publisher.publish(data.clone()) {
-            Err(WriteError::WindowFull) if started.elapsed() < PATIENCE => {
-                std::thread::sleep(Duration::from_millis(1));
-            }
-            result => return result,
-        }
-    }
-}
-
 struct Run<'a> {
     player: Player<'a>,
-    publishers: Vec<Option<Played>>,
+    targets: Vec<Option<Target>>,
     clock: PublishedClock,
     started: Instant,
     delay: Duration,
@@ -275,30 +221,27 @@ impl Run<'_> {
 
     /// False when nobody takes it.
     fn publish(&mut self, BagMessage { topic, log_time, data, .. }: BagMessage) -> bool {
-        let Some((publisher, recorded)) = self.publishers.get(topic.index()).and_then(Option::as_ref) else {
-            return false;
-        };
+        let Some(target) = self.targets.get(topic.index()).and_then(Option::as_ref) else { return false };
         let name = &self.player.topics()[topic.index()].info.name;
         if self.clock.precedes(name) {
             // What was latched before the beginning comes at the beginning.
             self.clock.publish(log_time.max(self.player.bag_time(self.started.elapsed())));
         }
-        let data = match recorded.as_ref().map_or(Ok(data.clone()), |recorded| recorded.to_cdr(data)) {
-            Ok(data) => data,
-            Err(error) => {
-                tracing::warn!("{name}: {error}");
-                return false;
+        match target.take(data) {
+            Ok(is_taken) => {
+                self.played += u64::from(is_taken);
+                is_taken
             }
-        };
-        let published = publish_soon(publisher, &data);
-        match &published {
-            Ok(()) => self.played += 1,
             Err(error) => {
                 self.refused += 1;
-                tracing::debug!("{name}: {error}");
+                if error.is::<WriteError>() {
+                    tracing::debug!("{name}: {error}");
+                } else {
+                    tracing::warn!("{name}: {error}");
+                }
+                false
             }
         }
-        published.is_ok()
     }
 
     fn act_on(&mut self, key: Key) {
@@ -339,11 +282,20 @@ impl Run<'_> {
         format!("[{bar}] {played:.1} of {length:.1} s  x {rate:.2}  {state}  {} messages", self.played)
     }
 
+    fn wait_for_answers(&self, stop: &Stop) {
+        let is_unanswered =
+            |target: &Target| matches!(target, Target::Service(requests) if requests.is_unanswered());
+        while self.targets.iter().flatten().any(is_unanswered) && !stop.is_due() {
+            stop.sleep(Duration::from_millis(10));
+        }
+    }
+
     /// As `--wait-for-all-acked` says, which counts milliseconds.
     fn wait_for_all_acked(&self, timeout: i64, stop: &Stop) {
         let Ok(milliseconds) = u64::try_from(timeout) else { return };
         let limit = (milliseconds > 0).then(|| Instant::now() + Duration::from_millis(milliseconds));
-        for (publisher, _) in self.publishers.iter().flatten() {
+        for target in self.targets.iter().flatten() {
+            let Target::Topic(publisher, _) = target else { continue };
             while !publisher.wait_for_all_acked(POLL) {
                 if stop.is_due() || limit.is_some_and(|limit| Instant::now() >= limit) {
                     tracing::warn!("{}: not all was acknowledged in time", publisher.topic());
@@ -364,11 +316,11 @@ impl Run<'_> {
         }
     }
 
-    fn seek(&mut self, time: i64) -> bool {
+    fn seek(&mut self, seek: impl FnOnce(&mut Player<'_>, Duration) -> Result<(), ReaderError>) -> bool {
         // To look for what was latched may take a while, which is none of the bag's.
         let is_paused = self.player.is_paused();
         self.player.pause(self.started.elapsed());
-        let sought = self.player.seek(self.started.elapsed(), time);
+        let sought = seek(&mut self.player, self.started.elapsed());
         if !is_paused {
             self.player.resume(self.started.elapsed());
         }
@@ -415,7 +367,7 @@ impl Run<'_> {
                 answer(reply, &PlayNextResponse { success });
             }
             Control::Seek(time, reply) => {
-                let success = self.seek(time);
+                let success = self.seek(|player, now| player.seek(now, time));
                 answer(reply, &SeekResponse { success });
             }
             Control::SetRate(rate, reply) => {
@@ -427,10 +379,11 @@ impl Run<'_> {
                 answer(reply, &SetRateResponse { success });
             }
             // rosbag2's refuses while it plays; here it is nearly always playing, so a pause is what counts.
-            Control::Play(request, reply) => {
-                let offset = i64::try_from(request.start_offset.as_nanos()).unwrap_or(i64::MAX);
+            Control::Play(part, reply) => {
+                let offset = i64::try_from(part.start_offset.as_nanos()).unwrap_or(i64::MAX);
                 let time = self.player.start_time().saturating_add(offset);
-                let success = is_paused && self.seek(time);
+                let success = is_paused
+                    && self.seek(|player, now| player.play_part(now, time, part.duration, part.until));
                 if success {
                     self.player.resume(self.started.elapsed());
                 }

@@ -1,0 +1,110 @@
+//! Recorded requests, sent again: `--publish-service-requests`.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
+
+use anyhow::Context;
+use bytes::Bytes;
+use clap::ValueEnum;
+use downbeat::bags::{RecordedTopic, TopicInfo};
+use downbeat::bridge::ros::{Node, RawClient, ServiceType};
+use downbeat::msgs::qos::QosProfile;
+use downbeat::msgs::service_msgs::msg::ServiceEventInfo;
+use downbeat::table::Decoder;
+
+/// Whose account of the requests is followed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "snake_case")]
+pub(crate) enum RequestsSource {
+    /// The server's: what it received.
+    #[default]
+    ServiceIntrospection,
+    /// The clients': what they sent.
+    ClientIntrospection,
+}
+
+impl RequestsSource {
+    fn event_type(self) -> u8 {
+        match self {
+            Self::ServiceIntrospection => ServiceEventInfo::REQUEST_RECEIVED,
+            Self::ClientIntrospection => ServiceEventInfo::REQUEST_SENT,
+        }
+    }
+}
+
+/// Sends the requests among the events of a service.
+pub(super) struct Requests {
+    client: RawClient,
+    decoder: Decoder,
+    event_type: u8,
+    unanswered: Arc<AtomicUsize>,
+    /// That events lack the requests is told once.
+    has_told: AtomicBool,
+}
+
+/// What comes before the name of the topic with a service's events, and after the name of their type.
+const TOPIC_ENDING: &str = "/_service_event";
+const TYPE_ENDING: &str = "_Event";
+
+/// How long an answer is waited for: at the end, that the last ones do not find the player gone.
+const TIMEOUT: Duration = Duration::from_secs(5);
+
+impl Requests {
+    /// The name and type of the service whose events a topic tells.
+    pub(super) fn service(topic: &TopicInfo) -> Option<(&str, &str)> {
+        Some((topic.name.strip_suffix(TOPIC_ENDING)?, topic.type_name.strip_suffix(TYPE_ENDING)?))
+    }
+
+    pub(super) fn new(topic: &RecordedTopic, source: RequestsSource, node: &Node) -> anyhow::Result<Self> {
+        let (service, type_name) = Self::service(&topic.info).context("it has no events of a service")?;
+        let client = node.client_raw(service, &ServiceType::new(type_name)?, QosProfile::SERVICES)?;
+        Ok(Self {
+            client,
+            decoder: Decoder::of(topic)?,
+            event_type: source.event_type(),
+            unanswered: Arc::default(),
+            has_told: AtomicBool::new(false),
+        })
+    }
+
+    pub(super) fn has_server(&self) -> bool {
+        self.client.is_available()
+    }
+
+    /// Whether an answer is waited for.
+    pub(super) fn is_unanswered(&self) -> bool {
+        self.unanswered.load(Ordering::Relaxed) > 0
+    }
+
+    /// Sends the request of an event; false where it has none of those that are meant, or nobody takes it.
+    pub(super) fn send(&self, event: Bytes) -> anyhow::Result<bool> {
+        let event = self.decoder.decode(event)?;
+        if event.get("info.event_type")?.as_u64() != Some(self.event_type.into()) {
+            return Ok(false);
+        }
+        let service = self.client.name();
+        let requests = event.get("request")?;
+        let Some(request) = requests.as_array().and_then(|requests| requests.get(0)?.as_message()) else {
+            if !self.has_told.swap(true, Ordering::Relaxed) {
+                tracing::warn!(
+                    "{service}: its events were recorded without requests; set introspection to \"contents\" for that"
+                );
+            }
+            return Ok(false);
+        };
+        if !self.has_server() {
+            tracing::warn!("{service}: there is no server, a request is not sent");
+            return Ok(false);
+        }
+        let (name, unanswered) = (service.to_string(), Arc::clone(&self.unanswered));
+        unanswered.fetch_add(1, Ordering::Relaxed);
+        self.client.call(request.to_message().to_cdr().into(), TIMEOUT, move |answer| {
+            unanswered.fetch_sub(1, Ordering::Relaxed);
+            if let Err(error) = answer {
+                tracing::warn!("{name}: {error}");
+            }
+        });
+        Ok(true)
+    }
+}

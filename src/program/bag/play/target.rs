@@ -1,0 +1,106 @@
+//! Where the messages of a topic go.
+
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use downbeat::bags::metadata::RecordedQos;
+use downbeat::bags::{Player, RecordedTopic, TopicInfo};
+use downbeat::bridge::middleware::WriteError;
+use downbeat::bridge::ros::{MessageType, Node, Publisher};
+use downbeat::encoding::RecordedType;
+use downbeat::msgs::qos::{Durability, QosProfile};
+use downbeat::ros_recorder::QosOverrides;
+
+use super::requests::{Requests, RequestsSource};
+
+/// How long a message waits for subscribers that lag behind, as in rmw_fastrtps (`max_blocking_time`).
+const PATIENCE: Duration = Duration::from_millis(100);
+
+/// Takes the messages of one topic.
+#[expect(clippy::large_enum_variant, reason = "there is one for each topic, not for each message")]
+pub(super) enum Target {
+    /// Publishes them; beside it what makes CDR of them if they are something else.
+    Topic(Publisher, Option<RecordedType>),
+    /// Sends the requests that are told in them.
+    Service(Requests),
+}
+
+/// One for each topic that is played, at the position of its id; none where that cannot be, which is told. With `requests`
+/// events of services become requests again.
+pub(super) fn targets(
+    player: &Player<'_>,
+    node: &Node,
+    overrides: &QosOverrides,
+    requests: Option<RequestsSource>,
+) -> Vec<Option<Target>> {
+    let create = |topic: &RecordedTopic| -> anyhow::Result<Target> {
+        let info = &topic.info;
+        if let (Some(source), Some(_)) = (requests, Requests::service(info)) {
+            return Ok(Target::Service(Requests::new(topic, source, node)?));
+        }
+        // CDR is passed through, also of types that are not compiled in.
+        let recorded = info.format.as_ref().map(|_| RecordedType::of(topic)).transpose()?;
+        let type_name = recorded.as_ref().map_or(&*info.type_name, |recorded| recorded.message_type().name());
+        let message_type = MessageType::new(type_name)?;
+        let qos = overrides.of(&info.name).unwrap_or_else(|| recorded_qos(info));
+        Ok(Target::Topic(node.publish(&info.name, &message_type, qos)?, recorded))
+    };
+    let create_or_tell = |topic| {
+        let created =
+            create(topic).inspect_err(|error| tracing::warn!("{} is not played: {error:#}", topic.info.name));
+        created.ok()
+    };
+    player.topics().iter().map(create_or_tell).collect()
+}
+
+impl Target {
+    /// Whether anybody would take a message now.
+    pub(super) fn is_matched(&self) -> bool {
+        match self {
+            Self::Topic(publisher, _) => publisher.matched_subscriptions() > 0,
+            Self::Service(requests) => requests.has_server(),
+        }
+    }
+
+    /// Gives a message away; false where nothing was to be done with it.
+    pub(super) fn take(&self, data: Bytes) -> anyhow::Result<bool> {
+        match self {
+            Self::Topic(publisher, recorded) => {
+                let data = recorded.as_ref().map_or(Ok(data.clone()), |recorded| recorded.to_cdr(data))?;
+                publish_soon(publisher, &data)?;
+                Ok(true)
+            }
+            Self::Service(requests) => requests.send(data),
+        }
+    }
+}
+
+/// As all publishers offered it; where they did not agree, what suits most subscribers.
+fn recorded_qos(info: &TopicInfo) -> QosProfile {
+    let mut offered = info.offered_qos.iter().map(RecordedQos::to_profile);
+    let first = offered.next().unwrap_or(QosProfile::DEFAULT);
+    if offered.all(|other| other == first) {
+        return first;
+    }
+    tracing::warn!("{}: its publishers offered different QoS; it is played reliably", info.name);
+    let depth = info.latched_depth();
+    match u32::try_from(depth) {
+        Ok(0) | Err(_) => QosProfile::DEFAULT,
+        Ok(depth) => {
+            QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT.keep_last(depth) }
+        }
+    }
+}
+
+/// Publishes, and waits for a moment where subscribers lag behind.
+fn publish_soon(publisher: &Publisher, data: &Bytes) -> Result<(), WriteError> {
+    let started = Instant::now();
+    loop {
+        match publisher.publish(data.clone()) {
+            Err(WriteError::WindowFull) if started.elapsed() < PATIENCE => {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            result => return result,
+        }
+    }
+}
