@@ -2,11 +2,10 @@
 
 use std::borrow::Cow::{self, Borrowed};
 
-use mcap::McapError;
 use mcap::records::{self, MessageHeader, Record, op};
-use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
-use super::records::{RECORD_HEADER, has_plausible_length};
+use super::parse::parse;
+use super::records::RECORD_HEADER;
 use crate::{lz4, zstd};
 
 /// The most a chunk may grow to when it is decompressed: a guard against damaged lengths. rosbag2 makes chunks of
@@ -35,26 +34,17 @@ pub(super) enum Content<'a> {
 /// checked before anything of them is given.
 pub(super) fn decode(bytes: &[u8], mut each: impl FnMut(Content<'_>)) -> Result<(), String> {
     let bytes = unpack(bytes)?;
-    let options = LinearReaderOptions::default()
-        .with_skip_start_magic(true)
-        .with_skip_end_magic(true)
-        .with_record_length_limit(bytes.len());
-    let mut reader = LinearReader::new_with_options(options);
     let mut rest = &*bytes;
-    while let Some(event) = reader.next_event() {
-        match event.map_err(|error| describe(&error))? {
-            LinearReadEvent::ReadRequest(wanted) => {
-                let (given, left) = rest.split_at(wanted.min(rest.len()));
-                reader.insert(given.len()).copy_from_slice(given);
-                reader.notify_read(given.len());
-                rest = left;
-            }
-            LinearReadEvent::Record { data, opcode } => {
-                if let Some(content) = content(opcode, data)? {
-                    each(content);
-                }
-            }
+    while !rest.is_empty() {
+        let ends_early = || "it ends within a record".to_owned();
+        let (header, behind) = rest.split_first_chunk::<9>().ok_or_else(ends_early)?;
+        let [opcode, length @ ..] = *header;
+        let length = usize::try_from(u64::from_le_bytes(length)).map_err(|_| ends_early())?;
+        let (body, behind) = behind.split_at_checked(length).ok_or_else(ends_early)?;
+        if let Some(content) = content(opcode, body)? {
+            each(content);
         }
+        rest = behind;
     }
     Ok(())
 }
@@ -65,12 +55,7 @@ fn unpack(bytes: &[u8]) -> Result<Cow<'_, [u8]>, String> {
         return Ok(Borrowed(bytes));
     }
     let body = bytes.get(RECORD_HEADER as usize..).unwrap_or_default();
-    if !has_plausible_length(op::CHUNK, body.len() as u64) {
-        return Err("its header is cut off".to_owned());
-    }
-    let Record::Chunk { header, data: Borrowed(data) } =
-        mcap::parse_record(op::CHUNK, body).map_err(|error| describe(&error))?
-    else {
+    let Record::Chunk { header, data: Borrowed(data) } = parse(op::CHUNK, body)? else {
         return Err("it is no chunk".to_owned());
     };
     let content_length = body.len() - (40 + header.compression.len());
@@ -103,26 +88,14 @@ fn unpack(bytes: &[u8]) -> Result<Cow<'_, [u8]>, String> {
     Ok(content)
 }
 
-fn content(opcode: u8, data: &[u8]) -> Result<Option<Content<'_>>, String> {
+fn content(opcode: u8, body: &[u8]) -> Result<Option<Content<'_>>, String> {
     if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
         return Ok(None);
     }
-    if !has_plausible_length(opcode, data.len() as u64) {
-        return Err(format!("a record with opcode {opcode} has only {} bytes", data.len()));
-    }
-    match mcap::parse_record(opcode, data).map_err(|error| describe(&error))? {
+    match parse(opcode, body)? {
         Record::Schema { header, data: Borrowed(data) } => Ok(Some(Content::Schema { header, data })),
         Record::Channel(channel) => Ok(Some(Content::Channel(channel))),
         Record::Message { header, data: Borrowed(data) } => Ok(Some(Content::Message { header, data })),
         _ => Ok(None),
-    }
-}
-
-fn describe(error: &McapError) -> String {
-    match error {
-        McapError::Io(source) => source.to_string(),
-        McapError::Parse(source) => format!("a record is not as it should be ({source})"),
-        McapError::UnexpectedEof | McapError::UnexpectedEoc => "it ends within a record".to_owned(),
-        other => other.to_string(),
     }
 }

@@ -9,7 +9,6 @@ mod disk;
 mod dynamic;
 mod edit;
 mod fixtures;
-mod fuzz;
 mod interrupted;
 mod killed;
 mod layout;
