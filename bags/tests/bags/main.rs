@@ -12,6 +12,9 @@ mod fixtures;
 mod interrupted;
 mod killed;
 mod layout;
+#[allow(dead_code)] // Tests of nodes use the rest.
+#[path = "../../../bridge/tests/common/matrix.rs"]
+mod matrix;
 mod order;
 mod others;
 mod python;
