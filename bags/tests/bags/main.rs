@@ -15,6 +15,7 @@ mod layout;
 #[allow(dead_code)] // Tests of nodes use the rest.
 #[path = "../../../bridge/tests/common/matrix.rs"]
 mod matrix;
+mod node;
 mod order;
 mod others;
 mod python;
