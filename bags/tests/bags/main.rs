@@ -22,3 +22,4 @@ mod python;
 mod splits;
 mod storage;
 mod support;
+mod types;
