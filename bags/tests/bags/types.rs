@@ -50,6 +50,16 @@ impl Type {
         self.name.ends_with("_Event")
     }
 
+    /// Types that a reader reads or not as one.
+    fn kind(&self) -> &'static str {
+        match self.is_message() {
+            _ if self.is_event() => "events of services",
+            false => "feedback of actions",
+            true if self.has_a("wstring") => "messages with wide strings",
+            true => "messages of every other carried type",
+        }
+    }
+
     fn is_message(&self) -> bool {
         self.name.contains("/msg/")
     }
@@ -72,6 +82,13 @@ fn every_type() -> Vec<Type> {
     types.retain(|of| of.is_message() || of.is_event() || of.name.ends_with("_FeedbackMessage"));
     types
 }
+
+const KINDS: [&str; 4] = [
+    "events of services",
+    "feedback of actions",
+    "messages with wide strings",
+    "messages of every other carried type",
+];
 
 /// A reader, and why it cannot read some types.
 struct Peer {
@@ -147,8 +164,13 @@ fn others_decode_values_of_every_carried_type() {
     let Some(read) = read_with_python("decode_types.py", folder.path()) else { return };
     let packages: BTreeSet<&str> =
         read["packages"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
-    for reader in READERS {
-        let _check = noted("values of every carried type", reader.with, Way::Out);
+    for (kind, reader) in KINDS.iter().flat_map(|kind| READERS.iter().map(move |reader| (*kind, reader))) {
+        let types: Vec<&Type> = types.iter().filter(|of| of.kind() == kind).collect();
+        let check = noted(&format!("values: {kind}"), reader.with, Way::Out);
+        let _check = match (reader.exception)(types[0]) {
+            Some(reason) => check.limited_by(reason),
+            None => check,
+        };
         let found = &read[reader.name];
         let mut decoded = 0;
         for of in &types {
@@ -172,7 +194,8 @@ fn others_decode_values_of_every_carried_type() {
             }
             decoded += 1;
         }
-        assert!(decoded > 120, "{} decoded {decoded} of {} types", reader.name, types.len());
+        let is_exception = (reader.exception)(types[0]).is_some();
+        assert!(is_exception || decoded * 2 > types.len(), "{} decoded {decoded} of {kind}", reader.name);
     }
 }
 
