@@ -121,7 +121,7 @@ impl Check {
         if info.message_encoding() != "cdr" {
             return None;
         }
-        if schema.data.is_empty() {
+        if schema.encoding.is_empty() {
             // rosbag2 has no definitions of the events of services either.
             if topic.message_count > 0 && !info.type_name.contains("/srv/") {
                 let (topic, type_name) = (info.name.clone(), info.type_name.clone());

@@ -1,5 +1,6 @@
 //! What a bag knows of a topic.
 
+use downbeat_msgs::definitions::{Catalog, TypeName};
 use downbeat_msgs::encoding::Schema;
 use downbeat_msgs::qos::{Durability, History, QosProfile};
 
@@ -48,11 +49,24 @@ impl TopicInfo {
         self.format.as_ref().map_or_else(
             || Schema {
                 name: self.type_name.clone(),
-                encoding: encoding_of(&self.definition).to_owned(),
+                encoding: if self.has_no_fields() { "ros2msg" } else { encoding_of(&self.definition) }
+                    .to_owned(),
                 data: self.definition.clone().into_bytes(),
             },
             |format| format.schema.clone(),
         )
+    }
+
+    /// Whether the definition is known and empty, as that of `std_msgs/msg/Empty` is: its hash tells it from one that is not
+    /// known.
+    fn has_no_fields(&self) -> bool {
+        let hash = || {
+            let name: TypeName = self.type_name.parse().ok()?;
+            let mut catalog = Catalog::new();
+            catalog.add_message(name.clone(), "", &self.type_name).ok()?;
+            catalog.type_hash(&name).ok()
+        };
+        self.definition.is_empty() && !self.type_hash.is_empty() && hash().as_ref() == Some(&self.type_hash)
     }
 }
 

@@ -1,6 +1,7 @@
 //! Developer commands: `cargo xtask test` runs everything that has to hold before a change lands.
 
 mod matrix;
+mod node;
 mod python;
 mod steps;
 mod test;
@@ -22,12 +23,17 @@ enum Command {
     Test,
     /// Only the Python environment under target/venv; prints its interpreter.
     Python,
+    /// Only the npm packages under target/node; prints their folder, or nothing where there is no Node.js.
+    Node,
 }
 
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Test => test::test(),
         Command::Python => python::interpreter().map(|path| println!("{}", path.display())),
+        Command::Node => {
+            node::modules().map(|path| path.iter().for_each(|path| println!("{}", path.display())))
+        }
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use crate::steps::workspace;
 
 /// The order of the headings; others follow by name.
-const HEADINGS: [&str; 11] = [
+const HEADINGS: [&str; 13] = [
     "Selection",
     "Topics",
     "Quality of service",
@@ -22,12 +22,29 @@ const HEADINGS: [&str; 11] = [
     "Environment",
     "Faults",
     "Several hosts",
+    "Bags",
+    BAG_FILES,
 ];
+
+/// Of bags there are other readers and writers.
+const BAG_FILES: &str = "Bag files";
 
 const PAGE: &str = "docs/ros2_matrix.md";
 
-const COLUMNS: [(&str, &str); 2] =
-    [("rclpy", "rclpy, rmw_fastrtps_cpp"), ("cyclonedds", "Cyclone DDS, Python")];
+/// The peers of a table, with their titles.
+fn columns(heading: &str) -> &'static [(&'static str, &'static str)] {
+    match heading {
+        BAG_FILES => &[
+            ("rosbag2", "rosbag2 of Jazzy"),
+            ("rclpy", "rclpy"),
+            ("mcap", "mcap, Python"),
+            ("mcap_ros2", "mcap-ros2-support"),
+            ("rosbags", "rosbags"),
+            ("mcap_core", "@mcap/core"),
+        ],
+        _ => &[("rclpy", "rclpy, rmw_fastrtps_cpp"), ("cyclonedds", "Cyclone DDS, Python")],
+    }
+}
 
 /// A note of a test.
 #[derive(Deserialize)]
@@ -137,21 +154,22 @@ fn page(checks: &[Check]) -> String {
     let mut page = format!(
         "# What works with ROS 2\n\nMade by `cargo xtask test` of what its tests did with real peers on this machine: {} checks \
          passed, {} failed, {} known not to be possible. *out*: from downbeat to the peer; *in*: the other way; *both*: it \
-         takes both.\n",
+         takes both. A bag goes from who writes it to who reads it.\n",
         count(|check| check.passed && check.limit.is_none()),
         count(|check| !check.passed),
         count(|check| check.passed && check.limit.is_some()),
     );
     for ((_, heading), rows) in &tables {
+        let columns = columns(heading);
         let _ = write!(page, "\n## {heading}\n\n| |");
-        COLUMNS.iter().for_each(|(_, title)| page.push_str(&format!(" {title} |")));
-        page.push_str("\n| --- | --- | --- |\n");
+        columns.iter().for_each(|(_, title)| page.push_str(&format!(" {title} |")));
+        let _ = writeln!(page, "\n| --- |{}", " --- |".repeat(columns.len()));
         for (feature, row) in rows {
             let _ = write!(page, "| {feature} |");
-            for (peer, _) in COLUMNS {
+            for (peer, _) in columns {
                 let cell: Vec<String> = row
                     .iter()
-                    .filter(|((with, _), _)| *with == peer)
+                    .filter(|((with, _), _)| *with == *peer)
                     .map(|(_, check)| check.verdict())
                     .collect();
                 let _ = write!(page, " {} |", cell.join("; "));

@@ -3,12 +3,13 @@
 use std::process::Command;
 
 use crate::matrix::Notes;
-use crate::python;
 use crate::steps::{Steps, run};
+use crate::{node, python};
 
 pub(crate) fn test() -> anyhow::Result<()> {
     // First, so that a missing Python is told before minutes of building.
     let python = python::interpreter()?;
+    let node_modules = node::modules()?;
     let cargo = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO"));
         command.args(arguments);
@@ -23,10 +24,11 @@ pub(crate) fn test() -> anyhow::Result<()> {
         let package = ["clippy", "--package", "downbeat-msgs", "--no-default-features"];
         run(cargo(&package).args(["--", "--deny", "warnings"]))
     });
+    let notes = Notes::new()?;
     steps.step("bags in SQLite", || {
         let package =
             ["test", "--package", "downbeat-bags", "--features", "sqlite", "--test", "bags", "others"];
-        run(cargo(&package).env("DOWNBEAT_PYTHON", &python))
+        run(cargo(&package).env("DOWNBEAT_PYTHON", &python).env("DOWNBEAT_MATRIX", notes.folder()))
     });
     let has_nextest = cargo(&["nextest", "--version"]).output().is_ok_and(|output| output.status.success());
     let tests: &[&str] = if has_nextest {
@@ -35,10 +37,10 @@ pub(crate) fn test() -> anyhow::Result<()> {
         // One at a time: robots at 125 Hz with real peers beside them want the machine's cores.
         &["test", "--workspace", "--lib", "--bins", "--tests", "--", "--test-threads=1"]
     };
-    let notes = Notes::new()?;
     steps.step("tests, with real ROS 2 and others' bag readers", || {
         let mut command = cargo(tests);
         command.env("DOWNBEAT_PYTHON", &python).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
+        command.envs(node_modules.map(|folder| ("DOWNBEAT_NODE_MODULES", folder)));
         run(command.env("DOWNBEAT_MATRIX", notes.folder()))
     });
     steps.step("what works with ROS 2", || notes.compare());

@@ -1,34 +1,39 @@
 //! What one MCAP file holds and where: from its summary, or from a walk through the whole file where there is none.
 
 use std::collections::{BTreeMap, HashMap};
-use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use mcap::MAGIC;
 use mcap::records::{self, ChunkIndex, Footer, MetadataIndex, Record, Statistics, op};
 
-use tempfile::TempPath;
-
 use super::error::{ReaderError, Truncation, TruncationCause};
 use super::packed;
-use super::records::{Next, Place, RECORD_HEADER, RecordFile, has_plausible_length};
+use super::parse::parse;
+use super::records::{Next, Place, RECORD_HEADER, RecordFile};
 use super::segment::{Content, Segment, decode};
+use super::source::Source;
 use super::walk::walk;
 
 /// A footer record and the end mark: 9 + 20 + 8 bytes.
 const ENDING: u64 = RECORD_HEADER + 20 + 8;
+
+/// What schemas and channels of a file may come to when its chunks are decompressed: a guard against files that are made to
+/// fill the memory.
+pub(super) const MOST_DESCRIBED: usize = 64 * 1024 * 1024;
 
 /// What one file holds.
 #[derive(Debug)]
 pub(super) struct BagFile {
     pub(super) path: PathBuf,
     pub(super) storage: Storage,
-    /// What came out of a file that is compressed as a whole; deleted with this.
-    pub(super) unpacked: Option<TempPath>,
+    /// Where its content is; of a file that is compressed as a whole what came out of it.
+    pub(super) source: Source,
     pub(super) length: u64,
     pub(super) schemas: HashMap<u16, Schema>,
     pub(super) channels: BTreeMap<u16, records::Channel>,
+    /// Bytes of schemas and channels that came out of chunks.
+    described: usize,
     /// Messages of each channel.
     pub(super) counts: BTreeMap<u16, u64>,
     /// In file order.
@@ -54,59 +59,52 @@ pub(super) struct Schema {
 }
 
 impl BagFile {
-    /// Opens a file by what it begins with: MCAP, SQLite, or either compressed as a whole.
-    pub(super) fn open(path: &Path) -> Result<Self, ReaderError> {
+    /// Opens a file by what it begins with: MCAP, SQLite, or either compressed as a whole. `path` is for errors; the bytes
+    /// are those of `source`.
+    pub(super) fn open(path: &Path, source: Source) -> Result<Self, ReaderError> {
         let read = |source| ReaderError::Read { path: path.to_owned(), source };
-        let mut start = Vec::new();
-        File::open(path).and_then(|file| file.take(16).read_to_end(&mut start)).map_err(read)?;
+        let start = source.start(16).map_err(read)?;
         if !start.starts_with(packed::MAGIC) {
-            return Self::open_content(path, path, &start);
+            return Self::open_content(path, source, &start);
         }
-        let (unpacked, problem) = packed::unpack(path)?;
-        let mut start = Vec::new();
-        File::open(&unpacked).and_then(|file| file.take(16).read_to_end(&mut start)).map_err(read)?;
-        let mut file = Self::open_content(path, &unpacked, &start)?;
+        let (content, problem) = packed::unpack(&source).map_err(read)?;
+        let start = content.start(16).map_err(read)?;
+        let mut file = Self::open_content(path, content, &start)?;
         if let Some((length, found)) = problem {
             file.miss(length, 0, TruncationCause::Packed(found));
         }
-        file.unpacked = Some(unpacked);
         Ok(file)
     }
 
-    /// `path` is for errors; the content is that of `data`.
-    fn open_content(path: &Path, data: &Path, start: &[u8]) -> Result<Self, ReaderError> {
+    fn open_content(path: &Path, source: Source, start: &[u8]) -> Result<Self, ReaderError> {
         if start.starts_with(SQLITE_MAGIC) {
-            return open_sqlite(path, data);
+            return open_sqlite(path, source);
         }
         let read = |source| ReaderError::Read { path: path.to_owned(), source };
-        let mut input = File::open(data).and_then(RecordFile::new).map_err(read)?;
         let start = &start[..start.len().min(MAGIC.len())];
         // A file that ends within the first mark is one whose recording was interrupted at once.
         if !MAGIC.starts_with(start) {
             return Err(ReaderError::NotMcap { path: path.to_owned(), found: start.to_vec() });
         }
-        let mut file = Self::empty(path, input.length());
+        let mut input = RecordFile::open(&source).map_err(read)?;
+        let mut file = Self::empty(path, source.clone(), input.length());
         let summary = file.read_summary(&mut input).map_err(read)?;
         if summary != SummaryState::Used {
-            file = Self::empty(path, input.length());
+            file = Self::empty(path, source, input.length());
             walk(&mut file, &mut input, summary).map_err(read)?;
         }
         Ok(file)
     }
 
-    /// Where its content is to be read.
-    pub(super) fn data_path(&self) -> &Path {
-        self.unpacked.as_deref().unwrap_or(&self.path)
-    }
-
-    pub(super) fn empty(path: &Path, length: u64) -> Self {
+    pub(super) fn empty(path: &Path, source: Source, length: u64) -> Self {
         Self {
             path: path.to_owned(),
             storage: Storage::Mcap,
-            unpacked: None,
+            source,
             length,
             schemas: HashMap::new(),
             channels: BTreeMap::new(),
+            described: 0,
             counts: BTreeMap::new(),
             segments: Vec::new(),
             truncations: Vec::new(),
@@ -145,10 +143,7 @@ impl BagFile {
         let is_consistent = chunks.len() as u64 == u64::from(statistics.chunk_count)
             && statistics.channel_message_counts.values().fold(0_u64, |sum, n| sum.saturating_add(*n))
                 == statistics.message_count
-            && chunks.iter().all(|chunk| {
-                let end = chunk.chunk_start_offset.checked_add(chunk.chunk_length);
-                end.is_some_and(|end| end <= footer.summary_start)
-            });
+            && lie_apart(&chunks, footer.summary_start);
         if !is_consistent {
             return Ok(SummaryState::Damaged);
         }
@@ -179,11 +174,8 @@ impl BagFile {
         place: &Place,
         summary: &mut Summary,
     ) -> io::Result<bool> {
-        if !has_plausible_length(place.opcode, place.body_length) {
-            return Ok(false);
-        }
         let record = input.read_record(place)?;
-        match mcap::parse_record(place.opcode, &record[RECORD_HEADER as usize..]) {
+        match parse(place.opcode, &record[RECORD_HEADER as usize..]) {
             Ok(Record::Schema { header, data }) => self.add_schema(header, &data),
             Ok(Record::Channel(channel)) => self.add_channel(channel),
             Ok(Record::Statistics(statistics)) => summary.statistics = Some(statistics),
@@ -197,23 +189,36 @@ impl BagFile {
 
     /// Takes over what a segment holds, if it can be read as a whole; returns the first and last log time.
     pub(super) fn look_into(&mut self, bytes: &[u8]) -> Result<Option<(u64, u64)>, String> {
-        let mut found = Self::empty(&self.path, 0);
+        let mut found = Self::empty(&self.path, self.source.clone(), 0);
         let mut times: Option<(u64, u64)> = None;
+        let mut described = self.described;
         decode(bytes, |content| match content {
-            Content::Schema { header, data } => found.add_schema(header, data),
-            Content::Channel(channel) => found.add_channel(channel),
+            Content::Schema { header, .. } if self.schemas.contains_key(&header.id) => {}
+            Content::Channel(channel) if self.channels.contains_key(&channel.id) => {}
+            Content::Schema { header, data } => {
+                described += data.len();
+                if described <= MOST_DESCRIBED {
+                    found.add_schema(header, data);
+                }
+            }
+            Content::Channel(channel) => {
+                described += length_of(&channel);
+                if described <= MOST_DESCRIBED {
+                    found.add_channel(channel);
+                }
+            }
             Content::Message { header, .. } => {
                 *found.counts.entry(header.channel_id).or_default() += 1;
                 let time = header.log_time;
                 times = Some(times.map_or((time, time), |(first, last)| (first.min(time), last.max(time))));
             }
         })?;
-        for (id, schema) in found.schemas {
-            self.schemas.entry(id).or_insert(schema);
+        if described > MOST_DESCRIBED {
+            return Err(format!("schemas and channels come to more than {MOST_DESCRIBED} bytes with it"));
         }
-        for (id, channel) in found.channels {
-            self.channels.entry(id).or_insert(channel);
-        }
+        self.described = described;
+        self.schemas.extend(found.schemas);
+        self.channels.extend(found.channels);
         for (id, count) in found.counts {
             *self.counts.entry(id).or_default() += count;
         }
@@ -235,7 +240,7 @@ impl BagFile {
     /// Keeps the text if the record is that of rosbag2: the last one in the file is the one that was written at the end.
     pub(super) fn add_metadata(&mut self, record: &[u8]) {
         let Some(body) = record.get(RECORD_HEADER as usize..) else { return };
-        if let Ok(Record::Metadata(mut metadata)) = mcap::parse_record(op::METADATA, body)
+        if let Ok(Record::Metadata(mut metadata)) = parse(op::METADATA, body)
             && metadata.name == "rosbag2"
             && let Some(text) = metadata.metadata.remove("serialized_metadata")
         {
@@ -252,12 +257,12 @@ impl BagFile {
 const SQLITE_MAGIC: &[u8] = b"SQLite format 3\0";
 
 #[cfg(feature = "sqlite")]
-fn open_sqlite(path: &Path, data: &Path) -> Result<BagFile, ReaderError> {
-    super::sqlite::open(path, data)
+fn open_sqlite(path: &Path, source: Source) -> Result<BagFile, ReaderError> {
+    super::sqlite::open(path, source)
 }
 
 #[cfg(not(feature = "sqlite"))]
-fn open_sqlite(path: &Path, _data: &Path) -> Result<BagFile, ReaderError> {
+fn open_sqlite(path: &Path, _source: Source) -> Result<BagFile, ReaderError> {
     let found = "it is an SQLite file, which this build does not read; build with `--features sqlite`, which needs a C \
                  compiler"
         .to_owned();
@@ -282,6 +287,22 @@ struct Summary {
     metadata: Option<MetadataIndex>,
 }
 
+/// Whether the chunks lie before `end`, none over another.
+fn lie_apart(chunks: &[ChunkIndex], end: u64) -> bool {
+    let mut places: Vec<_> =
+        chunks.iter().map(|chunk| (chunk.chunk_start_offset, chunk.chunk_length)).collect();
+    places.sort_unstable();
+    let ends = places.iter().map(|(start, length)| start.checked_add(*length));
+    let limits = places.iter().skip(1).map(|(start, _)| *start).chain([end]);
+    ends.zip(limits).all(|(end, limit)| end.is_some_and(|end| end <= limit))
+}
+
+/// What a channel takes in memory, about.
+fn length_of(channel: &records::Channel) -> usize {
+    let entry = |(key, value): (&String, &String)| key.len() + value.len() + 64;
+    channel.topic.len() + channel.message_encoding.len() + channel.metadata.iter().map(entry).sum::<usize>()
+}
+
 /// The footer, if the file ends as it should.
 fn footer(input: &mut RecordFile) -> io::Result<Option<Footer>> {
     let length = input.length();
@@ -295,7 +316,7 @@ fn footer(input: &mut RecordFile) -> io::Result<Option<Footer>> {
     if mark != MAGIC || !is_footer {
         return Ok(None);
     }
-    match mcap::parse_record(op::FOOTER, &footer[RECORD_HEADER as usize..]) {
+    match parse(op::FOOTER, &footer[RECORD_HEADER as usize..]) {
         Ok(Record::Footer(footer)) => Ok(Some(footer)),
         _ => Ok(None),
     }

@@ -5,7 +5,6 @@
 
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap, HashMap, VecDeque};
-use std::fs::File;
 use std::path::PathBuf;
 
 use bytes::Bytes;
@@ -87,6 +86,14 @@ pub struct Messages {
     /// Not yet loaded, sorted by first log time.
     segments: VecDeque<(usize, Segment)>,
     loaded: BinaryHeap<Reverse<Pending>>,
+    room: Room,
+}
+
+/// The memory for loaded messages.
+#[derive(Clone, Copy)]
+struct Room {
+    most: u64,
+    taken: u64,
 }
 
 struct OpenFile {
@@ -105,6 +112,11 @@ enum Input {
 
 /// The most a message may grow to when it is decompressed: a guard against damaged lengths.
 const LARGEST_MESSAGE: u64 = 1 << 30;
+
+/// What segments that overlap in time may take beyond [`LARGEST_GROWTH`] times the length of the files: a guard against small
+/// files that decompress to more than there is memory.
+const MOST_OVERLAPPING: u64 = 256 * 1024 * 1024;
+const LARGEST_GROWTH: u64 = 100;
 
 /// A loaded message; sorted by log time, then by its place in the bag.
 struct Pending {
@@ -131,7 +143,13 @@ impl Messages {
             segments.extend(wanted.map(|segment| (index, *segment)));
         }
         segments.sort_by_key(|(file, segment)| (segment.first, *file, segment.offset));
-        Ok(Self { files, selection, segments: segments.into(), loaded: BinaryHeap::new() })
+        Ok(Self {
+            files,
+            selection,
+            segments: segments.into(),
+            loaded: BinaryHeap::new(),
+            room: Room::for_files_of(reader.files_length()),
+        })
     }
 
     fn load(&mut self, file_index: usize, segment: &Segment) -> Result<(), ReaderError> {
@@ -140,6 +158,7 @@ impl Messages {
         let mut found = Vec::new();
         let mut problem = None;
         let mut number = 0;
+        let mut room = self.room;
         let mut take = |channel: u16, log_time: u64, publish_time: u64, data: &[u8]| {
             number += 1;
             let Some(&topic) = file.topics.get(&channel) else { return };
@@ -147,25 +166,21 @@ impl Messages {
                 return;
             }
             let data = if file.has_packed_messages {
-                match zstd::decompress_within(data, LARGEST_MESSAGE) {
-                    Ok(data) => data.into(),
-                    Err(found) => {
-                        problem.get_or_insert(format!("a compressed message: {found}"));
-                        return;
-                    }
-                }
+                zstd::decompress_within(data, LARGEST_MESSAGE.min(room.left()))
+                    .map(Bytes::from)
+                    .map_err(|found| format!("a compressed message: {found}"))
             } else {
-                Bytes::copy_from_slice(data)
+                Ok(Bytes::copy_from_slice(data))
             };
-            found.push(Pending {
-                order: (log_time, file_index, segment.offset, number),
-                message: BagMessage {
-                    topic,
-                    log_time: signed(log_time),
-                    publish_time: signed(publish_time),
-                    data,
-                },
+            let pending = data.and_then(|data| {
+                let order = (log_time, file_index, segment.offset, number);
+                let (log_time, publish_time) = (signed(log_time), signed(publish_time));
+                room.take(Pending { order, message: BagMessage { topic, log_time, publish_time, data } })
             });
+            match pending {
+                Ok(pending) => found.push(pending),
+                Err(found) => drop(problem.get_or_insert(found)),
+            }
         };
         match &mut file.input {
             Input::Mcap(input) => {
@@ -189,8 +204,40 @@ impl Messages {
                 }
             }
         }
+        self.room = room;
         self.loaded.extend(found.into_iter().map(Reverse));
         problem.map_or(Ok(()), |found| Err(damaged(found)))
+    }
+}
+
+impl Room {
+    fn for_files_of(length: u64) -> Self {
+        Self { most: length.saturating_mul(LARGEST_GROWTH).saturating_add(MOST_OVERLAPPING), taken: 0 }
+    }
+
+    fn left(&self) -> u64 {
+        self.most.saturating_sub(self.taken)
+    }
+
+    fn take(&mut self, pending: Pending) -> Result<Pending, String> {
+        if pending.size() > self.left() {
+            let most = self.most;
+            return Err(format!(
+                "with those that overlap it in time its messages come to more than {most} bytes"
+            ));
+        }
+        self.taken += pending.size();
+        Ok(pending)
+    }
+
+    fn give_back(&mut self, pending: &Pending) {
+        self.taken = self.taken.saturating_sub(pending.size());
+    }
+}
+
+impl Pending {
+    fn size(&self) -> u64 {
+        (self.message.data.len() + size_of::<Self>()) as u64
     }
 }
 
@@ -198,11 +245,9 @@ impl Input {
     fn open(file: &BagFile) -> Result<Self, ReaderError> {
         let failed = |source| ReaderError::Read { path: file.path.clone(), source };
         match file.storage {
-            Storage::Mcap => {
-                File::open(file.data_path()).and_then(RecordFile::new).map(Self::Mcap).map_err(failed)
-            }
+            Storage::Mcap => RecordFile::open(&file.source).map(Self::Mcap).map_err(failed),
             #[cfg(feature = "sqlite")]
-            Storage::Sqlite => SqliteFile::open(file.data_path()).map(Self::Sqlite).map_err(|error| {
+            Storage::Sqlite => SqliteFile::open(&file.source).map(Self::Sqlite).map_err(|error| {
                 ReaderError::Damaged { path: file.path.clone(), offset: 0, found: error.to_string() }
             }),
             #[cfg(not(feature = "sqlite"))]
@@ -226,7 +271,9 @@ impl Iterator for Messages {
                 }
                 continue;
             }
-            return self.loaded.pop().map(|Reverse(pending)| Ok(pending.message));
+            let Reverse(pending) = self.loaded.pop()?;
+            self.room.give_back(&pending);
+            return Some(Ok(pending.message));
         }
     }
 }

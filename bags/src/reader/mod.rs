@@ -4,8 +4,10 @@ mod error;
 mod file;
 mod messages;
 mod packed;
+mod parse;
 mod records;
 mod segment;
+mod source;
 #[cfg(feature = "sqlite")]
 mod sqlite;
 mod topics;
@@ -16,12 +18,15 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use bytes::Bytes;
+
 use crate::metadata::{self, FileMetadata, Metadata};
 use crate::topic::{TopicId, TopicInfo};
 
 pub use error::{ReaderError, Truncation, TruncationCause};
 use file::{BagFile, Storage};
 pub use messages::{BagMessage, Messages, Selection};
+use source::Source;
 
 /// An opened bag: its topics, what it counts, and access to its messages.
 #[derive(Debug)]
@@ -64,17 +69,40 @@ impl Reader {
         Self::open_files(path, metadata, &paths)
     }
 
+    /// Opens a bag file that is in memory: one that came over a network, or is part of a program. It may be all that
+    /// [`Reader::open`] takes for a single file. `name` stands for its path, in errors and in [`Reader::files`].
+    ///
+    /// ```
+    /// # use downbeat_bags::{Reader, WriterOptions};
+    /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// # let folder = tempfile::tempdir()?;
+    /// # WriterOptions::new().create(folder.path().join("run"))?.finish()?;
+    /// # let received = std::fs::read(folder.path().join("run/run_0.mcap"))?;
+    /// let reader = Reader::from_bytes("robot_7/run_0.mcap", received)?;
+    /// assert_eq!(reader.message_count(), 0);
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// # Errors
+    /// If they are none of a bag file, or of a kind that is not read.
+    pub fn from_bytes(name: impl AsRef<Path>, bytes: impl Into<Bytes>) -> Result<Self, ReaderError> {
+        let name = name.as_ref();
+        let file = BagFile::open(name, Source::Memory(bytes.into()))?;
+        Ok(Self::of_files(name, None, vec![file]))
+    }
+
     /// Opens the files of a bag directory, whatever its metadata.yaml says.
     pub(crate) fn open_files_of(directory: &Path) -> Result<Self, ReaderError> {
         Self::open_files(directory, None, &files_without_metadata(directory)?)
     }
 
-    fn open_files(
-        path: &Path,
-        mut metadata: Option<Metadata>,
-        paths: &[PathBuf],
-    ) -> Result<Self, ReaderError> {
-        let files = paths.iter().map(|path| BagFile::open(path)).collect::<Result<Vec<_>, _>>()?;
+    fn open_files(path: &Path, metadata: Option<Metadata>, paths: &[PathBuf]) -> Result<Self, ReaderError> {
+        let files = paths.iter().map(|path| BagFile::open(path, Source::File(path.clone())));
+        Ok(Self::of_files(path, metadata, files.collect::<Result<_, _>>()?))
+    }
+
+    fn of_files(path: &Path, mut metadata: Option<Metadata>, files: Vec<BagFile>) -> Self {
         if metadata.is_none()
             && let Some(text) = files.last().and_then(|file| file.metadata.as_deref())
         {
@@ -82,7 +110,7 @@ impl Reader {
             metadata = Metadata::parse_record(text, path).ok();
         }
         let (topics, topics_of_channels) = topics::collect(&files, metadata.as_ref());
-        Ok(Self { path: path.to_owned(), metadata, files, topics, topics_of_channels })
+        Self { path: path.to_owned(), metadata, files, topics, topics_of_channels }
     }
 
     /// What was opened.

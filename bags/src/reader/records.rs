@@ -3,10 +3,9 @@
 //! Every length in a file is checked against what is there before anything is allocated, so a damaged file costs no
 //! more than a whole one.
 
-use std::fs::File;
-use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::io::{self, Read, Seek, SeekFrom};
 
-use mcap::records::op;
+use super::source::{Input, Source};
 
 /// Opcode and length.
 pub(super) const RECORD_HEADER: u64 = 1 + 8;
@@ -40,15 +39,14 @@ pub(super) enum Next {
 
 /// An MCAP file that is read record by record.
 pub(super) struct RecordFile {
-    input: BufReader<File>,
+    input: Box<dyn Input>,
     length: u64,
     position: u64,
 }
 
 impl RecordFile {
-    pub(super) fn new(file: File) -> io::Result<Self> {
-        let length = file.metadata()?.len();
-        Ok(Self { input: BufReader::new(file), length, position: 0 })
+    pub(super) fn open(source: &Source) -> io::Result<Self> {
+        Ok(Self { input: source.open()?, length: source.length()?, position: 0 })
     }
 
     pub(super) fn length(&self) -> u64 {
@@ -108,18 +106,4 @@ impl RecordFile {
         }
         Ok(Next::Record(place))
     }
-}
-
-/// The smallest body a record of that kind can have: the `mcap` parser takes some of them for granted.
-pub(super) fn has_plausible_length(opcode: u8, body_length: u64) -> bool {
-    let at_least = match opcode {
-        op::FOOTER => 20,
-        op::SCHEMA => 2 + 4 + 4 + 4,
-        op::CHANNEL => 2 + 2 + 4 + 4 + 4,
-        op::MESSAGE => 22,
-        op::CHUNK => 8 + 8 + 8 + 4 + 4 + 8,
-        op::ATTACHMENT => 8 + 8 + 4 + 4 + 8 + 4,
-        _ => 0,
-    };
-    body_length >= at_least
 }

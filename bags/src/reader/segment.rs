@@ -2,10 +2,10 @@
 
 use std::borrow::Cow::{self, Borrowed};
 
-use mcap::McapError;
 use mcap::records::{self, MessageHeader, Record, op};
 
-use super::records::{RECORD_HEADER, has_plausible_length};
+use super::parse::parse;
+use super::records::RECORD_HEADER;
 use crate::{lz4, zstd};
 
 /// The most a chunk may grow to when it is decompressed: a guard against damaged lengths. rosbag2 makes chunks of
@@ -36,21 +36,17 @@ pub(super) fn decode(bytes: &[u8], mut each: impl FnMut(Content<'_>)) -> Result<
     let bytes = unpack(bytes)?;
     let mut rest = &*bytes;
     while !rest.is_empty() {
-        let (opcode, body) = split_record(&mut rest).ok_or("it ends within a record")?;
+        let ends_early = || "it ends within a record".to_owned();
+        let (header, behind) = rest.split_first_chunk::<9>().ok_or_else(ends_early)?;
+        let [opcode, length @ ..] = *header;
+        let length = usize::try_from(u64::from_le_bytes(length)).map_err(|_| ends_early())?;
+        let (body, behind) = behind.split_at_checked(length).ok_or_else(ends_early)?;
         if let Some(content) = content(opcode, body)? {
             each(content);
         }
+        rest = behind;
     }
     Ok(())
-}
-
-/// Takes the first record off: opcode and body; nothing where it is cut off.
-fn split_record<'a>(rest: &mut &'a [u8]) -> Option<(u8, &'a [u8])> {
-    let (header, behind) = rest.split_first_chunk::<{ RECORD_HEADER as usize }>()?;
-    let [opcode, length @ ..] = *header;
-    let (body, behind) = behind.split_at_checked(usize::try_from(u64::from_le_bytes(length)).ok()?)?;
-    *rest = behind;
-    Some((opcode, body))
 }
 
 /// The records in a segment: of a chunk those that it holds, decompressed and checked.
@@ -59,12 +55,7 @@ fn unpack(bytes: &[u8]) -> Result<Cow<'_, [u8]>, String> {
         return Ok(Borrowed(bytes));
     }
     let body = bytes.get(RECORD_HEADER as usize..).unwrap_or_default();
-    if !has_plausible_length(op::CHUNK, body.len() as u64) {
-        return Err("its header is cut off".to_owned());
-    }
-    let Record::Chunk { header, data: Borrowed(data) } =
-        mcap::parse_record(op::CHUNK, body).map_err(|error| describe(&error))?
-    else {
+    let Record::Chunk { header, data: Borrowed(data) } = parse(op::CHUNK, body)? else {
         return Err("it is no chunk".to_owned());
     };
     let content_length = body.len() - (40 + header.compression.len());
@@ -97,25 +88,14 @@ fn unpack(bytes: &[u8]) -> Result<Cow<'_, [u8]>, String> {
     Ok(content)
 }
 
-fn content(opcode: u8, data: &[u8]) -> Result<Option<Content<'_>>, String> {
+fn content(opcode: u8, body: &[u8]) -> Result<Option<Content<'_>>, String> {
     if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
         return Ok(None);
     }
-    if !has_plausible_length(opcode, data.len() as u64) {
-        return Err(format!("a record with opcode {opcode} has only {} bytes", data.len()));
-    }
-    match mcap::parse_record(opcode, data).map_err(|error| describe(&error))? {
+    match parse(opcode, body)? {
         Record::Schema { header, data: Borrowed(data) } => Ok(Some(Content::Schema { header, data })),
         Record::Channel(channel) => Ok(Some(Content::Channel(channel))),
         Record::Message { header, data: Borrowed(data) } => Ok(Some(Content::Message { header, data })),
         _ => Ok(None),
-    }
-}
-
-fn describe(error: &McapError) -> String {
-    match error {
-        McapError::Io(source) => source.to_string(),
-        McapError::Parse(source) => format!("a record is not as it should be ({source})"),
-        other => other.to_string(),
     }
 }

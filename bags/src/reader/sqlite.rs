@@ -4,7 +4,7 @@
 //! have fewer columns. Rows are read in the order in which they were written, a run of them at a time.
 
 use std::collections::HashMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use mcap::records::Channel;
 use rusqlite::types::ValueRef;
@@ -13,6 +13,7 @@ use rusqlite::{Connection, Error, OpenFlags, Row};
 use super::error::{ReaderError, TruncationCause};
 use super::file::{BagFile, Schema, Storage};
 use super::segment::Segment;
+use super::source::Source;
 
 /// A run of rows is cut here, so that reading it takes bounded memory.
 const MOST_ROWS: u64 = 512;
@@ -31,14 +32,15 @@ pub(super) struct SqliteFile {
     channels: HashMap<i64, u16>,
 }
 
-pub(super) fn open(path: &Path, data: &Path) -> Result<BagFile, ReaderError> {
+pub(super) fn open(path: &Path, source: Source) -> Result<BagFile, ReaderError> {
     let damaged =
         |error: Error| ReaderError::Damaged { path: path.to_owned(), offset: 0, found: error.to_string() };
-    let length =
-        std::fs::metadata(data).map_err(|source| ReaderError::Read { path: path.to_owned(), source })?.len();
-    let mut file = BagFile::empty(path, length);
+    let read = |source| ReaderError::Read { path: path.to_owned(), source };
+    let source = source.into_file().map_err(read)?;
+    let length = source.length().map_err(read)?;
+    let mut file = BagFile::empty(path, source, length);
     file.storage = Storage::Sqlite;
-    let input = SqliteFile::open(data).map_err(damaged)?;
+    let input = SqliteFile::open(&file.source).map_err(damaged)?;
     input.read_topics(&mut file).map_err(damaged)?;
     input.read_definitions(&mut file);
     input.read_metadata(&mut file);
@@ -47,7 +49,8 @@ pub(super) fn open(path: &Path, data: &Path) -> Result<BagFile, ReaderError> {
 }
 
 impl SqliteFile {
-    pub(super) fn open(data: &Path) -> Result<Self, Error> {
+    pub(super) fn open(source: &Source) -> Result<Self, Error> {
+        let data = source.path().ok_or_else(|| Error::InvalidPath(PathBuf::new()))?;
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = Connection::open_with_flags(data, flags)?;
         let mut channels = HashMap::new();

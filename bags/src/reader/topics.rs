@@ -6,9 +6,13 @@ use downbeat_msgs::encoding::Schema;
 use mcap::records::Channel;
 
 use super::RecordedTopic;
-use super::file::BagFile;
+use super::file::{BagFile, MOST_DESCRIBED, Schema as FileSchema};
 use crate::metadata::{Metadata, TopicMetadata, qos_from_yaml};
 use crate::topic::{MessageFormat, TopicId, TopicInfo};
+
+/// What definitions of topics may come to, each having its own: a guard against files in which thousands of channels share
+/// a huge schema. Topics beyond are left without.
+const MOST_DEFINED: usize = 4 * MOST_DESCRIBED;
 
 /// Returns the topics, in the order of the metadata where it names them, and for each file the topic of each channel.
 ///
@@ -19,23 +23,30 @@ pub(super) fn collect(
 ) -> (Vec<RecordedTopic>, Vec<HashMap<u16, TopicId>>) {
     let mut topics: Vec<RecordedTopic> =
         metadata.into_iter().flat_map(|metadata| &metadata.topics).map(from_metadata).collect();
+    let mut known = HashMap::new();
+    for (index, topic) in topics.iter().enumerate() {
+        known.entry((topic.info.name.clone(), topic.info.type_name.clone())).or_insert(index);
+    }
     let mut ids = Vec::new();
+    let mut defined = 0;
     for file in files {
         let mut ids_of_file = HashMap::new();
         for (channel_id, channel) in &file.channels {
-            let seen = from_channel(file, channel);
-            let known = topics.iter().position(|topic| {
-                topic.info.name == seen.info.name && topic.info.type_name == seen.info.type_name
-            });
-            let index = known.unwrap_or_else(|| {
-                topics.push(RecordedTopic { message_count: 0, ..seen.clone() });
+            let schema = file.schemas.get(&channel.schema_id).filter(|_| defined <= MOST_DEFINED);
+            let seen = from_channel(file, channel, schema);
+            let name = (seen.info.name.clone(), seen.info.type_name.clone());
+            let index = *known.entry(name).or_insert_with(|| {
+                let info = TopicInfo { definition: String::new(), format: None, ..seen.info.clone() };
+                topics.push(RecordedTopic { info, message_count: 0, ..seen.clone() });
                 topics.len() - 1
             });
             let Some(id) = TopicId::from_index(index) else { continue };
             let topic = &mut topics[index];
             topic.message_count =
                 topic.message_count.saturating_add(file.counts.get(channel_id).copied().unwrap_or(0));
+            defined -= definition_length(&topic.info);
             complete(&mut topic.info, seen.info);
+            defined += definition_length(&topic.info);
             ids_of_file.insert(*channel_id, id);
         }
         ids.push(ids_of_file);
@@ -58,8 +69,7 @@ fn from_metadata(topic: &TopicMetadata) -> RecordedTopic {
     }
 }
 
-fn from_channel(file: &BagFile, channel: &Channel) -> RecordedTopic {
-    let schema = file.schemas.get(&channel.schema_id);
+fn from_channel(file: &BagFile, channel: &Channel, schema: Option<&FileSchema>) -> RecordedTopic {
     let text = |key: &str| channel.metadata.get(key).map_or("", String::as_str);
     // A profile that cannot be read is like one that was not recorded: it is needed for playing only.
     let offered_qos = qos_from_yaml(text("offered_qos_profiles"), &file.path).unwrap_or_default();
@@ -89,6 +99,10 @@ fn from_channel(file: &BagFile, channel: &Channel) -> RecordedTopic {
         serialization_format: channel.message_encoding.clone(),
         message_count: 0,
     }
+}
+
+fn definition_length(info: &TopicInfo) -> usize {
+    info.definition.len() + info.format.as_ref().map_or(0, |format| format.schema.data.len())
 }
 
 /// Fills what is not known yet.

@@ -30,7 +30,7 @@ pub(super) fn compress(content: &[u8], options: &McapOptions) -> io::Result<(&'s
 }
 
 fn lz4(content: &[u8]) -> io::Result<Vec<u8>> {
-    let frame = FrameInfo::new().block_size(BlockSize::Max4MB).content_size(Some(content.len() as u64));
+    let frame = FrameInfo::new().block_size(BlockSize::Auto).content_size(Some(content.len() as u64));
     let mut encoder = FrameEncoder::with_frame_info(frame, Vec::with_capacity(content.len() / 2));
     encoder.write_all(content)?;
     encoder.finish().map_err(io::Error::other)

@@ -6,13 +6,15 @@ use std::path::Path;
 use downbeat_bags::metadata::{FILE_NAME, Metadata, RecordedQos};
 use downbeat_bags::{BagInfo, Reader, Selection, WriterOptions};
 
-use crate::support::{fixture, messages};
+use crate::matrix::{Way, With};
+use crate::support::{fixture, messages, noted};
 
 const FIXTURES: [&str; 2] = ["jazzy_mcap", "jazzy_mcap_zstd"];
 
 #[test]
 fn real_bags_are_read_and_counts_match_their_metadata() {
-    for name in FIXTURES {
+    for (name, layout) in FIXTURES.into_iter().zip(["storage mcap", "storage mcap, zstd_fast"]) {
+        let _check = noted(&format!("a recorded bag, {layout}"), With::Rosbag2, Way::In);
         let reader = Reader::open(fixture(name)).unwrap();
         let metadata = Metadata::read(&fixture(name).join(FILE_NAME)).unwrap();
         assert_eq!(reader.truncation().count(), 0, "{name}");
@@ -45,6 +47,7 @@ fn real_topics_have_definition_hash_and_quality_of_service() {
 
 #[test]
 fn metadata_yaml_is_written_byte_for_byte_as_the_real_recorder_writes_it() {
+    let _check = noted("metadata.yaml to the byte", With::Rosbag2, Way::Both);
     for name in FIXTURES {
         let path = fixture(name).join(FILE_NAME);
         let text = fs::read_to_string(&path).unwrap();
@@ -82,6 +85,7 @@ fn a_real_bag_written_again_has_the_same_metadata_and_messages() {
 
 #[test]
 fn info_equals_what_ros2_bag_info_prints() {
+    let _check = noted("`bag info` prints the same", With::Rosbag2, Way::In);
     // From `ros2 bag info jazzy_mcap` of Jazzy; see tests/data/README.md. The program adds the last line break.
     let expected = fs::read_to_string(fixture("jazzy_mcap_info.txt")).unwrap();
     let reader = Reader::open(fixture("jazzy_mcap")).unwrap();

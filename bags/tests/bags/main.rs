@@ -9,13 +9,17 @@ mod disk;
 mod dynamic;
 mod edit;
 mod fixtures;
-mod fuzz;
 mod interrupted;
 mod killed;
 mod layout;
+#[allow(dead_code)] // Tests of nodes use the rest.
+#[path = "../../../bridge/tests/common/matrix.rs"]
+mod matrix;
+mod node;
 mod order;
 mod others;
 mod python;
 mod splits;
 mod storage;
 mod support;
+mod types;

@@ -7,7 +7,8 @@ use std::process::Command;
 use downbeat_bags::{BagInfo, Comparer, Reader, ReaderError};
 use serde_json::Value;
 
-use crate::support::{fixture, messages};
+use crate::matrix::{Check, Way, With};
+use crate::support::{fixture, messages, noted};
 
 #[test]
 fn bags_of_other_writers_are_read_message_by_message() {
@@ -29,6 +30,7 @@ fn bags_of_other_writers_are_read_message_by_message() {
             assert_is_refused(&path);
             continue;
         }
+        let _check = note(name);
         let reader = Reader::open(&path).unwrap_or_else(|error| panic!("{name}: {error}"));
         assert_eq!(reader.truncation().next(), None, "{name}");
         let comparers: Vec<_> = reader.topics().iter().map(|topic| Comparer::new(&topic.info, &[])).collect();
@@ -49,6 +51,20 @@ fn bags_of_other_writers_are_read_message_by_message() {
     }
 }
 
+/// Of a name as `write_bags.py` gives them.
+fn note(bag: &str) -> Check {
+    match bag.split('_').collect::<Vec<_>>().as_slice() {
+        ["rosbags", _, storage, mode] => {
+            noted(&format!("storage {storage}, compression mode {mode}"), With::Rosbags, Way::In)
+        }
+        ["mcap", "ros2", compression] => {
+            let compression = compression.trim_end_matches(".mcap");
+            noted(&format!("every message, compression {compression}"), With::McapRos2, Way::In)
+        }
+        _ => panic!("{bag}: written by whom?"),
+    }
+}
+
 fn bytes(hex: &str) -> Vec<u8> {
     (0..hex.len() / 2).map(|n| u8::from_str_radix(&hex[2 * n..2 * n + 2], 16).unwrap()).collect()
 }
@@ -65,6 +81,7 @@ fn a_bag_of_the_real_recorder_in_sqlite_is_read() {
     if !cfg!(feature = "sqlite") {
         return assert_is_refused(&bag);
     }
+    let _check = noted("a recorded bag, storage sqlite3", With::Rosbag2, Way::In);
     let reader = Reader::open(&bag).unwrap();
     let metadata = reader.metadata().unwrap().clone();
     assert_eq!((reader.storage_identifier(), metadata.storage_identifier.as_str()), ("sqlite3", "sqlite3"));
@@ -141,6 +158,34 @@ fn a_damaged_compressed_file_is_read_as_far_as_it_decompresses() {
     assert!(reader.truncation().any(|lost| lost.to_string().contains("cannot be decompressed to its end")));
     fs::write(&path, &packed[..20]).unwrap();
     drop(Reader::open(&path));
+}
+
+#[test]
+fn a_bag_file_in_memory_is_read_as_one_on_a_disk() {
+    let mut files = vec![fixture("jazzy_mcap").join("jazzy_mcap_0.mcap")];
+    if cfg!(feature = "sqlite") {
+        files.push(fixture("jazzy_sqlite3").join("jazzy_sqlite3_0.db3"));
+    }
+    for file in files {
+        let on_disk = Reader::open(&file).unwrap();
+        let bytes = fs::read(&file).unwrap();
+        // Compressed as a whole it comes to less than what is kept in memory, and then to more.
+        let packed = ruzstd::encoding::compress_to_vec(&*bytes, ruzstd::encoding::CompressionLevel::Fastest);
+        let mut long = bytes.clone();
+        long.resize(3 * 1024 * 1024, 0);
+        let long = ruzstd::encoding::compress_to_vec(&*long, ruzstd::encoding::CompressionLevel::Fastest);
+        for (bytes, is_whole) in [(bytes, true), (packed, true), (long, false)] {
+            let reader = Reader::from_bytes("received", bytes).unwrap();
+            assert_eq!(messages(&reader), messages(&on_disk), "{}", file.display());
+            assert_eq!(reader.files().collect::<Vec<_>>(), [Path::new("received")]);
+            if is_whole {
+                assert_eq!(reader.topics(), on_disk.topics());
+                assert_eq!(reader.truncation().next(), None);
+            }
+        }
+    }
+    let error = Reader::from_bytes("received", &b"<html>"[..]).unwrap_err().to_string();
+    assert!(error.contains("received is not an MCAP file"), "{error}");
 }
 
 const OLD: &str = "rosbag2_bagfile_information:

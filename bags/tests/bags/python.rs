@@ -9,6 +9,9 @@ use downbeat_msgs::{Message, cdr};
 use downbeat_msgs::{diagnostic_msgs, downbeat_interfaces, sensor_msgs, std_msgs};
 use serde_json::{Value, json};
 
+use crate::matrix::{Way, With};
+use crate::support::noted;
+
 fn topic<M: Message>(name: &str, qos: QosProfile) -> TopicInfo {
     TopicInfo {
         name: name.to_owned(),
@@ -36,7 +39,7 @@ pub fn read_with_python(program: &str, bag: &Path) -> Option<Value> {
 
 #[test]
 fn other_software_decodes_every_message_of_our_bags() {
-    for compression in [Compression::None, Compression::Zstd] {
+    for (compression_name, compression) in Compression::ALL {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("bag");
         let options = WriterOptions::new().compression(compression).chunk_size(20_000);
@@ -82,6 +85,9 @@ fn other_software_decodes_every_message_of_our_bags() {
         }
         let summary = writer.finish().unwrap();
         let Some(read) = read_with_python("read_bag.py", &bag) else { return };
+        let feature = format!("every message, compression {compression_name}");
+        let _checks = [With::Mcap, With::McapRos2, With::Rosbags].map(|with| noted(&feature, with, Way::Out));
+        let _check = noted("metadata.yaml: quality of service, custom data", With::Rosbags, Way::Out);
 
         for reader in ["mcap", "any", "rosbag2"] {
             for topic in &summary.topics {
@@ -108,6 +114,7 @@ fn other_software_opens_a_bag_without_messages() {
     writer.add_topic(topic::<std_msgs::msg::String>("/silent", QosProfile::DEFAULT)).unwrap();
     writer.finish().unwrap();
     let Some(read) = read_with_python("count_messages.py", &bag) else { return };
+    let _checks = [With::Mcap, With::Rosbags].map(|with| noted("a bag without messages", with, Way::Out));
     assert_eq!(read, json!({ "mcap": 0, "rosbag2": 0, "topics": ["/silent"] }));
 }
 
@@ -124,5 +131,6 @@ fn other_software_finds_topics_and_counts_of_a_bag_that_is_still_open() {
     }
     writer.flush().unwrap();
     let Some(read) = read_with_python("count_metadata.py", &bag) else { return };
+    let _check = noted("a bag that is still recorded, or was killed", With::Mcap, Way::Out);
     assert_eq!(read, json!({ "message_count": 5, "topics": { "/chatter": 5 }, "mcap": 5 }));
 }

@@ -9,8 +9,9 @@ use std::time::Duration;
 use downbeat_bags::metadata::{FILE_NAME, Metadata};
 use downbeat_bags::{FileSplit, Reader, SplitLimits, Writer, WriterError, WriterOptions};
 
+use crate::matrix::{Way, With};
 use crate::python::read_with_python;
-use crate::support::{messages, number, topic, value, write_numbers};
+use crate::support::{messages, noted, number, topic, value, write_numbers};
 
 fn read(bag: &Path) -> Vec<i64> {
     messages(&Reader::open(bag).unwrap()).iter().map(value).collect()
@@ -45,6 +46,7 @@ fn a_bag_split_by_size_has_files_of_that_size_and_all_messages() {
     assert_eq!((metadata.message_count, next), (2000, 2000));
     assert_eq!(read(&bag), (0..2000).collect::<Vec<_>>());
     let Some(found) = read_with_python("count_split.py", &bag) else { return };
+    let _checks = [With::Mcap, With::Rosbags].map(|with| noted("a bag of several files", with, Way::Out));
     assert_eq!(found["rosbags"], 2000);
     assert_eq!(found["files"].as_array().unwrap().len(), metadata.files.len());
     let in_mcap: u64 = found["files"].as_array().unwrap().iter().map(|count| count.as_u64().unwrap()).sum();

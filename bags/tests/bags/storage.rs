@@ -8,8 +8,9 @@ use downbeat_bags::{
 use downbeat_msgs::{Message, cdr, std_msgs};
 use mcap::Summary;
 
+use crate::matrix::{Way, With};
 use crate::python::read_with_python;
-use crate::support::{messages, value, write_numbers};
+use crate::support::{messages, noted, value, write_numbers};
 
 const LEVELS: [CompressionLevel; 5] = [
     CompressionLevel::Fastest,
@@ -71,6 +72,10 @@ fn others_decode_every_message_of_every_layout() {
         counts.push(write_texts(&folder.path().join(format!("bag_{number:02}")), options));
     }
     let Some(found) = read_with_python("decode_layouts.py", folder.path()) else { return };
+    let readers = [With::Mcap, With::McapRos2, With::Rosbags];
+    let _checks = readers.map(|with| noted("every storage preset and level of compression", with, Way::Out));
+    let _others =
+        [With::Mcap, With::McapRos2].map(|with| noted("files without indexes or summary", with, Way::Out));
     let plain = &found["bag_00"]["hash"];
     for (number, (name, _)) in layouts().into_iter().enumerate() {
         let found = &found[format!("bag_{number:02}")];

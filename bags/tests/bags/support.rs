@@ -5,6 +5,13 @@ use std::path::PathBuf;
 use downbeat_bags::{BagMessage, Reader, Selection, TopicInfo, Writer};
 use downbeat_msgs::qos::QosProfile;
 
+use crate::matrix::{self, Check, Way, With};
+
+/// Notes that bags go from downbeat to another, or the other way, as the test goes on to show.
+pub fn noted(feature: &str, with: With, way: Way) -> Check {
+    matrix::check("Bag files", feature, with, way)
+}
+
 /// A bag of the real recorder, see `tests/data/README.md`.
 pub fn fixture(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)

@@ -12,9 +12,19 @@ pub enum With {
     Rclpy,
     /// The Python package `cyclonedds`: the engine of rmw_cyclonedds_cpp.
     Cyclone,
+    /// The recorder of Jazzy, rosbag2: bags that it made.
+    Rosbag2,
+    /// The Python package `mcap`.
+    Mcap,
+    /// The Python package `mcap-ros2-support`.
+    McapRos2,
+    /// The Python package `rosbags`.
+    Rosbags,
+    /// `@mcap/core` from npm.
+    McapCore,
 }
 
-/// From downbeat to the peer, the other way, or one thing that takes both.
+/// From downbeat to the peer, the other way, or one thing that takes both. A bag goes from who writes it to who reads it.
 #[derive(Clone, Copy)]
 pub enum Way {
     Out,
@@ -31,6 +41,11 @@ pub fn check(heading: &str, feature: &str, with: With, way: Way) -> Check {
     let with = match with {
         With::Rclpy => "rclpy",
         With::Cyclone => "cyclonedds",
+        With::Rosbag2 => "rosbag2",
+        With::Mcap => "mcap",
+        With::McapRos2 => "mcap_ros2",
+        With::Rosbags => "rosbags",
+        With::McapCore => "mcap_core",
     };
     let way = match way {
         Way::Out => "out",

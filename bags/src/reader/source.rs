@@ -1,0 +1,115 @@
+//! Where the bytes of a bag file are: on a disk, or in memory.
+
+use std::fs::File;
+use std::io::{self, BufReader, BufWriter, Cursor, Read, Seek, Write};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use tempfile::{NamedTempFile, TempPath};
+
+/// Bytes that are read as often as they are wanted.
+#[derive(Clone, Debug)]
+pub(super) enum Source {
+    File(PathBuf),
+    /// Deleted with the last that knows of it.
+    Temporary(Arc<TempPath>),
+    Memory(Bytes),
+}
+
+/// What is read of it.
+pub(super) trait Input: Read + Seek + Send {}
+
+impl<T: Read + Seek + Send> Input for T {}
+
+impl Source {
+    pub(super) fn open(&self) -> io::Result<Box<dyn Input>> {
+        let file = match self {
+            Self::File(path) => File::open(path)?,
+            Self::Temporary(path) => File::open(&**path)?,
+            Self::Memory(bytes) => return Ok(Box::new(Cursor::new(bytes.clone()))),
+        };
+        Ok(Box::new(BufReader::new(file)))
+    }
+
+    pub(super) fn length(&self) -> io::Result<u64> {
+        match self {
+            Self::File(path) => Ok(path.metadata()?.len()),
+            Self::Temporary(path) => Ok(path.metadata()?.len()),
+            Self::Memory(bytes) => Ok(bytes.len() as u64),
+        }
+    }
+
+    /// Its first bytes, at most `length`.
+    pub(super) fn start(&self, length: u64) -> io::Result<Vec<u8>> {
+        let mut start = Vec::new();
+        self.open()?.take(length).read_to_end(&mut start)?;
+        Ok(start)
+    }
+
+    /// Where it is on a disk, in a temporary file if need be.
+    #[cfg(feature = "sqlite")]
+    pub(super) fn into_file(self) -> io::Result<Self> {
+        let Self::Memory(bytes) = &self else { return Ok(self) };
+        let mut file = NamedTempFile::new()?;
+        file.write_all(bytes)?;
+        Ok(Self::Temporary(Arc::new(file.into_temp_path())))
+    }
+
+    #[cfg(feature = "sqlite")]
+    pub(super) fn path(&self) -> Option<&std::path::Path> {
+        match self {
+            Self::File(path) => Some(path),
+            Self::Temporary(path) => Some(path),
+            Self::Memory(_) => None,
+        }
+    }
+}
+
+/// Takes bytes that are to be read later: into memory as long as they are few, else into a temporary file.
+pub(super) enum Spool {
+    Memory(Vec<u8>),
+    File(BufWriter<NamedTempFile>),
+}
+
+/// What a [`Spool`] has in memory.
+const MOST_IN_MEMORY: usize = 1024 * 1024;
+
+impl Spool {
+    pub(super) fn new() -> Self {
+        Self::Memory(Vec::new())
+    }
+
+    pub(super) fn into_source(self) -> io::Result<Source> {
+        match self {
+            Self::Memory(bytes) => Ok(Source::Memory(bytes.into())),
+            Self::File(file) => {
+                let file = file.into_inner().map_err(io::IntoInnerError::into_error)?;
+                Ok(Source::Temporary(Arc::new(file.into_temp_path())))
+            }
+        }
+    }
+}
+
+impl Write for Spool {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if let Self::Memory(kept) = self
+            && kept.len() + bytes.len() > MOST_IN_MEMORY
+        {
+            let mut file = BufWriter::new(NamedTempFile::new()?);
+            file.write_all(kept)?;
+            *self = Self::File(file);
+        }
+        match self {
+            Self::Memory(kept) => kept.write(bytes),
+            Self::File(file) => file.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match self {
+            Self::Memory(_) => Ok(()),
+            Self::File(file) => file.flush(),
+        }
+    }
+}

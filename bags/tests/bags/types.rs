@@ -1,0 +1,239 @@
+//! A bag with messages of every type that downbeat carries, read by software that is not ours: values, definitions, hashes.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
+
+use downbeat_bags::{TopicInfo, WriterOptions};
+use downbeat_msgs::{Message, carried, cdr};
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
+
+use self::exact::{first_difference, from_exact};
+use self::random::random_message;
+use crate::matrix::{Way, With};
+use crate::python::read_with_python;
+use crate::support::noted;
+
+// Values in which each bit counts, as the tests of messages have them.
+#[path = "../../../msgs/tests/interop/exact.rs"]
+mod exact;
+#[path = "../../../msgs/tests/interop/random.rs"]
+mod random;
+
+const SEED: u64 = 0xba65;
+const VALUES_PER_TYPE: usize = 4;
+
+/// A carried type.
+struct Type {
+    name: &'static str,
+    hash: &'static str,
+    definition: &'static str,
+    write: fn(&Value) -> Vec<u8>,
+}
+
+impl Type {
+    fn of<T: Message + DeserializeOwned>() -> Self {
+        Self {
+            name: T::TYPE_NAME,
+            hash: T::TYPE_HASH,
+            definition: T::DEFINITION,
+            write: |value| cdr::to_vec(&from_exact::<T>(value)),
+        }
+    }
+
+    fn topic(&self) -> String {
+        format!("/{}", self.name)
+    }
+
+    fn is_event(&self) -> bool {
+        self.name.ends_with("_Event")
+    }
+
+    /// Types that a reader reads or not as one.
+    fn kind(&self) -> &'static str {
+        match self.is_message() {
+            _ if self.is_event() => "events of services",
+            false => "feedback of actions",
+            true if self.has_a("wstring") => "messages with wide strings",
+            true => "messages of every other carried type",
+        }
+    }
+
+    fn is_message(&self) -> bool {
+        self.name.contains("/msg/")
+    }
+
+    /// Whether there is a field of that type in it, or in what it is made of.
+    fn has_a(&self, word: &str) -> bool {
+        let is_constant = |line: &str| line.replace("<=", "").contains('=');
+        let begins =
+            |line: &str| line.strip_prefix(word).is_some_and(|rest| rest.starts_with([' ', '[', '<']));
+        self.definition.lines().any(|line| begins(line.trim_start()) && !is_constant(line))
+    }
+}
+
+/// Every type that topics have: requests, responses, goals and results are no messages of topics.
+fn every_type() -> Vec<Type> {
+    macro_rules! table {
+        ($($message:ty),* $(,)?) => { vec![$(Type::of::<$message>()),*] };
+    }
+    let mut types = downbeat_msgs::for_each_message!(table);
+    types.retain(|of| of.is_message() || of.is_event() || of.name.ends_with("_FeedbackMessage"));
+    types
+}
+
+const KINDS: [&str; 4] = [
+    "events of services",
+    "feedback of actions",
+    "messages with wide strings",
+    "messages of every other carried type",
+];
+
+/// A reader, and why it cannot read some types.
+struct Peer {
+    name: &'static str,
+    with: With,
+    exception: fn(&Type) -> Option<&'static str>,
+}
+
+const READERS: [Peer; 3] = [
+    Peer {
+        name: "mcap_ros2",
+        with: With::McapRos2,
+        exception: |of| match of.is_message() {
+            false => {
+                Some("it reads no definitions of services, and no names of parts of services and actions")
+            }
+            true => of.has_a("wstring").then_some("it has no wide strings"),
+        },
+    },
+    Peer {
+        name: "rosbags",
+        with: With::Rosbags,
+        exception: |of| match of.is_event() {
+            true => Some("it reads no definitions of services, which those of their events are"),
+            false => of.has_a("wstring").then_some("it has no wide strings"),
+        },
+    },
+    // The types of packages that are not among the wheels are left out below.
+    Peer { name: "rclpy", with: With::Rclpy, exception: |_| None },
+];
+
+/// Writes the bags `messages` and `events`; gives the values by topic.
+fn write_bags(folder: &Path, types: &[Type]) -> BTreeMap<String, Vec<Value>> {
+    let (events, messages): (Vec<&Type>, Vec<_>) = types.iter().partition(|of| of.is_event());
+    let mut values = write(&folder.join("messages"), &messages);
+    values.extend(write(&folder.join("events"), &events));
+    values
+}
+
+fn write(bag: &Path, types: &[&Type]) -> BTreeMap<String, Vec<Value>> {
+    let mut writer = WriterOptions::new().chunk_size(50_000).create(bag).unwrap();
+    let mut values: BTreeMap<String, Vec<Value>> = BTreeMap::new();
+    let mut time = 1_700_000_000_000_000_000;
+    for of in types {
+        let info = TopicInfo {
+            name: of.topic(),
+            type_name: of.name.to_owned(),
+            definition: of.definition.to_owned(),
+            type_hash: of.hash.to_owned(),
+            ..TopicInfo::default()
+        };
+        let id = writer.add_topic(info).unwrap();
+        for number in 0..VALUES_PER_TYPE {
+            let value = random_message(carried(), &of.name.parse().unwrap(), SEED, number);
+            time += 1_000_000;
+            writer.write(id, time, time, &(of.write)(&value)).unwrap();
+            values.entry(of.topic()).or_default().push(value);
+        }
+    }
+    let summary = writer.finish().unwrap();
+    assert_eq!(summary.message_count(), (types.len() * VALUES_PER_TYPE) as u64);
+    values
+}
+
+#[test]
+fn others_decode_values_of_every_carried_type() {
+    let types = every_type();
+    assert!(types.len() > 200, "{}", types.len());
+    let folder = tempfile::tempdir().unwrap();
+    let values = write_bags(folder.path(), &types);
+    // Some readers give numbers without telling what they are.
+    fs::write(folder.path().join("values.json"), json!(values).to_string()).unwrap();
+    let Some(read) = read_with_python("decode_types.py", folder.path()) else { return };
+    let packages: BTreeSet<&str> =
+        read["packages"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
+    for (kind, reader) in KINDS.iter().flat_map(|kind| READERS.iter().map(move |reader| (*kind, reader))) {
+        let types: Vec<&Type> = types.iter().filter(|of| of.kind() == kind).collect();
+        let check = noted(&format!("values: {kind}"), reader.with, Way::Out);
+        let _check = match (reader.exception)(types[0]) {
+            Some(reason) => check.limited_by(reason),
+            None => check,
+        };
+        let found = &read[reader.name];
+        let mut decoded = 0;
+        for of in &types {
+            let package = of.name.split('/').next().unwrap();
+            if reader.name == "rclpy" && !packages.contains(package) {
+                assert_eq!(found[of.topic()], Value::Null, "{}", of.name);
+                continue;
+            }
+            if let Some(reason) = (reader.exception)(of) {
+                // If that has changed, it is no exception any more.
+                assert!(!found[of.topic()].is_array(), "{} reads {}, though {reason}", reader.name, of.name);
+                continue;
+            }
+            let told = found[of.topic()].as_array();
+            let told = told.unwrap_or_else(|| panic!("{}: {}: {}", reader.name, of.name, found[of.topic()]));
+            assert_eq!(told.len(), VALUES_PER_TYPE, "{}: {}", reader.name, of.name);
+            for (number, (told, value)) in told.iter().zip(&values[&of.topic()]).enumerate() {
+                if let Some(difference) = first_difference(value, told) {
+                    panic!("{}: {}, value {number} of seed {SEED:#x}: at {difference}", reader.name, of.name);
+                }
+            }
+            decoded += 1;
+        }
+        let is_exception = (reader.exception)(types[0]).is_some();
+        assert!(is_exception || decoded * 2 > types.len(), "{} decoded {decoded} of {kind}", reader.name);
+    }
+}
+
+/// `rosbags` makes the hashes of the definitions in a bag again, and opens no bag (`AnyReader`) where one differs from the
+/// recorded one. The hashes in bags of ours are those that the packages of ROS 2 publish (`share/*/msg/*.json`).
+#[test]
+fn hashes_in_bags_are_those_that_ros_2_publishes_and_rosbags_computes() {
+    let types = every_type();
+    let folder = tempfile::tempdir().unwrap();
+    write_bags(folder.path(), &types);
+    let Some(read) = read_with_python("hash_types.py", folder.path()) else { return };
+    let (mut published, mut computed) = (0, 0);
+    {
+        let _check = noted("type hashes", With::Rclpy, Way::Out);
+        for of in &types {
+            let told = &read["recorded"][of.topic()];
+            assert_eq!(*told, of.hash, "{}", of.name);
+            if let Some(theirs) = read["published"].get(of.name) {
+                assert_eq!(theirs, told, "{}", of.name);
+                published += 1;
+            }
+        }
+        assert!(published > 150, "{published} of {}", types.len());
+    }
+    let _check = noted("type hashes", With::Rosbags, Way::Out);
+    // It takes parts of actions for messages, by whose names it computes others.
+    for of in types.iter().filter(|of| of.is_message() && !of.has_a("wstring")) {
+        let theirs = read["computed"][of.topic()].as_str();
+        let theirs = theirs.unwrap_or_else(|| panic!("rosbags has no hash of {}", of.name));
+        if of.has_a("char") {
+            // It hashes `char` as a character. In a definition of ROS 2 it is another word for uint8 (rosidl_adapter, `msg2idl`),
+            // and so it is in the hashes that ROS 2 publishes.
+            assert_ne!(theirs, of.hash, "{}: it is no exception any more", of.name);
+            assert!(read["published"].get(of.name).is_none_or(|hash| hash == of.hash), "{}", of.name);
+        } else {
+            assert_eq!(theirs, of.hash, "{}", of.name);
+            computed += 1;
+        }
+    }
+    assert!(computed > 100, "{computed} of {}", types.len());
+}

@@ -1,0 +1,223 @@
+//! Small files that are made to fill the memory.
+
+use downbeat_bags::{Check, Problem, Reader, check};
+use mcap::records::op;
+
+use crate::memory::most_in;
+use crate::parts::{Chunk, Content, Part, Parts, add, records, text, zstd_with_zeros};
+
+const MIB: usize = 1024 * 1024;
+
+/// A chunk that is one record, whose body ends with so many zeros.
+fn chunk_of(opcode: u8, body: &[u8], zeros: usize, times: (u64, u64)) -> Part {
+    let mut record = vec![opcode];
+    record.extend_from_slice(&((body.len() + zeros) as u64).to_le_bytes());
+    record.extend_from_slice(body);
+    let content = Content::Compressed(zstd_with_zeros(&record, zeros), (record.len() + zeros) as u64);
+    Part::Chunk(Chunk::new("zstd", times, content))
+}
+
+fn message(time: u64) -> Vec<u8> {
+    [&1_u16.to_le_bytes()[..], &[0; 4], &time.to_le_bytes(), &time.to_le_bytes()].concat()
+}
+
+fn channel(id: u16, schema: u16) -> Vec<u8> {
+    let ids = [id.to_le_bytes(), schema.to_le_bytes()].concat();
+    [ids, text(&format!("/topic_{id}")), text("cdr"), vec![0; 4]].concat()
+}
+
+/// A schema whose text is still to come.
+fn schema(id: u16, length: usize) -> Vec<u8> {
+    let name = format!("demo_msgs/msg/Type{id}");
+    [&id.to_le_bytes()[..], &text(&name), &text("ros2msg"), &(length as u32).to_le_bytes()].concat()
+}
+
+fn file_of(data: Vec<Part>) -> Vec<u8> {
+    Parts { data, summary: Vec::new(), has_summary: false }.to_file()
+}
+
+/// Opens and checks it; tells how much memory that took.
+fn read(file: Vec<u8>) -> (usize, Check) {
+    most_in(|| check(&Reader::from_bytes("bomb.mcap", file).unwrap(), |_| {}).unwrap())
+}
+
+fn is_told(check: &Check, words: &str) -> bool {
+    check.problems.iter().any(|problem| problem.to_string().contains(words))
+}
+
+#[test]
+fn chunks_that_overlap_in_time_are_not_all_in_memory_whatever_they_decompress_to() {
+    let mut data = vec![Part::Record(op::CHANNEL, channel(1, 0))];
+    // Each lasts until all have begun: a second, small message in a chunk of its own would come last.
+    data.extend((0..30).map(|_| chunk_of(op::MESSAGE, &message(5), 16 * MIB, (5, 5))));
+    let file = file_of(data);
+    assert!(file.len() < 30 * 1024, "{}", file.len());
+    let (memory, check) = read(file);
+    assert!(memory < 256 * MIB + 3 * 17 * MIB, "{} MiB", memory / MIB);
+    assert!((10..18).contains(&check.messages), "{}", check.messages);
+    assert!(
+        is_told(&check, "with those that overlap it in time its messages come to more than"),
+        "{:?}",
+        check.problems
+    );
+}
+
+#[test]
+fn what_came_out_of_chunks_is_given_back_as_it_is_read() {
+    let mut data = vec![Part::Record(op::CHANNEL, channel(1, 0))];
+    data.extend((1..30).map(|time| chunk_of(op::MESSAGE, &message(time), 16 * MIB, (time, time))));
+    let (memory, check) = read(file_of(data));
+    assert!(memory < 5 * 17 * MIB, "{} MiB", memory / MIB);
+    assert_eq!(check.messages, 29, "{:?}", check.problems);
+}
+
+#[test]
+fn a_message_that_is_compressed_by_itself_is_bounded_too() {
+    let record = "version: 9\nstorage_identifier: mcap\nduration:\n  nanoseconds: 0\nstarting_time:\n  nanoseconds_since_epoch: 0\n\
+                  message_count: 30\ntopics_with_message_count: []\ncompression_format: zstd\ncompression_mode: MESSAGE\n\
+                  relative_file_paths: []\nfiles: []\ncustom_data: ~\nros_distro: jazzy\n";
+    let entry = [text("serialized_metadata"), text(record)].concat();
+    let metadata = [text("rosbag2"), (entry.len() as u32).to_le_bytes().to_vec(), entry].concat();
+    let mut content = Vec::new();
+    for _ in 0..30 {
+        add(&mut content, op::MESSAGE, &[message(5), zstd_with_zeros(&[0, 1, 0, 0], 16 * MIB)].concat());
+    }
+    let chunk = Chunk::new("", (5, 5), Content::Plain(content));
+    let channel = Part::Record(op::CHANNEL, channel(1, 0));
+    let (memory, check) =
+        read(file_of(vec![channel, Part::Record(op::METADATA, metadata), Part::Chunk(chunk)]));
+    assert!(memory < 256 * MIB + 3 * 17 * MIB, "{} MiB", memory / MIB);
+    assert!((10..18).contains(&check.messages), "{} {:?}", check.messages, check.problems);
+    assert!(is_told(&check, "a compressed message: more than"), "{:?}", check.problems);
+}
+
+#[test]
+fn schemas_that_decompress_to_more_than_any_are_left_out() {
+    let schemas = (1..=20).map(|id| chunk_of(op::SCHEMA, &schema(id, 8 * MIB), 8 * MIB, (0, 0)));
+    let (memory, check) = read(file_of(schemas.collect()));
+    assert!(memory < 64 * MIB + 4 * 9 * MIB, "{} MiB", memory / MIB);
+    assert!(is_told(&check, "schemas and channels come to more than"), "{:?}", check.problems);
+}
+
+#[test]
+fn a_large_schema_of_thousands_of_topics_is_not_as_often_in_memory() {
+    let text = vec![b'#'; MIB];
+    let mut data = vec![Part::Record(op::SCHEMA, [schema(1, MIB), text].concat())];
+    data.extend((1..=4000).map(|id| Part::Record(op::CHANNEL, channel(id, 1))));
+    let file = file_of(data);
+    let (memory, reader) = most_in(|| Reader::from_bytes("bomb.mcap", file).unwrap());
+    assert!(memory < 300 * MIB, "{} MiB", memory / MIB);
+    assert_eq!(reader.topics().len(), 4000);
+    let defined = reader.topics().iter().filter(|topic| !topic.info.definition.is_empty()).count();
+    assert!((200..300).contains(&defined), "{defined}");
+}
+
+#[test]
+fn a_chunk_that_a_summary_lists_many_times_is_read_once() {
+    let mut parts = Parts {
+        data: vec![
+            Part::Record(op::CHANNEL, channel(1, 0)),
+            chunk_of(op::MESSAGE, &message(5), 16 * MIB, (5, 5)),
+        ],
+        // One message in all.
+        summary: vec![(
+            op::STATISTICS,
+            [
+                &1_u64.to_le_bytes()[..],
+                &[0; 34],
+                &10_u32.to_le_bytes(),
+                &1_u16.to_le_bytes(),
+                &1_u64.to_le_bytes(),
+            ]
+            .concat(),
+        )],
+        has_summary: true,
+    };
+    let once = parts.to_file();
+    let index = records(&once[8..]).into_iter().find(|(opcode, _)| *opcode == op::CHUNK_INDEX).unwrap();
+    parts.summary.extend(std::iter::repeat_n(index, 1000));
+    let (memory, check) = read(parts.to_file());
+    assert!(memory < 5 * 17 * MIB, "{} MiB", memory / MIB);
+    assert_eq!(check.messages, 1, "{:?}", check.problems);
+}
+
+#[test]
+fn a_file_that_is_compressed_as_a_whole_is_given_up_where_it_comes_to_too_much() {
+    let packed = zstd_with_zeros(mcap::MAGIC, 64 * MIB);
+    let (memory, check) = read(packed);
+    // What is more than 1 MiB is in a file.
+    assert!(memory < 6 * MIB, "{} KiB", memory / 1024);
+    assert!(is_told(&check, "more than 10000 times its length"), "{:?}", check.problems);
+}
+
+/// The parser of `mcap` would take that memory before it looks.
+#[test]
+fn texts_as_long_as_can_be_told_take_no_memory() {
+    let huge = (1_u32 << 31).to_le_bytes();
+    let header = [0; 28];
+    let records = [
+        (op::SCHEMA, [&[1, 0][..], &huge].concat()),
+        (op::CHANNEL, [&[1, 0, 1, 0][..], &huge].concat()),
+        (
+            op::CHANNEL,
+            [&[1, 0, 1, 0][..], &text("/topic"), &text("cdr"), &20_u32.to_le_bytes(), &huge].concat(),
+        ),
+        (op::METADATA, huge.to_vec()),
+        (op::CHUNK, [&header[..], &huge].concat()),
+        (op::CHUNK_INDEX, [&[0; 32][..], &5_u32.to_le_bytes(), &[0; 10], &[0; 8], &huge].concat()),
+        (op::METADATA_INDEX, [&[0; 16][..], &huge].concat()),
+        (op::ATTACHMENT_INDEX, [&[0; 40][..], &huge].concat()),
+    ];
+    for (opcode, body) in records {
+        let (data, summary) = (Part::Record(opcode, body.clone()), vec![(opcode, body)]);
+        for parts in [
+            Parts { data: vec![data], summary: Vec::new(), has_summary: false },
+            Parts { data: Vec::new(), summary, has_summary: true },
+        ] {
+            let (memory, _) = read(parts.to_file());
+            assert!(memory < 128 * 1024, "opcode {opcode}: {memory} bytes");
+        }
+    }
+}
+
+/// A definition in which each type has two of the next: with 30 of them a message has 2^30 numbers.
+#[test]
+fn a_definition_that_doubles_thirty_times_is_refused_in_no_time() {
+    let rule = "=".repeat(80);
+    let mut definition = "Part1 one\nPart1 other\n".to_owned();
+    for n in 1..30 {
+        let next = n + 1;
+        let fields = format!("Part{next} one\nPart{next} other\n");
+        definition.push_str(&format!("{rule}\nMSG: demo_msgs/Part{n}\n{fields}"));
+    }
+    definition.push_str(&format!("{rule}\nMSG: demo_msgs/Part30\nuint8 number\n"));
+    let mut content = Vec::new();
+    add(&mut content, op::MESSAGE, &[message(5), vec![0; 1000]].concat());
+    let file = file_of(vec![
+        Part::Record(op::SCHEMA, [schema(1, definition.len()), definition.into()].concat()),
+        Part::Record(op::CHANNEL, channel(1, 1)),
+        Part::Chunk(Chunk::new("", (5, 5), Content::Plain(content))),
+    ]);
+    let begun = std::time::Instant::now();
+    let (memory, check) = read(file);
+    assert!(memory < MIB, "{memory}");
+    assert!(begun.elapsed() < crate::LONGEST);
+    assert!(is_told(&check, "has more than 65536 fields"), "{:?}", check.problems);
+}
+
+#[test]
+fn an_array_as_long_as_can_be_told_is_no_array() {
+    let definition = "uint8[] data\n";
+    let mut data = vec![Part::Record(op::SCHEMA, [schema(1, definition.len()), definition.into()].concat())];
+    data.push(Part::Record(op::CHANNEL, channel(1, 1)));
+    let mut content = Vec::new();
+    add(&mut content, op::MESSAGE, &[&message(5)[..], &[0, 1, 0, 0], &[0xff; 4]].concat());
+    data.push(Part::Chunk(Chunk::new("", (5, 5), Content::Plain(content))));
+    let (memory, check) = read(file_of(data));
+    assert!(memory < MIB, "{memory}");
+    assert!(
+        matches!(check.problems.as_slice(), [.., Problem::Message { count: 1, .. }]),
+        "{:?}",
+        check.problems
+    );
+}

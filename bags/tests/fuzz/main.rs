@@ -1,0 +1,91 @@
+//! The fuzz target of `fuzz/` on bags that are changed at random, and on files that are made to fill the memory.
+//!
+//! Each round is made from its number alone. `DOWNBEAT_FUZZ_ROUNDS=10000000` makes as many, `DOWNBEAT_FUZZ_FIRST=1234567` begins
+//! with that one.
+
+#![allow(clippy::unwrap_used)]
+
+mod bombs;
+mod corrupt;
+mod memory;
+mod parts;
+mod random;
+mod seeds;
+#[path = "../../fuzz/targets/mod.rs"]
+mod targets;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::{Duration, Instant};
+
+use parts::Parts;
+use random::Random;
+use seeds::Seed;
+
+/// What reading may have beyond what a bag file is long: two windows of Zstandard, each of 128 MiB, are taken at once where a
+/// frame tells that it needs them.
+const MOST_MEMORY: usize = 320 * 1024 * 1024;
+/// A round takes some hundred microseconds, on a busy machine too.
+const LONGEST: Duration = Duration::from_secs(20);
+/// Real bags take a hundred times as long as ours: one round in so many is of them.
+const RECORDED_ONE_IN: usize = 2000;
+
+#[test]
+fn whatever_is_changed_in_a_bag_the_reader_comes_to_an_end_in_bounded_memory() {
+    let number = |name| std::env::var(name).ok().and_then(|number: String| number.parse().ok());
+    let rounds: u64 = number("DOWNBEAT_FUZZ_ROUNDS").unwrap_or(1_000);
+    let first: u64 = number("DOWNBEAT_FUZZ_FIRST").unwrap_or(0);
+    let (small, recorded) = (seeds::small(), seeds::recorded());
+    let start = Instant::now();
+    let (mut most, mut longest) = ((0, first), (Duration::ZERO, first));
+    let mut opened = 0;
+    for round in first..first + rounds {
+        let mut random = Random::new(round);
+        let seeds = if random.one_in(RECORDED_ONE_IN) { &recorded } else { &small };
+        let bytes = changed(random.choose(seeds), &mut random);
+        let begun = Instant::now();
+        let run = || catch_unwind(AssertUnwindSafe(|| targets::reader::run(&bytes)));
+        let (memory, result) = memory::most_in(run);
+        let took = begun.elapsed();
+        opened += u64::from(*result.as_ref().unwrap_or_else(|_| panic!("round {round}: {bytes:02x?}")));
+        assert!(memory < MOST_MEMORY + bytes.len(), "round {round} takes {memory} bytes of memory");
+        assert!(took < LONGEST, "round {round} takes {took:?}");
+        most = most.max((memory, round));
+        longest = longest.max((took, round));
+        if (round - first + 1).is_multiple_of(100_000) {
+            let (done, seconds) = (round - first + 1, start.elapsed().as_secs());
+            println!(
+                "{done} changed bags in {seconds} s, {opened} opened; most memory and its round {most:?}, longest {longest:?}"
+            );
+        }
+    }
+    // Most changes leave something to be read.
+    assert!(opened > rounds / 2, "{opened} of {rounds} were opened");
+}
+
+fn changed(seed: &Seed, random: &mut Random) -> Vec<u8> {
+    match seed {
+        Seed::Text(text) => with_changed_bytes(text, random),
+        Seed::File(file) if random.one_in(3) => with_changed_bytes(file, random),
+        Seed::File(file) => with_changed_parts(file, random),
+        Seed::Packed(packed, _) if random.one_in(3) => with_changed_bytes(packed, random),
+        Seed::Packed(_, content) if random.one_in(2) => parts::zstd(&with_changed_bytes(content, random)),
+        Seed::Packed(_, content) => parts::zstd(&with_changed_parts(content, random)),
+    }
+}
+
+fn with_changed_bytes(bytes: &[u8], random: &mut Random) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    corrupt::bytes(&mut bytes, random);
+    bytes
+}
+
+/// Sometimes a file with changed parts is cut off or changed otherwise.
+fn with_changed_parts(file: &[u8], random: &mut Random) -> Vec<u8> {
+    let mut parts = Parts::of(file);
+    corrupt::parts(&mut parts, random);
+    let mut bytes = parts.to_file();
+    if random.one_in(5) {
+        corrupt::bytes(&mut bytes, random);
+    }
+    bytes
+}

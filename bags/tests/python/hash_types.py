@@ -1,0 +1,32 @@
+"""Prints the type hashes in bags by topic, what `rosbags` computes of the definitions in them, and by type those that the
+packages of ROS 2 publish. Usage: hash_types.py FOLDER, which has the bags `messages` and `events`."""
+
+import json
+import sys
+from pathlib import Path
+
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+folder = Path(sys.argv[1])
+recorded, computed, published = {}, {}, {}
+for name in ("messages", "events"):
+    with (folder / name / f"{name}_0.mcap").open("rb") as stream:
+        for channel in make_reader(stream).get_summary().channels.values():
+            recorded[channel.topic] = channel.metadata["topic_type_hash"]
+# It opens no bag with events of services whose definition refers to no message.
+with Reader(folder / "messages") as reader:
+    for connection in reader.connections:
+        assert connection.digest == recorded[connection.topic], connection.topic
+        try:
+            store = get_typestore(Stores.EMPTY)
+            store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+            computed[connection.topic] = store.hash_rihs01(connection.msgtype)
+        except Exception as error:  # the test knows what it does not read
+            print(f"{connection.topic}: {error!r}", file=sys.stderr)
+for kind in ("msg", "srv", "action"):
+    for path in (Path(sys.prefix) / "share").glob(f"*/{kind}/*.json"):
+        for entry in json.loads(path.read_text())["type_hashes"]:
+            published[entry["type_name"]] = entry["hash_string"]
+print(json.dumps({"recorded": recorded, "computed": computed, "published": published}))
