@@ -24,9 +24,10 @@ pub(crate) fn test() -> anyhow::Result<()> {
         run(cargo(&package).args(["--", "--deny", "warnings"]))
     });
     steps.step("bags in SQLite", || {
-        let package =
-            ["test", "--package", "downbeat-bags", "--features", "sqlite", "--test", "bags", "others"];
-        run(cargo(&package).env("DOWNBEAT_PYTHON", &python))
+        let package = ["--package", "downbeat-bags", "--features", "sqlite"];
+        run(cargo(&["clippy"]).args(package).args(["--all-targets", "--", "--deny", "warnings"]))?;
+        let tests = ["--lib", "--test", "bags", "--", "others", "sqlite"];
+        run(cargo(&["test"]).args(package).args(tests).env("DOWNBEAT_PYTHON", &python))
     });
     let has_nextest = cargo(&["nextest", "--version"]).output().is_ok_and(|output| output.status.success());
     let tests: &[&str] = if has_nextest {

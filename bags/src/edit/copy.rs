@@ -38,6 +38,9 @@ pub struct Copied {
     pub summary: RecordingSummary,
     /// What could not be read, and is not in it.
     pub unreadable: Vec<ReaderError>,
+    /// Messages that were published at another time than they were received, which the storage of the new bag has no place
+    /// for: they have the time at which they were received alone.
+    pub without_publish_time: u64,
 }
 
 /// Why a bag could not be copied.
@@ -118,7 +121,8 @@ impl<'a> Copy<'a> {
         for (topic, is_wanted) in self.topics.iter().zip(&self.is_wanted) {
             targets.push(is_wanted.then(|| writer.add_topic(topic.info.clone())).transpose()?);
         }
-        let mut written = 0;
+        let keeps_publish_time = writer.storage().keeps_publish_time();
+        let (mut written, mut without_publish_time) = (0, 0);
         for message in self.latched(&mut unreadable)?.into_iter().map(Ok).chain(self.messages()?) {
             match message {
                 Err(error) => unreadable.push(error),
@@ -130,6 +134,7 @@ impl<'a> Copy<'a> {
                     let times = (message.log_time.max(0), message.publish_time.max(0));
                     writer.write(target, times.0, times.1, &message.data)?;
                     written += 1;
+                    without_publish_time += u64::from(!keeps_publish_time && times.0 != times.1);
                     if written % 256 == 0 {
                         progress(written);
                     }
@@ -137,7 +142,7 @@ impl<'a> Copy<'a> {
             }
         }
         progress(written);
-        Ok(Copied { summary: writer.finish()?, unreadable })
+        Ok(Copied { summary: writer.finish()?, unreadable, without_publish_time })
     }
 
     fn selection(&self, bag: usize) -> Selection {

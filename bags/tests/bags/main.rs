@@ -17,5 +17,7 @@ mod order;
 mod others;
 mod python;
 mod splits;
+#[cfg(feature = "sqlite")]
+mod sqlite;
 mod storage;
 mod support;

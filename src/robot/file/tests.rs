@@ -51,6 +51,30 @@ fn a_recording_is_cdr_unless_the_file_names_another_encoding() {
 }
 
 #[test]
+fn a_recording_is_mcap_unless_the_file_names_another_storage() {
+    assert_eq!(parse(ROBOT).unwrap().record.storage, StorageOptions::default());
+    let record = |keys: &str| format!("{ROBOT}[record]\n{keys}");
+    let fast = parse(&record("storage = \"mcap\"\npreset = \"fastwrite\"")).unwrap().record.storage;
+    assert_eq!(fast, StoragePreset::FastWrite.options().into());
+    let told = problem(&record("preset = \"resilient\""));
+    assert!(told.starts_with("robots/test.toml:6: unknown choice \"resilient\""), "{told}");
+    let (compressed, encoded) = if cfg!(feature = "sqlite") {
+        let storage = parse(&record("storage = \"sqlite3\"\npreset = \"none\"")).unwrap().record.storage;
+        assert_eq!(storage, StorageOptions::preset(Storage::Sqlite3, "none").unwrap());
+        (
+            ":7: the storage sqlite3 compresses nothing",
+            ":7: the storage sqlite3 has no place for the encoding json",
+        )
+    } else {
+        (":6: this build does not write the storage sqlite3", ":6: this build does not write")
+    };
+    let told = problem(&record("storage = \"sqlite3\"\ncompression = \"zstd\""));
+    assert!(told.contains(compressed), "{told}");
+    let told = problem(&record("storage = \"sqlite3\"\nencoding = \"json\""));
+    assert!(told.contains(encoded), "{told}");
+}
+
+#[test]
 fn the_log_goes_to_rosout_unless_the_file_says_otherwise() {
     assert!(parse(ROBOT).unwrap().expose.features.rosout);
     assert!(parse(&format!("{ROBOT}[expose]")).unwrap().expose.features.rosout);
