@@ -114,7 +114,7 @@ impl fmt::Display for Truncation {
             ),
             TruncationCause::NotEnded => write!(
                 f,
-                "{path}: recording was interrupted, or goes on; its log (-wal), without which messages are missing, is read with it"
+                "{path}: recording was interrupted, or goes on; its log (-wal) is read with it, and messages are missing without"
             ),
             TruncationCause::DamagedRows(found) => {
                 write!(f, "{path}: rows of the messages cannot be read from number {offset} on: {found}")

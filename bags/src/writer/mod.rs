@@ -46,6 +46,10 @@ use times::Times;
 /// [`WriterOptions::flush_interval`] old. A process that is killed loses the open chunk and nothing else; a reader
 /// says so. metadata.yaml is kept up to date on the way, so that a killed bag opens in other programs too.
 ///
+/// With the storage `sqlite3` a chunk is a transaction. What a killed process has committed is partly in a log beside the file
+/// (`-wal`), with which SQLite reads it; only the preset `none` of rosbag2, which has no log, may leave a damaged file. A message has
+/// one time there: its publish time is not kept.
+///
 /// After a failed write ([`WriterError::Write`], reported once) the file is ended after its last complete chunk, and
 /// everything but [`Writer::finish`] returns [`WriterError::Stopped`]. Dropping a writer finishes it and logs what
 /// fails then.
@@ -149,7 +153,7 @@ impl Writer {
     }
 
     /// Writes a message: its data is the CDR bytes with their encapsulation header; `log_time` is when it was
-    /// received, `publish_time` when it was sent, both in nanoseconds since the epoch.
+    /// received, `publish_time` when it was sent, both in nanoseconds since the epoch. `sqlite3` keeps `log_time` only.
     ///
     /// # Errors
     /// If the topic is not of this writer, a time is negative, writing fails, or recording has stopped.

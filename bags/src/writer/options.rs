@@ -46,7 +46,7 @@ pub struct WriterOptions {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SplitLimits {
     /// Bytes of a file, those of its open chunk before compression included; `--max-bag-size`. A file is larger by its last
-    /// message and its summary.
+    /// message and its summary, an SQLite file by its index of those.
     pub max_bytes: Option<u64>,
     /// From the first message of a file to its last, by the times at which they were received; `--max-bag-duration`.
     pub max_duration: Option<Duration>,
@@ -69,9 +69,10 @@ impl SplitLimits {
 /// power loses what its operating system had not written yet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SyncPolicy {
-    /// Never: when is up to the operating system, as with rosbag2.
+    /// Never: when is up to the operating system, as with rosbag2. An SQLite file may then be damaged as a whole.
     Never,
-    /// At the end of each file: robots are switched off after a recording.
+    /// At the end of each file: robots are switched off after a recording. An SQLite file besides when its log is moved into it,
+    /// unless its preset is `none`.
     #[default]
     Files,
     /// After each chunk too: no more than that of the open one is lost, and writing is as slow as the medium.

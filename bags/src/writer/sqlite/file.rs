@@ -192,6 +192,7 @@ impl SqliteFile {
 
     /// Moves all of the log into the file, marks the file as one without, and closes it.
     fn end(&mut self) -> io::Result<()> {
+        self.move_log();
         let Some(connection) = self.connection.take() else { return Ok(()) };
         let without_log = connection
             .busy_timeout(READER_PATIENCE)
