@@ -183,7 +183,8 @@ fn a_recording_in_sqlite_stops_on_a_full_disk_and_everything_before_is_kept() {
         let summary = writer.finish().unwrap();
         assert_eq!(summary.message_count(), *kept);
         assert_eq!(summary.message_count() + summary.lost_count(), next as u64 + 1, "written or counted");
-        assert!(*kept > 200, "{preset:?}: {kept}");
+        // A log has some pages more than once.
+        assert!(*kept > 100, "{preset:?}: {kept}");
         assert_eq!(read(&bag), (0..*kept as i64).collect::<Vec<_>>(), "{preset:?}");
         assert_eq!(Metadata::read(&bag.join(FILE_NAME)).unwrap().message_count, *kept);
     }

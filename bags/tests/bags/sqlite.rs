@@ -47,19 +47,23 @@ fn file_names(bag: &Path) -> Vec<String> {
     names
 }
 
-/// The real recorder's bag recorded again by our writer, its topics in the order in which it met them.
+/// The real recorder's bag recorded again by our writer, topics and messages in the order in which they came to it.
 fn record_again(directory: &Path, preset: SqlitePreset) {
     let real = fixture("jazzy_sqlite3");
     let reader = Reader::open(&real).unwrap();
+    let database = open(&real.join("jazzy_sqlite3_0.db3"));
     let mut writer = WriterOptions::new().storage(preset.options()).create(directory).unwrap();
     let mut ids = BTreeMap::new();
-    for row in rows(&open(&real.join("jazzy_sqlite3_0.db3")), "SELECT name FROM topics ORDER BY id") {
-        let [Value::Text(name)] = row.as_slice() else { panic!("{row:?}") };
+    for row in rows(&database, "SELECT id, name FROM topics ORDER BY id") {
+        let [Value::Integer(row), Value::Text(name)] = row.as_slice() else { panic!("{row:?}") };
         let id = reader.topic(name).unwrap();
-        ids.insert(id, writer.add_topic(reader.topics()[id.index()].info.clone()).unwrap());
+        ids.insert(*row, writer.add_topic(reader.topics()[id.index()].info.clone()).unwrap());
     }
-    for message in messages(&reader) {
-        writer.write(ids[&message.topic], message.log_time, message.publish_time, &message.data).unwrap();
+    for row in rows(&database, "SELECT topic_id, timestamp, data FROM messages ORDER BY id") {
+        let [Value::Integer(topic), Value::Integer(time), Value::Blob(data)] = row.as_slice() else {
+            panic!("{row:?}")
+        };
+        writer.write(ids[topic], *time, *time, data).unwrap();
     }
     writer.finish().unwrap();
 }
@@ -90,7 +94,8 @@ fn the_database_equals_that_of_the_real_recorder() {
             "PRAGMA auto_vacuum",
             "PRAGMA integrity_check",
         ] {
-            assert_eq!(rows(&ours, query), rows(&real, query), "{preset:?}: {query}");
+            // Not `assert_eq`, which would print all messages.
+            assert!(rows(&ours, query) == rows(&real, query), "{preset:?}: {query}");
         }
         // The real recorder's order of topics is that of a hash table.
         let by_name = |mut metadata: Metadata| {
