@@ -103,4 +103,13 @@ fn bags_are_filtered_merged_cut_and_compared() {
     let output = output_of(&["bag", "convert", text(&bag), "-o", text(&at("none")), "--topics", "/imu"]);
     let message = String::from_utf8(output.stderr).unwrap();
     assert!(message.contains("the bag has no topic /imu; it has "), "{message}");
+    let database = at("database");
+    let convert =
+        ["bag", "convert", text(&bag), "-o", text(&database), "-s", "sqlite3", "--compression", "lz4"];
+    let output = output_of(&convert);
+    let message = String::from_utf8(output.stderr).unwrap();
+    let expected =
+        if cfg!(feature = "sqlite") { "compresses nothing" } else { "build with `--features sqlite`" };
+    assert!(!output.status.success() && message.contains(expected), "{message}");
+    assert!(!database.exists());
 }

@@ -80,6 +80,10 @@ fn said(bag: &Path) -> Vec<u32> {
     messages.map(|message| text(&message.data).parse().unwrap()).collect()
 }
 
+/// Of sqlite3, where it is written, or else of the build.
+const NO_ZSTD: &str =
+    if cfg!(feature = "sqlite") { "sqlite3 compresses nothing" } else { "build with `--features sqlite`" };
+
 #[test]
 fn without_a_selection_it_says_what_ros2_bag_record_says() {
     for (arguments, words) in [
@@ -92,7 +96,9 @@ fn without_a_selection_it_says_what_ros2_bag_record_says() {
             &["bag", "record", "-a", "--storage-preset-profile", "small"],
             "none, fastwrite, zstd_fast, zstd_small",
         ),
-        (&["bag", "record", "-a", "-s", "sqlite3"], "mcap"),
+        (&["bag", "record", "-a", "-s", "rocks"], "mcap, sqlite3"),
+        (&["bag", "record", "-a", "-s", "sqlite3", "--zstd"], NO_ZSTD),
+        (&["bag", "record", "-a", "-s", "mcap", "--storage-preset-profile", "resilient"], "zstd_small"),
     ] {
         let folder = tempfile::tempdir().unwrap();
         let output = downbeat(arguments).args(["--domain", "195"]).current_dir(&folder).output().unwrap();

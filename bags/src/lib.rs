@@ -1,4 +1,4 @@
-//! rosbag2 directories with MCAP files: recording, reading, playback.
+//! rosbag2 directories with MCAP or SQLite files: recording, reading, playback.
 //!
 //! ```
 //! use bytes::Bytes;
@@ -37,7 +37,7 @@
 //! Times are nanoseconds since the epoch, as in ROS.
 //!
 //! The formats are those of ROS 2 Jazzy: metadata version 9 (`rosbag2_storage`), MCAP with profile `ros2`
-//! (`rosbag2_storage_mcap`).
+//! (`rosbag2_storage_mcap`), and with the feature `sqlite` SQLite with schema version 4 (`rosbag2_storage_sqlite3`).
 
 mod check;
 mod compare;
@@ -52,6 +52,7 @@ mod read_ahead;
 mod reader;
 mod recording;
 mod sizes;
+mod storage;
 mod summary;
 mod topic;
 mod writer;
@@ -72,9 +73,12 @@ pub use recording::{
     RecordingSender, RecordingStatistics, SnapshotLimits, WhenSlow,
 };
 pub use sizes::{ServiceCalls, TopicSizes};
+pub use storage::Storage;
 pub use summary::{RecordingSummary, TopicCount};
 pub use topic::{MessageFormat, TopicId, TopicInfo};
 pub use writer::{
-    Compression, CompressionLevel, FileSplit, McapOptions, SplitLimits, StorageConfigError, StoragePreset,
-    SyncPolicy, WhenDiskFull, Writer, WriterError, WriterOptions,
+    Compression, CompressionLevel, FileSplit, McapOptions, SplitLimits, StorageConfigError, StorageError,
+    StorageOptions, StoragePreset, SyncPolicy, WhenDiskFull, Writer, WriterError, WriterOptions,
 };
+#[cfg(feature = "sqlite")]
+pub use writer::{SqliteOptions, SqlitePreset};

@@ -135,8 +135,9 @@
 //! | `modules` | only what these modules publish | all |
 //! | `exposed` | `true`: only what is exposed to ROS 2; `false`: only what is not | both |
 //! | `encoding` | how messages are serialised: `"cdr"` as ROS 2 does, `"json"`, `"cbor"`, `"protobuf"`, `"foxglove-protobuf"`, `"flatbuffers"`, `"foxglove-flatbuffers"` (see [`downbeat_msgs::encoding`]) | `"cdr"` |
-//! | `preset` | of rosbag2: `"none"`, `"fastwrite"`, `"zstd_fast"`, `"zstd_small"` | `"none"`, with checksums |
-//! | `compression` | of chunks: `"none"`, `"lz4"`, `"zstd"` | as the preset |
+//! | `storage` | `"mcap"` or, where built with the feature `sqlite`, `"sqlite3"`, for messages in `"cdr"` | `"mcap"` |
+//! | `preset` | of rosbag2: `"none"`, `"fastwrite"`, `"zstd_fast"`, `"zstd_small"`; of `"sqlite3"` `"none"`, `"resilient"` | `"none"`, with checksums; `"resilient"` |
+//! | `compression` | of chunks of `"mcap"`: `"none"`, `"lz4"`, `"zstd"` | as the preset |
 //! | `chunk_size` | bytes of a chunk | as the preset, 786432 |
 //! | `max_bag_size`, `max_bag_duration` | bytes, or time, after which the bag goes on in a new file | one file |
 //! | `max_bag_files` | the oldest file is deleted when there would be more | all are kept |

@@ -26,9 +26,12 @@ pub(crate) fn test() -> anyhow::Result<()> {
     });
     let notes = Notes::new()?;
     steps.step("bags in SQLite", || {
-        let package =
-            ["test", "--package", "downbeat-bags", "--features", "sqlite", "--test", "bags", "others"];
-        run(cargo(&package).env("DOWNBEAT_PYTHON", &python).env("DOWNBEAT_MATRIX", notes.folder()))
+        let package = ["--package", "downbeat-bags", "--features", "sqlite"];
+        run(cargo(&["clippy"]).args(package).args(["--all-targets", "--", "--deny", "warnings"]))?;
+        let tests = ["--lib", "--test", "bags", "--", "others", "sqlite"];
+        let mut command = cargo(&["test"]);
+        command.args(package).args(tests).env("DOWNBEAT_PYTHON", &python);
+        run(command.env("DOWNBEAT_MATRIX", notes.folder()))
     });
     let has_nextest = cargo(&["nextest", "--version"]).output().is_ok_and(|output| output.status.success());
     let tests: &[&str] = if has_nextest {

@@ -34,6 +34,9 @@ pub struct Copied {
     pub summary: RecordingSummary,
     /// What could not be read, and is not in it.
     pub unreadable: Vec<ReaderError>,
+    /// Messages that were published at another time than they were received, which the storage of the new bag has no place
+    /// for: they have the time at which they were received alone.
+    pub without_publish_time: u64,
 }
 
 /// Why a bag could not be copied.
@@ -102,7 +105,8 @@ impl<'a> Copy<'a> {
         let mut unreadable = Vec::new();
         let add = |topic: &RecordedTopic| writer.add_topic(topic.info.clone());
         let targets = self.bags.topics().iter().map(add).collect::<Result<Vec<_>, _>>()?;
-        let mut written = 0;
+        let keeps_publish_time = writer.storage().keeps_publish_time();
+        let (mut written, mut without_publish_time) = (0, 0);
         let latched = self.latched(&mut unreadable)?.into_iter().map(Ok);
         let messages = self.bags.messages(&Selection::all().from(self.from).until(self.until), |_| true)?;
         for message in latched.chain(messages) {
@@ -113,6 +117,7 @@ impl<'a> Copy<'a> {
                     let times = (message.log_time.max(0), message.publish_time.max(0));
                     writer.write(targets[message.topic.index()], times.0, times.1, &message.data)?;
                     written += 1;
+                    without_publish_time += u64::from(!keeps_publish_time && times.0 != times.1);
                     if written % 256 == 0 {
                         progress(written);
                     }
@@ -120,7 +125,7 @@ impl<'a> Copy<'a> {
             }
         }
         progress(written);
-        Ok(Copied { summary: writer.finish()?, unreadable })
+        Ok(Copied { summary: writer.finish()?, unreadable, without_publish_time })
     }
 
     /// The last messages of latched topics before the first time, at that time.

@@ -19,6 +19,9 @@ pub use qos::{RecordedDurability, RecordedHistory, RecordedLiveliness, RecordedQ
 /// The version of the metadata that is written.
 pub const FORMAT_VERSION: u32 = 9;
 
+/// The distribution of ROS 2 whose form is written.
+pub(crate) const ROS_DISTRO: &str = "jazzy";
+
 /// The name of the metadata file in a bag directory.
 pub const FILE_NAME: &str = "metadata.yaml";
 

@@ -83,6 +83,9 @@ pub enum TruncationCause {
     DamagedChunk(String),
     /// A compressed file does not decompress to its end; what came out before is read.
     Packed(String),
+    /// An SQLite file has a write-ahead log beside it, which is read with it: recording was interrupted, or goes on. What was
+    /// in the open transaction never came into the file.
+    NotEnded,
     /// Some rows of an SQLite file cannot be read; the others are.
     DamagedRows(String),
 }
@@ -108,6 +111,10 @@ impl fmt::Display for Truncation {
                 f,
                 "{path}: the compressed file cannot be decompressed to its end: {found}; the first {offset} bytes of its \
                  content are read"
+            ),
+            TruncationCause::NotEnded => write!(
+                f,
+                "{path}: recording was interrupted, or goes on; its log (-wal) is read with it, and messages are missing without"
             ),
             TruncationCause::DamagedRows(found) => {
                 write!(f, "{path}: rows of the messages cannot be read from number {offset} on: {found}")

@@ -14,6 +14,7 @@ use super::records::{Next, Place, RECORD_HEADER, RecordFile};
 use super::segment::{Content, Segment, decode};
 use super::source::Source;
 use super::walk::walk;
+use crate::storage::Storage;
 
 /// A footer record and the end mark: 9 + 20 + 8 bytes.
 const ENDING: u64 = RECORD_HEADER + 20 + 8;
@@ -41,14 +42,6 @@ pub(super) struct BagFile {
     pub(super) truncations: Vec<Truncation>,
     /// The text of the last metadata record of rosbag2.
     pub(super) metadata: Option<String>,
-}
-
-/// How a file stores messages.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Storage {
-    Mcap,
-    #[cfg_attr(not(feature = "sqlite"), expect(dead_code, reason = "is made by the feature"))]
-    Sqlite,
 }
 
 #[derive(Debug)]

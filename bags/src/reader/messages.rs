@@ -11,11 +11,12 @@ use bytes::Bytes;
 
 use super::Reader;
 use super::error::ReaderError;
-use super::file::{BagFile, Storage};
+use super::file::BagFile;
 use super::records::RecordFile;
 use super::segment::{Content, Segment, decode};
 #[cfg(feature = "sqlite")]
 use super::sqlite::{SqliteFile, SqliteMessage};
+use crate::storage::Storage;
 use crate::topic::TopicId;
 use crate::zstd;
 
@@ -247,11 +248,11 @@ impl Input {
         match file.storage {
             Storage::Mcap => RecordFile::open(&file.source).map(Self::Mcap).map_err(failed),
             #[cfg(feature = "sqlite")]
-            Storage::Sqlite => SqliteFile::open(&file.source).map(Self::Sqlite).map_err(|error| {
+            Storage::Sqlite3 => SqliteFile::open(&file.source).map(Self::Sqlite).map_err(|error| {
                 ReaderError::Damaged { path: file.path.clone(), offset: 0, found: error.to_string() }
             }),
             #[cfg(not(feature = "sqlite"))]
-            Storage::Sqlite => Err(failed(std::io::ErrorKind::Unsupported.into())),
+            Storage::Sqlite3 => Err(failed(std::io::ErrorKind::Unsupported.into())),
         }
     }
 }

@@ -21,10 +21,11 @@ use std::time::Duration;
 use bytes::Bytes;
 
 use crate::metadata::{self, FileMetadata, Metadata};
+use crate::storage::Storage;
 use crate::topic::{TopicId, TopicInfo};
 
 pub use error::{ReaderError, Truncation, TruncationCause};
-use file::{BagFile, Storage};
+use file::BagFile;
 pub use messages::{BagMessage, Messages, Selection};
 use source::Source;
 
@@ -198,13 +199,16 @@ impl Reader {
         Messages::open(self, selection)
     }
 
+    /// What kind of files it has.
+    #[must_use]
+    pub fn storage(&self) -> Storage {
+        self.files.first().map_or(Storage::Mcap, |file| file.storage)
+    }
+
     /// `mcap` or `sqlite3`.
     #[must_use]
     pub fn storage_identifier(&self) -> &'static str {
-        match self.files.first().map(|file| file.storage) {
-            Some(Storage::Sqlite) => "sqlite3",
-            Some(Storage::Mcap) | None => "mcap",
-        }
+        self.storage().identifier()
     }
 
     /// Whether rosbag2 compressed each message by itself; they are given decompressed.

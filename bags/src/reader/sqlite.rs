@@ -1,4 +1,4 @@
-//! Bag files of rosbag2's storage `sqlite3`.
+//! Reading of bag files of rosbag2's storage `sqlite3`.
 //!
 //! The tables are those of `rosbag2_storage_sqlite3/src/rosbag2_storage_sqlite3/sqlite_storage.cpp`, branch jazzy; older ones
 //! have fewer columns. Rows are read in the order in which they were written, a run of them at a time.
@@ -11,9 +11,10 @@ use rusqlite::types::ValueRef;
 use rusqlite::{Connection, Error, OpenFlags, Row};
 
 use super::error::{ReaderError, TruncationCause};
-use super::file::{BagFile, Schema, Storage};
+use super::file::{BagFile, Schema};
 use super::segment::Segment;
 use super::source::Source;
+use crate::storage::{Storage, write_ahead_log};
 
 /// A run of rows is cut here, so that reading it takes bounded memory.
 const MOST_ROWS: u64 = 512;
@@ -39,12 +40,17 @@ pub(super) fn open(path: &Path, source: Source) -> Result<BagFile, ReaderError> 
     let source = source.into_file().map_err(read)?;
     let length = source.length().map_err(read)?;
     let mut file = BagFile::empty(path, source, length);
-    file.storage = Storage::Sqlite;
+    file.storage = Storage::Sqlite3;
     let input = SqliteFile::open(&file.source).map_err(damaged)?;
     input.read_topics(&mut file).map_err(damaged)?;
     input.read_definitions(&mut file);
     input.read_metadata(&mut file);
     input.find_segments(&mut file);
+    // Who ends a file leaves no log beside it.
+    let log = file.source.path().map(write_ahead_log);
+    if log.and_then(|log| std::fs::metadata(log).ok()).is_some_and(|log| log.len() > 0) {
+        file.miss(0, 0, TruncationCause::NotEnded);
+    }
     Ok(file)
 }
 

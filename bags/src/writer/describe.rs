@@ -42,7 +42,7 @@ impl Writer {
         let times = self.times();
         Metadata {
             version: metadata::FORMAT_VERSION,
-            storage_identifier: "mcap".to_owned(),
+            storage_identifier: self.storage().identifier().to_owned(),
             duration: times.duration(),
             starting_time: times.first().unwrap_or(metadata::NEVER),
             message_count: self.topics.iter().map(|topic| topic.written).sum(),
@@ -52,7 +52,7 @@ impl Writer {
             relative_file_paths: self.files.iter().map(|file| file.name.clone()).collect(),
             files: self.files.iter().map(file_metadata).collect(),
             custom_data: self.custom_data(),
-            ros_distro: "jazzy".to_owned(),
+            ros_distro: metadata::ROS_DISTRO.to_owned(),
         }
     }
 

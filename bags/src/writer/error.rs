@@ -19,14 +19,16 @@ pub enum WriterError {
         path: PathBuf,
     },
     /// Files are to be smaller than a file can be.
-    #[error(
-        "cannot split a bag into files of {bytes} bytes: the least is {}",
-        super::SplitLimits::LEAST_BYTES
-    )]
+    #[error("cannot split a bag into files of {bytes} bytes: the least is {least}")]
     SplitSize {
         /// The size that was asked for.
         bytes: u64,
+        /// The least of the storage.
+        least: u64,
     },
+    /// The storage is not written as it was asked for.
+    #[error(transparent)]
+    Storage(#[from] super::StorageError),
     /// The directory or a first file in it could not be created.
     #[error("cannot create {}: {source}", path.display())]
     Create {
@@ -75,6 +77,16 @@ pub enum WriterError {
         first: String,
         /// The type it was to be added with again.
         second: String,
+    },
+    /// The tables of `sqlite3` have no place for all that a channel of MCAP can tell.
+    #[error("cannot record topic {topic} in the storage {storage}: {found}; record it in the storage mcap")]
+    NoPlace {
+        /// The topic that was to be added.
+        topic: String,
+        /// The storage.
+        storage: crate::storage::Storage,
+        /// What there is no place for.
+        found: String,
     },
     /// MCAP numbers channels with 16 bits.
     #[error("cannot record topic {topic}: a bag holds at most 65534 topics")]

@@ -1,5 +1,6 @@
 //! Writing of a bag: the recorder without its thread.
 
+mod bag_file;
 mod channels;
 mod chunk;
 mod compress;
@@ -7,10 +8,13 @@ mod describe;
 mod error;
 mod file;
 mod hand_over;
+mod layout;
 mod options;
 mod output;
 mod records;
 mod split;
+#[cfg(feature = "sqlite")]
+mod sqlite;
 mod storage;
 mod summary;
 mod times;
@@ -22,14 +26,18 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crate::metadata;
+use crate::storage::Storage;
 use crate::summary::RecordingSummary;
 use crate::topic::{TopicId, TopicInfo};
 
+use bag_file::BagFile;
 pub use error::WriterError;
-use file::ChunkedFile;
+pub use layout::{StorageError, StorageOptions};
 pub use options::{SplitLimits, SyncPolicy, WhenDiskFull, WriterOptions};
 pub use split::FileSplit;
 use split::{SplitHandler, WrittenFile};
+#[cfg(feature = "sqlite")]
+pub use sqlite::{SqliteOptions, SqlitePreset};
 pub use storage::{Compression, CompressionLevel, McapOptions, StorageConfigError, StoragePreset};
 use times::Times;
 
@@ -39,6 +47,10 @@ use times::Times;
 /// [`WriterOptions::flush_interval`] old. A process that is killed loses the open chunk and nothing else; a reader
 /// says so. metadata.yaml is kept up to date on the way, so that a killed bag opens in other programs too.
 ///
+/// With the storage `sqlite3` a chunk is a transaction. What a killed process has committed is partly in a log beside the file
+/// (`-wal`), with which SQLite reads it; only the preset `none` of rosbag2, which has no log, may leave a damaged file. A message has
+/// one time there: its publish time is not kept.
+///
 /// After a failed write ([`WriterError::Write`], reported once) the file is ended after its last complete chunk, and
 /// everything but [`Writer::finish`] returns [`WriterError::Stopped`]. Dropping a writer finishes it and logs what
 /// fails then.
@@ -47,7 +59,9 @@ pub struct Writer {
     /// What the names of the files begin with.
     name: OsString,
     options: WriterOptions,
-    file: ChunkedFile,
+    /// That of the storage, at hand for each message.
+    chunk_size: u64,
+    file: BagFile,
     /// The files of the bag; the last is the one that is written.
     files: VecDeque<WrittenFile>,
     /// The number of the next file.
@@ -98,6 +112,12 @@ impl Writer {
         &self.directory
     }
 
+    /// The storage that is written.
+    #[must_use]
+    pub fn storage(&self) -> Storage {
+        self.options.storage.storage()
+    }
+
     /// The topics in the order in which they were added: [`TopicId`] is the position.
     pub fn topics(&self) -> impl ExactSizeIterator<Item = &TopicInfo> {
         self.topics.iter().map(|topic| &topic.info)
@@ -106,7 +126,7 @@ impl Writer {
     /// Adds a topic. Adding it again with the same type returns the id it has.
     ///
     /// # Errors
-    /// If the bag has the topic with another type, or recording has stopped.
+    /// If the bag has the topic with another type, its storage no place for what describes the topic, or recording has stopped.
     pub fn add_topic(&mut self, info: TopicInfo) -> Result<TopicId, WriterError> {
         self.check_recording()?;
         if let Some(index) = self.topics.iter().position(|topic| topic.info.name == info.name) {
@@ -124,6 +144,9 @@ impl Writer {
         let Some(id) = id else {
             return Err(WriterError::TooManyTopics { topic: info.name });
         };
+        if let Some(found) = self.file.refusal(&info) {
+            return Err(WriterError::NoPlace { topic: info.name, storage: self.storage(), found });
+        }
         let channel = self.file.add_topic(&info).map_err(|source| self.fail(source))?;
         self.topics.push(Topic { info, channel, written: 0, open: 0, lost: 0, refused: 0 });
         self.metadata_has_all_topics = false;
@@ -131,7 +154,7 @@ impl Writer {
     }
 
     /// Writes a message: its data is the CDR bytes with their encapsulation header; `log_time` is when it was
-    /// received, `publish_time` when it was sent, both in nanoseconds since the epoch.
+    /// received, `publish_time` when it was sent, both in nanoseconds since the epoch. `sqlite3` keeps `log_time` only.
     ///
     /// # Errors
     /// If the topic is not of this writer, a time is negative, writing fails, or recording has stopped.
@@ -220,11 +243,12 @@ impl Writer {
             let path = path.to_owned();
             move |source| WriterError::Create { path, source }
         };
-        let path = split::path(directory, name, 0);
-        let file = ChunkedFile::create(&path, options.storage, options.sync).map_err(failed(&path))?;
+        let path = split::path(directory, name, 0, options.storage.storage());
+        let file = BagFile::create(&path, &options.storage, options.sync).map_err(failed(&path))?;
         let mut writer = Self {
             directory: directory.to_owned(),
             name: name.to_owned(),
+            chunk_size: options.storage.chunk_size(),
             options,
             files: VecDeque::from([WrittenFile::new(&path)]),
             file,
@@ -269,12 +293,12 @@ impl Writer {
         let Some(entry) = self.topics.get_mut(topic.index()) else { return Ok(()) };
         let written = self.file.write(entry.channel, log, publish, data);
         entry.open += 1;
-        written.map_err(|source| self.fail(source))?;
+        let open_bytes = written.map_err(|source| self.fail(source))?;
 
         self.open.include(log_time);
         let since = *self.open_since.get_or_insert(now);
         let is_due = now.saturating_duration_since(since) >= self.options.flush_interval;
-        if is_due || self.file.open_bytes() >= self.options.storage.chunk_size {
+        if is_due || open_bytes >= self.chunk_size {
             self.flush_at(now)?;
         }
         Ok(())

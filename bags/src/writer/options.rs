@@ -7,8 +7,9 @@ use std::num::NonZeroUsize;
 use std::path::Path;
 use std::time::Duration;
 
-use super::storage::{Compression, DEFAULT_CHUNK_SIZE, McapOptions};
-use super::{Writer, WriterError};
+use super::storage::{Compression, DEFAULT_CHUNK_SIZE};
+use super::{StorageOptions, Writer, WriterError};
+use crate::storage::Storage;
 
 /// How to record a bag.
 ///
@@ -30,7 +31,9 @@ use super::{Writer, WriterError};
 /// ```
 #[derive(Clone, Debug)]
 pub struct WriterOptions {
-    pub(super) storage: McapOptions,
+    pub(super) storage: StorageOptions,
+    /// Stands over that of the storage.
+    compression: Option<Compression>,
     pub(super) flush_interval: Duration,
     pub(super) split: SplitLimits,
     pub(super) max_bag_files: Option<NonZeroUsize>,
@@ -43,7 +46,7 @@ pub struct WriterOptions {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SplitLimits {
     /// Bytes of a file, those of its open chunk before compression included; `--max-bag-size`. A file is larger by its last
-    /// message and its summary.
+    /// message and its summary, an SQLite file by its index of those.
     pub max_bytes: Option<u64>,
     /// From the first message of a file to its last, by the times at which they were received; `--max-bag-duration`.
     pub max_duration: Option<Duration>,
@@ -52,17 +55,24 @@ pub struct SplitLimits {
 impl SplitLimits {
     /// One file.
     pub const NONE: Self = Self { max_bytes: None, max_duration: None };
-    /// The least that rosbag2 takes for `max_bytes` (`MCAPStorage::get_minimum_split_file_size`).
-    pub const LEAST_BYTES: u64 = 1024;
+    /// The least that rosbag2 takes for `max_bytes` (`get_minimum_split_file_size` of its storages).
+    #[must_use]
+    pub fn least_bytes(storage: Storage) -> u64 {
+        match storage {
+            Storage::Mcap => 1024,
+            Storage::Sqlite3 => 84 * 1024,
+        }
+    }
 }
 
 /// When to wait until the medium has what was written. A process that is killed loses nothing either way; a machine that loses
 /// power loses what its operating system had not written yet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SyncPolicy {
-    /// Never: when is up to the operating system, as with rosbag2.
+    /// Never: when is up to the operating system, as with rosbag2. An SQLite file may then be damaged as a whole.
     Never,
-    /// At the end of each file: robots are switched off after a recording.
+    /// At the end of each file: robots are switched off after a recording. An SQLite file besides when its log is moved into it,
+    /// unless its preset is `none`.
     #[default]
     Files,
     /// After each chunk too: no more than that of the open one is lost, and writing is as slow as the medium.
@@ -90,7 +100,8 @@ impl WriterOptions {
     #[must_use]
     pub fn new() -> Self {
         Self {
-            storage: McapOptions::default(),
+            storage: StorageOptions::default(),
+            compression: None,
             flush_interval: Self::DEFAULT_FLUSH_INTERVAL,
             split: SplitLimits::NONE,
             max_bag_files: None,
@@ -100,23 +111,23 @@ impl WriterOptions {
         }
     }
 
-    /// How the files are laid out, compression included.
+    /// Which storage is written, and how its files are laid out: [`McapOptions`](super::McapOptions) or, with the feature
+    /// `sqlite`, `SqliteOptions`.
     #[must_use]
-    pub fn storage(self, storage: McapOptions) -> Self {
-        Self { storage, ..self }
+    pub fn storage(self, storage: impl Into<StorageOptions>) -> Self {
+        Self { storage: storage.into(), ..self }
     }
 
-    /// How chunks are compressed.
+    /// How chunks are compressed, whatever the storage says. `sqlite3` compresses nothing.
     #[must_use]
-    pub fn compression(mut self, compression: Compression) -> Self {
-        self.storage.compression = compression;
-        self
+    pub fn compression(self, compression: Compression) -> Self {
+        Self { compression: Some(compression), ..self }
     }
 
     /// The size in bytes, before compression, from which on a chunk is closed.
     #[must_use]
     pub fn chunk_size(mut self, chunk_size: u64) -> Self {
-        self.storage.chunk_size = chunk_size;
+        self.storage.set_chunk_size(chunk_size);
         self
     }
 
@@ -161,10 +172,17 @@ impl WriterOptions {
     /// Creates the bag directory, the folders above it where they are missing, and the files in it.
     ///
     /// # Errors
-    /// If it exists already or cannot be created, or files are to be smaller than [`SplitLimits::LEAST_BYTES`].
-    pub fn create(self, directory: impl AsRef<Path>) -> Result<Writer, WriterError> {
-        if let Some(bytes) = self.split.max_bytes.filter(|bytes| *bytes < SplitLimits::LEAST_BYTES) {
-            return Err(WriterError::SplitSize { bytes });
+    /// If it exists already or cannot be created, files are to be smaller than [`SplitLimits::least_bytes`], or compressed
+    /// where the storage does not.
+    pub fn create(mut self, directory: impl AsRef<Path>) -> Result<Writer, WriterError> {
+        let least = SplitLimits::least_bytes(self.storage.storage());
+        if let Some(bytes) = self.split.max_bytes.filter(|bytes| *bytes < least) {
+            return Err(WriterError::SplitSize { bytes, least });
+        }
+        match (self.compression, self.storage.mcap_mut()) {
+            (None, _) | (Some(Compression::None), Err(_)) => {}
+            (Some(compression), Ok(mcap)) => mcap.compression = compression,
+            (Some(_), Err(error)) => return Err(error.into()),
         }
         Writer::create(directory.as_ref(), self)
     }

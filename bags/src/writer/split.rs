@@ -4,9 +4,10 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use super::file::ChunkedFile;
+use super::bag_file::BagFile;
 use super::times::Times;
 use super::{Writer, WriterError};
+use crate::storage::Storage;
 
 /// A file of a bag was ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -42,10 +43,10 @@ impl WrittenFile {
     }
 }
 
-/// The path of a file: `<bag>/<bag>_<number>.mcap`.
-pub(super) fn path(directory: &Path, name: &OsStr, number: u64) -> PathBuf {
+/// The path of a file: `<bag>/<bag>_<number>.mcap`, or `.db3`.
+pub(super) fn path(directory: &Path, name: &OsStr, number: u64, storage: Storage) -> PathBuf {
     let mut file_name = name.to_owned();
-    file_name.push(format!("_{number}.mcap"));
+    file_name.push(format!("_{number}.{}", storage.extension()));
     directory.join(file_name)
 }
 
@@ -83,7 +84,7 @@ impl Writer {
         if let Some(file) = self.files.back_mut() {
             file.bytes = self.file.kept();
         }
-        let opened = path(&self.directory, &self.name, self.next_number);
+        let opened = path(&self.directory, &self.name, self.next_number, self.storage());
         self.file = self.next_file(&opened).map_err(|source| self.fail_to_open(&opened, source))?;
         self.next_number += 1;
         self.files.push_back(WrittenFile::new(&opened));
@@ -103,8 +104,8 @@ impl Writer {
     }
 
     /// A file that knows the topics of the bag.
-    fn next_file(&mut self, path: &Path) -> std::io::Result<ChunkedFile> {
-        let mut file = ChunkedFile::create(path, self.options.storage, self.options.sync)?;
+    fn next_file(&mut self, path: &Path) -> std::io::Result<BagFile> {
+        let mut file = BagFile::create(path, &self.options.storage, self.options.sync)?;
         for topic in &mut self.topics {
             topic.channel = file.add_topic(&topic.info)?;
         }
@@ -115,10 +116,19 @@ impl Writer {
     fn fail_to_open(&mut self, path: &Path, source: std::io::Error) -> WriterError {
         self.state = super::State::Stopped;
         // It may not be there; if it is, a bag with it would be damaged.
-        let _ = std::fs::remove_file(path);
+        let _ = self.remove_file(path);
         let _ = self.metadata().replace_in(&self.directory);
         let kept = self.topics.iter().map(|topic| topic.written).sum();
         WriterError::Write { path: path.to_owned(), source, kept }
+    }
+
+    /// Removes a file, and what it may have left beside it.
+    fn remove_file(&self, path: &Path) -> std::io::Result<()> {
+        for companion in self.storage().companions(path) {
+            // A file that was ended has none.
+            let _ = std::fs::remove_file(companion);
+        }
+        std::fs::remove_file(path)
     }
 
     /// Deletes the oldest files until there are no more than that many.
@@ -132,7 +142,7 @@ impl Writer {
             // First, so that metadata.yaml never names a file that is not there.
             self.replace_metadata(now)?;
             let path = self.directory.join(&oldest.name);
-            if let Err(error) = std::fs::remove_file(&path) {
+            if let Err(error) = self.remove_file(&path) {
                 tracing::warn!(
                     "cannot delete {}, which is no part of the bag any more: {error}",
                     path.display()

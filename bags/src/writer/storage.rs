@@ -1,4 +1,4 @@
-//! How the file of a bag is laid out: what `rosbag2_storage_mcap` takes from a preset profile and a storage config file.
+//! How an MCAP file is laid out: what `rosbag2_storage_mcap` takes from a preset profile and a storage config file.
 //!
 //! # References
 //! `rosbag2_storage_mcap/src/mcap_storage.cpp` and `README.md`, branch jazzy.
@@ -8,6 +8,8 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use serde::Deserialize;
+
+use crate::storage::Storage;
 
 /// How chunks are compressed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -48,7 +50,7 @@ pub enum CompressionLevel {
     Slowest,
 }
 
-/// A preset profile of rosbag2: `--storage-preset-profile`.
+/// A preset profile of rosbag2 for the storage `mcap`: `--storage-preset-profile`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum StoragePreset {
     /// What rosbag2 does unless told otherwise: chunks without compression and checksums.
@@ -181,13 +183,15 @@ pub enum StorageConfigError {
         /// What the operating system said.
         source: std::io::Error,
     },
-    /// It is not what `rosbag2_storage_mcap` takes.
-    #[error("{}:{line}: not as a storage config file of rosbag2_storage_mcap should be: {found}", path.display())]
+    /// It is not what `rosbag2_storage_mcap`, or `_sqlite3`, takes.
+    #[error("{}:{line}: not as a storage config file of rosbag2_storage_{storage} should be: {found}", path.display())]
     Form {
         /// The file.
         path: PathBuf,
         /// Where, counted from 1; 0 when the place is not known.
         line: usize,
+        /// Whose form it should have.
+        storage: Storage,
         /// What is wrong there.
         found: String,
     },
@@ -214,6 +218,7 @@ impl McapOptions {
         let form = |error: &serde_norway::Error| StorageConfigError::Form {
             path: path.to_owned(),
             line: error.location().map_or(0, |location| location.line()),
+            storage: Storage::Mcap,
             found: error.to_string(),
         };
         // An empty file says nothing.

@@ -161,3 +161,76 @@ fn what_a_full_disk_leaves_of_a_killed_recording_is_read() {
     let causes: Vec<_> = Reader::open(&bag).unwrap().truncation().map(|t| t.cause.clone()).collect();
     assert_eq!(causes, [TruncationCause::NoEnd]);
 }
+
+#[cfg(feature = "sqlite")]
+#[test]
+fn a_recording_in_sqlite_stops_on_a_full_disk_and_everything_before_is_kept() {
+    for preset in [downbeat_bags::SqlitePreset::None, downbeat_bags::SqlitePreset::Resilient] {
+        let Some(disk) = SmallDisk::mount(600) else { return };
+        let bag = disk.path.join("bag");
+        let options = WriterOptions::new().storage(preset.options()).chunk_size(10_000);
+        let mut writer = options.create(&bag).unwrap();
+        let id = writer.add_topic(topic("/numbers")).unwrap();
+        let mut next = 0;
+        let error = loop {
+            match writer.write(id, next, next, &large(next)) {
+                Ok(()) => next += 1,
+                Err(error) => break error,
+            }
+        };
+        let WriterError::Write { kept, source, .. } = &error else { panic!("{error}") };
+        assert_eq!(source.kind(), std::io::ErrorKind::StorageFull, "{error}");
+        let summary = writer.finish().unwrap();
+        assert_eq!(summary.message_count(), *kept);
+        assert_eq!(summary.message_count() + summary.lost_count(), next as u64 + 1, "written or counted");
+        // A log has some pages more than once.
+        assert!(*kept > 100, "{preset:?}: {kept}");
+        assert_eq!(read(&bag), (0..*kept as i64).collect::<Vec<_>>(), "{preset:?}");
+        assert_eq!(Metadata::read(&bag.join(FILE_NAME)).unwrap().message_count, *kept);
+    }
+}
+
+#[cfg(feature = "sqlite")]
+#[test]
+fn a_recording_in_sqlite_that_is_to_drop_goes_on_when_there_is_room_again() {
+    let Some(disk) = SmallDisk::mount(1500) else { return };
+    let (bag, ballast) = (disk.path.join("bag"), disk.path.join("ballast"));
+    fs::write(&ballast, vec![0; 1_200_000]).unwrap();
+    let options = WriterOptions::new().storage(downbeat_bags::SqliteOptions::default());
+    let options = options.chunk_size(10_000).when_disk_full(WhenDiskFull::Drop);
+    let mut writer = options.create(&bag).unwrap();
+    let id = writer.add_topic(topic("/numbers")).unwrap();
+    for n in 0..300 {
+        if n == 200 {
+            assert!(writer.is_disk_full());
+            fs::remove_file(&ballast).unwrap();
+        }
+        writer.write(id, n, n, &large(n)).unwrap();
+    }
+    assert!(!writer.is_disk_full());
+    let summary = writer.finish().unwrap();
+    assert_eq!(summary.message_count() + summary.lost_count(), 300, "written or counted");
+    assert!(summary.lost_count() > 20, "{}", summary.lost_count());
+    let found = read(&bag);
+    assert_eq!((found.len() as u64, found.last()), (summary.message_count(), Some(&299)));
+    assert_eq!(Reader::open(&bag).unwrap().truncation().count(), 0, "the file was ended");
+}
+
+#[cfg(feature = "sqlite")]
+#[test]
+fn a_bag_in_sqlite_that_deletes_its_oldest_files_records_on_a_disk_of_any_size() {
+    let Some(disk) = SmallDisk::mount(1000) else { return };
+    let bag = disk.path.join("bag");
+    let limits = SplitLimits { max_bytes: Some(100_000), ..SplitLimits::NONE };
+    let options = WriterOptions::new().storage(downbeat_bags::SqliteOptions::default());
+    let options = options.chunk_size(10_000).split(limits);
+    let options = options.max_bag_files(std::num::NonZeroUsize::new(3).unwrap());
+    let mut writer = options.create(&bag).unwrap();
+    let id = writer.add_topic(topic("/numbers")).unwrap();
+    for n in 0..3000 {
+        writer.write(id, n, n, &large(n)).unwrap();
+    }
+    let summary = writer.finish().unwrap();
+    assert_eq!(summary.message_count() + summary.deleted, 3000);
+    assert_eq!(read(&bag), (summary.deleted as i64..3000).collect::<Vec<_>>());
+}

@@ -30,25 +30,25 @@ pub fn child(test: &str, bag: &Path, launcher: Option<&str>) -> Command {
 }
 
 /// Reads what the child prints until a line holds `mark`.
-fn wait_for(child: &mut Child, mark: &str) {
+pub fn wait_for(child: &mut Child, mark: &str) {
     let output = BufReader::new(child.stdout.as_mut().unwrap());
     let found = output.lines().any(|line| line.unwrap().contains(mark));
     assert!(found, "the child ended before it printed {mark}");
 }
 
 /// In the child: says how far it is, to whoever reads.
-fn say(mark: &str) {
+pub fn say(mark: &str) {
     let mut output = std::io::stdout().lock();
     writeln!(output, "{mark}").unwrap();
     output.flush().unwrap();
 }
 
 /// In the child: goes on existing until it is killed, or its parent has ended.
-fn stay() {
+pub fn stay() {
     let _ = std::io::stdin().read_to_end(&mut Vec::new());
 }
 
-fn kill(mut child: Child) {
+pub fn kill(mut child: Child) {
     child.kill().unwrap(); // SIGKILL
     let status = child.wait().unwrap();
     assert!(!status.success());

@@ -5,7 +5,9 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use downbeat_bags::{Compression, McapOptions, Reader, SplitLimits, StoragePreset, WriterOptions};
+use downbeat_bags::{
+    Compression, McapOptions, Reader, SplitLimits, StorageOptions, StoragePreset, WriterOptions,
+};
 
 use crate::interrupted::{BAG, child};
 use crate::support::{messages, number, topic, value};
@@ -15,16 +17,22 @@ const SEED: &str = "DOWNBEAT_TEST_SEED";
 
 const FLUSH_INTERVAL: Duration = Duration::from_millis(40);
 
+/// From this seed on recordings are in SQLite.
+const SQLITE: u64 = 100;
+
 fn options(seed: u64) -> WriterOptions {
-    let storage = match seed % 5 {
-        0 => StoragePreset::FastWrite.options(),
-        1 => StoragePreset::ZstdFast.options(),
-        2 => McapOptions { compression: Compression::Zstd, ..McapOptions::default() },
-        _ => McapOptions::default(),
+    let storage: StorageOptions = match seed % 5 {
+        #[cfg(feature = "sqlite")]
+        _ if seed >= SQLITE => downbeat_bags::SqliteOptions::default().into(),
+        0 => StoragePreset::FastWrite.options().into(),
+        1 => StoragePreset::ZstdFast.options().into(),
+        2 => McapOptions { compression: Compression::Zstd, ..McapOptions::default() }.into(),
+        _ => StorageOptions::default(),
     };
     let chunk_size = [2_000, 20_000, 768 * 1024][(seed / 5 % 3) as usize];
     let split = if seed % 4 == 3 {
-        SplitLimits { max_bytes: Some(30_000), ..SplitLimits::NONE }
+        let max_bytes = if seed < SQLITE { 30_000 } else { 100_000 };
+        SplitLimits { max_bytes: Some(max_bytes), ..SplitLimits::NONE }
     } else {
         SplitLimits::NONE
     };
@@ -85,8 +93,18 @@ fn kill_after(seed: u64, count: usize, bag: &Path) -> Killed {
 
 #[test]
 fn a_recording_killed_at_any_of_50_moments_loses_no_more_than_the_open_chunk() {
+    kill_each(0..50);
+}
+
+#[cfg(feature = "sqlite")]
+#[test]
+fn a_recording_in_sqlite_killed_at_any_of_25_moments_loses_no_more_than_the_open_transaction() {
+    kill_each(SQLITE..SQLITE + 25);
+}
+
+fn kill_each(seeds: std::ops::Range<u64>) {
     let mut state = 20_260_101_u64;
-    for seed in 0..50 {
+    for seed in seeds {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         let count = 10 + (state >> 33) as usize % 3000;
         let folder = tempfile::tempdir().unwrap();

@@ -20,6 +20,8 @@ mod order;
 mod others;
 mod python;
 mod splits;
+#[cfg(feature = "sqlite")]
+mod sqlite;
 mod storage;
 mod support;
 mod types;

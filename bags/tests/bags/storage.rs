@@ -3,7 +3,8 @@
 use std::fs;
 
 use downbeat_bags::{
-    Compression, CompressionLevel, McapOptions, Reader, StoragePreset, SyncPolicy, TopicInfo, WriterOptions,
+    Compression, CompressionLevel, McapOptions, Reader, Storage, StorageError, StorageOptions, StoragePreset,
+    SyncPolicy, TopicInfo, WriterOptions,
 };
 use downbeat_msgs::{Message, cdr, std_msgs};
 use mcap::Summary;
@@ -149,5 +150,29 @@ fn what_does_not_shrink_is_stored_as_it_is() {
         let bytes = fs::read(bag.join(format!("{name}_0.mcap"))).unwrap();
         let summary = Summary::read(&bytes).unwrap().unwrap();
         assert_eq!(summary.chunk_indexes[0].compression, "", "{name}");
+    }
+}
+
+#[test]
+fn mcap_and_sqlite_and_their_presets_are_chosen_by_name() {
+    let preset = |storage: &str, name: &str| StorageOptions::preset(storage.parse().unwrap(), name);
+    assert_eq!(preset("mcap", "fastwrite"), Ok(StoragePreset::FastWrite.options().into()));
+    assert_eq!(
+        "rocks".parse::<Storage>().unwrap_err(),
+        "there is no storage \"rocks\"; there are mcap, sqlite3"
+    );
+    assert!(preset("mcap", "resilient").unwrap_err().to_string().ends_with("zstd_fast, zstd_small"));
+    if cfg!(feature = "sqlite") {
+        assert_eq!(preset("sqlite3", "resilient"), StorageOptions::of(Storage::Sqlite3));
+        assert_eq!(
+            preset("sqlite3", "zstd_fast").unwrap_err().to_string(),
+            "there is no preset profile \"zstd_fast\" of the storage sqlite3; there are none, resilient"
+        );
+        let mut options = StorageOptions::of(Storage::Sqlite3).unwrap();
+        assert_eq!(options.mcap_mut(), Err(StorageError::Compression));
+    } else {
+        assert_eq!(StorageOptions::of(Storage::Sqlite3), Err(StorageError::NotBuilt));
+        let told = preset("sqlite3", "resilient").unwrap_err().to_string();
+        assert!(told.contains("--features sqlite"), "{told}");
     }
 }

@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use downbeat::bags::{Compression, Copied, Copy, SplitLimits, StoragePreset, WriterOptions};
+use downbeat::bags::{
+    Compression, Copied, Copy, SplitLimits, Storage, StorageError, StorageOptions, WriterOptions,
+};
 
 use super::progress::Progress;
 
@@ -21,12 +23,16 @@ pub(crate) struct OutputArguments {
 /// How its files are laid out.
 #[derive(Args)]
 pub(crate) struct LayoutArguments {
-    /// How chunks are compressed.
+    /// The storage: mcap or, where built with --features sqlite, sqlite3, which has no place for publish times.
+    #[arg(short, long, default_value_t = Storage::Mcap, value_name = "STORAGE")]
+    storage: Storage,
+    /// How chunks are compressed; sqlite3 compresses nothing.
     #[arg(long, value_enum, default_value_t = CompressionChoice::None)]
     compression: CompressionChoice,
-    /// How files are laid out, as ros2 bag record has it: none, fastwrite, zstd_fast or zstd_small.
+    /// How files are laid out, as ros2 bag record has it: none, fastwrite, zstd_fast or zstd_small; of sqlite3 none or
+    /// resilient.
     #[arg(long, value_name = "PRESET", conflicts_with = "compression")]
-    storage_preset_profile: Option<StoragePreset>,
+    storage_preset_profile: Option<String>,
     /// Bytes after which the bag goes on in a new file; 0 for never.
     #[arg(short = 'b', long, default_value_t = 0, value_name = "BYTES")]
     max_bag_size: u64,
@@ -46,16 +52,26 @@ enum CompressionChoice {
 }
 
 impl LayoutArguments {
-    fn writer_options(&self) -> WriterOptions {
-        let options = match (self.storage_preset_profile, self.compression) {
-            (Some(preset), _) => WriterOptions::new().storage(preset.options()),
-            (None, CompressionChoice::None) => WriterOptions::new().compression(Compression::None),
-            (None, CompressionChoice::Lz4) => WriterOptions::new().compression(Compression::Lz4),
-            (None, CompressionChoice::Zstd) => WriterOptions::new().compression(Compression::Zstd),
+    fn writer_options(&self) -> Result<WriterOptions, StorageError> {
+        let options = match &self.storage_preset_profile {
+            Some(preset) => WriterOptions::new().storage(StorageOptions::preset(self.storage, preset)?),
+            None => WriterOptions::new()
+                .storage(StorageOptions::of(self.storage)?)
+                .compression(self.compression.into()),
         };
         let max_bytes = (self.max_bag_size > 0).then_some(self.max_bag_size);
         let max_duration = (self.max_bag_duration > 0).then(|| Duration::from_secs(self.max_bag_duration));
-        options.split(SplitLimits { max_bytes, max_duration })
+        Ok(options.split(SplitLimits { max_bytes, max_duration }))
+    }
+}
+
+impl From<CompressionChoice> for Compression {
+    fn from(choice: CompressionChoice) -> Self {
+        match choice {
+            CompressionChoice::None => Self::None,
+            CompressionChoice::Lz4 => Self::Lz4,
+            CompressionChoice::Zstd => Self::Zstd,
+        }
     }
 }
 
@@ -67,12 +83,19 @@ pub(crate) fn write(
     layout: &LayoutArguments,
 ) -> anyhow::Result<Copied> {
     let options =
-        custom_data.fold(layout.writer_options(), |options, (key, value)| options.custom_data(key, value));
+        custom_data.fold(layout.writer_options()?, |options, (key, value)| options.custom_data(key, value));
     let mut progress = Progress::new("writing", copy.message_count());
     let copied = copy.into_writer(options.create(directory)?, |written| progress.at(written))?;
     drop(progress);
     for error in &copied.unreadable {
         tracing::warn!("{error}");
+    }
+    if copied.without_publish_time > 0 {
+        tracing::warn!(
+            "{} messages have lost the time at which they were published: {} keeps the time at which they were received alone",
+            copied.without_publish_time,
+            layout.storage
+        );
     }
     let summary = &copied.summary;
     println!("wrote {} messages into {}", summary.message_count(), summary.path.display());

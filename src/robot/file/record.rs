@@ -4,7 +4,7 @@ use std::num::NonZeroUsize;
 use std::time::Duration;
 
 use downbeat_bags::{
-    Compression, McapOptions, Recording, RecordingOptions, SnapshotLimits, SplitLimits, StoragePreset,
+    Compression, Recording, RecordingOptions, SnapshotLimits, SplitLimits, Storage, StorageOptions,
     SyncPolicy, WhenDiskFull, WhenSlow, WriterOptions,
 };
 use downbeat_bridge::expose::TopicPattern;
@@ -29,8 +29,8 @@ pub struct RecordEntry {
     pub exposed: Option<bool>,
     /// How its messages are serialised.
     pub encoding: Encoding,
-    /// How its files are laid out.
-    pub storage: McapOptions,
+    /// Which storage it has, and how its files are laid out.
+    pub storage: StorageOptions,
     /// When it goes on in a new file.
     pub split: SplitLimits,
     /// How many files it has at the most.
@@ -57,7 +57,7 @@ impl Default for RecordEntry {
             modules: Vec::new(),
             exposed: None,
             encoding: Encoding::default(),
-            storage: McapOptions::default(),
+            storage: StorageOptions::default(),
             split: SplitLimits::NONE,
             max_bag_files: None,
             cache_bytes: Recording::DEFAULT_QUEUE_BYTES,
@@ -74,7 +74,7 @@ impl RecordEntry {
     #[must_use]
     pub fn writer_options(&self) -> WriterOptions {
         let options = WriterOptions::new()
-            .storage(self.storage)
+            .storage(self.storage.clone())
             .split(self.split)
             .sync(self.sync)
             .when_disk_full(self.disk_full);
@@ -82,6 +82,16 @@ impl RecordEntry {
             Some(most) => options.max_bag_files(most),
             None => options,
         }
+    }
+
+    /// Why the storage cannot hold messages in that encoding, if it cannot.
+    #[must_use]
+    pub fn refusal(&self) -> Option<String> {
+        let is_refused = self.storage.storage() == Storage::Sqlite3 && self.encoding != Encoding::Cdr;
+        is_refused.then(|| {
+            let encoding = self.encoding;
+            format!("the storage sqlite3 has no place for the encoding {encoding}: record it as cdr, or in the storage mcap")
+        })
     }
 
     /// What becomes of messages until they are written.
@@ -105,6 +115,7 @@ pub(super) fn record(value: Value<'_>) -> Result<RecordEntry> {
     let unless_given = RecordEntry::default();
     let topics = table.take("topics");
     let line = topics.map_or(table.line(), |value| value.line());
+    let encoding = table.take("encoding");
     let topics = match topics {
         Some(value) if value.text().is_ok_and(|text| text == "all") => None,
         Some(value) => {
@@ -124,7 +135,7 @@ pub(super) fn record(value: Value<'_>) -> Result<RecordEntry> {
         types: list(&mut table, "types", |value| Ok(value.text()?.to_owned()))?,
         modules: list(&mut table, "modules", |value| Ok(value.text()?.to_owned()))?,
         exposed: table.take("exposed").map(|value| value.flag()).transpose()?,
-        encoding: match table.take("encoding") {
+        encoding: match encoding {
             Some(value) => choice(value, &Encoding::ALL.map(|encoding| (encoding.as_str(), encoding)))?,
             None => unless_given.encoding,
         },
@@ -157,22 +168,35 @@ pub(super) fn record(value: Value<'_>) -> Result<RecordEntry> {
         },
     };
     table.finish()?;
-    Ok(entry)
+    match (encoding, entry.refusal()) {
+        (Some(value), Some(reason)) => Err(value.error(reason)),
+        _ => Ok(entry),
+    }
 }
 
-/// `preset`, and what stands over it.
-fn storage(table: &mut Table<'_>) -> Result<McapOptions> {
-    let mut storage = match table.take("preset") {
-        Some(value) => choice(value, &StoragePreset::ALL)?.options(),
-        None => McapOptions::default(),
+/// `storage` and `preset`, and what stands over them.
+fn storage(table: &mut Table<'_>) -> Result<StorageOptions> {
+    let mut options = match table.take("storage") {
+        Some(value) => {
+            let options = StorageOptions::of(choice(value, &Storage::ALL)?);
+            options.map_err(|error| value.error(error.to_string()))?
+        }
+        None => StorageOptions::default(),
     };
+    if let Some(value) = table.take("preset") {
+        let storage = options.storage();
+        let presets: Vec<_> = storage.presets().iter().map(|&name| (name, name)).collect();
+        let preset = StorageOptions::preset(storage, choice(value, &presets)?);
+        options = preset.map_err(|error| value.error(error.to_string()))?;
+    }
     if let Some(value) = table.take("compression") {
-        storage.compression = choice(value, &Compression::ALL)?;
+        let mcap = options.mcap_mut().map_err(|error| value.error(error.to_string()))?;
+        mcap.compression = choice(value, &Compression::ALL)?;
     }
     if let Some(value) = table.take("chunk_size") {
-        storage.chunk_size = value.number_in(LEAST_CHUNK..=1 << 30, "1024 to 1073741824 bytes")?;
+        options.set_chunk_size(value.number_in(LEAST_CHUNK..=1 << 30, "1024 to 1073741824 bytes")?);
     }
-    Ok(storage)
+    Ok(options)
 }
 
 /// A name, or a pattern that is one.

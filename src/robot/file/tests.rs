@@ -2,6 +2,7 @@
 use super::*;
 use std::time::Duration;
 
+use downbeat_bags::{Storage, StorageOptions, StoragePreset};
 use downbeat_executor::{Idle, Inbox, LifecycleState, Restart, Spin, Synchrony};
 use downbeat_msgs::encoding::Encoding;
 use downbeat_msgs::qos::QosProfile;
@@ -48,6 +49,30 @@ fn a_recording_is_cdr_unless_the_file_names_another_encoding() {
     }
     let problem = problem(&record("protobufs"));
     assert_eq!(problem, "robots/test.toml:6: unknown choice \"protobufs\", did you mean \"protobuf\"?");
+}
+
+#[test]
+fn a_recording_is_mcap_unless_the_file_names_another_storage() {
+    assert_eq!(parse(ROBOT).unwrap().record.storage, StorageOptions::default());
+    let record = |keys: &str| format!("{ROBOT}[record]\n{keys}");
+    let fast = parse(&record("storage = \"mcap\"\npreset = \"fastwrite\"")).unwrap().record.storage;
+    assert_eq!(fast, StoragePreset::FastWrite.options().into());
+    let told = problem(&record("preset = \"resilient\""));
+    assert!(told.starts_with("robots/test.toml:6: unknown choice \"resilient\""), "{told}");
+    let (compressed, encoded) = if cfg!(feature = "sqlite") {
+        let storage = parse(&record("storage = \"sqlite3\"\npreset = \"none\"")).unwrap().record.storage;
+        assert_eq!(storage, StorageOptions::preset(Storage::Sqlite3, "none").unwrap());
+        (
+            ":7: the storage sqlite3 compresses nothing",
+            ":7: the storage sqlite3 has no place for the encoding json",
+        )
+    } else {
+        (":6: this build does not write the storage sqlite3", ":6: this build does not write")
+    };
+    let told = problem(&record("storage = \"sqlite3\"\ncompression = \"zstd\""));
+    assert!(told.contains(compressed), "{told}");
+    let told = problem(&record("storage = \"sqlite3\"\nencoding = \"json\""));
+    assert!(told.contains(encoded), "{told}");
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use downbeat::bags::StoragePreset;
+use downbeat::bags::Storage;
 use downbeat::duration::parse as duration;
 use downbeat::msgs::encoding::Encoding;
 use downbeat::robot::LogLevel;
@@ -20,9 +20,6 @@ pub(crate) struct RecordArguments {
     /// The new bag directory; a timestamped one in the current directory unless given.
     #[arg(short, long, value_name = "DIR")]
     pub(crate) output: Option<PathBuf>,
-    /// The storage: mcap is the only one that is written.
-    #[arg(short, long, default_value = "mcap", value_parser = ["mcap"], value_name = "STORAGE")]
-    pub(crate) storage: String,
     #[command(flatten)]
     pub(crate) selection: SelectionArguments,
     #[command(flatten)]
@@ -131,6 +128,10 @@ pub(crate) struct DiscoveryArguments {
 /// How the bag is written.
 #[derive(Args)]
 pub(crate) struct WritingArguments {
+    /// The storage: mcap or, where built with --features sqlite, sqlite3, which has no place for publish times and for
+    /// encodings other than cdr; mcap unless given or, with --robot, the robot file's [record] says another.
+    #[arg(short, long, value_name = "STORAGE")]
+    pub(crate) storage: Option<Storage>,
     /// The serialization format: cdr, which is what ROS 2 has; see --encoding for others.
     #[arg(short = 'f', long, value_parser = ["cdr"], value_name = "FORMAT")]
     pub(crate) serialization_format: Option<String>,
@@ -155,10 +156,11 @@ pub(crate) struct WritingArguments {
     /// Note this in the metadata. The last value of a key counts.
     #[arg(long, num_args = 1.., value_name = "KEY=VALUE", value_parser = key_and_value)]
     pub(crate) custom_data: Vec<(String, String)>,
-    /// How files are laid out: none, fastwrite, zstd_fast or zstd_small; as none, with checksums, unless given.
+    /// How files are laid out: none, fastwrite, zstd_fast or zstd_small, as none, with checksums, unless given; of sqlite3
+    /// none or resilient, resilient unless given.
     #[arg(long, value_name = "PRESET")]
-    pub(crate) storage_preset_profile: Option<StoragePreset>,
-    /// A YAML file of options for the MCAP writer, as rosbag2_storage_mcap takes it.
+    pub(crate) storage_preset_profile: Option<String>,
+    /// A YAML file of options for the storage, as rosbag2_storage_mcap or rosbag2_storage_sqlite3 takes it.
     #[arg(long, value_name = "FILE.yaml")]
     pub(crate) storage_config_file: Option<PathBuf>,
     /// Compress chunks with Zstandard, as --storage-preset-profile zstd_fast.

@@ -146,16 +146,16 @@ fn record_from_ros(
     screen: &Screen,
 ) -> anyhow::Result<()> {
     arguments.check()?;
-    let RecordArguments { storage, writing: written, .. } = arguments;
-    let format = written.serialization_format.as_deref().unwrap_or("cdr");
-    tracing::debug!(
-        "storage {storage}, serialization {format}, compression mode {}",
-        written.compression_mode
-    );
     let stop = Stop::new()?.after(arguments.duration);
     let mut entry = RecordEntry::default();
     entry.cache_bytes = writing::DEFAULT_CACHE_BYTES;
     writing::apply(&arguments.writing, &mut entry)?;
+    let format = arguments.writing.serialization_format.as_deref().unwrap_or("cdr");
+    tracing::debug!(
+        "storage {}, serialization {format}, compression mode {}",
+        entry.storage.storage(),
+        arguments.writing.compression_mode
+    );
     let qos_overrides = match &arguments.discovery.qos_profile_overrides_path {
         Some(path) => QosOverrides::read(path)?,
         None => QosOverrides::default(),

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use anyhow::bail;
 use downbeat::bags::{
-    RecordingOptions, SnapshotLimits, StoragePreset, SyncPolicy, WhenDiskFull, WhenSlow, WriterOptions,
+    RecordingOptions, SnapshotLimits, StorageOptions, StoragePreset, SyncPolicy, WhenDiskFull, WhenSlow,
+    WriterOptions,
 };
 use downbeat::robot::RecordEntry;
 
@@ -15,14 +16,18 @@ pub(super) const DEFAULT_CACHE_BYTES: usize = 100 * 1024 * 1024;
 
 /// Puts in place of what is there what the command line says.
 pub(super) fn apply(arguments: &WritingArguments, entry: &mut RecordEntry) -> anyhow::Result<()> {
-    if let Some(preset) = arguments.storage_preset_profile {
-        entry.storage = preset.options();
-    } else if arguments.zstd {
-        let fast = StoragePreset::ZstdFast.options();
-        (entry.storage.compression, entry.storage.level) = (fast.compression, fast.level);
+    let storage = arguments.storage.unwrap_or(entry.storage.storage());
+    if let Some(preset) = &arguments.storage_preset_profile {
+        entry.storage = StorageOptions::preset(storage, preset)?;
+    } else if storage != entry.storage.storage() {
+        entry.storage = StorageOptions::of(storage)?;
+    }
+    if arguments.zstd {
+        let (mcap, fast) = (entry.storage.mcap_mut()?, StoragePreset::ZstdFast.options());
+        (mcap.compression, mcap.level) = (fast.compression, fast.level);
     }
     if let Some(path) = &arguments.storage_config_file {
-        entry.storage = entry.storage.with_config_file(path)?;
+        entry.storage = entry.storage.clone().with_config_file(path)?;
     }
     if let Some(bytes) = arguments.max_bag_size {
         entry.split.max_bytes = (bytes > 0).then_some(bytes);
@@ -33,6 +38,9 @@ pub(super) fn apply(arguments: &WritingArguments, entry: &mut RecordEntry) -> an
     entry.max_bag_files = arguments.max_bag_files.or(entry.max_bag_files);
     entry.cache_bytes = arguments.max_cache_size.unwrap_or(entry.cache_bytes);
     entry.encoding = arguments.encoding.unwrap_or(entry.encoding);
+    if let Some(reason) = entry.refusal() {
+        bail!(reason);
+    }
     match arguments.when_slow {
         Some(OnTrouble::Drop) => entry.slow_disk = WhenSlow::Drop,
         Some(OnTrouble::Stop) => entry.slow_disk = WhenSlow::Stop,

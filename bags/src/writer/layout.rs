@@ -1,0 +1,183 @@
+//! How the files of a bag are laid out, whichever storage they have.
+
+use std::path::Path;
+
+#[cfg(feature = "sqlite")]
+use super::sqlite::{SqliteOptions, SqlitePreset};
+use super::storage::{McapOptions, StorageConfigError, StoragePreset};
+use crate::storage::Storage;
+
+/// How the files of a bag are laid out.
+///
+/// ```
+/// use downbeat_bags::{Storage, StorageOptions, StoragePreset};
+///
+/// let storage = StorageOptions::preset(Storage::Mcap, "zstd_fast")?;
+/// assert_eq!(storage, StoragePreset::ZstdFast.options().into());
+///
+/// let error = StorageOptions::preset(Storage::Mcap, "resilient").unwrap_err();
+/// assert_eq!(
+///     error.to_string(),
+///     "there is no preset profile \"resilient\" of the storage mcap; there are none, fastwrite, zstd_fast, zstd_small"
+/// );
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum StorageOptions {
+    /// MCAP files.
+    Mcap(McapOptions),
+    /// SQLite files.
+    #[cfg(feature = "sqlite")]
+    Sqlite(SqliteOptions),
+}
+
+/// Why a storage is not written as it was asked for.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum StorageError {
+    /// The feature `sqlite` is missing.
+    #[error(
+        "this build does not write the storage sqlite3; build with `--features sqlite`, which needs a C compiler"
+    )]
+    NotBuilt,
+    /// The storage has no such preset.
+    #[error("there is no preset profile \"{preset}\" of the storage {storage}; there are {}", storage.presets().join(", "))]
+    Preset {
+        /// The storage.
+        storage: Storage,
+        /// What it does not know.
+        preset: String,
+    },
+    /// Chunks are those of MCAP.
+    #[error("the storage sqlite3 compresses nothing: leave the compression away, or write the storage mcap")]
+    Compression,
+}
+
+impl Storage {
+    /// Its preset profiles, by their names in rosbag2: `--storage-preset-profile`.
+    #[must_use]
+    pub fn presets(self) -> &'static [&'static str] {
+        match self {
+            Self::Mcap => &["none", "fastwrite", "zstd_fast", "zstd_small"],
+            Self::Sqlite3 => &["none", "resilient"],
+        }
+    }
+}
+
+impl StorageOptions {
+    /// What is written of a storage unless more is said.
+    ///
+    /// # Errors
+    /// If the build does not have it.
+    pub fn of(storage: Storage) -> Result<Self, StorageError> {
+        match storage {
+            Storage::Mcap => Ok(McapOptions::default().into()),
+            #[cfg(feature = "sqlite")]
+            Storage::Sqlite3 => Ok(SqliteOptions::default().into()),
+            #[cfg(not(feature = "sqlite"))]
+            Storage::Sqlite3 => Err(StorageError::NotBuilt),
+        }
+    }
+
+    /// What a preset profile of a storage stands for.
+    ///
+    /// # Errors
+    /// If the storage has no such preset, or the build does not have the storage.
+    pub fn preset(storage: Storage, name: &str) -> Result<Self, StorageError> {
+        let found: Option<Self> = match storage {
+            Storage::Mcap => named(&StoragePreset::ALL, name).map(|preset| preset.options().into()),
+            #[cfg(feature = "sqlite")]
+            Storage::Sqlite3 => named(&SqlitePreset::ALL, name).map(|preset| preset.options().into()),
+            #[cfg(not(feature = "sqlite"))]
+            Storage::Sqlite3 => return Err(StorageError::NotBuilt),
+        };
+        found.ok_or_else(|| StorageError::Preset { storage, preset: name.to_owned() })
+    }
+
+    /// These options with what a storage config file of that storage says in their place: `--storage-config-file`.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or is not what rosbag2 takes.
+    pub fn with_config_file(self, path: &Path) -> Result<Self, StorageConfigError> {
+        match self {
+            Self::Mcap(options) => options.with_config_file(path).map(Self::Mcap),
+            #[cfg(feature = "sqlite")]
+            Self::Sqlite(options) => options.with_config_file(path).map(Self::Sqlite),
+        }
+    }
+
+    /// Which storage it is.
+    #[must_use]
+    pub fn storage(&self) -> Storage {
+        match self {
+            Self::Mcap(_) => Storage::Mcap,
+            #[cfg(feature = "sqlite")]
+            Self::Sqlite(_) => Storage::Sqlite3,
+        }
+    }
+
+    /// The options of MCAP files, among them those of compression.
+    ///
+    /// # Errors
+    /// If the storage is one that compresses nothing.
+    pub fn mcap_mut(&mut self) -> Result<&mut McapOptions, StorageError> {
+        match self {
+            Self::Mcap(options) => Ok(options),
+            #[cfg(feature = "sqlite")]
+            Self::Sqlite(_) => Err(StorageError::Compression),
+        }
+    }
+
+    /// The size in bytes, before compression, at which a chunk is closed.
+    #[must_use]
+    pub fn chunk_size(&self) -> u64 {
+        match self {
+            Self::Mcap(options) => options.chunk_size,
+            #[cfg(feature = "sqlite")]
+            Self::Sqlite(options) => options.chunk_size,
+        }
+    }
+
+    /// Sets the size in bytes, before compression, at which a chunk is closed.
+    pub fn set_chunk_size(&mut self, chunk_size: u64) {
+        match self {
+            Self::Mcap(options) => options.chunk_size = chunk_size,
+            #[cfg(feature = "sqlite")]
+            Self::Sqlite(options) => options.chunk_size = chunk_size,
+        }
+    }
+}
+
+fn named<T: Copy>(presets: &[(&str, T)], name: &str) -> Option<T> {
+    presets.iter().find(|(known, _)| *known == name).map(|&(_, preset)| preset)
+}
+
+impl Default for StorageOptions {
+    fn default() -> Self {
+        McapOptions::default().into()
+    }
+}
+
+impl From<McapOptions> for StorageOptions {
+    fn from(options: McapOptions) -> Self {
+        Self::Mcap(options)
+    }
+}
+
+#[cfg(feature = "sqlite")]
+impl From<SqliteOptions> for StorageOptions {
+    fn from(options: SqliteOptions) -> Self {
+        Self::Sqlite(options)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn presets_are_told_by_the_names_by_which_they_are_found() {
+        assert_eq!(StoragePreset::ALL.map(|(name, _)| name), Storage::Mcap.presets());
+        #[cfg(feature = "sqlite")]
+        assert_eq!(SqlitePreset::ALL.map(|(name, _)| name), Storage::Sqlite3.presets());
+    }
+}
