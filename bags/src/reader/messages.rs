@@ -103,6 +103,8 @@ struct OpenFile {
     topics: HashMap<u16, TopicId>,
     /// Whether rosbag2 compressed each message (`--compression-mode message`).
     has_packed_messages: bool,
+    /// The last segment that was read; kept for its room.
+    segment: Vec<u8>,
 }
 
 enum Input {
@@ -136,6 +138,7 @@ impl Messages {
                 input: Input::open(file)?,
                 topics: reader.topics_of_channels[index].clone(),
                 has_packed_messages: reader.has_packed_messages(),
+                segment: Vec::new(),
             });
             let is_wanted = |segment: &&Segment| {
                 signed(segment.last) >= selection.from && signed(segment.first) <= selection.until
@@ -185,9 +188,10 @@ impl Messages {
         };
         match &mut file.input {
             Input::Mcap(input) => {
-                let bytes = input.seek(segment.offset).and_then(|()| input.read(segment.length));
-                let bytes = bytes.map_err(|source| ReaderError::Read { path: file.path.clone(), source })?;
-                decode(&bytes, |content| {
+                let bytes = &mut file.segment;
+                let read = input.seek(segment.offset).and_then(|()| input.read_into(bytes, segment.length));
+                read.map_err(|source| ReaderError::Read { path: file.path.clone(), source })?;
+                decode(bytes, |content| {
                     if let Content::Message { header, data } = content {
                         take(header.channel_id, header.log_time, header.publish_time, data);
                     }

@@ -67,17 +67,26 @@ impl RecordFile {
 
     /// Reads `length` bytes from here, which must be in the file.
     pub(super) fn read(&mut self, length: u64) -> io::Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        self.read_into(&mut bytes, length)?;
+        Ok(bytes)
+    }
+
+    /// The same into memory that is used again.
+    pub(super) fn read_into(&mut self, bytes: &mut Vec<u8>, length: u64) -> io::Result<()> {
+        bytes.clear();
         let available = self.length.saturating_sub(self.position);
         if length > available {
-            return Err(io::Error::new(
-                io::ErrorKind::UnexpectedEof,
-                format!("{length} bytes expected at byte {}, {available} are there", self.position),
-            ));
+            return Err(too_short(length, self.position, available));
         }
-        let mut bytes = vec![0; usize::try_from(length).map_err(io::Error::other)?];
-        self.input.read_exact(&mut bytes)?;
+        bytes.reserve(usize::try_from(length).map_err(io::Error::other)?);
+        let read = self.input.by_ref().take(length).read_to_end(bytes)? as u64;
+        if read < length {
+            // It was cut off meanwhile.
+            return Err(too_short(length, self.position, read));
+        }
         self.position += length;
-        Ok(bytes)
+        Ok(())
     }
 
     /// Reads a record, opcode and length included.
@@ -106,4 +115,9 @@ impl RecordFile {
         }
         Ok(Next::Record(place))
     }
+}
+
+fn too_short(expected: u64, at: u64, there: u64) -> io::Error {
+    let found = format!("{expected} bytes expected at byte {at}, {there} are there");
+    io::Error::new(io::ErrorKind::UnexpectedEof, found)
 }

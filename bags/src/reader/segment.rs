@@ -92,10 +92,27 @@ fn content(opcode: u8, body: &[u8]) -> Result<Option<Content<'_>>, String> {
     if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
         return Ok(None);
     }
+    if let (op::MESSAGE, Some(message)) = (opcode, message(body)) {
+        return Ok(Some(message));
+    }
     match parse(opcode, body)? {
         Record::Schema { header, data: Borrowed(data) } => Ok(Some(Content::Schema { header, data })),
         Record::Channel(channel) => Ok(Some(Content::Channel(channel))),
-        Record::Message { header, data: Borrowed(data) } => Ok(Some(Content::Message { header, data })),
         _ => Ok(None),
     }
+}
+
+/// Of all records these are the most: they are taken apart without the general parser.
+fn message(body: &[u8]) -> Option<Content<'_>> {
+    let (channel_id, rest) = body.split_first_chunk()?;
+    let (sequence, rest) = rest.split_first_chunk()?;
+    let (log_time, rest) = rest.split_first_chunk()?;
+    let (publish_time, data) = rest.split_first_chunk()?;
+    let header = MessageHeader {
+        channel_id: u16::from_le_bytes(*channel_id),
+        sequence: u32::from_le_bytes(*sequence),
+        log_time: u64::from_le_bytes(*log_time),
+        publish_time: u64::from_le_bytes(*publish_time),
+    };
+    Some(Content::Message { header, data })
 }
