@@ -27,7 +27,9 @@ pub(crate) fn test() -> anyhow::Result<()> {
     let notes = Notes::new()?;
     steps.step("bags in SQLite", || {
         let package = ["--package", "downbeat-bags", "--features", "sqlite"];
-        run(cargo(&["clippy"]).args(package).args(["--all-targets", "--", "--deny", "warnings"]))?;
+        let clippy = ["clippy", "--package", "downbeat", "--package", "downbeat-bags"];
+        let features = ["--features", "sqlite", "--all-targets", "--", "--deny", "warnings"];
+        run(cargo(&clippy).args(features))?;
         let tests = ["--lib", "--test", "bags", "--", "others", "sqlite"];
         let mut command = cargo(&["test"]);
         command.args(package).args(tests).env("DOWNBEAT_PYTHON", &python);
