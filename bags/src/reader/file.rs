@@ -145,11 +145,16 @@ impl BagFile {
             .iter()
             // A chunk that holds only topics has no messages to index, and times of 0.
             .filter(|chunk| chunk.message_end_time != 0 || !chunk.message_index_offsets.is_empty())
-            .map(|chunk| Segment {
-                offset: chunk.chunk_start_offset,
-                length: chunk.chunk_length,
-                first: chunk.message_start_time,
-                last: chunk.message_end_time,
+            .map(|chunk| {
+                let channels = &chunk.message_index_offsets;
+                Segment {
+                    offset: chunk.chunk_start_offset,
+                    length: chunk.chunk_length,
+                    first: chunk.message_start_time,
+                    last: chunk.message_end_time,
+                    // None stand for a chunk whose messages have no index.
+                    channels: (!channels.is_empty()).then(|| channels.keys().copied().collect()),
+                }
             })
             .collect();
         if let Some(index) = summary.metadata

@@ -66,6 +66,16 @@ impl Selection {
         Self { until, ..self }
     }
 
+    /// Whether such messages may be in a segment.
+    fn concerns(&self, segment: &Segment, topics_of_channels: &HashMap<u16, TopicId>) -> bool {
+        let is_in_time = signed(segment.last) >= self.from && signed(segment.first) <= self.until;
+        let is_wanted = |channel: &u16| {
+            let topic = topics_of_channels.get(channel);
+            topic.is_some_and(|topic| self.topics.as_ref().is_none_or(|topics| topics.contains(topic)))
+        };
+        is_in_time && segment.channels.as_ref().is_none_or(|channels| channels.iter().any(is_wanted))
+    }
+
     fn includes(&self, topic: TopicId, log_time: i64) -> bool {
         (self.from..=self.until).contains(&log_time)
             && self.topics.as_ref().is_none_or(|topics| topics.contains(&topic))
@@ -140,11 +150,9 @@ impl Messages {
                 has_packed_messages: reader.has_packed_messages(),
                 segment: Vec::new(),
             });
-            let is_wanted = |segment: &&Segment| {
-                signed(segment.last) >= selection.from && signed(segment.first) <= selection.until
-            };
-            let wanted = file.segments.iter().filter(is_wanted);
-            segments.extend(wanted.map(|segment| (index, *segment)));
+            let topics = &reader.topics_of_channels[index];
+            let wanted = file.segments.iter().filter(|segment| selection.concerns(segment, topics));
+            segments.extend(wanted.map(|segment| (index, segment.clone())));
         }
         segments.sort_by_key(|(file, segment)| (segment.first, *file, segment.offset));
         Ok(Self {

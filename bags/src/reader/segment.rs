@@ -1,6 +1,7 @@
 //! A stretch of a file that holds messages: a chunk, or a run of messages outside of chunks.
 
 use std::borrow::Cow::{self, Borrowed};
+use std::sync::Arc;
 
 use mcap::records::{self, MessageHeader, Record, op};
 
@@ -13,7 +14,7 @@ use crate::{lz4, zstd};
 const LARGEST_CHUNK: u64 = 1 << 30;
 
 /// Where messages are, and when they were received.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Segment {
     pub(super) offset: u64,
     /// With the headers of its records.
@@ -21,6 +22,8 @@ pub(super) struct Segment {
     /// Earliest and latest log time in it.
     pub(super) first: u64,
     pub(super) last: u64,
+    /// The channels that have messages in it, where the file tells.
+    pub(super) channels: Option<Arc<[u16]>>,
 }
 
 /// A record of a segment.

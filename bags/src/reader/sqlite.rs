@@ -184,7 +184,13 @@ impl SqliteFile {
             let Ok(place) = u64::try_from(id) else { continue };
             *file.counts.entry(*channel).or_default() += 1;
             let time = time(timestamp);
-            let segment = run.get_or_insert(Segment { offset: place, length: 0, first: time, last: time });
+            let segment = run.get_or_insert(Segment {
+                offset: place,
+                length: 0,
+                first: time,
+                last: time,
+                channels: None,
+            });
             segment.length = place - segment.offset + 1;
             segment.first = segment.first.min(time);
             segment.last = segment.last.max(time);

@@ -75,6 +75,6 @@ fn add_segment(segments: &mut Vec<Segment>, place: &Place, (first, last): (u64, 
             run.first = run.first.min(first);
             run.last = run.last.max(last);
         }
-        _ => segments.push(Segment { offset: place.offset, length, first, last }),
+        _ => segments.push(Segment { offset: place.offset, length, first, last, channels: None }),
     }
 }

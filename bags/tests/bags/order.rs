@@ -51,6 +51,32 @@ fn the_files_of_a_split_bag_are_read_as_one_in_the_order_of_their_numbers() {
 }
 
 #[test]
+fn chunks_without_messages_of_the_selected_topics_are_not_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    let ids = [writer.add_topic(topic("/often")).unwrap(), writer.add_topic(topic("/seldom")).unwrap()];
+    for (id, time) in [(ids[0], 1), (ids[1], 2), (ids[0], 3)] {
+        writer.write(id, time, time, &number(time)).unwrap();
+        writer.flush().unwrap();
+    }
+    writer.finish().unwrap();
+    let file = bag.join("bag_0.mcap");
+    let mut bytes = fs::read(&file).unwrap();
+    // Within the data of the first and the last message: the checksums of their chunks are wrong then.
+    for value in [1, 3] {
+        let at = bytes.windows(12).position(|bytes| bytes == number(value)).unwrap();
+        bytes[at + 6] ^= 1;
+    }
+    fs::write(&file, bytes).unwrap();
+    let reader = Reader::open(&bag).unwrap();
+    let read = |topic| reader.messages(Selection::all().topics([topic])).unwrap().collect::<Vec<_>>();
+    let seldom: Vec<i64> = read(ids[1]).iter().map(|message| value(message.as_ref().unwrap())).collect();
+    assert_eq!(seldom, [2]);
+    assert_eq!(read(ids[0]).iter().filter(|message| message.is_err()).count(), 2);
+}
+
+#[test]
 fn a_selection_gives_only_its_topics_from_its_time_on() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
