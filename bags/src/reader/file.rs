@@ -133,6 +133,9 @@ impl BagFile {
         if statistics.message_count > 0 && chunks.is_empty() {
             return Ok(SummaryState::Absent);
         }
+        if !statistics.channel_message_counts.keys().all(|channel| self.describes(*channel)) {
+            return Ok(SummaryState::Absent);
+        }
         let is_consistent = chunks.len() as u64 == u64::from(statistics.chunk_count)
             && statistics.channel_message_counts.values().fold(0_u64, |sum, n| sum.saturating_add(*n))
                 == statistics.message_count
@@ -163,6 +166,12 @@ impl BagFile {
             self.add_metadata(&input.read_record(&place)?);
         }
         Ok(SummaryState::Used)
+    }
+
+    /// Whether a channel and its schema, unless it has none, are known: a summary need not repeat them.
+    fn describes(&self, channel: u16) -> bool {
+        let schema = self.channels.get(&channel).map(|channel| channel.schema_id);
+        schema.is_some_and(|schema| schema == 0 || self.schemas.contains_key(&schema))
     }
 
     /// `false` if the record is not as it should be.

@@ -1,14 +1,16 @@
-//! Bags of others: what `rosbags` and `mcap-ros2-support` write, other storages, compressed files, older metadata.
+//! Bags of others: what `rosbags`, `mcap-ros2-support` and the `mcap` crate write, other storages, compressed files, older metadata.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
 use downbeat_bags::{BagInfo, Comparer, Reader, ReaderError};
+use mcap::records::MessageHeader;
 use serde_json::Value;
 
 use crate::matrix::{Check, Way, With};
-use crate::support::{fixture, messages, noted};
+use crate::support::{fixture, messages, noted, number, value};
 
 #[test]
 fn bags_of_other_writers_are_read_message_by_message() {
@@ -48,6 +50,49 @@ fn bags_of_other_writers_are_read_message_by_message() {
         let info = BagInfo::of(&reader).unwrap().to_string();
         assert!(info.contains("Messages:          400\n"), "{name}: {info}");
         assert!(info.contains("Topic: /chatter | Type: std_msgs/msg/String | Count: 200"), "{name}: {info}");
+    }
+}
+
+#[test]
+fn files_of_the_mcap_crate_are_read_however_it_lays_them_out() {
+    let whole = || mcap::WriteOptions::new().compression(None).profile("ros2").chunk_size(Some(2000));
+    let layouts = [
+        whole(),
+        whole().use_chunks(false),
+        whole().emit_message_indexes(false),
+        whole().emit_chunk_indexes(false),
+        whole().emit_statistics(false),
+        whole().repeat_channels(false).repeat_schemas(false),
+        whole().emit_summary_records(false).emit_summary_offsets(false),
+    ];
+    for (layout, options) in layouts.into_iter().enumerate() {
+        let mut file = std::io::Cursor::new(Vec::new());
+        let mut writer = options.create(&mut file).unwrap();
+        let schema = writer.add_schema("std_msgs/msg/Int64", "ros2msg", b"int64 data\n").unwrap();
+        let channels =
+            ["/a", "/b"].map(|topic| writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).unwrap());
+        for n in 0..200_u32 {
+            let channel_id = channels[usize::from(n % 10 == 0)];
+            let (log_time, publish_time) = (u64::from(n), u64::from(n / 2));
+            let header = MessageHeader { channel_id, sequence: n, log_time, publish_time };
+            writer.write_to_known_channel(&header, &number(n.into())).unwrap();
+        }
+        let name = "calibration".to_owned();
+        let data = vec![1; 100].into();
+        let (log_time, create_time, media_type) = (1, 2, "application/octet-stream".to_owned());
+        writer.attach(&mcap::Attachment { log_time, create_time, name, media_type, data }).unwrap();
+        writer.finish().unwrap();
+        drop(writer);
+        let reader = Reader::from_bytes("of_the_crate.mcap", file.into_inner()).unwrap();
+        assert_eq!(reader.truncation().next(), None, "layout {layout}");
+        let read: Vec<_> = messages(&reader)
+            .iter()
+            .map(|message| (message.topic.index(), message.log_time, message.publish_time, value(message)))
+            .collect();
+        let written: Vec<_> = (0..200).map(|n| (usize::from(n % 10 == 0), n, n / 2, n)).collect();
+        assert_eq!(read, written, "layout {layout}");
+        let counts: Vec<u64> = reader.topics().iter().map(|topic| topic.message_count).collect();
+        assert_eq!(counts, [180, 20], "layout {layout}");
     }
 }
 
