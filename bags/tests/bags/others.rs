@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use downbeat_bags::{BagInfo, Comparer, Reader, ReaderError};
+use downbeat_bags::{BagInfo, Comparer, Reader, ReaderError, check};
 use mcap::records::MessageHeader;
 use serde_json::Value;
 
@@ -50,6 +50,26 @@ fn bags_of_other_writers_are_read_message_by_message() {
         let info = BagInfo::of(&reader).unwrap().to_string();
         assert!(info.contains("Messages:          400\n"), "{name}: {info}");
         assert!(info.contains("Topic: /chatter | Type: std_msgs/msg/String | Count: 200"), "{name}: {info}");
+    }
+}
+
+#[test]
+fn test_bags_of_rosbags_rs_are_read_message_by_message() {
+    let mut bags = vec!["rosbags_rs/test_bag_mcap"];
+    if cfg!(feature = "sqlite") {
+        bags.push("rosbags_rs/test_bag_sqlite3");
+    }
+    for bag in bags {
+        let reader = Reader::open(fixture(bag)).unwrap();
+        assert_eq!(reader.truncation().next(), None, "{bag}");
+        let counts: Vec<u64> = reader.topics().iter().map(|topic| topic.message_count).collect();
+        assert_eq!(counts, [2; 94], "{bag}: two messages of each type");
+        let found = check(&reader, |_| {}).unwrap();
+        assert_eq!(found.messages, 188, "{bag}");
+        if reader.storage_identifier() == "mcap" {
+            // It has no definition of std_msgs/msg/Empty, of which there is none to have.
+            assert_eq!(found.decoded, 186, "{bag}: {:?}", found.problems);
+        }
     }
 }
 
