@@ -133,15 +133,20 @@ fn a_bag_that_deletes_its_oldest_files_records_on_a_disk_of_any_size() {
     let bag = disk.path.join("bag");
     let limits = SplitLimits { max_bytes: Some(50_000), ..SplitLimits::NONE };
     let options = WriterOptions::new().chunk_size(10_000).split(limits);
+    assert_keeps_the_newest(&bag, options);
+}
+
+/// Records more than there is room for into three files at the most.
+fn assert_keeps_the_newest(bag: &Path, options: WriterOptions) {
     let options = options.max_bag_files(std::num::NonZeroUsize::new(3).unwrap());
-    let mut writer = options.create(&bag).unwrap();
+    let mut writer = options.create(bag).unwrap();
     let id = writer.add_topic(topic("/numbers")).unwrap();
     for n in 0..3000 {
         writer.write(id, n, n, &large(n)).unwrap();
     }
     let summary = writer.finish().unwrap();
     assert_eq!(summary.message_count() + summary.deleted, 3000);
-    assert_eq!(read(&bag), (summary.deleted as i64..3000).collect::<Vec<_>>());
+    assert_eq!(read(bag), (summary.deleted as i64..3000).collect::<Vec<_>>());
 }
 
 #[test]
@@ -224,13 +229,5 @@ fn a_bag_in_sqlite_that_deletes_its_oldest_files_records_on_a_disk_of_any_size()
     let limits = SplitLimits { max_bytes: Some(100_000), ..SplitLimits::NONE };
     let options = WriterOptions::new().storage(downbeat_bags::SqliteOptions::default());
     let options = options.chunk_size(10_000).split(limits);
-    let options = options.max_bag_files(std::num::NonZeroUsize::new(3).unwrap());
-    let mut writer = options.create(&bag).unwrap();
-    let id = writer.add_topic(topic("/numbers")).unwrap();
-    for n in 0..3000 {
-        writer.write(id, n, n, &large(n)).unwrap();
-    }
-    let summary = writer.finish().unwrap();
-    assert_eq!(summary.message_count() + summary.deleted, 3000);
-    assert_eq!(read(&bag), (summary.deleted as i64..3000).collect::<Vec<_>>());
+    assert_keeps_the_newest(&bag, options);
 }

@@ -57,7 +57,12 @@ pub fn kill(mut child: Child) {
 #[test]
 fn child_records_flushes_and_goes_on() {
     let Some(bag) = std::env::var_os(BAG) else { return };
-    let mut writer = WriterOptions::new().flush_interval(std::time::Duration::MAX).create(bag).unwrap();
+    write_flush_and_go_on(WriterOptions::new(), bag.as_ref());
+}
+
+/// Writes 1000 messages that are flushed and 100 that are not, says so, and waits for its end.
+pub fn write_flush_and_go_on(options: WriterOptions, bag: &Path) {
+    let mut writer = options.flush_interval(std::time::Duration::MAX).create(bag).unwrap();
     write_numbers(&mut writer, 1000);
     writer.flush().unwrap();
     let id = writer.add_topic(topic("/numbers")).unwrap();

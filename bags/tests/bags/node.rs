@@ -6,10 +6,11 @@ use std::process::Command;
 
 use downbeat_bags::{Compression, McapOptions, RecordingSummary, TopicInfo, WriterOptions};
 use downbeat_msgs::qos::QosProfile;
-use downbeat_msgs::{Message, cdr, sensor_msgs, std_msgs, std_srvs};
+use downbeat_msgs::{cdr, sensor_msgs, std_msgs, std_srvs};
 use serde_json::{Value, json};
 
 use crate::matrix::{Way, With};
+use crate::python::topic;
 use crate::support::noted;
 
 /// What `read_bag.mjs` prints of a bag file; `None` where there is no Node.js.
@@ -30,17 +31,6 @@ fn read_with_node(file: &Path) -> Option<Value> {
         .unwrap_or_else(|error| panic!("cannot run node: {error}"));
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     Some(serde_json::from_slice(&output.stdout).unwrap())
-}
-
-fn topic<M: Message>(name: &str, qos: QosProfile) -> TopicInfo {
-    TopicInfo {
-        name: name.to_owned(),
-        type_name: M::TYPE_NAME.to_owned(),
-        definition: M::DEFINITION.to_owned(),
-        type_hash: M::TYPE_HASH.to_owned(),
-        offered_qos: vec![qos.into()],
-        format: None,
-    }
 }
 
 /// A bag with many chunks, what its writer reported, and its messages as the readers tell them.

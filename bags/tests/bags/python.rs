@@ -12,7 +12,8 @@ use serde_json::{Value, json};
 use crate::matrix::{Way, With};
 use crate::support::noted;
 
-fn topic<M: Message>(name: &str, qos: QosProfile) -> TopicInfo {
+/// A topic of messages of that type.
+pub fn topic<M: Message>(name: &str, qos: QosProfile) -> TopicInfo {
     TopicInfo {
         name: name.to_owned(),
         type_name: M::TYPE_NAME.to_owned(),

@@ -15,7 +15,7 @@ use downbeat_msgs::encoding::Schema;
 use rusqlite::types::Value;
 use rusqlite::{Connection, OpenFlags};
 
-use crate::interrupted::{BAG, child, kill, say, stay, wait_for};
+use crate::interrupted::{BAG, child, kill, say, wait_for, write_flush_and_go_on};
 use crate::python::read_with_python;
 use crate::support::{fixture, messages, number, topic, value, write_numbers};
 
@@ -188,15 +188,7 @@ fn the_oldest_file_is_deleted_when_there_would_be_too_many() {
 #[test]
 fn child_commits_and_goes_on() {
     let Some(bag) = std::env::var_os(BAG) else { return };
-    let mut writer = options().flush_interval(Duration::MAX).create(bag).unwrap();
-    write_numbers(&mut writer, 1000);
-    writer.flush().unwrap();
-    let id = writer.add_topic(topic("/numbers")).unwrap();
-    for n in 1000..1100 {
-        writer.write(id, 1_000_000 * n, 1_000_000 * n, &number(n)).unwrap();
-    }
-    say("1100 written");
-    stay();
+    write_flush_and_go_on(options(), bag.as_ref());
 }
 
 #[test]
