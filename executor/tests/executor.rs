@@ -322,6 +322,29 @@ fn a_detached_module_receives_whole_batches_and_its_steps_can_be_followed() {
 }
 
 #[test]
+fn a_detached_module_runs_once_for_all_topics_of_a_cycle() {
+    const TOPICS: usize = 100;
+    let mut core = Core::new();
+    let name = |number: usize| format!("numbers_{number}");
+    let inlets: Vec<_> = (0..TOPICS).map(|number| core.inlet::<u64>(&name(number)).unwrap()).collect();
+    let listener = lambda(move |setup| {
+        (0..TOPICS).try_for_each(|number| setup.subscribe(&name(number), |_, _: Received<'_, u64>, _| ()))
+    });
+    let detached = Synchrony::Detached(Inbox::KeepAll);
+    core.add_with("listener", listener, ModuleOptions { synchrony: detached, ..ModuleOptions::default() })
+        .unwrap();
+    let steps = listen::<DetachedStep>(&mut core, DetachedStep::TOPIC);
+    for _ in 0..20 {
+        inlets.iter().for_each(|inlet| inlet.publish(1).unwrap());
+        core.cycle().unwrap();
+    }
+    core.stop();
+    let topics = steps.try_iter().map(|step| step.inputs.len());
+    let topics: Vec<_> = topics.filter(|&count| count > 0).collect();
+    assert!(!topics.is_empty() && topics.iter().all(|&count| count == TOPICS), "{topics:?}");
+}
+
+#[test]
 fn a_full_inbox_of_a_detached_module_drops_the_oldest_and_counts_it() {
     let mut core = Core::new();
     let inlet = core.inlet::<u64>("numbers").unwrap();

@@ -35,6 +35,8 @@ pub(crate) struct DetachedModule {
     role: Role,
     cell: Option<ModuleCell>,
     mailbox: Arc<Mailbox>,
+    /// What this sync phase has for it so far.
+    outgoing: Vec<Delivery>,
     parker: Option<Parker>,
     thread: Option<Thread>,
     options: ThreadOptions,
@@ -67,6 +69,7 @@ impl DetachedModule {
             role: options.role,
             cell: Some(cell),
             mailbox: Arc::new(Mailbox { contents: Mutex::default(), owner, capacity }),
+            outgoing: Vec::new(),
             parker: Some(parker),
             thread: None,
             options: options.thread.clone(),
@@ -100,12 +103,23 @@ impl DetachedModule {
         Ok(())
     }
 
-    pub(crate) fn deliver(&self, mut delivery: Delivery) {
-        let mut contents = self.mailbox.lock();
-        if let Inbox::KeepLast(limit) = self.mailbox.capacity {
-            delivery.missed = contents.make_room(delivery.topic, limit.get());
+    /// Has the batch delivered with the next [`dispatch`](Self::dispatch).
+    pub(crate) fn deliver(&mut self, delivery: Delivery) {
+        self.outgoing.push(delivery);
+    }
+
+    /// Delivers all batches of a sync phase at once: the module wakes for all of them, and runs, and joins, once.
+    pub(crate) fn dispatch(&mut self) {
+        if self.outgoing.is_empty() {
+            return;
         }
-        contents.deliveries.push_back(delivery);
+        let mut contents = self.mailbox.lock();
+        for mut delivery in self.outgoing.drain(..) {
+            if let Inbox::KeepLast(limit) = self.mailbox.capacity {
+                delivery.missed = contents.make_room(delivery.topic, limit.get());
+            }
+            contents.deliveries.push_back(delivery);
+        }
         drop(contents);
         self.mailbox.owner.unpark();
     }

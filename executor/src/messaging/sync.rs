@@ -70,18 +70,25 @@ fn take_outboxes(phase: &mut SyncPhase<'_>) {
 fn distribute(phase: &mut SyncPhase<'_>) {
     let SyncPhase { stage, world, .. } = phase;
     let topics = &stage.shared.topics;
+    let mut is_any_detached = false;
     for &topic in topics.fresh() {
         for subscriber in topics.subscribers(topic) {
             match *subscriber {
                 Subscriber::Attached(slot) => world.agenda.wake(slot),
-                Subscriber::Detached(slot) => deliver(topics, topic, world.detached[slot].as_ref()),
+                Subscriber::Detached(slot) => {
+                    is_any_detached = true;
+                    deliver(topics, topic, world.detached[slot].as_mut());
+                }
             }
         }
+    }
+    if is_any_detached {
+        world.detached.iter_mut().flatten().for_each(DetachedModule::dispatch);
     }
 }
 
 #[inline(never)]
-fn deliver(topics: &Topics, topic: usize, module: Option<&DetachedModule>) {
+fn deliver(topics: &Topics, topic: usize, module: Option<&mut DetachedModule>) {
     if let Some(module) = module {
         let (batch, messages) = topics.share(topic);
         module.deliver(Delivery { topic, batch, messages, missed: 0 });
