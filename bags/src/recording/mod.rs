@@ -304,7 +304,7 @@ fn add_losses(summary: &mut RecordingSummary, queued: &[QueuedTopic]) {
 
 fn write_all(shared: &Shared, writer: &mut Writer) -> Result<(), WriterError> {
     let mut batch = Vec::new();
-    let (mut written, mut noted) = (0, 0);
+    let (mut written, mut noted, mut told) = (0, 0, writer.changes());
     loop {
         note_losses(shared, writer, &mut noted);
         let timeout = writer.flush_if_due().inspect_err(|_| shared.queue.abandon([]))?;
@@ -323,7 +323,10 @@ fn write_all(shared: &Shared, writer: &mut Writer) -> Result<(), WriterError> {
                 }
             }
         }
-        *shared.progress.lock().unwrap_or_else(PoisonError::into_inner) = Progress::of(writer);
+        if told != writer.changes() {
+            told = writer.changes();
+            *shared.progress.lock().unwrap_or_else(PoisonError::into_inner) = Progress::of(writer);
+        }
     }
 }
 

@@ -20,6 +20,9 @@ const OVERHEAD: usize = size_of::<Item>();
 /// How many items the writing thread takes at a time.
 const BATCH: usize = 256;
 
+/// How long the writing thread lets a batch fill up once it has begun: waking for each message costs more than writing it.
+const LINGER: Duration = Duration::from_millis(5);
+
 pub(super) enum Item {
     /// Boxed, since every message takes as much room in the queue as the largest item.
     Topic(Box<TopicInfo>),
@@ -41,6 +44,11 @@ impl Item {
             Self::Message { data, .. } => OVERHEAD + data.len(),
             Self::Topic(_) | Self::Split(_) | Self::Flush(_) => OVERHEAD,
         }
+    }
+
+    /// Whether somebody may wait for it.
+    fn is_urgent(&self) -> bool {
+        !matches!(self, Self::Message { .. })
     }
 
     /// When a message was received.
@@ -77,6 +85,12 @@ pub(super) struct State {
     /// Closed since a message found no room.
     pub(super) is_overrun: bool,
     is_closed: bool,
+    /// How many items wake the writing thread, nothing while it does not wait.
+    wakes_at: Option<usize>,
+    /// Producers that wait for room.
+    blocked: usize,
+    /// Topics, splits and flushes in the queue: somebody may wait for them.
+    urgent: usize,
 }
 
 impl State {
@@ -169,7 +183,7 @@ impl Queue {
 
     /// Waits until there is room, and queues the message.
     pub(super) fn add(&self, topic: TopicId, item: Item) -> Result<(), RecordError> {
-        let state = self.lock();
+        let mut state = self.lock();
         if state.ring.is_some() {
             drop(state);
             // The oldest makes room at once.
@@ -177,7 +191,12 @@ impl Queue {
         }
         let waiting =
             |state: &mut State| !state.is_closed && !state.is_paused && !self.has_room(state, &item);
-        let mut state = self.drained.wait_while(state, waiting).unwrap_or_else(PoisonError::into_inner);
+        if waiting(&mut state) {
+            state.blocked += 1;
+            self.wake_if(&mut state, |_| true);
+            state = self.drained.wait_while(state, waiting).unwrap_or_else(PoisonError::into_inner);
+            state.blocked -= 1;
+        }
         if state.topics.get(topic.index()).is_none() {
             return Err(RecordError::UnknownTopic);
         }
@@ -197,9 +216,7 @@ impl Queue {
         if state.is_closed {
             return Err(item);
         }
-        state.queued_bytes += item.cost();
-        state.items.push_back(item);
-        self.filled.notify_one();
+        self.put(&mut state, item);
         Ok(())
     }
 
@@ -210,10 +227,9 @@ impl Queue {
         let State { ring: Some(ring), items, queued_bytes, is_closed: false, .. } = &mut *state else {
             return Err(request);
         };
-        *queued_bytes += ring.bytes() + request.cost();
+        *queued_bytes += ring.bytes();
         items.extend(ring.drain());
-        items.push_back(request);
-        self.filled.notify_one();
+        self.put(&mut state, request);
         Ok(())
     }
 
@@ -250,6 +266,7 @@ impl Queue {
             }
         }
         state.queued_bytes = 0;
+        state.urgent = 0;
         // Under the same lock, else a message could come in between and never be counted.
         self.close_locked(&mut state);
     }
@@ -258,24 +275,44 @@ impl Queue {
     pub(super) fn take(&self, batch: &mut Vec<Item>, written: usize, timeout: Option<Duration>) -> Work {
         let mut state = self.lock();
         state.queued_bytes = state.queued_bytes.saturating_sub(written);
-        if written > 0 {
+        if written > 0 && state.blocked > 0 {
             self.drained.notify_all();
         }
-        let is_idle = |state: &mut State| state.items.is_empty() && !state.is_closed;
-        let mut state = match timeout {
-            None => self.filled.wait_while(state, is_idle).unwrap_or_else(PoisonError::into_inner),
-            Some(timeout) => {
-                let waited = self.filled.wait_timeout_while(state, timeout, is_idle);
-                waited.unwrap_or_else(PoisonError::into_inner).0
-            }
-        };
+        let mut state = self.wait_for(1, state, timeout);
+        if !state.items.is_empty() {
+            let linger = timeout.map_or(LINGER, |timeout| timeout.min(LINGER));
+            state = self.wait_for(BATCH, state, Some(linger));
+        }
         let count = state.items.len().min(BATCH);
         batch.extend(state.items.drain(..count));
+        state.urgent = state.urgent.saturating_sub(batch.iter().filter(|item| item.is_urgent()).count());
         match (count, state.is_closed) {
             (0, true) => Work::End,
             (0, false) => Work::TimedOut,
             _ => Work::Write,
         }
+    }
+
+    /// Waits until there are so many items, one that is urgent, or little room for more.
+    fn wait_for<'a>(
+        &self,
+        count: usize,
+        state: MutexGuard<'a, State>,
+        timeout: Option<Duration>,
+    ) -> MutexGuard<'a, State> {
+        let is_waiting = |state: &mut State| {
+            let is_pressing = state.urgent > 0 || state.blocked > 0 || self.is_half_full(state);
+            let is_waiting = state.items.len() < count && !is_pressing && !state.is_closed;
+            state.wakes_at = is_waiting.then_some(count);
+            is_waiting
+        };
+        let Some(timeout) = timeout else {
+            return self.filled.wait_while(state, is_waiting).unwrap_or_else(PoisonError::into_inner);
+        };
+        let waited = self.filled.wait_timeout_while(state, timeout, is_waiting);
+        let mut state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        state.wakes_at = None;
+        state
     }
 
     pub(super) fn cost(batch: &[Item]) -> usize {
@@ -290,6 +327,10 @@ impl Queue {
         state.queued_bytes == 0 || state.queued_bytes + item.cost() <= self.limit
     }
 
+    fn is_half_full(&self, state: &State) -> bool {
+        state.queued_bytes >= self.limit / 2 && !state.items.is_empty()
+    }
+
     fn close_locked(&self, state: &mut State) {
         state.is_closed = true;
         self.filled.notify_all();
@@ -300,9 +341,25 @@ impl Queue {
         if let (Some(ring), Item::Message { .. }) = (&mut state.ring, &item) {
             return ring.push(item);
         }
+        self.put(state, item);
+    }
+
+    fn put(&self, state: &mut State, item: Item) {
         state.queued_bytes += item.cost();
+        state.urgent += usize::from(item.is_urgent());
         state.items.push_back(item);
-        self.filled.notify_one();
+        self.wake_if(state, |state| {
+            let is_enough = state.wakes_at.is_some_and(|count| state.items.len() >= count);
+            is_enough || state.urgent > 0 || self.is_half_full(state)
+        });
+    }
+
+    /// Wakes the writing thread if it waits and should not: telling costs a system call even where nobody waits.
+    fn wake_if(&self, state: &mut State, is_due: impl FnOnce(&State) -> bool) {
+        if state.wakes_at.is_some() && is_due(state) {
+            state.wakes_at = None;
+            self.filled.notify_one();
+        }
     }
 }
 

@@ -13,7 +13,7 @@ use super::{McapOptions, records};
 #[derive(Default)]
 pub(super) struct Chunk {
     content: Vec<u8>,
-    /// Where the messages of each channel are in `content`.
+    /// Where the messages of each channel are in `content`; of a channel that had some before perhaps none.
     messages: BTreeMap<u16, Vec<MessageIndexEntry>>,
     /// Earliest and latest log time.
     times: Option<(u64, u64)>,
@@ -31,7 +31,12 @@ impl Chunk {
 
     /// The number of messages of each channel.
     pub(super) fn counts(&self) -> impl Iterator<Item = (u16, u64)> {
-        self.messages.iter().map(|(channel, entries)| (*channel, entries.len() as u64))
+        self.indices().map(|(channel, entries)| (channel, entries.len() as u64))
+    }
+
+    fn indices(&self) -> impl Iterator<Item = (u16, &Vec<MessageIndexEntry>)> {
+        let channels = self.messages.iter().map(|(channel, entries)| (*channel, entries));
+        channels.filter(|(_, entries)| !entries.is_empty())
     }
 
     /// Earliest and latest log time.
@@ -57,7 +62,7 @@ impl Chunk {
     /// Makes it empty and keeps its room.
     pub(super) fn clear(&mut self) {
         self.content.clear();
-        self.messages.clear();
+        self.messages.values_mut().for_each(Vec::clear);
         self.times = None;
     }
 
@@ -92,10 +97,10 @@ impl Chunk {
         let chunk_length = (content_at + content.len()) as u64;
         let mut message_index_offsets = BTreeMap::new();
         if options.has_message_index {
-            for (channel, entries) in &self.messages {
+            for (channel, entries) in self.indices() {
                 let offset = position + (frame.len() + content.len()) as u64;
-                message_index_offsets.insert(*channel, offset);
-                records::message_index(frame, *channel, entries)?;
+                message_index_offsets.insert(channel, offset);
+                records::message_index(frame, channel, entries)?;
             }
         }
         let index = ChunkIndex {

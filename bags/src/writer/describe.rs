@@ -38,6 +38,11 @@ impl Writer {
         }
     }
 
+    /// How often what [`summary`](Self::summary) tells has changed.
+    pub(crate) fn changes(&self) -> u64 {
+        self.changes
+    }
+
     pub(super) fn metadata(&self) -> Metadata {
         let times = self.times();
         Metadata {

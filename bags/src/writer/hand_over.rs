@@ -12,6 +12,7 @@ impl Writer {
         if self.open_since.is_none() {
             return Ok(());
         }
+        self.changes += 1;
         match self.file.flush() {
             Ok(()) => {
                 self.count_open_chunk();

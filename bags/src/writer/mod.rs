@@ -79,6 +79,8 @@ pub struct Writer {
     /// Whether the last chunk found no room.
     is_disk_full: bool,
     on_split: Option<SplitHandler>,
+    /// How often what [`Writer::summary`] tells has changed.
+    changes: u64,
     state: State,
 }
 
@@ -150,6 +152,7 @@ impl Writer {
         let channel = self.file.add_topic(&info).map_err(|source| self.fail(source))?;
         self.topics.push(Topic { info, channel, written: 0, open: 0, lost: 0, refused: 0 });
         self.metadata_has_all_topics = false;
+        self.changes += 1;
         Ok(id)
     }
 
@@ -261,6 +264,7 @@ impl Writer {
             deleted: 0,
             is_disk_full: false,
             on_split: None,
+            changes: 0,
             state: State::Recording,
         };
         let metadata = writer.metadata();

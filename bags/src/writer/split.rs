@@ -65,6 +65,7 @@ impl Writer {
 
     pub(super) fn split_at(&mut self, now: Instant) -> Result<FileSplit, WriterError> {
         self.check_recording()?;
+        self.changes += 1;
         self.hand_over()?;
         // Before the file is ended: on a full disk this makes the room for its end.
         let most = self.options.max_bag_files.map_or(usize::MAX, std::num::NonZeroUsize::get);

@@ -14,7 +14,7 @@ use crate::python::topic;
 use crate::support::noted;
 
 /// What `read_bag.mjs` prints of a bag file; `None` where there is no Node.js.
-fn read_with_node(file: &Path) -> Option<Value> {
+pub(crate) fn read_with_node(file: &Path) -> Option<Value> {
     let Some(modules) = std::env::var_os("DOWNBEAT_NODE_MODULES") else {
         // Past the capture of test output, which shows nothing of a test that passes.
         let line =
@@ -31,6 +31,12 @@ fn read_with_node(file: &Path) -> Option<Value> {
         .unwrap_or_else(|error| panic!("cannot run node: {error}"));
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     Some(serde_json::from_slice(&output.stdout).unwrap())
+}
+
+/// A message as `read_bag.mjs` tells it.
+pub(crate) fn told(topic: &str, log_time: i64, publish_time: i64, data: &[u8]) -> Value {
+    let hex: String = data.iter().map(|byte| format!("{byte:02x}")).collect();
+    json!([topic, log_time.to_string(), publish_time.to_string(), hex])
 }
 
 /// A bag with many chunks, what its writer reported, and its messages as the readers tell them.
@@ -62,8 +68,7 @@ fn write(bag: &Path, compression: Compression) -> (RecordingSummary, Vec<TopicIn
             let publish_time = 1_700_000_000_000_000_001 + 8_000_000 * n + index as i64;
             let log_time = publish_time + 500;
             writer.write(ids[index], log_time, publish_time, &data).unwrap();
-            let hex: String = data.iter().map(|byte| format!("{byte:02x}")).collect();
-            messages.push(json!([topics[index].name, log_time.to_string(), publish_time.to_string(), hex]));
+            messages.push(told(&topics[index].name, log_time, publish_time, &data));
         }
     }
     (writer.finish().unwrap(), topics.into(), messages)
