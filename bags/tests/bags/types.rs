@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 use self::exact::{first_difference, from_exact};
 use self::random::random_message;
 use crate::matrix::{Way, With};
+use crate::node::{read_with_node, told};
 use crate::python::read_with_python;
 use crate::support::noted;
 
@@ -23,6 +24,9 @@ mod random;
 
 const SEED: u64 = 0xba65;
 const VALUES_PER_TYPE: usize = 4;
+/// When messages were received, in nanoseconds.
+const START: i64 = 1_700_000_000_000_000_000;
+const PERIOD: i64 = 1_000_000;
 
 /// A carried type.
 struct Type {
@@ -131,7 +135,7 @@ fn write_bags(folder: &Path, types: &[Type]) -> BTreeMap<String, Vec<Value>> {
 fn write(bag: &Path, types: &[&Type]) -> BTreeMap<String, Vec<Value>> {
     let mut writer = WriterOptions::new().chunk_size(50_000).create(bag).unwrap();
     let mut values: BTreeMap<String, Vec<Value>> = BTreeMap::new();
-    let mut time = 1_700_000_000_000_000_000;
+    let mut time = START;
     for of in types {
         let info = TopicInfo {
             name: of.topic(),
@@ -143,7 +147,7 @@ fn write(bag: &Path, types: &[&Type]) -> BTreeMap<String, Vec<Value>> {
         let id = writer.add_topic(info).unwrap();
         for number in 0..VALUES_PER_TYPE {
             let value = random_message(carried(), &of.name.parse().unwrap(), SEED, number);
-            time += 1_000_000;
+            time += PERIOD;
             writer.write(id, time, time, &(of.write)(&value)).unwrap();
             values.entry(of.topic()).or_default().push(value);
         }
@@ -196,6 +200,42 @@ fn others_decode_values_of_every_carried_type() {
         }
         let is_exception = (reader.exception)(types[0]).is_some();
         assert!(is_exception || decoded * 2 > types.len(), "{} decoded {decoded} of {kind}", reader.name);
+    }
+}
+
+/// What a viewer decodes by, and the bytes that it decodes.
+#[test]
+fn mcap_core_reads_every_message_of_every_carried_type() {
+    let types = every_type();
+    let folder = tempfile::tempdir().unwrap();
+    let values = write_bags(folder.path(), &types);
+    let check = noted("every message of every carried type", With::McapCore, Way::Out);
+    for (bag, is_event) in [("messages", false), ("events", true)] {
+        let file = folder.path().join(format!("{bag}/{bag}_0.mcap"));
+        let Some(read) = read_with_node(&file) else { return check.skipped() };
+        let types: Vec<&Type> = types.iter().filter(|of| of.is_event() == is_event).collect();
+        let mut time = START;
+        let mut messages = Vec::new();
+        for of in &types {
+            for value in &values[&of.topic()] {
+                time += PERIOD;
+                messages.push(told(&of.topic(), time, time, &(of.write)(value)));
+            }
+        }
+        for by in ["indexed", "streamed"] {
+            let read = &read[by];
+            assert_eq!(read["error"], Value::Null, "{bag}, {by}");
+            assert!(
+                *read["messages"].as_array().unwrap() == messages,
+                "{bag}, {by}: the messages are others"
+            );
+            for of in &types {
+                let channel = &read["channels"][of.topic()];
+                assert_eq!(channel["schema"]["name"], of.name, "{bag}, {by}");
+                assert_eq!(channel["schema"]["text"], of.definition, "{bag}, {by}");
+                assert_eq!(channel["metadata"]["topic_type_hash"], of.hash, "{bag}, {by}");
+            }
+        }
     }
 }
 
