@@ -62,7 +62,8 @@ pub enum WriteError {
     /// The send window is full: a reliable reader does not acknowledge.
     #[error("the send window is full: a reliable reader does not acknowledge (its process may have died)")]
     WindowFull,
-    /// The participant is not in its domain at this moment.
+    /// The participant is not in its domain at this moment. A writer that is transient local writes the sample when it is
+    /// there again.
     #[error("the participant is joining its domain again after it lost touch")]
     Away,
     /// The payload does not begin with an encapsulation header the engine can send.

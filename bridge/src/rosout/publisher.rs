@@ -11,14 +11,10 @@ use downbeat_msgs::{Message, cdr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
 use thiserror::Error;
 
 /// Absolute: all nodes publish on one topic, whatever their namespace.
 pub const TOPIC: &str = "/rosout";
-
-/// How often it is tried again while the participant is away, some 100 ms.
-const RETRY: Duration = Duration::from_millis(20);
 
 /// `/rosout` could not be published.
 #[derive(Debug, Error)]
@@ -89,9 +85,9 @@ impl Sender {
             // Read before the lines, so that what was logged before the end is sent.
             let is_last = is_ending.load(Ordering::Acquire);
             while let Some(line) = self.rosout.take() {
-                self.send(&line, &parker, is_ending);
+                self.send(&line);
             }
-            self.tell_what_is_missing(&parker, is_ending);
+            self.tell_what_is_missing();
             if is_last {
                 break;
             }
@@ -102,23 +98,16 @@ impl Sender {
         *rosout.parker() = Some(parker);
     }
 
-    /// Sends a line, after the participant has joined its domain again if it is just doing that.
-    fn send(&self, line: &LogLine, parker: &Parker, is_ending: &AtomicBool) {
+    fn send(&self, line: &LogLine) {
         let counters = &self.rosout.shared;
-        loop {
-            match self.publish(line) {
-                Ok(()) => drop(counters.published.fetch_add(1, Ordering::Relaxed)),
-                Err(WriteError::Away) if !is_ending.load(Ordering::Acquire) => {
-                    parker.park_timeout(RETRY);
-                    continue;
-                }
-                Err(error) => {
-                    if counters.failed.fetch_add(1, Ordering::Relaxed) == 0 {
-                        tracing::warn!(%error, "a line was not sent on {TOPIC}; from now on this is only counted");
-                    }
+        match self.publish(line) {
+            // A line that comes while the participant is away is latched, and sent when it has joined its domain again.
+            Ok(()) | Err(WriteError::Away) => drop(counters.published.fetch_add(1, Ordering::Relaxed)),
+            Err(error) => {
+                if counters.failed.fetch_add(1, Ordering::Relaxed) == 0 {
+                    tracing::warn!(%error, "a line was not sent on {TOPIC}; from now on this is only counted");
                 }
             }
-            return;
         }
     }
 
@@ -129,13 +118,13 @@ impl Sender {
         }
     }
 
-    fn tell_what_is_missing(&mut self, parker: &Parker, is_ending: &AtomicBool) {
+    fn tell_what_is_missing(&mut self) {
         let dropped = self.rosout.status().dropped;
         let missing = dropped.saturating_sub(self.missing);
         if missing > 0 {
             self.missing = dropped;
             let text = format!("{missing} lines are missing here: more were logged at once than could wait");
-            self.send(&LogLine::now(Severity::Warn, text), parker, is_ending);
+            self.send(&LogLine::now(Severity::Warn, text));
         }
     }
 }

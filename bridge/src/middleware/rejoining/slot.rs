@@ -8,7 +8,7 @@ use crate::middleware::{
 use bytes::Bytes;
 use downbeat_msgs::qos::{Durability, History};
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::Duration;
 
 /// What a writer that keeps all its samples writes again at most.
@@ -139,9 +139,10 @@ impl WriterSlot {
         Ok(self.slot.put(writer.gid(), writer))
     }
 
-    fn keep(&self, cdr: &Bytes) {
+    /// Held until the sample is written, so that a writer that comes in between does not write it, too.
+    fn keep(&self, cdr: &Bytes) -> Option<MutexGuard<'_, VecDeque<Bytes>>> {
         if self.endpoint.qos.durability != Durability::TransientLocal {
-            return;
+            return None;
         }
         let depth = match self.endpoint.qos.history {
             History::KeepLast(depth) => depth as usize,
@@ -152,6 +153,7 @@ impl WriterSlot {
         if latched.len() > depth {
             latched.pop_front();
         }
+        Some(latched)
     }
 }
 
@@ -235,7 +237,7 @@ impl Writer for RejoiningWriter {
     }
 
     fn write_with(&self, cdr: Bytes, options: WriteOptions) -> Result<i64, WriteError> {
-        self.0.keep(&cdr);
+        let _kept = self.0.keep(&cdr);
         let written = match &self.0.slot.read().endpoint {
             Some(writer) => writer.write_with(cdr, options),
             None => Err(WriteError::Away),
