@@ -138,3 +138,22 @@ fn we_call_a_service_of_cyclone() {
         );
     }
 }
+
+#[test]
+fn no_request_of_a_fresh_client_is_lost_at_a_server_of_cyclone() {
+    const CLIENTS: usize = 30;
+    let Some(mut cyclone) = Peer::cyclonedds(210) else { return };
+    let _check = check("Services", "first request of a fresh client", With::Cyclone, Way::Out);
+    let node = downbeat(210);
+    cyclone.ask(json!({"do": "serve", "service": "/light"}));
+    for number in 0..CLIENTS {
+        let client: Client<SetBool> = node.client("/light", QosProfile::SERVICES).unwrap();
+        assert!(client.wait_for_service(WATCHDOG), "client {number} finds the service");
+        let (sender, answered) = channel();
+        client.call(&SetBoolRequest { data: true }, WATCHDOG, move |answer| sender.send(answer).unwrap());
+        wait_until("the request arrives", || {
+            cyclone.ask(json!({"do": "answer", "service": "/light"})) == json!([true])
+        });
+        answered.recv_timeout(WATCHDOG).unwrap().unwrap();
+    }
+}

@@ -77,6 +77,22 @@ fn we_call_rclpy_with_many_requests_in_flight() {
 }
 
 #[test]
+fn no_request_of_a_fresh_client_is_lost_at_a_server_of_rclpy() {
+    const CLIENTS: usize = 30;
+    let Some(mut rclpy) = Peer::start(211, "LOCALHOST") else { return };
+    let _check = check("Services", "first request of a fresh client", With::Rclpy, Way::Out);
+    let (_participant, node) = downbeat(211);
+    rclpy.ask(json!({"do": "serve", "service": "/light", "type": "std_srvs/srv/SetBool"}));
+    for number in 0..CLIENTS {
+        let client: Client<SetBool> = node.client("/light", QosProfile::SERVICES).unwrap();
+        assert!(client.wait_for_service(WATCHDOG), "client {number} finds the service");
+        let (sender, answers) = channel();
+        client.call(&SetBoolRequest { data: true }, WATCHDOG, move |answer| sender.send(answer).unwrap());
+        assert!(answers.recv_timeout(WATCHDOG).unwrap().unwrap().success, "client {number} is answered");
+    }
+}
+
+#[test]
 fn rclpy_lists_our_services_and_clients_under_our_node() {
     let Some(mut rclpy) = Peer::start(54, "LOCALHOST") else { return };
     let _check = check("Graph", "services and clients of a node", With::Rclpy, Way::Out);

@@ -1,5 +1,6 @@
 //! The side that asks.
 
+use super::introduction::Acquaintances;
 use super::mapping::{Mapping, PayloadHeader};
 use super::thread::{RpcLink, RpcThread, TimeLimited};
 use super::{MAX_IN_FLIGHT, ServiceEndpoint, lock, of_participant, reading};
@@ -8,9 +9,12 @@ use crate::middleware::{
 };
 use bytes::Bytes;
 use std::collections::{BTreeSet, HashMap};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, OnceLock, PoisonError, Weak};
 use std::time::{Duration, Instant};
 use thiserror::Error;
+
+/// How often is looked whether a server that was matched has acknowledged it.
+const LOOK_AGAIN: Duration = Duration::from_millis(2);
 
 /// Tells the calls of one client apart.
 pub type CallNumber = i64;
@@ -18,7 +22,7 @@ pub type CallNumber = i64;
 /// A call has no answer.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum CallError {
-    /// No server is matched in both directions.
+    /// No server is matched in both directions, and knows it.
     #[error("service {service}: no server of another process is there")]
     NoServer {
         /// The service.
@@ -93,10 +97,18 @@ struct Shared {
     changed: Condvar,
 }
 
-/// The endpoint that sends, which a participant that rejoins its domain gets anew, and the number of its last sample.
+/// The endpoint that sends, which a participant that rejoins its domain gets anew, the number of its last sample, and who
+/// takes what it sends.
 struct Sending {
     writer: Gid,
     last: CallNumber,
+    acquaintances: Acquaintances,
+}
+
+impl Sending {
+    fn with(writer: Gid) -> Self {
+        Self { writer, last: 0, acquaintances: Acquaintances::default() }
+    }
 }
 
 #[derive(Default)]
@@ -129,34 +141,37 @@ impl RequestClient {
         thread: &RpcThread,
         service: &ServiceEndpoint,
     ) -> Result<Self, MiddlewareError> {
-        let writer = middleware.create_writer(&service.requests())?;
-        let shared = Arc::new(Shared {
-            service: service.name.clone(),
-            link: thread.link(),
-            sending: Mutex::new(Sending { writer: writer.gid(), last: 0 }),
-            reader: Mutex::default(),
-            writer,
-            calls: Mutex::default(),
-            waiting: Mutex::default(),
-            changed: Condvar::new(),
-        });
-        shared.link.watch(Arc::<Shared>::downgrade(&shared) as _);
-        let weak = Arc::downgrade(&shared);
+        // The reader first: a server that knows the writer then knows where to answer, too.
+        let receiver = Arc::new(OnceLock::<Weak<Shared>>::new());
         let incoming = {
-            let shared = weak.clone();
+            let receiver = Arc::clone(&receiver);
             move |sample| {
-                if let Some(shared) = shared.upgrade() {
+                if let Some(shared) = receiver.get().and_then(Weak::upgrade) {
                     shared.receive(sample);
                 }
             }
         };
         let reader = middleware.create_reader(&reading(service.replies()), Box::new(incoming))?;
-        // Nothing was asked yet, so no answer came before this.
-        *lock(&shared.reader) = reader.gid();
+        let writer = middleware.create_writer(&service.requests())?;
+        let shared = Arc::new(Shared {
+            service: service.name.clone(),
+            link: thread.link(),
+            sending: Mutex::new(Sending::with(writer.gid())),
+            reader: Mutex::new(reader.gid()),
+            writer,
+            calls: Mutex::default(),
+            waiting: Mutex::default(),
+            changed: Condvar::new(),
+        });
+        let weak = Arc::downgrade(&shared);
+        receiver.get_or_init(|| weak.clone());
+        shared.link.watch(weak.clone() as _);
         let on_match = move || {
             if let Some(shared) = weak.upgrade() {
                 drop(lock(&shared.waiting));
                 shared.changed.notify_all();
+                let weak = weak.clone();
+                shared.link.run(move || weak.upgrade().iter().for_each(|shared| shared.introduce()));
             }
         };
         shared.writer.on_match(Box::new(on_match.clone()));
@@ -170,10 +185,10 @@ impl RequestClient {
         (self.reader.gid(), self.shared.writer.gid())
     }
 
-    /// How many servers of other participants are matched in both directions.
+    /// How many servers of other participants are matched in both directions and know it, or were waited for in vain.
     #[must_use]
     pub fn servers(&self) -> usize {
-        self.request_readers().len()
+        self.request_readers(&mut lock(&self.shared.sending)).len()
     }
 
     /// Waits until a server is there, or for `timeout`; tells which.
@@ -189,6 +204,9 @@ impl RequestClient {
             if rest.is_zero() {
                 return false;
             }
+            // Matches wake, acknowledgements do not.
+            let is_matched = self.shared.writer.matched() > 0;
+            let rest = if is_matched { rest.min(LOOK_AGAIN) } else { rest };
             let woken = self.shared.changed.wait_timeout(waiting, rest);
             waiting = woken.unwrap_or_else(PoisonError::into_inner).0;
         }
@@ -222,14 +240,13 @@ impl RequestClient {
     ) -> Result<CallNumber, (ReplyHandler, CallError)> {
         let shared = &self.shared;
         let service = || shared.service.clone();
-        let servers = self.request_readers();
+        let mut sending = lock(&shared.sending);
+        let servers = self.request_readers(&mut sending);
         let Some(server) = preferred(&servers) else {
             return Err((on_reply, CallError::NoServer { service: service() }));
         };
         let is_mixed = servers.iter().any(|other| Mapping::of(*other) != Mapping::of(server));
 
-        let mut sending = lock(&shared.sending);
-        self.begin_anew_if_rejoined(&mut sending);
         let number = sending.last + 1;
         let (payload, related) = match Mapping::of(server) {
             Mapping::RelatedIdentity => {
@@ -285,16 +302,17 @@ impl RequestClient {
     fn begin_anew_if_rejoined(&self, sending: &mut Sending) {
         let writer = self.shared.writer.gid();
         if sending.writer != writer {
-            *sending = Sending { writer, last: 0 };
+            *sending = Sending::with(writer);
             *lock(&self.shared.reader) = self.reader.gid();
             self.shared.end_calls(|service| CallError::Write { service, error: WriteError::Away });
         }
     }
 
-    /// The readers of requests whose participants can also answer.
-    fn request_readers(&self) -> Vec<Gid> {
+    /// The readers of requests that take what is asked now and whose participants can also answer.
+    fn request_readers(&self, sending: &mut Sending) -> Vec<Gid> {
+        self.begin_anew_if_rejoined(sending);
         let answering = self.reader.matched_writers();
-        let mut readers = self.shared.writer.matched_readers();
+        let mut readers = self.shared.acquainted_readers(sending);
         readers.retain(|reader| of_participant(&answering, reader.participant()).is_some());
         readers
     }
@@ -307,6 +325,20 @@ impl Drop for RequestClient {
 }
 
 impl Shared {
+    /// Begins to be acquainted with who was matched, so that the first call finds it done.
+    fn introduce(&self) {
+        let mut sending = lock(&self.sending);
+        if sending.writer == self.writer.gid() {
+            self.acquainted_readers(&mut sending);
+        }
+    }
+
+    fn acquainted_readers(&self, sending: &mut Sending) -> Vec<Gid> {
+        let mut readers = self.writer.matched_readers();
+        sending.acquaintances.retain(&*self.writer, &mut sending.last, &mut readers);
+        readers
+    }
+
     /// Answers all calls that wait with an error.
     fn end_calls(&self, error: impl Fn(String) -> CallError) {
         let calls = std::mem::take(&mut *lock(&self.calls));

@@ -7,12 +7,14 @@
 //! matched speaks; which one that is follows from the vendor in the identity of the peer.
 //!
 //! As in `rmw_fastrtps`, a reply waits until the client that asked is matched, for at most [`REPLY_HOLD`]: discovery of
-//! a new client may have found one half of it only, and its first reply would be lost.
+//! a new client may have found one half of it only, and its first reply would be lost. And a client counts those servers
+//! only that have found it too, so that its first request is not lost either.
 //!
 //! Handlers run on the thread of an [`RpcThread`], one after the other: never on a thread of the engine, so that they may
 //! call and answer whatever they like.
 
 mod client;
+mod introduction;
 mod mapping;
 mod server;
 mod thread;
