@@ -1,5 +1,5 @@
 //! Transforms with a peer on Cyclone DDS (the wheels of rclpy have no `tf2_msgs`): what it publishes is in the buffer of a
-//! module, and what a module publishes arrives.
+//! module, what a module publishes arrives, and a robot of the program answers lookups.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -8,15 +8,24 @@ use std::time::Duration;
 
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
-use common::wait_until;
+use common::{Running, WATCHDOG, wait_until};
 use downbeat::bridge::edge::KnownType;
 use downbeat::bridge::expose::{Exposure, expose};
 use downbeat::bridge::middleware::{Direction, DiscoveryRange, ParticipantOptions};
-use downbeat::bridge::ros::{NodeName, Participant};
+use downbeat::bridge::ros::{Client, NodeName, Participant};
 use downbeat::executor::{Context, Core, Module, ModuleOptions, Setup, SetupError, TransitionError};
 use downbeat::modules::transforms::{At, TransformBroadcaster, TransformBuffer, listen};
+use downbeat::msgs::Action;
+use downbeat::msgs::action_msgs::msg::GoalStatus;
+use downbeat::msgs::builtin_interfaces::msg::Duration as DurationMessage;
 use downbeat::msgs::geometry_msgs::msg::TransformStamped;
 use downbeat::msgs::qos::QosProfile;
+use downbeat::msgs::tf2_msgs::action::{
+    LookupTransform, LookupTransformGetResult, LookupTransformGetResultRequest, LookupTransformGoal,
+    LookupTransformSendGoal, LookupTransformSendGoalRequest,
+};
+use downbeat::msgs::tf2_msgs::msg::TF2Error;
+use downbeat::msgs::unique_identifier_msgs::msg::UUID;
 use serde_json::{Value, json};
 
 /// Looks up where the camera is in the map.
@@ -159,4 +168,67 @@ fn transforms_of_peer_are_looked_up_by_a_module_and_those_of_the_module_arrive()
     handle.stop();
     running.join().unwrap();
     peer.leave();
+}
+
+const LOOKUPS: &str = r#"
+[robot]
+name = "lookups"
+[[module]]
+kind = "transform_server"
+[expose]
+in = ["tf", { topic = "tf_static", qos = { preset = "latched", depth = 100 } }]
+actions = ["tf2_buffer_server"]
+"#;
+
+#[test]
+fn a_robot_of_the_program_serves_an_action_that_looks_transforms_up() {
+    let Some(mut rclpy) = Peer::start(212, "LOCALHOST") else { return };
+    let Some(mut cyclone) = Peer::cyclonedds(212) else { return };
+    let _check = check("Actions", "actions in the robot file", With::Rclpy, Way::Out);
+    let folder = tempfile::tempdir().unwrap();
+    let robot = folder.path().join("lookups.toml");
+    std::fs::write(&robot, LOOKUPS).unwrap();
+    let mut program = Running::start(&["run", robot.to_str().unwrap(), "--domain", "212"]);
+    wait_until("rclpy lists the action", || {
+        rclpy.ask(json!({"do": "actions"}))["/tf2_buffer_server"] == json!([LookupTransform::TYPE_NAME])
+    });
+    let kind = "tf2_msgs/msg/TFMessage";
+    let fixed = json!({"depth": 100, "durability": "transient_local"});
+    cyclone.ask(json!({"do": "advertise", "topic": "/tf_static", "type": kind, "qos": fixed}));
+    let camera = message("base_link", "camera", 0.25, 0);
+    cyclone.ask(json!({"do": "publish", "topic": "/tf_static", "fields": camera}));
+
+    // The wheels of rclpy cannot send this goal either.
+    let options =
+        ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(212) };
+    let participant = Participant::join(&options).unwrap();
+    let node = participant.create_node(NodeName::new("/", "client").unwrap()).unwrap();
+    let part = |name: &str| format!("/tf2_buffer_server/_action/{name}");
+    let goals: Client<LookupTransformSendGoal> =
+        node.client(&part("send_goal"), QosProfile::SERVICES).unwrap();
+    let results: Client<LookupTransformGetResult> =
+        node.client(&part("get_result"), QosProfile::SERVICES).unwrap();
+    assert!(goals.wait_for_service(WATCHDOG) && results.wait_for_service(WATCHDOG));
+    let ask = |number: u8, source: &str, timeout_s| {
+        let goal_id = UUID { uuid: [number; 16] };
+        let goal = LookupTransformGoal {
+            target_frame: "base_link".into(),
+            source_frame: source.into(),
+            timeout: DurationMessage { sec: timeout_s, nanosec: 0 },
+            ..LookupTransformGoal::default()
+        };
+        let request = LookupTransformSendGoalRequest { goal_id, goal };
+        assert!(goals.call_and_wait(&request, WATCHDOG).unwrap().accepted);
+        let request = LookupTransformGetResultRequest { goal_id };
+        results.call_and_wait(&request, WATCHDOG).unwrap()
+    };
+    let found = ask(1, "camera", 50);
+    assert_eq!((found.status, found.result.error.error), (GoalStatus::STATUS_SUCCEEDED, TF2Error::NO_ERROR));
+    assert_eq!(found.result.transform.transform.translation.x, 0.25);
+    let missing = ask(2, "hand", 0).result.error;
+    assert_eq!(missing.error, TF2Error::LOOKUP_ERROR);
+    assert!(missing.error_string.contains("hand"), "{}", missing.error_string);
+    program.interrupt();
+    cyclone.leave();
+    rclpy.leave();
 }

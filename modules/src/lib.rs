@@ -5,6 +5,7 @@
 //! - [`darwin_op_emulator`]: an emulated one behind a pseudo terminal;
 //! - [`joint_command_mux`]: who may command which joint;
 //! - [`stand_nod_wave`]: a small motion;
+//! - [`transform_server`]: an action that answers where frames are in each other;
 //! - [`transforms`]: no module, but what modules use: where frames are in each other over time.
 //!
 //! What each publishes, takes and can be set to is on its page, and all together in `README.md`.
@@ -14,6 +15,7 @@ pub mod darwin_op;
 pub mod darwin_op_emulator;
 pub mod joint_command_mux;
 pub mod stand_nod_wave;
+pub mod transform_server;
 pub mod transforms;
 
 #[cfg(test)]

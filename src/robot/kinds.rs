@@ -9,6 +9,7 @@ use downbeat_modules::darwin_op::bus::{Exchange, RecordedBus, SerialBus};
 use downbeat_modules::darwin_op_emulator::DarwinOpEmulator;
 use downbeat_modules::joint_command_mux::JointCommandMux;
 use downbeat_modules::stand_nod_wave::StandNodWave;
+use downbeat_modules::transform_server::TransformServer;
 use downbeat_msgs::cdr;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 
@@ -89,6 +90,15 @@ pub const KINDS: &[Kind] = &[
         synchrony: Synchrony::WhenDue,
         replayed: None,
         add: add::<StandNodWave>,
+    },
+    Kind {
+        name: "transform_server",
+        about: "the action tf2_buffer_server: where frames are in each other, for who has no transform buffer",
+        is_emulated: false,
+        uses_device: false,
+        synchrony: Synchrony::WhenDue,
+        replayed: None,
+        add: add::<TransformServer>,
     },
 ];
 
