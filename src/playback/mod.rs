@@ -1,5 +1,6 @@
 //! Bags as input of a core: the same bag gives the same result each time.
 
+mod extract;
 mod steps;
 
 use std::collections::BTreeMap;
@@ -11,6 +12,8 @@ use downbeat_msgs::encoding;
 
 use crate::encoding::{RecordedType, RecordedTypeError};
 
+pub(crate) use extract::Extract;
+pub(crate) use steps::replay_steps;
 pub use steps::{ReplayError, ReplayedSteps, replay_module};
 
 /// Why a bag cannot be played into a core.

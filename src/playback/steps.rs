@@ -3,13 +3,14 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use bytes::Bytes;
-use downbeat_bags::{Reader, ReaderError, Selection};
+use downbeat_bags::{Reader, ReaderError};
 use downbeat_bridge::edge::{EncodedInlet, EncodedInletError};
 use downbeat_executor::{Core, ManualClock, RunError, SetupError, Time};
 use downbeat_msgs::cdr;
 use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
 use downbeat_msgs::encoding;
 
+use super::Extract;
 use crate::encoding::{RecordedType, RecordedTypeError};
 use crate::step_journal;
 
@@ -83,8 +84,19 @@ pub fn replay_module(
     reader: &Reader,
     module: &str,
 ) -> Result<ReplayedSteps, ReplayError> {
-    let steps = read_steps(reader, module)?;
-    let mut inputs = Inputs::read(core, reader, &steps)?;
+    replay_steps(core, clock, reader, &mut Extract::default(), module)
+}
+
+/// The same with what was read of the bag already.
+pub(crate) fn replay_steps(
+    core: &mut Core,
+    clock: &ManualClock,
+    reader: &Reader,
+    extract: &mut Extract,
+    module: &str,
+) -> Result<ReplayedSteps, ReplayError> {
+    let steps = steps_of(module, reader, extract)?;
+    let mut inputs = Inputs::open(core, reader, extract, &steps)?;
     // A message that is given before a cycle joins in its sync phase and is received in the next one.
     for (position, step) in steps.iter().enumerate() {
         if let Some(next) = steps.get(position + 1) {
@@ -105,14 +117,13 @@ pub fn replay_module(
     Ok(ReplayedSteps { count: steps.len(), is_whole, last })
 }
 
-fn read_steps(reader: &Reader, module: &str) -> Result<Vec<ModuleStep>, ReplayError> {
+fn steps_of(module: &str, reader: &Reader, extract: &mut Extract) -> Result<Vec<ModuleStep>, ReplayError> {
     let topic = format!("/{}", step_journal::TOPIC);
     let Some(id) = reader.topic(&topic) else { return Err(ReplayError::NoSteps(module.into())) };
-    let recorded = RecordedType::of(&reader.topics()[id.index()])?;
     let mut steps = Vec::new();
-    for (number, message) in reader.messages(Selection::all().topics([id]))?.enumerate() {
-        let step = cdr::from_slice::<ModuleStep>(&recorded.to_cdr(message?.data)?)
-            .map_err(|source| ReplayError::Step { number, source })?;
+    for (number, message) in extract.of::<ReplayError>(reader, id)?.iter().enumerate() {
+        let step =
+            cdr::from_slice::<ModuleStep>(message).map_err(|source| ReplayError::Step { number, source })?;
         if step.module == module {
             steps.push(step);
         }
@@ -130,7 +141,12 @@ struct Inputs {
 }
 
 impl Inputs {
-    fn read(core: &mut Core, reader: &Reader, steps: &[ModuleStep]) -> Result<Self, ReplayError> {
+    fn open(
+        core: &mut Core,
+        reader: &Reader,
+        extract: &mut Extract,
+        steps: &[ModuleStep],
+    ) -> Result<Self, ReplayError> {
         let mut topics = BTreeMap::new();
         for (step, name) in steps.iter().flat_map(|step| step.topics.iter().map(move |name| (step, name))) {
             if topics.contains_key(name) {
@@ -140,10 +156,8 @@ impl Inputs {
             let id = reader.topic(&format!("/{name}")).ok_or_else(missing)?;
             let recorded = RecordedType::of(&reader.topics()[id.index()])?;
             let inlet = recorded.message_type().inlet(core, name)?;
-            let messages = reader.messages(Selection::all().topics([id]))?;
-            let messages = messages.map(|message| Ok(recorded.to_cdr(message?.data)?));
-            let messages = messages.collect::<Result<_, ReplayError>>()?;
-            topics.insert(name.clone(), (inlet, messages));
+            let messages = extract.of::<ReplayError>(reader, id)?;
+            topics.insert(name.clone(), (inlet, messages.iter().cloned().collect()));
         }
         Ok(Self { topics })
     }

@@ -13,7 +13,7 @@ use super::comparison::Comparisons;
 use super::cycles::Cycles;
 use super::plan::Plan;
 use crate::encoding::RecordedType;
-use crate::playback::run_until;
+use crate::playback::{Extract, run_until};
 use crate::robot::RobotFile;
 
 /// Returns how many cycles there were.
@@ -21,6 +21,7 @@ pub(super) fn replay(
     file: &RobotFile,
     reader: &Reader,
     plan: &Plan,
+    extract: &mut Extract,
     comparisons: &mut Comparisons,
 ) -> Result<u64, ReplayError> {
     let start = match &plan.cycles {
@@ -29,7 +30,7 @@ pub(super) fn replay(
     };
     let clock = ManualClock::new(Time::from_nanos(start.unwrap_or(0)));
     let mut core = file.launch(Core::new().with_clock(clock.clone()))?;
-    core = build(file, reader, core, |module| plan.attached.iter().any(|name| name == module))?;
+    core = build(file, reader, extract, core, |module| plan.attached.iter().any(|name| name == module))?;
     let captured = Captured::add(&mut core, |topic| plan.outputs.contains_key(topic))?;
     let inputs = Inputs::open(&mut core, reader, plan)?;
     let mut run = Run { core, clock, captured, inputs, comparisons, cycles: 0 };
@@ -74,6 +75,7 @@ pub(super) fn replay(
 pub(super) fn build(
     file: &RobotFile,
     reader: &Reader,
+    extract: &mut Extract,
     core: Core,
     is_wanted: impl Fn(&str) -> bool,
 ) -> Result<Core, ReplayError> {
@@ -84,8 +86,9 @@ pub(super) fn build(
         }
         let replayed = module.kind.replayed.as_ref()?;
         let options = module.options();
-        match recorded(reader, &replayed.topic_of(&options)) {
-            Ok(answers) => match (replayed.add)(core, &module.name, options, &answers) {
+        let answers = reader.topic(&replayed.topic_of(&options)).map(|id| extract.of(reader, id));
+        match answers.unwrap_or(Ok(&[])) {
+            Ok(answers) => match (replayed.add)(core, &module.name, options, answers) {
                 Ok(added) => Some(added),
                 Err(error) => {
                     problem = Some(ReplayError::Device { module: module.name.clone(), problem: error });
@@ -99,13 +102,6 @@ pub(super) fn build(
         }
     });
     problem.map_or_else(|| Ok(built?), Err)
-}
-
-fn recorded(reader: &Reader, topic: &str) -> Result<Vec<bytes::Bytes>, ReplayError> {
-    let Some(id) = reader.topic(topic) else { return Ok(Vec::new()) };
-    let recorded = RecordedType::of(&reader.topics()[id.index()])?;
-    let messages = reader.messages(Selection::all().topics([id]))?;
-    messages.map(|message| Ok(recorded.to_cdr(message?.data)?)).collect()
 }
 
 struct Run<'a> {

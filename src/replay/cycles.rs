@@ -1,12 +1,12 @@
 //! When the cycles of a recorded robot were.
 
-use downbeat_bags::{Reader, Selection};
+use downbeat_bags::Reader;
 use downbeat_msgs::cdr;
 use downbeat_msgs::downbeat_interfaces::msg::CycleTimes;
 
 use super::ReplayError;
 use crate::cycle_journal;
-use crate::encoding::RecordedType;
+use crate::playback::Extract;
 
 /// What a bag tells of the cycles.
 pub(super) enum Cycles {
@@ -18,9 +18,14 @@ pub(super) enum Cycles {
     Unknown,
 }
 
+/// The topic that tells it.
+pub(super) fn topic() -> String {
+    format!("/{}", cycle_journal::TOPIC)
+}
+
 impl Cycles {
-    pub(super) fn read(reader: &Reader) -> Result<Self, ReplayError> {
-        let name = format!("/{}", cycle_journal::TOPIC);
+    pub(super) fn read(reader: &Reader, extract: &mut Extract) -> Result<Self, ReplayError> {
+        let name = topic();
         let topic = reader.topic(&name).filter(|id| reader.topics()[id.index()].message_count > 0);
         let Some(id) = topic else {
             // What `Session` notes of each robot that it records.
@@ -28,10 +33,9 @@ impl Cycles {
                 reader.metadata().is_some_and(|metadata| metadata.custom_data.contains_key("robot"));
             return Ok(if is_of_robot { Self::OfMessages } else { Self::Unknown });
         };
-        let recorded = RecordedType::of(&reader.topics()[id.index()])?;
         let (mut times, mut is_whole) = (Vec::new(), false);
-        for message in reader.messages(Selection::all().topics([id]))? {
-            let message = cdr::from_slice::<CycleTimes>(&recorded.to_cdr(message?.data)?)
+        for message in extract.of::<ReplayError>(reader, id)? {
+            let message = cdr::from_slice::<CycleTimes>(message)
                 .map_err(|source| ReplayError::Message { topic: name.clone(), source })?;
             if message.first != times.len() as u64 {
                 return Err(ReplayError::CyclesLost { expected: times.len() as u64, found: message.first });

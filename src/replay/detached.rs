@@ -7,7 +7,7 @@ use super::captured::Captured;
 use super::comparison::Comparisons;
 use super::plan::Plan;
 use super::{ReplayError, attached};
-use crate::playback::replay_module;
+use crate::playback::{Extract, replay_steps};
 use crate::robot::RobotFile;
 
 /// Returns how many runs there were.
@@ -15,14 +15,15 @@ pub(super) fn replay(
     file: &RobotFile,
     reader: &Reader,
     plan: &Plan,
+    extract: &mut Extract,
     name: &str,
     comparisons: &mut Comparisons,
 ) -> Result<usize, ReplayError> {
     let clock = ManualClock::new(Time::ZERO);
     let core = Core::new().with_clock(clock.clone());
-    let mut core = attached::build(file, reader, core, |module| module == name)?;
+    let mut core = attached::build(file, reader, extract, core, |module| module == name)?;
     let captured = Captured::add(&mut core, |topic| plan.outputs.contains_key(topic))?;
-    let steps = replay_module(&mut core, &clock, reader, name);
+    let steps = replay_steps(&mut core, &clock, reader, extract, name);
     let steps =
         steps.map_err(|source| ReplayError::Steps { module: name.to_owned(), source: Box::new(source) })?;
     if !steps.is_whole {

@@ -140,14 +140,20 @@ pub fn replay(
 ) -> Result<ReplayReport, ReplayError> {
     let started = Instant::now();
     let file = file.on_any_machine();
-    let plan = Plan::make(&file, reader, options)?;
+    let (plan, mut extract) = Plan::make(&file, reader, options)?;
     let mut comparisons = Comparisons::new(reader, &plan, &options.rules)?;
     let mut runs = Vec::new();
     for name in &plan.detached {
-        runs.push((name.clone(), detached::replay(&file, reader, &plan, name, &mut comparisons)?));
+        runs.push((
+            name.clone(),
+            detached::replay(&file, reader, &plan, &mut extract, name, &mut comparisons)?,
+        ));
     }
-    let cycles =
-        if plan.attached.is_empty() { 0 } else { attached::replay(&file, reader, &plan, &mut comparisons)? };
+    let cycles = if plan.attached.is_empty() {
+        0
+    } else {
+        attached::replay(&file, reader, &plan, &mut extract, &mut comparisons)?
+    };
     let topics = comparisons.finish()?;
     Ok(ReplayReport {
         robot: file.name.clone(),

@@ -2,14 +2,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use downbeat_bags::Reader;
+use downbeat_bags::{Reader, TopicId};
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
 use downbeat_bridge::middleware::Direction;
 use downbeat_executor::{Core, Graph, GraphEdge, Synchrony};
 
-use super::cycles::Cycles;
+use super::cycles::{self, Cycles};
 use super::{LeftOut, ReplayError, ReplayOptions};
 use crate::cycle_journal::CycleJournal;
+use crate::playback::Extract;
 use crate::robot::{ModuleEntry, RobotFile};
 use crate::step_journal::{self, StepJournal};
 
@@ -37,11 +38,12 @@ pub(super) struct Output {
 }
 
 impl Plan {
+    /// With what is read of the bag before anything runs.
     pub(super) fn make(
         file: &RobotFile,
         reader: &Reader,
         options: &ReplayOptions,
-    ) -> Result<Self, ReplayError> {
+    ) -> Result<(Self, Extract), ReplayError> {
         check_names(file, options)?;
         let graph = Wiring::of(file)?;
         let is_in_bag = |topic: &str| reader.topic(&format!("/{topic}")).is_some();
@@ -52,7 +54,7 @@ impl Plan {
             outputs: BTreeMap::new(),
             inputs: BTreeSet::new(),
             missing_inputs: BTreeSet::new(),
-            cycles: Cycles::read(reader)?,
+            cycles: Cycles::Unknown,
         };
         for module in &file.modules {
             let is_asked_for = options.modules.contains(&module.name);
@@ -79,7 +81,27 @@ impl Plan {
         }
         plan.find_inputs(&graph, is_in_bag)?;
         plan.check()?;
-        Ok(plan)
+        let mut extract = Extract::read::<ReplayError>(reader, &plan.read_before(file, reader, &graph))?;
+        plan.cycles = Cycles::read(reader, &mut extract)?;
+        Ok((plan, extract))
+    }
+
+    /// When cycles and runs were, what devices answered, and what detached modules received.
+    fn read_before(&self, file: &RobotFile, reader: &Reader, graph: &Wiring) -> BTreeSet<TopicId> {
+        let is_replayed = |name: &String| self.attached.contains(name) || self.detached.contains(name);
+        let devices = file.modules.iter().filter(|module| is_replayed(&module.name));
+        let answers =
+            devices.filter_map(|module| Some(module.kind.replayed.as_ref()?.topic_of(&module.options())));
+        let received = graph.subscribers.iter().filter(|(topic, subscribers)| {
+            !topic.starts_with("executor/") && self.detached.iter().any(|name| subscribers.contains(name))
+        });
+        let mut topics: Vec<String> = received.map(|(topic, _)| format!("/{topic}")).collect();
+        topics.extend(answers);
+        topics.push(cycles::topic());
+        if !self.detached.is_empty() {
+            topics.push(format!("/{}", step_journal::TOPIC));
+        }
+        topics.iter().filter_map(|topic| reader.topic(topic)).collect()
     }
 
     fn find_inputs(&mut self, graph: &Wiring, is_in_bag: impl Fn(&str) -> bool) -> Result<(), ReplayError> {

@@ -246,7 +246,7 @@ impl Driver {
         address: u8,
         mut data: impl FnMut(&mut Servo) -> [u8; N],
     ) -> Result<(), PortFailed> {
-        let mut bytes = Vec::new();
+        let mut bytes = Vec::with_capacity(COUNT * (1 + N));
         for (servo, joint) in self.servos.iter_mut().zip(&JOINTS).filter(|(servo, _)| servo.is_active()) {
             bytes.push(joint.id.raw());
             bytes.extend_from_slice(&data(servo));

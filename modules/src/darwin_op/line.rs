@@ -2,7 +2,7 @@
 
 use super::bus::{Bus, Exchange, ExpectedStatus, Outcome};
 use super::protocol::{Id, Instruction, StatusError};
-use super::reading::statuses;
+use super::reading::for_each_status;
 
 /// The bus during one step, and what was exchanged in it.
 pub(super) struct Line<'a> {
@@ -72,8 +72,13 @@ impl Line<'_> {
         if exchange.outcome == Outcome::Failed {
             return Err(Trouble::PortFailed);
         }
-        let answer = statuses(&exchange.reply).into_iter().find(|(from, ..)| *from == id);
-        let Some((_, error, answered)) = answer else { return Err(Trouble::Silent) };
+        let mut answer = None;
+        for_each_status(&exchange.reply, |status| {
+            if status.id == id {
+                answer.get_or_insert_with(|| (status.error, status.parameters.to_vec()));
+            }
+        });
+        let Some((error, answered)) = answer else { return Err(Trouble::Silent) };
         if REFUSALS.iter().any(|refusal| error.contains(*refusal)) {
             return Err(Trouble::Refused(error));
         }

@@ -61,7 +61,7 @@ pub(super) fn request(joints: &[usize]) -> (Vec<u8>, Vec<ExpectedStatus>) {
         BulkReadEntry { length: SERVO_LENGTH, id, address: SERVO_FIRST }
     });
     let entries: Vec<BulkReadEntry> = std::iter::once(board).chain(servos).collect();
-    let bytes: Vec<u8> = entries.iter().flat_map(|entry| entry.to_bytes()).collect();
+    let bytes = entries.iter().map(|entry| entry.to_bytes()).collect::<Vec<_>>().concat();
     let expected = entries.iter().map(|entry| ExpectedStatus { id: entry.id, parameters: entry.length });
     // Made of whole entries with valid ids, so it is a block.
     let instruction = BulkReadBlock::new(&bytes).map(|block| Instruction::BulkRead { block }.to_bytes());
@@ -77,34 +77,30 @@ pub(super) fn understand(exchange: &Exchange, joints: &[usize]) -> Reading {
         first_missing: None,
         chain_went_on: false,
     };
-    for status in &statuses(&exchange.reply) {
-        let (id, error, parameters) = (status.0, status.1, status.2.as_slice());
+    for_each_status(&exchange.reply, |Status { id, error, parameters }| {
         if id == Id::CM730 {
             reading.board = board_reading(parameters);
         } else if let Some(joint) = joints.iter().find(|joint| JOINTS[**joint].id == id) {
             reading.servos[*joint] = servo_reading(parameters, error);
         }
-    }
-    let answered = std::iter::once(reading.board.is_some())
-        .chain(joints.iter().map(|joint| reading.servos[*joint].is_some()))
-        .collect::<Vec<bool>>();
-    reading.first_missing = answered.iter().position(|answered| !answered);
-    reading.chain_went_on = reading.first_missing.is_some_and(|missing| answered[missing..].contains(&true));
+    });
+    let servos = joints.iter().map(|joint| reading.servos[*joint].is_some());
+    let mut answered = std::iter::once(reading.board.is_some()).chain(servos);
+    reading.first_missing = answered.position(|answered| !answered);
+    reading.chain_went_on = answered.any(|answered| answered);
     reading
 }
 
-/// All sound answers in these bytes.
-pub(super) fn statuses(bytes: &[u8]) -> Vec<(Id, StatusError, Vec<u8>)> {
+/// Visits all sound answers in these bytes.
+pub(super) fn for_each_status(bytes: &[u8], mut visit: impl FnMut(Status<'_>)) {
     let mut receiver = Receiver::new();
     receiver.push(bytes);
     receiver.end();
-    let mut found = Vec::new();
     while let Some(packet) = receiver.next_packet() {
-        if let Ok(Status { id, error, parameters }) = Status::parse(&packet) {
-            found.push((id, error, parameters.to_vec()));
+        if let Ok(status) = Status::parse(&packet) {
+            visit(status);
         }
     }
-    found
 }
 
 fn board_reading(piece: &[u8]) -> Option<BoardReading> {

@@ -35,6 +35,9 @@ impl Merge {
         hold: Duration,
     ) -> Option<JointState> {
         self.outside.retain(|_, at| now < *at + hold);
+        if self.outside.is_empty() {
+            return (!command.name.is_empty()).then(|| command.clone());
+        }
         let mut filtered = JointState { header: command.header.clone(), ..JointState::default() };
         for (index, name) in command.name.iter().enumerate() {
             if self.outside.contains_key(name) {

@@ -48,7 +48,7 @@ impl RecordedBus {
     fn replay(&mut self, kind: ExchangeKind, instruction: &[u8]) -> Exchange {
         let recorded = self.recording.next();
         let mut report = self.report.lock().unwrap_or_else(PoisonError::into_inner);
-        let done = (kind, instruction.to_vec());
+        let done = || (kind, instruction.to_vec());
         match recorded {
             Some(recorded) => {
                 report.replayed += 1;
@@ -58,14 +58,14 @@ impl RecordedBus {
                 report.differences.push(Difference {
                     sequence: recorded.sequence,
                     recorded: Some((recorded.kind, recorded.instruction)),
-                    done,
+                    done: done(),
                 });
                 let error = format!("exchange {} differs from the recording", recorded.sequence);
                 failed(recorded.sequence, recorded.sent, kind, instruction, error)
             }
             None => {
                 let sequence = report.replayed;
-                report.differences.push(Difference { sequence, recorded: None, done });
+                report.differences.push(Difference { sequence, recorded: None, done: done() });
                 let error = "the recording has ended".to_owned();
                 failed(sequence, self.now, kind, instruction, error)
             }

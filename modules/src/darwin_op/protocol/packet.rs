@@ -123,6 +123,7 @@ pub fn emit_packet(id: Id, code: u8, parameters: &[u8], out: &mut Vec<u8>) {
         panic!("a packet holds at most 253 bytes of parameters, not {}", parameters.len())
     });
     let start = out.len();
+    out.reserve(OVERHEAD + parameters.len());
     out.extend_from_slice(&HEADER);
     out.extend_from_slice(&[id.raw(), length, code]);
     out.extend_from_slice(parameters);
