@@ -6,20 +6,22 @@ mod common;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-use common::{Running, output_of, robot_file, text_of, wait_until};
+use common::{Running, output_of, record_until, robot_file, wait_until};
 use downbeat::bags::{Reader, Selection, WriterOptions};
 use downbeat::msgs::cdr;
+use downbeat::msgs::downbeat_interfaces::msg::CycleTimes;
 use downbeat::msgs::sensor_msgs::msg::Imu;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// Records the demo from its first cycle to its last.
+/// Records the demo from its first cycle to its last, with more than a second of motion.
 fn recorded(folder: &Path, edit: impl Fn(String) -> String) -> (PathBuf, PathBuf) {
     let (robot, bag) = (robot_file(folder, edit), folder.join("bag"));
-    text_of(&["bag", "record", "--robot", text(&robot), "--output", text(&bag), "--duration", "2s"]);
+    let arguments = ["bag", "record", "--robot", text(&robot), "--output", text(&bag)];
+    record_until(&arguments, &bag, "/joint_goals", 150);
     (robot, bag)
 }
 
@@ -43,8 +45,14 @@ fn compared(report: &Value, topic: &str) -> u64 {
     found.unwrap_or_else(|| panic!("{topic} in {report}"))["compared"].as_u64().unwrap()
 }
 
+fn times_of(bag: &Path, topic: &str) -> Vec<i64> {
+    let reader = Reader::open(bag).unwrap();
+    let selection = Selection::all().topics(reader.topic(topic));
+    reader.messages(selection).unwrap().map(|message| message.unwrap().log_time).collect()
+}
+
 /// The bag with the messages of a topic changed; `change` is given the number of each.
-fn altered(bag: &Path, topic: &str, change: impl Fn(usize, Vec<u8>) -> Option<Vec<u8>>) -> PathBuf {
+fn altered(bag: &Path, topic: &str, mut change: impl FnMut(usize, Vec<u8>) -> Option<Vec<u8>>) -> PathBuf {
     let reader = Reader::open(bag).unwrap();
     let target = bag.with_file_name("altered");
     let robot = reader.metadata().unwrap().custom_data["robot"].clone();
@@ -158,7 +166,7 @@ fn another_setting_gives_another_run() {
     assert!(!output.status.success() && printed.contains("/motion/joint_commands message "), "{printed}");
     assert!(printed.contains("position["), "{printed}");
     let only = report(&robot, &bag, &["-p", "motion.stand_s:=1.0", "--modules", "mux", "hardware"]);
-    assert_eq!(only["modules"], serde_json::json!(["mux"]), "the others ran on what was recorded: {only}");
+    assert_eq!(only["modules"], json!(["mux"]), "the others ran on what was recorded: {only}");
 }
 
 #[test]
@@ -174,6 +182,29 @@ fn a_killed_recording_replays_as_far_as_it_goes() {
     running.wait();
     let report = report(&robot, &bag, &[]);
     assert!(compared(&report, "/joint_goals") > 10 && compared(&report, "/joint_states") > 10, "{report}");
+}
+
+#[test]
+fn what_came_while_the_robot_stopped_is_not_compared() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = recorded(folder.path(), |text| text);
+    let goals = times_of(&bag, "/joint_goals");
+    // As if it had begun to stop when a command was on its way from the motion to the multiplexer.
+    let begin_of_stop = goals[100] - 1;
+    let mut has_ended = false;
+    let bag = altered(&bag, "/cycle_times", |_, data| {
+        let mut cycles: CycleTimes = cdr::from_slice(&data).unwrap();
+        let count = cycles.times.partition_point(|&time| time <= begin_of_stop);
+        cycles.is_end = count < cycles.times.len();
+        cycles.times.truncate(count);
+        let is_before = !has_ended;
+        has_ended |= cycles.is_end;
+        is_before.then(|| cdr::to_vec(&cycles))
+    });
+    for modules in [&["motion", "mux"][..], &["mux"]] {
+        let report = report(&robot, &bag, &[&["--modules"], modules].concat());
+        assert_eq!((&report["different"], compared(&report, "/joint_goals")), (&json!(0), 100), "{report}");
+    }
 }
 
 #[test]

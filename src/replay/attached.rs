@@ -35,18 +35,14 @@ pub(super) fn replay(
     let inputs = Inputs::open(&mut core, reader, plan)?;
     let mut run = Run { core, clock, captured, inputs, comparisons, cycles: 0 };
     match &plan.cycles {
-        Cycles::Recorded { times, is_whole: true } => {
+        Cycles::Recorded { times, is_whole } => {
             times.iter().try_for_each(|&time| run.cycle(time))?;
-            // What the modules do at their end they did a moment later, at a time that their last messages tell.
-            if let Some(end) = run.comparisons.first_time_after(times.last().copied().unwrap_or(0))? {
-                run.clock.set(Time::from_nanos(end));
-            }
-            run.stop();
-        }
-        Cycles::Recorded { times, is_whole: false } => {
-            times.iter().try_for_each(|&time| run.cycle(time))?;
-            // The bag may lack what was published last.
-            run.comparisons.end_before(times.last().copied().unwrap_or(i64::MIN));
+            let last = times.last().copied().unwrap_or(i64::MIN);
+            // While the robot stopped there were more, at times that no bag tells. Of a recording that was interrupted
+            // the bag may lack what the last cycle published, too.
+            let end = if *is_whole { last.saturating_add(1) } else { last };
+            run.stop_before(end);
+            run.comparisons.end_before(end);
         }
         Cycles::OfMessages => {
             let mut last = None;
@@ -127,6 +123,14 @@ impl Run<'_> {
     fn stop(&mut self) {
         self.core.stop();
         self.collect();
+    }
+
+    /// Without what the modules publish from `end` on.
+    fn stop_before(&mut self, end: i64) {
+        self.clock.set(Time::from_nanos(end));
+        self.core.stop();
+        let before = self.captured.take().into_iter().filter(|replayed| replayed.time < end);
+        before.for_each(|replayed| self.comparisons.replayed(replayed));
     }
 
     fn collect(&mut self) {

@@ -31,7 +31,7 @@ struct Comparison {
     is_attached: bool,
     /// Up to this time messages must have been published at the recorded times.
     times_until: i64,
-    /// What is left over from this time on is no difference: the bag was interrupted.
+    /// What is left over from this time on is no difference: the robot stopped, or the bag was interrupted.
     open_from: i64,
     recorded: VecDeque<(i64, Bytes)>,
     replayed: VecDeque<(i64, Bytes)>,
@@ -100,21 +100,7 @@ impl Comparisons {
         }
     }
 
-    /// The time of the first message after `time` that the modules inside the cycle published.
-    pub(super) fn first_time_after(&mut self, time: i64) -> Result<Option<i64>, ReplayError> {
-        loop {
-            let attached = self.topics.values().filter(|topic| topic.is_attached && !topic.is_shared);
-            let times = attached.flat_map(|topic| &topic.recorded).map(|(recorded, _)| *recorded);
-            if let Some(first) = times.filter(|&recorded| recorded > time).min() {
-                return Ok(Some(first));
-            }
-            if self.read_next().is_break() {
-                return Ok(None);
-            }
-        }
-    }
-
-    /// The bag was interrupted: of the modules inside the cycle it may lack what they published from `time` on.
+    /// What the modules inside the cycle published from `time` on is not to be the same.
     pub(super) fn end_before(&mut self, time: i64) {
         for topic in self.topics.values_mut().filter(|topic| topic.is_attached) {
             topic.open_from = topic.open_from.min(time);

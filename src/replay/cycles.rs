@@ -10,7 +10,7 @@ use crate::playback::Extract;
 
 /// What a bag tells of the cycles.
 pub(super) enum Cycles {
-    /// The time of each cycle. If `is_whole`, the robot's end is among them, else its recording was interrupted.
+    /// The time of each cycle. If `is_whole`, up to that in which the robot began to stop, else its recording was interrupted.
     Recorded { times: Vec<i64>, is_whole: bool },
     /// The bag was recorded in a robot, but without these times: there were cycles at the times of its messages.
     OfMessages,

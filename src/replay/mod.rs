@@ -7,6 +7,8 @@
 //! a robot whose parts all repeat bit for bit does so as a whole. Modules that drive a device run on the recorded answers
 //! of the device, if their kind records these; else they are left out, and what they published is input.
 //!
+//! Modules inside the cycle are compared until the robot began to stop, detached ones to their end.
+//!
 //! Calls of services and changes of settings while the robot ran are in no bag: modules that depend on them differ.
 
 mod attached;

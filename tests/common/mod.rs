@@ -13,6 +13,8 @@ use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use downbeat::bags::Reader;
+
 /// A robot without a device: what it does follows from its inputs and the time alone.
 pub const QUIET_ROBOT: &str = r#"
 [robot]
@@ -70,6 +72,30 @@ pub fn text_of(arguments: &[&str]) -> String {
     text
 }
 
+/// Has the program record until the bag has so many messages of a topic, however long that takes; what it printed.
+pub fn record_until(arguments: &[&str], bag: &Path, topic: &str, count: u64) -> String {
+    let mut recording = Running::start(arguments);
+    let start = Instant::now();
+    while recorded(bag, topic) < count {
+        assert!(
+            start.elapsed() < WATCHDOG,
+            "{count} messages of {topic} are not recorded:\n{}",
+            recording.output()
+        );
+        assert!(recording.is_running(), "{}", recording.output());
+        // Not more often: reading a bag that grows takes the machine from who is recorded.
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    recording.interrupt();
+    recording.output()
+}
+
+/// How many messages of a topic a bag has, which may still be written.
+fn recorded(bag: &Path, topic: &str) -> u64 {
+    let Ok(reader) = Reader::open(bag) else { return 0 };
+    reader.topic(topic).map_or(0, |topic| reader.topics()[topic.index()].message_count)
+}
+
 /// The program, running. It is killed when dropped.
 pub struct Running {
     child: Child,
@@ -110,6 +136,10 @@ impl Running {
             );
             std::thread::sleep(Duration::from_millis(5));
         }
+    }
+
+    pub fn is_running(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_none()
     }
 
     pub fn signal(&self, signal: &str) {
