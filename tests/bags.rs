@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use common::rclpy::Peer;
-use common::{QUIET_ROBOT, Running, python, robot_file, text_of, wait_until};
+use common::{QUIET_ROBOT, Running, python, record_until, robot_file, text_of, wait_until};
 use downbeat::bags::{Reader, Selection};
 use serde_json::json;
 
@@ -15,12 +15,11 @@ fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// Runs the demo without ROS 2 for a while and records it.
-fn recorded(folder: &Path, duration: &str) -> (PathBuf, String) {
+/// Runs the demo without ROS 2 until it has recorded so many joint states.
+fn recorded(folder: &Path, joint_states: u64) -> (PathBuf, String) {
     let (robot, bag) = (robot_file(folder, |text| text), folder.join("bag"));
-    let arguments =
-        ["bag", "record", "--robot", text(&robot), "--output", text(&bag), "--duration", duration];
-    let output = text_of(&arguments);
+    let arguments = ["bag", "record", "--robot", text(&robot), "--output", text(&bag)];
+    let output = record_until(&arguments, &bag, "/joint_states", joint_states);
     (bag, output)
 }
 
@@ -35,7 +34,7 @@ fn messages(bag: &Path) -> Vec<(String, i64, Vec<u8>)> {
 #[test]
 fn others_decode_every_message_and_count_what_was_reported() {
     let folder = tempfile::tempdir().unwrap();
-    let (bag, output) = recorded(folder.path(), "4s");
+    let (bag, output) = recorded(folder.path(), 400);
     let Some(found) = python("decode_bag.py", &[&bag]) else { return };
     for reader in ["mcap", "mcap_ros2", "rosbags"] {
         assert_eq!(found[reader], found["metadata"], "{reader}");
@@ -73,7 +72,7 @@ fn a_killed_recording_is_readable_up_to_its_last_chunk() {
 #[test]
 fn a_bag_played_into_a_robot_gives_the_same_result_each_time() {
     let folder = tempfile::tempdir().unwrap();
-    let (bag, _) = recorded(folder.path(), "3s");
+    let (bag, _) = recorded(folder.path(), 300);
     let play = |robot: &str, name: &str| {
         let (path, output) = (folder.path().join(format!("{name}.toml")), folder.path().join(name));
         std::fs::write(&path, robot).unwrap();
@@ -126,7 +125,7 @@ fn hex(bytes: &[u8]) -> String {
 #[test]
 fn a_bag_is_not_played_over_what_the_robot_publishes_or_into_a_device() {
     let folder = tempfile::tempdir().unwrap();
-    let (bag, _) = recorded(folder.path(), "1s");
+    let (bag, _) = recorded(folder.path(), 1);
     let motion_only = folder.path().join("motion_only.toml");
     std::fs::write(&motion_only, QUIET_ROBOT).unwrap();
     let cases = [

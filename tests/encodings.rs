@@ -6,7 +6,7 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use common::{QUIET_ROBOT, output_of, python, robot_file, text_of};
+use common::{QUIET_ROBOT, output_of, python, record_until, robot_file, text_of};
 use downbeat::bags::{Reader, Selection, TopicInfo, WriterOptions};
 use downbeat::bridge::edge::KnownType;
 use downbeat::encoding::{RecordedType, topic_info};
@@ -18,11 +18,11 @@ fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// Runs the demo without ROS 2 for two seconds and records it.
+/// Runs the demo without ROS 2 and records it, with more than a second of motion.
 fn recorded(folder: &Path, arguments: &[&str], change: impl Fn(String) -> String) -> PathBuf {
     let (robot, bag) = (robot_file(folder, change), folder.join("bag"));
-    let common = ["bag", "record", "--robot", text(&robot), "--output", text(&bag), "--duration", "2s"];
-    text_of(&[&common[..], arguments].concat());
+    let common = ["bag", "record", "--robot", text(&robot), "--output", text(&bag)];
+    record_until(&[&common[..], arguments].concat(), &bag, "/joint_states", 150);
     bag
 }
 

@@ -1,12 +1,12 @@
 """A node of rclpy that offers std_srvs/srv/SetBool on /set_torque with service introspection, and calls it twice for each line
-that it reads. It ends when its standard input closes. Usage: introspected_service.py"""
+that it reads. Its events are latched: who comes late has them all. It ends when its standard input closes. Usage: introspected_service.py"""
 
 import sys
 import threading
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import qos_profile_services_default
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.service_introspection import ServiceIntrospectionState
 from std_srvs.srv import SetBool
 
@@ -22,10 +22,9 @@ def on_request(request, response):
 
 service = node.create_service(SetBool, "set_torque", on_request)
 client = node.create_client(SetBool, "set_torque")
+latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 for endpoint in (service, client):
-    endpoint.configure_introspection(
-        node.get_clock(), qos_profile_services_default, ServiceIntrospectionState.CONTENTS
-    )
+    endpoint.configure_introspection(node.get_clock(), latched, ServiceIntrospectionState.CONTENTS)
 executor = SingleThreadedExecutor()
 executor.add_node(node)
 thread = threading.Thread(target=executor.spin)

@@ -1,6 +1,8 @@
 //! The emulator as others hold it.
 
 use super::board::Button;
+#[cfg(test)]
+use super::direct::DirectBus;
 use super::fault::Fault;
 use super::pseudo_terminal::PseudoTerminal;
 use super::server::{Shared, serve};
@@ -84,6 +86,12 @@ impl Emulator {
     #[must_use]
     pub fn is_port_open(&self) -> bool {
         !self.shared.world().device.as_os_str().is_empty()
+    }
+
+    /// A way to the devices past the port.
+    #[cfg(test)]
+    pub(crate) fn bus(&self) -> DirectBus {
+        DirectBus::new(Arc::clone(&self.shared))
     }
 
     /// The time inside the emulator.

@@ -36,6 +36,8 @@
 mod attitude;
 mod board;
 mod control_table;
+#[cfg(test)]
+mod direct;
 mod emulator;
 mod fault;
 mod fault_schedule;

@@ -70,7 +70,7 @@ impl World {
         now
     }
 
-    fn answer(&mut self, packet: &Packet<&[u8]>) -> Vec<Bundle> {
+    pub(super) fn answer(&mut self, packet: &Packet<&[u8]>) -> Vec<Bundle> {
         let now = self.catch_up();
         let faults = &mut self.faults;
         let mut answers = self.robot.answer(packet, &mut || faults.loses_answer(now));

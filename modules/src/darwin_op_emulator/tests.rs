@@ -1,4 +1,4 @@
-//! The emulator through its port, as the hardware module sees it.
+//! The emulator as the hardware module sees it.
 #![allow(clippy::unwrap_used)]
 
 use super::{Button, Emulator, EmulatorOptions, Fault, FaultKind, Rate, Timing};
@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 const HEAD_PAN: u8 = 19;
 
 /// Enough for a machine that runs many tests at once.
-const SLACK: Duration = Duration::from_millis(200);
+const SLACK: Duration = Duration::from_secs(2);
 
 fn id(raw: u8) -> Id {
     Id::new(raw).unwrap()
@@ -25,22 +25,35 @@ fn options() -> EmulatorOptions {
 /// The emulator and who talks to it.
 struct Robot {
     emulator: Emulator,
-    bus: SerialBus,
+    bus: Box<dyn Bus>,
 }
 
 impl Robot {
     fn start(options: EmulatorOptions) -> Self {
         let emulator = Emulator::start(options).unwrap();
-        let mut bus = SerialBus::with_slack(SLACK);
-        let opened = bus.open(&emulator.port_path().to_string_lossy());
-        assert_eq!(opened.outcome, Outcome::Ok, "{}", opened.error);
-        Self { emulator, bus }
+        let bus = Box::new(emulator.bus());
+        Self { emulator, bus }.opened()
     }
 
     fn powered(options: EmulatorOptions) -> Self {
-        let mut robot = Self::start(options);
-        robot.write(Id::CM730, cm730::DXL_POWER.address, &[1]);
-        robot
+        Self::start(options).with_power()
+    }
+
+    fn powered_behind_its_port(options: EmulatorOptions) -> Self {
+        let emulator = Emulator::start(options).unwrap();
+        let bus = Box::new(SerialBus::with_slack(SLACK));
+        Self { emulator, bus }.opened().with_power()
+    }
+
+    fn opened(mut self) -> Self {
+        let opened = self.bus.open(&self.emulator.port_path().to_string_lossy());
+        assert_eq!(opened.outcome, Outcome::Ok, "{}", opened.error);
+        self
+    }
+
+    fn with_power(mut self) -> Self {
+        self.write(Id::CM730, cm730::DXL_POWER.address, &[1]);
+        self
     }
 
     fn send(&mut self, instruction: Instruction<'_>, expected: &[ExpectedStatus]) -> Exchange {
@@ -224,7 +237,7 @@ fn a_flipped_bit_spoils_one_answer_only() {
 fn a_closed_port_fails_and_another_one_comes_behind_the_same_link() {
     let folder = tempfile::tempdir().unwrap();
     let link = folder.path().join("port");
-    let mut robot = Robot::powered(EmulatorOptions { link: Some(link.clone()), ..options() });
+    let mut robot = Robot::powered_behind_its_port(EmulatorOptions { link: Some(link.clone()), ..options() });
     assert_eq!(robot.emulator.port_path(), link);
     robot.emulator.inject(Fault::lasting(FaultKind::ClosePort, Duration::from_millis(300)));
     eventually("the port is closed", || !robot.emulator.is_port_open());
@@ -286,8 +299,8 @@ fn the_same_seed_and_instructions_give_the_same_bytes() {
 
 #[test]
 fn measured_timing_lets_a_bulk_read_take_its_time() {
-    let mut robot =
-        Robot::powered(EmulatorOptions { timing: Timing::Measured, seed: 1, ..Default::default() });
+    let options = EmulatorOptions { timing: Timing::Measured, seed: 1, ..Default::default() };
+    let mut robot = Robot::powered_behind_its_port(options);
     eventually("the servos have booted", || robot.hears(id(20)));
     // 2 answers of 8 bytes with the factory's return delay of 0.5 ms cannot take less than this.
     let exchange = robot.bulk_read(&[1, 2]).0;

@@ -3,11 +3,14 @@
 //! All that the hardware module learns from outside comes through [`Bus`], time and errors included. So a
 //! [`RecordedBus`] that plays back what a [`SerialBus`] saw makes the module do the same again, bit for bit.
 
+mod awaited;
 mod exchange;
 mod recorded;
 mod serial;
 mod timeout;
 
+#[cfg(test)]
+pub(crate) use awaited::Awaited;
 pub use exchange::{Exchange, ExchangeKind, ExchangeMessageError, ExpectedStatus, Outcome};
 pub use recorded::{Difference, RecordedBus, ReplayReport};
 pub use serial::{BAUD_RATE, SerialBus};

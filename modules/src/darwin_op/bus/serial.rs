@@ -1,7 +1,7 @@
 //! The serial port.
 
-use super::super::protocol::Receiver;
-use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, Outcome, STATUS_SLACK, status_timeout};
+use super::awaited::{Awaited, End};
+use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, STATUS_SLACK, status_timeout};
 use downbeat_executor::Time;
 use serialport::{ClearBuffer, DataBits, FlowControl, Parity, SerialPort, StopBits};
 use std::io;
@@ -144,64 +144,9 @@ fn send(port: &mut dyn SerialPort, instruction: &[u8]) -> io::Result<()> {
     port.write_all(instruction)
 }
 
-struct End {
-    outcome: Outcome,
-    reply: Vec<u8>,
-    error: String,
-}
-
-impl End {
-    fn ok() -> Self {
-        Self { outcome: Outcome::Ok, reply: Vec::new(), error: String::new() }
-    }
-
-    fn failed(reply: Vec<u8>, error: String) -> Self {
-        Self { outcome: Outcome::Failed, reply, error }
-    }
-}
-
-/// Watches which of the expected answers have come.
-struct Awaited<'a> {
-    expected: &'a [ExpectedStatus],
-    receiver: Receiver,
-    /// Devices answer in order: those before this have answered or will not.
-    passed: usize,
-    came: usize,
-}
-
-impl<'a> Awaited<'a> {
-    fn new(expected: &'a [ExpectedStatus]) -> Self {
-        let longest = expected.iter().map(ExpectedStatus::packet_length).max().unwrap_or(0);
-        Self { expected, receiver: Receiver::with_longest(longest), passed: 0, came: 0 }
-    }
-
-    fn take(&mut self, bytes: &[u8]) {
-        self.receiver.push(bytes);
-        while let Some(packet) = self.receiver.next_packet() {
-            let to_come = &self.expected[self.passed..];
-            if let Some(index) = to_come.iter().position(|expected| expected.id == packet.id()) {
-                self.passed += index + 1;
-                self.came += 1;
-            }
-        }
-    }
-
-    fn is_over(&self) -> bool {
-        self.passed == self.expected.len()
-    }
-
-    fn end(self, reply: Vec<u8>) -> End {
-        let missing = self.expected.len() - self.came;
-        if missing == 0 {
-            return End { reply, ..End::ok() };
-        }
-        let error = format!("{missing} of {} answers did not come, or came corrupt", self.expected.len());
-        End { outcome: Outcome::Timeout, reply, error }
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::Outcome;
     use super::*;
 
     #[test]

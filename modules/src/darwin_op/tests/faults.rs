@@ -50,7 +50,7 @@ fn an_unplugged_port_is_opened_again() {
     let link = Some(folder.path().join("port"));
     let options = EmulatorOptions { timing: Timing::Immediate, link, ..Default::default() };
     let emulator = Emulator::start(options).unwrap();
-    let mut run = Run::on(&emulator);
+    let mut run = Run::on_port_of(&emulator);
     run.until_running();
     run.command(&[("head_pan", 0.5)]);
     emulator.inject(Fault::lasting(FaultKind::ClosePort, Duration::from_millis(200)));

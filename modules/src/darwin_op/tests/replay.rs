@@ -47,7 +47,7 @@ fn a_recorded_run_with_faults_replays_bit_for_bit() {
     let link = Some(folder.path().join("port"));
     let options = EmulatorOptions { timing: Timing::Immediate, seed: 9, link, ..Default::default() };
     let emulator = Emulator::start(options).unwrap();
-    let mut original = Run::on(&emulator);
+    let mut original = Run::on_port_of(&emulator);
     let performed = perform(&mut original, |cycle| match cycle {
         100 => emulator.inject(Fault::lasting(servo("l_el"), Duration::from_millis(400))),
         180 => emulator.inject(Fault::always(FaultKind::Flip(Rate::Next(4)))),
