@@ -173,6 +173,37 @@ fn commands_from_rclpy_move_the_joints_they_name_until_two_seconds_after_the_las
     peer.leave();
 }
 
+/// A stop signal interrupts what rustdds waits in, and it gives up: so do a debugger, a container that is paused, and a
+/// laptop that sleeps.
+#[test]
+fn a_robot_that_was_suspended_is_there_again_with_all_it_has() {
+    let Some(mut peer) = peer(213) else { return };
+    let _check = check("Faults", "the program is suspended and goes on", With::Rclpy, Way::Both);
+    let folder = tempfile::tempdir().unwrap();
+    let mut robot = run(213, folder.path(), &[]);
+    peer.ask(json!({"do": "subscribe", "topic": "/joint_states", "type": JOINT_STATE}));
+    peer.ask(json!({"do": "advertise", "topic": "/joint_commands", "type": JOINT_STATE}));
+    let has_joint_states =
+        |peer: &mut Peer| peer.ask(json!({"do": "take", "topic": "/joint_states"})) != json!([]);
+    let is_heard = |peer: &mut Peer| peer.ask(json!({"do": "matched", "topic": "/joint_commands"})) == 1;
+    wait_until("the robot is there", || has_joint_states(&mut peer) && is_heard(&mut peer));
+
+    robot.signal("-STOP");
+    // What it sent before has come when nothing more comes.
+    wait_until("it is silent", || {
+        std::thread::sleep(Duration::from_millis(200));
+        !has_joint_states(&mut peer)
+    });
+    robot.signal("-CONT");
+    robot.wait_for_output("joined the domain again");
+    wait_until("joint states come again", || has_joint_states(&mut peer));
+    wait_until("commands are heard again", || is_heard(&mut peer));
+    let hold = json!({"do": "parameters", "node": "/darwin_op", "call": "get_parameters", "argument": ["mux.hold_s"]});
+    assert_eq!(peer.ask(hold)["values"][0]["double_value"], 2.0);
+    robot.interrupt();
+    peer.leave();
+}
+
 #[test]
 fn the_node_leaves_the_graph_within_two_seconds_of_a_signal() {
     for (domain, signal) in [(65, "-INT"), (66, "-TERM")] {
