@@ -215,6 +215,9 @@ fn the_node_leaves_the_graph_within_two_seconds_of_a_signal() {
         robot.signal(signal);
         let signalled = Instant::now();
         wait_until("the node is gone", || !has(&peer.ask(json!({"do": "nodes"})), "/darwin_op"));
+        wait_until("its topics are gone", || {
+            peer.ask(json!({"do": "topics"})).get("/joint_states").is_none()
+        });
         let took = signalled.elapsed();
         assert!(took < Duration::from_secs(2), "{took:?} after {signal}");
         assert!(robot.wait().success(), "{}", robot.output());

@@ -4,7 +4,7 @@
 mod common;
 
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use common::hosts::Hosts;
 use common::matrix::{Check, Way, With, check};
@@ -78,9 +78,14 @@ fn the_robot_is_seen_and_driven_from_another_host() {
         })
     });
     robot.interrupt();
+    let left = Instant::now();
     wait_until("the robot is gone", || {
         !peer.ask(json!({"do": "nodes"})).as_array().unwrap().iter().any(|node| node == "/darwin_op")
     });
+    wait_until("the robot is not counted any more", || {
+        peer.ask(json!({"do": "matched", "topic": "/joint_commands"})) == 0
+    });
+    assert!(left.elapsed() < Duration::from_secs(20), "not by the end of its lease, which is 50 s");
 }
 
 #[test]

@@ -178,6 +178,10 @@ fn our_node_is_gone_from_rclpy_within_two_seconds_of_our_leaving() {
     drop((participant, node, states, commands));
     let left = Instant::now();
     wait_until("the node is gone", || !lists(&rclpy.ask(json!({"do": "nodes"})), "/robot/downbeat"));
+    wait_until("its topics are gone", || {
+        let topics = rclpy.ask(json!({"do": "topics"}));
+        topics.get("/joint_states").is_none() && topics.get("/joint_commands").is_none()
+    });
     assert!(left.elapsed() < Duration::from_secs(2), "gone after {:?}", left.elapsed());
 }
 

@@ -7,6 +7,7 @@
 //! the target [`LOG_TARGET`]; programs set that to `off` unless asked otherwise.
 
 mod engine_threads;
+mod farewell;
 mod first_fragment;
 mod matches;
 mod payload;
@@ -23,6 +24,7 @@ use super::{
 };
 use downbeat_msgs::qos::Durability;
 use engine_threads::EngineThreads;
+use farewell::Farewell;
 use first_fragment::FirstFragments;
 use matches::{MatchedCount, Matches};
 use payload::{OutgoingBody, ReceiveAny, ReceivedCdr, SendLittleEndian};
@@ -58,6 +60,8 @@ pub struct DdsParticipant {
     publisher: rustdds::Publisher,
     subscriber: rustdds::Subscriber,
     participant: DomainParticipant,
+    // Behind all that the participant itself says.
+    _farewell: Farewell,
 }
 
 impl DdsParticipant {
@@ -103,6 +107,12 @@ impl DdsParticipant {
         let reader_thread = ReaderThread::start(gid, listener, Arc::clone(&matches), threads)?;
         let announce = |listening: Listening| listening.announce(gid.participant());
         let static_peers = listening.map(announce).transpose().map_err(|error| failed(error.to_string()))?;
+        let farewell = Farewell {
+            participant: gid.participant(),
+            domain_id: options.domain_id,
+            range: options.discovery_range,
+            static_peers: static_peers.as_ref().map(StaticPeers::addresses).unwrap_or_default(),
+        };
         let first_fragments = FirstFragments::new().map_err(|error| failed(error.to_string()))?;
         let first_fragments = Arc::new(first_fragments);
         let joined = Self {
@@ -114,6 +124,7 @@ impl DdsParticipant {
             publisher,
             subscriber,
             participant,
+            _farewell: farewell,
         };
         joined.look_around();
         Ok(joined)

@@ -8,8 +8,8 @@
 use super::returned::{listen, sender_of};
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, ToSocketAddrs, UdpSocket};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -25,6 +25,7 @@ const LARGEST: usize = 65_536;
 /// It announces until it is dropped.
 pub(super) struct StaticPeers {
     is_stopping: Arc<AtomicBool>,
+    addresses: Arc<Mutex<Vec<SocketAddr>>>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -34,6 +35,11 @@ impl StaticPeers {
         let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
         socket.set_nonblocking(true)?;
         Ok(Listening { heard: listen(domain_id)?, socket, domain_id, hosts })
+    }
+
+    /// Where the peers listen, as far as is known.
+    pub(super) fn addresses(&self) -> Arc<Mutex<Vec<SocketAddr>>> {
+        Arc::clone(&self.addresses)
     }
 }
 
@@ -50,15 +56,17 @@ impl Listening {
     pub(super) fn announce(self, own: [u8; 12]) -> io::Result<StaticPeers> {
         let is_stopping = Arc::<AtomicBool>::default();
         let stop = Arc::clone(&is_stopping);
-        let run = move || self.run(own, &stop);
+        let addresses = Arc::<Mutex<Vec<SocketAddr>>>::default();
+        let known = Arc::clone(&addresses);
+        let run = move || self.run(own, &known, &stop);
         let thread = std::thread::Builder::new().name("downbeat-peers".to_owned()).spawn(run)?;
-        Ok(StaticPeers { is_stopping, thread: Some(thread) })
+        Ok(StaticPeers { is_stopping, addresses, thread: Some(thread) })
     }
 
-    fn run(&self, own: [u8; 12], is_stopping: &AtomicBool) {
+    fn run(&self, own: [u8; 12], known: &Mutex<Vec<SocketAddr>>, is_stopping: &AtomicBool) {
         let mut packet = vec![0; LARGEST];
         let mut announcement = Vec::new();
-        let (mut addresses, mut looked_up, mut announced) = (self.addresses(), Instant::now(), None);
+        let (mut addresses, mut looked_up, mut announced) = (self.look_up(), Instant::now(), None);
         while !is_stopping.load(Ordering::Relaxed) {
             // A turn without any packet is an error of kind `WouldBlock`.
             if let Ok(length) = self.heard.recv(&mut packet)
@@ -72,8 +80,9 @@ impl Listening {
                 continue;
             }
             if looked_up.elapsed() > LOOK_UP {
-                (addresses, looked_up) = (self.addresses(), Instant::now());
+                (addresses, looked_up) = (self.look_up(), Instant::now());
             }
+            known.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&addresses);
             for address in &addresses {
                 // One that cannot be reached now may be later.
                 let _ = self.socket.send_to(&announcement, address);
@@ -83,7 +92,7 @@ impl Listening {
     }
 
     /// Where the hosts listen, by address or name.
-    fn addresses(&self) -> Vec<SocketAddr> {
+    fn look_up(&self) -> Vec<SocketAddr> {
         let mut addresses = Vec::new();
         for host in &self.hosts {
             let found = (host.as_str(), 0).to_socket_addrs();
