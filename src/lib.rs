@@ -19,6 +19,7 @@ pub mod recorder;
 pub mod replay;
 pub mod robot;
 pub mod ros_recorder;
+pub mod settings_journal;
 pub mod step_journal;
 pub mod table;
 

@@ -6,10 +6,17 @@ mod common;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-use common::{Running, output_of, record_until, robot_file, wait_until};
+use common::{Running, WATCHDOG, output_of, record_until, recorded_messages, robot_file, wait_until};
 use downbeat::bags::{Reader, Selection, WriterOptions};
+use downbeat::bridge::expose::parameter_value;
+use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions};
+use downbeat::bridge::ros::{NodeName, Participant};
+use downbeat::executor::SettingValue;
 use downbeat::msgs::cdr;
 use downbeat::msgs::downbeat_interfaces::msg::CycleTimes;
+use downbeat::msgs::qos::QosProfile;
+use downbeat::msgs::rcl_interfaces::msg::Parameter;
+use downbeat::msgs::rcl_interfaces::srv::{SetParameters, SetParametersRequest};
 use downbeat::msgs::sensor_msgs::msg::Imu;
 use serde_json::{Value, json};
 
@@ -182,6 +189,42 @@ fn a_killed_recording_replays_as_far_as_it_goes() {
     running.wait();
     let report = report(&robot, &bag, &[]);
     assert!(compared(&report, "/joint_goals") > 10 && compared(&report, "/joint_states") > 10, "{report}");
+}
+
+#[test]
+fn settings_that_were_changed_while_it_ran_change_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = (robot_file(folder.path(), |text| text), folder.path().join("bag"));
+    let mut running = Running::start(&["run", text(&robot), "--domain", "214", "--record", text(&bag)]);
+    let options =
+        ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(214) };
+    let node =
+        Participant::join(&options).unwrap().create_node(NodeName::new("/", "tuner").unwrap()).unwrap();
+    let set = node.client::<SetParameters>("/darwin_op/set_parameters", QosProfile::SERVICES).unwrap();
+    assert!(set.wait_for_service(WATCHDOG));
+    wait_until("it moves", || recorded_messages(&bag, "/joint_goals") > 20);
+    // Of a module inside the cycle, and of one that is detached.
+    let values =
+        [("motion.stand_s", SettingValue::Double(1.5)), ("hardware.p_gain", SettingValue::Integer(16))];
+    for (name, value) in values {
+        let parameter = Parameter { name: name.to_owned(), value: parameter_value(&value) };
+        let request = SetParametersRequest { parameters: vec![parameter] };
+        let answer = set.call_and_wait(&request, WATCHDOG).unwrap();
+        assert!(answer.results[0].successful, "{name}: {answer:?}");
+    }
+    let before = recorded_messages(&bag, "/joint_goals");
+    wait_until("it has moved on", || recorded_messages(&bag, "/joint_goals") > before + 150);
+    running.interrupt();
+    for launcher in ["linear", "threads"] {
+        let report = report(&robot, &bag, &["--launcher", launcher]);
+        assert_eq!(report["different"], 0, "{launcher}: {report}");
+    }
+    let without = altered(&bag, "/module_settings", |_, _| None);
+    let printed = told(&replayed(&robot, &without, &[]));
+    for topic in ["/motion/joint_commands", "/bus/exchanges"] {
+        let line = printed.lines().find(|line| line.contains(topic)).unwrap();
+        assert!(!line.trim_end().ends_with(" 0"), "{printed}");
+    }
 }
 
 #[test]

@@ -205,7 +205,7 @@ pub use probe::{CycleReport, Probe, StepReport};
 pub use receipt::Receipt;
 pub use schedule::Task;
 pub use service::{CallError, CallId, Caller, Client, Reply, Responder, ServiceInfo};
-pub use setting::{Setting, SettingInfo, SettingType, SettingValue};
+pub use setting::{Setting, SettingInfo, SettingType, SettingValue, SettingsChange};
 pub use setup::Setup;
 pub use stage::Stage;
 pub use thread::{ThreadError, ThreadOptions};

@@ -94,13 +94,12 @@ fn a_removed_module_frees_everything_it_held() {
     let weak: Weak<()> = Arc::downgrade(&held);
     core.add("holder", Holder(held)).unwrap();
     cycles(&mut core, &clock, 2);
-    assert_eq!((core.topics().count(), core.services().count()), (3, 1));
+    assert_eq!((core.topics().count(), core.services().count()), (2 + OWN_TOPICS.len(), 1));
     let removed = core.handle().remove("holder");
     cycles(&mut core, &clock, 1);
     assert_eq!(removed.try_take(), Some(Ok(())));
     assert!(weak.upgrade().is_none());
-    // What is left is the topic of the executor itself.
-    assert_eq!(core.topics().map(|topic| &*topic.name).collect::<Vec<_>>(), [DetachedStep::TOPIC]);
+    assert_eq!(core.topics().map(|topic| &*topic.name).collect::<Vec<_>>(), OWN_TOPICS);
     assert_eq!(core.services().count(), 0);
     assert!(core.modules().is_empty());
 }
@@ -144,7 +143,10 @@ fn a_setup_that_fails_or_panics_leaves_nothing_behind() {
     assert_eq!(refused.unwrap_err().to_string(), "module \"module\": it does not want to");
     let panicked = core.add("module", failing(|_| panic!("a setup that panics, as this test wants it")));
     assert!(panicked.unwrap_err().to_string().contains("panicked in its setup: a setup that panics"));
-    assert_eq!((core.topics().count(), core.services().count(), core.modules().len()), (1, 0, 0));
+    assert_eq!(
+        (core.topics().count(), core.services().count(), core.modules().len()),
+        (OWN_TOPICS.len(), 0, 0)
+    );
     core.add("module", failing(|_| Ok(()))).unwrap();
     cycles(&mut core, &clock, 1);
 }
@@ -289,7 +291,7 @@ fn a_detached_module_is_removed_with_its_thread_and_its_topics() {
     assert_eq!(noted.take(), ["detached ends"]);
     wait_until("it is forgotten", || handle.modules().wait(WATCHDOG).unwrap().is_empty());
     handle.stop();
-    assert_eq!(running.join().unwrap().unwrap(), 1);
+    assert_eq!(running.join().unwrap().unwrap(), OWN_TOPICS.len());
 }
 
 #[test]

@@ -3,6 +3,7 @@
 
 mod common;
 
+use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
 
 use common::*;
@@ -240,4 +241,49 @@ fn an_inactive_module_is_told_of_a_change_when_it_is_active() {
     drop(core.handle().transition("tuned", Transition::Activate));
     cycles(&mut core, &clock, 2);
     assert_eq!(log.take(), ["gain 4"]);
+}
+
+#[test]
+fn changes_of_parts_are_told_with_the_cycle_or_the_run_that_has_them() {
+    let ((mut core, clock), log) = (manual_core(), Log::default());
+    let changes = changes_in(&mut core);
+    core.add("tuned", tuned(&log)).unwrap();
+    let observer = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
+    core.add_with("watching", tuned(&log), observer).unwrap();
+    cycles(&mut core, &clock, 1);
+    // Refused, that of an observer, and that of a part.
+    for (module, gain) in [("tuned", 1.0), ("watching", 4.0), ("tuned", 4.0)] {
+        drop(core.handle().set(module, "gain", gain));
+    }
+    let time = clock.now();
+    core.cycle().unwrap();
+    cycles(&mut core, &clock, 2);
+    let settings = vec![("gain".to_owned(), SettingValue::Double(4.0))];
+    let told = SettingsChange { time, module: "tuned".into(), step: None, settings };
+    assert_eq!(changes.try_iter().collect::<Vec<_>>(), [told]);
+}
+
+#[test]
+fn changes_of_a_detached_part_are_told_with_its_first_run_that_has_them() {
+    let (mut core, log) = (Core::new(), Log::default());
+    let changes = changes_in(&mut core);
+    core.add_with("tuned", tuned(&log), detached()).unwrap();
+    let core = Running::new(core);
+    assert_eq!(core.handle.set("tuned", "gain", 4_i64).wait(WATCHDOG), Some(Ok(())));
+    let change = changes.recv_timeout(WATCHDOG).unwrap();
+    assert_eq!((&*change.module, change.step), ("tuned", Some(1)));
+    assert_eq!(change.settings, [("gain".to_owned(), SettingValue::Double(4.0))], "as the setting holds it");
+}
+
+fn changes_in(core: &mut Core) -> Receiver<SettingsChange> {
+    let (sender, changes) = channel();
+    let listener = module(move |setup| {
+        // The test may have stopped listening.
+        let tell = move |_: &mut Scripted, change: Received<'_, SettingsChange>, _: &mut Context<'_>| {
+            drop(sender.send(change.clone()));
+        };
+        setup.subscribe(SettingsChange::TOPIC, tell)
+    });
+    core.add("listener", listener).unwrap();
+    changes
 }

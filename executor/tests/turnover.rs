@@ -176,7 +176,7 @@ fn a_restart_whose_setup_fails_frees_the_name_and_all_that_was_held() {
     cycles(&mut core, &clock, 8);
     assert_eq!(left.try_iter().count(), 1);
     assert!(core.modules().is_empty());
-    assert_eq!((core.topics().count(), core.services().count()), (1, 0));
+    assert_eq!((core.topics().count(), core.services().count()), (OWN_TOPICS.len(), 0));
     core.add("module", module(|_| Ok(()))).unwrap();
     cycles(&mut core, &clock, 1);
 }

@@ -8,16 +8,21 @@ use downbeat_msgs::encoding;
 
 use crate::encoding::{RecordedType, RecordedTypeError};
 
+/// What can go wrong when messages are read as CDR.
+pub(crate) trait ReadError:
+    From<ReaderError> + From<RecordedTypeError> + From<encoding::Error>
+{
+}
+
+impl<E: From<ReaderError> + From<RecordedTypeError> + From<encoding::Error>> ReadError for E {}
+
 /// The messages of topics as CDR, each topic's in the order of the bag. Every chunk holds messages of most topics, so reading
 /// them together takes as long as reading those of one.
 #[derive(Default)]
 pub(crate) struct Extract(BTreeMap<TopicId, Vec<Bytes>>);
 
 impl Extract {
-    pub(crate) fn read<E>(reader: &Reader, topics: &BTreeSet<TopicId>) -> Result<Self, E>
-    where
-        E: From<ReaderError> + From<RecordedTypeError> + From<encoding::Error>,
-    {
+    pub(crate) fn read<E: ReadError>(reader: &Reader, topics: &BTreeSet<TopicId>) -> Result<Self, E> {
         let mut extract = BTreeMap::new();
         for &id in topics {
             extract.insert(id, (RecordedType::of(&reader.topics()[id.index()])?, Vec::new()));
@@ -32,10 +37,7 @@ impl Extract {
     }
 
     /// Those of a topic that was read, or is read now.
-    pub(crate) fn of<E>(&mut self, reader: &Reader, topic: TopicId) -> Result<&[Bytes], E>
-    where
-        E: From<ReaderError> + From<RecordedTypeError> + From<encoding::Error>,
-    {
+    pub(crate) fn of<E: ReadError>(&mut self, reader: &Reader, topic: TopicId) -> Result<&[Bytes], E> {
         if !self.0.contains_key(&topic) {
             self.0.append(&mut Self::read::<E>(reader, &BTreeSet::from([topic]))?.0);
         }

@@ -1,6 +1,7 @@
 //! Bags as input of a core: the same bag gives the same result each time.
 
 mod extract;
+pub(crate) mod settings;
 mod steps;
 
 use std::collections::BTreeMap;
@@ -12,7 +13,8 @@ use downbeat_msgs::encoding;
 
 use crate::encoding::{RecordedType, RecordedTypeError};
 
-pub(crate) use extract::Extract;
+pub(crate) use extract::{Extract, ReadError};
+pub use settings::SettingsError;
 pub(crate) use steps::replay_steps;
 pub use steps::{ReplayError, ReplayedSteps, replay_module};
 

@@ -11,6 +11,7 @@ use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
 use downbeat_msgs::encoding;
 
 use super::Extract;
+use super::settings::{SettingsChanges, SettingsError};
 use crate::encoding::{RecordedType, RecordedTypeError};
 use crate::step_journal;
 
@@ -48,6 +49,9 @@ pub enum ReplayError {
     /// A message is not what its encoding says.
     #[error(transparent)]
     Encoding(#[from] encoding::Error),
+    /// Changes of settings cannot be made again.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
     /// The core has the topic with another type.
     #[error(transparent)]
     Setup(#[from] SetupError),
@@ -97,10 +101,12 @@ pub(crate) fn replay_steps(
 ) -> Result<ReplayedSteps, ReplayError> {
     let steps = steps_of(module, reader, extract)?;
     let mut inputs = Inputs::open(core, reader, extract, &steps)?;
-    // A message that is given before a cycle joins in its sync phase and is received in the next one.
+    let mut settings = SettingsChanges::read::<ReplayError>(reader, extract, |name| name == module)?;
+    // A message or a setting that is given before a cycle joins in its sync phase and is received in the next one.
     for (position, step) in steps.iter().enumerate() {
         if let Some(next) = steps.get(position + 1) {
             inputs.give(next)?;
+            settings.give(core, |change| change.step <= next.step)?;
         }
         clock.set(Time::from_nanos(step.stamp.as_nanos()));
         if step.is_stop {

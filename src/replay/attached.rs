@@ -13,6 +13,7 @@ use super::comparison::Comparisons;
 use super::cycles::Cycles;
 use super::plan::Plan;
 use crate::encoding::RecordedType;
+use crate::playback::settings::SettingsChanges;
 use crate::playback::{Extract, run_until};
 use crate::robot::RobotFile;
 
@@ -33,7 +34,9 @@ pub(super) fn replay(
     core = build(file, reader, extract, core, |module| plan.attached.iter().any(|name| name == module))?;
     let captured = Captured::add(&mut core, |topic| plan.outputs.contains_key(topic))?;
     let inputs = Inputs::open(&mut core, reader, plan)?;
-    let mut run = Run { core, clock, captured, inputs, comparisons, cycles: 0 };
+    let is_replayed = |module: &str| plan.attached.iter().any(|name| name == module);
+    let settings = SettingsChanges::read::<ReplayError>(reader, extract, is_replayed)?;
+    let mut run = Run { core, clock, captured, inputs, settings, comparisons, cycles: 0 };
     match &plan.cycles {
         Cycles::Recorded { times, is_whole } => {
             times.iter().try_for_each(|&time| run.cycle(time))?;
@@ -105,6 +108,7 @@ struct Run<'a> {
     clock: ManualClock,
     captured: Captured,
     inputs: Inputs,
+    settings: SettingsChanges,
     comparisons: &'a mut Comparisons,
     cycles: u64,
 }
@@ -113,6 +117,7 @@ impl Run<'_> {
     /// What is given before a cycle joins in its sync phase, as it did when it was recorded.
     fn cycle(&mut self, time: i64) -> Result<(), ReplayError> {
         self.inputs.give(time)?;
+        self.settings.give(&self.core, |change| change.stamp.as_nanos() <= time)?;
         self.clock.set(Time::from_nanos(time));
         self.core.cycle()?;
         self.cycles += 1;

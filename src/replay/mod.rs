@@ -9,7 +9,8 @@
 //!
 //! Modules inside the cycle are compared until the robot began to stop, detached ones to their end.
 //!
-//! Calls of services and changes of settings while the robot ran are in no bag: modules that depend on them differ.
+//! Settings that were changed while the robot ran (`module_settings`) change again where they did. Calls of services are in
+//! no bag: modules that depend on them differ.
 
 mod attached;
 mod captured;
@@ -27,6 +28,7 @@ use downbeat_executor::{RunError, SetupError};
 use downbeat_msgs::{cdr, encoding};
 
 use crate::encoding::RecordedTypeError;
+use crate::playback::settings::SettingsError;
 use crate::playback::{PlaybackError, ReplayError as StepsError};
 use crate::robot::{RobotFile, RobotFileError};
 use comparison::Comparisons;
@@ -111,6 +113,9 @@ pub enum ReplayError {
         /// Why not.
         source: Box<StepsError>,
     },
+    /// Changes of settings cannot be made again.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
     /// The modules cannot be played to.
     #[error(transparent)]
     Playback(#[from] PlaybackError),

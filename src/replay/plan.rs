@@ -10,8 +10,9 @@ use downbeat_executor::{Core, Graph, GraphEdge, Synchrony};
 use super::cycles::{self, Cycles};
 use super::{LeftOut, ReplayError, ReplayOptions};
 use crate::cycle_journal::CycleJournal;
-use crate::playback::Extract;
+use crate::playback::{Extract, settings};
 use crate::robot::{ModuleEntry, RobotFile};
+use crate::settings_journal::SettingsJournal;
 use crate::step_journal::{self, StepJournal};
 
 pub(super) struct Plan {
@@ -98,6 +99,7 @@ impl Plan {
         let mut topics: Vec<String> = received.map(|(topic, _)| format!("/{topic}")).collect();
         topics.extend(answers);
         topics.push(cycles::topic());
+        topics.push(settings::topic());
         if !self.detached.is_empty() {
             topics.push(format!("/{}", step_journal::TOPIC));
         }
@@ -183,6 +185,7 @@ impl Wiring {
         }
         let mut core = file.build_modules(core, |_, _| None)?;
         StepJournal::add(&mut core)?;
+        SettingsJournal::add(&mut core)?;
         CycleJournal::add(&mut core)?;
         let Graph { modules, topics, edges, .. } = core.graph();
         let mut wiring = Self { publishers: BTreeMap::new(), subscribers: BTreeMap::new() };

@@ -9,6 +9,7 @@ use super::LauncherChoice;
 use super::expose::canonical;
 use super::file::{LauncherEntry, ModuleEntry, Place, RobotFile, RobotFileError, suggestion};
 use crate::cycle_journal::CycleJournal;
+use crate::settings_journal::SettingsJournal;
 use crate::step_journal::StepJournal;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
@@ -29,7 +30,8 @@ impl RobotFile {
     /// not allow the CPUs or priorities of a thread; with path and line.
     pub fn build(self, core: Core) -> Result<Robot> {
         let mut core = self.build_modules(self.launch(core)?, |_, _| None)?;
-        let journals = StepJournal::add(&mut core).and_then(|()| match self.launcher.idle {
+        let journals = StepJournal::add(&mut core).and_then(|()| SettingsJournal::add(&mut core));
+        let journals = journals.and_then(|()| match self.launcher.idle {
             Idle::Park => CycleJournal::add(&mut core),
             // There would be millions, and nearly all of them idle.
             Idle::Spin => Ok(()),

@@ -10,7 +10,7 @@ use downbeat_executor::TopicInfo;
 use downbeat_msgs::dynamic::Definitions;
 
 use super::file::{Direction, ExposeEntry, RobotFile, RobotFileError, TopicChoice, suggestion};
-use crate::{cycle_journal, step_journal};
+use crate::{cycle_journal, settings_journal, step_journal};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -229,8 +229,10 @@ impl Selection<'_> {
 /// A topic that a pattern may mean, with its type.
 fn candidate<'a>(entry: &ExposeEntry, topic: &'a TopicInfo) -> Option<(&'a TopicInfo, KnownType)> {
     // An action is exposed as a whole.
+    let journals = [step_journal::TOPIC, settings_journal::TOPIC, cycle_journal::TOPIC];
     let is_internal = topic.name.starts_with("executor/")
-        || [step_journal::TOPIC, cycle_journal::TOPIC, QOS_EVENTS_TOPIC].contains(&&*topic.name)
+        || journals.contains(&&*topic.name)
+        || *topic.name == *QOS_EVENTS_TOPIC
         || topic.name.contains("/_action/");
     let goes_that_way = topic.is_published == (entry.direction == Direction::Out);
     let message_type = KnownType::of_rust_type(topic.message_type_id)?;

@@ -76,7 +76,7 @@ pub fn text_of(arguments: &[&str]) -> String {
 pub fn record_until(arguments: &[&str], bag: &Path, topic: &str, count: u64) -> String {
     let mut recording = Running::start(arguments);
     let start = Instant::now();
-    while recorded(bag, topic) < count {
+    while recorded_messages(bag, topic) < count {
         assert!(
             start.elapsed() < WATCHDOG,
             "{count} messages of {topic} are not recorded:\n{}",
@@ -91,7 +91,7 @@ pub fn record_until(arguments: &[&str], bag: &Path, topic: &str, count: u64) -> 
 }
 
 /// How many messages of a topic a bag has, which may still be written.
-fn recorded(bag: &Path, topic: &str) -> u64 {
+pub fn recorded_messages(bag: &Path, topic: &str) -> u64 {
     let Ok(reader) = Reader::open(bag) else { return 0 };
     reader.topic(topic).map_or(0, |topic| reader.topics()[topic.index()].message_count)
 }

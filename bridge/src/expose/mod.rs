@@ -39,7 +39,7 @@ pub use bridge::{Bridge, expose};
 pub use exposure::{ExposeError, Exposure};
 pub use limit::{Limits, OfACycle};
 pub use module::MODULE_NAME;
-pub use parameters::{ParameterExposure, ParameterServer, ParameterServices};
+pub use parameters::{ParameterExposure, ParameterServer, ParameterServices, parameter_value, setting_value};
 pub use pattern::{PatternError, TopicPattern};
 pub use qos_events::{QOS_EVENTS_TOPIC, QosCounts};
 pub use services::{

@@ -8,7 +8,9 @@ use crate::inspect::{CycleInfo, Measuring, spans_are_on};
 use crate::join::DetachedStep;
 use crate::management::{Command, finish_leaving};
 use crate::mechanism::Engaged;
+use crate::messaging::Topics;
 use crate::probe::{CycleReport, Probe};
+use crate::setting::SettingsChange;
 use crate::{Launcher, Stage, Time};
 
 impl Core {
@@ -104,10 +106,10 @@ impl Core {
         self.launcher.attach()?;
         let topics = &mut self.stage.exclusive().shared.topics;
         if self.world.steps_topic.is_none() {
-            // Cannot be of another type: no module can name this type's topic otherwise by mistake, and where
-            // one does, steps are simply not published.
-            self.world.steps_topic = topics.open::<DetachedStep>(DetachedStep::TOPIC, "executor").ok();
-            self.world.steps_topic.into_iter().for_each(|topic| topics.add_user(topic));
+            // Cannot be of another type: no module can name these types' topics otherwise by mistake, and where
+            // one does, they are simply not published.
+            self.world.steps_topic = open_own::<DetachedStep>(topics, DetachedStep::TOPIC);
+            self.world.changes_topic = open_own::<SettingsChange>(topics, SettingsChange::TOPIC);
         }
         let mut detached = std::mem::take(&mut self.world.detached);
         let started = detached.iter_mut().flatten().try_for_each(|module| {
@@ -237,6 +239,13 @@ impl Core {
             }
         }
     }
+}
+
+/// A topic of the executor itself, which stays.
+fn open_own<T: Send + Sync + 'static>(topics: &mut Topics, name: &str) -> Option<usize> {
+    let topic = topics.open::<T>(name, "executor").ok()?;
+    topics.add_user(topic);
+    Some(topic)
 }
 
 /// What was asked for in the process phase takes effect.

@@ -5,7 +5,8 @@ use crate::cell::ModuleCell;
 use crate::core::World;
 use crate::mechanism::Mechanism;
 use crate::module_io::ModuleIo;
-use crate::{ModuleId, Stage, Time};
+use crate::setting::SettingsChange;
+use crate::{ModuleId, Role, Stage, Time};
 
 /// The core between two process phases: what a [`Mechanism`] works on. No module runs while it is there.
 pub struct SyncPhase<'a> {
@@ -63,6 +64,16 @@ impl SyncPhase<'_> {
     pub fn wake(&mut self, module: ModuleId) {
         if let Some(slot) = self.attached_slot(module) {
             self.world.agenda.wake(slot);
+        }
+    }
+
+    /// Has the change told, if it is one of a part and somebody listens: an observer is not replayed.
+    pub(crate) fn note_change(&mut self, module: ModuleId, change: SettingsChange) {
+        let (topics, world) = (&self.stage.shared.topics, &mut *self.world);
+        let is_heard = world.changes_topic.is_some_and(|topic| !topics.subscribers(topic).is_empty());
+        let is_part = world.members.get(module.order).is_some_and(|member| member.role() == Role::Part);
+        if is_heard && is_part {
+            world.changes.push(change);
         }
     }
 

@@ -12,6 +12,7 @@ use crate::join::{JoinQueue, Request};
 use crate::management::{Command, Member, Members, Place};
 use crate::probe::Probe;
 use crate::service::{AnyCall, AnyClient, AnyReply, ReplyTo, ServiceRegistry};
+use crate::setting::SettingsChange;
 use crate::watchdog::Watchdog;
 use crate::{Clock, LifecycleState, ModuleId, Role, SettingInfo, Stage, Time};
 
@@ -48,6 +49,9 @@ pub(crate) struct World {
     /// Slots of the stage that were freed since the launcher was told.
     pub(crate) freed_slots: Vec<usize>,
     pub(crate) steps_topic: Option<usize>,
+    pub(crate) changes_topic: Option<usize>,
+    /// Settings that were changed since the last sync phase of messages.
+    pub(crate) changes: Vec<SettingsChange>,
     pub(crate) cycle: u64,
     pub(crate) is_running: bool,
     pub(crate) has_stopped: bool,
@@ -128,6 +132,8 @@ impl World {
             calls_due: Time::MAX,
             freed_slots: Vec::new(),
             steps_topic: None,
+            changes_topic: None,
+            changes: Vec::new(),
             cycle: 0,
             is_running: false,
             has_stopped: false,

@@ -19,6 +19,7 @@ use runner::Runner;
 use crate::cell::{Delivery, ModuleCell};
 use crate::core::{Pause, World};
 use crate::inspect::ModuleMeter;
+use crate::setting::SettingsChange;
 use crate::{
     Inbox, LifecycleState, ModuleId, ModuleOptions, Role, SettingInfo, Synchrony, ThreadError, ThreadOptions,
 };
@@ -140,13 +141,18 @@ impl DetachedModule {
         self.mailbox.owner.unpark();
     }
 
-    /// Takes over what the last run changed.
-    pub(crate) fn note(&mut self, outcome: &mut StepOutcome) {
+    /// Takes over what the last run changed; tells which settings it had anew.
+    pub(crate) fn note(&mut self, outcome: &mut StepOutcome) -> Option<SettingsChange> {
         self.state = outcome.state;
         self.meter.overran(outcome.overruns);
-        if let Some(settings) = outcome.settings.take() {
-            self.settings = settings;
-        }
+        let before = std::mem::replace(&mut self.settings, outcome.settings.take()?);
+        let changed = self.settings.iter().zip(&before).filter(|(now, before)| now.value != before.value);
+        Some(SettingsChange {
+            time: outcome.time,
+            module: Arc::clone(&self.name),
+            step: Some(outcome.step),
+            settings: changed.map(|(now, _)| (now.name.clone(), now.value.clone())).collect(),
+        })
     }
 
     /// Messages that wait for it.

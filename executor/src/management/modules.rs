@@ -60,9 +60,12 @@ fn notice_changes(phase: &mut SyncPhase<'_>) {
         if let Place::Detached(slot) = id.place
             && let Some(module) = phase.world.detached[slot].as_mut().filter(|module| module.id == id)
         {
-            module.note(step);
+            let change = module.note(step);
             if panic.is_some() {
                 module.meter.panicked();
+            }
+            if let Some(change) = change {
+                phase.note_change(id, change);
             }
         }
         if let Some(panic) = panic {

@@ -30,6 +30,9 @@ impl Mechanism for Messaging {
         if phase.world.queue.take_inlet_announcement() {
             take_inlets(phase);
         }
+        if !phase.world.changes.is_empty() {
+            tell_changes(phase);
+        }
         if phase.has(Asked::JOINED) {
             join_steps(phase);
         }
@@ -146,6 +149,14 @@ fn join_step(phase: &mut SyncPhase<'_>, outcome: StepOutcome) {
         inputs: inputs.collect(),
     };
     absorb_step(topics, topic, step, now);
+}
+
+#[cold]
+fn tell_changes(phase: &mut SyncPhase<'_>) {
+    let messages = std::mem::take(&mut phase.world.changes);
+    if let Some(topic) = phase.world.changes_topic {
+        phase.stage.shared.topics.absorb(&mut Outbox { topic, messages }, phase.now);
+    }
 }
 
 fn absorb_step(topics: &mut Topics, topic: usize, step: DetachedStep, now: Time) {

@@ -1,11 +1,13 @@
 //! Settings: named, typed values of a module, given at the start and changed in the sync phase.
 
+mod change;
 mod sync;
 
 use std::fmt;
 use std::marker::PhantomData;
 use std::ops::RangeInclusive;
 
+pub use change::SettingsChange;
 pub(crate) use sync::SettingsMechanism;
 
 use crate::receipt::ReceiptSender;

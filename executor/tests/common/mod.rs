@@ -12,6 +12,9 @@ pub const WATCHDOG: Duration = Duration::from_secs(30);
 /// The step from cycle to cycle.
 pub const STEP: Duration = Duration::from_millis(1);
 
+/// The topics of the executor itself.
+pub const OWN_TOPICS: [&str; 2] = [DetachedStep::TOPIC, SettingsChange::TOPIC];
+
 type SetUp = Box<dyn FnOnce(&mut Setup<'_, Scripted>) -> Result<(), SetupError> + Send>;
 
 /// A module whose setup is a closure; what its callbacks know they capture.

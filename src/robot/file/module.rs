@@ -28,7 +28,7 @@ pub struct ModuleEntry {
 }
 
 /// The modules that the program adds to a robot.
-const RESERVED_NAMES: [&str; 7] = [
+const RESERVED_NAMES: [&str; 8] = [
     downbeat_bridge::expose::MODULE_NAME,
     downbeat_bridge::clock::MODULE_NAME,
     downbeat_bridge::diagnostics::MODULE_NAME,
@@ -36,6 +36,7 @@ const RESERVED_NAMES: [&str; 7] = [
     "fault_watch",
     "step_journal",
     crate::cycle_journal::CycleJournal::MODULE_NAME,
+    crate::settings_journal::SettingsJournal::MODULE_NAME,
 ];
 
 /// How long a module that panicked waits before it starts again, unless the file says otherwise.

@@ -10,6 +10,8 @@ mod store;
 mod thread;
 mod value;
 
+pub use value::{parameter_value, setting_value};
+
 use super::TopicPattern;
 use crate::clock::SimTime;
 use crate::ros::{Node, NodeError, Service};

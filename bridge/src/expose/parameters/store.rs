@@ -1,6 +1,6 @@
 //! What the parameters are, and what is answered.
 
-use super::value::{descriptor, from_message, to_message, type_of};
+use super::value::{descriptor, parameter_value, setting_value, type_of};
 use super::{ParameterExposure, own};
 use crate::clock::SimTime;
 use crate::ros::{MessageType, Node, NodeError, Publisher};
@@ -82,7 +82,8 @@ impl Parameters {
     pub(super) fn get(&mut self, request: GetParametersRequest) -> GetParametersResponse {
         self.refresh();
         // As in rclcpp: nothing at all when one of them is not there.
-        let values = request.names.iter().map(|name| Some(to_message(&self.shown.get(name)?.info.value)));
+        let values =
+            request.names.iter().map(|name| Some(parameter_value(&self.shown.get(name)?.info.value)));
         GetParametersResponse { values: values.collect::<Option<_>>().unwrap_or_default() }
     }
 
@@ -162,7 +163,7 @@ impl Parameters {
         if parameter.info.is_read_only {
             return Err(format!("parameter '{name}' cannot be set because it is read-only"));
         }
-        self.put(&name, parameter, from_message(value)?)
+        self.put(&name, parameter, setting_value(value)?)
     }
 
     fn put(&self, name: &str, parameter: &Parameter, value: SettingValue) -> Result<(), String> {
@@ -264,7 +265,7 @@ impl Parameters {
     fn tell(&self, before: &Shown) {
         let message = |(name, parameter): (&String, &Parameter)| ParameterMessage {
             name: name.clone(),
-            value: to_message(&parameter.info.value),
+            value: parameter_value(&parameter.info.value),
         };
         let is_new = |(name, _): &(&String, &Parameter)| !before.contains_key(*name);
         let is_changed = |(name, parameter): &(&String, &Parameter)| {

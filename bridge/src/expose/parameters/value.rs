@@ -5,7 +5,9 @@ use downbeat_msgs::rcl_interfaces::msg::{
     FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType, ParameterValue,
 };
 
-pub(super) fn to_message(value: &SettingValue) -> ParameterValue {
+/// The value of a setting as that of a parameter.
+#[must_use]
+pub fn parameter_value(value: &SettingValue) -> ParameterValue {
     let mut message = ParameterValue { r#type: type_of(value), ..ParameterValue::default() };
     match value.clone() {
         SettingValue::Bool(value) => message.bool_value = value,
@@ -39,7 +41,7 @@ pub(super) fn type_of(value: &SettingValue) -> u8 {
 ///
 /// # Errors
 /// What is wrong with it: settings always have a value.
-pub(super) fn from_message(message: ParameterValue) -> Result<SettingValue, String> {
+pub fn setting_value(message: ParameterValue) -> Result<SettingValue, String> {
     Ok(match message.r#type {
         ParameterType::PARAMETER_NOT_SET => return Err("a setting of a module cannot be removed".to_owned()),
         ParameterType::PARAMETER_BOOL => SettingValue::Bool(message.bool_value),
@@ -100,7 +102,7 @@ mod tests {
             vec!["a".to_owned()].into(),
         ];
         for value in values {
-            assert_eq!(from_message(to_message(&value)), Ok(value));
+            assert_eq!(setting_value(parameter_value(&value)), Ok(value));
         }
     }
 
@@ -108,7 +110,7 @@ mod tests {
     fn what_no_setting_holds_is_refused_with_the_reason() {
         for (kind, word) in [(0, "removed"), (10, "no type")] {
             let message = ParameterValue { r#type: kind, ..ParameterValue::default() };
-            assert!(from_message(message).unwrap_err().contains(word));
+            assert!(setting_value(message).unwrap_err().contains(word));
         }
     }
 }
