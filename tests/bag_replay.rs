@@ -26,9 +26,18 @@ fn text(path: &Path) -> &str {
 
 /// Records the demo from its first cycle to its last, with more than a second of motion.
 fn recorded(folder: &Path, edit: impl Fn(String) -> String) -> (PathBuf, PathBuf) {
+    recorded_until("/joint_states", 200, folder, edit)
+}
+
+fn recorded_until(
+    topic: &str,
+    count: u64,
+    folder: &Path,
+    edit: impl Fn(String) -> String,
+) -> (PathBuf, PathBuf) {
     let (robot, bag) = (robot_file(folder, edit), folder.join("bag"));
     let arguments = ["bag", "record", "--robot", text(&robot), "--output", text(&bag)];
-    record_until(&arguments, &bag, "/joint_goals", 150);
+    record_until(&arguments, &bag, topic, count);
     (robot, bag)
 }
 
@@ -152,7 +161,7 @@ fn a_message_that_differs_is_told_with_its_time_topic_field_and_both_values() {
 #[test]
 fn a_message_too_many_or_too_few_is_told() {
     let folder = tempfile::tempdir().unwrap();
-    let (robot, bag) = recorded(folder.path(), |text| text);
+    let (robot, bag) = recorded_until("/battery_state", 2, folder.path(), |text| text);
     let shorter = altered(&bag, "/battery_state", |number, data| (number == 0).then_some(data));
     let printed = told(&replayed(&robot, &shorter, &["--modules", "hardware"]));
     assert!(printed.contains("/battery_state message 1\n    recorded not at all\n"), "{printed}");
@@ -230,7 +239,7 @@ fn settings_that_were_changed_while_it_ran_change_again() {
 #[test]
 fn what_came_while_the_robot_stopped_is_not_compared() {
     let folder = tempfile::tempdir().unwrap();
-    let (robot, bag) = recorded(folder.path(), |text| text);
+    let (robot, bag) = recorded_until("/joint_goals", 150, folder.path(), |text| text);
     let goals = times_of(&bag, "/joint_goals");
     // As if it had begun to stop when a command was on its way from the motion to the multiplexer.
     let begin_of_stop = goals[100] - 1;
@@ -261,7 +270,7 @@ fn a_detached_module_replays_from_a_bag_without_the_times_of_cycles() {
 #[test]
 fn what_cannot_be_replayed_is_told_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
-    let (robot, bag) = recorded(folder.path(), |text| {
+    let (robot, bag) = recorded_until("/joint_goals", 1, folder.path(), |text| {
         text.replace("topics = \"all\"", "topics = [\"joint_goals\", \"cycle_times\"]")
     });
     let printed = told(&replayed(&robot, &bag, &["--modules", "hardware"]));

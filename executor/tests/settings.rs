@@ -272,7 +272,18 @@ fn changes_of_a_detached_part_are_told_with_its_first_run_that_has_them() {
     assert_eq!(core.handle.set("tuned", "gain", 4_i64).wait(WATCHDOG), Some(Ok(())));
     let change = changes.recv_timeout(WATCHDOG).unwrap();
     assert_eq!((&*change.module, change.step), ("tuned", Some(1)));
-    assert_eq!(change.settings, [("gain".to_owned(), SettingValue::Double(4.0))], "as the setting holds it");
+    let gain = |value: f64| ("gain".to_owned(), SettingValue::Double(value));
+    assert_eq!(change.settings, [gain(4.0)], "as the setting holds it");
+    // Held, so that both wait for the next run.
+    core.handle.pause();
+    drop(core.handle.set("tuned", "gain", 0.0));
+    drop(core.handle.set("tuned", "gain", 4.0));
+    core.handle.resume();
+    let mut told = Vec::new();
+    while told.len() < 2 {
+        told.extend(changes.recv_timeout(WATCHDOG).unwrap().settings);
+    }
+    assert_eq!(told, [gain(0.0), gain(4.0)], "each, in order");
 }
 
 fn changes_in(core: &mut Core) -> Receiver<SettingsChange> {

@@ -106,7 +106,9 @@ pub(crate) fn replay_steps(
     for (position, step) in steps.iter().enumerate() {
         if let Some(next) = steps.get(position + 1) {
             inputs.give(next)?;
-            settings.give(core, |change| change.step <= next.step)?;
+            // Runs of a module that started again are counted anew.
+            let run = (next.stamp.as_nanos(), next.step);
+            settings.give(core, |change| (change.stamp.as_nanos(), change.step) <= run)?;
         }
         clock.set(Time::from_nanos(step.stamp.as_nanos()));
         if step.is_stop {

@@ -51,16 +51,21 @@ pub(super) fn replay(
             let mut last = None;
             for message in reader.messages(Selection::all())? {
                 let time = message?.log_time;
-                if last.replace(time) != Some(time) {
-                    run.cycle(time)?;
+                if last.replace(time) == Some(time) {
+                    continue;
                 }
+                // There were cycles, too, in which nothing but a setting changed.
+                while let Some(change) = run.settings.next_time().filter(|&change| change < time) {
+                    run.cycle(change)?;
+                }
+                run.cycle(time)?;
             }
             run.stop();
         }
         Cycles::Unknown => {
-            while let Some(time) = run.inputs.next_time()? {
+            while let Some(time) = run.next_time()? {
                 run_until(&mut run.core, &run.clock, Time::from_nanos(time))?;
-                run.inputs.give(time)?;
+                run.give(time)?;
             }
             let end = Time::from_nanos(reader.end_time().unwrap_or(0));
             run_until(&mut run.core, &run.clock, end)?;
@@ -116,13 +121,23 @@ struct Run<'a> {
 impl Run<'_> {
     /// What is given before a cycle joins in its sync phase, as it did when it was recorded.
     fn cycle(&mut self, time: i64) -> Result<(), ReplayError> {
-        self.inputs.give(time)?;
-        self.settings.give(&self.core, |change| change.stamp.as_nanos() <= time)?;
+        self.give(time)?;
         self.clock.set(Time::from_nanos(time));
         self.core.cycle()?;
         self.cycles += 1;
         self.collect();
         Ok(())
+    }
+
+    /// When something is to be given next.
+    fn next_time(&mut self) -> Result<Option<i64>, ReplayError> {
+        Ok(self.inputs.next_time()?.into_iter().chain(self.settings.next_time()).min())
+    }
+
+    /// Gives all messages and settings up to that time.
+    fn give(&mut self, time: i64) -> Result<(), ReplayError> {
+        self.inputs.give(time)?;
+        Ok(self.settings.give(&self.core, |change| change.stamp.as_nanos() <= time)?)
     }
 
     fn stop(&mut self) {

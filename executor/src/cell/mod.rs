@@ -135,8 +135,8 @@ impl ModuleCell {
         self.hold != Hold::Free
     }
 
-    /// Changes a setting, unless the setting or its module refuses the value.
-    pub(crate) fn set(&mut self, setting: &str, value: SettingValue) -> Result<(), String> {
+    /// Changes a setting, unless the setting or its module refuses the value; gives back what the setting holds now.
+    pub(crate) fn set(&mut self, setting: &str, value: SettingValue) -> Result<SettingValue, String> {
         let (index, value) = self.io.settings.check(setting, value)?;
         if let Some(behaviour) = &mut self.behaviour {
             let check = AssertUnwindSafe(|| behaviour.accept_setting(index, &value));
@@ -144,8 +144,8 @@ impl ModuleCell {
                 Err(format!("the module's check of it panicked: {}", end_of(panic)))
             })?;
         }
-        self.io.settings.put(index, value);
-        Ok(())
+        self.io.settings.put(index, value.clone());
+        Ok(value)
     }
 
     /// True if the module has to run whatever the time is.

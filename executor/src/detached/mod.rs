@@ -96,7 +96,7 @@ impl DetachedModule {
             probe: world.probe.clone(),
             step: 0,
             last: crate::Time::from_nanos(i64::MIN),
-            has_new_settings: false,
+            changed: Vec::new(),
             _alive: alive,
         };
         let handle = self.options.spawn(&*self.name, move || runner.run())?;
@@ -145,14 +145,10 @@ impl DetachedModule {
     pub(crate) fn note(&mut self, outcome: &mut StepOutcome) -> Option<SettingsChange> {
         self.state = outcome.state;
         self.meter.overran(outcome.overruns);
-        let before = std::mem::replace(&mut self.settings, outcome.settings.take()?);
-        let changed = self.settings.iter().zip(&before).filter(|(now, before)| now.value != before.value);
-        Some(SettingsChange {
-            time: outcome.time,
-            module: Arc::clone(&self.name),
-            step: Some(outcome.step),
-            settings: changed.map(|(now, _)| (now.name.clone(), now.value.clone())).collect(),
-        })
+        let new = *outcome.settings.take()?;
+        self.settings = new.all;
+        let (module, settings) = (Arc::clone(&self.name), new.changed);
+        Some(SettingsChange { time: outcome.time, module, step: Some(outcome.step), settings })
     }
 
     /// Messages that wait for it.

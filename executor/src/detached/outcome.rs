@@ -5,7 +5,7 @@ use crate::job::Work;
 use crate::management::Command;
 use crate::messaging::AnyOutbox;
 use crate::service::{AnyClient, AnyReply, ReplyTo};
-use crate::{LifecycleState, ModuleId, SettingInfo, Time};
+use crate::{LifecycleState, ModuleId, SettingInfo, SettingValue, Time};
 
 /// What a run of a detached module brings to the next sync phase.
 pub(crate) struct StepOutcome {
@@ -26,8 +26,15 @@ pub(crate) struct StepOutcome {
     pub(crate) work: Vec<Work>,
     pub(crate) state: LifecycleState,
     pub(crate) panic: Option<String>,
-    /// The settings that have other values now, whole.
-    pub(crate) settings: Option<Vec<SettingInfo>>,
+    /// Where settings were changed before the run.
+    pub(crate) settings: Option<Box<NewSettings>>,
+}
+
+pub(crate) struct NewSettings {
+    /// All, as they are now.
+    pub(crate) all: Vec<SettingInfo>,
+    /// What was changed, in order.
+    pub(crate) changed: Vec<(String, SettingValue)>,
 }
 
 #[derive(Clone, Copy)]

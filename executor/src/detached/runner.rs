@@ -8,14 +8,14 @@ use crossbeam::channel::Sender;
 use crossbeam::sync::Parker;
 
 use super::mailbox::{Contents, Mailbox, Parcel};
-use super::outcome::{Input, StepOutcome};
+use super::outcome::{Input, NewSettings, StepOutcome};
 use crate::asked::Asked;
 use crate::cell::{Delivery, ModuleCell};
 use crate::guard::drop_guarded;
 use crate::inspect::{Measuring, Span, Stopwatch};
 use crate::join::{JoinQueue, Request};
 use crate::probe::{Probe, StepReport};
-use crate::{Clock, Role, Time};
+use crate::{Clock, Role, SettingValue, Time};
 
 /// The thread's side.
 pub(super) struct Runner {
@@ -29,7 +29,8 @@ pub(super) struct Runner {
     pub(super) step: u64,
     /// When it looked at the clock last.
     pub(super) last: Time,
-    pub(super) has_new_settings: bool,
+    /// The settings that were changed since the last run.
+    pub(super) changed: Vec<(String, SettingValue)>,
     /// The last field, so that it is dropped after the module.
     pub(super) _alive: Sender<()>,
 }
@@ -48,7 +49,10 @@ impl Runner {
             }
             self.last = now;
             let due = self.cell.next_due();
-            if self.cell.has_work() || !contents.deliveries.is_empty() || due <= now || self.has_new_settings
+            if self.cell.has_work()
+                || !contents.deliveries.is_empty()
+                || due <= now
+                || !self.changed.is_empty()
             {
                 self.step(contents.deliveries, contents.skipped, now, due);
             }
@@ -94,8 +98,8 @@ impl Runner {
             }
             Parcel::Set { setting, value, receipt } => {
                 let result = self.cell.set(&setting, value);
-                self.has_new_settings |= result.is_ok();
-                crate::setting::report(self.cell.name(), &setting, result, receipt);
+                let value = crate::setting::report(self.cell.name(), &setting, result, receipt);
+                self.changed.extend(value.map(|value| (setting, value)));
             }
             Parcel::Transition { transition, receipt } => self.cell.transition_later(transition, receipt),
             Parcel::Pause => self.cell.pause(),
@@ -136,7 +140,9 @@ impl Runner {
         }
         let (commands, work) = (std::mem::take(&mut io.commands), std::mem::take(&mut io.work));
         io.asked = Asked::default();
-        let settings = std::mem::take(&mut self.has_new_settings).then(|| self.cell.settings().to_vec());
+        let changed = std::mem::take(&mut self.changed);
+        let settings = (!changed.is_empty())
+            .then(|| Box::new(NewSettings { all: self.cell.settings().to_vec(), changed }));
         let outcome = StepOutcome {
             module: self.cell.io.id,
             time,

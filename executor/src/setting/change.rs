@@ -15,7 +15,7 @@ pub struct SettingsChange {
     pub module: Arc<str>,
     /// Of a detached module, the first run with them.
     pub step: Option<u64>,
-    /// Name and value of each.
+    /// Name and value of each, in the order in which they were given.
     pub settings: Vec<(String, SettingValue)>,
 }
 

@@ -268,19 +268,25 @@ impl Settings {
 }
 
 /// Tells who asked for a change how it went, in the log where nobody waits for the answer.
+///
+/// Returns the value if it was accepted.
 pub(crate) fn report(
     module: &str,
     setting: &str,
-    result: Result<(), String>,
+    result: Result<SettingValue, String>,
     receipt: Option<ReceiptSender<Result<(), SettingRefused>>>,
-) {
+) -> Option<SettingValue> {
     let (module, setting) = (module.to_owned(), setting.to_owned());
-    let result = result.map_err(|reason| SettingRefused::Refused { module, setting, reason });
+    let (value, result) = match result {
+        Ok(value) => (Some(value), Ok(())),
+        Err(reason) => (None, Err(SettingRefused::Refused { module, setting, reason })),
+    };
     match (receipt, result) {
         (Some(receipt), result) => receipt.send(result),
         (None, Err(refused)) => tracing::warn!("setting not changed: {refused}"),
         (None, Ok(())) => {}
     }
+    value
 }
 
 #[cfg(test)]

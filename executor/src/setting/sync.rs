@@ -48,16 +48,13 @@ impl Mechanism for SettingsMechanism {
 fn set(phase: &mut SyncPhase<'_>, id: ModuleId, module: &str, parcel: Parcel) {
     match (id.place, parcel) {
         (Place::Attached(slot), Parcel::Set { setting, value, receipt }) => {
-            let mut changed = None;
-            if let Some(cell) = phase.stage.cell(slot) {
+            let cell = phase.stage.cell(slot);
+            let value = cell.and_then(|cell| {
                 let result = cell.set(&setting, value);
-                let is_now = |info: &&SettingInfo| result.is_ok() && info.name == setting;
-                changed =
-                    cell.settings().iter().find(is_now).map(|info| (info.name.clone(), info.value.clone()));
-                report(module, &setting, result, receipt);
-            }
-            if let Some(changed) = changed {
-                let (time, settings) = (phase.now, vec![changed]);
+                report(module, &setting, result, receipt)
+            });
+            if let Some(value) = value {
+                let (time, settings) = (phase.now, vec![(setting, value)]);
                 phase.note_change(id, SettingsChange { time, module: module.into(), step: None, settings });
             }
             phase.wake(id);

@@ -29,8 +29,7 @@ impl Farewell {
         let message = message(self.participant);
         let socket = socket()?;
         let base = 7400 + 250 * self.domain_id;
-        let here = (0..PARTICIPANTS).map(|participant| base + 10 + 2 * participant);
-        let here = here.map(|port| SocketAddr::V4(SocketAddrV4::new(Ipv4Addr::LOCALHOST, port)));
+        let here = ports(base).map(|port| SocketAddr::V4(SocketAddrV4::new(Ipv4Addr::LOCALHOST, port)));
         let peers = self.static_peers.lock().unwrap_or_else(PoisonError::into_inner).clone();
         for address in here.chain(peers) {
             // Whoever is not there needs not be told.
@@ -41,9 +40,10 @@ impl Farewell {
         }
         for interface in netdev::get_interfaces().iter().filter(|interface| interface.is_multicast()) {
             for network in &interface.ipv4 {
-                socket.set_multicast_if_v4(&network.addr())?;
-                // As above.
-                let _ = socket.send_to(&message, &SocketAddrV4::new(GROUP, base).into());
+                // One that has gone meanwhile leads to nobody.
+                if socket.set_multicast_if_v4(&network.addr()).is_ok() {
+                    let _ = socket.send_to(&message, &SocketAddrV4::new(GROUP, base).into());
+                }
             }
         }
         Ok(())
@@ -56,6 +56,11 @@ impl Drop for Farewell {
             tracing::debug!(%error, "others are not told that this participant is gone: they see it for 50 s more");
         }
     }
+}
+
+/// Where participants of this machine listen (9.6.2.4.3); in the last domain there are not ports for all.
+fn ports(base: u16) -> impl Iterator<Item = u16> {
+    (0..PARTICIPANTS).map_while(move |participant| base.checked_add(10 + 2 * participant))
 }
 
 fn socket() -> io::Result<Socket> {
@@ -114,6 +119,12 @@ fn parameter(out: &mut Vec<u8>, id: u16, value: &[u8]) {
 mod tests {
     use super::*;
     use crate::middleware::dds::returned::sender_of;
+
+    #[test]
+    fn the_last_domain_has_fewer_ports() {
+        let last = |domain_id: u16| ports(7400 + 250 * domain_id).last();
+        assert_eq!((last(0), last(231), last(232)), (Some(7648), Some(65398), Some(65534)));
+    }
 
     #[test]
     fn the_lengths_in_the_message_are_those_of_its_parts() {
