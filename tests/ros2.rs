@@ -73,24 +73,14 @@ fn the_node_is_listed_with_its_topics_types_and_qos() {
     peer.leave();
 }
 
-/// As many nanoseconds as the rate is measured over.
-const STRETCH: i64 = 5_000_000_000;
-
-/// A tenth below 125 Hz.
-const LOWEST_RATE: f64 = 112.5;
-
-/// The mean rate over the stretch of five seconds in which most of these stamps are, in Hz. A machine that stands still
-/// meanwhile skips cycles of the emulated bus.
-fn best_rate(stamps: &[i64]) -> f64 {
-    let first_within = |last: &i64| stamps.partition_point(|stamp| stamp + STRETCH < *last);
-    let counts = stamps.iter().enumerate().map(|(index, last)| (index - first_within(last), last));
-    // Only whole stretches.
-    let whole = counts.filter(|(_, last)| **last - stamps[0] >= STRETCH);
-    whole.map(|(periods, _)| periods as f64 / (STRETCH as f64 * 1e-9)).fold(0.0, f64::max)
+/// The period that most are near, in ms. A machine that stands still now and then makes some longer.
+fn usual_period_ms(stamps: &[i64]) -> f64 {
+    let mut periods: Vec<i64> = stamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    periods.sort_unstable();
+    periods[periods.len() / 2] as f64 * 1e-6
 }
 
-/// The stamps of what was published, and of what rclpy received of it: until there are five seconds at the rate of the
-/// robot, or else for half a minute.
+/// The stamps of what was published, and of what rclpy received of it.
 fn record_and_receive(domain: u16) -> Option<(Vec<i64>, Vec<i64>)> {
     let mut peer = peer(domain)?;
     let folder = tempfile::tempdir().unwrap();
@@ -104,8 +94,7 @@ fn record_and_receive(domain: u16) -> Option<(Vec<i64>, Vec<i64>)> {
     wait_until("joint states have come for long enough", || {
         let more = peer.ask(json!({"do": "take", "topic": "/joint_states"}));
         received.extend(more.as_array().unwrap().iter().map(|message| stamp_ns(&message["fields"])));
-        let covers = received.last().zip(received.first()).map_or(0, |(last, first)| last - first);
-        best_rate(&received) >= LOWEST_RATE || covers > 30_000_000_000
+        received.len() > 600
     });
     robot.interrupt();
     peer.leave();
@@ -124,8 +113,8 @@ fn record_and_receive(domain: u16) -> Option<(Vec<i64>, Vec<i64>)> {
 fn joint_states_arrive_at_125_hz_without_loss() {
     let Some((published, received)) = record_and_receive(61) else { return };
     assert_eq!(received, published);
-    let rate = best_rate(&received);
-    assert!((LOWEST_RATE..=137.5).contains(&rate), "joint states come at {rate} Hz, not at 125 Hz");
+    let period = usual_period_ms(&published);
+    assert!((7.2..8.8).contains(&period), "joint states come every {period} ms, not at 125 Hz");
 }
 
 #[test]
