@@ -346,7 +346,7 @@
 //!
 //! What it costs: a hop to it and back wakes two threads, which is up to the system, and what it publishes joins when it is
 //! done, not in a cycle one could foretell. Each of its runs can be recorded from the topic
-//! [`DetachedStep::TOPIC`](crate::DetachedStep), and replay repeats it by that; settings that were changed meanwhile can be from
+//! [`DetachedStep::TOPIC`](crate::DetachedStep), and replay repeats it by that; settings that change meanwhile are told on
 //! [`SettingsChange::TOPIC`](crate::SettingsChange). What it cannot do: use a mechanism that
 //! was added to the core ([`Setup::mechanism`](crate::Setup::mechanism) refuses, under every clock), because others
 //! change it while the module runs; and the end of the core waits for it, however long it takes, because a thread

@@ -40,11 +40,6 @@ impl SettingsChanges {
         Ok(Self(changes))
     }
 
-    /// The time of the next one, in nanoseconds.
-    pub(crate) fn next_time(&self) -> Option<i64> {
-        self.0.front().map(|change| change.stamp.as_nanos())
-    }
-
     /// Has the core make those that are due in its next sync phase.
     pub(crate) fn give(
         &mut self,

@@ -51,19 +51,14 @@ pub(super) fn replay(
             let mut last = None;
             for message in reader.messages(Selection::all())? {
                 let time = message?.log_time;
-                if last.replace(time) == Some(time) {
-                    continue;
+                if last.replace(time) != Some(time) {
+                    run.cycle(time)?;
                 }
-                // There were cycles, too, in which nothing but a setting changed.
-                while let Some(change) = run.settings.next_time().filter(|&change| change < time) {
-                    run.cycle(change)?;
-                }
-                run.cycle(time)?;
             }
             run.stop();
         }
         Cycles::Unknown => {
-            while let Some(time) = run.next_time()? {
+            while let Some(time) = run.inputs.next_time()? {
                 run_until(&mut run.core, &run.clock, Time::from_nanos(time))?;
                 run.give(time)?;
             }
@@ -127,11 +122,6 @@ impl Run<'_> {
         self.cycles += 1;
         self.collect();
         Ok(())
-    }
-
-    /// When something is to be given next.
-    fn next_time(&mut self) -> Result<Option<i64>, ReplayError> {
-        Ok(self.inputs.next_time()?.into_iter().chain(self.settings.next_time()).min())
     }
 
     /// Gives all messages and settings up to that time.

@@ -26,7 +26,7 @@ impl DirectBus {
         let (now, said) = self.step;
         let sequence = self.sequence;
         self.sequence += 1;
-        let duration = self.shared.world().now().saturating_sub(started);
+        let duration = self.now().saturating_sub(started);
         Exchange {
             sequence,
             kind,

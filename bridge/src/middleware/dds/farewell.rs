@@ -5,7 +5,12 @@
 //! again, in the name of the participant: a DATA submessage of the writer of announcements that says "disposed and
 //! unregistered" (RTPS 2.5, 8.5.3.2, 9.4.5.4 and 9.6.4.9).
 
-use crate::middleware::DiscoveryRange;
+use super::rtps::{
+    INLINE_QOS, LITTLE_ENDIAN, end_of_parameters, message_of, multicast_port, parameter, sequence_number,
+    submessage, unicast_ports,
+};
+use crate::middleware::{DiscoveryRange, Gid};
+use bytes::BufMut;
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
@@ -18,7 +23,7 @@ const PARTICIPANTS: u16 = 120;
 
 /// Says it when it is dropped.
 pub(super) struct Farewell {
-    pub(super) participant: [u8; 12],
+    pub(super) participant: Gid,
     pub(super) domain_id: u16,
     pub(super) range: DiscoveryRange,
     pub(super) static_peers: Arc<Mutex<Vec<SocketAddr>>>,
@@ -26,10 +31,10 @@ pub(super) struct Farewell {
 
 impl Farewell {
     fn say(&self) -> io::Result<()> {
-        let message = message(self.participant);
+        let message = farewell_of(self.participant);
         let socket = socket()?;
-        let base = 7400 + 250 * self.domain_id;
-        let here = ports(base).map(|port| SocketAddr::V4(SocketAddrV4::new(Ipv4Addr::LOCALHOST, port)));
+        let ports = unicast_ports(self.domain_id, PARTICIPANTS);
+        let here = ports.map(|port| SocketAddr::V4(SocketAddrV4::new(Ipv4Addr::LOCALHOST, port)));
         let peers = self.static_peers.lock().unwrap_or_else(PoisonError::into_inner).clone();
         for address in here.chain(peers) {
             // Whoever is not there needs not be told.
@@ -38,11 +43,12 @@ impl Farewell {
         if self.range == DiscoveryRange::Localhost {
             return Ok(());
         }
+        let group = SocketAddrV4::new(GROUP, multicast_port(self.domain_id)).into();
         for interface in netdev::get_interfaces().iter().filter(|interface| interface.is_multicast()) {
             for network in &interface.ipv4 {
                 // One that has gone meanwhile leads to nobody.
                 if socket.set_multicast_if_v4(&network.addr()).is_ok() {
-                    let _ = socket.send_to(&message, &SocketAddrV4::new(GROUP, base).into());
+                    let _ = socket.send_to(&message, &group);
                 }
             }
         }
@@ -58,77 +64,55 @@ impl Drop for Farewell {
     }
 }
 
-/// Where participants of this machine listen (9.6.2.4.3); in the last domain there are not ports for all.
-fn ports(base: u16) -> impl Iterator<Item = u16> {
-    (0..PARTICIPANTS).map_while(move |participant| base.checked_add(10 + 2 * participant))
-}
-
 fn socket() -> io::Result<Socket> {
     let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
     socket.set_nonblocking(true)?;
     Ok(socket)
 }
 
-const VERSION: [u8; 2] = [2, 4];
-const VENDOR_RUSTDDS: [u8; 2] = [1, 0x12];
 const ENTITY_PARTICIPANT: [u8; 4] = [0, 0, 1, 0xC1];
 const ENTITY_READER_OF_ANNOUNCEMENTS: [u8; 4] = [0, 1, 0, 0xC7];
 const ENTITY_WRITER_OF_ANNOUNCEMENTS: [u8; 4] = [0, 1, 0, 0xC2];
 const DATA: u8 = 0x15;
-/// Little endian, with inline QoS, and a key for payload.
-const FLAGS: u8 = 0x01 | 0x02 | 0x08;
+/// The payload is a key.
+const KEY: u8 = 0x08;
 const OCTETS_TO_INLINE_QOS: u16 = 16;
 /// Behind all that the participant has ever announced: readers of announcements pass over what is not new.
-const SEQUENCE_NUMBER_HIGH: i32 = 1;
+const SEQUENCE_NUMBER: i64 = 1 << 32;
 const PL_CDR_LE: [u8; 4] = [0, 3, 0, 0];
-const PID_SENTINEL: u16 = 0x0001;
 const PID_PARTICIPANT_GUID: u16 = 0x0050;
 const PID_KEY_HASH: u16 = 0x0070;
 const PID_STATUS_INFO: u16 = 0x0071;
 const DISPOSED_AND_UNREGISTERED: [u8; 4] = [0, 0, 0, 3];
 
-fn message(participant: [u8; 12]) -> Vec<u8> {
-    let guid = [&participant[..], &ENTITY_PARTICIPANT].concat();
+fn farewell_of(participant: Gid) -> Vec<u8> {
+    let guid = [&participant.participant()[..], &ENTITY_PARTICIPANT].concat();
     let mut data = Vec::new();
-    data.extend_from_slice(&0_u16.to_le_bytes());
-    data.extend_from_slice(&OCTETS_TO_INLINE_QOS.to_le_bytes());
-    data.extend_from_slice(&ENTITY_READER_OF_ANNOUNCEMENTS);
-    data.extend_from_slice(&ENTITY_WRITER_OF_ANNOUNCEMENTS);
-    data.extend_from_slice(&SEQUENCE_NUMBER_HIGH.to_le_bytes());
-    data.extend_from_slice(&0_u32.to_le_bytes());
+    data.put_u16_le(0); // extra flags
+    data.put_u16_le(OCTETS_TO_INLINE_QOS);
+    data.put_slice(&ENTITY_READER_OF_ANNOUNCEMENTS);
+    data.put_slice(&ENTITY_WRITER_OF_ANNOUNCEMENTS);
+    sequence_number(&mut data, SEQUENCE_NUMBER);
     parameter(&mut data, PID_KEY_HASH, &guid);
     parameter(&mut data, PID_STATUS_INFO, &DISPOSED_AND_UNREGISTERED);
-    parameter(&mut data, PID_SENTINEL, &[]);
-    data.extend_from_slice(&PL_CDR_LE);
+    end_of_parameters(&mut data);
+    data.put_slice(&PL_CDR_LE);
     parameter(&mut data, PID_PARTICIPANT_GUID, &guid);
-    parameter(&mut data, PID_SENTINEL, &[]);
+    end_of_parameters(&mut data);
 
-    let mut message = [&b"RTPS"[..], &VERSION, &VENDOR_RUSTDDS, &participant, &[DATA, FLAGS]].concat();
-    message.extend_from_slice(&(data.len() as u16).to_le_bytes());
-    message.extend_from_slice(&data);
+    let mut message = message_of(participant);
+    submessage(&mut message, DATA, LITTLE_ENDIAN | INLINE_QOS | KEY, &data);
     message
-}
-
-fn parameter(out: &mut Vec<u8>, id: u16, value: &[u8]) {
-    out.extend_from_slice(&id.to_le_bytes());
-    out.extend_from_slice(&(value.len() as u16).to_le_bytes());
-    out.extend_from_slice(value);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::middleware::dds::returned::sender_of;
-
-    #[test]
-    fn the_last_domain_has_fewer_ports() {
-        let last = |domain_id: u16| ports(7400 + 250 * domain_id).last();
-        assert_eq!((last(0), last(231), last(232)), (Some(7648), Some(65398), Some(65534)));
-    }
+    use crate::middleware::dds::rtps::sender_of;
 
     #[test]
     fn the_lengths_in_the_message_are_those_of_its_parts() {
-        let message = message(*b"abcdefghijkl");
+        let message = farewell_of(Gid(*b"abcdefghijkl____"));
         assert_eq!(sender_of(&message), Some(*b"abcdefghijkl"));
         let (header, data) = message[20..].split_at(4);
         assert_eq!(usize::from(u16::from_le_bytes([header[2], header[3]])), data.len());

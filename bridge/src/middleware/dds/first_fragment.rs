@@ -7,6 +7,9 @@
 //! the reader is sent the first of its fragments before, with it: Fast DDS takes what a sample is from the fragment that comes
 //! first, and the rest, repairs too, from rustdds.
 
+use super::rtps::{
+    INLINE_QOS, LITTLE_ENDIAN, end_of_parameters, message_of, parameter, sequence_number, submessage,
+};
 use crate::middleware::{Gid, SampleIdentity};
 use bytes::BufMut;
 use rustdds::{DomainParticipant, GUID};
@@ -23,12 +26,9 @@ const ENCAPSULATION: [u8; 4] = [0x00, 0x01, 0x00, 0x00];
 const INFO_TS: u8 = 0x09;
 const INFO_DST: u8 = 0x0e;
 const DATA_FRAG: u8 = 0x16;
-const LITTLE_ENDIAN: u8 = 0x01;
-const INLINE_QOS: u8 = 0x02;
 
 /// `PID_RELATED_SAMPLE_IDENTITY` of DDS-RPC, and what Fast DDS 2 says instead.
 const PID_RELATED_SAMPLE_IDENTITY: [u16; 2] = [0x0083, 0x800f];
-const PID_SENTINEL: u16 = 0x0001;
 
 /// What rustdds leaves of a packet for the payload: 48 bytes of headers, 32 of a heartbeat, 48 of the submessage
 /// (`rtps/constant.rs`, `max_unfragmented_serialized_payload` in `rtps/writer.rs`).
@@ -129,11 +129,7 @@ impl Addresses {
 impl LargeSample<'_> {
     /// An RTPS message (RTPS 2.5, 9.4) with one fragment of 256 bytes; nothing is fragmented that is shorter.
     fn first_fragment(&self) -> Vec<u8> {
-        let mut message = Vec::with_capacity(512);
-        message.put_slice(b"RTPS\x02\x04");
-        message.put_slice(&self.writer.vendor());
-        message.put_slice(&self.writer.participant());
-
+        let mut message = message_of(self.writer);
         submessage(&mut message, INFO_DST, LITTLE_ENDIAN, &self.reader.participant());
         submessage(&mut message, INFO_TS, LITTLE_ENDIAN, &timestamp());
         submessage(&mut message, DATA_FRAG, LITTLE_ENDIAN | INLINE_QOS, &self.data_frag());
@@ -151,30 +147,16 @@ impl LargeSample<'_> {
         body.put_u16_le(1); // fragments
         body.put_u16_le(FRAGMENT as u16);
         body.put_u32_le((ENCAPSULATION.len() + self.body.len()) as u32);
-        for parameter in PID_RELATED_SAMPLE_IDENTITY {
-            body.put_u16_le(parameter);
-            body.put_u16_le(24);
-            body.put_slice(&self.related.endpoint.0);
-            sequence_number(&mut body, self.related.number);
+        let mut related = self.related.endpoint.0.to_vec();
+        sequence_number(&mut related, self.related.number);
+        for id in PID_RELATED_SAMPLE_IDENTITY {
+            parameter(&mut body, id, &related);
         }
-        body.put_u16_le(PID_SENTINEL);
-        body.put_u16_le(0);
+        end_of_parameters(&mut body);
         body.put_slice(&ENCAPSULATION);
         body.extend(self.body.iter().take(FRAGMENT - ENCAPSULATION.len()));
         body
     }
-}
-
-fn submessage(message: &mut Vec<u8>, kind: u8, flags: u8, body: &[u8]) {
-    message.put_u8(kind);
-    message.put_u8(flags);
-    message.put_u16_le(body.len() as u16);
-    message.put_slice(body);
-}
-
-fn sequence_number(body: &mut Vec<u8>, number: i64) {
-    body.put_i32_le((number >> 32) as i32);
-    body.put_u32_le(number as u32);
 }
 
 /// Seconds, and fractions of 2^-32.

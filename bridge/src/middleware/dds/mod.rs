@@ -14,6 +14,7 @@ mod payload;
 mod qos;
 mod reader_thread;
 mod returned;
+mod rtps;
 mod static_peers;
 mod writer;
 
@@ -108,7 +109,7 @@ impl DdsParticipant {
         let announce = |listening: Listening| listening.announce(gid.participant());
         let static_peers = listening.map(announce).transpose().map_err(|error| failed(error.to_string()))?;
         let farewell = Farewell {
-            participant: gid.participant(),
+            participant: gid,
             domain_id: options.domain_id,
             range: options.discovery_range,
             static_peers: static_peers.as_ref().map(StaticPeers::addresses).unwrap_or_default(),

@@ -4,6 +4,7 @@
 //! what rustdds has seen before the lease ran out it takes for a repetition afterwards. So a socket of our own hears the
 //! announcements too, once a lease has run out, and looks at the sender in the header of each (RTPS 2.5, 8.3.3.2 and 9.4.4).
 
+use super::rtps::{multicast_port, sender_of};
 use crate::middleware::Gid;
 use crate::middleware::rejoining::{Trouble, TroubleSink};
 use socket2::{Domain, Protocol, Socket, Type};
@@ -106,24 +107,6 @@ pub(super) fn listen(domain_id: u16) -> io::Result<UdpSocket> {
     socket.set_reuse_address(true)?;
     socket.set_reuse_port(true)?;
     socket.set_read_timeout(Some(TURN))?;
-    socket.bind(&SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 7400 + 250 * domain_id).into())?;
+    socket.bind(&SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, multicast_port(domain_id)).into())?;
     Ok(socket.into())
-}
-
-/// The participant in the header of an RTPS message: `RTPS`, version and vendor of two bytes each, then its prefix.
-pub(super) fn sender_of(packet: &[u8]) -> Option<[u8; 12]> {
-    packet.strip_prefix(b"RTPS")?.get(4..16)?.try_into().ok()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::sender_of;
-
-    #[test]
-    fn the_sender_of_a_message_stands_in_its_header() {
-        let packet = b"RTPS\x02\x03\x01\x0fabcdefghijkl and more";
-        assert_eq!(sender_of(packet), Some(*b"abcdefghijkl"));
-        assert_eq!(sender_of(&packet[..19]), None);
-        assert_eq!(sender_of(b"SOME\x02\x03\x01\x0fabcdefghijkl"), None);
-    }
 }

@@ -5,7 +5,8 @@
 //! static peer, at the ports that the first participants of a host listen to (9.6.2.4.3). A peer that has not heard of us
 //! answers there, and rustdds takes it from that.
 
-use super::returned::{listen, sender_of};
+use super::returned::listen;
+use super::rtps::{sender_of, unicast_ports};
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, ToSocketAddrs, UdpSocket};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -103,8 +104,7 @@ impl Listening {
                 );
             }
             for address in found {
-                let port = |participant| 7400 + 250 * self.domain_id + 10 + 2 * participant;
-                let ports = (0..PARTICIPANTS).map(port);
+                let ports = unicast_ports(self.domain_id, PARTICIPANTS);
                 addresses.extend(ports.map(|port| SocketAddr::V4(SocketAddrV4::new(address, port))));
             }
         }
