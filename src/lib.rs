@@ -14,6 +14,7 @@ pub mod duration;
 pub mod encoding;
 pub mod inspect;
 pub mod playback;
+pub mod program;
 mod raw_recorder;
 pub mod recorder;
 pub mod replay;

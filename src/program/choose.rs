@@ -1,7 +1,7 @@
 //! Which running robot is meant.
 
+use crate::inspect::{RunningRobot, SocketDirectory};
 use anyhow::bail;
-use downbeat::inspect::{RunningRobot, SocketDirectory};
 
 /// The running robot of that name or number of process; where nothing is wanted, the only one there is.
 pub(crate) fn choose(wanted: Option<&str>) -> anyhow::Result<RunningRobot> {

@@ -4,11 +4,11 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use crate::duration::parse as duration;
+use crate::inspect::Request;
+use crate::msgs::encoding::Encoding;
+use crate::robot::{RobotFile, RobotFileError, RosArgs};
 use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
-use downbeat::duration::parse as duration;
-use downbeat::inspect::Request;
-use downbeat::msgs::encoding::Encoding;
-use downbeat::robot::{RobotFile, RobotFileError, RosArgs};
 
 use super::bag::check::CheckBagArguments;
 use super::bag::convert::ConvertArguments;

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use crate::modules::darwin_op_emulator::{Emulator, EmulatorOptions, Fault};
 use anyhow::Context;
-use downbeat::modules::darwin_op_emulator::{Emulator, EmulatorOptions, Fault};
 
 use super::stop::Stop;
 

@@ -1,7 +1,7 @@
 //! `downbeat expose`
 
-use downbeat::inspect::Client;
-use downbeat::robot::ExposedEndpoint;
+use crate::inspect::Client;
+use crate::robot::ExposedEndpoint;
 
 use super::choose::choose;
 use super::cli::{ExposeAddArguments, ExposeArguments, ExposeCommand, ExposeDirection};

@@ -15,13 +15,13 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
+use crate::bridge::ros::{Node, Reply, Service};
+use crate::inspect::Inspected;
+use crate::msgs::qos::QosProfile;
+use crate::msgs::rcl_interfaces::msg::{Parameter, ParameterType, SetParametersResult};
+use crate::msgs::rcl_interfaces::srv::{SetParameters, SetParametersRequest, SetParametersResponse};
+use crate::robot::ExposedEndpoint;
 use anyhow::Context;
-use downbeat::bridge::ros::{Node, Reply, Service};
-use downbeat::inspect::Inspected;
-use downbeat::msgs::qos::QosProfile;
-use downbeat::msgs::rcl_interfaces::msg::{Parameter, ParameterType, SetParametersResult};
-use downbeat::msgs::rcl_interfaces::srv::{SetParameters, SetParametersRequest, SetParametersResponse};
-use downbeat::robot::ExposedEndpoint;
 
 use super::expose::text;
 use super::inspected::InspectedRobot;

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use downbeat::executor::{Core, Module, ModuleOptions, Received, Role, Setup, SetupError};
-use downbeat::msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
+use crate::executor::{Core, Module, ModuleOptions, Received, Role, Setup, SetupError};
+use crate::msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 
 /// The topic of REP-107.
 const TOPIC: &str = "diagnostics";

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use downbeat::bridge::expose::{Bridge, EndpointReport, TopicPattern};
-use downbeat::executor::{CoreHandle, CycleTrace, Graph, Snapshot};
-use downbeat::inspect::{Inspected, Unavailable};
-use downbeat::robot::{ExposedEndpoint, RobotFile};
+use crate::bridge::expose::{Bridge, EndpointReport, TopicPattern};
+use crate::executor::{CoreHandle, CycleTrace, Graph, Snapshot};
+use crate::inspect::{Inspected, Unavailable};
+use crate::robot::{ExposedEndpoint, RobotFile};
 
 pub(crate) struct InspectedRobot {
     pub(crate) core: CoreHandle,

@@ -1,4 +1,4 @@
-//! What the program does, one file for each command.
+//! The command line: one file for each command.
 
 #[macro_use]
 mod output;
@@ -31,8 +31,10 @@ use cli::{BagCommand, Cli, Command, EmulateCommand};
 use logging::Log;
 use screen::Screen;
 
-/// Does what the command line says. An error is told on standard error and gives exit code 1.
-pub(crate) fn main(cli: Cli) -> ExitCode {
+/// Does what the command line says. An error is printed on standard error and gives exit code 1.
+#[must_use]
+pub fn main() -> ExitCode {
+    let cli = Cli::parse_with_ros_args(std::env::args_os());
     let screen = Screen::new();
     let Cli { command, ros } = cli;
     let log = match Log::start(&screen, &ros.log) {

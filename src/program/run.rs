@@ -1,9 +1,9 @@
 //! `downbeat run`
 
+use crate::bridge::middleware::{MAX_DOMAIN_ID, ParticipantOptions};
+use crate::bridge::ros::{Node, NodeName, Participant};
+use crate::robot::RosArgs;
 use anyhow::Context;
-use downbeat::bridge::middleware::{MAX_DOMAIN_ID, ParticipantOptions};
-use downbeat::bridge::ros::{Node, NodeName, Participant};
-use downbeat::robot::RosArgs;
 
 use super::cli::RunArguments;
 use super::logging::Log;

@@ -2,10 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use downbeat::bags::{Recording, RecordingStatistics};
-use downbeat::bridge::expose::{BridgeStatus, EndpointReport};
-use downbeat::bridge::middleware::Direction;
-use downbeat::executor::TopicInfo;
+use crate::bags::{Recording, RecordingStatistics};
+use crate::bridge::expose::{BridgeStatus, EndpointReport};
+use crate::bridge::middleware::Direction;
+use crate::executor::TopicInfo;
 
 use super::faults::Faults;
 use super::statistics::Statistics;

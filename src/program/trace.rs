@@ -1,7 +1,7 @@
 //! `downbeat trace`
 
+use crate::inspect::Client;
 use anyhow::Context;
-use downbeat::inspect::Client;
 
 use super::choose::choose;
 use super::cli::TraceArguments;

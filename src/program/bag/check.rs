@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
+use crate::bags::{Check, Reader, check as check_bag};
 use anyhow::bail;
 use clap::Args;
-use downbeat::bags::{Check, Reader, check as check_bag};
 use serde_json::json;
 
 use super::progress::Progress;

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::bags::{Copy, Reader};
 use clap::Args;
-use downbeat::bags::{Copy, Reader};
 
 use super::output::{OutputArguments, write};
 use super::select::TopicArguments;

@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use crate::bags::{Copy, Reader};
+use crate::duration::parse as duration;
 use anyhow::bail;
 use clap::Args;
-use downbeat::bags::{Copy, Reader};
-use downbeat::duration::parse as duration;
 
 use super::output::{OutputArguments, write};
 use super::select::TopicArguments;

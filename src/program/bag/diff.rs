@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
-use anyhow::bail;
-use clap::Args;
-use downbeat::bags::{
+use crate::bags::{
     BagDiff, DiffOptions, FieldDifference, FieldRule, MessageDiff, MessageDiffKind, Reader, TopicDiff,
     diff as diff_bags,
 };
-use downbeat::executor::Time;
+use crate::executor::Time;
+use anyhow::bail;
+use clap::Args;
 use serde_json::{Value, json};
 
 use super::open;

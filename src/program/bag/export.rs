@@ -6,10 +6,10 @@ use std::io::{BufWriter, Write};
 use std::iter;
 use std::path::{Path, PathBuf};
 
+use crate::bags::TopicId;
+use crate::table::{Cell, Decoder, ParquetTable};
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
-use downbeat::bags::TopicId;
-use downbeat::table::{Cell, Decoder, ParquetTable};
 
 use super::open;
 use super::select::TopicArguments;

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::bags::{BagInfo, Reader, TopicSizes};
 use clap::Args;
-use downbeat::bags::{BagInfo, Reader, TopicSizes};
 use serde_json::{Value, json};
 
 use super::progress::Progress;

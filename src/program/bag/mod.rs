@@ -20,7 +20,7 @@ mod source;
 
 use std::path::Path;
 
-use downbeat::bags::Reader;
+use crate::bags::Reader;
 
 /// Opens a bag, and tells what of it is lost.
 fn open(bag: &Path) -> anyhow::Result<Reader> {

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use clap::{Args, ValueEnum};
-use downbeat::bags::{
+use crate::bags::{
     Compression, Copied, Copy, SplitLimits, Storage, StorageError, StorageOptions, WriterOptions,
 };
+use clap::{Args, ValueEnum};
 
 use super::progress::Progress;
 

@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
+use crate::bags::Reader;
+use crate::table::{Cell, Column, ColumnKind, Decoder};
 use anyhow::{Context, bail};
 use clap::Args;
-use downbeat::bags::Reader;
-use downbeat::table::{Cell, Column, ColumnKind, Decoder};
 
 use super::chart::{Chart, Curve};
 use super::open;

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::bags::reindex as reindex_bag;
 use clap::Args;
-use downbeat::bags::reindex as reindex_bag;
 
 #[derive(Args)]
 pub(crate) struct ReindexArguments {

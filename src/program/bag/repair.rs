@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::bags::{Copy, Reader};
 use clap::Args;
-use downbeat::bags::{Copy, Reader};
 
 use super::custom_data;
 use super::output::{LayoutArguments, write};

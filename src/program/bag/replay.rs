@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
+use crate::bags::{FieldDifference, FieldRule, Reader};
+use crate::replay::{Difference, ReplayOptions, ReplayReport, TopicReport, What, replay as replay_robot};
+use crate::robot::{LauncherChoice, RosArgs};
 use anyhow::bail;
 use clap::Args;
-use downbeat::bags::{FieldDifference, FieldRule, Reader};
-use downbeat::replay::{Difference, ReplayOptions, ReplayReport, TopicReport, What, replay as replay_robot};
-use downbeat::robot::{LauncherChoice, RosArgs};
 use serde_json::{Value, json};
 
 use super::open;

@@ -1,8 +1,8 @@
 //! Which topics of a bag are meant: the options of `ros2 bag play`.
 
+use crate::bags::TopicInfo;
 use anyhow::Context;
 use clap::Args;
-use downbeat::bags::TopicInfo;
 use regex::Regex;
 
 #[derive(Args, Clone, Default)]

@@ -1,8 +1,8 @@
 //! The messages of one topic of a bag, one after the other.
 
+use crate::bags::{Reader, RecordedTopic, Selection, TopicId};
+use crate::table::{Columns, DecodeError, Decoder, Survey};
 use bytes::Bytes;
-use downbeat::bags::{Reader, RecordedTopic, Selection, TopicId};
-use downbeat::table::{Columns, DecodeError, Decoder, Survey};
 
 use super::progress::Progress;
 

@@ -4,10 +4,10 @@ mod node;
 
 use std::path::Path;
 
-use downbeat::bridge::edge::KnownType;
-use downbeat::bridge::expose::ActionExposure;
-use downbeat::executor::{Core, TopicInfo};
-use downbeat::robot::{ExposedEndpoint, KINDS, Robot, RosArgs};
+use crate::bridge::edge::KnownType;
+use crate::bridge::expose::ActionExposure;
+use crate::executor::{Core, TopicInfo};
+use crate::robot::{ExposedEndpoint, KINDS, Robot, RosArgs};
 use serde_json::json;
 
 use node::NodeReport;

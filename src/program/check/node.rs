@@ -2,11 +2,11 @@
 
 use std::fmt;
 
-use downbeat::bridge::clock;
-use downbeat::bridge::edge::KnownService;
-use downbeat::bridge::ros::{NodeName, ServiceName};
-use downbeat::bridge::{robot_description, rosout};
-use downbeat::robot::{ClockChoice, NodeFeatures, Robot};
+use crate::bridge::clock;
+use crate::bridge::edge::KnownService;
+use crate::bridge::ros::{NodeName, ServiceName};
+use crate::bridge::{robot_description, rosout};
+use crate::robot::{ClockChoice, NodeFeatures, Robot};
 use serde::Serialize;
 
 /// All of it, with names as remapping rules have them.

@@ -5,9 +5,9 @@ mod text;
 
 use std::path::Path;
 
-use downbeat::bridge::edge::KnownType;
-use downbeat::executor::{Core, Graph};
-use downbeat::robot::{RobotFile, RosArgs};
+use crate::bridge::edge::KnownType;
+use crate::executor::{Core, Graph};
+use crate::robot::{RobotFile, RosArgs};
 
 use super::cli::{GraphArguments, GraphFormat};
 

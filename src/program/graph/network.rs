@@ -2,10 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use downbeat::bridge::ros::Participant;
-use downbeat::executor::{Graph, GraphEdge, GraphModule, GraphService, GraphTopic};
-use downbeat::msgs::downbeat_interfaces::msg::{NetworkEndpoint, NetworkGraph};
-use downbeat::robot::RosArgs;
+use crate::bridge::ros::Participant;
+use crate::executor::{Graph, GraphEdge, GraphModule, GraphService, GraphTopic};
+use crate::msgs::downbeat_interfaces::msg::{NetworkEndpoint, NetworkGraph};
+use crate::robot::RosArgs;
 use serde_json::{Value, json};
 
 use crate::program::cli::GraphArguments;

@@ -2,8 +2,8 @@
 
 use std::fmt::Write;
 
-use downbeat::executor::{Graph, GraphEdge};
-use downbeat::msgs::downbeat_interfaces::msg::{NetworkEndpoint, NetworkGraph};
+use crate::executor::{Graph, GraphEdge};
+use crate::msgs::downbeat_interfaces::msg::{NetworkEndpoint, NetworkGraph};
 
 use super::network::{is_of_topic, kind};
 
@@ -86,7 +86,7 @@ fn service_name(graph: &Graph, service: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use downbeat::msgs::downbeat_interfaces::msg::NetworkNode;
+    use crate::msgs::downbeat_interfaces::msg::NetworkNode;
 
     #[test]
     fn a_network_is_written_by_topic_and_service() {

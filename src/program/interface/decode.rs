@@ -4,9 +4,9 @@ use std::fs::File;
 use std::io::{IsTerminal, Read};
 use std::path::Path;
 
+use crate::msgs::definitions::TypeName;
+use crate::msgs::dynamic::{DynamicMessage, DynamicType, YamlStyle};
 use anyhow::{Context, bail};
-use downbeat::msgs::definitions::TypeName;
-use downbeat::msgs::dynamic::{DynamicMessage, DynamicType, YamlStyle};
 
 use super::arguments::DecodeArguments;
 use super::interfaces::{Definition, Interfaces};

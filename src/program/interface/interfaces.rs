@@ -4,10 +4,10 @@ use std::collections::BTreeSet;
 use std::io::IsTerminal;
 use std::path::Path;
 
-use anyhow::{Context, anyhow, bail};
-use downbeat::msgs::definitions::{
+use crate::msgs::definitions::{
     ActionDefinition, Catalog, Kind, MessageDefinition, ServiceDefinition, TypeName,
 };
+use anyhow::{Context, anyhow, bail};
 
 use super::arguments::{SourceArguments, TypeArguments};
 use super::nearest::nearest;
@@ -175,7 +175,7 @@ const ORIGIN: &str = "downbeat";
 
 /// Adds the packages of this program that are not taken from elsewhere.
 fn add_carried(catalog: &mut Catalog, taken: &BTreeSet<String>) -> anyhow::Result<()> {
-    let carried = downbeat::msgs::carried();
+    let carried = crate::msgs::carried();
     let is_wanted = |name: &TypeName| !taken.contains(&name.package);
     for message in carried.messages().filter(|of| of.name.kind == Kind::Message && is_wanted(&of.name)) {
         catalog.add_message(message.name.clone(), &message.text, ORIGIN)?;

@@ -1,6 +1,6 @@
 //! `downbeat interface list`
 
-use downbeat::msgs::definitions::{Kind, TypeName};
+use crate::msgs::definitions::{Kind, TypeName};
 use serde::Serialize;
 
 use super::arguments::ListArguments;

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::msgs::definitions::Kind;
 use anyhow::{Context, bail};
-use downbeat::msgs::definitions::Kind;
 
 /// The folders of packages at a path, in the order of their names: the path itself if it is a package, those below
 /// its `share` if it is an ament prefix, those directly in it otherwise.

@@ -5,8 +5,8 @@
 //! a message type the file of that, one tab further in. With comments taken away the real command leaves a `#` where one
 //! stood behind a field, against what its own tests expect, and keeps indented ones; here nothing of them is left.
 
+use crate::msgs::definitions::TypeName;
 use anyhow::bail;
-use downbeat::msgs::definitions::TypeName;
 
 use super::arguments::ShowArguments;
 use super::interfaces::Interfaces;

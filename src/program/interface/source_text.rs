@@ -1,6 +1,6 @@
 //! The lines of a definition, with the message each refers to.
 
-use downbeat::msgs::definitions::{
+use crate::msgs::definitions::{
     Constant, Element, Field, FieldType, MessageDefinition, Shape, TypeName, Value, parse_message,
 };
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use downbeat::msgs::definitions::{
+use crate::msgs::definitions::{
     Constant, Element, Field, FieldType, MessageDefinition, Shape, TypeName, Value,
 };
 use serde::Serialize;

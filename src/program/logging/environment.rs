@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use downbeat::robot::LogArguments;
+use crate::robot::LogArguments;
 
 use super::format::{self, Format};
 

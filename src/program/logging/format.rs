@@ -2,8 +2,8 @@
 
 use std::fmt::Write;
 
+use crate::bridge::rosout::LogLine;
 use chrono::{Local, TimeZone};
-use downbeat::bridge::rosout::LogLine;
 
 /// What ROS 2 uses unless told otherwise.
 pub(super) const DEFAULT: &str = "[{severity}] [{time}] [{name}]: {message}";
@@ -134,7 +134,7 @@ fn unescaped(format: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use downbeat::bridge::rosout::Severity;
+    use crate::bridge::rosout::Severity;
 
     fn written(format: &str) -> String {
         let line = LogLine {

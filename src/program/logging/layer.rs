@@ -2,7 +2,7 @@
 
 use std::io::IsTerminal;
 
-use downbeat::bridge::rosout::{LogLine, LoggerLevels, LoggerNames, Rosout, Severity};
+use crate::bridge::rosout::{LogLine, LoggerLevels, LoggerNames, Rosout, Severity};
 use tracing::level_filters::LevelFilter;
 use tracing::subscriber::Interest;
 use tracing::{Event, Metadata, Subscriber, span};
@@ -105,7 +105,7 @@ impl LogLayer {
     /// True if some logger has a level at which such an event is wanted.
     fn may_be_raised(&self, metadata: &Metadata<'_>) -> bool {
         let severity = Severity::of(*metadata.level());
-        let is_ours = !metadata.target().starts_with(downbeat::bridge::middleware::dds::LOG_TARGET);
+        let is_ours = !metadata.target().starts_with(crate::bridge::middleware::dds::LOG_TARGET);
         metadata.is_event() && is_ours && self.levels.least().is_some_and(|least| severity >= least)
     }
 }

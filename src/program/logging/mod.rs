@@ -5,9 +5,9 @@ mod file;
 mod format;
 mod layer;
 
+use crate::bridge::rosout::{LoggerLevels, LoggerNames, Rosout, Severity};
+use crate::robot::{LogArguments, LogLevel};
 use anyhow::Context;
-use downbeat::bridge::rosout::{LoggerLevels, LoggerNames, Rosout, Severity};
-use downbeat::robot::{LogArguments, LogLevel};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::prelude::*;
 

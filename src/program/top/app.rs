@@ -1,6 +1,6 @@
 //! What is on the screen and what keys do to it.
 
-use downbeat::executor::Snapshot;
+use crate::executor::Snapshot;
 use ratatui::Frame;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use ratatui::layout::{Alignment, Constraint, Layout, Rect};

@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 use std::collections::HashMap;
 use std::time::Duration;
 
-use downbeat::executor::{ModuleStatistics, Snapshot, TimeStatistics, TopicStatistics};
+use crate::executor::{ModuleStatistics, Snapshot, TimeStatistics, TopicStatistics};
 
 use crate::program::statistics::short;
 
@@ -109,7 +109,7 @@ impl Grid {
             let TopicStatistics { messages, subscribers, dropped, last_batch, largest_batch, .. } = topic;
             let age = topic.last_time_ns.map_or_else(
                 || "never".into(),
-                |last| short(later.time.saturating_since(downbeat::executor::Time::from_nanos(last))),
+                |last| short(later.time.saturating_since(crate::executor::Time::from_nanos(last))),
             );
             let counts = [messages, subscribers, dropped, last_batch, largest_batch];
             let mut cells = vec![topic.name.clone(), rate(messages_per_second)];
@@ -228,7 +228,7 @@ fn rate(rate: f64) -> String {
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use downbeat::executor::{CycleStatistics, ModuleState, Time};
+    use crate::executor::{CycleStatistics, ModuleState, Time};
 
     use super::*;
 

@@ -6,9 +6,9 @@ mod grid;
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
+use crate::executor::Snapshot;
+use crate::inspect::Client;
 use anyhow::{Context, bail};
-use downbeat::executor::Snapshot;
-use downbeat::inspect::Client;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyEventKind};
 

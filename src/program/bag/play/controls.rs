@@ -5,10 +5,10 @@
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
-use downbeat::bridge::ros::{Node, NodeError, Reply, Service};
-use downbeat::msgs::Service as ServiceType;
-use downbeat::msgs::qos::QosProfile;
-use downbeat::msgs::rosbag2_interfaces::srv::{
+use crate::bridge::ros::{Node, NodeError, Reply, Service};
+use crate::msgs::Service as ServiceType;
+use crate::msgs::qos::QosProfile;
+use crate::msgs::rosbag2_interfaces::srv::{
     Burst, GetRate, IsPaused, Pause, Play, PlayNext, PlayRequest, Resume, Seek, SetRate, Stop, TogglePaused,
 };
 

@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use downbeat::bags::{Reader, Recording, WriterOptions};
-use downbeat::executor::{Core, ManualClock, Time};
-use downbeat::msgs::qos::QosProfile;
-use downbeat::playback;
-use downbeat::recorder::{self, WhenFull};
-use downbeat::robot::{RobotFile, RosArgs};
+use crate::bags::{Reader, Recording, WriterOptions};
+use crate::executor::{Core, ManualClock, Time};
+use crate::msgs::qos::QosProfile;
+use crate::playback;
+use crate::recorder::{self, WhenFull};
+use crate::robot::{RobotFile, RosArgs};
 
 use super::PlayArguments;
 

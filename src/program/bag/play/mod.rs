@@ -9,12 +9,12 @@ mod target;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use crate::bags::{PlayerOptions, Reader};
+use crate::bridge::ros::RemapRule;
+use crate::msgs::encoding::Encoding;
+use crate::robot::RosArgs;
 use anyhow::bail;
 use clap::Args;
-use downbeat::bags::{PlayerOptions, Reader};
-use downbeat::bridge::ros::RemapRule;
-use downbeat::msgs::encoding::Encoding;
-use downbeat::robot::RosArgs;
 
 use super::open;
 use super::select::TopicArguments;
@@ -142,7 +142,7 @@ fn seconds(text: &str) -> Result<Duration, String> {
     const LONGEST: Duration = Duration::from_secs(100 * 365 * 24 * 3600);
     let duration = match text.parse::<f64>() {
         Ok(seconds) => Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string()),
-        Err(_) => downbeat::duration::parse(text),
+        Err(_) => crate::duration::parse(text),
     };
     duration.and_then(|time| if time <= LONGEST { Ok(time) } else { Err("more than a century".to_owned()) })
 }

@@ -4,14 +4,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
+use crate::bags::{RecordedTopic, TopicInfo};
+use crate::bridge::ros::{Node, RawClient, ServiceType};
+use crate::msgs::qos::QosProfile;
+use crate::msgs::service_msgs::msg::ServiceEventInfo;
+use crate::table::Decoder;
 use anyhow::Context;
 use bytes::Bytes;
 use clap::ValueEnum;
-use downbeat::bags::{RecordedTopic, TopicInfo};
-use downbeat::bridge::ros::{Node, RawClient, ServiceType};
-use downbeat::msgs::qos::QosProfile;
-use downbeat::msgs::service_msgs::msg::ServiceEventInfo;
-use downbeat::table::Decoder;
 
 /// Whose account of the requests is followed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]

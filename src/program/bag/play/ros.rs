@@ -2,20 +2,20 @@
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
-use downbeat::bags::{BagMessage, Player, PlayerOptions, Rate, Reader, ReaderError, Step};
-use downbeat::bridge::middleware::WriteError;
-use downbeat::bridge::ros::{MessageType, Node, Publisher};
-use downbeat::msgs::builtin_interfaces::msg::Time;
-use downbeat::msgs::qos::QosProfile;
-use downbeat::msgs::rosbag2_interfaces::srv::{
+use crate::bags::{BagMessage, Player, PlayerOptions, Rate, Reader, ReaderError, Step};
+use crate::bridge::middleware::WriteError;
+use crate::bridge::ros::{MessageType, Node, Publisher};
+use crate::msgs::builtin_interfaces::msg::Time;
+use crate::msgs::qos::QosProfile;
+use crate::msgs::rosbag2_interfaces::srv::{
     BurstResponse, GetRateResponse, IsPausedResponse, PauseResponse, PlayNextResponse, PlayResponse,
     ResumeResponse, SeekResponse, SetRateResponse, StopResponse, TogglePausedResponse,
 };
-use downbeat::msgs::rosgraph_msgs::msg::Clock;
-use downbeat::msgs::{Message, cdr};
-use downbeat::robot::RosArgs;
-use downbeat::ros_recorder::QosOverrides;
+use crate::msgs::rosgraph_msgs::msg::Clock;
+use crate::msgs::{Message, cdr};
+use crate::robot::RosArgs;
+use crate::ros_recorder::QosOverrides;
+use anyhow::{Context, bail};
 
 use super::PlayArguments;
 use super::controls::{Control, Controls, answer};

@@ -2,14 +2,14 @@
 
 use std::time::{Duration, Instant};
 
+use crate::bags::metadata::RecordedQos;
+use crate::bags::{Player, RecordedTopic, TopicInfo};
+use crate::bridge::middleware::WriteError;
+use crate::bridge::ros::{MessageType, Node, Publisher};
+use crate::encoding::RecordedType;
+use crate::msgs::qos::{Durability, QosProfile};
+use crate::ros_recorder::QosOverrides;
 use bytes::Bytes;
-use downbeat::bags::metadata::RecordedQos;
-use downbeat::bags::{Player, RecordedTopic, TopicInfo};
-use downbeat::bridge::middleware::WriteError;
-use downbeat::bridge::ros::{MessageType, Node, Publisher};
-use downbeat::encoding::RecordedType;
-use downbeat::msgs::qos::{Durability, QosProfile};
-use downbeat::ros_recorder::QosOverrides;
 
 use super::requests::{Requests, RequestsSource};
 

@@ -4,11 +4,11 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use crate::bags::Storage;
+use crate::duration::parse as duration;
+use crate::msgs::encoding::Encoding;
+use crate::robot::LogLevel;
 use clap::{Args, ValueEnum};
-use downbeat::bags::Storage;
-use downbeat::duration::parse as duration;
-use downbeat::msgs::encoding::Encoding;
-use downbeat::robot::LogLevel;
 use regex::Regex;
 
 /// The help of each option follows that of `ros2bag/verb/record.py`.

@@ -6,12 +6,10 @@ mod writing;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use crate::bags::{Recording, RecordingControl, RecordingSummary};
+use crate::robot::{ClockChoice, RecordEntry, RobotFile, RosArgs};
+use crate::ros_recorder::{QosOverrides, RosRecorder, RosRecorderOptions, TopicFilter, serve, split_events};
 use anyhow::{Context, bail};
-use downbeat::bags::{Recording, RecordingControl, RecordingSummary};
-use downbeat::robot::{ClockChoice, RecordEntry, RobotFile, RosArgs};
-use downbeat::ros_recorder::{
-    QosOverrides, RosRecorder, RosRecorderOptions, TopicFilter, serve, split_events,
-};
 
 use crate::program::bag::select::absolute;
 use crate::program::keyboard::{Key, Keyboard};

@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use anyhow::bail;
-use downbeat::bags::{
+use crate::bags::{
     RecordingOptions, SnapshotLimits, StorageOptions, StoragePreset, SyncPolicy, WhenDiskFull, WhenSlow,
     WriterOptions,
 };
-use downbeat::robot::RecordEntry;
+use crate::robot::RecordEntry;
+use anyhow::bail;
 
 use super::arguments::{OnTrouble, SyncWhen, WritingArguments};
 

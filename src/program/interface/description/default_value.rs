@@ -4,7 +4,7 @@
 //! `to_idl_literal` in `rosidl_adapter/rosidl_adapter/msg/__init__.py` and `serialize_field` in
 //! `rosidl_generator_type_description`, both of ros2/rosidl, branch jazzy.
 
-use downbeat::msgs::definitions::Value;
+use crate::msgs::definitions::Value;
 
 /// What Python's `str` gives; for a list, that of a tuple.
 pub(super) fn default_value(value: &Value) -> String {

@@ -2,7 +2,7 @@
 
 mod default_value;
 
-use downbeat::msgs::definitions::{Catalog, IndividualTypeDescription, TypeDescription, TypeName};
+use crate::msgs::definitions::{Catalog, IndividualTypeDescription, TypeDescription, TypeName};
 use serde::Serialize;
 
 use super::arguments::{DescriptionArguments, HashArguments};
