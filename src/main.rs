@@ -3,5 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    downbeat::program::main()
+    downbeat::App::with_built_in_kinds().main()
 }

@@ -3,6 +3,7 @@
 //! - [`actions`]: no module, but what modules use: actions that they serve and use;
 //! - [`darwin_op`]: the hardware of the humanoid Darwin OP;
 //! - [`darwin_op_emulator`]: an emulated one behind a pseudo terminal;
+//! - [`device`]: no module, but what modules use: devices whose answers are recorded and replayed;
 //! - [`joint_command_mux`]: who may command which joint;
 //! - [`stand_nod_wave`]: a small motion;
 //! - [`transform_server`]: an action that answers where frames are in each other;
@@ -13,6 +14,7 @@
 pub mod actions;
 pub mod darwin_op;
 pub mod darwin_op_emulator;
+pub mod device;
 pub mod joint_command_mux;
 pub mod stand_nod_wave;
 pub mod transform_server;

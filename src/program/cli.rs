@@ -7,7 +7,7 @@ use std::time::Duration;
 use crate::duration::parse as duration;
 use crate::inspect::Request;
 use crate::msgs::encoding::Encoding;
-use crate::robot::{RobotFile, RobotFileError, RosArgs};
+use crate::robot::{Catalog, RobotFile, RobotFileError, RosArgs};
 use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
 
 use super::bag::check::CheckBagArguments;
@@ -136,9 +136,14 @@ pub(crate) struct ParameterArguments {
 }
 
 impl ParameterArguments {
-    pub(crate) fn read_robot(&self, path: &Path, ros: &RosArgs) -> Result<RobotFile, RobotFileError> {
+    pub(crate) fn read_robot(
+        &self,
+        path: &Path,
+        catalog: &Catalog,
+        ros: &RosArgs,
+    ) -> Result<RobotFile, RobotFileError> {
         ros.warn_about_what_is_ignored();
-        let mut file = RobotFile::read_with(path, ros)?;
+        let mut file = RobotFile::read_with(path, catalog, ros)?;
         self.files.iter().try_for_each(|path| file.set_from_parameter_file(path))?;
         self.values.iter().try_for_each(|value| file.set_from_argument(value))?;
         Ok(file)

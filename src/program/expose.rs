@@ -1,7 +1,7 @@
 //! `downbeat expose`
 
 use crate::inspect::Client;
-use crate::robot::ExposedEndpoint;
+use crate::robot::{ExposedEndpoint, toml_string as text};
 
 use super::choose::choose;
 use super::cli::{ExposeAddArguments, ExposeArguments, ExposeCommand, ExposeDirection};
@@ -53,16 +53,6 @@ fn entries(arguments: &ExposeAddArguments) -> String {
         ExposeDirection::In => "in",
     };
     format!("{direction} = [{}]", topics.join(", "))
-}
-
-/// A string of TOML, in which everything that is not plain is escaped.
-pub(super) fn text(text: &str) -> String {
-    let escape = |c: char| match c {
-        '"' | '\\' => format!("\\{c}"),
-        c if c.is_control() => format!("\\u{:04x}", u32::from(c)),
-        c => c.to_string(),
-    };
-    format!("\"{}\"", text.chars().map(escape).collect::<String>())
 }
 
 #[cfg(test)]

@@ -9,16 +9,13 @@ mod choose;
 pub(crate) mod cli;
 mod emulate;
 mod expose;
-mod expose_service;
 mod faults;
 mod graph;
-mod inspected;
 mod interface;
 mod keyboard;
 mod logging;
 mod run;
 mod screen;
-mod session;
 mod statistics;
 mod status;
 mod stop;
@@ -31,9 +28,11 @@ use cli::{BagCommand, Cli, Command, EmulateCommand};
 use logging::Log;
 use screen::Screen;
 
+use crate::App;
+use crate::failure::in_one_line;
+
 /// Does what the command line says. An error is printed on standard error and gives exit code 1.
-#[must_use]
-pub fn main() -> ExitCode {
+pub(crate) fn main(app: &App) -> ExitCode {
     let cli = Cli::parse_with_ros_args(std::env::args_os());
     let screen = Screen::new();
     let Cli { command, ros } = cli;
@@ -41,17 +40,23 @@ pub fn main() -> ExitCode {
         Ok(log) => log,
         Err(error) => return fail(&error),
     };
+    let catalog = match app.catalog() {
+        Ok(catalog) => catalog,
+        Err(error) => return fail(&error.into()),
+    };
     let result = match command {
-        Command::Run(arguments) => run::run(&arguments, &ros, &screen, &log),
-        Command::Check(arguments) => check::check(&arguments, &ros),
+        Command::Run(arguments) => run::run(&arguments, catalog, &ros, &screen, &log),
+        Command::Check(arguments) => check::check(&arguments, catalog, &ros),
         Command::Top(arguments) => top::top(&arguments),
         Command::Expose(arguments) => expose::expose(&arguments),
         Command::Trace(arguments) => trace::trace(&arguments),
-        Command::Graph(arguments) => graph::graph(&arguments, &ros),
+        Command::Graph(arguments) => graph::graph(&arguments, catalog, &ros),
         Command::Bag(BagCommand::Info(arguments)) => bag::info::info(&arguments),
-        Command::Bag(BagCommand::Record(arguments)) => bag::record::record(&arguments, &ros, &screen),
-        Command::Bag(BagCommand::Play(arguments)) => bag::play::play(&arguments, &ros, &screen),
-        Command::Bag(BagCommand::Replay(arguments)) => bag::replay::replay(&arguments, &ros),
+        Command::Bag(BagCommand::Record(arguments)) => {
+            bag::record::record(&arguments, catalog, &ros, &screen)
+        }
+        Command::Bag(BagCommand::Play(arguments)) => bag::play::play(&arguments, catalog, &ros, &screen),
+        Command::Bag(BagCommand::Replay(arguments)) => bag::replay::replay(&arguments, catalog, &ros),
         Command::Bag(BagCommand::Check(arguments)) => bag::check::check(&arguments),
         Command::Bag(BagCommand::Repair(arguments)) => bag::repair::repair(&arguments),
         Command::Bag(BagCommand::Reindex(arguments)) => bag::reindex::reindex(&arguments),
@@ -74,28 +79,6 @@ pub fn main() -> ExitCode {
 }
 
 fn fail(error: &anyhow::Error) -> ExitCode {
-    eprintln!("downbeat: {}", in_one_line(error));
+    eprintln!("downbeat: {}", in_one_line(error.chain().map(ToString::to_string)));
     ExitCode::FAILURE
-}
-
-/// The error and its causes, without those that the text before them tells already.
-fn in_one_line(error: &anyhow::Error) -> String {
-    error.chain().map(ToString::to_string).fold(String::new(), |mut text, cause| {
-        if !text.contains(&cause) {
-            text.push_str(if text.is_empty() { "" } else { ": " });
-            text.push_str(&cause);
-        }
-        text
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_cause_that_is_told_already_is_not_told_again() {
-        let error = anyhow::anyhow!("no such file").context("cannot read a: no such file").context("run");
-        assert_eq!(in_one_line(&error), "run: cannot read a: no such file");
-    }
 }

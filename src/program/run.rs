@@ -1,25 +1,118 @@
 //! `downbeat run`
 
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crate::bags::{Recording, RecordingSummary};
 use crate::bridge::middleware::{MAX_DOMAIN_ID, ParticipantOptions};
 use crate::bridge::ros::{Node, NodeName, Participant};
-use crate::robot::RosArgs;
+use crate::robot::{Catalog, RobotFile, RosArgs};
+use crate::running::{PreparedRobot, RecordPlan, RobotNode, StopError};
 use anyhow::Context;
 
 use super::cli::RunArguments;
+use super::faults::Faults;
 use super::logging::Log;
 use super::screen::Screen;
-use super::session::{RecordPlan, Session};
+use super::statistics::Statistics;
+use super::status::{Sources, StatusBlock};
 use super::stop::Stop;
 
-pub(crate) fn run(arguments: &RunArguments, ros: &RosArgs, screen: &Screen, log: &Log) -> anyhow::Result<()> {
+pub(crate) fn run(
+    arguments: &RunArguments,
+    catalog: &Catalog,
+    ros: &RosArgs,
+    screen: &Screen,
+    log: &Log,
+) -> anyhow::Result<()> {
     let stop = Stop::new()?;
-    let mut session = Session::new(arguments.parameters.read_robot(&arguments.robot, ros)?)?;
+    let mut robot = WatchedRobot::new(arguments.parameters.read_robot(&arguments.robot, catalog, ros)?)?;
     let options = participant_options(arguments.domain)?;
-    session.expose(&options, log)?;
+    robot.prepared.expose(&options, Some(&log.of_node))?;
     if let Some(directory) = &arguments.record {
-        session.record(RecordPlan::of_robot(directory, session.file(), arguments.encoding))?;
+        let plan = RecordPlan::of_robot(directory, robot.prepared.file(), arguments.encoding);
+        robot.prepared.record(plan)?;
     }
-    session.run(&stop.after(arguments.duration), screen)
+    robot.run(&stop.after(arguments.duration), screen)
+}
+
+/// A robot whose state is shown on the screen while it runs.
+pub(crate) struct WatchedRobot {
+    pub(crate) prepared: PreparedRobot,
+    statistics: Arc<Statistics>,
+    faults: Faults,
+}
+
+const REFRESH: Duration = Duration::from_millis(250);
+const LOG_INTERVAL: Duration = Duration::from_secs(10);
+
+impl WatchedRobot {
+    pub(crate) fn new(file: RobotFile) -> anyhow::Result<Self> {
+        let statistics = Arc::new(Statistics::of(file.modules.iter().map(|module| module.name.clone())));
+        let mut prepared = PreparedRobot::new(file, Some(Arc::clone(&statistics) as _))?;
+        let faults = Faults::watch(prepared.core())?;
+        Ok(Self { prepared, statistics, faults })
+    }
+
+    /// Runs the robot until `stop`, then stops it and reports how it went.
+    pub(crate) fn run(mut self, stop: &Stop, screen: &Screen) -> anyhow::Result<()> {
+        let topics = self.prepared.core().topics().cloned().collect();
+        let Self { prepared, statistics, faults } = self;
+        let robot = prepared.start()?;
+        let name = |node: &RobotNode| format!("{}   domain {}", node.node().name(), node.domain());
+        let title = robot.node().map_or_else(|| robot.file().name.clone(), name);
+        let status = robot.node().map(|node| node.bridge().status());
+        let mut block = StatusBlock::new(Sources {
+            title: if robot.file().is_emulated() { format!("{title}   emulated") } else { title },
+            topics,
+            statistics: &statistics,
+            bridge: status.as_ref(),
+            recording: robot.recording(),
+            faults: &faults,
+        });
+        let (mut next_log, mut recording_fails) = (Instant::now() + LOG_INTERVAL, false);
+        while !stop.is_due() && !robot.is_finished() {
+            if screen.is_terminal() {
+                screen.show(block.lines());
+            } else if Instant::now() >= next_log {
+                next_log += LOG_INTERVAL;
+                tracing::info!("{}", block.line());
+            }
+            let failure =
+                robot.recording().map(Recording::statistics).and_then(|recording| recording.failure);
+            if let Some(failure) = failure.filter(|_| !recording_fails) {
+                tracing::error!("the recording has stopped, the robot goes on: {failure}");
+                recording_fails = true;
+            }
+            stop.sleep(REFRESH);
+        }
+        screen.show(Vec::new());
+        drop(block);
+        match robot.stop() {
+            Ok(summary) => tell(&statistics, summary.as_ref()),
+            Err(error) => {
+                if matches!(error, StopError::Recording(_)) {
+                    tell(&statistics, None);
+                }
+                return Err(error.into());
+            }
+        }
+        Ok(())
+    }
+}
+
+fn tell(statistics: &Statistics, summary: Option<&RecordingSummary>) {
+    let collected = statistics.collected();
+    tracing::info!("{} cycles: {}", collected.cycles, collected.cycle);
+    for (module, times) in &collected.detached {
+        tracing::info!("{module}: period {}; busy {}", times.period, times.busy);
+    }
+    let Some(summary) = summary else { return };
+    let (messages, lost) = (summary.message_count(), summary.lost_count());
+    tracing::info!("recorded {messages} messages, lost {lost}, in {}", summary.path.display());
+    for topic in summary.topics.iter().filter(|topic| topic.lost > 0) {
+        tracing::warn!("{} messages of {} are not in the bag: the disk was too slow", topic.lost, topic.name);
+    }
 }
 
 /// A node of a command that has one of its own.

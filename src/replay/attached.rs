@@ -83,11 +83,11 @@ pub(super) fn build(
         if !is_wanted(&module.name) {
             return Some(Ok(()));
         }
-        let replayed = module.kind.replayed.as_ref()?;
+        let replayed = module.kind.replayed()?;
         let options = module.options();
         let answers = reader.topic(&replayed.topic_of(&options)).map(|id| extract.of(reader, id));
         match answers.unwrap_or(Ok(&[])) {
-            Ok(answers) => match (replayed.add)(core, &module.name, options, answers) {
+            Ok(answers) => match replayed.add_to(core, &module.name, options, answers) {
                 Ok(added) => Some(added),
                 Err(error) => {
                     problem = Some(ReplayError::Device { module: module.name.clone(), problem: error });

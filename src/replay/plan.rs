@@ -91,8 +91,7 @@ impl Plan {
     fn read_before(&self, file: &RobotFile, reader: &Reader, graph: &Wiring) -> BTreeSet<TopicId> {
         let is_replayed = |name: &String| self.attached.contains(name) || self.detached.contains(name);
         let devices = file.modules.iter().filter(|module| is_replayed(&module.name));
-        let answers =
-            devices.filter_map(|module| Some(module.kind.replayed.as_ref()?.topic_of(&module.options())));
+        let answers = devices.filter_map(|module| Some(module.kind.replayed()?.topic_of(&module.options())));
         let received = graph.subscribers.iter().filter(|(topic, subscribers)| {
             !topic.starts_with("executor/") && self.detached.iter().any(|name| subscribers.contains(name))
         });
@@ -152,8 +151,8 @@ fn check_names(file: &RobotFile, options: &ReplayOptions) -> Result<(), ReplayEr
 
 /// Why not, in words.
 fn replayability(module: &ModuleEntry, reader: &Reader) -> Result<(), String> {
-    if module.kind.uses_device {
-        let Some(replayed) = &module.kind.replayed else {
+    if module.kind.uses_device() {
+        let Some(replayed) = module.kind.replayed() else {
             return Err("it drives a device, whose answers are not recorded".to_owned());
         };
         let topic = replayed.topic_of(&module.options());

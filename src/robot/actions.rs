@@ -159,7 +159,10 @@ mod tests {
     fn robot(expose: &str) -> Robot {
         let text =
             format!("[robot]\nname = \"r\"\n[[module]]\nkind = \"stand_nod_wave\"\n[expose]\n{expose}");
-        let file = RobotFile::parse(Source::new(Path::new("robot.toml"), text)).unwrap().0;
+        let file =
+            RobotFile::parse(Source::new(Path::new("robot.toml"), text), &crate::robot::Catalog::built_in())
+                .unwrap()
+                .0;
         let mut core = Core::new();
         core.add("frames", Frames::default()).unwrap();
         Robot { file, core }
@@ -202,7 +205,12 @@ mod tests {
     #[test]
     fn patterns_of_topics_leave_those_of_actions_alone() {
         let text = "[robot]\nname = \"r\"\n[[module]]\nkind = \"stand_nod_wave\"\n[expose]\nout = [\"**\"]";
-        let file = RobotFile::parse(Source::new(Path::new("robot.toml"), text.to_owned())).unwrap().0;
+        let file = RobotFile::parse(
+            Source::new(Path::new("robot.toml"), text.to_owned()),
+            &crate::robot::Catalog::built_in(),
+        )
+        .unwrap()
+        .0;
         let mut robot = file.build(Core::new()).unwrap();
         robot.core.add("frames", Frames::default()).unwrap();
         assert!(robot.exposed().unwrap().topics.iter().all(|topic| !topic.topic.contains("_action")));
@@ -221,7 +229,12 @@ mod tests {
         }
         let wrong = "[robot]\nname = \"r\"\n[[module]]\nkind = \"stand_nod_wave\"\n[expose]\n\
             action_calls = [{ action = \"a\", type = \"tf2_msgs/LookupTransform\" }]";
-        let error = RobotFile::parse(Source::new(Path::new("robot.toml"), wrong.to_owned())).err().unwrap();
+        let error = RobotFile::parse(
+            Source::new(Path::new("robot.toml"), wrong.to_owned()),
+            &crate::robot::Catalog::built_in(),
+        )
+        .err()
+        .unwrap();
         assert!(error.to_string().contains("did you mean \"tf2_msgs/action/LookupTransform\"?"), "{error}");
     }
 }

@@ -46,12 +46,14 @@ impl RobotFile {
         Ok(robot)
     }
 
-    /// Adds the file's modules to a core: each as its kind says, unless `instead` does something in place of that.
+    /// Adds the catalog's mechanisms and the file's modules to a core: each module as its kind says, unless `instead` does
+    /// something in place of that.
     pub(crate) fn build_modules(
         &self,
-        mut core: Core,
+        core: Core,
         mut instead: impl FnMut(&ModuleEntry, &mut Core) -> Option<std::result::Result<(), SetupError>>,
     ) -> Result<Core> {
+        let mut core = self.catalog.engage(core);
         for module in &self.modules {
             self.check_thread(module)?;
             let added = instead(module, &mut core)
@@ -79,6 +81,17 @@ impl RobotFile {
             LauncherChoice::Threads => {
                 let launcher = Threads::with_options(threads.clone());
                 let launcher = launcher.map_err(|error| refuse(error.to_string()))?;
+                core.with_launcher(Scheduled::new(launcher, threads.clone()))
+            }
+            LauncherChoice::Other(name) => {
+                let launcher = self.catalog.make_launcher(name, threads).ok_or_else(|| {
+                    refuse(format!(
+                        "unknown launcher \"{name}\"{}",
+                        suggestion(name, self.catalog.launchers())
+                    ))
+                })?;
+                let launcher =
+                    launcher.map_err(|problem| refuse(format!("launcher \"{name}\": {problem}")))?;
                 core.with_launcher(Scheduled::new(launcher, threads.clone()))
             }
         })
@@ -142,11 +155,13 @@ impl RobotFile {
     /// # Errors
     /// If one does; with path and line.
     pub fn refuse_devices(&self) -> Result<()> {
-        let Some(module) = self.modules.iter().find(|module| module.kind.uses_device) else { return Ok(()) };
+        let Some(module) = self.modules.iter().find(|module| module.kind.uses_device()) else {
+            return Ok(());
+        };
         let ModuleEntry { name, kind, line, .. } = module;
         let problem = format!(
             "\"{name}\" is of kind \"{}\", which drives a device; play the bag into a robot file without it",
-            kind.name
+            kind.name()
         );
         Err(self.source.error(*line, problem))
     }

@@ -65,7 +65,8 @@ mod tests {
             "[robot]\nname = \"r\"\nnamespace = \"/robot\"\n[[module]]\nkind = \"stand_nod_wave\"\nname = \"motion\"\n\
              [[module]]\nkind = \"joint_command_mux\"\nname = \"r\"\n[expose]\nlifecycle = {lifecycle}\n"
         );
-        let (file, _) = RobotFile::parse(Source::new(Path::new("robot.toml"), text))?;
+        let (file, _) =
+            RobotFile::parse(Source::new(Path::new("robot.toml"), text), &crate::robot::Catalog::built_in())?;
         let exposures = Robot { file, core: Core::new() }.lifecycle_exposures()?;
         Ok(exposures.into_iter().map(|exposure| (exposure.module, exposure.node.to_string())).collect())
     }

@@ -173,9 +173,11 @@
 
 mod actions;
 mod build;
+mod catalog;
 mod expose;
 mod exposed;
 mod file;
+mod kind;
 mod kinds;
 mod lifecycle;
 mod parameters;
@@ -185,11 +187,13 @@ mod services;
 
 pub use actions::Exposed;
 pub use build::Robot;
+pub use catalog::{Catalog, CatalogError};
 pub use exposed::{ExposedEndpoint, ExposedQos, ExposedTraffic};
+pub(crate) use file::toml_string;
 pub use file::{
     ActionEntry, ClockChoice, Direction, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry,
     LifecycleEntry, ModuleEntry, NodeFeatures, RecordEntry, ReplaySection, RobotFile, RobotFileError,
     TopicChoice,
 };
-pub use kinds::{KINDS, Kind};
+pub use kind::Kind;
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};

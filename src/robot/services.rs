@@ -152,7 +152,10 @@ mod tests {
     fn robot(expose: &str) -> Robot {
         let text =
             format!("[robot]\nname = \"r\"\n[[module]]\nkind = \"stand_nod_wave\"\n[expose]\n{expose}");
-        let file = RobotFile::parse(Source::new(Path::new("robot.toml"), text)).unwrap().0;
+        let file =
+            RobotFile::parse(Source::new(Path::new("robot.toml"), text), &crate::robot::Catalog::built_in())
+                .unwrap()
+                .0;
         let mut core = Core::new();
         core.add("legs", Legs).unwrap();
         Robot { file, core }
@@ -191,7 +194,12 @@ mod tests {
         let parameters = robot.parameter_exposure().unwrap();
         assert!(parameters.settings[0].matches("bridge_services.service_configure_introspection"));
         let text = "[robot]\nname = \"r\"\n[[module]]\nkind = \"stand_nod_wave\"\n[expose]\nclient_introspection = \"on\"";
-        let error = RobotFile::parse(Source::new(Path::new("robot.toml"), text.to_owned())).err().unwrap();
+        let error = RobotFile::parse(
+            Source::new(Path::new("robot.toml"), text.to_owned()),
+            &crate::robot::Catalog::built_in(),
+        )
+        .err()
+        .unwrap();
         assert_eq!(
             error.to_string(),
             "robot.toml:6: \"on\" is none of \"disabled\", \"metadata\" and \"contents\""

@@ -67,6 +67,20 @@ pub trait Launcher: Send {
     }
 }
 
+impl<L: Launcher + ?Sized> Launcher for Box<L> {
+    fn attach(&mut self) -> Result<(), ThreadError> {
+        (**self).attach()
+    }
+
+    fn process(&mut self, stage: &mut Arc<Stage>) {
+        (**self).process(stage);
+    }
+
+    fn is_linear(&self) -> bool {
+        (**self).is_linear()
+    }
+}
+
 /// Runs a stage's modules on a worker's thread. Panics of modules do not come here; should there be one all the
 /// same, it neither ends the worker nor holds up the cycle.
 fn run_guarded(run: impl FnOnce()) {

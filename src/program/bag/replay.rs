@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::bags::{FieldDifference, FieldRule, Reader};
 use crate::replay::{Difference, ReplayOptions, ReplayReport, TopicReport, What, replay as replay_robot};
-use crate::robot::{LauncherChoice, RosArgs};
+use crate::robot::{Catalog, LauncherChoice, RosArgs};
 use anyhow::bail;
 use clap::Args;
 use serde_json::{Value, json};
@@ -40,9 +40,9 @@ pub(crate) struct ReplayArguments {
     pub(crate) parameters: ParameterArguments,
 }
 
-pub(crate) fn replay(arguments: &ReplayArguments, ros: &RosArgs) -> anyhow::Result<()> {
-    let mut file = arguments.parameters.read_robot(&arguments.robot, ros)?;
-    if let Some(launcher) = arguments.launcher {
+pub(crate) fn replay(arguments: &ReplayArguments, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<()> {
+    let mut file = arguments.parameters.read_robot(&arguments.robot, catalog, ros)?;
+    if let Some(launcher) = arguments.launcher.clone() {
         file.launcher.choice = launcher;
     }
     let reader = open(&arguments.bag)?;

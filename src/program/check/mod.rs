@@ -7,23 +7,28 @@ use std::path::Path;
 use crate::bridge::edge::KnownType;
 use crate::bridge::expose::ActionExposure;
 use crate::executor::{Core, TopicInfo};
-use crate::robot::{ExposedEndpoint, KINDS, Robot, RosArgs};
+use crate::robot::{Catalog, ExposedEndpoint, Robot, RosArgs};
 use serde_json::json;
 
 use node::NodeReport;
 
 use super::cli::CheckArguments;
-use super::session::add_diagnostics;
+use crate::running::add_diagnostics;
 
-pub(crate) fn check(arguments: &CheckArguments, ros: &RosArgs) -> anyhow::Result<()> {
+pub(crate) fn check(arguments: &CheckArguments, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<()> {
     if arguments.kinds {
-        list_kinds()?;
+        list_kinds(catalog)?;
     }
-    arguments.robot.as_deref().map_or(Ok(()), |path| check_robot(path, arguments, ros))
+    arguments.robot.as_deref().map_or(Ok(()), |path| check_robot(path, arguments, catalog, ros))
 }
 
-fn check_robot(path: &Path, arguments: &CheckArguments, ros: &RosArgs) -> anyhow::Result<()> {
-    let file = arguments.parameters.read_robot(path, ros)?;
+fn check_robot(
+    path: &Path,
+    arguments: &CheckArguments,
+    catalog: &Catalog,
+    ros: &RosArgs,
+) -> anyhow::Result<()> {
+    let file = arguments.parameters.read_robot(path, catalog, ros)?;
     for problem in file.thread_problems() {
         tracing::warn!("on this machine the robot does not run: {problem}");
     }
@@ -44,7 +49,7 @@ fn check_robot(path: &Path, arguments: &CheckArguments, ros: &RosArgs) -> anyhow
     println!("{}: robot {}{emulated}, {}", path.display(), file.name, file.launcher.choice);
     println!("\nmodules");
     for module in &file.modules {
-        println!("  {:<20} {:<20} {}", module.name, module.kind.name, module.kind.about);
+        println!("  {:<20} {:<20} {}", module.name, module.kind.name(), module.kind.about());
         print_settings(core, &module.name);
     }
     println!("\ntopics");
@@ -84,8 +89,11 @@ fn print_exposed<'a>(exposed: &'a [ExposedEndpoint], mut node: &'a str) {
 
 fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_json::Value> {
     let Robot { file, core } = robot;
-    let modules: Vec<_> =
-        file.modules.iter().map(|module| json!({ "name": module.name, "kind": module.kind.name })).collect();
+    let modules: Vec<_> = file
+        .modules
+        .iter()
+        .map(|module| json!({ "name": module.name, "kind": module.kind.name() }))
+        .collect();
     let topics: Vec<_> = core
         .topics()
         .map(|topic| json!({ "name": *topic.name, "type": type_name(topic), "is_published": topic.is_published }))
@@ -124,12 +132,12 @@ fn type_name(topic: &TopicInfo) -> &'static str {
     KnownType::of_rust_type(topic.message_type_id).map_or(topic.message_type, KnownType::name)
 }
 
-fn list_kinds() -> anyhow::Result<()> {
-    for kind in KINDS {
+fn list_kinds(catalog: &Catalog) -> anyhow::Result<()> {
+    for kind in catalog.kinds() {
         let mut core = Core::new();
-        kind.add_to(&mut core, kind.name, kind.options())?;
-        println!("{:<20} {}", kind.name, kind.about);
-        print_settings(&core, kind.name);
+        kind.add_to(&mut core, kind.name(), kind.options())?;
+        println!("{:<20} {}", kind.name(), kind.about());
+        print_settings(&core, kind.name());
         core.topics().for_each(print_topic);
         println!();
     }

@@ -7,15 +7,15 @@ use std::path::Path;
 
 use crate::bridge::edge::KnownType;
 use crate::executor::{Core, Graph};
-use crate::robot::{RobotFile, RosArgs};
+use crate::robot::{Catalog, RobotFile, RosArgs};
 
 use super::cli::{GraphArguments, GraphFormat};
 
-pub(crate) fn graph(arguments: &GraphArguments, ros: &RosArgs) -> anyhow::Result<()> {
+pub(crate) fn graph(arguments: &GraphArguments, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<()> {
     let format = if arguments.json { Some(GraphFormat::Json) } else { arguments.format };
     match &arguments.robot {
         Some(path) => {
-            let graph = of_robot(path)?;
+            let graph = of_robot(path, catalog, ros)?;
             match format.unwrap_or(GraphFormat::Dot) {
                 GraphFormat::Dot => print!("{}", graph.to_dot()),
                 GraphFormat::Mermaid => print!("{}", graph.to_mermaid()),
@@ -38,8 +38,8 @@ pub(crate) fn graph(arguments: &GraphArguments, ros: &RosArgs) -> anyhow::Result
     Ok(())
 }
 
-fn of_robot(path: &Path) -> anyhow::Result<Graph> {
-    let core = RobotFile::read(path)?.on_any_machine().build(Core::new())?.core;
+fn of_robot(path: &Path, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<Graph> {
+    let core = RobotFile::read_with(path, catalog, ros)?.on_any_machine().build(Core::new())?.core;
     let mut graph = core.graph();
     // Under the names that ROS gives them, where it does.
     for topic in core.topics() {

@@ -7,6 +7,7 @@ mod layer;
 
 use crate::bridge::rosout::{LoggerLevels, LoggerNames, Rosout, Severity};
 use crate::robot::{LogArguments, LogLevel};
+use crate::running::NodeLog;
 use anyhow::Context;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::prelude::*;
@@ -29,12 +30,8 @@ const PROGRAM: &str = "downbeat";
 /// The log of the program.
 #[derive(Clone)]
 pub(crate) struct Log {
-    /// What waits for `/rosout`.
-    pub(crate) rosout: Rosout,
-    /// The levels that loggers are given, which tools may change.
-    pub(crate) levels: LoggerLevels,
-    /// The names of loggers, on the console and in the file.
-    pub(crate) names: LoggerNames,
+    /// What waits for `/rosout`, the levels that loggers are given, and their names.
+    pub(crate) of_node: NodeLog,
     file: Option<LogFile>,
 }
 
@@ -44,13 +41,15 @@ impl Log {
         let options = LogOptions::from_variables(|name| std::env::var(name).ok())?.with(arguments);
         let given = filter_of(arguments).or_else(|| std::env::var(VARIABLE).ok());
         let log = Self {
-            rosout: Rosout::new(),
-            levels: LoggerLevels::starting_at(start_of(given.as_deref().unwrap_or(DEFAULT))),
-            names: LoggerNames::new(PROGRAM),
+            of_node: NodeLog {
+                rosout: Rosout::new(),
+                levels: LoggerLevels::starting_at(start_of(given.as_deref().unwrap_or(DEFAULT))),
+                names: LoggerNames::new(PROGRAM),
+            },
             file: options.file.as_deref().map(LogFile::create).transpose()?,
         };
         for (logger, level) in &arguments.loggers {
-            log.levels.set(logger, severity(*level))?;
+            log.of_node.levels.set(logger, severity(*level))?;
         }
         let filter = given.as_deref().map(EnvFilter::try_new).transpose();
         let (filter, problem) = match filter {
@@ -59,12 +58,12 @@ impl Log {
         };
         let layer = LogLayer {
             filter,
-            levels: log.levels.clone(),
-            names: log.names.clone(),
+            levels: log.of_node.levels.clone(),
+            names: log.of_node.names.clone(),
             console: (!arguments.is_stdout_disabled).then(|| Console::new(&options, screen)),
             format: options.format.clone(),
             file: log.file.clone(),
-            rosout: log.rosout.clone(),
+            rosout: log.of_node.rosout.clone(),
         };
         tracing_subscriber::registry().with(layer).try_init().context("cannot start the log")?;
         if let Some(error) = problem {

@@ -53,7 +53,10 @@ static FRAGILE: Kind = Kind {
 /// A robot of fragile modules.
 fn robot(modules: &str) -> RobotFile {
     let text = format!("[robot]\nname = \"r\"\n{modules}");
-    let mut file = RobotFile::parse(Source::new(Path::new("robot.toml"), text)).unwrap().0;
+    let mut file =
+        RobotFile::parse(Source::new(Path::new("robot.toml"), text), &crate::robot::Catalog::built_in())
+            .unwrap()
+            .0;
     file.modules.iter_mut().for_each(|module| module.kind = &FRAGILE);
     file
 }

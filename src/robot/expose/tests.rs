@@ -16,7 +16,7 @@ const ROBOT: &str = "[robot]\nname = \"r\"\n\
 
 fn build(text: &str, ros: &str) -> Result<Robot> {
     let source = Source::new(Path::new("robot.toml"), text.to_owned());
-    let mut file = RobotFile::parse(source)?.0;
+    let mut file = RobotFile::parse(source, &crate::robot::Catalog::built_in())?.0;
     let (_, arguments) = RosArgs::split(ros.split_whitespace().map(Into::into)).unwrap();
     file.apply_names(&arguments);
     file.apply_parameters(&arguments)?;
@@ -174,7 +174,12 @@ fn what_ros_cannot_be_told_is_refused_with_the_line() {
 #[test]
 fn the_namespace_of_the_environment_is_for_robots_without_one() {
     let of = |text: &str| {
-        let mut file = RobotFile::parse(Source::new(Path::new("robot.toml"), text.to_owned())).unwrap().0;
+        let mut file = RobotFile::parse(
+            Source::new(Path::new("robot.toml"), text.to_owned()),
+            &crate::robot::Catalog::built_in(),
+        )
+        .unwrap()
+        .0;
         let variables = |name: &str| (name == "ROS_NAMESPACE").then(|| "robot7".to_owned());
         file.apply_names(&RosArgs::default().with_variables(variables));
         file.node_name().unwrap().to_string()

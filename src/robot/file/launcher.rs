@@ -9,6 +9,7 @@ use downbeat_executor::{Idle, Spin, ThreadOptions};
 
 use super::table::{Table, Value};
 use super::{RobotFileError, suggestion};
+use crate::robot::Catalog;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -27,7 +28,7 @@ pub struct LauncherEntry {
 }
 
 /// On how many threads the process phase runs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum LauncherChoice {
     /// On one.
     #[default]
@@ -36,6 +37,8 @@ pub enum LauncherChoice {
     Pool(NonZeroUsize),
     /// Each module on one of its own.
     Threads,
+    /// As the launcher of that name does, which the app has added.
+    Other(String),
 }
 
 impl fmt::Display for LauncherChoice {
@@ -44,11 +47,12 @@ impl fmt::Display for LauncherChoice {
             Self::Linear => f.write_str("on one thread"),
             Self::Pool(threads) => write!(f, "on {threads} threads"),
             Self::Threads => f.write_str("each module on a thread of its own"),
+            Self::Other(name) => write!(f, "by the launcher \"{name}\""),
         }
     }
 }
 
-/// As on a command line: `linear`, `pool`, `pool:4`, `threads`.
+/// As on a command line: `linear`, `pool`, `pool:4`, `threads`, or the name of a launcher that the app has added.
 impl FromStr for LauncherChoice {
     type Err = String;
 
@@ -60,7 +64,10 @@ impl FromStr for LauncherChoice {
             ("linear", Ok(None)) => Ok(Self::Linear),
             ("threads", Ok(None)) => Ok(Self::Threads),
             ("pool", Ok(count)) => Ok(Self::Pool(count.unwrap_or_else(available))),
-            _ => Err(format!("\"{text}\" is no launcher; write linear, pool, pool:4 or threads")),
+            ("linear" | "threads" | "pool", _) | (_, Err(_) | Ok(Some(_))) => {
+                Err(format!("\"{text}\" is no launcher; write linear, pool, pool:4 or threads"))
+            }
+            (name, Ok(None)) => Ok(Self::Other(name.to_owned())),
         }
     }
 }
@@ -70,7 +77,11 @@ fn available() -> NonZeroUsize {
 }
 
 /// Reads `[launcher]`, or `launcher` and `threads` of `[robot]`.
-pub(super) fn launcher<'a>(root: &mut Table<'a>, robot: &mut Table<'a>) -> Result<LauncherEntry> {
+pub(super) fn launcher<'a>(
+    root: &mut Table<'a>,
+    robot: &mut Table<'a>,
+    catalog: &Catalog,
+) -> Result<LauncherEntry> {
     let threads = robot.take("threads");
     let launcher = match (robot.take("launcher"), root.take("launcher")) {
         (Some(_), Some(value)) => {
@@ -83,19 +94,19 @@ pub(super) fn launcher<'a>(root: &mut Table<'a>, robot: &mut Table<'a>) -> Resul
         let (threads, idle) = (ThreadOptions::default(), Idle::default());
         LauncherEntry { line, choice, threads, idle, deadline: None }
     };
-    let Some(value) = launcher else { return Ok(plain(choice(None, threads)?)) };
+    let Some(value) = launcher else { return Ok(plain(choice(None, threads, catalog)?)) };
     match (value.as_table("[launcher]"), threads) {
-        (None, threads) => Ok(plain(choice(Some(value), threads)?)),
+        (None, threads) => Ok(plain(choice(Some(value), threads, catalog)?)),
         (Some(_), Some(threads)) => {
             Err(threads.error("\"threads\" stands in the table of the launcher, beside \"kind\""))
         }
-        (Some(table), None) => detailed(table, line),
+        (Some(table), None) => detailed(table, line, catalog),
     }
 }
 
-fn detailed(mut table: Table<'_>, line: usize) -> Result<LauncherEntry> {
+fn detailed(mut table: Table<'_>, line: usize, catalog: &Catalog) -> Result<LauncherEntry> {
     let kind = table.require("kind")?;
-    let choice = choice(Some(kind), table.take("threads"))?;
+    let choice = choice(Some(kind), table.take("threads"), catalog)?;
     let mut threads = thread(&mut table)?;
     if let Some(value) = table.take("spin") {
         if choice == LauncherChoice::Linear {
@@ -114,7 +125,11 @@ fn detailed(mut table: Table<'_>, line: usize) -> Result<LauncherEntry> {
     Ok(LauncherEntry { line, choice, threads, idle, deadline })
 }
 
-fn choice(launcher: Option<Value<'_>>, threads: Option<Value<'_>>) -> Result<LauncherChoice> {
+fn choice(
+    launcher: Option<Value<'_>>,
+    threads: Option<Value<'_>>,
+    catalog: &Catalog,
+) -> Result<LauncherChoice> {
     let threads = threads.map(|value| Ok((value, value.count()?))).transpose()?;
     let kind = launcher.map(|value| Ok((value, value.text()?))).transpose()?;
     match (kind, threads) {
@@ -127,8 +142,11 @@ fn choice(launcher: Option<Value<'_>>, threads: Option<Value<'_>>) -> Result<Lau
             let threads = threads.and_then(|(_, count)| NonZeroUsize::new(count as usize));
             Ok(LauncherChoice::Pool(threads.unwrap_or_else(available)))
         }
+        (Some((_, other)), None) if catalog.launchers().any(|known| known == other) => {
+            Ok(LauncherChoice::Other(other.to_owned()))
+        }
         (Some((value, other)), _) => {
-            let hint = suggestion(other, ["linear", "pool", "threads"]);
+            let hint = suggestion(other, catalog.launchers());
             Err(value.error(format!("unknown launcher \"{other}\"{hint}")))
         }
     }

@@ -25,17 +25,19 @@ pub(crate) use place::{Given, ParameterPlace, Place};
 pub use record::RecordEntry;
 pub use replay::ReplaySection;
 pub use source::RobotFileError;
-pub(crate) use source::{Source, suggestion};
+pub(crate) use source::{Source, suggestion, toml_string};
 pub(crate) use table::list_of;
 use table::{Table, Value};
 
-use super::RosArgs;
+use super::{Catalog, RosArgs};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
 /// What a robot file says. Names of topics and settings are checked when the robot is built.
 pub struct RobotFile {
     pub(crate) source: Source,
+    /// What the file could name.
+    pub catalog: Catalog,
     /// True if the file itself says the namespace.
     pub(crate) has_namespace: bool,
     /// The name of the robot.
@@ -68,23 +70,23 @@ pub(crate) struct Located<T> {
 }
 
 impl RobotFile {
-    /// Reads a robot file.
+    /// Reads a robot file that names what comes with the program.
     ///
     /// # Errors
     /// If it, or a parameter file that it names, cannot be read or says something that cannot be; with path and
     /// line.
     pub fn read(path: &Path) -> Result<Self> {
-        Self::read_with(path, &RosArgs::default())
+        Self::read_with(path, &Catalog::built_in(), &RosArgs::default())
     }
 
-    /// Reads a robot file, and applies the arguments that ROS 2 programs take: remapping rules win over those of the
-    /// file, parameters over its settings.
+    /// Reads a robot file that names what is in the catalog, and applies the arguments that ROS 2 programs take: remapping
+    /// rules win over those of the file, parameters over its settings.
     ///
     /// # Errors
     /// If the file, or a parameter file, cannot be read or says something that cannot be, with path and line; or if an
     /// argument says something that cannot be.
-    pub fn read_with(path: &Path, arguments: &RosArgs) -> Result<Self> {
-        let (mut file, parameter_files) = Self::parse(Source::read(path, "robot file")?)?;
+    pub fn read_with(path: &Path, catalog: &Catalog, arguments: &RosArgs) -> Result<Self> {
+        let (mut file, parameter_files) = Self::parse(Source::read(path, "robot file")?, catalog)?;
         file.apply_names(arguments);
         let folder = path.parent().map(Path::to_owned).unwrap_or_default();
         for Located { line, value: name } in parameter_files {
@@ -98,7 +100,7 @@ impl RobotFile {
     }
 
     /// Reads what the text says, without the parameter files that it names.
-    pub(crate) fn parse(source: Source) -> Result<(Self, Vec<Located<String>>)> {
+    pub(crate) fn parse(source: Source, catalog: &Catalog) -> Result<(Self, Vec<Located<String>>)> {
         let text = source.text().to_owned();
         let document = DeTable::parse(&text).map_err(|error| {
             let line = source.line_of(&error.span().unwrap_or_default());
@@ -110,7 +112,7 @@ impl RobotFile {
         let namespace = robot.take("namespace").map(|value| value.text().map(str::to_owned)).transpose()?;
         let node = robot.take("node").map_or(Ok(name.clone()), identifier)?;
         let remaps = robot.take("remap").map_or(Ok(RemapRules::default()), remaps)?;
-        let launcher = launcher::launcher(&mut root, &mut robot)?;
+        let launcher = launcher::launcher(&mut root, &mut robot, catalog)?;
         let parameter_files = robot.take("params").map_or(Ok(Vec::new()), |value| value.list())?;
         let parameter_files = parameter_files
             .iter()
@@ -118,13 +120,15 @@ impl RobotFile {
             .collect::<Result<_>>()?;
         robot.finish()?;
         let modules = root.require("module")?.list()?;
-        let modules = modules.into_iter().map(module::module).collect::<Result<Vec<_>>>()?;
+        let modules =
+            modules.into_iter().map(|value| module::module(value, catalog)).collect::<Result<Vec<_>>>()?;
         let expose = root.take("expose").map_or(Ok(ExposeSection::default()), expose::expose)?;
         let record = root.take("record").map_or(Ok(RecordEntry::default()), record::record)?;
         let replay = root.take("replay").map_or(Ok(ReplaySection::default()), replay::replay)?;
         root.finish()?;
         let file = Self {
             source,
+            catalog: catalog.clone(),
             name,
             has_namespace: namespace.is_some(),
             namespace: namespace.unwrap_or_else(|| "/".to_owned()),
@@ -159,7 +163,7 @@ impl RobotFile {
     /// True if a part of the robot is emulated.
     #[must_use]
     pub fn is_emulated(&self) -> bool {
-        self.modules.iter().any(|module| module.kind.is_emulated)
+        self.modules.iter().any(|module| module.kind.is_emulated())
     }
 }
 

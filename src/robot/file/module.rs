@@ -8,7 +8,8 @@ use downbeat_executor::{Inbox, LifecycleState, ModuleOptions, Restart, Synchrony
 
 use super::table::{Table, Value};
 use super::{Given, Located, Place, RobotFileError, choice, identifier, launcher, suggestion};
-use crate::robot::kinds::{INBOX, KINDS, Kind};
+use crate::robot::Catalog;
+use crate::robot::kind::{INBOX, Kind};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -18,7 +19,7 @@ pub struct ModuleEntry {
     /// The name, unique in the robot.
     pub name: String,
     /// What it is.
-    pub kind: &'static Kind,
+    pub kind: Kind,
     pub(crate) settings: BTreeMap<String, Given>,
     pub(crate) remaps: BTreeMap<String, Located<String>>,
     /// The line that says on which CPUs or at which priority its thread runs.
@@ -52,24 +53,24 @@ impl ModuleEntry {
     }
 }
 
-pub(super) fn module(value: Value<'_>) -> Result<ModuleEntry> {
+pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry> {
     let mut table = value.table("[[module]]")?;
     let kind_value = table.require("kind")?;
     let kind_name = kind_value.text()?;
-    let kind = KINDS.iter().find(|kind| kind.name == kind_name).ok_or_else(|| {
-        let hint = suggestion(kind_name, KINDS.iter().map(|kind| kind.name));
+    let kind = catalog.kind(kind_name).cloned().ok_or_else(|| {
+        let hint = suggestion(kind_name, catalog.kinds().map(Kind::name));
         kind_value.error(format!("unknown kind of module \"{kind_name}\"{hint}"))
     })?;
     let name_value = table.take("name");
     let line = name_value.map_or(kind_value.line(), |value| value.line());
-    let name = name_value.map_or(Ok(kind.name.to_owned()), module_name)?;
+    let name = name_value.map_or(Ok(kind.name().to_owned()), module_name)?;
     let settings = entries(table.take("settings"), "settings", |value| {
         Ok(Given { place: Place::Line(value.line()), value: value.setting()? })
     })?;
     let remaps = entries(table.take("remap"), "remap", |value| {
         Ok(Located { line: value.line(), value: value.text()?.to_owned() })
     })?;
-    let synchrony = synchrony(&mut table, kind)?;
+    let synchrony = synchrony(&mut table, &kind)?;
     let (thread_line, thread) = thread(&mut table, synchrony, line)?;
     let running = ModuleOptions {
         synchrony,
@@ -105,10 +106,10 @@ fn entries<T>(
 
 fn synchrony(table: &mut Table<'_>, kind: &Kind) -> Result<Synchrony> {
     let synchrony = match table.take("synchrony") {
-        None => kind.synchrony,
+        None => kind.synchrony(),
         Some(value) => {
             let choices = [("when_due", 0), ("every_cycle", 1), ("detached", 2)];
-            match (choice(value, &choices)?, kind.synchrony) {
+            match (choice(value, &choices)?, kind.synchrony()) {
                 (0, _) => Synchrony::WhenDue,
                 (1, _) => Synchrony::EveryCycle,
                 (_, detached @ Synchrony::Detached(_)) => detached,

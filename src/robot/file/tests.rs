@@ -8,7 +8,11 @@ use downbeat_msgs::encoding::Encoding;
 use downbeat_msgs::qos::QosProfile;
 
 fn parse(text: &str) -> Result<RobotFile> {
-    RobotFile::parse(Source::new(Path::new("robots/test.toml"), text.into())).map(|(file, _)| file)
+    RobotFile::parse(
+        Source::new(Path::new("robots/test.toml"), text.into()),
+        &crate::robot::Catalog::built_in(),
+    )
+    .map(|(file, _)| file)
 }
 
 fn problem(text: &str) -> String {
@@ -118,7 +122,7 @@ fn a_robot_description_is_xml_with_a_robot_at_its_root() {
         std::fs::write(folder.path().join("robot.urdf"), text).unwrap();
         let robot = format!("{ROBOT}[expose]\nrobot_description = \"robot.urdf\"");
         let source = Source::new(&folder.path().join("robot.toml"), robot);
-        RobotFile::parse(source).unwrap().0.robot_description()
+        RobotFile::parse(source, &crate::robot::Catalog::built_in()).unwrap().0.robot_description()
     };
     let urdf = "<?xml version=\"1.0\"?><robot name=\"stick\"><link name=\"stick\"/></robot>";
     assert_eq!(description(urdf).unwrap().unwrap(), urdf);
@@ -221,7 +225,7 @@ fn a_module_says_when_it_runs_and_what_happens_after_a_panic() {
         assert_eq!(options(text).restart, restart, "{text}");
     }
     for (text, synchrony) in [
-        ("", Synchrony::Detached(crate::robot::kinds::INBOX)),
+        ("", Synchrony::Detached(crate::robot::kind::INBOX)),
         ("inbox = 3", Synchrony::Detached(Inbox::KeepLast(3.try_into().unwrap()))),
         ("synchrony = \"detached\"\ninbox = \"all\"", Synchrony::Detached(Inbox::KeepAll)),
         ("synchrony = \"when_due\"", Synchrony::WhenDue),
@@ -231,7 +235,7 @@ fn a_module_says_when_it_runs_and_what_happens_after_a_panic() {
     }
     let motion = format!("{ROBOT}[[module]]\nkind = \"stand_nod_wave\"\nsynchrony = \"detached\"");
     let motion = parse(&motion).unwrap().modules[1].options();
-    assert_eq!(motion.synchrony, Synchrony::Detached(crate::robot::kinds::INBOX));
+    assert_eq!(motion.synchrony, Synchrony::Detached(crate::robot::kind::INBOX));
 }
 
 #[test]

@@ -10,7 +10,9 @@ const ROBOT: &str = "[robot]\nname = \"r\"\nnamespace = \"/ns\"\n[[module]]\nkin
                      settings = { hold_s = 2.0 }\n[[module]]\nkind = \"darwin_op_emulator\"\nname = \"emulator\"";
 
 fn robot() -> RobotFile {
-    RobotFile::parse(Source::new(Path::new("robot.toml"), ROBOT.into())).unwrap().0
+    RobotFile::parse(Source::new(Path::new("robot.toml"), ROBOT.into()), &crate::robot::Catalog::built_in())
+        .unwrap()
+        .0
 }
 
 fn set(file: &mut RobotFile, text: &str) -> Result<()> {

@@ -7,7 +7,7 @@ use crate::executor::{Core, ManualClock, Time};
 use crate::msgs::qos::QosProfile;
 use crate::playback;
 use crate::recorder::{self, WhenFull};
-use crate::robot::{RobotFile, RosArgs};
+use crate::robot::{Catalog, RobotFile, RosArgs};
 
 use super::PlayArguments;
 
@@ -15,10 +15,11 @@ pub(super) fn play_into(
     reader: &Reader,
     robot: &Path,
     arguments: &PlayArguments,
+    catalog: &Catalog,
     ros: &RosArgs,
 ) -> anyhow::Result<()> {
     let clock = ManualClock::new(Time::from_nanos(reader.start_time().unwrap_or(0)));
-    let file = RobotFile::read_with(robot, ros)?;
+    let file = RobotFile::read_with(robot, catalog, ros)?;
     file.refuse_devices()?;
     let mut robot = file.on_any_machine().build(Core::new().with_clock(clock.clone()))?;
     let recording = arguments

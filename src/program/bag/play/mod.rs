@@ -12,7 +12,7 @@ use std::time::Duration;
 use crate::bags::{PlayerOptions, Reader};
 use crate::bridge::ros::RemapRule;
 use crate::msgs::encoding::Encoding;
-use crate::robot::RosArgs;
+use crate::robot::{Catalog, RosArgs};
 use anyhow::bail;
 use clap::Args;
 
@@ -113,10 +113,15 @@ pub(crate) struct PlayArguments {
     pub(crate) domain: Option<u16>,
 }
 
-pub(crate) fn play(arguments: &PlayArguments, ros: &RosArgs, screen: &Screen) -> anyhow::Result<()> {
+pub(crate) fn play(
+    arguments: &PlayArguments,
+    catalog: &Catalog,
+    ros: &RosArgs,
+    screen: &Screen,
+) -> anyhow::Result<()> {
     let bags = arguments.bags.iter().map(|bag| open(bag)).collect::<anyhow::Result<Vec<Reader>>>()?;
     match (&arguments.into, &bags[..]) {
-        (Some(robot), [bag]) => into::play_into(bag, robot, arguments, ros),
+        (Some(robot), [bag]) => into::play_into(bag, robot, arguments, catalog, ros),
         (Some(_), _) => bail!("one bag is played into a robot; merge them first: downbeat bag convert"),
         (None, bags) => ros::play(bags, arguments, ros, screen),
     }

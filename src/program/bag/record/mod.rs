@@ -7,24 +7,30 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use crate::bags::{Recording, RecordingControl, RecordingSummary};
-use crate::robot::{ClockChoice, RecordEntry, RobotFile, RosArgs};
+use crate::robot::{Catalog, ClockChoice, RecordEntry, RobotFile, RosArgs};
 use crate::ros_recorder::{QosOverrides, RosRecorder, RosRecorderOptions, TopicFilter, serve, split_events};
 use anyhow::{Context, bail};
 
 use crate::program::bag::select::absolute;
 use crate::program::keyboard::{Key, Keyboard};
+use crate::program::run::WatchedRobot;
 use crate::program::run::node;
 use crate::program::screen::Screen;
-use crate::program::session::{RecordPlan, Session};
 use crate::program::stop::Stop;
+use crate::running::RecordPlan;
 use arguments::{Exposed, RecordArguments};
 
-pub(crate) fn record(arguments: &RecordArguments, ros: &RosArgs, screen: &Screen) -> anyhow::Result<()> {
+pub(crate) fn record(
+    arguments: &RecordArguments,
+    catalog: &Catalog,
+    ros: &RosArgs,
+    screen: &Screen,
+) -> anyhow::Result<()> {
     let output = arguments.output.clone().unwrap_or_else(|| {
         PathBuf::from(chrono::Local::now().format("rosbag2_%Y_%m_%d-%H_%M_%S").to_string())
     });
     match &arguments.robot {
-        Some(robot) => record_robot(arguments, robot, output, ros, screen),
+        Some(robot) => record_robot(arguments, robot, output, catalog, ros, screen),
         None => record_from_ros(arguments, output, ros, screen),
     }
 }
@@ -33,10 +39,11 @@ fn record_robot(
     arguments: &RecordArguments,
     robot: &std::path::Path,
     directory: PathBuf,
+    catalog: &Catalog,
     ros: &RosArgs,
     screen: &Screen,
 ) -> anyhow::Result<()> {
-    let mut file = RobotFile::read_with(robot, ros)?;
+    let mut file = RobotFile::read_with(robot, catalog, ros)?;
     // There is no node to hear `/clock` with.
     file.expose.features.clock = ClockChoice::Own;
     writing::apply(&arguments.writing, &mut file.record)?;
@@ -62,9 +69,9 @@ fn record_robot(
         filter: Some(filter),
     };
     let stop = Stop::new()?;
-    let mut session = Session::new(file)?;
-    session.record(plan)?;
-    session.run(&stop.after(arguments.duration), screen)
+    let mut robot = WatchedRobot::new(file)?;
+    robot.prepared.record(plan)?;
+    robot.run(&stop.after(arguments.duration), screen)
 }
 
 impl RecordArguments {

@@ -20,10 +20,9 @@ use crate::inspect::Inspected;
 use crate::msgs::qos::QosProfile;
 use crate::msgs::rcl_interfaces::msg::{Parameter, ParameterType, SetParametersResult};
 use crate::msgs::rcl_interfaces::srv::{SetParameters, SetParametersRequest, SetParametersResponse};
-use crate::robot::ExposedEndpoint;
-use anyhow::Context;
+use crate::robot::{ExposedEndpoint, toml_string};
 
-use super::expose::text;
+use super::StartError;
 use super::inspected::InspectedRobot;
 
 /// Requests that wait; what is above it is not answered.
@@ -45,12 +44,12 @@ type Job = (SetParametersRequest, Reply<SetParameters>);
 impl ExposeService {
     /// Offers the service on a node. Requests are answered on a thread of their own, since what goes out waits for the end of
     /// a cycle.
-    pub(crate) fn start(node: &Node, robot: Arc<InspectedRobot>) -> anyhow::Result<Self> {
+    pub(crate) fn start(node: &Node, robot: Arc<InspectedRobot>) -> Result<Self, StartError> {
         let (jobs, received) = sync_channel(QUEUE);
         let thread = std::thread::Builder::new()
             .name("expose".into())
             .spawn(move || run(&robot, &received))
-            .context("cannot start the thread of the expose service")?;
+            .map_err(|source| StartError::Thread { what: "the expose service", source })?;
         let sender = jobs.clone();
         let service =
             node.serve_later::<SetParameters>("~/expose", QosProfile::SERVICES, move |request, reply| {
@@ -109,7 +108,7 @@ fn entry(topic: &str, how: &str) -> Result<String, String> {
         return Err(format!("expected one line of at most {LONGEST_ENTRY} bytes"));
     }
     let separator = if keys.trim().is_empty() { "" } else { "," };
-    Ok(format!("{direction} = [{{ topic = {}{separator}{keys} }}]", text(topic)))
+    Ok(format!("{direction} = [{{ topic = {}{separator}{keys} }}]", toml_string(topic)))
 }
 
 /// What was done, or why not.

@@ -1,0 +1,134 @@
+//! Devices that replay: what a module asked of a device and what came back is recorded, and in a replay the recording answers.
+//!
+//! A module that talks to hardware cannot repeat a run by its inputs alone. It can if everything it learns from the
+//! device passes through one place that records it. That place is a [`DeviceLink`]: it publishes each exchange on a topic,
+//! so that a bag holds it, and in a replay answers with the recorded exchanges in place of the device. A request that
+//! differs from the recorded one fails and shows as the first difference of the replay.
+//!
+//! ```
+//! use std::time::Duration;
+//! use downbeat_executor::{Context, Core, ManualClock, Module, Publication, Setup, SetupError, Time};
+//! use downbeat_modules::device::{Device, DeviceLink};
+//! use downbeat_msgs::std_msgs::msg::{Float64, String as Line};
+//!
+//! /// A sonar on a serial line that answers "ping" with a distance in metres.
+//! struct Sonar;
+//!
+//! impl Device for Sonar {
+//!     type Request = &'static str;
+//!     type Exchange = Line; // "ping 1.25", or "ping ! no answer"
+//!     const TOPIC: &'static str = "sonar/exchanges";
+//!
+//!     fn exchange(&mut self, request: &Self::Request, _now: Time) -> Line {
+//!         Line { data: format!("{request} 1.25") } // here it would write to the port and read from it
+//!     }
+//!
+//!     fn answers(exchange: &Line, request: &Self::Request) -> bool {
+//!         exchange.data.starts_with(request)
+//!     }
+//!
+//!     fn failed(request: &Self::Request, _now: Time, reason: &str) -> Line {
+//!         Line { data: format!("{request} ! {reason}") }
+//!     }
+//! }
+//!
+//! struct SonarModule(DeviceLink<Sonar>);
+//!
+//! impl Module for SonarModule {
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         let (exchanges, range) = (setup.publish(Sonar::TOPIC)?, setup.publish("range")?);
+//!         setup.every(Duration::from_millis(50), move |sonar, ctx| {
+//!             let answer = sonar.0.exchange(&"ping", exchanges, ctx);
+//!             if let Some(Ok(data)) = answer.data.split_once(' ').map(|(_, metres)| metres.parse()) {
+//!                 ctx.publish(range, Float64 { data });
+//!             }
+//!         })
+//!     }
+//! }
+//!
+//! // With the device, and on a recording of it.
+//! for link in [DeviceLink::new(Sonar), DeviceLink::recorded([Line { data: "ping 1.25".into() }])] {
+//!     let clock = ManualClock::new(Time::ZERO);
+//!     let mut core = Core::new().with_clock(clock.clone());
+//!     core.add("sonar", SonarModule(link))?;
+//!     core.cycle()?;
+//!     clock.advance(Duration::from_millis(50));
+//!     core.cycle()?;
+//!     assert_eq!(core.topics().find(|topic| &*topic.name == "range").unwrap().counter.messages(), 1);
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+use downbeat_executor::{Context, Publication, Time};
+use downbeat_msgs::Message;
+use std::collections::VecDeque;
+
+/// Something outside the process that is asked and answers: servos on a bus, a sensor, a camera.
+///
+/// Everything a module learns from it, errors and times included, is in the exchanges.
+pub trait Device: Send + 'static {
+    /// What the module asks.
+    type Request;
+
+    /// One request with what came of it: a message, so that a bag can hold it.
+    type Exchange: Message;
+
+    /// The module's own name of the topic on which exchanges are published.
+    const TOPIC: &'static str;
+
+    /// Asks the device and waits for the answer. Whatever goes wrong is a part of the exchange. `now` is the time of the
+    /// module's run.
+    fn exchange(&mut self, request: &Self::Request, now: Time) -> Self::Exchange;
+
+    /// True if `exchange` is one of this request: a replay compares what is asked with what was asked, and should do so
+    /// byte for byte.
+    fn answers(exchange: &Self::Exchange, request: &Self::Request) -> bool;
+
+    /// The exchange of a request that a replay has no answer to.
+    fn failed(request: &Self::Request, now: Time, reason: &str) -> Self::Exchange;
+}
+
+/// A module's way to its device, or to the recording of one.
+pub struct DeviceLink<D: Device> {
+    way: Way<D>,
+}
+
+enum Way<D: Device> {
+    Device(D),
+    Recording(VecDeque<D::Exchange>),
+}
+
+impl<D: Device> DeviceLink<D> {
+    /// A link to the device.
+    pub fn new(device: D) -> Self {
+        Self { way: Way::Device(device) }
+    }
+
+    /// A link to the recording of a device: its exchanges in their order.
+    pub fn recorded(exchanges: impl IntoIterator<Item = D::Exchange>) -> Self {
+        Self { way: Way::Recording(exchanges.into_iter().collect()) }
+    }
+
+    /// Asks the device, publishes the exchange on `topic` and returns it.
+    ///
+    /// In a replay the exchange is the next one of the recording. If that is one of another request, or there is none, the
+    /// result is [`Device::failed`].
+    pub fn exchange(
+        &mut self,
+        request: &D::Request,
+        topic: Publication<D::Exchange>,
+        ctx: &mut Context<'_>,
+    ) -> D::Exchange {
+        let now = ctx.now();
+        let exchange = match &mut self.way {
+            Way::Device(device) => device.exchange(request, now),
+            Way::Recording(exchanges) => match exchanges.pop_front() {
+                Some(exchange) if D::answers(&exchange, request) => exchange,
+                Some(_) => D::failed(request, now, "the recording has an exchange of another request here"),
+                None => D::failed(request, now, "the recording has ended"),
+            },
+        };
+        ctx.publish(topic, exchange.clone());
+        exchange
+    }
+}

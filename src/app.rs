@@ -1,0 +1,182 @@
+//! A program that runs robots: what its robot files can name, with every command.
+
+use std::path::Path;
+
+use downbeat_bags::{Reader, ReaderError};
+use downbeat_bridge::middleware::ParticipantOptions;
+use downbeat_executor::{Launcher, Mechanism, Module, ThreadOptions};
+
+use crate::replay::{self, ReplayError, ReplayOptions, ReplayReport};
+use crate::robot::{Catalog, CatalogError, Kind, RobotFile, RobotFileError, RosArgs};
+use crate::running::{PreparedRobot, RunningRobot, StartError};
+
+/// A user's program: kinds of modules, registered by name, with every command of `downbeat`.
+///
+/// ```no_run
+/// use downbeat::executor::{Module, Setup, SetupError};
+///
+/// #[derive(Default)]
+/// struct LevelHead;
+///
+/// impl Module for LevelHead {
+///     fn setup(&mut self, _: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+///         Ok(())
+///     }
+/// }
+///
+/// fn app() -> downbeat::App {
+///     downbeat::App::new().kind("level_head", "holds the head level", LevelHead::default)
+/// }
+///
+/// # #[cfg(feature = "cli")]
+/// fn main() -> std::process::ExitCode {
+///     app().main()
+/// }
+/// # #[cfg(not(feature = "cli"))]
+/// # fn main() {}
+///
+/// #[test]
+/// fn field_run_repeats() -> downbeat::TestResult {
+///     app().replay("robot.toml", "tests/field_run")?.assert_same()
+/// }
+/// ```
+///
+/// The methods that register something never fail; what is wrong with a registration is reported by the methods that use
+/// the app.
+#[derive(Clone, Default)]
+pub struct App {
+    catalog: Catalog,
+    /// The first registration that was refused.
+    problem: Option<CatalogError>,
+}
+
+/// Why an app does not do what it is asked.
+#[derive(Debug, thiserror::Error)]
+pub enum AppError {
+    /// The app registers something that it cannot.
+    #[error("this program's app cannot be: {0}")]
+    Catalog(#[from] CatalogError),
+    /// The robot file does not describe a robot.
+    #[error(transparent)]
+    Robot(#[from] RobotFileError),
+    /// The robot does not start.
+    #[error(transparent)]
+    Start(#[from] StartError),
+    /// The bag cannot be read.
+    #[error(transparent)]
+    Bag(#[from] ReaderError),
+    /// The bag cannot be replayed.
+    #[error(transparent)]
+    Replay(#[from] ReplayError),
+}
+
+impl App {
+    /// An app without kinds of modules.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// An app with the kinds of modules that come with downbeat: what the program `downbeat` is.
+    #[must_use]
+    pub fn with_built_in_kinds() -> Self {
+        Self { catalog: Catalog::built_in(), problem: None }
+    }
+
+    /// Registers a kind of module: its name in robot files, what it is for in a line, and what makes one.
+    #[must_use]
+    pub fn kind<M: Module>(
+        self,
+        name: &str,
+        about: &str,
+        make: impl Fn() -> M + Send + Sync + 'static,
+    ) -> Self {
+        self.add_kind(Kind::new(name, about, make))
+    }
+
+    /// Registers a kind of module of which more is to be said: that it runs detached, drives a device, or is emulated.
+    #[must_use]
+    pub fn add_kind(self, kind: Kind) -> Self {
+        self.register(|catalog| catalog.add_kind(kind))
+    }
+
+    /// Registers a mechanism, which every core gets.
+    #[must_use]
+    pub fn mechanism<M: Mechanism>(self, make: impl Fn() -> M + Send + Sync + 'static) -> Self {
+        self.register(|catalog| {
+            catalog.add_mechanism(make);
+            Ok(())
+        })
+    }
+
+    /// Registers a launcher, for `kind` in `[launcher]`. It is given where and how the robot file wants threads to run.
+    #[must_use]
+    pub fn launcher<L: Launcher + 'static>(
+        self,
+        name: &str,
+        make: impl Fn(&ThreadOptions) -> Result<L, String> + Send + Sync + 'static,
+    ) -> Self {
+        self.register(|catalog| catalog.add_launcher(name, make))
+    }
+
+    fn register(mut self, add: impl FnOnce(&mut Catalog) -> Result<(), CatalogError>) -> Self {
+        if let Err(problem) = add(&mut self.catalog) {
+            self.problem.get_or_insert(problem);
+        }
+        self
+    }
+
+    /// What robot files can name.
+    ///
+    /// # Errors
+    /// If a registration was refused.
+    pub fn catalog(&self) -> Result<&Catalog, AppError> {
+        match &self.problem {
+            None => Ok(&self.catalog),
+            Some(problem) => Err(problem.clone().into()),
+        }
+    }
+
+    /// Reads a robot file.
+    ///
+    /// # Errors
+    /// If it cannot be read, or says something that cannot be; with path and line.
+    pub fn robot_file(&self, path: impl AsRef<Path>) -> Result<RobotFile, AppError> {
+        Ok(RobotFile::read_with(path.as_ref(), self.catalog()?, &RosArgs::default())?)
+    }
+
+    /// Runs the robot of a robot file on threads of its own until the result is stopped or dropped: its core, its node in
+    /// the ROS domain that the environment names, and what `downbeat top` looks at.
+    ///
+    /// A program that wants more say (a recording, another domain, no node, inlets of its own) prepares the robot itself,
+    /// by [`App::robot_file`] and [`PreparedRobot`].
+    ///
+    /// # Errors
+    /// If the file does not describe a robot, or something of it cannot start.
+    pub fn start(&self, path: impl AsRef<Path>) -> Result<RunningRobot, AppError> {
+        let mut robot = PreparedRobot::new(self.robot_file(path)?, None)?;
+        let options = ParticipantOptions::from_env().map_err(StartError::from)?;
+        robot.expose(&options, None)?;
+        Ok(robot.start()?)
+    }
+
+    /// Runs a robot's modules on a bag of it, and compares what they publish with what they published then: bit for bit,
+    /// but where `[replay]` of the robot file says otherwise.
+    ///
+    /// # Errors
+    /// If the bag cannot be replayed. That the replay differs is no error: the report says so.
+    pub fn replay(&self, robot: impl AsRef<Path>, bag: impl AsRef<Path>) -> Result<ReplayReport, AppError> {
+        let file = self.robot_file(robot)?;
+        let options =
+            ReplayOptions { modules: file.replay.modules.clone(), rules: file.replay.rules.clone() };
+        Ok(replay::replay(file, &Reader::open(bag.as_ref())?, &options)?)
+    }
+
+    /// Does what the command line says: run robots, check them, look at them and at bags. An error is printed and gives exit
+    /// code 1. Takes over logging, SIGINT and SIGTERM of the process.
+    #[cfg(feature = "cli")]
+    #[must_use]
+    pub fn main(&self) -> std::process::ExitCode {
+        crate::program::main(self)
+    }
+}

@@ -1,0 +1,115 @@
+//! What robot files can name.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use downbeat_executor::{Core, Launcher, Mechanism, ThreadOptions};
+
+use super::kind::Kind;
+use super::kinds;
+
+/// What robot files can name: kinds of modules and launchers; and the mechanisms that every core has.
+///
+/// Clones are cheap and share what they hold.
+#[derive(Clone, Default)]
+pub struct Catalog {
+    kinds: BTreeMap<Arc<str>, Kind>,
+    launchers: BTreeMap<Arc<str>, Arc<MakeLauncher>>,
+    mechanisms: Vec<Arc<Engage>>,
+}
+
+type MakeLauncher = dyn Fn(&ThreadOptions) -> Result<Box<dyn Launcher>, String> + Send + Sync;
+type Engage = dyn Fn(Core) -> Core + Send + Sync;
+
+/// A catalog does not take a name.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CatalogError {
+    /// Two kinds of one name.
+    #[error("there are two kinds of modules named \"{0}\"; give one of them another name")]
+    TwoKinds(String),
+    /// Two launchers of one name.
+    #[error("there is a launcher named \"{0}\" already; choose another name")]
+    TwoLaunchers(String),
+}
+
+/// The launchers that every robot file can name.
+pub(super) const BUILT_IN_LAUNCHERS: [&str; 3] = ["linear", "pool", "threads"];
+
+impl Catalog {
+    /// Nothing but the launchers `linear`, `pool` and `threads`.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// With the kinds of modules that come with the program.
+    #[must_use]
+    pub fn built_in() -> Self {
+        let kinds = kinds::built_in().into_iter().map(|kind| (Arc::from(kind.name()), kind));
+        Self { kinds: kinds.collect(), ..Self::default() }
+    }
+
+    /// Adds a kind of module.
+    ///
+    /// # Errors
+    /// If there is one of that name.
+    pub fn add_kind(&mut self, kind: Kind) -> Result<(), CatalogError> {
+        if self.kinds.contains_key(kind.name()) {
+            return Err(CatalogError::TwoKinds(kind.name().to_owned()));
+        }
+        self.kinds.insert(kind.name().into(), kind);
+        Ok(())
+    }
+
+    /// Adds a launcher, made anew for each core with where and how the robot file wants its threads to run.
+    ///
+    /// # Errors
+    /// If there is one of that name.
+    pub fn add_launcher<L: Launcher + 'static>(
+        &mut self,
+        name: &str,
+        make: impl Fn(&ThreadOptions) -> Result<L, String> + Send + Sync + 'static,
+    ) -> Result<(), CatalogError> {
+        if BUILT_IN_LAUNCHERS.contains(&name) || self.launchers.contains_key(name) {
+            return Err(CatalogError::TwoLaunchers(name.to_owned()));
+        }
+        let make = move |threads: &ThreadOptions| Ok(Box::new(make(threads)?) as Box<dyn Launcher>);
+        self.launchers.insert(name.into(), Arc::new(make));
+        Ok(())
+    }
+
+    /// Adds a mechanism, made anew for each core.
+    pub fn add_mechanism<M: Mechanism>(&mut self, make: impl Fn() -> M + Send + Sync + 'static) {
+        self.mechanisms.push(Arc::new(move |core: Core| core.with_mechanism(make())));
+    }
+
+    /// The kinds, by name.
+    pub fn kinds(&self) -> impl Iterator<Item = &Kind> {
+        self.kinds.values()
+    }
+
+    /// The kind of that name.
+    #[must_use]
+    pub fn kind(&self, name: &str) -> Option<&Kind> {
+        self.kinds.get(name)
+    }
+
+    /// The names of all launchers.
+    pub fn launchers(&self) -> impl Iterator<Item = &str> {
+        BUILT_IN_LAUNCHERS.into_iter().chain(self.launchers.keys().map(|name| &**name))
+    }
+
+    /// Makes the launcher of that name that was added.
+    pub(super) fn make_launcher(
+        &self,
+        name: &str,
+        threads: &ThreadOptions,
+    ) -> Option<Result<Box<dyn Launcher>, String>> {
+        self.launchers.get(name).map(|make| make(threads))
+    }
+
+    /// Gives a core the mechanisms.
+    pub(super) fn engage(&self, core: Core) -> Core {
+        self.mechanisms.iter().fold(core, |core, engage| engage(core))
+    }
+}

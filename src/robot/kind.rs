@@ -1,0 +1,215 @@
+//! A kind of module that robot files can name.
+
+use std::fmt;
+use std::num::NonZeroUsize;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use downbeat_executor::{Core, Inbox, Module, ModuleOptions, SetupError, Synchrony};
+use downbeat_modules::device::{Device, DeviceLink};
+use downbeat_msgs::{Message, cdr};
+
+/// A sort of module that a robot file can name, and what a robot file needs to know of it.
+///
+/// ```
+/// use downbeat::executor::{Module, Setup, SetupError};
+/// use downbeat::robot::Kind;
+///
+/// #[derive(Default)]
+/// struct Detector;
+///
+/// impl Module for Detector {
+///     fn setup(&mut self, _: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+///         Ok(())
+///     }
+/// }
+///
+/// let kind = Kind::new("detector", "finds the ball in camera images", Detector::default).detached();
+/// assert_eq!(kind.name(), "detector");
+/// ```
+#[derive(Clone)]
+pub struct Kind {
+    name: Arc<str>,
+    about: Arc<str>,
+    is_emulated: bool,
+    uses_device: bool,
+    synchrony: Synchrony,
+    replayed: Option<ReplayedDevice>,
+    add: Arc<Add>,
+}
+
+/// How a module that drives a device runs without it.
+#[derive(Clone)]
+pub(crate) struct ReplayedDevice {
+    /// The module's own name of the topic on which it publishes what the device answered.
+    topic: Arc<str>,
+    add: Arc<AddReplayed>,
+}
+
+type Add = dyn Fn(&mut Core, &str, ModuleOptions) -> Result<(), SetupError> + Send + Sync;
+/// The outer error says what is wrong with the recorded answers.
+type AddReplayed =
+    dyn Fn(&mut Core, &str, ModuleOptions, &[Bytes]) -> Result<Result<(), SetupError>, String> + Send + Sync;
+
+/// Batches that wait for a detached module, unless its kind or the robot file says otherwise: two seconds of commands at
+/// 125 Hz.
+pub(super) const INBOX: Inbox = Inbox::KeepLast(NonZeroUsize::new(250).expect("not zero"));
+
+impl Kind {
+    /// A kind whose modules `make` makes: at the start, and again when the restart policy says so after a panic.
+    ///
+    /// `about` says in a line what the module is for. Modules of the kind run in the cycles in which they have something
+    /// to do, unless the kind or the robot file says otherwise.
+    pub fn new<M: Module>(
+        name: impl Into<Arc<str>>,
+        about: impl Into<Arc<str>>,
+        make: impl Fn() -> M + Send + Sync + 'static,
+    ) -> Self {
+        let make = Arc::new(make);
+        Self {
+            name: name.into(),
+            about: about.into(),
+            is_emulated: false,
+            uses_device: false,
+            synchrony: Synchrony::WhenDue,
+            replayed: None,
+            add: Arc::new(move |core, name, options| {
+                let make = Arc::clone(&make);
+                core.add_restartable(name, move || make(), options)
+            }),
+        }
+    }
+
+    /// A kind whose modules drive a [`Device`]: `connect` makes the device and `make` the module on a link to it.
+    ///
+    /// Modules of the kind run detached. A replay gives them a link that answers as the bag says.
+    pub fn device<D: Device, M: Module>(
+        name: impl Into<Arc<str>>,
+        about: impl Into<Arc<str>>,
+        connect: impl Fn() -> D + Send + Sync + 'static,
+        make: impl Fn(DeviceLink<D>) -> M + Send + Sync + 'static,
+    ) -> Self {
+        let make = Arc::new(make);
+        let of_recorded = Arc::clone(&make);
+        Self::new(name, about, move || make(DeviceLink::new(connect())))
+            .drives_device()
+            .detached()
+            .replayed_on(D::TOPIC, move |exchanges| Ok(of_recorded(DeviceLink::recorded(exchanges))))
+    }
+
+    /// The same kind, whose modules run on a thread of their own: for work that blocks or takes longer than a cycle may.
+    #[must_use]
+    pub fn detached(self) -> Self {
+        self.with_synchrony(Synchrony::Detached(INBOX))
+    }
+
+    /// The same kind, whose modules run like this unless the robot file says otherwise.
+    #[must_use]
+    pub fn with_synchrony(self, synchrony: Synchrony) -> Self {
+        Self { synchrony, ..self }
+    }
+
+    /// The same kind, whose modules drive a device: a replay does not run them, unless on recorded answers.
+    #[must_use]
+    pub fn drives_device(self) -> Self {
+        Self { uses_device: true, ..self }
+    }
+
+    /// The same kind, whose data does not come from real hardware: status, bags and `check` say so.
+    #[must_use]
+    pub fn emulated(self) -> Self {
+        Self { is_emulated: true, ..self }
+    }
+
+    /// The same kind, whose modules can be replayed: they publish all that their device answered as messages of type `E`
+    /// on `topic`, the module's own name of it, and `make` makes one that has these messages in place of the device.
+    ///
+    /// [`Kind::device`] does this for every [`Device`].
+    #[must_use]
+    pub fn replayed_on<E: Message, M: Module>(
+        self,
+        topic: &str,
+        make: impl Fn(Vec<E>) -> Result<M, String> + Send + Sync + 'static,
+    ) -> Self {
+        let add = move |core: &mut Core, name: &str, options: ModuleOptions, answers: &[Bytes]| {
+            let exchange = |bytes: &Bytes| cdr::from_slice::<E>(bytes).map_err(|error| error.to_string());
+            let exchanges = answers.iter().map(exchange).collect::<Result<Vec<_>, String>>()?;
+            Ok(core.add_with(name, make(exchanges)?, options))
+        };
+        let replayed = ReplayedDevice { topic: topic.into(), add: Arc::new(add) };
+        Self { replayed: Some(replayed), ..self }
+    }
+
+    /// Its name in robot files.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// What it is for, in a line.
+    #[must_use]
+    pub fn about(&self) -> &str {
+        &self.about
+    }
+
+    /// True if what it publishes does not come from real hardware.
+    #[must_use]
+    pub fn is_emulated(&self) -> bool {
+        self.is_emulated
+    }
+
+    /// True if it drives a device, which a replay must not.
+    #[must_use]
+    pub fn uses_device(&self) -> bool {
+        self.uses_device
+    }
+
+    /// How its modules run, unless the robot file says otherwise.
+    #[must_use]
+    pub fn synchrony(&self) -> Synchrony {
+        self.synchrony
+    }
+
+    /// How modules of this kind join a core, unless the robot file says otherwise.
+    #[must_use]
+    pub fn options(&self) -> ModuleOptions {
+        ModuleOptions { synchrony: self.synchrony, ..ModuleOptions::default() }
+    }
+
+    /// Adds a module of this kind to a core; after a panic it can be made again.
+    ///
+    /// # Errors
+    /// Those of [`Core::add_restartable`].
+    pub fn add_to(&self, core: &mut Core, name: &str, options: ModuleOptions) -> Result<(), SetupError> {
+        (self.add)(core, name, options)
+    }
+
+    pub(crate) fn replayed(&self) -> Option<&ReplayedDevice> {
+        self.replayed.as_ref()
+    }
+}
+
+impl fmt::Debug for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Kind").field("name", &self.name).finish_non_exhaustive()
+    }
+}
+
+impl ReplayedDevice {
+    /// The topic in a bag.
+    pub(crate) fn topic_of(&self, options: &ModuleOptions) -> String {
+        let name = options.remaps.get(&*self.topic).map_or(&*self.topic, String::as_str);
+        format!("/{}", name.trim_start_matches('/'))
+    }
+
+    /// Adds the module with these answers, the messages of the topic as CDR. The outer error says what is wrong with them.
+    pub(crate) fn add_to(
+        &self,
+        core: &mut Core,
+        name: &str,
+        options: ModuleOptions,
+        answers: &[Bytes],
+    ) -> Result<Result<(), SetupError>, String> {
+        (self.add)(core, name, options, answers)
+    }
+}

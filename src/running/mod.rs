@@ -1,0 +1,296 @@
+//! A robot while it runs: its core on a thread of its own, its node in ROS 2, its recording, and the socket through which
+//! `downbeat top` looks at it.
+//!
+//! [`App::start`](crate::App::start) does all of it at once:
+//!
+//! ```no_run
+//! let robot = downbeat::App::with_built_in_kinds().start("robots/darwin_op.toml")?;
+//! std::thread::sleep(std::time::Duration::from_secs(10));
+//! robot.stop()?;
+//! # Ok::<(), downbeat::Failure>(())
+//! ```
+//!
+//! [`PreparedRobot`] does it step by step, for a program that has things of its own to add to the core. Nothing here is
+//! global: any number of robots run in a process, each with its node.
+
+mod expose_service;
+mod inspected;
+mod node;
+mod recording;
+
+use std::io;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+use downbeat_bags::{Recording, RecordingFailed, RecordingSummary, WriterError};
+use downbeat_bridge::clock::{NodeClock, SimTimeError};
+use downbeat_bridge::diagnostics::ProcessDiagnostics;
+use downbeat_bridge::expose::ExposeError;
+use downbeat_bridge::lifecycle::LifecycleError;
+use downbeat_bridge::middleware::{MiddlewareError, OptionsError, ParticipantOptions};
+use downbeat_bridge::network::NetworkError;
+use downbeat_bridge::robot_description::RobotDescriptionError;
+use downbeat_bridge::ros::NodeError;
+use downbeat_bridge::rosout::RosoutError;
+use downbeat_executor::{Core, CoreHandle, Probe, RunError, SetupError};
+
+pub use node::{NodeLog, RobotNode};
+pub use recording::RecordPlan;
+
+use crate::inspect::{InspectionServer, SocketDirectory};
+use crate::recorder::RecorderError;
+use crate::robot::{Robot, RobotFile, RobotFileError};
+use crate::ros_recorder::ServeError;
+use expose_service::ExposeService;
+use inspected::InspectedRobot;
+use recording::RobotRecording;
+
+/// Why a robot does not start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// The robot file does not describe a robot.
+    #[error(transparent)]
+    Robot(#[from] RobotFileError),
+    /// A module cannot join the core.
+    #[error(transparent)]
+    Setup(#[from] SetupError),
+    /// A variable of the environment that says how to join ROS 2 has no valid value.
+    #[error(transparent)]
+    Options(#[from] OptionsError),
+    /// The DDS domain cannot be joined.
+    #[error(transparent)]
+    Middleware(#[from] MiddlewareError),
+    /// A node, or something of it, cannot be created.
+    #[error(transparent)]
+    Node(#[from] NodeError),
+    /// What the robot file exposes cannot be.
+    #[error(transparent)]
+    Expose(#[from] ExposeError),
+    /// `/rosout` cannot be published.
+    #[error(transparent)]
+    Rosout(#[from] RosoutError),
+    /// The robot description cannot be published.
+    #[error(transparent)]
+    RobotDescription(#[from] RobotDescriptionError),
+    /// The network cannot be watched.
+    #[error(transparent)]
+    Network(#[from] NetworkError),
+    /// `use_sim_time` cannot be set.
+    #[error(transparent)]
+    SimTime(#[from] SimTimeError),
+    /// Modules cannot be shown as managed nodes.
+    #[error(transparent)]
+    Lifecycle(#[from] LifecycleError),
+    /// The bag cannot be created.
+    #[error(transparent)]
+    Bag(#[from] WriterError),
+    /// The services of the recorder cannot be offered.
+    #[error(transparent)]
+    RecorderServices(#[from] ServeError),
+    /// The robot cannot be recorded.
+    #[error(transparent)]
+    Recorder(#[from] RecorderError),
+    /// The system gives no more threads.
+    #[error("cannot start the thread of {what}: {source}")]
+    Thread {
+        /// Whose it was to be.
+        what: &'static str,
+        /// Why not.
+        source: io::Error,
+    },
+}
+
+/// What went wrong with a robot that ran.
+#[derive(Debug, thiserror::Error)]
+pub enum StopError {
+    /// The core could not run.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// The core's thread panicked.
+    #[error("the core's thread panicked")]
+    Panicked,
+    /// The bag does not hold all of the run.
+    #[error("the recording is not complete: {0}")]
+    Recording(#[from] RecordingFailed),
+}
+
+/// A robot ready to run.
+pub struct PreparedRobot {
+    robot: Robot,
+    clock: NodeClock,
+    diagnostics: Option<ProcessDiagnostics>,
+    node: Option<RobotNode>,
+    recording: Option<RobotRecording>,
+}
+
+impl PreparedRobot {
+    /// A core with the modules of the file. What the core does is reported to the probe, if there is one.
+    ///
+    /// # Errors
+    /// If a module cannot be set up as the file says.
+    pub fn new(file: RobotFile, probe: Option<Arc<dyn Probe>>) -> Result<Self, StartError> {
+        let clock = NodeClock::default();
+        let mut core = Core::new().with_clock(clock.clone());
+        if let Some(probe) = probe {
+            core = core.with_probe(probe);
+        }
+        let diagnostics = add_diagnostics(&mut core, &file)?;
+        Ok(Self { robot: file.build(core)?, clock, diagnostics, node: None, recording: None })
+    }
+
+    /// Shows to ROS 2 what the robot file exposes. What the program logs goes to `/rosout` if it gives its log.
+    ///
+    /// # Errors
+    /// If the domain cannot be joined, or something cannot be exposed as the file says.
+    pub fn expose(&mut self, options: &ParticipantOptions, log: Option<&NodeLog>) -> Result<(), StartError> {
+        let diagnostics = self.diagnostics.as_ref();
+        self.node = Some(RobotNode::start(&mut self.robot, &self.clock, diagnostics, options, log)?);
+        Ok(())
+    }
+
+    /// Records while the robot runs.
+    ///
+    /// # Errors
+    /// If the bag cannot be created, or a topic that is to be recorded cannot.
+    pub fn record(&mut self, plan: RecordPlan) -> Result<(), StartError> {
+        let (node, diagnostics) = (self.node.as_ref().map(RobotNode::node), self.diagnostics.as_ref());
+        self.recording = Some(RobotRecording::start(&mut self.robot, node, diagnostics, plan)?);
+        Ok(())
+    }
+
+    /// What the robot file says.
+    #[must_use]
+    pub fn file(&self) -> &RobotFile {
+        &self.robot.file
+    }
+
+    /// The core, for modules, inlets and outlets of the program's own.
+    pub fn core(&mut self) -> &mut Core {
+        &mut self.robot.core
+    }
+
+    /// Starts it.
+    ///
+    /// # Errors
+    /// If the system gives no thread.
+    pub fn start(self) -> Result<RunningRobot, StartError> {
+        let Self { robot: Robot { file, mut core }, node, recording, .. } = self;
+        let handle = core.handle();
+        let thread = std::thread::Builder::new().name("core".into());
+        let thread = thread.spawn(move || core.run());
+        let thread = thread.map_err(|source| StartError::Thread { what: "the core", source })?;
+        let file = Arc::new(file);
+        let inspected = Arc::new(InspectedRobot {
+            core: handle.clone(),
+            bridge: node.as_ref().map(|node| node.bridge().clone()),
+            file: Arc::clone(&file),
+        });
+        let inspection = inspection(&file.name, Arc::clone(&inspected));
+        let offered = node.as_ref().filter(|_| file.expose.features.expose_service);
+        let expose_service = offered.and_then(|node| {
+            let started = ExposeService::start(node.node(), inspected);
+            started.inspect_err(|error| tracing::error!("~/expose is not offered: {error}")).ok()
+        });
+        Ok(RunningRobot {
+            core: handle,
+            thread: Some(thread),
+            inspection,
+            expose_service,
+            recording,
+            node,
+            file,
+        })
+    }
+}
+
+/// A robot that runs, until it is stopped or dropped.
+pub struct RunningRobot {
+    core: CoreHandle,
+    thread: Option<JoinHandle<Result<(), RunError>>>,
+    inspection: Option<InspectionServer>,
+    expose_service: Option<ExposeService>,
+    recording: Option<RobotRecording>,
+    node: Option<RobotNode>,
+    file: Arc<RobotFile>,
+}
+
+impl RunningRobot {
+    /// The handle to its core: publish, call, set, add modules, stop, from any thread.
+    #[must_use]
+    pub fn core(&self) -> &CoreHandle {
+        &self.core
+    }
+
+    /// Its node in ROS 2, if it is exposed.
+    #[must_use]
+    pub fn node(&self) -> Option<&RobotNode> {
+        self.node.as_ref()
+    }
+
+    /// Its recording, if it is recorded.
+    #[must_use]
+    pub fn recording(&self) -> Option<&Recording> {
+        self.recording.as_ref().map(|robot| &robot.recording)
+    }
+
+    /// What the robot file says.
+    #[must_use]
+    pub fn file(&self) -> &RobotFile {
+        &self.file
+    }
+
+    /// True if the core has stopped by itself, or was stopped by its handle.
+    #[must_use]
+    pub fn is_finished(&self) -> bool {
+        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
+    }
+
+    /// Stops the modules, then finishes the recording and leaves ROS 2. Returns what was recorded.
+    ///
+    /// # Errors
+    /// If the core could not run, or the recording is not complete.
+    pub fn stop(mut self) -> Result<Option<RecordingSummary>, StopError> {
+        self.end()
+    }
+
+    fn end(&mut self) -> Result<Option<RecordingSummary>, StopError> {
+        let Some(thread) = self.thread.take() else { return Ok(None) };
+        self.core.stop();
+        let ran = thread.join();
+        self.inspection = None;
+        self.expose_service = None;
+        let summary = self.recording.take().map(|RobotRecording { recording, services }| {
+            let summary = recording.finish();
+            drop(services);
+            summary
+        });
+        self.node = None;
+        ran.map_err(|_| StopError::Panicked)??;
+        Ok(summary.transpose()?)
+    }
+}
+
+impl Drop for RunningRobot {
+    fn drop(&mut self) {
+        if let Err(error) = self.end() {
+            tracing::error!("{}: {error}", self.file.name);
+        }
+    }
+}
+
+/// The process reports on itself, unless the robot file says otherwise. Before the robot's modules, so that its topic is
+/// there when what is exposed is looked up.
+pub(crate) fn add_diagnostics(
+    core: &mut Core,
+    file: &RobotFile,
+) -> Result<Option<ProcessDiagnostics>, SetupError> {
+    file.expose.features.diagnostics.then(|| ProcessDiagnostics::add(core, &file.name)).transpose()
+}
+
+/// A robot runs also where nobody can look at it.
+fn inspection(name: &str, robot: Arc<InspectedRobot>) -> Option<InspectionServer> {
+    let unseen =
+        |error: &dyn std::error::Error| tracing::warn!("`downbeat top` will not see this robot: {error}");
+    let directory = SocketDirectory::open().inspect_err(|error| unseen(error)).ok()?;
+    InspectionServer::start(&directory, name, robot).inspect_err(|error| unseen(error)).ok()
+}

@@ -1,0 +1,184 @@
+//! What ROS 2 sees of a running robot.
+
+use std::collections::BTreeMap;
+
+use downbeat_bridge::clock::{self, NodeClock, SimTime};
+use downbeat_bridge::diagnostics::ProcessDiagnostics;
+use downbeat_bridge::expose::{self, Bridge, ParameterExposure, ParameterServer, ParameterServices};
+use downbeat_bridge::lifecycle::{LifecycleExposure, LifecycleNodes, expose_lifecycle};
+use downbeat_bridge::middleware::{Direction, ParticipantOptions};
+use downbeat_bridge::network::NetworkWatch;
+use downbeat_bridge::robot_description::RobotDescription;
+use downbeat_bridge::ros::{Furnishing, Node, NodeError, Participant};
+use downbeat_bridge::rosout::{LoggerLevels, LoggerNames, LoggerServices, Rosout, RosoutPublisher};
+
+use super::StartError;
+use crate::robot::{ClockChoice, Robot};
+
+/// Where a robot's log comes from: what its node needs of the log of a program.
+#[derive(Clone)]
+pub struct NodeLog {
+    /// The lines for `/rosout`.
+    pub rosout: Rosout,
+    /// The levels of loggers, which `ros2 service call` may change.
+    pub levels: LoggerLevels,
+    /// The names of loggers.
+    pub names: LoggerNames,
+}
+
+/// The node of a running robot with all that belongs to it. ROS 2 sees it until it is dropped.
+pub struct RobotNode {
+    // In this order they disappear.
+    bridge: Bridge,
+    _sim_time: Option<SimTime>,
+    _description: Option<RobotDescription>,
+    /// Dropped before the node, so that the last lines are sent.
+    _rosout: Option<RosoutPublisher>,
+    _logger_services: Option<LoggerServices>,
+    _parameters: ParameterServices,
+    _lifecycle: LifecycleNodes,
+    _network: Option<NetworkWatch>,
+    _furnishing: Furnishing,
+    node: Node,
+    domain: u16,
+}
+
+impl RobotNode {
+    /// Shows to ROS 2 what the robot file exposes.
+    pub(super) fn start(
+        robot: &mut Robot,
+        clock: &NodeClock,
+        diagnostics: Option<&ProcessDiagnostics>,
+        options: &ParticipantOptions,
+        log: Option<&NodeLog>,
+    ) -> Result<Self, StartError> {
+        let exposed = robot.exposed()?;
+        let participant = Participant::join_with(options, robot.file.remaps.clone())?;
+        let node = participant.create_node(robot.file.given_node_name()?)?;
+        if let Some(log) = log {
+            log.names.set_node(node.name());
+        }
+        let features = robot.file.expose.features.clone();
+        let rosout = log.map(|log| &log.rosout);
+        let rosout = rosout.filter(|_| features.rosout && !robot.file.is_rosout_disabled);
+        if let (None, Some(log)) = (rosout, log) {
+            log.rosout.turn_off();
+        }
+        let rosout_publisher = rosout.map(|rosout| rosout.publish(&node)).transpose()?;
+        let levels = log.filter(|_| features.logger_service).map(|log| &log.levels);
+        let logger_services = levels.map(|levels| levels.serve(&node)).transpose()?;
+        let urdf = robot.file.robot_description()?;
+        let description = urdf.map(|urdf| RobotDescription::publish(&node, &urdf)).transpose()?;
+        if let ClockChoice::Publish(period) = features.clock {
+            clock::publish(&mut robot.core, &node, period)?;
+        }
+        let network = features.network.then(|| NetworkWatch::start(&mut robot.core, &participant));
+        let network = network.transpose()?;
+        let sim_time = sim_time(robot, clock, &node)?;
+        let parameters = ParameterServer::start(&robot.core, sim_time.clone())
+            .map_err(|source| StartError::Thread { what: "the parameters", source })?;
+        let of_robot = parameters.serve(&node, robot.parameter_exposure()?)?;
+        let furnishing = furnish(robot, &participant, parameters, rosout.cloned())?;
+        let managed = robot.lifecycle_exposures()?;
+        let lifecycle = expose_lifecycle(&robot.core, &participant, &managed)?;
+        for (LifecycleExposure { module, .. }, node) in managed.iter().zip(lifecycle.nodes()) {
+            if let Some(log) = log {
+                log.names.set_module(module, node.name());
+            }
+            tracing::info!("exposed lifecycle: {}", node.name());
+        }
+        let bridge = Bridge::start(&mut robot.core, &node, &exposed.topics)?;
+        if let Some(diagnostics) = diagnostics {
+            diagnostics.watch_endpoints(bridge.status());
+        }
+        for endpoint in bridge.status().endpoints() {
+            let arrow = match endpoint.direction {
+                Direction::Out => "to ROS 2",
+                Direction::In => "from ROS 2",
+            };
+            tracing::info!("exposed {arrow}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
+        }
+        let introspection = robot.file.expose.introspection;
+        let services = expose::expose_services_with(
+            &mut robot.core,
+            &node,
+            &exposed.services,
+            &exposed.calls,
+            introspection,
+        )?;
+        for (name, ..) in services.services() {
+            tracing::info!("exposed service: {name}");
+        }
+        Ok(Self {
+            bridge,
+            _sim_time: sim_time,
+            _description: description,
+            _rosout: rosout_publisher,
+            _logger_services: logger_services,
+            _parameters: of_robot,
+            _lifecycle: lifecycle,
+            _network: network,
+            _furnishing: furnishing,
+            node,
+            domain: options.domain_id,
+        })
+    }
+
+    /// The node.
+    #[must_use]
+    pub fn node(&self) -> &Node {
+        &self.node
+    }
+
+    /// What is exposed, which can be changed while the robot runs.
+    #[must_use]
+    pub fn bridge(&self) -> &Bridge {
+        &self.bridge
+    }
+
+    /// The ROS domain.
+    #[must_use]
+    pub fn domain(&self) -> u16 {
+        self.domain
+    }
+}
+
+/// Gives the other nodes that the robot file names what every node has, parameters and `/rosout`, and to those that stand
+/// for a module its settings and its lines.
+fn furnish(
+    robot: &Robot,
+    participant: &Participant,
+    parameters: ParameterServer,
+    rosout: Option<Rosout>,
+) -> Result<Furnishing, StartError> {
+    let settings = robot.parameter_exposure()?.settings;
+    let module = |exposure: LifecycleExposure| -> Result<_, StartError> {
+        let node = robot.file.remaps.node(&exposure.node).map_err(NodeError::from)?;
+        Ok((node, exposure.module))
+    };
+    let modules = robot.lifecycle_exposures()?.into_iter().map(module);
+    let modules: BTreeMap<_, _> = modules.collect::<Result<_, StartError>>()?;
+    Ok(participant.furnish(move |node| {
+        let module = modules.get(node.name());
+        if let Some(rosout) = &rosout {
+            node.attach(rosout.publish_also(node, module.map(String::as_str))?);
+        }
+        let exposure = module.map_or_else(ParameterExposure::default, |module| ParameterExposure {
+            settings: settings.clone(),
+            of_module: Some(module.clone()),
+        });
+        node.attach(parameters.serve(node, exposure)?);
+        Ok(())
+    }))
+}
+
+/// What `use_sim_time` sets, unless others follow the time of this robot.
+fn sim_time(robot: &Robot, clock: &NodeClock, node: &Node) -> Result<Option<SimTime>, StartError> {
+    let choice = robot.file.expose.features.clock;
+    if matches!(choice, ClockChoice::Publish(_)) {
+        return Ok(None);
+    }
+    let sim_time = clock.sim_time(node, &robot.core.handle());
+    sim_time.set(choice == ClockChoice::Follow)?;
+    Ok(Some(sim_time))
+}

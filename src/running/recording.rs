@@ -1,0 +1,127 @@
+//! The recording of a running robot.
+
+use std::path::{Path, PathBuf};
+
+use downbeat_bags::{Recording, RecordingOptions, RecordingStatistics, WriterOptions};
+use downbeat_bridge::diagnostics::ProcessDiagnostics;
+use downbeat_bridge::edge::KnownType;
+use downbeat_bridge::ros::{Node, NodeName};
+use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
+use downbeat_msgs::encoding::Encoding;
+use downbeat_msgs::qos::QosProfile;
+
+use super::StartError;
+use crate::recorder::{self, WhenFull};
+use crate::robot::{Robot, RobotFile};
+use crate::ros_recorder::{RecorderServices, TopicFilter, serve, split_events};
+
+/// What to record, and how.
+pub struct RecordPlan {
+    /// The new rosbag2 directory.
+    pub directory: PathBuf,
+    /// How its files are written.
+    pub writer: WriterOptions,
+    /// What happens between the robot and the files.
+    pub recording: RecordingOptions,
+    /// How messages are serialized.
+    pub encoding: Encoding,
+    /// Which of the topics that the robot file names; all if `None`.
+    pub filter: Option<TopicFilter>,
+}
+
+impl RecordPlan {
+    /// As the robot file says, but for the encoding if another is asked for.
+    #[must_use]
+    pub fn of_robot(directory: &Path, file: &RobotFile, encoding: Option<Encoding>) -> Self {
+        Self {
+            directory: directory.to_owned(),
+            writer: file.record.writer_options(),
+            recording: file.record.recording_options(),
+            encoding: encoding.unwrap_or(file.record.encoding),
+            filter: None,
+        }
+    }
+}
+
+/// A recording, and the services of ROS 2 that steer it.
+pub(super) struct RobotRecording {
+    pub(super) recording: Recording,
+    /// Dropped after the recording has ended.
+    pub(super) services: Option<RecorderServices>,
+}
+
+impl RobotRecording {
+    /// Records what the robot file's `[record]` names, and of that what the plan's filter takes.
+    pub(super) fn start(
+        robot: &mut Robot,
+        node: Option<&Node>,
+        diagnostics: Option<&ProcessDiagnostics>,
+        plan: RecordPlan,
+    ) -> Result<Self, StartError> {
+        let RecordPlan { directory, mut writer, recording, encoding, filter } = plan;
+        let mut topics = robot.recorded_topics()?;
+        if let Some(filter) = filter {
+            topics.retain(|topic| {
+                let known = KnownType::of_rust_type(topic.message_type_id);
+                known.is_some_and(|known| {
+                    filter.takes_name_and_type(&format!("/{}", topic.name), known.name())
+                })
+            });
+        }
+        if robot.file.is_emulated() {
+            writer = writer.custom_data("emulated", "true");
+        }
+        let mut writer = writer.custom_data("robot", robot.file.name.clone()).create(&directory)?;
+        let node = node.map(recorder_node).transpose()?;
+        let takes_snapshots = recording.takes_snapshots();
+        match &node {
+            Some(node) => writer.on_split(split_events(node)?),
+            None if takes_snapshots => tracing::warn!("no snapshot can be asked for without a ROS 2 node"),
+            None => {}
+        }
+        let recording = Recording::start_with(writer, &recording)
+            .map_err(|source| StartError::Thread { what: "the bag's writer", source })?;
+        let services = node.map(|node| serve(&node, &recording.control(), takes_snapshots)).transpose()?;
+        let exposed = robot.exposed()?.topics;
+        let qos_of = |name: &str| {
+            let exposure = exposed.iter().find(|exposure| exposure.topic == name);
+            exposure.and_then(|exposure| exposure.qos.profile()).unwrap_or(QosProfile::DEFAULT)
+        };
+        if let Some(diagnostics) = diagnostics {
+            let (sender, name) = (recording.sender(), format!("{}: recording", robot.file.name));
+            diagnostics.watch(move || vec![status(&name, &sender.statistics())]);
+        }
+        recorder::record(&mut robot.core, &recording, &topics, WhenFull::Lose, encoding, qos_of)?;
+        tracing::info!("recording into {}", directory.display());
+        Ok(Self { recording, services })
+    }
+}
+
+/// The node that offers what the recorder of rosbag2 does, beside the robot's.
+fn recorder_node(robot: &Node) -> Result<Node, StartError> {
+    let name = NodeName::new(robot.name().namespace(), "rosbag2_recorder");
+    Ok(robot.sibling(&name.map_err(downbeat_bridge::ros::NodeError::from)?)?)
+}
+
+fn status(name: &str, statistics: &RecordingStatistics) -> DiagnosticStatus {
+    let lost = statistics.summary.lost_count();
+    let (level, message) = match &statistics.failure {
+        Some(failure) => (DiagnosticStatus::ERROR, format!("stopped: {failure}")),
+        None if lost > 0 => (DiagnosticStatus::WARN, format!("{lost} messages lost, the disk is too slow")),
+        None => (DiagnosticStatus::OK, "recording".to_owned()),
+    };
+    let value = |key: &str, value: String| KeyValue { key: key.to_owned(), value };
+    DiagnosticStatus {
+        level,
+        name: name.to_owned(),
+        message,
+        values: vec![
+            value("bag", statistics.summary.path.display().to_string()),
+            value("messages", statistics.summary.message_count().to_string()),
+            value("messages lost", lost.to_string()),
+            value("bytes", statistics.summary.bytes.to_string()),
+            value("bytes waiting", statistics.queued_bytes.to_string()),
+        ],
+        ..DiagnosticStatus::default()
+    }
+}
