@@ -3,9 +3,7 @@ use std::path::Path;
 use std::sync::Mutex;
 use std::time::Duration;
 
-use downbeat_executor::{
-    Clock, Context, LifecycleState, ManualClock, Module, Publication, Setup, Synchrony, Time,
-};
+use downbeat_executor::{Clock, Context, LifecycleState, ManualClock, Module, Publication, Setup, Time};
 
 use super::*;
 use crate::robot::Kind;
@@ -40,16 +38,6 @@ impl Fragile {
     }
 }
 
-static FRAGILE: Kind = Kind {
-    name: "fragile",
-    about: "panics",
-    is_emulated: false,
-    uses_device: false,
-    synchrony: Synchrony::WhenDue,
-    replayed: None,
-    add: |core, name, options| core.add_restartable(name, Fragile::default, options),
-};
-
 /// A robot of fragile modules.
 fn robot(modules: &str) -> RobotFile {
     let text = format!("[robot]\nname = \"r\"\n{modules}");
@@ -57,7 +45,8 @@ fn robot(modules: &str) -> RobotFile {
         RobotFile::parse(Source::new(Path::new("robot.toml"), text), &crate::robot::Catalog::built_in())
             .unwrap()
             .0;
-    file.modules.iter_mut().for_each(|module| module.kind = &FRAGILE);
+    let fragile = Kind::new("fragile", "panics", Fragile::default);
+    file.modules.iter_mut().for_each(|module| module.kind = fragile.clone());
     file
 }
 
