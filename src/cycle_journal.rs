@@ -16,7 +16,6 @@ pub const TOPIC: &str = "cycle_times";
 /// there were before the end began.
 #[derive(Default)]
 pub struct CycleJournal {
-    publication: Option<Publication<CycleTimes>>,
     first: u64,
     times: Vec<i64>,
 }
@@ -38,7 +37,7 @@ impl CycleJournal {
         core.add_with(Self::MODULE_NAME, Self::default(), options)
     }
 
-    fn on_cycle(&mut self, ctx: &mut Context<'_>) {
+    fn on_cycle(&mut self, ctx: &mut Context<'_, Publication<CycleTimes>>) {
         let now = ctx.now();
         let since = self.times.first().map_or(now, |&first| Time::from_nanos(first));
         self.times.push(now.as_nanos());
@@ -47,23 +46,23 @@ impl CycleJournal {
         }
     }
 
-    fn publish(&mut self, is_end: bool, ctx: &mut Context<'_>) {
-        let Some(publication) = self.publication else { return };
+    fn publish(&mut self, is_end: bool, ctx: &mut Context<'_, Publication<CycleTimes>>) {
         let times = std::mem::replace(&mut self.times, Vec::with_capacity(MOST));
         let first = self.first;
         self.first += times.len() as u64;
-        ctx.publish(publication, CycleTimes { first, is_end, times });
+        ctx.publish(*ctx.ports, CycleTimes { first, is_end, times });
     }
 }
 
 impl Module for CycleJournal {
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        self.publication = Some(setup.publish(TOPIC)?);
+    type Ports = Publication<CycleTimes>;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError> {
         setup.each_run(Self::on_cycle);
-        Ok(())
+        setup.publish(TOPIC)
     }
 
-    fn shutdown(&mut self, ctx: &mut Context<'_>) {
+    fn shutdown(&mut self, ctx: &mut Context<'_, Publication<CycleTimes>>) {
         self.publish(true, ctx);
     }
 }

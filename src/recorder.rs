@@ -88,6 +88,8 @@ struct Recorder {
 }
 
 impl Module for Recorder {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         for (name, message_type, codec, topic) in self.topics.drain(..) {
             let to_bag = ToBag { sender: self.sender.clone(), when_full: self.when_full, codec, topic };

@@ -12,10 +12,7 @@ use downbeat_msgs::rcl_interfaces::msg::Parameter;
 pub const TOPIC: &str = "module_settings";
 
 /// Publishes each change of a module's settings on [`TOPIC`].
-#[derive(Default)]
-pub struct SettingsJournal {
-    changes: Option<Publication<ModuleSettings>>,
-}
+pub struct SettingsJournal;
 
 impl SettingsJournal {
     /// The name of the module.
@@ -27,20 +24,24 @@ impl SettingsJournal {
     /// If another module has the name or the topic.
     pub fn add(core: &mut Core) -> Result<(), SetupError> {
         let options = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
-        core.add_with(Self::MODULE_NAME, Self::default(), options)
+        core.add_with(Self::MODULE_NAME, Self, options)
     }
 
-    fn on_change(&mut self, change: Received<'_, SettingsChange>, ctx: &mut Context<'_>) {
-        if let Some(changes) = self.changes {
-            ctx.publish(changes, message(&change));
-        }
+    fn on_change(
+        &mut self,
+        change: Received<'_, SettingsChange>,
+        ctx: &mut Context<'_, Publication<ModuleSettings>>,
+    ) {
+        ctx.publish(*ctx.ports, message(&change));
     }
 }
 
 impl Module for SettingsJournal {
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        self.changes = Some(setup.publish(TOPIC)?);
-        setup.subscribe(SettingsChange::TOPIC, Self::on_change)
+    type Ports = Publication<ModuleSettings>;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError> {
+        setup.subscribe(SettingsChange::TOPIC, Self::on_change)?;
+        setup.publish(TOPIC)
     }
 }
 

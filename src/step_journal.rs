@@ -10,10 +10,7 @@ use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
 pub const TOPIC: &str = "module_steps";
 
 /// Publishes each run of a detached module on [`TOPIC`]: an observer, so that it tells the last runs too.
-#[derive(Default)]
-pub struct StepJournal {
-    steps: Option<Publication<ModuleStep>>,
-}
+pub struct StepJournal;
 
 impl StepJournal {
     /// Adds the journal to a core.
@@ -22,20 +19,20 @@ impl StepJournal {
     /// If another module has the name or the topic.
     pub fn add(core: &mut Core) -> Result<(), SetupError> {
         let options = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
-        core.add_with("step_journal", Self::default(), options)
+        core.add_with("step_journal", Self, options)
     }
 
-    fn on_step(&mut self, step: Received<'_, DetachedStep>, ctx: &mut Context<'_>) {
-        if let Some(steps) = self.steps {
-            ctx.publish(steps, message(&step));
-        }
+    fn on_step(&mut self, step: Received<'_, DetachedStep>, ctx: &mut Context<'_, Publication<ModuleStep>>) {
+        ctx.publish(*ctx.ports, message(&step));
     }
 }
 
 impl Module for StepJournal {
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        self.steps = Some(setup.publish(TOPIC)?);
-        setup.subscribe(DetachedStep::TOPIC, Self::on_step)
+    type Ports = Publication<ModuleStep>;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError> {
+        setup.subscribe(DetachedStep::TOPIC, Self::on_step)?;
+        setup.publish(TOPIC)
     }
 }
 

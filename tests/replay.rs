@@ -52,6 +52,8 @@ struct Capture {
 }
 
 impl Module for Capture {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let messages = Arc::clone(&self.messages);
         let sink = move |_: Time, message: Bytes| messages.lock().unwrap().push(message);

@@ -48,6 +48,8 @@ fn transform(parent: &str, child: &str, x: f64) -> TransformStamped {
 }
 
 impl Module for Finder {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         listen(setup, |finder| &mut finder.transforms)?;
         let seen = setup.publish("seen")?;
@@ -61,6 +63,8 @@ impl Module for Finder {
 }
 
 impl Module for Teller {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         self.broadcaster = Some(TransformBroadcaster::declare(setup)?);
         setup.subscribe::<TransformStamped, _>("seen", |teller, seen, ctx| {

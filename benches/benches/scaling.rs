@@ -22,6 +22,8 @@ struct Source<const N: usize> {
 }
 
 impl<const N: usize> Module for Source<N> {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         self.out = Some(setup.publish(&self.topic)?);
         setup.every(PERIOD, |source: &mut Self, ctx: &mut Context<'_>| {
@@ -38,6 +40,8 @@ struct Sink<const N: usize> {
 }
 
 impl<const N: usize> Module for Sink<N> {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let topic = self.topic.clone();
         setup.subscribe(&topic, |sink: &mut Self, bytes: Received<'_, Bytes<N>>, _: &mut Context<'_>| {

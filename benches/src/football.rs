@@ -48,6 +48,8 @@ macro_rules! part {
         }
 
         impl Module for $part {
+            type Ports = ();
+
             fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
                 $(self.$told = Some(setup.publish(stringify!($told))?);)*
                 $(setup.subscribe(

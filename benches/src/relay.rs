@@ -46,6 +46,8 @@ struct Passer {
 }
 
 impl Module for Passer {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let out = setup.publish(self.says)?;
         setup

@@ -10,6 +10,8 @@
 //! struct Companion;
 //!
 //! impl Module for Companion {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         setup.subscribe::<NetworkGraph, _>(network::TOPIC, |_, graph, _| {
 //!             let is_there = graph.nodes.iter().any(|node| node.name == "/operator");

@@ -58,6 +58,8 @@ impl Counter {
 }
 
 impl Module for Counter {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         ActionServer::builder(|counter: &mut Self| &mut counter.server)
             .on_goal(|_, _, goal, _| match goal.order {
@@ -89,6 +91,8 @@ enum Asked {
 }
 
 impl Module for Caller {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         ActionClient::builder(|caller: &mut Self| &mut caller.client)
             .on_response(|caller, _, response, _| {

@@ -39,6 +39,8 @@ fn node(hub: &Hub, name: &str) -> Node {
 struct Ticker(Sender<i64>);
 
 impl Module for Ticker {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.every(Duration::from_millis(100), |ticker: &mut Self, ctx| {
             // The test may have stopped listening.

@@ -17,6 +17,8 @@ use std::time::Duration;
 struct Fragile;
 
 impl Module for Fragile {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.every(Duration::from_millis(1050), |_, _| panic!("as it was told"))
     }
@@ -25,6 +27,8 @@ impl Module for Fragile {
 struct Listener(Sender<DiagnosticArray>);
 
 impl Module for Listener {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe("diagnostics", |listener: &mut Self, array: Received<'_, DiagnosticArray>, _| {
             listener.0.send(array.clone()).unwrap();

@@ -13,6 +13,8 @@ struct Tap {
 }
 
 impl Module for Tap {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         for (number, known) in KnownType::all().enumerate() {
             let sender = self.sender.clone();

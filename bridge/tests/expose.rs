@@ -64,6 +64,8 @@ struct Talker {
 }
 
 impl Module for Talker {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let text = setup.publish::<msg::String>("text")?;
         setup.every(Duration::from_millis(10), move |talker: &mut Self, ctx| {
@@ -79,6 +81,8 @@ struct Listener {
 }
 
 impl Module for Listener {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe(
             "text",

@@ -26,6 +26,8 @@ struct Robot {
 }
 
 impl Module for Robot {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.serve::<SetBoolRequest, SetBoolResponse, _>("stand_up", |_, request, _| {
             match request.data {

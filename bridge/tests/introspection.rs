@@ -26,6 +26,8 @@ const THEIRS: &str = "/light/_service_event";
 struct Robot(Sender<SetBoolResponse>);
 
 impl Module for Robot {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.serve::<SetBoolRequest, SetBoolResponse, _>("stand_up", |_, request, _| {
             Ok(SetBoolResponse { success: request.data, message: "standing".into() })

@@ -28,6 +28,8 @@ struct Mood {
 struct Camera(Mood);
 
 impl Module for Camera {
+    type Ports = ();
+
     fn setup(&mut self, _: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         Ok(())
     }

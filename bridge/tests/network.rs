@@ -63,6 +63,8 @@ fn the_nodes_topics_services_types_qos_and_hashes_of_rclpy_are_known() {
 struct Companion(Sender<NetworkGraph>);
 
 impl Module for Companion {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe::<NetworkGraph, _>(network::TOPIC, |companion, graph, _| {
             let _ = companion.0.send(graph.clone());

@@ -15,6 +15,8 @@ use serde_json::{Value, json};
 struct Arm;
 
 impl Module for Arm {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.setting_in("gain", 1.0, 0.0..=4.0, "of the joint controller, 1/s")?;
         setup.setting("hard", false, "does not give way")?;

@@ -35,6 +35,8 @@ struct Robot {
 }
 
 impl Module for Robot {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let text = setup.publish::<msg::String>("text")?;
         setup.every(self.period, move |robot: &mut Self, ctx| {
@@ -162,6 +164,8 @@ fn modules_hear_who_is_matched_who_is_not_and_what_was_lost() {
 struct Flood;
 
 impl Module for Flood {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let text = setup.publish::<msg::String>("text")?;
         setup.every(Duration::from_nanos(1), move |_, ctx| ctx.publish(text, msg::String::default()))

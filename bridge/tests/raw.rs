@@ -23,6 +23,8 @@ use std::thread::JoinHandle;
 struct Listener(Sender<RawMessage>);
 
 impl Module for Listener {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe(
             "bytes",

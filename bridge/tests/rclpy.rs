@@ -237,6 +237,8 @@ struct Robot {
 }
 
 impl Module for Robot {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let states = setup.publish::<JointState>("joint_states")?;
         setup.every(Duration::from_millis(8), move |robot: &mut Self, ctx| {

@@ -46,6 +46,8 @@ fn heard_late(hub: &Hub) -> Vec<Log> {
 struct Walker;
 
 impl Module for Walker {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.every(Duration::from_millis(10), |_, ctx| tracing::info!(step = ctx.now().as_nanos(), "walks"))
     }

@@ -115,6 +115,8 @@ fn of_one_cycle_only_the_latest_and_of_those_each_second() {
 struct Listener(Sender<String>);
 
 impl Module for Listener {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe(
             "text",

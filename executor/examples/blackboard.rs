@@ -71,6 +71,8 @@ struct Motor {
 }
 
 impl Module for Motor {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let board = setup.mechanism::<Blackboard>(Version::new(1, 0))?;
         setup.every(PERIOD, move |motor: &mut Self, ctx: &mut Context<'_>| motor.warm_up(board, ctx))
@@ -93,6 +95,8 @@ struct Fan {
 }
 
 impl Module for Fan {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let board = setup.mechanism::<Blackboard>(Version::new(1, 0))?;
         setup.every(PERIOD, move |fan: &mut Self, ctx: &mut Context<'_>| {

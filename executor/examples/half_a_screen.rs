@@ -17,6 +17,8 @@ struct Ramp {
 }
 
 impl Module for Ramp {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let speed = setup.publish::<f64>("speed")?;
         setup.subscribe::<f64, _>("goal_speed", |ramp, goal, _| ramp.goal = *goal)?;
@@ -31,6 +33,8 @@ impl Module for Ramp {
 struct Printer;
 
 impl Module for Printer {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe::<f64, _>("speed", |_, speed, ctx| println!("{} s  {:.2} m/s", ctx.now(), *speed))
     }

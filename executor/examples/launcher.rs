@@ -79,6 +79,8 @@ struct Mixer {
 }
 
 impl Module for Mixer {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let out = setup.publish(self.tells)?;
         for topic in self.listens {

@@ -32,17 +32,18 @@ pub(crate) trait Behaviour: Send {
     fn run_ends(&mut self, ctx: &mut Context<'_>);
 }
 
-pub(crate) type Callback<M> = Box<dyn FnMut(&mut M, &mut Context<'_>) + Send>;
+pub(crate) type Callback<M> = Box<dyn FnMut(&mut M, &mut Context<'_, <M as Module>::Ports>) + Send>;
 pub(crate) type Check<M> = Box<dyn FnMut(&mut M, &SettingValue) -> Result<(), String> + Send>;
 
 /// A module and its callbacks.
-pub(crate) struct ModuleBehaviour<M> {
+pub(crate) struct ModuleBehaviour<M: Module> {
     pub(crate) module: M,
+    pub(crate) ports: M::Ports,
     pub(crate) callbacks: Callbacks<M>,
 }
 
 /// The callbacks of a module, by what they are for and in the order in which they were declared.
-pub(crate) struct Callbacks<M> {
+pub(crate) struct Callbacks<M: Module> {
     pub(crate) subscriptions: Vec<Box<dyn AnySubscription<M>>>,
     pub(crate) servers: Vec<Callback<M>>,
     pub(crate) clients: Vec<Callback<M>>,
@@ -54,7 +55,7 @@ pub(crate) struct Callbacks<M> {
     pub(crate) each_run: Vec<Callback<M>>,
 }
 
-impl<M> Default for Callbacks<M> {
+impl<M: Module> Default for Callbacks<M> {
     fn default() -> Self {
         Self {
             subscriptions: Vec::new(),
@@ -72,20 +73,26 @@ impl<M> Default for Callbacks<M> {
 
 impl<M: Module> Behaviour for ModuleBehaviour<M> {
     fn transition(&mut self, transition: Transition, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        let Self { module, ports, .. } = self;
+        let ctx = &mut ctx.with_ports(ports);
         match transition {
-            Transition::Configure => self.module.configure(ctx),
-            Transition::Activate => self.module.activate(ctx),
-            Transition::Deactivate => self.module.deactivate(ctx),
-            Transition::Cleanup => self.module.cleanup(ctx),
+            Transition::Configure => module.configure(ctx),
+            Transition::Activate => module.activate(ctx),
+            Transition::Deactivate => module.deactivate(ctx),
+            Transition::Cleanup => module.cleanup(ctx),
             Transition::Shutdown => {
-                self.module.shutdown(ctx);
+                module.shutdown(ctx);
                 Ok(())
             }
         }
     }
 
     fn receive(&mut self, subscription: usize, topics: &Topics, ctx: &mut Context<'_>) {
-        self.callbacks.subscriptions[subscription].receive(&mut self.module, topics, ctx);
+        self.callbacks.subscriptions[subscription].receive(
+            &mut self.module,
+            topics,
+            &mut ctx.with_ports(&self.ports),
+        );
     }
 
     fn receive_shared(
@@ -94,27 +101,31 @@ impl<M: Module> Behaviour for ModuleBehaviour<M> {
         batch: Arc<dyn Any + Send + Sync>,
         ctx: &mut Context<'_>,
     ) {
-        self.callbacks.subscriptions[subscription].receive_shared(&mut self.module, batch, ctx);
+        self.callbacks.subscriptions[subscription].receive_shared(
+            &mut self.module,
+            batch,
+            &mut ctx.with_ports(&self.ports),
+        );
     }
 
     fn serve(&mut self, server: usize, ctx: &mut Context<'_>) {
-        self.callbacks.servers[server](&mut self.module, ctx);
+        self.callbacks.servers[server](&mut self.module, &mut ctx.with_ports(&self.ports));
     }
 
     fn replied(&mut self, client: usize, ctx: &mut Context<'_>) {
-        self.callbacks.clients[client](&mut self.module, ctx);
+        self.callbacks.clients[client](&mut self.module, &mut ctx.with_ports(&self.ports));
     }
 
     fn finished(&mut self, job: usize, ctx: &mut Context<'_>) {
-        self.callbacks.jobs[job](&mut self.module, ctx);
+        self.callbacks.jobs[job](&mut self.module, &mut ctx.with_ports(&self.ports));
     }
 
     fn task(&mut self, task: usize, ctx: &mut Context<'_>) {
-        self.callbacks.tasks[task](&mut self.module, ctx);
+        self.callbacks.tasks[task](&mut self.module, &mut ctx.with_ports(&self.ports));
     }
 
     fn tick(&mut self, timer: usize, ctx: &mut Context<'_>) {
-        self.callbacks.timers[timer](&mut self.module, ctx);
+        self.callbacks.timers[timer](&mut self.module, &mut ctx.with_ports(&self.ports));
     }
 
     fn accept_setting(&mut self, setting: usize, value: &SettingValue) -> Result<(), String> {
@@ -124,7 +135,7 @@ impl<M: Module> Behaviour for ModuleBehaviour<M> {
 
     fn setting_changed(&mut self, setting: usize, ctx: &mut Context<'_>) {
         for (_, callback) in self.callbacks.settings.iter_mut().filter(|(index, _)| *index == setting) {
-            callback(&mut self.module, ctx);
+            callback(&mut self.module, &mut ctx.with_ports(&self.ports));
         }
     }
 
@@ -134,15 +145,20 @@ impl<M: Module> Behaviour for ModuleBehaviour<M> {
 
     fn run_ends(&mut self, ctx: &mut Context<'_>) {
         for callback in &mut self.callbacks.each_run {
-            callback(&mut self.module, ctx);
+            callback(&mut self.module, &mut ctx.with_ports(&self.ports));
         }
     }
 }
 
 /// A callback for the messages of one topic.
-pub(crate) trait AnySubscription<M>: Send {
-    fn receive(&mut self, module: &mut M, topics: &Topics, ctx: &mut Context<'_>);
-    fn receive_shared(&mut self, module: &mut M, batch: Arc<dyn Any + Send + Sync>, ctx: &mut Context<'_>);
+pub(crate) trait AnySubscription<M: Module>: Send {
+    fn receive(&mut self, module: &mut M, topics: &Topics, ctx: &mut Context<'_, M::Ports>);
+    fn receive_shared(
+        &mut self,
+        module: &mut M,
+        batch: Arc<dyn Any + Send + Sync>,
+        ctx: &mut Context<'_, M::Ports>,
+    );
 }
 
 pub(crate) struct Subscription<T, F> {
@@ -151,18 +167,23 @@ pub(crate) struct Subscription<T, F> {
     pub(crate) message: PhantomData<fn(T)>,
 }
 
-impl<M, T, F> AnySubscription<M> for Subscription<T, F>
+impl<M: Module, T, F> AnySubscription<M> for Subscription<T, F>
 where
     T: Send + Sync + 'static,
-    F: FnMut(&mut M, Received<'_, T>, &mut Context<'_>) + Send,
+    F: FnMut(&mut M, Received<'_, T>, &mut Context<'_, M::Ports>) + Send,
 {
-    fn receive(&mut self, module: &mut M, topics: &Topics, ctx: &mut Context<'_>) {
+    fn receive(&mut self, module: &mut M, topics: &Topics, ctx: &mut Context<'_, M::Ports>) {
         if let Some(topic) = topics.get::<T>(self.topic) {
             for_each_message(topic.batch(), |message| (self.callback)(module, message, ctx));
         }
     }
 
-    fn receive_shared(&mut self, module: &mut M, batch: Arc<dyn Any + Send + Sync>, ctx: &mut Context<'_>) {
+    fn receive_shared(
+        &mut self,
+        module: &mut M,
+        batch: Arc<dyn Any + Send + Sync>,
+        ctx: &mut Context<'_, M::Ports>,
+    ) {
         if let Ok(batch) = batch.downcast::<Batch<T>>() {
             for_each_message(&batch, |message| (self.callback)(module, message, ctx));
         }
@@ -179,11 +200,11 @@ fn for_each_message<T>(batch: &Arc<Batch<T>>, mut consume: impl FnMut(Received<'
 }
 
 /// The callback for the requests of a service that answers each at once.
-pub(crate) fn answering<M, Q, R, F>(port: u32, mut answer: F) -> Callback<M>
+pub(crate) fn answering<M: Module, Q, R, F>(port: u32, mut answer: F) -> Callback<M>
 where
     Q: Send + 'static,
     R: Send + 'static,
-    F: FnMut(&mut M, &Q, &mut Context<'_>) -> Result<R, String> + Send + 'static,
+    F: FnMut(&mut M, &Q, &mut Context<'_, M::Ports>) -> Result<R, String> + Send + 'static,
 {
     serving::<M, Q, R>(port, move |module, Incoming { to, request }, ctx| {
         let result = answer(module, &request, ctx);
@@ -192,20 +213,20 @@ where
 }
 
 /// The callback for the requests of a service that answers them when it can.
-pub(crate) fn answering_later<M, Q, R, F>(port: u32, mut take: F) -> Callback<M>
+pub(crate) fn answering_later<M: Module, Q, R, F>(port: u32, mut take: F) -> Callback<M>
 where
     Q: Send + 'static,
     R: Send + 'static,
-    F: FnMut(&mut M, Q, Responder<Q, R>, &mut Context<'_>) + Send + 'static,
+    F: FnMut(&mut M, Q, Responder<Q, R>, &mut Context<'_, M::Ports>) + Send + 'static,
 {
     serving::<M, Q, R>(port, move |module, Incoming { to, request }, ctx| {
         take(module, request, Responder { port, to, types: PhantomData }, ctx);
     })
 }
 
-fn serving<M, Q: Send + 'static, R: Send + 'static>(
+fn serving<M: Module, Q: Send + 'static, R: Send + 'static>(
     port: u32,
-    mut take: impl FnMut(&mut M, Incoming<Q>, &mut Context<'_>) + Send + 'static,
+    mut take: impl FnMut(&mut M, Incoming<Q>, &mut Context<'_, M::Ports>) + Send + 'static,
 ) -> Callback<M> {
     // The type of the answer is fixed by the port, which the callers opened.
     Box::new(move |module, ctx| {
@@ -221,11 +242,11 @@ fn serving<M, Q: Send + 'static, R: Send + 'static>(
 }
 
 /// The callback for the answers to calls.
-pub(crate) fn replying<M, Q, R, F>(port: u32, mut take: F) -> Callback<M>
+pub(crate) fn replying<M: Module, Q, R, F>(port: u32, mut take: F) -> Callback<M>
 where
     Q: Send + 'static,
     R: Send + 'static,
-    F: FnMut(&mut M, Reply<R>, &mut Context<'_>) + Send + 'static,
+    F: FnMut(&mut M, Reply<R>, &mut Context<'_, M::Ports>) + Send + 'static,
 {
     let mut spare = Vec::new();
     Box::new(move |module, ctx| {
@@ -240,10 +261,10 @@ where
 }
 
 /// The callback for the results of a job.
-pub(crate) fn finishing<M, T, F>(job: Job<T>, mut take: F) -> Callback<M>
+pub(crate) fn finishing<M: Module, T, F>(job: Job<T>, mut take: F) -> Callback<M>
 where
     T: Send + 'static,
-    F: FnMut(&mut M, Result<T, JobError>, &mut Context<'_>) + Send + 'static,
+    F: FnMut(&mut M, Result<T, JobError>, &mut Context<'_, M::Ports>) + Send + 'static,
 {
     Box::new(move |module, ctx| {
         for result in ctx.io().take_results(job) {

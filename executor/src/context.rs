@@ -19,7 +19,11 @@ use crate::{
 ///
 /// Keys belong to the module whose setup made them. A method that is given a key of another module panics, which
 /// stops the module; where both modules have a key of that number and type they are not told apart.
-pub struct Context<'a> {
+///
+/// A function that is called by modules of several types takes a `&mut Context<'_, P>` for any `P`.
+pub struct Context<'a, P = ()> {
+    /// What the module's [`setup`](Module::setup) returned: as a rule its keys.
+    pub ports: &'a P,
     io: &'a mut ModuleIo,
     now: Time,
     shared: Option<&'a Shared>,
@@ -27,9 +31,17 @@ pub struct Context<'a> {
 
 impl<'a> Context<'a> {
     pub(crate) fn new(io: &'a mut ModuleIo, now: Time, shared: Option<&'a Shared>) -> Self {
-        Self { io, now, shared }
+        Self { ports: &(), io, now, shared }
     }
 
+    /// The context of a module of a known type.
+    #[inline]
+    pub(crate) fn with_ports<'b, P>(&'b mut self, ports: &'b P) -> Context<'b, P> {
+        Context { ports, io: self.io, now: self.now, shared: self.shared }
+    }
+}
+
+impl<P> Context<'_, P> {
     #[inline]
     pub(crate) fn io(&mut self) -> &mut ModuleIo {
         self.io
@@ -69,6 +81,7 @@ impl<'a> Context<'a> {
     /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
     /// # struct Lidar;
     /// # impl Module for Lidar {
+    /// #     type Ports = ();
     /// #     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
     /// let ranges = setup.publish::<f32>("ranges")?;
     /// setup.subscribe::<Vec<u16>, _>("millimetres", move |_, scan, ctx| {
@@ -118,6 +131,8 @@ impl<'a> Context<'a> {
     /// struct Gait;
     ///
     /// impl Module for Gait {
+    ///     type Ports = ();
+    ///
     ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
     ///         let step = setup.setting("step_length", 0.03, "m")?;
     ///         // The name by which the next gait is asked for.
@@ -210,6 +225,8 @@ impl<'a> Context<'a> {
     /// struct Weather;
     ///
     /// impl Module for Weather {
+    ///     type Ports = ();
+    ///
     ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
     ///         let wind = setup.publish::<f64>("wind")?;
     ///         let asking = setup.job::<f64, _>(move |_, answer, ctx| {
@@ -248,6 +265,8 @@ impl<'a> Context<'a> {
     /// struct Localisation(Sender<Completion<f64>>);
     ///
     /// impl Module for Localisation {
+    ///     type Ports = ();
+    ///
     ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
     ///         let found = setup.publish::<f64>("heading")?;
     ///         let answer = setup.job::<f64, _>(move |_, heading, ctx| {
@@ -301,6 +320,8 @@ impl<'a> Context<'a> {
     /// struct Calibration;
     ///
     /// impl Module for Calibration {
+    ///     type Ports = ();
+    ///
     ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
     ///         setup.each_run(|_, ctx| ctx.remove_self());
     ///         Ok(())

@@ -15,6 +15,8 @@
 //! }
 //!
 //! impl Module for Counter {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         let out = setup.publish("count")?;
 //!         setup.every(Duration::from_millis(10), move |counter, ctx| {
@@ -27,6 +29,8 @@
 //! struct Printer;
 //!
 //! impl Module for Printer {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         setup.subscribe::<u32, _>("count", |_, count, ctx| println!("{}: {}", ctx.now(), *count))
 //!     }
@@ -72,6 +76,8 @@
 //! struct Everything(Sender<&'static str>);
 //!
 //! impl Module for Everything {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         setup.each_run(|module, _| drop(module.0.send("each run")));
 //!         setup.every(Duration::from_millis(10), |module, _| drop(module.0.send("timer")))?;

@@ -78,6 +78,8 @@ impl fmt::Display for Version {
 /// struct Crier;
 ///
 /// impl Module for Crier {
+///     type Ports = ();
+///
 ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 ///         let motto = setup.mechanism::<Motto>(Version::new(1, 0))?;
 ///         let heard = setup.publish::<String>("heard")?;
@@ -91,6 +93,8 @@ impl fmt::Display for Version {
 /// struct Ear(std::sync::mpsc::Sender<String>);
 ///
 /// impl Module for Ear {
+///     type Ports = ();
+///
 ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 ///         setup.subscribe::<String, _>("heard", |ear, word, _| drop(ear.0.send(word.clone())))
 ///     }

@@ -8,36 +8,66 @@ use crate::{Context, Setup, SetupError, TransitionError};
 /// settings. What its callbacks ask for takes effect when the sync phase comes.
 ///
 /// ```
-/// use downbeat_executor::{Module, Setup, SetupError};
+/// use downbeat_executor::{Context, Module, Publication, Setting, Setup, SetupError};
 ///
 /// struct Thermostat;
 ///
+/// struct Ports {
+///     target: Setting<f64>,
+///     heater: Publication<bool>,
+/// }
+///
 /// impl Module for Thermostat {
-///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-///         let target = setup.setting("target", 21.0, "room temperature to keep, °C")?;
-///         let heater = setup.publish("heater")?;
-///         setup.subscribe::<f64, _>("temperature", move |_, celsius, ctx| {
-///             let is_cold = *celsius < *ctx.get(target);
-///             ctx.publish(heater, is_cold);
+///     type Ports = Ports;
+///
+///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+///         setup.subscribe::<f64, _>("temperature", |_, celsius, ctx| {
+///             let is_cold = *celsius < *ctx.get(ctx.ports.target);
+///             ctx.publish(ctx.ports.heater, is_cold);
+///         })?;
+///         Ok(Ports {
+///             target: setup.setting("target", 21.0, "room temperature to keep, °C")?,
+///             heater: setup.publish("heater")?,
 ///         })
+///     }
+///
+///     fn shutdown(&mut self, ctx: &mut Context<'_, Ports>) {
+///         ctx.publish(ctx.ports.heater, false);
 ///     }
 /// }
 /// ```
 ///
-/// Callbacks are closures that are given the module, and capture the keys that the declarations returned. A key that
-/// [`activate`](Self::activate) or another of these methods uses is kept in a field.
+/// Callbacks are closures or functions that are given the module and a [`Context`], whose [`ports`](Context::ports) are
+/// what `setup` returned. In a small module the closures may capture the keys instead, and its ports are `()`:
+///
+/// ```
+/// # use downbeat_executor::{Module, Setup, SetupError};
+/// struct Doubler;
+///
+/// impl Module for Doubler {
+///     type Ports = ();
+///
+///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+///         let doubled = setup.publish("doubled")?;
+///         setup.subscribe::<f64, _>("number", move |_, number, ctx| ctx.publish(doubled, 2.0 * *number))
+///     }
+/// }
+/// ```
 pub trait Module: Send + Sized + 'static {
+    /// What callbacks find in [`Context::ports`]: as a rule the keys that the declarations return.
+    type Ports: Send + 'static;
+
     /// Declares what the module publishes, receives, does periodically and can be set to.
     ///
     /// # Errors
     /// Those of the declarations, and [`Setup::refuse`] for reasons of the module's own.
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError>;
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError>;
 
     /// From unconfigured to inactive: gets what the module needs, such as a port or a map.
     ///
     /// # Errors
     /// A reason why it cannot; the module stays unconfigured, and that is logged.
-    fn configure(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+    fn configure(&mut self, _ctx: &mut Context<'_, Self::Ports>) -> Result<(), TransitionError> {
         Ok(())
     }
 
@@ -45,7 +75,7 @@ pub trait Module: Send + Sized + 'static {
     ///
     /// # Errors
     /// A reason why it cannot; the module stays inactive, and that is logged.
-    fn activate(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+    fn activate(&mut self, _ctx: &mut Context<'_, Self::Ports>) -> Result<(), TransitionError> {
         Ok(())
     }
 
@@ -53,7 +83,7 @@ pub trait Module: Send + Sized + 'static {
     ///
     /// # Errors
     /// A reason why it cannot; the module stays active, and that is logged.
-    fn deactivate(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+    fn deactivate(&mut self, _ctx: &mut Context<'_, Self::Ports>) -> Result<(), TransitionError> {
         Ok(())
     }
 
@@ -61,11 +91,11 @@ pub trait Module: Send + Sized + 'static {
     ///
     /// # Errors
     /// A reason why it cannot; the module stays inactive, and that is logged.
-    fn cleanup(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+    fn cleanup(&mut self, _ctx: &mut Context<'_, Self::Ports>) -> Result<(), TransitionError> {
         Ok(())
     }
 
     /// To finalized, from every state: the last callback, when the module is removed or the core stops. It does
     /// not run after a panic. What it publishes still reaches observers.
-    fn shutdown(&mut self, _ctx: &mut Context<'_>) {}
+    fn shutdown(&mut self, _ctx: &mut Context<'_, Self::Ports>) {}
 }

@@ -18,6 +18,8 @@ use crate::{LifecycleState, SettingValue, ThreadOptions};
 /// struct Logger(Sender<ThreadId>);
 ///
 /// impl Module for Logger {
+///     type Ports = ();
+///
 ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 ///         setup.subscribe::<String, _>("events", |logger, _, _| {
 ///             drop(logger.0.send(std::thread::current().id())); // It might as well write to a slow disk.
@@ -78,6 +80,8 @@ pub enum Role {
 /// struct Camera;
 ///
 /// impl Module for Camera {
+///     type Ports = ();
+///
 ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 ///         setup.every(Duration::from_millis(33), |_, _| panic!("the cable came loose"))
 ///     }

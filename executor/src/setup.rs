@@ -14,7 +14,7 @@ use crate::schedule::Timer;
 use crate::service::{ClientPort, ServerPort, ServiceRegistry};
 use crate::setting::{SettingInfo, SettingType};
 use crate::{
-    Client, Context, Job, JobError, Mechanism, Publication, Received, Reply, Responder, Setting,
+    Client, Context, Job, JobError, Mechanism, Module, Publication, Received, Reply, Responder, Setting,
     SettingValue, SetupError, Task, TopicInfo, Version,
 };
 
@@ -36,7 +36,7 @@ pub(crate) struct Uses {
 
 /// Passed to [`Module::setup`](crate::Module::setup): what the module publishes, receives, serves, calls, does at
 /// a time and can be set to is declared here.
-pub struct Setup<'a, M> {
+pub struct Setup<'a, M: Module> {
     io: &'a mut ModuleIo,
     registries: Registries<'a>,
     uses: &'a mut Uses,
@@ -47,7 +47,7 @@ pub struct Setup<'a, M> {
     own_names: Vec<String>,
 }
 
-impl<'a, M> Setup<'a, M> {
+impl<'a, M: Module> Setup<'a, M> {
     pub(crate) fn new(
         io: &'a mut ModuleIo,
         registries: Registries<'a>,
@@ -158,6 +158,8 @@ impl<'a, M> Setup<'a, M> {
     /// struct Servos;
     ///
     /// impl Module for Servos {
+    ///     type Ports = ();
+    ///
     ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
     ///         setup.read_only_setting("port", "/dev/ttyUSB0".to_owned(), "serial device")?;
     ///         Ok(())
@@ -187,7 +189,7 @@ impl<'a, M> Setup<'a, M> {
     /// Calls `callback` when the value of a setting has changed.
     pub fn on_change<T, F>(&mut self, setting: Setting<T>, callback: F)
     where
-        F: FnMut(&mut M, &mut Context<'_>) + Send + 'static,
+        F: FnMut(&mut M, &mut Context<'_, M::Ports>) + Send + 'static,
     {
         self.callbacks.settings.push((setting.index, Box::new(callback)));
     }
@@ -209,6 +211,8 @@ impl<'a, M> Setup<'a, M> {
     /// struct Planner;
     ///
     /// impl Module for Planner {
+    ///     type Ports = ();
+    ///
     ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
     ///         setup.require("jobs", Version::new(1, 0))?;
     ///         setup.require("teleportation", Version::new(1, 0))
@@ -294,7 +298,7 @@ impl<'a, M> Setup<'a, M> {
     }
 }
 
-impl<M: 'static> Setup<'_, M> {
+impl<M: Module> Setup<'_, M> {
     /// Calls `callback` with each message of a topic, in the cycle after it was published.
     ///
     /// # Errors
@@ -302,7 +306,7 @@ impl<M: 'static> Setup<'_, M> {
     pub fn subscribe<T, F>(&mut self, topic: &str, callback: F) -> Result<(), SetupError>
     where
         T: Send + Sync + 'static,
-        F: FnMut(&mut M, Received<'_, T>, &mut Context<'_>) + Send + 'static,
+        F: FnMut(&mut M, Received<'_, T>, &mut Context<'_, M::Ports>) + Send + 'static,
     {
         let topic = self.open_topic::<T>(topic)?;
         self.registries.topics.add_user(topic);
@@ -320,7 +324,7 @@ impl<M: 'static> Setup<'_, M> {
     where
         Q: Send + 'static,
         R: Send + 'static,
-        F: FnMut(&mut M, &Q, &mut Context<'_>) -> Result<R, String> + Send + 'static,
+        F: FnMut(&mut M, &Q, &mut Context<'_, M::Ports>) -> Result<R, String> + Send + 'static,
     {
         let port = self.open_server::<Q, R>(service)?;
         self.callbacks.servers.push(answering(port, answer));
@@ -342,6 +346,8 @@ impl<M: 'static> Setup<'_, M> {
     /// }
     ///
     /// impl Module for Arm {
+    ///     type Ports = ();
+    ///
     ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
     ///         setup.serve_later::<f64, (), _>("reach", |arm, _angle, responder, _| arm.asked.push(responder))?;
     ///         setup.subscribe::<(), _>("arrived", |arm, _, ctx| {
@@ -365,7 +371,7 @@ impl<M: 'static> Setup<'_, M> {
     where
         Q: Send + 'static,
         R: Send + 'static,
-        F: FnMut(&mut M, Q, Responder<Q, R>, &mut Context<'_>) + Send + 'static,
+        F: FnMut(&mut M, Q, Responder<Q, R>, &mut Context<'_, M::Ports>) + Send + 'static,
     {
         let port = self.open_server::<Q, R>(service)?;
         self.callbacks.servers.push(answering_later(port, take));
@@ -386,7 +392,7 @@ impl<M: 'static> Setup<'_, M> {
     where
         Q: Send + 'static,
         R: Send + 'static,
-        F: FnMut(&mut M, Reply<R>, &mut Context<'_>) + Send + 'static,
+        F: FnMut(&mut M, Reply<R>, &mut Context<'_, M::Ports>) + Send + 'static,
     {
         let index = self.open_service::<Q, R>(service)?;
         let name = self.registries.services.name(index).clone();
@@ -403,7 +409,7 @@ impl<M: 'static> Setup<'_, M> {
     /// A period of zero.
     pub fn every<F>(&mut self, period: Duration, callback: F) -> Result<(), SetupError>
     where
-        F: FnMut(&mut M, &mut Context<'_>) + Send + 'static,
+        F: FnMut(&mut M, &mut Context<'_, M::Ports>) + Send + 'static,
     {
         if period.is_zero() {
             return Err(SetupError::ZeroPeriod(self.io.name.to_string()));
@@ -417,7 +423,7 @@ impl<M: 'static> Setup<'_, M> {
     /// [`Context::schedule`].
     pub fn task<F>(&mut self, callback: F) -> Task
     where
-        F: FnMut(&mut M, &mut Context<'_>) + Send + 'static,
+        F: FnMut(&mut M, &mut Context<'_, M::Ports>) + Send + 'static,
     {
         self.callbacks.tasks.push(Box::new(callback));
         self.io.tasks.declare()
@@ -427,7 +433,7 @@ impl<M: 'static> Setup<'_, M> {
     pub fn job<T, F>(&mut self, on_result: F) -> Job<T>
     where
         T: Send + 'static,
-        F: FnMut(&mut M, Result<T, JobError>, &mut Context<'_>) + Send + 'static,
+        F: FnMut(&mut M, Result<T, JobError>, &mut Context<'_, M::Ports>) + Send + 'static,
     {
         let job = Job::new(number(self.io.jobs.len()));
         self.io.jobs.push(Box::new(JobPort::<T>::new()));
@@ -447,6 +453,8 @@ impl<M: 'static> Setup<'_, M> {
     /// }
     ///
     /// impl Module for Mean {
+    ///     type Ports = ();
+    ///
     ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
     ///         let mean = setup.publish::<f64>("mean_range")?;
     ///         setup.subscribe::<f64, _>("range", |module, range, _| module.ranges.push(*range))?;
@@ -471,7 +479,7 @@ impl<M: 'static> Setup<'_, M> {
     /// ```
     pub fn each_run<F>(&mut self, callback: F)
     where
-        F: FnMut(&mut M, &mut Context<'_>) + Send + 'static,
+        F: FnMut(&mut M, &mut Context<'_, M::Ports>) + Send + 'static,
     {
         self.callbacks.each_run.push(Box::new(callback));
     }
@@ -486,6 +494,8 @@ impl<M: 'static> Setup<'_, M> {
     /// struct Camera;
     ///
     /// impl Module for Camera {
+    ///     type Ports = ();
+    ///
     ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
     ///         let width = setup.setting("width", 640_i64, "of the image, pixels")?;
     ///         setup.accept_if(width, |_, width| match width % 16 {

@@ -29,6 +29,8 @@
 //! }
 //!
 //! impl Module for Imu {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         let attitude = setup.publish("attitude")?;
 //!         setup.every(Duration::from_millis(8), move |imu, ctx| {
@@ -72,6 +74,8 @@
 //! struct Balance;
 //!
 //! impl Module for Balance {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         let torque = setup.publish::<f64>("ankle_torque")?;
 //!         setup.subscribe::<Attitude, _>("attitude", move |_, attitude, ctx| {
@@ -84,6 +88,8 @@
 //! struct Ear(Sender<f64>);
 //!
 //! impl Module for Ear {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         setup.subscribe::<f64, _>("ankle_torque", |ear, torque, _| drop(ear.0.send(*torque)))
 //!     }
@@ -117,6 +123,8 @@
 //! }
 //!
 //! impl Module for Balance {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         let gain = setup.setting_in("gain", 40.0, 0.0..=200.0, "torque by pitch, N·m/rad")?;
 //!         setup.on_change(gain, |balance, _| balance.integral = 0.0);
@@ -162,6 +170,8 @@
 //! struct Legs(Posture);
 //!
 //! impl Module for Legs {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         setup.serve::<Posture, Posture, _>("take_posture", |legs, &posture, _| {
 //!             if legs.0 == posture {
@@ -176,6 +186,8 @@
 //! struct Operator(Sender<String>);
 //!
 //! impl Module for Operator {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         let timeout = Duration::from_millis(500);
 //!         let legs = setup.client::<Posture, Posture, _>("take_posture", timeout, |operator, reply, _| {
@@ -226,6 +238,8 @@
 //! struct Guard;
 //!
 //! impl Module for Guard {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         let limp = setup.publish::<()>("limp")?;
 //!         let lost = setup.task(move |_, ctx| ctx.publish(limp, ()));
@@ -280,6 +294,8 @@
 //! struct Planner;
 //!
 //! impl Module for Planner {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         let footsteps = setup.publish::<Point>("footsteps")?;
 //!         let planning = setup.job::<Vec<Point>, _>(move |_, steps, ctx| match steps {
@@ -324,6 +340,8 @@
 //! struct Vision;
 //!
 //! impl Module for Vision {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         let ball = setup.publish::<usize>("ball_pixel")?;
 //!         setup.subscribe::<Image, _>("image", move |_, image, ctx| {
@@ -371,6 +389,8 @@
 //! }
 //!
 //! impl Module for Motor {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         setup.subscribe::<f64, _>("torque", |motor, torque, _| {
 //!             assert!(torque.is_finite(), "a torque of {} N·m", *torque);
@@ -423,6 +443,8 @@
 //! }
 //!
 //! impl Module for Gait {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         self.period_s = 0.6;
 //!         setup.serve::<(), f64, _>("gait_period", |gait, _, _| Ok(gait.period_s))
@@ -470,6 +492,8 @@
 //! struct Joint(f64, Sender<f64>);
 //!
 //! impl Module for Joint {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         let position = setup.publish::<f64>("position")?;
 //!         setup.subscribe::<f64, _>("position", |joint, other, _| joint.0 = 0.9 * joint.0 + 0.1 * *other)?;
@@ -524,6 +548,8 @@
 //! }
 //!
 //! impl Module for Motor {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         self.torque = Some(setup.publish("torque")?);
 //!         Ok(())
@@ -539,6 +565,8 @@
 //! struct Recorder(Sender<f64>);
 //!
 //! impl Module for Recorder {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         setup.subscribe::<f64, _>("torque", |recorder, torque, _| drop(recorder.0.send(*torque)))
 //!     }

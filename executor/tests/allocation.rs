@@ -54,6 +54,8 @@ struct Node {
 }
 
 impl Module for Node {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         self.out = Some(setup.publish("numbers")?);
         setup.subscribe(

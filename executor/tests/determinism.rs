@@ -130,6 +130,8 @@ impl RandomModule {
 }
 
 impl Module for RandomModule {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let outs = self.node.publishes.iter().map(|&topic| setup.publish(TOPICS[topic as usize]));
         let outs = outs.collect::<Result<_, _>>()?;

@@ -28,6 +28,8 @@ impl Listener {
 }
 
 impl Module for Listener {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe("second", |module: &mut Self, number: Received<'_, u64>, _: &mut Context<'_>| {
             module.note(format!("second {}", *number));
@@ -89,6 +91,8 @@ fn a_busy_topic_does_not_push_another_one_out_of_an_inbox() {
 struct Twice(Log);
 
 impl Module for Twice {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         for name in ["a", "b"] {
             setup.subscribe(
@@ -106,6 +110,8 @@ impl Module for Twice {
 struct Steps(Arc<Mutex<Vec<DetachedStep>>>);
 
 impl Module for Steps {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe(
             DetachedStep::TOPIC,
@@ -162,6 +168,8 @@ struct Faulty {
 }
 
 impl Module for Faulty {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe("fault", |_: &mut Self, _: Received<'_, u64>, _: &mut Context<'_>| {
             panic!("a fault in a test");
@@ -212,6 +220,8 @@ fn a_panic_in_the_drop_of_a_module_stays_inside_the_core() {
 fn next_event_tells_work_a_timer_or_nothing() {
     struct Idle;
     impl Module for Idle {
+        type Ports = ();
+
         fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
             setup.every(Duration::from_millis(5), |_: &mut Self, _: &mut Context<'_>| ())
         }
@@ -284,6 +294,8 @@ struct Relay {
 }
 
 impl Module for Relay {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let out = setup.publish::<u64>(self.to)?;
         setup.subscribe(

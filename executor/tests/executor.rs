@@ -21,6 +21,8 @@ fn lambda(declare: impl FnMut(&mut Setup<'_, Lambda>) -> Result<(), SetupError> 
 }
 
 impl Module for Lambda {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         (self.0)(setup)
     }
@@ -30,6 +32,8 @@ impl Module for Lambda {
 struct Lifecycle(&'static str, Arc<Mutex<Vec<String>>>);
 
 impl Module for Lifecycle {
+    type Ports = ();
+
     fn setup(&mut self, _: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         Ok(())
     }

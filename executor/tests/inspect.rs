@@ -20,6 +20,8 @@ struct Source {
 }
 
 impl Module for Source {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         self.out = Some(setup.publish("number")?);
         setup.every(Duration::from_millis(1), |source: &mut Self, ctx: &mut Context<'_>| {
@@ -33,6 +35,8 @@ impl Module for Source {
 struct Sink;
 
 impl Module for Sink {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe("number", |_: &mut Self, _: Received<'_, u32>, _: &mut Context<'_>| {})
     }
@@ -41,6 +45,8 @@ impl Module for Sink {
 struct Bomb;
 
 impl Module for Bomb {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe("number", |_: &mut Self, _: Received<'_, u32>, _: &mut Context<'_>| panic!("as told"))
     }

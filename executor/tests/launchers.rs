@@ -21,6 +21,8 @@ struct Ticker {
 }
 
 impl Module for Ticker {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.every(PERIOD * self.periods, |ticker: &mut Self, _: &mut Context<'_>| (ticker.tick)())
     }
@@ -104,6 +106,8 @@ struct Relay {
 }
 
 impl Module for Relay {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let out = setup.publish(self.to)?;
         setup.subscribe(self.from, move |_: &mut Self, number: Received<'_, u64>, ctx: &mut Context<'_>| {
@@ -149,6 +153,8 @@ struct Listener {
 }
 
 impl Module for Listener {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe("a", |listener: &mut Self, number: Received<'_, u64>, _: &mut Context<'_>| {
             listener.sender.send(*number).unwrap();

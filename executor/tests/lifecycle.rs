@@ -31,6 +31,8 @@ impl Managed {
 }
 
 impl Module for Managed {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe(
             "numbers",

@@ -81,6 +81,8 @@ fn a_module_adds_others_and_removes_itself() {
 fn a_removed_module_frees_everything_it_held() {
     struct Holder(Arc<()>);
     impl Module for Holder {
+        type Ports = ();
+
         fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
             setup.publish::<u32>("of the holder".trim_start_matches("of the "))?;
             setup.serve("hold", |_: &mut Self, &number: &u32, _: &mut Context<'_>| Ok(number))?;
@@ -155,6 +157,8 @@ fn a_setup_that_fails_or_panics_leaves_nothing_behind() {
 fn the_messages_of_a_modules_end_are_delivered() {
     struct LastWords;
     impl Module for LastWords {
+        type Ports = ();
+
         fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
             setup.publish::<u32>("numbers").map(drop)
         }

@@ -22,6 +22,8 @@ struct Bomber {
 }
 
 impl Module for Bomber {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         self.out = Some(setup.publish("bombs")?);
         setup.every(PERIOD, |bomber: &mut Self, ctx: &mut Context<'_>| {
@@ -37,6 +39,8 @@ struct Counter {
 }
 
 impl Module for Counter {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let numbers = setup.publish::<u64>("numbers")?;
         setup.subscribe(

@@ -25,6 +25,8 @@ impl Mixer {
 }
 
 impl Module for Mixer {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         self.out = Some(setup.publish("states")?);
         setup.subscribe(

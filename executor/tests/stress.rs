@@ -168,6 +168,8 @@ struct Keys {
 }
 
 impl Module for Busy {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let out = setup.publish("numbers")?;
         let client =

@@ -201,6 +201,8 @@ fn a_removed_module_does_not_start_again_after_a_panic() {
 struct BadEnd;
 
 impl Module for BadEnd {
+    type Ports = ();
+
     fn setup(&mut self, _: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         Ok(())
     }
@@ -282,6 +284,8 @@ fn a_stopped_core_still_knows_all_its_modules() {
 struct BadDrop;
 
 impl Module for BadDrop {
+    type Ports = ();
+
     fn setup(&mut self, _: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         Ok(())
     }

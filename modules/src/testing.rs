@@ -39,6 +39,8 @@ impl<T: Clone + Send + Sync + 'static> Collector<T> {
 }
 
 impl<T: Clone + Send + Sync + 'static> Module for CollectorModule<T> {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let topic = self.topic.clone();
         setup.subscribe(&topic, |module: &mut Self, message: Received<'_, T>, _: &mut Context<'_>| {

@@ -60,6 +60,8 @@ impl Faults {
 struct Watch(Faults);
 
 impl Module for Watch {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe(TOPIC, |watch: &mut Self, array: Received<'_, DiagnosticArray>, _| {
             array.status.iter().for_each(|status| watch.0.update(status));

@@ -44,6 +44,8 @@ struct Watch {
 }
 
 impl Module for Watch {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         for (topic, message_type) in self.topics.drain(..) {
             let (captured, name) = (self.captured.clone(), Arc::clone(&topic));

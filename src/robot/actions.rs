@@ -142,6 +142,8 @@ mod tests {
     }
 
     impl Module for Frames {
+        type Ports = ();
+
         fn setup(&mut self, setup: &mut Setup<'_, Self>) -> std::result::Result<(), SetupError> {
             ActionServer::builder(|frames: &mut Self| &mut frames.server).declare(
                 setup,

@@ -135,6 +135,8 @@ mod tests {
     struct Legs;
 
     impl Module for Legs {
+        type Ports = ();
+
         fn setup(&mut self, setup: &mut Setup<'_, Self>) -> std::result::Result<(), SetupError> {
             setup.serve::<SetBoolRequest, SetBoolResponse, _>("stand_up", |_, _, _| Err("no".into()))?;
             setup.serve::<u32, u32, _>("odd", |_, _, _| Err("no".into()))?;

@@ -137,6 +137,8 @@ impl Load {
 }
 
 impl Module for Load {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         for (number, publication) in self.imus.iter_mut().enumerate() {
             *publication = Some(setup.publish(&format!("imu_{number}"))?);

@@ -105,6 +105,8 @@ struct Ticker {
 }
 
 impl Module for Ticker {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let ping = setup.publish::<UInt8MultiArray>("ping")?;
         setup.every(Duration::from_millis(1), move |ticker: &mut Self, ctx| {

@@ -70,6 +70,8 @@ struct Steady {
 }
 
 impl Module for Steady {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let ping = setup.publish::<UInt8MultiArray>("ping")?;
         setup.subscribe(

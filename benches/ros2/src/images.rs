@@ -85,6 +85,8 @@ struct Camera {
 }
 
 impl Module for Camera {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let ping = setup.publish::<UInt8MultiArray>("ping")?;
         setup.every(self.period, move |camera: &mut Self, ctx| {

@@ -180,6 +180,8 @@ struct Echo {
 }
 
 impl Module for Echo {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let pong = setup.publish::<UInt8MultiArray>("pong")?;
         setup.subscribe(
@@ -211,6 +213,8 @@ struct Ping {
 }
 
 impl Module for Ping {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let ping = setup.publish::<UInt8MultiArray>("ping")?;
         setup.subscribe(

@@ -48,6 +48,8 @@ struct Part {
 }
 
 impl Module for Part {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe(
             &self.hears,

@@ -84,6 +84,8 @@ impl Publisher {
 }
 
 impl Module for Publisher {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         self.out = Some(setup.publish("readings")?);
         setup.every(PERIOD, Self::tick)
@@ -96,6 +98,8 @@ struct Subscriber {
 }
 
 impl Module for Subscriber {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe(
             "readings",

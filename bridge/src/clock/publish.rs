@@ -46,6 +46,8 @@ struct ClockPublisher {
 }
 
 impl Module for ClockPublisher {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.every(self.period, Self::tell)
     }

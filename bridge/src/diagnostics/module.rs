@@ -90,33 +90,39 @@ struct Teller {
     endpoints: BTreeMap<String, EndpointReport>,
 }
 
+struct Ports {
+    diagnostics: Publication<DiagnosticArray>,
+    take: Task,
+}
+
 impl Module for Teller {
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        let out = setup.publish::<DiagnosticArray>(TOPIC)?;
-        let take = setup.task(move |teller: &mut Self, ctx| teller.take(ctx, out));
-        setup.every(PERIOD, move |teller: &mut Self, ctx| teller.ask(ctx, out, take))
+    type Ports = Ports;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+        setup.every(PERIOD, Self::ask)?;
+        Ok(Ports { diagnostics: setup.publish(TOPIC)?, take: setup.task(Self::take) })
     }
 }
 
 impl Teller {
-    fn ask(&mut self, ctx: &mut Context<'_>, out: Publication<DiagnosticArray>, take: Task) {
+    fn ask(&mut self, ctx: &mut Context<'_, Ports>) {
         if self.asked.is_some() {
-            self.tell(ctx, out, None);
+            self.tell(ctx, None);
         }
         self.asked = Some(self.core.snapshot());
-        ctx.schedule_after(take, PATIENCE);
+        ctx.schedule_after(ctx.ports.take, PATIENCE);
     }
 
-    fn take(&mut self, ctx: &mut Context<'_>, out: Publication<DiagnosticArray>) {
+    fn take(&mut self, ctx: &mut Context<'_, Ports>) {
         let Some(asked) = &self.asked else { return };
         // One that does not answer now is told to be stale when it is asked next.
         if let Some(snapshot) = asked.try_take() {
             self.asked = None;
-            self.tell(ctx, out, Some(snapshot));
+            self.tell(ctx, Some(snapshot));
         }
     }
 
-    fn tell(&mut self, ctx: &mut Context<'_>, out: Publication<DiagnosticArray>, snapshot: Option<Snapshot>) {
+    fn tell(&mut self, ctx: &mut Context<'_, Ports>, snapshot: Option<Snapshot>) {
         let mut statuses = Vec::new();
         match &snapshot {
             None => statuses.push(status::silent_core(&self.name)),
@@ -133,7 +139,7 @@ impl Teller {
         }
         self.last = snapshot.or(self.last.take());
         let header = Header { stamp: Time::from_nanos(ctx.now().as_nanos()), frame_id: String::new() };
-        ctx.publish(out, DiagnosticArray { header, status: statuses });
+        ctx.publish(ctx.ports.diagnostics, DiagnosticArray { header, status: statuses });
     }
 }
 

@@ -2,7 +2,9 @@
 
 use super::KnownService;
 use bytes::Bytes;
-use downbeat_executor::{CallError, Caller, Context, Core, Inlet, Received, Responder, Setup, SetupError};
+use downbeat_executor::{
+    CallError, Caller, Context, Core, Inlet, Module, Received, Responder, Setup, SetupError,
+};
 use downbeat_msgs::{Service, cdr};
 use std::any::Any;
 use std::collections::HashMap;
@@ -137,7 +139,7 @@ pub(super) fn open_answers<S: Service>(core: &mut Core, topic: &str) -> Result<A
     Ok(Box::new(core.inlet::<Answer<S::Response>>(topic)?))
 }
 
-pub(super) fn serve<S: Service, M: 'static>(
+pub(super) fn serve<S: Service, M: Module>(
     setup: &mut Setup<'_, M>,
     outlet: Outlet,
 ) -> Result<(), SetupError> {
@@ -149,25 +151,29 @@ pub(super) fn serve<S: Service, M: 'static>(
     let open = Open::<S::Request, S::Response>::default();
     let mut next = 0;
     let asked = Arc::clone(&open);
-    setup.serve_later(&service, move |_: &mut M, request: S::Request, responder, _: &mut Context<'_>| {
-        let number = next;
-        next += 1;
-        lock(&asked).insert(number, responder);
-        let answers = answers.clone();
-        let on_answer = move |result: Result<Bytes, String>| {
-            let result = result.and_then(|cdr| {
-                cdr::from_slice(&cdr).map_err(|error| format!("the answer is no {}: {error}", S::TYPE_NAME))
-            });
-            // Fails only when the core has stopped or is flooded; the time of the caller runs out then.
-            if let Err(error) = answers.publish(Answer { number, result }) {
-                tracing::debug!(%error, "an answer did not enter the core");
-            }
-        };
-        call.call(cdr::to_vec(&request).into(), Box::new(on_answer));
-    })?;
+    setup.serve_later(
+        &service,
+        move |_: &mut M, request: S::Request, responder, _: &mut Context<'_, M::Ports>| {
+            let number = next;
+            next += 1;
+            lock(&asked).insert(number, responder);
+            let answers = answers.clone();
+            let on_answer = move |result: Result<Bytes, String>| {
+                let result = result.and_then(|cdr| {
+                    cdr::from_slice(&cdr)
+                        .map_err(|error| format!("the answer is no {}: {error}", S::TYPE_NAME))
+                });
+                // Fails only when the core has stopped or is flooded; the time of the caller runs out then.
+                if let Err(error) = answers.publish(Answer { number, result }) {
+                    tracing::debug!(%error, "an answer did not enter the core");
+                }
+            };
+            call.call(cdr::to_vec(&request).into(), Box::new(on_answer));
+        },
+    )?;
     setup.subscribe(
         &answers_topic,
-        move |_: &mut M, answer: Received<'_, Answer<S::Response>>, ctx: &mut Context<'_>| {
+        move |_: &mut M, answer: Received<'_, Answer<S::Response>>, ctx: &mut Context<'_, M::Ports>| {
             let responder = lock(&open).remove(&answer.number);
             if let Some(responder) = responder {
                 ctx.reply(responder, answer.result.clone());

@@ -3,7 +3,7 @@
 use super::call::{self, Answers, CallEncoded, EncodedCaller, Outlet, RemoteCall};
 use super::event::{self, EncodeEvent};
 use super::nearest::nearest;
-use downbeat_executor::{Core, ServiceInfo, Setup, SetupError};
+use downbeat_executor::{Core, Module, ServiceInfo, Setup, SetupError};
 use downbeat_msgs::{Service, cdr};
 use std::any::type_name;
 use std::fmt;
@@ -102,7 +102,7 @@ impl KnownService {
     ///
     /// # Errors
     /// [`SetupError`] when the service has other types, or a server already.
-    pub fn serve<M: 'static>(setup: &mut Setup<'_, M>, outlet: Outlet) -> Result<(), SetupError> {
+    pub fn serve<M: Module>(setup: &mut Setup<'_, M>, outlet: Outlet) -> Result<(), SetupError> {
         let known = outlet.service_type;
         macro_rules! serve_as_the_one {
             ($($service:ty),* $(,)?) => {

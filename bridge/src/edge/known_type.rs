@@ -3,7 +3,7 @@
 use super::nearest::nearest;
 use super::raw::{self, Learned};
 use super::{CoreAccess, EncodedInlet, EncodedInletError, Sink, Waiting, inlet, subscription};
-use downbeat_executor::{Core, Setup, SetupError};
+use downbeat_executor::{Core, Module, Setup, SetupError};
 use downbeat_msgs::Message;
 use downbeat_msgs::dynamic::DynamicMessage;
 use std::any::TypeId;
@@ -89,7 +89,7 @@ impl KnownType {
     ///
     /// # Errors
     /// [`SetupError`] when the name is not valid or the topic carries another type.
-    pub fn subscribe<M: 'static>(
+    pub fn subscribe<M: Module>(
         self,
         setup: &mut Setup<'_, M>,
         topic: &str,

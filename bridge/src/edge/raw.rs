@@ -3,7 +3,7 @@
 use super::known_type::{Entry, PublishEncoded, Rust};
 use super::{CoreAccess, EncodedInletError, KnownType, Offered, Sink, Waiting, inlet};
 use bytes::Bytes;
-use downbeat_executor::{Context, Received, Setup, SetupError};
+use downbeat_executor::{Context, Module, Received, Setup, SetupError};
 use downbeat_msgs::definitions::{Kind, TypeName};
 use downbeat_msgs::dynamic::{Definitions, DynamicMessage, DynamicType, TypeDefinition};
 use std::any::TypeId;
@@ -199,17 +199,20 @@ pub(super) fn open(
 }
 
 /// Gives a sink the messages of one type that a topic carries; others are none of its business.
-pub(super) fn subscribe<M: 'static>(
+pub(super) fn subscribe<M: Module>(
     message_type: KnownType,
     setup: &mut Setup<'_, M>,
     topic: &str,
     mut sink: Box<dyn Sink>,
 ) -> Result<(), SetupError> {
-    setup.subscribe(topic, move |_: &mut M, message: Received<'_, RawMessage>, ctx: &mut Context<'_>| {
-        let (time, is_last_of_cycle) = (message.time(), message.is_last());
-        let offered = Offered { time, is_last_of_cycle, missed: ctx.take_missed() };
-        if message.message_type == message_type && sink.is_wanted(offered) {
-            sink.take(time, message.cdr.clone());
-        }
-    })
+    setup.subscribe(
+        topic,
+        move |_: &mut M, message: Received<'_, RawMessage>, ctx: &mut Context<'_, M::Ports>| {
+            let (time, is_last_of_cycle) = (message.time(), message.is_last());
+            let offered = Offered { time, is_last_of_cycle, missed: ctx.take_missed() };
+            if message.message_type == message_type && sink.is_wanted(offered) {
+                sink.take(time, message.cdr.clone());
+            }
+        },
+    )
 }

@@ -1,7 +1,7 @@
 //! Messages on their way out of the executor.
 
 use bytes::Bytes;
-use downbeat_executor::{Context, Received, Setup, SetupError, Time};
+use downbeat_executor::{Context, Module, Received, Setup, SetupError, Time};
 use downbeat_msgs::{Message, cdr};
 
 /// Takes the serialized messages of a topic.
@@ -34,12 +34,12 @@ impl<F: FnMut(Time, Bytes) + Send + 'static> Sink for F {
 }
 
 // The sink is boxed: the code below exists once per message type and module, not once more per sink.
-pub(super) fn subscribe<T: Message, M: 'static>(
+pub(super) fn subscribe<T: Message, M: Module>(
     setup: &mut Setup<'_, M>,
     topic: &str,
     mut sink: Box<dyn Sink>,
 ) -> Result<(), SetupError> {
-    setup.subscribe(topic, move |_: &mut M, message: Received<'_, T>, ctx: &mut Context<'_>| {
+    setup.subscribe(topic, move |_: &mut M, message: Received<'_, T>, ctx: &mut Context<'_, M::Ports>| {
         let (time, is_last_of_cycle) = (message.time(), message.is_last());
         let offered = Offered { time, is_last_of_cycle, missed: ctx.take_missed() };
         if sink.is_wanted(offered) {

@@ -34,6 +34,8 @@ pub(super) struct Sender {
 }
 
 impl Module for Sender {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         for slot in &self.slots {
             slot.message_type.subscribe(setup, &slot.topic, ToRos(Arc::clone(slot)))?;

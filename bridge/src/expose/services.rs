@@ -181,6 +181,8 @@ struct Services {
 }
 
 impl Module for Services {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         self.outlets.drain(..).try_for_each(|outlet| KnownService::serve(setup, outlet))?;
         let ServiceIntrospection { services, clients } = self.introspection;

@@ -12,6 +12,8 @@
 //! struct Camera;
 //!
 //! impl Module for Camera {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, _: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         Ok(())
 //!     }

@@ -26,6 +26,8 @@ use crate::{
 /// struct Walker;
 ///
 /// impl Module for Walker {
+///     type Ports = ();
+///
 ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 ///         setup.setting_in("step_length", 0.04, 0.0..=0.08, "in x of base_footprint, m")?;
 ///         Ok(())
@@ -89,6 +91,8 @@ impl CoreHandle {
     /// struct Hourly(Sender<Time>);
     ///
     /// impl Module for Hourly {
+    ///     type Ports = ();
+    ///
     ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
     ///         setup.every(Duration::from_secs(3600), |hourly: &mut Self, ctx| {
     ///             let _ = hourly.0.send(ctx.now());
@@ -213,6 +217,8 @@ impl CoreHandle {
     /// struct Camera;
     ///
     /// impl Module for Camera {
+    ///     type Ports = ();
+    ///
     ///     fn setup(&mut self, _: &mut Setup<'_, Self>) -> Result<(), SetupError> {
     ///         Ok(())
     ///     }

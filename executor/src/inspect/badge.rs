@@ -29,6 +29,8 @@ struct Names {
 /// struct Walker;
 ///
 /// impl Module for Walker {
+///     type Ports = ();
+///
 ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 ///         setup.each_run(|_, _| assert_eq!(running_module().as_deref(), Some("walker")));
 ///         Ok(())

@@ -75,9 +75,9 @@ impl<M: Module> Recruit for M {
         given: Given,
     ) -> Result<Box<dyn Behaviour>, SetupError> {
         let mut setup = Setup::new(io, registries, uses, is_detached, given.settings, given.remaps);
-        self.setup(&mut setup)?;
+        let ports = self.setup(&mut setup)?;
         let callbacks = setup.finish()?;
-        Ok(Box::new(ModuleBehaviour { module: *self, callbacks }))
+        Ok(Box::new(ModuleBehaviour { module: *self, ports, callbacks }))
     }
 }
 

@@ -93,6 +93,8 @@ impl<'a, T> Received<'a, T> {
     /// struct Display;
     ///
     /// impl Module for Display {
+    ///     type Ports = ();
+    ///
     ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
     ///         let shown = setup.publish::<u32>("shown")?;
     ///         setup.subscribe::<u32, _>("speed", move |_, speed, ctx| {
@@ -154,6 +156,8 @@ impl<T> Deref for Received<'_, T> {
 /// }
 ///
 /// impl Module for Motion {
+///     type Ports = ();
+///
 ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 ///         let changed = setup.publish::<usize>("changed_pixels")?;
 ///         setup.subscribe::<Image, _>("image", move |motion, image, ctx| {

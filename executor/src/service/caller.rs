@@ -20,6 +20,8 @@ use crate::service::{AnyReply, CallError, Incoming, Reply, ReplyTo};
 /// struct Gripper;
 ///
 /// impl Module for Gripper {
+///     type Ports = ();
+///
 ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 ///         setup.serve::<f64, (), _>("close", |_, &force, _| match force {
 ///             0.0..=20.0 => Ok(()),

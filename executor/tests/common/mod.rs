@@ -24,6 +24,8 @@ pub struct Scripted {
 }
 
 impl Module for Scripted {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         match self.set_up.take() {
             Some(set_up) => set_up(setup),

@@ -2,7 +2,7 @@
 
 use super::client_builder::ClientKeys;
 use super::{ClientBuilder, GoalId, GoalStatus, stamp};
-use downbeat_executor::{CallError, CallId, Context, Time};
+use downbeat_executor::{CallError, CallId, Context, Module, Time};
 use downbeat_msgs::Action;
 use downbeat_msgs::action_msgs::msg::{GoalInfo, GoalStatusArray};
 use downbeat_msgs::action_msgs::srv::CancelGoalRequest;
@@ -70,7 +70,7 @@ impl<A: Action> ActionClient<A> {
     pub const TIMEOUT: Duration = Duration::from_secs(10);
 
     /// Begins a declaration; `access` tells where in the module its client is.
-    pub fn builder<M: 'static>(access: fn(&mut M) -> &mut Self) -> ClientBuilder<A, M> {
+    pub fn builder<M: Module>(access: fn(&mut M) -> &mut Self) -> ClientBuilder<A, M> {
         ClientBuilder::new(access)
     }
 
@@ -83,7 +83,7 @@ impl<A: Action> ActionClient<A> {
     ///
     /// # Panics
     /// If the client was not declared in the module's setup, which stops the module.
-    pub fn send(&mut self, ctx: &mut Context<'_>, goal: A::Goal) -> GoalId {
+    pub fn send<P>(&mut self, ctx: &mut Context<'_, P>, goal: A::Goal) -> GoalId {
         let id = GoalId::new(ctx.module_name(), &self.action, ctx.now(), self.next);
         self.next += 1;
         let send_goal = self.keys().send_goal;
@@ -96,7 +96,7 @@ impl<A: Action> ActionClient<A> {
     ///
     /// # Panics
     /// As [`send`](Self::send).
-    pub fn cancel(&self, ctx: &mut Context<'_>, id: GoalId) {
+    pub fn cancel<P>(&self, ctx: &mut Context<'_, P>, id: GoalId) {
         self.ask_to_cancel(ctx, GoalInfo { goal_id: id.into(), ..GoalInfo::default() });
     }
 
@@ -104,7 +104,7 @@ impl<A: Action> ActionClient<A> {
     ///
     /// # Panics
     /// As [`send`](Self::send).
-    pub fn cancel_all(&self, ctx: &mut Context<'_>) {
+    pub fn cancel_all<P>(&self, ctx: &mut Context<'_, P>) {
         self.ask_to_cancel(ctx, GoalInfo::default());
     }
 
@@ -112,7 +112,7 @@ impl<A: Action> ActionClient<A> {
     ///
     /// # Panics
     /// As [`send`](Self::send).
-    pub fn cancel_before(&self, ctx: &mut Context<'_>, time: Time) {
+    pub fn cancel_before<P>(&self, ctx: &mut Context<'_, P>, time: Time) {
         self.ask_to_cancel(ctx, GoalInfo { goal_id: UUID::default(), stamp: stamp(time) });
     }
 
@@ -128,7 +128,7 @@ impl<A: Action> ActionClient<A> {
         self.goals().find(|(known, _)| *known == id).map(|(_, status)| status)
     }
 
-    fn ask_to_cancel(&self, ctx: &mut Context<'_>, goal_info: GoalInfo) {
+    fn ask_to_cancel<P>(&self, ctx: &mut Context<'_, P>, goal_info: GoalInfo) {
         ctx.call(self.keys().cancel_goal, CancelGoalRequest { goal_info });
     }
 
@@ -145,9 +145,9 @@ impl<A: Action> ActionClient<A> {
 /// What answers and messages do.
 impl<A: Action> ActionClient<A> {
     /// Takes the answer to a goal that was sent, and asks for the result of one that was accepted.
-    pub(super) fn answered(
+    pub(super) fn answered<P>(
         &mut self,
-        ctx: &mut Context<'_>,
+        ctx: &mut Context<'_, P>,
         call: CallId,
         answer: Result<(bool, Time), CallError>,
     ) -> Option<(GoalId, Result<Time, GoalRefused>)> {

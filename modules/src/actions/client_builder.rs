@@ -5,7 +5,7 @@ use super::{
     ActionClient, GetResultRequest, GetResultResponse, GoalId, GoalRefused, GoalResult, SendGoalRequest,
     SendGoalResponse, part,
 };
-use downbeat_executor::{CallError, Client, Context, Received, Reply, Setup, SetupError, Time};
+use downbeat_executor::{CallError, Client, Context, Module, Received, Reply, Setup, SetupError, Time};
 use downbeat_msgs::Action;
 use downbeat_msgs::action_msgs::msg::GoalStatusArray;
 use downbeat_msgs::action_msgs::srv::{CancelGoalRequest, CancelGoalResponse};
@@ -17,14 +17,18 @@ pub(super) struct ClientKeys<A: Action> {
     pub(super) cancel_goal: Client<CancelGoalRequest, CancelGoalResponse>,
 }
 
-type OnResponse<M> = dyn FnMut(&mut M, GoalId, Result<Time, GoalRefused>, &mut Context<'_>) + Send;
-type OnFeedback<A, M> = dyn FnMut(&mut M, GoalId, &<A as Action>::Feedback, &mut Context<'_>) + Send;
-type OnResult<A, M> = dyn FnMut(&mut M, GoalId, Result<GoalResult<A>, CallError>, &mut Context<'_>) + Send;
-type OnCancel<M> = dyn FnMut(&mut M, Result<CancelGoalResponse, CallError>, &mut Context<'_>) + Send;
+type OnResponse<M> =
+    dyn FnMut(&mut M, GoalId, Result<Time, GoalRefused>, &mut Context<'_, <M as Module>::Ports>) + Send;
+type OnFeedback<A, M> =
+    dyn FnMut(&mut M, GoalId, &<A as Action>::Feedback, &mut Context<'_, <M as Module>::Ports>) + Send;
+type OnResult<A, M> = dyn FnMut(&mut M, GoalId, Result<GoalResult<A>, CallError>, &mut Context<'_, <M as Module>::Ports>)
+    + Send;
+type OnCancel<M> =
+    dyn FnMut(&mut M, Result<CancelGoalResponse, CallError>, &mut Context<'_, <M as Module>::Ports>) + Send;
 
 /// A declaration that a module uses an action; from [`ActionClient::builder`].
 #[must_use = "an action can be used when this is declared"]
-pub struct ClientBuilder<A: Action, M> {
+pub struct ClientBuilder<A: Action, M: Module> {
     access: fn(&mut M) -> &mut ActionClient<A>,
     on_response: Box<OnResponse<M>>,
     on_feedback: Box<OnFeedback<A, M>>,
@@ -34,7 +38,7 @@ pub struct ClientBuilder<A: Action, M> {
     result_timeout: Duration,
 }
 
-impl<A: Action, M: 'static> ClientBuilder<A, M> {
+impl<A: Action, M: Module> ClientBuilder<A, M> {
     pub(super) fn new(access: fn(&mut M) -> &mut ActionClient<A>) -> Self {
         Self {
             access,
@@ -50,7 +54,7 @@ impl<A: Action, M: 'static> ClientBuilder<A, M> {
     /// Is called once for each goal: with the time at which it was accepted, or with why it is not pursued.
     pub fn on_response(
         mut self,
-        take: impl FnMut(&mut M, GoalId, Result<Time, GoalRefused>, &mut Context<'_>) + Send + 'static,
+        take: impl FnMut(&mut M, GoalId, Result<Time, GoalRefused>, &mut Context<'_, M::Ports>) + Send + 'static,
     ) -> Self {
         self.on_response = Box::new(take);
         self
@@ -59,7 +63,7 @@ impl<A: Action, M: 'static> ClientBuilder<A, M> {
     /// Is called with the feedback to goals that this client has sent.
     pub fn on_feedback(
         mut self,
-        take: impl FnMut(&mut M, GoalId, &A::Feedback, &mut Context<'_>) + Send + 'static,
+        take: impl FnMut(&mut M, GoalId, &A::Feedback, &mut Context<'_, M::Ports>) + Send + 'static,
     ) -> Self {
         self.on_feedback = Box::new(take);
         self
@@ -68,7 +72,9 @@ impl<A: Action, M: 'static> ClientBuilder<A, M> {
     /// Is called once for each goal that was accepted: with its end, or with why that is not known.
     pub fn on_result(
         mut self,
-        take: impl FnMut(&mut M, GoalId, Result<GoalResult<A>, CallError>, &mut Context<'_>) + Send + 'static,
+        take: impl FnMut(&mut M, GoalId, Result<GoalResult<A>, CallError>, &mut Context<'_, M::Ports>)
+        + Send
+        + 'static,
     ) -> Self {
         self.on_result = Box::new(take);
         self
@@ -77,7 +83,9 @@ impl<A: Action, M: 'static> ClientBuilder<A, M> {
     /// Is called with the answer to each request to cancel.
     pub fn on_cancel(
         mut self,
-        take: impl FnMut(&mut M, Result<CancelGoalResponse, CallError>, &mut Context<'_>) + Send + 'static,
+        take: impl FnMut(&mut M, Result<CancelGoalResponse, CallError>, &mut Context<'_, M::Ports>)
+        + Send
+        + 'static,
     ) -> Self {
         self.on_cancel = Box::new(take);
         self

@@ -19,6 +19,8 @@
 //! }
 //!
 //! impl Module for Lookups {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         ActionServer::builder(|lookups: &mut Self| &mut lookups.server)
 //!             .on_goal(|_, _, goal, _| match goal.target_frame.is_empty() {
@@ -44,6 +46,8 @@
 //! }
 //!
 //! impl Module for Asker {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         ActionClient::builder(|asker: &mut Self| &mut asker.client)
 //!             .on_result(|asker, _, end, _| drop(end.map(|end| asker.ends.send(end.status))))

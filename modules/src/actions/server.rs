@@ -3,7 +3,7 @@
 use super::goal::GoalEvent;
 use super::server_builder::ResultResponder;
 use super::{GetResultResponse, GoalError, GoalId, GoalStatus, ServerBuilder, stamp};
-use downbeat_executor::{Context, Publication, Task, Time};
+use downbeat_executor::{Context, Module, Publication, Task, Time};
 use downbeat_msgs::Action;
 use downbeat_msgs::action_msgs::msg::{GoalInfo, GoalStatus as StatusMessage, GoalStatusArray};
 use downbeat_msgs::action_msgs::srv::{CancelGoalRequest, CancelGoalResponse};
@@ -13,6 +13,7 @@ use std::time::Duration;
 /// The goals of one action that a module serves; see the [module page](super).
 pub struct ActionServer<A: Action> {
     action: String,
+    /// `None` until it is declared.
     keys: Option<Keys<A>>,
     /// In the order in which they were accepted.
     goals: Vec<Goal<A>>,
@@ -53,7 +54,7 @@ impl<A: Action> ActionServer<A> {
     pub const MAX_GOALS: usize = 1024;
 
     /// Begins a declaration; `access` tells where in the module its server is.
-    pub fn builder<M: 'static>(access: fn(&mut M) -> &mut Self) -> ServerBuilder<A, M> {
+    pub fn builder<M: Module>(access: fn(&mut M) -> &mut Self) -> ServerBuilder<A, M> {
         ServerBuilder::new(access)
     }
 
@@ -76,7 +77,7 @@ impl<A: Action> ActionServer<A> {
     ///
     /// # Errors
     /// If there is no such goal, or it does not wait.
-    pub fn execute(&mut self, ctx: &mut Context<'_>, id: GoalId) -> Result<(), GoalError> {
+    pub fn execute<P>(&mut self, ctx: &mut Context<'_, P>, id: GoalId) -> Result<(), GoalError> {
         self.change(id, GoalEvent::Execute)?;
         self.publish_status(ctx);
         Ok(())
@@ -86,9 +87,9 @@ impl<A: Action> ActionServer<A> {
     ///
     /// # Errors
     /// If there is no such goal, or it has ended.
-    pub fn publish_feedback(
+    pub fn publish_feedback<P>(
         &self,
-        ctx: &mut Context<'_>,
+        ctx: &mut Context<'_, P>,
         id: GoalId,
         feedback: A::Feedback,
     ) -> Result<(), GoalError> {
@@ -96,9 +97,7 @@ impl<A: Action> ActionServer<A> {
         if !goal.status.is_active() {
             return Err(self.not_in(goal, "told of"));
         }
-        if let Some(keys) = &self.keys {
-            ctx.publish(keys.feedback, A::feedback_message(id.into(), feedback));
-        }
+        ctx.publish(self.keys().feedback, A::feedback_message(id.into(), feedback));
         Ok(())
     }
 
@@ -106,7 +105,12 @@ impl<A: Action> ActionServer<A> {
     ///
     /// # Errors
     /// If there is no such goal, or it is neither executed nor to be canceled.
-    pub fn succeed(&mut self, ctx: &mut Context<'_>, id: GoalId, result: A::Result) -> Result<(), GoalError> {
+    pub fn succeed<P>(
+        &mut self,
+        ctx: &mut Context<'_, P>,
+        id: GoalId,
+        result: A::Result,
+    ) -> Result<(), GoalError> {
         self.end(ctx, id, GoalEvent::Succeed, result)
     }
 
@@ -114,7 +118,12 @@ impl<A: Action> ActionServer<A> {
     ///
     /// # Errors
     /// If there is no such goal, or it is neither executed nor to be canceled.
-    pub fn abort(&mut self, ctx: &mut Context<'_>, id: GoalId, result: A::Result) -> Result<(), GoalError> {
+    pub fn abort<P>(
+        &mut self,
+        ctx: &mut Context<'_, P>,
+        id: GoalId,
+        result: A::Result,
+    ) -> Result<(), GoalError> {
         self.end(ctx, id, GoalEvent::Abort, result)
     }
 
@@ -122,18 +131,18 @@ impl<A: Action> ActionServer<A> {
     ///
     /// # Errors
     /// If there is no such goal, or nobody canceled it.
-    pub fn canceled(
+    pub fn canceled<P>(
         &mut self,
-        ctx: &mut Context<'_>,
+        ctx: &mut Context<'_, P>,
         id: GoalId,
         result: A::Result,
     ) -> Result<(), GoalError> {
         self.end(ctx, id, GoalEvent::Canceled, result)
     }
 
-    fn end(
+    fn end<P>(
         &mut self,
-        ctx: &mut Context<'_>,
+        ctx: &mut Context<'_, P>,
         id: GoalId,
         event: GoalEvent,
         result: A::Result,
@@ -143,9 +152,7 @@ impl<A: Action> ActionServer<A> {
             ctx.reply(responder, Ok(A::get_result_response(goal.status.to_message(), result.clone())));
         }
         goal.end = Some((ctx.now(), result));
-        if let Some(keys) = &self.keys {
-            ctx.schedule_after(keys.expiry, self.result_timeout);
-        }
+        ctx.schedule_after(self.keys().expiry, self.result_timeout);
         self.publish_status(ctx);
         Ok(())
     }
@@ -159,6 +166,16 @@ impl<A: Action> ActionServer<A> {
             None => return Err(self.not_in(&self.goals[position], &event.to_string())),
         }
         Ok(&mut self.goals[position])
+    }
+
+    /// Only a server that was declared has goals.
+    fn keys(&self) -> &Keys<A> {
+        match &self.keys {
+            Some(keys) => keys,
+            None => {
+                panic!("a server of {} is used that was not declared in the module's setup", A::TYPE_NAME)
+            }
+        }
     }
 
     fn unknown(&self, goal: GoalId) -> GoalError {
@@ -211,7 +228,12 @@ impl<A: Action> ActionServer<A> {
     }
 
     /// Answers a request for a result, now or when there is one.
-    pub(super) fn tell_result(&mut self, ctx: &mut Context<'_>, id: GoalId, responder: ResultResponder<A>) {
+    pub(super) fn tell_result<P>(
+        &mut self,
+        ctx: &mut Context<'_, P>,
+        id: GoalId,
+        responder: ResultResponder<A>,
+    ) {
         let answer: GetResultResponse<A> = match self.goals.iter_mut().find(|goal| goal.id == id) {
             None => A::get_result_response(GoalStatus::Unknown.to_message(), A::Result::default()),
             Some(Goal { status, end: Some((_, result)), .. }) => {
@@ -229,11 +251,13 @@ impl<A: Action> ActionServer<A> {
         self.goals.retain(|goal| !is_over(goal));
     }
 
-    pub(super) fn publish_status(&self, ctx: &mut Context<'_>) {
-        let Some(keys) = &self.keys else { return };
+    pub(super) fn publish_status<P>(&self, ctx: &mut Context<'_, P>) {
         let status =
             |goal: &Goal<A>| StatusMessage { goal_info: goal.info(), status: goal.status.to_message() };
-        ctx.publish(keys.status, GoalStatusArray { status_list: self.goals.iter().map(status).collect() });
+        ctx.publish(
+            self.keys().status,
+            GoalStatusArray { status_list: self.goals.iter().map(status).collect() },
+        );
     }
 }
 

@@ -5,7 +5,7 @@ use super::{
     ActionServer, GetResultRequest, GetResultResponse, GoalId, GoalStatus, SendGoalRequest, SendGoalResponse,
     part, stamp,
 };
-use downbeat_executor::{Context, Responder, Setup, SetupError};
+use downbeat_executor::{Context, Module, Responder, Setup, SetupError};
 use downbeat_msgs::Action;
 use downbeat_msgs::action_msgs::srv::{CancelGoalRequest, CancelGoalResponse};
 use std::time::Duration;
@@ -32,13 +32,14 @@ pub enum CancelResponse {
 
 pub(super) type ResultResponder<A> = Responder<GetResultRequest<A>, GetResultResponse<A>>;
 
-type OnGoal<A, M> = dyn FnMut(&mut M, GoalId, &<A as Action>::Goal, &mut Context<'_>) -> GoalResponse + Send;
-type OnCancel<M> = dyn FnMut(&mut M, GoalId, &mut Context<'_>) -> CancelResponse + Send;
-type OnEvent<M> = dyn FnMut(&mut M, GoalId, &mut Context<'_>) + Send;
+type OnGoal<A, M> = dyn FnMut(&mut M, GoalId, &<A as Action>::Goal, &mut Context<'_, <M as Module>::Ports>) -> GoalResponse
+    + Send;
+type OnCancel<M> = dyn FnMut(&mut M, GoalId, &mut Context<'_, <M as Module>::Ports>) -> CancelResponse + Send;
+type OnEvent<M> = dyn FnMut(&mut M, GoalId, &mut Context<'_, <M as Module>::Ports>) + Send;
 
 /// A declaration that a module serves an action; from [`ActionServer::builder`].
 #[must_use = "an action is served when this is declared"]
-pub struct ServerBuilder<A: Action, M> {
+pub struct ServerBuilder<A: Action, M: Module> {
     access: fn(&mut M) -> &mut ActionServer<A>,
     on_goal: Box<OnGoal<A, M>>,
     on_accepted: Box<OnEvent<M>>,
@@ -47,7 +48,7 @@ pub struct ServerBuilder<A: Action, M> {
     result_timeout: Duration,
 }
 
-impl<A: Action, M: 'static> ServerBuilder<A, M> {
+impl<A: Action, M: Module> ServerBuilder<A, M> {
     pub(super) fn new(access: fn(&mut M) -> &mut ActionServer<A>) -> Self {
         Self {
             access,
@@ -62,7 +63,7 @@ impl<A: Action, M: 'static> ServerBuilder<A, M> {
     /// Decides about goals that are sent; unless given, all are accepted and executed.
     pub fn on_goal(
         mut self,
-        decide: impl FnMut(&mut M, GoalId, &A::Goal, &mut Context<'_>) -> GoalResponse + Send + 'static,
+        decide: impl FnMut(&mut M, GoalId, &A::Goal, &mut Context<'_, M::Ports>) -> GoalResponse + Send + 'static,
     ) -> Self {
         self.on_goal = Box::new(decide);
         self
@@ -71,7 +72,7 @@ impl<A: Action, M: 'static> ServerBuilder<A, M> {
     /// Is called when a goal was accepted: the server has it now.
     pub fn on_accepted(
         mut self,
-        begin: impl FnMut(&mut M, GoalId, &mut Context<'_>) + Send + 'static,
+        begin: impl FnMut(&mut M, GoalId, &mut Context<'_, M::Ports>) + Send + 'static,
     ) -> Self {
         self.on_accepted = Box::new(begin);
         self
@@ -80,7 +81,7 @@ impl<A: Action, M: 'static> ServerBuilder<A, M> {
     /// Decides whether an active goal may be canceled; unless given, none may.
     pub fn on_cancel(
         mut self,
-        decide: impl FnMut(&mut M, GoalId, &mut Context<'_>) -> CancelResponse + Send + 'static,
+        decide: impl FnMut(&mut M, GoalId, &mut Context<'_, M::Ports>) -> CancelResponse + Send + 'static,
     ) -> Self {
         self.on_cancel = Box::new(decide);
         self
@@ -89,7 +90,7 @@ impl<A: Action, M: 'static> ServerBuilder<A, M> {
     /// Is called when a goal is [canceling](super::Goal::is_canceling), since [`on_cancel`](Self::on_cancel) accepted that.
     pub fn on_canceling(
         mut self,
-        begin: impl FnMut(&mut M, GoalId, &mut Context<'_>) + Send + 'static,
+        begin: impl FnMut(&mut M, GoalId, &mut Context<'_, M::Ports>) + Send + 'static,
     ) -> Self {
         self.on_canceling = Box::new(begin);
         self
@@ -134,7 +135,7 @@ impl<A: Action, M: 'static> ServerBuilder<A, M> {
     }
 }
 
-fn serve_goals<A: Action, M: 'static>(
+fn serve_goals<A: Action, M: Module>(
     setup: &mut Setup<'_, M>,
     action: &str,
     access: fn(&mut M) -> &mut ActionServer<A>,
@@ -171,7 +172,7 @@ fn serve_goals<A: Action, M: 'static>(
     )
 }
 
-fn serve_cancels<A: Action, M: 'static>(
+fn serve_cancels<A: Action, M: Module>(
     setup: &mut Setup<'_, M>,
     action: &str,
     access: fn(&mut M) -> &mut ActionServer<A>,

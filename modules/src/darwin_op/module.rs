@@ -38,21 +38,16 @@ const SLOW: Duration = Duration::from_secs(1);
 pub struct DarwinOp {
     bus: Box<dyn Bus>,
     driver: Driver,
-    /// Known from `setup` and `start` on.
-    equipment: Option<Equipment>,
+    /// `None` before the first activation.
+    settings: Option<Settings>,
     exchanges: Vec<Exchange>,
     unknown_names: Counted,
     last: LastPublished,
 }
 
-struct Equipment {
-    topics: Topics,
-    keys: SettingKeys,
-    settings: Option<Settings>,
-}
-
-#[derive(Clone, Copy)]
-struct Topics {
+/// The keys of [`DarwinOp`].
+pub struct Ports {
+    settings: SettingKeys,
     joint_states: Publication<JointState>,
     imu: Publication<Imu>,
     battery_state: Publication<BatteryState>,
@@ -82,25 +77,22 @@ impl DarwinOp {
         Self {
             bus,
             driver: Driver::new(),
-            equipment: None,
+            settings: None,
             exchanges: Vec::new(),
             unknown_names: Counted::default(),
             last: LastPublished::default(),
         }
     }
 
-    fn read_settings(&mut self, ctx: &mut Context<'_>) {
-        let Some(equipment) = &mut self.equipment else { return };
-        match equipment.keys.values(ctx) {
-            Ok(settings) => equipment.settings = Some(settings),
+    fn read_settings(&mut self, ctx: &mut Context<'_, Ports>) {
+        match ctx.ports.settings.values(ctx) {
+            Ok(settings) => self.settings = Some(settings),
             Err(refusal) => tracing::warn!("{refusal}; the settings stay as they were"),
         }
     }
 
-    fn on_command(&mut self, command: Received<'_, JointState>, _ctx: &mut Context<'_>) {
-        let Some(settings) = self.equipment.as_ref().and_then(|equipment| equipment.settings.as_ref()) else {
-            return;
-        };
+    fn on_command(&mut self, command: Received<'_, JointState>, _ctx: &mut Context<'_, Ports>) {
+        let Some(settings) = &self.settings else { return };
         for (name, position) in command.name.iter().zip(&command.position) {
             let Some(index) = index_of(name) else {
                 if self.unknown_names.is_worth_a_line() {
@@ -117,52 +109,56 @@ impl DarwinOp {
         }
     }
 
-    fn tick(&mut self, ctx: &mut Context<'_>) {
-        let Some(Equipment { topics, settings: Some(settings), .. }) = &self.equipment else { return };
-        let (now, topics) = (ctx.now(), *topics);
+    fn tick(&mut self, ctx: &mut Context<'_, Ports>) {
+        let Some(settings) = &self.settings else { return };
+        let now = ctx.now();
         let reading = self.driver.step(now, settings, &mut *self.bus, &mut self.exchanges);
         for exchange in self.exchanges.drain(..) {
-            ctx.publish(topics.exchanges, BusExchange::from(&exchange));
+            ctx.publish(ctx.ports.exchanges, BusExchange::from(&exchange));
         }
         if let Some(reading) = &reading {
-            publish(reading, &self.driver, settings, topics, &mut self.last, ctx);
+            publish(reading, &self.driver, settings, &mut self.last, ctx);
         }
         let levels = levels(now, &self.driver);
         let is_news = self.last.diagnostics.is_none_or(|(at, last)| at + SLOW <= now || last != levels);
         if is_news {
             self.last.diagnostics = Some((now, levels));
-            ctx.publish(topics.diagnostics, report(now, &self.driver, self.unknown_names.count(), settings));
+            ctx.publish(
+                ctx.ports.diagnostics,
+                report(now, &self.driver, self.unknown_names.count(), settings),
+            );
         }
     }
 }
 
 impl Module for DarwinOp {
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        let keys = SettingKeys::declare(setup)?;
-        keys.on_change(setup, Self::read_settings);
-        let topics = Topics {
+    type Ports = Ports;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+        let settings = SettingKeys::declare(setup)?;
+        settings.on_change(setup, Self::read_settings);
+        setup.subscribe("joint_commands", Self::on_command)?;
+        setup.every(CYCLE, Self::tick)?;
+        Ok(Ports {
+            settings,
             joint_states: setup.publish("joint_states")?,
             imu: setup.publish("imu/data_raw")?,
             battery_state: setup.publish("battery_state")?,
             buttons: setup.publish("buttons")?,
             diagnostics: setup.publish("diagnostics")?,
             exchanges: setup.publish("bus/exchanges")?,
-        };
-        self.equipment = Some(Equipment { topics, keys, settings: None });
-        setup.subscribe("joint_commands", Self::on_command)?;
-        setup.every(CYCLE, Self::tick)
+        })
     }
 
-    fn activate(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+    fn activate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
         self.read_settings(ctx);
         Ok(())
     }
 
-    fn shutdown(&mut self, ctx: &mut Context<'_>) {
-        let Some(Equipment { topics, .. }) = self.equipment else { return };
+    fn shutdown(&mut self, ctx: &mut Context<'_, Ports>) {
         self.driver.stop(ctx.now(), &mut *self.bus, &mut self.exchanges);
         for exchange in self.exchanges.drain(..) {
-            ctx.publish(topics.exchanges, BusExchange::from(&exchange));
+            ctx.publish(ctx.ports.exchanges, BusExchange::from(&exchange));
         }
     }
 }
@@ -171,22 +167,21 @@ fn publish(
     reading: &Reading,
     driver: &Driver,
     settings: &Settings,
-    topics: Topics,
     last: &mut LastPublished,
-    ctx: &mut Context<'_>,
+    ctx: &mut Context<'_, Ports>,
 ) {
     let (now, sent) = (ctx.now(), reading.sent);
     if reading.servos.iter().any(Option::is_some) {
-        ctx.publish(topics.joint_states, joint_state(reading, &driver.servos, settings));
+        ctx.publish(ctx.ports.joint_states, joint_state(reading, &driver.servos, settings));
     }
     let Some(board) = &reading.board else { return };
-    ctx.publish(topics.imu, imu(sent, board, settings));
+    ctx.publish(ctx.ports.imu, imu(sent, board, settings));
     if last.buttons.is_none_or(|(at, pressed)| at + SLOW <= now || pressed != board.buttons) {
         last.buttons = Some((now, board.buttons));
-        ctx.publish(topics.buttons, buttons(sent, board));
+        ctx.publish(ctx.ports.buttons, buttons(sent, board));
     }
     if last.battery_at.is_none_or(|at| at + SLOW <= now) {
         last.battery_at = Some(now);
-        ctx.publish(topics.battery_state, battery_state(sent, board));
+        ctx.publish(ctx.ports.battery_state, battery_state(sent, board));
     }
 }

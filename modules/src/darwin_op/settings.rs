@@ -2,7 +2,7 @@
 
 use super::tables::joints::{COUNT, JOINTS};
 use super::tables::units::ImuScale;
-use downbeat_executor::{Context, Setting, Setup, SetupError};
+use downbeat_executor::{Context, Module, Setting, Setup, SetupError};
 
 /// The keys to the settings.
 #[derive(Clone, Copy)]
@@ -35,7 +35,7 @@ pub(super) struct Settings {
 const MAX_OFFSET_TICKS: i64 = 2048;
 
 impl SettingKeys {
-    pub(super) fn declare<M>(setup: &mut Setup<'_, M>) -> Result<Self, SetupError> {
+    pub(super) fn declare<M: Module>(setup: &mut Setup<'_, M>) -> Result<Self, SetupError> {
         let gain = 0.0..=254.0;
         let keys = Self {
             port: setup.setting("port", "/dev/ttyUSB0".to_owned(), "serial port of the CM-730, taken when it is opened next")?,
@@ -68,10 +68,10 @@ impl SettingKeys {
     }
 
     /// Calls `changed` whenever one of the settings has another value.
-    pub(super) fn on_change<M: 'static>(
+    pub(super) fn on_change<M: Module>(
         self,
         setup: &mut Setup<'_, M>,
-        changed: fn(&mut M, &mut Context<'_>),
+        changed: fn(&mut M, &mut Context<'_, M::Ports>),
     ) {
         for text in [self.port, self.hardware_id, self.imu_frame, self.joint_frame] {
             setup.on_change(text, changed);
@@ -87,7 +87,7 @@ impl SettingKeys {
     ///
     /// # Errors
     /// If the offsets are not what they have to be.
-    pub(super) fn values(&self, ctx: &Context<'_>) -> Result<Settings, String> {
+    pub(super) fn values<P>(&self, ctx: &Context<'_, P>) -> Result<Settings, String> {
         // Inside 0 to 254 by their range.
         let gain = |key| u8::try_from(*ctx.get(key)).unwrap_or(u8::MAX);
         Ok(Settings {

@@ -17,6 +17,8 @@ pub struct DarwinOpEmulator {
 }
 
 impl Module for DarwinOpEmulator {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let link = setup.setting(
             "link",

@@ -9,33 +9,39 @@ use std::time::Duration;
 #[derive(Default)]
 pub struct JointCommandMux {
     merge: Merge,
-    keys: Option<(Publication<JointState>, Setting<f64>)>,
+}
+
+/// The keys of [`JointCommandMux`].
+pub struct Ports {
+    goals: Publication<JointState>,
+    hold_s: Setting<f64>,
 }
 
 impl JointCommandMux {
-    fn on_outside(&mut self, command: Received<'_, JointState>, ctx: &mut Context<'_>) {
-        let Some((goals, _)) = self.keys else { return };
+    fn on_outside(&mut self, command: Received<'_, JointState>, ctx: &mut Context<'_, Ports>) {
         self.merge.note_outside(&command, ctx.now());
-        ctx.publish(goals, command.clone());
+        ctx.publish(ctx.ports.goals, command.clone());
     }
 
-    fn on_motion(&mut self, command: Received<'_, JointState>, ctx: &mut Context<'_>) {
-        let Some((goals, hold_s)) = self.keys else { return };
-        let hold = Duration::from_secs_f64(*ctx.get(hold_s));
+    fn on_motion(&mut self, command: Received<'_, JointState>, ctx: &mut Context<'_, Ports>) {
+        let hold = Duration::from_secs_f64(*ctx.get(ctx.ports.hold_s));
         if let Some(filtered) = self.merge.filter_motion(&command, ctx.now(), hold) {
-            ctx.publish(goals, filtered);
+            ctx.publish(ctx.ports.goals, filtered);
         }
     }
 }
 
 impl Module for JointCommandMux {
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        let goals = setup.publish("joint_goals")?;
-        let what = "s; how long a command from outside holds after the last one";
-        let hold_s = setup.setting_in("hold_s", 2.0, 0.0..=3600.0, what)?;
-        self.keys = Some((goals, hold_s));
+    type Ports = Ports;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
         setup.subscribe("joint_commands", Self::on_outside)?;
-        setup.subscribe("motion/joint_commands", Self::on_motion)
+        setup.subscribe("motion/joint_commands", Self::on_motion)?;
+        let what = "s; how long a command from outside holds after the last one";
+        Ok(Ports {
+            goals: setup.publish("joint_goals")?,
+            hold_s: setup.setting_in("hold_s", 2.0, 0.0..=3600.0, what)?,
+        })
     }
 }
 

@@ -12,37 +12,45 @@ use std::time::Duration;
 /// Stands up, then nods and waves; see the [module page](super).
 #[derive(Default)]
 pub struct StandNodWave {
-    keys: Option<(Publication<JointState>, Setting<f64>)>,
     /// When and where the motion began.
     begun: Option<(Time, Pose)>,
 }
 
+/// The keys of [`StandNodWave`].
+pub struct Ports {
+    commands: Publication<JointState>,
+    stand_s: Setting<f64>,
+}
+
 impl StandNodWave {
-    fn on_joint_states(&mut self, state: Received<'_, JointState>, ctx: &mut Context<'_>) {
+    fn on_joint_states(&mut self, state: Received<'_, JointState>, ctx: &mut Context<'_, Ports>) {
         if self.begun.is_none() {
             self.begun = Some((ctx.now(), start_of(&state)));
         }
     }
 
-    fn tick(&mut self, ctx: &mut Context<'_>) {
-        let (Some((commands, stand_s)), Some((begun, start))) = (self.keys, &self.begun) else { return };
+    fn tick(&mut self, ctx: &mut Context<'_, Ports>) {
+        let Some((begun, start)) = &self.begun else { return };
         let now = ctx.now();
-        let standing_up = Duration::from_secs_f64(*ctx.get(stand_s));
+        let standing_up = Duration::from_secs_f64(*ctx.get(ctx.ports.stand_s));
         let position = pose(start, standing_up, now.saturating_since(*begun)).to_vec();
         let stamp = builtin_interfaces::msg::Time::from_nanos(now.as_nanos());
         let header = Header { stamp, frame_id: String::new() };
         let name = JOINTS.iter().map(|joint| joint.name.to_owned()).collect();
-        ctx.publish(commands, JointState { header, name, position, ..JointState::default() });
+        ctx.publish(ctx.ports.commands, JointState { header, name, position, ..JointState::default() });
     }
 }
 
 impl Module for StandNodWave {
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        let commands = setup.publish("motion/joint_commands")?;
-        let stand_s = setup.setting_in("stand_s", 3.0, 1.0..=60.0, "s; how long standing up takes")?;
-        self.keys = Some((commands, stand_s));
+    type Ports = Ports;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
         setup.subscribe("joint_states", Self::on_joint_states)?;
-        setup.every(CYCLE, Self::tick)
+        setup.every(CYCLE, Self::tick)?;
+        Ok(Ports {
+            commands: setup.publish("motion/joint_commands")?,
+            stand_s: setup.setting_in("stand_s", 3.0, 1.0..=60.0, "s; how long standing up takes")?,
+        })
     }
 }
 

@@ -12,19 +12,23 @@ use std::time::Duration;
 pub struct TransformServer {
     transforms: TransformBuffer,
     server: ActionServer<LookupTransform>,
+}
+
+/// The keys of [`TransformServer`].
+pub struct Ports {
     /// Due when the time of a goal is up.
-    give_up: Option<Task>,
+    give_up: Task,
 }
 
 impl TransformServer {
-    fn begin(&mut self, id: GoalId, ctx: &mut Context<'_>) {
-        if let (Some(goal), Some(task)) = (self.server.goal(id), self.give_up) {
-            ctx.schedule(task, goal.accepted_at() + timeout(goal.goal()));
+    fn begin(&mut self, id: GoalId, ctx: &mut Context<'_, Ports>) {
+        if let Some(goal) = self.server.goal(id) {
+            ctx.schedule(ctx.ports.give_up, goal.accepted_at() + timeout(goal.goal()));
         }
     }
 
     /// Ends the goals whose transform is known, or whose time is up.
-    fn answer(&mut self, ctx: &mut Context<'_>) {
+    fn answer(&mut self, ctx: &mut Context<'_, Ports>) {
         let now = ctx.now();
         let ends: Vec<_> = self
             .server
@@ -43,7 +47,7 @@ impl TransformServer {
         }
     }
 
-    fn stop(&mut self, id: GoalId, ctx: &mut Context<'_>) {
+    fn stop(&mut self, id: GoalId, ctx: &mut Context<'_, Ports>) {
         if let Err(error) = self.server.canceled(ctx, id, LookupTransformResult::default()) {
             tracing::error!("a lookup was not canceled: {error}");
         }
@@ -51,7 +55,9 @@ impl TransformServer {
 }
 
 impl Module for TransformServer {
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    type Ports = Ports;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
         listen(setup, |module| &mut module.transforms)?;
         ActionServer::builder(|module: &mut Self| &mut module.server)
             .on_accepted(Self::begin)
@@ -59,9 +65,9 @@ impl Module for TransformServer {
             .on_canceling(Self::stop)
             .declare(setup, "tf2_buffer_server", &mut self.server)?;
         // It has the module run, and at the end of each run, as when transforms came, goals are answered.
-        self.give_up = Some(setup.task(|_, _| ()));
+        let give_up = setup.task(|_, _| ());
         setup.each_run(Self::answer);
-        Ok(())
+        Ok(Ports { give_up })
     }
 }
 

@@ -1,7 +1,7 @@
 //! A module's buffer, filled from `tf` and `tf_static`.
 
 use super::{Taken, TransformBuffer, TransformRefused};
-use downbeat_executor::{Received, Setup, SetupError};
+use downbeat_executor::{Module, Received, Setup, SetupError};
 use downbeat_msgs::geometry_msgs::msg::TransformStamped;
 use downbeat_msgs::tf2_msgs::msg::TFMessage;
 use std::collections::BTreeSet;
@@ -28,6 +28,8 @@ const MOST_TOLD: usize = 64;
 /// }
 ///
 /// impl Module for Looker {
+///     type Ports = ();
+///
 ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 ///         listen(setup, |looker| &mut looker.transforms)?;
 ///         setup.every(Duration::from_secs(1), |looker: &mut Looker, _| {
@@ -45,9 +47,8 @@ const MOST_TOLD: usize = 64;
 ///
 /// # Errors
 /// If a topic carries another type, see [`Setup::subscribe`].
-pub fn listen<M, F>(setup: &mut Setup<'_, M>, buffer: F) -> Result<(), SetupError>
+pub fn listen<M: Module, F>(setup: &mut Setup<'_, M>, buffer: F) -> Result<(), SetupError>
 where
-    M: 'static,
     F: Fn(&mut M) -> &mut TransformBuffer + Clone + Send + 'static,
 {
     let (moving, mut told) = (buffer.clone(), Told::default());

@@ -55,6 +55,8 @@ impl Counter {
 }
 
 impl Module for Counter {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         ActionServer::builder(|counter: &mut Self| &mut counter.server)
             .on_goal(|_, _, goal, _| match goal.order {
@@ -112,6 +114,8 @@ impl Caller {
 }
 
 impl Module for Caller {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         ActionClient::builder(|caller: &mut Self| &mut caller.client)
             .on_response(|caller, id, response, _| {
@@ -147,6 +151,8 @@ impl Module for Caller {
 pub struct Statuses(pub Sender<Vec<GoalStatus>>);
 
 impl Module for Statuses {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe(
             "count/_action/status",

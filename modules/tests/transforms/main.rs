@@ -124,6 +124,8 @@ struct Walker {
 }
 
 impl Module for Walker {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         self.transforms = Some(TransformBroadcaster::declare(setup)?);
         setup.every(Duration::from_millis(100), Self::walk)
@@ -155,6 +157,8 @@ struct Looker {
 }
 
 impl Module for Looker {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         listen(setup, |looker| &mut looker.transforms)?;
         setup.every(Duration::from_millis(100), |looker: &mut Self, ctx| {
@@ -168,6 +172,8 @@ impl Module for Looker {
 struct Fixed(Sender<Vec<String>>);
 
 impl Module for Fixed {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         setup.subscribe::<TFMessage, _>("tf_static", |fixed: &mut Self, message, _| {
             let frames = message.transforms.iter().map(|transform| transform.child_frame_id.clone());

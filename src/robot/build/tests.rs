@@ -18,6 +18,8 @@ struct Fragile {
 static PANICS: Mutex<u32> = Mutex::new(0);
 
 impl Module for Fragile {
+    type Ports = ();
+
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> std::result::Result<(), SetupError> {
         self.lives = Some(setup.publish("lives")?);
         setup.serve("answer", |_: &mut Self, question: &u32, _| Ok(*question))?;
