@@ -19,6 +19,8 @@ use crate::running::{PreparedRobot, RunningRobot, StartError};
 /// struct LevelHead;
 ///
 /// impl Module for LevelHead {
+///     type Ports = ();
+///
 ///     fn setup(&mut self, _: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 ///         Ok(())
 ///     }

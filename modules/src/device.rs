@@ -35,6 +35,8 @@
 //! struct SonarModule(DeviceLink<Sonar>);
 //!
 //! impl Module for SonarModule {
+//!     type Ports = ();
+//!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         let (exchanges, range) = (setup.publish(Sonar::TOPIC)?, setup.publish("range")?);
 //!         setup.every(Duration::from_millis(50), move |sonar, ctx| {

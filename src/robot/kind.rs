@@ -19,6 +19,8 @@ use downbeat_msgs::{Message, cdr};
 /// struct Detector;
 ///
 /// impl Module for Detector {
+///     type Ports = ();
+///
 ///     fn setup(&mut self, _: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 ///         Ok(())
 ///     }
