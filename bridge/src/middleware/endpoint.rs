@@ -138,6 +138,8 @@ pub struct RemoteEndpoint {
     pub durability: Durability,
     /// The longest time between two samples that it offers or accepts.
     pub deadline: Option<Duration>,
+    /// How long a sample of a writer is worth delivering.
+    pub lifespan: Option<Duration>,
     /// Offered or requested liveliness.
     pub liveliness: Liveliness,
     /// How long a publisher may be silent before it counts as gone.

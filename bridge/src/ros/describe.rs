@@ -1,8 +1,7 @@
 //! What a type looks like that only a node on the network knows: asked of a publisher by `get_type_description`.
 
 use super::node::Membership;
-use super::{MessageType, Node, NodeError, RemoteNode, TopicName};
-use crate::middleware::RemoteEndpoint;
+use super::{MessageType, Node, NodeError, ServiceName, ServiceType, TopicName};
 use crate::middleware::rpc::CallError;
 use downbeat_msgs::dynamic::{Definitions, DescribedTypes, LookupError, TypeDefinition, TypeError};
 use downbeat_msgs::qos::QosProfile;
@@ -69,13 +68,6 @@ impl Node {
         WeakNode(self.downgrade())
     }
 
-    fn remote(&self) -> (Vec<RemoteEndpoint>, Vec<RemoteNode>) {
-        let shared = &self.membership.shared;
-        let endpoints = shared.middleware.remote_endpoints();
-        let nodes = shared.graph.remote_nodes(&endpoints);
-        (endpoints, nodes)
-    }
-
     /// Asks a node of another participant that has the topic what the type looks like, and waits for the answer. Not for
     /// handlers of the middleware, which would wait for themselves.
     ///
@@ -87,18 +79,47 @@ impl Node {
         message_type: &MessageType,
         timeout: Duration,
     ) -> Result<TypeDefinition, DescribeError> {
-        let (type_name, on_wire) = (message_type.as_str(), message_type.to_wire());
-        let has_it = |endpoint: &&RemoteEndpoint| {
-            endpoint.topic_name == topic.to_wire() && endpoint.type_name == on_wire
+        self.describe_endpoint(&topic.to_wire(), topic.as_str(), message_type, timeout)
+    }
+
+    /// The same for the request and the response of a service. Nodes of rcl do not describe these by themselves; those of
+    /// downbeat do.
+    ///
+    /// # Errors
+    /// As [`Node::describe`].
+    pub fn describe_service(
+        &self,
+        service: &ServiceName,
+        service_type: &ServiceType,
+        timeout: Duration,
+    ) -> Result<[TypeDefinition; 2], DescribeError> {
+        let [requests, replies] = service.topics();
+        let describe = |topic: &str, part: &str| {
+            let message_type =
+                MessageType::new(&format!("{service_type}_{part}")).map_err(NodeError::from)?;
+            self.describe_endpoint(topic, service.as_str(), &message_type, timeout)
         };
-        let (endpoints, nodes) = self.remote();
-        let hash = endpoints.iter().filter(has_it).find_map(|endpoint| endpoint.type_hash.clone());
-        let node = nodes.into_iter().find(|node| {
-            let mut ends = node.endpoints.iter();
-            ends.any(|end| end.topic == *topic && end.message_type == *message_type)
-        });
-        let (Some(hash), Some(node)) = (hash, node.map(|node| node.name)) else {
-            let (topic, type_name) = (topic.to_string(), type_name.to_owned());
+        Ok([describe(&requests, "Request")?, describe(&replies, "Response")?])
+    }
+
+    /// `topic` as on the wire; `name` for errors.
+    fn describe_endpoint(
+        &self,
+        topic: &str,
+        name: &str,
+        message_type: &MessageType,
+        timeout: Duration,
+    ) -> Result<TypeDefinition, DescribeError> {
+        let (type_name, on_wire) = (message_type.as_str(), message_type.to_wire());
+        let shared = &self.membership.shared;
+        let endpoints = shared.middleware.remote_endpoints();
+        let owners = shared.graph.remote_owners(&endpoints).owners;
+        let mut known = endpoints
+            .iter()
+            .filter(|endpoint| endpoint.topic_name == topic && endpoint.type_name == on_wire)
+            .filter_map(|endpoint| Some((owners.get(&endpoint.gid)?.clone(), endpoint.type_hash.clone()?)));
+        let Some((node, hash)) = known.next() else {
+            let (topic, type_name) = (name.to_owned(), type_name.to_owned());
             return Err(DescribeError::NobodyToAsk { topic, type_name });
         };
         let service = format!("{node}/get_type_description");

@@ -302,7 +302,9 @@ fn hear(heard: &Mutex<Heard>, own: [u8; 12], sample: &Sample) {
 }
 
 fn full_name(node: &NodeEntitiesInfo) -> String {
-    format!("{}/{}", node.node_namespace.trim_end_matches('/'), node.node_name)
+    // Another participant may send any text, which lists and logs print.
+    let name = format!("{}/{}", node.node_namespace.trim_end_matches('/'), node.node_name);
+    name.chars().flat_map(|c| if c.is_control() { c.escape_default().collect() } else { vec![c] }).collect()
 }
 
 fn remote_topic(endpoint: &RemoteEndpoint) -> Option<RemoteTopic> {

@@ -22,6 +22,7 @@ pub use describe::DescribeError;
 pub use graph::{RemoteNode, RemoteTopic};
 pub use introspection::{Introspection, UnknownIntrospection};
 pub use names::{MessageType, NameError, NodeName, TopicName};
+pub use network::{EndpointKind, Found, FoundEndpoint, FoundNode};
 pub use node::Node;
 pub use participant::{Furnishing, NodeError, Participant};
 pub use publisher::Publisher;

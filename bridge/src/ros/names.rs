@@ -119,7 +119,12 @@ impl TopicName {
     /// The topic behind a name on the wire, if it is that of a ROS 2 topic.
     #[must_use]
     pub fn from_wire(name: &str) -> Option<Self> {
-        name.strip_prefix("rt").filter(|topic| topic.starts_with('/')).map(|topic| Self(topic.to_owned()))
+        name.strip_prefix("rt").and_then(Self::absolute)
+    }
+
+    /// A name that is absolute already, if ROS 2 accepts it.
+    pub(super) fn absolute(name: &str) -> Option<Self> {
+        check_path("topic name", name).ok().map(|()| Self(name.to_owned()))
     }
 
     /// The absolute name.

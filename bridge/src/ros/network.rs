@@ -1,17 +1,87 @@
-//! What a participant has found in its domain: nodes, and what they publish, hear, offer and call.
+//! What a participant has found in its domain: nodes, and what they publish, subscribe to, offer and call.
 
-use super::{MessageType, Participant, TopicName};
+use super::{MessageType, Participant, ServiceName, TopicName};
 use crate::middleware::{Direction, Gid, RemoteEndpoint};
 use downbeat_msgs::downbeat_interfaces::msg::{NetworkEndpoint, NetworkGraph, NetworkNode};
 use downbeat_msgs::qos::{Durability, Liveliness, Reliability};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+/// What a participant has found of others at one moment.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Found {
+    /// Nodes, in the order of their names. Several may have the same name.
+    pub nodes: Vec<FoundNode>,
+    /// Endpoints of nodes, in the order of kind, name and node.
+    pub endpoints: Vec<FoundEndpoint>,
+}
+
+/// A node of another participant.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct FoundNode {
+    /// Its namespace and name, `/robot/talker`.
+    pub name: String,
+    /// The participant it belongs to.
+    pub participant: Gid,
+}
+
+/// What a node of another participant does on a topic or with a service.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FoundEndpoint {
+    /// What it does.
+    pub kind: EndpointKind,
+    /// The absolute name of the topic or service.
+    pub name: String,
+    /// Its type, as in `std_srvs/srv/SetBool`.
+    pub type_name: String,
+    /// The node it belongs to, once the node is known.
+    pub node: Option<String>,
+    /// The endpoint itself; of a server or client that of requests.
+    pub remote: RemoteEndpoint,
+}
+
+/// What a node does with a name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum EndpointKind {
+    /// Publishes a topic.
+    Publisher,
+    /// Subscribes to a topic.
+    Subscription,
+    /// Offers a service.
+    Server,
+    /// Calls a service.
+    Client,
+}
+
+impl EndpointKind {
+    /// Whether it belongs to a topic, not to a service.
+    #[must_use]
+    pub fn is_of_topic(self) -> bool {
+        matches!(self, Self::Publisher | Self::Subscription)
+    }
+}
+
 impl Participant {
     /// All nodes of others that are known at this moment, and their endpoints, in an order that does not depend on who was
-    /// found first. Endpoints of programs that are no ROS 2 nodes are not among them.
+    /// found first. Endpoints of programs that are no ROS 2 nodes are left out.
     ///
-    /// Nodes that were there before take some seconds to be heard of; until then their endpoints have no node.
+    /// Nodes that were there before are known after some seconds; until then their endpoints have no node.
+    #[must_use]
+    pub fn found(&self) -> Found {
+        let remote = self.remote_endpoints();
+        let heard = self.shared.graph.remote_owners(&remote);
+        let nodes = heard.nodes.into_iter().map(|(participant, name)| FoundNode { name, participant });
+        let mut nodes: Vec<_> = nodes.collect();
+        nodes.sort();
+        let mut endpoints: Vec<_> =
+            remote.into_iter().filter_map(|remote| found(remote, &heard.owners)).collect();
+        endpoints.sort_by(|a, b| {
+            (a.kind, &a.name, &a.node, a.remote.gid).cmp(&(b.kind, &b.name, &b.node, b.remote.gid))
+        });
+        Found { nodes, endpoints }
+    }
+
+    /// What [`Participant::found`] returns, as a message.
     ///
     /// ```
     /// # use downbeat_bridge::middleware::in_process::Hub;
@@ -30,25 +100,16 @@ impl Participant {
     /// ```
     #[must_use]
     pub fn network(&self) -> NetworkGraph {
-        let found = self.remote_endpoints();
-        let heard = self.shared.graph.remote_owners(&found);
-        let mut nodes: Vec<_> = heard
-            .nodes
-            .into_iter()
-            .map(|(participant, name)| NetworkNode {
-                name,
-                vendor: vendor(participant),
-                participant: participant.participant(),
-            })
-            .collect();
-        nodes.sort_by(|a, b| (&a.name, a.participant).cmp(&(&b.name, b.participant)));
-        let endpoint =
-            |found: &RemoteEndpoint| endpoint(found, &heard.owners).map(|known| (found.gid, known));
-        let mut endpoints: Vec<_> = found.iter().filter_map(endpoint).collect();
-        endpoints.sort_by(|(a_gid, a), (b_gid, b)| {
-            (a.kind, &a.name, &a.node, a_gid).cmp(&(b.kind, &b.name, &b.node, b_gid))
-        });
-        NetworkGraph { nodes, endpoints: endpoints.into_iter().map(|(_, endpoint)| endpoint).collect() }
+        let Found { nodes, endpoints } = self.found();
+        let node = |FoundNode { name, participant }| NetworkNode {
+            name,
+            vendor: vendor(participant),
+            participant: participant.participant(),
+        };
+        NetworkGraph {
+            nodes: nodes.into_iter().map(node).collect(),
+            endpoints: endpoints.into_iter().map(NetworkEndpoint::from).collect(),
+        }
     }
 }
 
@@ -61,38 +122,51 @@ pub(super) struct Owners {
     pub(super) owners: BTreeMap<Gid, String>,
 }
 
-/// Nothing for what is no topic and no service of ROS 2, and for the second of the two endpoints of a server or client.
-fn endpoint(found: &RemoteEndpoint, owners: &BTreeMap<Gid, String>) -> Option<NetworkEndpoint> {
-    let (kind, name, type_name) = match (TopicName::from_wire(&found.topic_name), found.direction) {
+/// `None` for what is no topic and no service of ROS 2, and for the second of the two endpoints of a server or client.
+fn found(remote: RemoteEndpoint, owners: &BTreeMap<Gid, String>) -> Option<FoundEndpoint> {
+    let (kind, name, type_name) = match (TopicName::from_wire(&remote.topic_name), remote.direction) {
         (Some(topic), direction) => {
             let kind = match direction {
-                Direction::Out => NetworkEndpoint::PUBLISHER,
-                Direction::In => NetworkEndpoint::SUBSCRIPTION,
+                Direction::Out => EndpointKind::Publisher,
+                Direction::In => EndpointKind::Subscription,
             };
-            (kind, topic.to_string(), MessageType::from_wire(&found.type_name)?.to_string())
+            (kind, topic.to_string(), MessageType::from_wire(&remote.type_name)?.to_string())
         }
         (None, direction) => {
-            let name = found.topic_name.strip_prefix("rq")?.strip_suffix("Request")?;
+            let service = ServiceName::of_requests(&remote.topic_name)?;
             let kind = match direction {
-                Direction::Out => NetworkEndpoint::CLIENT,
-                Direction::In => NetworkEndpoint::SERVER,
+                Direction::Out => EndpointKind::Client,
+                Direction::In => EndpointKind::Server,
             };
-            let request = MessageType::from_wire(&found.type_name)?;
-            (kind, name.to_owned(), request.as_str().strip_suffix("_Request")?.to_owned())
+            let request = MessageType::from_wire(&remote.type_name)?;
+            (kind, service.to_string(), request.as_str().strip_suffix("_Request")?.to_owned())
         }
     };
-    Some(NetworkEndpoint {
-        kind,
-        name,
-        r#type: type_name,
-        type_hash: found.type_hash.clone().unwrap_or_default(),
-        node: owners.get(&found.gid).cloned().unwrap_or_default(),
-        is_reliable: found.reliability == Reliability::Reliable,
-        is_transient_local: found.durability == Durability::TransientLocal,
-        deadline_ns: nanoseconds(found.deadline),
-        is_manual_by_topic: found.liveliness == Liveliness::ManualByTopic,
-        liveliness_lease_ns: nanoseconds(found.liveliness_lease_duration),
-    })
+    let node = owners.get(&remote.gid).cloned();
+    Some(FoundEndpoint { kind, name, type_name, node, remote })
+}
+
+impl From<FoundEndpoint> for NetworkEndpoint {
+    fn from(found: FoundEndpoint) -> Self {
+        let FoundEndpoint { kind, name, type_name, node, remote } = found;
+        Self {
+            kind: match kind {
+                EndpointKind::Publisher => Self::PUBLISHER,
+                EndpointKind::Subscription => Self::SUBSCRIPTION,
+                EndpointKind::Server => Self::SERVER,
+                EndpointKind::Client => Self::CLIENT,
+            },
+            name,
+            r#type: type_name,
+            type_hash: remote.type_hash.unwrap_or_default(),
+            node: node.unwrap_or_default(),
+            is_reliable: remote.reliability == Reliability::Reliable,
+            is_transient_local: remote.durability == Durability::TransientLocal,
+            deadline_ns: nanoseconds(remote.deadline),
+            is_manual_by_topic: remote.liveliness == Liveliness::ManualByTopic,
+            liveliness_lease_ns: nanoseconds(remote.liveliness_lease_duration),
+        }
+    }
 }
 
 fn nanoseconds(duration: Option<Duration>) -> i64 {

@@ -156,6 +156,7 @@ mod tests {
             reliability: qos.reliability,
             durability: qos.durability,
             deadline: qos.deadline,
+            lifespan: qos.lifespan,
             liveliness: qos.liveliness,
             liveliness_lease_duration: qos.liveliness_lease_duration,
             type_hash: None,

@@ -26,12 +26,23 @@ impl ServiceName {
         self.0.as_str()
     }
 
+    /// The service whose requests are sent on that topic of the wire, if they are those of a service of ROS 2.
+    pub(super) fn of_requests(topic: &str) -> Option<Self> {
+        TopicName::absolute(topic.strip_prefix("rq")?.strip_suffix("Request")?).map(Self)
+    }
+
+    /// The topic of its requests and the one of its replies, as they stand on the wire.
+    pub(super) fn topics(&self) -> [String; 2] {
+        [format!("rq{}Request", self.as_str()), format!("rr{}Reply", self.as_str())]
+    }
+
     pub(super) fn endpoint(&self, service_type: &ServiceType, qos: QosProfile) -> ServiceEndpoint {
+        let [request_topic, reply_topic] = self.topics();
         ServiceEndpoint {
             name: self.as_str().to_owned(),
-            request_topic: format!("rq{}Request", self.as_str()),
+            request_topic,
             request_type: format!("{}Request_", service_type.0.to_wire()),
-            reply_topic: format!("rr{}Reply", self.as_str()),
+            reply_topic,
             reply_type: format!("{}Response_", service_type.0.to_wire()),
             qos,
         }

@@ -43,6 +43,7 @@ pub use lookup::{
     TypeDefinition,
 };
 pub use message::{DynamicMessage, MessageRef};
-pub use text::{Stamps, TextError, TextProblem, YamlStyle};
+pub use text::python;
+pub use text::{Stamps, TextError, TextProblem, YamlContext, YamlStyle, write_yaml_float, write_yaml_text};
 pub use value::{Array, ArrayElement, Messages, Value, ValueRef};
 pub use view::{ArrayView, DynamicView, ViewError, ViewValue};

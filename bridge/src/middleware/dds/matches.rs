@@ -251,6 +251,7 @@ impl Matches {
                 reliability,
                 durability,
                 deadline: qos::deadline(&endpoint.qos),
+                lifespan: qos::lifespan(&endpoint.qos),
                 liveliness,
                 liveliness_lease_duration,
                 type_hash: type_hash(&endpoint.user_data),
@@ -272,7 +273,15 @@ pub(super) fn gid(guid: GUID) -> Gid {
 /// the parameter as it stands on the wire: a sequence of bytes, which begins with its length.
 fn type_hash(user_data: &[u8]) -> Option<String> {
     let text = std::str::from_utf8(user_data.get(4..)?).ok()?;
-    text.split(';').find_map(|pair| pair.strip_prefix("typehash=")).map(str::to_owned)
+    text.split(';')
+        .find_map(|pair| pair.strip_prefix("typehash="))
+        .filter(|hash| is_word(hash))
+        .map(str::to_owned)
+}
+
+/// Whether a text from the network has letters, digits and underscores only: it is printed as it is.
+fn is_word(text: &str) -> bool {
+    text.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
 }
 
 #[cfg(test)]

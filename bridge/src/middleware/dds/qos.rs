@@ -116,6 +116,11 @@ pub(super) fn deadline(qos: &QosPolicies) -> Option<Duration> {
     qos.deadline().and_then(|policy::Deadline(deadline)| std_duration(deadline))
 }
 
+/// How long a sample is worth delivering; none where it is for ever.
+pub(super) fn lifespan(qos: &QosPolicies) -> Option<Duration> {
+    qos.lifespan().and_then(|policy::Lifespan { duration }| std_duration(duration))
+}
+
 /// Liveliness and its lease. ROS 2 has no name for *manual by participant*: it counts as automatic.
 pub(super) fn liveliness_and_lease(qos: &QosPolicies) -> (Liveliness, Option<Duration>) {
     match qos.liveliness() {

@@ -107,6 +107,7 @@ impl Middleware for InProcessParticipant {
                 reliability: endpoint.qos.reliability,
                 durability: endpoint.qos.durability,
                 deadline: endpoint.qos.deadline,
+                lifespan: endpoint.qos.lifespan,
                 liveliness: endpoint.qos.liveliness,
                 liveliness_lease_duration: endpoint.qos.liveliness_lease_duration,
                 type_hash: endpoint.type_hash.clone(),

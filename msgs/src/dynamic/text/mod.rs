@@ -4,6 +4,8 @@ mod fill;
 mod implicit;
 #[cfg(feature = "json")]
 mod json;
+mod numpy;
+pub mod python;
 mod scalar;
 mod serialize;
 mod stamps;
@@ -18,6 +20,7 @@ use self::fill::{Fill, State, Trail};
 use super::change::Place;
 use super::{DynamicMessage, DynamicType, FieldError, MessageRef};
 
+pub use scalar::{Context as YamlContext, write_float as write_yaml_float, write_text as write_yaml_text};
 pub use stamps::Stamps;
 pub use yaml::YamlStyle;
 

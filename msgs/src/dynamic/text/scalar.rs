@@ -5,10 +5,11 @@
 //! `write_double_quoted`), `yaml/resolver.py` (what is read as other than a string), `yaml/representer.py` (floats).
 
 use super::implicit::is_read_as_other;
+use super::python;
 
 /// Where a scalar stands.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Context {
+pub enum Context {
     /// Behind a key or a dash.
     Block,
     /// Between brackets.
@@ -16,7 +17,7 @@ pub(super) enum Context {
 }
 
 /// Appends a string. A line break within it is followed by `indentation` spaces.
-pub(super) fn write_text(out: &mut String, text: &str, context: Context, indentation: usize) {
+pub fn write_text(out: &mut String, text: &str, context: Context, indentation: usize) {
     let analysis = Analysis::of(text);
     let allows_plain = match context {
         Context::Block => analysis.allows_block_plain,
@@ -32,27 +33,20 @@ pub(super) fn write_text(out: &mut String, text: &str, context: Context, indenta
 }
 
 /// Appends a floating-point number, as Python's `repr` has it and YAML reads it as one.
-pub(super) fn write_float(out: &mut String, value: f64) {
+pub fn write_float(out: &mut String, value: f64) {
     if value.is_nan() {
         return out.push_str(".nan");
     }
     if value.is_infinite() {
         return out.push_str(if value > 0.0 { ".inf" } else { "-.inf" });
     }
-    // The shortest digits that are read as the same number: `-1.5e-7`.
-    let scientific = format!("{value:e}");
-    let (mantissa, exponent) = scientific.split_once('e').unwrap_or((&scientific, "0"));
-    let exponent: i32 = exponent.parse().unwrap_or(0);
-    if (-4..16).contains(&exponent) {
-        out.push_str(&format!("{value:?}"));
-        return;
+    let start = out.len();
+    python::write_float(out, value);
+    let text = &out[start..];
+    // Without a point YAML 1.1 would read a string.
+    if let Some(exponent) = text.find('e').filter(|_| !text.contains('.')) {
+        out.insert_str(start + exponent, ".0");
     }
-    out.push_str(mantissa);
-    if !mantissa.contains('.') {
-        out.push_str(".0"); // Without it YAML 1.1 would read a string.
-    }
-    let sign = if exponent < 0 { '-' } else { '+' };
-    out.push_str(&format!("e{sign}{:02}", exponent.unsigned_abs()));
 }
 
 /// The forms a string can have.

@@ -185,7 +185,7 @@ impl Emitter<'_> {
 }
 
 /// An array by type and length.
-fn abbreviation(field_type: &FieldType, length: usize) -> String {
+pub(super) fn abbreviation(field_type: &FieldType, length: usize) -> String {
     let element = match &field_type.element {
         Element::Primitive(primitive) => idl_name(*primitive).to_owned(),
         Element::String { .. } => "string".into(),
