@@ -32,7 +32,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     for package in &packages {
         fs::write(out.join(format!("{package}.rs")), source.package(package)?)?;
     }
-    fs::write(out.join("interfaces.rs"), source.index(&packages) + &source.registry(&packages))?;
+    fs::write(
+        out.join("interfaces.rs"),
+        source.index(&packages) + &source.interface_set(&packages) + &source.registry(&packages),
+    )?;
     fs::write(out.join("carried.rs"), carried_texts(&interfaces)?)?;
 
     // What `downbeat_msgs_generator::Build` reads in the build scripts of other crates.

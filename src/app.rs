@@ -5,6 +5,7 @@ use std::path::Path;
 use downbeat_bags::{Reader, ReaderError};
 use downbeat_bridge::middleware::ParticipantOptions;
 use downbeat_executor::{Launcher, Mechanism, Module, ThreadOptions};
+use downbeat_msgs::InterfaceSet;
 
 use crate::replay::{self, ReplayError, ReplayOptions, ReplayReport};
 use crate::robot::{Catalog, CatalogError, Kind, RobotFile, RobotFileError, RosArgs};
@@ -83,6 +84,27 @@ impl App {
     #[must_use]
     pub fn with_built_in_kinds() -> Self {
         Self { catalog: Catalog::built_in(), problem: None }
+    }
+
+    /// Registers messages, services and actions: such as the `INTERFACES` of a crate, or that of one type. From then on they are
+    /// exposed, recorded, replayed and shown as those that downbeat carries.
+    ///
+    /// ```
+    /// use downbeat::msgs::Message;
+    ///
+    /// #[derive(Clone, Debug, Default, PartialEq, Message)]
+    /// #[message(name = "my_msgs/msg/Tilt", crate = "downbeat::msgs")]
+    /// struct Tilt {
+    ///     angle: f64,
+    /// }
+    ///
+    /// let app = downbeat::App::new().interfaces(Tilt::INTERFACES);
+    /// assert!(app.catalog()?.interfaces.message("my_msgs/msg/Tilt").is_ok());
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[must_use]
+    pub fn interfaces(self, set: impl InterfaceSet) -> Self {
+        self.register(|catalog| catalog.add_interfaces(set))
     }
 
     /// Registers a kind of module: its name in robot files, what it is for in a line, and what makes one.

@@ -6,7 +6,7 @@
 use bytes::Bytes;
 use downbeat_bags::metadata::RecordedQos;
 use downbeat_bags::{MessageFormat, RecordedTopic, TopicInfo};
-use downbeat_bridge::edge::{KnownType, UnknownType};
+use downbeat_bridge::edge::{Interfaces, KnownType, UnknownType};
 use downbeat_msgs::encoding::{self, Codec, Encoding};
 use downbeat_msgs::foxglove;
 
@@ -60,7 +60,7 @@ pub struct RecordedType {
 /// Why the messages of a topic cannot become CDR.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordedTypeError {
-    /// The type is not compiled in.
+    /// The type is not registered.
     #[error(transparent)]
     Unknown(#[from] UnknownType),
     /// The encoding is not one that is read here.
@@ -71,8 +71,10 @@ pub enum RecordedTypeError {
         /// What the bag calls it.
         message_encoding: String,
     },
-    /// The messages were encoded by another definition than the one compiled in.
-    #[error("topic \"{topic}\" was recorded by another definition of {type_name} than the one compiled in")]
+    /// The messages were encoded by another definition than the one registered.
+    #[error(
+        "topic \"{topic}\" was recorded by another definition of {type_name} than the one registered here"
+    )]
     Definition {
         /// The topic.
         topic: String,
@@ -88,11 +90,11 @@ impl RecordedType {
     /// Of a topic, by what the bag says of it.
     ///
     /// # Errors
-    /// If the type is not compiled in or was another one then, or the encoding is not read here.
-    pub fn of(topic: &RecordedTopic) -> Result<Self, RecordedTypeError> {
+    /// If the type is not registered or was another one then, or the encoding is not read here.
+    pub fn of(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Self, RecordedTypeError> {
         let Some(format) = topic.info.format.as_ref().filter(|format| format.message_encoding != "cdr")
         else {
-            return Ok(Self { message_type: KnownType::named(&topic.info.type_name)?, codec: None });
+            return Ok(Self { message_type: interfaces.message(&topic.info.type_name)?, codec: None });
         };
         let schema = &format.schema;
         let Some(encoding) = Encoding::of_channel(&format.message_encoding, &schema.name) else {
@@ -103,7 +105,7 @@ impl RecordedType {
         };
         // Others who write Foxglove's schemas know no type of ROS 2.
         let foreign = foxglove::types().find(|(_, foxglove)| *foxglove == topic.info.type_name);
-        let message_type = KnownType::named(foreign.map_or(&topic.info.type_name, |(ros, _)| ros))?;
+        let message_type = interfaces.message(foreign.map_or(&topic.info.type_name, |(ros, _)| ros))?;
         let codec = encoding.codec_of_text(message_type.name(), message_type.definition())?;
         // Foxglove's schemas are the same for everyone, and only grow.
         let is_foxglove = schema.name.starts_with("foxglove.");

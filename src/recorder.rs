@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use downbeat_bags::{RecordError, Recording, RecordingSender, TopicId};
-use downbeat_bridge::edge::{KnownType, RawMessage, Sink};
+use downbeat_bridge::edge::{Interfaces, KnownType, RawMessage, Sink};
 use downbeat_executor::{
     Context, Core, Inbox, Module, ModuleOptions, Received, Role, Setup, SetupError, Synchrony, Time,
     TopicInfo,
@@ -52,6 +52,7 @@ pub fn record(
     topics: &[TopicInfo],
     when_full: WhenFull,
     encoding: Encoding,
+    interfaces: &Interfaces,
     qos_of: impl Fn(&str) -> QosProfile,
 ) -> Result<(), RecorderError> {
     let sender = recording.sender();
@@ -62,7 +63,7 @@ pub fn record(
             recorder.raw.push((topic.name.to_string(), RawToBag::new(sender.clone(), when_full, name, qos)));
             continue;
         }
-        let Some(message_type) = KnownType::of_rust_type(topic.message_type_id) else {
+        let Some(message_type) = interfaces.message_of(topic.message_type_id) else {
             tracing::debug!("{} is not recorded: {} is no ROS message", topic.name, topic.message_type);
             continue;
         };

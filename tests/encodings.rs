@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use common::{QUIET_ROBOT, output_of, python, record_until, robot_file, text_of};
 use downbeat::bags::{Reader, Selection, TopicInfo, WriterOptions};
-use downbeat::bridge::edge::KnownType;
+use downbeat::bridge::edge::Interfaces;
 use downbeat::encoding::{RecordedType, topic_info};
 use downbeat::msgs::cdr;
 use downbeat::msgs::encoding::{Codec, Encoding};
@@ -29,8 +29,11 @@ fn recorded(folder: &Path, arguments: &[&str], change: impl Fn(String) -> String
 /// Topic, log time and CDR of every message, whatever the bag holds.
 fn messages(bag: &Path) -> Vec<(String, i64, Vec<u8>)> {
     let reader = Reader::open(bag).unwrap();
-    let topics: Vec<RecordedType> =
-        reader.topics().iter().map(|topic| RecordedType::of(topic).unwrap()).collect();
+    let topics: Vec<RecordedType> = reader
+        .topics()
+        .iter()
+        .map(|topic| RecordedType::of(topic, &Interfaces::carried()).unwrap())
+        .collect();
     let messages = reader.messages(Selection::all()).unwrap().map(Result::unwrap);
     let of = |index: usize| (reader.topics()[index].info.name.clone(), &topics[index]);
     messages
@@ -49,7 +52,7 @@ fn encoded(bag: &Path, into: &Path, encoding: Encoding, change: impl Fn(&mut Top
         .topics()
         .iter()
         .map(|topic| {
-            let known = KnownType::named(&topic.info.type_name).unwrap();
+            let known = Interfaces::carried().message(&topic.info.type_name).unwrap();
             let (mut info, codec) =
                 topic_info(topic.info.name.clone(), known, topic.info.offered_qos.clone(), encoding).unwrap();
             change(&mut info);

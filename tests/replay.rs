@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 
 use bytes::Bytes;
 use downbeat::bags::{Reader, Selection};
-use downbeat::bridge::edge::KnownType;
+use downbeat::bridge::edge::{Interfaces, KnownType};
 use downbeat::executor::{
     Core, Launcher, Linear, ManualClock, Module, ModuleOptions, Pool, Role, Setup, SetupError, Time,
 };
@@ -75,14 +75,14 @@ fn replay(
     let mut captured = Vec::new();
     for topic in OUTPUTS {
         let info = core.topics().find(|info| *info.name == *topic).unwrap();
-        let message_type = KnownType::of_rust_type(info.message_type_id).unwrap();
+        let message_type = Interfaces::carried().message_of(info.message_type_id).unwrap();
         let messages = Arc::default();
         captured.push((topic, Arc::clone(&messages)));
         let observer = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
         core.add_with(&format!("capture of {topic}"), Capture { topic, message_type, messages }, observer)
             .unwrap();
     }
-    replay_module(&mut core, &clock, reader, "hardware").unwrap();
+    replay_module(&mut core, &clock, reader, "hardware", &Interfaces::carried()).unwrap();
     let report = report.lock().unwrap().clone();
     let captured = captured.into_iter().map(|(topic, messages)| (topic, messages.lock().unwrap().clone()));
     (captured.collect(), report)

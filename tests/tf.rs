@@ -9,7 +9,7 @@ use std::time::Duration;
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{Running, WATCHDOG, wait_until};
-use downbeat::bridge::edge::KnownType;
+use downbeat::bridge::edge::Interfaces;
 use downbeat::bridge::expose::{Exposure, expose};
 use downbeat::bridge::middleware::{Direction, DiscoveryRange, ParticipantOptions};
 use downbeat::bridge::ros::{Client, NodeName, Participant};
@@ -84,7 +84,7 @@ impl Module for Teller {
 }
 
 fn exposures() -> Vec<Exposure> {
-    let kind = KnownType::named("tf2_msgs/msg/TFMessage").unwrap();
+    let kind = Interfaces::carried().message("tf2_msgs/msg/TFMessage").unwrap();
     let fixed = QosProfile::LATCHED.keep_last(100);
     let exposure = |topic: &str, ros_topic: &str, direction, qos: QosProfile| Exposure {
         ros_topic: Some(ros_topic.into()),

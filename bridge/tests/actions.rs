@@ -6,7 +6,7 @@ mod common;
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{WATCHDOG, on_loopback, wait_until};
-use downbeat_bridge::edge::KnownAction;
+use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{ActionExposure, ServicesStatus, expose, expose_services};
 use downbeat_bridge::middleware::Direction;
 use downbeat_bridge::middleware::in_process::Hub;
@@ -135,7 +135,7 @@ fn exposure(action: &str, ros_action: &str) -> ActionExposure {
     ActionExposure {
         action: action.into(),
         ros_action: Some(ros_action.into()),
-        action_type: KnownAction::named(FIBONACCI).unwrap(),
+        action_type: Interfaces::carried().action(FIBONACCI).unwrap(),
         timeout: Duration::from_secs(10),
     }
 }

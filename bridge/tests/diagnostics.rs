@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
-use downbeat_bridge::edge::KnownType;
+use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{Exposure, expose};
 use downbeat_bridge::middleware::Direction;
 use downbeat_bridge::middleware::in_process::Hub;
@@ -46,7 +46,7 @@ fn once_a_second_modules_endpoints_and_what_else_is_watched_are_told_with_their_
     core.add("listener", Listener(sender)).unwrap();
     let participant = Participant::on(Arc::new(Hub::new().join())).unwrap();
     let node = participant.create_node(NodeName::new("/", "robot").unwrap()).unwrap();
-    let kind = KnownType::named("diagnostic_msgs/msg/DiagnosticArray").unwrap();
+    let kind = Interfaces::carried().message("diagnostic_msgs/msg/DiagnosticArray").unwrap();
     let exposure = Exposure::new("diagnostics", kind, Direction::Out);
     diagnostics.watch_endpoints(expose(&mut core, &node, &[exposure]).unwrap());
     diagnostics

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 use bytes::Bytes;
-use downbeat_bridge::edge::KnownType;
+use downbeat_bridge::edge::Interfaces;
 use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
 use std::sync::mpsc::{Sender, channel};
 use std::time::Duration;
@@ -16,7 +16,7 @@ impl Module for Tap {
     type Ports = ();
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        for (number, known) in KnownType::all().enumerate() {
+        for (number, known) in Interfaces::carried().messages().enumerate() {
             let sender = self.sender.clone();
             let sink = move |time, cdr| sender.send((known.name(), time, cdr)).unwrap();
             known.subscribe(setup, &format!("topic_{number}"), sink)?;
@@ -31,7 +31,8 @@ fn every_type_goes_in_and_out_unchanged() {
     let mut core = Core::new().with_clock(clock.clone());
     let (sender, taken) = channel();
     core.add("tap", Tap { sender }).unwrap();
-    let inlets: Vec<_> = KnownType::all()
+    let inlets: Vec<_> = Interfaces::carried()
+        .messages()
         .enumerate()
         .map(|(number, known)| known.inlet(&mut core, &format!("topic_{number}")).unwrap())
         .collect();
@@ -55,7 +56,8 @@ fn every_type_goes_in_and_out_unchanged() {
 #[test]
 fn an_inlet_says_topic_and_type_when_the_bytes_are_wrong() {
     let mut core = Core::new();
-    let inlet = KnownType::named("sensor_msgs/msg/Imu").unwrap().inlet(&mut core, "imu").unwrap();
+    let inlet =
+        Interfaces::carried().message("sensor_msgs/msg/Imu").unwrap().inlet(&mut core, "imu").unwrap();
     let error = inlet.publish(&[0, 1, 0, 0, 1]).unwrap_err().to_string();
     assert!(error.contains("\"imu\"") && error.contains("sensor_msgs/msg/Imu"), "{error}");
 }

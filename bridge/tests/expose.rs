@@ -1,7 +1,7 @@
 //! Topics of a core shown to ROS 2 and taken from it, over the engine in memory: no network, no waiting.
 #![allow(clippy::unwrap_used)]
 
-use downbeat_bridge::edge::KnownType;
+use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{BridgeStatus, ExposeError, Exposure, expose};
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::middleware::{Direction, Sample};
@@ -94,7 +94,7 @@ impl Module for Listener {
 }
 
 fn text(direction: Direction) -> Exposure {
-    Exposure::new("text", KnownType::named("std_msgs/msg/String").unwrap(), direction)
+    Exposure::new("text", Interfaces::carried().message("std_msgs/msg/String").unwrap(), direction)
 }
 
 fn ros_string() -> MessageType {
@@ -218,7 +218,7 @@ fn a_topic_in_both_directions_is_refused() {
 fn a_topic_of_another_type_is_refused() {
     let mut world = world();
     world.core.add("talker", Talker { ticks: 0 }).unwrap();
-    let imu = KnownType::named("sensor_msgs/msg/Imu").unwrap();
+    let imu = Interfaces::carried().message("sensor_msgs/msg/Imu").unwrap();
     let wrong = Exposure { message_type: imu, ..text(Direction::Out) };
     let error = expose(&mut world.core, &world.node, &[wrong]).err().unwrap().to_string();
     assert!(error.contains("\"text\"") && error.contains("Imu"), "{error}");

@@ -6,7 +6,7 @@ mod common;
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{WATCHDOG, on_loopback, wait_until};
-use downbeat_bridge::edge::KnownService;
+use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{CallExposure, ExposeError, ServiceExposure, ServicesStatus, expose_services};
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::ros::{Client, Node, NodeName, Participant};
@@ -54,7 +54,7 @@ fn offered(service: &str, service_type: &str) -> ServiceExposure {
     ServiceExposure {
         service: service.into(),
         ros_service: Some(format!("~/{service}")),
-        service_type: KnownService::named(service_type).unwrap(),
+        service_type: Interfaces::carried().service(service_type).unwrap(),
         timeout: Duration::from_secs(5),
     }
 }
@@ -63,7 +63,7 @@ fn light() -> CallExposure {
     CallExposure {
         service: "light".into(),
         ros_service: Some("/light".into()),
-        service_type: KnownService::named("std_srvs/srv/SetBool").unwrap(),
+        service_type: Interfaces::carried().service("std_srvs/srv/SetBool").unwrap(),
         timeout: Duration::from_secs(10),
     }
 }
@@ -156,8 +156,9 @@ fn a_service_of_another_type_is_refused() {
     let wrong = offered("stand_up", "std_srvs/srv/Trigger");
     let Err(ExposeError::Setup(error)) = expose_services(&mut core, &node, &[wrong], &[]) else { panic!() };
     assert!(error.to_string().contains("stand_up"), "{error}");
-    let known = core.services().find(|service| &*service.name == "stand_up").and_then(KnownService::of);
-    assert_eq!(known, Some(KnownService::named("std_srvs/srv/SetBool").unwrap()));
+    let known = core.services().find(|service| &*service.name == "stand_up");
+    let known = known.and_then(|service| Interfaces::carried().service_of(service));
+    assert_eq!(known, Some(Interfaces::carried().service("std_srvs/srv/SetBool").unwrap()));
 }
 
 #[test]

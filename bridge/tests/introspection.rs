@@ -6,7 +6,7 @@ mod common;
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{WATCHDOG, on_loopback, wait_until};
-use downbeat_bridge::edge::KnownService;
+use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{
     CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection, expose_services_with,
 };
@@ -83,7 +83,7 @@ fn services_and_calls_tell_of_themselves_as_they_are_set_to() {
     let (sender, answers) = channel();
     core.add("robot", Robot(sender)).unwrap();
     let ask = core.inlet("ask").unwrap();
-    let service_type = KnownService::named(TYPE).unwrap();
+    let service_type = Interfaces::carried().service(TYPE).unwrap();
     let timeout = Duration::from_secs(10);
     let offered = ServiceExposure { service: "stand_up".into(), ros_service: None, service_type, timeout };
     let called = CallExposure { service: "light".into(), ros_service: None, service_type, timeout };

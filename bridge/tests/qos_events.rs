@@ -6,7 +6,7 @@ mod common;
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{WATCHDOG, on_loopback, wait_until};
-use downbeat_bridge::edge::KnownType;
+use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{BridgeStatus, Exposure, QOS_EVENTS_TOPIC, QosCounts, expose};
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::middleware::observing::Observing;
@@ -73,7 +73,7 @@ impl Running {
         let robot =
             Robot { period: Duration::from_millis(20), is_silent: Arc::clone(&is_silent), events: sender };
         core.add("robot", robot).unwrap();
-        let kind = KnownType::named(TEXT).unwrap();
+        let kind = Interfaces::carried().message(TEXT).unwrap();
         let exposure =
             |topic, direction| Exposure { qos: qos.into(), ..Exposure::new(topic, kind, direction) };
         let exposures = [exposure("text", Direction::Out), exposure("words", Direction::In)];
@@ -182,7 +182,7 @@ fn what_the_inbox_of_the_bridge_drops_is_counted_by_topic() {
     core.add_with("flood", Flood, ModuleOptions { synchrony, ..ModuleOptions::default() }).unwrap();
     let participant = of(&hub);
     let node = participant.create_node(NodeName::new("/", "downbeat").unwrap()).unwrap();
-    let kind = KnownType::named(TEXT).unwrap();
+    let kind = Interfaces::carried().message(TEXT).unwrap();
     let status = expose(&mut core, &node, &[Exposure::new("text", kind, Direction::Out)]).unwrap();
     // Holds the bridge up, which sends on the thread that calls this.
     let (go_on, held) = channel::<()>();

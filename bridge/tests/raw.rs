@@ -6,7 +6,7 @@ mod common;
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{WATCHDOG, on_loopback, wait_until};
-use downbeat_bridge::edge::{KnownType, RawMessage};
+use downbeat_bridge::edge::{Interfaces, KnownType, RawMessage};
 use downbeat_bridge::expose::{ExposeError, Exposure, expose};
 use downbeat_bridge::middleware::Direction;
 use downbeat_bridge::middleware::in_process::Hub;
@@ -148,7 +148,7 @@ fn the_publisher_is_asked_what_its_type_looks_like() {
     peer.ask(json!({"do": "advertise", "topic": "/in", "type": MULTI}));
     peer.ask(json!({"do": "subscribe", "topic": "/out", "type": MULTI}));
     wait_until("the type is described", || !multi.hash().is_empty());
-    let compiled = KnownType::named(MULTI).unwrap();
+    let compiled = Interfaces::carried().message(MULTI).unwrap();
     assert_eq!(multi.hash(), compiled.hash());
     assert!(multi.definition().contains("MultiArrayDimension"), "{}", multi.definition());
     wait_until("rclpy knows both endpoints", || {

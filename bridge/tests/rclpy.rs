@@ -6,7 +6,7 @@ mod common;
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{next, on_loopback, wait_until};
-use downbeat_bridge::edge::KnownType;
+use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{Exposure, expose};
 use downbeat_bridge::middleware::{Direction, Sample};
 use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant, Subscription};
@@ -263,7 +263,7 @@ fn a_running_core_is_seen_and_driven_from_rclpy_and_leaves_at_once() {
     let mut core = Core::new();
     let (sender, commands) = channel();
     core.add("robot", Robot { count: 0, commands: sender }).unwrap();
-    let joint_state = KnownType::named("sensor_msgs/msg/JointState").unwrap();
+    let joint_state = Interfaces::carried().message("sensor_msgs/msg/JointState").unwrap();
     let exposure = |topic: &str, direction| Exposure {
         ros_topic: Some(format!("/{topic}")),
         qos: QosProfile::DEFAULT.keep_last(100).into(),

@@ -17,7 +17,9 @@ const NS: Duration = Duration::from_nanos(1);
 
 fn downbeat(domain_id: u16, rules: &[&str]) -> (Participant, Node) {
     let rules: RemapRules = rules.iter().map(|rule| rule.parse().unwrap()).collect();
-    let participant = Participant::join_with(&on_loopback(domain_id), rules).unwrap();
+    let participant =
+        Participant::join_with(&on_loopback(domain_id), rules, downbeat_bridge::edge::Interfaces::carried())
+            .unwrap();
     let node = participant.create_node(NodeName::new("/", "downbeat").unwrap()).unwrap();
     (participant, node)
 }

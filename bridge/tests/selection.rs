@@ -5,7 +5,7 @@
 mod common;
 
 use common::wait_until;
-use downbeat_bridge::edge::KnownType;
+use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{Bridge, ExposeError, Exposure, Limits, OfACycle, expose};
 use downbeat_bridge::middleware::Direction;
 use downbeat_bridge::middleware::in_process::Hub;
@@ -25,7 +25,7 @@ struct Peer {
 }
 
 fn join(hub: &Hub, namespace: &str, name: &str, rules: RemapRules) -> Peer {
-    let participant = Participant::on_with(Arc::new(hub.join()), rules).unwrap();
+    let participant = Participant::on_with(Arc::new(hub.join()), rules, Interfaces::carried()).unwrap();
     let node = participant.create_node(NodeName::new(namespace, name).unwrap()).unwrap();
     Peer { participant, node }
 }
@@ -56,7 +56,7 @@ fn string() -> MessageType {
 }
 
 fn text(topic: &str, direction: Direction) -> Exposure {
-    Exposure::new(topic, KnownType::named("std_msgs/msg/String").unwrap(), direction)
+    Exposure::new(topic, Interfaces::carried().message("std_msgs/msg/String").unwrap(), direction)
 }
 
 fn message(text: impl ToString) -> msg::String {
@@ -298,7 +298,7 @@ fn a_change_that_cannot_be_changes_nothing() {
         ExposeError::Twice(_)
     ));
     assert!(matches!(refused(&[text("a", Direction::In)]), ExposeError::BothDirections(_)));
-    let imu = KnownType::named("sensor_msgs/msg/Imu").unwrap();
+    let imu = Interfaces::carried().message("sensor_msgs/msg/Imu").unwrap();
     assert!(matches!(refused(&[Exposure::new("b", imu, Direction::Out)]), ExposeError::Setup(_)));
     assert!(matches!(refused(&[Exposure::new("text", imu, Direction::In)]), ExposeError::Setup(_)));
     assert_eq!(peer.topics_of("/robot"), ["/a"]);

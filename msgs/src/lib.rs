@@ -40,10 +40,12 @@ pub mod qos;
 
 mod carried;
 mod interchange;
+mod interface_set;
 mod message;
 mod time;
 
-/// Stands for the modules of the packages that the crate's `build.rs` generates with `downbeat_msgs_generator`:
+/// Stands for the modules of the packages that the crate's `build.rs` generates with `downbeat_msgs_generator`, and for
+/// `INTERFACES`, the [set](InterfaceSet) of all that is in them:
 ///
 /// ```ignore
 /// downbeat_msgs::include_interfaces!(); // pub mod my_msgs { pub mod msg { pub struct Leg { … } } }
@@ -58,6 +60,7 @@ macro_rules! include_interfaces {
 pub use carried::carried;
 pub use cdr::WString;
 pub use downbeat_msgs_definitions as definitions;
+pub use interface_set::{InterfaceSet, InterfaceVisitor, OneAction, OneMessage, OneService};
 pub use message::{Action, Message, Service};
 #[doc(hidden)]
 pub use serde; // Generated code in other crates derives its traits by this path.

@@ -4,7 +4,8 @@ use std::fmt::Debug;
 
 use crate::builtin_interfaces::msg::Time;
 use crate::cdr::Cdr;
-use crate::description::{Description, Field, FieldType, expand};
+use crate::description::{Description, Field, FieldType};
+use crate::interface_set::{OneAction, OneMessage, OneService};
 use crate::service_msgs::msg::ServiceEventInfo;
 use crate::type_description_interfaces::msg::TypeDescription;
 use crate::unique_identifier_msgs::msg::UUID;
@@ -24,15 +25,18 @@ pub trait Message: Cdr + Clone + Default + Debug + PartialEq + Send + Sync + 'st
     const DESCRIPTION: &'static Description =
         &Description { type_name: Self::TYPE_NAME, definition: Self::DEFINITION, fields: Self::FIELDS };
 
+    /// The set of this message, to register it.
+    const INTERFACES: OneMessage<Self> = OneMessage::NEW;
+
     /// What a node answers when it is asked for the type (`~/get_type_description`).
     #[must_use]
     fn type_description() -> TypeDescription {
-        expand(Self::DESCRIPTION)
+        Self::DESCRIPTION.to_message()
     }
 }
 
 /// A ROS 2 service. The types that implement it have no values, they name it.
-pub trait Service: Send + Sync + 'static {
+pub trait Service: Sized + Send + Sync + 'static {
     /// As in `std_srvs/srv/SetBool`.
     const TYPE_NAME: &'static str;
     /// `RIHS01_` and 64 hexadecimal digits.
@@ -57,10 +61,13 @@ pub trait Service: Send + Sync + 'static {
         ],
     };
 
+    /// The set of this service and its messages, to register it.
+    const INTERFACES: OneService<Self> = OneService::NEW;
+
     /// What a node answers when it is asked for the type (`~/get_type_description`).
     #[must_use]
     fn type_description() -> TypeDescription {
-        expand(Self::DESCRIPTION)
+        Self::DESCRIPTION.to_message()
     }
 
     /// Puts together what service introspection publishes.
@@ -82,7 +89,7 @@ type Response<S> = <S as Service>::Response;
 ///
 /// Its functions put the messages by which client and server talk together, and take them apart, for code that treats all
 /// actions alike.
-pub trait Action: Send + Sync + 'static {
+pub trait Action: Sized + Send + Sync + 'static {
     /// As in `test_msgs/action/Fibonacci`.
     const TYPE_NAME: &'static str;
     /// `RIHS01_` and 64 hexadecimal digits.
@@ -116,10 +123,13 @@ pub trait Action: Send + Sync + 'static {
         ],
     };
 
+    /// The set of this action, its services and its messages, to register it.
+    const INTERFACES: OneAction<Self> = OneAction::NEW;
+
     /// What a node answers when it is asked for the type (`~/get_type_description`).
     #[must_use]
     fn type_description() -> TypeDescription {
-        expand(Self::DESCRIPTION)
+        Self::DESCRIPTION.to_message()
     }
 
     /// A request of `send_goal`.

@@ -7,7 +7,7 @@ mod steps;
 use std::collections::BTreeMap;
 
 use downbeat_bags::{BagMessage, Reader, ReaderError, RecordedTopic, Selection, TopicId};
-use downbeat_bridge::edge::{EncodedInlet, EncodedInletError};
+use downbeat_bridge::edge::{EncodedInlet, EncodedInletError, Interfaces};
 use downbeat_executor::{Clock, Core, ManualClock, RunError, SetupError, Time, TopicInfo};
 use downbeat_msgs::encoding;
 
@@ -38,7 +38,7 @@ pub enum PlaybackError {
     /// Messages of the bag would mix with a module's.
     #[error("a module of the robot publishes \"{0}\" itself; remap it there, or leave that module out")]
     IsPublished(String),
-    /// The type is not compiled in, or its messages are in an encoding that is not read here.
+    /// The type is not registered, or its messages are in an encoding that is not read here.
     #[error(transparent)]
     Type(#[from] RecordedTypeError),
     /// A message is not what its encoding says.
@@ -74,8 +74,9 @@ pub fn play_into(
     clock: &ManualClock,
     reader: &Reader,
     topics: &[String],
+    interfaces: &Interfaces,
 ) -> Result<u64, PlaybackError> {
-    let inlets = inlets(core, reader, topics)?;
+    let inlets = inlets(core, reader, topics, interfaces)?;
     let selection = Selection::all().topics(inlets.keys().copied());
     let mut played = 0;
     for message in reader.messages(selection)? {
@@ -114,6 +115,7 @@ fn inlets(
     core: &mut Core,
     reader: &Reader,
     topics: &[String],
+    interfaces: &Interfaces,
 ) -> Result<BTreeMap<TopicId, (EncodedInlet, RecordedType)>, PlaybackError> {
     let known = || reader.topics().iter().map(|topic| topic.info.name.clone()).collect();
     let mut inlets = BTreeMap::new();
@@ -122,7 +124,7 @@ fn inlets(
             let name = topic.info.name.trim_start_matches('/');
             let is_wanted = core.topics().any(|known| *known.name == *name && !known.is_published);
             if let (true, Some(id)) = (is_wanted, reader.topic(&topic.info.name)) {
-                inlets.insert(id, open(core, name, topic)?);
+                inlets.insert(id, open(core, name, topic, interfaces)?);
             }
         }
         return Ok(inlets);
@@ -136,7 +138,7 @@ fn inlets(
         if core.topics().any(is_published) {
             return Err(PlaybackError::IsPublished(topic.clone()));
         }
-        inlets.insert(id, open(core, &absolute, &reader.topics()[id.index()])?);
+        inlets.insert(id, open(core, &absolute, &reader.topics()[id.index()], interfaces)?);
     }
     Ok(inlets)
 }
@@ -145,7 +147,8 @@ fn open(
     core: &mut Core,
     name: &str,
     topic: &RecordedTopic,
+    interfaces: &Interfaces,
 ) -> Result<(EncodedInlet, RecordedType), PlaybackError> {
-    let recorded = RecordedType::of(topic)?;
-    Ok((recorded.message_type().inlet(core, name)?, recorded))
+    let recorded = RecordedType::of(topic, interfaces)?;
+    Ok((interfaces.inlet(core, name, recorded.message_type())?, recorded))
 }

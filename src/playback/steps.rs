@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use bytes::Bytes;
 use downbeat_bags::{Reader, ReaderError};
-use downbeat_bridge::edge::{EncodedInlet, EncodedInletError};
+use downbeat_bridge::edge::{EncodedInlet, EncodedInletError, Interfaces};
 use downbeat_executor::{Core, ManualClock, RunError, SetupError, Time};
 use downbeat_msgs::cdr;
 use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
@@ -87,8 +87,9 @@ pub fn replay_module(
     clock: &ManualClock,
     reader: &Reader,
     module: &str,
+    interfaces: &Interfaces,
 ) -> Result<ReplayedSteps, ReplayError> {
-    replay_steps(core, clock, reader, &mut Extract::default(), module)
+    replay_steps(core, clock, reader, &mut Extract::new(interfaces), module)
 }
 
 /// The same with what was read of the bag already.
@@ -162,8 +163,8 @@ impl Inputs {
             }
             let missing = || ReplayError::MissingInput { step: step.step, topic: name.clone() };
             let id = reader.topic(&format!("/{name}")).ok_or_else(missing)?;
-            let recorded = RecordedType::of(&reader.topics()[id.index()])?;
-            let inlet = recorded.message_type().inlet(core, name)?;
+            let recorded = RecordedType::of(&reader.topics()[id.index()], extract.interfaces())?;
+            let inlet = extract.interfaces().inlet(core, name, recorded.message_type())?;
             let messages = extract.of::<ReplayError>(reader, id)?;
             topics.insert(name.clone(), (inlet, messages.iter().cloned().collect()));
         }

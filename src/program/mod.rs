@@ -63,9 +63,9 @@ pub(crate) fn main(app: &App) -> ExitCode {
         Command::Bag(BagCommand::Convert(arguments)) => bag::convert::convert(&arguments),
         Command::Bag(BagCommand::Cut(arguments)) => bag::cut::cut(&arguments),
         Command::Bag(BagCommand::Diff(arguments)) => bag::diff::diff(&arguments),
-        Command::Bag(BagCommand::Export(arguments)) => bag::export::export(&arguments),
-        Command::Bag(BagCommand::Plot(arguments)) => bag::plot::plot(&arguments),
-        Command::Interface(command) => interface::interface(&command),
+        Command::Bag(BagCommand::Export(arguments)) => bag::export::export(&arguments, catalog),
+        Command::Bag(BagCommand::Plot(arguments)) => bag::plot::plot(&arguments, catalog),
+        Command::Interface(command) => interface::interface(&command, catalog),
         Command::Emulate(EmulateCommand::DarwinOp { link, seed, fault }) => {
             emulate::darwin_op(link, seed, &fault)
         }

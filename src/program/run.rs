@@ -116,10 +116,16 @@ fn tell(statistics: &Statistics, summary: Option<&RecordingSummary>) {
 }
 
 /// A node of a command that has one of its own.
-pub(crate) fn node(name: &str, domain: Option<u16>, ros: &RosArgs) -> anyhow::Result<(Participant, Node)> {
+pub(crate) fn node(
+    name: &str,
+    domain: Option<u16>,
+    catalog: &Catalog,
+    ros: &RosArgs,
+) -> anyhow::Result<(Participant, Node)> {
     ros.warn_about_what_is_ignored();
     let name = NodeName::new(ros.namespace.as_deref().unwrap_or("/"), name)?;
-    let participant = Participant::join_with(&participant_options(domain)?, ros.remap_rules())?;
+    let participant =
+        Participant::join_with(&participant_options(domain)?, ros.remap_rules(), catalog.interfaces.clone())?;
     let node = participant.create_node(name)?;
     Ok((participant, node))
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::iter::Peekable;
 
 use downbeat_bags::{Messages, Reader, Selection, TopicId};
-use downbeat_bridge::edge::EncodedInlet;
+use downbeat_bridge::edge::{EncodedInlet, Interfaces};
 use downbeat_executor::{Core, ManualClock, Time};
 
 use super::ReplayError;
@@ -32,8 +32,9 @@ pub(super) fn replay(
     let clock = ManualClock::new(Time::from_nanos(start.unwrap_or(0)));
     let mut core = file.launch(Core::new().with_clock(clock.clone()))?;
     core = build(file, reader, extract, core, |module| plan.attached.iter().any(|name| name == module))?;
-    let captured = Captured::add(&mut core, |topic| plan.outputs.contains_key(topic))?;
-    let inputs = Inputs::open(&mut core, reader, plan)?;
+    let captured =
+        Captured::add(&mut core, &file.catalog.interfaces, |topic| plan.outputs.contains_key(topic))?;
+    let inputs = Inputs::open(&mut core, reader, plan, &file.catalog.interfaces)?;
     let is_replayed = |module: &str| plan.attached.iter().any(|name| name == module);
     let settings = SettingsChanges::read::<ReplayError>(reader, extract, is_replayed)?;
     let mut run = Run { core, clock, captured, inputs, settings, comparisons, cycles: 0 };
@@ -157,12 +158,17 @@ struct Inputs {
 }
 
 impl Inputs {
-    fn open(core: &mut Core, reader: &Reader, plan: &Plan) -> Result<Self, ReplayError> {
+    fn open(
+        core: &mut Core,
+        reader: &Reader,
+        plan: &Plan,
+        interfaces: &Interfaces,
+    ) -> Result<Self, ReplayError> {
         let mut inlets = BTreeMap::new();
         for name in &plan.inputs {
             let Some(id) = reader.topic(&format!("/{name}")) else { continue };
-            let recorded = RecordedType::of(&reader.topics()[id.index()])?;
-            inlets.insert(id, (recorded.message_type().inlet(core, name)?, recorded));
+            let recorded = RecordedType::of(&reader.topics()[id.index()], interfaces)?;
+            inlets.insert(id, (interfaces.inlet(core, name, recorded.message_type())?, recorded));
         }
         if inlets.is_empty() {
             return Ok(Self { inlets, messages: None });

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use bytes::Bytes;
-use downbeat_bridge::edge::KnownType;
+use downbeat_bridge::edge::{Interfaces, KnownType};
 use downbeat_executor::{Core, Module, ModuleOptions, Role, Setup, SetupError, Time};
 
 /// A message that a replayed module published.
@@ -21,11 +21,15 @@ pub(super) struct Captured(Arc<Mutex<Vec<Replayed>>>);
 
 impl Captured {
     /// Adds a module to a core that captures what its modules publish on the topics that are wanted.
-    pub(super) fn add(core: &mut Core, is_wanted: impl Fn(&str) -> bool) -> Result<Self, SetupError> {
+    pub(super) fn add(
+        core: &mut Core,
+        interfaces: &Interfaces,
+        is_wanted: impl Fn(&str) -> bool,
+    ) -> Result<Self, SetupError> {
         let captured = Self::default();
         let topics = core.topics().filter(|topic| topic.is_published && is_wanted(&topic.name));
         let topics = topics.filter_map(|topic| {
-            Some((Arc::clone(&topic.name), KnownType::of_rust_type(topic.message_type_id)?))
+            Some((Arc::clone(&topic.name), interfaces.message_of(topic.message_type_id)?))
         });
         let watch = Watch { topics: topics.collect(), captured: captured.clone() };
         let options = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };

@@ -6,6 +6,7 @@ use std::ops::ControlFlow;
 
 use bytes::Bytes;
 use downbeat_bags::{Comparer, FieldRule, Messages, Reader, Selection, TopicId};
+use downbeat_bridge::edge::Interfaces;
 
 use super::ReplayError;
 use super::captured::Replayed;
@@ -41,7 +42,12 @@ struct Comparison {
 const WINDOW: usize = 1000;
 
 impl Comparisons {
-    pub(super) fn new(reader: &Reader, plan: &Plan, rules: &[FieldRule]) -> Result<Self, ReplayError> {
+    pub(super) fn new(
+        reader: &Reader,
+        plan: &Plan,
+        rules: &[FieldRule],
+        interfaces: &Interfaces,
+    ) -> Result<Self, ReplayError> {
         let (mut topics, mut by_name) = (BTreeMap::new(), BTreeMap::new());
         let last_cycle = match &plan.cycles {
             Cycles::Recorded { times, .. } => times.last().copied().unwrap_or(i64::MIN),
@@ -65,7 +71,7 @@ impl Comparisons {
                         different: 0,
                         first: None,
                     },
-                    recorded_type: RecordedType::of(recorded)?,
+                    recorded_type: RecordedType::of(recorded, interfaces)?,
                     comparer,
                     is_shared: output.is_shared,
                     is_attached,

@@ -22,7 +22,8 @@ pub(super) fn replay(
     let clock = ManualClock::new(Time::ZERO);
     let core = Core::new().with_clock(clock.clone());
     let mut core = attached::build(file, reader, extract, core, |module| module == name)?;
-    let captured = Captured::add(&mut core, |topic| plan.outputs.contains_key(topic))?;
+    let captured =
+        Captured::add(&mut core, &file.catalog.interfaces, |topic| plan.outputs.contains_key(topic))?;
     let steps = replay_steps(&mut core, &clock, reader, extract, name);
     let steps =
         steps.map_err(|source| ReplayError::Steps { module: name.to_owned(), source: Box::new(source) })?;

@@ -119,7 +119,7 @@ pub enum ReplayError {
     /// The modules cannot be played to.
     #[error(transparent)]
     Playback(#[from] PlaybackError),
-    /// The type is not compiled in, or its messages are in an encoding that is not read here.
+    /// The type is not registered, or its messages are in an encoding that is not read here.
     #[error(transparent)]
     Type(#[from] RecordedTypeError),
     /// A message is not what its encoding says.
@@ -148,7 +148,7 @@ pub fn replay(
     let started = Instant::now();
     let file = file.on_any_machine();
     let (plan, mut extract) = Plan::make(&file, reader, options)?;
-    let mut comparisons = Comparisons::new(reader, &plan, &options.rules)?;
+    let mut comparisons = Comparisons::new(reader, &plan, &options.rules, &file.catalog.interfaces)?;
     let mut runs = Vec::new();
     for name in &plan.detached {
         runs.push((

@@ -82,7 +82,11 @@ impl Plan {
         }
         plan.find_inputs(&graph, is_in_bag)?;
         plan.check()?;
-        let mut extract = Extract::read::<ReplayError>(reader, &plan.read_before(file, reader, &graph))?;
+        let mut extract = Extract::read::<ReplayError>(
+            reader,
+            &plan.read_before(file, reader, &graph),
+            &file.catalog.interfaces,
+        )?;
         plan.cycles = Cycles::read(reader, &mut extract)?;
         Ok((plan, extract))
     }

@@ -1,6 +1,5 @@
 //! From the actions that a robot file exposes to those that the bridge is to show of a core.
 
-use downbeat_bridge::edge::KnownAction;
 use downbeat_bridge::expose::{ActionExposure, CallExposure, Exposure, ServiceExposure};
 use downbeat_bridge::middleware::Direction;
 use downbeat_executor::ServiceInfo;
@@ -99,8 +98,10 @@ impl Robot {
     ) -> Result<ActionExposure> {
         let name = &entry.action;
         let refuse = |problem| Err(self.file.source.error(entry.line, problem));
-        let action_type = match (info.map(|info| (info, KnownAction::of_send_goal(info))), entry.action_type)
-        {
+        let action_type = match (
+            info.map(|info| (info, self.file.catalog.interfaces.action_of(info))),
+            entry.action_type,
+        ) {
             (Some((info, None)), _) => {
                 return refuse(format!("\"{name}\" takes {}, which is no goal of ROS 2", info.request_type));
             }

@@ -3,16 +3,21 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use downbeat_bridge::edge::{InterfaceConflict, Interfaces};
 use downbeat_executor::{Core, Launcher, Mechanism, ThreadOptions};
+use downbeat_msgs::InterfaceSet;
 
 use super::kind::Kind;
 use super::kinds;
 
-/// What robot files can name: kinds of modules and launchers; and the mechanisms that every core has.
+/// What robot files can name: kinds of modules, launchers, and types of messages, services and actions; and the mechanisms that
+/// every core has.
 ///
 /// Clones are cheap and share what they hold.
 #[derive(Clone, Default)]
 pub struct Catalog {
+    /// The messages, services and actions: those carried, and those added.
+    pub interfaces: Interfaces,
     kinds: BTreeMap<Arc<str>, Kind>,
     launchers: BTreeMap<Arc<str>, Arc<MakeLauncher>>,
     mechanisms: Vec<Arc<Engage>>,
@@ -30,13 +35,16 @@ pub enum CatalogError {
     /// Two launchers of one name.
     #[error("there is a launcher named \"{0}\" already; choose another name")]
     TwoLaunchers(String),
+    /// Two definitions of one interface.
+    #[error(transparent)]
+    Interfaces(#[from] InterfaceConflict),
 }
 
 /// The launchers that every robot file can name.
 pub(super) const BUILT_IN_LAUNCHERS: [&str; 3] = ["linear", "pool", "threads"];
 
 impl Catalog {
-    /// Nothing but the launchers `linear`, `pool` and `threads`.
+    /// Nothing but the launchers `linear`, `pool` and `threads`, and the interfaces that `downbeat-msgs` carries.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
@@ -58,6 +66,15 @@ impl Catalog {
             return Err(CatalogError::TwoKinds(kind.name().to_owned()));
         }
         self.kinds.insert(kind.name().into(), kind);
+        Ok(())
+    }
+
+    /// Adds messages, services and actions: such as the `INTERFACES` of a crate.
+    ///
+    /// # Errors
+    /// If one has the name of another with another definition. Then none of them is added.
+    pub fn add_interfaces(&mut self, set: impl InterfaceSet) -> Result<(), CatalogError> {
+        self.interfaces = self.interfaces.with(set)?;
         Ok(())
     }
 

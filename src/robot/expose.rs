@@ -2,12 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use downbeat_bridge::edge::KnownType;
+use downbeat_bridge::edge::{Interfaces, KnownType};
 use downbeat_bridge::expose::{Exposure, QOS_EVENTS_TOPIC, TopicPattern};
 use downbeat_bridge::middleware;
 use downbeat_bridge::ros::{NameError, NodeName, TopicName};
 use downbeat_executor::TopicInfo;
-use downbeat_msgs::dynamic::Definitions;
 
 use super::file::{Direction, ExposeEntry, RobotFile, RobotFileError, TopicChoice, suggestion};
 use crate::{cycle_journal, settings_journal, step_journal};
@@ -110,7 +109,25 @@ struct Selection<'a> {
     found: Vec<(usize, Exposure)>,
 }
 
-impl Selection<'_> {
+impl<'a> Selection<'a> {
+    fn interfaces(&self) -> &'a Interfaces {
+        &self.file.catalog.interfaces
+    }
+
+    /// A topic that a pattern may mean, with its type.
+    fn candidate(&self, entry: &ExposeEntry, topic: &'a TopicInfo) -> Option<(&'a TopicInfo, KnownType)> {
+        // An action is exposed as a whole.
+        let journals = [step_journal::TOPIC, settings_journal::TOPIC, cycle_journal::TOPIC];
+        let is_internal = topic.name.starts_with("executor/")
+            || journals.contains(&&*topic.name)
+            || *topic.name == *QOS_EVENTS_TOPIC
+            || topic.name.contains("/_action/");
+        let goes_that_way = topic.is_published == (entry.direction == Direction::Out);
+        let message_type = self.interfaces().message_of(topic.message_type_id)?;
+        let has_type = entry.type_name.as_deref().is_none_or(|name| name == message_type.name());
+        (!is_internal && goes_that_way && has_type).then_some((topic, message_type))
+    }
+
     fn select(&mut self, entry: &ExposeEntry) -> Result<()> {
         match &entry.topics {
             TopicChoice::Name(name) => self.select_named(entry, name),
@@ -127,7 +144,7 @@ impl Selection<'_> {
         if entry.direction == Direction::Out && !topic.is_published {
             return refuse(format!("no module publishes \"{}\"; does it belong under \"in\"?", topic.name));
         }
-        let Some(message_type) = KnownType::of_rust_type(topic.message_type_id) else {
+        let Some(message_type) = self.interfaces().message_of(topic.message_type_id) else {
             return refuse(format!(
                 "\"{}\" carries {}, which is no ROS message",
                 topic.name, topic.message_type
@@ -147,7 +164,7 @@ impl Selection<'_> {
     fn select_raw(&mut self, entry: &ExposeEntry, name: &str) -> Result<()> {
         let refuse = |problem: String| self.file.source.error(entry.line, problem);
         let type_name = entry.type_name.as_deref().unwrap_or_default();
-        let message_type = KnownType::raw(type_name, &Definitions::from_environment())
+        let message_type = KnownType::raw(type_name, &self.interfaces().definitions())
             .map_err(|error| refuse(error.to_string()))?;
         let topic = self.topics.iter().find(|topic| *topic.name == *name);
         if let Some(topic) = topic.filter(|topic| topic.message_type_id != message_type.rust_type()) {
@@ -173,7 +190,8 @@ impl Selection<'_> {
         except: &[(usize, TopicPattern)],
     ) -> Result<()> {
         let key = entry.direction.key();
-        let candidates: Vec<_> = self.topics.iter().filter_map(|topic| candidate(entry, topic)).collect();
+        let candidates: Vec<_> =
+            self.topics.iter().filter_map(|topic| self.candidate(entry, topic)).collect();
         let matching: Vec<_> = candidates.iter().filter(|(topic, _)| pattern.matches(&topic.name)).collect();
         let names = || candidates.iter().map(|(topic, _)| &*topic.name);
         let refuse = |line, problem: String| Err(self.file.source.error(line, problem));
@@ -224,20 +242,6 @@ impl Selection<'_> {
             node,
         })
     }
-}
-
-/// A topic that a pattern may mean, with its type.
-fn candidate<'a>(entry: &ExposeEntry, topic: &'a TopicInfo) -> Option<(&'a TopicInfo, KnownType)> {
-    // An action is exposed as a whole.
-    let journals = [step_journal::TOPIC, settings_journal::TOPIC, cycle_journal::TOPIC];
-    let is_internal = topic.name.starts_with("executor/")
-        || journals.contains(&&*topic.name)
-        || *topic.name == *QOS_EVENTS_TOPIC
-        || topic.name.contains("/_action/");
-    let goes_that_way = topic.is_published == (entry.direction == Direction::Out);
-    let message_type = KnownType::of_rust_type(topic.message_type_id)?;
-    let has_type = entry.type_name.as_deref().is_none_or(|name| name == message_type.name());
-    (!is_internal && goes_that_way && has_type).then_some((topic, message_type))
 }
 
 fn way(direction: Direction) -> &'static str {

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 
-use downbeat_bridge::edge::KnownType;
 use downbeat_bridge::expose::TopicPattern;
 use downbeat_executor::{GraphEdge, TopicInfo};
 
@@ -49,7 +48,7 @@ impl Robot {
         chosen.retain(|topic| !entry.except.iter().any(|pattern| matches(pattern, &topic.name)));
         if !entry.types.is_empty() {
             chosen.retain(|topic| {
-                let known = KnownType::of_rust_type(topic.message_type_id);
+                let known = self.file.catalog.interfaces.message_of(topic.message_type_id);
                 known.is_some_and(|known| entry.types.iter().any(|name| name == known.name()))
             });
         }

@@ -88,7 +88,7 @@ impl Robot {
 
     fn service_type(&self, entry: &ServiceEntry, info: Option<&ServiceInfo>) -> Result<KnownService> {
         let found = info.map(|info| {
-            KnownService::of(info).ok_or_else(|| {
+            self.file.catalog.interfaces.service_of(info).ok_or_else(|| {
                 let (request, response) = (info.request_type, info.response_type);
                 let name = &entry.service;
                 self.refuse(entry, format!("\"{name}\" is {request} -> {response}, which is no ROS service"))

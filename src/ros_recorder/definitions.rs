@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::ros::{Client, Node, Participant};
 use downbeat_msgs::definitions::{Catalog, TypeDescription, TypeName};
 use downbeat_msgs::dynamic::{AmentPrefixPath, Definitions};
@@ -24,15 +25,22 @@ pub(crate) struct Definition {
     pub(crate) hash: String,
 }
 
-/// The definition that is at hand: of a type with the announced hash where there is one, from `AMENT_PREFIX_PATH`, or from what
-/// this program carries.
+/// The definition that is at hand: of a type with the announced hash where there is one, from `AMENT_PREFIX_PATH`, or from
+/// what is registered in this program.
 ///
 /// # Errors
 /// Where it was looked for, and what is there.
-pub(crate) fn at_hand(type_name: &str, announced: Option<&str>) -> Result<Definition, String> {
+pub(crate) fn at_hand(
+    interfaces: &Interfaces,
+    type_name: &str,
+    announced: Option<&str>,
+) -> Result<Definition, String> {
     let places = [
-        Definitions::new().with(AmentPrefixPath::from_environment()).with_carried(),
-        Definitions::new().with_carried(),
+        Definitions::new()
+            .with(AmentPrefixPath::from_environment())
+            .with(interfaces.registered_definitions())
+            .with_carried(),
+        Definitions::new().with(interfaces.registered_definitions()).with_carried(),
     ];
     let mut problems = Vec::new();
     for place in places {
@@ -220,12 +228,15 @@ mod tests {
 
     #[test]
     fn a_definition_at_hand_counts_only_if_it_has_the_announced_hash() {
-        assert_eq!(at_hand(Imu::TYPE_NAME, Some(Imu::TYPE_HASH)).unwrap().text, Imu::DEFINITION);
-        assert!(at_hand(Imu::TYPE_NAME, None).is_ok());
-        let error = at_hand(Imu::TYPE_NAME, Some("RIHS01_other")).unwrap_err();
+        assert_eq!(
+            at_hand(&Interfaces::carried(), Imu::TYPE_NAME, Some(Imu::TYPE_HASH)).unwrap().text,
+            Imu::DEFINITION
+        );
+        assert!(at_hand(&Interfaces::carried(), Imu::TYPE_NAME, None).is_ok());
+        let error = at_hand(&Interfaces::carried(), Imu::TYPE_NAME, Some("RIHS01_other")).unwrap_err();
         assert!(error.contains(Imu::TYPE_HASH), "{error}");
-        assert!(at_hand("lawn_msgs/msg/Blade", None).is_err());
-        let event = at_hand("std_srvs/srv/SetBool_Event", None).unwrap();
+        assert!(at_hand(&Interfaces::carried(), "lawn_msgs/msg/Blade", None).is_err());
+        let event = at_hand(&Interfaces::carried(), "std_srvs/srv/SetBool_Event", None).unwrap();
         assert!(event.text.contains("SRV: std_srvs/srv/SetBool"), "{}", event.text);
     }
 }

@@ -219,7 +219,7 @@ impl RosRecorder {
             ..TopicInfo::default()
         };
         let channel = Channel::new(self.sender.clone(), self.clock.clone(), self.options.waits_for_room);
-        let inquiry = match (definitions::at_hand(type_name, hash), hash) {
+        let inquiry = match (definitions::at_hand(self.participant.interfaces(), type_name, hash), hash) {
             (Err(_), Some(hash)) => Some((Inquiry::new(type_name, hash, Instant::now()), info)),
             (found, _) => {
                 open(&self.sender, &channel, info, found, self.options.encoding);

@@ -53,7 +53,11 @@ impl RobotNode {
         log: Option<&NodeLog>,
     ) -> Result<Self, StartError> {
         let exposed = robot.exposed()?;
-        let participant = Participant::join_with(options, robot.file.remaps.clone())?;
+        let participant = Participant::join_with(
+            options,
+            robot.file.remaps.clone(),
+            robot.file.catalog.interfaces.clone(),
+        )?;
         let node = participant.create_node(robot.file.given_node_name()?)?;
         if let Some(log) = log {
             log.names.set_node(node.name());

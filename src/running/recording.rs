@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use downbeat_bags::{Recording, RecordingOptions, RecordingStatistics, WriterOptions};
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
-use downbeat_bridge::edge::KnownType;
 use downbeat_bridge::ros::{Node, NodeName};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
 use downbeat_msgs::encoding::Encoding;
@@ -62,7 +61,7 @@ impl RobotRecording {
         let mut topics = robot.recorded_topics()?;
         if let Some(filter) = filter {
             topics.retain(|topic| {
-                let known = KnownType::of_rust_type(topic.message_type_id);
+                let known = robot.file.catalog.interfaces.message_of(topic.message_type_id);
                 known.is_some_and(|known| {
                     filter.takes_name_and_type(&format!("/{}", topic.name), known.name())
                 })
@@ -91,7 +90,9 @@ impl RobotRecording {
             let (sender, name) = (recording.sender(), format!("{}: recording", robot.file.name));
             diagnostics.watch(move || vec![status(&name, &sender.statistics())]);
         }
-        recorder::record(&mut robot.core, &recording, &topics, WhenFull::Lose, encoding, qos_of)?;
+        let Robot { file, core } = robot;
+        let interfaces = &file.catalog.interfaces;
+        recorder::record(core, &recording, &topics, WhenFull::Lose, encoding, interfaces, qos_of)?;
         tracing::info!("recording into {}", directory.display());
         Ok(Self { recording, services })
     }

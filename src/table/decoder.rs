@@ -4,6 +4,7 @@ use std::borrow::Cow;
 
 use bytes::Bytes;
 use downbeat_bags::RecordedTopic;
+use downbeat_bridge::edge::Interfaces;
 use downbeat_msgs::cdr;
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType, TypeError};
 use downbeat_msgs::encoding::{self, Codec, Encoding};
@@ -50,18 +51,20 @@ impl Decoder {
     ///
     /// # Errors
     /// If nothing says what they look like.
-    pub fn of(topic: &RecordedTopic) -> Result<Self, DecodeError> {
+    pub fn of(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Self, DecodeError> {
         let info = &topic.info;
         let is_cdr = info.format.is_none();
         let (name, definition, recorded) = if is_cdr {
             let unknown = |problem| DecodeError::Unknown { type_name: info.type_name.clone(), problem };
             let definition = match info.definition.as_str() {
-                "" => Cow::Owned(definition_at_hand(&info.type_name, None).map_err(unknown)?.text),
+                "" => {
+                    Cow::Owned(definition_at_hand(interfaces, &info.type_name, None).map_err(unknown)?.text)
+                }
                 recorded => Cow::Borrowed(recorded),
             };
             (info.type_name.as_str(), definition, None)
         } else {
-            let recorded = RecordedType::of(topic)?;
+            let recorded = RecordedType::of(topic, interfaces)?;
             let known = recorded.message_type();
             (known.name(), Cow::Borrowed(known.definition()), Some(recorded))
         };

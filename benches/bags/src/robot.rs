@@ -34,7 +34,9 @@ fn measure(folder: &Path, name: &str, duration: Duration, load: impl Fn() -> Loa
         let writer = WriterOptions::new().storage(StoragePreset::ZstdFast.options()).create(&bag)?;
         let started = Recording::start(writer, Recording::DEFAULT_QUEUE_BYTES)?;
         let topics: Vec<_> = core.topics().cloned().collect();
-        recorder::record(core, &started, &topics, WhenFull::Lose, Encoding::Cdr, |_| QosProfile::DEFAULT)?;
+        let interfaces = downbeat::bridge::edge::Interfaces::carried();
+        let qos_of = |_: &str| QosProfile::DEFAULT;
+        recorder::record(core, &started, &topics, WhenFull::Lose, Encoding::Cdr, &interfaces, qos_of)?;
         recording = Some(started);
         Ok(())
     })?;

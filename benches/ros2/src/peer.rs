@@ -7,7 +7,7 @@ use std::sync::mpsc::{Sender, channel};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow};
-use downbeat_bridge::edge::KnownType;
+use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{BridgeStatus, Exposure, expose};
 use downbeat_bridge::middleware::{Direction, ParticipantOptions};
 use downbeat_bridge::ros::{Node, NodeName, Participant};
@@ -148,7 +148,7 @@ impl Running {
         topics: &[(&str, Direction)],
         qos: QosProfile,
     ) -> anyhow::Result<Self> {
-        let of = KnownType::named("std_msgs/msg/UInt8MultiArray")?;
+        let of = Interfaces::carried().message("std_msgs/msg/UInt8MultiArray")?;
         let exposure =
             |&(topic, direction): &_| Exposure { qos: qos.into(), ..Exposure::new(topic, of, direction) };
         let exposures: Vec<_> = topics.iter().map(exposure).collect();

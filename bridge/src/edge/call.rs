@@ -3,11 +3,13 @@
 use super::KnownService;
 use bytes::Bytes;
 use downbeat_executor::{
-    CallError, Caller, Context, Core, Inlet, Module, Received, Responder, Setup, SetupError,
+    CallError, Caller, Context, Core, Inbox, Inlet, Module, ModuleOptions, Received, Responder, Role, Setup,
+    SetupError, Synchrony,
 };
 use downbeat_msgs::{Service, cdr};
 use std::any::Any;
 use std::collections::HashMap;
+use std::num::NonZeroUsize;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use thiserror::Error;
@@ -114,7 +116,41 @@ pub trait RemoteCall: Send + 'static {
     fn call(&mut self, request: Bytes, on_answer: Box<dyn FnOnce(Result<Bytes, String>) + Send>);
 }
 
-/// A service that modules call and that something outside serves, not yet in a module.
+/// Answers that wait while the module is busy; more than may be in flight.
+const INBOX: NonZeroUsize = NonZeroUsize::new(4096).unwrap();
+
+/// The detached observer that serves services whose servers are outside the core.
+pub struct Callees {
+    outlets: Vec<Outlet>,
+}
+
+impl Callees {
+    /// Adds the module to a core; none where there is nothing to serve.
+    ///
+    /// # Errors
+    /// [`SetupError`] when a service has other types, or a server already, or there is a module of that name.
+    pub fn add_to(core: &mut Core, name: &str, outlets: Vec<Outlet>) -> Result<(), SetupError> {
+        if outlets.is_empty() {
+            return Ok(());
+        }
+        let options = ModuleOptions {
+            synchrony: Synchrony::Detached(Inbox::KeepLast(INBOX)),
+            role: Role::Observer,
+            ..ModuleOptions::default()
+        };
+        core.add_with(name, Self { outlets }, options)
+    }
+}
+
+impl Module for Callees {
+    type Ports = ();
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        self.outlets.drain(..).try_for_each(|outlet| outlet.service_type.serve(setup, outlet))
+    }
+}
+
+/// A service that modules call and that something outside serves, until it is part of [`Callees`].
 pub struct Outlet {
     pub(super) service: String,
     pub(super) service_type: KnownService,
@@ -139,10 +175,7 @@ pub(super) fn open_answers<S: Service>(core: &mut Core, topic: &str) -> Result<A
     Ok(Box::new(core.inlet::<Answer<S::Response>>(topic)?))
 }
 
-pub(super) fn serve<S: Service, M: Module>(
-    setup: &mut Setup<'_, M>,
-    outlet: Outlet,
-) -> Result<(), SetupError> {
+pub(super) fn serve<S: Service>(setup: &mut Setup<'_, Callees>, outlet: Outlet) -> Result<(), SetupError> {
     let Outlet { service, answers_topic, answers, mut call, .. } = outlet;
     let answers = match answers.downcast::<Inlet<Answer<S::Response>>>() {
         Ok(answers) => *answers,
@@ -153,7 +186,7 @@ pub(super) fn serve<S: Service, M: Module>(
     let asked = Arc::clone(&open);
     setup.serve_later(
         &service,
-        move |_: &mut M, request: S::Request, responder, _: &mut Context<'_, M::Ports>| {
+        move |_: &mut Callees, request: S::Request, responder, _: &mut Context<'_>| {
             let number = next;
             next += 1;
             lock(&asked).insert(number, responder);
@@ -173,7 +206,7 @@ pub(super) fn serve<S: Service, M: Module>(
     )?;
     setup.subscribe(
         &answers_topic,
-        move |_: &mut M, answer: Received<'_, Answer<S::Response>>, ctx: &mut Context<'_, M::Ports>| {
+        move |_: &mut Callees, answer: Received<'_, Answer<S::Response>>, ctx: &mut Context<'_>| {
             let responder = lock(&open).remove(&answer.number);
             if let Some(responder) = responder {
                 ctx.reply(responder, answer.result.clone());

@@ -1,22 +1,18 @@
-//! The registry of action types.
+//! Types of actions.
 
-use super::nearest::nearest;
 use super::{KnownService, KnownType};
-use downbeat_executor::ServiceInfo;
-use downbeat_msgs::{Action, Message, Service};
+use downbeat_msgs::Action;
+use downbeat_msgs::action_msgs::msg::GoalStatusArray;
+use downbeat_msgs::action_msgs::srv::CancelGoal;
 use std::fmt;
+use std::marker::PhantomData;
 use thiserror::Error;
 
-/// An action type of ROS 2 that this program was compiled with: the types of its three services and two topics.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// An action type of ROS 2, found through [`Interfaces`](super::Interfaces) or named ([`KnownAction::of`]): the types of its
+/// three services and two topics.
+#[derive(Clone, Copy)]
 pub struct KnownAction {
-    name: &'static str,
-    hash: &'static str,
-    send_goal: KnownService,
-    cancel_goal: KnownService,
-    get_result: KnownService,
-    feedback: KnownType,
-    status: KnownType,
+    entry: &'static Entry,
 }
 
 /// A type name that no action has.
@@ -30,124 +26,106 @@ pub struct UnknownAction {
 }
 
 impl KnownAction {
-    /// The type of that name, such as `tf2_msgs/action/LookupTransform`.
-    ///
-    /// # Errors
-    /// [`UnknownAction`] with the nearest name where there is none.
-    pub fn named(name: &str) -> Result<Self, UnknownAction> {
-        let entry = ENTRIES.iter().find(|entry| entry.name == name);
-        entry.and_then(Self::of_entry).ok_or_else(|| UnknownAction {
-            name: name.to_owned(),
-            nearest: nearest(name, ENTRIES.iter().map(|entry| entry.name)),
-        })
-    }
-
-    /// The type of an action of a core, by its service `send_goal`.
+    /// The type of an action that is known here. Whether it is registered anywhere makes no difference.
     #[must_use]
-    pub fn of_send_goal(service: &ServiceInfo) -> Option<Self> {
-        let send_goal = KnownService::of(service)?;
-        ENTRIES.iter().find(|entry| entry.send_goal == send_goal.name()).and_then(Self::of_entry)
+    pub fn of<A: Action>() -> Self {
+        Self { entry: Of::<A>::ENTRY }
     }
 
     /// As in `tf2_msgs/action/LookupTransform`.
     #[must_use]
     pub fn name(self) -> &'static str {
-        self.name
+        self.entry.name
     }
 
     /// `RIHS01_` and 64 hexadecimal digits.
     #[must_use]
     pub fn hash(self) -> &'static str {
-        self.hash
+        self.entry.hash
     }
 
     /// The type of the service `send_goal`.
     #[must_use]
     pub fn send_goal(self) -> KnownService {
-        self.send_goal
+        (self.entry.send_goal)()
     }
 
     /// The type of the service `cancel_goal`, which all actions share.
     #[must_use]
     pub fn cancel_goal(self) -> KnownService {
-        self.cancel_goal
+        KnownService::of::<CancelGoal>()
     }
 
     /// The type of the service `get_result`.
     #[must_use]
     pub fn get_result(self) -> KnownService {
-        self.get_result
+        (self.entry.get_result)()
     }
 
     /// The type of the topic `feedback`.
     #[must_use]
     pub fn feedback(self) -> KnownType {
-        self.feedback
+        (self.entry.feedback)()
     }
 
     /// The type of the topic `status`, which all actions share.
     #[must_use]
     pub fn status(self) -> KnownType {
-        self.status
+        KnownType::of::<GoalStatusArray>()
     }
+}
 
-    /// Nothing only where the program has no package `action_msgs`.
-    fn of_entry(entry: &Entry) -> Option<Self> {
-        Some(Self {
-            name: entry.name,
-            hash: entry.hash,
-            send_goal: KnownService::named(entry.send_goal).ok()?,
-            cancel_goal: KnownService::named("action_msgs/srv/CancelGoal").ok()?,
-            get_result: KnownService::named(entry.get_result).ok()?,
-            feedback: KnownType::named(entry.feedback).ok()?,
-            status: KnownType::named("action_msgs/msg/GoalStatusArray").ok()?,
-        })
+impl fmt::Debug for KnownAction {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("KnownAction").field(&self.name()).finish()
     }
 }
 
 impl fmt::Display for KnownAction {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name)
+        f.write_str(self.name())
     }
 }
+
+impl PartialEq for KnownAction {
+    fn eq(&self, other: &Self) -> bool {
+        self.name() == other.name()
+    }
+}
+
+impl Eq for KnownAction {}
 
 struct Entry {
     name: &'static str,
     hash: &'static str,
-    send_goal: &'static str,
-    get_result: &'static str,
-    feedback: &'static str,
+    send_goal: fn() -> KnownService,
+    get_result: fn() -> KnownService,
+    feedback: fn() -> KnownType,
 }
 
-const fn entry<A: Action>() -> Entry {
-    Entry {
+/// Where the entry of a type is: a constant, so that a handle is a reference to it.
+struct Of<A>(PhantomData<A>);
+
+impl<A: Action> Of<A> {
+    const ENTRY: &'static Entry = &Entry {
         name: A::TYPE_NAME,
         hash: A::TYPE_HASH,
-        send_goal: <A::SendGoal as Service>::TYPE_NAME,
-        get_result: <A::GetResult as Service>::TYPE_NAME,
-        feedback: <A::FeedbackMessage as Message>::TYPE_NAME,
-    }
-}
-
-macro_rules! entries {
-    ($($action:ty),* $(,)?) => {
-        static ENTRIES: &[Entry] = &[$(entry::<$action>()),*];
+        send_goal: KnownService::of::<A::SendGoal>,
+        get_result: KnownService::of::<A::GetResult>,
+        feedback: KnownType::of::<A::FeedbackMessage>,
     };
 }
-downbeat_msgs::for_each_action!(entries);
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used)]
     use super::*;
+    use downbeat_msgs::tf2_msgs::action::LookupTransform;
 
     #[test]
-    fn an_action_is_found_by_its_name_with_the_types_of_its_parts() {
-        let action = KnownAction::named("tf2_msgs/action/LookupTransform").unwrap();
+    fn an_action_has_the_types_of_its_parts() {
+        let action = KnownAction::of::<LookupTransform>();
         assert_eq!(action.send_goal().name(), "tf2_msgs/action/LookupTransform_SendGoal");
         assert_eq!(action.get_result().name(), "tf2_msgs/action/LookupTransform_GetResult");
         assert_eq!(action.feedback().name(), "tf2_msgs/action/LookupTransform_FeedbackMessage");
-        let error = KnownAction::named("tf2_msgs/LookupTransform").unwrap_err();
-        assert_eq!(error.nearest, "tf2_msgs/action/LookupTransform");
     }
 }

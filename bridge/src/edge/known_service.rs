@@ -1,15 +1,15 @@
-//! The registry of service types.
+//! Types of services.
 
-use super::call::{self, Answers, CallEncoded, EncodedCaller, Outlet, RemoteCall};
+use super::call::{self, Answers, CallEncoded, Callees, EncodedCaller, Outlet, RemoteCall};
 use super::event::{self, EncodeEvent};
-use super::nearest::nearest;
-use downbeat_executor::{Core, Module, ServiceInfo, Setup, SetupError};
+use downbeat_executor::{Core, Setup, SetupError};
 use downbeat_msgs::{Service, cdr};
 use std::any::type_name;
 use std::fmt;
+use std::marker::PhantomData;
 use thiserror::Error;
 
-/// A service type of ROS 2 that this program was compiled with.
+/// A service type of ROS 2, found through [`Interfaces`](super::Interfaces) or named ([`KnownService::of`]).
 #[derive(Clone, Copy)]
 pub struct KnownService {
     entry: &'static Entry,
@@ -26,26 +26,10 @@ pub struct UnknownService {
 }
 
 impl KnownService {
-    /// The type of that name, such as `std_srvs/srv/SetBool`.
-    ///
-    /// # Errors
-    /// [`UnknownService`] with the nearest name where there is none.
-    pub fn named(name: &str) -> Result<Self, UnknownService> {
-        Self::all().find(|known| known.name() == name).ok_or_else(|| UnknownService {
-            name: name.to_owned(),
-            nearest: nearest(name, Self::all().map(Self::name)),
-        })
-    }
-
-    /// The type of a service of a core, if its request and response are those of a ROS 2 service.
+    /// The type of a service that is known here. Whether it is registered anywhere makes no difference.
     #[must_use]
-    pub fn of(service: &ServiceInfo) -> Option<Self> {
-        Self::all().find(|known| (known.entry.rust_types)() == (service.request_type, service.response_type))
-    }
-
-    /// Every type, by name.
-    pub fn all() -> impl Iterator<Item = Self> {
-        ENTRIES.iter().map(|entry| Self { entry })
+    pub fn of<S: Service>() -> Self {
+        Self { entry: Of::<S>::ENTRY }
     }
 
     /// As in `std_srvs/srv/SetBool`.
@@ -81,7 +65,7 @@ impl KnownService {
     }
 
     /// Prepares a service that modules call and that something outside the core serves: `call` is given each request.
-    /// A module completes it in its setup, with [`KnownService::serve`].
+    /// [`Callees`] complete it.
     ///
     /// # Errors
     /// [`SetupError`] when the name is not valid.
@@ -97,23 +81,12 @@ impl KnownService {
         })
     }
 
-    /// In a module's setup: serves what an outlet leads to. The module must run when it is answered, so it is best
-    /// detached.
-    ///
-    /// # Errors
-    /// [`SetupError`] when the service has other types, or a server already.
-    pub fn serve<M: Module>(setup: &mut Setup<'_, M>, outlet: Outlet) -> Result<(), SetupError> {
-        let known = outlet.service_type;
-        macro_rules! serve_as_the_one {
-            ($($service:ty),* $(,)?) => {
-                $(if known.name() == <$service as Service>::TYPE_NAME {
-                    return call::serve::<$service, M>(setup, outlet);
-                })*
-            };
-        }
-        downbeat_msgs::for_each_service!(serve_as_the_one);
-        // Not reached: a KnownService is made from the same list.
-        Err(setup.refuse(format!("type {known} of service {:?} is in no list", outlet.service)))
+    pub(super) fn rust_types(self) -> (&'static str, &'static str) {
+        (self.entry.rust_types)()
+    }
+
+    pub(super) fn serve(self, setup: &mut Setup<'_, Callees>, outlet: Outlet) -> Result<(), SetupError> {
+        (self.entry.serve)(setup, outlet)
     }
 }
 
@@ -143,41 +116,23 @@ struct Entry {
     rust_types: fn() -> (&'static str, &'static str),
     open_caller: fn(&mut Core, &str) -> Result<Box<CallEncoded>, SetupError>,
     open_answers: fn(&mut Core, &str) -> Result<Answers, SetupError>,
+    serve: fn(&mut Setup<'_, Callees>, Outlet) -> Result<(), SetupError>,
     default_response: fn() -> Vec<u8>,
     encode_event: EncodeEvent,
 }
 
-const fn entry<S: Service>() -> Entry {
-    Entry {
+/// Where the entry of a type is: a constant, so that a handle is a reference to it.
+struct Of<S>(PhantomData<S>);
+
+impl<S: Service> Of<S> {
+    const ENTRY: &'static Entry = &Entry {
         name: S::TYPE_NAME,
         hash: S::TYPE_HASH,
         rust_types: || (type_name::<S::Request>(), type_name::<S::Response>()),
         open_caller: call::open_caller::<S>,
         open_answers: call::open_answers::<S>,
+        serve: call::serve::<S>,
         default_response: || cdr::to_vec(&S::Response::default()),
         encode_event: event::encode_event::<S>,
-    }
-}
-
-macro_rules! entries {
-    ($($service:ty),* $(,)?) => {
-        static ENTRIES: &[Entry] = &[$(entry::<$service>()),*];
     };
-}
-downbeat_msgs::for_each_service!(entries);
-
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-
-    #[test]
-    fn a_name_that_is_not_known_is_answered_with_the_nearest() {
-        assert_eq!(KnownService::named("std_srvs/srv/SetBool").unwrap().name(), "std_srvs/srv/SetBool");
-        let error = KnownService::named("std_srvs/SetBool").unwrap_err();
-        assert_eq!(
-            error.to_string(),
-            "unknown service type \"std_srvs/SetBool\", did you mean \"std_srvs/srv/SetBool\"?"
-        );
-    }
 }

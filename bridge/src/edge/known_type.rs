@@ -1,6 +1,5 @@
-//! The registry of message types.
+//! Types of messages.
 
-use super::nearest::nearest;
 use super::raw::{self, Learned};
 use super::{CoreAccess, EncodedInlet, EncodedInletError, Sink, Waiting, inlet, subscription};
 use downbeat_executor::{Core, Module, Setup, SetupError};
@@ -8,10 +7,12 @@ use downbeat_msgs::Message;
 use downbeat_msgs::dynamic::DynamicMessage;
 use std::any::TypeId;
 use std::fmt;
+use std::marker::PhantomData;
 use std::sync::OnceLock;
 use thiserror::Error;
 
-/// A message type of ROS 2: one that this program was compiled with, or one that passes through ([`KnownType::raw`]).
+/// A message type of ROS 2: one with a Rust type, found through [`Interfaces`](super::Interfaces) or named ([`KnownType::of`]),
+/// or one that passes through ([`KnownType::raw`]).
 #[derive(Clone, Copy)]
 pub struct KnownType {
     entry: &'static Entry,
@@ -28,27 +29,10 @@ pub struct UnknownType {
 }
 
 impl KnownType {
-    /// The type of that name, such as `sensor_msgs/msg/Imu`.
-    ///
-    /// # Errors
-    /// [`UnknownType`] with the nearest name where there is none.
-    pub fn named(name: &str) -> Result<Self, UnknownType> {
-        Self::all().find(|known| known.name() == name).ok_or_else(|| UnknownType {
-            name: name.to_owned(),
-            nearest: nearest(name, Self::all().map(Self::name)),
-        })
-    }
-
-    /// The type whose Rust type is `type_id`, as
-    /// [`TopicInfo::message_type_id`](downbeat_executor::TopicInfo::message_type_id) gives it.
+    /// The type of messages of a Rust type. Whether it is registered anywhere makes no difference.
     #[must_use]
-    pub fn of_rust_type(type_id: TypeId) -> Option<Self> {
-        Self::all().find(|known| known.rust_type() == type_id)
-    }
-
-    /// Every type that is compiled in, by name.
-    pub fn all() -> impl Iterator<Item = Self> {
-        ENTRIES.iter().map(|entry| Self { entry })
+    pub fn of<T: Message>() -> Self {
+        Self { entry: Of::<T>::ENTRY }
     }
 
     /// As in `sensor_msgs/msg/Imu`.
@@ -201,8 +185,11 @@ pub(super) struct Compiled {
     default_cdr: fn() -> Vec<u8>,
 }
 
-const fn entry<T: Message>() -> Entry {
-    Entry {
+/// Where the entry of a type is: a constant, so that a handle is a reference to it.
+struct Of<T>(PhantomData<T>);
+
+impl<T: Message> Of<T> {
+    const ENTRY: &'static Entry = &Entry {
         name: T::TYPE_NAME,
         rust: Rust::Compiled(Compiled {
             hash: T::TYPE_HASH,
@@ -211,44 +198,5 @@ const fn entry<T: Message>() -> Entry {
             open_inlet: inlet::open::<T>,
             default_cdr: || downbeat_msgs::cdr::to_vec(&T::default()),
         }),
-    }
-}
-
-macro_rules! entries {
-    ($($message:ty),* $(,)?) => {
-        static ENTRIES: &[Entry] = &[$(entry::<$message>()),*];
     };
-}
-downbeat_msgs::for_each_message!(entries);
-
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-    use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
-
-    #[test]
-    fn a_type_is_found_by_its_ros_name_and_by_its_rust_type() {
-        let imu = KnownType::named("sensor_msgs/msg/Imu").unwrap();
-        assert_eq!(imu.rust_type(), TypeId::of::<Imu>());
-        assert_eq!((imu.hash(), imu.definition()), (Imu::TYPE_HASH, Imu::DEFINITION));
-        let joint_state = KnownType::of_rust_type(TypeId::of::<JointState>()).unwrap();
-        assert_eq!(joint_state.name(), "sensor_msgs/msg/JointState");
-        assert_eq!(KnownType::of_rust_type(TypeId::of::<String>()), None);
-    }
-
-    #[test]
-    fn a_name_that_is_not_known_is_answered_with_the_nearest() {
-        for (wrong, meant) in [
-            ("sensor_msgs/Imu", "sensor_msgs/msg/Imu"),
-            ("sensor_msgs/msg/JointStates", "sensor_msgs/msg/JointState"),
-            ("std_msgs/msg/Strnig", "std_msgs/msg/String"),
-            ("JointState", "sensor_msgs/msg/JointState"),
-            ("geometry_msgs/msg/twist", "geometry_msgs/msg/Twist"),
-        ] {
-            let error = KnownType::named(wrong).unwrap_err();
-            assert_eq!(error.nearest, meant);
-            assert_eq!(error.to_string(), format!("unknown message type {wrong:?}, did you mean {meant:?}?"));
-        }
-    }
 }

@@ -1,8 +1,8 @@
 //! The edge of the executor: where messages become bytes, and bytes messages.
 //!
 //! Inside the executor messages are Rust values of types known when it was compiled. At its edge, a bridge, recorder or
-//! player knows topics and types by names read from a file. A [`KnownType`] joins the two: it is found by the name of
-//! the ROS 2 type or by the Rust type of a topic, and opens
+//! player knows topics and types by names read from a file. A [`KnownType`] joins the two: it is found in [`Interfaces`] by the
+//! name of the ROS 2 type or by the Rust type of a topic, and opens
 //! - a subscription that hands out serialized messages ([`KnownType::subscribe`]),
 //! - an inlet that takes serialized messages ([`KnownType::inlet`]).
 //!
@@ -15,6 +15,7 @@ mod call;
 mod core_access;
 mod event;
 mod inlet;
+mod interfaces;
 mod known_action;
 mod known_service;
 mod known_type;
@@ -22,10 +23,11 @@ mod nearest;
 mod raw;
 mod subscription;
 
-pub use call::{EncodedAnswer, EncodedCallError, EncodedCaller, Outlet, RemoteCall};
+pub use call::{Callees, EncodedAnswer, EncodedCallError, EncodedCaller, Outlet, RemoteCall};
 pub use core_access::CoreAccess;
 pub use event::{EncodeEvent, EventContent, encode_event};
 pub use inlet::{EncodedInlet, EncodedInletError, Waiting};
+pub use interfaces::{InterfaceConflict, Interfaces};
 pub use known_action::{KnownAction, UnknownAction};
 pub use known_service::{KnownService, UnknownService};
 pub use known_type::{KnownType, UnknownType};

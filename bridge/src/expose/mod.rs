@@ -1,7 +1,7 @@
 //! Topics of the executor shown to ROS 2, and topics of ROS 2 taken in.
 //!
 //! ```
-//! use downbeat_bridge::edge::KnownType;
+//! use downbeat_bridge::edge::Interfaces;
 //! use downbeat_bridge::expose::{Exposure, expose};
 //! use downbeat_bridge::middleware::{Direction, in_process::Hub};
 //! use downbeat_bridge::ros::{NodeName, Participant};
@@ -11,7 +11,7 @@
 //! let participant = Participant::on(std::sync::Arc::new(Hub::new().join()))?;
 //! let node = participant.create_node(NodeName::new("/", "downbeat")?)?;
 //! let mut core = Core::new();
-//! let joint_state = KnownType::named("sensor_msgs/msg/JointState")?;
+//! let joint_state = Interfaces::carried().message("sensor_msgs/msg/JointState")?;
 //! let states = Exposure {
 //!     qos: QosProfile::SENSOR_DATA.into(),
 //!     ..Exposure::new("joint_states", joint_state, Direction::Out)

@@ -2,7 +2,7 @@
 
 use super::ExposeError;
 use super::status::Traffic;
-use crate::edge::{EncodedCallError, EncodedCaller, KnownService, Outlet, RemoteCall};
+use crate::edge::{Callees, EncodedCallError, EncodedCaller, KnownService, RemoteCall};
 use crate::middleware::rpc::IncomingRequest;
 use crate::ros::{Introspection, Node, NodeError, RawClient, Service, ServiceName, ServiceType};
 use bytes::Bytes;
@@ -14,15 +14,14 @@ use downbeat_msgs::action_msgs::srv::{CancelGoal, CancelGoalResponse};
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolResponse, Trigger, TriggerResponse};
-use std::num::NonZeroUsize;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
-/// The name under which what serves the services of ROS 2 joins a core.
+/// The name under which what publishes events of services joins a core.
 pub const SERVICES_MODULE_NAME: &str = "bridge_services";
 
-/// Answers that wait while the module is busy; more than may be in flight.
-const INBOX: NonZeroUsize = NonZeroUsize::new(4096).unwrap();
+/// The name of the module that serves the services of ROS 2 that modules call.
+const CALLS_MODULE_NAME: &str = "bridge_calls";
 
 /// A service of modules to offer to ROS 2.
 #[derive(Clone, Debug)]
@@ -99,8 +98,8 @@ impl ServicesStatus {
     }
 }
 
-/// Offers services of modules on `node`, and adds the detached observer [`SERVICES_MODULE_NAME`] to `core`, which serves
-/// those that modules call.
+/// Offers services of modules on `node`, and adds detached observers to `core`: one serves those that modules call,
+/// [`SERVICES_MODULE_NAME`] has the settings of service introspection.
 ///
 /// ROS 2 has no word for a request that is refused. `std_srvs/srv/SetBool` and `Trigger` are then answered with
 /// `success: false` and the reason as message, those of actions with a goal that is not accepted, not known or not canceled; a
@@ -134,11 +133,10 @@ pub fn expose_services_with(
     let mut module = Services {
         offered: Vec::new(),
         clients: Vec::new(),
-        outlets: Vec::new(),
         introspection,
         at: Some((node.clone(), core.clock())),
     };
-    let mut statuses = Vec::new();
+    let (mut statuses, mut outlets) = (Vec::new(), Vec::new());
     for exposure in offered {
         let traffic = Arc::<Traffic>::default();
         let caller = exposure.service_type.caller(core, &exposure.service)?;
@@ -159,11 +157,12 @@ pub fn expose_services_with(
         let endpoint = WeakService::Called(Arc::downgrade(&client));
         module.clients.push(Arc::downgrade(&client));
         let call = ToRos { client, timeout: exposure.timeout, traffic: Arc::clone(&traffic) };
-        module.outlets.push(exposure.service_type.outlet(core, &exposure.service, call)?);
+        outlets.push(exposure.service_type.outlet(core, &exposure.service, call)?);
         statuses.push(ServiceStatus { name, traffic, endpoint });
     }
+    Callees::add_to(core, CALLS_MODULE_NAME, outlets)?;
     let options = ModuleOptions {
-        synchrony: Synchrony::Detached(Inbox::KeepLast(INBOX)),
+        synchrony: Synchrony::Detached(Inbox::KeepAll),
         role: Role::Observer,
         ..ModuleOptions::default()
     };
@@ -174,7 +173,6 @@ pub fn expose_services_with(
 struct Services {
     offered: Vec<Arc<Service>>,
     clients: Vec<Weak<RawClient>>,
-    outlets: Vec<Outlet>,
     introspection: ServiceIntrospection,
     /// Where events are published, until the core stops.
     at: Option<(Node, Arc<dyn Clock>)>,
@@ -184,7 +182,6 @@ impl Module for Services {
     type Ports = ();
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        self.outlets.drain(..).try_for_each(|outlet| KnownService::serve(setup, outlet))?;
         let ServiceIntrospection { services, clients } = self.introspection;
         let of_services = introspection_setting(setup, ServiceIntrospection::OF_SERVICES, services)?;
         let of_clients = introspection_setting(setup, ServiceIntrospection::OF_CLIENTS, clients)?;

@@ -105,13 +105,13 @@ impl ServiceEvents {
         if introspection == Introspection::Off {
             return Ok(());
         }
-        let known = KnownService::named(self.service_type.as_str()).ok();
+        let known = node.membership.shared.interfaces.service(self.service_type.as_str()).ok();
         let with_contents = introspection == Introspection::Contents;
         if with_contents && known.is_none() {
             let (topic, service_type) = (&self.topic, self.service_type.as_str());
             tracing::warn!(
                 topic,
-                "requests and responses are not published: this program was not compiled with {service_type}"
+                "requests and responses are not published: {service_type} is not registered in this program"
             );
         }
         let publisher = match before {

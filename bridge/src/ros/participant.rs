@@ -3,6 +3,7 @@
 use super::graph::{Graph, RemoteNode};
 use super::node::Membership;
 use super::{NameError, Node, NodeName, RemapRules, type_description};
+use crate::edge::Interfaces;
 use crate::middleware::rpc::RpcThread;
 use crate::middleware::{self, Middleware, MiddlewareError, ParticipantOptions, RemoteEndpoint};
 use downbeat_msgs::qos::QosProfile;
@@ -40,6 +41,7 @@ pub(super) struct Shared {
     pub(super) rpc: RpcThread,
     pub(super) middleware: Arc<dyn Middleware>,
     pub(super) remaps: RemapRules,
+    pub(super) interfaces: Interfaces,
     /// The nodes there are, by the names they were asked for.
     nodes: Mutex<BTreeMap<NodeName, Weak<Membership>>>,
     /// What gives each new node the endpoints that all nodes have.
@@ -62,12 +64,17 @@ impl Participant {
         Self::on(middleware::join(options)?)
     }
 
-    /// Joins the domain that the options name; the rules apply to all names of its nodes.
+    /// Joins the domain that the options name; the rules apply to all names of its nodes. What its endpoints tell of their types,
+    /// and what its nodes answer about types, comes from `interfaces`.
     ///
     /// # Errors
     /// [`MiddlewareError`] when the domain cannot be joined.
-    pub fn join_with(options: &ParticipantOptions, remaps: RemapRules) -> Result<Self, MiddlewareError> {
-        Self::on_with(middleware::join(options)?, remaps)
+    pub fn join_with(
+        options: &ParticipantOptions,
+        remaps: RemapRules,
+        interfaces: Interfaces,
+    ) -> Result<Self, MiddlewareError> {
+        Self::on_with(middleware::join(options)?, remaps, interfaces)
     }
 
     /// Stands on a participant that exists, of whatever engine.
@@ -75,18 +82,23 @@ impl Participant {
     /// # Errors
     /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
     pub fn on(middleware: Arc<dyn Middleware>) -> Result<Self, MiddlewareError> {
-        Self::on_with(middleware, RemapRules::default())
+        Self::on_with(middleware, RemapRules::default(), Interfaces::carried())
     }
 
-    /// Stands on a participant that exists; the rules apply to all names of its nodes.
+    /// Stands on a participant that exists; otherwise as [`Participant::join_with`].
     ///
     /// # Errors
     /// [`MiddlewareError`] when the endpoints of the node graph cannot be created.
-    pub fn on_with(middleware: Arc<dyn Middleware>, remaps: RemapRules) -> Result<Self, MiddlewareError> {
+    pub fn on_with(
+        middleware: Arc<dyn Middleware>,
+        remaps: RemapRules,
+        interfaces: Interfaces,
+    ) -> Result<Self, MiddlewareError> {
         let rpc = RpcThread::start().map_err(MiddlewareError::ServiceThread)?;
         let graph = Graph::join(&*middleware, rpc.link())?;
         let (nodes, furnishers) = (Mutex::default(), Mutex::default());
-        Ok(Self { shared: Arc::new(Shared { graph, rpc, middleware, remaps, nodes, furnishers }) })
+        let shared = Shared { graph, rpc, middleware, remaps, interfaces, nodes, furnishers };
+        Ok(Self { shared: Arc::new(shared) })
     }
 
     /// Creates a node, under another name where a remapping rule says so. It offers the service
@@ -101,10 +113,11 @@ impl Participant {
             return Err(NodeError::Exists(name));
         }
         let node = Node::new(&self.shared, name);
+        let interfaces = self.shared.interfaces.clone();
         let service = node.by_itself().serve::<GetTypeDescription>(
             type_description::SERVICE,
             QosProfile::SERVICES,
-            |request| type_description::answer(&request),
+            move |request| type_description::answer(&interfaces, &request),
         )?;
         node.attach(service);
         let furnishers: Vec<_> = self.shared.furnishers().iter().filter_map(Weak::upgrade).collect();
@@ -126,6 +139,12 @@ impl Participant {
         furnishers.retain(|furnisher| furnisher.strong_count() > 0);
         furnishers.push(Arc::downgrade(&furnisher));
         Furnishing { _furnisher: furnisher }
+    }
+
+    /// The types that its endpoints and nodes know.
+    #[must_use]
+    pub fn interfaces(&self) -> &Interfaces {
+        &self.shared.interfaces
     }
 
     /// The endpoints of other participants that are known at this moment.

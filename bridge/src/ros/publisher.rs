@@ -3,7 +3,7 @@
 use super::incompatible::Warned;
 use super::node::{Hold, Listed};
 use super::{MessageType, Node, NodeError, TopicName};
-use crate::edge::KnownType;
+use crate::edge::Interfaces;
 use crate::middleware::{Direction, Endpoint, EventHandler, WriteError, Writer};
 use bytes::Bytes;
 use downbeat_msgs::qos::QosProfile;
@@ -80,8 +80,9 @@ impl Node {
         qos: QosProfile,
     ) -> Result<Publisher, NodeError> {
         let topic = self.topic_name(topic)?;
-        let endpoint = endpoint(&topic, message_type, qos);
-        let writer = self.membership.shared.middleware.create_writer(&endpoint)?;
+        let shared = &self.membership.shared;
+        let endpoint = endpoint(&shared.interfaces, &topic, message_type, qos);
+        let writer = shared.middleware.create_writer(&endpoint)?;
         let warned = Warned::default();
         writer.on_event(warned.and(&topic, Direction::Out, Box::new(|_| ())));
         let listed = Listed::new(self.hold(), Direction::Out, writer.gid());
@@ -97,13 +98,18 @@ impl Node {
     }
 }
 
-pub(super) fn endpoint(topic: &TopicName, message_type: &MessageType, qos: QosProfile) -> Endpoint {
+pub(super) fn endpoint(
+    interfaces: &Interfaces,
+    topic: &TopicName,
+    message_type: &MessageType,
+    qos: QosProfile,
+) -> Endpoint {
     let send_window = if LARGE_MESSAGES.contains(&message_type.as_str()) {
         Endpoint::SEND_WINDOW_LARGE_SAMPLES
     } else {
         Endpoint::SEND_WINDOW
     };
-    let type_hash = KnownType::named(message_type.as_str()).ok().map(|known| known.hash().to_owned());
+    let type_hash = interfaces.message(message_type.as_str()).ok().map(|known| known.hash().to_owned());
     Endpoint { send_window, type_hash, ..Endpoint::new(topic.to_wire(), message_type.to_wire(), qos) }
 }
 

@@ -65,8 +65,9 @@ impl Node {
         on_sample: SampleHandler,
     ) -> Result<Subscription, NodeError> {
         let topic = self.topic_name(topic)?;
-        let endpoint = endpoint(&topic, message_type, qos);
-        let reader = self.membership.shared.middleware.create_reader(&endpoint, on_sample)?;
+        let shared = &self.membership.shared;
+        let endpoint = endpoint(&shared.interfaces, &topic, message_type, qos);
+        let reader = shared.middleware.create_reader(&endpoint, on_sample)?;
         let warned = Warned::default();
         reader.on_event(warned.and(&topic, Direction::In, Box::new(|_| ())));
         let listed = Listed::new(self.hold(), Direction::In, reader.gid());

@@ -1,20 +1,24 @@
 //! `~/get_type_description`, which every node offers: what a type looks like, for those that meet it for the first time.
 //!
 //! As `rcl_node_type_description_service_handle_request` (`rcl/src/rcl/node.c`, branch jazzy) answers, but for all types
-//! this program was compiled with, not only those the node uses now.
+//! that are registered, not only those the node uses now.
 
+use crate::edge::Interfaces;
+use downbeat_msgs::description::Description;
 use downbeat_msgs::type_description_interfaces::msg::{TypeDescription, TypeSource};
 use downbeat_msgs::type_description_interfaces::srv::{
     GetTypeDescriptionRequest, GetTypeDescriptionResponse,
 };
 use std::collections::HashMap;
-use std::sync::LazyLock;
 
 /// The name of the service.
 pub(super) const SERVICE: &str = "~/get_type_description";
 
 /// The answer to a request.
-pub(super) fn answer(request: &GetTypeDescriptionRequest) -> GetTypeDescriptionResponse {
+pub(super) fn answer(
+    interfaces: &Interfaces,
+    request: &GetTypeDescriptionRequest,
+) -> GetTypeDescriptionResponse {
     let refuse = |reason: &str| GetTypeDescriptionResponse {
         failure_reason: reason.to_owned(),
         ..GetTypeDescriptionResponse::default()
@@ -22,10 +26,10 @@ pub(super) fn answer(request: &GetTypeDescriptionRequest) -> GetTypeDescriptionR
     if !is_hash(&request.type_hash) {
         return refuse("Failed to parse type hash");
     }
-    let Some(known) = KNOWN.get(request.type_hash.as_str()) else {
+    let Some(known) = interfaces.described(&request.type_hash) else {
         return refuse("Type not currently in use by this node");
     };
-    let type_description = (known.describe)();
+    let type_description = known.to_message();
     let type_sources =
         if request.include_type_sources { sources(known, &type_description) } else { Vec::new() };
     GetTypeDescriptionResponse {
@@ -36,32 +40,6 @@ pub(super) fn answer(request: &GetTypeDescriptionRequest) -> GetTypeDescriptionR
     }
 }
 
-struct Known {
-    name: &'static str,
-    definition: &'static str,
-    describe: fn() -> TypeDescription,
-}
-
-/// By hash.
-static KNOWN: LazyLock<HashMap<&'static str, Known>> = LazyLock::new(|| {
-    macro_rules! known {
-        ($kind:ident: $($path:ty),*) => {
-            vec![$((<$path as downbeat_msgs::$kind>::TYPE_HASH, Known {
-                name: <$path as downbeat_msgs::$kind>::TYPE_NAME,
-                definition: <$path as downbeat_msgs::$kind>::DEFINITION,
-                describe: <$path as downbeat_msgs::$kind>::type_description,
-            })),*]
-        };
-    }
-    macro_rules! messages { ($($path:ty),* $(,)?) => { known!(Message: $($path),*) }; }
-    macro_rules! services { ($($path:ty),* $(,)?) => { known!(Service: $($path),*) }; }
-    macro_rules! actions { ($($path:ty),* $(,)?) => { known!(Action: $($path),*) }; }
-    let messages: Vec<(&str, Known)> = downbeat_msgs::for_each_message!(messages);
-    let services: Vec<(&str, Known)> = downbeat_msgs::for_each_service!(services);
-    let actions: Vec<(&str, Known)> = downbeat_msgs::for_each_action!(actions);
-    messages.into_iter().chain(services).chain(actions).collect()
-});
-
 fn is_hash(text: &str) -> bool {
     text.strip_prefix("RIHS01_")
         .is_some_and(|digits| digits.len() == 64 && digits.bytes().all(|digit| digit.is_ascii_hexdigit()))
@@ -69,10 +47,10 @@ fn is_hash(text: &str) -> bool {
 
 /// The definitions of the type and of all that it refers to, the type itself first, the others in the order of their names.
 /// What is no file of its own, such as the request of a service, has no text: rosidl calls that implicit.
-fn sources(known: &Known, described: &TypeDescription) -> Vec<TypeSource> {
+fn sources(known: &Description, described: &TypeDescription) -> Vec<TypeSource> {
     let texts = texts(known);
     let names = described.referenced_type_descriptions.iter().map(|referenced| referenced.type_name.as_str());
-    std::iter::once(known.name)
+    std::iter::once(known.type_name)
         .chain(names)
         .map(|name| {
             let found = texts.get(name);
@@ -86,7 +64,7 @@ fn sources(known: &Known, described: &TypeDescription) -> Vec<TypeSource> {
 }
 
 /// The parts of a definition text: encoding and text by name of the type.
-fn texts(known: &Known) -> HashMap<String, (&'static str, &'static str)> {
+fn texts(known: &Description) -> HashMap<String, (&'static str, &'static str)> {
     let rule = "=".repeat(80) + "\n";
     let mut texts = HashMap::new();
     for part in known.definition.split(rule.as_str()) {
@@ -106,8 +84,8 @@ fn texts(known: &Known) -> HashMap<String, (&'static str, &'static str)> {
         match headed {
             Some((name, text)) => drop(texts.insert(name, text)),
             // The text of a message comes first, without a header.
-            None if !part.is_empty() && known.name.contains("/msg/") => {
-                texts.insert(known.name.to_owned(), ("msg", part));
+            None if !part.is_empty() && known.type_name.contains("/msg/") => {
+                texts.insert(known.type_name.to_owned(), ("msg", part));
             }
             None => {}
         }
@@ -124,10 +102,9 @@ mod tests {
     use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest};
 
     fn asked(type_hash: &str) -> GetTypeDescriptionResponse {
-        answer(&GetTypeDescriptionRequest {
-            type_hash: type_hash.to_owned(),
-            ..GetTypeDescriptionRequest::default()
-        })
+        let type_hash = type_hash.to_owned();
+        let request = GetTypeDescriptionRequest { type_hash, ..GetTypeDescriptionRequest::default() };
+        answer(&Interfaces::carried(), &request)
     }
 
     #[test]

@@ -5,13 +5,17 @@ use std::collections::BTreeMap;
 use super::{Description, Field, FieldType};
 use crate::type_description_interfaces::msg;
 
-/// The description of a type and of all that it refers to, these in the order of their names.
-pub(crate) fn expand(description: &Description) -> msg::TypeDescription {
-    let mut references = BTreeMap::new();
-    collect(description, &mut references);
-    msg::TypeDescription {
-        type_description: individual(description),
-        referenced_type_descriptions: references.into_values().map(individual).collect(),
+impl Description {
+    /// The description of the type and of all that it refers to, these in the order of their names, as a node answers it when it is
+    /// asked for the type (`~/get_type_description`).
+    #[must_use]
+    pub fn to_message(&self) -> msg::TypeDescription {
+        let mut references = BTreeMap::new();
+        collect(self, &mut references);
+        msg::TypeDescription {
+            type_description: individual(self),
+            referenced_type_descriptions: references.into_values().map(individual).collect(),
+        }
     }
 }
 

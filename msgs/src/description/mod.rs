@@ -29,5 +29,3 @@ pub use field::check;
 pub use field::{Description, Field, FieldType, FieldValue, Shape};
 pub use hash::{Hash, hash};
 pub use text::{OwnText, Text, definition};
-
-pub(crate) use expand::expand;

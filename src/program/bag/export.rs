@@ -7,6 +7,8 @@ use std::iter;
 use std::path::{Path, PathBuf};
 
 use crate::bags::TopicId;
+use crate::bridge::edge::Interfaces;
+use crate::robot::Catalog;
 use crate::table::{Cell, Decoder, ParquetTable};
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
@@ -49,7 +51,8 @@ impl Format {
     }
 }
 
-pub(crate) fn export(arguments: &ExportArguments) -> anyhow::Result<()> {
+pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::Result<()> {
+    let interfaces = &catalog.interfaces;
     let bag = open(&arguments.bag)?;
     let filter = arguments.topics.filter()?;
     arguments.topics.check(bag.topics().iter().map(|topic| &topic.info))?;
@@ -64,9 +67,9 @@ pub(crate) fn export(arguments: &ExportArguments) -> anyhow::Result<()> {
         let file = output.join(format!("{stem}.{}", arguments.format.extension()));
         let source = Source::new(&bag, id);
         let told = match arguments.format {
-            Format::Csv => write_csv(&source, &file),
-            Format::Jsonl => write_jsonl(&source, &file),
-            Format::Parquet => write_parquet(&source, &file),
+            Format::Csv => write_csv(&source, interfaces, &file),
+            Format::Jsonl => write_jsonl(&source, interfaces, &file),
+            Format::Parquet => write_parquet(&source, interfaces, &file),
         };
         match told {
             Ok(messages) => println!("{}: {messages} messages in {}", topic.info.name, file.display()),
@@ -96,8 +99,8 @@ fn file_stem(topic: &str, taken: &mut BTreeSet<String>) -> String {
 /// When a message was received and when published, in nanoseconds since the epoch: the first columns.
 const TIMES: [&str; 2] = ["log_time", "publish_time"];
 
-fn write_csv(source: &Source<'_>, path: &Path) -> anyhow::Result<u64> {
-    let decoder = Decoder::of(source.topic)?;
+fn write_csv(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyhow::Result<u64> {
+    let decoder = Decoder::of(source.topic, interfaces)?;
     let columns = source.columns(&decoder)?;
     let mut writer = csv::Writer::from_path(path)?;
     let names = columns.iter().map(|column| column.name.as_str());
@@ -111,8 +114,8 @@ fn write_csv(source: &Source<'_>, path: &Path) -> anyhow::Result<u64> {
     Ok(messages)
 }
 
-fn write_parquet(source: &Source<'_>, path: &Path) -> anyhow::Result<u64> {
-    let decoder = Decoder::of(source.topic)?;
+fn write_parquet(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyhow::Result<u64> {
+    let decoder = Decoder::of(source.topic, interfaces)?;
     let columns = source.columns(&decoder)?;
     let mut table = ParquetTable::create(path, TIMES, &columns)?;
     let rows = |data| Ok(columns.row(&decoder.decode(data)?));
@@ -121,8 +124,8 @@ fn write_parquet(source: &Source<'_>, path: &Path) -> anyhow::Result<u64> {
     Ok(messages)
 }
 
-fn write_jsonl(source: &Source<'_>, path: &Path) -> anyhow::Result<u64> {
-    let decoder = Decoder::of(source.topic)?;
+fn write_jsonl(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyhow::Result<u64> {
+    let decoder = Decoder::of(source.topic, interfaces)?;
     let mut writer = BufWriter::new(File::create(path)?);
     let messages = source.each(
         "writing",

@@ -3,6 +3,8 @@
 use std::path::PathBuf;
 
 use crate::bags::Reader;
+use crate::bridge::edge::Interfaces;
+use crate::robot::Catalog;
 use crate::table::{Cell, Column, ColumnKind, Decoder};
 use anyhow::{Context, bail};
 use clap::Args;
@@ -58,11 +60,11 @@ impl Wanted {
     }
 }
 
-pub(crate) fn plot(arguments: &PlotArguments) -> anyhow::Result<()> {
+pub(crate) fn plot(arguments: &PlotArguments, catalog: &Catalog) -> anyhow::Result<()> {
     let bag = open(&arguments.bag)?;
     let mut curves = Vec::new();
     for wanted in &arguments.fields {
-        curves.extend(curves_of(&bag, wanted)?);
+        curves.extend(curves_of(&bag, wanted, &catalog.interfaces)?);
     }
     if curves.len() > MOST_CURVES {
         bail!(
@@ -79,12 +81,12 @@ pub(crate) fn plot(arguments: &PlotArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn curves_of(bag: &Reader, wanted: &Wanted) -> anyhow::Result<Vec<Curve>> {
+fn curves_of(bag: &Reader, wanted: &Wanted, interfaces: &Interfaces) -> anyhow::Result<Vec<Curve>> {
     let Wanted { topic: name, path } = wanted;
     let known = || bag.topics().iter().map(|topic| topic.info.name.as_str()).collect::<Vec<_>>().join(", ");
     let id = bag.topic(name).with_context(|| format!("the bag has no topic {name}; it has {}", known()))?;
     let source = Source::new(bag, id);
-    let decoder = Decoder::of(source.topic)?;
+    let decoder = Decoder::of(source.topic, interfaces)?;
     let columns = source.columns(&decoder)?;
     let is_number = |kind| !matches!(kind, ColumnKind::Text | ColumnKind::Bytes);
     let chosen: Vec<_> = columns.iter().enumerate().filter(|(_, column)| wanted.holds(column)).collect();

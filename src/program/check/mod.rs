@@ -4,7 +4,7 @@ mod node;
 
 use std::path::Path;
 
-use crate::bridge::edge::KnownType;
+use crate::bridge::edge::{Interfaces, KnownType};
 use crate::bridge::expose::ActionExposure;
 use crate::executor::{Core, TopicInfo};
 use crate::robot::{Catalog, ExposedEndpoint, Robot, RosArgs};
@@ -53,7 +53,7 @@ fn check_robot(
         print_settings(core, &module.name);
     }
     println!("\ntopics");
-    core.topics().for_each(print_topic);
+    core.topics().for_each(|topic| print_topic(topic, &catalog.interfaces));
     println!("\nexposed to ROS 2 as node {}", file.node_name()?);
     print_exposed(&exposed, &file.node_name()?.to_string());
     print!("{}", NodeReport::of(&robot)?);
@@ -96,7 +96,7 @@ fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_j
         .collect();
     let topics: Vec<_> = core
         .topics()
-        .map(|topic| json!({ "name": *topic.name, "type": type_name(topic), "is_published": topic.is_published }))
+        .map(|topic| json!({ "name": *topic.name, "type": type_name(topic, &file.catalog.interfaces), "is_published": topic.is_published }))
         .collect();
     let NodeReport { features, services, calls, parameters, lifecycle } = NodeReport::of(robot)?;
     let mut actions = Vec::new();
@@ -128,8 +128,8 @@ fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_j
     }))
 }
 
-fn type_name(topic: &TopicInfo) -> &'static str {
-    KnownType::of_rust_type(topic.message_type_id).map_or(topic.message_type, KnownType::name)
+fn type_name(topic: &TopicInfo, interfaces: &Interfaces) -> &'static str {
+    interfaces.message_of(topic.message_type_id).map_or(topic.message_type, KnownType::name)
 }
 
 fn list_kinds(catalog: &Catalog) -> anyhow::Result<()> {
@@ -138,7 +138,7 @@ fn list_kinds(catalog: &Catalog) -> anyhow::Result<()> {
         kind.add_to(&mut core, kind.name(), kind.options())?;
         println!("{:<20} {}", kind.name(), kind.about());
         print_settings(&core, kind.name());
-        core.topics().for_each(print_topic);
+        core.topics().for_each(|topic| print_topic(topic, &catalog.interfaces));
         println!();
     }
     Ok(())
@@ -150,8 +150,8 @@ fn print_settings(core: &Core, module: &str) {
     }
 }
 
-fn print_topic(topic: &TopicInfo) {
-    let type_name = type_name(topic);
+fn print_topic(topic: &TopicInfo, interfaces: &Interfaces) {
+    let type_name = type_name(topic, interfaces);
     let role = if topic.is_published { "published" } else { "subscribed" };
     println!("  {:<24} {type_name:<40} {role}", topic.name);
 }

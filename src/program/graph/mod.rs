@@ -5,7 +5,6 @@ mod text;
 
 use std::path::Path;
 
-use crate::bridge::edge::KnownType;
 use crate::executor::{Core, Graph};
 use crate::robot::{Catalog, RobotFile, RosArgs};
 
@@ -24,7 +23,7 @@ pub(crate) fn graph(arguments: &GraphArguments, catalog: &Catalog, ros: &RosArgs
             }
         }
         None => {
-            let network = network::look(arguments, ros)?;
+            let network = network::look(arguments, catalog, ros)?;
             match format.unwrap_or(GraphFormat::Text) {
                 GraphFormat::Dot => print!("{}", network::as_graph(&network).to_dot()),
                 GraphFormat::Mermaid => print!("{}", network::as_graph(&network).to_mermaid()),
@@ -44,7 +43,7 @@ fn of_robot(path: &Path, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<Gra
     // Under the names that ROS gives them, where it does.
     for topic in core.topics() {
         let shown = graph.topics.iter_mut().find(|shown| *shown.name == *topic.name);
-        if let (Some(shown), Some(known)) = (shown, KnownType::of_rust_type(topic.message_type_id)) {
+        if let (Some(shown), Some(known)) = (shown, catalog.interfaces.message_of(topic.message_type_id)) {
             shown.message_type = known.name().to_owned();
         }
     }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use crate::bridge::ros::Participant;
 use crate::executor::{Graph, GraphEdge, GraphModule, GraphService, GraphTopic};
 use crate::msgs::downbeat_interfaces::msg::{NetworkEndpoint, NetworkGraph};
-use crate::robot::RosArgs;
+use crate::robot::{Catalog, RosArgs};
 use serde_json::{Value, json};
 
 use crate::program::cli::GraphArguments;
@@ -20,10 +20,14 @@ const AT_LEAST: Duration = Duration::from_secs(2);
 const QUIET: Duration = Duration::from_secs(1);
 
 /// Joins the domain under a hidden name and looks until all that was found has a node, or the time is up.
-pub(super) fn look(arguments: &GraphArguments, ros: &RosArgs) -> anyhow::Result<NetworkGraph> {
+pub(super) fn look(
+    arguments: &GraphArguments,
+    catalog: &Catalog,
+    ros: &RosArgs,
+) -> anyhow::Result<NetworkGraph> {
     // As the tools of ROS 2 hide theirs.
     let name = format!("_downbeat_graph_{}", std::process::id());
-    let (participant, _node) = node(&name, arguments.domain, ros)?;
+    let (participant, _node) = node(&name, arguments.domain, catalog, ros)?;
     Ok(wait(&participant, arguments.wait))
 }
 

@@ -8,14 +8,15 @@ use crate::msgs::definitions::TypeName;
 use crate::msgs::dynamic::{DynamicMessage, DynamicType, YamlStyle};
 use anyhow::{Context, bail};
 
+use super::Registered;
 use super::arguments::DecodeArguments;
 use super::interfaces::{Definition, Interfaces};
 
 /// More than DDS and bags let through for one message.
 const MOST_BYTES: u64 = 1 << 30;
 
-pub(super) fn decode(arguments: &DecodeArguments) -> anyhow::Result<()> {
-    let interfaces = Interfaces::load(&arguments.source)?;
+pub(super) fn decode(arguments: &DecodeArguments, registered: &Registered) -> anyhow::Result<()> {
+    let interfaces = Interfaces::load(&arguments.source, registered)?;
     let name = interfaces.named(&arguments.name)?;
     check_is_message(&interfaces, &name)?;
     let of = DynamicType::new(&interfaces.catalog, &name)?;

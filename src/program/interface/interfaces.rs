@@ -5,15 +5,16 @@ use std::io::IsTerminal;
 use std::path::Path;
 
 use crate::msgs::definitions::{
-    ActionDefinition, Catalog, Kind, MessageDefinition, ServiceDefinition, TypeName,
+    ActionDefinition, Catalog, DefinitionEncoding, Kind, MessageDefinition, ServiceDefinition, TypeName,
 };
 use anyhow::{Context, anyhow, bail};
 
+use super::Registered;
 use super::arguments::{SourceArguments, TypeArguments};
 use super::nearest::nearest;
 use super::packages::{ament_packages, packages_at};
 
-/// Definitions from --from, AMENT_PREFIX_PATH and this program, in this order: the first place that has a package gives
+/// Definitions from --from, AMENT_PREFIX_PATH and this program (what it carries and what it registers), in this order: the first place that has a package gives
 /// all of it, as ament overlays do.
 pub(super) struct Interfaces {
     pub(super) catalog: Catalog,
@@ -31,7 +32,7 @@ impl Interfaces {
     /// # Errors
     /// If a place of --from has no packages or a definition there is wrong. A wrong package of AMENT_PREFIX_PATH is left
     /// out with a warning, since it may have nothing to do with what is asked for.
-    pub(super) fn load(source: &SourceArguments) -> anyhow::Result<Self> {
+    pub(super) fn load(source: &SourceArguments, registered: &Registered) -> anyhow::Result<Self> {
         let mut catalog = Catalog::new();
         let mut taken = BTreeSet::new();
         for path in &source.from {
@@ -54,7 +55,17 @@ impl Interfaces {
                 Err(error) => tracing::warn!("left out the package {}: {error}", folder.display()),
             }
         }
-        add_carried(&mut catalog, &taken)?;
+        add(&mut catalog, crate::msgs::carried(), &taken, CARRIED)?;
+        for described in registered.registered() {
+            let (name, mut definition) = (described.type_name.parse()?, Catalog::new());
+            definition.add_definition_text(
+                &name,
+                DefinitionEncoding::Ros2Msg,
+                described.definition,
+                REGISTERED,
+            )?;
+            add(&mut catalog, &definition, &taken, REGISTERED)?;
+        }
         Ok(Self { catalog })
     }
 
@@ -170,21 +181,35 @@ impl<'a> Definition<'a> {
     }
 }
 
-/// What stands for the file of a definition that comes with the program.
-const ORIGIN: &str = "downbeat";
+/// What stands for the file of a definition that downbeat carries.
+const CARRIED: &str = "downbeat";
 
-/// Adds the packages of this program that are not taken from elsewhere.
-fn add_carried(catalog: &mut Catalog, taken: &BTreeSet<String>) -> anyhow::Result<()> {
-    let carried = crate::msgs::carried();
-    let is_wanted = |name: &TypeName| !taken.contains(&name.package);
-    for message in carried.messages().filter(|of| of.name.kind == Kind::Message && is_wanted(&of.name)) {
-        catalog.add_message(message.name.clone(), &message.text, ORIGIN)?;
+/// What stands for the file of a definition that this program registers.
+const REGISTERED: &str = "this program";
+
+/// Adds definitions that are not there yet, of packages that are not taken from elsewhere.
+fn add(
+    catalog: &mut Catalog,
+    definitions: &Catalog,
+    taken: &BTreeSet<String>,
+    origin: &str,
+) -> anyhow::Result<()> {
+    for MessageDefinition { name, text, .. } in definitions.messages() {
+        let is_own = name.kind == Kind::Message && !taken.contains(&name.package);
+        if is_own && catalog.message(name).is_err() {
+            catalog.add_message(name.clone(), text, origin)?;
+        }
     }
-    for service in carried.services().filter(|of| of.name.kind == Kind::Service && is_wanted(&of.name)) {
-        catalog.add_service(service.name.clone(), &service.text, ORIGIN)?;
+    for ServiceDefinition { name, text, .. } in definitions.services() {
+        let is_own = name.kind == Kind::Service && !taken.contains(&name.package);
+        if is_own && catalog.service(name).is_err() {
+            catalog.add_service(name.clone(), text, origin)?;
+        }
     }
-    for action in carried.actions().filter(|of| is_wanted(&of.name)) {
-        catalog.add_action(action.name.clone(), &action.text, ORIGIN)?;
+    for ActionDefinition { name, text, .. } in definitions.actions() {
+        if !taken.contains(&name.package) && catalog.action(name).is_err() {
+            catalog.add_action(name.clone(), text, origin)?;
+        }
     }
     Ok(())
 }

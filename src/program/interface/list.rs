@@ -3,11 +3,12 @@
 use crate::msgs::definitions::{Kind, TypeName};
 use serde::Serialize;
 
+use super::Registered;
 use super::arguments::ListArguments;
 use super::interfaces::Interfaces;
 
-pub(super) fn list(arguments: &ListArguments) -> anyhow::Result<()> {
-    let interfaces = Interfaces::load(&arguments.source)?;
+pub(super) fn list(arguments: &ListArguments, registered: &Registered) -> anyhow::Result<()> {
+    let interfaces = Interfaces::load(&arguments.source, registered)?;
     arguments.packages.iter().try_for_each(|package| interfaces.check_package(package))?;
     let mut names = interfaces.names();
     names.retain(|name| {

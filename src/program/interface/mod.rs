@@ -13,12 +13,16 @@ mod structure;
 
 pub(crate) use arguments::InterfaceCommand;
 
-pub(crate) fn interface(command: &InterfaceCommand) -> anyhow::Result<()> {
+use crate::bridge::edge::Interfaces as Registered;
+use crate::robot::Catalog;
+
+pub(crate) fn interface(command: &InterfaceCommand, catalog: &Catalog) -> anyhow::Result<()> {
+    let registered = &catalog.interfaces;
     match command {
-        InterfaceCommand::List(arguments) => list::list(arguments),
-        InterfaceCommand::Show(arguments) => show::show(arguments),
-        InterfaceCommand::Hash(arguments) => description::hash(arguments),
-        InterfaceCommand::Description(arguments) => description::description(arguments),
-        InterfaceCommand::Decode(arguments) => decode::decode(arguments),
+        InterfaceCommand::List(arguments) => list::list(arguments, registered),
+        InterfaceCommand::Show(arguments) => show::show(arguments, registered),
+        InterfaceCommand::Hash(arguments) => description::hash(arguments, registered),
+        InterfaceCommand::Description(arguments) => description::description(arguments, registered),
+        InterfaceCommand::Decode(arguments) => decode::decode(arguments, registered),
     }
 }

@@ -8,12 +8,13 @@
 use crate::msgs::definitions::TypeName;
 use anyhow::bail;
 
+use super::Registered;
 use super::arguments::ShowArguments;
 use super::interfaces::Interfaces;
 use super::{source_text, structure};
 
-pub(super) fn show(arguments: &ShowArguments) -> anyhow::Result<()> {
-    let interfaces = Interfaces::load(&arguments.types.source)?;
+pub(super) fn show(arguments: &ShowArguments, registered: &Registered) -> anyhow::Result<()> {
+    let interfaces = Interfaces::load(&arguments.types.source, registered)?;
     let names = interfaces.chosen(&arguments.types)?;
     if arguments.json {
         return structure::show(&interfaces, &names);

@@ -9,6 +9,7 @@ pub use lifecycle::LifecycleEntry;
 pub use service::{ActionEntry, ServiceEntry};
 pub use topic::{Direction, ExposeEntry, TopicChoice};
 
+use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{ServiceIntrospection, TopicPattern};
 
 use super::table::{Table, Value};
@@ -47,13 +48,13 @@ pub(super) fn entries(mut table: Table<'_>) -> Result<Vec<ExposeEntry>> {
 }
 
 /// Reads `[expose]`: each key by a function of its own.
-pub(super) fn expose(value: Value<'_>) -> Result<ExposeSection> {
+pub(super) fn expose(value: Value<'_>, interfaces: &Interfaces) -> Result<ExposeSection> {
     let mut table = value.table("[expose]")?;
     let topics = topic::topics(&mut table)?;
-    let services = service::services(&mut table, "services")?;
-    let calls = service::services(&mut table, "calls")?;
-    let actions = service::actions(&mut table, "actions")?;
-    let action_calls = service::actions(&mut table, "action_calls")?;
+    let services = service::services(&mut table, "services", interfaces)?;
+    let calls = service::services(&mut table, "calls", interfaces)?;
+    let actions = service::actions(&mut table, "actions", interfaces)?;
+    let action_calls = service::actions(&mut table, "action_calls", interfaces)?;
     let introspection = service::introspection(&mut table)?;
     let parameters = service::parameters(&mut table)?;
     let lifecycle = lifecycle::lifecycle(&mut table)?;

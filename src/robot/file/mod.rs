@@ -122,7 +122,8 @@ impl RobotFile {
         let modules = root.require("module")?.list()?;
         let modules =
             modules.into_iter().map(|value| module::module(value, catalog)).collect::<Result<Vec<_>>>()?;
-        let expose = root.take("expose").map_or(Ok(ExposeSection::default()), expose::expose)?;
+        let expose = root.take("expose").map(|value| expose::expose(value, &catalog.interfaces));
+        let expose = expose.transpose()?.unwrap_or_default();
         let record = root.take("record").map_or(Ok(RecordEntry::default()), record::record)?;
         let replay = root.take("replay").map_or(Ok(ReplaySection::default()), replay::replay)?;
         root.finish()?;

@@ -37,8 +37,9 @@ pub fn compile(folder: impl Into<PathBuf>) {
 ///     .compile();
 /// ```
 ///
-/// The line `downbeat_msgs::include_interfaces!();` in the crate then stands for the modules of these packages. Where in
-/// the crate it stands makes no difference to them.
+/// The line `downbeat_msgs::include_interfaces!();` in the crate then stands for the modules of these packages and for
+/// `INTERFACES`, the set of all that is in them, which a program registers. Where in the crate it stands makes no difference to
+/// them.
 ///
 /// What the definitions refer to is found in this order: the packages named here; those that `downbeat-msgs` carries, if
 /// their features are enabled, so that a `std_msgs/Header` is everyone's `downbeat_msgs::std_msgs::msg::Header`; those in
@@ -133,7 +134,8 @@ impl Build {
             }
             text.push_str(&source.module(package)?);
         }
-        Ok(text)
+        let packages: Vec<&str> = found.generated.iter().map(String::as_str).collect();
+        Ok(text + &source.interface_set(&packages))
     }
 }
 

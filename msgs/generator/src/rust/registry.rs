@@ -1,7 +1,7 @@
 //! Lists of all types, for code that must treat each.
 
 use super::RustSource;
-use downbeat_msgs_definitions::TypeName;
+use downbeat_msgs_definitions::{Kind, TypeName};
 
 impl RustSource<'_> {
     /// Modules that include the text of each [package](RustSource::package) from `<package>.rs` in the folder that
@@ -42,6 +42,34 @@ impl RustSource<'_> {
         }
         source.push_str("];\n");
         source
+    }
+
+    /// The set `INTERFACES` of all messages, services and actions of the packages named. It belongs beside their modules.
+    #[must_use]
+    pub fn interface_set(&self, packages: &[&str]) -> String {
+        let runtime = &self.modules.runtime;
+        let is_here = |name: &&TypeName| packages.contains(&name.package.as_str());
+        // Messages of services come with these, messages and services of actions with those.
+        let messages = self.catalog.messages().map(|message| &message.name).filter(is_here);
+        let messages = messages.filter(|name| name.kind == Kind::Message).map(|name| ("Message", name));
+        let services = self.catalog.services().map(|service| &service.name).filter(is_here);
+        let services = services.filter(|name| name.kind == Kind::Service).map(|name| ("Service", name));
+        let actions = self.catalog.actions().map(|action| ("Action", &action.name));
+        let actions = actions.filter(|(_, name)| is_here(name));
+        let mut source = format!(
+            "/// The messages, services and actions of {}, to register them.\n\
+             #[derive(Clone, Copy, Debug)]\npub struct INTERFACES;\n\n\
+             impl {runtime}::InterfaceSet for INTERFACES {{\n    \
+                 fn visit(&self, visitor: &mut impl {runtime}::InterfaceVisitor) {{\n",
+            packages.iter().map(|package| format!("`{package}`")).collect::<Vec<_>>().join(", ")
+        );
+        for (of, name) in messages.chain(services).chain(actions) {
+            let path = self.full_path("self", name);
+            source.push_str(&format!(
+                "        {runtime}::InterfaceSet::visit(&<{path} as {runtime}::{of}>::INTERFACES, visitor);\n"
+            ));
+        }
+        source + "    }\n}\n"
     }
 
     fn for_each(&self, what: &str, which: &str, names: &[&TypeName]) -> String {

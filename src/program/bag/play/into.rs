@@ -31,13 +31,19 @@ pub(super) fn play_into(
             let published: Vec<_> = robot.core.topics().filter(|topic| topic.is_published).cloned().collect();
             let wait = WhenFull::Wait;
             let encoding = arguments.encoding.unwrap_or_default();
-            recorder::record(&mut robot.core, &recording, &published, wait, encoding, |_| {
-                QosProfile::DEFAULT
-            })?;
+            let interfaces = &robot.file.catalog.interfaces;
+            let qos_of = |_: &str| QosProfile::DEFAULT;
+            recorder::record(&mut robot.core, &recording, &published, wait, encoding, interfaces, qos_of)?;
             Ok(recording)
         })
         .transpose()?;
-    let played = playback::play_into(&mut robot.core, &clock, reader, &arguments.topics.topics)?;
+    let played = playback::play_into(
+        &mut robot.core,
+        &clock,
+        reader,
+        &arguments.topics.topics,
+        &robot.file.catalog.interfaces,
+    )?;
     println!("played {played} messages into {}", robot.file.name);
     if let Some(recording) = recording {
         let summary = recording.finish()?;

@@ -123,7 +123,7 @@ pub(crate) fn play(
     match (&arguments.into, &bags[..]) {
         (Some(robot), [bag]) => into::play_into(bag, robot, arguments, catalog, ros),
         (Some(_), _) => bail!("one bag is played into a robot; merge them first: downbeat bag convert"),
-        (None, bags) => ros::play(bags, arguments, ros, screen),
+        (None, bags) => ros::play(bags, arguments, catalog, ros, screen),
     }
 }
 

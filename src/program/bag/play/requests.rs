@@ -61,7 +61,7 @@ impl Requests {
         let client = node.client_raw(service, &ServiceType::new(type_name)?, QosProfile::SERVICES)?;
         Ok(Self {
             client,
-            decoder: Decoder::of(topic)?,
+            decoder: Decoder::of(topic, node.participant().interfaces())?,
             event_type: source.event_type(),
             unanswered: Arc::default(),
             has_told: AtomicBool::new(false),

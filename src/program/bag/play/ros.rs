@@ -13,7 +13,7 @@ use crate::msgs::rosbag2_interfaces::srv::{
 };
 use crate::msgs::rosgraph_msgs::msg::Clock;
 use crate::msgs::{Message, cdr};
-use crate::robot::RosArgs;
+use crate::robot::{Catalog, RosArgs};
 use crate::ros_recorder::QosOverrides;
 use anyhow::{Context, bail};
 
@@ -40,6 +40,7 @@ const NODE_NAME: &str = "rosbag2_player";
 pub(super) fn play(
     bags: &[Reader],
     arguments: &PlayArguments,
+    catalog: &Catalog,
     ros: &RosArgs,
     screen: &Screen,
 ) -> anyhow::Result<()> {
@@ -57,7 +58,7 @@ pub(super) fn play(
     let stop = Stop::new()?;
     let remaps = arguments.remap.iter().chain(&ros.remaps).cloned().collect();
     let ros = RosArgs { remaps, ..ros.clone() };
-    let (_participant, node) = node(NODE_NAME, arguments.domain, &ros)?;
+    let (_participant, node) = node(NODE_NAME, arguments.domain, catalog, &ros)?;
     let requests = arguments.publish_service_requests.then_some(arguments.service_requests_source);
     let targets = targets(&player, &node, &overrides, requests);
     let clock = PublishedClock::new(&node, arguments)?;

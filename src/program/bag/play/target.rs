@@ -39,7 +39,8 @@ pub(super) fn targets(
             return Ok(Target::Service(Requests::new(topic, source, node)?));
         }
         // CDR is passed through, also of types that are not compiled in.
-        let recorded = info.format.as_ref().map(|_| RecordedType::of(topic)).transpose()?;
+        let recorded = info.format.as_ref().map(|_| RecordedType::of(topic, node.participant().interfaces()));
+        let recorded = recorded.transpose()?;
         let type_name = recorded.as_ref().map_or(&*info.type_name, |recorded| recorded.message_type().name());
         let message_type = MessageType::new(type_name)?;
         let qos = overrides.of(&info.name).unwrap_or_else(|| recorded_qos(info));

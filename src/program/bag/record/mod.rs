@@ -31,7 +31,7 @@ pub(crate) fn record(
     });
     match &arguments.robot {
         Some(robot) => record_robot(arguments, robot, output, catalog, ros, screen),
-        None => record_from_ros(arguments, output, ros, screen),
+        None => record_from_ros(arguments, output, catalog, ros, screen),
     }
 }
 
@@ -147,6 +147,7 @@ fn filter(
 fn record_from_ros(
     arguments: &RecordArguments,
     output: PathBuf,
+    catalog: &Catalog,
     ros: &RosArgs,
     screen: &Screen,
 ) -> anyhow::Result<()> {
@@ -165,7 +166,7 @@ fn record_from_ros(
         Some(path) => QosOverrides::read(path)?,
         None => QosOverrides::default(),
     };
-    let (participant, node) = node(&arguments.node_name, arguments.domain, ros)?;
+    let (participant, node) = node(&arguments.node_name, arguments.domain, catalog, ros)?;
     let options = RosRecorderOptions {
         filter: filter(arguments, |name| Ok(node.topic_name(name)?.as_str().to_owned()))?,
         qos_overrides,

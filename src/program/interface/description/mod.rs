@@ -5,12 +5,13 @@ mod default_value;
 use crate::msgs::definitions::{Catalog, IndividualTypeDescription, TypeDescription, TypeName};
 use serde::Serialize;
 
+use super::Registered;
 use super::arguments::{DescriptionArguments, HashArguments};
 use super::interfaces::Interfaces;
 use default_value::default_value;
 
-pub(super) fn hash(arguments: &HashArguments) -> anyhow::Result<()> {
-    let interfaces = Interfaces::load(&arguments.types.source)?;
+pub(super) fn hash(arguments: &HashArguments, registered: &Registered) -> anyhow::Result<()> {
+    let interfaces = Interfaces::load(&arguments.types.source, registered)?;
     let names = interfaces.chosen(&arguments.types)?;
     let hashes = names.iter().map(|name| TypeHash::of(&interfaces.catalog, name));
     let hashes = hashes.collect::<anyhow::Result<Vec<_>>>()?;
@@ -27,8 +28,8 @@ pub(super) fn hash(arguments: &HashArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-pub(super) fn description(arguments: &DescriptionArguments) -> anyhow::Result<()> {
-    let interfaces = Interfaces::load(&arguments.types.source)?;
+pub(super) fn description(arguments: &DescriptionArguments, registered: &Registered) -> anyhow::Result<()> {
+    let interfaces = Interfaces::load(&arguments.types.source, registered)?;
     let names = interfaces.chosen(&arguments.types)?;
     let described = names.iter().map(|name| Described::of(&interfaces.catalog, name));
     let described = described.collect::<anyhow::Result<Vec<_>>>()?;

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use downbeat_bridge::edge::{KnownAction, KnownService};
+use downbeat_bridge::edge::{Interfaces, KnownAction, KnownService};
 use downbeat_bridge::expose::{ServiceIntrospection, TopicPattern};
 use downbeat_bridge::ros::{Introspection, UnknownIntrospection};
 
@@ -42,15 +42,23 @@ pub struct ActionEntry {
 }
 
 /// The services under a key, by name or as a table that says more.
-pub(super) fn services(table: &mut Table<'_>, key: &'static str) -> Result<Vec<ServiceEntry>> {
+pub(super) fn services(
+    table: &mut Table<'_>,
+    key: &'static str,
+    interfaces: &Interfaces,
+) -> Result<Vec<ServiceEntry>> {
     let values = table.take(key).map_or(Ok(Vec::new()), |value| value.list())?;
-    values.into_iter().map(service).collect()
+    values.into_iter().map(|value| service(value, interfaces)).collect()
 }
 
 /// The actions under a key, by name or as a table that says more.
-pub(super) fn actions(table: &mut Table<'_>, key: &'static str) -> Result<Vec<ActionEntry>> {
+pub(super) fn actions(
+    table: &mut Table<'_>,
+    key: &'static str,
+    interfaces: &Interfaces,
+) -> Result<Vec<ActionEntry>> {
     let values = table.take(key).map_or(Ok(Vec::new()), |value| value.list())?;
-    values.into_iter().map(action).collect()
+    values.into_iter().map(|value| action(value, interfaces)).collect()
 }
 
 /// What services and calls publish of what they do.
@@ -81,17 +89,17 @@ pub(super) fn parameters(table: &mut Table<'_>) -> Result<Vec<Located<TopicPatte
     values.into_iter().map(pattern).collect()
 }
 
-fn service(value: Value<'_>) -> Result<ServiceEntry> {
+fn service(value: Value<'_>, interfaces: &Interfaces) -> Result<ServiceEntry> {
     let known =
-        |value: Value<'_>| KnownService::named(value.text()?).map_err(|error| value.error(error.to_string()));
+        |value: Value<'_>| interfaces.service(value.text()?).map_err(|error| value.error(error.to_string()));
     let entry = entry(value, "service", known)?;
     let Entry { line, name: service, ros_name: ros_service, known: service_type, timeout } = entry;
     Ok(ServiceEntry { line, service, ros_service, service_type, timeout })
 }
 
-fn action(value: Value<'_>) -> Result<ActionEntry> {
+fn action(value: Value<'_>, interfaces: &Interfaces) -> Result<ActionEntry> {
     let known =
-        |value: Value<'_>| KnownAction::named(value.text()?).map_err(|error| value.error(error.to_string()));
+        |value: Value<'_>| interfaces.action(value.text()?).map_err(|error| value.error(error.to_string()));
     let entry = entry(value, "action", known)?;
     let Entry { line, name: action, ros_name: ros_action, known: action_type, timeout } = entry;
     Ok(ActionEntry { line, action, ros_action, action_type, timeout })

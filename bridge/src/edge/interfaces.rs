@@ -1,0 +1,421 @@
+//! The registry of messages, services and actions.
+
+use super::known_type::UnknownType;
+use super::nearest::nearest;
+use super::{EncodedInlet, KnownAction, KnownService, KnownType, UnknownAction, UnknownService};
+use downbeat_executor::{Core, ServiceInfo, SetupError};
+use downbeat_msgs::description::Description;
+use downbeat_msgs::dynamic::{AmentPrefixPath, Definitions, Schemas};
+use downbeat_msgs::{Action, InterfaceSet, InterfaceVisitor, Message, Service};
+use std::any::TypeId;
+use std::collections::{BTreeMap, HashMap};
+use std::fmt;
+use std::sync::{Arc, LazyLock};
+use thiserror::Error;
+
+/// The messages, services and actions that a program can name, find by their Rust types, and turn into bytes: those that
+/// `downbeat-msgs` carries, and those that the program registers. Clones share one table.
+///
+/// ```
+/// use downbeat_bridge::edge::Interfaces;
+/// use downbeat_msgs::Message;
+///
+/// #[derive(Clone, Debug, Default, PartialEq, Message)]
+/// #[message(name = "my_msgs/msg/Tilt")]
+/// struct Tilt {
+///     angle: f64,
+/// }
+///
+/// let interfaces = Interfaces::carried().with(Tilt::INTERFACES)?;
+/// assert_eq!(interfaces.message("my_msgs/msg/Tilt")?.hash(), Tilt::TYPE_HASH);
+/// assert!(Interfaces::carried().message("my_msgs/msg/Tilt").is_err(), "nothing is global");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// A name has one definition. Two Rust types of the same name and hash, such as the `sensor_msgs/msg/Imu` that another crate has
+/// generated, are one type: both are found by their Rust types.
+#[derive(Clone)]
+pub struct Interfaces {
+    tables: Arc<Tables>,
+}
+
+/// Two definitions have the same name.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error(
+    "{name} is registered with two definitions: {known} and {other}. On a ROS 2 network a name has one definition: rename one \
+     of them, or use the Rust type of one crate in both places"
+)]
+pub struct InterfaceConflict {
+    /// The name of the message, service or action.
+    pub name: &'static str,
+    /// The hash that was registered before.
+    pub known: &'static str,
+    /// The hash that was refused.
+    pub other: &'static str,
+}
+
+#[derive(Clone, Default)]
+struct Tables {
+    messages: BTreeMap<&'static str, KnownType>,
+    services: BTreeMap<&'static str, KnownService>,
+    actions: BTreeMap<&'static str, KnownAction>,
+    message_types: HashMap<TypeId, KnownType>,
+    /// By the Rust types of request and response.
+    service_types: HashMap<(&'static str, &'static str), KnownService>,
+    /// By the Rust types of request and response of the service `send_goal`.
+    action_types: HashMap<(&'static str, &'static str), KnownAction>,
+    /// By hash.
+    descriptions: HashMap<&'static str, &'static Description>,
+}
+
+impl Interfaces {
+    /// The interfaces that `downbeat-msgs` was built with.
+    ///
+    /// # Panics
+    /// Never: these have distinct names.
+    #[must_use]
+    pub fn carried() -> Self {
+        static CARRIED: LazyLock<Interfaces> = LazyLock::new(|| {
+            let tables = Tables::default().with(downbeat_msgs::INTERFACES);
+            let tables = tables.unwrap_or_else(|conflict| panic!("what is carried is wrong: {conflict}"));
+            Interfaces { tables: Arc::new(tables) }
+        });
+        CARRIED.clone()
+    }
+
+    /// These interfaces and those of a set.
+    ///
+    /// # Errors
+    /// [`InterfaceConflict`] if one of them has the name of another with another definition.
+    pub fn with(&self, set: impl InterfaceSet) -> Result<Self, InterfaceConflict> {
+        Ok(Self { tables: Arc::new(Tables::clone(&self.tables).with(set)?) })
+    }
+
+    /// The message of that name, such as `sensor_msgs/msg/Imu`.
+    ///
+    /// # Errors
+    /// [`UnknownType`] with the nearest name where there is none.
+    pub fn message(&self, name: &str) -> Result<KnownType, UnknownType> {
+        self.tables.messages.get(name).copied().ok_or_else(|| UnknownType {
+            name: name.to_owned(),
+            nearest: nearest(name, self.tables.messages.keys().copied()),
+        })
+    }
+
+    /// The message whose Rust type is `type_id`, as
+    /// [`TopicInfo::message_type_id`](downbeat_executor::TopicInfo::message_type_id) gives it.
+    #[must_use]
+    pub fn message_of(&self, type_id: TypeId) -> Option<KnownType> {
+        self.tables.message_types.get(&type_id).copied()
+    }
+
+    /// An entry for serialized messages into a core. Where two Rust types have the definition of `message`, it takes that which the
+    /// topic carries.
+    ///
+    /// # Errors
+    /// [`SetupError`] when the name is not valid or the topic carries another message.
+    pub fn inlet(
+        &self,
+        core: &mut Core,
+        topic: &str,
+        message: KnownType,
+    ) -> Result<EncodedInlet, SetupError> {
+        let name = topic.strip_prefix('/').unwrap_or(topic);
+        let found = core.topics().find(|found| *found.name == *name);
+        let carried = found.and_then(|found| self.message_of(found.message_type_id));
+        carried.filter(|carried| *carried == message).unwrap_or(message).inlet(core, topic)
+    }
+
+    /// Every message, by name.
+    pub fn messages(&self) -> impl Iterator<Item = KnownType> {
+        self.tables.messages.values().copied()
+    }
+
+    /// The service of that name, such as `std_srvs/srv/SetBool`.
+    ///
+    /// # Errors
+    /// [`UnknownService`] with the nearest name where there is none.
+    pub fn service(&self, name: &str) -> Result<KnownService, UnknownService> {
+        self.tables.services.get(name).copied().ok_or_else(|| UnknownService {
+            name: name.to_owned(),
+            nearest: nearest(name, self.tables.services.keys().copied()),
+        })
+    }
+
+    /// The type of a service of a core, if its request and response are those of a service here.
+    #[must_use]
+    pub fn service_of(&self, service: &ServiceInfo) -> Option<KnownService> {
+        self.tables.service_types.get(&(service.request_type, service.response_type)).copied()
+    }
+
+    /// Every service, by name.
+    pub fn services(&self) -> impl Iterator<Item = KnownService> {
+        self.tables.services.values().copied()
+    }
+
+    /// The action of that name, such as `tf2_msgs/action/LookupTransform`.
+    ///
+    /// # Errors
+    /// [`UnknownAction`] with the nearest name where there is none.
+    pub fn action(&self, name: &str) -> Result<KnownAction, UnknownAction> {
+        self.tables.actions.get(name).copied().ok_or_else(|| UnknownAction {
+            name: name.to_owned(),
+            nearest: nearest(name, self.tables.actions.keys().copied()),
+        })
+    }
+
+    /// The type of an action of a core, by its service `send_goal`.
+    #[must_use]
+    pub fn action_of(&self, send_goal: &ServiceInfo) -> Option<KnownAction> {
+        self.tables.action_types.get(&(send_goal.request_type, send_goal.response_type)).copied()
+    }
+
+    /// Every action, by name.
+    pub fn actions(&self) -> impl Iterator<Item = KnownAction> {
+        self.tables.actions.values().copied()
+    }
+
+    /// The messages, services and actions that were registered beside those carried, by name: descriptions with the definition
+    /// texts.
+    pub fn registered(&self) -> impl Iterator<Item = &'static Description> {
+        let carried = Self::carried();
+        let descriptions = self.tables.descriptions.iter();
+        let registered = descriptions.filter(|(hash, _)| !carried.tables.descriptions.contains_key(*hash));
+        let mut registered: Vec<_> = registered.map(|(_, description)| *description).collect();
+        registered.sort_unstable_by_key(|description| description.type_name);
+        registered.into_iter()
+    }
+
+    /// The definitions of what was registered beside the interfaces carried.
+    #[must_use]
+    pub fn registered_definitions(&self) -> Schemas {
+        let mut registered = Schemas::new("the interfaces registered");
+        for Description { type_name, definition, .. } in self.registered() {
+            // A definition that a crate was compiled with is one.
+            if let Err(error) = registered.add(type_name, "ros2msg", definition) {
+                tracing::error!("the definition of {type_name} cannot be read: {error}");
+            }
+        }
+        registered
+    }
+
+    /// Where definitions are looked up at run time: what was registered, what `downbeat-msgs` carries, and the ament prefixes of
+    /// the environment.
+    #[must_use]
+    pub fn definitions(&self) -> Definitions {
+        let registered = Definitions::new().with(self.registered_definitions());
+        registered.with_carried().with(AmentPrefixPath::from_environment())
+    }
+
+    /// The message, service or action with that hash.
+    #[must_use]
+    pub fn described(&self, hash: &str) -> Option<&'static Description> {
+        self.tables.descriptions.get(hash).copied()
+    }
+}
+
+/// Those carried.
+impl Default for Interfaces {
+    fn default() -> Self {
+        Self::carried()
+    }
+}
+
+impl fmt::Debug for Interfaces {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Tables { messages, services, actions, .. } = &*self.tables;
+        f.debug_struct("Interfaces")
+            .field("messages", &messages.len())
+            .field("services", &services.len())
+            .field("actions", &actions.len())
+            .finish()
+    }
+}
+
+impl Tables {
+    fn with(self, set: impl InterfaceSet) -> Result<Self, InterfaceConflict> {
+        let mut registration = Registration { tables: self, conflict: None };
+        set.visit(&mut registration);
+        registration.conflict.map_or(Ok(registration.tables), Err)
+    }
+}
+
+/// What a set goes through.
+struct Registration {
+    tables: Tables,
+    conflict: Option<InterfaceConflict>,
+}
+
+impl Registration {
+    /// True if that is a new name, or one of the same definition.
+    fn admits(&mut self, hash: &'static str, known: Option<&'static str>, of: &'static Description) -> bool {
+        match known.filter(|known| *known != hash) {
+            Some(known) => {
+                let conflict = InterfaceConflict { name: of.type_name, known, other: hash };
+                self.conflict.get_or_insert(conflict);
+                false
+            }
+            None => {
+                self.tables.descriptions.insert(hash, of);
+                true
+            }
+        }
+    }
+
+    fn add_message(&mut self, message: KnownType, of: &'static Description) {
+        let known = self.tables.messages.get(message.name()).map(|known| known.hash());
+        if self.admits(message.hash(), known, of) {
+            self.tables.messages.entry(message.name()).or_insert(message);
+            self.tables.message_types.insert(message.rust_type(), message);
+        }
+    }
+
+    fn add_service(&mut self, service: KnownService, of: &'static Description) {
+        let known = self.tables.services.get(service.name()).map(|known| known.hash());
+        if self.admits(service.hash(), known, of) {
+            self.tables.services.entry(service.name()).or_insert(service);
+            self.tables.service_types.insert(service.rust_types(), service);
+        }
+    }
+
+    fn add_action(&mut self, action: KnownAction, of: &'static Description) {
+        let known = self.tables.actions.get(action.name()).map(|known| known.hash());
+        if self.admits(action.hash(), known, of) {
+            self.tables.actions.entry(action.name()).or_insert(action);
+            self.tables.action_types.insert(action.send_goal().rust_types(), action);
+        }
+    }
+}
+
+// One call each: they exist once per type.
+impl InterfaceVisitor for Registration {
+    fn message<T: Message>(&mut self) {
+        self.add_message(KnownType::of::<T>(), T::DESCRIPTION);
+    }
+
+    fn service<S: Service>(&mut self) {
+        self.add_service(KnownService::of::<S>(), S::DESCRIPTION);
+    }
+
+    fn action<A: Action>(&mut self) {
+        self.add_action(KnownAction::of::<A>(), A::DESCRIPTION);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
+
+    /// What another crate would generate of the same definition.
+    #[derive(Clone, Debug, Default, PartialEq, Message)]
+    #[message(name = "std_msgs/msg/Bool")]
+    struct Bool {
+        data: bool,
+    }
+
+    #[derive(Clone, Debug, Default, PartialEq, Message)]
+    #[message(name = "std_msgs/msg/Int8")]
+    struct WideInt8 {
+        data: i16,
+    }
+
+    #[derive(Clone, Debug, Default, PartialEq, Message)]
+    #[message(name = "my_msgs/msg/Tilt")]
+    struct Tilt {
+        angle: f64,
+    }
+
+    #[test]
+    fn a_type_is_found_by_its_ros_name_and_by_its_rust_type() {
+        let interfaces = Interfaces::carried();
+        let imu = interfaces.message("sensor_msgs/msg/Imu").unwrap();
+        assert_eq!(imu.rust_type(), TypeId::of::<Imu>());
+        assert_eq!((imu.hash(), imu.definition()), (Imu::TYPE_HASH, Imu::DEFINITION));
+        let joint_state = interfaces.message_of(TypeId::of::<JointState>()).unwrap();
+        assert_eq!(joint_state.name(), "sensor_msgs/msg/JointState");
+        assert_eq!(interfaces.message_of(TypeId::of::<String>()), None);
+    }
+
+    #[test]
+    fn every_type_that_is_carried_is_registered() {
+        let names: Vec<_> = Interfaces::carried().messages().map(KnownType::name).collect();
+        let mut carried = downbeat_msgs::TYPE_NAMES.to_vec();
+        carried.sort_unstable();
+        assert_eq!(names, carried);
+    }
+
+    #[test]
+    fn a_name_that_is_not_known_is_answered_with_the_nearest() {
+        let interfaces = Interfaces::carried().with(Tilt::INTERFACES).unwrap();
+        for (wrong, meant) in [
+            ("sensor_msgs/Imu", "sensor_msgs/msg/Imu"),
+            ("sensor_msgs/msg/JointStates", "sensor_msgs/msg/JointState"),
+            ("std_msgs/msg/Strnig", "std_msgs/msg/String"),
+            ("JointState", "sensor_msgs/msg/JointState"),
+            ("geometry_msgs/msg/twist", "geometry_msgs/msg/Twist"),
+            ("my_msgs/Tilt", "my_msgs/msg/Tilt"),
+        ] {
+            let error = interfaces.message(wrong).unwrap_err();
+            assert_eq!(error.nearest, meant);
+            assert_eq!(error.to_string(), format!("unknown message type {wrong:?}, did you mean {meant:?}?"));
+        }
+        assert_eq!(interfaces.service("std_srvs/srv/SetBool").unwrap().name(), "std_srvs/srv/SetBool");
+        let error = interfaces.service("std_srvs/SetBool").unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "unknown service type \"std_srvs/SetBool\", did you mean \"std_srvs/srv/SetBool\"?"
+        );
+        let error = interfaces.action("tf2_msgs/LookupTransform").unwrap_err();
+        assert_eq!(error.nearest, "tf2_msgs/action/LookupTransform");
+    }
+
+    #[test]
+    fn the_same_definition_in_another_rust_type_is_the_same_type() {
+        let interfaces = Interfaces::carried().with(Bool::INTERFACES).unwrap();
+        let carried = interfaces.message("std_msgs/msg/Bool").unwrap();
+        let other = interfaces.message_of(TypeId::of::<Bool>()).unwrap();
+        assert_eq!(carried, other);
+        assert_eq!(carried.rust_type(), TypeId::of::<downbeat_msgs::std_msgs::msg::Bool>());
+        assert_eq!(other.rust_type(), TypeId::of::<Bool>());
+        assert_eq!(interfaces.messages().count(), Interfaces::carried().messages().count());
+    }
+
+    #[test]
+    fn an_inlet_takes_the_rust_type_that_its_topic_carries() {
+        let interfaces = Interfaces::carried().with(Bool::INTERFACES).unwrap();
+        let carried = interfaces.message("std_msgs/msg/Bool").unwrap();
+        let mut core = Core::new();
+        core.inlet::<Bool>("theirs").unwrap();
+        core.inlet::<Imu>("imu").unwrap();
+        for topic in ["theirs", "/theirs", "ours"] {
+            let inlet = interfaces.inlet(&mut core, topic, carried).unwrap();
+            inlet.publish(&carried.default_cdr()).unwrap();
+        }
+        let error = interfaces.inlet(&mut core, "imu", carried).unwrap_err().to_string();
+        assert!(error.contains("imu"), "the topic carries another message: {error}");
+    }
+
+    #[test]
+    fn another_definition_of_a_name_is_refused_with_both_hashes() {
+        let conflict = Interfaces::carried().with((Tilt::INTERFACES, WideInt8::INTERFACES)).unwrap_err();
+        let carried = downbeat_msgs::std_msgs::msg::Int8::TYPE_HASH;
+        assert_eq!(
+            conflict,
+            InterfaceConflict { name: "std_msgs/msg/Int8", known: carried, other: WideInt8::TYPE_HASH }
+        );
+        let text = conflict.to_string();
+        assert!(
+            text.contains(carried) && text.contains(WideInt8::TYPE_HASH) && text.contains("rename"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn a_set_that_is_registered_twice_is_registered_once() {
+        let once = Interfaces::carried().with(Tilt::INTERFACES).unwrap();
+        let twice = once.with((Tilt::INTERFACES, Tilt::INTERFACES)).unwrap();
+        assert!(once.messages().eq(twice.messages()));
+    }
+}

@@ -1,0 +1,172 @@
+//! Sets of interfaces: what a crate of messages hands to a program that exposes, records and shows them.
+
+use std::marker::PhantomData;
+
+use crate::{Action, Message, Service};
+
+/// Messages, services and actions, for code that treats each of them: a bridge, a recorder.
+///
+/// [`include_interfaces!`](crate::include_interfaces) makes a set of all that it includes, [`interfaces!`](crate::interfaces) one
+/// of the types that are named, and every message, service and action is a set of itself: `Leg::INTERFACES`. A tuple of sets is
+/// a set.
+///
+/// ```
+/// use downbeat_msgs::{InterfaceSet, InterfaceVisitor, Message, Service, Action, std_msgs, std_srvs};
+///
+/// /// Collects names.
+/// #[derive(Default)]
+/// struct Names(Vec<&'static str>);
+///
+/// impl InterfaceVisitor for Names {
+///     fn message<T: Message>(&mut self) {
+///         self.0.push(T::TYPE_NAME);
+///     }
+///     fn service<S: Service>(&mut self) {
+///         self.0.push(S::TYPE_NAME);
+///     }
+///     fn action<A: Action>(&mut self) {
+///         self.0.push(A::TYPE_NAME);
+///     }
+/// }
+///
+/// let mut names = Names::default();
+/// (std_msgs::msg::Header::INTERFACES, std_srvs::srv::Empty::INTERFACES).visit(&mut names);
+/// assert_eq!(names.0, [
+///     "std_msgs/msg/Header",
+///     "std_srvs/srv/Empty",
+///     "std_srvs/srv/Empty_Request",
+///     "std_srvs/srv/Empty_Response",
+///     "std_srvs/srv/Empty_Event",
+/// ]);
+/// ```
+pub trait InterfaceSet {
+    /// Names each interface to the visitor: a service before its messages, an action before its messages and services. One that is
+    /// in the set twice is visited twice.
+    fn visit(&self, visitor: &mut impl InterfaceVisitor);
+}
+
+/// Treats every interface of a set.
+pub trait InterfaceVisitor {
+    /// A message, be it one of a service or an action.
+    fn message<T: Message>(&mut self);
+
+    /// A service, be it one of an action.
+    fn service<S: Service>(&mut self);
+
+    /// An action.
+    fn action<A: Action>(&mut self);
+}
+
+/// The set of one message, [`Message::INTERFACES`].
+pub struct OneMessage<T>(PhantomData<fn() -> T>);
+
+/// The set of one service and its messages, [`Service::INTERFACES`].
+pub struct OneService<S>(PhantomData<fn() -> S>);
+
+/// The set of one action, its services and its messages, [`Action::INTERFACES`].
+pub struct OneAction<A>(PhantomData<fn() -> A>);
+
+impl<T> OneMessage<T> {
+    pub(crate) const NEW: Self = Self(PhantomData);
+}
+
+impl<S> OneService<S> {
+    pub(crate) const NEW: Self = Self(PhantomData);
+}
+
+impl<A> OneAction<A> {
+    pub(crate) const NEW: Self = Self(PhantomData);
+}
+
+impl<T: Message> InterfaceSet for OneMessage<T> {
+    fn visit(&self, visitor: &mut impl InterfaceVisitor) {
+        visitor.message::<T>();
+    }
+}
+
+impl<S: Service> InterfaceSet for OneService<S> {
+    fn visit(&self, visitor: &mut impl InterfaceVisitor) {
+        visitor.service::<S>();
+        visitor.message::<S::Request>();
+        visitor.message::<S::Response>();
+        visitor.message::<S::Event>();
+    }
+}
+
+impl<A: Action> InterfaceSet for OneAction<A> {
+    fn visit(&self, visitor: &mut impl InterfaceVisitor) {
+        visitor.action::<A>();
+        visitor.message::<A::Goal>();
+        visitor.message::<A::Result>();
+        visitor.message::<A::Feedback>();
+        A::SendGoal::INTERFACES.visit(visitor);
+        A::GetResult::INTERFACES.visit(visitor);
+        visitor.message::<A::FeedbackMessage>();
+    }
+}
+
+impl<S: InterfaceSet> InterfaceSet for &S {
+    fn visit(&self, visitor: &mut impl InterfaceVisitor) {
+        (**self).visit(visitor);
+    }
+}
+
+macro_rules! tuple {
+    ($($set:ident $index:tt),*) => {
+        impl<$($set: InterfaceSet),*> InterfaceSet for ($($set,)*) {
+            fn visit(&self, visitor: &mut impl InterfaceVisitor) {
+                $(self.$index.visit(visitor);)*
+            }
+        }
+    };
+}
+tuple!(A 0);
+tuple!(A 0, B 1);
+tuple!(A 0, B 1, C 2);
+tuple!(A 0, B 1, C 2, D 3);
+tuple!(A 0, B 1, C 2, D 3, E 4);
+tuple!(A 0, B 1, C 2, D 3, E 4, F 5);
+
+/// Makes a set of messages, services and actions: a value that a program registers, such as the set of a crate whose messages
+/// are derived.
+///
+/// ```
+/// use downbeat_msgs::Message;
+///
+/// #[derive(Clone, Debug, Default, PartialEq, Message)]
+/// #[message(name = "my_msgs/msg/Tilt")]
+/// pub struct Tilt {
+///     pub angle: f64,
+/// }
+///
+/// #[derive(Clone, Debug, Default, PartialEq, Message)]
+/// #[message(name = "my_msgs/msg/Reach")]
+/// pub struct Reach {
+///     pub distance: f64,
+/// }
+///
+/// downbeat_msgs::interfaces! {
+///     /// The messages of this robot.
+///     pub INTERFACES: Tilt, Reach
+/// }
+/// # fn register(_: impl downbeat_msgs::InterfaceSet) {}
+/// register(INTERFACES);
+/// ```
+#[macro_export]
+macro_rules! interfaces {
+    ($(#[$attribute:meta])* $visibility:vis $name:ident: $($interface:ty),* $(,)?) => {
+        $(#[$attribute])*
+        #[allow(non_camel_case_types, clippy::upper_case_acronyms)] // It is used as a constant.
+        #[derive(Clone, Copy, Debug)]
+        $visibility struct $name;
+
+        impl $crate::InterfaceSet for $name {
+            fn visit(&self, visitor: &mut impl $crate::InterfaceVisitor) {
+                #[allow(unused_imports)]
+                use $crate::{Action as _, InterfaceSet as _, Message as _, Service as _};
+                let _ = &visitor;
+                $(<$interface>::INTERFACES.visit(visitor);)*
+            }
+        }
+    };
+}

@@ -1,0 +1,29 @@
+//! Messages, a service and an action of a user.
+
+use downbeat_msgs::Message;
+use downbeat_msgs::std_msgs::msg::Header;
+
+downbeat_msgs::include_interfaces!();
+
+/// How far an arm reaches, as a struct that is written by hand.
+#[derive(Clone, Debug, Default, PartialEq, Message)]
+#[message(name = "my_msgs/msg/Reach")]
+pub struct Reach {
+    /// When.
+    pub header: Header,
+    /// From the shoulder [m].
+    pub distance: f64,
+}
+
+/// The message of `std_msgs`, as another crate would generate it.
+#[derive(Clone, Debug, Default, PartialEq, Message)]
+#[message(name = "std_msgs/msg/Bool")]
+pub struct OtherBool {
+    /// The value.
+    pub data: bool,
+}
+
+downbeat_msgs::interfaces! {
+    /// What is derived here.
+    pub DERIVED: Reach, OtherBool
+}
