@@ -1,7 +1,8 @@
 //! Recording topics of a core into a rosbag2 directory.
 
 use bytes::Bytes;
-use downbeat_bags::{RecordError, Recording, RecordingSender, TopicId};
+use downbeat_bags::metadata::Metadata;
+use downbeat_bags::{RecordError, Recording, RecordingSender, TopicId, WriterOptions};
 use downbeat_bridge::edge::{Interfaces, KnownType, RawMessage, Sink};
 use downbeat_executor::{
     Context, Core, Inbox, Module, ModuleOptions, Received, Role, Setup, SetupError, Synchrony, Time,
@@ -12,6 +13,8 @@ use downbeat_msgs::qos::QosProfile;
 
 use crate::encoding::topic_info;
 use crate::raw_recorder::RawToBag;
+use crate::robot::unregistered;
+use serde::{Deserialize, Serialize};
 use std::any::TypeId;
 
 /// Why a robot cannot be recorded.
@@ -40,8 +43,8 @@ pub enum WhenFull {
 /// Adds a recorder of these topics to a core: a detached observer, so that serialising delays no cycle and the
 /// last messages of every module are recorded.
 ///
-/// Messages are stamped with the time of the cycle that published them. A topic whose messages are no ROS
-/// messages is passed over. The offered QoS noted in the bag is what `qos_of` says of a topic. A message that has no place
+/// Messages are stamped with the time of the cycle that published them. A topic whose messages are not registered is passed
+/// over; [`Unrecorded`] tells which these are. The offered QoS noted in the bag is what `qos_of` says of a topic. A message that has no place
 /// in the encoding (a time before 1970 in FlatBuffers) is logged and left out.
 ///
 /// # Errors
@@ -63,10 +66,7 @@ pub fn record(
             recorder.raw.push((topic.name.to_string(), RawToBag::new(sender.clone(), when_full, name, qos)));
             continue;
         }
-        let Some(message_type) = interfaces.message_of(topic.message_type_id) else {
-            tracing::debug!("{} is not recorded: {} is no ROS message", topic.name, topic.message_type);
-            continue;
-        };
+        let Some(message_type) = interfaces.message_of(topic.message_type_id) else { continue };
         let qos = vec![qos_of(&topic.name).into()];
         let (info, codec) = topic_info(format!("/{}", topic.name), message_type, qos, encoding)?;
         let id = sender.add_topic(info)?;
@@ -78,6 +78,82 @@ pub fn record(
         ..ModuleOptions::default()
     };
     Ok(core.add_with("recorder", recorder, options)?)
+}
+
+/// Whether the messages of a topic have a place in a bag.
+pub(crate) fn is_recordable(topic: &TopicInfo, interfaces: &Interfaces) -> bool {
+    topic.message_type_id == TypeId::of::<RawMessage>()
+        || interfaces.message_of(topic.message_type_id).is_some()
+}
+
+/// Topics that a recording passes over, since their Rust types are not registered as messages.
+#[derive(Clone)]
+pub struct Unrecorded {
+    topics: Vec<TopicInfo>,
+}
+
+/// A topic that is not in a bag, as the bag tells it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UnrecordedTopic {
+    /// The name, with a leading slash.
+    pub topic: String,
+    /// The Rust path of its messages.
+    pub rust_type: String,
+    /// How many messages it carried.
+    pub messages: u64,
+}
+
+impl Unrecorded {
+    /// The key of a bag's custom data that has these topics, as JSON.
+    const KEY: &str = "unrecorded_topics";
+
+    /// Of these topics those that a recording passes over. What the executor and the bridge tell each other is not counted.
+    #[must_use]
+    pub fn of(topics: &[TopicInfo], interfaces: &Interfaces) -> Self {
+        let is_internal =
+            |topic: &TopicInfo| topic.name.starts_with("executor/") || topic.name.starts_with("bridge/");
+        let passed_over =
+            topics.iter().filter(|topic| !is_recordable(topic, interfaces) && !is_internal(topic));
+        Self { topics: passed_over.cloned().collect() }
+    }
+
+    /// Warns of each topic, with what to do.
+    pub fn warn(&self) {
+        for TopicInfo { name, message_type, .. } in &self.topics {
+            let problem = unregistered(message_type, "ROS message");
+            tracing::warn!("\"{name}\" is not recorded: it carries {message_type}, {problem}");
+        }
+    }
+
+    /// Has a bag tell the topics, and how many messages they carried.
+    #[must_use]
+    pub fn note(self, writer: WriterOptions) -> WriterOptions {
+        if self.topics.is_empty() {
+            return writer;
+        }
+        writer.counted_data(Self::KEY, move || {
+            // Strings and numbers have a place in JSON.
+            serde_json::to_string(&self.topics()).unwrap_or_default()
+        })
+    }
+
+    /// The topics, and how many messages they have carried so far.
+    #[must_use]
+    pub fn topics(&self) -> Vec<UnrecordedTopic> {
+        let told = self.topics.iter().map(|topic| UnrecordedTopic {
+            topic: format!("/{}", topic.name),
+            rust_type: topic.message_type.to_owned(),
+            messages: topic.counter.messages(),
+        });
+        told.collect()
+    }
+
+    /// What a bag tells of topics that were not recorded.
+    #[must_use]
+    pub fn in_bag(metadata: &Metadata) -> Vec<UnrecordedTopic> {
+        let noted = metadata.custom_data.get(Self::KEY);
+        noted.and_then(|noted| serde_json::from_str(noted).ok()).unwrap_or_default()
+    }
 }
 
 struct Recorder {

@@ -7,6 +7,7 @@ use downbeat_executor::ServiceInfo;
 use super::Robot;
 use super::expose::canonical;
 use super::file::{ActionEntry, RobotFileError, suggestion};
+use super::registration::unregistered;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -103,7 +104,11 @@ impl Robot {
             entry.action_type,
         ) {
             (Some((info, None)), _) => {
-                return refuse(format!("\"{name}\" takes {}, which is no goal of ROS 2", info.request_type));
+                let request = info.request_type;
+                return refuse(format!(
+                    "\"{name}\" takes {request}, {}",
+                    unregistered(request, "goal of ROS 2")
+                ));
             }
             (Some((_, Some(found))), Some(said)) if found != said => {
                 return refuse(format!("\"{name}\" is of type \"{found}\", not \"{said}\""));

@@ -9,6 +9,7 @@ use downbeat_bridge::ros::{NameError, NodeName, TopicName};
 use downbeat_executor::TopicInfo;
 
 use super::file::{Direction, ExposeEntry, RobotFile, RobotFileError, TopicChoice, suggestion};
+use super::registration::unregistered;
 use crate::{cycle_journal, settings_journal, step_journal};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
@@ -145,10 +146,8 @@ impl<'a> Selection<'a> {
             return refuse(format!("no module publishes \"{}\"; does it belong under \"in\"?", topic.name));
         }
         let Some(message_type) = self.interfaces().message_of(topic.message_type_id) else {
-            return refuse(format!(
-                "\"{}\" carries {}, which is no ROS message",
-                topic.name, topic.message_type
-            ));
+            let (name, carried) = (&topic.name, topic.message_type);
+            return refuse(format!("\"{name}\" carries {carried}, {}", unregistered(carried, "ROS message")));
         };
         let actual = message_type.name();
         if let Some(said) = entry.type_name.as_deref().filter(|said| *said != actual) {

@@ -182,6 +182,7 @@ mod kinds;
 mod lifecycle;
 mod parameters;
 mod recorded;
+mod registration;
 mod ros_args;
 mod services;
 
@@ -196,4 +197,5 @@ pub use file::{
     TopicChoice,
 };
 pub use kind::Kind;
+pub(crate) use registration::unregistered;
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};

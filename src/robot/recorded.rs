@@ -8,6 +8,8 @@ use downbeat_executor::{GraphEdge, TopicInfo};
 use super::Robot;
 use super::expose::canonical;
 use super::file::{RecordEntry, RobotFileError, suggestion};
+use super::registration::unregistered;
+use crate::recorder;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -15,7 +17,7 @@ impl Robot {
     /// The topics that a recording is to hold, by what the file's `[record]` says.
     ///
     /// # Errors
-    /// If a topic or a module is not there; with path and line.
+    /// If a topic or a module is not there, or a topic that is named carries no registered message; with path and line.
     pub fn recorded_topics(&self) -> Result<Vec<TopicInfo>> {
         self.topics_of(&self.file.record)
     }
@@ -23,7 +25,7 @@ impl Robot {
     /// The topics that a recording is to hold by that entry.
     ///
     /// # Errors
-    /// If a topic or a module is not there; with path and line.
+    /// If a topic or a module is not there, or a topic that is named carries no registered message; with path and line.
     pub fn topics_of(&self, entry: &RecordEntry) -> Result<Vec<TopicInfo>> {
         let known: Vec<_> = self.core.topics().cloned().collect();
         let mut chosen = match &entry.topics {
@@ -34,7 +36,7 @@ impl Robot {
                     let found: Vec<&TopicInfo> = if TopicPattern::is_pattern(name) {
                         known.iter().filter(|topic| matches(name, &topic.name)).collect()
                     } else {
-                        vec![self.file.topic(&known, name, entry.line, "record")?]
+                        vec![self.recordable(self.file.topic(&known, name, entry.line, "record")?, entry)?]
                     };
                     for topic in found {
                         if chosen.iter().all(|other| other.name != topic.name) {
@@ -61,6 +63,16 @@ impl Robot {
             chosen.retain(|topic| exposed.iter().any(|exposure| *exposure.topic == *topic.name) == is_wanted);
         }
         Ok(chosen)
+    }
+
+    /// A topic that is named has to be one that a bag can hold.
+    fn recordable<'a>(&self, topic: &'a TopicInfo, entry: &RecordEntry) -> Result<&'a TopicInfo> {
+        if recorder::is_recordable(topic, &self.file.catalog.interfaces) {
+            return Ok(topic);
+        }
+        let (name, carried) = (&topic.name, topic.message_type);
+        let problem = unregistered(carried, "ROS message");
+        Err(self.file.source.error(entry.line, format!("\"{name}\" carries {carried}, {problem}")))
     }
 
     /// The topics that the named modules publish.

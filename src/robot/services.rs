@@ -8,6 +8,7 @@ use downbeat_executor::ServiceInfo;
 
 use super::Robot;
 use super::file::{RobotFileError, ServiceEntry, suggestion};
+use super::registration::unregistered;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -91,7 +92,8 @@ impl Robot {
             self.file.catalog.interfaces.service_of(info).ok_or_else(|| {
                 let (request, response) = (info.request_type, info.response_type);
                 let name = &entry.service;
-                self.refuse(entry, format!("\"{name}\" is {request} -> {response}, which is no ROS service"))
+                let problem = unregistered(request, "ROS service");
+                self.refuse(entry, format!("\"{name}\" is {request} -> {response}, {problem}"))
             })
         });
         match (found.transpose()?, entry.service_type) {

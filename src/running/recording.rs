@@ -4,13 +4,14 @@ use std::path::{Path, PathBuf};
 
 use downbeat_bags::{Recording, RecordingOptions, RecordingStatistics, WriterOptions};
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
+use downbeat_bridge::edge::KnownType;
 use downbeat_bridge::ros::{Node, NodeName};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
 use downbeat_msgs::encoding::Encoding;
 use downbeat_msgs::qos::QosProfile;
 
 use super::StartError;
-use crate::recorder::{self, WhenFull};
+use crate::recorder::{self, Unrecorded, WhenFull};
 use crate::robot::{Robot, RobotFile};
 use crate::ros_recorder::{RecorderServices, TopicFilter, serve, split_events};
 
@@ -62,15 +63,17 @@ impl RobotRecording {
         if let Some(filter) = filter {
             topics.retain(|topic| {
                 let known = robot.file.catalog.interfaces.message_of(topic.message_type_id);
-                known.is_some_and(|known| {
-                    filter.takes_name_and_type(&format!("/{}", topic.name), known.name())
-                })
+                let type_name = known.map_or(topic.message_type, KnownType::name);
+                filter.takes_name_and_type(&format!("/{}", topic.name), type_name)
             });
         }
         if robot.file.is_emulated() {
             writer = writer.custom_data("emulated", "true");
         }
-        let mut writer = writer.custom_data("robot", robot.file.name.clone()).create(&directory)?;
+        let unrecorded = Unrecorded::of(&topics, &robot.file.catalog.interfaces);
+        unrecorded.warn();
+        let writer = unrecorded.note(writer.custom_data("robot", robot.file.name.clone()));
+        let mut writer = writer.create(&directory)?;
         let node = node.map(recorder_node).transpose()?;
         let takes_snapshots = recording.takes_snapshots();
         match &node {

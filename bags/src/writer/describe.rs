@@ -63,6 +63,8 @@ impl Writer {
 
     fn custom_data(&self) -> BTreeMap<String, String> {
         let mut custom_data = self.options.custom_data.clone();
+        let counted = self.options.counted_data.iter().map(|(key, value)| (key.clone(), (value.0)()));
+        custom_data.extend(counted);
         let lost = |topic: &Topic| {
             let lost = topic.lost + topic.refused;
             (lost > 0).then(|| format!("{}: {lost}", topic.info.name))

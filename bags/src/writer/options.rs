@@ -1,10 +1,12 @@
 //! How to record.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::fs;
 use std::io;
 use std::num::NonZeroUsize;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 use super::storage::{Compression, DEFAULT_CHUNK_SIZE};
@@ -40,6 +42,17 @@ pub struct WriterOptions {
     pub(super) sync: SyncPolicy,
     pub(super) disk_full: WhenDiskFull,
     pub(super) custom_data: BTreeMap<String, String>,
+    pub(super) counted_data: BTreeMap<String, CountedData>,
+}
+
+/// What the metadata says that is known only when it is written.
+#[derive(Clone)]
+pub(super) struct CountedData(pub(super) Arc<dyn Fn() -> String + Send + Sync>);
+
+impl fmt::Debug for CountedData {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("CountedData")
+    }
 }
 
 /// When a bag goes on in a new file: at the first of these limits that a file reaches.
@@ -108,6 +121,7 @@ impl WriterOptions {
             sync: SyncPolicy::default(),
             disk_full: WhenDiskFull::default(),
             custom_data: BTreeMap::new(),
+            counted_data: BTreeMap::new(),
         }
     }
 
@@ -166,6 +180,17 @@ impl WriterOptions {
     #[must_use]
     pub fn custom_data(mut self, key: impl Into<String>, value: impl Into<String>) -> Self {
         self.custom_data.insert(key.into(), value.into());
+        self
+    }
+
+    /// Notes what `value` returns at the time when the metadata is written: for what is counted while the recording goes on.
+    #[must_use]
+    pub fn counted_data(
+        mut self,
+        key: impl Into<String>,
+        value: impl Fn() -> String + Send + Sync + 'static,
+    ) -> Self {
+        self.counted_data.insert(key.into(), CountedData(Arc::new(value)));
         self
     }
 

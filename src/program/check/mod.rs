@@ -7,6 +7,7 @@ use std::path::Path;
 use crate::bridge::edge::{Interfaces, KnownType};
 use crate::bridge::expose::ActionExposure;
 use crate::executor::{Core, TopicInfo};
+use crate::recorder::Unrecorded;
 use crate::robot::{Catalog, ExposedEndpoint, Robot, RosArgs};
 use serde_json::json;
 
@@ -58,12 +59,15 @@ fn check_robot(
     print_exposed(&exposed, &file.node_name()?.to_string());
     print!("{}", NodeReport::of(&robot)?);
     print_actions(&robot)?;
-    let recorded: Vec<String> = robot.recorded_topics()?.iter().map(|topic| topic.name.to_string()).collect();
+    let topics = robot.recorded_topics()?;
+    let unrecorded = Unrecorded::of(&topics, &robot.file.catalog.interfaces);
+    let recorded: Vec<String> = topics.iter().map(|topic| topic.name.to_string()).collect();
     if recorded.len() == core.topics().count() {
         println!("\nrecorded with --record: all topics");
     } else {
         println!("\nrecorded with --record: {}", recorded.join(", "));
     }
+    unrecorded.warn();
     Ok(())
 }
 

@@ -6,7 +6,7 @@ use crate::bags::{Reader, Recording, WriterOptions};
 use crate::executor::{Core, ManualClock, Time};
 use crate::msgs::qos::QosProfile;
 use crate::playback;
-use crate::recorder::{self, WhenFull};
+use crate::recorder::{self, Unrecorded, WhenFull};
 use crate::robot::{Catalog, RobotFile, RosArgs};
 
 use super::PlayArguments;
@@ -27,8 +27,11 @@ pub(super) fn play_into(
         .as_ref()
         .map(|directory| -> anyhow::Result<Recording> {
             let writer = WriterOptions::new().custom_data("played_from", reader.path().display().to_string());
-            let recording = Recording::start(writer.create(directory)?, Recording::DEFAULT_QUEUE_BYTES)?;
             let published: Vec<_> = robot.core.topics().filter(|topic| topic.is_published).cloned().collect();
+            let unrecorded = Unrecorded::of(&published, &robot.file.catalog.interfaces);
+            unrecorded.warn();
+            let writer = unrecorded.note(writer).create(directory)?;
+            let recording = Recording::start(writer, Recording::DEFAULT_QUEUE_BYTES)?;
             let wait = WhenFull::Wait;
             let encoding = arguments.encoding.unwrap_or_default();
             let interfaces = &robot.file.catalog.interfaces;
