@@ -17,6 +17,7 @@ use super::bag::diff::DiffArguments;
 use super::bag::export::ExportArguments;
 use super::bag::info::InfoArguments;
 use super::bag::play::PlayArguments;
+#[cfg(feature = "plots")]
 use super::bag::plot::PlotArguments;
 use super::bag::record::arguments::RecordArguments;
 use super::bag::reindex::ReindexArguments;
@@ -325,6 +326,7 @@ pub(crate) enum BagCommand {
     /// Write topics as tables: CSV, JSON lines or Apache Parquet, one file for each.
     Export(ExportArguments),
     /// Draw fields of messages over time, as SVG or PNG.
+    #[cfg(feature = "plots")]
     Plot(PlotArguments),
 }
 

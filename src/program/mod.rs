@@ -64,6 +64,7 @@ pub(crate) fn main(app: &App) -> ExitCode {
         Command::Bag(BagCommand::Cut(arguments)) => bag::cut::cut(&arguments),
         Command::Bag(BagCommand::Diff(arguments)) => bag::diff::diff(&arguments),
         Command::Bag(BagCommand::Export(arguments)) => bag::export::export(&arguments, catalog),
+        #[cfg(feature = "plots")]
         Command::Bag(BagCommand::Plot(arguments)) => bag::plot::plot(&arguments, catalog),
         Command::Interface(command) => interface::interface(&command, catalog),
         Command::Emulate(EmulateCommand::DarwinOp { link, seed, fault }) => {
@@ -76,6 +77,14 @@ pub(crate) fn main(app: &App) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => fail(&error),
     }
+}
+
+/// The error of a command that needs a feature of the package.
+#[cfg_attr(all(feature = "plots", feature = "tables", feature = "top"), allow(dead_code))]
+fn not_built<T>(feature: &str, instead: &str) -> anyhow::Result<T> {
+    anyhow::bail!(
+        "this program is built without the feature `{feature}`: build it with --features {feature}; {instead}"
+    )
 }
 
 fn fail(error: &anyhow::Error) -> ExitCode {

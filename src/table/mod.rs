@@ -26,9 +26,11 @@
 mod columns;
 mod decoder;
 mod leaves;
+#[cfg(feature = "tables")]
 mod parquet;
 
 pub use columns::{Cell, Column, ColumnKind, Columns, Survey};
 pub use decoder::{DecodeError, Decoder};
 pub use leaves::MOST_ELEMENTS;
+#[cfg(feature = "tables")]
 pub use parquet::ParquetTable;

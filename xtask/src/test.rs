@@ -6,6 +6,9 @@ use crate::matrix::Notes;
 use crate::steps::{Steps, run};
 use crate::{node, python};
 
+/// The features that are off unless asked for, but for those that compile C.
+const ALL: &[&str] = &["--features", "downbeat/tables"];
+
 pub(crate) fn test() -> anyhow::Result<()> {
     // First, so that a missing Python is told before minutes of building.
     let python = python::interpreter()?;
@@ -18,11 +21,14 @@ pub(crate) fn test() -> anyhow::Result<()> {
     let mut steps = Steps::default();
     steps.step("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
     steps.step("clippy", || {
-        run(&mut cargo(&["clippy", "--workspace", "--all-targets", "--", "--deny", "warnings"]))
+        run(cargo(&["clippy", "--workspace", "--all-targets"]).args(ALL).args(["--", "--deny", "warnings"]))
     });
-    steps.step("messages without optional packages", || {
-        let package = ["clippy", "--package", "downbeat-msgs", "--no-default-features"];
-        run(cargo(&package).args(["--", "--deny", "warnings"]))
+    steps.step("messages and robots without optional features", || {
+        for package in ["downbeat-msgs", "downbeat"] {
+            let arguments = ["clippy", "--package", package, "--no-default-features"];
+            run(cargo(&arguments).args(["--", "--deny", "warnings"]))?;
+        }
+        Ok(())
     });
     let notes = Notes::new()?;
     steps.step("bags in SQLite", || {
@@ -40,10 +46,21 @@ pub(crate) fn test() -> anyhow::Result<()> {
         &["nextest", "run", "--workspace"]
     } else {
         // One at a time: robots at 125 Hz with real peers beside them want the machine's cores.
-        &["test", "--workspace", "--lib", "--bins", "--tests", "--", "--test-threads=1"]
+        &[
+            "test",
+            "--workspace",
+            "--features",
+            "downbeat/tables",
+            "--lib",
+            "--bins",
+            "--tests",
+            "--",
+            "--test-threads=1",
+        ]
     };
     steps.step("tests, with real ROS 2 and others' bag readers", || {
         let mut command = cargo(tests);
+        command.args(if has_nextest { ALL } else { &[] });
         command.env("DOWNBEAT_PYTHON", &python).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
         command.envs(node_modules.map(|folder| ("DOWNBEAT_NODE_MODULES", folder)));
         run(command.env("DOWNBEAT_MATRIX", notes.folder()))

@@ -9,13 +9,14 @@ use std::path::{Path, PathBuf};
 use crate::bags::TopicId;
 use crate::bridge::edge::Interfaces;
 use crate::robot::Catalog;
-use crate::table::{Cell, Decoder, ParquetTable};
+use crate::table::{Cell, Decoder};
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 
 use super::open;
 use super::select::TopicArguments;
 use super::source::Source;
+use crate::program::not_built;
 
 #[derive(Args)]
 pub(crate) struct ExportArguments {
@@ -37,7 +38,7 @@ pub(crate) enum Format {
     Csv,
     /// One JSON object for each message.
     Jsonl,
-    /// Apache Parquet: typed columns, for pandas, Polars and DuckDB.
+    /// Apache Parquet: typed columns, for pandas, Polars and DuckDB; where the program is built with the feature `tables`.
     Parquet,
 }
 
@@ -56,6 +57,9 @@ pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::
     let bag = open(&arguments.bag)?;
     let filter = arguments.topics.filter()?;
     arguments.topics.check(bag.topics().iter().map(|topic| &topic.info))?;
+    if cfg!(not(feature = "tables")) && matches!(arguments.format, Format::Parquet) {
+        return not_built("tables", "without it there are csv and jsonl");
+    }
     let output = &arguments.output;
     std::fs::create_dir(output).with_context(|| format!("cannot make the directory {}", output.display()))?;
     let topics = bag.topics().iter().enumerate();
@@ -114,10 +118,16 @@ fn write_csv(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyho
     Ok(messages)
 }
 
+#[cfg(not(feature = "tables"))]
+fn write_parquet(_: &Source<'_>, _: &Interfaces, _: &Path) -> anyhow::Result<u64> {
+    not_built("tables", "")
+}
+
+#[cfg(feature = "tables")]
 fn write_parquet(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyhow::Result<u64> {
     let decoder = Decoder::of(source.topic, interfaces)?;
     let columns = source.columns(&decoder)?;
-    let mut table = ParquetTable::create(path, TIMES, &columns)?;
+    let mut table = crate::table::ParquetTable::create(path, TIMES, &columns)?;
     let rows = |data| Ok(columns.row(&decoder.decode(data)?));
     let messages = source.each("writing", rows, |times, row| Ok(table.push(times, row)?))?;
     table.finish()?;

@@ -1,5 +1,6 @@
 //! `downbeat bag`, one file for each command.
 
+#[cfg(feature = "plots")]
 mod chart;
 pub(super) mod check;
 pub(super) mod convert;
@@ -9,6 +10,7 @@ pub(super) mod export;
 pub(super) mod info;
 mod output;
 pub(super) mod play;
+#[cfg(feature = "plots")]
 pub(super) mod plot;
 mod progress;
 pub(super) mod record;

@@ -3,7 +3,7 @@
 use crate::bags::TopicInfo;
 use anyhow::Context;
 use clap::Args;
-use regex::Regex;
+use regex_lite::Regex;
 
 #[derive(Args, Clone, Default)]
 pub(crate) struct TopicArguments {

@@ -5,10 +5,11 @@ use std::io::IsTerminal;
 use crate::bridge::rosout::{LogLine, LoggerLevels, LoggerNames, Rosout, Severity};
 use tracing::level_filters::LevelFilter;
 use tracing::subscriber::Interest;
-use tracing::{Event, Metadata, Subscriber, span};
+use tracing::{Event, Metadata, Subscriber};
+use tracing_subscriber::Layer;
+use tracing_subscriber::filter::Targets;
 use tracing_subscriber::layer::Context;
 use tracing_subscriber::registry::LookupSpan;
-use tracing_subscriber::{EnvFilter, Layer};
 
 use super::environment::{Colors, LogOptions, Stream};
 use super::file::LogFile;
@@ -19,7 +20,7 @@ use crate::program::screen::Screen;
 ///
 /// A logger that was given a level has that; for the others what `DOWNBEAT_LOG` says holds.
 pub(super) struct LogLayer {
-    pub(super) filter: EnvFilter,
+    pub(super) filter: Targets,
     pub(super) levels: LoggerLevels,
     pub(super) names: LoggerNames,
     /// Nothing where `--disable-stdout-logs` says so.
@@ -47,7 +48,7 @@ where
     }
 
     fn enabled(&self, metadata: &Metadata<'_>, ctx: Context<'_, S>) -> bool {
-        self.may_be_raised(metadata) || self.filter.enabled(metadata, ctx)
+        self.may_be_raised(metadata) || Layer::<S>::enabled(&self.filter, metadata, ctx)
     }
 
     fn max_level_hint(&self) -> Option<LevelFilter> {
@@ -58,7 +59,7 @@ where
             Severity::Error | Severity::Fatal => LevelFilter::ERROR,
         });
         // No hint of the filter means that it may want everything.
-        let wanted = self.filter.max_level_hint()?;
+        let wanted = Layer::<S>::max_level_hint(&self.filter)?;
         Some(raised.map_or(wanted, |raised| raised.max(wanted)))
     }
 
@@ -67,7 +68,7 @@ where
         let logger = self.names.of(&line);
         let is_wanted = match self.levels.effective(&logger) {
             Some(level) => line.severity >= level,
-            None => self.filter.enabled(event.metadata(), ctx),
+            None => Layer::<S>::enabled(&self.filter, event.metadata(), ctx),
         };
         if is_wanted {
             if let Some(console) = &self.console {
@@ -78,26 +79,6 @@ where
             }
             self.rosout.log(line);
         }
-    }
-
-    fn on_new_span(&self, attributes: &span::Attributes<'_>, id: &span::Id, ctx: Context<'_, S>) {
-        self.filter.on_new_span(attributes, id, ctx);
-    }
-
-    fn on_record(&self, id: &span::Id, values: &span::Record<'_>, ctx: Context<'_, S>) {
-        self.filter.on_record(id, values, ctx);
-    }
-
-    fn on_enter(&self, id: &span::Id, ctx: Context<'_, S>) {
-        self.filter.on_enter(id, ctx);
-    }
-
-    fn on_exit(&self, id: &span::Id, ctx: Context<'_, S>) {
-        self.filter.on_exit(id, ctx);
-    }
-
-    fn on_close(&self, id: span::Id, ctx: Context<'_, S>) {
-        self.filter.on_close(id, ctx);
     }
 }
 

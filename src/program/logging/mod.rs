@@ -9,7 +9,7 @@ use crate::bridge::rosout::{LoggerLevels, LoggerNames, Rosout, Severity};
 use crate::robot::{LogArguments, LogLevel};
 use crate::running::NodeLog;
 use anyhow::Context;
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::Targets;
 use tracing_subscriber::prelude::*;
 
 use super::screen::Screen;
@@ -51,10 +51,11 @@ impl Log {
         for (logger, level) in &arguments.loggers {
             log.of_node.levels.set(logger, severity(*level))?;
         }
-        let filter = given.as_deref().map(EnvFilter::try_new).transpose();
+        let default = || DEFAULT.parse::<Targets>().unwrap_or_default();
+        let filter = given.as_deref().map(str::parse::<Targets>).transpose();
         let (filter, problem) = match filter {
-            Ok(filter) => (filter.unwrap_or_else(|| EnvFilter::new(DEFAULT)), None),
-            Err(error) => (EnvFilter::new(DEFAULT), Some(error)),
+            Ok(filter) => (filter.unwrap_or_else(default), None),
+            Err(error) => (default(), Some(error)),
         };
         let layer = LogLayer {
             filter,

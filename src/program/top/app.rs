@@ -1,14 +1,57 @@
 //! What is on the screen and what keys do to it.
 
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
+
 use crate::executor::Snapshot;
-use ratatui::Frame;
-use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use crate::inspect::Client;
+use anyhow::{Context, bail};
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use ratatui::layout::{Alignment, Constraint, Layout, Rect};
 use ratatui::style::Style;
 use ratatui::text::{Line, Text};
 use ratatui::widgets::{Cell, Paragraph, Row, Table, Tabs};
+use ratatui::{DefaultTerminal, Frame};
 
 use super::grid::{Grid, Sort, summary};
+
+const REFRESH: Duration = Duration::from_millis(500);
+
+/// Shows the robot until a key ends it.
+pub(super) fn show(client: Client, snapshot: Snapshot) -> anyhow::Result<()> {
+    if !std::io::stdout().is_terminal() {
+        bail!("standard output is no terminal; --once prints what there is to see, --json all numbers");
+    }
+    let app = App::new(client.robot().to_string(), snapshot);
+    let mut terminal = ratatui::try_init().context("cannot use this terminal")?;
+    let outcome = show_on(&mut terminal, client, app);
+    ratatui::restore();
+    outcome
+}
+
+fn show_on(terminal: &mut DefaultTerminal, mut client: Client, mut app: App) -> anyhow::Result<()> {
+    let mut next_update = Instant::now() + REFRESH;
+    loop {
+        terminal.draw(|frame| app.draw(frame)).context("cannot draw on the terminal")?;
+        let rest = next_update.saturating_duration_since(Instant::now());
+        if event::poll(rest).context("cannot read from the terminal")? {
+            let action = match event::read().context("cannot read from the terminal")? {
+                Event::Key(key) if key.kind != KeyEventKind::Release => app.press(key),
+                _ => None,
+            };
+            match action {
+                Some(Action::Quit) => return Ok(()),
+                Some(Action::Pause) => client.pause()?,
+                Some(Action::Resume) => client.resume()?,
+                Some(Action::Step) => client.step()?,
+                // Nothing to ask of the robot: the screen changes, the numbers stay.
+                None => continue,
+            }
+        }
+        app.update(client.snapshot()?);
+        next_update = Instant::now() + REFRESH;
+    }
+}
 
 /// The tables, one of which is shown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

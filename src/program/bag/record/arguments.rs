@@ -9,7 +9,7 @@ use crate::duration::parse as duration;
 use crate::msgs::encoding::Encoding;
 use crate::robot::LogLevel;
 use clap::{Args, ValueEnum};
-use regex::Regex;
+use regex_lite::Regex;
 
 /// The help of each option follows that of `ros2bag/verb/record.py`.
 #[derive(Args)]
