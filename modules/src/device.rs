@@ -34,17 +34,26 @@
 //!
 //! struct SonarModule(DeviceLink<Sonar>);
 //!
-//! impl Module for SonarModule {
-//!     type Ports = ();
+//! struct Ports {
+//!     exchanges: Publication<Line>,
+//!     range: Publication<Float64>, // m
+//! }
 //!
-//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-//!         let (exchanges, range) = (setup.publish(Sonar::TOPIC)?, setup.publish("range")?);
-//!         setup.every(Duration::from_millis(50), move |sonar, ctx| {
-//!             let answer = sonar.0.exchange(&"ping", exchanges, ctx);
-//!             if let Some(Ok(data)) = answer.data.split_once(' ').map(|(_, metres)| metres.parse()) {
-//!                 ctx.publish(range, Float64 { data });
-//!             }
-//!         })
+//! impl Module for SonarModule {
+//!     type Ports = Ports;
+//!
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+//!         setup.every(Duration::from_millis(50), Self::ping)?;
+//!         Ok(Ports { exchanges: setup.publish(Sonar::TOPIC)?, range: setup.publish("range")? })
+//!     }
+//! }
+//!
+//! impl SonarModule {
+//!     fn ping(&mut self, ctx: &mut Context<'_, Ports>) {
+//!         let answer = self.0.exchange(&"ping", ctx.ports.exchanges, ctx);
+//!         if let Some(Ok(data)) = answer.data.split_once(' ').map(|(_, metres)| metres.parse()) {
+//!             ctx.publish(ctx.ports.range, Float64 { data });
+//!         }
 //!     }
 //! }
 //!
@@ -115,11 +124,11 @@ impl<D: Device> DeviceLink<D> {
     ///
     /// In a replay the exchange is the next one of the recording. If that is one of another request, or there is none, the
     /// result is [`Device::failed`].
-    pub fn exchange(
+    pub fn exchange<P>(
         &mut self,
         request: &D::Request,
         topic: Publication<D::Exchange>,
-        ctx: &mut Context<'_>,
+        ctx: &mut Context<'_, P>,
     ) -> D::Exchange {
         let now = ctx.now();
         let exchange = match &mut self.way {
