@@ -191,8 +191,7 @@ impl App {
     /// If the bag cannot be replayed. That the replay differs is no error: the report says so.
     pub fn replay(&self, robot: impl AsRef<Path>, bag: impl AsRef<Path>) -> Result<ReplayReport, AppError> {
         let file = self.robot_file(robot)?;
-        let options =
-            ReplayOptions { modules: file.replay.modules.clone(), rules: file.replay.rules.clone() };
+        let options = ReplayOptions::of(&file);
         Ok(replay::replay(file, &Reader::open(bag.as_ref())?, &options)?)
     }
 

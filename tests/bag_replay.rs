@@ -267,6 +267,60 @@ fn a_detached_module_replays_from_a_bag_without_the_times_of_cycles() {
     assert!(compared(&report, "/diagnostics") > 10 && compared(&report, "/imu/data_raw") > 1000, "{report}");
 }
 
+fn reason_of(report: &Value, topic: &str) -> String {
+    let topics = report["not_compared"].as_array().unwrap();
+    let found = topics.iter().find(|known| known["topic"] == topic);
+    found.unwrap_or_else(|| panic!("{topic} in {report}"))["reason"].as_str().unwrap().to_owned()
+}
+
+#[test]
+fn what_was_not_compared_is_listed_with_the_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = recorded_until("/joint_goals", 20, folder.path(), |text| text);
+    let report = report(&robot, &bag, &["--modules", "mux", "--except", "joint_states", "--strict"]);
+    assert!(compared(&report, "/joint_goals") > 0, "{report}");
+    assert_eq!(reason_of(&report, "/motion/joint_commands"), "published by motion, which was not chosen");
+    assert_eq!(reason_of(&report, "/joint_states"), "excluded");
+    assert_eq!(reason_of(&report, "/cycle_times"), "the recording's own account of the run");
+    let printed = told(&replayed(&robot, &bag, &["--modules", "mux"]));
+    assert!(
+        printed.contains("not compared:") && printed.contains("motion, which was not chosen"),
+        "{printed}"
+    );
+}
+
+#[test]
+fn a_replay_that_compared_nothing_fails() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = recorded_until("/joint_goals", 20, folder.path(), |text| text);
+    for nothing in [["--except", "joint_goals"], ["--ignore", "joint_goals"]] {
+        let output = replayed(&robot, &bag, &[&["--modules", "mux"], &nothing[..]].concat());
+        assert_eq!(output.status.code(), Some(1), "{}", told(&output));
+        assert!(told(&output).contains("the replay compared nothing"), "{}", told(&output));
+    }
+}
+
+#[test]
+fn a_topic_that_the_bag_lacks_is_listed_and_fails_a_strict_replay() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = recorded_until("/joint_goals", 20, folder.path(), |text| {
+        text.replace("topics = \"all\"", "topics = [\"joint_goals\", \"joint_states\", \"cycle_times\"]")
+    });
+    let motion =
+        |options: &[&str]| replayed(&robot, &bag, &[&["--modules", "motion", "mux"], options].concat());
+    let lenient = told(&motion(&[]));
+    assert!(lenient.contains("published by motion, but the bag lacks the topic"), "{lenient}");
+    let strict = motion(&["--strict"]);
+    let printed = told(&strict);
+    assert_eq!(strict.status.code(), Some(1), "{printed}");
+    assert!(printed.contains("not all topics of the replayed modules were compared: /motion/"), "{printed}");
+    let excepted = motion(&["--strict", "--except", "motion/joint_commands"]);
+    assert!(excepted.status.success(), "{}", told(&excepted));
+    let section = "\n[replay]\nexcept = [\"motion/*\"]\n";
+    std::fs::write(&robot, std::fs::read_to_string(&robot).unwrap() + section).unwrap();
+    assert!(motion(&["--strict"]).status.success(), "as [replay] says");
+}
+
 #[test]
 fn what_cannot_be_replayed_is_told_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,17 +1,22 @@
 //! Bags as input of a core: the same bag gives the same result each time.
 
+pub(crate) mod cycles;
 mod extract;
+pub(crate) mod follow;
+pub(crate) mod inputs;
 pub(crate) mod settings;
 mod steps;
 
-use std::collections::BTreeMap;
+use downbeat_bags::{Reader, ReaderError};
+use downbeat_bridge::edge::{EncodedInletError, Interfaces};
+use downbeat_executor::{Core, ManualClock, RunError, SetupError, Time};
+use downbeat_msgs::{cdr, encoding};
 
-use downbeat_bags::{BagMessage, Reader, ReaderError, RecordedTopic, Selection, TopicId};
-use downbeat_bridge::edge::{EncodedInlet, EncodedInletError, Interfaces};
-use downbeat_executor::{Clock, Core, ManualClock, RunError, SetupError, Time, TopicInfo};
-use downbeat_msgs::encoding;
-
-use crate::encoding::{RecordedType, RecordedTypeError};
+use crate::encoding::RecordedTypeError;
+use cycles::Cycles;
+use follow::Follower;
+use inputs::Inputs;
+use settings::SettingsChanges;
 
 pub(crate) use extract::{Extract, ReadError};
 pub use settings::SettingsError;
@@ -38,6 +43,27 @@ pub enum PlaybackError {
     /// Messages of the bag would mix with a module's.
     #[error("a module of the robot publishes \"{0}\" itself; remap it there, or leave that module out")]
     IsPublished(String),
+    /// The bag's account of the cycles has a gap.
+    #[error(
+        "the bag does not tell the times of cycles {expected} to {found}: messages of /cycle_times were lost"
+    )]
+    CyclesLost {
+        /// The first that is not told.
+        expected: u64,
+        /// The first after the gap.
+        found: u64,
+    },
+    /// A message by which the bag tells how the robot ran is not what its topic says.
+    #[error("a message of \"{topic}\": {source}")]
+    Account {
+        /// The topic.
+        topic: String,
+        /// What is wrong.
+        source: cdr::Error,
+    },
+    /// Changes of settings cannot be made again.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
     /// The type is not registered, or its messages are in an encoding that is not read here.
     #[error(transparent)]
     Type(#[from] RecordedTypeError),
@@ -61,8 +87,10 @@ pub enum PlaybackError {
 /// Cycles at one instant of the bag.
 const MOST_CYCLES: u32 = 10_000;
 
-/// Plays a bag into a core: its clock follows the bag, timers fire between the messages at their exact times,
-/// and messages of one time are given in the order of the bag. It takes no longer than the modules need.
+/// Plays a bag into a core, whose clock is at or before [`start_time`]. Where the bag tells the cycles of the robot that it was
+/// recorded in, the core runs the same cycles at the same times, and each message joins in the cycle in which it joined then;
+/// so do changed settings. Otherwise the clock follows the messages, and timers fire between them at their exact times.
+/// Messages of one time are given in the order of the bag. It takes no longer than the modules need.
 ///
 /// Played are `topics`, or if there are none, those of the bag that modules receive and none publishes. Returns
 /// the number of messages played. The core's modules are stopped at the end.
@@ -76,79 +104,56 @@ pub fn play_into(
     topics: &[String],
     interfaces: &Interfaces,
 ) -> Result<u64, PlaybackError> {
-    let inlets = inlets(core, reader, topics, interfaces)?;
-    let selection = Selection::all().topics(inlets.keys().copied());
-    let mut played = 0;
-    for message in reader.messages(selection)? {
-        let BagMessage { topic, log_time, data, .. } = message?;
-        run_until(core, clock, Time::from_nanos(log_time))?;
-        if let Some((inlet, recorded)) = inlets.get(&topic) {
-            inlet.publish(&recorded.to_cdr(data)?)?;
-            played += 1;
-        }
+    let topics = played_topics(core, reader, topics)?;
+    let inputs = Inputs::open(core, reader, topics.iter().map(String::as_str), interfaces)?;
+    let mut extract = Extract::new(interfaces);
+    let cycles = match Cycles::read(reader, &mut extract)? {
+        Cycles::OfMessages => Cycles::Unknown,
+        cycles => cycles,
+    };
+    let settings = if cycles.is_recorded() {
+        let modules = core.modules();
+        let is_there = |name: &str| modules.iter().any(|module| *module.name == *name);
+        SettingsChanges::read::<PlaybackError>(reader, &mut extract, is_there)?
+    } else {
+        SettingsChanges::default()
+    };
+    let mut follower = Follower { core, clock, inputs, settings };
+    follower.run(reader, &cycles, || {})?;
+    match follower.inputs.given() {
+        0 => Err(PlaybackError::NothingToPlay),
+        played => Ok(played),
     }
-    if played == 0 {
-        return Err(PlaybackError::NothingToPlay);
-    }
-    run_until(core, clock, Time::from_nanos(reader.end_time().unwrap_or(0)))?;
-    core.stop();
-    Ok(played)
 }
 
-/// Runs what is due before `end`, then moves the clock there.
-pub(crate) fn run_until(core: &mut Core, clock: &ManualClock, end: Time) -> Result<(), PlaybackError> {
-    let (mut instant, mut cycles) = (clock.now(), 0);
-    while let Some(event) = core.next_event().filter(|&event| event < end || event == clock.now()) {
-        clock.set(event);
-        core.cycle()?;
-        cycles = if event == instant { cycles + 1 } else { 0 };
-        instant = event;
-        if cycles > MOST_CYCLES {
-            return Err(PlaybackError::Restless(instant));
-        }
-    }
-    clock.set(end);
-    Ok(())
+/// The time of a bag's first cycle, or of its first message where it tells no cycles.
+///
+/// # Errors
+/// If the bag cannot be read.
+pub fn start_time(reader: &Reader) -> Result<Time, PlaybackError> {
+    let first_cycle = Cycles::read(reader, &mut Extract::new(&Interfaces::carried()))?.first();
+    Ok(Time::from_nanos(first_cycle.into_iter().chain(reader.start_time()).min().unwrap_or(0)))
 }
 
-fn inlets(
-    core: &mut Core,
-    reader: &Reader,
-    topics: &[String],
-    interfaces: &Interfaces,
-) -> Result<BTreeMap<TopicId, (EncodedInlet, RecordedType)>, PlaybackError> {
-    let known = || reader.topics().iter().map(|topic| topic.info.name.clone()).collect();
-    let mut inlets = BTreeMap::new();
+/// Without the leading slash.
+fn played_topics(core: &Core, reader: &Reader, topics: &[String]) -> Result<Vec<String>, PlaybackError> {
+    let is_known = |name: &str, is_published: bool| {
+        core.topics().any(|known| *known.name == *name && known.is_published == is_published)
+    };
     if topics.is_empty() {
-        for topic in reader.topics() {
-            let name = topic.info.name.trim_start_matches('/');
-            let is_wanted = core.topics().any(|known| *known.name == *name && !known.is_published);
-            if let (true, Some(id)) = (is_wanted, reader.topic(&topic.info.name)) {
-                inlets.insert(id, open(core, name, topic, interfaces)?);
-            }
-        }
-        return Ok(inlets);
+        let names = reader.topics().iter().map(|topic| topic.info.name.trim_start_matches('/').to_owned());
+        return Ok(names.filter(|name| is_known(name, false)).collect());
     }
-    for topic in topics {
-        let absolute = format!("/{}", topic.trim_start_matches('/'));
-        let Some(id) = reader.topic(&absolute) else {
-            return Err(PlaybackError::NoSuchTopic { topic: topic.clone(), known: known() });
-        };
-        let is_published = |known: &TopicInfo| *known.name == absolute[1..] && known.is_published;
-        if core.topics().any(is_published) {
-            return Err(PlaybackError::IsPublished(topic.clone()));
+    let chosen = topics.iter().map(|topic| {
+        let name = topic.trim_start_matches('/');
+        if reader.topic(&format!("/{name}")).is_none() {
+            let known = reader.topics().iter().map(|topic| topic.info.name.clone()).collect();
+            return Err(PlaybackError::NoSuchTopic { topic: topic.clone(), known });
         }
-        inlets.insert(id, open(core, &absolute, &reader.topics()[id.index()], interfaces)?);
-    }
-    Ok(inlets)
-}
-
-fn open(
-    core: &mut Core,
-    name: &str,
-    topic: &RecordedTopic,
-    interfaces: &Interfaces,
-) -> Result<(EncodedInlet, RecordedType), PlaybackError> {
-    let recorded = RecordedType::of(topic, interfaces)?;
-    Ok((interfaces.inlet(core, name, recorded.message_type())?, recorded))
+        match is_known(name, true) {
+            true => Err(PlaybackError::IsPublished(topic.clone())),
+            false => Ok(name.to_owned()),
+        }
+    });
+    chosen.collect()
 }

@@ -17,6 +17,7 @@ pub(crate) fn topic() -> String {
 }
 
 /// Those of some modules, in the order in which they were made.
+#[derive(Default)]
 pub(crate) struct SettingsChanges(VecDeque<ModuleSettings>);
 
 impl SettingsChanges {

@@ -10,10 +10,10 @@ use downbeat_bridge::edge::Interfaces;
 
 use super::ReplayError;
 use super::captured::Replayed;
-use super::cycles::Cycles;
 use super::plan::Plan;
 use super::report::{Difference, TopicReport, What};
 use crate::encoding::RecordedType;
+use crate::playback::cycles::Cycles;
 
 /// Of all topics that are compared. The bag is read as far as the replay has come.
 pub(super) struct Comparisons {

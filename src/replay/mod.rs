@@ -15,7 +15,7 @@
 mod attached;
 mod captured;
 mod comparison;
-mod cycles;
+mod coverage;
 mod detached;
 mod plan;
 mod report;
@@ -24,17 +24,19 @@ use std::time::Instant;
 
 use downbeat_bags::{FieldRule, Reader, ReaderError};
 use downbeat_bridge::edge::EncodedInletError;
+use downbeat_bridge::expose::TopicPattern;
 use downbeat_executor::{RunError, SetupError};
-use downbeat_msgs::{cdr, encoding};
+use downbeat_msgs::encoding;
 
 use crate::encoding::RecordedTypeError;
 use crate::playback::settings::SettingsError;
 use crate::playback::{PlaybackError, ReplayError as StepsError};
-use crate::robot::{RobotFile, RobotFileError};
+use crate::robot::{ReplaySection, RobotFile, RobotFileError};
 use comparison::Comparisons;
 use plan::Plan;
 
-pub use report::{Difference, LeftOut, ReplayReport, TopicReport, What};
+pub use coverage::{NotCompared, NotComparedReason};
+pub use report::{Difference, LeftOut, NotSame, ReplayReport, Strictness, TopicReport, What};
 
 /// What to replay and how exactly to compare.
 #[derive(Clone, Debug, Default)]
@@ -43,6 +45,21 @@ pub struct ReplayOptions {
     pub modules: Vec<String>,
     /// How exactly fields are compared: bit for bit where no rule says otherwise.
     pub rules: Vec<FieldRule>,
+    /// Topics that are not compared.
+    pub except: Vec<TopicPattern>,
+}
+
+impl ReplayOptions {
+    /// As `[replay]` of a robot file says.
+    #[must_use]
+    pub fn of(file: &RobotFile) -> Self {
+        let ReplaySection { modules, rules, except } = file.replay.clone();
+        Self { modules, rules, except }
+    }
+
+    fn excludes(&self, topic: &str) -> bool {
+        self.except.iter().any(|pattern| pattern.matches(topic))
+    }
 }
 
 /// Why a bag cannot be replayed.
@@ -78,24 +95,6 @@ pub enum ReplayError {
         topic: String,
         /// The modules that are replayed and publish it.
         modules: Vec<String>,
-    },
-    /// The bag's account of the cycles has a gap.
-    #[error(
-        "the bag does not tell the times of cycles {expected} to {found}: messages of /cycle_times were lost"
-    )]
-    CyclesLost {
-        /// The first that is not told.
-        expected: u64,
-        /// The first after the gap.
-        found: u64,
-    },
-    /// A message on which the replay depends is not what its topic says.
-    #[error("a message of \"{topic}\": {source}")]
-    Message {
-        /// The topic.
-        topic: String,
-        /// What is wrong.
-        source: cdr::Error,
     },
     /// The recorded answers of a device cannot be used.
     #[error("module \"{module}\" cannot have its device's recorded answers: {problem}")]
@@ -139,7 +138,8 @@ pub enum ReplayError {
 /// Runs a robot's modules on a bag, as fast as they can, and compares what they publish with what the bag has.
 ///
 /// # Errors
-/// If the bag cannot be replayed. That the replay differs is no error: the report tells it.
+/// If the bag cannot be replayed. That the replay differs, or compared nothing, is no error: the report tells it, and
+/// [`ReplayReport::assert_same`] makes an error of it.
 pub fn replay(
     file: RobotFile,
     reader: &Reader,
@@ -161,7 +161,9 @@ pub fn replay(
     } else {
         attached::replay(&file, reader, &plan, &mut extract, &mut comparisons)?
     };
-    let topics = comparisons.finish()?;
+    let mut topics = comparisons.finish()?;
+    let mut not_compared = plan.not_compared;
+    coverage::move_empty(&mut topics, &mut not_compared);
     Ok(ReplayReport {
         robot: file.name.clone(),
         modules: plan.attached,
@@ -172,6 +174,7 @@ pub fn replay(
         inputs: plan.inputs.into_iter().collect(),
         missing_inputs: plan.missing_inputs.into_iter().collect(),
         topics,
+        not_compared,
         bag_start: reader.start_time().unwrap_or(0),
         bag_duration: reader.duration(),
         took: started.elapsed(),

@@ -5,11 +5,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use downbeat_bags::{Reader, TopicId};
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
 use downbeat_bridge::middleware::Direction;
-use downbeat_executor::{Core, Graph, GraphEdge, Synchrony};
+use downbeat_executor::{Core, Graph, GraphEdge, Synchrony, TopicInfo};
 
-use super::cycles::{self, Cycles};
+use super::coverage::{self, NotCompared};
 use super::{LeftOut, ReplayError, ReplayOptions};
 use crate::cycle_journal::CycleJournal;
+use crate::playback::cycles::{self, Cycles};
 use crate::playback::{Extract, settings};
 use crate::robot::{ModuleEntry, RobotFile};
 use crate::settings_journal::SettingsJournal;
@@ -27,6 +28,7 @@ pub(super) struct Plan {
     pub(super) inputs: BTreeSet<String>,
     /// Those that they receive, that others publish, and that are not in the bag.
     pub(super) missing_inputs: BTreeSet<String>,
+    pub(super) not_compared: Vec<NotCompared>,
     pub(super) cycles: Cycles,
 }
 
@@ -55,6 +57,7 @@ impl Plan {
             outputs: BTreeMap::new(),
             inputs: BTreeSet::new(),
             missing_inputs: BTreeSet::new(),
+            not_compared: Vec::new(),
             cycles: Cycles::Unknown,
         };
         for module in &file.modules {
@@ -72,8 +75,7 @@ impl Plan {
             }
         }
         for (topic, publishers) in &graph.publishers {
-            let is_replayed = |name: &&String| plan.attached.contains(name) || plan.detached.contains(name);
-            let modules: Vec<String> = publishers.iter().filter(is_replayed).cloned().collect();
+            let modules = plan.publishers_of(&graph, topic);
             if !modules.is_empty() && is_in_bag(topic) {
                 let is_shared = publishers.len() > modules.len()
                     || (modules.len() > 1 && modules.iter().any(|name| plan.detached.contains(name)));
@@ -82,6 +84,8 @@ impl Plan {
         }
         plan.find_inputs(&graph, is_in_bag)?;
         plan.check()?;
+        plan.not_compared =
+            coverage::not_compared(&mut plan, &graph, reader, options, &file.catalog.interfaces);
         let mut extract = Extract::read::<ReplayError>(
             reader,
             &plan.read_before(file, reader, &graph),
@@ -91,10 +95,23 @@ impl Plan {
         Ok((plan, extract))
     }
 
+    fn replays(&self, module: &str) -> bool {
+        self.attached.iter().chain(&self.detached).any(|name| name == module)
+    }
+
+    /// The replayed modules that publish a topic.
+    pub(super) fn publishers_of(&self, graph: &Wiring, topic: &str) -> Vec<String> {
+        let publishers = graph.publishers.get(topic).into_iter().flatten();
+        publishers.filter(|name| self.replays(name)).cloned().collect()
+    }
+
+    pub(super) fn publishes(&self, graph: &Wiring, topic: &str) -> bool {
+        graph.publishers.get(topic).into_iter().flatten().any(|name| self.replays(name))
+    }
+
     /// When cycles and runs were, what devices answered, and what detached modules received.
     fn read_before(&self, file: &RobotFile, reader: &Reader, graph: &Wiring) -> BTreeSet<TopicId> {
-        let is_replayed = |name: &String| self.attached.contains(name) || self.detached.contains(name);
-        let devices = file.modules.iter().filter(|module| is_replayed(&module.name));
+        let devices = file.modules.iter().filter(|module| self.replays(&module.name));
         let answers = devices.filter_map(|module| Some(module.kind.replayed()?.topic_of(&module.options())));
         let received = graph.subscribers.iter().filter(|(topic, subscribers)| {
             !topic.starts_with("executor/") && self.detached.iter().any(|name| subscribers.contains(name))
@@ -172,9 +189,13 @@ fn replayability(module: &ModuleEntry, reader: &Reader) -> Result<(), String> {
 }
 
 /// Who publishes and who receives a topic.
-struct Wiring {
-    publishers: BTreeMap<String, BTreeSet<String>>,
+pub(super) struct Wiring {
+    pub(super) publishers: BTreeMap<String, BTreeSet<String>>,
     subscribers: BTreeMap<String, BTreeSet<String>>,
+    /// The modules of the robot file.
+    pub(super) modules: BTreeSet<String>,
+    /// The topics of the core.
+    pub(super) types: BTreeMap<String, TopicInfo>,
 }
 
 /// Stands for publishers of what comes in.
@@ -191,7 +212,12 @@ impl Wiring {
         SettingsJournal::add(&mut core)?;
         CycleJournal::add(&mut core)?;
         let Graph { modules, topics, edges, .. } = core.graph();
-        let mut wiring = Self { publishers: BTreeMap::new(), subscribers: BTreeMap::new() };
+        let mut wiring = Self {
+            publishers: BTreeMap::new(),
+            subscribers: BTreeMap::new(),
+            modules: file.modules.iter().map(|module| module.name.clone()).collect(),
+            types: core.topics().map(|topic| (topic.name.to_string(), topic.clone())).collect(),
+        };
         let names = |module: usize, topic: usize| {
             Some((modules.get(module)?.name.clone(), topics.get(topic)?.name.clone()))
         };
@@ -218,5 +244,10 @@ impl Wiring {
             }
         }
         Ok(wiring)
+    }
+
+    /// True if a part of the process publishes it, and nobody in ROS 2.
+    pub(super) fn is_published_by_process(&self, topic: &str) -> bool {
+        self.publishers.get(topic).is_some_and(|names| names.iter().any(|name| name != ROS))
     }
 }

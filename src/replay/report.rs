@@ -6,6 +6,9 @@ use std::time::Duration;
 use downbeat_bags::FieldDifference;
 use downbeat_executor::Time;
 
+use super::NotCompared;
+use crate::TestResult;
+
 /// What was replayed, and where it differs from the bag.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReplayReport {
@@ -27,6 +30,8 @@ pub struct ReplayReport {
     pub missing_inputs: Vec<String>,
     /// What was compared.
     pub topics: Vec<TopicReport>,
+    /// The topics of the bag, and of the replayed modules, that were not compared.
+    pub not_compared: Vec<NotCompared>,
     /// The first message of the bag, nanoseconds since the epoch.
     pub bag_start: i64,
     /// The length of the bag.
@@ -90,11 +95,69 @@ pub enum What {
     Extra,
 }
 
+/// Which topics a replay must have compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Strictness {
+    /// Any.
+    AnyTopic,
+    /// Every topic that the chosen modules publish, but for those that were excluded and those of plain Rust types.
+    EveryTopic,
+}
+
 impl ReplayReport {
     /// How many messages differ.
     #[must_use]
     pub fn different(&self) -> u64 {
         self.topics.iter().map(|topic| topic.different).sum()
+    }
+
+    /// How many messages were compared, without those that may be anything.
+    #[must_use]
+    pub fn compared(&self) -> u64 {
+        self.topics.iter().filter(|topic| !topic.is_ignored).map(|topic| topic.compared).sum()
+    }
+
+    /// The topics of the chosen modules that should have been compared and were not.
+    pub fn gaps(&self) -> impl Iterator<Item = &NotCompared> {
+        self.not_compared.iter().filter(|topic| topic.is_gap())
+    }
+
+    /// For tests: the replay must be the same as the bag on every topic of the chosen modules, but for those that were
+    /// excluded by [`ReplayOptions::except`](super::ReplayOptions::except) and those of plain Rust types.
+    ///
+    /// # Errors
+    /// If a message differs, nothing was compared, or a topic of the chosen modules was not compared. Printed, the error is the
+    /// report.
+    pub fn assert_same(self) -> TestResult {
+        Ok(self.check(Strictness::EveryTopic)?)
+    }
+
+    /// Fails unless the replay is the same as the bag.
+    ///
+    /// # Errors
+    /// If a message differs, nothing was compared, or a topic was not compared and `strictness` asks for it.
+    pub fn check(self, strictness: Strictness) -> Result<(), NotSame> {
+        let mut problems = Vec::new();
+        let topics = self.topics.iter().filter(|topic| topic.different > 0).count();
+        if topics > 0 {
+            let different = self.different();
+            problems
+                .push(format!("the replay differs from the bag in {different} messages on {topics} topics"));
+        }
+        if self.compared() == 0 {
+            problems.push(
+                "the replay compared nothing: no message of the replayed modules is in the bag".to_owned(),
+            );
+        }
+        let gaps: Vec<String> = self.gaps().map(ToString::to_string).collect();
+        if strictness == Strictness::EveryTopic && !gaps.is_empty() {
+            problems
+                .push(format!("not all topics of the replayed modules were compared: {}", gaps.join("; ")));
+        }
+        match problems.is_empty() {
+            true => Ok(()),
+            false => Err(NotSame { report: Box::new(self), problem: problems.join("; ") }),
+        }
     }
 
     /// The earliest difference.
@@ -103,6 +166,42 @@ impl ReplayReport {
         self.topics.iter().filter_map(|topic| topic.first.as_ref()).min_by_key(|difference| difference.time)
     }
 }
+
+/// A replay that is not the same as its bag. Both `Display` and `Debug` print the report, so that a test that returns it shows
+/// what differs.
+#[must_use = "the replay is not the same as the bag"]
+pub struct NotSame {
+    report: Box<ReplayReport>,
+    problem: String,
+}
+
+impl NotSame {
+    /// What was replayed, and where it differs.
+    #[must_use]
+    pub fn report(&self) -> &ReplayReport {
+        &self.report
+    }
+
+    /// What is wrong, in a sentence.
+    #[must_use]
+    pub fn problem(&self) -> &str {
+        &self.problem
+    }
+}
+
+impl fmt::Display for NotSame {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}\n{}", self.problem, self.report)
+    }
+}
+
+impl fmt::Debug for NotSame {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+impl std::error::Error for NotSame {}
 
 impl fmt::Display for LeftOut {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -139,6 +238,13 @@ impl fmt::Display for ReplayReport {
             let note = if topic.is_ignored { "  (ignored)" } else { "" };
             let TopicReport { topic, compared, different, .. } = topic;
             writeln!(f, "  {topic:<width$}  {compared:>9}  {different:>9}{note}")?;
+        }
+        if !self.not_compared.is_empty() {
+            writeln!(f, "\n  not compared:")?;
+            let width = self.not_compared.iter().map(|topic| topic.topic.len()).max().unwrap_or(0);
+            for NotCompared { topic, reason } in &self.not_compared {
+                writeln!(f, "  {topic:<width$}  {reason}")?;
+            }
         }
         if let Some(difference) = self.first_difference() {
             let into = Duration::from_nanos(u64::try_from(difference.time - self.bag_start).unwrap_or(0));

@@ -3,9 +3,12 @@
 use std::path::PathBuf;
 
 use crate::bags::{FieldDifference, FieldRule, Reader};
-use crate::replay::{Difference, ReplayOptions, ReplayReport, TopicReport, What, replay as replay_robot};
+use crate::bridge::expose::TopicPattern;
+use crate::replay::{
+    Difference, ReplayOptions, ReplayReport, Strictness, TopicReport, What, replay as replay_robot,
+};
 use crate::robot::{Catalog, LauncherChoice, RosArgs};
-use anyhow::bail;
+use anyhow::anyhow;
 use clap::Args;
 use serde_json::{Value, json};
 
@@ -29,6 +32,13 @@ pub(crate) struct ReplayArguments {
     /// Do not compare this: "diagnostics", "imu/data_raw:header.stamp", ":header.stamp". May be given more than once.
     #[arg(long, value_name = "[TOPIC][:FIELD]", value_parser = FieldRule::ignore)]
     pub(crate) ignore: Vec<FieldRule>,
+    /// Leave these topics out of the comparison: names, or patterns as "camera/*".
+    #[arg(long, num_args = 1.., value_name = "TOPIC", value_parser = TopicPattern::new)]
+    pub(crate) except: Vec<TopicPattern>,
+    /// Fail when a topic that the chosen modules publish was not compared. Topics of --except and topics of plain Rust types,
+    /// which no bag holds, are listed only.
+    #[arg(long)]
+    pub(crate) strict: bool,
     /// Run the modules on one thread (linear), on n (pool:4) or each on its own (threads), instead of as the robot file
     /// says. The result is the same.
     #[arg(long)]
@@ -50,18 +60,16 @@ pub(crate) fn replay(arguments: &ReplayArguments, catalog: &Catalog, ros: &RosAr
     let given = if arguments.modules.is_empty() { &file.replay.modules } else { &arguments.modules };
     let (tolerances, ignored) = (&arguments.tolerance, &arguments.ignore);
     let rules = file.replay.rules.iter().chain(tolerances).chain(ignored).cloned().collect();
-    let options = ReplayOptions { modules: given.clone(), rules };
+    let except = file.replay.except.iter().chain(&arguments.except).cloned().collect();
+    let options = ReplayOptions { modules: given.clone(), rules, except };
     let report = replay_robot(file, &reader, &options)?;
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&as_json(&report))?);
     } else {
         print!("{report}");
     }
-    let topics = report.topics.iter().filter(|topic| topic.different > 0).count();
-    if topics > 0 {
-        bail!("the replay differs from the bag in {} messages on {topics} topics", report.different());
-    }
-    Ok(())
+    let strictness = if arguments.strict { Strictness::EveryTopic } else { Strictness::AnyTopic };
+    report.check(strictness).map_err(|not_same| anyhow!("{}", not_same.problem()))
 }
 
 /// What the recorder noted: a robot that is replayed without what it received may differ for that reason alone.
@@ -86,6 +94,9 @@ fn as_json(report: &ReplayReport) -> Value {
             "first_difference": first.as_ref().map(difference),
         })
     });
+    let not_compared = report.not_compared.iter().map(
+        |topic| json!({ "topic": topic.topic, "reason": topic.reason.to_string(), "is_gap": topic.is_gap() }),
+    );
     json!({
         "robot": report.robot,
         "modules": report.modules,
@@ -96,6 +107,8 @@ fn as_json(report: &ReplayReport) -> Value {
         "inputs": report.inputs,
         "missing_inputs": report.missing_inputs,
         "topics": topics.collect::<Vec<_>>(),
+        "not_compared": not_compared.collect::<Vec<_>>(),
+        "compared": report.compared(),
         "first_difference": report.first_difference().map(difference),
         "different": report.different(),
         "bag_seconds": report.bag_duration.as_secs_f64(),

@@ -1,6 +1,7 @@
 //! `[replay]` of a robot file.
 
 use downbeat_bags::{FieldRule, FieldRuleError};
+use downbeat_bridge::expose::TopicPattern;
 
 use super::RobotFileError;
 use super::table::Value;
@@ -14,6 +15,8 @@ pub struct ReplaySection {
     pub modules: Vec<String>,
     /// How exactly what they publish is compared.
     pub rules: Vec<FieldRule>,
+    /// Topics that are not compared.
+    pub except: Vec<TopicPattern>,
 }
 
 pub(super) fn replay(value: Value<'_>) -> Result<ReplaySection> {
@@ -26,8 +29,12 @@ pub(super) fn replay(value: Value<'_>) -> Result<ReplaySection> {
             rules.push(read(value.text()?).map_err(|error| value.error(error.to_string()))?);
         }
     }
+    let mut except = Vec::new();
+    for value in table.take("except").map_or(Ok(Vec::new()), |value| value.list())? {
+        except.push(TopicPattern::new(value.text()?).map_err(|error| value.error(error.to_string()))?);
+    }
     table.finish()?;
-    Ok(ReplaySection { modules, rules })
+    Ok(ReplaySection { modules, rules, except })
 }
 
 type ReadRule = fn(&str) -> std::result::Result<FieldRule, FieldRuleError>;

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::bags::{Reader, Recording, WriterOptions};
-use crate::executor::{Core, ManualClock, Time};
+use crate::executor::{Core, ManualClock};
 use crate::msgs::qos::QosProfile;
 use crate::playback;
 use crate::recorder::{self, Unrecorded, WhenFull};
@@ -18,7 +18,7 @@ pub(super) fn play_into(
     catalog: &Catalog,
     ros: &RosArgs,
 ) -> anyhow::Result<()> {
-    let clock = ManualClock::new(Time::from_nanos(reader.start_time().unwrap_or(0)));
+    let clock = ManualClock::new(playback::start_time(reader)?);
     let file = RobotFile::read_with(robot, catalog, ros)?;
     file.refuse_devices()?;
     let mut robot = file.on_any_machine().build(Core::new().with_clock(clock.clone()))?;

@@ -1,0 +1,96 @@
+//! A core whose cycles follow a bag.
+
+use downbeat_bags::{Reader, Selection};
+use downbeat_executor::{Clock, Core, ManualClock, Time};
+
+use super::cycles::Cycles;
+use super::inputs::Inputs;
+use super::settings::SettingsChanges;
+use super::{MOST_CYCLES, PlaybackError};
+
+/// A core with what a bag has for it.
+pub(crate) struct Follower<'a> {
+    pub(crate) core: &'a mut Core,
+    pub(crate) clock: &'a ManualClock,
+    pub(crate) inputs: Inputs,
+    pub(crate) settings: SettingsChanges,
+}
+
+impl Follower<'_> {
+    /// Runs the core as far as the bag goes, then stops it. Where the bag tells the cycles, these are run at their very times,
+    /// and what joined in one joins in it again. Else messages are given at their times: in a cycle for each time of a message
+    /// where the bag is of a robot, or with timers firing at their exact times between.
+    ///
+    /// `after_cycle` is called after each cycle and after the end. Returns how many cycles of the bag there were.
+    pub(crate) fn run(
+        &mut self,
+        reader: &Reader,
+        cycles: &Cycles,
+        mut after_cycle: impl FnMut(),
+    ) -> Result<u64, PlaybackError> {
+        let mut count = 0;
+        match cycles {
+            Cycles::Recorded { times, .. } => {
+                for &time in times {
+                    self.cycle(time)?;
+                    count += 1;
+                    after_cycle();
+                }
+                self.clock.set(Time::from_nanos(cycles.end()));
+            }
+            Cycles::OfMessages => {
+                let mut last = None;
+                for message in reader.messages(Selection::all())? {
+                    let time = message?.log_time;
+                    if last.replace(time) != Some(time) {
+                        self.cycle(time)?;
+                        count += 1;
+                        after_cycle();
+                    }
+                }
+            }
+            Cycles::Unknown => {
+                while let Some(time) = self.inputs.next_time()? {
+                    self.run_until(Time::from_nanos(time))?;
+                    self.give(time)?;
+                    after_cycle();
+                }
+                self.run_until(Time::from_nanos(reader.end_time().unwrap_or(0)))?;
+            }
+        }
+        self.core.stop();
+        after_cycle();
+        Ok(count)
+    }
+
+    /// What is given before a cycle joins in its sync phase, as it did when it was recorded.
+    fn cycle(&mut self, time: i64) -> Result<(), PlaybackError> {
+        self.give(time)?;
+        self.clock.set(Time::from_nanos(time));
+        Ok(self.core.cycle()?)
+    }
+
+    /// Gives all messages and settings up to that time.
+    fn give(&mut self, time: i64) -> Result<(), PlaybackError> {
+        self.inputs.give(time)?;
+        Ok(self.settings.give(self.core, |change| change.stamp.as_nanos() <= time)?)
+    }
+
+    /// Runs what is due before `end`, then moves the clock there.
+    fn run_until(&mut self, end: Time) -> Result<(), PlaybackError> {
+        let (mut instant, mut cycles) = (self.clock.now(), 0);
+        while let Some(event) =
+            self.core.next_event().filter(|&event| event < end || event == self.clock.now())
+        {
+            self.clock.set(event);
+            self.core.cycle()?;
+            cycles = if event == instant { cycles + 1 } else { 0 };
+            instant = event;
+            if cycles > MOST_CYCLES {
+                return Err(PlaybackError::Restless(instant));
+            }
+        }
+        self.clock.set(end);
+        Ok(())
+    }
+}

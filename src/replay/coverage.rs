@@ -1,0 +1,181 @@
+//! Which topics a replay does not compare, and why.
+
+use std::fmt;
+
+use downbeat_bags::Reader;
+use downbeat_bridge::edge::Interfaces;
+
+use super::plan::{Plan, Wiring};
+use super::{ReplayOptions, TopicReport};
+use crate::encoding::RecordedType;
+use crate::{cycle_journal, settings_journal, step_journal};
+
+/// A topic of the bag, or of the replayed modules, that was not compared.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NotCompared {
+    /// With the leading slash.
+    pub topic: String,
+    /// Why not.
+    pub reason: NotComparedReason,
+}
+
+/// Why a topic was not compared.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum NotComparedReason {
+    /// No module of the robot publishes it: it came from outside.
+    Input,
+    /// The recording describes itself with it.
+    Journal,
+    /// The process publishes it, and no module of the robot file.
+    Process,
+    /// Only modules publish it that were not chosen.
+    NotChosen {
+        /// These modules.
+        modules: Vec<String>,
+    },
+    /// Only modules publish it that cannot be replayed.
+    LeftOut {
+        /// These modules.
+        modules: Vec<String>,
+    },
+    /// It was excluded by [`ReplayOptions::except`].
+    Excluded,
+    /// Its messages are of a plain Rust type, which no bag holds.
+    PlainType {
+        /// The type.
+        rust_type: String,
+    },
+    /// The messages of the bag cannot be read.
+    Unreadable {
+        /// Why not.
+        problem: String,
+    },
+    /// Replayed modules publish it, and the bag lacks the topic.
+    NotInBag {
+        /// These modules.
+        modules: Vec<String>,
+    },
+    /// Replayed modules publish it, but there was no message, neither recorded nor replayed.
+    NoMessages,
+}
+
+impl NotCompared {
+    /// True if replayed or chosen modules publish the topic and it should have been compared: [strict](super::ReplayReport::assert_same)
+    /// comparison fails.
+    #[must_use]
+    pub fn is_gap(&self) -> bool {
+        use NotComparedReason as Why;
+        matches!(self.reason, Why::LeftOut { .. } | Why::Unreadable { .. } | Why::NotInBag { .. })
+    }
+}
+
+/// The topics that cannot be compared, by name. The outputs of the plan that are among them are removed from it.
+pub(super) fn not_compared(
+    plan: &mut Plan,
+    graph: &Wiring,
+    reader: &Reader,
+    options: &ReplayOptions,
+    interfaces: &Interfaces,
+) -> Vec<NotCompared> {
+    let mut list = Vec::new();
+    let recorded = reader.topics().iter().map(|topic| topic.info.name.trim_start_matches('/').to_owned());
+    let published = graph.publishers.keys().filter(|topic| plan.publishes(graph, topic)).cloned();
+    let names: std::collections::BTreeSet<String> = recorded.chain(published).collect();
+    for name in names {
+        if let Some(reason) = reason(&name, plan, graph, reader, options, interfaces) {
+            plan.outputs.remove(&name);
+            list.push(NotCompared { topic: format!("/{name}"), reason });
+        }
+    }
+    list
+}
+
+fn reason(
+    name: &str,
+    plan: &Plan,
+    graph: &Wiring,
+    reader: &Reader,
+    options: &ReplayOptions,
+    interfaces: &Interfaces,
+) -> Option<NotComparedReason> {
+    use NotComparedReason as Why;
+    if [cycle_journal::TOPIC, step_journal::TOPIC, settings_journal::TOPIC].contains(&name) {
+        return Some(Why::Journal);
+    }
+    let publishers = graph.publishers.get(name).into_iter().flatten();
+    let of_file: Vec<String> = publishers.filter(|name| graph.modules.contains(*name)).cloned().collect();
+    if !plan.publishes(graph, name) {
+        let is_left_out = |module: &String| plan.left_out.iter().any(|left| left.module == *module);
+        return Some(match () {
+            () if options.excludes(name) => Why::Excluded,
+            () if of_file.iter().any(is_left_out) => {
+                Why::LeftOut { modules: of_file.into_iter().filter(is_left_out).collect() }
+            }
+            () if !of_file.is_empty() => Why::NotChosen { modules: of_file },
+            () if graph.types.contains_key(name) && graph.is_published_by_process(name) => Why::Process,
+            () => Why::Input,
+        });
+    }
+    if options.excludes(name) {
+        return Some(Why::Excluded);
+    }
+    let plain = graph.types.get(name).filter(|known| interfaces.message_of(known.message_type_id).is_none());
+    let Some(id) = reader.topic(&format!("/{name}")) else {
+        return Some(match plain {
+            Some(known) => Why::PlainType { rust_type: known.message_type.to_owned() },
+            None => Why::NotInBag { modules: plan.publishers_of(graph, name) },
+        });
+    };
+    let problem = match (plain, RecordedType::of(&reader.topics()[id.index()], interfaces)) {
+        (_, Err(error)) => error.to_string(),
+        (Some(known), Ok(_)) => format!(
+            "the modules publish {} on it, which is no message type that is registered",
+            known.message_type
+        ),
+        (None, Ok(_)) => return None,
+    };
+    Some(Why::Unreadable { problem })
+}
+
+/// Moves topics without a message to those that were not compared.
+pub(super) fn move_empty(topics: &mut Vec<TopicReport>, not_compared: &mut Vec<NotCompared>) {
+    for empty in topics.extract_if(.., |topic| topic.compared == 0) {
+        not_compared.push(NotCompared { topic: empty.topic, reason: NotComparedReason::NoMessages });
+    }
+    not_compared.sort_by(|one, other| one.topic.cmp(&other.topic));
+}
+
+impl fmt::Display for NotComparedReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Input => write!(f, "input, no module of the robot publishes it"),
+            Self::Journal => write!(f, "the recording's own account of the run"),
+            Self::Process => write!(f, "published by the process, not by a module"),
+            Self::NotChosen { modules } => {
+                write!(f, "published by {}, which {} not chosen", modules.join(", "), are(modules))
+            }
+            Self::LeftOut { modules } => {
+                write!(f, "published by {}, which {} not replayed", modules.join(", "), are(modules))
+            }
+            Self::Excluded => write!(f, "excluded"),
+            Self::PlainType { rust_type } => {
+                write!(f, "messages of the plain Rust type {rust_type} are in no bag")
+            }
+            Self::Unreadable { problem } => write!(f, "{problem}"),
+            Self::NotInBag { modules } => {
+                write!(f, "published by {}, but the bag lacks the topic", modules.join(", "))
+            }
+            Self::NoMessages => write!(f, "no messages, neither recorded nor replayed"),
+        }
+    }
+}
+
+impl fmt::Display for NotCompared {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.topic, self.reason)
+    }
+}
+
+fn are(modules: &[String]) -> &'static str {
+    if modules.len() == 1 { "was" } else { "were" }
+}
