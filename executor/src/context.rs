@@ -295,10 +295,9 @@ impl<P> Context<'_, P> {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     pub fn completion<T: Send + 'static>(&mut self, job: Job<T>) -> Completion<T> {
-        if self.io.jobs.len() <= job.port as usize {
-            self.foreign("asked for work with")
-        }
-        Completion::new(Arc::clone(&self.io.queue), self.io.id, job)
+        let Some(port) = self.io.jobs.get_mut(job.port as usize) else { self.foreign("asked for work with") };
+        let number = port.next_number();
+        Completion::new(Arc::clone(&self.io.queue), self.io.id, job, number)
     }
 
     /// Adds a module, which runs for the first time in the next cycle. What is wrong with it is logged.

@@ -1,18 +1,18 @@
 //! What comes from other threads, waiting for the sync phase.
 
-use std::any::Any;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering, fence};
 
 use crossbeam::queue::SegQueue;
 use crossbeam::sync::Unparker;
 
+use crate::Time;
+use crate::core::JobResult;
 use crate::detached::StepOutcome;
 use crate::guard::drop_guarded;
 use crate::listeners::Listeners;
 use crate::management::Command;
 use crate::service::AnyCall;
-use crate::{ModuleId, Time};
 
 /// The requests of other threads. The sync phase applies them in the order in which they came.
 pub(crate) struct JoinQueue {
@@ -32,12 +32,7 @@ pub(crate) enum Request {
     Command(Command),
     Step(StepOutcome),
     Call(Box<dyn AnyCall>),
-    /// The result of a job: an `Option<Result<T, JobError>>`.
-    Job {
-        module: ModuleId,
-        port: u32,
-        result: Box<dyn Any + Send>,
-    },
+    Job(JobResult),
 }
 
 impl JoinQueue {

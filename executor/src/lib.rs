@@ -161,6 +161,7 @@ mod context;
 mod core;
 mod detached;
 mod error;
+mod event;
 mod guard;
 mod inlet;
 mod inspect;
@@ -192,6 +193,7 @@ pub use crate::core::{Core, CoreHandle, Idle, ModuleInfo, RunError, SyncPhase};
 pub use clock::{Clock, ManualClock, SystemClock};
 pub use context::Context;
 pub use error::SetupError;
+pub use event::{CallOrigin, ModuleCommand, ModuleEvent, ModuleEventKind};
 pub use inlet::{Inlet, InletError};
 pub use inspect::{
     CycleStatistics, CycleTrace, Graph, GraphEdge, GraphModule, GraphService, GraphTopic, ModuleState,
@@ -210,7 +212,7 @@ pub use options::{Inbox, ModuleOptions, Restart, Role, Synchrony};
 pub use probe::{CycleReport, Probe, StepReport};
 pub use receipt::Receipt;
 pub use schedule::Task;
-pub use service::{CallError, CallId, Caller, Client, Reply, Responder, ServiceInfo};
+pub use service::{CallError, CallId, Caller, Client, Reply, Responder, ServiceInfo, StandIn};
 pub use setting::{Setting, SettingInfo, SettingType, SettingValue, SettingsChange};
 pub use setup::Setup;
 pub use stage::Stage;

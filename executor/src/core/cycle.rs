@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use super::{Core, Idle, Pause, RunError, SyncPhase, World};
 use crate::detached::DetachedModule;
+use crate::event::ModuleEvent;
 use crate::inspect::{CycleInfo, Measuring, spans_are_on};
 use crate::join::DetachedStep;
 use crate::management::{Command, finish_leaving};
@@ -110,6 +111,7 @@ impl Core {
             // one does, they are simply not published.
             self.world.steps_topic = open_own::<DetachedStep>(topics, DetachedStep::TOPIC);
             self.world.changes_topic = open_own::<SettingsChange>(topics, SettingsChange::TOPIC);
+            self.world.events_topic = open_own::<ModuleEvent>(topics, ModuleEvent::TOPIC);
         }
         let mut detached = std::mem::take(&mut self.world.detached);
         let started = detached.iter_mut().flatten().try_for_each(|module| {
@@ -207,10 +209,10 @@ impl Core {
         self.world.join();
         let commands = std::mem::take(&mut self.world.joined.commands);
         let is_paused = self.world.pause;
-        for command in commands {
+        for (by, command) in commands {
             match command {
                 Command::Look(look) => look(self.stage.exclusive(), &mut self.world),
-                other => self.world.joined.commands.push(other),
+                other => self.world.joined.commands.push((by, other)),
             }
         }
         if self.world.pause == is_paused && !self.world.queue.stop_is_requested() {

@@ -239,6 +239,18 @@ impl CoreHandle {
         self.queue.listeners.add(listener)
     }
 
+    /// Has the result of a job join in the next sync phase, or when it comes if that is later; see
+    /// [`Core::hold_results`](crate::Core::hold_results). `job` is the position of the job among those that the module declared,
+    /// `number` counts what the module asked of it.
+    pub fn release_result(&self, module: &str, job: u32, number: u64) {
+        let module = module.into();
+        self.look(move |_, world| {
+            if let Some(held) = &mut world.held_results {
+                held.releases.push((module, job, number));
+            }
+        });
+    }
+
     /// Changes a setting of a module.
     pub fn set(
         &self,
@@ -360,7 +372,7 @@ impl CoreHandle {
         receipt
     }
 
-    fn look(&self, look: impl FnOnce(&mut Stage, &mut World) + Send + 'static) {
+    pub(crate) fn look(&self, look: impl FnOnce(&mut Stage, &mut World) + Send + 'static) {
         if !self.queue.is_closed() {
             self.queue.push(Request::Command(Command::Look(Box::new(look))));
         }

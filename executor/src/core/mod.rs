@@ -17,9 +17,10 @@ pub use phase::SyncPhase;
 use stage_holder::StageHolder;
 pub use world::ModuleInfo;
 pub(crate) use world::Pause;
-pub(crate) use world::{JobResult, World};
+pub(crate) use world::{Answer, JobResult, World};
 
 use crate::asked::Asked;
+use crate::event::Encoder;
 use crate::inlet::{default_queue, open_inlet};
 use crate::inspect::{Graph, Inspector};
 use crate::job::Jobs;
@@ -30,7 +31,7 @@ use crate::messaging::Messaging;
 use crate::probe::Probe;
 use crate::queue::Queue;
 use crate::schedule::Timers;
-use crate::service::Services;
+use crate::service::{Services, StandIn};
 use crate::setting::SettingsMechanism;
 use crate::watchdog::Watch;
 use crate::{
@@ -262,6 +263,42 @@ impl Core {
         let index = self.world.services.open::<Q, R>(service, "caller")?;
         let name = Arc::clone(self.world.services.name(index));
         Ok(Caller::new(index, name, Arc::clone(&self.world.queue)))
+    }
+
+    /// Stands in for the server of a service that is not in this core: until a module serves it, calls of modules wait for what the
+    /// value returned answers.
+    ///
+    /// # Errors
+    /// A name that is not valid, or a service of other types.
+    pub fn stand_in<Q: Send + 'static, R: Send + 'static>(
+        &mut self,
+        service: &str,
+    ) -> Result<StandIn<R>, SetupError> {
+        let index = self.world.services.open::<Q, R>(service, "stand-in")?;
+        self.world.services.get_mut(index).has_stand_in = true;
+        Ok(StandIn::new(self.handle()))
+    }
+
+    /// Has the requests and answers of a service told as bytes in each [`ModuleEvent`](crate::ModuleEvent). Both run on the thread
+    /// of the core.
+    ///
+    /// # Errors
+    /// A name that is not valid, or a service of other types.
+    pub fn encode_service<Q: Send + 'static, R: Send + 'static>(
+        &mut self,
+        service: &str,
+        request: fn(&Q) -> Vec<u8>,
+        answer: fn(&R) -> Vec<u8>,
+    ) -> Result<(), SetupError> {
+        let index = self.world.services.open::<Q, R>(service, "encoder")?;
+        self.world.services.get_mut(index).encoder = Some(Encoder::new(request, answer));
+        Ok(())
+    }
+
+    /// Holds the results of jobs back until each is released by [`CoreHandle::release_result`]: for a replay, in which the work
+    /// runs again and its result joins in the cycle in which it joined when it was recorded.
+    pub fn hold_results(&mut self) {
+        self.world.held_results.get_or_insert_default();
     }
 
     /// A way to stop the core and to change it from other threads.

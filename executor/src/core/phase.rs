@@ -1,8 +1,11 @@
 //! The sync phase as mechanisms see it.
 
+use std::sync::Arc;
+
 use crate::asked::Asked;
 use crate::cell::ModuleCell;
 use crate::core::World;
+use crate::event::{ModuleEvent, ModuleEventKind};
 use crate::mechanism::Mechanism;
 use crate::module_io::ModuleIo;
 use crate::setting::SettingsChange;
@@ -74,6 +77,28 @@ impl SyncPhase<'_> {
         let is_part = world.members.get(module.order).is_some_and(|member| member.role() == Role::Part);
         if is_heard && is_part {
             world.changes.push(change);
+        }
+    }
+
+    /// True if somebody listens to events.
+    pub(crate) fn hears_events(&self) -> bool {
+        let topics = &self.stage.shared.topics;
+        self.world.events_topic.is_some_and(|topic| !topics.subscribers(topic).is_empty())
+    }
+
+    pub(crate) fn note_event(&mut self, kind: ModuleEventKind) {
+        let (time, cycle) = (self.now, self.world.cycle);
+        self.world.events.push(ModuleEvent { time, cycle, kind });
+    }
+
+    /// Has an event of a module told, if the module is a part and somebody listens: an observer is not replayed.
+    pub(crate) fn note_event_of(&mut self, module: ModuleId, kind: impl FnOnce(Arc<str>) -> ModuleEventKind) {
+        if !self.hears_events() {
+            return;
+        }
+        let member = self.world.members.get(module.order).filter(|member| member.role() == Role::Part);
+        if let Some(name) = member.map(|member| Arc::clone(&member.name)) {
+            self.note_event(kind(name));
         }
     }
 

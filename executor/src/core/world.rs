@@ -5,9 +5,10 @@ use std::sync::Arc;
 use crate::agenda::{Agenda, Asker};
 use crate::asked::Asked;
 use crate::detached::{DetachedModule, StepOutcome};
+use crate::event::ModuleEvent;
 use crate::inlet::AnyInlet;
 use crate::inspect::Inspector;
-use crate::job::{Work, Workers};
+use crate::job::{HeldResults, Work, Workers};
 use crate::join::{JoinQueue, Request};
 use crate::management::{Command, Member, Members, Place};
 use crate::probe::Probe;
@@ -52,6 +53,11 @@ pub(crate) struct World {
     pub(crate) changes_topic: Option<usize>,
     /// Settings that were changed since the last sync phase of messages.
     pub(crate) changes: Vec<SettingsChange>,
+    pub(crate) events_topic: Option<usize>,
+    /// What took effect since the last sync phase of messages.
+    pub(crate) events: Vec<ModuleEvent>,
+    /// Where results of jobs wait until they are released.
+    pub(crate) held_results: Option<HeldResults>,
     pub(crate) cycle: u64,
     pub(crate) is_running: bool,
     pub(crate) has_stopped: bool,
@@ -81,7 +87,8 @@ pub struct ModuleInfo {
 /// What came from other threads since the last sync phase.
 #[derive(Default)]
 pub(crate) struct Joined {
-    pub(crate) commands: Vec<Command>,
+    /// Each with the module that asked.
+    pub(crate) commands: Vec<(Option<ModuleId>, Command)>,
     /// Those of the commands that are about settings.
     pub(crate) settings: Vec<Command>,
     pub(crate) steps: Vec<StepOutcome>,
@@ -90,13 +97,18 @@ pub(crate) struct Joined {
     /// Calls of detached modules, by client port.
     pub(crate) calls_of_detached: Vec<(ModuleId, u32, Box<dyn AnyClient>)>,
     /// Answers of detached modules, and of modules that start again.
-    pub(crate) answers: Vec<(ReplyTo, Box<dyn AnyReply>)>,
+    pub(crate) answers: Vec<Answer>,
     pub(crate) work: Vec<Work>,
 }
+
+/// An answer on its way to its client, with the name of its service.
+pub(crate) type Answer = (ReplyTo, Arc<str>, Box<dyn AnyReply>);
 
 pub(crate) struct JobResult {
     pub(crate) module: ModuleId,
     pub(crate) port: u32,
+    /// Counts what the module asked of the job.
+    pub(crate) number: u64,
     pub(crate) result: Box<dyn std::any::Any + Send>,
 }
 
@@ -134,6 +146,9 @@ impl World {
             steps_topic: None,
             changes_topic: None,
             changes: Vec::new(),
+            events_topic: None,
+            events: Vec::new(),
+            held_results: None,
             cycle: 0,
             is_running: false,
             has_stopped: false,
@@ -164,12 +179,10 @@ impl World {
         self.has_joined = true;
         for _ in 0..self.queue.len() {
             match self.queue.pop() {
-                Some(Request::Command(command)) => self.joined.commands.push(command),
+                Some(Request::Command(command)) => self.joined.commands.push((None, command)),
                 Some(Request::Step(outcome)) => self.joined.add_step(outcome),
                 Some(Request::Call(call)) => self.joined.calls.push(call),
-                Some(Request::Job { module, port, result }) => {
-                    self.joined.results.push(JobResult { module, port, result });
-                }
+                Some(Request::Job(result)) => self.joined.results.push(result),
                 None => break,
             }
         }
@@ -232,7 +245,7 @@ impl World {
 impl Joined {
     fn add_step(&mut self, mut step: StepOutcome) {
         let module = step.module;
-        self.commands.append(&mut step.commands);
+        self.commands.extend(step.commands.drain(..).map(|command| (Some(module), command)));
         self.work.append(&mut step.work);
         self.calls_of_detached.extend(step.calls.drain(..).map(|(port, calls)| (module, port, calls)));
         self.answers.append(&mut step.answers);

@@ -38,6 +38,7 @@ pub(crate) enum Parcel {
     /// A `Vec<Incoming<Q>>`.
     Requests {
         port: u32,
+        count: u32,
         requests: Box<dyn Any + Send>,
     },
     /// An `Option<Result<T, JobError>>`.

@@ -97,6 +97,7 @@ impl DetachedModule {
             step: 0,
             last: crate::Time::from_nanos(i64::MIN),
             changed: Vec::new(),
+            taken: 0,
             _alive: alive,
         };
         let handle = self.options.spawn(&*self.name, move || runner.run())?;

@@ -1,10 +1,11 @@
 //! What a run of a detached module brings back.
 
+use crate::core::Answer;
 use crate::inspect::Span;
 use crate::job::Work;
 use crate::management::Command;
 use crate::messaging::AnyOutbox;
-use crate::service::{AnyClient, AnyReply, ReplyTo};
+use crate::service::AnyClient;
 use crate::{LifecycleState, ModuleId, SettingInfo, SettingValue, Time};
 
 /// What a run of a detached module brings to the next sync phase.
@@ -14,6 +15,8 @@ pub(crate) struct StepOutcome {
     pub(crate) step: u64,
     pub(crate) is_stop: bool,
     pub(crate) inputs: Vec<Input>,
+    /// Requests, answers, results and commands that the run took over.
+    pub(crate) taken: u32,
     pub(crate) outboxes: Vec<Box<dyn AnyOutbox>>,
     /// When and where it ran, if that was measured.
     pub(crate) span: Option<Span>,
@@ -21,7 +24,7 @@ pub(crate) struct StepOutcome {
     pub(crate) overruns: u64,
     /// By client port.
     pub(crate) calls: Vec<(u32, Box<dyn AnyClient>)>,
-    pub(crate) answers: Vec<(ReplyTo, Box<dyn AnyReply>)>,
+    pub(crate) answers: Vec<Answer>,
     pub(crate) commands: Vec<Command>,
     pub(crate) work: Vec<Work>,
     pub(crate) state: LifecycleState,

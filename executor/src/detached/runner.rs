@@ -31,6 +31,8 @@ pub(super) struct Runner {
     pub(super) last: Time,
     /// The settings that were changed since the last run.
     pub(super) changed: Vec<(String, SettingValue)>,
+    /// What was taken out of the mailbox since the last run, besides messages and settings.
+    pub(super) taken: u32,
     /// The last field, so that it is dropped after the module.
     pub(super) _alive: Sender<()>,
 }
@@ -79,6 +81,11 @@ impl Runner {
     }
 
     fn open(&mut self, parcel: Parcel) {
+        self.taken += match &parcel {
+            Parcel::Requests { count, .. } => *count,
+            Parcel::Set { .. } => 0,
+            _ => 1,
+        };
         let io = &mut self.cell.io;
         match parcel {
             Parcel::Reply { port, mut reply } => {
@@ -86,7 +93,7 @@ impl Runner {
                     client.accept_any(&mut *reply);
                 }
             }
-            Parcel::Requests { port, mut requests } => {
+            Parcel::Requests { port, mut requests, .. } => {
                 if let Some(server) = io.servers.get_mut(port as usize) {
                     server.accept(&mut *requests);
                 }
@@ -136,7 +143,10 @@ impl Runner {
         let calls = calling.map(|(port, client)| (port, client.split_off())).collect();
         let mut answers = Vec::new();
         for server in &mut io.servers {
-            server.drain_answers(&mut |to, reply| answers.push((to, reply.take_boxed())));
+            let service = Arc::clone(server.name());
+            server.drain_answers(&mut |to, reply| {
+                answers.push((to, Arc::clone(&service), reply.take_boxed()));
+            });
         }
         let (commands, work) = (std::mem::take(&mut io.commands), std::mem::take(&mut io.work));
         io.asked = Asked::default();
@@ -149,6 +159,7 @@ impl Runner {
             step: self.step,
             is_stop,
             inputs,
+            taken: std::mem::take(&mut self.taken),
             outboxes,
             span,
             overruns: self.cell.meter.take_overruns(),

@@ -9,10 +9,11 @@ use std::marker::PhantomData;
 use std::pin::Pin;
 use std::sync::Arc;
 
-pub(crate) use sync::Jobs;
+pub(crate) use sync::{HeldResults, Jobs};
 pub(crate) use workers::Workers;
 
 use crate::ModuleId;
+use crate::core::JobResult;
 use crate::join::{JoinQueue, Request};
 
 /// A module's key to a callback for results of work beside the cycle, from
@@ -53,12 +54,13 @@ pub struct Completion<T: Send + 'static> {
     queue: Option<Arc<JoinQueue>>,
     module: ModuleId,
     port: u32,
+    number: u64,
     result: PhantomData<fn(T)>,
 }
 
 impl<T: Send + 'static> Completion<T> {
-    pub(crate) fn new(queue: Arc<JoinQueue>, module: ModuleId, job: Job<T>) -> Self {
-        Self { queue: Some(queue), module, port: job.port, result: PhantomData }
+    pub(crate) fn new(queue: Arc<JoinQueue>, module: ModuleId, job: Job<T>, number: u64) -> Self {
+        Self { queue: Some(queue), module, port: job.port, number, result: PhantomData }
     }
 
     /// Hands over the result. It joins at the next sync phase.
@@ -68,8 +70,8 @@ impl<T: Send + 'static> Completion<T> {
 
     fn send(&mut self, result: Result<T, JobError>) {
         if let Some(queue) = self.queue.take() {
-            let result = Box::new(Some(result));
-            queue.push(Request::Job { module: self.module, port: self.port, result });
+            let Self { module, port, number, .. } = *self;
+            queue.push(Request::Job(JobResult { module, port, number, result: Box::new(Some(result)) }));
         }
     }
 }
@@ -91,11 +93,12 @@ pub(crate) enum Work {
 /// The results of one kind of job that the module has not seen yet.
 pub(crate) struct JobPort<T> {
     results: Vec<Result<T, JobError>>,
+    next: u64,
 }
 
 impl<T> JobPort<T> {
     pub(crate) fn new() -> Self {
-        Self { results: Vec::new() }
+        Self { results: Vec::new(), next: 0 }
     }
 
     pub(crate) fn take(&mut self) -> Vec<Result<T, JobError>> {
@@ -106,6 +109,8 @@ impl<T> JobPort<T> {
 /// A [`JobPort`] whose type only its module knows.
 pub(crate) trait AnyJob: Any + Send {
     fn has_results(&self) -> bool;
+    /// The number of the next result that the module asks for.
+    fn next_number(&mut self) -> u64;
     /// Takes an `Option<Result<T, JobError>>`.
     fn accept(&mut self, result: Box<dyn Any + Send>);
 }
@@ -113,6 +118,12 @@ pub(crate) trait AnyJob: Any + Send {
 impl<T: Send + 'static> AnyJob for JobPort<T> {
     fn has_results(&self) -> bool {
         !self.results.is_empty()
+    }
+
+    fn next_number(&mut self) -> u64 {
+        let number = self.next;
+        self.next += 1;
+        number
     }
 
     fn accept(&mut self, result: Box<dyn Any + Send>) {

@@ -7,6 +7,7 @@ use crate::agenda::{Asker, Ready};
 use crate::asked::Asked;
 use crate::core::SyncPhase;
 use crate::detached::Parcel;
+use crate::event::{ModuleCommand, ModuleEventKind};
 use crate::inspect::ModuleMeter;
 use crate::management::admission::{instate, release, release_services};
 use crate::management::{Command, Place, UnknownModule, admit};
@@ -35,13 +36,14 @@ impl Mechanism for Modules {
         }
         notice_changes(phase);
         phase.for_each_that_asked(Asked::COMMANDS, |io, world| {
-            world.joined.commands.append(&mut io.commands);
+            let by = Some(io.id);
+            world.joined.commands.extend(io.commands.drain(..).map(|command| (by, command)));
         });
         if !phase.world.joined.commands.is_empty() {
             let commands = std::mem::take(&mut phase.world.joined.commands);
             let (removals, others): (Vec<_>, Vec<_>) =
-                commands.into_iter().partition(|command| matches!(command, Command::Remove { .. }));
-            removals.into_iter().chain(others).for_each(|command| apply(phase, command));
+                commands.into_iter().partition(|(_, command)| matches!(command, Command::Remove { .. }));
+            removals.into_iter().chain(others).for_each(|(by, command)| apply(phase, by, command));
         }
     }
 }
@@ -156,8 +158,9 @@ fn vacate(phase: &mut SyncPhase<'_>, id: ModuleId) -> Option<ModuleMeter> {
             let mut cell = phase.stage.take_cell(slot)?;
             // Those who wait for it are told in this sync phase that they wait in vain.
             for server in &mut cell.io.servers {
+                let service = Arc::clone(server.name());
                 server.drain_answers(&mut |to, reply| {
-                    phase.world.joined.answers.push((to, reply.take_boxed()))
+                    phase.world.joined.answers.push((to, Arc::clone(&service), reply.take_boxed()));
                 });
             }
             Some(std::mem::take(&mut cell.meter))
@@ -184,7 +187,14 @@ pub(crate) fn finish_leaving(phase: &mut SyncPhase<'_>) {
     }
 }
 
-fn apply(phase: &mut SyncPhase<'_>, command: Command) {
+/// Has a command told that a module is given.
+fn note(phase: &mut SyncPhase<'_>, id: ModuleId, by: Option<ModuleId>, command: ModuleCommand) {
+    let asker = by.and_then(|by| phase.world.members.get(by.order));
+    let by = asker.map(|member| Arc::clone(&member.name));
+    phase.note_event_of(id, |module| ModuleEventKind::Command { module, command, by });
+}
+
+fn apply(phase: &mut SyncPhase<'_>, by: Option<ModuleId>, command: Command) {
     match command {
         Command::Add { candidate, receipt } => {
             let result = admit(phase.stage, phase.world, *candidate);
@@ -194,35 +204,50 @@ fn apply(phase: &mut SyncPhase<'_>, command: Command) {
             answer(receipt, result);
         }
         Command::Remove { module, receipt } => {
-            let result = find(phase, &module).map(|id| remove(phase, id));
+            let result = find(phase, &module).map(|id| {
+                note(phase, id, by, ModuleCommand::Remove);
+                remove(phase, id);
+            });
             tell(receipt, "not removed", result);
         }
         Command::Pause { module, receipt } => {
-            let result = find(phase, &module).map(|id| hold(phase, id, Parcel::Pause));
+            let result = find(phase, &module).map(|id| {
+                note(phase, id, by, ModuleCommand::Pause);
+                hold(phase, id, Parcel::Pause);
+            });
             tell(receipt, "not paused", result);
         }
         Command::Resume { module, receipt } => {
-            let result = find(phase, &module).map(|id| hold(phase, id, Parcel::Resume));
+            let result = find(phase, &module).map(|id| {
+                note(phase, id, by, ModuleCommand::Resume);
+                hold(phase, id, Parcel::Resume);
+            });
             tell(receipt, "not resumed", result);
         }
         Command::Step { module, receipt } => {
-            let result = find(phase, &module).map(|id| hold(phase, id, Parcel::StepOnce));
+            let result = find(phase, &module).map(|id| {
+                note(phase, id, by, ModuleCommand::Step);
+                hold(phase, id, Parcel::StepOnce);
+            });
             tell(receipt, "not stepped", result);
         }
         Command::Transition { module, transition, receipt } => match find(phase, &module) {
-            Ok(id) => match id.place {
-                Place::Attached(slot) => {
-                    if let Some(cell) = phase.stage.cell(slot) {
-                        cell.transition_later(transition, receipt);
+            Ok(id) => {
+                note(phase, id, by, ModuleCommand::Transition(transition));
+                match id.place {
+                    Place::Attached(slot) => {
+                        if let Some(cell) = phase.stage.cell(slot) {
+                            cell.transition_later(transition, receipt);
+                        }
+                        phase.wake(id);
                     }
-                    phase.wake(id);
-                }
-                Place::Detached(slot) => {
-                    if let Some(module) = &phase.world.detached[slot] {
-                        module.send(Parcel::Transition { transition, receipt });
+                    Place::Detached(slot) => {
+                        if let Some(module) = &phase.world.detached[slot] {
+                            module.send(Parcel::Transition { transition, receipt });
+                        }
                     }
                 }
-            },
+            }
             Err(unknown) => {
                 tracing::warn!("{transition} not made: {unknown}");
                 answer(receipt, Err(TransitionRefused::UnknownModule { module: unknown.module }));
@@ -251,7 +276,7 @@ fn remove(phase: &mut SyncPhase<'_>, id: ModuleId) {
             if let (Some(cell), shared) = stage.cell_and_shared(slot) {
                 cell.shutdown(Some(shared), *now);
                 world.has_joined |= !cell.io.commands.is_empty();
-                world.joined.commands.append(&mut cell.io.commands);
+                world.joined.commands.extend(cell.io.commands.drain(..).map(|command| (Some(id), command)));
                 let what = cell.take_asked();
                 asked.add(what);
                 world.note_asker(Asker { module: Ready { order: id.order, slot }, asked: what });

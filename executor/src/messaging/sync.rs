@@ -6,6 +6,7 @@ use crate::asked::Asked;
 use crate::cell::Delivery;
 use crate::core::SyncPhase;
 use crate::detached::{DetachedModule, StepOutcome};
+use crate::event::ModuleEventKind;
 use crate::join::{DetachedStep, StepInput};
 use crate::management::Place;
 use crate::mechanism::{Mechanism, Version};
@@ -32,6 +33,9 @@ impl Mechanism for Messaging {
         }
         if !phase.world.changes.is_empty() {
             tell_changes(phase);
+        }
+        if !phase.world.events.is_empty() {
+            tell_events(phase);
         }
         if phase.has(Asked::JOINED) {
             join_steps(phase);
@@ -108,6 +112,10 @@ fn join_steps(phase: &mut SyncPhase<'_>) {
 fn join_step(phase: &mut SyncPhase<'_>, outcome: StepOutcome) {
     let Some(member) = phase.world.members.get(outcome.module.order) else { return };
     let (role, module) = (member.role(), Arc::clone(&member.name));
+    if outcome.taken > 0 {
+        let (step, count) = (outcome.step, outcome.taken);
+        phase.note_event_of(outcome.module, |module| ModuleEventKind::Taken { module, step, count });
+    }
     let topics = &mut phase.stage.shared.topics;
     let (now, cycle) = (phase.now, phase.world.cycle);
     let mut published = 0;
@@ -155,6 +163,14 @@ fn join_step(phase: &mut SyncPhase<'_>, outcome: StepOutcome) {
 fn tell_changes(phase: &mut SyncPhase<'_>) {
     let messages = std::mem::take(&mut phase.world.changes);
     if let Some(topic) = phase.world.changes_topic {
+        phase.stage.shared.topics.absorb(&mut Outbox { topic, messages }, phase.now);
+    }
+}
+
+#[cold]
+fn tell_events(phase: &mut SyncPhase<'_>) {
+    let messages = std::mem::take(&mut phase.world.events);
+    if let Some(topic) = phase.world.events_topic {
         phase.stage.shared.topics.absorb(&mut Outbox { topic, messages }, phase.now);
     }
 }

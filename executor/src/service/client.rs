@@ -69,6 +69,8 @@ pub(crate) trait AnyClient: Any + Send {
     fn due(&self) -> Time;
     fn has_replies(&self) -> bool;
     fn has_calls(&self) -> bool;
+    /// The numbers of the calls that were not made yet.
+    fn calls(&self) -> Vec<u64>;
     /// Appends the calls to `staged`, a `Vec<Incoming<Q>>`.
     fn stage(&mut self, from: ModuleId, port: u32, staged: &mut dyn Any);
     /// Answers the calls with an error.
@@ -101,6 +103,10 @@ impl<Q: Send + 'static, R: Send + 'static> AnyClient for ClientPort<Q, R> {
 
     fn has_calls(&self) -> bool {
         !self.outgoing.is_empty()
+    }
+
+    fn calls(&self) -> Vec<u64> {
+        self.outgoing.iter().map(|(call, _)| *call).collect()
     }
 
     fn stage(&mut self, from: ModuleId, port: u32, staged: &mut dyn Any) {

@@ -7,6 +7,7 @@ mod caller;
 mod client;
 mod registry;
 mod server;
+mod stand_in;
 mod sync;
 
 use std::marker::PhantomData;
@@ -18,6 +19,7 @@ pub(crate) use client::{AnyClient, ClientPort};
 pub use registry::ServiceInfo;
 pub(crate) use registry::ServiceRegistry;
 pub(crate) use server::{AnyReply, AnyServer, Incoming, ServerPort};
+pub use stand_in::StandIn;
 pub(crate) use sync::Services;
 
 use crate::ModuleId;

@@ -4,8 +4,9 @@ use std::any::{Any, TypeId, type_name};
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use crate::event::Encoder;
 use crate::messaging::canonical_name;
-use crate::service::Incoming;
+use crate::service::{Incoming, ReplyTo};
 use crate::{ModuleId, SetupError};
 
 /// What is known of a service, see [`Core::services`](crate::Core::services).
@@ -37,13 +38,32 @@ pub(crate) struct Service {
     /// A `Vec<Incoming<Q>>`: requests on their way to the server.
     pub(crate) staged: Box<dyn Any + Send>,
     pub(crate) has_staged: bool,
+    /// True if answers come from a [`StandIn`](crate::StandIn) where no module serves it.
+    pub(crate) has_stand_in: bool,
+    pub(crate) encoder: Option<Encoder>,
+    each: fn(&dyn Any, &mut dyn FnMut(ReplyTo, &dyn Any)),
     split: fn(&mut dyn Any) -> Box<dyn Any + Send>,
 }
 
 impl Service {
+    pub(crate) fn is_served(&self) -> bool {
+        self.server.is_some() || self.has_stand_in
+    }
+
+    /// Calls `visit` with each request on its way.
+    pub(crate) fn each_staged(&self, visit: &mut dyn FnMut(ReplyTo, &dyn Any)) {
+        (self.each)(&*self.staged, visit);
+    }
+
     /// The requests on their way, for another thread.
     pub(crate) fn take_staged(&mut self) -> Box<dyn Any + Send> {
         (self.split)(&mut *self.staged)
+    }
+}
+
+fn each<Q: Send + 'static>(staged: &dyn Any, visit: &mut dyn FnMut(ReplyTo, &dyn Any)) {
+    for incoming in staged.downcast_ref::<Vec<Incoming<Q>>>().into_iter().flatten() {
+        visit(incoming.to, &incoming.request);
     }
 }
 
@@ -87,6 +107,9 @@ impl ServiceRegistry {
             users: 1,
             staged: Box::new(Vec::<Incoming<Q>>::new()),
             has_staged: false,
+            has_stand_in: false,
+            encoder: None,
+            each: each::<Q>,
             split: split::<Q>,
         };
         let index = match self.services.iter().position(|service| service.users == 0) {
@@ -141,6 +164,10 @@ impl ServiceRegistry {
 
     pub(crate) fn get_mut(&mut self, index: usize) -> &mut Service {
         &mut self.services[index]
+    }
+
+    pub(crate) fn find(&self, name: &str) -> Option<&Service> {
+        self.by_name.get(name).map(|&index| &self.services[index])
     }
 
     pub(crate) fn name(&self, index: usize) -> &Arc<str> {

@@ -53,11 +53,17 @@ fn reply<R>(to: ReplyTo, result: Result<R, CallError>) -> Reply<R> {
 
 /// An `Option<Reply<R>>` on its way to the caller, who takes it.
 pub(crate) trait AnyReply: Any + Send {
+    /// The answer, or why there is none.
+    fn look(&self) -> Option<Result<&dyn Any, &CallError>>;
     /// The same on the heap, for another thread.
     fn take_boxed(&mut self) -> Box<dyn AnyReply>;
 }
 
 impl<R: Send + 'static> AnyReply for Option<Reply<R>> {
+    fn look(&self) -> Option<Result<&dyn Any, &CallError>> {
+        self.as_ref().map(|reply| reply.result.as_ref().map(|answer| answer as &dyn Any))
+    }
+
     fn take_boxed(&mut self) -> Box<dyn AnyReply> {
         Box::new(self.take())
     }
@@ -65,6 +71,8 @@ impl<R: Send + 'static> AnyReply for Option<Reply<R>> {
 
 /// A [`ServerPort`] whose types only the service knows.
 pub(crate) trait AnyServer: Any + Send {
+    /// The name of the service.
+    fn name(&self) -> &Arc<str>;
     fn has_requests(&self) -> bool;
     fn has_answers(&self) -> bool;
     /// Takes the requests out of a `Vec<Incoming<Q>>`.
@@ -78,6 +86,10 @@ pub(crate) trait AnyServer: Any + Send {
 }
 
 impl<Q: Send + 'static, R: Send + 'static> AnyServer for ServerPort<Q, R> {
+    fn name(&self) -> &Arc<str> {
+        &self.name
+    }
+
     fn has_requests(&self) -> bool {
         !self.requests.is_empty()
     }

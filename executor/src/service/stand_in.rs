@@ -16,6 +16,8 @@ use crate::service::{CallError, CallId, Reply, ReplyTo};
 /// struct Asker(std::sync::mpsc::Sender<u32>);
 ///
 /// impl Module for Asker {
+///     type Ports = ();
+///
 ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 ///         let ask = setup.client::<(), u32, _>("count", Duration::from_secs(1), |asker: &mut Self, reply, _| {
 ///             drop(reply.result.map(|count| asker.0.send(count)));

@@ -7,6 +7,8 @@ use crate::ModuleId;
 use crate::asked::Asked;
 use crate::core::SyncPhase;
 use crate::detached::Parcel;
+use crate::event::{CallOrigin, ModuleEventKind};
+use crate::guard::drop_guarded;
 use crate::management::Place;
 use crate::mechanism::{Mechanism, Version};
 use crate::service::{AnyClient, AnyReply, CallError, ExternalCalls, ReplyTo};
@@ -46,7 +48,7 @@ impl Services {
     fn take_external(&mut self, phase: &mut SyncPhase<'_>) {
         for mut call in std::mem::take(&mut phase.world.joined.calls) {
             let service = phase.world.services.get_mut(call.service());
-            if service.server.is_none() {
+            if !service.is_served() {
                 let error = CallError::NoServer { service: Arc::clone(&service.info.name) };
                 super::caller::guarded(|| call.fail(error));
                 continue;
@@ -57,8 +59,8 @@ impl Services {
     }
 
     fn deliver_answers(&mut self, phase: &mut SyncPhase<'_>) {
-        for (to, mut reply) in std::mem::take(&mut phase.world.joined.answers) {
-            self.deliver_answer(phase, to, &mut *reply);
+        for (to, service, mut reply) in std::mem::take(&mut phase.world.joined.answers) {
+            self.deliver_answer(phase, to, &service, &mut *reply);
         }
         let askers = std::mem::take(&mut phase.world.askers);
         for asker in askers.iter().filter(|asker| asker.asked.has(Asked::ANSWERS)) {
@@ -67,7 +69,8 @@ impl Services {
             // Taken out of the cell, since the client may be the same module.
             let mut servers = std::mem::take(&mut cell.io.servers);
             for server in &mut servers {
-                server.drain_answers(&mut |to, reply| self.deliver_answer(phase, to, reply));
+                let service = Arc::clone(server.name());
+                server.drain_answers(&mut |to, reply| self.deliver_answer(phase, to, &service, reply));
             }
             if let Some(cell) = phase.stage.cell(slot) {
                 cell.io.servers = servers;
@@ -76,11 +79,58 @@ impl Services {
         phase.world.askers = askers;
     }
 
-    fn deliver_answer(&mut self, phase: &mut SyncPhase<'_>, to: ReplyTo, reply: &mut dyn AnyReply) {
+    fn deliver_answer(
+        &mut self,
+        phase: &mut SyncPhase<'_>,
+        to: ReplyTo,
+        service: &Arc<str>,
+        reply: &mut dyn AnyReply,
+    ) {
+        if phase.hears_events() {
+            note_answer(phase, to, service, reply);
+        }
         match to {
             ReplyTo::External { call } => self.external.finish(call, reply),
             ReplyTo::Module { module, port, .. } => answer(phase, module, port, reply),
         }
+    }
+}
+
+fn origin(phase: &SyncPhase<'_>, to: ReplyTo) -> CallOrigin {
+    match to {
+        ReplyTo::External { call } => CallOrigin { client: None, port: 0, number: call },
+        ReplyTo::Module { module, port, call } => {
+            let client = phase.world.members.get(module.order).map(|member| Arc::clone(&member.name));
+            CallOrigin { client, port, number: call }
+        }
+    }
+}
+
+#[cold]
+fn note_answer(phase: &mut SyncPhase<'_>, to: ReplyTo, service: &Arc<str>, reply: &dyn AnyReply) {
+    let encoder = phase.world.services.find(service).and_then(|service| service.encoder.as_ref());
+    let result = match reply.look() {
+        Some(Ok(answer)) => Ok(encoder.and_then(|encoder| (encoder.answer)(answer))),
+        Some(Err(error)) => Err(error.clone()),
+        None => return,
+    };
+    let (service, origin) = (Arc::clone(service), origin(phase, to));
+    phase.note_event(ModuleEventKind::Answer { service, origin, result });
+}
+
+/// Has the requests told that go to a server now.
+#[cold]
+fn note_requests(phase: &mut SyncPhase<'_>, index: usize) {
+    let mut requests = Vec::new();
+    let service = phase.world.services.get_mut(index);
+    let name = Arc::clone(&service.info.name);
+    service.each_staged(&mut |to, request| {
+        let body = service.encoder.as_ref().and_then(|encoder| (encoder.request)(request));
+        requests.push((to, body));
+    });
+    for (to, body) in requests {
+        let (service, origin) = (Arc::clone(&name), origin(phase, to));
+        phase.note_event(ModuleEventKind::Request { service, origin, body });
     }
 }
 
@@ -127,8 +177,16 @@ fn stage_calls(phase: &mut SyncPhase<'_>, module: ModuleId, port: u32, calls: &m
     let service = phase.world.services.get_mut(calls.service());
     // The place of a service that was forgotten, since its last user is leaving, may be another's by now.
     let is_other = !Arc::ptr_eq(&service.info.name, calls.name());
-    if is_other || service.server.is_none() {
+    if is_other || !service.is_served() {
         let error = CallError::NoServer { service: Arc::clone(calls.name()) };
+        if phase.hears_events() {
+            let client = phase.world.members.get(module.order).map(|member| Arc::clone(&member.name));
+            for number in calls.calls() {
+                let (service, client) = (Arc::clone(calls.name()), client.clone());
+                let (origin, result) = (CallOrigin { client, port, number }, Err(error.clone()));
+                phase.note_event(ModuleEventKind::Answer { service, origin, result });
+            }
+        }
         calls.fail_calls(&error);
         return false;
     }
@@ -139,11 +197,22 @@ fn stage_calls(phase: &mut SyncPhase<'_>, module: ModuleId, port: u32, calls: &m
 }
 
 fn deliver_requests(phase: &mut SyncPhase<'_>) {
-    let SyncPhase { stage, world, .. } = phase;
-    for index in 0..world.services.len() {
+    let is_heard = phase.hears_events();
+    for index in 0..phase.world.services.len() {
+        if !std::mem::take(&mut phase.world.services.get_mut(index).has_staged) {
+            continue;
+        }
+        if is_heard {
+            note_requests(phase, index);
+        }
+        let SyncPhase { stage, world, .. } = &mut *phase;
         let service = world.services.get_mut(index);
-        let Some((module, port)) = service.server.filter(|_| service.has_staged) else { continue };
-        service.has_staged = false;
+        let Some((module, port)) = service.server else {
+            // A stand-in answers what it was told beforehand.
+            let requests = service.take_staged();
+            drop_guarded("a request", || drop(requests));
+            continue;
+        };
         match module.place {
             Place::Attached(slot) => {
                 let server = stage.cell(slot).and_then(|cell| cell.io.servers.get_mut(port as usize));
@@ -154,7 +223,9 @@ fn deliver_requests(phase: &mut SyncPhase<'_>) {
             }
             Place::Detached(slot) => {
                 if let Some(detached) = &world.detached[slot] {
-                    detached.send(Parcel::Requests { port, requests: service.take_staged() });
+                    let mut count = 0;
+                    service.each_staged(&mut |_, _| count += 1);
+                    detached.send(Parcel::Requests { port, count, requests: service.take_staged() });
                 }
             }
         }
