@@ -6,6 +6,7 @@ use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
 
 use crate::reader::{Reader, ReaderError, RecordedTopic, Selection, Truncation};
 use crate::topic::TopicId;
+use downbeat_msgs::printable;
 
 /// Something in a bag that is not as it should be.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -168,21 +169,25 @@ impl fmt::Display for Problem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Truncated(truncation) => truncation.fmt(f),
-            Self::Unreadable(found) => f.write_str(found),
+            Self::Unreadable(found) => f.write_str(&printable(found)),
             Self::Count { topic: None, told, found } => {
                 write!(f, "the metadata tells {told} messages, there are {found}")
             }
             Self::Count { topic: Some(topic), told, found } => {
+                let topic = printable(topic);
                 write!(f, "{topic}: the metadata tells {told} messages, there are {found}")
             }
             Self::NoMetadata => f.write_str("there is no metadata.yaml; `downbeat bag reindex` makes it"),
             Self::NoDefinition { topic, type_name } => {
+                let (topic, type_name) = (printable(topic), printable(type_name));
                 write!(f, "{topic}: the bag has no definition of {type_name}")
             }
             Self::Definition { topic, found } => {
+                let (topic, found) = (printable(topic), printable(found));
                 write!(f, "{topic}: the definition of its type cannot be read: {found}")
             }
             Self::Message { topic, count, first } => {
+                let (topic, first) = (printable(topic), printable(first));
                 write!(f, "{topic}: {count} messages cannot be decoded; the first: {first}")
             }
             Self::Lost(lost) => write!(f, "messages were lost when it was recorded: {lost}"),

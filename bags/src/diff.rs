@@ -5,6 +5,7 @@ use std::fmt;
 
 use crate::compare::{Comparer, FieldDifference, FieldRule};
 use crate::reader::{BagMessage, Reader, ReaderError, Selection};
+use downbeat_msgs::printable;
 
 /// How two bags compare, topic by topic.
 #[derive(Clone, Debug, PartialEq)]
@@ -180,12 +181,12 @@ impl Side {
 
 impl fmt::Display for TopicDiff {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let topic = &self.topic;
+        let topic = printable(&self.topic);
         match (&self.first, &self.second) {
             (Some(_), None) => write!(f, "{topic}: only in the first bag"),
             (None, Some(_)) => write!(f, "{topic}: only in the second bag"),
             (Some((one, _)), Some((other, _))) if one != other => {
-                write!(f, "{topic}: {one} in the first bag, {other} in the second")
+                write!(f, "{topic}: {} in the first bag, {} in the second", printable(one), printable(other))
             }
             (Some((_, one)), Some((_, other))) if one != other => {
                 write!(f, "{topic}: {one} messages in the first bag, {other} in the second")?;

@@ -8,6 +8,8 @@ use std::io;
 use std::path::Path;
 use std::time::Duration;
 
+use downbeat_msgs::printable;
+
 use crate::metadata::NEVER;
 use crate::reader::{Reader, RecordedTopic, Truncation};
 use crate::sizes::{ServiceCalls, TopicSizes};
@@ -127,10 +129,11 @@ impl fmt::Display for BagInfo {
             i128::from(self.starting_time) + i128::try_from(self.duration.as_nanos()).unwrap_or(i128::MAX);
         writeln!(f)?;
         write!(f, "{:INDENT$}", "Files:")?;
-        lines(f, INDENT, &self.files)?;
+        let files: Vec<_> = self.files.iter().map(|file| printable(file).into_owned()).collect();
+        lines(f, INDENT, &files)?;
         writeln!(f, "{:INDENT$}{}", "Bag size:", Size(self.size))?;
         writeln!(f, "{:INDENT$}{}", "Storage id:", self.storage_identifier)?;
-        writeln!(f, "{:INDENT$}{}", "ROS Distro:", self.ros_distro)?;
+        writeln!(f, "{:INDENT$}{}", "ROS Distro:", printable(&self.ros_distro))?;
         let (seconds, nanoseconds) = (self.duration.as_secs(), self.duration.subsec_nanos());
         writeln!(f, "{:INDENT$}{seconds}.{nanoseconds:09}s", "Duration:")?;
         writeln!(f, "{:INDENT$}{}", "Start:", TimePoint(i128::from(self.starting_time)))?;
@@ -141,7 +144,10 @@ impl fmt::Display for BagInfo {
             let size = self.size_of(&topic.info.name);
             format!(
                 "Topic: {} | Type: {} | Count: {} | {size}Serialization Format: {}",
-                topic.info.name, topic.info.type_name, topic.message_count, topic.serialization_format
+                printable(&topic.info.name),
+                printable(&topic.info.type_name),
+                topic.message_count,
+                printable(&topic.serialization_format)
             )
         });
         lines(f, INDENT, &topics.collect::<Vec<_>>())?;
@@ -158,7 +164,10 @@ impl fmt::Display for BagInfo {
                 },
             );
             format!(
-                "Service: {name} | Type: {type_name} | {counts}Serialization Format: {serialization_format}"
+                "Service: {} | Type: {} | {counts}Serialization Format: {}",
+                printable(name),
+                printable(type_name),
+                printable(serialization_format)
             )
         });
         let services: Vec<String> = services.collect();

@@ -15,6 +15,15 @@ use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 /// How far back a frame may refer: what the reference implementation accepts unless told otherwise.
 const LARGEST_WINDOW: u64 = 128 * 1024 * 1024;
 
+/// The most that compressed content may come to, whatever a header tells: a guard against small files that are made to fill the
+/// memory. Content of robots is compressed to a tenth or so, empty pictures to less.
+pub(crate) fn most_from(compressed: u64) -> u64 {
+    const LARGEST_RATIO: u64 = 100;
+    const ALWAYS: u64 = 64 * 1024 * 1024;
+    const EVER: u64 = 1 << 30;
+    compressed.saturating_mul(LARGEST_RATIO).saturating_add(ALWAYS).min(EVER)
+}
+
 /// Compresses to one frame without a checksum, as fast as can be.
 pub(crate) fn compress_fast(content: &[u8]) -> Vec<u8> {
     if u32::try_from(content.len()).is_err() {

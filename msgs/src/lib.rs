@@ -34,9 +34,11 @@ pub mod flatbuffers;
 #[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
 pub mod foxglove;
 pub mod large_array;
+mod printable;
 #[cfg(feature = "protobuf")]
 pub mod protobuf;
 pub mod qos;
+pub mod yaml;
 
 mod carried;
 mod interchange;
@@ -62,6 +64,7 @@ pub use cdr::WString;
 pub use downbeat_msgs_definitions as definitions;
 pub use interface_set::{InterfaceSet, InterfaceVisitor, OneAction, OneMessage, OneService};
 pub use message::{Action, Message, Service};
+pub use printable::{printable, write_printable_lines};
 #[doc(hidden)]
 pub use serde; // Generated code in other crates derives its traits by this path.
 

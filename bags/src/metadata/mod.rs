@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use downbeat_msgs::qos::QosProfile;
+use downbeat_msgs::yaml;
 
 pub use qos::{RecordedDurability, RecordedHistory, RecordedLiveliness, RecordedQos, RecordedReliability};
 
@@ -126,7 +127,7 @@ impl Metadata {
     /// # Errors
     /// If the text is not rosbag2 metadata.
     pub fn parse(text: &str, path: &Path) -> Result<Self, MetadataError> {
-        let root: parse::Root = serde_norway::from_str(text).map_err(|error| form(path, &error))?;
+        let root: parse::Root = yaml::from_str(text).map_err(|error| form(path, &error))?;
         Ok(root.into())
     }
 
@@ -135,8 +136,7 @@ impl Metadata {
     /// # Errors
     /// If the text is not rosbag2 metadata; the line is that within the record.
     pub fn parse_record(text: &str, path: &Path) -> Result<Self, MetadataError> {
-        let information: parse::Information =
-            serde_norway::from_str(text).map_err(|error| form(path, &error))?;
+        let information: parse::Information = yaml::from_str(text).map_err(|error| form(path, &error))?;
         Ok(information.into())
     }
 
@@ -210,7 +210,7 @@ pub fn qos_from_yaml(text: &str, path: &Path) -> Result<Vec<RecordedQos>, Metada
     if text.trim().is_empty() {
         return Ok(Vec::new());
     }
-    let list: parse::QosList = serde_norway::from_str(text).map_err(|error| form(path, &error))?;
+    let list: parse::QosList = yaml::from_str(text).map_err(|error| form(path, &error))?;
     Ok(list.0)
 }
 

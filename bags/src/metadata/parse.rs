@@ -5,6 +5,7 @@ use std::fmt;
 use std::marker::PhantomData;
 use std::time::Duration;
 
+use downbeat_msgs::yaml;
 use serde::Deserialize;
 use serde::de::{
     DeserializeOwned, Deserializer, Error as _, SeqAccess, Visitor, value::SeqAccessDeserializer,
@@ -155,7 +156,7 @@ impl<'de, T: DeserializeOwned> Deserialize<'de> for TextOrSequence<T> {
                 if text.trim().is_empty() {
                     return Ok(TextOrSequence(Vec::new()));
                 }
-                serde_norway::from_str(text)
+                yaml::from_str(text)
                     .map(TextOrSequence)
                     .map_err(|error| E::custom(format_args!("in the text of offered_qos_profiles: {error}")))
             }

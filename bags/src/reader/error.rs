@@ -25,6 +25,20 @@ pub enum ReaderError {
         /// Its first bytes, at most 8.
         found: Vec<u8>,
     },
+    /// A file of a bag is a directory, a pipe or a device, which is not opened: it could wait for ever.
+    #[error("{} is no regular file", path.display())]
+    NotAFile {
+        /// What is not opened.
+        path: PathBuf,
+    },
+    /// metadata.yaml names a file that is not in the bag, or a link that leads out of it.
+    #[error("{} is not in the bag {}, whose metadata.yaml names it", path.display(), bag.display())]
+    Outside {
+        /// The file that is named, which is not opened.
+        path: PathBuf,
+        /// The directory.
+        bag: PathBuf,
+    },
     /// The bag is of a kind that this crate does not read.
     #[error("cannot read the bag {}: {found}", path.display())]
     Unsupported {
@@ -88,6 +102,21 @@ pub enum TruncationCause {
     NotEnded,
     /// Some rows of an SQLite file cannot be read; the others are.
     DamagedRows(String),
+}
+
+impl Truncation {
+    /// Whether the file holds bytes of messages that cannot be read. An interrupted recording may lack messages that never came
+    /// into the file; those of an incomplete summary are all there.
+    #[must_use]
+    pub fn loses_messages(&self) -> bool {
+        match self.cause {
+            TruncationCause::NoEnd | TruncationCause::NoSummary | TruncationCause::NotEnded => false,
+            TruncationCause::TornRecord => self.lost_bytes > 0,
+            TruncationCause::DamagedChunk(_)
+            | TruncationCause::Packed(_)
+            | TruncationCause::DamagedRows(_) => true,
+        }
+    }
 }
 
 impl fmt::Display for Truncation {

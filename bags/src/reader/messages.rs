@@ -123,9 +123,6 @@ enum Input {
     Sqlite(SqliteFile),
 }
 
-/// The most a message may grow to when it is decompressed: a guard against damaged lengths.
-const LARGEST_MESSAGE: u64 = 1 << 30;
-
 /// What segments that overlap in time may take beyond [`LARGEST_GROWTH`] times the length of the files: a guard against small
 /// files that decompress to more than there is memory.
 const MOST_OVERLAPPING: u64 = 256 * 1024 * 1024;
@@ -178,7 +175,7 @@ impl Messages {
                 return;
             }
             let data = if file.has_packed_messages {
-                zstd::decompress_within(data, LARGEST_MESSAGE.min(room.left()))
+                zstd::decompress_within(data, zstd::most_from(data.len() as u64).min(room.left()))
                     .map(Bytes::from)
                     .map_err(|found| format!("a compressed message: {found}"))
             } else {

@@ -15,7 +15,7 @@ mod walk;
 
 use std::collections::HashMap;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -99,7 +99,10 @@ impl Reader {
     }
 
     fn open_files(path: &Path, metadata: Option<Metadata>, paths: &[PathBuf]) -> Result<Self, ReaderError> {
-        let files = paths.iter().map(|path| BagFile::open(path, Source::File(path.clone())));
+        let files = paths.iter().map(|path| {
+            regular(path)?;
+            BagFile::open(path, Source::File(path.clone()))
+        });
         Ok(Self::of_files(path, metadata, files.collect::<Result<_, _>>()?))
     }
 
@@ -233,6 +236,7 @@ fn files_of_directory(directory: &Path) -> Result<(Option<Metadata>, Vec<PathBuf
     if !yaml.exists() {
         return Ok((None, files_without_metadata(directory)?));
     }
+    regular(&yaml)?;
     let metadata = Metadata::read(&yaml)?;
     let unsupported = |found: String| ReaderError::Unsupported { path: directory.to_owned(), found };
     if !["mcap", "sqlite3"].contains(&metadata.storage_identifier.as_str()) {
@@ -253,9 +257,37 @@ fn files_of_directory(directory: &Path) -> Result<(Option<Metadata>, Vec<PathBuf
         let path = directory.join(relative);
         // Before version 4 the paths began with the name of the directory.
         let beside = Path::new(relative).file_name().map(|name| directory.join(name));
-        paths.push(beside.filter(|beside| !path.exists() && beside.exists()).unwrap_or(path));
+        let path = beside.filter(|beside| !path.exists() && beside.exists()).unwrap_or(path);
+        in_bag(directory, &path)?;
+        paths.push(path);
     }
     Ok((Some(metadata), paths))
+}
+
+/// Refuses what is no regular file: to open a pipe could take for ever.
+fn regular(path: &Path) -> Result<(), ReaderError> {
+    let read = |source| ReaderError::Read { path: path.to_owned(), source };
+    if fs::metadata(path).map_err(read)?.is_file() {
+        Ok(())
+    } else {
+        Err(ReaderError::NotAFile { path: path.to_owned() })
+    }
+}
+
+/// Refuses a path that leads out of the bag, with `..`, from the root, or by a link: a bag that somebody made must not be a way
+/// to other files.
+fn in_bag(directory: &Path, path: &Path) -> Result<(), ReaderError> {
+    let read = |source| ReaderError::Read { path: path.to_owned(), source };
+    let bag = fs::canonicalize(directory).map_err(read)?;
+    let is_inside = |path: &Path| fs::canonicalize(path).map(|path| path.starts_with(&bag));
+    // A file that is not there leads nowhere; but no path is asked for that begins outside.
+    let leaves = path.strip_prefix(directory).map_or(true, |relative| {
+        relative.components().any(|part| !matches!(part, Component::Normal(_) | Component::CurDir))
+    });
+    if leaves || !is_inside(path).map_err(read)? {
+        return Err(ReaderError::Outside { path: path.to_owned(), bag: directory.to_owned() });
+    }
+    Ok(())
 }
 
 /// Endings of bag files; of a directory those with the first one that is there are read.

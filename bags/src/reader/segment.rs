@@ -9,10 +9,6 @@ use super::parse::parse;
 use super::records::RECORD_HEADER;
 use crate::{lz4, zstd};
 
-/// The most a chunk may grow to when it is decompressed: a guard against damaged lengths. rosbag2 makes chunks of
-/// 4 MiB at most, unless one message is larger.
-const LARGEST_CHUNK: u64 = 1 << 30;
-
 /// Where messages are, and when they were received.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Segment {
@@ -68,8 +64,13 @@ fn unpack(bytes: &[u8]) -> Result<Cow<'_, [u8]>, String> {
             header.compressed_size
         ));
     }
-    if header.uncompressed_size > LARGEST_CHUNK {
-        return Err(format!("its header tells {} bytes of content", header.uncompressed_size));
+    let most = zstd::most_from(data.len() as u64);
+    if !header.compression.is_empty() && header.uncompressed_size > most {
+        return Err(format!(
+            "its header tells {} bytes of content, which never came out of {}: at most {most} are decompressed",
+            header.uncompressed_size,
+            data.len()
+        ));
     }
     let content = match header.compression.as_str() {
         "" if header.uncompressed_size == data.len() as u64 => Borrowed(data),

@@ -222,7 +222,7 @@ impl McapOptions {
             found: error.to_string(),
         };
         // An empty file says nothing.
-        let config: Option<Config> = serde_norway::from_str(text).map_err(|error| form(&error))?;
+        let config: Option<Config> = downbeat_msgs::yaml::from_str(text).map_err(|error| form(&error))?;
         let config = config.unwrap_or_default();
         for key in config.unknown.keys().filter(|key| !WITHOUT_EFFECT.contains(&key.as_str())) {
             tracing::warn!("{}: there is no key \"{key}\", it is passed over", path.display());

@@ -1,7 +1,7 @@
 //! Files that are cut off, altered, or not bags at all.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use downbeat_bags::{
     BagInfo, Compression, McapOptions, Reader, ReaderError, Selection, TruncationCause, WriterOptions,
@@ -222,4 +222,57 @@ fn what_is_no_bag_is_refused_with_what_it_is() {
     assert!(error(&bag).contains("jazzy_mcap_0.mcap"), "names the missing file: {}", error(&bag));
     write(yaml.replace("version: 9", "version: nine"));
     assert!(error(&bag).contains("metadata.yaml:2: "), "{}", error(&bag));
+}
+
+/// A bag of numbers whose metadata.yaml names `file` in place of its own.
+fn bag_that_names(folder: &Path, file: &str) -> PathBuf {
+    let bag = folder.join("bag");
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    write_numbers(&mut writer, 3);
+    writer.finish().unwrap();
+    let yaml = fs::read_to_string(bag.join("metadata.yaml")).unwrap();
+    fs::write(bag.join("metadata.yaml"), yaml.replace("bag_0.mcap", file)).unwrap();
+    bag
+}
+
+#[test]
+fn a_file_outside_the_bag_is_not_read_whatever_its_metadata_names() {
+    for name in ["../other.mcap", "/tmp/other.mcap", "x/../../other.mcap"] {
+        let folder = tempfile::tempdir().unwrap();
+        let bag = bag_that_names(folder.path(), name);
+        fs::copy(bag.join("bag_0.mcap"), folder.path().join("other.mcap")).unwrap();
+        let error = Reader::open(&bag).unwrap_err();
+        assert!(matches!(error, ReaderError::Outside { .. }), "{name}: {error}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_link_out_of_the_bag_is_not_followed() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = bag_that_names(folder.path(), "link.mcap");
+    fs::rename(bag.join("bag_0.mcap"), folder.path().join("other.mcap")).unwrap();
+    std::os::unix::fs::symlink("../other.mcap", bag.join("link.mcap")).unwrap();
+    let error = Reader::open(&bag).unwrap_err().to_string();
+    assert!(error.contains("link.mcap is not in the bag"), "{error}");
+    // A link within the bag is as good as a file, and a bag may be reached by a link.
+    fs::rename(folder.path().join("other.mcap"), bag.join("here.mcap")).unwrap();
+    fs::remove_file(bag.join("link.mcap")).unwrap();
+    std::os::unix::fs::symlink("here.mcap", bag.join("link.mcap")).unwrap();
+    std::os::unix::fs::symlink("bag", folder.path().join("also")).unwrap();
+    assert_eq!(messages(&Reader::open(folder.path().join("also")).unwrap()).len(), 3);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_pipe_in_the_place_of_a_file_is_refused_and_not_waited_for() {
+    for name in ["bag_0.mcap", "metadata.yaml"] {
+        let folder = tempfile::tempdir().unwrap();
+        let bag = bag_that_names(folder.path(), "bag_0.mcap");
+        fs::remove_file(bag.join(name)).unwrap();
+        let made = std::process::Command::new("mkfifo").arg(bag.join(name)).status().unwrap();
+        assert!(made.success());
+        let error = Reader::open(&bag).unwrap_err();
+        assert!(matches!(error, ReaderError::NotAFile { .. }), "{name}: {error}");
+    }
 }

@@ -1,6 +1,6 @@
 //! Small files that are made to fill the memory.
 
-use downbeat_bags::{Check, Problem, Reader, check};
+use downbeat_bags::{BagInfo, Check, Problem, Reader, check};
 use mcap::records::op;
 
 use crate::memory::most_in;
@@ -220,4 +220,44 @@ fn an_array_as_long_as_can_be_told_is_no_array() {
         "{:?}",
         check.problems
     );
+}
+
+#[test]
+fn a_chunk_that_decompresses_to_thousands_of_times_the_file_is_left_out() {
+    let small = chunk_of(op::MESSAGE, &message(1), 1000, (1, 1));
+    let bomb = chunk_of(op::MESSAGE, &message(2), 800 * MIB, (2, 2));
+    let file = file_of(vec![Part::Record(op::CHANNEL, channel(1, 0)), small, bomb]);
+    assert!(file.len() < 28 * 1024, "{}", file.len());
+    let (memory, (count, text)) = most_in(|| {
+        let reader = Reader::from_bytes("bomb.mcap", file).unwrap();
+        (reader.message_count(), BagInfo::of(&reader).unwrap().to_string())
+    });
+    assert!(memory < MIB, "{} MiB", memory / MIB);
+    assert_eq!(count, 1);
+    assert!(text.contains("is damaged and lost") && text.contains("are decompressed"), "{text}");
+}
+
+#[test]
+fn a_message_that_decompresses_to_thousands_of_times_the_file_is_left_out() {
+    let (memory, result) = most_in(|| read_packed(800 * MIB));
+    assert!(memory < 256 * MIB, "{} MiB", memory / MIB);
+    assert!(is_told(&result, "a compressed message: more than"), "{:?}", result.problems);
+}
+
+/// A bag with one message, compressed by itself, of so many zeros.
+fn read_packed(zeros: usize) -> Check {
+    let record = "version: 9\nstorage_identifier: mcap\nduration:\n  nanoseconds: 0\nstarting_time:\n  nanoseconds_since_epoch: 0\n\
+                  message_count: 1\ntopics_with_message_count: []\ncompression_format: zstd\ncompression_mode: MESSAGE\n\
+                  relative_file_paths: []\nfiles: []\ncustom_data: ~\nros_distro: jazzy\n";
+    let entry = [text("serialized_metadata"), text(record)].concat();
+    let metadata = [text("rosbag2"), (entry.len() as u32).to_le_bytes().to_vec(), entry].concat();
+    let mut content = Vec::new();
+    add(&mut content, op::MESSAGE, &[message(5), zstd_with_zeros(&[0, 1, 0, 0], zeros)].concat());
+    let chunk = Chunk::new("", (5, 5), Content::Plain(content));
+    let parts = vec![
+        Part::Record(op::CHANNEL, channel(1, 0)),
+        Part::Record(op::METADATA, metadata),
+        Part::Chunk(chunk),
+    ];
+    check(&Reader::from_bytes("bomb.mcap", file_of(parts)).unwrap(), |_| {}).unwrap()
 }

@@ -31,7 +31,7 @@ pub(super) fn read(text: &str, path: &Path) -> Result<Vec<Pragma>, StorageConfig
         found,
     };
     // An empty file says nothing.
-    let config: Option<Config> = serde_norway::from_str(text)
+    let config: Option<Config> = downbeat_msgs::yaml::from_str(text)
         .map_err(|error| wrong(error.location().map_or(0, |location| location.line()), error.to_string()))?;
     let config = config.unwrap_or_default();
     for key in config.unknown.keys() {

@@ -77,7 +77,8 @@ impl DynamicMessage {
     /// # Errors
     /// If the text is no YAML mapping, or a field is not there or cannot have its value. The message is unchanged then.
     pub fn fill_yaml(&mut self, yaml: &str) -> Result<Stamps, TextError> {
-        self.fill_from(serde_norway::Deserializer::from_str(yaml)).map_err(|(error, field)| {
+        let filled = crate::yaml::deserializer(yaml).map_err(|error| (error, None));
+        filled.and_then(|yaml| self.fill_from(yaml)).map_err(|(error, field)| {
             let (line, column) = error.location().map_or((0, 0), |place| (place.line(), place.column()));
             TextError::new("YAML", line, column, &error, field)
         })

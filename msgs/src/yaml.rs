@@ -1,0 +1,105 @@
+//! YAML that others wrote: what would keep the parser busy for long is refused before it.
+//!
+//! The parser, a translation of libyaml, looks at every open bracket again with every token: 100 kB of `[` take it
+//! seconds. So the work is estimated first.
+
+use serde::de::{DeserializeOwned, Error as _};
+use serde_norway::{Deserializer, Error};
+
+/// Characters times open brackets, about what the parser does in a second without optimization.
+const MOST_WORK: usize = 100_000_000;
+
+/// The longest text, in bytes.
+const LONGEST: usize = 64 * 1024 * 1024;
+
+/// Reads a value from a YAML text.
+///
+/// # Errors
+/// If the text is no YAML, not of this form, or longer or deeper nested than anybody writes it.
+pub fn from_str<T: DeserializeOwned>(text: &str) -> Result<T, Error> {
+    T::deserialize(deserializer(text)?)
+}
+
+/// A deserializer for a YAML text.
+///
+/// # Errors
+/// If the text is longer or deeper nested than anybody writes it.
+pub fn deserializer(text: &str) -> Result<Deserializer<'_>, Error> {
+    if text.len() > LONGEST {
+        return Err(Error::custom(format_args!("{} bytes of YAML, at most {LONGEST} are read", text.len())));
+    }
+    if work(text) > MOST_WORK {
+        return Err(Error::custom("too many brackets in brackets"));
+    }
+    Ok(Deserializer::from_str(text))
+}
+
+/// The number of open brackets, summed up over all characters: an upper bound.
+///
+/// Whether a bracket is one, or part of a text or a comment, only the parser knows. So every opening bracket counts, and a
+/// closing one takes back the last opening one only if nothing between them could begin a text or a comment.
+fn work(text: &str) -> usize {
+    let (mut open, mut closable, mut work) = (0_usize, 0_usize, 0_usize);
+    for byte in text.bytes() {
+        match byte {
+            b'[' | b'{' => {
+                open += 1;
+                closable += 1;
+            }
+            b']' | b'}' if closable > 0 => {
+                open -= 1;
+                closable -= 1;
+            }
+            b'"' | b'\'' | b'#' | b'|' | b'>' => closable = 0,
+            _ => {}
+        }
+        work = work.saturating_add(open);
+    }
+    work
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use std::time::{Duration, Instant};
+
+    use serde_norway::Value;
+
+    use super::*;
+
+    #[test]
+    fn nesting_that_takes_the_parser_seconds_is_refused_at_once() {
+        let deep = [
+            "[".repeat(100_000),
+            "{".repeat(100_000),
+            "[{".repeat(50_000),
+            "a: {b: ".repeat(50_000),
+            r#"["]", "#.repeat(50_000),
+            format!("a: it's\nb: {}", r#"["]", "#.repeat(50_000)),
+            format!("a: foo\n  'bar\nb: {}", "['x]', ".repeat(50_000)),
+        ];
+        for text in deep {
+            let begun = Instant::now();
+            let error = from_str::<Value>(&text).unwrap_err().to_string();
+            assert!(error.contains("brackets"), "{error}");
+            assert!(begun.elapsed() < Duration::from_secs(5), "{:.20}", text);
+        }
+        for text in
+            ["- ".repeat(100_000), "? ".repeat(100_000), "&a ".repeat(100_000), "a:\n ".repeat(50_000)]
+        {
+            let begun = Instant::now();
+            assert!(from_str::<Value>(&text).is_err(), "{:.20}", text);
+            assert!(begun.elapsed() < Duration::from_secs(5), "{:.20}", text);
+        }
+    }
+
+    #[test]
+    fn long_texts_with_many_small_brackets_are_read() {
+        let points = r#"- {frame: "it's [a map]", at: [1, 2.5, {z: 3}]} # [ "#.to_owned() + "\n";
+        let list: Vec<Value> = from_str(&points.repeat(500)).unwrap();
+        assert_eq!(list.len(), 500);
+        let plain: Vec<Value> = from_str(&"- {x: 1, y: [2, 3]}\n".repeat(10_000)).unwrap();
+        assert_eq!(plain.len(), 10_000);
+    }
+}
