@@ -52,6 +52,10 @@ fn is_lossy(now: Time, driver: &Driver) -> bool {
     driver.last_timeout_at.is_some_and(|at| now < at + BAD_BUS)
 }
 
+fn is_late(now: Time, driver: &Driver) -> bool {
+    driver.last_late_at.is_some_and(|at| now < at + BAD_BUS)
+}
+
 fn board_level(driver: &Driver) -> u8 {
     match (driver.phase, driver.board) {
         (Phase::Running, Some(board)) if board.voltage < LOW_BATTERY_TENTHS => DiagnosticStatus::WARN,
@@ -72,6 +76,9 @@ fn servo_level(driver: &Driver, servo: &Servo) -> u8 {
 
 fn bus(now: Time, driver: &Driver, unknown_names: u64, settings: &Settings) -> DiagnosticStatus {
     let message = match driver.phase {
+        Phase::Running if is_lossy(now, driver) && is_late(now, driver) => {
+            "running, but this machine is too busy: answers come after they were given up"
+        }
         Phase::Running if is_lossy(now, driver) => "running, but answers are missing or corrupt",
         Phase::Running => "running",
         Phase::PowerOn { .. } => "switching the servos on",

@@ -3,7 +3,7 @@
 //! It does one step when it is told to and never waits but for answers. What it does depends only on the time it is
 //! given, its settings, where the joints are wanted, and what the bus answers.
 
-use super::bus::{Bus, Exchange, Outcome};
+use super::bus::{Bus, Exchange, LATE, Outcome};
 use super::counted::Counted;
 use super::line::{Line, Trouble};
 use super::protocol::{Id, Instruction, SyncWriteBlock};
@@ -55,6 +55,8 @@ pub(super) enum Phase {
 pub(super) struct Troubles {
     /// Exchanges to which an answer was missing or corrupt.
     pub(super) timeouts: Counted,
+    /// Answers that came after they were given up.
+    pub(super) late: Counted,
     /// How often the port was lost.
     pub(super) lost_ports: Counted,
     /// How often it could not be opened.
@@ -73,6 +75,8 @@ pub(super) struct Driver {
     pub(super) exchanges: u64,
     /// When an answer was last missing or corrupt.
     pub(super) last_timeout_at: Option<Time>,
+    /// When an answer last came too late.
+    pub(super) last_late_at: Option<Time>,
     board_misses: u32,
     port_wait: Duration,
     retry_any_at: Time,
@@ -89,6 +93,7 @@ impl Driver {
             troubles: Troubles::default(),
             exchanges: 0,
             last_timeout_at: None,
+            last_late_at: None,
             board_misses: 0,
             port_wait: RETRY_PORT[0],
             retry_any_at: Time::ZERO,
@@ -358,6 +363,15 @@ impl Driver {
 
     fn count(&mut self, now: Time, exchanges: &[Exchange]) {
         self.exchanges += exchanges.len() as u64;
+        for _ in exchanges.iter().filter(|exchange| exchange.error.contains(LATE)) {
+            self.last_late_at = Some(now);
+            if self.troubles.late.is_worth_a_line() {
+                let count = self.troubles.late.count();
+                tracing::warn!(
+                    "this machine is too busy: an answer on the bus came after it was given up ({count} times so far)"
+                );
+            }
+        }
         for exchange in exchanges.iter().filter(|exchange| exchange.outcome == Outcome::Timeout) {
             self.last_timeout_at = Some(now);
             if self.troubles.timeouts.is_worth_a_line() {

@@ -44,6 +44,26 @@ pub enum EmulatorError {
         /// What the operating system says.
         source: io::Error,
     },
+    /// The link is not that of an emulator.
+    #[error("{} is a link to {}, which no emulator made, and stays; choose a path that is free", link.display(), target.display())]
+    OtherLink {
+        /// Where it was to be.
+        link: PathBuf,
+        /// Where it leads.
+        target: PathBuf,
+    },
+    /// Another emulator has the link.
+    #[error(
+        "{} leads to {}, which is in use: another emulator runs there; stop it, choose another link, or remove this one",
+        link.display(),
+        target.display()
+    )]
+    LinkInUse {
+        /// Where it was to be.
+        link: PathBuf,
+        /// The port of the other one.
+        target: PathBuf,
+    },
     /// The operating system gives no thread.
     #[error("the emulator needs a thread and got none: {source}")]
     Thread {

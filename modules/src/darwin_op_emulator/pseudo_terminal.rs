@@ -26,7 +26,7 @@ impl PseudoTerminal {
         let (ours, theirs) = TTYPort::pair().map_err(pair)?;
         let path = theirs.name().map(PathBuf::from).unwrap_or_default();
         if let Some(link) = link {
-            make_link(&path, link).map_err(|source| EmulatorError::Link { link: link.to_owned(), source })?;
+            make_link(&path, link)?;
         }
         Ok(Self { ours, _theirs: theirs, path, link: link.map(Path::to_owned) })
     }
@@ -68,10 +68,21 @@ impl Drop for PseudoTerminal {
     }
 }
 
-/// Makes a link, in place of one that an emulator which was killed left behind.
-fn make_link(target: &Path, link: &Path) -> io::Result<()> {
-    if fs::symlink_metadata(link).is_ok_and(|metadata| metadata.is_symlink()) {
-        fs::remove_file(link)?;
+/// Where pseudo terminals are.
+const TERMINALS: &str = "/dev/pts";
+
+/// Makes a link, in place of one that an emulator which was killed left behind: a link to a pseudo terminal that is gone, or whose
+/// number `target` has got. Other links are somebody's.
+fn make_link(target: &Path, link: &Path) -> Result<(), EmulatorError> {
+    let failed = |source| EmulatorError::Link { link: link.to_owned(), source };
+    if let Ok(old) = fs::read_link(link) {
+        if old.parent() != Some(Path::new(TERMINALS)) {
+            return Err(EmulatorError::OtherLink { link: link.to_owned(), target: old });
+        }
+        if old != target && old.exists() {
+            return Err(EmulatorError::LinkInUse { link: link.to_owned(), target: old });
+        }
+        fs::remove_file(link).map_err(failed)?;
     }
-    symlink(target, link)
+    symlink(target, link).map_err(failed)
 }

@@ -7,6 +7,7 @@ use crate::darwin_op::protocol::{
     BulkReadBlock, Id, Instruction, Packet, Receiver, Status, StatusError, SyncWriteBlock,
 };
 use crate::darwin_op::tables::{cm730, mx28, units};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 const HEAD_PAN: u8 = 19;
@@ -256,12 +257,41 @@ fn a_closed_port_fails_and_another_one_comes_behind_the_same_link() {
 fn a_link_left_behind_is_replaced_but_a_file_is_not() {
     let folder = tempfile::tempdir().unwrap();
     let link = folder.path().join("port");
-    std::os::unix::fs::symlink("/nowhere", &link).unwrap();
+    // No system has so many.
+    std::os::unix::fs::symlink("/dev/pts/4000000000", &link).unwrap();
     Emulator::start(EmulatorOptions { link: Some(link.clone()), ..options() }).unwrap().stop();
     std::fs::write(&link, "precious").unwrap();
     let refused = Emulator::start(EmulatorOptions { link: Some(link.clone()), ..options() });
     assert!(refused.err().unwrap().to_string().contains("choose a path that is free"));
     assert_eq!(std::fs::read_to_string(&link).unwrap(), "precious");
+}
+
+#[test]
+fn a_link_that_no_emulator_made_stays() {
+    let folder = tempfile::tempdir().unwrap();
+    let (link, precious) = (folder.path().join("port"), folder.path().join("precious"));
+    for target in [&precious, Path::new("/nowhere"), Path::new("/dev/null")] {
+        std::os::unix::fs::symlink(target, &link).unwrap();
+        let refused = Emulator::start(EmulatorOptions { link: Some(link.clone()), ..options() });
+        let error = refused.err().unwrap().to_string();
+        assert!(error.contains("choose a path that is free"), "{error}");
+        assert_eq!(std::fs::read_link(&link).unwrap(), target);
+        std::fs::remove_file(&link).unwrap();
+    }
+}
+
+#[test]
+fn the_link_of_a_running_emulator_is_not_taken_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let link = folder.path().join("port");
+    let start = || Emulator::start(EmulatorOptions { link: Some(link.clone()), ..options() });
+    let first = start().unwrap();
+    let target = std::fs::read_link(&link).unwrap();
+    let error = start().err().unwrap().to_string();
+    assert!(error.contains("another emulator runs there"), "{error}");
+    assert_eq!(std::fs::read_link(&link).unwrap(), target);
+    first.stop();
+    start().unwrap().stop();
 }
 
 #[test]

@@ -43,6 +43,9 @@ impl ExpectedStatus {
     }
 }
 
+/// In [`Exchange::error`]: an answer came that had been given up. The devices are well, the machine was too slow for them.
+pub const LATE: &str = "an earlier answer came after it was given up";
+
 /// One exchange on the bus.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Exchange {

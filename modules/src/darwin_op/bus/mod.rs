@@ -11,7 +11,7 @@ mod timeout;
 
 #[cfg(test)]
 pub(crate) use awaited::Awaited;
-pub use exchange::{Exchange, ExchangeKind, ExchangeMessageError, ExpectedStatus, Outcome};
+pub use exchange::{Exchange, ExchangeKind, ExchangeMessageError, ExpectedStatus, LATE, Outcome};
 pub use recorded::{Difference, RecordedBus, ReplayReport};
 pub use serial::{BAUD_RATE, SerialBus};
 pub use timeout::{STATUS_SLACK, status_timeout};

@@ -1,7 +1,7 @@
 //! The serial port.
 
 use super::awaited::{Awaited, End};
-use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, STATUS_SLACK, status_timeout};
+use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, LATE, Outcome, STATUS_SLACK, status_timeout};
 use downbeat_executor::Time;
 use serialport::{ClearBuffer, DataBits, FlowControl, Parity, SerialPort, StopBits};
 use std::io;
@@ -22,7 +22,13 @@ pub struct SerialBus {
     sequence: u64,
     /// What time it is, and when that was said.
     step: (Time, Instant),
+    /// In how many more exchanges an answer that was given up may still come.
+    late_answers_for: u8,
 }
+
+/// How many exchanges are looked at for an answer that was given up: one that comes during the next exchange may be taken for
+/// its answer, whose own one is late then.
+const LATE_FOR: u8 = 4;
 
 impl Default for SerialBus {
     fn default() -> Self {
@@ -43,7 +49,7 @@ impl SerialBus {
     /// longer wait for devices that are silent.
     #[must_use]
     pub fn with_slack(slack: Duration) -> Self {
-        Self { port: None, slack, sequence: 0, step: (Time::ZERO, Instant::now()) }
+        Self { port: None, slack, sequence: 0, step: (Time::ZERO, Instant::now()), late_answers_for: 0 }
     }
 
     fn finish(&mut self, started: Instant, kind: ExchangeKind, instruction: &[u8], end: End) -> Exchange {
@@ -60,6 +66,13 @@ impl SerialBus {
             outcome: end.outcome,
             error: end.error,
         }
+    }
+
+    /// Whether the answer to an earlier instruction came after it was given up: nobody sends without being asked.
+    fn has_late_answer(&mut self) -> bool {
+        let Some(port) = self.port.as_deref().filter(|_| self.late_answers_for > 0) else { return false };
+        self.late_answers_for -= 1;
+        port.bytes_to_read().is_ok_and(|waiting| waiting > 0)
     }
 
     fn transfer(&mut self, started: Instant, instruction: &[u8], expected: &[ExpectedStatus]) -> End {
@@ -126,7 +139,14 @@ impl Bus for SerialBus {
 
     fn exchange(&mut self, instruction: &[u8], expected: &[ExpectedStatus]) -> Exchange {
         let started = Instant::now();
-        let end = self.transfer(started, instruction, expected);
+        let is_late = self.has_late_answer();
+        let mut end = self.transfer(started, instruction, expected);
+        if is_late {
+            end.error = if end.error.is_empty() { LATE.to_owned() } else { format!("{}; {LATE}", end.error) };
+        }
+        if end.outcome == Outcome::Timeout {
+            self.late_answers_for = LATE_FOR;
+        }
         self.finish(started, ExchangeKind::Transfer, instruction, end)
     }
 
@@ -146,8 +166,31 @@ fn send(port: &mut dyn SerialPort, instruction: &[u8]) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Outcome;
+    #![allow(clippy::unwrap_used)]
+    use super::super::super::protocol::{Id, Instruction};
     use super::*;
+    use serialport::TTYPort;
+
+    /// Waits for an answer for so short a time that none can come.
+    #[test]
+    fn an_answer_that_comes_after_its_time_is_called_late_and_one_that_never_comes_is_not() {
+        let (mut device, port) = TTYPort::pair().unwrap();
+        let mut bus = SerialBus::with_slack(Duration::ZERO);
+        assert_eq!(bus.open(&port.name().unwrap()).outcome, Outcome::Ok);
+        let ping = Instruction::Ping { id: Id::CM730 }.to_bytes();
+        let mut exchange = || bus.exchange(&ping, &[ExpectedStatus { id: Id::CM730, parameters: 0 }]);
+        let given_up = exchange();
+        assert_eq!(given_up.outcome, Outcome::Timeout);
+        assert!(!exchange().error.contains(LATE));
+        io::Write::write_all(&mut device, &[0xFF, 0xFF, 0xC8, 0x02, 0x00, 0x35]).unwrap();
+        let watchdog = Instant::now() + Duration::from_secs(60);
+        while port.bytes_to_read().unwrap() < 6 {
+            assert!(Instant::now() < watchdog, "the answer does not come through the terminal");
+            std::thread::yield_now();
+        }
+        let late = exchange();
+        assert!(late.outcome == Outcome::Timeout && late.error.contains(LATE), "{late:?}");
+    }
 
     #[test]
     fn a_port_that_does_not_exist_is_named_in_the_error() {

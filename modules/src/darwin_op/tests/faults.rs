@@ -1,7 +1,58 @@
 //! What the module does when something goes wrong.
 
 use super::*;
+use crate::darwin_op::bus::{Bus, Exchange, ExpectedStatus, LATE, Outcome};
 use crate::darwin_op_emulator::{Fault, Rate};
+use downbeat_executor::Time;
+
+/// The bus of a machine that gives up too early once: the answer comes when the next instruction is sent.
+struct Late<B> {
+    bus: B,
+    /// Counts down with the exchanges.
+    until: u32,
+}
+
+impl<B: Bus> Bus for Late<B> {
+    fn begin_step(&mut self, now: Time) {
+        self.bus.begin_step(now);
+    }
+
+    fn open(&mut self, port: &str) -> Exchange {
+        self.bus.open(port)
+    }
+
+    fn exchange(&mut self, instruction: &[u8], expected: &[ExpectedStatus]) -> Exchange {
+        let exchange = self.bus.exchange(instruction, expected);
+        self.until = self.until.saturating_sub(u32::from(!expected.is_empty()));
+        match self.until {
+            2 => Exchange {
+                outcome: Outcome::Timeout,
+                reply: Vec::new(),
+                error: "no answer".into(),
+                ..exchange
+            },
+            1 => Exchange { error: LATE.into(), ..exchange },
+            _ => exchange,
+        }
+    }
+
+    fn close(&mut self) -> Exchange {
+        self.bus.close()
+    }
+}
+
+#[test]
+fn a_machine_that_is_too_busy_is_told_from_a_bus_that_loses_answers() {
+    let emulator = emulator();
+    // Some of the exchanges that are made every cycle.
+    let bus = Late { bus: emulator.bus(), until: 600 };
+    let mut run = Run::new(DarwinOp::new(Box::new(bus)), &[]);
+    run.until_running();
+    let busy = "running, but this machine is too busy: answers come after they were given up";
+    run.until("the machine is called busy", |run, _| run.health_of("bus").1 == busy);
+    assert_eq!(run.health_of("bus").0, DiagnosticStatus::WARN);
+    run.until("all is well again", |run, _| run.is_healthy());
+}
 
 #[test]
 fn a_dead_servo_is_stale_while_the_others_go_on_and_comes_back_by_itself() {
