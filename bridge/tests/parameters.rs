@@ -10,6 +10,9 @@ use downbeat_bridge::clock::{NodeClock, SimTime};
 use downbeat_bridge::expose::{ParameterExposure, ParameterServer, ParameterServices, TopicPattern};
 use downbeat_bridge::ros::{NodeName, Participant};
 use downbeat_executor::{Core, CoreHandle, Inbox, Module, ModuleOptions, Setup, SetupError, Synchrony};
+use downbeat_msgs::qos::QosProfile;
+use downbeat_msgs::rcl_interfaces::msg::{Parameter, ParameterValue};
+use downbeat_msgs::rcl_interfaces::srv::{SetParameters, SetParametersRequest};
 use serde_json::{Value, json};
 
 struct Arm;
@@ -283,4 +286,27 @@ fn a_node_that_is_told_to_use_sim_time_follows_the_clock_of_rclpy_until_it_is_to
     let subscriptions = rclpy.ask(json!({"do": "subscriptions_of", "topic": "/clock"}));
     let of_robot = |info: &Value| info["node"] == "/robot";
     assert!(!subscriptions.as_array().unwrap().iter().any(of_robot), "{subscriptions}");
+}
+
+#[test]
+fn a_refusal_does_not_repeat_the_whole_request() {
+    let _robot = robot(227);
+    let participant = Participant::join(&on_loopback(227)).unwrap();
+    let node = participant.create_node(NodeName::new("/", "asking").unwrap()).unwrap();
+    let client = node.client::<SetParameters>("/robot/set_parameters", QosProfile::PARAMETERS).unwrap();
+    assert!(client.wait_for_service(WATCHDOG));
+    let set = |parameters: Vec<Parameter>| {
+        client.call_and_wait(&SetParametersRequest { parameters }, WATCHDOG).unwrap().results
+    };
+    let value = |text: String| ParameterValue { r#type: 4, string_value: text, ..ParameterValue::default() };
+    let long = || "n".repeat(50_000);
+    let refused = set(vec![Parameter { name: long(), value: value("x".into()) }]);
+    assert!(refused[0].reason.starts_with("parameter 'nnnn") && refused[0].reason.ends_with('…'));
+    assert!(refused[0].reason.len() <= 500, "{}", refused[0].reason.len());
+    let refused = set(vec![Parameter { name: "use_sim_time".into(), value: value(long()) }]);
+    assert!(refused[0].reason.len() <= 500, "{}", refused[0].reason.len());
+    let many = (0..1000).map(|n| Parameter { name: format!("unknown_{n:030}"), value: value(String::new()) });
+    let refused = set(many.collect());
+    assert!(refused.len() == 1000 && refused.iter().all(|result| !result.successful));
+    assert!(refused.iter().map(|result| result.reason.len()).sum::<usize>() <= 50_000);
 }

@@ -3,6 +3,7 @@
 use super::introspection::{Event, ServiceEvents};
 use super::node::{Hold, Listed};
 use super::{Introspection, Node, NodeError, ServiceName, ServiceType};
+use crate::limiter::Limiter;
 use crate::middleware::Direction;
 use crate::middleware::rpc::{IncomingRequest, ReplyError, RequestHandler, RequestServer, Responder};
 use downbeat_executor::Clock;
@@ -113,11 +114,14 @@ impl<S: downbeat_msgs::Service> Reply<S> {
 fn typed<S: downbeat_msgs::Service>(
     mut on_request: impl FnMut(S::Request, Reply<S>) + Send + 'static,
 ) -> RequestHandler {
+    let unread = Limiter::default();
     Box::new(move |IncomingRequest { cdr, client, responder, .. }| match cdr::from_slice(&cdr) {
         Ok(request) => on_request(request, Reply { responder, service: PhantomData }),
         Err(error) => {
             let type_name = S::TYPE_NAME;
-            tracing::warn!(%client, "a request is not answered: its bytes are no {type_name}: {error}");
+            if let Some(left_out) = unread.allow() {
+                tracing::warn!(%client, "a request is not answered: its bytes are no {type_name}: {error}{left_out}");
+            }
         }
     })
 }

@@ -14,6 +14,7 @@ pub use value::{parameter_value, setting_value};
 
 use super::TopicPattern;
 use crate::clock::SimTime;
+use crate::limiter::Limiter;
 use crate::ros::{Node, NodeError, Service};
 use downbeat_executor::{Core, CoreHandle, SettingInfo};
 use downbeat_msgs::qos::QosProfile;
@@ -125,17 +126,22 @@ impl Server<'_> {
         answer: fn(&mut Parameters, S::Request) -> S::Response,
     ) -> Result<Service, NodeError> {
         let (parameters, jobs) = (Arc::downgrade(self.parameters), self.jobs.clone());
+        let unanswered = Arc::new(Limiter::default());
         self.node.serve_later::<S>(service, QosProfile::PARAMETERS, move |request, reply| {
-            let parameters = parameters.clone();
+            let (parameters, limiter) = (parameters.clone(), Arc::clone(&unanswered));
             let job = move || {
                 let Some(parameters) = parameters.upgrade() else { return };
                 let answer = answer(&mut lock(&parameters), request);
-                if let Err(error) = reply.send(&answer) {
-                    tracing::warn!(service, "a request is not answered: {error}");
+                if let Err(error) = reply.send(&answer)
+                    && let Some(left_out) = limiter.allow()
+                {
+                    tracing::warn!(service, "a request is not answered: {error}{left_out}");
                 }
             };
-            if !jobs.push(Box::new(job)) {
-                tracing::warn!(service, "a request is not answered: too many others wait");
+            if !jobs.push(Box::new(job))
+                && let Some(left_out) = unanswered.allow()
+            {
+                tracing::warn!(service, "a request is not answered: too many others wait{left_out}");
             }
         })
     }

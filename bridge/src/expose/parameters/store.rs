@@ -117,7 +117,12 @@ impl Parameters {
 
     pub(super) fn set(&mut self, request: SetParametersRequest) -> SetParametersResponse {
         self.refresh();
-        let results = request.parameters.into_iter().map(|parameter| answer(self.set_one(parameter)));
+        let mut room = LONGEST_REASONS;
+        let results = request.parameters.into_iter().map(|parameter| {
+            let result = answer(self.set_one(parameter), room);
+            room -= result.reason.len();
+            result
+        });
         let response = SetParametersResponse { results: results.collect() };
         self.refresh();
         response
@@ -150,7 +155,7 @@ impl Parameters {
             }
         }
         self.refresh();
-        SetParametersAtomicallyResponse { result: answer(result) }
+        SetParametersAtomicallyResponse { result: answer(result, LONGEST_REASONS) }
     }
 
     /// # Errors
@@ -288,8 +293,25 @@ impl Parameters {
     }
 }
 
-fn answer(result: Result<(), String>) -> SetParametersResult {
-    SetParametersResult { successful: result.is_ok(), reason: result.err().unwrap_or_default() }
+/// The longest reason for a refused value, and those of one response together, in bytes. Reasons repeat names and values, and a
+/// response of megabytes, in fragments of 256 bytes, overflows the socket of the client: it and those behind it come too late.
+const LONGEST_REASON: usize = 500;
+const LONGEST_REASONS: usize = 50_000;
+
+/// With a reason of at most `room` bytes.
+fn answer(result: Result<(), String>, room: usize) -> SetParametersResult {
+    let is_successful = result.is_ok();
+    let mut reason = result.err().unwrap_or_default();
+    let room = room.min(LONGEST_REASON);
+    if reason.len() > room {
+        const CUT: &str = "…";
+        let end = (0..=room.saturating_sub(CUT.len())).rev().find(|&end| reason.is_char_boundary(end));
+        reason.truncate(end.unwrap_or(0));
+        if room >= CUT.len() {
+            reason.push_str(CUT);
+        }
+    }
+    SetParametersResult { successful: is_successful, reason }
 }
 
 /// The rule of `NodeParameters::list_parameters`.

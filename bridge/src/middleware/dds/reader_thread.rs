@@ -6,6 +6,7 @@ use super::engine_threads::EngineThreads;
 use super::matches::gid;
 use super::payload::{ReceiveAny, ReceivedCdr};
 use super::{SharedMatches, lock};
+use crate::limiter::Limiter;
 use crate::middleware::rejoining::Trouble;
 use crate::middleware::{EventHandler, Gid, Sample, SampleHandler, SampleIdentity};
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
@@ -64,7 +65,10 @@ impl ReaderThread {
     /// Has `reader` served until the returned slot is dropped.
     pub(super) fn add(&self, reader: DdsDataReader, topic_name: String, on_sample: SampleHandler) -> Slot {
         let token = Token(self.next_token.fetch_add(1, Ordering::Relaxed));
-        self.link.send(Command::Add(token, Box::new(ServedReader { reader, topic_name, on_sample })));
+        self.link.send(Command::Add(
+            token,
+            Box::new(ServedReader { reader, topic_name, on_sample, unread: Limiter::default() }),
+        ));
         Slot { token, link: self.link.clone() }
     }
 
@@ -136,6 +140,7 @@ enum Command {
 struct ServedReader {
     reader: DdsDataReader,
     topic_name: String,
+    unread: Limiter,
     on_sample: SampleHandler,
 }
 
@@ -299,7 +304,11 @@ impl ServedReader {
                     };
                     (self.on_sample)(sample);
                 }
-                Err(error) => tracing::warn!(topic = self.topic_name, %error, "a sample could not be read"),
+                Err(error) => {
+                    if let Some(left_out) = self.unread.allow() {
+                        tracing::warn!(topic = self.topic_name, %error, "a sample could not be read{left_out}");
+                    }
+                }
             }
         }
         Turn::MayHoldMore

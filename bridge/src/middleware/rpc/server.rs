@@ -3,6 +3,7 @@
 use super::mapping::{Label, PayloadHeader, ReturnAddress, request};
 use super::thread::{RpcLink, RpcThread, TimeLimited};
 use super::{MAX_IN_FLIGHT, REPLY_HOLD, ServiceEndpoint, lock, of_participant, reading};
+use crate::limiter::Limiter;
 use crate::middleware::{Gid, Middleware, MiddlewareError, Reader, Sample, WriteError, WriteOptions, Writer};
 use bytes::Bytes;
 use std::collections::VecDeque;
@@ -55,6 +56,7 @@ struct Shared {
     held: Mutex<VecDeque<Held>>,
     refused: AtomicU64,
     unreachable: AtomicU64,
+    unanswered: Limiter,
 }
 
 /// A reply that waits for its client.
@@ -86,6 +88,7 @@ impl RequestServer {
             held: Mutex::default(),
             refused: AtomicU64::new(0),
             unreachable: AtomicU64::new(0),
+            unanswered: Limiter::default(),
         });
         let limited: Weak<dyn TimeLimited> = Arc::<Shared>::downgrade(&shared) as _;
         shared.link.watch(limited);
@@ -164,9 +167,13 @@ impl Responder {
     pub fn reply_later(self, encode: impl FnOnce() -> Bytes + Send + 'static) {
         let Some(server) = self.server.upgrade() else { return };
         server.link.run(move || {
-            let service = self.server.upgrade().map(|server| server.service.clone()).unwrap_or_default();
-            if let Err(error) = self.reply(encode()) {
-                tracing::warn!(service, "a request is not answered: {error}");
+            let server = self.server.clone();
+            let Err(error) = self.reply(encode()) else { return };
+            if let Some(server) = server.upgrade()
+                && let Some(left_out) = server.unanswered.allow()
+            {
+                let service = &server.service;
+                tracing::warn!(service, "a request is not answered: {error}{left_out}");
             }
         });
     }
