@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
-use common::{Running, WATCHDOG, text_of};
+use common::{Running, WATCHDOG, output_of, text_of};
 use downbeat::bags::{TopicInfo, WriterOptions};
 use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions};
 use downbeat::bridge::ros::{Node, NodeName, Participant};
@@ -23,17 +23,20 @@ use serde_json::json;
 
 const START: i64 = 1_700_000_000;
 
-/// `number 0` … one per second on `/chatter`, and a latched `/map` before them.
-fn bag(folder: &Path, count: i64) -> PathBuf {
-    let bag = folder.join("bag");
-    let info = |name: &str, qos: QosProfile| TopicInfo {
+fn info(name: &str, qos: QosProfile) -> TopicInfo {
+    TopicInfo {
         name: name.to_owned(),
         type_name: std_msgs::msg::String::TYPE_NAME.to_owned(),
         definition: std_msgs::msg::String::DEFINITION.to_owned(),
         type_hash: std_msgs::msg::String::TYPE_HASH.to_owned(),
         offered_qos: vec![(&qos).into()],
         format: None,
-    };
+    }
+}
+
+/// `number 0` … one per second on `/chatter`, and a latched `/map` before them.
+fn bag(folder: &Path, count: i64) -> PathBuf {
+    let bag = folder.join("bag");
     let mut writer = WriterOptions::new().create(&bag).unwrap();
     let map = writer.add_topic(info("/map", QosProfile::LATCHED)).unwrap();
     let chatter = writer.add_topic(info("/chatter", QosProfile::DEFAULT.keep_last(100))).unwrap();
@@ -105,6 +108,30 @@ fn a_player_is_paused_stepped_sought_and_stopped_by_services() {
     assert!(clock[0]["fields"]["clock"]["sec"].as_i64().unwrap() >= START, "{clock:?}");
     assert!(player.wait().success(), "{}", player.output());
     peer.leave();
+}
+
+#[test]
+fn a_player_says_what_it_waits_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = bag(folder.path(), 1);
+    let printed = text_of(&["bag", "play", text(&bag), "--domain", "229"]);
+    assert!(printed.contains("waiting up to 3 s for subscribers of /map, /chatter"), "{printed}");
+}
+
+#[test]
+fn a_bag_of_more_topics_than_a_process_can_publish_is_refused_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("wide");
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    for number in 0..5000 {
+        writer.add_topic(info(&format!("/topic_{number}"), QosProfile::DEFAULT)).unwrap();
+    }
+    writer.finish().unwrap();
+    let output = output_of(&["bag", "play", text(&bag), "--domain", "229"]);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && error.contains("the bag has 5000 topics"), "{error}");
+    let some = text_of(&["bag", "play", text(&bag), "--domain", "229", "--topics", "/topic_1"]);
+    assert!(some.contains("played 0 messages"), "{some}");
 }
 
 #[test]

@@ -70,6 +70,48 @@ fn fields_are_drawn_as_svg_and_png() {
 }
 
 #[test]
+fn elements_of_an_array_are_called_by_the_names_beside_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let drawn = |field: &str| {
+        let plot = folder.path().join("plot.svg");
+        text_of(&["bag", "plot", text(&recording()), field, "--force", "-o", text(&plot)]);
+        std::fs::read_to_string(plot).unwrap()
+    };
+    let all = drawn("joint_states:position");
+    assert!(all.contains("/joint_states:position[head_tilt]") && !all.contains("position[3]"), "{all}");
+    let one = drawn("joint_states:position[head_tilt]");
+    assert!(one.contains("/joint_states:position[head_tilt]") && !one.contains("[head_pan]"));
+    // Without names beside them they have numbers.
+    assert!(drawn("imu/data_raw:angular_velocity_covariance").contains("angular_velocity_covariance[0]"));
+}
+
+#[test]
+fn the_legend_is_beside_the_data() {
+    let folder = tempfile::tempdir().unwrap();
+    let plot = folder.path().join("plot.svg");
+    text_of(&["bag", "plot", text(&recording()), "joint_states:position", "-o", text(&plot)]);
+    let drawn = std::fs::read_to_string(plot).unwrap();
+    let document = roxmltree::Document::parse(&drawn).unwrap();
+    let number = |node: roxmltree::Node<'_, '_>, name: &str| node.attribute(name)?.parse::<f64>().ok();
+    let texts = document.descendants().filter(|node| node.has_tag_name("text"));
+    let legend: Vec<_> =
+        texts.filter(|node| node.text().is_some_and(|text| text.contains("position["))).collect();
+    assert_eq!(legend.len(), 20);
+    let leftmost = legend.iter().filter_map(|node| number(*node, "x")).fold(f64::MAX, f64::min);
+    let lines = document.descendants().filter(|node| node.has_tag_name("polyline"));
+    let points = lines.filter_map(|line| line.attribute("points")).flat_map(str::split_whitespace);
+    let inside = points.filter_map(|point| point.split(',').next()?.parse::<f64>().ok());
+    // Samples of the lines stand before their texts, and the data before these.
+    let (samples, data): (Vec<f64>, Vec<f64>) = inside.partition(|x| *x > leftmost - 45.0);
+    let rightmost = data.iter().copied().fold(0.0, f64::max);
+    assert!(
+        !samples.is_empty() && rightmost < leftmost - 45.0 && rightmost > 600.0,
+        "{rightmost} {leftmost}"
+    );
+    assert!(legend.iter().all(|node| number(*node, "y").unwrap() < 600.0));
+}
+
+#[test]
 fn what_cannot_be_drawn_or_exported_is_told_with_what_there_is() {
     let folder = tempfile::tempdir().unwrap();
     let bag = recording();
@@ -86,5 +128,5 @@ fn what_cannot_be_drawn_or_exported_is_told_with_what_there_is() {
     assert!(field("joint_states", &plot).contains("TOPIC:FIELD"));
     assert!(field("joint_states:position", &folder.path().join("plot.pdf")).contains(".svg or .png"));
     let there = refused(&["bag", "export", text(&bag), "-o", text(folder.path())]);
-    assert!(there.contains("cannot make the directory"), "{there}");
+    assert!(there.contains("exists already") && there.contains("--force"), "{there}");
 }

@@ -5,8 +5,8 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::{output_of, text_of};
-use downbeat::bags::{Reader, Selection};
+use common::{QUIET_ROBOT, output_of, text_of};
+use downbeat::bags::{McapOptions, Reader, Selection, TopicInfo, WriterOptions};
 
 fn text(path: &Path) -> &str {
     path.to_str().unwrap()
@@ -112,4 +112,138 @@ fn bags_are_filtered_merged_cut_and_compared() {
         if cfg!(feature = "sqlite") { "compresses nothing" } else { "build with `--features sqlite`" };
     assert!(!output.status.success() && message.contains(expected), "{message}");
     assert!(!database.exists());
+}
+
+#[test]
+fn an_output_that_exists_is_kept_unless_it_is_to_be_replaced() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = real();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (made, tables, plot) = (at("made"), at("tables"), at("plot.svg"));
+    let robot = folder.path().join("quiet.toml");
+    std::fs::write(&robot, QUIET_ROBOT).unwrap();
+    let imu = "/reference/imu/data_raw:angular_velocity.x";
+    let only = ["--topics", "/reference/imu/data_raw"];
+    // Each is refused before it does anything.
+    let refused: [&[&str]; 3] = [
+        &["run", text(&robot), "--record", &made],
+        &["bag", "record", "--robot", text(&robot), "-o", &made],
+        &["bag", "record", "/chatter", "-o", &made],
+    ];
+    let made_anew: [&[&str]; 6] = [
+        &["bag", "convert", text(&bag), "-o", &made],
+        &["bag", "cut", text(&bag), "--from", "1s", "-o", &made],
+        &["bag", "repair", text(&bag), "-o", &made],
+        &["bag", "export", text(&bag), "-o", &tables, only[0], only[1]],
+        &["bag", "plot", text(&bag), imu, "-o", &plot],
+        &["bag", "record", "--robot", text(&robot), "--duration", "10ms", "-o", &made],
+    ];
+    for command in [made_anew[0], made_anew[3], made_anew[4]] {
+        text_of(command);
+    }
+    let content = std::fs::read(Path::new(&made).join("made_0.mcap")).unwrap();
+    for command in refused.iter().chain(&made_anew) {
+        let output = output_of(command);
+        let error = String::from_utf8(output.stderr).unwrap();
+        let path = [&made, &tables, &plot].into_iter().find(|path| command.contains(&path.as_str())).unwrap();
+        assert!(!output.status.success(), "{command:?}");
+        assert!(error.contains(&format!("{path} exists already")) && error.contains("--force"), "{error}");
+    }
+    assert_eq!(std::fs::read(Path::new(&made).join("made_0.mcap")).unwrap(), content);
+    for command in made_anew {
+        text_of(&[command, &["--force"]].concat());
+    }
+    let output = output_of(&["bag", "convert", &made, "-o", &made, "--force"]);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && error.contains("is what is read"), "{error}");
+    assert!(Reader::open(&made).is_ok());
+}
+
+/// A bag of a hundred messages, ten or so in each chunk.
+fn many_chunks(folder: &Path) -> PathBuf {
+    let bag = folder.join("chunks");
+    let info = TopicInfo {
+        name: "/chatter".to_owned(),
+        type_name: "std_msgs/msg/String".to_owned(),
+        definition: "string data\n".to_owned(),
+        ..TopicInfo::default()
+    };
+    let storage = McapOptions { chunk_size: 500, ..McapOptions::default() };
+    let mut writer = WriterOptions::new().storage(storage).create(&bag).unwrap();
+    let topic = writer.add_topic(info).unwrap();
+    for time in 0..100 {
+        let message = downbeat::msgs::std_msgs::msg::String { data: format!("number {time}") };
+        writer.write(topic, time, time, &downbeat::msgs::cdr::to_vec(&message)).unwrap();
+    }
+    writer.finish().unwrap();
+    bag
+}
+
+#[test]
+fn what_a_damaged_bag_does_not_give_is_an_error_after_the_rest_was_carried_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = std::fs::read(many_chunks(folder.path()).join("chunks_0.mcap")).unwrap();
+    let damaged = folder.path().join("damaged.mcap");
+    std::fs::write(&damaged, &bytes[..bytes.len() / 2]).unwrap();
+    assert!((10..90).contains(&count(&damaged)), "{}", count(&damaged));
+    let at = |name: &str| folder.path().join(name);
+    let failed = |arguments: &[&str]| {
+        let output = output_of(arguments);
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert!(!output.status.success(), "{arguments:?}: {error}");
+        let told = format!(
+            "1 part cannot be read; see above, and `downbeat bag check {0}`; `downbeat bag repair {0}`",
+            text(&damaged)
+        );
+        assert!(error.contains(&told), "{error}");
+    };
+    let only = "/chatter";
+    failed(&["bag", "convert", text(&damaged), "-o", text(&at("converted"))]);
+    failed(&["bag", "cut", text(&damaged), "--from", "0s", "-o", text(&at("cut"))]);
+    failed(&["bag", "export", text(&damaged), "--topics", only, "-o", text(&at("tables"))]);
+    failed(&["bag", "play", text(&damaged), "--topics", only, "-r", "1000", "--domain", "229"]);
+    assert_eq!(count(&at("converted")), count(&damaged));
+    assert_eq!(count(&at("cut")), count(&damaged));
+    let table = std::fs::read_to_string(at("tables").join("chatter.csv")).unwrap();
+    assert!(table.lines().count() > 10);
+    // Nothing is lost of a bag whose summary alone is damaged.
+    let mut unended = bytes;
+    let end = unended.len();
+    unended[end - 8..].fill(0);
+    std::fs::write(at("unended.mcap"), &unended).unwrap();
+    text_of(&["bag", "convert", text(&at("unended.mcap")), "-o", text(&at("whole"))]);
+    assert_eq!(count(&at("whole")), 100);
+}
+
+#[test]
+fn names_in_a_bag_do_not_reach_the_terminal_as_control_characters() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let info = TopicInfo {
+        name: "/cam\u{1b}[2J\nTopic: /forged\u{9b}".to_owned(),
+        type_name: "std_msgs/msg/\u{1b}]0;title\u{7}".to_owned(),
+        ..TopicInfo::default()
+    };
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    let topic = writer.add_topic(info).unwrap();
+    writer.write(topic, 1, 1, &[0, 1, 0, 0]).unwrap();
+    writer.finish().unwrap();
+    let other = folder.path().join("other");
+    let real = real();
+    let commands: [&[&str]; 6] = [
+        &["bag", "info", text(&bag)],
+        &["bag", "info", text(&bag), "--json"],
+        &["bag", "check", text(&bag)],
+        &["bag", "diff", text(&bag), text(&real)],
+        &["bag", "export", text(&bag), "-o", text(&other)],
+        &["bag", "convert", text(&bag), "--topics", "/none", "-o", text(&other)],
+    ];
+    for command in commands {
+        let output = output_of(command);
+        let printed = String::from_utf8([output.stdout, output.stderr].concat()).unwrap();
+        let harmful = |character: char| character.is_control() && !"\n\t".contains(character);
+        assert!(!printed.contains(harmful), "{command:?}: {printed:?}");
+        assert!(printed.contains("cam\\u001b[2J"), "{command:?}: {printed}");
+        assert!(!printed.lines().any(|line| line.starts_with("Topic: /forged")), "{printed}");
+    }
 }

@@ -246,6 +246,33 @@ fn what_contains_itself_is_refused_and_not_followed() {
 }
 
 #[test]
+fn what_doubles_with_each_step_or_goes_too_deep_ends_with_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let messages = folder.path().join("bomb_msgs/msg");
+    std::fs::create_dir_all(&messages).unwrap();
+    for n in 0..40 {
+        std::fs::write(messages.join(format!("D{n}.msg")), format!("D{m} one\nD{m} other\n", m = n + 1))
+            .unwrap();
+    }
+    std::fs::write(messages.join("D40.msg"), "int32 x\n").unwrap();
+    for n in 0..500 {
+        std::fs::write(messages.join(format!("L{n}.msg")), format!("L{} next\n", n + 1)).unwrap();
+    }
+    std::fs::write(messages.join("L500.msg"), "int32 x\n").unwrap();
+    let from = folder.path().to_str().unwrap();
+    for (name, expected) in [
+        ("bomb_msgs/msg/D0", "bomb_msgs/msg/D0 has more than 100000 lines; --json shows each type once"),
+        ("bomb_msgs/msg/L0", "bomb_msgs/msg/L0 is nested deeper than 100 types"),
+    ] {
+        let (is_success, _, error) = output_of(&mut interface(&["show", name, "--from", from]));
+        assert!(!is_success && error.contains(expected), "{error}");
+    }
+    let all: Value =
+        serde_json::from_str(&shown(&["show", "bomb_msgs/msg/D0", "--json", "--from", from])).unwrap();
+    assert_eq!(all.as_array().unwrap().len(), 41);
+}
+
+#[test]
 fn parts_of_services_and_actions_have_definitions_hashes_and_descriptions() {
     let event = shown(&["show", "shown_msgs/srv/Lift_Event", "--from", DATA]);
     assert!(event.starts_with("service_msgs/ServiceEventInfo info\n\tuint8 REQUEST_SENT"), "{event}");

@@ -6,7 +6,7 @@ mod common;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use common::{QUIET_ROBOT, downbeat, output_of, text_of, wait_until};
+use common::{QUIET_ROBOT, Running, downbeat, text_of, wait_until};
 use downbeat::executor::Snapshot;
 
 struct Robot(Child);
@@ -53,6 +53,8 @@ fn a_running_robot_is_watched_traced_and_found_by_name_and_number() {
     let (_, json) = output(folder.path(), &["top", "--json", "quiet"]);
     let snapshot: Snapshot = serde_json::from_str(&json).unwrap();
     assert!(snapshot.modules.iter().any(|module| module.name == "motion"));
+    let (is_found, json) = output(folder.path(), &["top", "--once", "--json"]);
+    assert!(is_found && serde_json::from_str::<Snapshot>(&json).is_ok(), "{json}");
     let pid = robot.0.id().to_string();
     let (is_found, text) = output(folder.path(), &["top", "--once", &pid]);
     assert!(is_found && text.starts_with(&format!("quiet (process {pid})")), "{text}");
@@ -65,10 +67,39 @@ fn a_running_robot_is_watched_traced_and_found_by_name_and_number() {
     let trace = folder.path().join("trace.json");
     let (is_traced, text) = output(folder.path(), &["trace", "--cycles", "3", "-o", trace.to_str().unwrap()]);
     assert!(is_traced, "{text}");
+    let again = ["trace", "--cycles", "3", "-o", trace.to_str().unwrap()];
+    let (is_traced, text) = output(folder.path(), &again);
+    assert!(!is_traced && text.contains("trace.json exists already") && text.contains("--force"), "{text}");
+    let (is_traced, text) = output(folder.path(), &[&again[..], &["--force"]].concat());
+    assert!(is_traced, "{text}");
     let trace: serde_json::Value = serde_json::from_slice(&std::fs::read(trace).unwrap()).unwrap();
     let events = trace["traceEvents"].as_array().unwrap();
     assert_eq!(events.iter().filter(|event| event["name"] == "process").count(), 3);
     assert!(events.iter().any(|event| event["name"] == "motion" && event["ph"] == "X"));
+}
+
+#[test]
+fn a_robot_that_runs_already_is_not_started_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("quiet.toml");
+    std::fs::write(&file, QUIET_ROBOT).unwrap();
+    let run = |options: &[&str]| {
+        in_folder(folder.path(), &[&["run", file.to_str().unwrap(), "--domain", "228"], options].concat())
+    };
+    let mut first = Running::start_by(&mut run(&[]));
+    wait_until("the robot can be seen", || output(folder.path(), &["top", "--once"]).0);
+    let second = run(&["--duration", "1s"]).output().unwrap();
+    let error = String::from_utf8(second.stderr).unwrap();
+    assert!(!second.status.success(), "{error}");
+    assert!(
+        error.contains("quiet (process ") && error.contains("as /quiet in domain 228 already"),
+        "{error}"
+    );
+    let elsewhere = run(&["--duration", "10ms", "--ros-args", "-r", "__ns:=/lab"]).output().unwrap();
+    assert!(elsewhere.status.success(), "{}", String::from_utf8_lossy(&elsewhere.stderr));
+    first.interrupt();
+    let after = run(&["--duration", "10ms"]).output().unwrap();
+    assert!(after.status.success(), "{}", String::from_utf8_lossy(&after.stderr));
 }
 
 #[test]
@@ -114,5 +145,4 @@ fn a_screen_needs_a_terminal() {
     let _robot = Robot::start(folder.path());
     let (is_shown, text) = output(folder.path(), &["top"]);
     assert!(!is_shown && text.contains("--once"), "{text}");
-    assert_eq!(output_of(&["top", "--json", "--once"]).status.code(), Some(2));
 }

@@ -2,11 +2,13 @@
 
 use std::ffi::OsStr;
 use std::fmt;
-use std::fs::{self, DirBuilder};
-use std::io;
+use std::fs::{self, DirBuilder, File};
+use std::io::{self, Read, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
+
+use rustix::fs::FlockOperation;
 
 /// A directory with the sockets of one user's robots, which nobody else can enter.
 #[derive(Clone, Debug)]
@@ -39,6 +41,33 @@ pub enum DirectoryError {
         /// Its permissions.
         mode: u32,
     },
+}
+
+/// Why a robot must not have a node name.
+#[derive(Debug, thiserror::Error)]
+pub enum ClaimError {
+    /// Another one has it.
+    #[error(
+        "{holder} runs on this machine as {node} in domain {domain} already, and two nodes of one name disturb each other; \
+         stop that one, or give this one another name (--ros-args -r __node:=NAME), namespace (ROS_NAMESPACE) or domain"
+    )]
+    Taken {
+        /// The name.
+        node: String,
+        /// The domain.
+        domain: u16,
+        /// Its robot and process.
+        holder: String,
+    },
+    /// It cannot be found out.
+    #[error(transparent)]
+    Directory(#[from] DirectoryError),
+}
+
+/// A node name that one robot of this machine has: a lock that the system takes back whatever becomes of the process.
+#[derive(Debug)]
+pub struct NodeClaim {
+    _lock: File,
 }
 
 /// A robot that runs now.
@@ -124,6 +153,34 @@ impl SocketDirectory {
         Ok(robots)
     }
 
+    /// Reserves a node name in a domain for a robot of this process, until the claim is dropped or the process ends.
+    ///
+    /// Two nodes of one name in one domain answer each other's requests, and what they publish is mixed up. Robots of other users and
+    /// other machines are not known here.
+    ///
+    /// # Errors
+    /// If a robot that runs on this machine has that name.
+    pub fn claim(&self, robot: &str, node: &str, domain: u16) -> Result<NodeClaim, ClaimError> {
+        // Domains of other network namespaces are other domains.
+        let network = fs::read_link("/proc/self/ns/net").unwrap_or_default();
+        let digits = |text: &str| text.chars().filter(char::is_ascii_digit).collect::<String>();
+        let file =
+            format!("node{}-{domain}-{}.lock", node.replace('/', "."), digits(&network.to_string_lossy()));
+        let path = self.path.join(file);
+        let io_error = |source| DirectoryError::Io { path: path.clone(), source };
+        // Not truncated: it tells who has the lock.
+        let open = File::options().read(true).write(true).create(true).truncate(false).open(&path);
+        let mut file = open.map_err(io_error)?;
+        if rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_err() {
+            let mut holder = String::new();
+            file.read_to_string(&mut holder).map_err(io_error)?;
+            return Err(ClaimError::Taken { node: node.to_owned(), domain, holder });
+        }
+        let holder = format!("{robot} (process {})", std::process::id());
+        file.set_len(0).and_then(|()| file.write_all(holder.as_bytes())).map_err(io_error)?;
+        Ok(NodeClaim { _lock: file })
+    }
+
     /// The socket of a robot of this process.
     pub(super) fn socket(&self, robot: &str) -> PathBuf {
         let name = robot.replace(|c: char| !(c.is_alphanumeric() || c == '_'), "_");
@@ -181,6 +238,21 @@ mod tests {
         assert_eq!(robots.len(), 1);
         assert_eq!((robots[0].name.as_str(), robots[0].pid), ("two-words", 77));
         assert!(!in_directory("dead-1.sock").exists() && in_directory("notes.txt").exists());
+    }
+
+    #[test]
+    fn a_node_name_has_one_robot_in_a_domain() {
+        let folder = tempfile::tempdir().unwrap();
+        let directory = SocketDirectory::open_at(folder.path().join("sockets")).unwrap();
+        let claim = directory.claim("darwin_op", "/lab/darwin_op", 7).unwrap();
+        let error = directory.claim("again", "/lab/darwin_op", 7).unwrap_err().to_string();
+        let holder = format!("darwin_op (process {})", std::process::id());
+        assert!(error.contains(&holder) && error.contains("as /lab/darwin_op in domain 7"), "{error}");
+        let _others = [("/darwin_op", 7), ("/lab/darwin_op", 8)]
+            .map(|(node, domain)| directory.claim("again", node, domain).unwrap());
+        drop(claim);
+        directory.claim("again", "/lab/darwin_op", 7).unwrap();
+        assert!(directory.running().unwrap().is_empty(), "a lock is no robot");
     }
 
     #[test]

@@ -43,7 +43,7 @@ mod protocol;
 mod server;
 
 pub use client::{Client, ClientError};
-pub use directory::{DirectoryError, RunningRobot, SocketDirectory};
+pub use directory::{ClaimError, DirectoryError, NodeClaim, RunningRobot, SocketDirectory};
 pub use inspected::{Inspected, Unavailable};
 pub use protocol::Request;
 pub use server::{InspectionServer, ServerError};

@@ -24,6 +24,7 @@ use super::bag::reindex::ReindexArguments;
 use super::bag::repair::RepairArguments;
 use super::bag::replay::ReplayArguments;
 use super::interface::InterfaceCommand;
+use super::new_output::Force;
 
 /// Robot software as small modules in one process, seen and driven from ROS 2 Jazzy, recorded and replayed.
 ///
@@ -113,6 +114,8 @@ pub(crate) struct RunArguments {
     /// Record into this new rosbag2 directory what the robot file's [record] names.
     #[arg(long, value_name = "DIR")]
     pub(crate) record: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) force: Force,
     /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers, instead of
     /// what the robot file's [record] says.
     #[arg(long, value_name = "ENCODING", requires = "record")]
@@ -177,8 +180,8 @@ pub(crate) struct TopArguments {
     /// Print one look as text and end; rates are those since the robot's start.
     #[arg(long)]
     pub(crate) once: bool,
-    /// Print one look as JSON and end.
-    #[arg(long, conflicts_with = "once")]
+    /// Print one look as JSON and end, with or without --once.
+    #[arg(long)]
     pub(crate) json: bool,
 }
 
@@ -194,6 +197,8 @@ pub(crate) struct TraceArguments {
     /// The file to write.
     #[arg(long, short, value_name = "FILE.json")]
     pub(crate) output: PathBuf,
+    #[command(flatten)]
+    pub(crate) force: Force,
 }
 
 #[derive(Args)]

@@ -14,6 +14,7 @@ mod graph;
 mod interface;
 mod keyboard;
 mod logging;
+mod new_output;
 mod run;
 mod screen;
 mod statistics;
@@ -21,6 +22,7 @@ mod status;
 mod stop;
 mod top;
 mod trace;
+mod wrap;
 
 use std::process::ExitCode;
 

@@ -13,6 +13,7 @@ use anyhow::Context;
 use super::cli::RunArguments;
 use super::faults::Faults;
 use super::logging::Log;
+use super::new_output::Output;
 use super::screen::Screen;
 use super::statistics::Statistics;
 use super::status::{Sources, StatusBlock};
@@ -25,12 +26,16 @@ pub(crate) fn run(
     screen: &Screen,
     log: &Log,
 ) -> anyhow::Result<()> {
+    if let Some(directory) = &arguments.record {
+        arguments.force.check(Output::Bag, directory)?;
+    }
     let stop = Stop::new()?;
     let mut robot = WatchedRobot::new(arguments.parameters.read_robot(&arguments.robot, catalog, ros)?)?;
     let options = participant_options(arguments.domain)?;
     robot.prepared.expose(&options, Some(&log.of_node))?;
     if let Some(directory) = &arguments.record {
         let plan = RecordPlan::of_robot(directory, robot.prepared.file(), arguments.encoding);
+        arguments.force.make_way(Output::Bag, directory, [])?;
         robot.prepared.record(plan)?;
     }
     robot.run(&stop.after(arguments.duration), screen)
@@ -73,7 +78,7 @@ impl WatchedRobot {
         let (mut next_log, mut recording_fails) = (Instant::now() + LOG_INTERVAL, false);
         while !stop.is_due() && !robot.is_finished() {
             if screen.is_terminal() {
-                screen.show(block.lines());
+                screen.show(block.lines(screen.block_size()));
             } else if Instant::now() >= next_log {
                 next_log += LOG_INTERVAL;
                 tracing::info!("{}", block.line());

@@ -5,6 +5,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use console::Term;
 
+use crate::msgs::printable;
+
 use super::logging::Stream;
 
 /// Standard error, shared by the log and the status block. Where it is no terminal, the block is not drawn.
@@ -28,18 +30,21 @@ impl Screen {
         self.lock().terminal.is_term()
     }
 
+    /// How many lines of how many characters a block may have.
+    pub(crate) fn block_size(&self) -> (usize, usize) {
+        self.lock().block_size()
+    }
+
     /// Draws the block in the place of the last one; no lines remove it.
-    pub(crate) fn show(&self, block: Vec<String>) {
+    pub(crate) fn show(&self, mut block: Vec<String>) {
         let mut shared = self.lock();
         if !shared.terminal.is_term() {
             return;
         }
         // A terminal that is gone is no reason to stop a robot.
         let _ = shared.erase();
+        block.truncate(shared.block_size().0);
         shared.block = block;
-        // What has scrolled off the top cannot be erased.
-        let height = usize::from(shared.terminal.size().0).saturating_sub(1);
-        shared.block.truncate(height);
         let _ = shared.draw();
     }
 
@@ -60,15 +65,20 @@ impl Screen {
 }
 
 impl Shared {
+    fn block_size(&self) -> (usize, usize) {
+        let (height, width) = self.terminal.size();
+        // What has scrolled off the top cannot be erased, and a line that wraps would take two.
+        (usize::from(height).saturating_sub(1), usize::from(width).max(20) - 1)
+    }
+
     fn erase(&self) -> io::Result<()> {
         self.terminal.clear_last_lines(self.block.len())
     }
 
     fn draw(&self) -> io::Result<()> {
-        // A line that wraps would take two, and the erasing would leave one.
-        let width = usize::from(self.terminal.size().1).max(20) - 1;
-        self.block
-            .iter()
-            .try_for_each(|line| self.terminal.write_line(&console::truncate_str(line, width, "…")))
+        let (_, width) = self.block_size();
+        self.block.iter().try_for_each(|line| {
+            self.terminal.write_line(&console::truncate_str(&printable(line), width, "…"))
+        })
     }
 }

@@ -9,6 +9,7 @@ use crate::executor::TopicInfo;
 
 use super::faults::Faults;
 use super::statistics::Statistics;
+use super::wrap::{Line, shorten, wrap};
 
 /// What the status block shows.
 pub(crate) struct Sources<'a> {
@@ -37,17 +38,30 @@ impl<'a> StatusBlock<'a> {
         Self { sources, started: now, cycles: Rates::new(now), topics: Rates::new(now) }
     }
 
-    pub(crate) fn lines(&mut self) -> Vec<String> {
+    /// At most so many lines of so many characters, in which entries are whole: topics and endpoints for which there is no
+    /// room are counted.
+    pub(crate) fn lines(&mut self, (height, width): (usize, usize)) -> Vec<String> {
         let now = Instant::now();
         let running = (now - self.started).as_secs();
-        let mut lines = vec![format!("{}   {running} s", self.sources.title)];
-        lines.extend(self.cycles(now));
-        lines.extend(self.topics(now));
-        lines.extend(self.bridge());
-        let recording = self.sources.recording.map(Recording::statistics);
-        lines.extend(recording.map(|statistics| labelled("bag", &bag(&statistics))));
-        lines.extend(self.faults());
-        lines
+        let title = self.sources.title.split(SEPARATOR).map(str::to_owned);
+        let title = wrap(title.chain([format!("{running} s")]), SEPARATOR, width);
+        let mut head: Vec<_> = title.into_iter().map(|line| line.text).collect();
+        head.extend(self.cycles(now));
+        let text_width = width.saturating_sub(INDENT);
+        let [topics, endpoints] = [self.topics(now, text_width), self.bridge(text_width)];
+        let mut tail = Vec::new();
+        if let Some(recording) = self.sources.recording {
+            let entries = bag(&recording.statistics());
+            tail.extend(labelled_lines("bag", shorten(wrap(entries, SEPARATOR, text_width), usize::MAX)));
+        }
+        tail.extend(self.faults(text_width));
+        let room = height.saturating_sub(head.len() + tail.len());
+        let topics = shorten(topics, room.saturating_sub(endpoints.len()).max(room / 2));
+        let endpoints = shorten(endpoints, room.saturating_sub(topics.len()));
+        head.extend(labelled_lines("topics", topics));
+        head.extend(labelled_lines("exposed", endpoints));
+        head.extend(tail);
+        head
     }
 
     /// The most important of it in one line, for a log.
@@ -63,7 +77,7 @@ impl<'a> StatusBlock<'a> {
             let peers: usize = endpoints.iter().map(|endpoint| endpoint.matched).sum();
             parts.push(format!("{peers} endpoints of others matched"));
         }
-        parts.extend(self.sources.recording.map(|recording| bag(&recording.statistics())));
+        parts.extend(self.sources.recording.map(|recording| bag(&recording.statistics()).join(SEPARATOR)));
         parts.extend(self.sources.faults.worst_first().into_iter().next());
         parts.join(";  ")
     }
@@ -79,11 +93,9 @@ impl<'a> StatusBlock<'a> {
         lines
     }
 
-    fn topics(&mut self, now: Instant) -> Vec<String> {
+    fn topics(&mut self, now: Instant, width: usize) -> Vec<Line> {
         let rates = self.topic_rates(now);
-        let rates: Vec<_> = rates.iter().map(|(name, rate)| format!("{name} {rate:.0}/s")).collect();
-        let label = |row| if row == 0 { "topics" } else { "" };
-        rates.chunks(4).enumerate().map(|(row, rates)| labelled(label(row), &rates.join("  "))).collect()
+        wrap(rates.iter().map(|(name, rate)| format!("{name} {rate:.0}/s")), "  ", width)
     }
 
     /// The published topics, with messages per second.
@@ -94,10 +106,13 @@ impl<'a> StatusBlock<'a> {
         published.map(|(topic, rate)| (topic.name.to_string(), *rate)).collect()
     }
 
-    fn faults(&self) -> Vec<String> {
+    fn faults(&self, width: usize) -> Vec<String> {
         let faults = self.sources.faults.worst_first();
-        let mut lines: Vec<_> =
-            faults.iter().take(MOST_FAULTS).map(|fault| labelled("fault", fault)).collect();
+        let mut lines = Vec::new();
+        for fault in faults.iter().take(MOST_FAULTS) {
+            let words = wrap(fault.split(' '), " ", width);
+            lines.extend(labelled_lines("fault", shorten(words, usize::MAX)));
+        }
         if faults.len() > MOST_FAULTS {
             let more = faults.len() - MOST_FAULTS;
             lines.push(labelled("", &format!("and {more} more, see the topic diagnostics")));
@@ -105,55 +120,67 @@ impl<'a> StatusBlock<'a> {
         lines
     }
 
-    fn bridge(&self) -> Vec<String> {
+    fn bridge(&self, width: usize) -> Vec<Line> {
         let endpoints = self.sources.bridge.map(BridgeStatus::endpoints).unwrap_or_default();
-        let line = |(row, report)| labelled(if row == 0 { "exposed" } else { "" }, &endpoint(report));
-        endpoints.iter().enumerate().map(line).collect()
+        let lines = endpoints.iter().flat_map(|report| {
+            let lines = wrap(endpoint(report), SEPARATOR, width);
+            let last = lines.len().saturating_sub(1);
+            // An entry of the block is a whole endpoint.
+            lines
+                .into_iter()
+                .enumerate()
+                .map(move |(row, line)| Line { entries: usize::from(row == last), ..line })
+        });
+        lines.collect()
     }
 }
 
-fn endpoint(report: &EndpointReport) -> String {
+/// Between entries of a line.
+pub(crate) const SEPARATOR: &str = "   ";
+
+fn endpoint(report: &EndpointReport) -> Vec<String> {
     let (arrow, peers) = match report.direction {
         Direction::Out => ("->", "subscriptions"),
         Direction::In => ("<-", "publishers"),
     };
-    let problems = match (report.errors, &report.last_error) {
-        (0, _) | (_, None) => String::new(),
-        (errors, Some(last)) => format!("   {errors} failed: {last}"),
-    };
     let EndpointReport { ros_topic, matched, messages, .. } = report;
-    format!("{arrow} {ros_topic}   {matched} {peers}   {messages} messages{problems}")
+    let mut entries =
+        vec![format!("{arrow} {ros_topic}"), format!("{matched} {peers}"), format!("{messages} messages")];
+    if let (1.., Some(last)) = (report.errors, &report.last_error) {
+        entries.push(format!("{} failed: {last}", report.errors));
+    }
+    entries
 }
 
-/// How a recording is doing, in a line.
-pub(crate) fn bag(statistics: &RecordingStatistics) -> String {
+/// How a recording is doing, in entries of a line.
+pub(crate) fn bag(statistics: &RecordingStatistics) -> Vec<String> {
     let summary = &statistics.summary;
     let mebibytes = summary.bytes as f64 / (1024.0 * 1024.0);
     let (messages, lost) = (summary.message_count(), summary.lost_count());
-    let path = summary.path.display();
-    let mut line = format!("{path}   {mebibytes:.1} MiB   {messages} messages   {lost} lost");
-    let mut add = |text: &str| {
-        line.push_str("   ");
-        line.push_str(text);
-    };
+    let mut entries = vec![
+        summary.path.display().to_string(),
+        format!("{mebibytes:.1} MiB"),
+        format!("{messages} messages"),
+        format!("{lost} lost"),
+    ];
     if summary.files > 1 {
-        add(&format!("{} files", summary.files));
+        entries.push(format!("{} files", summary.files));
     }
     // The worst alone: it is a line.
     let worst = summary.topics.iter().filter(|topic| topic.lost > 0).max_by_key(|topic| topic.lost);
     if let Some(topic) = worst {
-        add(&format!("most of {} ({})", topic.name, topic.lost));
+        entries.push(format!("most of {} ({})", topic.name, topic.lost));
     }
     if statistics.is_paused {
-        add("paused");
+        entries.push("paused".to_owned());
     }
     if statistics.is_disk_full {
-        add("the disk is full");
+        entries.push("the disk is full".to_owned());
     }
     if let Some(failure) = &statistics.failure {
-        add(&format!("stopped: {failure}"));
+        entries.push(format!("stopped: {failure}"));
     }
-    line
+    entries
 }
 
 /// What some counters gain per second, over at least a second.
@@ -181,13 +208,63 @@ impl Rates {
     }
 }
 
+/// What stands before the text of a line: its label.
+const INDENT: usize = 13;
+
 fn labelled(label: &str, text: &str) -> String {
     format!("  {label:<10} {text}")
 }
 
+/// The label stands before the first line.
+fn labelled_lines(label: &str, lines: Vec<String>) -> impl Iterator<Item = String> {
+    lines.into_iter().enumerate().map(move |(row, line)| labelled(if row == 0 { label } else { "" }, &line))
+}
+
 #[cfg(test)]
 mod tests {
+    use crate::executor::TopicCounter;
+
     use super::*;
+
+    fn topic(name: String) -> TopicInfo {
+        TopicInfo {
+            name: name.into(),
+            message_type: "u8",
+            message_type_id: std::any::TypeId::of::<u8>(),
+            is_published: true,
+            counter: TopicCounter::default(),
+        }
+    }
+
+    #[test]
+    fn the_block_cuts_no_topic_and_counts_those_without_room() {
+        let faults = Faults::default();
+        let statistics = Statistics::default();
+        let names: Vec<_> =
+            (0..30).map(|number| format!("camera_{number:02}/image_raw/compressed")).collect();
+        let sources = || Sources {
+            title: "/darwin_op   domain 0   emulated".into(),
+            topics: names.iter().cloned().map(topic).collect(),
+            statistics: &statistics,
+            bridge: None,
+            recording: None,
+            faults: &faults,
+        };
+        let tall = StatusBlock::new(sources()).lines((100, 79));
+        assert!(tall.iter().all(|line| line.chars().count() <= 79), "{tall:#?}");
+        let whole = |block: &[String]| {
+            let block = block.join(" ");
+            let words: Vec<_> = block.split_whitespace().collect();
+            names.iter().filter(|name| words.windows(2).any(|two| two == [name.as_str(), "0/s"])).count()
+        };
+        assert_eq!(whole(&tall), names.len());
+        let low = StatusBlock::new(sources()).lines((12, 79));
+        assert!(low.len() <= 12, "{low:#?}");
+        let more =
+            |line: &String| line.trim().strip_prefix('+')?.strip_suffix(" more")?.parse::<usize>().ok();
+        let told: usize = low.iter().filter_map(more).sum();
+        assert_eq!(whole(&low) + told, names.len(), "{low:#?}");
+    }
 
     #[test]
     fn rates_are_of_the_last_second_or_more() {

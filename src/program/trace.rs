@@ -5,9 +5,11 @@ use anyhow::Context;
 
 use super::choose::choose;
 use super::cli::TraceArguments;
+use super::new_output::Output;
 
 pub(crate) fn trace(arguments: &TraceArguments) -> anyhow::Result<()> {
-    let TraceArguments { robot, cycles, output } = arguments;
+    let TraceArguments { robot, cycles, output, force } = arguments;
+    force.make_way(Output::File, output, [])?;
     let mut client = Client::connect(&choose(robot.as_deref())?)?;
     let trace = client.trace(*cycles)?;
     std::fs::write(output, trace).with_context(|| format!("cannot write {}", output.display()))?;

@@ -71,7 +71,7 @@ impl QosOverrides {
     /// If the text is not what rosbag2 takes.
     pub fn parse(text: &str, path: &Path) -> Result<Self, QosOverridesError> {
         let form = |found: String| QosOverridesError::Form { path: path.to_owned(), found };
-        let document: Value = serde_norway::from_str(text).map_err(|error| form(error.to_string()))?;
+        let document: Value = crate::msgs::yaml::from_str(text).map_err(|error| form(error.to_string()))?;
         let Value::Mapping(document) = document else {
             return Err(form("it has to be a map of topics".to_owned()));
         };

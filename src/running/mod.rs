@@ -37,7 +37,7 @@ use downbeat_executor::{Core, CoreHandle, Probe, RunError, SetupError};
 pub use node::{NodeLog, RobotNode};
 pub use recording::RecordPlan;
 
-use crate::inspect::{InspectionServer, SocketDirectory};
+use crate::inspect::{ClaimError, InspectionServer, SocketDirectory};
 use crate::recorder::RecorderError;
 use crate::robot::{Robot, RobotFile, RobotFileError};
 use crate::ros_recorder::ServeError;
@@ -54,6 +54,9 @@ pub enum StartError {
     /// A module cannot join the core.
     #[error(transparent)]
     Setup(#[from] SetupError),
+    /// Another robot has the node name.
+    #[error(transparent)]
+    Claim(#[from] ClaimError),
     /// A variable of the environment that says how to join ROS 2 has no valid value.
     #[error(transparent)]
     Options(#[from] OptionsError),

@@ -13,7 +13,8 @@ use downbeat_bridge::ros::{Furnishing, Node, NodeError, Participant};
 use downbeat_bridge::rosout::{LoggerLevels, LoggerNames, LoggerServices, Rosout, RosoutPublisher};
 
 use super::StartError;
-use crate::robot::{ClockChoice, Robot};
+use crate::inspect::{ClaimError, NodeClaim, SocketDirectory};
+use crate::robot::{ClockChoice, Robot, RobotFile};
 
 /// Where a robot's log comes from: what its node needs of the log of a program.
 #[derive(Clone)]
@@ -41,6 +42,8 @@ pub struct RobotNode {
     _furnishing: Furnishing,
     node: Node,
     domain: u16,
+    /// Given up when the node is gone.
+    _claim: Option<NodeClaim>,
 }
 
 impl RobotNode {
@@ -53,6 +56,7 @@ impl RobotNode {
         log: Option<&NodeLog>,
     ) -> Result<Self, StartError> {
         let exposed = robot.exposed()?;
+        let claim = claim(&robot.file, options.domain_id)?;
         let participant = Participant::join_with(
             options,
             robot.file.remaps.clone(),
@@ -125,6 +129,7 @@ impl RobotNode {
             _furnishing: furnishing,
             node,
             domain: options.domain_id,
+            _claim: claim,
         })
     }
 
@@ -174,6 +179,20 @@ fn furnish(
         node.attach(parameters.serve(node, exposure)?);
         Ok(())
     }))
+}
+
+/// Refuses a second robot of the same name. Where nobody can look, none is known.
+fn claim(file: &RobotFile, domain: u16) -> Result<Option<NodeClaim>, StartError> {
+    let node = file.node_name()?.to_string();
+    let directory = SocketDirectory::open().map_err(ClaimError::from);
+    match directory.and_then(|directory| directory.claim(&file.name, &node, domain)) {
+        Ok(claim) => Ok(Some(claim)),
+        Err(taken @ ClaimError::Taken { .. }) => Err(taken.into()),
+        Err(ClaimError::Directory(error)) => {
+            tracing::debug!("whether another robot has the name {node} is not known: {error}");
+            Ok(None)
+        }
+    }
 }
 
 /// What `use_sim_time` sets, unless others follow the time of this robot.

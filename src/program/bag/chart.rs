@@ -7,8 +7,10 @@ use std::path::Path;
 
 use anyhow::{Context, anyhow, bail};
 use plotters::coord::Shift;
+use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use plotters::style::register_font;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 /// The family of what is written: in SVG the viewer's own, in PNG the font below.
 const FONT: &str = "sans-serif";
@@ -65,35 +67,137 @@ impl Chart {
         let times = range(all().map(|(x, _)| *x), 0.0);
         let values = range(all().map(|(_, y)| *y), 0.05);
         area.fill(&WHITE)?;
-        let mut chart = ChartBuilder::on(area)
+        let (area, legend) = area.split_horizontally(self.size.0 - self.legend_width(area)?);
+        let mut chart = ChartBuilder::on(&area)
             .caption(&self.title, (FONT, 20))
             .margin(12)
             .x_label_area_size(40)
             .y_label_area_size(80)
             .build_cartesian_2d(times.clone(), values)?;
         chart.configure_mesh().x_desc("seconds since the beginning of the bag").draw()?;
-        for (index, curve) in self.curves.iter().enumerate() {
-            let color = Palette99::pick(index).to_rgba();
-            chart
-                .draw_series(LineSeries::new([], color))?
-                .label(&curve.name)
-                .legend(move |(x, y)| PathElement::new(vec![(x, y), (x + 20, y)], color));
-            for part in drawn_parts(&curve.points, &times, self.size.0) {
+        for (curve, stroke) in self.curves.iter().zip(Stroke::all()) {
+            for part in drawn_parts(&curve.points, &times, area.dim_in_pixel().0) {
                 // A line of one point would not be seen.
-                match part[..] {
-                    [point] => chart.draw_series([Circle::new(point, 2, color.filled())])?,
-                    _ => chart.draw_series(LineSeries::new(part, color))?,
-                };
+                match (&part[..], stroke.dash) {
+                    ([point], _) => {
+                        chart.draw_series([Circle::new(*point, 2, stroke.style().filled())])?;
+                    }
+                    (_, None) => {
+                        chart.draw_series(LineSeries::new(part, stroke.style()))?;
+                    }
+                    (_, Some((dash, gap))) => {
+                        chart.draw_series(DashedLineSeries::new(part, dash, gap, stroke.style()))?;
+                    }
+                }
             }
         }
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .background_style(WHITE.mix(0.8))
-            .border_style(BLACK)
-            .draw()?;
+        self.draw_legend(&legend)?;
         area.present()?;
         Ok(())
+    }
+
+    /// Beside the data, in as many columns as it takes.
+    fn draw_legend<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> anyhow::Result<()>
+    where
+        B::ErrorType: 'static,
+    {
+        let rows = self.legend_rows();
+        let width = area.dim_in_pixel().0 / self.curves.len().div_ceil(rows).max(1) as u32;
+        for (index, (curve, stroke)) in self.curves.iter().zip(Stroke::all()).enumerate() {
+            let (column, row) = (index / rows, index % rows);
+            let (x, y) = (column as i32 * width as i32, LEGEND_TOP + row as i32 * LEGEND_LINE);
+            let sample = vec![(x, y), (x + LEGEND_SAMPLE, y)];
+            match stroke.dash {
+                None => area.draw(&PathElement::new(sample, stroke.style()))?,
+                Some((dash, gap)) => area.draw(&DashedPathElement::new(sample, dash, gap, stroke.style()))?,
+            }
+            let room = width.saturating_sub(LEGEND_SAMPLE as u32 + 2 * LEGEND_GAP as u32);
+            let text = fitting(&curve.name, room, |text| text_width(area, text))?;
+            let anchor = Pos::new(HPos::Left, VPos::Center);
+            let style = (FONT, LEGEND_FONT).into_text_style(area).pos(anchor);
+            area.draw(&Text::new(text, (x + LEGEND_SAMPLE + LEGEND_GAP, y), style))?;
+        }
+        Ok(())
+    }
+
+    fn legend_rows(&self) -> usize {
+        let room = i64::from(self.size.1) - i64::from(LEGEND_TOP);
+        usize::try_from(room / i64::from(LEGEND_LINE)).unwrap_or(0).max(1)
+    }
+
+    /// At most half of the picture.
+    fn legend_width<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> anyhow::Result<u32>
+    where
+        B::ErrorType: 'static,
+    {
+        let mut widest = 0;
+        for curve in &self.curves {
+            widest = widest.max(text_width(area, &curve.name)?);
+        }
+        let columns = self.curves.len().div_ceil(self.legend_rows()).max(1) as u32;
+        let column = widest + LEGEND_SAMPLE as u32 + 2 * LEGEND_GAP as u32;
+        Ok((columns * column).min(self.size.0 / 2))
+    }
+}
+
+/// Pixels of the legend: above its first line, from one line to the next, of a line that is shown, beside it.
+const LEGEND_TOP: i32 = 24;
+const LEGEND_LINE: i32 = 18;
+const LEGEND_SAMPLE: i32 = 30;
+const LEGEND_GAP: i32 = 8;
+const LEGEND_FONT: i32 = 14;
+
+fn text_width<B: DrawingBackend>(area: &DrawingArea<B, Shift>, text: &str) -> anyhow::Result<u32>
+where
+    B::ErrorType: 'static,
+{
+    let style = (FONT, LEGEND_FONT).into_text_style(area);
+    Ok(area.estimate_text_size(text, &style)?.0)
+}
+
+/// The text, or its two ends where it is wider than `room`: they tell more of a field than its middle.
+fn fitting(text: &str, room: u32, width: impl Fn(&str) -> anyhow::Result<u32>) -> anyhow::Result<String> {
+    let characters: Vec<_> = text.chars().collect();
+    let mut kept = characters.len();
+    let mut fitting = text.to_owned();
+    while kept > 2 && width(&fitting)? > room {
+        kept -= 1;
+        let (front, back) = (kept / 2, kept - kept / 2);
+        let ends = [&characters[..front], &['…'], &characters[characters.len() - back..]];
+        fitting = ends.concat().into_iter().collect();
+    }
+    Ok(fitting)
+}
+
+/// How a curve is drawn.
+#[derive(Clone, Copy)]
+struct Stroke {
+    color: RGBColor,
+    /// Pixels of a dash and of the gap behind it.
+    dash: Option<(u32, u32)>,
+}
+
+impl Stroke {
+    /// As many as can be told apart: the colours that Okabe and Ito chose for all kinds of eyes, without the yellow, which is pale
+    /// on white; solid, then dashed.
+    fn all() -> impl Iterator<Item = Self> {
+        const COLORS: [RGBColor; 7] = [
+            RGBColor(0, 114, 178),
+            RGBColor(213, 94, 0),
+            RGBColor(0, 158, 115),
+            RGBColor(204, 121, 167),
+            RGBColor(0, 0, 0),
+            RGBColor(230, 159, 0),
+            RGBColor(86, 180, 233),
+        ];
+        const DASHES: [Option<(u32, u32)>; 6] =
+            [None, Some((8, 4)), Some((2, 4)), Some((16, 4)), Some((4, 8)), Some((12, 12))];
+        let dashes = DASHES.into_iter().cycle();
+        dashes.flat_map(|dash| COLORS.into_iter().map(move |color| Self { color, dash }))
+    }
+
+    fn style(self) -> ShapeStyle {
+        self.color.stroke_width(2)
     }
 }
 
@@ -142,6 +246,7 @@ fn extremes(points: &[(f64, f64)]) -> impl Iterator<Item = (f64, f64)> + use<> {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use super::*;
 
     #[test]
@@ -155,6 +260,21 @@ mod tests {
         assert!(parts.iter().map(Vec::len).sum::<usize>() <= 204, "{parts:?}");
         assert!(parts[0].contains(&(1.234, 5.0)) && parts[1].contains(&(7.0, -3.0)));
         assert!(parts.iter().flatten().is_sorted_by_key(|(time, _)| *time));
+    }
+
+    #[test]
+    fn a_legend_shortens_texts_in_the_middle() {
+        let width = |text: &str| Ok(text.chars().count() as u32);
+        assert_eq!(fitting("position[head_tilt]", 19, width).unwrap(), "position[head_tilt]");
+        assert_eq!(fitting("position[head_tilt]", 11, width).unwrap(), "posit…tilt]");
+        assert_eq!(fitting("abc", 0, width).unwrap().chars().count(), 3);
+    }
+
+    #[test]
+    fn no_two_of_forty_curves_look_the_same() {
+        let strokes: Vec<_> = Stroke::all().take(40).map(|stroke| (stroke.color, stroke.dash)).collect();
+        let distinct = strokes.iter().enumerate().all(|(n, stroke)| !strokes[..n].contains(stroke));
+        assert!(distinct);
     }
 
     #[test]

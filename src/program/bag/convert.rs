@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use crate::bags::{Copy, Reader};
 use clap::Args;
 
+use super::carried::carried_over;
+use super::open;
 use super::output::{OutputArguments, write};
 use super::select::TopicArguments;
-use super::{custom_data, open};
 
 #[derive(Args)]
 pub(crate) struct ConvertArguments {
@@ -26,6 +27,6 @@ pub(crate) fn convert(arguments: &ConvertArguments) -> anyhow::Result<()> {
     arguments.topics.check(bags.iter().flat_map(Reader::topics).map(|topic| &topic.info))?;
     let copy = Copy::of(&bags, |topic| filter.is_wanted(topic))?;
     let OutputArguments { output, layout } = &arguments.output;
-    write(copy, custom_data(&bags), output, layout)?;
-    Ok(())
+    let copied = write(copy, &bags, output, layout)?;
+    carried_over(&bags, copied.unreadable.len())
 }

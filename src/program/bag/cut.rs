@@ -8,9 +8,10 @@ use crate::duration::parse as duration;
 use anyhow::bail;
 use clap::Args;
 
+use super::carried::carried_over;
+use super::open;
 use super::output::{OutputArguments, write};
 use super::select::TopicArguments;
-use super::{custom_data, open};
 
 #[derive(Args)]
 pub(crate) struct CutArguments {
@@ -88,8 +89,8 @@ pub(crate) fn cut(arguments: &CutArguments) -> anyhow::Result<()> {
     if !arguments.no_latched {
         copy = copy.keep_latched();
     }
-    write(copy, custom_data(&bags), &arguments.output.output, &arguments.output.layout)?;
-    Ok(())
+    let copied = write(copy, &bags, &arguments.output.output, &arguments.output.layout)?;
+    carried_over(&bags, copied.unreadable.len())
 }
 
 #[cfg(test)]

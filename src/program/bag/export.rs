@@ -8,14 +8,17 @@ use std::path::{Path, PathBuf};
 
 use crate::bags::TopicId;
 use crate::bridge::edge::Interfaces;
+use crate::msgs::printable;
 use crate::robot::Catalog;
 use crate::table::{Cell, Decoder};
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 
+use super::carried::carried_over;
 use super::open;
 use super::select::TopicArguments;
-use super::source::Source;
+use super::source::{Done, Source};
+use crate::program::new_output::{Force, Output};
 use crate::program::not_built;
 
 #[derive(Args)]
@@ -25,6 +28,8 @@ pub(crate) struct ExportArguments {
     /// The new directory, in which each topic gets a file.
     #[arg(long, short, value_name = "DIR")]
     pub(crate) output: PathBuf,
+    #[command(flatten)]
+    pub(crate) force: Force,
     /// What the files are.
     #[arg(long, short, value_enum, default_value_t = Format::Csv)]
     pub(crate) format: Format,
@@ -61,25 +66,31 @@ pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::
         return not_built("tables", "without it there are csv and jsonl");
     }
     let output = &arguments.output;
+    arguments.force.make_way(Output::Tables, output, [bag.path()])?;
     std::fs::create_dir(output).with_context(|| format!("cannot make the directory {}", output.display()))?;
     let topics = bag.topics().iter().enumerate();
     let wanted: Vec<_> = topics.filter(|(_, topic)| filter.is_wanted(&topic.info)).collect();
     let mut taken = BTreeSet::new();
+    let (mut unreadable, mut left_out) = (0, 0);
     for (index, topic) in wanted {
         let Some(id) = TopicId::at(index) else { continue };
         let stem = file_stem(&topic.info.name, &mut taken);
         let file = output.join(format!("{stem}.{}", arguments.format.extension()));
-        let source = Source::new(&bag, id);
+        let (source, name) = (Source::new(&bag, id), printable(&topic.info.name));
         let told = match arguments.format {
             Format::Csv => write_csv(&source, interfaces, &file),
             Format::Jsonl => write_jsonl(&source, interfaces, &file),
             Format::Parquet => write_parquet(&source, interfaces, &file),
         };
         match told {
-            Ok(messages) => println!("{}: {messages} messages in {}", topic.info.name, file.display()),
+            Ok(done) => {
+                unreadable += done.unreadable;
+                println!("{name}: {} messages in {}", done.messages, printable(&file.to_string_lossy()));
+            }
             // The others are of use all the same.
             Err(error) => {
-                tracing::warn!("{} is left out: {error:#}", topic.info.name);
+                left_out += 1;
+                tracing::warn!("{name} is left out: {error:#}");
                 // It may not have come to be.
                 let _ = std::fs::remove_file(&file);
             }
@@ -87,6 +98,12 @@ pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::
     }
     if std::fs::read_dir(output)?.next().is_none() {
         bail!("nothing was exported");
+    }
+    carried_over(&[bag], unreadable)?;
+    if left_out > 0 {
+        bail!(
+            "not all was carried over: {left_out} topics are left out, see above; --exclude-topics leaves them out without an error"
+        );
     }
     Ok(())
 }
@@ -103,41 +120,41 @@ fn file_stem(topic: &str, taken: &mut BTreeSet<String>) -> String {
 /// When a message was received and when published, in nanoseconds since the epoch: the first columns.
 const TIMES: [&str; 2] = ["log_time", "publish_time"];
 
-fn write_csv(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyhow::Result<u64> {
+fn write_csv(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyhow::Result<Done> {
     let decoder = Decoder::of(source.topic, interfaces)?;
     let columns = source.columns(&decoder)?;
     let mut writer = csv::Writer::from_path(path)?;
     let names = columns.iter().map(|column| column.name.as_str());
     writer.write_record(TIMES.into_iter().chain(names))?;
     let rows = |data| Ok(columns.row(&decoder.decode(data)?));
-    let messages = source.each("writing", rows, |times, row| {
+    let done = source.each("writing", rows, |times, row| {
         let times = times.map(|time| time.to_string());
         Ok(writer.write_record(times.into_iter().chain(row.iter().map(Cell::to_text)))?)
     })?;
     writer.flush()?;
-    Ok(messages)
+    Ok(done)
 }
 
 #[cfg(not(feature = "tables"))]
-fn write_parquet(_: &Source<'_>, _: &Interfaces, _: &Path) -> anyhow::Result<u64> {
+fn write_parquet(_: &Source<'_>, _: &Interfaces, _: &Path) -> anyhow::Result<Done> {
     not_built("tables", "")
 }
 
 #[cfg(feature = "tables")]
-fn write_parquet(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyhow::Result<u64> {
+fn write_parquet(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyhow::Result<Done> {
     let decoder = Decoder::of(source.topic, interfaces)?;
     let columns = source.columns(&decoder)?;
     let mut table = crate::table::ParquetTable::create(path, TIMES, &columns)?;
     let rows = |data| Ok(columns.row(&decoder.decode(data)?));
-    let messages = source.each("writing", rows, |times, row| Ok(table.push(times, row)?))?;
+    let done = source.each("writing", rows, |times, row| Ok(table.push(times, row)?))?;
     table.finish()?;
-    Ok(messages)
+    Ok(done)
 }
 
-fn write_jsonl(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyhow::Result<u64> {
+fn write_jsonl(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyhow::Result<Done> {
     let decoder = Decoder::of(source.topic, interfaces)?;
     let mut writer = BufWriter::new(File::create(path)?);
-    let messages = source.each(
+    let done = source.each(
         "writing",
         |data| decoder.to_json(data),
         |times, json| {
@@ -150,7 +167,7 @@ fn write_jsonl(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> any
         },
     )?;
     writer.flush()?;
-    Ok(messages)
+    Ok(done)
 }
 
 #[cfg(test)]

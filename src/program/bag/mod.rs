@@ -1,5 +1,6 @@
 //! `downbeat bag`, one file for each command.
 
+mod carried;
 #[cfg(feature = "plots")]
 mod chart;
 pub(super) mod check;

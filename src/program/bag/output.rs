@@ -4,11 +4,13 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use crate::bags::{
-    Compression, Copied, Copy, SplitLimits, Storage, StorageError, StorageOptions, WriterOptions,
+    Compression, Copied, Copy, Reader, SplitLimits, Storage, StorageError, StorageOptions, WriterOptions,
 };
 use clap::{Args, ValueEnum};
 
+use super::custom_data;
 use super::progress::Progress;
+use crate::program::new_output::{Force, Output};
 
 /// How a new bag is written.
 #[derive(Args)]
@@ -20,9 +22,11 @@ pub(crate) struct OutputArguments {
     pub(crate) layout: LayoutArguments,
 }
 
-/// How its files are laid out.
+/// How its files are laid out, and whether they may replace others.
 #[derive(Args)]
 pub(crate) struct LayoutArguments {
+    #[command(flatten)]
+    force: Force,
     /// The storage: mcap or, where built with --features sqlite, sqlite3, which has no place for publish times.
     #[arg(short, long, default_value_t = Storage::Mcap, value_name = "STORAGE")]
     storage: Storage,
@@ -75,15 +79,16 @@ impl From<CompressionChoice> for Compression {
     }
 }
 
-/// Writes the copy into a new bag, with what the bags noted of themselves, and tells what is in it.
+/// Writes the copy of `bags` into a new bag, with what they noted of themselves, and tells what is in it.
 pub(crate) fn write(
     copy: Copy<'_>,
-    custom_data: impl Iterator<Item = (String, String)>,
+    bags: &[Reader],
     directory: &Path,
     layout: &LayoutArguments,
 ) -> anyhow::Result<Copied> {
-    let options =
-        custom_data.fold(layout.writer_options()?, |options, (key, value)| options.custom_data(key, value));
+    layout.force.make_way(Output::Bag, directory, bags.iter().map(Reader::path))?;
+    let options = custom_data(bags)
+        .fold(layout.writer_options()?, |options, (key, value)| options.custom_data(key, value));
     let mut progress = Progress::new("writing", copy.message_count());
     let copied = copy.into_writer(options.create(directory)?, |written| progress.at(written))?;
     drop(progress);

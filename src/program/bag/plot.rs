@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use crate::bags::Reader;
 use crate::bridge::edge::Interfaces;
+use crate::msgs::printable;
 use crate::robot::Catalog;
 use crate::table::{Cell, Column, ColumnKind, Decoder};
 use anyhow::{Context, bail};
@@ -13,6 +14,7 @@ use super::chart::{Chart, Curve};
 use super::open;
 use super::select::absolute;
 use super::source::Source;
+use crate::program::new_output::{Force, Output};
 
 /// More than can be told apart.
 const MOST_CURVES: usize = 40;
@@ -21,13 +23,15 @@ const MOST_CURVES: usize = 40;
 pub(crate) struct PlotArguments {
     /// A rosbag2 directory or a single file.
     pub(crate) bag: PathBuf,
-    /// What to plot over time: "joint_states:position[3]"; of an array or a message all numbers in it:
-    /// "joint_states:position", "imu/data_raw:angular_velocity".
+    /// What to plot over time: "joint_states:position[3]", or by the name beside it "joint_states:position[head_tilt]"; of an
+    /// array or a message all numbers in it: "joint_states:position", "imu/data_raw:angular_velocity".
     #[arg(required = true, value_name = "TOPIC:FIELD", value_parser = Wanted::parse)]
     pub(crate) fields: Vec<Wanted>,
     /// The new file: .svg or .png.
     #[arg(long, short, value_name = "FILE")]
     pub(crate) output: PathBuf,
+    #[command(flatten)]
+    pub(crate) force: Force,
     /// Width and height in pixels.
     #[arg(long, default_value = "1200x600", value_name = "WxH", value_parser = size)]
     pub(crate) size: (u32, u32),
@@ -53,15 +57,16 @@ impl Wanted {
         }
     }
 
-    /// Whether the column is the field, or in it.
-    fn holds(&self, column: &Column) -> bool {
-        let below = column.name.strip_prefix(&self.path);
+    /// Whether the path is the field, or in it.
+    fn holds(&self, path: &str) -> bool {
+        let below = path.strip_prefix(&self.path);
         below.is_some_and(|below| below.is_empty() || below.starts_with(['.', '[']))
     }
 }
 
 pub(crate) fn plot(arguments: &PlotArguments, catalog: &Catalog) -> anyhow::Result<()> {
     let bag = open(&arguments.bag)?;
+    arguments.force.make_way(Output::File, &arguments.output, [])?;
     let mut curves = Vec::new();
     for wanted in &arguments.fields {
         curves.extend(curves_of(&bag, wanted, &catalog.interfaces)?);
@@ -83,36 +88,119 @@ pub(crate) fn plot(arguments: &PlotArguments, catalog: &Catalog) -> anyhow::Resu
 
 fn curves_of(bag: &Reader, wanted: &Wanted, interfaces: &Interfaces) -> anyhow::Result<Vec<Curve>> {
     let Wanted { topic: name, path } = wanted;
-    let known = || bag.topics().iter().map(|topic| topic.info.name.as_str()).collect::<Vec<_>>().join(", ");
+    let known =
+        || bag.topics().iter().map(|topic| printable(&topic.info.name)).collect::<Vec<_>>().join(", ");
     let id = bag.topic(name).with_context(|| format!("the bag has no topic {name}; it has {}", known()))?;
     let source = Source::new(bag, id);
     let decoder = Decoder::of(source.topic, interfaces)?;
     let columns = source.columns(&decoder)?;
     let is_number = |kind| !matches!(kind, ColumnKind::Text | ColumnKind::Bytes);
-    let chosen: Vec<_> = columns.iter().enumerate().filter(|(_, column)| wanted.holds(column)).collect();
-    let mut curves: Vec<(usize, Curve)> = chosen
-        .iter()
-        .filter(|(_, column)| is_number(column.kind))
-        .map(|(index, column)| {
-            (*index, Curve { name: format!("{name}:{}", column.name), points: Vec::new() })
-        })
+    let all: Vec<_> = columns.iter().collect();
+    let is_by_number = all.iter().any(|column| wanted.holds(&column.name));
+    let numbers = all.iter().enumerate().filter(|(_, column)| is_number(column.kind));
+    let mut chosen: Vec<_> = numbers
+        .map(|(index, column)| Chosen { index, element: Named::of(&column.name, &all), curve: None })
+        // By the name of an element it is known only when a message is read.
+        .filter(|chosen| wanted.holds(&all[chosen.index].name) || (!is_by_number && chosen.element.is_some()))
         .collect();
-    if curves.is_empty() {
-        let numbers = columns.iter().filter(|column| is_number(column.kind));
-        let numbers: Vec<_> = numbers.map(|column| column.name.as_str()).collect();
-        bail!("{name} has no number at {path}; it has {}", numbers.join(", "));
-    }
     let start = bag.start_time().unwrap_or(0);
+    let mut curves: Vec<Curve> = Vec::new();
     // Only numbers are kept: images are large.
     let rows = |data| Ok(columns.row(&decoder.decode(data)?));
     source.each("reading", rows, |[time, _], row| {
         let seconds = time.saturating_sub(start) as f64 / 1e9;
-        for (index, curve) in &mut curves {
-            curve.points.extend(number(&row[*index]).map(|value| (seconds, value)));
+        for chosen in &mut chosen {
+            let Some(value) = number(&row[chosen.index]) else { continue };
+            let element = chosen.element.as_ref().and_then(|element| element.name_in(&row));
+            let is_known = chosen.curve.as_ref().is_some_and(|(of, _)| of.as_deref() == element);
+            if !is_known {
+                let path = match (&chosen.element, element) {
+                    // Who asks for a number sees it.
+                    (Some(named), Some(element))
+                        if wanted.path.len() > named.before.len() && is_by_number =>
+                    {
+                        format!("{} {element}", all[chosen.index].name)
+                    }
+                    (Some(named), Some(element)) => named.path(element),
+                    _ => all[chosen.index].name.clone(),
+                };
+                if !is_by_number && !wanted.holds(&path) {
+                    continue;
+                }
+                let name = printable(&format!("{name}:{path}")).into_owned();
+                let index = curves.iter().position(|curve| curve.name == name).unwrap_or_else(|| {
+                    curves.push(Curve { name, points: Vec::new() });
+                    curves.len() - 1
+                });
+                chosen.curve = Some((element.map(str::to_owned), index));
+            }
+            if let Some((_, curve)) = &chosen.curve {
+                curves[*curve].points.push((seconds, value));
+            }
         }
         Ok(())
     })?;
-    Ok(curves.into_iter().map(|(_, curve)| curve).collect())
+    if curves.is_empty() {
+        let numbers = all.iter().filter(|column| is_number(column.kind));
+        let numbers: Vec<_> = numbers.map(|column| column.name.as_str()).collect();
+        bail!("{name} has no number at {path}; it has {}", numbers.join(", "));
+    }
+    Ok(curves)
+}
+
+/// A column of numbers.
+struct Chosen<'a> {
+    index: usize,
+    element: Option<Named<'a>>,
+    /// The curve that its numbers belong to, and the name of the element for which that was found out.
+    curve: Option<(Option<String>, usize)>,
+}
+
+/// An element of an array beside which another one has its name, as in `JointState`.
+struct Named<'a> {
+    /// What stands before and behind its number: `position`, and nothing.
+    before: &'a str,
+    behind: &'a str,
+    /// The column with its name.
+    name: usize,
+}
+
+impl<'a> Named<'a> {
+    /// Arrays of names: of `JointState`, and of `JointTrajectory`, `MultiDOFJointState` and others.
+    const NAMES: [&'static str; 2] = ["name", "joint_names"];
+
+    fn of(column: &'a str, all: &[&Column]) -> Option<Self> {
+        let (before, rest) = column.rsplit_once('[')?;
+        let (number, behind) = rest.split_once(']')?;
+        let parent = before.rfind('.').map_or("", |end| &before[..=end]);
+        let length = |array: &str, behind: &str| {
+            let of_array = all.iter().filter(|column| {
+                let rest = column.name.strip_prefix(array).and_then(|rest| rest.strip_prefix('['));
+                let behind_number = rest.and_then(|rest| rest.split_once(']'));
+                behind_number.is_some_and(|(_, rest)| rest == behind)
+            });
+            of_array.count()
+        };
+        Self::NAMES.into_iter().find_map(|names| {
+            let names = format!("{parent}{names}");
+            let wanted = format!("{names}[{number}]");
+            let is_it = |column: &&Column| column.name == wanted && column.kind == ColumnKind::Text;
+            let name = all.iter().position(is_it)?;
+            (length(&names, "") == length(before, behind)).then_some(Self { before, behind, name })
+        })
+    }
+
+    /// What a message calls it.
+    fn name_in<'r>(&self, row: &'r [Cell]) -> Option<&'r str> {
+        match &row[self.name] {
+            Cell::Text(name) if !name.is_empty() => Some(name),
+            _ => None,
+        }
+    }
+
+    fn path(&self, element: &str) -> String {
+        format!("{}[{element}]{}", self.before, self.behind)
+    }
 }
 
 fn number(cell: &Cell) -> Option<f64> {

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use crate::bags::{Copy, Reader};
 use clap::Args;
 
-use super::custom_data;
 use super::output::{LayoutArguments, write};
 
 #[derive(Args)]
@@ -29,7 +28,7 @@ pub(crate) fn repair(arguments: &RepairArguments) -> anyhow::Result<()> {
         println!("no file is cut off");
     }
     let output = arguments.output.clone().unwrap_or_else(|| beside(&arguments.bag));
-    write(Copy::of(&bags, |_| true)?, custom_data(&bags), &output, &arguments.layout)?;
+    write(Copy::of(&bags, |_| true)?, &bags, &output, &arguments.layout)?;
     Ok(())
 }
 

@@ -1,6 +1,7 @@
 //! Which topics of a bag are meant: the options of `ros2 bag play`.
 
 use crate::bags::TopicInfo;
+use crate::msgs::printable;
 use anyhow::Context;
 use clap::Args;
 use regex_lite::Regex;
@@ -62,7 +63,7 @@ impl TopicArguments {
     ) -> anyhow::Result<()> {
         for name in names(&self.topics, &self.services) {
             if !topics.clone().any(|topic| topic.name == name) {
-                let known: Vec<_> = topics.map(|topic| topic.name.as_str()).collect();
+                let known: Vec<_> = topics.map(|topic| printable(&topic.name)).collect();
                 anyhow::bail!("the bag has no topic {name}; it has {}", known.join(", "));
             }
         }

@@ -13,6 +13,13 @@ pub(super) struct Source<'a> {
     pub(super) topic: &'a RecordedTopic,
 }
 
+/// What became of the messages.
+pub(super) struct Done {
+    pub(super) messages: u64,
+    /// Messages, and parts of the bag.
+    pub(super) unreadable: usize,
+}
+
 impl<'a> Source<'a> {
     pub(super) fn new(bag: &'a Reader, id: TopicId) -> Self {
         Self { bag, id, topic: &bag.topics()[id.index()] }
@@ -29,20 +36,21 @@ impl<'a> Source<'a> {
         Ok(survey.columns())
     }
 
-    /// Does something with the times and the content of each message. What cannot be read is told and left out.
+    /// Does something with the times and the content of each message. What cannot be read is told, left out, and counted.
     pub(super) fn each<T>(
         &self,
         doing: &'static str,
         decode: impl Fn(Bytes) -> Result<T, DecodeError>,
         mut act: impl FnMut([i64; 2], T) -> anyhow::Result<()>,
-    ) -> anyhow::Result<u64> {
+    ) -> anyhow::Result<Done> {
         let mut progress = Progress::new(doing, self.topic.message_count);
-        let (mut seen, mut done, mut broken) = (0, 0, 0_u64);
+        let (mut seen, mut done, mut broken, mut damaged) = (0, 0, 0_usize, 0);
         for message in self.bag.messages(Selection::all().topics([self.id]))? {
             let message = match message {
                 Ok(message) => message,
                 Err(error) => {
                     tracing::warn!("{error}");
+                    damaged += 1;
                     continue;
                 }
             };
@@ -63,6 +71,6 @@ impl<'a> Source<'a> {
         if broken > 1 {
             tracing::warn!("{}: {broken} messages cannot be read", self.topic.info.name);
         }
-        Ok(done)
+        Ok(Done { messages: done, unreadable: broken + damaged })
     }
 }

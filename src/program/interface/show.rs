@@ -28,7 +28,7 @@ pub(super) fn show(arguments: &ShowArguments, registered: &Registered) -> anyhow
         if arguments.types.all {
             println!("{}\n{name}", "=".repeat(80));
         }
-        Text { interfaces: &interfaces, comments, path: Vec::new() }.print(name)?;
+        Text { interfaces: &interfaces, comments, path: Vec::new(), lines: 0 }.print(name)?;
     }
     Ok(())
 }
@@ -46,7 +46,13 @@ struct Text<'a> {
     comments: Comments,
     /// From the type asked for to the one whose lines are printed.
     path: Vec<TypeName>,
+    /// How many there were so far, with those that are not shown.
+    lines: usize,
 }
+
+/// What nobody reads to its end: types that have each other twice double with each step.
+const MOST_LINES: usize = 100_000;
+const DEEPEST: usize = 100;
 
 impl Text<'_> {
     fn print(&mut self, name: &TypeName) -> anyhow::Result<()> {
@@ -55,9 +61,16 @@ impl Text<'_> {
             let path = self.path.iter().map(TypeName::to_string).collect::<Vec<_>>().join(" -> ");
             bail!("{name} contains itself: {path} -> {name}");
         }
+        if self.path.len() == DEEPEST {
+            bail!("{} is nested deeper than {DEEPEST} types; --json shows each type once", self.path[0]);
+        }
         self.path.push(name.clone());
         let definition = self.interfaces.find(name)?;
         for line in source_text::lines(definition) {
+            self.lines += 1;
+            if self.lines > MOST_LINES {
+                bail!("{} has more than {MOST_LINES} lines; --json shows each type once", self.path[0]);
+            }
             self.print_line(&line.text);
             if let Some(message) = line.message {
                 self.print(&message)?;

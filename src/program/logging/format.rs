@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use crate::bridge::rosout::LogLine;
+use crate::msgs::{printable, write_printable_lines};
 use chrono::{Local, TimeZone};
 
 /// What ROS 2 uses unless told otherwise.
@@ -90,8 +91,8 @@ impl Token {
             (line.time_ns.div_euclid(1_000_000_000), line.time_ns.rem_euclid(1_000_000_000));
         match self {
             Self::Severity => text.write_str(line.severity.name()),
-            Self::Name => text.write_str(logger),
-            Self::Message => text.write_str(&line.message),
+            Self::Name => text.write_str(&printable(logger)),
+            Self::Message => write_message(&line.message, text),
             Self::FunctionName => text.write_str(line.function),
             Self::FileName => text.write_str(line.file),
             Self::LineNumber => write!(text, "{}", line.line),
@@ -103,6 +104,18 @@ impl Token {
             }
         }
     }
+}
+
+/// What is in a message may come from the network or a bag: control characters are escaped, and further lines indented, so that
+/// none looks like a line of the log.
+fn write_message(message: &str, text: &mut String) -> std::fmt::Result {
+    for (number, line) in message.split('\n').enumerate() {
+        if number > 0 {
+            text.push_str("\n    ");
+        }
+        write_printable_lines(text, line)?;
+    }
+    Ok(())
 }
 
 /// `\a`, `\b`, `\n`, `\r`, `\t` and `\x1b` become what they stand for; another character behind a backslash stays, with it.

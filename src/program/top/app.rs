@@ -115,14 +115,14 @@ impl App {
     }
 
     pub(crate) fn draw(&self, frame: &mut Frame<'_>) {
+        let lines = summary(&self.robot, &self.earlier, &self.later, usize::from(frame.area().width));
         let [head, tabs, table, keys] = Layout::vertical([
-            Constraint::Length(3),
+            Constraint::Length(lines.len() as u16),
             Constraint::Length(1),
             Constraint::Min(1),
             Constraint::Length(1),
         ])
         .areas(frame.area());
-        let lines = summary(&self.robot, &self.earlier, &self.later);
         frame.render_widget(Text::from_iter(lines.into_iter().map(Line::from)), head);
         let titles =
             [format!("modules {}", self.later.modules.len()), format!("topics {}", self.later.topics.len())];
@@ -136,7 +136,7 @@ impl App {
     }
 
     fn draw_table(&self, frame: &mut Frame<'_>, area: Rect) {
-        let grid = self.grid();
+        let grid = self.grid().fitting(usize::from(area.width));
         let alignment = |column| if grid.is_left(column) { Alignment::Left } else { Alignment::Right };
         let cell =
             |(column, text): (usize, String)| Cell::from(Text::from(text).alignment(alignment(column)));
@@ -148,7 +148,8 @@ impl App {
             .iter()
             .skip(self.scrolled)
             .map(|row| Row::new(row.iter().cloned().enumerate().map(cell).collect::<Vec<_>>()));
-        let table = Table::new(rows.collect::<Vec<_>>(), widths).header(header).column_spacing(2);
+        let table =
+            Table::new(rows.collect::<Vec<_>>(), widths).header(header).column_spacing(Grid::SPACING as u16);
         frame.render_widget(table, area);
     }
 
@@ -204,7 +205,7 @@ mod tests {
     fn the_screen_shows_the_cycles_the_modules_and_the_keys() {
         let screen = screen(&app(), 130, 10);
         let expected_tables = Grid::of_modules(&snapshot(10), &snapshot(12), Sort::Order);
-        assert_eq!(screen[..3], summary("darwin_op (process 7)", &snapshot(10), &snapshot(12)));
+        assert_eq!(screen[..3], summary("darwin_op (process 7)", &snapshot(10), &snapshot(12), 130));
         assert!(screen[3].contains("modules 3") && screen[3].contains("topics 2"), "{screen:#?}");
         assert_eq!(screen[4..8], expected_tables.lines().collect::<Vec<_>>());
         assert_eq!(screen[9], "q quit  tab table  s sort: order  p pause  ↑↓ scroll");
@@ -237,6 +238,34 @@ mod tests {
         assert_eq!(press(&mut app, KeyCode::Char('p')), Some(Action::Resume));
         let interrupt = KeyEvent::new(KeyCode::Char('c'), KeyModifiers::CONTROL);
         assert_eq!(app.press(interrupt), Some(Action::Quit));
+    }
+
+    #[test]
+    fn a_narrow_terminal_shows_fewer_columns_and_every_figure_whole() {
+        for width in [60, 80, 100] {
+            let mut app = app();
+            for _ in 0..2 {
+                let screen = screen(&app, width, 14);
+                let head = screen.iter().position(|line| line.contains("modules 3")).unwrap();
+                let whole = summary("darwin_op (process 7)", &snapshot(10), &snapshot(12), usize::MAX);
+                assert_eq!(screen[..head].join("   "), whole.join("   "));
+                let grid = app.grid();
+                let shown: Vec<_> =
+                    screen[head + 1].split("  ").filter(|heading| !heading.is_empty()).collect();
+                let is_all = shown.len() == grid.headings.len();
+                assert!(shown.len() > 2 && (!is_all || app.tab == Tab::Topics), "{screen:#?}");
+                for (row, line) in grid.rows.iter().zip(&screen[head + 2..]) {
+                    let whole: Vec<_> = (0..row.len())
+                        .filter(|column| shown.iter().any(|shown| shown.trim() == grid.headings[*column]))
+                        .map(|column| row[column].as_str())
+                        .collect();
+                    let cells: Vec<_> =
+                        line.split("  ").map(str::trim).filter(|cell| !cell.is_empty()).collect();
+                    assert_eq!(cells, whole, "{screen:#?}");
+                }
+                press(&mut app, KeyCode::Tab);
+            }
+        }
     }
 
     #[test]

@@ -6,12 +6,14 @@ use std::time::Duration;
 
 use crate::executor::{ModuleStatistics, Snapshot, TimeStatistics, TopicStatistics};
 
+use crate::msgs::printable;
 use crate::program::statistics::short;
+use crate::program::wrap::{length, wrap};
 
 /// Headings and rows. The first column is text, the others are numbers unless [`Grid::LEFT`] names them.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Grid {
-    pub(crate) headings: &'static [&'static str],
+    pub(crate) headings: Vec<&'static str>,
     pub(crate) rows: Vec<Vec<String>>,
 }
 
@@ -68,7 +70,7 @@ impl Grid {
             let rate = |now: u64, then: u64| rate(now.saturating_sub(then) as f64 / seconds);
             let detached = if module.is_detached { " detached" } else { "" };
             let mut cells = vec![
-                module.name.clone(),
+                printable(&module.name).into_owned(),
                 format!("{}{detached}", module.state),
                 rate(module.runs, before.runs),
             ];
@@ -84,7 +86,7 @@ impl Grid {
             cells.extend(counts);
             cells
         };
-        let headings = &[
+        let headings = vec![
             "MODULE", "STATE", "RUNS/S", "P50", "P99", "MAX", "CORE", "IN/S", "OUT/S", "INBOX", "DROPS",
             "OVERRUNS", "PANICS",
         ];
@@ -112,20 +114,63 @@ impl Grid {
                 |last| short(later.time.saturating_since(crate::executor::Time::from_nanos(last))),
             );
             let counts = [messages, subscribers, dropped, last_batch, largest_batch];
-            let mut cells = vec![topic.name.clone(), rate(messages_per_second)];
+            let mut cells = vec![printable(&topic.name).into_owned(), rate(messages_per_second)];
             cells.extend(counts.map(u64::to_string));
             cells.push(age);
             cells
         };
         let headings =
-            &["TOPIC", "MESSAGES/S", "MESSAGES", "SUBSCRIBERS", "DROPS", "LAST BATCH", "LARGEST", "AGE"];
+            vec!["TOPIC", "MESSAGES/S", "MESSAGES", "SUBSCRIBERS", "DROPS", "LAST BATCH", "LARGEST", "AGE"];
         Self { headings, rows: rows.into_iter().map(cells).collect() }
+    }
+
+    /// Columns of numbers in the order in which they are left out on a narrow terminal. The others stay: the busiest module
+    /// and the losses are what one looks for.
+    const DISPENSABLE: [&'static str; 14] = [
+        "INBOX",
+        "MAX",
+        "LARGEST",
+        "LAST BATCH",
+        "P50",
+        "IN/S",
+        "OUT/S",
+        "SUBSCRIBERS",
+        "OVERRUNS",
+        "MESSAGES",
+        "PANICS",
+        "STATE",
+        "P99",
+        "AGE",
+    ];
+
+    /// The same rows with as many columns as fit into `width` characters: a number is shown whole or not at all.
+    pub(crate) fn fitting(mut self, width: usize) -> Self {
+        let mut dispensable = Self::DISPENSABLE.into_iter();
+        while self.width() > width
+            && let Some(heading) = dispensable.next()
+        {
+            let Some(column) = self.headings.iter().position(|other| *other == heading) else { continue };
+            self.headings.remove(column);
+            self.rows.iter_mut().for_each(|row| drop(row.remove(column)));
+        }
+        while self.width() > width && self.headings.len() > 1 {
+            self.headings.pop();
+            self.rows.iter_mut().for_each(|row| drop(row.pop()));
+        }
+        self
+    }
+
+    /// Characters between columns.
+    pub(crate) const SPACING: usize = 2;
+
+    fn width(&self) -> usize {
+        self.widths().iter().map(|width| width + Self::SPACING).sum::<usize>().saturating_sub(Self::SPACING)
     }
 
     /// How wide each column is.
     pub(crate) fn widths(&self) -> Vec<usize> {
         let width = |column: usize| {
-            let cells = self.rows.iter().map(|row| row[column].chars().count());
+            let cells = self.rows.iter().map(|row| length(&row[column]));
             cells.chain([self.headings[column].len()]).max().unwrap_or(0)
         };
         (0..self.headings.len()).map(width).collect()
@@ -144,13 +189,13 @@ impl Grid {
             let cells = row.iter().zip(&widths).enumerate().map(|(column, (cell, &width))| {
                 if self.is_left(column) { format!("{cell:<width$}") } else { format!("{cell:>width$}") }
             });
-            cells.collect::<Vec<_>>().join("  ").trim_end().to_owned()
+            cells.collect::<Vec<_>>().join(&" ".repeat(Self::SPACING)).trim_end().to_owned()
         })
     }
 }
 
-/// What is known of the cycles, in three lines.
-pub(crate) fn summary(robot: &str, earlier: &Snapshot, later: &Snapshot) -> Vec<String> {
+/// What is known of the cycles: three lines, or more where they would be longer than `width` characters.
+pub(crate) fn summary(robot: &str, earlier: &Snapshot, later: &Snapshot, width: usize) -> Vec<String> {
     let seconds = seconds_between(earlier, later);
     let cycles_per_second = rate(later.cycle.saturating_sub(earlier.cycle) as f64 / seconds);
     let state = if later.is_paused { "paused" } else { "running" };
@@ -158,11 +203,17 @@ pub(crate) fn summary(robot: &str, earlier: &Snapshot, later: &Snapshot) -> Vec<
     let cycles = &later.cycles;
     let [total, process, sync, lateness] =
         [&cycles.total, &cycles.process, &cycles.sync, &cycles.lateness].map(distribution);
-    vec![
-        format!("{robot}   {state}   up {up} s   {cycles_per_second} cycles/s   {}", measured(later)),
-        format!("cycle    {total}   late {lateness}"),
-        format!("process  {process}   sync {sync}"),
-    ]
+    let first = [
+        robot.to_owned(),
+        state.to_owned(),
+        format!("up {up} s"),
+        format!("{cycles_per_second} cycles/s"),
+        measured(later),
+    ];
+    let mut lines = wrap(first, "   ", width);
+    lines.extend(wrap([format!("cycle    {total}"), format!("late {lateness}")], "   ", width));
+    lines.extend(wrap([format!("process  {process}"), format!("sync {sync}")], "   ", width));
+    lines.into_iter().map(|line| line.text).collect()
 }
 
 /// How much of the robot the times stand for, and what they cost.
@@ -334,7 +385,7 @@ pub(crate) mod tests {
 
     #[test]
     fn the_summary_tells_what_the_times_stand_for() {
-        let lines = summary("darwin_op (process 7)", &snapshot(10), &snapshot(12));
+        let lines = summary("darwin_op (process 7)", &snapshot(10), &snapshot(12), usize::MAX);
         assert_eq!(
             lines,
             [
@@ -343,7 +394,7 @@ pub(crate) mod tests {
                 "process  p50 20.0 µs  p99 40.0 µs  max 60.0 µs   sync p50 1.00 µs  p99 2.00 µs  max 3.00 µs",
             ]
         );
-        let off = summary("a", &Snapshot::default(), &Snapshot::default());
+        let off = summary("a", &Snapshot::default(), &Snapshot::default(), usize::MAX);
         assert!(off[0].ends_with("times are not measured"), "{off:?}");
     }
 

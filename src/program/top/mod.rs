@@ -33,7 +33,7 @@ pub(crate) fn top(arguments: &TopArguments) -> anyhow::Result<()> {
 /// Rates are those since the robot's start.
 fn print_once(client: &Client, snapshot: &Snapshot) {
     let start = Snapshot::default();
-    for line in summary(&client.robot().to_string(), &start, snapshot) {
+    for line in summary(&client.robot().to_string(), &start, snapshot, usize::MAX) {
         println!("{line}");
     }
     let (modules, topics) = (Grid::of_modules, Grid::of_topics);

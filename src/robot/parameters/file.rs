@@ -5,6 +5,7 @@
 
 use std::sync::Arc;
 
+use crate::msgs::yaml;
 use downbeat_executor::SettingValue;
 use serde_norway::Value;
 
@@ -26,7 +27,7 @@ pub(super) struct Parameter {
 
 /// The nodes of a file by absolute name, wildcards included, with their parameters; both in the order of the file.
 pub(super) fn nodes(source: &Arc<Source>) -> Result<Vec<(String, Vec<Parameter>)>> {
-    let root = serde_norway::from_str(source.text()).map_err(|error| {
+    let root = yaml::from_str(source.text()).map_err(|error| {
         let line = error.location().map_or(1, |location| location.line());
         source.error(line, error.to_string())
     })?;

@@ -45,7 +45,7 @@ impl RobotFile {
         let Some((name, text)) = argument.split_once(":=") else {
             return Err(self.error_at(&place, "expected module.setting:=value"));
         };
-        let value = serde_norway::from_str(text).map_err(|error| error.to_string());
+        let value = crate::msgs::yaml::from_str(text).map_err(|error| error.to_string());
         let value = value.and_then(|value| value::setting_value(&value));
         let value = value.map_err(|problem| self.error_at(&place, problem))?;
         self.set(name.trim(), value, place)

@@ -10,6 +10,7 @@ use crate::recorder::{self, Unrecorded, WhenFull};
 use crate::robot::{Catalog, RobotFile, RosArgs};
 
 use super::PlayArguments;
+use crate::program::new_output::Output;
 
 pub(super) fn play_into(
     reader: &Reader,
@@ -18,6 +19,9 @@ pub(super) fn play_into(
     catalog: &Catalog,
     ros: &RosArgs,
 ) -> anyhow::Result<()> {
+    if let Some(directory) = &arguments.record {
+        arguments.force.make_way(Output::Bag, directory, [reader.path()])?;
+    }
     let clock = ManualClock::new(playback::start_time(reader)?);
     let file = RobotFile::read_with(robot, catalog, ros)?;
     file.refuse_devices()?;

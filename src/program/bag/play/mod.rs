@@ -16,8 +16,10 @@ use crate::robot::{Catalog, RosArgs};
 use anyhow::bail;
 use clap::Args;
 
+use super::carried::carried_over;
 use super::open;
 use super::select::TopicArguments;
+use crate::program::new_output::Force;
 use crate::program::screen::Screen;
 use requests::RequestsSource;
 
@@ -104,6 +106,8 @@ pub(crate) struct PlayArguments {
     /// With --into: record what the modules publish into this new rosbag2 directory.
     #[arg(long, value_name = "DIR", requires = "into")]
     pub(crate) record: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) force: Force,
     /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers, cdr
     /// unless given.
     #[arg(long, value_name = "ENCODING", requires = "record")]
@@ -120,11 +124,12 @@ pub(crate) fn play(
     screen: &Screen,
 ) -> anyhow::Result<()> {
     let bags = arguments.bags.iter().map(|bag| open(bag)).collect::<anyhow::Result<Vec<Reader>>>()?;
-    match (&arguments.into, &bags[..]) {
-        (Some(robot), [bag]) => into::play_into(bag, robot, arguments, catalog, ros),
+    let unreadable = match (&arguments.into, &bags[..]) {
+        (Some(robot), [bag]) => into::play_into(bag, robot, arguments, catalog, ros).map(|()| 0)?,
         (Some(_), _) => bail!("one bag is played into a robot; merge them first: downbeat bag convert"),
-        (None, bags) => ros::play(bags, arguments, catalog, ros, screen),
-    }
+        (None, bags) => ros::play(bags, arguments, catalog, ros, screen)?,
+    };
+    carried_over(&bags, unreadable)
 }
 
 fn remap_rule(text: &str) -> Result<RemapRule, String> {

@@ -28,6 +28,9 @@ use crate::program::stop::Stop;
 
 /// How long publishers wait to be found at the most: samples written before that reach nobody.
 const DISCOVERY: Duration = Duration::from_secs(3);
+/// Waiting that needs no word, and how many topics it names.
+const PATIENCE: Duration = Duration::from_millis(200);
+const MOST_NAMED: usize = 3;
 /// How long at the most until a signal or a key is heeded.
 const POLL: Duration = Duration::from_millis(50);
 /// How often the line on the screen is drawn.
@@ -37,13 +40,14 @@ const RATE_STEP: f64 = 0.1;
 /// The node that `ros2 bag play` makes.
 const NODE_NAME: &str = "rosbag2_player";
 
+/// Returns how many parts of the bags could not be read.
 pub(super) fn play(
     bags: &[Reader],
     arguments: &PlayArguments,
     catalog: &Catalog,
     ros: &RosArgs,
     screen: &Screen,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<usize> {
     let overrides = match &arguments.qos_profile_overrides_path {
         Some(path) => QosOverrides::read(path)?,
         None => QosOverrides::default(),
@@ -60,10 +64,10 @@ pub(super) fn play(
     let ros = RosArgs { remaps, ..ros.clone() };
     let (_participant, node) = node(NODE_NAME, arguments.domain, catalog, &ros)?;
     let requests = arguments.publish_service_requests.then_some(arguments.service_requests_source);
-    let targets = targets(&player, &node, &overrides, requests);
+    let targets = targets(&player, &node, &overrides, requests, &stop)?;
     let clock = PublishedClock::new(&node, arguments)?;
     let controls = Controls::offer(&node)?;
-    wait_for_peers(&targets, &stop);
+    wait_for_peers(&player, &targets, &stop);
     let keyboard = (!arguments.disable_keyboard_controls).then(Keyboard::open).flatten();
     if keyboard.is_some() {
         tracing::info!(
@@ -78,6 +82,7 @@ pub(super) fn play(
         delay: arguments.delay.unwrap_or_default(),
         played: 0,
         refused: 0,
+        unreadable: 0,
         is_over: false,
     };
     stop.sleep(run.delay);
@@ -88,7 +93,7 @@ pub(super) fn play(
     run.wait_for_answers(&stop);
     run.wait_for_all_acked(arguments.wait_for_all_acked, &stop);
     println!("played {} messages; {} were refused", run.played, run.refused);
-    Ok(())
+    Ok(run.unreadable)
 }
 
 fn options(arguments: &PlayArguments) -> anyhow::Result<PlayerOptions> {
@@ -106,10 +111,26 @@ fn options(arguments: &PlayArguments) -> anyhow::Result<PlayerOptions> {
     })
 }
 
-fn wait_for_peers(targets: &[Option<Target>], stop: &Stop) {
+/// Says what it waits for: three seconds of silence look like a fault.
+fn wait_for_peers(player: &Player<'_>, targets: &[Option<Target>], stop: &Stop) {
     let started = Instant::now();
-    while !targets.iter().flatten().all(Target::is_matched) && started.elapsed() < DISCOVERY && !stop.is_due()
-    {
+    let mut is_told = false;
+    while started.elapsed() < DISCOVERY && !stop.is_due() {
+        let topics = player.topics().iter().zip(targets);
+        let is_unmatched =
+            |target: &Option<Target>| target.as_ref().is_some_and(|target| !target.is_matched());
+        let unmatched = topics.filter(|(_, target)| is_unmatched(target)).map(|(topic, _)| &*topic.info.name);
+        let unmatched: Vec<_> = unmatched.collect();
+        if unmatched.is_empty() {
+            return;
+        }
+        if !is_told && started.elapsed() >= PATIENCE {
+            is_told = true;
+            let more = unmatched.len().saturating_sub(MOST_NAMED);
+            let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+            let named = unmatched[..unmatched.len().min(MOST_NAMED)].join(", ");
+            tracing::info!("waiting up to {} s for subscribers of {named}{more}", DISCOVERY.as_secs());
+        }
         stop.sleep(POLL);
     }
 }
@@ -179,6 +200,7 @@ struct Run<'a> {
     delay: Duration,
     played: u64,
     refused: u64,
+    unreadable: usize,
     is_over: bool,
 }
 
@@ -204,6 +226,7 @@ impl Run<'_> {
                 Step::Paused => POLL,
                 Step::Failed(error) => {
                     tracing::warn!("{error}");
+                    self.unreadable += 1;
                     Duration::ZERO
                 }
                 Step::Repeats => {
@@ -312,7 +335,10 @@ impl Run<'_> {
             match self.player.play_next(self.started.elapsed()) {
                 None => return false,
                 Some(Ok(message)) => return self.publish(message),
-                Some(Err(error)) => tracing::warn!("{error}"),
+                Some(Err(error)) => {
+                    tracing::warn!("{error}");
+                    self.unreadable += 1;
+                }
             }
         }
     }

@@ -9,12 +9,17 @@ use crate::bridge::ros::{MessageType, Node, Publisher};
 use crate::encoding::RecordedType;
 use crate::msgs::qos::{Durability, QosProfile};
 use crate::ros_recorder::QosOverrides;
+use anyhow::bail;
 use bytes::Bytes;
 
 use super::requests::{Requests, RequestsSource};
+use crate::program::stop::Stop;
 
 /// How long a message waits for subscribers that lag behind, as in rmw_fastrtps (`max_blocking_time`).
 const PATIENCE: Duration = Duration::from_millis(100);
+
+/// Each takes descriptors of files from a process that has a thousand, and memory of every node in the network.
+const MOST_TOPICS: usize = 1000;
 
 /// Takes the messages of one topic.
 #[expect(clippy::large_enum_variant, reason = "there is one for each topic, not for each message")]
@@ -32,7 +37,15 @@ pub(super) fn targets(
     node: &Node,
     overrides: &QosOverrides,
     requests: Option<RequestsSource>,
-) -> Vec<Option<Target>> {
+    stop: &Stop,
+) -> anyhow::Result<Vec<Option<Target>>> {
+    let count = player.topics().len();
+    if count > MOST_TOPICS {
+        bail!(
+            "the bag has {count} topics, and at most {MOST_TOPICS} are played at a time; choose some with --topics, --regex or \
+             --exclude-regex"
+        );
+    }
     let create = |topic: &RecordedTopic| -> anyhow::Result<Target> {
         let info = &topic.info;
         if let (Some(source), Some(_)) = (requests, Requests::service(info)) {
@@ -51,7 +64,8 @@ pub(super) fn targets(
             create(topic).inspect_err(|error| tracing::warn!("{} is not played: {error:#}", topic.info.name));
         created.ok()
     };
-    player.topics().iter().map(create_or_tell).collect()
+    let topics = player.topics().iter();
+    Ok(topics.map(|topic| if stop.is_due() { None } else { create_or_tell(topic) }).collect())
 }
 
 impl Target {

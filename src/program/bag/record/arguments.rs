@@ -7,6 +7,7 @@ use std::time::Duration;
 use crate::bags::Storage;
 use crate::duration::parse as duration;
 use crate::msgs::encoding::Encoding;
+use crate::program::new_output::Force;
 use crate::robot::LogLevel;
 use clap::{Args, ValueEnum};
 use regex_lite::Regex;
@@ -20,6 +21,8 @@ pub(crate) struct RecordArguments {
     /// The new bag directory; a timestamped one in the current directory unless given.
     #[arg(short, long, value_name = "DIR")]
     pub(crate) output: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) force: Force,
     #[command(flatten)]
     pub(crate) selection: SelectionArguments,
     #[command(flatten)]

@@ -13,10 +13,13 @@ use anyhow::{Context, bail};
 
 use crate::program::bag::select::absolute;
 use crate::program::keyboard::{Key, Keyboard};
+use crate::program::new_output::Output;
 use crate::program::run::WatchedRobot;
 use crate::program::run::node;
 use crate::program::screen::Screen;
+use crate::program::status::{SEPARATOR, bag};
 use crate::program::stop::Stop;
+use crate::program::wrap::{shorten, wrap};
 use crate::running::RecordPlan;
 use arguments::{Exposed, RecordArguments};
 
@@ -29,6 +32,7 @@ pub(crate) fn record(
     let output = arguments.output.clone().unwrap_or_else(|| {
         PathBuf::from(chrono::Local::now().format("rosbag2_%Y_%m_%d-%H_%M_%S").to_string())
     });
+    arguments.force.check(Output::Bag, &output)?;
     match &arguments.robot {
         Some(robot) => record_robot(arguments, robot, output, catalog, ros, screen),
         None => record_from_ros(arguments, output, catalog, ros, screen),
@@ -70,6 +74,7 @@ fn record_robot(
     };
     let stop = Stop::new()?;
     let mut robot = WatchedRobot::new(file)?;
+    arguments.force.make_way(Output::Bag, &plan.directory, [])?;
     robot.prepared.record(plan)?;
     robot.run(&stop.after(arguments.duration), screen)
 }
@@ -174,6 +179,7 @@ fn record_from_ros(
         uses_sim_time: arguments.use_sim_time,
         waits_for_room: entry.cache_bytes == 0,
     };
+    arguments.force.make_way(Output::Bag, &output, [])?;
     let mut writer = writing::writer_options(&arguments.writing, &entry).create(&output)?;
     writer.on_split(split_events(&node)?);
     let recording_options = writing::recording_options(&arguments.writing, &entry, arguments.start_paused);
@@ -254,7 +260,8 @@ fn look_and_record(
                 is_failure_told = true;
             }
             if screen.is_terminal() {
-                screen.show(vec![crate::program::status::bag(&statistics)]);
+                let (height, width) = screen.block_size();
+                screen.show(shorten(wrap(bag(&statistics), SEPARATOR, width), height));
             }
         }
         stop.sleep(STEP.min(interval));
