@@ -35,3 +35,7 @@ pub use failure::{Failure, TestResult};
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 pub struct Readme;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/messages.md")]
+struct MessagesPage;

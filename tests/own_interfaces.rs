@@ -356,3 +356,17 @@ fn a_built_in_robot_is_recorded_without_a_warning() {
         assert_eq!(Unrecorded::of(&topics, &robot.file.catalog.interfaces).topics(), []);
     }
 }
+
+#[test]
+fn the_page_about_messages_shows_a_package_that_is_built() {
+    let page = include_str!("../docs/messages.md");
+    let main = |file: &'static str| &file[file.find("fn main").unwrap()..];
+    for shown in [
+        include_str!("user_msgs/my_msgs/msg/Tilt.msg"),
+        main(include_str!("user_msgs/build.rs")),
+        "downbeat_msgs::include_interfaces!();\n",
+    ] {
+        assert!(page.contains(shown), "{shown}");
+    }
+    assert!(include_str!("user_msgs/src/lib.rs").contains("\ndownbeat_msgs::include_interfaces!();\n"));
+}

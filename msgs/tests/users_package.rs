@@ -19,6 +19,8 @@ fn a_crate_with_interfaces_of_its_own_builds_runs_and_is_told_what_is_wrong() {
     assert_eq!(lines[1], hash("my_msgs/msg/Leg"));
     assert_eq!(lines[2], "my_msgs/srv/Kick KickRequest { side: 0, strength: 1.0 }");
     assert_eq!(lines[3], "my_msgs/action/Walk WalkGoal { steps: 3 }");
+    let all = "lab_msgs/msg/Foot my_msgs/msg/Gait my_msgs/msg/Leg my_msgs/srv/Kick my_msgs/action/Walk";
+    assert_eq!(lines[4], all, "INTERFACES has them all, those of lab_msgs too");
 
     // A change is seen, and a fault in it is told with its place and nothing else.
     let path = users.folder.join("my_msgs/msg/Gait.msg");

@@ -6,7 +6,7 @@
 //! downbeat_msgs_generator::compile("my_msgs"); // the folder with msg/*.msg, srv/*.srv, action/*.action
 //! ```
 //!
-//! and has their types where it says `downbeat_msgs::include_interfaces!();`. [`Build`] takes several packages, and those
+//! and has their types, and the set of them to register, where it says `downbeat_msgs::include_interfaces!();`. [`Build`] takes several packages, and those
 //! of an ament prefix path. Below it is [`RustSource`], which makes text of a catalog:
 //!
 //! ```
