@@ -305,6 +305,11 @@ fn what_is_not_registered_is_refused_with_the_line_to_add() {
     for (section, what, add) in [
         ("[expose]\nout = [\"tilt\"]\n", "\"tilt\" carries user_msgs::my_msgs::msg::Tilt", generated),
         ("[expose]\nin = [\"wanted\"]\n", "\"wanted\" carries", generated),
+        (
+            "[expose]\nin = [{ topic = \"wanted\", type = \"my_msgs/msg/Tilt\" }]\n",
+            "\"wanted\" carries",
+            generated,
+        ),
         ("[expose]\nout = [\"reach\"]\n", "\"reach\" carries user_msgs::Reach", derived),
         ("[expose]\nservices = [\"level\"]\n", "\"level\" is user_msgs::", generated),
         ("[expose]\nactions = [\"lean\"]\n", "\"lean\" takes user_msgs::", generated),

@@ -167,10 +167,12 @@ impl<'a> Selection<'a> {
             .map_err(|error| refuse(error.to_string()))?;
         let topic = self.topics.iter().find(|topic| *topic.name == *name);
         if let Some(topic) = topic.filter(|topic| topic.message_type_id != message_type.rust_type()) {
-            let carried = &topic.message_type;
-            return Err(refuse(format!(
-                "\"{name}\" carries {carried}; only what modules take or give as bytes can be raw"
-            )));
+            let carried = topic.message_type;
+            let problem = match self.interfaces().message_of(topic.message_type_id) {
+                Some(_) => "; only what modules take or give as bytes can be raw".to_owned(),
+                None => format!(", {}", unregistered(carried, "ROS message")),
+            };
+            return Err(refuse(format!("\"{name}\" carries {carried}{problem}")));
         }
         let comes_in = self.claimed.contains(&(Direction::In.key(), name.to_owned()));
         if entry.direction == Direction::Out && !comes_in && !topic.is_some_and(|topic| topic.is_published) {

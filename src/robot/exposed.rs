@@ -102,7 +102,7 @@ impl RobotFile {
         core: &CoreHandle,
         status: &BridgeStatus,
     ) -> Result<Vec<Exposure>> {
-        let entries: Vec<ExposeEntry> = Self::parse_entries(text)?;
+        let entries: Vec<ExposeEntry> = Self::parse_entries(text, &self.catalog.interfaces)?;
         let topics = core.topics().wait(PATIENCE).ok_or_else(|| {
             self.source
                 .error(1, "the core does not answer: it has stopped or is held, or a module does not return")

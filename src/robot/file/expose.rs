@@ -41,8 +41,8 @@ pub struct ExposeSection {
 }
 
 /// Reads `out` and `in` alone.
-pub(super) fn entries(mut table: Table<'_>) -> Result<Vec<ExposeEntry>> {
-    let topics = topic::topics(&mut table)?;
+pub(super) fn entries(mut table: Table<'_>, interfaces: &Interfaces) -> Result<Vec<ExposeEntry>> {
+    let topics = topic::topics(&mut table, interfaces)?;
     table.finish()?;
     Ok(topics)
 }
@@ -50,7 +50,7 @@ pub(super) fn entries(mut table: Table<'_>) -> Result<Vec<ExposeEntry>> {
 /// Reads `[expose]`: each key by a function of its own.
 pub(super) fn expose(value: Value<'_>, interfaces: &Interfaces) -> Result<ExposeSection> {
     let mut table = value.table("[expose]")?;
-    let topics = topic::topics(&mut table)?;
+    let topics = topic::topics(&mut table, interfaces)?;
     let services = service::services(&mut table, "services", interfaces)?;
     let calls = service::services(&mut table, "calls", interfaces)?;
     let actions = service::actions(&mut table, "actions", interfaces)?;

@@ -12,6 +12,7 @@ mod table;
 
 use std::path::Path;
 
+use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::ros::{RemapRule, RemapRules};
 use toml::de::DeTable;
 
@@ -146,13 +147,13 @@ impl RobotFile {
     }
 
     /// The keys `out` and `in` of `[expose]` in a text of their own.
-    pub(crate) fn parse_entries(text: &str) -> Result<Vec<ExposeEntry>> {
+    pub(crate) fn parse_entries(text: &str, interfaces: &Interfaces) -> Result<Vec<ExposeEntry>> {
         let source = Source::new(Path::new("expose"), text.to_owned());
         let document = DeTable::parse(text).map_err(|error| {
             let line = source.line_of(&error.span().unwrap_or_default());
             source.error(line, error.message())
         })?;
-        expose::entries(Table::new(&source, "[expose]", 1, document.get_ref()))
+        expose::entries(Table::new(&source, "[expose]", 1, document.get_ref()), interfaces)
     }
 
     /// The file's path.

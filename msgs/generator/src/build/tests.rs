@@ -66,8 +66,14 @@ fn what_is_carried_is_referred_to_and_what_is_installed_is_generated() {
     assert!(source.contains("pub legs: [super::super::lab_msgs::msg::Leg; 2],"), "{source}");
     assert!(source.contains("pub mod lab_msgs {") && source.contains("/// \\[N\\]"), "{source}");
     assert!(!source.contains("pub mod std_msgs {"), "{source}");
-    assert!(source.contains("<self::my_msgs::msg::Robot as ::downbeat_msgs::Message>::INTERFACES"), "{source}");
-    assert!(source.contains("<self::lab_msgs::msg::Leg as ::downbeat_msgs::Message>::INTERFACES"), "{source}");
+    assert!(
+        source.contains("<self::my_msgs::msg::Robot as ::downbeat_msgs::Message>::INTERFACES"),
+        "{source}"
+    );
+    assert!(
+        source.contains("<self::lab_msgs::msg::Leg as ::downbeat_msgs::Message>::INTERFACES"),
+        "{source}"
+    );
     assert!(!source.contains("std_msgs::msg::Header as"), "what is carried is registered already: {source}");
     assert_eq!(
         watched,

@@ -9,7 +9,7 @@ use super::*;
 use crate::robot::RobotFile;
 
 fn entries(text: &str) -> Vec<ExposeEntry> {
-    RobotFile::parse_entries(text).unwrap_or_else(|error| panic!("{error}"))
+    RobotFile::parse_entries(text, &Interfaces::carried()).unwrap_or_else(|error| panic!("{error}"))
 }
 
 fn qos(direction: &str, qos: &str) -> QosRequest {
@@ -100,8 +100,10 @@ fn mistakes_are_told_with_their_line() {
         ("{ topic = \"a/*\", except = [\"b**\"] }", "pattern \"b**\""),
         ("\"a/b**\"", "pattern \"a/b**\""),
     ] {
-        let problem =
-            RobotFile::parse_entries(&format!("in = []\nout = [{entry}]")).err().unwrap().to_string();
+        let problem = RobotFile::parse_entries(&format!("in = []\nout = [{entry}]"), &Interfaces::carried())
+            .err()
+            .unwrap()
+            .to_string();
         assert!(problem.starts_with("expose:2: ") && problem.contains(expected), "{problem}");
     }
 }

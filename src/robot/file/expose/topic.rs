@@ -3,6 +3,7 @@
 use std::fmt;
 use std::time::Duration;
 
+use downbeat_bridge::edge::{Interfaces, KnownType};
 use downbeat_bridge::expose::{Limits, OfACycle, TopicPattern};
 use downbeat_bridge::ros::QosRequest;
 use downbeat_msgs::definitions::{Kind, TypeName};
@@ -76,17 +77,17 @@ impl fmt::Display for TopicChoice {
     }
 }
 
-pub(super) fn topics(table: &mut Table<'_>) -> Result<Vec<ExposeEntry>> {
+pub(super) fn topics(table: &mut Table<'_>, interfaces: &Interfaces) -> Result<Vec<ExposeEntry>> {
     let mut topics = Vec::new();
     for direction in [Direction::Out, Direction::In] {
         for value in table.take(direction.key()).map_or(Ok(Vec::new()), |value| value.list())? {
-            topics.push(entry(value, direction)?);
+            topics.push(entry(value, direction, interfaces)?);
         }
     }
     Ok(topics)
 }
 
-fn entry(value: Value<'_>, direction: Direction) -> Result<ExposeEntry> {
+fn entry(value: Value<'_>, direction: Direction, interfaces: &Interfaces) -> Result<ExposeEntry> {
     let line = value.line();
     let (qos, limits) = (QosRequest::default(), Limits::default());
     let Some(mut table) = value.as_table("an exposed topic") else {
@@ -109,8 +110,8 @@ fn entry(value: Value<'_>, direction: Direction) -> Result<ExposeEntry> {
     let type_value = table.take("type");
     let raw_value = table.take("raw");
     let wants_raw = raw_value.map_or(Ok(false), |value| value.flag())?;
-    let type_name = type_value.map(|value| type_name(value, wants_raw)).transpose()?;
-    let is_known = |name: &String| downbeat_msgs::TYPE_NAMES.contains(&name.as_str());
+    let type_name = type_value.map(|value| type_name(value, wants_raw, interfaces)).transpose()?;
+    let is_known = |name: &String| interfaces.message(name).is_ok();
     let is_raw = wants_raw || type_name.as_ref().is_some_and(|name| !is_known(name));
     if let (TopicChoice::Pattern { .. }, true) = (&topics, is_raw) {
         let value = raw_value.or(type_value).unwrap_or(topic);
@@ -174,21 +175,21 @@ fn new_name(value: Value<'_>, topics: &TopicChoice) -> Result<String> {
     Ok(name.to_owned())
 }
 
-/// A type that is compiled in, or of a package that is not.
-fn type_name(value: Value<'_>, wants_raw: bool) -> Result<String> {
+/// A type that is registered, or of a package that is not.
+fn type_name(value: Value<'_>, wants_raw: bool, interfaces: &Interfaces) -> Result<String> {
     let name = value.text()?;
-    if downbeat_msgs::TYPE_NAMES.contains(&name) {
+    if interfaces.message(name).is_ok() {
         return Ok(name.to_owned());
     }
-    let of_package = |known: &&str, package: &str| known.split('/').next() == Some(package);
     let parsed: Option<TypeName> = name.parse().ok().filter(|name: &TypeName| name.kind == Kind::Message);
     let is_other = |name: &TypeName| {
-        wants_raw || !downbeat_msgs::TYPE_NAMES.iter().any(|known| of_package(known, &name.package))
+        let of_package = |known: KnownType| known.name().split('/').next() == Some(&name.package);
+        wants_raw || !interfaces.messages().any(of_package)
     };
     if parsed.as_ref().is_some_and(is_other) {
         return Ok(name.to_owned());
     }
-    let hint = suggestion(name, downbeat_msgs::TYPE_NAMES.iter().copied());
+    let hint = suggestion(name, interfaces.messages().map(KnownType::name));
     Err(value.error(format!("unknown topic type \"{name}\"{hint}")))
 }
 
