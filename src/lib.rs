@@ -7,6 +7,7 @@ mod app;
 pub mod cycle_journal;
 pub mod duration;
 pub mod encoding;
+pub mod event_journal;
 mod failure;
 pub mod inspect;
 pub mod playback;

@@ -4,6 +4,7 @@ use downbeat_bags::{Reader, Selection};
 use downbeat_executor::{Clock, Core, ManualClock, Time};
 
 use super::cycles::Cycles;
+use super::events::Events;
 use super::inputs::Inputs;
 use super::settings::SettingsChanges;
 use super::{MOST_CYCLES, PlaybackError};
@@ -14,6 +15,7 @@ pub(crate) struct Follower<'a> {
     pub(crate) clock: &'a ManualClock,
     pub(crate) inputs: Inputs,
     pub(crate) settings: SettingsChanges,
+    pub(crate) events: Events,
 }
 
 impl Follower<'_> {
@@ -31,7 +33,8 @@ impl Follower<'_> {
         let mut count = 0;
         match cycles {
             Cycles::Recorded { times, .. } => {
-                for &time in times {
+                for (number, &time) in (0..).zip(times) {
+                    self.events.give(self.core, |event| event.cycle <= number)?;
                     self.cycle(time)?;
                     count += 1;
                     after_cycle();
@@ -43,6 +46,7 @@ impl Follower<'_> {
                 for message in reader.messages(Selection::all())? {
                     let time = message?.log_time;
                     if last.replace(time) != Some(time) {
+                        self.events.give(self.core, |event| event.stamp.as_nanos() <= time)?;
                         self.cycle(time)?;
                         count += 1;
                         after_cycle();

@@ -1,6 +1,7 @@
 //! Bags as input of a core: the same bag gives the same result each time.
 
 pub(crate) mod cycles;
+pub(crate) mod events;
 mod extract;
 pub(crate) mod follow;
 pub(crate) mod inputs;
@@ -14,10 +15,12 @@ use downbeat_msgs::{cdr, encoding};
 
 use crate::encoding::RecordedTypeError;
 use cycles::Cycles;
+use events::Events;
 use follow::Follower;
 use inputs::Inputs;
 use settings::SettingsChanges;
 
+pub use events::EventsError;
 pub(crate) use extract::{Extract, ReadError};
 pub use settings::SettingsError;
 pub(crate) use steps::replay_steps;
@@ -64,6 +67,9 @@ pub enum PlaybackError {
     /// Changes of settings cannot be made again.
     #[error(transparent)]
     Settings(#[from] SettingsError),
+    /// Requests, answers or commands cannot be made again.
+    #[error(transparent)]
+    Events(#[from] EventsError),
     /// The type is not registered, or its messages are in an encoding that is not read here.
     #[error(transparent)]
     Type(#[from] RecordedTypeError),
@@ -89,7 +95,7 @@ const MOST_CYCLES: u32 = 10_000;
 
 /// Plays a bag into a core, whose clock is at or before [`start_time`]. Where the bag tells the cycles of the robot that it was
 /// recorded in, the core runs the same cycles at the same times, and each message joins in the cycle in which it joined then;
-/// so do changed settings. Otherwise the clock follows the messages, and timers fire between them at their exact times.
+/// so do changed settings, requests from outside, answers from outside, commands to modules and results of jobs. Otherwise the clock follows the messages, and timers fire between them at their exact times.
 /// Messages of one time are given in the order of the bag. It takes no longer than the modules need.
 ///
 /// Played are `topics`, or if there are none, those of the bag that modules receive and none publishes. Returns
@@ -111,14 +117,15 @@ pub fn play_into(
         Cycles::OfMessages => Cycles::Unknown,
         cycles => cycles,
     };
-    let settings = if cycles.is_recorded() {
+    let (mut settings, mut events) = Default::default();
+    if cycles.is_recorded() {
         let modules = core.modules();
         let is_there = |name: &str| modules.iter().any(|module| *module.name == *name);
-        SettingsChanges::read::<PlaybackError>(reader, &mut extract, is_there)?
-    } else {
-        SettingsChanges::default()
-    };
-    let mut follower = Follower { core, clock, inputs, settings };
+        settings = SettingsChanges::read::<PlaybackError>(reader, &mut extract, is_there)?;
+        let recorded = events::read::<PlaybackError>(reader, &mut extract)?;
+        events = Events::of_core(core, recorded.as_deref(), interfaces)?;
+    }
+    let mut follower = Follower { core, clock, inputs, settings, events };
     follower.run(reader, &cycles, || {})?;
     match follower.inputs.given() {
         0 => Err(PlaybackError::NothingToPlay),

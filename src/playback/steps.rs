@@ -11,6 +11,7 @@ use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
 use downbeat_msgs::encoding;
 
 use super::Extract;
+use super::events::{self, Events, EventsError};
 use super::settings::{SettingsChanges, SettingsError};
 use crate::encoding::{RecordedType, RecordedTypeError};
 use crate::step_journal;
@@ -52,6 +53,9 @@ pub enum ReplayError {
     /// Changes of settings cannot be made again.
     #[error(transparent)]
     Settings(#[from] SettingsError),
+    /// Requests, answers or commands cannot be made again.
+    #[error(transparent)]
+    Events(#[from] EventsError),
     /// The core has the topic with another type.
     #[error(transparent)]
     Setup(#[from] SetupError),
@@ -103,6 +107,8 @@ pub(crate) fn replay_steps(
     let steps = steps_of(module, reader, extract)?;
     let mut inputs = Inputs::open(core, reader, extract, &steps)?;
     let mut settings = SettingsChanges::read::<ReplayError>(reader, extract, |name| name == module)?;
+    let recorded = events::read::<ReplayError>(reader, extract)?;
+    let mut events = Events::of_detached(core, recorded.as_deref(), extract.interfaces(), module)?;
     // A message or a setting that is given before a cycle joins in its sync phase and is received in the next one.
     for (position, step) in steps.iter().enumerate() {
         if let Some(next) = steps.get(position + 1) {
@@ -110,6 +116,7 @@ pub(crate) fn replay_steps(
             // Runs of a module that started again are counted anew.
             let run = (next.stamp.as_nanos(), next.step);
             settings.give(core, |change| (change.stamp.as_nanos(), change.step) <= run)?;
+            events.take(core, next.step)?;
         }
         clock.set(Time::from_nanos(step.stamp.as_nanos()));
         if step.is_stop {

@@ -4,10 +4,12 @@ use downbeat_bags::Reader;
 use downbeat_executor::{Core, ManualClock, Time};
 
 use super::ReplayError;
+use super::calls::Calls;
 use super::captured::Captured;
 use super::comparison::Comparisons;
 use super::plan::Plan;
 use crate::playback::Extract;
+use crate::playback::events::{self, Events};
 use crate::playback::follow::Follower;
 use crate::playback::inputs::Inputs;
 use crate::playback::settings::SettingsChanges;
@@ -20,6 +22,7 @@ pub(super) fn replay(
     plan: &Plan,
     extract: &mut Extract,
     comparisons: &mut Comparisons,
+    calls: &mut Calls,
 ) -> Result<u64, ReplayError> {
     let start = plan.cycles.first().or(reader.start_time()).unwrap_or(0);
     let clock = ManualClock::new(Time::from_nanos(start));
@@ -31,11 +34,14 @@ pub(super) fn replay(
     let inputs = Inputs::open(&mut core, reader, plan.inputs.iter().map(String::as_str), interfaces)?;
     let settings = SettingsChanges::read::<ReplayError>(reader, extract, is_replayed)?;
     let end = plan.cycles.end();
-    let mut follower = Follower { core: &mut core, clock: &clock, inputs, settings };
+    let recorded = events::read::<ReplayError>(reader, extract)?;
+    let events = Events::of_core(&mut core, recorded.as_deref(), interfaces)?;
+    let mut follower = Follower { core: &mut core, clock: &clock, inputs, settings, events };
     let cycles = follower.run(reader, &plan.cycles, || {
         let before_end = captured.take().into_iter().filter(|replayed| replayed.time < end);
         before_end.for_each(|replayed| comparisons.replayed(replayed));
     })?;
+    captured.take_events().iter().for_each(|event| calls.replayed(plan, event, is_replayed));
     comparisons.end_before(end);
     Ok(cycles)
 }

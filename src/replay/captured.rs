@@ -1,10 +1,13 @@
 //! What replayed modules publish.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use bytes::Bytes;
 use downbeat_bridge::edge::{Interfaces, KnownType};
-use downbeat_executor::{Core, Module, ModuleOptions, Role, Setup, SetupError, Time};
+use downbeat_executor::{self as executor, Core, Module, ModuleOptions, Role, Setup, SetupError, Time};
+use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
+
+use crate::event_journal;
 
 /// A message that a replayed module published.
 pub(super) struct Replayed {
@@ -17,7 +20,13 @@ pub(super) struct Replayed {
 
 /// The messages that were published and not taken yet.
 #[derive(Clone, Default)]
-pub(super) struct Captured(Arc<Mutex<Vec<Replayed>>>);
+pub(super) struct Captured(Arc<Mutex<Contents>>);
+
+#[derive(Default)]
+struct Contents {
+    messages: Vec<Replayed>,
+    events: Vec<ModuleEvent>,
+}
 
 impl Captured {
     /// Adds a module to a core that captures what its modules publish on the topics that are wanted.
@@ -38,7 +47,15 @@ impl Captured {
     }
 
     pub(super) fn take(&self) -> Vec<Replayed> {
-        std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner))
+        std::mem::take(&mut self.lock().messages)
+    }
+
+    pub(super) fn take_events(&self) -> Vec<ModuleEvent> {
+        std::mem::take(&mut self.lock().events)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Contents> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -55,10 +72,15 @@ impl Module for Watch {
             let (captured, name) = (self.captured.clone(), Arc::clone(&topic));
             let sink = move |time: Time, cdr: Bytes| {
                 let replayed = Replayed { topic: Arc::clone(&name), time: time.as_nanos(), cdr };
-                captured.0.lock().unwrap_or_else(PoisonError::into_inner).push(replayed);
+                captured.lock().messages.push(replayed);
             };
             message_type.subscribe(setup, &topic, sink)?;
         }
-        Ok(())
+        setup.subscribe::<executor::ModuleEvent, _>(
+            executor::ModuleEvent::TOPIC,
+            |watch: &mut Self, event, _| {
+                watch.captured.lock().events.push(event_journal::message(&event));
+            },
+        )
     }
 }

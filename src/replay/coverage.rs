@@ -8,7 +8,12 @@ use downbeat_bridge::edge::Interfaces;
 use super::plan::{Plan, Wiring};
 use super::{ReplayOptions, TopicReport};
 use crate::encoding::RecordedType;
-use crate::{cycle_journal, settings_journal, step_journal};
+use crate::recorder::{Unrecorded, UnrecordedTopic};
+use crate::{cycle_journal, event_journal, settings_journal, step_journal};
+
+/// With which a recording tells how the robot ran.
+const JOURNALS: [&str; 4] =
+    [cycle_journal::TOPIC, step_journal::TOPIC, settings_journal::TOPIC, event_journal::TOPIC];
 
 /// A topic of the bag, or of the replayed modules, that was not compared.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -44,6 +49,11 @@ pub enum NotComparedReason {
     PlainType {
         /// The type.
         rust_type: String,
+    },
+    /// Calls of a service between modules of which one is detached are of plain Rust types, which no bag holds.
+    PlainService {
+        /// The types of request and answer.
+        rust_types: String,
     },
     /// The messages of the bag cannot be read.
     Unreadable {
@@ -87,6 +97,17 @@ pub(super) fn not_compared(
             list.push(NotCompared { topic: format!("/{name}"), reason });
         }
     }
+    let services = graph.unrecorded_services.iter();
+    for service in services.filter(|service| service.modules.iter().any(|module| plan.replays(module))) {
+        let reason = NotComparedReason::PlainService { rust_types: service.types.clone() };
+        list.push(NotCompared { topic: format!("/{}", service.service), reason });
+    }
+    let noted = reader.metadata().map(Unrecorded::in_bag).unwrap_or_default();
+    for UnrecordedTopic { topic, rust_type, .. } in noted {
+        if list.iter().all(|known| known.topic != topic) {
+            list.push(NotCompared { topic, reason: NotComparedReason::PlainType { rust_type } });
+        }
+    }
     list
 }
 
@@ -99,7 +120,7 @@ fn reason(
     interfaces: &Interfaces,
 ) -> Option<NotComparedReason> {
     use NotComparedReason as Why;
-    if [cycle_journal::TOPIC, step_journal::TOPIC, settings_journal::TOPIC].contains(&name) {
+    if JOURNALS.contains(&name) {
         return Some(Why::Journal);
     }
     let publishers = graph.publishers.get(name).into_iter().flatten();
@@ -160,6 +181,9 @@ impl fmt::Display for NotComparedReason {
             Self::Excluded => write!(f, "excluded"),
             Self::PlainType { rust_type } => {
                 write!(f, "messages of the plain Rust type {rust_type} are in no bag")
+            }
+            Self::PlainService { rust_types } => {
+                write!(f, "calls of the plain Rust types {rust_types} are in no bag")
             }
             Self::Unreadable { problem } => write!(f, "{problem}"),
             Self::NotInBag { modules } => {

@@ -3,6 +3,7 @@
 use downbeat_bags::Reader;
 use downbeat_executor::{Core, ManualClock, Time};
 
+use super::calls::Calls;
 use super::captured::Captured;
 use super::comparison::Comparisons;
 use super::plan::Plan;
@@ -18,6 +19,7 @@ pub(super) fn replay(
     extract: &mut Extract,
     name: &str,
     comparisons: &mut Comparisons,
+    calls: &mut Calls,
 ) -> Result<usize, ReplayError> {
     let clock = ManualClock::new(Time::ZERO);
     let core = Core::new().with_clock(clock.clone());
@@ -29,6 +31,7 @@ pub(super) fn replay(
         steps.map_err(|source| ReplayError::Steps { module: name.to_owned(), source: Box::new(source) })?;
     if !steps.is_whole {
         comparisons.interrupted(name);
+        calls.interrupted(name);
     }
     // An end that was not recorded publishes what is not in the bag, at the time of the last run.
     let is_recorded = |time: i64| steps.is_whole || time < steps.last.as_nanos();
@@ -37,5 +40,6 @@ pub(super) fn replay(
             comparisons.replayed(replayed);
         }
     }
+    captured.take_events().iter().for_each(|event| calls.replayed(plan, event, |module| module == name));
     Ok(steps.count)
 }

@@ -9,10 +9,12 @@
 //!
 //! Modules inside the cycle are compared until the robot began to stop, detached ones to their end.
 //!
-//! Settings that were changed while the robot ran (`module_settings`) change again where they did. Calls of services are in
-//! no bag: modules that depend on them differ.
+//! Settings that were changed while the robot ran (`module_settings`) change again where they did. So do requests from outside,
+//! answers from outside, commands to modules and results of jobs (`module_events`); what the modules answer and whom they call is
+//! compared.
 
 mod attached;
+mod calls;
 mod captured;
 mod comparison;
 mod coverage;
@@ -29,9 +31,11 @@ use downbeat_executor::{RunError, SetupError};
 use downbeat_msgs::encoding;
 
 use crate::encoding::RecordedTypeError;
+use crate::playback::events::{self, EventsError};
 use crate::playback::settings::SettingsError;
 use crate::playback::{PlaybackError, ReplayError as StepsError};
 use crate::robot::{ReplaySection, RobotFile, RobotFileError};
+use calls::Calls;
 use comparison::Comparisons;
 use plan::Plan;
 
@@ -115,6 +119,9 @@ pub enum ReplayError {
     /// Changes of settings cannot be made again.
     #[error(transparent)]
     Settings(#[from] SettingsError),
+    /// Requests, answers or commands cannot be made again.
+    #[error(transparent)]
+    Events(#[from] EventsError),
     /// The modules cannot be played to.
     #[error(transparent)]
     Playback(#[from] PlaybackError),
@@ -149,19 +156,24 @@ pub fn replay(
     let file = file.on_any_machine();
     let (plan, mut extract) = Plan::make(&file, reader, options)?;
     let mut comparisons = Comparisons::new(reader, &plan, &options.rules, &file.catalog.interfaces)?;
+    let mut calls = Calls::default();
+    if let Some(events) = events::read::<ReplayError>(reader, &mut extract)? {
+        calls.recorded(&plan, &events);
+    }
     let mut runs = Vec::new();
     for name in &plan.detached {
         runs.push((
             name.clone(),
-            detached::replay(&file, reader, &plan, &mut extract, name, &mut comparisons)?,
+            detached::replay(&file, reader, &plan, &mut extract, name, &mut comparisons, &mut calls)?,
         ));
     }
     let cycles = if plan.attached.is_empty() {
         0
     } else {
-        attached::replay(&file, reader, &plan, &mut extract, &mut comparisons)?
+        attached::replay(&file, reader, &plan, &mut extract, &mut comparisons, &mut calls)?
     };
     let mut topics = comparisons.finish()?;
+    topics.extend(calls.finish(&plan, &options.rules));
     let mut not_compared = plan.not_compared;
     coverage::move_empty(&mut topics, &mut not_compared);
     Ok(ReplayReport {

@@ -10,8 +10,9 @@ use downbeat_executor::{Core, Graph, GraphEdge, Synchrony, TopicInfo};
 use super::coverage::{self, NotCompared};
 use super::{LeftOut, ReplayError, ReplayOptions};
 use crate::cycle_journal::CycleJournal;
+use crate::event_journal::{EventJournal, UnrecordedService, unrecorded_services};
 use crate::playback::cycles::{self, Cycles};
-use crate::playback::{Extract, settings};
+use crate::playback::{Extract, events, settings};
 use crate::robot::{ModuleEntry, RobotFile};
 use crate::settings_journal::SettingsJournal;
 use crate::step_journal::{self, StepJournal};
@@ -29,6 +30,10 @@ pub(super) struct Plan {
     /// Those that they receive, that others publish, and that are not in the bag.
     pub(super) missing_inputs: BTreeSet<String>,
     pub(super) not_compared: Vec<NotCompared>,
+    /// Who serves each service.
+    pub(super) servers: BTreeMap<String, String>,
+    /// The names of the types of services.
+    pub(super) service_types: BTreeMap<String, &'static str>,
     pub(super) cycles: Cycles,
 }
 
@@ -58,6 +63,8 @@ impl Plan {
             inputs: BTreeSet::new(),
             missing_inputs: BTreeSet::new(),
             not_compared: Vec::new(),
+            servers: graph.servers.clone(),
+            service_types: graph.service_types.clone(),
             cycles: Cycles::Unknown,
         };
         for module in &file.modules {
@@ -95,7 +102,7 @@ impl Plan {
         Ok((plan, extract))
     }
 
-    fn replays(&self, module: &str) -> bool {
+    pub(super) fn replays(&self, module: &str) -> bool {
         self.attached.iter().chain(&self.detached).any(|name| name == module)
     }
 
@@ -120,6 +127,7 @@ impl Plan {
         topics.extend(answers);
         topics.push(cycles::topic());
         topics.push(settings::topic());
+        topics.push(events::topic());
         if !self.detached.is_empty() {
             topics.push(format!("/{}", step_journal::TOPIC));
         }
@@ -194,6 +202,9 @@ pub(super) struct Wiring {
     subscribers: BTreeMap<String, BTreeSet<String>>,
     /// The modules of the robot file.
     pub(super) modules: BTreeSet<String>,
+    pub(super) servers: BTreeMap<String, String>,
+    pub(super) service_types: BTreeMap<String, &'static str>,
+    pub(super) unrecorded_services: Vec<UnrecordedService>,
     /// The topics of the core.
     pub(super) types: BTreeMap<String, TopicInfo>,
 }
@@ -210,12 +221,23 @@ impl Wiring {
         let mut core = file.build_modules(core, |_, _| None)?;
         StepJournal::add(&mut core)?;
         SettingsJournal::add(&mut core)?;
+        let interfaces = &file.catalog.interfaces;
+        EventJournal::add(&mut core, interfaces)?;
         CycleJournal::add(&mut core)?;
+        let unrecorded_services = unrecorded_services(&core, interfaces);
+        let services = || core.services().map(|info| info.name.to_string());
+        let servers = core
+            .services()
+            .filter_map(|info| Some((info.name.to_string(), info.server.as_ref()?.to_string())));
+        let known = services().filter_map(|name| Some((interfaces.service_in(&core, &name)?.name(), name)));
         let Graph { modules, topics, edges, .. } = core.graph();
         let mut wiring = Self {
             publishers: BTreeMap::new(),
             subscribers: BTreeMap::new(),
             modules: file.modules.iter().map(|module| module.name.clone()).collect(),
+            servers: servers.collect(),
+            service_types: known.map(|(type_name, name)| (name, type_name)).collect(),
+            unrecorded_services,
             types: core.topics().map(|topic| (topic.name.to_string(), topic.clone())).collect(),
         };
         let names = |module: usize, topic: usize| {

@@ -9,6 +9,7 @@ use super::LauncherChoice;
 use super::expose::canonical;
 use super::file::{LauncherEntry, ModuleEntry, Place, RobotFile, RobotFileError, suggestion};
 use crate::cycle_journal::CycleJournal;
+use crate::event_journal::{EventJournal, UnrecordedService, unrecorded_services};
 use crate::settings_journal::SettingsJournal;
 use crate::step_journal::StepJournal;
 
@@ -30,7 +31,17 @@ impl RobotFile {
     /// not allow the CPUs or priorities of a thread; with path and line.
     pub fn build(self, core: Core) -> Result<Robot> {
         let mut core = self.build_modules(self.launch(core)?, |_, _| None)?;
+        for UnrecordedService { service, types, modules } in
+            unrecorded_services(&core, &self.catalog.interfaces)
+        {
+            let modules = modules.into_iter().collect::<Vec<_>>().join(", ");
+            tracing::warn!(
+                "calls of service \"{service}\" between {modules} cannot be recorded, for a replay of one of them alone: \
+                 {types} are plain Rust types"
+            );
+        }
         let journals = StepJournal::add(&mut core).and_then(|()| SettingsJournal::add(&mut core));
+        let journals = journals.and_then(|()| EventJournal::add(&mut core, &self.catalog.interfaces));
         let journals = journals.and_then(|()| match self.launcher.idle {
             Idle::Park => CycleJournal::add(&mut core),
             // There would be millions, and nearly all of them idle.

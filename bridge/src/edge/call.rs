@@ -76,6 +76,43 @@ impl EncodedCaller {
     }
 }
 
+/// Answers calls of modules with serialized answers, in place of a server that is not in the core.
+pub struct EncodedStandIn(pub(super) Box<AnswerEncoded>);
+
+pub(super) type AnswerEncoded =
+    dyn Fn(&str, u32, u64, Result<&[u8], CallError>) -> Result<(), cdr::Error> + Send + Sync;
+
+impl EncodedStandIn {
+    /// See [`StandIn::answer`](downbeat_executor::StandIn::answer).
+    ///
+    /// # Errors
+    /// If the bytes are no answer of the service.
+    pub fn answer(
+        &self,
+        client: &str,
+        port: u32,
+        number: u64,
+        result: Result<&[u8], CallError>,
+    ) -> Result<(), cdr::Error> {
+        (self.0)(client, port, number, result)
+    }
+}
+
+pub(super) fn open_stand_in<S: Service>(
+    core: &mut Core,
+    service: &str,
+) -> Result<Box<AnswerEncoded>, SetupError> {
+    let stand_in = core.stand_in::<S::Request, S::Response>(service)?;
+    Ok(Box::new(move |client, port, number, result| {
+        let result = match result {
+            Ok(cdr) => Ok(cdr::from_slice::<S::Response>(cdr)?),
+            Err(error) => Err(error),
+        };
+        stand_in.answer(client, port, number, result);
+        Ok(())
+    }))
+}
+
 pub(super) fn open_caller<S: Service>(
     core: &mut Core,
     service: &str,

@@ -148,6 +148,21 @@ impl Interfaces {
         self.tables.service_types.get(&(service.request_type, service.response_type)).copied()
     }
 
+    /// The type of a service of a core by its name, also where the service is a part of an action.
+    #[must_use]
+    pub fn service_in(&self, core: &Core, service: &str) -> Option<KnownService> {
+        let find = |name: &str| core.services().find(|info| *info.name == *name);
+        self.service_of(find(service)?).or_else(|| {
+            let (action, part) = service.split_once("/_action/")?;
+            let action = self.action_of(find(&format!("{action}/_action/send_goal"))?)?;
+            match part {
+                "send_goal" => Some(action.send_goal()),
+                "get_result" => Some(action.get_result()),
+                _ => None,
+            }
+        })
+    }
+
     /// Every service, by name.
     pub fn services(&self) -> impl Iterator<Item = KnownService> {
         self.tables.services.values().copied()

@@ -1,6 +1,8 @@
 //! Types of services.
 
-use super::call::{self, Answers, CallEncoded, Callees, EncodedCaller, Outlet, RemoteCall};
+use super::call::{
+    self, AnswerEncoded, Answers, CallEncoded, Callees, EncodedCaller, EncodedStandIn, Outlet, RemoteCall,
+};
 use super::event::{self, EncodeEvent};
 use downbeat_executor::{Core, Setup, SetupError};
 use downbeat_msgs::{Service, cdr};
@@ -81,6 +83,23 @@ impl KnownService {
         })
     }
 
+    /// Has requests and answers of a service of modules told as CDR in each
+    /// [`ModuleEvent`](downbeat_executor::ModuleEvent).
+    ///
+    /// # Errors
+    /// [`SetupError`] when the name is not valid or the service has other types.
+    pub fn encode(self, core: &mut Core, service: &str) -> Result<(), SetupError> {
+        (self.entry.encode)(core, service)
+    }
+
+    /// Answers calls of modules with serialized answers in place of a server.
+    ///
+    /// # Errors
+    /// [`SetupError`] when the name is not valid or the service has other types.
+    pub fn stand_in(self, core: &mut Core, service: &str) -> Result<EncodedStandIn, SetupError> {
+        Ok(EncodedStandIn((self.entry.stand_in)(core, service)?))
+    }
+
     pub(super) fn rust_types(self) -> (&'static str, &'static str) {
         (self.entry.rust_types)()
     }
@@ -117,6 +136,8 @@ struct Entry {
     open_caller: fn(&mut Core, &str) -> Result<Box<CallEncoded>, SetupError>,
     open_answers: fn(&mut Core, &str) -> Result<Answers, SetupError>,
     serve: fn(&mut Setup<'_, Callees>, Outlet) -> Result<(), SetupError>,
+    encode: fn(&mut Core, &str) -> Result<(), SetupError>,
+    stand_in: fn(&mut Core, &str) -> Result<Box<AnswerEncoded>, SetupError>,
     default_response: fn() -> Vec<u8>,
     encode_event: EncodeEvent,
 }
@@ -132,6 +153,10 @@ impl<S: Service> Of<S> {
         open_caller: call::open_caller::<S>,
         open_answers: call::open_answers::<S>,
         serve: call::serve::<S>,
+        encode: |core, service| {
+            core.encode_service::<S::Request, S::Response>(service, cdr::to_vec, cdr::to_vec)
+        },
+        stand_in: call::open_stand_in::<S>,
         default_response: || cdr::to_vec(&S::Response::default()),
         encode_event: event::encode_event::<S>,
     };

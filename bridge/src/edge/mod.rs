@@ -23,7 +23,7 @@ mod nearest;
 mod raw;
 mod subscription;
 
-pub use call::{Callees, EncodedAnswer, EncodedCallError, EncodedCaller, Outlet, RemoteCall};
+pub use call::{Callees, EncodedAnswer, EncodedCallError, EncodedCaller, EncodedStandIn, Outlet, RemoteCall};
 pub use core_access::CoreAccess;
 pub use event::{EncodeEvent, EventContent, encode_event};
 pub use inlet::{EncodedInlet, EncodedInletError, Waiting};

@@ -301,6 +301,12 @@ impl Core {
         self.world.held_results.get_or_insert_default();
     }
 
+    /// Drops what modules ask of themselves but to leave: transitions, pauses and settings. For a replay of a detached module,
+    /// which is given them in the run in which it took them over when it was recorded.
+    pub fn drop_commands_to_self(&mut self) {
+        self.world.drops_commands_to_self = true;
+    }
+
     /// A way to stop the core and to change it from other threads.
     #[must_use]
     pub fn handle(&self) -> CoreHandle {

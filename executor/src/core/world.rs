@@ -58,6 +58,8 @@ pub(crate) struct World {
     pub(crate) events: Vec<ModuleEvent>,
     /// Where results of jobs wait until they are released.
     pub(crate) held_results: Option<HeldResults>,
+    /// True if what modules ask of themselves is dropped.
+    pub(crate) drops_commands_to_self: bool,
     pub(crate) cycle: u64,
     pub(crate) is_running: bool,
     pub(crate) has_stopped: bool,
@@ -149,6 +151,7 @@ impl World {
             events_topic: None,
             events: Vec::new(),
             held_results: None,
+            drops_commands_to_self: false,
             cycle: 0,
             is_running: false,
             has_stopped: false,

@@ -84,6 +84,21 @@ pub(crate) enum Command {
 }
 
 impl Command {
+    /// The module that it makes something of, unless that is to join or to leave.
+    pub(crate) fn target(&self) -> Option<&str> {
+        match self {
+            Self::Pause { module, .. }
+            | Self::Resume { module, .. }
+            | Self::Step { module, .. }
+            | Self::Transition { module, .. }
+            | Self::Set { module, .. }
+            | Self::Transfer { to: module, .. } => Some(module),
+            Self::Add { .. } | Self::Remove { .. } | Self::Look(_) => None,
+        }
+    }
+}
+
+impl Command {
     pub(crate) fn add<M: Module>(name: &str, module: M, options: ModuleOptions) -> Self {
         let candidate = Candidate { name: name.to_owned(), source: Source::once(module), options };
         Self::Add { candidate: Box::new(candidate), receipt: None }

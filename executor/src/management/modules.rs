@@ -195,6 +195,12 @@ fn note(phase: &mut SyncPhase<'_>, id: ModuleId, by: Option<ModuleId>, command: 
 }
 
 fn apply(phase: &mut SyncPhase<'_>, by: Option<ModuleId>, command: Command) {
+    if phase.world.drops_commands_to_self
+        && let Some(by) = by
+        && command.target().is_some_and(|target| phase.module_name(by) == Some(target))
+    {
+        return;
+    }
     match command {
         Command::Add { candidate, receipt } => {
             let result = admit(phase.stage, phase.world, *candidate);

@@ -1,0 +1,222 @@
+//! The events of modules that a bag tells, made to happen again.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+use downbeat_bags::Reader;
+use downbeat_bridge::edge::{EncodedCaller, EncodedStandIn, Interfaces};
+use downbeat_executor::{CallError, Core, SetupError, Transition};
+use downbeat_msgs::cdr;
+use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
+
+use super::Extract;
+use crate::event_journal;
+
+/// The topic that tells them.
+pub(crate) fn topic() -> String {
+    format!("/{}", event_journal::TOPIC)
+}
+
+/// All events of a bag in their order; `None` if it lacks the topic.
+pub(crate) fn read<E>(reader: &Reader, extract: &mut Extract) -> Result<Option<Vec<ModuleEvent>>, E>
+where
+    E: super::ReadError + From<EventsError>,
+{
+    let Some(id) = reader.topic(&topic()) else { return Ok(None) };
+    let events = extract.of::<E>(reader, id)?.iter();
+    let events = events.map(|message| cdr::from_slice(message).map_err(EventsError::Message));
+    Ok(Some(events.collect::<Result<_, _>>()?))
+}
+
+/// Events for the modules of a core, as far as these do not cause them themselves.
+#[derive(Default)]
+pub(crate) struct Events {
+    waiting: VecDeque<ModuleEvent>,
+    callers: BTreeMap<String, EncodedCaller>,
+    stand_ins: BTreeMap<String, EncodedStandIn>,
+    /// A module that is replayed by itself though it was detached: commands that it gave itself come from the bag, too.
+    alone: bool,
+    modules: Vec<String>,
+}
+
+/// An answer that is awaited for so long is one that no replay waits for.
+const EVER: Duration = Duration::from_secs(3600 * 24 * 365);
+
+impl Events {
+    /// Of a core with modules of a robot that runs inside the cycle. Results of jobs wait until the bag says that they came.
+    pub(crate) fn of_core(
+        core: &mut Core,
+        events: Option<&[ModuleEvent]>,
+        interfaces: &Interfaces,
+    ) -> Result<Self, SetupError> {
+        let Some(events) = events else { return Ok(Self::default()) };
+        let mut prepared = Self::prepare(core, interfaces)?;
+        prepared.waiting = events
+            .iter()
+            .filter(|event| prepared.concerns(event) && !prepared.is_caused(event))
+            .cloned()
+            .collect();
+        Ok(prepared)
+    }
+
+    /// Of a core with one module that was detached: in [`Events::take`] it takes them over as its runs did.
+    pub(crate) fn of_detached(
+        core: &mut Core,
+        events: Option<&[ModuleEvent]>,
+        interfaces: &Interfaces,
+        module: &str,
+    ) -> Result<Self, SetupError> {
+        let Some(events) = events else { return Ok(Self::default()) };
+        let mut prepared = Self::prepare(core, interfaces)?;
+        prepared.alone = true;
+        prepared.modules = vec![module.to_owned()];
+        core.drop_commands_to_self();
+        let is_its = |event: &&ModuleEvent| prepared.concerns(event) && event.command != "remove";
+        prepared.waiting = events.iter().filter(is_its).cloned().collect();
+        Ok(prepared)
+    }
+
+    fn prepare(core: &mut Core, interfaces: &Interfaces) -> Result<Self, SetupError> {
+        let mut prepared = Self::default();
+        let services: Vec<_> =
+            core.services().map(|info| (info.name.to_string(), info.server.is_some())).collect();
+        for (service, is_served) in services {
+            let Some(known) = interfaces.service_in(core, &service) else { continue };
+            known.encode(core, &service)?;
+            if is_served {
+                let caller = known.caller(core, &service)?;
+                prepared.callers.insert(service, caller);
+            } else {
+                let stand_in = known.stand_in(core, &service)?;
+                prepared.stand_ins.insert(service, stand_in);
+            }
+        }
+        prepared.modules = core.modules().iter().map(|module| module.name.to_string()).collect();
+        core.hold_results();
+        Ok(prepared)
+    }
+
+    fn has(&self, module: &str) -> bool {
+        self.modules.iter().any(|known| known == module)
+    }
+
+    /// Whether it went to a module of the core.
+    fn concerns(&self, event: &ModuleEvent) -> bool {
+        match event.kind {
+            ModuleEvent::REQUEST => self.callers.contains_key(&event.service),
+            ModuleEvent::ANSWER | ModuleEvent::COMMAND | ModuleEvent::RESULT | ModuleEvent::TAKEN => {
+                self.has(&event.module)
+            }
+            _ => false,
+        }
+    }
+
+    /// Whether the modules of the core cause it themselves.
+    fn is_caused(&self, event: &ModuleEvent) -> bool {
+        match event.kind {
+            ModuleEvent::REQUEST => self.has(&event.module),
+            ModuleEvent::ANSWER => self.callers.contains_key(&event.service),
+            ModuleEvent::COMMAND => !self.alone && self.has(&event.by),
+            ModuleEvent::TAKEN => true,
+            _ => false,
+        }
+    }
+
+    /// Has those happen in the next sync phase that are due.
+    pub(crate) fn give(
+        &mut self,
+        core: &Core,
+        is_due: impl Fn(&ModuleEvent) -> bool,
+    ) -> Result<(), EventsError> {
+        while self.waiting.front().is_some_and(&is_due) {
+            if let Some(event) = self.waiting.pop_front() {
+                self.make(core, &event)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Has those happen that the run of that number took over, which is the next one.
+    pub(crate) fn take(&mut self, core: &Core, run: u64) -> Result<(), EventsError> {
+        let is_of_run = |event: &ModuleEvent| event.kind == ModuleEvent::TAKEN && event.number == run;
+        let first_taken = self.waiting.iter().position(|event| event.kind == ModuleEvent::TAKEN);
+        let Some(position) = first_taken.filter(|&position| is_of_run(&self.waiting[position])) else {
+            return Ok(());
+        };
+        let count = self.waiting.remove(position).map_or(0, |taken| taken.count);
+        for _ in 0..count {
+            let next = self.waiting.iter().position(|event| event.kind != ModuleEvent::TAKEN);
+            let Some(event) = next.and_then(|next| self.waiting.remove(next)) else { break };
+            if !self.is_caused(&event) {
+                self.make(core, &event)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn make(&self, core: &Core, event: &ModuleEvent) -> Result<(), EventsError> {
+        let ModuleEvent { module, service, port, number, data, reason, .. } = event;
+        let handle = core.handle();
+        let wrong = |problem: String| EventsError::Content { service: service.clone(), problem };
+        match event.kind {
+            ModuleEvent::REQUEST => {
+                if let Some(caller) = self.callers.get(service) {
+                    caller.call(data, EVER, |_| ());
+                }
+            }
+            ModuleEvent::ANSWER => {
+                let Some(stand_in) = self.stand_ins.get(service) else { return Ok(()) };
+                let name = service.as_str().into();
+                let result = match event.outcome {
+                    ModuleEvent::ANSWERED => Ok(data.as_slice()),
+                    ModuleEvent::NO_SERVER => Err(CallError::NoServer { service: name }),
+                    ModuleEvent::SERVER_GONE => {
+                        Err(CallError::ServerGone { service: name, module: reason.as_str().into() })
+                    }
+                    _ => Err(CallError::Refused { service: name, reason: reason.clone() }),
+                };
+                stand_in.answer(module, *port, *number, result).map_err(|error| wrong(error.to_string()))?;
+            }
+            ModuleEvent::RESULT => handle.release_result(module, *port, *number),
+            ModuleEvent::COMMAND => match event.command.as_str() {
+                "pause" => drop(handle.pause_module(module)),
+                "resume" => drop(handle.resume_module(module)),
+                "step" => drop(handle.step_module(module)),
+                "remove" => drop(handle.remove(module)),
+                other => {
+                    let transitions = [
+                        Transition::Configure,
+                        Transition::Activate,
+                        Transition::Deactivate,
+                        Transition::Cleanup,
+                        Transition::Shutdown,
+                    ];
+                    let transition = transitions.into_iter().find(|known| known.to_string() == other);
+                    let transition = transition.ok_or_else(|| EventsError::Command(other.to_owned()))?;
+                    drop(handle.transition(module, transition));
+                }
+            },
+            _ => {}
+        }
+        Ok(())
+    }
+}
+
+/// Why events cannot be made to happen again.
+#[derive(Debug, thiserror::Error)]
+pub enum EventsError {
+    /// A message is not what its topic says.
+    #[error("a message of /module_events: {0}")]
+    Message(cdr::Error),
+    /// A request or an answer is none of its service.
+    #[error("a message of /module_events: service \"{service}\": {problem}")]
+    Content {
+        /// The service.
+        service: String,
+        /// What is wrong.
+        problem: String,
+    },
+    /// A command is not known.
+    #[error("a message of /module_events: unknown command \"{0}\"")]
+    Command(String),
+}
