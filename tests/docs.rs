@@ -1,0 +1,252 @@
+//! What the pages for users say is done: every command of their `sh` blocks and transcripts runs, and every robot file of their `toml`
+//! blocks is read. Rust snippets are compiled as documentation tests (`src/lib.rs`).
+//!
+//! A `ros2` command is run by the command of `downbeat` that takes the same arguments.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use common::{Running, WATCHDOG, downbeat, robot_file};
+use downbeat::robot::RobotFile;
+
+const PAGES: [&str; 8] = [
+    "README.md",
+    "docs/bags.md",
+    "docs/look.md",
+    "docs/look_inside.md",
+    "docs/messages.md",
+    "docs/robot_files.md",
+    "docs/ros2_users.md",
+    "modules/README.md",
+];
+
+/// Commands that other tests run, or that change the machine of whoever types them.
+const ELSEWHERE: [&str; 6] =
+    ["cargo xtask", "cargo test", "cargo run -- run robot.toml", "cargo install", "cd ", "sudo "];
+
+/// Commands that go on until they are interrupted.
+const ENDLESS: [&[&str]; 9] = [
+    &["run"],
+    &["emulate"],
+    &["bag", "record", "-a"],
+    &["bag", "play"],
+    &["topic", "echo"],
+    &["topic", "hz"],
+    &["topic", "bw"],
+    &["topic", "delay"],
+    &["topic", "pub"],
+];
+
+/// Commands that look at a running robot or speak with it.
+const NEEDS_ROBOT: [&str; 10] =
+    ["top", "trace", "expose", "topic", "node", "service", "param", "action", "lifecycle", "ros2"];
+
+struct Block {
+    page: &'static str,
+    line: usize,
+    language: String,
+    text: String,
+}
+
+fn blocks() -> Vec<Block> {
+    let mut blocks = Vec::new();
+    for page in PAGES {
+        let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(page)).unwrap();
+        let mut open: Option<Block> = None;
+        for (number, line) in (1..).zip(text.lines()) {
+            match (line.strip_prefix("```"), &mut open) {
+                (Some(language), None) => {
+                    let language = language.to_owned();
+                    open = Some(Block { page, line: number, language, text: String::new() });
+                }
+                (Some(_), Some(_)) => blocks.extend(open.take()),
+                (None, Some(block)) => {
+                    block.text.push_str(line);
+                    block.text.push('\n');
+                }
+                (None, None) => {}
+            }
+        }
+        assert!(open.is_none(), "{page}: a block is not closed");
+    }
+    blocks
+}
+
+/// The commands of the pages, with their places.
+fn commands() -> Vec<(String, String)> {
+    let mut commands = Vec::new();
+    for block in blocks() {
+        let place = format!("{}:{}", block.page, block.line);
+        let joined = block.text.replace("\\\n", "");
+        let lines = joined.lines().filter_map(|line| match block.language.as_str() {
+            "sh" => Some(line),
+            // A transcript.
+            "" | "text" | "console" => line.strip_prefix("$ "),
+            _ => None,
+        });
+        let lines = lines.filter(|line| !line.trim().is_empty() && !line.starts_with('#'));
+        commands.extend(lines.map(|line| (place.clone(), line.trim().to_owned())));
+    }
+    commands
+}
+
+#[test]
+fn every_robot_file_on_a_page_is_read() {
+    let mut read = 0;
+    for Block { page, line, text, .. } in blocks().into_iter().filter(|block| block.language == "toml") {
+        if text.contains("[dependencies]") || text.contains("[package]") {
+            continue;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let mut file = String::new();
+        if !text.contains("[robot]") {
+            file.push_str("[robot]\nname = \"robot\"\n");
+        }
+        file.push_str(&text);
+        if !text.contains("[[module]]") {
+            file.push_str("\n[[module]]\nkind = \"stand_nod_wave\"\n");
+        }
+        std::fs::write(folder.path().join("params.yaml"), "/**:\n  ros__parameters: {}\n").unwrap();
+        let path = folder.path().join("robot.toml");
+        std::fs::write(&path, file).unwrap();
+        RobotFile::read(&path).map_err(|error| format!("{page}:{line}: {error}")).unwrap();
+        read += 1;
+    }
+    assert!(read >= 5, "only {read} robot files were found");
+}
+
+#[test]
+fn every_command_on_a_page_runs() {
+    let place = Place::new();
+    let mut robot: Option<Running> = None;
+    let mut done = BTreeSet::new();
+    for (page, command) in commands() {
+        if ELSEWHERE.iter().any(|known| command.starts_with(known)) || !done.insert(command.clone()) {
+            continue;
+        }
+        let rewritten = command
+            .replace("cargo run --release -- ", "downbeat ")
+            .replace("ros2 ", "downbeat ")
+            .replace("/tmp/robot", place.folder.join("emulated").to_str().unwrap());
+        let words: Vec<&str> =
+            rewritten.split_whitespace().skip_while(|word| *word != "downbeat").skip(1).collect();
+        let Some(first) = words.first() else { panic!("{page}: who runs `{command}`?") };
+        if command.starts_with("downbeat new") {
+            continue; // tests/newcomer.rs
+        }
+        let needs_robot = NEEDS_ROBOT.contains(first) || command.starts_with("ros2 ") || words == ["graph"];
+        if needs_robot && robot.is_none() {
+            robot = Some(place.start_robot());
+        } else if !needs_robot {
+            if let Some(mut robot) = robot.take() {
+                robot.interrupt();
+            }
+        }
+        place.prepare_for(&words);
+        place.run(&page, &command, &rewritten, &words);
+    }
+    if let Some(mut robot) = robot.take() {
+        robot.interrupt();
+    }
+    assert!(done.len() > 20, "only {} commands were found", done.len());
+}
+
+/// A folder in which the pages' commands find what they name.
+struct Place {
+    folder: PathBuf,
+    _temporary: tempfile::TempDir,
+    domain: String,
+}
+
+impl Place {
+    fn new() -> Self {
+        let temporary = tempfile::tempdir().unwrap();
+        let folder = temporary.path().to_owned();
+        std::fs::create_dir(folder.join("robots")).unwrap();
+        let demo = robot_file(&folder, |text| text);
+        std::fs::rename(demo, folder.join("robots/darwin_op.toml")).unwrap();
+        std::fs::write(folder.join("robot.toml"), common::QUIET_ROBOT).unwrap();
+        Self { folder, _temporary: temporary, domain: "118".into() }
+    }
+
+    fn command(&self) -> Command {
+        let mut command = downbeat(&[]);
+        command
+            .current_dir(&self.folder)
+            .env("ROS_DOMAIN_ID", &self.domain)
+            .env("XDG_RUNTIME_DIR", &self.folder);
+        command
+    }
+
+    fn start_robot(&self) -> Running {
+        let robot = Running::start_by(self.command().args(["run", "robots/darwin_op.toml"]));
+        robot.wait_for_output("exposed to ROS 2: /joint_states");
+        robot
+    }
+
+    /// Makes the bags that a command reads, and makes room for what it writes.
+    fn prepare_for(&self, words: &[&str]) {
+        for (position, word) in words.iter().enumerate() {
+            let is_output = position > 0 && ["-o", "--output", "--record"].contains(&words[position - 1]);
+            let path = self.folder.join(word);
+            if is_output && path.exists() {
+                if path.is_dir() {
+                    std::fs::remove_dir_all(path).unwrap()
+                } else {
+                    std::fs::remove_file(path).unwrap()
+                }
+            } else if !is_output && ["my_run", "one", "two", "killed"].contains(word) && !path.exists() {
+                let mut record = self.command();
+                record.args(["run", "robots/darwin_op.toml", "--duration", "3s", "--record", word]);
+                let output = record.output().unwrap();
+                assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+                if *word == "killed" {
+                    let file = path.join("killed_0.mcap");
+                    let bytes = std::fs::read(&file).unwrap();
+                    std::fs::write(&file, &bytes[..bytes.len() / 2]).unwrap();
+                }
+            }
+        }
+    }
+
+    /// By a shell, as whoever reads the page would.
+    fn run(&self, page: &str, command: &str, rewritten: &str, words: &[&str]) {
+        let program = env!("CARGO_BIN_EXE_downbeat");
+        let folder = Path::new(program).parent().unwrap();
+        let path = format!("{}:{}", folder.display(), std::env::var("PATH").unwrap());
+        let mut shell = Command::new("sh");
+        shell.args(["-c", &format!("exec {}", rewritten.trim_start_matches("exec "))]);
+        if rewritten.contains(['|', ';']) || !rewritten.starts_with("downbeat") {
+            shell = Command::new("sh");
+            shell.args(["-c", rewritten]);
+        }
+        shell.current_dir(&self.folder).env("PATH", path).env("ROS_DOMAIN_ID", &self.domain);
+        shell.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env("XDG_RUNTIME_DIR", &self.folder);
+        shell.stdin(Stdio::null());
+        let ends = |word: &&&str| ["--duration", "--once", "-1", "--into"].contains(*word);
+        let is_endless =
+            ENDLESS.iter().any(|begin| words.starts_with(begin)) && words.iter().find(ends).is_none();
+        let mut running = Running::start_by(&mut shell);
+        if is_endless {
+            let started = Instant::now();
+            while running.output().is_empty() && running.is_running() {
+                assert!(started.elapsed() < WATCHDOG, "{page}: `{command}` says nothing");
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            if running.is_running() {
+                running.signal("-INT");
+            }
+        }
+        let status = running.wait();
+        let output = running.output();
+        // A page may show an error too; its text says so.
+        let is_expected = status.success() || output.contains("cannot decode CDR");
+        assert!(is_expected, "{page}: `{command}` ends with {status}:\n{output}");
+        assert!(!output.contains("panicked"), "{page}: `{command}`:\n{output}");
+    }
+}
