@@ -9,6 +9,7 @@ use crate::inspect::Request;
 use crate::msgs::encoding::Encoding;
 use crate::robot::{Catalog, RobotFile, RobotFileError, RosArgs};
 use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
+use clap_complete::Shell;
 
 use super::bag::check::CheckBagArguments;
 use super::bag::convert::ConvertArguments;
@@ -24,6 +25,7 @@ use super::bag::reindex::ReindexArguments;
 use super::bag::repair::RepairArguments;
 use super::bag::replay::ReplayArguments;
 use super::interface::InterfaceCommand;
+use super::look::{ActionCommand, LifecycleCommand, NodeCommand, ParamCommand, ServiceCommand, TopicCommand};
 use super::new_output::Force;
 
 /// Robot software as small modules in one process, seen and driven from ROS 2 Jazzy, recorded and replayed.
@@ -59,6 +61,8 @@ impl Cli {
         }
         let makes_node = match &cli.command {
             Command::Run(_) | Command::Check(_) => true,
+            Command::Topic(_) | Command::Node(_) | Command::Service(_) | Command::Param(_) => true,
+            Command::Action(_) | Command::Lifecycle(_) => true,
             Command::Graph(arguments) => arguments.robot.is_none(),
             Command::Bag(command) => {
                 matches!(command, BagCommand::Record(_) | BagCommand::Play(_) | BagCommand::Replay(_))
@@ -67,7 +71,7 @@ impl Cli {
         };
         if !makes_node && !cli.ros.is_empty() {
             refuse(
-                "--ros-args goes with commands that make a ROS 2 node: run, check, graph of the network, bag record, bag play, bag replay"
+                "--ros-args goes with commands that make a ROS 2 node: run, check, graph of the network, topic, node, service, param, action, lifecycle, bag record, bag play, bag replay"
                     .into(),
             );
         }
@@ -98,9 +102,35 @@ pub(crate) enum Command {
     /// gives all of it.
     #[command(subcommand)]
     Interface(InterfaceCommand),
+    /// Look at topics of the ROS 2 network, listen to them, publish on them.
+    #[command(subcommand)]
+    Topic(TopicCommand),
+    /// Look at nodes of the ROS 2 network.
+    #[command(subcommand)]
+    Node(NodeCommand),
+    /// Look at services of the ROS 2 network, and call them.
+    #[command(subcommand)]
+    Service(ServiceCommand),
+    /// Look at parameters of nodes of the ROS 2 network, and set them.
+    #[command(subcommand)]
+    Param(ParamCommand),
+    /// Look at actions of the ROS 2 network, and send goals.
+    #[command(subcommand)]
+    Action(ActionCommand),
+    /// Look at managed nodes of the ROS 2 network, and have them make transitions.
+    #[command(subcommand)]
+    Lifecycle(LifecycleCommand),
     /// Run an emulated device alone.
     #[command(subcommand)]
     Emulate(EmulateCommand),
+    /// Print a script that completes the commands and options of this program in a shell.
+    ///
+    /// For bash: downbeat completions bash > ~/.local/share/bash-completion/completions/downbeat
+    Completions {
+        /// The shell.
+        #[arg(value_enum)]
+        shell: Shell,
+    },
 }
 
 #[derive(Args)]

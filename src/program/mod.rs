@@ -14,6 +14,7 @@ mod graph;
 mod interface;
 mod keyboard;
 mod logging;
+mod look;
 mod new_output;
 mod run;
 mod screen;
@@ -26,8 +27,10 @@ mod wrap;
 
 use std::process::ExitCode;
 
+use clap::CommandFactory;
 use cli::{BagCommand, Cli, Command, EmulateCommand};
 use logging::Log;
+use look::Environment;
 use screen::Screen;
 
 use crate::App;
@@ -46,6 +49,7 @@ pub(crate) fn main(app: &App) -> ExitCode {
         Ok(catalog) => catalog,
         Err(error) => return fail(&error.into()),
     };
+    let environment = Environment { catalog, ros: &ros };
     let result = match command {
         Command::Run(arguments) => run::run(&arguments, catalog, &ros, &screen, &log),
         Command::Check(arguments) => check::check(&arguments, catalog, &ros),
@@ -69,8 +73,18 @@ pub(crate) fn main(app: &App) -> ExitCode {
         #[cfg(feature = "plots")]
         Command::Bag(BagCommand::Plot(arguments)) => bag::plot::plot(&arguments, catalog),
         Command::Interface(command) => interface::interface(&command, catalog),
+        Command::Topic(command) => look::topic(&command, &environment),
+        Command::Node(command) => look::node(&command, &environment),
+        Command::Service(command) => look::service(&command, &environment),
+        Command::Param(command) => look::param(&command, &environment),
+        Command::Action(command) => look::action(&command, &environment),
+        Command::Lifecycle(command) => look::lifecycle(&command, &environment),
         Command::Emulate(EmulateCommand::DarwinOp { link, seed, fault }) => {
             emulate::darwin_op(link, seed, &fault)
+        }
+        Command::Completions { shell } => {
+            print_completions(shell);
+            Ok(())
         }
     };
     screen.show(Vec::new());
@@ -87,6 +101,14 @@ fn not_built<T>(feature: &str, instead: &str) -> anyhow::Result<T> {
     anyhow::bail!(
         "this program is built without the feature `{feature}`: build it with --features {feature}; {instead}"
     )
+}
+
+fn print_completions(shell: clap_complete::Shell) {
+    let mut command = Cli::command();
+    let name = command.get_name().to_owned();
+    let mut script = Vec::new();
+    clap_complete::generate(shell, &mut command, name, &mut script);
+    print!("{}", String::from_utf8_lossy(&script));
 }
 
 fn fail(error: &anyhow::Error) -> ExitCode {

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use crate::steps::workspace;
 
 /// The order of the headings; others follow by name.
-const HEADINGS: [&str; 13] = [
+const HEADINGS: [&str; 14] = [
     "Selection",
     "Topics",
     "Quality of service",
@@ -19,6 +19,7 @@ const HEADINGS: [&str; 13] = [
     "Parameters",
     "Node services",
     "Graph",
+    "Command line",
     "Environment",
     "Faults",
     "Several hosts",

@@ -11,9 +11,9 @@ use crate::middleware::{
     Direction, Endpoint, Gid, Middleware, MiddlewareError, Reader, RejoinStep, RemoteEndpoint, Sample,
     WriteError, Writer,
 };
-use downbeat_msgs::cdr;
 use downbeat_msgs::qos::{Durability, QosProfile};
 use downbeat_msgs::rmw_dds_common::msg::{Gid as GidMessage, NodeEntitiesInfo, ParticipantEntitiesInfo};
+use downbeat_msgs::{cdr, printable};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
@@ -304,7 +304,7 @@ fn hear(heard: &Mutex<Heard>, own: [u8; 12], sample: &Sample) {
 fn full_name(node: &NodeEntitiesInfo) -> String {
     // Another participant may send any text, which lists and logs print.
     let name = format!("{}/{}", node.node_namespace.trim_end_matches('/'), node.node_name);
-    name.chars().flat_map(|c| if c.is_control() { c.escape_default().collect() } else { vec![c] }).collect()
+    printable(&name).into_owned()
 }
 
 fn remote_topic(endpoint: &RemoteEndpoint) -> Option<RemoteTopic> {

@@ -100,13 +100,18 @@ impl Participant {
     /// ```
     #[must_use]
     pub fn network(&self) -> NetworkGraph {
-        let Found { nodes, endpoints } = self.found();
+        self.found().into()
+    }
+}
+
+impl From<Found> for NetworkGraph {
+    fn from(Found { nodes, endpoints }: Found) -> Self {
         let node = |FoundNode { name, participant }| NetworkNode {
             name,
             vendor: vendor(participant),
             participant: participant.participant(),
         };
-        NetworkGraph {
+        Self {
             nodes: nodes.into_iter().map(node).collect(),
             endpoints: endpoints.into_iter().map(NetworkEndpoint::from).collect(),
         }

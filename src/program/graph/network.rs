@@ -1,23 +1,12 @@
 //! The graph of the network.
 
-use std::time::{Duration, Instant};
-
-use crate::bridge::ros::Participant;
 use crate::executor::{Graph, GraphEdge, GraphModule, GraphService, GraphTopic};
 use crate::msgs::downbeat_interfaces::msg::{NetworkEndpoint, NetworkGraph};
 use crate::robot::{Catalog, RosArgs};
 use serde_json::{Value, json};
 
 use crate::program::cli::GraphArguments;
-use crate::program::run::node;
-
-const LOOK: Duration = Duration::from_millis(100);
-
-/// Whoever is there answers the first announcement within this time; some more is for those that are slow.
-const AT_LEAST: Duration = Duration::from_secs(2);
-
-/// For how long nothing new has to be found.
-const QUIET: Duration = Duration::from_secs(1);
+use crate::program::look::{Environment, Look, Patience};
 
 /// Joins the domain under a hidden name and looks until all that was found has a node, or the time is up.
 pub(super) fn look(
@@ -27,26 +16,8 @@ pub(super) fn look(
 ) -> anyhow::Result<NetworkGraph> {
     // As the tools of ROS 2 hide theirs.
     let name = format!("_downbeat_graph_{}", std::process::id());
-    let (participant, _node) = node(&name, arguments.domain, catalog, ros)?;
-    Ok(wait(&participant, arguments.wait))
-}
-
-fn wait(participant: &Participant, longest: Duration) -> NetworkGraph {
-    let begin = Instant::now();
-    let mut network = participant.network();
-    let mut changed = begin;
-    while begin.elapsed() < longest {
-        let has_all_nodes = network.endpoints.iter().all(|endpoint| !endpoint.node.is_empty());
-        if has_all_nodes && begin.elapsed() >= AT_LEAST && changed.elapsed() >= QUIET {
-            break;
-        }
-        std::thread::sleep(LOOK);
-        let now = participant.network();
-        if now != network {
-            (network, changed) = (now, Instant::now());
-        }
-    }
-    network
+    let look = Look::join_as(&name, arguments.domain, arguments.wait, &Environment { catalog, ros })?;
+    Ok(look.all(Patience::Nodes).into())
 }
 
 /// A word for each kind of endpoint.

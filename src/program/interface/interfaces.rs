@@ -16,13 +16,13 @@ use super::packages::{ament_packages, packages_at};
 
 /// Definitions from --from, AMENT_PREFIX_PATH and this program (what it carries and what it registers), in this order: the first place that has a package gives
 /// all of it, as ament overlays do.
-pub(super) struct Interfaces {
-    pub(super) catalog: Catalog,
+pub(in crate::program) struct Interfaces {
+    pub(in crate::program) catalog: Catalog,
 }
 
 /// The definition behind a name.
 #[derive(Clone, Copy)]
-pub(super) enum Definition<'a> {
+pub(in crate::program) enum Definition<'a> {
     Message(&'a MessageDefinition),
     Service(&'a ServiceDefinition),
     Action(&'a ActionDefinition),
@@ -32,7 +32,10 @@ impl Interfaces {
     /// # Errors
     /// If a place of --from has no packages or a definition there is wrong. A wrong package of AMENT_PREFIX_PATH is left
     /// out with a warning, since it may have nothing to do with what is asked for.
-    pub(super) fn load(source: &SourceArguments, registered: &Registered) -> anyhow::Result<Self> {
+    pub(in crate::program) fn load(
+        source: &SourceArguments,
+        registered: &Registered,
+    ) -> anyhow::Result<Self> {
         let mut catalog = Catalog::new();
         let mut taken = BTreeSet::new();
         for path in &source.from {
@@ -73,7 +76,7 @@ impl Interfaces {
     ///
     /// # Errors
     /// If there is none; with the nearest name.
-    pub(super) fn find(&self, name: &TypeName) -> anyhow::Result<Definition<'_>> {
+    pub(in crate::program) fn find(&self, name: &TypeName) -> anyhow::Result<Definition<'_>> {
         let catalog = &self.catalog;
         let message = || catalog.message(name).map(Definition::Message);
         let found = match name.kind {

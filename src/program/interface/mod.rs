@@ -12,6 +12,8 @@ mod source_text;
 mod structure;
 
 pub(crate) use arguments::InterfaceCommand;
+pub(super) use arguments::SourceArguments;
+pub(super) use interfaces::Interfaces;
 
 use crate::bridge::edge::Interfaces as Registered;
 use crate::robot::Catalog;

@@ -36,7 +36,7 @@ impl MessageRef<'_> {
 
     /// The message as a line of `ros2 topic echo --csv`, without its line break. `flow_style` has no meaning here.
     ///
-    /// Strings are neither quoted nor is a comma in them marked, as there; control characters are escaped.
+    /// Strings are neither quoted nor is a comma in them marked, as there.
     #[must_use]
     pub fn to_csv(self, style: &YamlStyle) -> String {
         let mut cells = Vec::new();
@@ -47,12 +47,12 @@ impl MessageRef<'_> {
 
 impl ValueRef<'_> {
     /// The value of a field of that type as `print` shows it in Python: what `ros2 topic echo --field` prints of a field that
-    /// is no message. Control characters in a string are escaped, except for line breaks and tabs.
+    /// is no message.
     #[must_use]
     pub fn to_python_str(self, field_type: &FieldType) -> String {
         let mut out = String::new();
         match self {
-            ValueRef::String(text) | ValueRef::WString(text) => write_printable(&mut out, text),
+            ValueRef::String(text) | ValueRef::WString(text) => out.push_str(text),
             ValueRef::Array(array) => match (array_kind(field_type), array_code(array)) {
                 (ArrayKind::Numpy, _) => out.push_str(&numpy::to_str(array)),
                 (ArrayKind::Typed, Some(code)) if array.is_empty() => {
@@ -181,7 +181,7 @@ pub fn write_text(out: &mut String, text: &str) {
             out.push('\\');
             out.push(character);
         } else {
-            write_escaped(out, character, false);
+            write_escaped(out, character);
         }
     }
     out.push(quote);
@@ -210,15 +210,9 @@ pub fn write_bytes(out: &mut String, bytes: &[u8]) {
     out.push(quote);
 }
 
-/// Appends a text for a terminal: control characters are escaped, except for line breaks and tabs.
-fn write_printable(out: &mut String, text: &str) {
-    text.chars().for_each(|character| write_escaped(out, character, true));
-}
-
-fn write_escaped(out: &mut String, character: char, keeps_white: bool) {
+fn write_escaped(out: &mut String, character: char) {
     let code = u32::from(character);
     match character {
-        '\n' | '\t' if keeps_white => out.push(character),
         '\t' => out.push_str("\\t"),
         '\n' => out.push_str("\\n"),
         '\r' => out.push_str("\\r"),
@@ -261,7 +255,7 @@ fn csv_of_value(cells: &mut Vec<String>, field_type: &FieldType, value: ValueRef
         }
         ValueRef::String(text) | ValueRef::WString(text) => {
             let end = style.truncate_length.and_then(|length| text.char_indices().nth(length));
-            write_printable(&mut cell, &text[..end.map_or(text.len(), |(end, _)| end)]);
+            cell.push_str(&text[..end.map_or(text.len(), |(end, _)| end)]);
             if end.is_some() {
                 cell.push_str("...");
             }
@@ -306,7 +300,7 @@ mod tests {
         let style = YamlStyle::default();
         assert_eq!(
             message().as_message().to_csv(&style),
-            r"True,b'\x07',a'b\x1b[31m,0.5,1e-05,1,2,b'A',b'\x00',x,y,z,1,0"
+            "True,b'\\x07',a'b\u{1b}[31m,0.5,1e-05,1,2,b'A',b'\\x00',x,y,z,1,0"
         );
         let short = YamlStyle { truncate_length: Some(1), no_str: true, ..style };
         assert_eq!(
@@ -330,7 +324,7 @@ mod tests {
             .fields_with_types()
             .map(|(_, field_type, value)| value.to_python_str(field_type))
             .collect();
-        assert_eq!(shown[..4], ["True", r"b'\x07'", r"a'b\x1b[31m", "array('d', [0.5, 1e-05])"]);
+        assert_eq!(shown[..4], ["True", r"b'\x07'", "a'b\u{1b}[31m", "array('d', [0.5, 1e-05])"]);
         assert_eq!(shown[4..7], ["[1 2]", r"[b'A', b'\x00']", "['x', 'y,z']"]);
     }
 }

@@ -1,0 +1,259 @@
+//! A node that looks at the network, and how long it does.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
+
+use crate::bridge::edge::Interfaces;
+use crate::bridge::ros::{EndpointKind, Found, Node, Participant};
+use crate::program::run;
+use crate::program::stop::Stop;
+use crate::robot::{Catalog, RosArgs};
+use clap::Args;
+
+use super::values::seconds;
+
+/// What a command has from the program it is a command of.
+#[derive(Clone, Copy)]
+pub(in crate::program) struct Environment<'a> {
+    /// What the program registers, interfaces among it.
+    pub(in crate::program) catalog: &'a Catalog,
+    pub(in crate::program) ros: &'a RosArgs,
+}
+
+/// What every command takes that looks at the network.
+#[derive(Args)]
+pub(crate) struct LookArguments {
+    /// The ROS domain, instead of ROS_DOMAIN_ID.
+    #[arg(long, value_name = "N")]
+    pub(super) domain: Option<u16>,
+    /// Wait at most so long until what is asked for is found, in seconds.
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, default_value = "8")]
+    pub(super) spin_time: Duration,
+    /// Take the time from /clock.
+    #[arg(short = 's', long)]
+    pub(super) use_sim_time: bool,
+    /// Accepted as by `ros2`: there is no daemon.
+    #[arg(long)]
+    no_daemon: bool,
+}
+
+/// A node under a hidden name, as the tools of ROS 2 hide theirs.
+pub(in crate::program) struct Look {
+    pub(super) participant: Participant,
+    pub(super) node: Node,
+    pub(super) stop: Stop,
+    /// Those of the program.
+    pub(super) interfaces: Interfaces,
+    /// The longest time to wait for what is asked for.
+    longest: Duration,
+}
+
+/// When a list counts as whole.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(in crate::program) enum Patience {
+    /// When nothing new is found any more.
+    Endpoints,
+    /// When also the node of each endpoint is known, which takes some seconds.
+    Nodes,
+}
+
+const POLL: Duration = Duration::from_millis(20);
+
+/// Whoever is there answers the first announcement within this time; some more is for those that are slow.
+const AT_LEAST: Duration = Duration::from_secs(2);
+
+/// For how long nothing new has to be found before a list counts as whole.
+const QUIET: Duration = Duration::from_secs(1);
+
+/// The endpoints of one participant are found one after another: this long after the last one the others are there.
+const TOGETHER: Duration = Duration::from_millis(300);
+
+impl Look {
+    pub(super) fn join(
+        command: &str,
+        arguments: &LookArguments,
+        environment: &Environment<'_>,
+    ) -> anyhow::Result<Self> {
+        // Read only by clap, which documents it.
+        let _ = arguments.no_daemon;
+        let name = format!("_downbeat_{command}_{}", std::process::id());
+        Self::join_as(&name, arguments.domain, arguments.spin_time, environment)
+    }
+
+    pub(in crate::program) fn join_as(
+        name: &str,
+        domain: Option<u16>,
+        longest: Duration,
+        environment: &Environment<'_>,
+    ) -> anyhow::Result<Self> {
+        let stop = Stop::new()?;
+        let Environment { catalog, ros } = *environment;
+        let (participant, node) = run::node(name, domain, catalog, ros)?;
+        Ok(Self { participant, node, stop, interfaces: catalog.interfaces.clone(), longest })
+    }
+
+    /// The same with another longest time to wait, if one is given.
+    pub(super) fn no_longer_than(self, longest: Option<Duration>) -> Self {
+        Self { longest: longest.unwrap_or(self.longest), ..self }
+    }
+
+    /// All there is, as a list shows it.
+    pub(in crate::program) fn all(&self, patience: Patience) -> Found {
+        self.all_with(patience, |_| true)
+    }
+
+    /// The same, once it has something; whether it has or not when the time is over.
+    pub(super) fn all_with(&self, patience: Patience, has: impl Fn(&Found) -> bool) -> Found {
+        let has_nodes = |found: &Found| found.endpoints.iter().all(|endpoint| endpoint.node.is_some());
+        self.watch(AT_LEAST, QUIET, |found| {
+            (patience == Patience::Endpoints || has_nodes(found)) && has(found)
+        })
+    }
+
+    /// What is there as soon as it has something, with what belongs to it; or when the time is over.
+    pub(super) fn found_with(&self, has: impl Fn(&Found) -> bool) -> Found {
+        self.watch(Duration::ZERO, TOGETHER, has)
+    }
+
+    /// Waits until a condition holds, for no longer than `longest` if that is given; whether it holds before the command is
+    /// stopped.
+    pub(super) fn wait_for(&self, longest: Option<Duration>, mut holds: impl FnMut() -> bool) -> bool {
+        let begin = Instant::now();
+        while !self.stop.is_due() {
+            if holds() {
+                return true;
+            }
+            if longest.is_some_and(|longest| begin.elapsed() >= longest) {
+                return false;
+            }
+            self.stop.sleep(POLL);
+        }
+        false
+    }
+
+    fn watch(&self, at_least: Duration, quiet: Duration, is_enough: impl Fn(&Found) -> bool) -> Found {
+        let begin = Instant::now();
+        let mut found = self.participant.found();
+        let mut changed = begin;
+        while begin.elapsed() < self.longest && !self.stop.is_due() {
+            if begin.elapsed() >= at_least && changed.elapsed() >= quiet && is_enough(&found) {
+                break;
+            }
+            self.stop.sleep(POLL);
+            let now = self.participant.found();
+            if now != found {
+                (found, changed) = (now, Instant::now());
+            }
+        }
+        found
+    }
+}
+
+/// Names and their types, in the order of the names.
+pub(super) type NamesAndTypes = BTreeMap<String, BTreeSet<String>>;
+
+/// The names with endpoints of one of the kinds; all of a node if one is named.
+pub(super) fn names_and_types(found: &Found, kinds: &[EndpointKind], node: Option<&str>) -> NamesAndTypes {
+    let mut names = NamesAndTypes::new();
+    let is_of_node = |of: &Option<String>| node.is_none_or(|node| of.as_deref() == Some(node));
+    for endpoint in &found.endpoints {
+        if kinds.contains(&endpoint.kind) && is_of_node(&endpoint.node) {
+            names.entry(endpoint.name.clone()).or_default().insert(endpoint.type_name.clone());
+        }
+    }
+    names
+}
+
+pub(super) const OF_TOPICS: &[EndpointKind] = &[EndpointKind::Publisher, EndpointKind::Subscription];
+pub(super) const OF_SERVICES: &[EndpointKind] = &[EndpointKind::Server, EndpointKind::Client];
+
+/// Actions, which are known by their topic of feedback: who serves one publishes it.
+pub(super) fn actions(found: &Found, kinds: &[EndpointKind], node: Option<&str>) -> NamesAndTypes {
+    let mut actions = NamesAndTypes::new();
+    for (topic, types) in names_and_types(found, kinds, node) {
+        let Some(action) = topic.strip_suffix("/_action/feedback") else { continue };
+        let types = types.iter().filter_map(|name| name.strip_suffix("_FeedbackMessage")).map(str::to_owned);
+        let types: BTreeSet<_> = types.collect();
+        if !types.is_empty() {
+            actions.insert(action.to_owned(), types);
+        }
+    }
+    actions
+}
+
+/// How many endpoints of one kind a name has.
+pub(super) fn count(found: &Found, name: &str, kind: EndpointKind) -> usize {
+    found.endpoints.iter().filter(|endpoint| endpoint.kind == kind && endpoint.name == name).count()
+}
+
+/// Whether tools leave out a name unless asked for it: a part of it begins with an underscore.
+pub(super) fn is_hidden(name: &str) -> bool {
+    name.split('/').any(|part| part.starts_with('_'))
+}
+
+/// Whether tools leave out a node unless asked for it, by its name without the namespace.
+pub(super) fn is_hidden_node(name: &str) -> bool {
+    name.rsplit('/').next().is_some_and(|name| name.is_empty() || name.starts_with('_'))
+}
+
+/// The names of nodes in their order, with those that several have as often as they are there.
+pub(super) fn node_names(found: &Found, with_hidden: bool) -> Vec<&str> {
+    let names = found.nodes.iter().map(|node| node.name.as_str());
+    names.filter(|name| with_hidden || !is_hidden_node(name)).collect()
+}
+
+/// A name with the slash that people leave out.
+pub(super) fn absolute(name: &str) -> String {
+    if name.starts_with('/') { name.to_owned() } else { format!("/{name}") }
+}
+
+/// Types as lists show them behind a name.
+pub(super) fn joined(types: &BTreeSet<String>) -> String {
+    types.iter().map(String::as_str).collect::<Vec<_>>().join(", ")
+}
+
+/// A type, or a list of types as Python shows it.
+pub(super) fn type_or_types(types: &BTreeSet<String>) -> String {
+    match types.iter().next() {
+        Some(only) if types.len() == 1 => only.clone(),
+        _ => format!("[{}]", types.iter().map(|name| format!("'{name}'")).collect::<Vec<_>>().join(", ")),
+    }
+}
+
+/// Prints names as `list -t` and `list -c` do.
+pub(super) fn print_list(names: &NamesAndTypes, with_types: bool, only_count: bool) {
+    if only_count {
+        return println!("{}", names.len());
+    }
+    for (name, types) in names {
+        match with_types {
+            true => println!("{name} [{}]", joined(types)),
+            false => println!("{name}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_hidden_by_an_underscore() {
+        for (name, topic, node) in [
+            ("/a/b", false, false),
+            ("/_a/b", true, false),
+            ("/a/_action/status", true, false),
+            ("/a/_ros2cli_1", true, true),
+            ("/a_b", false, false),
+        ] {
+            assert_eq!((is_hidden(name), is_hidden_node(name)), (topic, node), "{name}");
+        }
+    }
+
+    #[test]
+    fn several_types_are_shown_as_a_list_of_python() {
+        let types = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
+        assert_eq!(type_or_types(&types(&["a/msg/A"])), "a/msg/A");
+        assert_eq!(type_or_types(&types(&["a/msg/A", "b/msg/B"])), "['a/msg/A', 'b/msg/B']");
+    }
+}

@@ -1,0 +1,247 @@
+//! `downbeat service`
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use crate::bridge::middleware::rpc::CallError;
+use crate::bridge::ros::{EndpointKind, Found, RawClient, ServiceType};
+use crate::msgs::builtin_interfaces::msg::Time;
+use crate::msgs::dynamic::{DynamicMessage, DynamicType};
+use crate::msgs::qos::QosProfile;
+use anyhow::{Context, bail};
+use bytes::Bytes;
+use clap::{Args, Subcommand};
+
+use super::clock::LookClock;
+use super::definitions::{Types, full_name};
+use super::network::{
+    Environment, Look, LookArguments, NamesAndTypes, OF_SERVICES, Patience, count, is_hidden,
+    names_and_types, print_list, type_or_types,
+};
+use super::values::{FieldArguments, period, positive};
+
+#[derive(Subcommand)]
+pub(crate) enum ServiceCommand {
+    /// List services.
+    List(ListArguments),
+    /// Print the type of a service, and how many offer and call it.
+    Info(NameArguments),
+    /// Call a service and print the response.
+    Call(CallArguments),
+    /// Print the type of a service.
+    Type(NameArguments),
+    /// List the services of a type.
+    Find(FindArguments),
+}
+
+#[derive(Args)]
+pub(crate) struct ListArguments {
+    /// Print the types, too.
+    #[arg(short = 't', long)]
+    show_types: bool,
+    /// Print only how many there are.
+    #[arg(short, long)]
+    count_services: bool,
+    /// Print also services with a name that begins with an underscore, or has a part that does.
+    #[arg(short = 'a', long)]
+    include_hidden_services: bool,
+    #[command(flatten)]
+    look: LookArguments,
+}
+
+#[derive(Args)]
+pub(crate) struct NameArguments {
+    /// The service.
+    service: String,
+    #[command(flatten)]
+    look: LookArguments,
+}
+
+#[derive(Args)]
+pub(crate) struct FindArguments {
+    /// The type, for example std_srvs/srv/SetBool.
+    #[arg(value_name = "TYPE")]
+    type_name: String,
+    /// Print only how many there are.
+    #[arg(short, long)]
+    count_services: bool,
+    /// Print also services with a name that begins with an underscore, or has a part that does.
+    #[arg(short = 'a', long)]
+    include_hidden_services: bool,
+    #[command(flatten)]
+    look: LookArguments,
+}
+
+#[derive(Args)]
+pub(crate) struct CallArguments {
+    /// The service.
+    service: String,
+    /// Its type, for example std_srvs/srv/SetBool.
+    #[arg(value_name = "TYPE")]
+    type_name: String,
+    #[command(flatten)]
+    fields: FieldArguments,
+    /// Call again and again, so many times per second.
+    #[arg(short, long, value_name = "HZ", value_parser = positive)]
+    rate: Option<f64>,
+    /// Take definitions from here before all others: an ament prefix, a folder of packages, or a package.
+    #[arg(long, value_name = "PATH")]
+    from: Vec<PathBuf>,
+    #[command(flatten)]
+    look: LookArguments,
+}
+
+pub(crate) fn service(command: &ServiceCommand, environment: &Environment<'_>) -> anyhow::Result<()> {
+    match command {
+        ServiceCommand::List(arguments) => list(arguments, environment),
+        ServiceCommand::Info(arguments) => info(arguments, environment),
+        ServiceCommand::Call(arguments) => call(arguments, environment),
+        ServiceCommand::Type(arguments) => type_of(arguments, environment),
+        ServiceCommand::Find(arguments) => find(arguments, environment),
+    }
+}
+
+fn services(found: &Found, with_hidden: bool) -> NamesAndTypes {
+    let mut services = names_and_types(found, OF_SERVICES, None);
+    services.retain(|name, _| with_hidden || !is_hidden(name));
+    services
+}
+
+fn list(arguments: &ListArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
+    let look = Look::join("service", &arguments.look, environment)?;
+    let services = services(&look.all(Patience::Endpoints), arguments.include_hidden_services);
+    print_list(&services, arguments.show_types, arguments.count_services);
+    Ok(())
+}
+
+fn info(arguments: &NameArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
+    let look = Look::join("service", &arguments.look, environment)?;
+    let name = look.node.service_name(&arguments.service)?;
+    let found = look.all_with(Patience::Endpoints, |found| services(found, true).contains_key(name.as_str()));
+    let services = services(&found, true);
+    let Some(types) = services.get(name.as_str()) else { bail!("Unknown service '{name}'") };
+    println!("Type: {}", type_or_types(types));
+    println!("Clients count: {}", count(&found, name.as_str(), EndpointKind::Client));
+    println!("Services count: {}", count(&found, name.as_str(), EndpointKind::Server));
+    Ok(())
+}
+
+fn type_of(arguments: &NameArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
+    let look = Look::join("service", &arguments.look, environment)?;
+    let name = look.node.service_name(&arguments.service)?;
+    let found = look.found_with(|found| services(found, true).contains_key(name.as_str()));
+    let services = services(&found, true);
+    let types = services.get(name.as_str()).with_context(|| format!("Unknown service '{name}'"))?;
+    types.iter().for_each(|name| println!("{name}"));
+    Ok(())
+}
+
+fn find(arguments: &FindArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
+    let look = Look::join("service", &arguments.look, environment)?;
+    let mut services = services(&look.all(Patience::Endpoints), arguments.include_hidden_services);
+    services.retain(|_, types| types.contains(&arguments.type_name));
+    print_list(&services, false, arguments.count_services);
+    Ok(())
+}
+
+/// Calls a service of any type.
+pub(super) struct DynamicClient {
+    client: RawClient,
+    pub(super) request: DynamicType,
+    pub(super) response: DynamicType,
+}
+
+/// How long discovery takes at the most, on a machine that is not busy.
+const DISCOVERY: Duration = Duration::from_secs(2);
+
+/// How soon Ctrl-C is noticed.
+const POLL: Duration = Duration::from_millis(50);
+
+/// `ros2` waits for ever.
+const NO_END: Duration = Duration::from_secs(365 * 24 * 3600);
+
+impl DynamicClient {
+    pub(super) fn new(look: &Look, types: &Types, service: &str, type_name: &str) -> anyhow::Result<Self> {
+        let service_type = ServiceType::new(type_name)?;
+        let client = look.node.client_raw(service, &service_type, QosProfile::SERVICES)?;
+        let [request, response] = types.service(look, service, &service_type)?;
+        Ok(Self { client, request, response })
+    }
+
+    pub(super) fn is_available(&self) -> bool {
+        self.client.is_available()
+    }
+
+    /// Sends a request; the response comes to the receiver that is returned.
+    pub(super) fn call(&self, request: &DynamicMessage) -> Call<'_> {
+        let (sender, answer) = std::sync::mpsc::sync_channel(1);
+        self.client.call(request.to_cdr().into(), NO_END, move |result| {
+            // Who does not wait any more has been stopped.
+            let _ = sender.try_send(result);
+        });
+        Call { client: self, answer }
+    }
+}
+
+/// A request that was sent.
+pub(super) struct Call<'a> {
+    client: &'a DynamicClient,
+    answer: std::sync::mpsc::Receiver<Result<Bytes, CallError>>,
+}
+
+impl Call<'_> {
+    /// The response; `None` if the command was stopped before it came.
+    pub(super) fn wait(&self, look: &Look) -> anyhow::Result<Option<DynamicMessage>> {
+        while !look.stop.is_due() {
+            if let Some(response) = self.poll(POLL)? {
+                return Ok(Some(response));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The response, if it comes within `time`.
+    pub(super) fn poll(&self, time: Duration) -> anyhow::Result<Option<DynamicMessage>> {
+        let Ok(answer) = self.answer.recv_timeout(time) else { return Ok(None) };
+        let cdr = answer.context("Exception while calling service")?;
+        let of = &self.client.response;
+        Ok(Some(
+            DynamicMessage::from_cdr(of, &cdr)
+                .with_context(|| format!("the response is no {}", of.name()))?,
+        ))
+    }
+}
+
+fn call(arguments: &CallArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
+    let period = arguments.rate.map(period).transpose()?;
+    let yaml = arguments.fields.read()?;
+    let look = Look::join("service", &arguments.look, environment)?;
+    let types = Types::load(&look, &arguments.from)?;
+    let type_name = full_name(&arguments.type_name, "srv");
+    let client = DynamicClient::new(&look, &types, &arguments.service, &type_name)
+        .context("The passed service type is invalid")?;
+    let mut request = DynamicMessage::new(&client.request);
+    let stamps = request.fill_yaml(&yaml).context("Failed to populate field")?;
+    let (clock, _follower) = LookClock::new(&look, arguments.look.use_sim_time)?;
+    let is_there = || client.is_available();
+    // A server that is there is matched after a moment, which is not worth a line.
+    if !look.wait_for(Some(DISCOVERY), is_there) {
+        println!("waiting for service to become available...");
+        if !look.wait_for(None, is_there) {
+            return Ok(());
+        }
+    }
+    let mut next = Instant::now();
+    loop {
+        stamps.set(&mut request, Time::from_nanos(clock.now()))?;
+        println!("requester: making request: {}\n", request.as_message().to_python_repr());
+        let Some(response) = client.call(&request).wait(&look)? else { return Ok(()) };
+        println!("response:\n{}\n", response.as_message().to_python_repr());
+        let Some(period) = period else { return Ok(()) };
+        next = (next + period).max(Instant::now());
+        look.stop.sleep(next.saturating_duration_since(Instant::now()));
+        if look.stop.is_due() {
+            return Ok(());
+        }
+    }
+}
