@@ -19,6 +19,7 @@ pub(crate) trait Behaviour: Send {
         &mut self,
         subscription: usize,
         batch: Arc<dyn Any + Send + Sync>,
+        missed: u32,
         ctx: &mut Context<'_>,
     );
     fn serve(&mut self, server: usize, ctx: &mut Context<'_>);
@@ -99,11 +100,13 @@ impl<M: Module> Behaviour for ModuleBehaviour<M> {
         &mut self,
         subscription: usize,
         batch: Arc<dyn Any + Send + Sync>,
+        missed: u32,
         ctx: &mut Context<'_>,
     ) {
         self.callbacks.subscriptions[subscription].receive_shared(
             &mut self.module,
             batch,
+            missed,
             &mut ctx.with_ports(&self.ports),
         );
     }
@@ -157,6 +160,7 @@ pub(crate) trait AnySubscription<M: Module>: Send {
         &mut self,
         module: &mut M,
         batch: Arc<dyn Any + Send + Sync>,
+        missed: u32,
         ctx: &mut Context<'_, M::Ports>,
     );
 }
@@ -174,7 +178,7 @@ where
 {
     fn receive(&mut self, module: &mut M, topics: &Topics, ctx: &mut Context<'_, M::Ports>) {
         if let Some(topic) = topics.get::<T>(self.topic) {
-            for_each_message(topic.batch(), |message| (self.callback)(module, message, ctx));
+            for_each_message(topic.batch(), 0, |message| (self.callback)(module, message, ctx));
         }
     }
 
@@ -182,19 +186,27 @@ where
         &mut self,
         module: &mut M,
         batch: Arc<dyn Any + Send + Sync>,
+        missed: u32,
         ctx: &mut Context<'_, M::Ports>,
     ) {
         if let Ok(batch) = batch.downcast::<Batch<T>>() {
-            for_each_message(&batch, |message| (self.callback)(module, message, ctx));
+            for_each_message(&batch, missed, |message| (self.callback)(module, message, ctx));
         }
     }
 }
 
+/// The first message says how many were missed before it.
 #[inline]
-fn for_each_message<T>(batch: &Arc<Batch<T>>, mut consume: impl FnMut(Received<'_, T>)) {
+pub(crate) fn for_each_message<T>(
+    batch: &Arc<Batch<T>>,
+    missed: u32,
+    mut consume: impl FnMut(Received<'_, T>),
+) {
+    let mut missed = missed;
     for (segment, messages) in (0_u32..).zip(batch.segments()) {
         for (index, message) in (0_u32..).zip(messages) {
-            consume(Received::new(message, batch, Position { segment, index }));
+            let missed = std::mem::take(&mut missed);
+            consume(Received::new(message, batch, Position { segment, index }, missed));
         }
     }
 }

@@ -59,13 +59,6 @@ impl<P> Context<'_, P> {
         &self.io.name
     }
 
-    /// In a subscription of a detached module: how many messages of the topic its bounded [`Inbox`](crate::Inbox) has dropped
-    /// since those that the subscription received before. Each is told once, to the first message after the gap.
-    #[must_use]
-    pub fn take_missed(&mut self) -> u32 {
-        std::mem::take(&mut self.io.missed)
-    }
-
     /// Publishes a message: subscribers receive it in the next cycle.
     #[inline]
     pub fn publish<T: Send + Sync + 'static>(&mut self, publication: Publication<T>, message: T) {

@@ -176,6 +176,7 @@ mod messaging;
 mod module;
 mod module_io;
 mod options;
+mod outlet;
 mod probe;
 pub mod queue;
 mod receipt;
@@ -196,8 +197,9 @@ pub use error::SetupError;
 pub use event::{CallOrigin, ModuleCommand, ModuleEvent, ModuleEventKind};
 pub use inlet::{Inlet, InletError};
 pub use inspect::{
-    CycleStatistics, CycleTrace, Graph, GraphEdge, GraphModule, GraphService, GraphTopic, ModuleState,
-    ModuleStatistics, Snapshot, TimeStatistics, TopicStatistics, TraceEvent, TraceEventKind, running_module,
+    CycleStatistics, CycleTrace, Graph, GraphEdge, GraphModule, GraphOutlet, GraphService, GraphTopic,
+    ModuleState, ModuleStatistics, OutletStatistics, Snapshot, TimeStatistics, TopicStatistics, TraceEvent,
+    TraceEventKind, running_module,
 };
 pub use job::{Completion, Job, JobError};
 pub use join::{DetachedStep, StepInput};
@@ -209,6 +211,7 @@ pub use mechanism::{Mechanism, MechanismKey, Version};
 pub use messaging::{Kept, Publication, Received, TopicCounter, TopicInfo};
 pub use module::Module;
 pub use options::{Inbox, ModuleOptions, Restart, Role, Synchrony};
+pub use outlet::{Outlet, OutletInbox};
 pub use probe::{CycleReport, Probe, StepReport};
 pub use receipt::Receipt;
 pub use schedule::Task;

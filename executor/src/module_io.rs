@@ -31,8 +31,6 @@ pub(crate) struct ModuleIo {
     /// By mechanism: what was asked of it, a `Vec` of its requests.
     pub(crate) asks: Vec<Option<Box<dyn Any + Send>>>,
     pub(crate) asked: Asked,
-    /// See [`Context::take_missed`](crate::Context::take_missed).
-    pub(crate) missed: u32,
 }
 
 impl ModuleIo {
@@ -52,7 +50,6 @@ impl ModuleIo {
             commands: Vec::new(),
             asks: Vec::new(),
             asked: Asked::default(),
-            missed: 0,
         }
     }
 

@@ -209,7 +209,7 @@ pub(super) fn subscribe<M: Module>(
         topic,
         move |_: &mut M, message: Received<'_, RawMessage>, ctx: &mut Context<'_, M::Ports>| {
             let (time, is_last_of_cycle) = (message.time(), message.is_last());
-            let offered = Offered { time, is_last_of_cycle, missed: ctx.take_missed() };
+            let offered = Offered { time, is_last_of_cycle, missed: message.missed() };
             if message.message_type == message_type && sink.is_wanted(offered) {
                 sink.take(time, message.cdr.clone());
             }

@@ -41,7 +41,7 @@ pub(super) fn subscribe<T: Message, M: Module>(
 ) -> Result<(), SetupError> {
     setup.subscribe(topic, move |_: &mut M, message: Received<'_, T>, ctx: &mut Context<'_, M::Ports>| {
         let (time, is_last_of_cycle) = (message.time(), message.is_last());
-        let offered = Offered { time, is_last_of_cycle, missed: ctx.take_missed() };
+        let offered = Offered { time, is_last_of_cycle, missed: message.missed() };
         if sink.is_wanted(offered) {
             sink.take(message.time(), cdr::to_vec(&*message).into());
         }

@@ -231,8 +231,12 @@ impl ModuleCell {
             Role::Part => {
                 for (subscription, &topic) in subscribed.iter().enumerate() {
                     for delivery in deliveries.iter().filter(|delivery| delivery.topic == topic) {
-                        ctx.io().missed = delivery.missed;
-                        behaviour.receive_shared(subscription, Arc::clone(&delivery.batch), ctx);
+                        behaviour.receive_shared(
+                            subscription,
+                            Arc::clone(&delivery.batch),
+                            delivery.missed,
+                            ctx,
+                        );
                     }
                 }
             }
@@ -240,8 +244,12 @@ impl ModuleCell {
                 for delivery in deliveries {
                     let is_for = |&(_, &topic): &(usize, &usize)| topic == delivery.topic;
                     for (subscription, _) in subscribed.iter().enumerate().filter(is_for) {
-                        ctx.io().missed = delivery.missed;
-                        behaviour.receive_shared(subscription, Arc::clone(&delivery.batch), ctx);
+                        behaviour.receive_shared(
+                            subscription,
+                            Arc::clone(&delivery.batch),
+                            delivery.missed,
+                            ctx,
+                        );
                     }
                 }
             }

@@ -7,12 +7,13 @@ use crate::core::{ModuleInfo, World};
 use crate::inlet::open_inlet;
 use crate::join::{JoinQueue, Request};
 use crate::management::{Candidate, Command, Source};
+use crate::outlet::open_outlet;
 use crate::queue::Queue;
 use crate::receipt::{Receipt, ReceiptSender, receipt};
 use crate::{
-    CycleTrace, Graph, Inlet, LifeEvent, LifecycleState, Listening, Module, ModuleOptions, SettingInfo,
-    SettingRefused, SettingValue, SetupError, Snapshot, Stage, TopicInfo, Transition, TransitionRefused,
-    UnknownModule,
+    CycleTrace, Graph, Inlet, LifeEvent, LifecycleState, Listening, Module, ModuleOptions, Outlet,
+    OutletInbox, Received, SettingInfo, SettingRefused, SettingValue, SetupError, Snapshot, Stage, TopicInfo,
+    Transition, TransitionRefused, UnknownModule,
 };
 
 /// Asks a running core for something from any thread; from [`Core::handle`](crate::Core::handle).
@@ -305,6 +306,19 @@ impl CoreHandle {
     ) -> Receipt<Result<Inlet<T>, SetupError>> {
         let topic = topic.to_owned();
         self.ask(move |stage, world| open_inlet(stage, world, &topic, queue))
+    }
+
+    /// Takes the messages of a topic out of the core, see [`Core::outlet`](crate::Core::outlet): from the cycle on in whose sync
+    /// phase it is made, that cycle's messages included.
+    #[must_use = "the answer is in the receipt"]
+    pub fn outlet<T: Send + Sync + 'static>(
+        &self,
+        topic: &str,
+        inbox: impl Into<OutletInbox>,
+        sink: impl FnMut(Received<'_, T>) + Send + 'static,
+    ) -> Receipt<Result<Outlet, SetupError>> {
+        let (topic, inbox) = (topic.to_owned(), inbox.into());
+        self.ask(move |stage, world| open_outlet(stage, world, &topic, inbox, sink))
     }
 
     /// The topics, in the order in which they were first declared.

@@ -28,6 +28,7 @@ use crate::join::JoinQueue;
 use crate::management::{Candidate, Modules, Place, Source, admit};
 use crate::mechanism::{Engaged, Version};
 use crate::messaging::Messaging;
+use crate::outlet::open_outlet;
 use crate::probe::Probe;
 use crate::queue::Queue;
 use crate::schedule::Timers;
@@ -35,8 +36,8 @@ use crate::service::{Services, StandIn};
 use crate::setting::SettingsMechanism;
 use crate::watchdog::Watch;
 use crate::{
-    Caller, Clock, Inlet, Launcher, Linear, Mechanism, Module, ModuleOptions, Overrun, ServiceInfo,
-    SettingInfo, SetupError, SystemClock, ThreadError, TopicInfo,
+    Caller, Clock, Inlet, Launcher, Linear, Mechanism, Module, ModuleOptions, Outlet, OutletInbox, Overrun,
+    Received, ServiceInfo, SettingInfo, SetupError, SystemClock, ThreadError, TopicInfo,
 };
 
 /// Why a core cannot run.
@@ -124,10 +125,11 @@ impl Core {
     /// The same core with another clock.
     ///
     /// # Panics
-    /// If the core has modules: they were set up for the clock it had.
+    /// If the core has modules or outlets: they were set up for the clock it had.
     #[must_use]
     pub fn with_clock(mut self, clock: impl Clock + 'static) -> Self {
-        assert!(self.world.members.iter().next().is_none(), "give a core its clock before its modules");
+        let is_empty = self.world.members.iter().next().is_none() && self.world.outlets.is_empty();
+        assert!(is_empty, "give a core its clock before its modules and outlets");
         self.world.clock = Arc::new(clock);
         self
     }
@@ -250,6 +252,25 @@ impl Core {
         queue: impl Queue<T> + 'static,
     ) -> Result<Inlet<T>, SetupError> {
         open_inlet(self.stage.exclusive(), &mut self.world, topic, queue)
+    }
+
+    /// Takes the messages of a topic out of the core: calls `sink` with each, on the thread of the inbox, until the outlet is
+    /// dropped.
+    ///
+    /// # Errors
+    /// A name that is not valid, a topic that carries another type, or a thread that cannot be started.
+    pub fn outlet<T: Send + Sync + 'static>(
+        &mut self,
+        topic: &str,
+        inbox: impl Into<OutletInbox>,
+        sink: impl FnMut(Received<'_, T>) + Send + 'static,
+    ) -> Result<Outlet, SetupError> {
+        open_outlet(self.stage.exclusive(), &mut self.world, topic, inbox.into(), sink)
+    }
+
+    /// Calls `then` when the core has stopped, after its modules and outlets.
+    pub fn on_stop(&mut self, then: impl FnOnce() + Send + 'static) {
+        self.world.at_end.push(Box::new(then));
     }
 
     /// A way to call a service from threads outside the executor.

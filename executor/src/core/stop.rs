@@ -5,20 +5,21 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use super::{Core, Place};
 use crate::Role;
 use crate::agenda::{Asker, Ready};
-use crate::guard::reason;
+use crate::guard::{end_of, reason};
 
 impl Core {
     /// Runs the modules' last callbacks: parts in the reverse order of registration, then observers in the
     /// order of registration. What each publishes last is delivered before the next one stops; what had come
     /// before is delivered before the first one does.
     ///
-    /// It waits for detached modules that are in a callback, and logs which. A stopped core does not start
+    /// Outlets come after all of them: their sinks take what waits, and are dropped.
+    ///
+    /// It waits for sinks, and for detached modules that are in a callback, and logs which. A stopped core does not start
     /// again.
     pub fn stop(&mut self) {
         if !self.world.is_running || self.world.has_stopped {
             self.world.has_stopped = true;
-            self.world.queue.end();
-            return;
+            return self.end();
         }
         // Nobody would take what came from now on.
         self.world.queue.close();
@@ -42,7 +43,18 @@ impl Core {
         self.world.is_running = false;
         // Those who wait for an answer from outside are told that there will be none.
         self.sync(self.world.clock.now());
+        self.end();
+    }
+
+    /// Ends what modules outlive: outlets take what waits for them.
+    fn end(&mut self) {
+        self.world.outlets.stop();
         self.world.queue.end();
+        for then in std::mem::take(&mut self.world.at_end) {
+            if let Err(panic) = catch_unwind(AssertUnwindSafe(then)) {
+                tracing::error!("panicked when the core had stopped: {}", end_of(panic));
+            }
+        }
     }
 
     /// A cycle at whose end the module runs its last callback. It and the others receive what was on its way before:

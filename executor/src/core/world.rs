@@ -11,6 +11,7 @@ use crate::inspect::Inspector;
 use crate::job::{HeldResults, Work, Workers};
 use crate::join::{JoinQueue, Request};
 use crate::management::{Command, Member, Members, Place};
+use crate::outlet::Outlets;
 use crate::probe::Probe;
 use crate::service::{AnyCall, AnyClient, AnyReply, ReplyTo, ServiceRegistry};
 use crate::setting::SettingsChange;
@@ -30,6 +31,9 @@ pub(crate) struct World {
     pub(crate) agenda: Agenda,
     pub(crate) services: ServiceRegistry,
     pub(crate) inlets: Vec<Box<dyn AnyInlet>>,
+    pub(crate) outlets: Outlets,
+    /// What is called when the core has stopped.
+    pub(crate) at_end: Vec<Box<dyn FnOnce() + Send>>,
     /// By slot.
     pub(crate) detached: Vec<Option<DetachedModule>>,
     pub(crate) workers: Workers,
@@ -134,6 +138,8 @@ impl World {
             agenda: Agenda::default(),
             services: ServiceRegistry::default(),
             inlets: Vec::new(),
+            outlets: Outlets::default(),
+            at_end: Vec::new(),
             detached: Vec::new(),
             workers: Workers::new(JOB_THREADS),
             watchdog: Watchdog::new(),

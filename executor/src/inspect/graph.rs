@@ -13,6 +13,7 @@ use super::markup::{dot_string, mermaid_string, short_type};
 ///     modules: vec![GraphModule { name: "camera".into(), is_detached: true }],
 ///     topics: vec![GraphTopic { name: "image".into(), message_type: "Image".into() }],
 ///     services: Vec::new(),
+///     outlets: Vec::new(),
 ///     edges: vec![GraphEdge::Publishes { module: 0, topic: 0 }],
 /// };
 /// assert!(graph.to_dot().contains("m0 -> t0;"));
@@ -27,6 +28,9 @@ pub struct Graph {
     pub topics: Vec<GraphTopic>,
     /// The services, in the order in which they were first declared.
     pub services: Vec<GraphService>,
+    /// The inboxes of outlets, in the order in which they were first used.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub outlets: Vec<GraphOutlet>,
     /// How they hang together.
     pub edges: Vec<GraphEdge>,
 }
@@ -63,6 +67,14 @@ pub struct GraphService {
     pub response_type: String,
 }
 
+/// An inbox of outlets, through which messages leave the core.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct GraphOutlet {
+    /// The name of the inbox; that of the topic where an outlet has an inbox of its own.
+    pub name: String,
+}
+
 /// An edge of a [`Graph`], between indices of its vectors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
@@ -95,11 +107,18 @@ pub enum GraphEdge {
         /// An index of [`Graph::services`].
         service: usize,
     },
+    /// The topic's messages leave through the outlet.
+    Leaves {
+        /// An index of [`Graph::topics`].
+        topic: usize,
+        /// An index of [`Graph::outlets`].
+        outlet: usize,
+    },
 }
 
 impl Graph {
     /// The graph in the DOT language, for Graphviz. Modules are boxes, double ones if they are detached; topics are
-    /// ellipses, services hexagons. Calls are dashed lines.
+    /// ellipses, services hexagons, outlets tags. Calls are dashed lines.
     #[must_use]
     pub fn to_dot(&self) -> String {
         let mut dot = String::from("digraph robot {\n    rankdir=LR;\n    node [fontname=\"sans-serif\"];\n");
@@ -116,6 +135,10 @@ impl Graph {
             let label = dot_string([service.name.as_str(), &service.types()]);
             let _ = writeln!(dot, "    s{index} [shape=hexagon, label={label}];");
         }
+        for (index, GraphOutlet { name }) in self.outlets.iter().enumerate() {
+            let label = dot_string([name.as_str()]);
+            let _ = writeln!(dot, "    o{index} [shape=cds, label={label}];");
+        }
         for edge in self.sorted_edges() {
             let _ = match edge {
                 GraphEdge::Publishes { module, topic } => writeln!(dot, "    m{module} -> t{topic};"),
@@ -126,6 +149,7 @@ impl Graph {
                 GraphEdge::Serves { module, service } => {
                     writeln!(dot, "    s{service} -> m{module} [style=dashed];")
                 }
+                GraphEdge::Leaves { topic, outlet } => writeln!(dot, "    t{topic} -> o{outlet};"),
             };
         }
         dot.push_str("}\n");
@@ -149,12 +173,17 @@ impl Graph {
             let label = mermaid_string([service.name.as_str(), &service.types()]);
             let _ = writeln!(chart, "    s{index}{{{{{label}}}}}");
         }
+        for (index, GraphOutlet { name }) in self.outlets.iter().enumerate() {
+            let label = mermaid_string([name.as_str()]);
+            let _ = writeln!(chart, "    o{index}>{label}]");
+        }
         for edge in self.sorted_edges() {
             let _ = match edge {
                 GraphEdge::Publishes { module, topic } => writeln!(chart, "    m{module} --> t{topic}"),
                 GraphEdge::Subscribes { module, topic } => writeln!(chart, "    t{topic} --> m{module}"),
                 GraphEdge::Calls { module, service } => writeln!(chart, "    m{module} -.-> s{service}"),
                 GraphEdge::Serves { module, service } => writeln!(chart, "    s{service} -.-> m{module}"),
+                GraphEdge::Leaves { topic, outlet } => writeln!(chart, "    t{topic} --> o{outlet}"),
             };
         }
         chart
@@ -196,8 +225,10 @@ mod tests {
                 request_type: "a::Reset".into(),
                 response_type: "()".into(),
             }],
+            outlets: vec![GraphOutlet { name: "bag".into() }],
             edges: vec![
                 GraphEdge::Serves { module: 1, service: 0 },
+                GraphEdge::Leaves { topic: 1, outlet: 0 },
                 GraphEdge::Subscribes { module: 1, topic: 0 },
                 GraphEdge::Publishes { module: 1, topic: 1 },
                 GraphEdge::Calls { module: 0, service: 0 },
@@ -217,11 +248,13 @@ mod tests {
     t0 [shape=ellipse, label="goals\nJointState"];
     t1 [shape=ellipse, label="raw\nVec<u8>"];
     s0 [shape=hexagon, label="reset\nReset → ()"];
+    o0 [shape=cds, label="bag"];
     m0 -> t0;
     m1 -> t1;
     t0 -> m1;
     m0 -> s0 [style=dashed];
     s0 -> m1 [style=dashed];
+    t1 -> o0;
 }
 "#;
         assert_eq!(example().to_dot(), expected);
@@ -235,11 +268,13 @@ mod tests {
     t0(["goals<br/>JointState"])
     t1(["raw<br/>Vec#60;u8#62;"])
     s0{{"reset<br/>Reset → ()"}}
+    o0>"bag"]
     m0 --> t0
     m1 --> t1
     t0 --> m1
     m0 -.-> s0
     s0 -.-> m1
+    t1 --> o0
 "#;
         assert_eq!(example().to_mermaid(), expected);
     }

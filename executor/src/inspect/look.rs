@@ -4,7 +4,9 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::histogram::nanoseconds;
-use super::{Graph, GraphEdge, GraphModule, GraphService, GraphTopic, ModuleMeter, ModuleState, Snapshot};
+use super::{
+    Graph, GraphEdge, GraphModule, GraphOutlet, GraphService, GraphTopic, ModuleMeter, ModuleState, Snapshot,
+};
 use crate::core::{Pause, World};
 use crate::management::{Member, Place};
 use crate::{LifecycleState, Stage};
@@ -37,11 +39,20 @@ impl Graph {
                 }
             }
         }
+        for (outlet, (_, taken)) in world.outlets.connections().enumerate() {
+            let taken = taken.filter_map(|index| topic_places.get(topics.name(index)).copied());
+            edges.extend(taken.map(|topic| GraphEdge::Leaves { topic, outlet }));
+        }
         edges.sort_unstable();
         edges.dedup();
 
         Self {
             modules: world.members.iter().map(GraphModule::of).collect(),
+            outlets: world
+                .outlets
+                .connections()
+                .map(|(name, _)| GraphOutlet { name: name.to_string() })
+                .collect(),
             topics: topic_infos
                 .iter()
                 .map(|info| GraphTopic {
@@ -103,6 +114,7 @@ impl Snapshot {
             cycles: world.inspector.statistics(),
             modules,
             topics: topics.indices().map(topic_statistics).collect(),
+            outlets: world.outlets.statistics(),
         }
     }
 }

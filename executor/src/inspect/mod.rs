@@ -19,10 +19,11 @@ mod trace;
 pub(crate) use badge::Badge;
 pub use badge::running_module;
 pub(crate) use counters::{ModuleMeter, TopicMeter};
-pub use graph::{Graph, GraphEdge, GraphModule, GraphService, GraphTopic};
+pub use graph::{Graph, GraphEdge, GraphModule, GraphOutlet, GraphService, GraphTopic};
 pub(crate) use inspector::{CycleInfo, Inspector};
 pub use snapshot::{
-    CycleStatistics, ModuleState, ModuleStatistics, Snapshot, TimeStatistics, TopicStatistics,
+    CycleStatistics, ModuleState, ModuleStatistics, OutletStatistics, Snapshot, TimeStatistics,
+    TopicStatistics,
 };
 pub(crate) use span::{Measuring, Span, Stopwatch, spans_are_on};
 pub use trace::{CycleTrace, TraceEvent, TraceEventKind};

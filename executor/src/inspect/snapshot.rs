@@ -38,6 +38,9 @@ pub struct Snapshot {
     pub modules: Vec<ModuleStatistics>,
     /// The topics, in the order in which they were first declared.
     pub topics: Vec<TopicStatistics>,
+    /// The inboxes of outlets, in the order in which they were first used.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub outlets: Vec<OutletStatistics>,
 }
 
 /// Times of the measured part of many runs or cycles. All zero where nothing was measured.
@@ -161,11 +164,11 @@ pub struct TopicStatistics {
     pub name: String,
     /// The Rust path of the message type.
     pub message_type: String,
-    /// How many modules subscribe to it.
+    /// How many modules and outlets subscribe to it.
     pub subscribers: u64,
     /// Messages it has carried.
     pub messages: u64,
-    /// Messages that bounded queues of inlets and detached modules dropped before they were delivered.
+    /// Messages that bounded queues of inlets, outlets and detached modules dropped before they were delivered.
     pub dropped: u64,
     /// The cycles in which it carried messages.
     pub batches: u64,
@@ -175,6 +178,24 @@ pub struct TopicStatistics {
     pub largest_batch: u64,
     /// The core's time when it last carried a message, in nanoseconds; nothing if it never did.
     pub last_time_ns: Option<i64>,
+}
+
+/// What the outlets of one inbox have taken.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct OutletStatistics {
+    /// The name of the inbox; that of the topic where an outlet has an inbox of its own.
+    pub name: String,
+    /// How many topics are taken from.
+    pub topics: u64,
+    /// Messages that sinks took.
+    pub received: u64,
+    /// Messages that wait now.
+    pub inbox: u64,
+    /// Messages that the bounded inbox dropped.
+    pub dropped: u64,
+    /// Sinks that panicked.
+    pub failed: u64,
 }
 
 #[cfg(feature = "serde")]

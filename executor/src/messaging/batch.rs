@@ -73,11 +73,19 @@ pub struct Received<'a, T> {
     message: &'a T,
     batch: &'a Arc<Batch<T>>,
     position: Position,
+    missed: u32,
 }
 
 impl<'a, T> Received<'a, T> {
-    pub(crate) fn new(message: &'a T, batch: &'a Arc<Batch<T>>, position: Position) -> Self {
-        Self { message, batch, position }
+    pub(crate) fn new(message: &'a T, batch: &'a Arc<Batch<T>>, position: Position, missed: u32) -> Self {
+        Self { message, batch, position, missed }
+    }
+
+    /// How many messages of the topic the bounded [`Inbox`](crate::Inbox) of an outlet or a detached module dropped right
+    /// before this one.
+    #[must_use]
+    pub fn missed(&self) -> u32 {
+        self.missed
     }
 
     /// The time of the cycle in which the message was published.

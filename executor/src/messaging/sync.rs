@@ -76,8 +76,8 @@ fn take_outboxes(phase: &mut SyncPhase<'_>) {
 
 fn distribute(phase: &mut SyncPhase<'_>) {
     let SyncPhase { stage, world, .. } = phase;
-    let topics = &stage.shared.topics;
-    let mut is_any_detached = false;
+    let topics = &mut stage.shared.topics;
+    let (mut is_any_detached, mut is_any_outlet) = (false, false);
     for &topic in topics.fresh() {
         for subscriber in topics.subscribers(topic) {
             match *subscriber {
@@ -86,11 +86,18 @@ fn distribute(phase: &mut SyncPhase<'_>) {
                     is_any_detached = true;
                     deliver(topics, topic, world.detached[slot].as_mut());
                 }
+                Subscriber::Outlet(slot) => {
+                    is_any_outlet = true;
+                    world.outlets.deliver(topics, slot);
+                }
             }
         }
     }
     if is_any_detached {
         world.detached.iter_mut().flatten().for_each(DetachedModule::dispatch);
+    }
+    if is_any_outlet {
+        world.outlets.dispatch(topics);
     }
 }
 

@@ -44,6 +44,8 @@ pub(crate) enum Subscriber {
     Attached(usize),
     /// A detached module, which gets a batch once for all its callbacks.
     Detached(usize),
+    /// An outlet, by its slot.
+    Outlet(usize),
 }
 
 pub(crate) struct Topic<T> {

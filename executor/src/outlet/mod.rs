@@ -1,0 +1,286 @@
+//! Messages for threads outside the executor.
+
+mod mailbox;
+mod outlets;
+
+use std::any::Any;
+use std::cell::Cell;
+use std::marker::PhantomData;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+pub(crate) use outlets::Outlets;
+
+use crate::behaviour::for_each_message;
+use crate::core::World;
+use crate::guard::{drop_guarded, end_of};
+use crate::join::{JoinQueue, Request};
+use crate::management::Command;
+use crate::messaging::Batch;
+use crate::{Inbox, Received, SetupError, Stage};
+
+/// Takes the messages of a topic out of a core, until it is dropped; from [`Core::outlet`](crate::Core::outlet) or
+/// [`CoreHandle::outlet`](crate::CoreHandle::outlet).
+///
+/// The messages go to a *sink*, a closure that runs on a thread of its own and may block: it never delays a cycle. Under a
+/// clock that does not go on by itself the sink runs inside the sync phase instead. A sink that panics is logged and not
+/// called again.
+///
+/// An outlet sees everything: when the core stops, its sink receives the last messages of all modules, and is dropped after
+/// that. When the outlet itself is dropped, the sink is dropped at once, or when it returns from the message that it is
+/// taking; messages that wait for it are discarded.
+///
+/// ```
+/// use downbeat_executor::{Core, Inbox, ManualClock, Received, Time};
+/// use std::sync::mpsc::channel;
+///
+/// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+/// let (sender, ranges) = channel();
+/// let outlet = core.outlet("range", Inbox::KeepAll, move |range: Received<'_, f64>| drop(sender.send(*range)))?;
+/// core.inlet("range")?.publish(1.25)?; // m
+/// core.cycle()?;
+/// assert_eq!(ranges.try_recv()?, 1.25);
+/// drop(outlet);
+/// assert!(ranges.recv().is_err(), "the sink is gone");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[must_use = "an outlet that is dropped receives nothing"]
+pub struct Outlet {
+    shared: Arc<OutletShared>,
+    queue: Arc<JoinQueue>,
+}
+
+impl Outlet {
+    /// How many messages the inbox has dropped so far because the sink was too slow.
+    #[must_use]
+    pub fn dropped(&self) -> u64 {
+        self.shared.dropped.load(Ordering::Relaxed)
+    }
+}
+
+impl std::fmt::Debug for Outlet {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Outlet").field("topic", &self.shared.topic).finish_non_exhaustive()
+    }
+}
+
+impl Drop for Outlet {
+    fn drop(&mut self) {
+        self.shared.close();
+        if !self.queue.is_closed() {
+            let forget = |stage: &mut Stage, world: &mut World| world.outlets.prune(&mut stage.shared.topics);
+            self.queue.push(Request::Command(Command::Look(Box::new(forget))));
+        }
+    }
+}
+
+/// Where messages wait for the sinks of one or more outlets. The sinks of one inbox share a thread and receive batches in
+/// the order in which they were published, across topics.
+///
+/// An outlet whose inbox nobody else uses is opened with an [`Inbox`] instead, and is named after its topic.
+///
+/// ```
+/// use downbeat_executor::{Core, Inbox, OutletInbox, Received};
+/// use std::sync::mpsc::channel;
+///
+/// let mut core = Core::new();
+/// let logbook = OutletInbox::new("logbook", Inbox::KeepAll);
+/// let (lines, written) = channel();
+/// let say = lines.clone();
+/// let _said = core.outlet("said", &logbook, move |text: Received<'_, String>| drop(say.send(text.clone())))?;
+/// let _seen = core.outlet("seen", &logbook, move |count: Received<'_, u32>| {
+///     drop(lines.send(format!("{} balls at {}", *count, count.time())));
+/// })?;
+/// core.inlet("said")?.publish("kick-off".to_owned())?;
+/// core.cycle()?;
+/// core.inlet("seen")?.publish(1_u32)?;
+/// core.cycle()?;
+/// core.stop(); // Waits for the sinks.
+/// assert_eq!(written.try_iter().count(), 2);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct OutletInbox {
+    identity: Arc<Identity>,
+}
+
+#[derive(Debug)]
+struct Identity {
+    /// `None` for the inbox of a single outlet.
+    name: Option<Arc<str>>,
+    capacity: Inbox,
+}
+
+impl OutletInbox {
+    /// An inbox with the name under which a [`Snapshot`](crate::Snapshot) and a [`Graph`](crate::Graph) show it. The capacity
+    /// applies to each outlet by itself.
+    #[must_use]
+    pub fn new(name: &str, capacity: Inbox) -> Self {
+        Self { identity: Arc::new(Identity { name: Some(name.into()), capacity }) }
+    }
+}
+
+impl From<Inbox> for OutletInbox {
+    fn from(capacity: Inbox) -> Self {
+        Self { identity: Arc::new(Identity { name: None, capacity }) }
+    }
+}
+
+impl From<&OutletInbox> for OutletInbox {
+    fn from(inbox: &OutletInbox) -> Self {
+        inbox.clone()
+    }
+}
+
+/// What the core, the thread and the [`Outlet`] know of an outlet.
+pub(crate) struct OutletShared {
+    topic: Arc<str>,
+    /// `None` once the outlet is closed.
+    sink: Mutex<Option<Box<dyn AnySink>>>,
+    is_closed: AtomicBool,
+    /// True if the sink closed it.
+    closes_itself: AtomicBool,
+    has_failed: AtomicBool,
+    received: AtomicU64,
+    dropped: AtomicU64,
+}
+
+thread_local! {
+    /// The address of the outlet whose sink runs on this thread; 0 for none.
+    static RUNNING: Cell<usize> = const { Cell::new(0) };
+}
+
+impl OutletShared {
+    fn new(topic: Arc<str>, sink: Box<dyn AnySink>) -> Self {
+        Self {
+            topic,
+            sink: Mutex::new(Some(sink)),
+            is_closed: AtomicBool::new(false),
+            closes_itself: AtomicBool::new(false),
+            has_failed: AtomicBool::new(false),
+            received: AtomicU64::new(0),
+            dropped: AtomicU64::new(0),
+        }
+    }
+
+    fn is_closed(&self) -> bool {
+        self.is_closed.load(Ordering::Acquire)
+    }
+
+    /// Drops the sink when it is not running. A sink that closes its own outlet is dropped when it returns.
+    fn close(&self) {
+        self.is_closed.store(true, Ordering::Release);
+        if RUNNING.get() == self.address() {
+            self.closes_itself.store(true, Ordering::Relaxed);
+        } else {
+            self.drop_sink(self.lock());
+        }
+    }
+
+    /// Gives a batch to the sink.
+    fn take(&self, delivery: Delivery) {
+        let mut sink = self.lock();
+        let Some(running) = sink.as_mut().filter(|_| !self.is_closed()) else { return };
+        let messages = u64::from(delivery.messages);
+        let outer = RUNNING.replace(self.address());
+        let outcome = catch_unwind(AssertUnwindSafe(|| running.take(delivery, &self.is_closed)));
+        RUNNING.set(outer);
+        self.received.fetch_add(messages, Ordering::Relaxed);
+        if let Err(panic) = outcome {
+            self.has_failed.store(true, Ordering::Relaxed);
+            let reason = end_of(panic);
+            tracing::error!(
+                topic = &*self.topic,
+                "the sink of an outlet panicked and is not called again: {reason}"
+            );
+            self.drop_sink(sink);
+        } else if self.closes_itself.load(Ordering::Relaxed) {
+            self.drop_sink(sink);
+        }
+    }
+
+    fn drop_sink(&self, mut sink: MutexGuard<'_, Option<Box<dyn AnySink>>>) {
+        let taken = sink.take();
+        // It may hold its own outlet.
+        drop(sink);
+        drop_guarded("the sink of an outlet", || drop(taken));
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Option<Box<dyn AnySink>>> {
+        self.sink.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn address(&self) -> usize {
+        std::ptr::from_ref(self).addr()
+    }
+}
+
+/// A batch on its way to a sink.
+pub(crate) struct Delivery {
+    batch: Arc<dyn Any + Send + Sync>,
+    messages: u32,
+    /// Messages that the inbox dropped since the delivery before.
+    missed: u32,
+}
+
+/// A sink whose message type only it knows.
+pub(crate) trait AnySink: Send {
+    /// Takes the messages of a batch until the outlet is closed.
+    fn take(&mut self, delivery: Delivery, is_closed: &AtomicBool);
+}
+
+struct TypedSink<T, F> {
+    take: F,
+    message: PhantomData<fn(T)>,
+}
+
+impl<T: Send + Sync + 'static, F: FnMut(Received<'_, T>) + Send> AnySink for TypedSink<T, F> {
+    fn take(&mut self, delivery: Delivery, is_closed: &AtomicBool) {
+        if let Ok(batch) = delivery.batch.downcast::<Batch<T>>() {
+            for_each_message(&batch, delivery.missed, |message| {
+                if !is_closed.load(Ordering::Relaxed) {
+                    (self.take)(message);
+                }
+            });
+        }
+    }
+}
+
+/// Makes an outlet of a topic.
+pub(crate) fn open_outlet<T: Send + Sync + 'static>(
+    stage: &mut Stage,
+    world: &mut World,
+    topic: &str,
+    inbox: OutletInbox,
+    sink: impl FnMut(Received<'_, T>) + Send + 'static,
+) -> Result<Outlet, SetupError> {
+    let index = stage.shared.topics.open::<T>(topic, "outlet")?;
+    let sink = Box::new(TypedSink { take: sink, message: PhantomData::<fn(T)> });
+    open_any(stage, world, index, inbox, sink)
+}
+
+/// The same for a topic that exists: compiled once, for however many types of messages there are.
+fn open_any(
+    stage: &mut Stage,
+    world: &mut World,
+    topic: usize,
+    inbox: OutletInbox,
+    sink: Box<dyn AnySink>,
+) -> Result<Outlet, SetupError> {
+    let topics = &mut stage.shared.topics;
+    topics.add_user(topic);
+    let name = Arc::clone(topics.name(topic));
+    let shared = Arc::new(OutletShared::new(name, sink));
+    let opened = match world.has_stopped {
+        true => Err(SetupError::Stopped(format!("outlet of {}", shared.topic))),
+        false => world.outlets.open(topics, topic, &inbox, &shared, world.clock.runs_by_itself()),
+    };
+    match opened {
+        Ok(()) => Ok(Outlet { shared, queue: Arc::clone(&world.queue) }),
+        Err(error) => {
+            topics.release(topic);
+            Err(error)
+        }
+    }
+}
