@@ -41,7 +41,7 @@ impl RawToBag {
     }
 
     /// Writes what waits, whether the definition is known or not.
-    pub(crate) fn write_waiting(&mut self) {
+    fn write_waiting(&mut self) {
         let waiting = std::mem::take(&mut self.waiting);
         let Some((_, first)) = waiting.first() else { return };
         let message_type = first.message_type();
@@ -79,5 +79,11 @@ impl RawToBag {
         if let Err(error) = recorded {
             tracing::debug!("{error}");
         }
+    }
+}
+
+impl Drop for RawToBag {
+    fn drop(&mut self) {
+        self.write_waiting();
     }
 }

@@ -3,11 +3,8 @@
 use bytes::Bytes;
 use downbeat_bags::metadata::Metadata;
 use downbeat_bags::{RecordError, Recording, RecordingSender, TopicId, WriterOptions};
-use downbeat_bridge::edge::{Interfaces, KnownType, RawMessage, Sink};
-use downbeat_executor::{
-    Context, Core, Inbox, Module, ModuleOptions, Received, Role, Setup, SetupError, Synchrony, Time,
-    TopicInfo,
-};
+use downbeat_bridge::edge::{CoreAccess, Interfaces, RawMessage, Sink};
+use downbeat_executor::{Core, Inbox, OutletInbox, Received, SetupError, Time, TopicInfo};
 use downbeat_msgs::encoding::{self, Codec, Encoding};
 use downbeat_msgs::qos::QosProfile;
 
@@ -20,7 +17,7 @@ use std::any::TypeId;
 /// Why a robot cannot be recorded.
 #[derive(Debug, thiserror::Error)]
 pub enum RecorderError {
-    /// The recorder could not join the core.
+    /// A topic could not be taken out of the core.
     #[error(transparent)]
     Setup(#[from] SetupError),
     /// The bag did not take a topic.
@@ -40,15 +37,15 @@ pub enum WhenFull {
     Wait,
 }
 
-/// Adds a recorder of these topics to a core: a detached observer, so that serialising delays no cycle and the
-/// last messages of every module are recorded.
+/// Records these topics of a core until it stops: through outlets that share a thread, so that serialising delays no cycle and
+/// the last messages of every module are recorded.
 ///
 /// Messages are stamped with the time of the cycle that published them. A topic whose messages are not registered is passed
 /// over; [`Unrecorded`] tells which these are. The offered QoS noted in the bag is what `qos_of` says of a topic. A message that has no place
 /// in the encoding (a time before 1970 in FlatBuffers) is logged and left out.
 ///
 /// # Errors
-/// If the core already has a recorder, the recording has ended, or this build lacks the encoding.
+/// If the recording has ended, or this build lacks the encoding.
 pub fn record(
     core: &mut Core,
     recording: &Recording,
@@ -59,25 +56,24 @@ pub fn record(
     qos_of: impl Fn(&str) -> QosProfile,
 ) -> Result<(), RecorderError> {
     let sender = recording.sender();
-    let mut recorder = Recorder { sender: sender.clone(), when_full, topics: Vec::new(), raw: Vec::new() };
+    let inbox = OutletInbox::new("recorder", Inbox::KeepAll);
     for topic in topics {
-        if topic.message_type_id == TypeId::of::<RawMessage>() {
-            let (name, qos) = (format!("/{}", topic.name), qos_of(&topic.name));
-            recorder.raw.push((topic.name.to_string(), RawToBag::new(sender.clone(), when_full, name, qos)));
+        let (name, qos) = (format!("/{}", topic.name), qos_of(&topic.name));
+        let outlet = if topic.message_type_id == TypeId::of::<RawMessage>() {
+            let mut to_bag = RawToBag::new(sender.clone(), when_full, name, qos);
+            core.outlet(&topic.name, &inbox, move |message: Received<'_, RawMessage>| {
+                to_bag.take(message.time(), &message);
+            })?
+        } else if let Some(message_type) = interfaces.message_of(topic.message_type_id) {
+            let (info, codec) = topic_info(name, message_type, vec![qos.into()], encoding)?;
+            let to_bag = ToBag { sender: sender.clone(), when_full, codec, topic: sender.add_topic(info)? };
+            message_type.outlet(&mut CoreAccess::Idle(core), &topic.name, &inbox, to_bag)?
+        } else {
             continue;
-        }
-        let Some(message_type) = interfaces.message_of(topic.message_type_id) else { continue };
-        let qos = vec![qos_of(&topic.name).into()];
-        let (info, codec) = topic_info(format!("/{}", topic.name), message_type, qos, encoding)?;
-        let id = sender.add_topic(info)?;
-        recorder.topics.push((topic.name.to_string(), message_type, codec, id));
+        };
+        outlet.keep();
     }
-    let options = ModuleOptions {
-        synchrony: Synchrony::Detached(Inbox::KeepAll),
-        role: Role::Observer,
-        ..ModuleOptions::default()
-    };
-    Ok(core.add_with("recorder", recorder, options)?)
+    Ok(())
 }
 
 /// Whether the messages of a topic have a place in a bag.
@@ -153,38 +149,6 @@ impl Unrecorded {
     pub fn in_bag(metadata: &Metadata) -> Vec<UnrecordedTopic> {
         let noted = metadata.custom_data.get(Self::KEY);
         noted.and_then(|noted| serde_json::from_str(noted).ok()).unwrap_or_default()
-    }
-}
-
-struct Recorder {
-    sender: RecordingSender,
-    when_full: WhenFull,
-    topics: Vec<(String, KnownType, Option<Codec>, TopicId)>,
-    /// By the name of the topic in the core.
-    raw: Vec<(String, RawToBag)>,
-}
-
-impl Module for Recorder {
-    type Ports = ();
-
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        for (name, message_type, codec, topic) in self.topics.drain(..) {
-            let to_bag = ToBag { sender: self.sender.clone(), when_full: self.when_full, codec, topic };
-            message_type.subscribe(setup, &name, to_bag)?;
-        }
-        for (index, (name, _)) in self.raw.iter().enumerate() {
-            let take = move |recorder: &mut Self, message: Received<'_, RawMessage>, _: &mut Context<'_>| {
-                if let Some((_, to_bag)) = recorder.raw.get_mut(index) {
-                    to_bag.take(message.time(), &message);
-                }
-            };
-            setup.subscribe(name, take)?;
-        }
-        Ok(())
-    }
-
-    fn shutdown(&mut self, _ctx: &mut Context<'_>) {
-        self.raw.iter_mut().for_each(|(_, to_bag)| to_bag.write_waiting());
     }
 }
 

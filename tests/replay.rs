@@ -8,10 +8,8 @@ use std::sync::{Arc, Mutex};
 
 use bytes::Bytes;
 use downbeat::bags::{Reader, Selection};
-use downbeat::bridge::edge::{Interfaces, KnownType};
-use downbeat::executor::{
-    Core, Launcher, Linear, ManualClock, Module, ModuleOptions, Pool, Role, Setup, SetupError, Time,
-};
+use downbeat::bridge::edge::{CoreAccess, Interfaces};
+use downbeat::executor::{Core, Inbox, Launcher, Linear, ManualClock, OutletInbox, Pool, Time};
 use downbeat::modules::darwin_op::DarwinOp;
 use downbeat::modules::darwin_op::bus::{Exchange, RecordedBus, ReplayReport};
 use downbeat::msgs::cdr;
@@ -44,23 +42,6 @@ fn recorded_as<T: downbeat::msgs::Message>(reader: &Reader, topic: &str) -> Vec<
     recorded(reader, topic).iter().map(|bytes| cdr::from_slice(bytes).unwrap()).collect()
 }
 
-/// Keeps the serialized messages of one topic.
-struct Capture {
-    topic: &'static str,
-    message_type: KnownType,
-    messages: Arc<Mutex<Messages>>,
-}
-
-impl Module for Capture {
-    type Ports = ();
-
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        let messages = Arc::clone(&self.messages);
-        let sink = move |_: Time, message: Bytes| messages.lock().unwrap().push(message);
-        self.message_type.subscribe(setup, self.topic, sink)
-    }
-}
-
 fn replay(
     reader: &Reader,
     launcher: impl Launcher + 'static,
@@ -76,11 +57,11 @@ fn replay(
     for topic in OUTPUTS {
         let info = core.topics().find(|info| *info.name == *topic).unwrap();
         let message_type = Interfaces::carried().message_of(info.message_type_id).unwrap();
-        let messages = Arc::default();
+        let messages = Arc::<Mutex<Messages>>::default();
         captured.push((topic, Arc::clone(&messages)));
-        let observer = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
-        core.add_with(&format!("capture of {topic}"), Capture { topic, message_type, messages }, observer)
-            .unwrap();
+        let sink = move |_: Time, message: Bytes| messages.lock().unwrap().push(message);
+        let inbox = OutletInbox::new("capture", Inbox::KeepAll);
+        message_type.outlet(&mut CoreAccess::Idle(&mut core), topic, &inbox, sink).unwrap().keep();
     }
     replay_module(&mut core, &clock, reader, "hardware", &Interfaces::carried()).unwrap();
     let report = report.lock().unwrap().clone();

@@ -1,36 +1,23 @@
 //! Every message type goes out of a core as bytes, and comes in from bytes.
 #![allow(clippy::unwrap_used)]
 
-use bytes::Bytes;
-use downbeat_bridge::edge::Interfaces;
-use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
-use std::sync::mpsc::{Sender, channel};
+use downbeat_bridge::edge::{CoreAccess, Interfaces};
+use downbeat_executor::{Core, Inbox, ManualClock, OutletInbox, Time};
+use std::sync::mpsc::channel;
 use std::time::Duration;
-
-/// Subscribes to a topic for each message type, named after its number.
-struct Tap {
-    sender: Sender<(&'static str, Time, Bytes)>,
-}
-
-impl Module for Tap {
-    type Ports = ();
-
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        for (number, known) in Interfaces::carried().messages().enumerate() {
-            let sender = self.sender.clone();
-            let sink = move |time, cdr| sender.send((known.name(), time, cdr)).unwrap();
-            known.subscribe(setup, &format!("topic_{number}"), sink)?;
-        }
-        Ok(())
-    }
-}
 
 #[test]
 fn every_type_goes_in_and_out_unchanged() {
     let clock = ManualClock::new(Time::from_nanos(1_000));
     let mut core = Core::new().with_clock(clock.clone());
     let (sender, taken) = channel();
-    core.add("tap", Tap { sender }).unwrap();
+    let inbox = OutletInbox::new("tap", Inbox::KeepAll);
+    for (number, known) in Interfaces::carried().messages().enumerate() {
+        let sender = sender.clone();
+        let sink = move |time, cdr| sender.send((known.name(), time, cdr)).unwrap();
+        let topic = format!("topic_{number}");
+        known.outlet(&mut CoreAccess::Idle(&mut core), &topic, &inbox, sink).unwrap().keep();
+    }
     let inlets: Vec<_> = Interfaces::carried()
         .messages()
         .enumerate()

@@ -212,7 +212,7 @@ fn the_last_messages_of_all_modules_reach_an_outlet_before_its_sink_is_dropped()
             core.add_with(name, Last(number), options).unwrap();
         }
         let (sender, stopped) = channel();
-        core.on_stop(move || drop(sender.send(())));
+        core.on_stop(move || sender.send(()).unwrap());
         core.cycle().unwrap();
         assert!(stopped.try_recv().is_err());
         core.stop();
@@ -245,7 +245,7 @@ fn under_a_clock_that_is_moved_by_hand_a_sink_runs_inside_the_cycle() {
     let (mut core, _clock) = manual_core();
     let inlet = core.inlet::<u64>("numbers").unwrap();
     let (sender, threads) = channel();
-    let sink = move |_: Received<'_, u64>| drop(sender.send(std::thread::current().id()));
+    let sink = move |_: Received<'_, u64>| sender.send(std::thread::current().id()).unwrap();
     let _outlet = core.outlet("numbers", Inbox::KeepAll, sink).unwrap();
     inlet.publish(1).unwrap();
     core.cycle().unwrap();
@@ -325,6 +325,18 @@ fn an_inbox_may_be_used_again_after_its_last_outlet_was_dropped() {
         drop(outlet);
         core.cycle().unwrap();
     }
+}
+
+#[test]
+fn an_outlet_that_is_kept_is_open_until_the_core_stops() {
+    let (mut core, clock) = manual_core();
+    core.add("counter", counter()).unwrap();
+    let (outlet, numbers) = collect::<u64>(&mut core, "numbers", Inbox::KeepAll);
+    outlet.keep();
+    cycles(&mut core, &clock, 3);
+    assert_eq!(numbers.try_iter().count(), 2);
+    core.stop();
+    assert_eq!(numbers.iter().count(), 1, "and then nobody is left who could send");
 }
 
 #[test]

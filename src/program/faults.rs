@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::executor::{Core, Module, ModuleOptions, Received, Role, Setup, SetupError};
+use crate::executor::{Core, Inbox, OutletInbox, Received, SetupError};
 use crate::msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 
 /// The topic of REP-107.
@@ -21,11 +21,14 @@ struct Fault {
 }
 
 impl Faults {
-    /// Adds an observer of `diagnostics`.
+    /// Takes note of what `diagnostics` tells, until the core stops.
     pub(crate) fn watch(core: &mut Core) -> Result<Self, SetupError> {
         let faults = Self::default();
-        let options = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
-        core.add_with("fault_watch", Watch(faults.clone()), options)?;
+        let (inbox, told) = (OutletInbox::new("faults", Inbox::KeepAll), faults.clone());
+        let outlet = core.outlet(TOPIC, &inbox, move |array: Received<'_, DiagnosticArray>| {
+            array.status.iter().for_each(|status| told.update(status));
+        })?;
+        outlet.keep();
         Ok(faults)
     }
 
@@ -54,18 +57,6 @@ impl Faults {
 
     fn lock(&self) -> std::sync::MutexGuard<'_, BTreeMap<String, Fault>> {
         self.by_component.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-struct Watch(Faults);
-
-impl Module for Watch {
-    type Ports = ();
-
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        setup.subscribe(TOPIC, |watch: &mut Self, array: Received<'_, DiagnosticArray>, _| {
-            array.status.iter().for_each(|status| watch.0.update(status));
-        })
     }
 }
 

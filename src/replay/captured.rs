@@ -3,8 +3,8 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use bytes::Bytes;
-use downbeat_bridge::edge::{Interfaces, KnownType};
-use downbeat_executor::{self as executor, Core, Module, ModuleOptions, Role, Setup, SetupError, Time};
+use downbeat_bridge::edge::{CoreAccess, Interfaces};
+use downbeat_executor::{self as executor, Core, Inbox, OutletInbox, Received, SetupError, Time};
 use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 
 use crate::event_journal;
@@ -29,7 +29,7 @@ struct Contents {
 }
 
 impl Captured {
-    /// Adds a module to a core that captures what its modules publish on the topics that are wanted.
+    /// Captures what the modules of a core publish on the topics that are wanted.
     pub(super) fn add(
         core: &mut Core,
         interfaces: &Interfaces,
@@ -37,12 +37,25 @@ impl Captured {
     ) -> Result<Self, SetupError> {
         let captured = Self::default();
         let topics = core.topics().filter(|topic| topic.is_published && is_wanted(&topic.name));
-        let topics = topics.filter_map(|topic| {
-            Some((Arc::clone(&topic.name), interfaces.message_of(topic.message_type_id)?))
-        });
-        let watch = Watch { topics: topics.collect(), captured: captured.clone() };
-        let options = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
-        core.add_with("replay_watch", watch, options)?;
+        let topics: Vec<_> = topics
+            .filter_map(|topic| {
+                Some((Arc::clone(&topic.name), interfaces.message_of(topic.message_type_id)?))
+            })
+            .collect();
+        let inbox = OutletInbox::new("replay", Inbox::KeepAll);
+        for (topic, message_type) in topics {
+            let (captured, name) = (captured.clone(), Arc::clone(&topic));
+            let sink = move |time: Time, cdr: Bytes| {
+                let replayed = Replayed { topic: Arc::clone(&name), time: time.as_nanos(), cdr };
+                captured.lock().messages.push(replayed);
+            };
+            message_type.outlet(&mut CoreAccess::Idle(core), &topic, &inbox, sink)?.keep();
+        }
+        let events = captured.clone();
+        let note = move |event: Received<'_, executor::ModuleEvent>| {
+            events.lock().events.push(event_journal::message(&event));
+        };
+        core.outlet(executor::ModuleEvent::TOPIC, &inbox, note)?.keep();
         Ok(captured)
     }
 
@@ -56,31 +69,5 @@ impl Captured {
 
     fn lock(&self) -> MutexGuard<'_, Contents> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-struct Watch {
-    topics: Vec<(Arc<str>, KnownType)>,
-    captured: Captured,
-}
-
-impl Module for Watch {
-    type Ports = ();
-
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        for (topic, message_type) in self.topics.drain(..) {
-            let (captured, name) = (self.captured.clone(), Arc::clone(&topic));
-            let sink = move |time: Time, cdr: Bytes| {
-                let replayed = Replayed { topic: Arc::clone(&name), time: time.as_nanos(), cdr };
-                captured.lock().messages.push(replayed);
-            };
-            message_type.subscribe(setup, &topic, sink)?;
-        }
-        setup.subscribe::<executor::ModuleEvent, _>(
-            executor::ModuleEvent::TOPIC,
-            |watch: &mut Self, event, _| {
-                watch.captured.lock().events.push(event_journal::message(&event));
-            },
-        )
     }
 }

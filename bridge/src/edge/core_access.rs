@@ -1,13 +1,13 @@
 //! A core before it runs, and while it does.
 
 use downbeat_executor::queue::Queue;
-use downbeat_executor::{Core, CoreHandle, Inlet, Module, ModuleOptions, Receipt, SetupError};
+use downbeat_executor::{Core, CoreHandle, Inlet, Outlet, OutletInbox, Receipt, Received, SetupError};
 use std::time::Duration;
 
 /// How long a running core may take to come to the end of a cycle.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// A core that is given modules and inlets, whether it runs already or not.
+/// A core that is given inlets and outlets, whether it runs already or not.
 pub enum CoreAccess<'a> {
     /// It does not run: changes are made at once.
     Idle(&'a mut Core),
@@ -16,19 +16,19 @@ pub enum CoreAccess<'a> {
 }
 
 impl CoreAccess<'_> {
-    /// Adds a module.
+    /// Takes the messages of a topic out of the core.
     ///
     /// # Errors
-    /// Those of [`Core::add_with`], and one where the core does not answer.
-    pub fn add<M: Module>(
+    /// Those of [`Core::outlet`], and one where the core does not answer.
+    pub fn outlet<T: Send + Sync + 'static>(
         &mut self,
-        name: &str,
-        module: M,
-        options: ModuleOptions,
-    ) -> Result<(), SetupError> {
+        topic: &str,
+        inbox: &OutletInbox,
+        sink: impl FnMut(Received<'_, T>) + Send + 'static,
+    ) -> Result<Outlet, SetupError> {
         match self {
-            Self::Idle(core) => core.add_with(name, module, options),
-            Self::Running(core) => answer(name, &core.add(name, module, options)),
+            Self::Idle(core) => core.outlet(topic, inbox, sink),
+            Self::Running(core) => answer("outlet", &core.outlet(topic, inbox, sink)),
         }
     }
 

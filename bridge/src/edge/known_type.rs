@@ -1,8 +1,8 @@
 //! Types of messages.
 
 use super::raw::{self, Learned};
-use super::{CoreAccess, EncodedInlet, EncodedInletError, Sink, Waiting, inlet, subscription};
-use downbeat_executor::{Core, Module, Setup, SetupError};
+use super::{CoreAccess, EncodedInlet, EncodedInletError, Sink, Waiting, inlet, outlet};
+use downbeat_executor::{Core, Outlet, OutletInbox, SetupError};
 use downbeat_msgs::Message;
 use downbeat_msgs::dynamic::DynamicMessage;
 use std::any::TypeId;
@@ -68,31 +68,22 @@ impl KnownType {
         }
     }
 
-    /// In a module's setup: gives each message of `topic` to `sink`, serialized, with the time of the cycle that
-    /// published it.
+    /// Gives each message of `topic` to `sink`, serialized, with the time of the cycle that published it, until the outlet is
+    /// dropped.
     ///
     /// # Errors
-    /// [`SetupError`] when the name is not valid or the topic carries another type.
-    pub fn subscribe<M: Module>(
+    /// [`SetupError`] when the name is not valid, the topic carries another type, or the core does not answer.
+    pub fn outlet(
         self,
-        setup: &mut Setup<'_, M>,
+        core: &mut CoreAccess<'_>,
         topic: &str,
+        inbox: &OutletInbox,
         sink: impl Sink,
-    ) -> Result<(), SetupError> {
-        if self.is_raw() {
-            return raw::subscribe(self, setup, topic, Box::new(sink));
+    ) -> Result<Outlet, SetupError> {
+        match &self.entry.rust {
+            Rust::Compiled(compiled) => (compiled.open_outlet)(core, topic, inbox, Box::new(sink)),
+            Rust::Raw(_) => raw::open_outlet(self, core, topic, inbox, Box::new(sink)),
         }
-        let rust_type = self.rust_type();
-        macro_rules! subscribe_as_the_one {
-            ($($message:ty),* $(,)?) => {
-                $(if rust_type == TypeId::of::<$message>() {
-                    return subscription::subscribe::<$message, M>(setup, topic, Box::new(sink));
-                })*
-            };
-        }
-        downbeat_msgs::for_each_message!(subscribe_as_the_one);
-        // Not reached: a KnownType is made from the same list.
-        Err(setup.refuse(format!("type {} of topic {topic:?} is in no list", self.name())))
     }
 
     /// An entry for serialized messages into a core, from any thread.
@@ -182,6 +173,7 @@ pub(super) struct Compiled {
     definition: &'static str,
     rust_type: fn() -> TypeId,
     open_inlet: fn(&mut CoreAccess<'_>, &str, Waiting) -> Result<Box<PublishEncoded>, SetupError>,
+    open_outlet: fn(&mut CoreAccess<'_>, &str, &OutletInbox, Box<dyn Sink>) -> Result<Outlet, SetupError>,
     default_cdr: fn() -> Vec<u8>,
 }
 
@@ -196,6 +188,7 @@ impl<T: Message> Of<T> {
             definition: T::DEFINITION,
             rust_type: TypeId::of::<T>,
             open_inlet: inlet::open::<T>,
+            open_outlet: outlet::open::<T>,
             default_cdr: || downbeat_msgs::cdr::to_vec(&T::default()),
         }),
     };

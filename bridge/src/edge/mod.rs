@@ -3,7 +3,7 @@
 //! Inside the executor messages are Rust values of types known when it was compiled. At its edge, a bridge, recorder or
 //! player knows topics and types by names read from a file. A [`KnownType`] joins the two: it is found in [`Interfaces`] by the
 //! name of the ROS 2 type or by the Rust type of a topic, and opens
-//! - a subscription that hands out serialized messages ([`KnownType::subscribe`]),
+//! - an outlet that hands out serialized messages ([`KnownType::outlet`]),
 //! - an inlet that takes serialized messages ([`KnownType::inlet`]).
 //!
 //! A [`KnownService`] does the same for services: it calls those of modules with serialized requests, and lets modules call
@@ -20,8 +20,8 @@ mod known_action;
 mod known_service;
 mod known_type;
 mod nearest;
+mod outlet;
 mod raw;
-mod subscription;
 
 pub use call::{Callees, EncodedAnswer, EncodedCallError, EncodedCaller, EncodedStandIn, Outlet, RemoteCall};
 pub use core_access::CoreAccess;
@@ -31,5 +31,5 @@ pub use interfaces::{InterfaceConflict, Interfaces};
 pub use known_action::{KnownAction, UnknownAction};
 pub use known_service::{KnownService, UnknownService};
 pub use known_type::{KnownType, UnknownType};
+pub use outlet::{Offered, Sink};
 pub use raw::{RawError, RawMessage, RawTypeError};
-pub use subscription::{Offered, Sink};

@@ -3,7 +3,7 @@
 use super::known_type::{Entry, PublishEncoded, Rust};
 use super::{CoreAccess, EncodedInletError, KnownType, Offered, Sink, Waiting, inlet};
 use bytes::Bytes;
-use downbeat_executor::{Context, Module, Received, Setup, SetupError};
+use downbeat_executor::{Outlet, OutletInbox, Received, SetupError};
 use downbeat_msgs::definitions::{Kind, TypeName};
 use downbeat_msgs::dynamic::{Definitions, DynamicMessage, DynamicType, TypeDefinition};
 use std::any::TypeId;
@@ -198,21 +198,17 @@ pub(super) fn open(
     }))
 }
 
-/// Gives a sink the messages of one type that a topic carries; others are none of its business.
-pub(super) fn subscribe<M: Module>(
+/// Gives a sink the messages of one type that a topic carries; others are ignored.
+pub(super) fn open_outlet(
     message_type: KnownType,
-    setup: &mut Setup<'_, M>,
+    core: &mut CoreAccess<'_>,
     topic: &str,
+    inbox: &OutletInbox,
     mut sink: Box<dyn Sink>,
-) -> Result<(), SetupError> {
-    setup.subscribe(
-        topic,
-        move |_: &mut M, message: Received<'_, RawMessage>, ctx: &mut Context<'_, M::Ports>| {
-            let (time, is_last_of_cycle) = (message.time(), message.is_last());
-            let offered = Offered { time, is_last_of_cycle, missed: message.missed() };
-            if message.message_type == message_type && sink.is_wanted(offered) {
-                sink.take(time, message.cdr.clone());
-            }
-        },
-    )
+) -> Result<Outlet, SetupError> {
+    core.outlet(topic, inbox, move |message: Received<'_, RawMessage>| {
+        if message.message_type == message_type && sink.is_wanted(Offered::of(&message)) {
+            sink.take(message.time(), message.cdr.clone());
+        }
+    })
 }

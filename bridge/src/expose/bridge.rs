@@ -3,19 +3,18 @@
 use super::endpoints::{Endpoints, Exposed, Held};
 use super::learning::learn;
 use super::limit::Limiter;
-use super::module::{MODULE_NAME, Outlet, Sender, options};
+use super::outgoing::{ToRos, inbox};
 use super::qos_events::{EndpointQos, QosEvents};
 use super::status::{BridgeStatus, EndpointReport, EndpointStatus, Traffic, WeakEndpoint};
 use super::{ExposeError, Exposure, OfACycle};
 use crate::edge::{CoreAccess, EncodedInlet, EncodedInletError, Waiting};
 use crate::middleware::{Direction, Sample};
 use crate::ros::{MessageType, Node, NodeError, Publisher, Subscription};
-use downbeat_executor::{Clock, Core, CoreHandle, InletError};
+use downbeat_executor::{Clock, Core, CoreHandle, InletError, OutletInbox};
 use downbeat_msgs::qos::QosProfile;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Creates the endpoints of all exposures on `node`, and adds the bridge to `core` as the detached observer
-/// [`MODULE_NAME`].
+/// Creates the endpoints of all exposures on `node`, each fed by an outlet of `core` or feeding an inlet.
 ///
 /// The endpoints go when the core stops; the node when its last handle is dropped after that. [`Bridge::start`] does the
 /// same, for what is exposed to be changed while the core runs.
@@ -36,19 +35,13 @@ pub struct Bridge {
     clock: Arc<dyn Clock>,
     events: QosEvents,
     endpoints: Arc<Endpoints>,
-    changes: Arc<Mutex<Changes>>,
-}
-
-/// Held while something is changed, so that one change follows the other.
-#[derive(Default)]
-struct Changes {
-    /// How many modules were added while the core ran.
-    modules: u64,
+    inbox: OutletInbox,
+    /// Held while something is changed, so that one change follows the other.
+    changes: Arc<Mutex<()>>,
 }
 
 impl Bridge {
-    /// Creates the endpoints of all exposures on `node`, and adds the bridge to `core` as the detached observer
-    /// [`MODULE_NAME`].
+    /// Creates the endpoints of all exposures on `node`, each fed by an outlet of `core` or feeding an inlet.
     ///
     /// # Errors
     /// [`ExposeError`] when a topic cannot be exposed.
@@ -60,16 +53,12 @@ impl Bridge {
             events: QosEvents::open(&mut CoreAccess::Idle(core), Arc::clone(&clock))?,
             clock,
             endpoints: Arc::default(),
+            inbox: inbox(),
             changes: Arc::default(),
         };
-        let mut exposed = bridge.create_all(&mut CoreAccess::Idle(core), exposures)?;
-        let slots = exposed.iter_mut().filter_map(|exposed| exposed.enter(MODULE_NAME)).collect();
-        let on_end = Box::new({
-            let endpoints = Arc::clone(&bridge.endpoints);
-            move || endpoints.close()
-        });
-        core.add_with(MODULE_NAME, Sender { slots, on_end }, options())?;
-        bridge.endpoints.extend(exposed)?;
+        bridge.endpoints.extend(bridge.create_all(&mut CoreAccess::Idle(core), exposures)?)?;
+        let endpoints = Arc::clone(&bridge.endpoints);
+        core.on_stop(move || endpoints.close());
         Ok(bridge)
     }
 
@@ -86,27 +75,14 @@ impl Bridge {
     }
 
     /// Exposes more while the core runs, all of it or, where one cannot be, nothing. Waits for the end of a cycle, so not
-    /// from the core's own thread. What goes out goes through a module of its own, so that nothing else is disturbed.
+    /// from the core's own thread.
     ///
     /// # Errors
     /// [`ExposeError`] when a topic cannot be exposed, or the core does not run.
     pub fn add(&self, exposures: &[Exposure]) -> Result<Vec<EndpointReport>, ExposeError> {
-        let mut changes = self.changes.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut core = CoreAccess::Running(&self.core);
-        let mut exposed = self.create_all(&mut core, exposures)?;
+        let _changes = self.changes.lock().unwrap_or_else(PoisonError::into_inner);
+        let exposed = self.create_all(&mut CoreAccess::Running(&self.core), exposures)?;
         let reports = exposed.iter().map(Exposed::report).collect();
-        exposed.iter_mut().for_each(|exposed| self.endpoints.use_again(exposed));
-        let module = format!("{MODULE_NAME}.{}", changes.modules + 1);
-        let slots: Vec<_> = exposed.iter_mut().filter_map(|exposed| exposed.enter(&module)).collect();
-        if !slots.is_empty() {
-            changes.modules += 1;
-            if let Err(error) = core.add(&module, Sender { slots, on_end: Box::new(|| ()) }, options()) {
-                self.endpoints.give_up(exposed, &module);
-                // A core that was held may add it yet.
-                let _ = self.core.remove(&module);
-                return Err(error.into());
-            }
-        }
         self.endpoints.extend(exposed)?;
         Ok(reports)
     }
@@ -115,12 +91,7 @@ impl Bridge {
     /// returns. Returns what it was.
     pub fn remove(&self, is_meant: impl Fn(&EndpointReport) -> bool) -> Vec<EndpointReport> {
         let _changes = self.changes.lock().unwrap_or_else(PoisonError::into_inner);
-        let (reports, idle_modules) = self.endpoints.remove(is_meant);
-        for module in idle_modules.into_iter().filter(|module| module != MODULE_NAME) {
-            // Whether it was still there does not matter.
-            let _ = self.core.remove(&module);
-        }
-        reports
+        self.endpoints.remove(is_meant)
     }
 
     fn create_all(
@@ -192,12 +163,13 @@ impl Bridge {
                 let told = Arc::clone(&events);
                 publisher.on_event(Box::new(move |event| told.happened(event)));
                 let endpoint = WeakEndpoint::Publisher(Arc::downgrade(&publisher));
-                let outlet = Outlet {
+                let sink = ToRos {
                     publisher,
                     traffic: Arc::clone(&traffic),
                     limiter: Limiter::new(exposure.limits),
                     of_a_cycle: exposure.limits.of_a_cycle,
                 };
+                let outlet = exposure.message_type.outlet(core, &exposure.topic, &self.inbox, sink)?;
                 (Held::Outlet(outlet), endpoint, topic, qos, events)
             }
             Direction::In => {

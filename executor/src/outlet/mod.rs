@@ -49,6 +49,7 @@ use crate::{Inbox, Received, SetupError, Stage};
 pub struct Outlet {
     shared: Arc<OutletShared>,
     queue: Arc<JoinQueue>,
+    is_kept: bool,
 }
 
 impl Outlet {
@@ -56,6 +57,11 @@ impl Outlet {
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.shared.dropped.load(Ordering::Relaxed)
+    }
+
+    /// Leaves the outlet open until the core stops.
+    pub fn keep(mut self) {
+        self.is_kept = true;
     }
 }
 
@@ -67,6 +73,9 @@ impl std::fmt::Debug for Outlet {
 
 impl Drop for Outlet {
     fn drop(&mut self) {
+        if self.is_kept {
+            return;
+        }
         self.shared.close();
         if !self.queue.is_closed() {
             let forget = |stage: &mut Stage, world: &mut World| world.outlets.prune(&mut stage.shared.topics);
@@ -277,7 +286,7 @@ fn open_any(
         false => world.outlets.open(topics, topic, &inbox, &shared, world.clock.runs_by_itself()),
     };
     match opened {
-        Ok(()) => Ok(Outlet { shared, queue: Arc::clone(&world.queue) }),
+        Ok(()) => Ok(Outlet { shared, queue: Arc::clone(&world.queue), is_kept: false }),
         Err(error) => {
             topics.release(topic);
             Err(error)

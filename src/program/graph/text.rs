@@ -64,9 +64,20 @@ pub(super) fn of_robot(graph: &Graph) -> String {
                 GraphEdge::Subscribes { module, topic } => (module, "subscribes", topic_name(graph, topic)),
                 GraphEdge::Calls { module, service } => (module, "calls", service_name(graph, service)),
                 GraphEdge::Serves { module, service } => (module, "serves", service_name(graph, service)),
+                GraphEdge::Leaves { .. } => continue,
             };
             if of == index {
                 let _ = writeln!(text, "  {what:<12} {name}");
+            }
+        }
+    }
+    for (index, outlet) in graph.outlets.iter().enumerate() {
+        let _ = writeln!(text, "{} (outlet)", outlet.name);
+        for edge in &edges {
+            if let GraphEdge::Leaves { topic, outlet } = *edge
+                && outlet == index
+            {
+                let _ = writeln!(text, "  {:<12} {}", "takes", topic_name(graph, topic));
             }
         }
     }

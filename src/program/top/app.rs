@@ -59,6 +59,7 @@ enum Tab {
     #[default]
     Modules,
     Topics,
+    Outlets,
 }
 
 /// What a key asks of the robot, or of the program.
@@ -100,18 +101,25 @@ impl App {
             KeyCode::Char('p') => return Some(Action::Pause),
             KeyCode::Char('n') if self.later.is_paused => return Some(Action::Step),
             KeyCode::Char('s') => self.sort = self.sort.next(),
-            KeyCode::Tab | KeyCode::BackTab => {
-                self.tab = match self.tab {
-                    Tab::Modules => Tab::Topics,
-                    Tab::Topics => Tab::Modules,
-                };
-                self.scrolled = 0;
-            }
+            KeyCode::Tab => self.show(match self.tab {
+                Tab::Modules => Tab::Topics,
+                Tab::Topics => Tab::Outlets,
+                Tab::Outlets => Tab::Modules,
+            }),
+            KeyCode::BackTab => self.show(match self.tab {
+                Tab::Modules => Tab::Outlets,
+                Tab::Topics => Tab::Modules,
+                Tab::Outlets => Tab::Topics,
+            }),
             KeyCode::Down => self.scrolled = (self.scrolled + 1).min(self.rows().saturating_sub(1)),
             KeyCode::Up => self.scrolled = self.scrolled.saturating_sub(1),
             _ => {}
         }
         None
+    }
+
+    fn show(&mut self, tab: Tab) {
+        (self.tab, self.scrolled) = (tab, 0);
     }
 
     pub(crate) fn draw(&self, frame: &mut Frame<'_>) {
@@ -124,11 +132,16 @@ impl App {
         ])
         .areas(frame.area());
         frame.render_widget(Text::from_iter(lines.into_iter().map(Line::from)), head);
-        let titles =
-            [format!("modules {}", self.later.modules.len()), format!("topics {}", self.later.topics.len())];
+        let Snapshot { modules, topics, outlets, .. } = &self.later;
+        let titles = [
+            format!("modules {}", modules.len()),
+            format!("topics {}", topics.len()),
+            format!("outlets {}", outlets.len()),
+        ];
         let selected = match self.tab {
             Tab::Modules => 0,
             Tab::Topics => 1,
+            Tab::Outlets => 2,
         };
         frame.render_widget(Tabs::new(titles).select(selected), tabs);
         self.draw_table(frame, table);
@@ -162,6 +175,7 @@ impl App {
         match self.tab {
             Tab::Modules => self.later.modules.len(),
             Tab::Topics => self.later.topics.len(),
+            Tab::Outlets => self.later.outlets.len(),
         }
     }
 
@@ -169,6 +183,7 @@ impl App {
         match self.tab {
             Tab::Modules => Grid::of_modules(&self.earlier, &self.later, self.sort),
             Tab::Topics => Grid::of_topics(&self.earlier, &self.later, self.sort),
+            Tab::Outlets => Grid::of_outlets(&self.earlier, &self.later, self.sort),
         }
     }
 }

@@ -1,10 +1,10 @@
-//! The tables of modules and topics: from two snapshots to rows of text.
+//! The tables of modules, topics and outlets: from two snapshots to rows of text.
 
 use std::cmp::Ordering;
 use std::collections::HashMap;
 use std::time::Duration;
 
-use crate::executor::{ModuleStatistics, Snapshot, TimeStatistics, TopicStatistics};
+use crate::executor::{ModuleStatistics, OutletStatistics, Snapshot, TimeStatistics, TopicStatistics};
 
 use crate::msgs::printable;
 use crate::program::statistics::short;
@@ -49,7 +49,7 @@ impl Sort {
 
 impl Grid {
     /// Columns of words.
-    const LEFT: [&'static str; 3] = ["MODULE", "TOPIC", "STATE"];
+    const LEFT: [&'static str; 4] = ["MODULE", "TOPIC", "OUTLET", "STATE"];
 
     /// The modules, with rates over the time from `earlier` to `later`.
     pub(crate) fn of_modules(earlier: &Snapshot, later: &Snapshot, sort: Sort) -> Self {
@@ -121,6 +121,30 @@ impl Grid {
         };
         let headings =
             vec!["TOPIC", "MESSAGES/S", "MESSAGES", "SUBSCRIBERS", "DROPS", "LAST BATCH", "LARGEST", "AGE"];
+        Self { headings, rows: rows.into_iter().map(cells).collect() }
+    }
+
+    /// The inboxes of outlets, with rates over the time from `earlier` to `later`.
+    pub(crate) fn of_outlets(earlier: &Snapshot, later: &Snapshot, sort: Sort) -> Self {
+        let before: HashMap<_, _> =
+            earlier.outlets.iter().map(|outlet| (&outlet.name, outlet.received)).collect();
+        let seconds = seconds_between(earlier, later);
+        let gain = |outlet: &OutletStatistics| {
+            outlet.received.saturating_sub(before.get(&outlet.name).copied().unwrap_or(0)) as f64 / seconds
+        };
+        let mut rows: Vec<_> = later.outlets.iter().map(|outlet| (outlet, gain(outlet))).collect();
+        match sort {
+            Sort::Order => {}
+            Sort::Busiest => rows.sort_by(|(_, a), (_, b)| descending(*a, *b)),
+            Sort::Name => rows.sort_by(|(a, _), (b, _)| a.name.cmp(&b.name)),
+        }
+        let cells = |(outlet, messages_per_second): (&OutletStatistics, f64)| {
+            let OutletStatistics { received, topics, inbox, dropped, failed, .. } = outlet;
+            let mut cells = vec![outlet.name.clone(), rate(messages_per_second)];
+            cells.extend([received, topics, inbox, dropped, failed].map(u64::to_string));
+            cells
+        };
+        let headings = vec!["OUTLET", "MESSAGES/S", "MESSAGES", "TOPICS", "INBOX", "DROPS", "PANICS"];
         Self { headings, rows: rows.into_iter().map(cells).collect() }
     }
 
@@ -336,6 +360,13 @@ pub(crate) mod tests {
                     ..TopicStatistics::default()
                 },
             ],
+            outlets: vec![OutletStatistics {
+                name: "recorder".into(),
+                topics: 2,
+                received: 300 * seconds,
+                inbox: 1,
+                ..OutletStatistics::default()
+            }],
         }
     }
 
@@ -358,6 +389,16 @@ pub(crate) mod tests {
             "TOPIC         MESSAGES/S  MESSAGES  SUBSCRIBERS  DROPS  LAST BATCH  LARGEST      AGE",
             "joint_states         100      1200            2      0           1        4  8.00 ms",
             "image                200      2400            0      0           0        0    never",
+        ];
+        assert_eq!(grid.lines().collect::<Vec<_>>(), expected);
+    }
+
+    #[test]
+    fn outlets_tell_their_rate_and_what_waits() {
+        let grid = Grid::of_outlets(&snapshot(10), &snapshot(12), Sort::Busiest);
+        let expected = [
+            "OUTLET    MESSAGES/S  MESSAGES  TOPICS  INBOX  DROPS  PANICS",
+            "recorder         300      3600       2      1      0       0",
         ];
         assert_eq!(grid.lines().collect::<Vec<_>>(), expected);
     }

@@ -36,8 +36,8 @@ fn print_once(client: &Client, snapshot: &Snapshot) {
     for line in summary(&client.robot().to_string(), &start, snapshot, usize::MAX) {
         println!("{line}");
     }
-    let (modules, topics) = (Grid::of_modules, Grid::of_topics);
-    for grid in [modules(&start, snapshot, Sort::Order), topics(&start, snapshot, Sort::Order)] {
+    let tables = [Grid::of_modules, Grid::of_topics, Grid::of_outlets];
+    for grid in tables.map(|table| table(&start, snapshot, Sort::Order)) {
         println!();
         grid.lines().for_each(|line| println!("{line}"));
     }

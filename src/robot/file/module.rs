@@ -29,12 +29,9 @@ pub struct ModuleEntry {
 }
 
 /// The modules that the program adds to a robot.
-const RESERVED_NAMES: [&str; 8] = [
-    downbeat_bridge::expose::MODULE_NAME,
+const RESERVED_NAMES: [&str; 5] = [
     downbeat_bridge::clock::MODULE_NAME,
     downbeat_bridge::diagnostics::MODULE_NAME,
-    "recorder",
-    "fault_watch",
     "step_journal",
     crate::cycle_journal::CycleJournal::MODULE_NAME,
     crate::settings_journal::SettingsJournal::MODULE_NAME,

@@ -1,7 +1,8 @@
 //! Messages on their way out of the executor.
 
+use super::CoreAccess;
 use bytes::Bytes;
-use downbeat_executor::{Context, Module, Received, Setup, SetupError, Time};
+use downbeat_executor::{Outlet, OutletInbox, Received, SetupError, Time};
 use downbeat_msgs::{Message, cdr};
 
 /// Takes the serialized messages of a topic.
@@ -22,7 +23,7 @@ pub struct Offered {
     pub time: Time,
     /// True if the topic carried no message after it in that cycle.
     pub is_last_of_cycle: bool,
-    /// How many messages before it the inbox of the module dropped, because the module was too slow.
+    /// How many messages before it the inbox dropped, because the sink was too slow.
     pub missed: u32,
 }
 
@@ -33,17 +34,23 @@ impl<F: FnMut(Time, Bytes) + Send + 'static> Sink for F {
     }
 }
 
-// The sink is boxed: the code below exists once per message type and module, not once more per sink.
-pub(super) fn subscribe<T: Message, M: Module>(
-    setup: &mut Setup<'_, M>,
+// The sink is boxed: the code below exists once per message type, not once more per sink.
+pub(super) fn open<T: Message>(
+    core: &mut CoreAccess<'_>,
     topic: &str,
+    inbox: &OutletInbox,
     mut sink: Box<dyn Sink>,
-) -> Result<(), SetupError> {
-    setup.subscribe(topic, move |_: &mut M, message: Received<'_, T>, ctx: &mut Context<'_, M::Ports>| {
-        let (time, is_last_of_cycle) = (message.time(), message.is_last());
-        let offered = Offered { time, is_last_of_cycle, missed: message.missed() };
-        if sink.is_wanted(offered) {
+) -> Result<Outlet, SetupError> {
+    core.outlet(topic, inbox, move |message: Received<'_, T>| {
+        if sink.is_wanted(Offered::of(&message)) {
             sink.take(message.time(), cdr::to_vec(&*message).into());
         }
     })
+}
+
+impl Offered {
+    pub(super) fn of<T>(message: &Received<'_, T>) -> Self {
+        let (time, is_last_of_cycle) = (message.time(), message.is_last());
+        Self { time, is_last_of_cycle, missed: message.missed() }
+    }
 }
