@@ -35,10 +35,7 @@ struct Finder {
 }
 
 /// Tells where the camera was seen, and where its parts are.
-#[derive(Default)]
-struct Teller {
-    broadcaster: Option<TransformBroadcaster>,
-}
+struct Teller;
 
 fn transform(parent: &str, child: &str, x: f64) -> TransformStamped {
     let mut transform = TransformStamped { child_frame_id: child.into(), ..TransformStamped::default() };
@@ -63,22 +60,16 @@ impl Module for Finder {
 }
 
 impl Module for Teller {
-    type Ports = ();
+    type Ports = TransformBroadcaster;
 
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        self.broadcaster = Some(TransformBroadcaster::declare(setup)?);
-        setup.subscribe::<TransformStamped, _>("seen", |teller, seen, ctx| {
-            if let Some(broadcaster) = &teller.broadcaster {
-                broadcaster.send(ctx, [seen.clone()]);
-            }
-        })
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError> {
+        setup.subscribe::<TransformStamped, _>("seen", |_, seen, ctx| ctx.ports.send(ctx, [seen.clone()]))?;
+        TransformBroadcaster::declare(setup)
     }
 
-    fn activate(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
-        if let Some(broadcaster) = &mut self.broadcaster {
-            broadcaster.send_static(ctx, [transform("camera", "lens", 0.02)]);
-            broadcaster.send_static(ctx, [transform("camera", "shutter", 0.01)]);
-        }
+    fn activate(&mut self, ctx: &mut Context<'_, Self::Ports>) -> Result<(), TransitionError> {
+        ctx.ports.send_static(ctx, [transform("camera", "lens", 0.02)]);
+        ctx.ports.send_static(ctx, [transform("camera", "shutter", 0.01)]);
         Ok(())
     }
 }
@@ -130,7 +121,7 @@ fn transforms_of_peer_are_looked_up_by_a_module_and_those_of_the_module_arrive()
     core.add("finder", Finder::default()).unwrap();
     let remaps = ["tf", "tf_static"].map(|topic| (topic.to_owned(), format!("own/{topic}")));
     let options = ModuleOptions { remaps: remaps.into(), ..ModuleOptions::default() };
-    core.add_with("teller", Teller::default(), options).unwrap();
+    core.add_with("teller", Teller, options).unwrap();
     let options =
         ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(148) };
     let participant = Participant::join(&options).unwrap();

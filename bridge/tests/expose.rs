@@ -193,10 +193,7 @@ fn stopping_the_core_removes_the_endpoints_and_dropping_the_node_the_node() {
     let incoming = Exposure { topic: "commands".into(), ..text(Direction::In) };
     let (subscription, _samples) = world.listen("/robot/text", QosProfile::DEFAULT);
     assert_eq!(world.peer.remote_nodes()[0].endpoints.len(), 1);
-    assert!(matches!(
-        expose(&mut world.core, &world.node, &[incoming]),
-        Err(ExposeError::Setup(SetupError::DuplicateModule(_)))
-    ));
+    assert!(matches!(expose(&mut world.core, &world.node, &[incoming]), Err(ExposeError::SecondBridge)));
     world.cycles(1);
     world.core.stop();
     drop(world.core);

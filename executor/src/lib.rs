@@ -7,22 +7,26 @@
 //!
 //! ```
 //! use std::time::Duration;
-//! use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+//! use downbeat_executor::{Core, ManualClock, Module, Publication, Setup, SetupError, Time};
 //!
 //! #[derive(Default)]
 //! struct Counter {
 //!     count: u32,
 //! }
 //!
-//! impl Module for Counter {
-//!     type Ports = ();
+//! struct Ports {
+//!     count: Publication<u32>,
+//! }
 //!
-//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-//!         let out = setup.publish("count")?;
-//!         setup.every(Duration::from_millis(10), move |counter, ctx| {
+//! impl Module for Counter {
+//!     type Ports = Ports;
+//!
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+//!         setup.every(Duration::from_millis(10), |counter, ctx| {
 //!             counter.count += 1;
-//!             ctx.publish(out, counter.count);
-//!         })
+//!             ctx.publish(ctx.ports.count, counter.count);
+//!         })?;
+//!         Ok(Ports { count: setup.publish("count")? })
 //!     }
 //! }
 //!
@@ -129,7 +133,8 @@
 //!    not go on by itself the work runs here, to its end
 //! 3. **settings**: values are checked and given, in the order in which they were asked for
 //! 4. **messaging**: inlets, in the order in which they were made; detached modules, in the order in which their runs
-//!    ended, each with its [`DetachedStep`]; the modules. Each topic's messages are now the batch of the next cycle
+//!    ended, each with its [`DetachedStep`]; the modules. Each topic's messages are now the batch of the next
+//!    cycle, and go to the inboxes of [`Outlet`]s
 //! 5. **services**: requests go to their servers: first those of [`Caller`]s, then of detached modules, then of the
 //!    others; then answers go to their clients, and callers whose time is up are told
 //! 6. **timers**: when each module has to run next

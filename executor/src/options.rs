@@ -65,8 +65,9 @@ pub enum Role {
     /// A part of the robot. Parts stop in the reverse order of registration.
     #[default]
     Part,
-    /// Watches the others: a recorder, a bridge. Observers stop after all parts, in the order of
-    /// registration, so that they see the parts' last messages.
+    /// Watches the others and publishes or serves what it sees, such as a journal; who only receives uses an
+    /// [outlet](crate::Core::outlet). Observers stop after all parts, in the order of registration, so that they see the
+    /// parts' last messages.
     Observer,
 }
 

@@ -11,12 +11,13 @@
 //!
 //! # 1 A sensor
 //!
-//! A module declares in its `setup` what it does. A declaration returns a *key*, here to publish with; callbacks are
-//! closures that capture the keys they use, and are given the module itself and a [`Context`](crate::Context).
+//! A module declares in its `setup` what it does. A declaration returns a *key*, here to publish with. The keys are the
+//! module's *ports*: `setup` returns them, and callbacks find them in the [`Context`](crate::Context) that they are given beside
+//! the module itself.
 //!
 //! ```
 //! use std::time::Duration;
-//! use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+//! use downbeat_executor::{Core, ManualClock, Module, Publication, Setup, SetupError, Time};
 //!
 //! /// The attitude of base_link in odom.
 //! struct Attitude {
@@ -28,15 +29,19 @@
 //!     pitch_rad: f64,
 //! }
 //!
-//! impl Module for Imu {
-//!     type Ports = ();
+//! struct Ports {
+//!     attitude: Publication<Attitude>,
+//! }
 //!
-//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-//!         let attitude = setup.publish("attitude")?;
-//!         setup.every(Duration::from_millis(8), move |imu, ctx| {
+//! impl Module for Imu {
+//!     type Ports = Ports;
+//!
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+//!         setup.every(Duration::from_millis(8), |imu, ctx| {
 //!             imu.pitch_rad += 0.01; // It falls on its nose. A real one asks its device.
-//!             ctx.publish(attitude, Attitude { pitch_rad: imu.pitch_rad });
-//!         })
+//!             ctx.publish(ctx.ports.attitude, Attitude { pitch_rad: imu.pitch_rad });
+//!         })?;
+//!         Ok(Ports { attitude: setup.publish("attitude")? })
 //!     }
 //! }
 //!
@@ -61,6 +66,8 @@
 //! [`Core::run`](crate::Core::run) cycles follow each other without pause while there is something to do, and a hop takes as
 //! long as the other modules of its cycles compute. In return the order in which modules run does not matter, and
 //! neither do threads.
+//!
+//! In a module as small as this one the closures may as well capture the keys they use. Its ports are then `()`.
 //!
 //! ```
 //! use std::sync::mpsc::{Sender, channel};
@@ -116,24 +123,35 @@
 //! [`Setup::accept_if`](crate::Setup::accept_if) for what a range cannot say.
 //!
 //! ```
-//! # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+//! # use downbeat_executor::{
+//! #     Context, Core, ManualClock, Module, Publication, Received, Setting, Setup, SetupError, Time,
+//! # };
 //! #[derive(Default)]
 //! struct Balance {
 //!     integral: f64,
 //! }
 //!
-//! impl Module for Balance {
-//!     type Ports = ();
+//! struct Ports {
+//!     gain: Setting<f64>,
+//!     torque: Publication<f64>,
+//! }
 //!
-//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//! impl Balance {
+//!     fn on_pitch(&mut self, pitch: Received<'_, f64>, ctx: &mut Context<'_, Ports>) {
+//!         self.integral += *pitch;
+//!         let gain = *ctx.get(ctx.ports.gain);
+//!         ctx.publish(ctx.ports.torque, -gain * (*pitch + 0.1 * self.integral));
+//!     }
+//! }
+//!
+//! impl Module for Balance {
+//!     type Ports = Ports;
+//!
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
 //!         let gain = setup.setting_in("gain", 40.0, 0.0..=200.0, "torque by pitch, N·m/rad")?;
 //!         setup.on_change(gain, |balance, _| balance.integral = 0.0);
-//!         let torque = setup.publish::<f64>("ankle_torque")?;
-//!         setup.subscribe::<f64, _>("pitch", move |balance, pitch, ctx| {
-//!             balance.integral += *pitch;
-//!             let gain = *ctx.get(gain);
-//!             ctx.publish(torque, -gain * (*pitch + 0.1 * balance.integral));
-//!         })
+//!         setup.subscribe("pitch", Self::on_pitch)?;
+//!         Ok(Ports { gain, torque: setup.publish("ankle_torque")? })
 //!     }
 //! }
 //!
@@ -533,50 +551,35 @@
 //! # 11 The end
 //!
 //! [`CoreHandle::stop`](crate::CoreHandle::stop) ends [`Core::run`](crate::Core::run), which then has each module run its
-//! [`shutdown`](crate::Module::shutdown): parts of the robot in the reverse order of registration, then observers, so that a
-//! recorder still sees the last messages. `shutdown` and the other transitions are methods, not closures: a key they
-//! use is kept in the module, and is `None` until `setup` has run.
+//! [`shutdown`](crate::Module::shutdown), in the reverse order of registration. An [outlet](crate::Core::outlet), through which
+//! messages leave the core for a file, a network or a test, comes after all modules and takes their last messages.
 //!
 //! ```
-//! # use std::sync::mpsc::{Sender, channel};
-//! # use downbeat_executor::{
-//! #     Context, Core, Module, ModuleOptions, Publication, Role, Setup, SetupError,
-//! # };
-//! #[derive(Default)]
-//! struct Motor {
-//!     torque: Option<Publication<f64>>,
+//! # use std::sync::mpsc::channel;
+//! # use downbeat_executor::{Context, Core, Inbox, Module, Publication, Received, Setup, SetupError};
+//! struct Motor;
+//!
+//! struct Ports {
+//!     torque: Publication<f64>,
 //! }
 //!
 //! impl Module for Motor {
-//!     type Ports = ();
+//!     type Ports = Ports;
 //!
-//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-//!         self.torque = Some(setup.publish("torque")?);
-//!         Ok(())
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+//!         Ok(Ports { torque: setup.publish("torque")? })
 //!     }
 //!
-//!     fn shutdown(&mut self, ctx: &mut Context<'_>) {
-//!         if let Some(torque) = self.torque {
-//!             ctx.publish(torque, 0.0);
-//!         }
-//!     }
-//! }
-//!
-//! struct Recorder(Sender<f64>);
-//!
-//! impl Module for Recorder {
-//!     type Ports = ();
-//!
-//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-//!         setup.subscribe::<f64, _>("torque", |recorder, torque, _| drop(recorder.0.send(*torque)))
+//!     fn shutdown(&mut self, ctx: &mut Context<'_, Ports>) {
+//!         ctx.publish(ctx.ports.torque, 0.0);
 //!     }
 //! }
 //!
 //! let (sender, recorded) = channel();
 //! let mut core = Core::new(); // With the system's clock, as on a robot.
-//! let observer = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
-//! core.add_with("recorder", Recorder(sender), observer)?;
-//! core.add("motor", Motor::default())?;
+//! let record = move |torque: Received<'_, f64>| drop(sender.send(*torque)); // On a thread of its own.
+//! let _recorder = core.outlet("torque", Inbox::KeepAll, record)?;
+//! core.add("motor", Motor)?;
 //! core.cycle()?;
 //! let handle = core.handle();
 //! std::thread::spawn(move || handle.stop()); // As a signal would.

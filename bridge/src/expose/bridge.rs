@@ -4,7 +4,7 @@ use super::endpoints::{Endpoints, Exposed, Held};
 use super::learning::learn;
 use super::limit::Limiter;
 use super::outgoing::{ToRos, inbox};
-use super::qos_events::{EndpointQos, QosEvents};
+use super::qos_events::{EndpointQos, QOS_EVENTS_TOPIC, QosEvents};
 use super::status::{BridgeStatus, EndpointReport, EndpointStatus, Traffic, WeakEndpoint};
 use super::{ExposeError, Exposure, OfACycle};
 use crate::edge::{CoreAccess, EncodedInlet, EncodedInletError, Waiting};
@@ -46,6 +46,9 @@ impl Bridge {
     /// # Errors
     /// [`ExposeError`] when a topic cannot be exposed.
     pub fn start(core: &mut Core, node: &Node, exposures: &[Exposure]) -> Result<Self, ExposeError> {
+        if core.topics().any(|topic| *topic.name == *QOS_EVENTS_TOPIC && topic.is_published) {
+            return Err(ExposeError::SecondBridge);
+        }
         let clock = core.clock();
         let bridge = Self {
             node: node.clone(),

@@ -81,6 +81,9 @@ pub enum ExposeError {
     /// The node has an endpoint of that direction on the topic already.
     #[error("{0} is exposed already; remove it before, or give this one another name")]
     Twice(String),
+    /// Two bridges would not know of each other's endpoints.
+    #[error("this core has a bridge already; expose more through that one")]
+    SecondBridge,
     /// The bridge's core has stopped.
     #[error("the robot has stopped")]
     Stopped,

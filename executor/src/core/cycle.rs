@@ -152,6 +152,9 @@ impl Core {
     }
 
     pub(super) fn process_and_sync(&mut self, now: Time) {
+        if self.world.outlets.has_waiting() {
+            self.world.outlets.run_waiting();
+        }
         if self.launcher.is_linear() {
             let stage = self.stage.exclusive();
             stage.begin(now);
@@ -191,6 +194,9 @@ impl Core {
     }
 
     pub(super) fn process(&mut self, now: Time) {
+        if self.world.outlets.has_waiting() {
+            self.world.outlets.run_waiting();
+        }
         let stage = self.stage.exclusive();
         stage.begin(now);
         self.world.agenda.take(now, &mut stage.runnable);

@@ -240,7 +240,10 @@ impl World {
 
     /// True if the next cycle has something to do whatever the time is.
     pub(crate) fn has_work(&self) -> bool {
-        self.agenda.has_ready() || !self.queue.is_empty() || self.joined.has_work()
+        self.agenda.has_ready()
+            || self.outlets.has_waiting()
+            || !self.queue.is_empty()
+            || self.joined.has_work()
     }
 
     /// The earliest time for which somebody asked.

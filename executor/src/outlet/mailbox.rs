@@ -52,7 +52,7 @@ impl Mailbox {
     }
 
     pub(super) fn waiting(&self) -> u64 {
-        self.lock().deliveries.iter().map(|addressed| u64::from(addressed.delivery.messages)).sum()
+        self.lock().deliveries.iter().map(Addressed::messages).sum()
     }
 
     /// Ends the thread when nothing waits any more.
@@ -84,6 +84,10 @@ impl Mailbox {
 }
 
 impl Addressed {
+    pub(super) fn messages(&self) -> u64 {
+        u64::from(self.delivery.messages)
+    }
+
     pub(super) fn hand_over(self) {
         let Self { outlet, delivery, .. } = self;
         // Guarded: what is freed with the batch may panic in its drop.

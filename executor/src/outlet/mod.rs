@@ -24,7 +24,7 @@ use crate::{Inbox, Received, SetupError, Stage};
 /// [`CoreHandle::outlet`](crate::CoreHandle::outlet).
 ///
 /// The messages go to a *sink*, a closure that runs on a thread of its own and may block: it never delays a cycle. Under a
-/// clock that does not go on by itself the sink runs inside the sync phase instead. A sink that panics is logged and not
+/// clock that does not go on by itself the sink runs inside the next cycle, before its modules. A sink that panics is logged and not
 /// called again.
 ///
 /// An outlet sees everything: when the core stops, its sink receives the last messages of all modules, and is dropped after
@@ -39,7 +39,7 @@ use crate::{Inbox, Received, SetupError, Stage};
 /// let (sender, ranges) = channel();
 /// let outlet = core.outlet("range", Inbox::KeepAll, move |range: Received<'_, f64>| drop(sender.send(*range)))?;
 /// core.inlet("range")?.publish(1.25)?; // m
-/// core.cycle()?;
+/// (0..2).try_for_each(|_| core.cycle())?;
 /// assert_eq!(ranges.try_recv()?, 1.25);
 /// drop(outlet);
 /// assert!(ranges.recv().is_err(), "the sink is gone");

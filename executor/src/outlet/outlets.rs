@@ -21,6 +21,8 @@ pub(crate) struct Outlets {
     ports: Vec<Option<Port>>,
     /// In the order in which they were first used.
     inboxes: Vec<InboxPort>,
+    /// True if something waits for sinks that run inside the cycle.
+    has_waiting: bool,
 }
 
 /// An outlet.
@@ -35,9 +37,9 @@ struct InboxPort {
     identity: Arc<Identity>,
     name: Arc<str>,
     mailbox: Arc<Mailbox>,
-    /// `None` where sinks run inside the sync phase.
+    /// `None` where sinks run inside the cycle.
     thread: Option<Thread>,
-    /// What this sync phase has for it so far.
+    /// What this sync phase has for it so far; without a thread, until the next process phase.
     outgoing: Vec<Addressed>,
     /// What outlets counted that are closed.
     closed: Counts,
@@ -117,12 +119,27 @@ impl Outlets {
         }
     }
 
+    /// True if sinks have to run in the next cycle.
+    #[inline]
+    pub(crate) fn has_waiting(&self) -> bool {
+        self.has_waiting
+    }
+
+    /// Runs sinks that have no thread.
+    #[cold]
+    pub(crate) fn run_waiting(&mut self) {
+        self.has_waiting = false;
+        for inbox in self.inboxes.iter_mut().filter(|inbox| inbox.thread.is_none()) {
+            inbox.outgoing.drain(..).for_each(Addressed::hand_over);
+        }
+    }
+
     /// Delivers all batches of a sync phase at once: a thread wakes once for all of them.
     #[inline(never)]
     pub(crate) fn dispatch(&mut self, topics: &mut Topics) {
         for inbox in self.inboxes.iter_mut().filter(|inbox| !inbox.outgoing.is_empty()) {
             if inbox.thread.is_none() {
-                inbox.outgoing.drain(..).for_each(Addressed::hand_over);
+                self.has_waiting = true;
                 continue;
             }
             let dropped = |topic, messages| topics.meter_mut(topic).dropped(u64::from(messages));
@@ -132,6 +149,7 @@ impl Outlets {
 
     /// Waits until the sinks have taken what waits for them, however long that takes, and drops them.
     pub(crate) fn stop(&mut self) {
+        self.run_waiting();
         for inbox in &mut self.inboxes {
             inbox.stop();
         }
@@ -156,7 +174,7 @@ impl Outlets {
                 name: inbox.name.to_string(),
                 topics: sum(|_| 1),
                 received: inbox.closed.received + sum(|shared| shared.received.load(Ordering::Relaxed)),
-                inbox: inbox.mailbox.waiting(),
+                inbox: inbox.mailbox.waiting() + inbox.outgoing.iter().map(Addressed::messages).sum::<u64>(),
                 dropped: inbox.closed.dropped + sum(|shared| shared.dropped.load(Ordering::Relaxed)),
                 failed: sum(|shared| u64::from(shared.has_failed.load(Ordering::Relaxed))),
             }

@@ -117,23 +117,21 @@ fn random_transform(numbers: &mut Numbers, parent: i64, child: i64, time: i64) -
 }
 
 /// Walks at 1 m/s, and fixes its sensors one after the other.
-#[derive(Default)]
 struct Walker {
-    transforms: Option<TransformBroadcaster>,
     sensors: Vec<&'static str>,
 }
 
 impl Module for Walker {
-    type Ports = ();
+    type Ports = TransformBroadcaster;
 
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        self.transforms = Some(TransformBroadcaster::declare(setup)?);
-        setup.every(Duration::from_millis(100), Self::walk)
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError> {
+        setup.every(Duration::from_millis(100), Self::walk)?;
+        TransformBroadcaster::declare(setup)
     }
 }
 
 impl Walker {
-    fn walk(&mut self, ctx: &mut Context<'_>) {
+    fn walk(&mut self, ctx: &mut Context<'_, TransformBroadcaster>) {
         let stamp = Stamp::from_nanos(ctx.now().as_nanos());
         let transform = |parent: &str, child: &str, x| {
             let mut transform =
@@ -142,7 +140,7 @@ impl Walker {
             transform.transform.translation.x = x;
             transform
         };
-        let Some(transforms) = &mut self.transforms else { return };
+        let transforms = ctx.ports;
         transforms.send(ctx, [transform("odom", "base_link", ctx.now().as_nanos() as f64 / 1e9)]);
         if let Some(sensor) = self.sensors.pop() {
             transforms.send_static(ctx, [transform("base_link", sensor, 0.5)]);
@@ -188,7 +186,7 @@ fn a_module_looks_up_what_another_one_publishes() {
     let mut core = Core::new().with_clock(clock.clone());
     let (found, finds) = channel();
     let (fixed, frames) = channel();
-    core.add("walker", Walker { sensors: vec!["lidar", "camera"], ..Walker::default() }).unwrap();
+    core.add("walker", Walker { sensors: vec!["lidar", "camera"] }).unwrap();
     core.add("looker", Looker { transforms: TransformBuffer::new(), found }).unwrap();
     core.add("fixed", Fixed(fixed)).unwrap();
     for _ in 0..6 {
