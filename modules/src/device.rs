@@ -120,6 +120,58 @@ impl<D: Device> DeviceLink<D> {
         Self { way: Way::Recording(exchanges.into_iter().collect()) }
     }
 
+    /// The device, to tell it where it is connected; `None` in a replay. What a module asks and publishes must not depend on
+    /// which of the two it is.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// # use downbeat_executor::{Core, Module, ModuleOptions, Setup, SetupError, Time};
+    /// # use downbeat_modules::device::{Device, DeviceLink};
+    /// # use downbeat_msgs::std_msgs::msg::String as Line;
+    /// #[derive(Default)]
+    /// struct Sonar {
+    ///     port: String,
+    /// }
+    /// # impl Device for Sonar {
+    /// #     type Request = &'static str;
+    /// #     type Exchange = Line;
+    /// #     const TOPIC: &'static str = "sonar/exchanges";
+    /// #     fn exchange(&mut self, request: &Self::Request, _: Time) -> Line {
+    /// #         Line { data: format!("{request} on {}", self.port) }
+    /// #     }
+    /// #     fn answers(_: &Line, _: &Self::Request) -> bool {
+    /// #         true
+    /// #     }
+    /// #     fn failed(request: &Self::Request, _: Time, reason: &str) -> Line {
+    /// #         Line { data: format!("{request} ! {reason}") }
+    /// #     }
+    /// # }
+    ///
+    /// struct SonarModule(DeviceLink<Sonar>);
+    ///
+    /// impl Module for SonarModule {
+    ///     type Ports = ();
+    ///
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         let port = setup.read_only_setting("port", "/dev/ttyUSB0".to_owned(), "the serial port")?;
+    ///         if let (Some(sonar), Some(port)) = (self.0.device(), setup.value(port)) {
+    ///             sonar.port.clone_from(port);
+    ///         }
+    ///         Ok(())
+    ///     }
+    /// }
+    /// # let mut core = Core::new();
+    /// # core.add("sonar", SonarModule(DeviceLink::new(Sonar::default())))?;
+    /// # core.add("replayed", SonarModule(DeviceLink::recorded([])))?;
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn device(&mut self) -> Option<&mut D> {
+        match &mut self.way {
+            Way::Device(device) => Some(device),
+            Way::Recording(_) => None,
+        }
+    }
+
     /// Asks the device, publishes the exchange on `topic` and returns it.
     ///
     /// In a replay the exchange is the next one of the recording. If that is one of another request, or there is none, the

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::core::world::Pause;
 use crate::core::{ModuleInfo, World};
-use crate::inlet::open_inlet;
+use crate::inlet::{default_queue, open_inlet};
 use crate::join::{JoinQueue, Request};
 use crate::management::{Candidate, Command, Source};
 use crate::outlet::open_outlet;
@@ -278,6 +278,12 @@ impl CoreHandle {
             let id = world.members.find(&module)?.id;
             Some(world.settings(stage, id))
         })
+    }
+
+    /// A way to publish on a topic from threads outside the executor, as [`Core::inlet`](crate::Core::inlet).
+    #[must_use = "the answer is in the receipt"]
+    pub fn inlet<T: Send + Sync + 'static>(&self, topic: &str) -> Receipt<Result<Inlet<T>, SetupError>> {
+        self.inlet_with(topic, default_queue())
     }
 
     /// A way to publish on a topic from threads outside the executor, made while the core runs: behind those that were
