@@ -43,7 +43,7 @@ impl fmt::Display for Version {
 ///
 /// The core's own mechanisms are implementations of this trait, and so are a user's: added with
 /// [`Core::with_mechanism`](crate::Core::with_mechanism), used by modules through
-/// [`Setup::mechanism`](crate::Setup::mechanism). `executor/examples/blackboard.rs` is a whole one.
+/// [`Setup::mechanism`](crate::Setup::mechanism). `examples/executor_alone/src/bin/blackboard.rs` is a whole one.
 ///
 /// Modules see the mechanism's [`View`](Self::View) in the process phase, all the same one, and queue
 /// [`Request`](Self::Request)s; nobody writes while somebody reads, so no lock is needed, and the result does

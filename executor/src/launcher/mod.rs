@@ -23,7 +23,7 @@ use crate::{Stage, ThreadError};
 /// Runs the modules of a cycle. Which launcher it is never changes what the modules compute.
 ///
 /// [`Linear`] runs them on the core's thread, [`Pool`] on a fixed number of threads, [`Threads`] each on its own, and
-/// a program can have its own way; `examples/launcher.rs` has one with threads. This one shows that not even the
+/// a program can have its own way; `examples/executor_alone/src/bin/launcher.rs` has one with threads. This one shows that not even the
 /// order matters:
 ///
 /// ```

@@ -5,7 +5,7 @@
 //! launcher changes nothing about the result, and the example ends by comparing it with that of `Linear`.
 //!
 //! ```sh
-//! cargo run -p downbeat-executor --example launcher
+//! cargo run --bin launcher
 //! ```
 
 use std::error::Error;

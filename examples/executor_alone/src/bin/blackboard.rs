@@ -5,7 +5,7 @@
 //! the same board. Who leaves takes along what it wrote.
 //!
 //! ```sh
-//! cargo run -p downbeat-executor --example blackboard
+//! cargo run --bin blackboard
 //! ```
 
 use std::collections::BTreeMap;

@@ -1,0 +1,105 @@
+//! Two robots inside a program that has its own `main`, and messages between them and the program.
+
+use std::path::Path;
+use std::sync::mpsc::{Sender, channel};
+use std::time::Duration;
+
+use downbeat::executor::{Context, Module, ModuleOptions, Publication, Received, Setup, SetupError};
+use downbeat::msgs::std_msgs::msg::Float64;
+use downbeat::running::{PreparedRobot, RecordPlan};
+use downbeat::{App, Failure};
+
+/// An axis, computed: it moves towards its goal by at most 0.05 m every 10 ms.
+#[derive(Default)]
+struct Axis {
+    goal: f64,
+    position: f64,
+}
+
+struct AxisPorts {
+    position: Publication<Float64>,
+}
+
+impl Module for Axis {
+    type Ports = AxisPorts;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<AxisPorts, SetupError> {
+        setup.subscribe::<Float64, _>("goal", |axis, goal, _| axis.goal = goal.data)?;
+        setup.every(Duration::from_millis(10), Self::tick)?;
+        Ok(AxisPorts { position: setup.publish("position")? })
+    }
+}
+
+impl Axis {
+    fn tick(&mut self, ctx: &mut Context<'_, AxisPorts>) {
+        self.position += (self.goal - self.position).clamp(-0.05, 0.05);
+        ctx.publish(ctx.ports.position, Float64 { data: self.position });
+    }
+}
+
+/// Gives the program each position.
+struct Positions(Sender<f64>);
+
+impl Module for Positions {
+    type Ports = ();
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        setup.subscribe("position", Self::pass)
+    }
+}
+
+impl Positions {
+    fn pass(&mut self, position: Received<'_, Float64>, _: &mut Context<'_>) {
+        // The program stops listening before it stops the robot.
+        let _ = self.0.send(position.data);
+    }
+}
+
+/// Generous: the machine may be busy.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+fn main() -> Result<(), Failure> {
+    let app = App::new().kind("axis", "an axis (computed)", Axis::default);
+
+    // The whole robot with one call: its core on a thread, its node in ROS 2.
+    let follower = app.start("follower.toml")?;
+
+    // Step by step: here without a node, and with an inlet, a module of the program's own, and a recording.
+    let mut leader = PreparedRobot::new(app.robot_file("leader.toml")?, None)?;
+    let leader_goal = leader.core().inlet("goal")?;
+    let (sender, leader_positions) = channel();
+    leader.core().add("positions", Positions(sender))?;
+    let plan = RecordPlan::of_robot(Path::new("leader_run"), leader.file(), None);
+    leader.record(plan)?;
+    let leader = leader.start()?;
+
+    // A handle does the same while a robot runs; the answer comes with the next cycle.
+    let follower_goal = follower.core().inlet("goal").wait(PATIENCE).ok_or(NoAnswer)??;
+    let (sender, follower_positions) = channel();
+    let joined = follower.core().add("positions", Positions(sender), ModuleOptions::default());
+    joined.wait(PATIENCE).ok_or(NoAnswer)??;
+
+    // The program is what connects them: it sends the one robot where the other one is.
+    leader_goal.publish(Float64 { data: 1.0 })?;
+    for position in &leader_positions {
+        follower_goal.publish(Float64 { data: position })?;
+        if position >= 1.0 {
+            println!("the leader has arrived");
+            break;
+        }
+    }
+    if follower_positions.iter().any(|position| position >= 1.0) {
+        println!("the follower has arrived");
+    }
+
+    follower.stop()?;
+    if let Some(bag) = leader.stop()? {
+        println!("{} has {} messages", bag.path.display(), bag.message_count());
+    }
+    Ok(())
+}
+
+/// A robot does not answer.
+#[derive(Debug, thiserror::Error)]
+#[error("the robot has stopped, or gave no answer within {} s", PATIENCE.as_secs())]
+struct NoAnswer;

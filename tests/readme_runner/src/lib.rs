@@ -1,0 +1,87 @@
+//! Runs the commands of a README and compares what they print with what it says.
+//!
+//! A block of commands is marked `sh`. The block marked `text` that follows it is what they print:
+//!
+//! - `…` stands for any text within a line;
+//! - the lines are printed in this order; lines that the page does not show may be printed between them;
+//! - a line `^C` is a Ctrl-C of the reader, after the lines above it have been printed.
+//!
+//! Commands run in a copy of the folder of the README, so that what they write is gone afterwards. Each page has a ROS
+//! domain of its own on loopback. In place of `cargo run` runs the program that the test was built with, so that nothing is
+//! built twice; `cargo test` does nothing, since the test of the page is a part of it.
+#![allow(clippy::missing_panics_doc)] // Panics are how it reports.
+
+mod page;
+mod session;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A README whose commands are run.
+pub struct Readme {
+    source: PathBuf,
+    folder: tempfile::TempDir,
+    programs: PathBuf,
+    program: String,
+}
+
+impl Readme {
+    /// The README of a package, `env!("CARGO_MANIFEST_DIR")`, and the program that `cargo run` runs there,
+    /// `env!("CARGO_BIN_EXE_…")`.
+    #[must_use]
+    pub fn of(package: &str, program: &str) -> Self {
+        let (source, program) = (PathBuf::from(package), Path::new(program));
+        let folder = tempfile::Builder::new().prefix("readme").tempdir();
+        let folder = folder.expect("a temporary folder can be made");
+        copy(&source, folder.path());
+        let name = program.file_name().expect("a program has a name");
+        let programs = program.parent().expect("a program is in a folder");
+        Self {
+            source,
+            folder,
+            programs: programs.to_owned(),
+            program: name.to_str().expect("its name is text").to_owned(),
+        }
+    }
+
+    /// Replaces text in the copy of a file before the commands run: a port that may be taken on this machine.
+    #[must_use]
+    pub fn replacing(self, file: &str, from: &str, to: &str) -> Self {
+        let path = self.folder.path().join(file);
+        let text = fs::read_to_string(&path).expect("the file is text");
+        assert!(text.contains(from), "{file} does not contain {from:?}");
+        fs::write(&path, text.replace(from, to)).expect("the copy can be written");
+        self
+    }
+
+    /// Runs the commands.
+    ///
+    /// # Panics
+    /// If one fails, does not end, or does not print what the page says.
+    pub fn check(self) {
+        let path = self.source.join("README.md");
+        let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let blocks = page::blocks(&text);
+        assert!(!blocks.is_empty(), "{} has no commands", path.display());
+        for block in blocks {
+            let place = format!("{}:{}", path.display(), block.line);
+            session::run(&block, &place, self.folder.path(), &self.programs, &self.program);
+        }
+    }
+}
+
+/// Copies what commands may read: everything but sources and tests' programs.
+fn copy(from: &Path, to: &Path) {
+    for entry in fs::read_dir(from).unwrap_or_else(|error| panic!("{}: {error}", from.display())) {
+        let path = entry.expect("the folder can be read").path();
+        let name = path.file_name().expect("an entry has a name");
+        if path.is_dir() {
+            if name != "src" && name != "target" {
+                fs::create_dir_all(to.join(name)).expect("a folder can be made");
+                copy(&path, &to.join(name));
+            }
+        } else {
+            fs::copy(&path, to.join(name)).expect("a file can be copied");
+        }
+    }
+}
