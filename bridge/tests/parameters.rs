@@ -12,7 +12,9 @@ use downbeat_bridge::ros::{NodeName, Participant};
 use downbeat_executor::{Core, CoreHandle, Inbox, Module, ModuleOptions, Setup, SetupError, Synchrony};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::rcl_interfaces::msg::{Parameter, ParameterValue};
-use downbeat_msgs::rcl_interfaces::srv::{SetParameters, SetParametersRequest};
+use downbeat_msgs::rcl_interfaces::srv::{
+    GetParameters, GetParametersRequest, SetParameters, SetParametersRequest,
+};
 use serde_json::{Value, json};
 
 struct Arm;
@@ -309,4 +311,28 @@ fn a_refusal_does_not_repeat_the_whole_request() {
     let refused = set(many.collect());
     assert!(refused.len() == 1000 && refused.iter().all(|result| !result.successful));
     assert!(refused.iter().map(|result| result.reason.len()).sum::<usize>() <= 50_000);
+}
+
+#[test]
+fn a_value_too_long_to_be_given_back_is_refused_and_said_to_be() {
+    let robot = robot(230);
+    let participant = Participant::join(&on_loopback(230)).unwrap();
+    let node = participant.create_node(NodeName::new("/", "asking").unwrap()).unwrap();
+    let set = node.client::<SetParameters>("/robot/set_parameters", QosProfile::PARAMETERS).unwrap();
+    let get = node.client::<GetParameters>("/robot/get_parameters", QosProfile::PARAMETERS).unwrap();
+    assert!(set.wait_for_service(WATCHDOG) && get.wait_for_service(WATCHDOG));
+    let value =
+        ParameterValue { r#type: 4, string_value: "y".repeat(3_000_000), ..ParameterValue::default() };
+    let parameters = vec![Parameter { name: "arm.name".into(), value }];
+    let refused = set.call_and_wait(&SetParametersRequest { parameters }, WATCHDOG).unwrap().results;
+    assert!(refused[0].reason.contains("at most 1000000"), "{}", refused[0].reason);
+    let given = |name: &str| {
+        let request = GetParametersRequest { names: vec![name.to_owned()] };
+        get.call_and_wait(&request, WATCHDOG).unwrap().values
+    };
+    assert_eq!(given("arm.name")[0].string_value, "left");
+    // A program may set what it likes.
+    robot.handle.set("arm", "name", "y".repeat(3_000_000)).wait(WATCHDOG).unwrap().unwrap();
+    assert!(given("arm.name").is_empty());
+    assert_eq!(given("arm.count")[0].integer_value, 3);
 }

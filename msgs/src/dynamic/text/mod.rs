@@ -77,11 +77,12 @@ impl DynamicMessage {
     /// # Errors
     /// If the text is no YAML mapping, or a field is not there or cannot have its value. The message is unchanged then.
     pub fn fill_yaml(&mut self, yaml: &str) -> Result<Stamps, TextError> {
-        let filled = crate::yaml::deserializer(yaml).map_err(|error| (error, None));
-        filled.and_then(|yaml| self.fill_from(yaml)).map_err(|(error, field)| {
+        let told = |error: &serde_norway::Error, field| {
             let (line, column) = error.location().map_or((0, 0), |place| (place.line(), place.column()));
-            TextError::new("YAML", line, column, &error, field)
-        })
+            TextError::new("YAML", line, column, error, field)
+        };
+        let yaml = crate::yaml::deserializer(yaml).map_err(|error| told(&error, None))?;
+        self.fill_from(yaml).map_err(|(error, field)| told(&error, field))
     }
 
     /// Changes the fields that the input names, in any format of serde that describes itself.

@@ -11,6 +11,7 @@ use crate::msgs::qos::{Durability, QosProfile};
 use crate::ros_recorder::QosOverrides;
 use anyhow::bail;
 use bytes::Bytes;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use super::requests::{Requests, RequestsSource};
 use crate::program::stop::Stop;
@@ -18,8 +19,25 @@ use crate::program::stop::Stop;
 /// How long a message waits for subscribers that lag behind, as in rmw_fastrtps (`max_blocking_time`).
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// Each takes descriptors of files from a process that has a thousand, and memory of every node in the network.
+/// Each takes memory of every node in the network.
 const MOST_TOPICS: usize = 1000;
+/// Open files that the DDS engine has for each publisher (a little more than two), and those that the program has besides.
+const FILES_OF_PUBLISHER: u64 = 3;
+const OTHER_FILES: u64 = 200;
+
+/// How many topics a process may publish, once it may open as many files as it can be allowed to for `wanted` of them.
+fn most_topics(wanted: usize) -> usize {
+    let mut limit = getrlimit(Resource::Nofile);
+    let needed = OTHER_FILES + FILES_OF_PUBLISHER * wanted.min(MOST_TOPICS) as u64;
+    if limit.current.is_some_and(|current| current < needed) {
+        let raised = Rlimit { current: Some(limit.maximum.unwrap_or(needed).min(needed)), ..limit };
+        if setrlimit(Resource::Nofile, raised).is_ok() {
+            limit.current = raised.current;
+        }
+    }
+    let files = limit.current.unwrap_or(u64::MAX).saturating_sub(OTHER_FILES);
+    MOST_TOPICS.min(usize::try_from(files / FILES_OF_PUBLISHER).unwrap_or(usize::MAX))
+}
 
 /// Takes the messages of one topic.
 #[expect(clippy::large_enum_variant, reason = "there is one for each topic, not for each message")]
@@ -40,9 +58,10 @@ pub(super) fn targets(
     stop: &Stop,
 ) -> anyhow::Result<Vec<Option<Target>>> {
     let count = player.topics().len();
-    if count > MOST_TOPICS {
+    let most = most_topics(count);
+    if count > most {
         bail!(
-            "the bag has {count} topics, and at most {MOST_TOPICS} are played at a time; choose some with --topics, --regex or \
+            "the bag has {count} topics, and at most {most} are played at a time; choose some with --topics, --regex or \
              --exclude-regex"
         );
     }

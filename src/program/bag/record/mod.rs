@@ -158,8 +158,7 @@ fn record_from_ros(
 ) -> anyhow::Result<()> {
     arguments.check()?;
     let stop = Stop::new()?.after(arguments.duration);
-    let mut entry = RecordEntry::default();
-    entry.cache_bytes = writing::DEFAULT_CACHE_BYTES;
+    let mut entry = RecordEntry { cache_bytes: writing::DEFAULT_CACHE_BYTES, ..RecordEntry::default() };
     writing::apply(&arguments.writing, &mut entry)?;
     let format = arguments.writing.serialization_format.as_deref().unwrap_or("cdr");
     tracing::debug!(
