@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::mpsc::{Sender, channel};
 use std::time::Duration;
 
-use downbeat::executor::{Context, Module, ModuleOptions, Publication, Received, Setup, SetupError};
+use downbeat::executor::{Context, Inbox, Module, Publication, Received, Setup, SetupError};
 use downbeat::msgs::std_msgs::msg::Float64;
 use downbeat::running::{PreparedRobot, RecordPlan};
 use downbeat::{App, Failure};
@@ -37,24 +37,6 @@ impl Axis {
     }
 }
 
-/// Gives the program each position.
-struct Positions(Sender<f64>);
-
-impl Module for Positions {
-    type Ports = ();
-
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        setup.subscribe("position", Self::pass)
-    }
-}
-
-impl Positions {
-    fn pass(&mut self, position: Received<'_, Float64>, _: &mut Context<'_>) {
-        // The program stops listening before it stops the robot.
-        let _ = self.0.send(position.data);
-    }
-}
-
 /// Generous: the machine may be busy.
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -64,11 +46,11 @@ fn main() -> Result<(), Failure> {
     // The whole robot with one call: its core on a thread, its node in ROS 2.
     let follower = app.start("follower.toml")?;
 
-    // Step by step: here without a node, and with an inlet, a module of the program's own, and a recording.
+    // Step by step: here without a node, and with an inlet, an outlet, and a recording.
     let mut leader = PreparedRobot::new(app.robot_file("leader.toml")?, None)?;
     let leader_goal = leader.core().inlet("goal")?;
     let (sender, leader_positions) = channel();
-    leader.core().add("positions", Positions(sender))?;
+    let leader_outlet = leader.core().outlet("position", Inbox::KeepAll, pass_to(sender))?;
     let plan = RecordPlan::of_robot(Path::new("leader_run"), leader.file(), None);
     leader.record(plan)?;
     let leader = leader.start()?;
@@ -76,8 +58,8 @@ fn main() -> Result<(), Failure> {
     // A handle does the same while a robot runs; the answer comes with the next cycle.
     let follower_goal = follower.core().inlet("goal").wait(PATIENCE).ok_or(NoAnswer)??;
     let (sender, follower_positions) = channel();
-    let joined = follower.core().add("positions", Positions(sender), ModuleOptions::default());
-    joined.wait(PATIENCE).ok_or(NoAnswer)??;
+    let follower_outlet = follower.core().outlet("position", Inbox::KeepAll, pass_to(sender));
+    let follower_outlet = follower_outlet.wait(PATIENCE).ok_or(NoAnswer)??;
 
     // The program is what connects them: it sends the one robot where the other one is.
     leader_goal.publish(Float64 { data: 1.0 })?;
@@ -92,11 +74,21 @@ fn main() -> Result<(), Failure> {
         println!("the follower has arrived");
     }
 
+    // Nothing more is taken out of the cores.
+    drop((leader_outlet, follower_outlet));
     follower.stop()?;
     if let Some(bag) = leader.stop()? {
         println!("{} has {} messages", bag.path.display(), bag.message_count());
     }
     Ok(())
+}
+
+/// Sends each position to the program.
+fn pass_to(positions: Sender<f64>) -> impl FnMut(Received<'_, Float64>) + Send {
+    move |position| {
+        // The program may have stopped listening.
+        let _ = positions.send(position.data);
+    }
 }
 
 /// A robot does not answer.
