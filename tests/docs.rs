@@ -142,10 +142,8 @@ fn every_command_on_a_page_runs() {
         let needs_robot = NEEDS_ROBOT.contains(first) || command.starts_with("ros2 ") || words == ["graph"];
         if needs_robot && robot.is_none() {
             robot = Some(place.start_robot());
-        } else if !needs_robot {
-            if let Some(mut robot) = robot.take() {
-                robot.interrupt();
-            }
+        } else if !needs_robot && let Some(mut robot) = robot.take() {
+            robot.interrupt();
         }
         place.prepare_for(&words);
         place.run(&page, &command, &rewritten, &words);

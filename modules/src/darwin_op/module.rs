@@ -137,9 +137,7 @@ impl Module for DarwinOp {
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
         let settings = SettingKeys::declare(setup)?;
         settings.on_change(setup, Self::read_settings);
-        setup.subscribe("joint_commands", Self::on_command)?;
-        setup.every(CYCLE, Self::tick)?;
-        Ok(Ports {
+        let ports = Ports {
             settings,
             joint_states: setup.publish("joint_states")?,
             imu: setup.publish("imu/data_raw")?,
@@ -147,7 +145,10 @@ impl Module for DarwinOp {
             buttons: setup.publish("buttons")?,
             diagnostics: setup.publish("diagnostics")?,
             exchanges: setup.publish("bus/exchanges")?,
-        })
+        };
+        setup.subscribe("joint_commands", Self::on_command)?;
+        setup.every(CYCLE, Self::tick)?;
+        Ok(ports)
     }
 
     fn activate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {

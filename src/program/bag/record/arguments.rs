@@ -77,10 +77,10 @@ pub(crate) struct SelectionArguments {
     #[arg(long, conflicts_with = "robot")]
     pub(crate) all_services: bool,
     /// Record topics and services whose names contain this regular expression.
-    #[arg(short = 'e', long, value_name = "REGEX")]
+    #[arg(short = 'e', long, value_name = "REGEX", value_parser = regex)]
     pub(crate) regex: Option<Regex>,
     /// Do not record topics and services whose names contain this regular expression.
-    #[arg(long, value_name = "REGEX")]
+    #[arg(long, value_name = "REGEX", value_parser = regex)]
     pub(crate) exclude_regex: Option<Regex>,
     /// Types of topics not to record.
     #[arg(long, num_args = 1.., value_name = "TYPE")]
@@ -243,4 +243,8 @@ impl SelectionArguments {
 fn key_and_value(text: &str) -> Result<(String, String), String> {
     let (key, value) = text.split_once('=').ok_or_else(|| format!("\"{text}\" is not KEY=VALUE"))?;
     Ok((key.to_owned(), value.to_owned()))
+}
+
+fn regex(text: &str) -> Result<Regex, String> {
+    Regex::new(text).map_err(|error| format!("regex parse error: {error}"))
 }
