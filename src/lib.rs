@@ -40,3 +40,7 @@ pub struct Readme;
 #[cfg(doctest)]
 #[doc = include_str!("../docs/messages.md")]
 struct MessagesPage;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/your_robot.md")]
+struct YourRobotPage;

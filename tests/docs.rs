@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use common::{Running, WATCHDOG, downbeat, robot_file};
 use downbeat::robot::RobotFile;
 
-const PAGES: [&str; 8] = [
+const PAGES: [&str; 9] = [
     "README.md",
     "docs/bags.md",
     "docs/look.md",
@@ -22,6 +22,7 @@ const PAGES: [&str; 8] = [
     "docs/messages.md",
     "docs/robot_files.md",
     "docs/ros2_users.md",
+    "docs/your_robot.md",
     "modules/README.md",
 ];
 

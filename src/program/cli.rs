@@ -26,6 +26,7 @@ use super::bag::repair::RepairArguments;
 use super::bag::replay::ReplayArguments;
 use super::interface::InterfaceCommand;
 use super::look::{ActionCommand, LifecycleCommand, NodeCommand, ParamCommand, ServiceCommand, TopicCommand};
+use super::new::NewArguments;
 use super::new_output::Force;
 
 /// Robot software as small modules in one process, seen and driven from ROS 2 Jazzy, recorded and replayed.
@@ -120,6 +121,8 @@ pub(crate) enum Command {
     /// Look at managed nodes of the ROS 2 network, and have them make transitions.
     #[command(subcommand)]
     Lifecycle(LifecycleCommand),
+    /// Make a project of your own: a robot, or with --template messages for it or a module for several.
+    New(NewArguments),
     /// Run an emulated device alone.
     #[command(subcommand)]
     Emulate(EmulateCommand),

@@ -15,6 +15,7 @@ mod interface;
 mod keyboard;
 mod logging;
 mod look;
+mod new;
 mod new_output;
 mod run;
 mod screen;
@@ -79,6 +80,7 @@ pub(crate) fn main(app: &App) -> ExitCode {
         Command::Param(command) => look::param(&command, &environment),
         Command::Action(command) => look::action(&command, &environment),
         Command::Lifecycle(command) => look::lifecycle(&command, &environment),
+        Command::New(arguments) => new::new(&arguments),
         Command::Emulate(EmulateCommand::DarwinOp { link, seed, fault }) => {
             emulate::darwin_op(link, seed, &fault)
         }

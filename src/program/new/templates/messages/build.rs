@@ -1,0 +1,5 @@
+//! Makes Rust types of the interface files.
+
+fn main() {
+    downbeat_msgs_generator::compile("my_robot");
+}

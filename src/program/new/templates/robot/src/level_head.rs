@@ -1,0 +1,125 @@
+//! Holds the head level.
+//!
+//! | topic | type | |
+//! | --- | --- | --- |
+//! | `imu/data_raw` (in) | `sensor_msgs/msg/Imu` | how fast the body turns |
+//! | `joint_commands` | `sensor_msgs/msg/JointState` | where the joint `head_tilt` is to go, at 50 Hz |
+//! | `head_tilt` | `level_head_msgs/msg/HeadTilt` | what the module does, for each message of the IMU |
+
+use std::time::Duration;
+
+use downbeat::executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
+use downbeat::msgs::Message;
+use downbeat::msgs::sensor_msgs::msg::{Imu, JointState};
+use downbeat::msgs::std_msgs::msg::Header;
+
+/// How far the head is tilted.
+#[derive(Clone, Debug, Default, PartialEq, Message)]
+#[message(name = "level_head_msgs/msg/HeadTilt", crate = "downbeat::msgs")]
+pub struct HeadTilt {
+    /// That of the IMU.
+    pub header: Header,
+    /// Up is positive [rad].
+    pub angle: f64,
+    /// True if the joint turns no further.
+    pub is_at_limit: bool,
+}
+
+downbeat::msgs::interfaces! {
+    /// The messages of this module.
+    pub INTERFACES: HeadTilt
+}
+
+/// Tilts the head against the rotation that the gyroscope measures.
+#[derive(Default)]
+pub struct LevelHead {
+    angle: f64, // rad
+    measured: Option<Time>,
+}
+
+/// What the module publishes, and its settings.
+pub struct Ports {
+    commands: Publication<JointState>,
+    tilt: Publication<HeadTilt>,
+    gain: Setting<f64>,
+}
+
+const LOWEST: f64 = -0.4; // rad
+const HIGHEST: f64 = 0.9; // rad
+
+impl Module for LevelHead {
+    type Ports = Ports;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+        setup.subscribe("imu/data_raw", Self::measure)?;
+        setup.every(Duration::from_millis(20), Self::command)?;
+        Ok(Ports {
+            commands: setup.publish("joint_commands")?,
+            tilt: setup.publish("head_tilt")?,
+            gain: setup.setting_in("gain", 0.9, 0.0..=2.0, "how much of the rotation is compensated")?,
+        })
+    }
+}
+
+impl LevelHead {
+    fn measure(&mut self, imu: Received<'_, Imu>, ctx: &mut Context<'_, Ports>) {
+        let now = ctx.now();
+        let elapsed = self.measured.replace(now).map_or(Duration::ZERO, |before| now.saturating_since(before));
+        let gain = *ctx.get(ctx.ports.gain);
+        let angle = self.angle + gain * imu.angular_velocity.y * elapsed.as_secs_f64();
+        self.angle = angle.clamp(LOWEST, HIGHEST);
+        let is_at_limit = self.angle != angle;
+        let tilt = HeadTilt { header: imu.header.clone(), angle: self.angle, is_at_limit };
+        ctx.publish(ctx.ports.tilt, tilt);
+    }
+
+    fn command(&mut self, ctx: &mut Context<'_, Ports>) {
+        let (name, position) = (vec!["head_tilt".into()], vec![self.angle]);
+        ctx.publish(ctx.ports.commands, JointState { name, position, ..JointState::default() });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::{Sender, channel};
+
+    use downbeat::TestResult;
+    use downbeat::executor::{Core, ManualClock};
+
+    use super::*;
+
+    /// Passes on what the module publishes.
+    struct Ear(Sender<HeadTilt>);
+
+    impl Module for Ear {
+        type Ports = ();
+
+        fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+            setup.subscribe::<HeadTilt, _>("head_tilt", |ear, tilt, _| drop(ear.0.send(tilt.clone())))
+        }
+    }
+
+    /// Time stands still until the test moves it, so the result is always the same.
+    #[test]
+    fn the_head_turns_against_the_body_as_far_as_the_joint_allows() -> TestResult {
+        let clock = ManualClock::new(Time::ZERO);
+        let mut core = Core::new().with_clock(clock.clone());
+        let (sender, heard) = channel();
+        core.add("level_head", LevelHead::default())?;
+        core.add("ear", Ear(sender))?;
+        let imu = core.inlet("imu/data_raw")?;
+
+        let mut turning = Imu::default();
+        turning.angular_velocity.y = 0.5; // rad/s
+        for _ in 0..3 {
+            imu.publish(turning.clone())?;
+            for _ in 0..3 {
+                core.cycle()?; // The message joins, the module receives it, the ear hears the module.
+            }
+            clock.advance(Duration::from_secs(1));
+        }
+        let heard: Vec<(f64, bool)> = heard.try_iter().map(|tilt| (tilt.angle, tilt.is_at_limit)).collect();
+        assert_eq!(heard, [(0.0, false), (0.45, false), (0.9, false)]);
+        Ok(())
+    }
+}
