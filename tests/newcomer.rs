@@ -1,0 +1,261 @@
+//! What `downbeat new` makes, built, run and extended as a user does it; and what the library says to a user's app.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use common::rclpy::Peer;
+use common::{Running, output_of, python, recorded_messages, text_of, wait_until};
+use downbeat::executor::{Module, Publication, Setup, SetupError};
+use downbeat::{App, AppError};
+use serde_json::{Value, json};
+use user_msgs::my_msgs::msg::Tilt;
+
+/// The root of the repository, which is the checkout of the new projects.
+const CHECKOUT: &str = env!("CARGO_MANIFEST_DIR");
+
+/// A project outside the workspace, for a test of its own.
+struct Project {
+    name: &'static str,
+    folder: PathBuf,
+}
+
+impl Project {
+    fn new(name: &'static str, arguments: &[&str]) -> Self {
+        let folder = Path::new(CHECKOUT).join("target/newcomer").join(name);
+        if folder.exists() {
+            std::fs::remove_dir_all(&folder).unwrap();
+        }
+        text_of(&[&["new", folder.to_str().unwrap()], arguments].concat());
+        Self { name, folder }
+    }
+
+    fn add(&self, file: &str, path: &str) {
+        std::fs::copy(Path::new(CHECKOUT).join("tests/newcomer").join(file), self.folder.join(path)).unwrap();
+    }
+
+    /// What cargo prints, offline: everything the project needs is there.
+    fn cargo(&self, arguments: &[&str]) -> String {
+        let mut command = Command::new(env!("CARGO"));
+        let command = command.args(arguments).arg("--offline").current_dir(&self.folder).stdin(Stdio::null());
+        let output = command.env("CARGO_TERM_COLOR", "never").output().unwrap();
+        let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+        assert!(output.status.success(), "cargo {arguments:?}: {text}");
+        text
+    }
+
+    /// The program that cargo built of it, on loopback.
+    fn program(&self, arguments: &[&str]) -> Command {
+        let target =
+            std::env::var_os("CARGO_TARGET_DIR").map_or(Path::new(CHECKOUT).join("target"), PathBuf::from);
+        let mut command = Command::new(Path::new(CHECKOUT).join(target).join("debug").join(self.name));
+        command
+            .args(arguments)
+            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+            .env_remove("ROS_DOMAIN_ID")
+            .env_remove("DOWNBEAT_LOG")
+            .current_dir(&self.folder)
+            .stdin(Stdio::null());
+        command
+    }
+
+    /// What the program prints when it ends well.
+    fn text_of(&self, arguments: &[&str]) -> String {
+        let output = self.program(arguments).output().unwrap();
+        let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+        assert!(output.status.success(), "{arguments:?}: {text}");
+        text
+    }
+
+    /// What the program prints when it ends with an error.
+    fn error_of(&self, arguments: &[&str]) -> String {
+        let output = self.program(arguments).output().unwrap();
+        assert!(!output.status.success(), "{arguments:?}");
+        [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat()
+    }
+}
+
+/// The packages that a build compiled.
+fn compiled(build: &str) -> Vec<&str> {
+    let lines = build.lines().filter_map(|line| line.trim().strip_prefix("Compiling "));
+    lines.filter_map(|line| line.split(' ').next()).collect()
+}
+
+#[test]
+fn a_new_robot_is_tested_run_recorded_and_replayed_at_once() {
+    let robot = Project::new("my_robot", &[]);
+    let tested = robot.cargo(&["test"]);
+    assert!(tested.contains("2 passed"), "{tested}");
+    robot.cargo(&["build"]);
+    // What the first project needs is compiled for all of them.
+    let built = Project::new("second_robot", &[]).cargo(&["build"]);
+    assert_eq!(compiled(&built), ["second_robot"], "{built}");
+
+    let checked = robot.text_of(&["check", "robot.toml", "-p", "level_head.gain:=1"]);
+    assert!(checked.contains("level_head_msgs/msg/HeadTilt") && checked.contains("gain = 1"), "{checked}");
+    assert!(robot.text_of(&["check", "--kinds"]).contains("an IMU that sways to and fro"));
+
+    let run = ["run", "robot.toml", "--domain", "196", "--duration", "1s", "--record", "my_run"];
+    let output = robot.text_of(&run);
+    assert!(output.contains("/head_tilt") && output.contains("lost 0"), "{output}");
+    let information = robot.text_of(&["bag", "info", "my_run"]);
+    assert!(information.contains("level_head_msgs/msg/HeadTilt"), "{information}");
+    robot.text_of(&["bag", "replay", "robot.toml", "my_run", "--strict"]);
+    let differs = ["bag", "replay", "robot.toml", "my_run", "--strict", "-p", "level_head.gain:=0.5"];
+    assert!(robot.error_of(&differs).contains("head_tilt"));
+}
+
+#[test]
+fn a_new_package_of_messages_and_a_new_module_are_tested_at_once() {
+    let messages = Project::new("my_msgs", &["--template", "messages"]);
+    let tested = messages.cargo(&["test"]);
+    assert!(tested.contains("1 passed"), "{tested}");
+    let module = Project::new("my_module", &["--template", "module"]);
+    let tested = module.cargo(&["test"]);
+    assert!(tested.matches("1 passed").count() == 2, "its test, and that of its documentation: {tested}");
+}
+
+#[test]
+fn a_project_is_not_written_over_and_its_name_is_checked() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("nao");
+    let path = path.to_str().unwrap();
+    text_of(&["new", path, "--git", "https://example.org/downbeat.git", "--rev", "1f2e3d"]);
+    let manifest = Path::new(path).join("Cargo.toml");
+    let text = std::fs::read_to_string(&manifest).unwrap();
+    assert!(
+        text.contains("downbeat = { git = \"https://example.org/downbeat.git\", rev = \"1f2e3d\" }"),
+        "{text}"
+    );
+    std::fs::write(Path::new(path).join("notes"), "mine").unwrap();
+    let cases: [(&[&str], &str); 4] = [
+        (
+            &["new", path],
+            "exists already and is not empty; choose another name, or write into it with --force",
+        ),
+        (&["new", "my-robot"], "did you mean \"my_robot\"?"),
+        (&["new", "std_msgs"], "did you mean \"my_std_msgs\"?"),
+        (&["new", path, "--git", "https://example.org"], "--rev"),
+    ];
+    for (arguments, expected) in cases {
+        let output = output_of(arguments);
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert!(!output.status.success() && message.contains(expected), "{arguments:?}: {message}");
+    }
+    text_of(&["new", path, "--force"]);
+    assert!(std::fs::read_to_string(&manifest).unwrap().contains(CHECKOUT));
+    assert!(Path::new(path).join("notes").exists());
+}
+
+/// The value of an entry of a list of objects.
+fn entry<'a>(list: &'a Value, key: &str, name: &str) -> &'a Value {
+    let found = list.as_array().unwrap().iter().find(|entry| entry[key] == name);
+    found.unwrap_or_else(|| panic!("{name} in {list}"))
+}
+
+#[test]
+fn a_device_and_messages_of_a_users_own_are_exposed_recorded_decoded_and_replayed() {
+    let robot = Project::new("grown_robot", &[]);
+    robot.add("robot.rs", "src/main.rs");
+    robot.add("sonar.rs", "src/sonar.rs");
+    robot.add("robot.toml", "robot.toml");
+    robot.cargo(&["build"]);
+
+    let bag = robot.folder.join("bag");
+    let run = ["run", "robot.toml", "--domain", "197", "--record", bag.to_str().unwrap()];
+    let mut running = Running::start_by(&mut robot.program(&run));
+
+    let heard =
+        robot.text_of(&["topic", "echo", "/sonar/echo", "--once", "--domain", "197", "--timeout", "60"]);
+    assert!(heard.contains("frame_id: sonar") && heard.contains("distance: 0."), "{heard}");
+    if let Some(mut peer) = Peer::start(197, "LOCALHOST") {
+        let changed = json!({"sonar.speed": 331.5, "level_head.gain": 1.5});
+        let parameters = |call: &str, argument: Value| json!({"do": "parameters", "node": "/grown_robot", "call": call, "argument": argument});
+        let answer = peer.ask(parameters("set_parameters", changed));
+        assert!(answer.to_string().matches("\"successful\":true").count() == 2, "{answer}");
+        let answer = peer.ask(parameters("get_parameters", json!(["sonar.speed"])));
+        assert!(answer.to_string().contains("331.5"), "{answer}");
+        peer.leave();
+    }
+    let top = robot.text_of(&["top", "grown_robot", "--json"]);
+    assert!(top.contains("\"sonar\"") && top.contains("\"sonar/echo\""), "{top}");
+    wait_until("the robot has recorded enough", || recorded_messages(&bag, "/sonar/exchanges") > 30);
+    running.interrupt();
+
+    let bag = bag.to_str().unwrap();
+    let information = robot.text_of(&["bag", "info", bag]);
+    for wanted in ["sonar_msgs/msg/Exchange", "sonar_msgs/msg/Echo", "level_head_msgs/msg/HeadTilt"] {
+        assert!(information.contains(wanted), "{information}");
+    }
+    if let Some(counts) = python("decode_bag.py", &[Path::new(bag)]) {
+        for topic in ["/sonar/echo", "/sonar/exchanges", "/head_tilt"] {
+            assert!(counts["rosbags"][topic].as_u64() > Some(0), "{counts}");
+            assert_eq!(counts["rosbags"][topic], counts["metadata"][topic]);
+        }
+    }
+
+    let report = robot.text_of(&["bag", "replay", "robot.toml", bag, "--strict", "--json"]);
+    let report: Value = serde_json::from_str(&report[report.find('{').unwrap()..]).unwrap();
+    for topic in ["/sonar/exchanges", "/sonar/echo", "/head_tilt", "/joint_commands"] {
+        let topic = entry(&report["topics"], "topic", topic);
+        assert!(topic["compared"].as_u64() > Some(0) && topic["different"] == 0, "{topic}");
+    }
+    // Other bytes to the device than those that were recorded.
+    let differs = robot.error_of(&["bag", "replay", "robot.toml", bag, "-p", "sonar.pulses:=2"]);
+    assert!(differs.contains("/sonar/exchanges"), "{differs}");
+}
+
+/// Publishes nothing, on a topic of its own.
+struct Silent;
+
+impl Module for Silent {
+    type Ports = Publication<Tilt>;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Publication<Tilt>, SetupError> {
+        setup.publish("tilt")
+    }
+}
+
+fn silent_robot(folder: &Path, name: &str) -> PathBuf {
+    let path = folder.join(format!("{name}.toml"));
+    let text = format!(
+        "[robot]\nname = \"{name}\"\n\n[[module]]\nname = \"silent\"\nkind = \"silent\"\n\n[expose]\nout = [\"tilt\"]\n"
+    );
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+#[test]
+fn two_kinds_of_one_name_are_refused_by_all_that_the_app_does() {
+    let app = App::new().kind("silent", "the first", || Silent).kind("silent", "the second", || Silent);
+    let error = app.catalog().map(|_| ()).unwrap_err().to_string();
+    assert!(error.contains("there are two kinds of modules named \"silent\""), "{error}");
+    assert!(matches!(app.robot_file("nowhere.toml"), Err(AppError::Catalog(_))));
+    assert!(matches!(app.replay("nowhere.toml", "no/bag"), Err(AppError::Catalog(_))));
+}
+
+#[test]
+fn an_exposed_topic_of_an_unregistered_type_is_an_error_that_names_the_line_to_add() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = silent_robot(folder.path(), "unregistered");
+    let app = App::new().kind("silent", "publishes nothing", || Silent);
+    let error = app.start(&file).map(|_| ()).unwrap_err().to_string();
+    assert!(error.contains("unregistered.toml:9:"), "{error}");
+    assert!(error.contains("\"tilt\"") && error.contains(".interfaces(user_msgs::INTERFACES)"), "{error}");
+}
+
+#[test]
+fn two_robots_run_in_one_process_and_each_stops_by_itself() {
+    let folder = tempfile::tempdir().unwrap();
+    let app = App::new().interfaces(user_msgs::INTERFACES).kind("silent", "publishes nothing", || Silent);
+    let [first, second] = ["left", "right"].map(|name| app.start(silent_robot(folder.path(), name)).unwrap());
+    let names = [&first, &second].map(|robot| robot.node().unwrap().node().name().to_string());
+    assert_eq!(names, ["/left", "/right"]);
+    first.stop().unwrap();
+    assert!(!second.is_finished());
+    let modules = second.core().modules().wait(common::WATCHDOG).unwrap();
+    assert!(modules.iter().any(|module| &*module.name == "silent"));
+    second.stop().unwrap();
+}
