@@ -40,8 +40,9 @@ impl Module for SettingsJournal {
     type Ports = Publication<ModuleSettings>;
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError> {
+        let publication = setup.publish(TOPIC)?;
         setup.subscribe(SettingsChange::TOPIC, Self::on_change)?;
-        setup.publish(TOPIC)
+        Ok(publication)
     }
 }
 

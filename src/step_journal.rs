@@ -31,8 +31,9 @@ impl Module for StepJournal {
     type Ports = Publication<ModuleStep>;
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError> {
+        let publication = setup.publish(TOPIC)?;
         setup.subscribe(DetachedStep::TOPIC, Self::on_step)?;
-        setup.publish(TOPIC)
+        Ok(publication)
     }
 }
 

@@ -35,13 +35,14 @@ impl Module for JointCommandMux {
     type Ports = Ports;
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
-        setup.subscribe("joint_commands", Self::on_outside)?;
-        setup.subscribe("motion/joint_commands", Self::on_motion)?;
         let what = "s; how long a command from outside holds after the last one";
-        Ok(Ports {
+        let ports = Ports {
             goals: setup.publish("joint_goals")?,
             hold_s: setup.setting_in("hold_s", 2.0, 0.0..=3600.0, what)?,
-        })
+        };
+        setup.subscribe("joint_commands", Self::on_outside)?;
+        setup.subscribe("motion/joint_commands", Self::on_motion)?;
+        Ok(ports)
     }
 }
 

@@ -45,12 +45,13 @@ impl Module for StandNodWave {
     type Ports = Ports;
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
-        setup.subscribe("joint_states", Self::on_joint_states)?;
-        setup.every(CYCLE, Self::tick)?;
-        Ok(Ports {
+        let ports = Ports {
             commands: setup.publish("motion/joint_commands")?,
             stand_s: setup.setting_in("stand_s", 3.0, 1.0..=60.0, "s; how long standing up takes")?,
-        })
+        };
+        setup.subscribe("joint_states", Self::on_joint_states)?;
+        setup.every(CYCLE, Self::tick)?;
+        Ok(ports)
     }
 }
 

@@ -140,7 +140,7 @@ impl Grid {
         }
         let cells = |(outlet, messages_per_second): (&OutletStatistics, f64)| {
             let OutletStatistics { received, topics, inbox, dropped, failed, .. } = outlet;
-            let mut cells = vec![outlet.name.clone(), rate(messages_per_second)];
+            let mut cells = vec![printable(&outlet.name).into_owned(), rate(messages_per_second)];
             cells.extend([received, topics, inbox, dropped, failed].map(u64::to_string));
             cells
         };

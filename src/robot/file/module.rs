@@ -29,12 +29,13 @@ pub struct ModuleEntry {
 }
 
 /// The modules that the program adds to a robot.
-const RESERVED_NAMES: [&str; 5] = [
+const RESERVED_NAMES: [&str; 6] = [
     downbeat_bridge::clock::MODULE_NAME,
     downbeat_bridge::diagnostics::MODULE_NAME,
     "step_journal",
     crate::cycle_journal::CycleJournal::MODULE_NAME,
     crate::settings_journal::SettingsJournal::MODULE_NAME,
+    crate::event_journal::EventJournal::MODULE_NAME,
 ];
 
 /// How long a module that panicked waits before it starts again, unless the file says otherwise.
