@@ -1,5 +1,5 @@
 //! Messages that leave a core through outlets.
-#![allow(missing_docs)]
+#![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
 
