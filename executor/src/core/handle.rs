@@ -6,8 +6,8 @@ use crate::core::world::Pause;
 use crate::core::{ModuleInfo, World};
 use crate::inlet::{default_queue, open_inlet};
 use crate::join::{JoinQueue, Request};
-use crate::management::{Candidate, Command, Source};
-use crate::outlet::open_outlet;
+use crate::management::{Candidate, Command, Look, Source};
+use crate::outlet::NewOutlet;
 use crate::queue::Queue;
 use crate::receipt::{Receipt, ReceiptSender, receipt};
 use crate::{
@@ -323,8 +323,7 @@ impl CoreHandle {
         inbox: impl Into<OutletInbox>,
         sink: impl FnMut(Received<'_, T>) + Send + 'static,
     ) -> Receipt<Result<Outlet, SetupError>> {
-        let (topic, inbox) = (topic.to_owned(), inbox.into());
-        self.ask(move |stage, world| open_outlet(stage, world, &topic, inbox, sink))
+        self.open_outlet(NewOutlet::new(topic, inbox.into(), sink))
     }
 
     /// The topics, in the order in which they were first declared.
@@ -375,6 +374,10 @@ impl CoreHandle {
         self.command(|receipt| Command::Add { candidate, receipt })
     }
 
+    fn open_outlet(&self, outlet: NewOutlet) -> Receipt<Result<Outlet, SetupError>> {
+        self.ask(move |stage, world| outlet.open(stage, world))
+    }
+
     fn command<T>(&self, command: impl FnOnce(Option<ReceiptSender<T>>) -> Command) -> Receipt<T> {
         let (sender, receipt) = receipt();
         if !self.queue.is_closed() {
@@ -393,8 +396,12 @@ impl CoreHandle {
     }
 
     pub(crate) fn look(&self, look: impl FnOnce(&mut Stage, &mut World) + Send + 'static) {
+        self.look_in(Box::new(look));
+    }
+
+    fn look_in(&self, look: Look) {
         if !self.queue.is_closed() {
-            self.queue.push(Request::Command(Command::Look(Box::new(look))));
+            self.queue.push(Request::Command(Command::Look(look)));
         }
     }
 }

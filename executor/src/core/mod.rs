@@ -28,7 +28,7 @@ use crate::join::JoinQueue;
 use crate::management::{Candidate, Modules, Place, Source, admit};
 use crate::mechanism::{Engaged, Version};
 use crate::messaging::Messaging;
-use crate::outlet::open_outlet;
+use crate::outlet::NewOutlet;
 use crate::probe::Probe;
 use crate::queue::Queue;
 use crate::schedule::Timers;
@@ -265,7 +265,7 @@ impl Core {
         inbox: impl Into<OutletInbox>,
         sink: impl FnMut(Received<'_, T>) + Send + 'static,
     ) -> Result<Outlet, SetupError> {
-        open_outlet(self.stage.exclusive(), &mut self.world, topic, inbox.into(), sink)
+        NewOutlet::new(topic, inbox.into(), sink).open(self.stage.exclusive(), &mut self.world)
     }
 
     /// Calls `then` when the core has stopped, after its modules and outlets.

@@ -6,7 +6,7 @@ mod member;
 mod modules;
 
 pub(crate) use admission::{Candidate, Source, admit};
-pub(crate) use command::Command;
+pub(crate) use command::{Command, Look};
 pub use command::{SettingRefused, UnknownModule};
 pub use member::ModuleId;
 pub(crate) use member::{Member, Members, Place};

@@ -17,7 +17,7 @@ use crate::core::World;
 use crate::guard::{drop_guarded, end_of};
 use crate::join::{JoinQueue, Request};
 use crate::management::Command;
-use crate::messaging::Batch;
+use crate::messaging::{Batch, Topics};
 use crate::{Inbox, Received, SetupError, Stage};
 
 /// Takes the messages of a topic out of a core, until it is dropped; from [`Core::outlet`](crate::Core::outlet) or
@@ -256,21 +256,32 @@ impl<T: Send + Sync + 'static, F: FnMut(Received<'_, T>) + Send> AnySink for Typ
     }
 }
 
-/// Makes an outlet of a topic.
-pub(crate) fn open_outlet<T: Send + Sync + 'static>(
-    stage: &mut Stage,
-    world: &mut World,
-    topic: &str,
+/// An outlet to be opened: what of it depends on the type of its messages is behind a pointer, so that the rest is compiled once,
+/// for however many types there are.
+pub(crate) struct NewOutlet {
+    topic: String,
+    open_topic: fn(&mut Topics, &str, &str) -> Result<usize, SetupError>,
     inbox: OutletInbox,
-    sink: impl FnMut(Received<'_, T>) + Send + 'static,
-) -> Result<Outlet, SetupError> {
-    let index = stage.shared.topics.open::<T>(topic, "outlet")?;
-    let sink = Box::new(TypedSink { take: sink, message: PhantomData::<fn(T)> });
-    open_any(stage, world, index, inbox, sink)
+    sink: Box<dyn AnySink>,
 }
 
-/// The same for a topic that exists: compiled once, for however many types of messages there are.
-fn open_any(
+impl NewOutlet {
+    pub(crate) fn new<T: Send + Sync + 'static>(
+        topic: &str,
+        inbox: OutletInbox,
+        sink: impl FnMut(Received<'_, T>) + Send + 'static,
+    ) -> Self {
+        let sink = Box::new(TypedSink { take: sink, message: PhantomData::<fn(T)> });
+        Self { topic: topic.to_owned(), open_topic: Topics::open::<T>, inbox, sink }
+    }
+
+    pub(crate) fn open(self, stage: &mut Stage, world: &mut World) -> Result<Outlet, SetupError> {
+        let topic = (self.open_topic)(&mut stage.shared.topics, &self.topic, "outlet")?;
+        open_on(stage, world, topic, self.inbox, self.sink)
+    }
+}
+
+fn open_on(
     stage: &mut Stage,
     world: &mut World,
     topic: usize,
