@@ -42,7 +42,7 @@ pub use parameters::{ParameterExposure, ParameterServer, ParameterServices, para
 pub use pattern::{PatternError, TopicPattern};
 pub use qos_events::{QOS_EVENTS_TOPIC, QosCounts};
 pub use services::{
-    CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection, ServicesStatus,
-    expose_services, expose_services_with,
+    CALLS_MODULE_NAME, CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection,
+    ServicesStatus, expose_services, expose_services_with,
 };
 pub use status::{BridgeStatus, EndpointReport};

@@ -21,7 +21,7 @@ use std::time::Duration;
 pub const SERVICES_MODULE_NAME: &str = "bridge_services";
 
 /// The name of the module that serves the services of ROS 2 that modules call.
-const CALLS_MODULE_NAME: &str = "bridge_calls";
+pub const CALLS_MODULE_NAME: &str = "bridge_calls";
 
 /// A service of modules to offer to ROS 2.
 #[derive(Clone, Debug)]

@@ -29,7 +29,9 @@ pub struct ModuleEntry {
 }
 
 /// The modules that the program adds to a robot.
-const RESERVED_NAMES: [&str; 6] = [
+const RESERVED_NAMES: [&str; 8] = [
+    downbeat_bridge::expose::CALLS_MODULE_NAME,
+    downbeat_bridge::expose::SERVICES_MODULE_NAME,
     downbeat_bridge::clock::MODULE_NAME,
     downbeat_bridge::diagnostics::MODULE_NAME,
     "step_journal",
