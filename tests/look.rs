@@ -425,6 +425,16 @@ fn a_robot_is_looked_at_from_another_process() {
     );
     assert_eq!(domain.shown(&["param", "get", "/darwin_op", "mux.hold_s", "--hide-type"]), "3.5\n");
 
+    // It has empty lists, whose type the text does not tell.
+    let dump = folder.path().join("dump.yaml");
+    std::fs::write(&dump, domain.shown(&["param", "dump", "/darwin_op"])).unwrap();
+    let loaded = domain.run(&domain.line(&["param", "load", "/darwin_op", dump.to_str().unwrap()]));
+    let [out, error] = [loaded.stdout, loaded.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
+    assert!(loaded.status.success(), "{error}");
+    assert!(out.contains("Set parameter hardware.offset_ticks successful\n"), "{out}{error}");
+    let refused = "Set parameter start_type_description_service failed: ";
+    assert!(error.contains(refused) && error.lines().all(|line| line.ends_with("read-only")), "{error}");
+
     assert_eq!(domain.shown(&["lifecycle", "nodes"]), "/motion\n");
     assert_eq!(domain.shown(&["lifecycle", "get", "/motion"]), "active [3]\n");
     assert_eq!(domain.shown(&["lifecycle", "set", "/motion", "deactivate"]), "Transitioning successful\n");
