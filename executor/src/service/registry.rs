@@ -22,6 +22,9 @@ pub struct ServiceInfo {
     pub server: Option<Arc<str>>,
 }
 
+/// Visits a type-erased `Vec<Incoming<Q>>`.
+type EachStaged = fn(&dyn Any, &mut dyn FnMut(ReplyTo, &dyn Any));
+
 /// The services that modules offer or call.
 #[derive(Default)]
 pub(crate) struct ServiceRegistry {
@@ -41,7 +44,7 @@ pub(crate) struct Service {
     /// True if answers come from a [`StandIn`](crate::StandIn) where no module serves it.
     pub(crate) has_stand_in: bool,
     pub(crate) encoder: Option<Encoder>,
-    each: fn(&dyn Any, &mut dyn FnMut(ReplyTo, &dyn Any)),
+    each: EachStaged,
     split: fn(&mut dyn Any) -> Box<dyn Any + Send>,
 }
 
