@@ -118,10 +118,10 @@ impl Module for Planner {
         })?;
         setup.every(Duration::from_millis(3), move |planner: &mut Self, ctx| {
             planner.runs += 1;
-            if planner.runs % 4 == 0 {
+            if planner.runs.is_multiple_of(4) {
                 ctx.call(raise, SetBoolRequest { data: true });
             }
-            if planner.runs % 5 == 0 {
+            if planner.runs.is_multiple_of(5) {
                 ctx.set("planner", "gain", i64::from(planner.runs));
             }
             let data = format!("run {} with {}", planner.runs, ctx.get(gain));
@@ -143,7 +143,9 @@ impl Gate {
     fn open(&self) {
         *self.is_open.lock().unwrap() = true;
         self.opened.notify_all();
-        self.waker.lock().unwrap().take().map(Waker::wake);
+        if let Some(waker) = self.waker.lock().unwrap().take() {
+            waker.wake();
+        }
     }
 
     fn wait(&self) {
@@ -381,7 +383,7 @@ fn a_robot_that_serves_an_action_repeats() {
             let goal_id = UUID { uuid: [u8::try_from(ticks).unwrap(); 16] };
             let mut goal = LookupTransformGoal::default();
             goal.timeout.sec = ticks;
-            let goal = LookupTransformSendGoalRequest { goal_id: goal_id.clone(), goal };
+            let goal = LookupTransformSendGoalRequest { goal_id, goal };
             assert!(ask(&robot.send_goal, goal).unwrap().accepted);
             let result = ask(&robot.get_result, LookupTransformGetResultRequest { goal_id }).unwrap();
             assert!(result.result.transform.transform.translation.x >= f64::from(ticks));

@@ -168,12 +168,15 @@ pub(super) enum Rust {
     Raw(&'static OnceLock<Learned>),
 }
 
+/// Gives the messages of a topic, serialized, to a sink.
+type OpenOutlet = fn(&mut CoreAccess<'_>, &str, &OutletInbox, Box<dyn Sink>) -> Result<Outlet, SetupError>;
+
 pub(super) struct Compiled {
     hash: &'static str,
     definition: &'static str,
     rust_type: fn() -> TypeId,
     open_inlet: fn(&mut CoreAccess<'_>, &str, Waiting) -> Result<Box<PublishEncoded>, SetupError>,
-    open_outlet: fn(&mut CoreAccess<'_>, &str, &OutletInbox, Box<dyn Sink>) -> Result<Outlet, SetupError>,
+    open_outlet: OpenOutlet,
     default_cdr: fn() -> Vec<u8>,
 }
 
