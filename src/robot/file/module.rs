@@ -29,7 +29,10 @@ pub struct ModuleEntry {
 }
 
 /// The modules that the program adds to a robot.
-const RESERVED_NAMES: [&str; 8] = [
+const RESERVED_NAMES: [&str; 10] = [
+    // Threads of outlets, which `top` shows beside the modules.
+    "bridge",
+    "recorder",
     downbeat_bridge::expose::CALLS_MODULE_NAME,
     downbeat_bridge::expose::SERVICES_MODULE_NAME,
     downbeat_bridge::clock::MODULE_NAME,

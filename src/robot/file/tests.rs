@@ -258,8 +258,8 @@ fn mistakes_in_a_module_are_told_with_their_line() {
         ("deadline = 20", ":5: expected a time with its unit, such as \"20ms\", found 20"),
         ("deadline = \"20\"", ":5: \"20\" is not a time; write 500ms"),
         ("deadline = \"0ms\"", ":5: \"0ms\" is no time: it has to be above 0"),
-        ("name = \"step_journal\"", ":5: \"step_journal\" is the name of a module that the program adds"),
-        ("name = \"clock\"", ":5: \"clock\" is the name of a module that the program adds"),
+        ("name = \"recorder\"", ":5: \"recorder\" is the name of a module that the program adds"),
+        ("name = \"bridge\"", ":5: \"bridge\" is the name of a module that the program adds"),
     ];
     for (text, expected) in cases {
         let problem = problem(&format!("{ROBOT}{text}"));
