@@ -27,8 +27,8 @@ const PAGES: [&str; 9] = [
 ];
 
 /// Commands that other tests run, or that change the machine of whoever types them.
-const ELSEWHERE: [&str; 6] =
-    ["cargo xtask", "cargo test", "cargo run -- run robot.toml", "cargo install", "cd ", "sudo "];
+const ELSEWHERE: [&str; 7] =
+    ["cargo xtask", "cargo test", "cargo run -- new", "cargo run -- run robot.toml", "cargo install", "cd ", "sudo "];
 
 /// Commands that go on until they are interrupted.
 const ENDLESS: [&[&str]; 9] = [
