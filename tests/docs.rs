@@ -27,8 +27,16 @@ const PAGES: [&str; 9] = [
 ];
 
 /// Commands that other tests run, or that change the machine of whoever types them.
-const ELSEWHERE: [&str; 7] =
-    ["cargo xtask", "cargo test", "cargo run -- new", "cargo run -- run robot.toml", "cargo install", "cd ", "sudo "];
+const ELSEWHERE: [&str; 8] = [
+    "cargo xtask",
+    "cargo test",
+    "cargo run -- new",
+    "cargo run -- run robot.toml",
+    "cargo install",
+    "cd ",
+    "sudo ",
+    "duckdb ",
+];
 
 /// Commands that go on until they are interrupted.
 const ENDLESS: [&[&str]; 9] = [
@@ -126,6 +134,7 @@ fn every_command_on_a_page_runs() {
     let place = Place::new();
     let mut robot: Option<Running> = None;
     let mut done = BTreeSet::new();
+    let mut problems = Vec::new();
     for (page, command) in commands() {
         if ELSEWHERE.iter().any(|known| command.starts_with(known)) || !done.insert(command.clone()) {
             continue;
@@ -136,7 +145,10 @@ fn every_command_on_a_page_runs() {
             .replace("/tmp/robot", place.folder.join("emulated").to_str().unwrap());
         let words: Vec<&str> =
             rewritten.split_whitespace().skip_while(|word| *word != "downbeat").skip(1).collect();
-        let Some(first) = words.first() else { panic!("{page}: who runs `{command}`?") };
+        let Some(first) = words.first() else {
+            problems.push(format!("{page}: nobody runs `{command}`"));
+            continue;
+        };
         if command.starts_with("downbeat new") {
             continue; // tests/newcomer.rs
         }
@@ -150,11 +162,12 @@ fn every_command_on_a_page_runs() {
             robot.interrupt();
         }
         place.prepare_for(&words);
-        place.run(&page, &command, &rewritten, &words);
+        problems.extend(place.run(&page, &command, &rewritten, &words));
     }
     if let Some(mut robot) = robot.take() {
         robot.interrupt();
     }
+    assert!(problems.is_empty(), "{}", problems.join("\n"));
     assert!(done.len() > 20, "only {} commands were found", done.len());
 }
 
@@ -170,7 +183,9 @@ impl Place {
         let temporary = tempfile::tempdir().unwrap();
         let folder = temporary.path().to_owned();
         std::fs::create_dir(folder.join("robots")).unwrap();
-        let demo = robot_file(&folder, |text| text);
+        // One of the pages changes what is exposed by the service.
+        let demo =
+            robot_file(&folder, |text| text.replace("[expose]\n", "[expose]\nexpose_service = true\n"));
         std::fs::rename(demo, folder.join("robots/darwin_op.toml")).unwrap();
         std::fs::write(folder.join("robot.toml"), common::QUIET_ROBOT).unwrap();
         Self { folder, _temporary: temporary, domain: "118".into() }
@@ -202,7 +217,14 @@ impl Place {
                 } else {
                     std::fs::remove_file(path).unwrap()
                 }
-            } else if !is_output && ["my_run", "one", "two", "killed"].contains(word) && !path.exists() {
+            } else if !is_output && *word == "two" && !path.exists() {
+                // The same run again, so that `bag diff` finds no difference.
+                std::fs::create_dir(&path).unwrap();
+                for file in std::fs::read_dir(self.folder.join("one")).unwrap() {
+                    let file = file.unwrap();
+                    std::fs::copy(file.path(), path.join(file.file_name())).unwrap();
+                }
+            } else if !is_output && ["my_run", "one", "killed"].contains(word) && !path.exists() {
                 let mut record = self.command();
                 record.args(["run", "robots/darwin_op.toml", "--duration", "3s", "--record", word]);
                 let output = record.output().unwrap();
@@ -216,8 +238,8 @@ impl Place {
         }
     }
 
-    /// By a shell, as whoever reads the page would.
-    fn run(&self, page: &str, command: &str, rewritten: &str, words: &[&str]) {
+    /// Runs a command by a shell, as a reader of the page would. Returns what is wrong.
+    fn run(&self, page: &str, command: &str, rewritten: &str, words: &[&str]) -> Option<String> {
         let program = env!("CARGO_BIN_EXE_downbeat");
         let folder = Path::new(program).parent().unwrap();
         let path = format!("{}:{}", folder.display(), std::env::var("PATH").unwrap());
@@ -244,11 +266,21 @@ impl Place {
                 running.signal("-INT");
             }
         }
+        let started = Instant::now();
+        while running.is_running() && started.elapsed() < WATCHDOG / 2 {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        if running.is_running() {
+            running.signal("-INT");
+            running.wait();
+            return Some(format!("{page}: `{command}` does not end:\n{}", running.output()));
+        }
         let status = running.wait();
         let output = running.output();
         // A page may show an error too; its text says so.
-        let is_expected = status.success() || output.contains("cannot decode CDR");
-        assert!(is_expected, "{page}: `{command}` ends with {status}:\n{output}");
-        assert!(!output.contains("panicked"), "{page}: `{command}`:\n{output}");
+        let shown = ["cannot decode CDR", "the replay differs from the bag in"];
+        let is_expected = status.success() || shown.iter().any(|error| output.contains(error));
+        let is_well = is_expected && !output.contains("panicked");
+        (!is_well).then(|| format!("{page}: `{command}` ends with {status}:\n{output}"))
     }
 }
