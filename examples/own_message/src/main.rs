@@ -1,4 +1,5 @@
 //! Two messages that downbeat does not carry: one derived from a struct, one generated from a `.msg` file.
+#![allow(rustdoc::broken_intra_doc_links)] // units in brackets, as ROS writes them in comments of messages
 
 use std::process::ExitCode;
 use std::time::Duration;

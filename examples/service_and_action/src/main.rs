@@ -15,10 +15,10 @@ downbeat_msgs::include_interfaces!();
 
 use gripper_msgs::action::{Grip, GripFeedback, GripGoal, GripResult};
 
-/// How far the fingers are apart when open [m].
+/// How far the fingers are apart when open, m.
 const OPEN: f64 = 0.1;
 
-/// What the gripper finds between its fingers [m].
+/// What the gripper finds between its fingers, m.
 const HELD: f64 = 0.06;
 
 /// A gripper, made up: its fingers close by 1 cm every 50 ms until they hold something.

@@ -1,4 +1,5 @@
 //! Messages, a service and an action of a user.
+#![allow(rustdoc::broken_intra_doc_links)] // units in brackets, as ROS writes them in comments of messages
 
 use downbeat_msgs::Message;
 use downbeat_msgs::std_msgs::msg::Header;
