@@ -21,7 +21,7 @@ impl EventJournal {
     /// The name of the module.
     pub const MODULE_NAME: &'static str = "event_journal";
 
-    /// Adds the journal to a core whose modules are all there. Requests and answers are told with their content where their types
+    /// Adds the journal to a core whose modules are all there. Requests and answers are recorded with their content where their types
     /// are registered.
     ///
     /// # Errors

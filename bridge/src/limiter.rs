@@ -17,7 +17,7 @@ struct State {
     last: Option<Instant>,
 }
 
-/// How many lines were left out since the last one; nothing where there were none.
+/// How many lines were left out since the last one; displayed as an empty string for zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LeftOut(u64);
 

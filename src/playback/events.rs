@@ -12,7 +12,7 @@ use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 use super::Extract;
 use crate::event_journal;
 
-/// The topic that tells them.
+/// The topic of the bag that records them.
 pub(crate) fn topic() -> String {
     format!("/{}", event_journal::TOPIC)
 }

@@ -115,7 +115,7 @@ fn curves_of(bag: &Reader, wanted: &Wanted, interfaces: &Interfaces) -> anyhow::
             let is_known = chosen.curve.as_ref().is_some_and(|(of, _)| of.as_deref() == element);
             if !is_known {
                 let path = match (&chosen.element, element) {
-                    // Who asks for a number sees it.
+                    // A curve chosen by number shows its number beside its name.
                     (Some(named), Some(element))
                         if wanted.path.len() > named.before.len() && is_by_number =>
                     {
