@@ -1,0 +1,1 @@
+//! An RTPS engine for ROS 2: a sans-IO protocol core and a small driver for UDP.
