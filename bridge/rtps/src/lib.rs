@@ -1,1 +1,3 @@
 //! An RTPS engine for ROS 2: a sans-IO protocol core and a small driver for UDP.
+
+pub mod protocol;
