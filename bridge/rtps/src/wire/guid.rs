@@ -1,0 +1,163 @@
+//! Who is who: participants and their endpoints (section 9.3.1).
+
+use std::fmt;
+
+use super::SequenceNumber;
+
+/// Who wrote an implementation of RTPS. The OMG keeps the list.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct VendorId(pub [u8; 2]);
+
+impl VendorId {
+    /// eProsima Fast DDS.
+    pub const FAST_DDS: Self = Self([0x01, 0x0f]);
+    /// Eclipse Cyclone DDS.
+    pub const CYCLONE: Self = Self([0x01, 0x10]);
+    /// RustDDS.
+    pub const RUSTDDS: Self = Self([0x01, 0x12]);
+    /// This engine. Not registered with the OMG; nobody else was seen to use it.
+    pub const OURS: Self = Self([0x01, 0x44]);
+}
+
+/// Identity of a participant.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct GuidPrefix(pub [u8; 12]);
+
+impl GuidPrefix {
+    /// Nobody, or as a destination: everybody.
+    pub const UNKNOWN: Self = Self([0; 12]);
+}
+
+impl fmt::Display for GuidPrefix {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl fmt::Debug for GuidPrefix {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+/// Identity of an endpoint within its participant: a key of three bytes and a kind (section 9.3.1.2).
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct EntityId(pub [u8; 4]);
+
+impl EntityId {
+    /// Nobody, or as a destination: every matched endpoint.
+    pub const UNKNOWN: Self = Self([0; 4]);
+    /// The participant itself.
+    pub const PARTICIPANT: Self = Self([0x00, 0x00, 0x01, 0xc1]);
+    /// Announces participants.
+    pub const SPDP_WRITER: Self = Self([0x00, 0x01, 0x00, 0xc2]);
+    /// Receives announcements of participants.
+    pub const SPDP_READER: Self = Self([0x00, 0x01, 0x00, 0xc7]);
+    /// Announces writers.
+    pub const SEDP_PUBLICATIONS_WRITER: Self = Self([0x00, 0x00, 0x03, 0xc2]);
+    /// Receives announcements of writers.
+    pub const SEDP_PUBLICATIONS_READER: Self = Self([0x00, 0x00, 0x03, 0xc7]);
+    /// Announces readers.
+    pub const SEDP_SUBSCRIPTIONS_WRITER: Self = Self([0x00, 0x00, 0x04, 0xc2]);
+    /// Receives announcements of readers.
+    pub const SEDP_SUBSCRIPTIONS_READER: Self = Self([0x00, 0x00, 0x04, 0xc7]);
+    /// Asserts the liveliness of writers.
+    pub const WLP_WRITER: Self = Self([0x00, 0x02, 0x00, 0xc2]);
+    /// Receives assertions of liveliness.
+    pub const WLP_READER: Self = Self([0x00, 0x02, 0x00, 0xc7]);
+
+    /// A writer of the user without a key, the only kind in ROS 2. `key` must fit in 24 bits.
+    pub const fn user_writer(key: u32) -> Self {
+        Self::with_kind(key, 0x03)
+    }
+
+    /// A reader of the user without a key, the only kind in ROS 2. `key` must fit in 24 bits.
+    pub const fn user_reader(key: u32) -> Self {
+        Self::with_kind(key, 0x04)
+    }
+
+    const fn with_kind(key: u32, kind: u8) -> Self {
+        let [_, a, b, c] = key.to_be_bytes();
+        Self([a, b, c, kind])
+    }
+
+    /// Whether the protocol itself defines this endpoint.
+    pub const fn is_builtin(self) -> bool {
+        self.0[3] & 0xc0 == 0xc0
+    }
+
+    /// Whether this is a writer, with or without a key, of any origin.
+    pub const fn is_writer(self) -> bool {
+        matches!(self.0[3] & 0x3f, 0x02 | 0x03)
+    }
+
+    /// Whether this is a reader, with or without a key, of any origin.
+    pub const fn is_reader(self) -> bool {
+        matches!(self.0[3] & 0x3f, 0x04 | 0x07)
+    }
+}
+
+impl fmt::Display for EntityId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:08x}", u32::from_be_bytes(self.0))
+    }
+}
+
+impl fmt::Debug for EntityId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+/// Identity of an endpoint in the world.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[allow(missing_docs)]
+pub struct Guid {
+    pub prefix: GuidPrefix,
+    pub entity: EntityId,
+}
+
+impl Guid {
+    /// Nobody.
+    pub const UNKNOWN: Self = Self::new(GuidPrefix::UNKNOWN, EntityId::UNKNOWN);
+
+    #[allow(missing_docs)]
+    pub const fn new(prefix: GuidPrefix, entity: EntityId) -> Self {
+        Self { prefix, entity }
+    }
+
+    /// The bytes as they are on the wire and in a `Gid` of ROS 2.
+    pub fn to_bytes(self) -> [u8; 16] {
+        let mut bytes = [0; 16];
+        bytes[..12].copy_from_slice(&self.prefix.0);
+        bytes[12..].copy_from_slice(&self.entity.0);
+        bytes
+    }
+
+    /// The inverse of [`Guid::to_bytes`].
+    pub fn from_bytes(bytes: [u8; 16]) -> Self {
+        let [prefix @ .., a, b, c, d] = bytes;
+        Self::new(GuidPrefix(prefix), EntityId([a, b, c, d]))
+    }
+}
+
+impl fmt::Display for Guid {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}.{}", self.prefix, self.entity)
+    }
+}
+
+impl fmt::Debug for Guid {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+/// Identity of a sample: a reply carries that of the request it answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct SampleIdentity {
+    /// The writer of the sample; Fast DDS clients put the reader of the replies here.
+    pub writer: Guid,
+    /// May be [`SequenceNumber::UNKNOWN`] in a request: then the number of the request itself counts.
+    pub number: SequenceNumber,
+}

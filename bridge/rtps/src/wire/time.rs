@@ -1,0 +1,73 @@
+//! Times and durations: seconds and fractions of 2⁻³² s (section 9.3.2).
+
+use std::time::Duration;
+
+use super::Malformed;
+use super::bytes::{Cursor, Encoder};
+
+const NANOS_PER_SECOND: u64 = 1_000_000_000;
+
+/// A point in time as RTPS has it: since 1970, until 2106, in steps of 0.23 ns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Timestamp {
+    seconds: u32,
+    fraction: u32,
+}
+
+impl Timestamp {
+    /// The nearest time RTPS can express; what is before 1970 becomes 1970.
+    pub fn from_nanos(since_epoch: i64) -> Self {
+        let nanos = u64::try_from(since_epoch).unwrap_or(0);
+        match u32::try_from(nanos / NANOS_PER_SECOND) {
+            Ok(seconds) => Self { seconds, fraction: fraction((nanos % NANOS_PER_SECOND) as u32) },
+            Err(_) => Self { seconds: u32::MAX, fraction: 0 },
+        }
+    }
+
+    /// Nanoseconds since 1970: exactly those given to [`Timestamp::from_nanos`].
+    pub fn to_nanos(self) -> i64 {
+        // At most 2³² s and 10⁹ ns: half of what fits.
+        (u64::from(self.seconds) * NANOS_PER_SECOND + nanos(self.fraction)).cast_signed()
+    }
+
+    /// `None` is the time that the specification calls invalid.
+    pub(super) fn read(cursor: &mut Cursor<'_>) -> Result<Option<Self>, Malformed> {
+        let time = Self { seconds: cursor.u32()?, fraction: cursor.u32()? };
+        Ok((time != Self { seconds: u32::MAX, fraction: u32::MAX }).then_some(time))
+    }
+
+    pub(super) fn write(self, out: &mut Encoder<'_>) {
+        out.u32(self.seconds);
+        out.u32(self.fraction);
+    }
+}
+
+/// Reads a duration; `None` is infinite, and the error is for a negative one.
+pub(super) fn read_duration(cursor: &mut Cursor<'_>) -> Result<Option<Option<Duration>>, Malformed> {
+    let (seconds, fraction) = (cursor.i32()?, cursor.u32()?);
+    let Ok(seconds) = u64::try_from(seconds) else { return Ok(None) };
+    if seconds == i32::MAX as u64 {
+        return Ok(Some(None));
+    }
+    Ok(Some(Some(Duration::from_secs(seconds) + Duration::from_nanos(nanos(fraction)))))
+}
+
+/// Writes a duration; `None` and what is longer than 68 years is infinite.
+pub(super) fn write_duration(duration: Option<Duration>, out: &mut Encoder<'_>) {
+    let finite = duration.and_then(|duration| {
+        let seconds = i32::try_from(duration.as_secs()).ok().filter(|seconds| *seconds < i32::MAX)?;
+        Some((seconds, fraction(duration.subsec_nanos())))
+    });
+    let (seconds, fraction) = finite.unwrap_or((i32::MAX, u32::MAX));
+    out.i32(seconds);
+    out.u32(fraction);
+}
+
+/// Rounds down, so that `nanos` brings the same nanoseconds back.
+fn fraction(nanos: u32) -> u32 {
+    ((u64::from(nanos) << 32) / NANOS_PER_SECOND) as u32
+}
+
+fn nanos(fraction: u32) -> u64 {
+    (u64::from(fraction) * NANOS_PER_SECOND + (1 << 31)) >> 32
+}
