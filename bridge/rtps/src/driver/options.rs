@@ -1,0 +1,78 @@
+//! How a participant joins a domain, and why it could not.
+
+use std::io;
+use std::time::Duration;
+use thiserror::Error;
+
+/// How far a participant looks for others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Range {
+    /// This machine only: every socket is bound to the loopback interface.
+    Localhost,
+    /// Everybody that multicast reaches, and this machine.
+    Subnet,
+}
+
+/// How a participant joins a domain.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The domain, 0 to 232.
+    pub domain_id: u16,
+    /// How far to look for others.
+    pub range: Range,
+    /// Hosts to announce to besides, by address or name (`ROS_STATIC_PEERS`).
+    pub static_peers: Vec<String>,
+    /// How long others keep this participant after they last heard of it.
+    pub lease: Duration,
+    /// Between two announcements.
+    pub announcement_period: Duration,
+    /// Name of the participant in announcements.
+    pub name: String,
+    /// User data of the participant; ROS 2 puts the enclave there.
+    pub user_data: Vec<u8>,
+}
+
+impl Options {
+    /// A participant of `domain_id`, with the lease and the announcements of Fast DDS.
+    #[must_use]
+    pub fn new(domain_id: u16, range: Range) -> Self {
+        Self {
+            domain_id,
+            range,
+            static_peers: Vec::new(),
+            lease: Duration::from_secs(20),
+            announcement_period: Duration::from_secs(3),
+            name: String::new(),
+            user_data: Vec::new(),
+        }
+    }
+}
+
+/// A participant could not join its domain.
+#[derive(Debug, Error)]
+pub enum JoinError {
+    /// There is no such domain.
+    #[error("domain {0} has no UDP ports: the highest domain is 232")]
+    Domain(u16),
+    /// The ports of all participants that a host may have are taken.
+    #[error(
+        "no pair of UDP ports for a participant is free on {address}, from port {first} on; the last attempt: {source}"
+    )]
+    NoFreePort {
+        /// The address to bind to.
+        address: std::net::Ipv4Addr,
+        /// The first port that was tried.
+        first: u16,
+        /// Why the last attempt failed.
+        source: io::Error,
+    },
+    /// A socket could not be made ready.
+    #[error("preparing a UDP socket failed: {0}")]
+    Socket(io::Error),
+    /// The addresses of this machine could not be read.
+    #[error("reading the addresses of this machine failed: {0}")]
+    Interfaces(io::Error),
+    /// The thread could not be started.
+    #[error("starting the thread of the participant failed: {0}")]
+    Thread(io::Error),
+}

@@ -1,0 +1,424 @@
+//! The UDP sockets of a participant.
+//!
+//! Two sockets receive what is addressed to the participant, one what is addressed to its multicast group. Others send: one
+//! to single addresses, one per interface to groups. What is sent leaves from a socket without options, since those that
+//! receive several datagrams per system call forbid the fragmentation of IP packets.
+
+use super::interfaces::Interface;
+use super::log_limit::LogLimit;
+use super::{JoinError, Range};
+use mio::net::UdpSocket;
+use mio::{Interest, Registry, Token};
+use quinn_udp::{RecvMeta, UdpSocketState};
+use socket2::{Domain, Protocol, SockAddr, SockRef, Socket, Type};
+use std::io::{self, IoSliceMut};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
+
+/// Of announcements (RTPS 2.5, 9.6.2.4.1).
+const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 0, 1);
+/// Requested of the system for what is received and sent.
+const BUFFER: usize = 4 << 20;
+/// The datagrams of one system call.
+const BATCH: usize = 16;
+/// More than the largest UDP datagram, and what the kernel joins at most.
+const LARGEST: usize = 65_536;
+
+/// The UDP ports of a domain (RTPS 2.5, 9.6.2.3).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Ports {
+    base: u16,
+}
+
+impl Ports {
+    /// `None` where the domain has none.
+    pub(super) fn of_domain(domain_id: u16) -> Option<Self> {
+        (domain_id <= 232).then(|| Self { base: 7400 + 250 * domain_id })
+    }
+
+    /// Where announcements to the group go.
+    pub(super) fn group(self) -> SocketAddrV4 {
+        SocketAddrV4::new(GROUP, self.base)
+    }
+
+    /// The ports for discovery and for user data of each participant that a host may have, in order.
+    pub(super) fn of_participants(self) -> impl Iterator<Item = (u16, u16)> {
+        let base = self.base;
+        (0..120).filter_map(move |index: u16| {
+            Some((base.checked_add(10 + 2 * index)?, base.checked_add(11 + 2 * index)?))
+        })
+    }
+
+    /// Where the first `count` participants of a host expect announcements.
+    pub(super) fn announcements_to(self, host: Ipv4Addr, count: usize) -> impl Iterator<Item = SocketAddrV4> {
+        self.of_participants().take(count).map(move |(meta, _)| SocketAddrV4::new(host, meta))
+    }
+}
+
+/// What a participant receives with.
+pub(super) struct Receivers {
+    pub(super) meta_port: u16,
+    pub(super) user_port: u16,
+    /// The bytes that the system buffers for user data.
+    pub(super) buffer: usize,
+    sockets: Vec<Receiver>,
+    /// The one of the multicast group, where it could be bound.
+    multicast: Option<usize>,
+    group: Ipv4Addr,
+    joined: Vec<Interface>,
+    log: LogLimit,
+}
+
+struct Receiver {
+    socket: UdpSocket,
+    state: UdpSocketState,
+}
+
+/// The buffers that are received into.
+pub(super) struct Buffers {
+    bytes: Vec<u8>,
+    meta: [RecvMeta; BATCH],
+}
+
+impl Receivers {
+    /// Binds the ports of the first participant of the domain whose ports are free.
+    pub(super) fn bind(ports: Ports, range: Range, registry: &Registry) -> Result<Self, JoinError> {
+        let address = match range {
+            Range::Localhost => Ipv4Addr::LOCALHOST,
+            Range::Subnet => Ipv4Addr::UNSPECIFIED,
+        };
+        let ((meta_port, user_port), pair) = bind_pair(ports, address)?;
+        let mut sockets = pair.map(Receiver::new).into_iter().collect::<Result<Vec<_>, _>>()?;
+        let buffer = sockets.iter().map(|receiver| buffer_of(&receiver.socket)).min().unwrap_or_default();
+        if buffer < BUFFER {
+            tracing::warn!(
+                "the system grants {} KiB for what a UDP socket receives, {} KiB were requested: large messages may have to be sent \
+                 again. Allow more with `sysctl -w net.core.rmem_max={BUFFER}`",
+                buffer >> 10,
+                BUFFER >> 10
+            );
+        }
+        let group = ports.group();
+        let multicast = match bind_group(group).and_then(Receiver::new_in) {
+            Ok(receiver) => {
+                sockets.push(receiver);
+                Some(sockets.len() - 1)
+            }
+            Err(error) => {
+                tracing::warn!(
+                    "UDP port {} cannot be shared for multicast ({error}): only participants that this one announces itself to \
+                     by address are found",
+                    group.port()
+                );
+                None
+            }
+        };
+        for (index, receiver) in sockets.iter_mut().enumerate() {
+            registry
+                .register(&mut receiver.socket, Token(index), Interest::READABLE)
+                .map_err(JoinError::Socket)?;
+        }
+        let (joined, log) = (Vec::new(), LogLimit::default());
+        Ok(Self { meta_port, user_port, buffer, sockets, multicast, group: *group.ip(), joined, log })
+    }
+
+    /// Hears the group on these interfaces, and on no other.
+    pub(super) fn join(&mut self, interfaces: &[Interface]) {
+        let Some(index) = self.multicast else { return };
+        let socket = &self.sockets[index].socket;
+        for gone in self.joined.iter().filter(|joined| !interfaces.contains(joined)) {
+            // Fails where the interface is gone, and the membership with it.
+            let _ = socket.leave_multicast_v4(&self.group, &gone.address);
+        }
+        self.joined.retain(|joined| interfaces.contains(joined));
+        for new in interfaces {
+            if self.joined.contains(new) {
+                continue;
+            }
+            match socket.join_multicast_v4(&self.group, &new.address) {
+                // Two addresses of one interface share a membership.
+                Err(error) if error.kind() != io::ErrorKind::AddrInUse => {
+                    // Tried again when the interfaces are read next.
+                    if self.log.allow() {
+                        tracing::warn!(
+                            "multicast cannot be received on {}: {error}; other hosts there are found when they announce themselves \
+                             to this one by address",
+                            new.address
+                        );
+                    }
+                }
+                _ => self.joined.push(*new),
+            }
+        }
+    }
+
+    /// Receives what waits on a socket, and gives each datagram with its sender to `handle`; true if there may be more.
+    pub(super) fn receive(
+        &mut self,
+        token: Token,
+        buffers: &mut Buffers,
+        mut handle: impl FnMut(SocketAddrV4, &[u8]),
+    ) -> bool {
+        let Some(Receiver { socket, state }) = self.sockets.get(token.0) else { return false };
+        let mut chunks = buffers.bytes.chunks_exact_mut(LARGEST).map(IoSliceMut::new);
+        let mut slices: [IoSliceMut<'_>; BATCH] =
+            std::array::from_fn(|_| chunks.next().unwrap_or_else(|| IoSliceMut::new(&mut [])));
+        match socket.try_io(|| state.recv(socket.into(), &mut slices, &mut buffers.meta)) {
+            Ok(count) => {
+                for (slice, meta) in slices.iter().zip(&buffers.meta[..count]) {
+                    let SocketAddr::V4(from) = meta.addr else { continue };
+                    // Several datagrams of one sender may come joined.
+                    slice[..meta.len.min(slice.len())]
+                        .chunks(meta.stride.max(1))
+                        .for_each(|datagram| handle(from, datagram));
+                }
+                count == BATCH
+            }
+            Err(error) => {
+                // One that was interrupted, or brings the error of an earlier datagram, is as good as any.
+                let is_over = error.kind() == io::ErrorKind::WouldBlock;
+                if !is_over && self.log.allow() {
+                    tracing::warn!("receiving from the network failed: {error}");
+                }
+                !is_over
+            }
+        }
+    }
+}
+
+impl Buffers {
+    pub(super) fn new() -> Self {
+        // Pages are touched only as datagrams need them.
+        Self { bytes: vec![0; BATCH * LARGEST], meta: [RecvMeta::default(); BATCH] }
+    }
+}
+
+impl Receiver {
+    fn new(socket: Socket) -> Result<Self, JoinError> {
+        Self::new_in(socket).map_err(JoinError::Socket)
+    }
+
+    fn new_in(socket: Socket) -> io::Result<Self> {
+        let state = UdpSocketState::new((&socket).into())?;
+        Ok(Self { socket: UdpSocket::from_std(socket.into()), state })
+    }
+}
+
+/// What a participant sends with.
+pub(super) struct Senders {
+    unicast: UdpSocket,
+    multicast: Vec<(Interface, UdpSocket)>,
+    address: Ipv4Addr,
+    log: LogLimit,
+}
+
+/// What became of a datagram.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Sent {
+    /// It left, or was lost as the network loses datagrams.
+    Done,
+    /// The send buffer is full: it is to be sent again when the socket is writable.
+    Full,
+}
+
+impl Senders {
+    pub(super) fn bind(range: Range, registry: &Registry, token: Token) -> io::Result<Self> {
+        let address = match range {
+            Range::Localhost => Ipv4Addr::LOCALHOST,
+            Range::Subnet => Ipv4Addr::UNSPECIFIED,
+        };
+        let mut unicast = sender(address)?;
+        registry.register(&mut unicast, token, Interest::WRITABLE)?;
+        Ok(Self { unicast, multicast: Vec::new(), address, log: LogLimit::default() })
+    }
+
+    /// Sends to groups on these interfaces, and on no other.
+    pub(super) fn set_interfaces(&mut self, interfaces: &[Interface]) {
+        self.multicast.retain(|(interface, _)| interfaces.contains(interface));
+        for interface in interfaces {
+            if self.multicast.iter().any(|(known, _)| known == interface) {
+                continue;
+            }
+            match multicast_sender(self.address, interface.address) {
+                Ok(socket) => self.multicast.push((*interface, socket)),
+                Err(error) => {
+                    // Tried again when the interfaces are read next.
+                    if self.log.allow() {
+                        tracing::warn!("multicast cannot be sent on {}: {error}", interface.address);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Sends a datagram to one address.
+    pub(super) fn send(&mut self, to: SocketAddrV4, datagram: &[u8]) -> Sent {
+        let sent = send(&self.unicast, to, datagram);
+        self.outcome(to, sent)
+    }
+
+    /// Sends a datagram to a group, on every interface. Announcements are repeated, so one for which a buffer is full is lost.
+    pub(super) fn send_to_group(&mut self, group: SocketAddrV4, datagram: &[u8]) {
+        for index in 0..self.multicast.len() {
+            let sent = send(&self.multicast[index].1, group, datagram);
+            self.outcome(group, sent);
+        }
+    }
+
+    fn outcome(&mut self, to: SocketAddrV4, sent: io::Result<usize>) -> Sent {
+        match sent {
+            Ok(_) => Sent::Done,
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => Sent::Full,
+            // No buffers, no route, an interface that is down, a firewall: as if the network had lost it.
+            Err(error) => {
+                if self.log.allow() {
+                    tracing::warn!(
+                        "sending to {to} failed: {error}; what is reliable is sent again when the network is back"
+                    );
+                }
+                Sent::Done
+            }
+        }
+    }
+}
+
+fn send(socket: &UdpSocket, to: SocketAddrV4, datagram: &[u8]) -> io::Result<usize> {
+    loop {
+        match socket.send_to(datagram, SocketAddr::V4(to)) {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            sent => return sent,
+        }
+    }
+}
+
+fn bind_pair(ports: Ports, address: Ipv4Addr) -> Result<((u16, u16), [Socket; 2]), JoinError> {
+    let mut last = io::Error::from(io::ErrorKind::AddrNotAvailable);
+    for (meta, user) in ports.of_participants() {
+        let bind = |port| bind(SocketAddrV4::new(address, port));
+        match bind(meta).and_then(|first| Ok([first, bind(user)?])) {
+            Ok(pair) => return Ok(((meta, user), pair)),
+            Err(error) => last = error,
+        }
+    }
+    let first = ports.of_participants().next().map_or(0, |(meta, _)| meta);
+    Err(JoinError::NoFreePort { address, first, source: last })
+}
+
+fn socket() -> io::Result<Socket> {
+    let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
+    socket.set_nonblocking(true)?;
+    Ok(socket)
+}
+
+fn bind(address: SocketAddrV4) -> io::Result<Socket> {
+    let socket = socket()?;
+    // The system grants what it allows; what that is, is read back.
+    let _ = socket.set_recv_buffer_size(BUFFER);
+    socket.bind(&SockAddr::from(address))?;
+    Ok(socket)
+}
+
+/// A socket for the group, whose port all participants of the domain on this machine share.
+fn bind_group(group: SocketAddrV4) -> io::Result<Socket> {
+    let socket = socket()?;
+    socket.set_reuse_address(true)?;
+    #[cfg(unix)]
+    socket.set_reuse_port(true)?;
+    let _ = socket.set_recv_buffer_size(BUFFER);
+    // Only what is sent to the group, and only on the interfaces joined: nobody else reaches the socket.
+    #[cfg(any(target_os = "linux", target_os = "android"))]
+    socket.set_multicast_all_v4(false)?;
+    let address = if cfg!(unix) { group } else { SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, group.port()) };
+    socket.bind(&SockAddr::from(address))?;
+    Ok(socket)
+}
+
+fn sender(address: Ipv4Addr) -> io::Result<UdpSocket> {
+    let socket = socket()?;
+    let _ = socket.set_send_buffer_size(BUFFER);
+    socket.bind(&SockAddr::from(SocketAddrV4::new(address, 0)))?;
+    Ok(UdpSocket::from_std(socket.into()))
+}
+
+fn multicast_sender(address: Ipv4Addr, interface: Ipv4Addr) -> io::Result<UdpSocket> {
+    let sender = sender(address)?;
+    let socket = SockRef::from(&sender);
+    socket.set_multicast_if_v4(&interface)?;
+    socket.set_multicast_loop_v4(true)?;
+    Ok(sender)
+}
+
+/// The bytes that the system buffers for a socket. Linux reports twice as many, for its own needs.
+fn buffer_of(socket: &UdpSocket) -> usize {
+    let reported = SockRef::from(socket).recv_buffer_size().unwrap_or_default();
+    if cfg!(target_os = "linux") { reported / 2 } else { reported }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::driver::interfaces;
+    use mio::{Events, Poll};
+    use std::time::Duration;
+
+    const DOMAIN: u16 = 201;
+
+    #[test]
+    fn ports_are_those_of_the_standard_and_end_where_udp_does() {
+        let ports = Ports::of_domain(1).unwrap();
+        assert_eq!(ports.group().port(), 7650);
+        assert_eq!(ports.of_participants().next(), Some((7660, 7661)));
+        assert_eq!(ports.of_participants().nth(3), Some((7666, 7667)));
+        assert_eq!(ports.of_participants().count(), 120);
+        assert_eq!(Ports::of_domain(233), None);
+        let (meta, user) = Ports::of_domain(232).unwrap().of_participants().last().unwrap();
+        assert!(user == meta + 1 && user > 65_530, "{user}");
+    }
+
+    #[test]
+    fn each_participant_of_a_host_has_ports_of_its_own() {
+        let (ports, poll) = (Ports::of_domain(DOMAIN).unwrap(), Poll::new().unwrap());
+        let bind = || Receivers::bind(ports, Range::Localhost, poll.registry()).unwrap();
+        let (first, second) = (bind(), bind());
+        assert_ne!(first.meta_port, second.meta_port);
+        assert_eq!((first.user_port, second.user_port), (first.meta_port + 1, second.meta_port + 1));
+        let meta_port = first.meta_port;
+        drop(first);
+        assert_eq!(bind().meta_port, meta_port, "the first that is free");
+    }
+
+    #[test]
+    fn datagrams_to_the_group_and_to_the_address_arrive_over_loopback() {
+        let (ports, mut poll) = (Ports::of_domain(DOMAIN + 1).unwrap(), Poll::new().unwrap());
+        let interfaces = interfaces::list(Range::Localhost, &[]).unwrap();
+        let mut receivers = Receivers::bind(ports, Range::Localhost, poll.registry()).unwrap();
+        receivers.join(&interfaces);
+        let mut senders = Senders::bind(Range::Localhost, poll.registry(), Token(9)).unwrap();
+        senders.set_interfaces(&interfaces);
+        senders.send_to_group(ports.group(), b"group");
+        for port in [receivers.meta_port, receivers.user_port] {
+            assert_eq!(senders.send(SocketAddrV4::new(Ipv4Addr::LOCALHOST, port), &[7; 65_000]), Sent::Done);
+        }
+        let (mut events, mut buffers, mut received) = (Events::with_capacity(8), Buffers::new(), Vec::new());
+        while received.len() < 3 {
+            poll.poll(&mut events, Some(Duration::from_secs(10))).unwrap();
+            assert!(!events.is_empty(), "only {received:?} arrived");
+            for token in events.iter().filter(|event| event.is_readable()).map(|event| event.token()) {
+                receivers.receive(token, &mut buffers, |from, datagram| {
+                    assert_eq!(*from.ip(), Ipv4Addr::LOCALHOST);
+                    received.push(datagram.len());
+                });
+            }
+        }
+        received.sort_unstable();
+        assert_eq!(received, [5, 65_000, 65_000]);
+    }
+
+    #[test]
+    fn a_datagram_that_cannot_be_sent_counts_as_lost() {
+        let poll = Poll::new().unwrap();
+        let mut senders = Senders::bind(Range::Localhost, poll.registry(), Token(9)).unwrap();
+        // From loopback no other host is reached.
+        assert_eq!(senders.send(SocketAddrV4::new(Ipv4Addr::new(192, 0, 2, 1), 9), b"x"), Sent::Done);
+    }
+}
