@@ -9,8 +9,8 @@ use std::time::Duration;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs)]
 pub enum Reliability {
-    BestEffort,
-    Reliable,
+    BestEffort = 1,
+    Reliable = 2,
 }
 
 /// Which earlier samples a reader gets that is matched late.
@@ -119,7 +119,7 @@ pub struct Qos {
     pub presentation: Presentation,
     /// Names or `fnmatch` patterns; none is the partition with the empty name.
     pub partition: Vec<String>,
-    /// What a writer sends (the first) or a reader accepts; none is [`Representation::XCDR1`].
+    /// What a writer sends (the first) or a reader accepts; an empty list is [`Representation::XCDR1`].
     pub representation: Vec<Representation>,
 }
 
@@ -148,7 +148,7 @@ impl Qos {
                 ordered: false,
             },
             partition: Vec::new(),
-            representation: Vec::new(),
+            representation: vec![Representation::XCDR1],
         }
     }
 }
@@ -171,5 +171,107 @@ pub enum Policy {
 
 /// The first policy in which `offered` does not satisfy `requested`; `None` if the two match.
 pub fn incompatible(offered: &Qos, requested: &Qos) -> Option<Policy> {
-    todo!()
+    let (offers, wants) = (&offered.presentation, &requested.presentation);
+    let checks = [
+        (Policy::Reliability, offered.reliability >= requested.reliability),
+        (Policy::Durability, offered.durability >= requested.durability),
+        (Policy::Deadline, is_within(offered.deadline, requested.deadline)),
+        (
+            Policy::Liveliness,
+            offered.liveliness >= requested.liveliness && is_within(offered.lease, requested.lease),
+        ),
+        (Policy::LatencyBudget, is_within(offered.latency_budget, requested.latency_budget)),
+        (Policy::Ownership, offered.ownership == requested.ownership),
+        (Policy::DestinationOrder, offered.destination_order >= requested.destination_order),
+        (
+            Policy::Presentation,
+            offers.access_scope >= wants.access_scope
+                && offers.coherent >= wants.coherent
+                && offers.ordered >= wants.ordered,
+        ),
+        (Policy::Partition, partitions_meet(&offered.partition, &requested.partition)),
+        (Policy::Representation, is_accepted(&offered.representation, &requested.representation)),
+    ];
+    checks.into_iter().find(|(_, is_satisfied)| !is_satisfied).map(|(policy, _)| policy)
+}
+
+/// Whether `offered` is no longer than `requested`; `None` is infinite.
+fn is_within(offered: Option<Duration>, requested: Option<Duration>) -> bool {
+    requested.is_none_or(|requested| offered.is_some_and(|offered| offered <= requested))
+}
+
+fn is_accepted(offered: &[Representation], accepted: &[Representation]) -> bool {
+    let sent = offered.first().unwrap_or(&Representation::XCDR1);
+    let default = [Representation::XCDR1];
+    let accepted = if accepted.is_empty() { &default } else { accepted };
+    accepted.contains(sent)
+}
+
+fn partitions_meet(offered: &[String], requested: &[String]) -> bool {
+    let default = [String::new()];
+    let or_default = |names| if <[String]>::is_empty(names) { &default[..] } else { names };
+    let (offered, requested) = (or_default(offered), or_default(requested));
+    offered.iter().any(|offered| requested.iter().any(|requested| names_meet(offered, requested)))
+}
+
+/// Two names meet if they are equal, or if one is a pattern for the other; two patterns do not.
+fn names_meet(a: &str, b: &str) -> bool {
+    let is_pattern = |name: &str| name.contains(['*', '?', '[']);
+    a == b
+        || match (is_pattern(a), is_pattern(b)) {
+            (true, false) => fits(a.as_bytes(), b.as_bytes()),
+            (false, true) => fits(b.as_bytes(), a.as_bytes()),
+            _ => false,
+        }
+}
+
+/// POSIX `fnmatch` without flags or escapes, in time proportional to the product of the lengths: only the last `*` is ever
+/// tried again.
+fn fits(pattern: &[u8], name: &[u8]) -> bool {
+    let (mut at, mut in_name) = (0, 0);
+    let mut last_star = None;
+    while in_name < name.len() {
+        if pattern.get(at) == Some(&b'*') {
+            last_star = Some((at, in_name));
+            at += 1;
+        } else if let Some(length) = fits_one(&pattern[at..], name[in_name]) {
+            (at, in_name) = (at + length, in_name + 1);
+        } else if let Some((star, taken)) = last_star {
+            last_star = Some((star, taken + 1));
+            (at, in_name) = (star + 1, taken + 1);
+        } else {
+            return false;
+        }
+    }
+    pattern[at..].iter().all(|byte| *byte == b'*')
+}
+
+/// Bytes of the first element of `pattern`, if `byte` fits it.
+fn fits_one(pattern: &[u8], byte: u8) -> Option<usize> {
+    match pattern {
+        [b'?', ..] => Some(1),
+        [b'[', rest @ ..] => {
+            let is_negated = matches!(rest, [b'!' | b'^', ..]);
+            let set = &rest[usize::from(is_negated)..];
+            // A bracket that closes an empty set is its first member.
+            let end = 1 + set.get(1..)?.iter().position(|byte| *byte == b']')?;
+            (in_set(&set[..end], byte) != is_negated).then_some(1 + usize::from(is_negated) + end + 1)
+        }
+        [literal, ..] => (*literal == byte).then_some(1),
+        [] => None,
+    }
+}
+
+fn in_set(mut set: &[u8], byte: u8) -> bool {
+    loop {
+        let (is_member, rest) = match set {
+            [low, b'-', high, rest @ ..] => ((*low..=*high).contains(&byte), rest),
+            [member, rest @ ..] => (*member == byte, rest),
+            [] => return false,
+        };
+        if is_member {
+            return true;
+        }
+        set = rest;
+    }
 }

@@ -3,9 +3,8 @@
 use super::Malformed;
 
 /// Order of the bytes of a number.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[allow(missing_docs)]
-pub enum ByteOrder {
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ByteOrder {
     Big,
     Little,
 }

@@ -1,10 +1,50 @@
 //! Messages and their submessages (sections 9.4.4 and 9.4.5).
 
 use super::bytes::Cursor;
+use super::parameters::{ParameterList, pid};
 use super::{
     ByteOrder, EntityId, FragmentSet, Guid, GuidPrefix, InlineQos, Malformed, SequenceNumber,
     SequenceNumberSet, Timestamp, VendorId,
 };
+
+/// Kinds of submessages (section 9.4.5.1.1).
+pub(super) mod id {
+    pub(in crate::wire) const PAD: u8 = 0x01;
+    pub(in crate::wire) const ACK_NACK: u8 = 0x06;
+    pub(in crate::wire) const HEARTBEAT: u8 = 0x07;
+    pub(in crate::wire) const GAP: u8 = 0x08;
+    pub(in crate::wire) const INFO_TIMESTAMP: u8 = 0x09;
+    pub(in crate::wire) const INFO_SOURCE: u8 = 0x0c;
+    pub(in crate::wire) const INFO_REPLY_IP4: u8 = 0x0d;
+    pub(in crate::wire) const INFO_DESTINATION: u8 = 0x0e;
+    pub(in crate::wire) const INFO_REPLY: u8 = 0x0f;
+    pub(in crate::wire) const NACK_FRAGMENT: u8 = 0x12;
+    pub(in crate::wire) const HEARTBEAT_FRAGMENT: u8 = 0x13;
+    pub(in crate::wire) const DATA: u8 = 0x15;
+    pub(in crate::wire) const DATA_FRAGMENT: u8 = 0x16;
+    /// From SEC_BODY to SRTPS_POSTFIX (DDS Security 1.1, section 7.3.7.2).
+    pub(super) const SECURITY: std::ops::RangeInclusive<u8> = 0x30..=0x34;
+}
+
+/// Flags of submessages; a bit means something else in each kind (section 9.4.5).
+pub(super) mod flag {
+    /// In all kinds.
+    pub(in crate::wire) const LITTLE_ENDIAN: u8 = 0x01;
+    /// In DATA and DATA_FRAG.
+    pub(in crate::wire) const INLINE_QOS: u8 = 0x02;
+    /// In DATA.
+    pub(in crate::wire) const DATA: u8 = 0x04;
+    /// In DATA.
+    pub(in crate::wire) const KEY: u8 = 0x08;
+    /// In DATA_FRAG.
+    pub(in crate::wire) const FRAGMENT_OF_KEY: u8 = 0x04;
+    /// In ACKNACK and HEARTBEAT.
+    pub(in crate::wire) const FINAL: u8 = 0x02;
+    /// In HEARTBEAT.
+    pub(in crate::wire) const LIVELINESS: u8 = 0x04;
+    /// In INFO_TS: there is no timestamp.
+    pub(in crate::wire) const INVALIDATE: u8 = 0x02;
+}
 
 /// The beginning of every message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -81,7 +121,14 @@ impl Data<'_> {
     /// The entity that a removal in discovery data is about: from the key hash, as Fast DDS says it, or from the key, as
     /// Cyclone DDS does. `None` if this is no removal, or tells nobody.
     pub fn removed(&self) -> Option<Guid> {
-        todo!()
+        self.inline_qos.status.filter(|status| status.is_removal())?;
+        if let Some(key_hash) = self.inline_qos.key_hash {
+            return Some(Guid::from_bytes(key_hash));
+        }
+        let Payload::Key(key) = self.payload else { return None };
+        let mut parameters = ParameterList::from_payload(key).ok()?.iter();
+        let guid = parameters.find(|it| matches!(it.id, pid::PARTICIPANT_GUID | pid::ENDPOINT_GUID))?;
+        guid.get(|value| value.array().ok()).ok().map(Guid::from_bytes)
     }
 }
 
@@ -215,7 +262,14 @@ pub struct HeartbeatFragment {
 /// # Errors
 /// [`Malformed::NotRtps`] and [`Malformed::Version`]. What is wrong with a submessage is an item of the iterator.
 pub fn parse(bytes: &[u8]) -> Result<(Header, Submessages<'_>), Malformed> {
-    todo!()
+    let Some(rest) = bytes.strip_prefix(b"RTPS") else { return Err(Malformed::NotRtps) };
+    // The header knows no byte order: it consists of single bytes.
+    let mut cursor = Cursor::new(rest, ByteOrder::Big);
+    let header = Header::read(&mut cursor)?;
+    match header.version {
+        [2, _] => Ok((header, Submessages { rest: cursor.rest() })),
+        [major, _] => Err(Malformed::Version(major)),
+    }
 }
 
 /// The submessages of a message. Ends after the first malformed one, as section 8.3.4.1 demands.
@@ -228,6 +282,229 @@ impl<'a> Iterator for Submessages<'a> {
     type Item = Result<Submessage<'a>, Malformed>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        todo!()
+        if self.rest.is_empty() {
+            return None;
+        }
+        let submessage = self.read();
+        if submessage.is_err() {
+            self.rest = &[];
+        }
+        Some(submessage)
+    }
+}
+
+impl<'a> Submessages<'a> {
+    fn read(&mut self) -> Result<Submessage<'a>, Malformed> {
+        let &[id, flags, ref rest @ ..] = self.rest else { return Err(Malformed::Truncated) };
+        let order = match flags & flag::LITTLE_ENDIAN {
+            0 => ByteOrder::Big,
+            _ => ByteOrder::Little,
+        };
+        let mut cursor = Cursor::new(rest, order);
+        let length = match cursor.u16()? {
+            // The last one may be as long as the datagram; these two may be empty (section 9.4.5.1.3).
+            0 if !matches!(id, id::PAD | id::INFO_TIMESTAMP) => cursor.remaining(),
+            length => length.into(),
+        };
+        let body = Cursor::new(cursor.take(length)?, order);
+        self.rest = cursor.rest();
+        Submessage::read(id, flags, body)
+    }
+}
+
+impl Header {
+    fn read(cursor: &mut Cursor<'_>) -> Result<Self, Malformed> {
+        let (version, vendor) = (cursor.array()?, VendorId(cursor.array()?));
+        Ok(Self { version, vendor, prefix: GuidPrefix(cursor.array()?) })
+    }
+}
+
+impl<'a> Submessage<'a> {
+    fn read(id: u8, flags: u8, mut body: Cursor<'a>) -> Result<Self, Malformed> {
+        Ok(match id {
+            id::PAD => Self::Pad,
+            id::ACK_NACK => Self::AckNack(AckNack::read(flags, &mut body)?),
+            id::HEARTBEAT => Self::Heartbeat(Heartbeat::read(flags, &mut body)?),
+            id::GAP => Self::Gap(Gap::read(&mut body)?),
+            id::INFO_TIMESTAMP if flags & flag::INVALIDATE != 0 => Self::InfoTimestamp(None),
+            id::INFO_TIMESTAMP => Self::InfoTimestamp(Timestamp::read(&mut body)?),
+            id::INFO_SOURCE => {
+                body.u32()?; // unused
+                Self::InfoSource(Header::read(&mut body)?)
+            }
+            id::INFO_REPLY | id::INFO_REPLY_IP4 => Self::InfoReply,
+            id::INFO_DESTINATION => Self::InfoDestination(GuidPrefix(body.array()?)),
+            id::NACK_FRAGMENT => Self::NackFragment(NackFragment::read(&mut body)?),
+            id::HEARTBEAT_FRAGMENT => Self::HeartbeatFragment(HeartbeatFragment::read(&mut body)?),
+            id::DATA => Self::Data(Data::read(flags, body)?),
+            id::DATA_FRAGMENT => Self::DataFragment(DataFragment::read(flags, body)?),
+            id if id::SECURITY.contains(&id) => Self::Security { id, body: body.rest() },
+            id => Self::Unknown { id },
+        })
+    }
+}
+
+/// The reader and the writer that begin most submessages.
+fn read_ends(body: &mut Cursor<'_>) -> Result<(EntityId, EntityId), Malformed> {
+    Ok((EntityId(body.array()?), EntityId(body.array()?)))
+}
+
+/// Reads what DATA and DATA_FRAG begin with; returns what lies at the offset of the inline QoS, too. That offset is
+/// there so that later versions can add fields in front.
+fn read_data_ends<'a>(body: &mut Cursor<'a>) -> Result<(EntityId, EntityId, Cursor<'a>), Malformed> {
+    body.u16()?; // extra flags: none are defined
+    let offset = body.u16()?;
+    let mut rest = *body;
+    rest.take(offset.into())?;
+    let (reader, writer) = read_ends(body)?;
+    Ok((reader, writer, rest))
+}
+
+fn read_inline_qos(flags: u8, rest: &mut Cursor<'_>) -> Result<InlineQos, Malformed> {
+    match flags & flag::INLINE_QOS {
+        0 => Ok(InlineQos::default()),
+        _ => InlineQos::from_list(ParameterList::read(rest)?),
+    }
+}
+
+impl<'a> Data<'a> {
+    fn read(flags: u8, mut body: Cursor<'a>) -> Result<Self, Malformed> {
+        let (reader, writer, mut rest) = read_data_ends(&mut body)?;
+        let number = SequenceNumber::read(&mut body, SequenceNumber::FIRST)?;
+        if rest.position() < body.position() {
+            return Err(Malformed::Truncated);
+        }
+        let inline_qos = read_inline_qos(flags, &mut rest)?;
+        let payload = match flags & (flag::DATA | flag::KEY) {
+            0 => Payload::None,
+            flag::KEY => Payload::Key(without_padding(rest.rest())?),
+            _ => Payload::Data(without_padding(rest.rest())?),
+        };
+        Ok(Self { reader, writer, number, inline_qos, payload })
+    }
+}
+
+/// Takes off the padding that the encapsulation declares.
+fn without_padding(payload: &[u8]) -> Result<&[u8], Malformed> {
+    match *payload {
+        [0, _, _, options, ref content @ ..] => {
+            let padding = usize::from(options & 3).min(content.len());
+            Ok(&payload[..payload.len() - padding])
+        }
+        // Not an encapsulation of the standard, but one: its options are not ours to read.
+        [_, _, _, _, ..] => Ok(payload),
+        _ => Err(Malformed::Encapsulation),
+    }
+}
+
+impl<'a> DataFragment<'a> {
+    fn read(flags: u8, mut body: Cursor<'a>) -> Result<Self, Malformed> {
+        let (reader, writer, mut rest) = read_data_ends(&mut body)?;
+        let number = SequenceNumber::read(&mut body, SequenceNumber::FIRST)?;
+        let (first, count, fragment_size) = (body.u32()?, body.u16()?, body.u16()?);
+        let sample_size = body.u32()?;
+        if rest.position() < body.position() {
+            return Err(Malformed::Truncated);
+        }
+        let inline_qos = read_inline_qos(flags, &mut rest)?;
+        let length =
+            length_of_fragments(first, count, fragment_size, sample_size).ok_or(Malformed::Fragment)?;
+        let is_key = flags & flag::FRAGMENT_OF_KEY != 0;
+        let payload = rest.take(length)?;
+        Ok(Self {
+            reader,
+            writer,
+            number,
+            first,
+            count,
+            fragment_size,
+            sample_size,
+            inline_qos,
+            payload,
+            is_key,
+        })
+    }
+}
+
+/// Bytes in `count` fragments from number `first` on, where the last of the sample may be short; `None` if they do not
+/// lie within a sample that has at least its encapsulation.
+fn length_of_fragments(first: u32, count: u16, fragment_size: u16, sample_size: u32) -> Option<usize> {
+    if count == 0 || fragment_size == 0 || sample_size < 4 {
+        return None;
+    }
+    let (fragment_size, sample_size) = (u64::from(fragment_size), u64::from(sample_size));
+    let before = u64::from(first.checked_sub(1)?);
+    let after = before + u64::from(count);
+    if after > sample_size.div_ceil(fragment_size) {
+        return None;
+    }
+    usize::try_from((after * fragment_size).min(sample_size) - before * fragment_size).ok()
+}
+
+impl AckNack {
+    fn read(flags: u8, body: &mut Cursor<'_>) -> Result<Self, Malformed> {
+        let (reader, writer) = read_ends(body)?;
+        let missing = read_set(body, SequenceNumber::ZERO)?;
+        if missing.contains(SequenceNumber::ZERO) {
+            return Err(Malformed::SequenceNumber);
+        }
+        Ok(Self { reader, writer, missing, count: body.u32()?, is_final: flags & flag::FINAL != 0 })
+    }
+}
+
+fn read_set(body: &mut Cursor<'_>, lowest: SequenceNumber) -> Result<SequenceNumberSet, Malformed> {
+    let base = SequenceNumber::read(body, lowest)?;
+    SequenceNumberSet::read_bits(body, base)
+}
+
+impl Heartbeat {
+    fn read(flags: u8, body: &mut Cursor<'_>) -> Result<Self, Malformed> {
+        let (reader, writer) = read_ends(body)?;
+        let first = SequenceNumber::read(body, SequenceNumber::FIRST)?;
+        let last = SequenceNumber::read(body, first.previous())?;
+        Ok(Self {
+            reader,
+            writer,
+            first,
+            last,
+            count: body.u32()?,
+            is_final: flags & flag::FINAL != 0,
+            is_liveliness: flags & flag::LIVELINESS != 0,
+        })
+    }
+}
+
+impl Gap {
+    fn read(body: &mut Cursor<'_>) -> Result<Self, Malformed> {
+        let (reader, writer) = read_ends(body)?;
+        let start = SequenceNumber::read(body, SequenceNumber::FIRST)?;
+        let list = read_set(body, SequenceNumber::FIRST)?;
+        // A range that runs backwards is empty.
+        Ok(Self { reader, writer, start: start.min(list.base()), list })
+    }
+}
+
+impl NackFragment {
+    fn read(body: &mut Cursor<'_>) -> Result<Self, Malformed> {
+        let (reader, writer) = read_ends(body)?;
+        let number = SequenceNumber::read(body, SequenceNumber::FIRST)?;
+        let base = body.u32()?;
+        if base == 0 {
+            return Err(Malformed::Fragment);
+        }
+        let missing = FragmentSet::read_bits(body, base)?;
+        Ok(Self { reader, writer, number, missing, count: body.u32()? })
+    }
+}
+
+impl HeartbeatFragment {
+    fn read(body: &mut Cursor<'_>) -> Result<Self, Malformed> {
+        let (reader, writer) = read_ends(body)?;
+        let number = SequenceNumber::read(body, SequenceNumber::FIRST)?;
+        let last = body.u32()?;
+        if last == 0 {
+            return Err(Malformed::Fragment);
+        }
+        Ok(Self { reader, writer, number, last, count: body.u32()? })
     }
 }

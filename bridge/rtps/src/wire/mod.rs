@@ -8,26 +8,33 @@
 
 mod builder;
 mod bytes;
-mod discovery;
+mod endpoint_data;
 mod guid;
+mod inline_qos;
 mod locator;
 mod message;
 mod number;
 mod parameters;
+mod participant_data;
+mod participant_message;
 mod time;
+mod values;
 
 pub use builder::MessageBuilder;
-pub use bytes::ByteOrder;
-pub use discovery::{BuiltinEndpoints, EndpointData, ParticipantData, ParticipantMessage, pid};
+pub use endpoint_data::EndpointData;
 pub use guid::{EntityId, Guid, GuidPrefix, SampleIdentity, VendorId};
+pub use inline_qos::{InlineQos, StatusInfo};
 pub use locator::Locator;
 pub use message::{
     AckNack, Data, DataFragment, Gap, Header, Heartbeat, HeartbeatFragment, NackFragment, Payload,
     Submessage, Submessages, parse,
 };
-pub use number::{FragmentSet, NumberSet, SequenceNumber, SequenceNumberSet};
-pub use parameters::{InlineQos, ParameterList, StatusInfo};
+pub use number::{FragmentSet, Number, NumberSet, SequenceNumber, SequenceNumberSet};
+pub use participant_data::{BuiltinEndpoints, ParticipantData};
+pub use participant_message::ParticipantMessage;
 pub use time::Timestamp;
+
+use bytes::ByteOrder;
 
 /// Why bytes are not taken for what they claim to be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]

@@ -165,7 +165,7 @@ impl<N: Number> NumberSet<N> {
         for word in &mut set.words[..words] {
             *word = cursor.u32()?;
         }
-        if set.size % 32 != 0 {
+        if !set.size.is_multiple_of(32) {
             set.words[words - 1] &= u32::MAX << (32 - set.size % 32);
         }
         Ok(set)

@@ -1,57 +1,154 @@
 //! Lists of parameters, in front of samples and in discovery data (section 9.4.2.11).
 
 use super::bytes::{Cursor, Encoder};
-use super::{ByteOrder, Malformed, SampleIdentity};
+use super::{ByteOrder, Malformed};
 
-/// A checked list: pairs of an id and the bytes of a value, which may be padded to a multiple of four.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ParameterList<'a> {
-    /// Without the end mark.
+/// Ids (table 9.18). Those from 0x8000 on mean something else with each vendor.
+pub(super) mod pid {
+    pub(in crate::wire) const PAD: u16 = 0x0000;
+    pub(in crate::wire) const SENTINEL: u16 = 0x0001;
+    pub(in crate::wire) const PARTICIPANT_LEASE_DURATION: u16 = 0x0002;
+    pub(in crate::wire) const TOPIC_NAME: u16 = 0x0005;
+    pub(in crate::wire) const TYPE_NAME: u16 = 0x0007;
+    pub(in crate::wire) const DOMAIN_ID: u16 = 0x000f;
+    pub(in crate::wire) const PROTOCOL_VERSION: u16 = 0x0015;
+    pub(in crate::wire) const VENDOR_ID: u16 = 0x0016;
+    pub(in crate::wire) const RELIABILITY: u16 = 0x001a;
+    pub(in crate::wire) const LIVELINESS: u16 = 0x001b;
+    pub(in crate::wire) const DURABILITY: u16 = 0x001d;
+    pub(in crate::wire) const OWNERSHIP: u16 = 0x001f;
+    pub(in crate::wire) const PRESENTATION: u16 = 0x0021;
+    pub(in crate::wire) const DEADLINE: u16 = 0x0023;
+    pub(in crate::wire) const DESTINATION_ORDER: u16 = 0x0025;
+    pub(in crate::wire) const LATENCY_BUDGET: u16 = 0x0027;
+    pub(in crate::wire) const PARTITION: u16 = 0x0029;
+    pub(in crate::wire) const LIFESPAN: u16 = 0x002b;
+    pub(in crate::wire) const USER_DATA: u16 = 0x002c;
+    pub(in crate::wire) const UNICAST_LOCATOR: u16 = 0x002f;
+    pub(in crate::wire) const MULTICAST_LOCATOR: u16 = 0x0030;
+    pub(in crate::wire) const DEFAULT_UNICAST_LOCATOR: u16 = 0x0031;
+    pub(in crate::wire) const METATRAFFIC_UNICAST_LOCATOR: u16 = 0x0032;
+    pub(in crate::wire) const METATRAFFIC_MULTICAST_LOCATOR: u16 = 0x0033;
+    pub(in crate::wire) const HISTORY: u16 = 0x0040;
+    pub(in crate::wire) const EXPECTS_INLINE_QOS: u16 = 0x0043;
+    pub(in crate::wire) const DEFAULT_MULTICAST_LOCATOR: u16 = 0x0048;
+    pub(in crate::wire) const PARTICIPANT_GUID: u16 = 0x0050;
+    pub(in crate::wire) const BUILTIN_ENDPOINT_SET: u16 = 0x0058;
+    pub(in crate::wire) const ENDPOINT_GUID: u16 = 0x005a;
+    pub(in crate::wire) const ENTITY_NAME: u16 = 0x0062;
+    pub(in crate::wire) const KEY_HASH: u16 = 0x0070;
+    pub(in crate::wire) const STATUS_INFO: u16 = 0x0071;
+    pub(in crate::wire) const DATA_REPRESENTATION: u16 = 0x0073;
+    pub(in crate::wire) const RELATED_SAMPLE_IDENTITY: u16 = 0x0083;
+    pub(in crate::wire) const DOMAIN_TAG: u16 = 0x4014;
+    /// Of Fast DDS and RTI Connext: what 0x0083 has become in the standard.
+    pub(in crate::wire) const LEGACY_RELATED_SAMPLE_IDENTITY: u16 = 0x800f;
+    /// Ours: bytes of the receive buffer for user data.
+    pub(in crate::wire) const OUR_RECEIVE_BUFFER: u16 = 0x8044;
+}
+
+/// A list that is known to end, and whose values lie within it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ParameterList<'a> {
+    /// Up to the end mark, which is left out.
     bytes: &'a [u8],
     order: ByteOrder,
 }
 
 impl<'a> ParameterList<'a> {
-    /// Byte order of the values.
-    pub fn order(&self) -> ByteOrder {
-        self.order
+    /// Reads up to and with the end mark.
+    pub(super) fn read(cursor: &mut Cursor<'a>) -> Result<Self, Malformed> {
+        let mut ahead = *cursor;
+        let length = loop {
+            let before = ahead.position();
+            let (id, length) = (ahead.u16()?, ahead.u16()?);
+            if id == pid::SENTINEL {
+                break before - cursor.position();
+            }
+            if length % 4 != 0 {
+                return Err(Malformed::ParameterList);
+            }
+            ahead.take(length.into())?;
+        };
+        let bytes = cursor.take(length)?;
+        *cursor = ahead;
+        Ok(Self { bytes, order: cursor.order() })
     }
 
-    /// Ids and values in their order, without padding parameters.
-    pub fn iter(&self) -> impl Iterator<Item = (u16, &'a [u8])> + use<'a> {
+    /// Reads a payload that is a parameter list.
+    pub(super) fn from_payload(payload: &'a [u8]) -> Result<Self, Malformed> {
+        let order = match payload {
+            [0x00, 0x02, ..] => ByteOrder::Big,
+            [0x00, 0x03, ..] => ByteOrder::Little,
+            _ => return Err(Malformed::Encapsulation),
+        };
+        let mut cursor = Cursor::new(payload, order);
+        cursor.u32()?;
+        Self::read(&mut cursor)
+    }
+
+    pub(super) fn iter(self) -> impl Iterator<Item = Parameter<'a>> {
         let mut cursor = Cursor::new(self.bytes, self.order);
-        std::iter::from_fn(move || todo!())
+        let parameters = std::iter::from_fn(move || {
+            let id = cursor.u16().ok()?;
+            let length = cursor.u16().ok()?;
+            Some(Parameter { id, value: Cursor::new(cursor.take(length.into()).ok()?, self.order) })
+        });
+        parameters.filter(|parameter| parameter.id != pid::PAD)
     }
 }
 
-/// What became of a sample's instance (section 9.6.4.9).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct StatusInfo(pub u8);
+/// One entry of a list.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Parameter<'a> {
+    pub(super) id: u16,
+    value: Cursor<'a>,
+}
 
-impl StatusInfo {
-    /// Disposed and unregistered: the end of an entity, in the form both Fast DDS and Cyclone DDS take for it.
-    pub const REMOVED: Self = Self(3);
+impl<'a> Parameter<'a> {
+    /// Reads the value by `read`, which returns `None` if it is none of its type.
+    pub(super) fn get<T>(mut self, read: impl FnOnce(&mut Cursor<'a>) -> Option<T>) -> Result<T, Malformed> {
+        read(&mut self.value).ok_or(Malformed::Parameter(self.id))
+    }
 
-    /// Whether the instance is disposed, unregistered or both.
-    pub fn is_removal(self) -> bool {
-        self.0 & 3 != 0
+    /// Skips a parameter that is unknown here.
+    ///
+    /// # Errors
+    /// If its sender demands that it be understood. Demands in the range of the vendors are for their own kind.
+    pub(super) fn skip(self) -> Result<(), Malformed> {
+        const MUST_UNDERSTAND: u16 = 0x4000;
+        const OF_VENDOR: u16 = 0x8000;
+        match self.id & (MUST_UNDERSTAND | OF_VENDOR) {
+            MUST_UNDERSTAND => Err(Malformed::MustUnderstand(self.id)),
+            _ => Ok(()),
+        }
     }
 }
 
-/// The parameters in front of a sample that mean something in ROS 2.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct InlineQos {
-    /// Of a request or its reply. Parsed from ids 0x0083 and 0x800f, sent as 0x0083.
-    pub related_sample_identity: Option<SampleIdentity>,
-    /// Identity of the instance; in discovery data the guid of the entity.
-    pub key_hash: Option<[u8; 16]>,
-    #[allow(missing_docs)]
-    pub status: Option<StatusInfo>,
+/// Appends the encapsulation of a parameter list, what `write` adds, and the end mark.
+pub(super) fn write_payload(out: &mut Vec<u8>, order: ByteOrder, write: impl FnOnce(&mut Encoder<'_>)) {
+    out.extend(match order {
+        ByteOrder::Big => [0x00, 0x02, 0x00, 0x00],
+        ByteOrder::Little => [0x00, 0x03, 0x00, 0x00],
+    });
+    let mut out = Encoder::new(out, order);
+    write(&mut out);
+    write_end(&mut out);
 }
 
-impl InlineQos {
-    /// Bytes on the wire, 0 if there is nothing to say.
-    pub fn encoded_len(&self) -> usize {
-        todo!()
-    }
+/// Appends one parameter, whose value `write` adds.
+pub(super) fn write_parameter(out: &mut Encoder<'_>, id: u16, write: impl FnOnce(&mut Encoder<'_>)) {
+    out.u16(id);
+    out.u16(0);
+    let start = out.len();
+    write(out);
+    out.align(start);
+    // Strings and user data of our own are configuration of a few hundred bytes.
+    out.set_u16(start - 2, u16::try_from(out.len() - start).expect("a parameter below 64 kB"));
+}
+
+/// Appends the end mark.
+pub(super) fn write_end(out: &mut Encoder<'_>) {
+    out.u16(pid::SENTINEL);
+    out.u16(0);
 }

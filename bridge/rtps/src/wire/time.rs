@@ -42,14 +42,12 @@ impl Timestamp {
     }
 }
 
-/// Reads a duration; `None` is infinite, and the error is for a negative one.
-pub(super) fn read_duration(cursor: &mut Cursor<'_>) -> Result<Option<Option<Duration>>, Malformed> {
-    let (seconds, fraction) = (cursor.i32()?, cursor.u32()?);
-    let Ok(seconds) = u64::try_from(seconds) else { return Ok(None) };
-    if seconds == i32::MAX as u64 {
-        return Ok(Some(None));
-    }
-    Ok(Some(Some(Duration::from_secs(seconds) + Duration::from_nanos(nanos(fraction)))))
+/// Reads a duration: `Some(None)` is infinite, `None` an error because it is negative or cut off.
+pub(super) fn read_duration(cursor: &mut Cursor<'_>) -> Option<Option<Duration>> {
+    let (seconds, fraction) = (cursor.i32().ok()?, cursor.u32().ok()?);
+    let seconds = u32::try_from(seconds).ok()?;
+    let finite = Duration::from_secs(seconds.into()) + Duration::from_nanos(nanos(fraction));
+    Some((seconds != i32::MAX.cast_unsigned()).then_some(finite))
 }
 
 /// Writes a duration; `None` and what is longer than 68 years is infinite.

@@ -1,0 +1,66 @@
+//! Values of parameters that more than one kind of discovery data has. Readers return `None` for what is no such value.
+
+use std::net::SocketAddrV4;
+
+use super::Locator;
+use super::bytes::{Cursor, Encoder};
+use super::parameters::write_parameter;
+
+/// Longest string or user data kept, in bytes, unless a caller says otherwise: what ROS 2 puts there is a path or two.
+pub(super) const MAX_TEXT: usize = 1024;
+
+/// Locators kept of each list: a host with more interfaces is reached by the first ones.
+pub(super) const MAX_LOCATORS: usize = 16;
+
+/// Reads a string of at most `max_len` bytes.
+pub(super) fn read_string(value: &mut Cursor<'_>, max_len: usize) -> Option<String> {
+    let length = value.u32().ok()? as usize;
+    let bytes = match value.take(length).ok()? {
+        [] => &[], // not CDR, but harmless
+        [text @ .., 0] => text,
+        _ => return None,
+    };
+    if bytes.len() > max_len || bytes.contains(&0) {
+        return None;
+    }
+    std::str::from_utf8(bytes).ok().map(str::to_owned)
+}
+
+pub(super) fn write_string(text: &str, out: &mut Encoder<'_>) {
+    write_octets_with(text.len() + 1, out);
+    out.bytes(text.as_bytes());
+    out.bytes(&[0]);
+}
+
+/// Reads octets. More than [`MAX_TEXT`] are not kept: they are not of ROS 2, and nothing depends on them.
+pub(super) fn read_octets(value: &mut Cursor<'_>) -> Option<Vec<u8>> {
+    let length = value.u32().ok()? as usize;
+    let octets = value.take(length).ok()?;
+    Some(if length > MAX_TEXT { Vec::new() } else { octets.to_vec() })
+}
+
+pub(super) fn write_octets(octets: &[u8], out: &mut Encoder<'_>) {
+    write_octets_with(octets.len(), out);
+    out.bytes(octets);
+}
+
+fn write_octets_with(length: usize, out: &mut Encoder<'_>) {
+    out.u32(u32::try_from(length).expect("configuration below 4 GB"));
+}
+
+pub(super) fn read_bool(value: &mut Cursor<'_>) -> Option<bool> {
+    value.array::<1>().ok().map(|[byte]| byte != 0)
+}
+
+/// Reads a locator and keeps it, if it can be used and there is room.
+pub(super) fn read_locator(value: &mut Cursor<'_>, kept: &mut Vec<SocketAddrV4>) -> Option<()> {
+    let address = Locator::read(value).ok()?.udp_v4();
+    kept.extend(address.filter(|_| kept.len() < MAX_LOCATORS));
+    Some(())
+}
+
+pub(super) fn write_locators(out: &mut Encoder<'_>, id: u16, locators: &[SocketAddrV4]) {
+    for locator in locators {
+        write_parameter(out, id, |out| Locator::from(*locator).write(out));
+    }
+}
