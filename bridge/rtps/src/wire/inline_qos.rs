@@ -1,8 +1,8 @@
 //! What may stand in front of a sample (section 8.7.2 and 9.6.4).
 
-use super::bytes::Encoder;
+use super::bytes::{Cursor, Encoder};
 use super::parameters::{ParameterList, pid, write_end, write_parameter};
-use super::{Guid, Malformed, SampleIdentity, SequenceNumber};
+use super::{Guid, Malformed, Payload, SampleIdentity, SequenceNumber};
 
 /// The parameters in front of a sample that mean something in ROS 2. Others are skipped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -38,6 +38,19 @@ impl InlineQos {
         Self { key_hash: Some(removed.to_bytes()), status: Some(StatusInfo::REMOVED), ..Self::default() }
     }
 
+    /// The entity whose removal a sample of discovery announces: from the key hash, as Fast DDS sends it, or from a payload
+    /// that is only the key, as Cyclone DDS does. `None` if this is no removal, or one of nobody.
+    pub fn removed(&self, payload: Payload<'_>) -> Option<Guid> {
+        self.status.filter(|status| status.is_removal())?;
+        if let Some(key_hash) = self.key_hash {
+            return Some(Guid::from_bytes(key_hash));
+        }
+        let Payload::Key(key) = payload else { return None };
+        let mut parameters = ParameterList::from_payload(key).ok()?.iter();
+        let guid = parameters.find(|it| matches!(it.id, pid::PARTICIPANT_GUID | pid::ENDPOINT_GUID))?;
+        guid.get(|value| value.array().ok()).ok().map(Guid::from_bytes)
+    }
+
     /// Bytes on the wire: 0 if there is nothing to say.
     pub fn encoded_len(&self) -> usize {
         if self.is_empty() {
@@ -56,7 +69,7 @@ impl InlineQos {
     pub(super) fn from_list(list: ParameterList<'_>) -> Result<Self, Malformed> {
         let mut inline_qos = Self::default();
         for parameter in list.iter() {
-            let identity = |cursor: &mut super::bytes::Cursor<'_>| {
+            let identity = |cursor: &mut Cursor<'_>| {
                 let writer = Guid::from_bytes(cursor.array().ok()?);
                 Some(SampleIdentity { writer, number: SequenceNumber::read_any(cursor).ok()? })
             };

@@ -1,10 +1,10 @@
 //! Messages and their submessages (sections 9.4.4 and 9.4.5).
 
 use super::bytes::Cursor;
-use super::parameters::{ParameterList, pid};
+use super::parameters::ParameterList;
 use super::{
-    ByteOrder, EntityId, FragmentSet, Guid, GuidPrefix, InlineQos, Malformed, SequenceNumber,
-    SequenceNumberSet, Timestamp, VendorId,
+    ByteOrder, EntityId, FragmentSet, GuidPrefix, InlineQos, Malformed, SequenceNumber, SequenceNumberSet,
+    Timestamp, VendorId,
 };
 
 /// Kinds of submessages (section 9.4.5.1.1).
@@ -115,21 +115,6 @@ pub struct Data<'a> {
     pub inline_qos: InlineQos,
     #[allow(missing_docs)]
     pub payload: Payload<'a>,
-}
-
-impl Data<'_> {
-    /// The entity that a removal in discovery data is about: from the key hash, as Fast DDS says it, or from the key, as
-    /// Cyclone DDS does. `None` if this is no removal, or tells nobody.
-    pub fn removed(&self) -> Option<Guid> {
-        self.inline_qos.status.filter(|status| status.is_removal())?;
-        if let Some(key_hash) = self.inline_qos.key_hash {
-            return Some(Guid::from_bytes(key_hash));
-        }
-        let Payload::Key(key) = self.payload else { return None };
-        let mut parameters = ParameterList::from_payload(key).ok()?.iter();
-        let guid = parameters.find(|it| matches!(it.id, pid::PARTICIPANT_GUID | pid::ENDPOINT_GUID))?;
-        guid.get(|value| value.array().ok()).ok().map(Guid::from_bytes)
-    }
 }
 
 /// The content of a sample, with the four bytes of its encapsulation in front.
