@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use crate::bridge::middleware::Engine;
 use crate::duration::parse as duration;
 use crate::inspect::Request;
 use crate::msgs::encoding::Encoding;
@@ -156,6 +157,9 @@ pub(crate) struct RunArguments {
     /// The ROS domain, instead of ROS_DOMAIN_ID.
     #[arg(long, value_name = "N")]
     pub(crate) domain: Option<u16>,
+    /// Speak RTPS by this engine instead of the robot file's: rtps, or rustdds where that feature is built in.
+    #[arg(long, value_name = "ENGINE")]
+    pub(crate) engine: Option<Engine>,
     #[command(flatten)]
     pub(crate) parameters: ParameterArguments,
 }

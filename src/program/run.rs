@@ -30,7 +30,9 @@ pub(crate) fn run(
         arguments.force.check(Output::Bag, directory)?;
     }
     let stop = Stop::new()?;
-    let mut robot = WatchedRobot::new(arguments.parameters.read_robot(&arguments.robot, catalog, ros)?)?;
+    let mut file = arguments.parameters.read_robot(&arguments.robot, catalog, ros)?;
+    file.expose.features.engine = arguments.engine.unwrap_or(file.expose.features.engine);
+    let mut robot = WatchedRobot::new(file)?;
     let options = participant_options(arguments.domain)?;
     robot.prepared.expose(&options, Some(&log.of_node))?;
     if let Some(directory) = &arguments.record {

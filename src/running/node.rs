@@ -57,8 +57,9 @@ impl RobotNode {
     ) -> Result<Self, StartError> {
         let exposed = robot.exposed()?;
         let claim = claim(&robot.file, options.domain_id)?;
+        let features = robot.file.expose.features.clone();
         let participant = Participant::join_with(
-            options,
+            &ParticipantOptions { engine: features.engine, ..options.clone() },
             robot.file.remaps.clone(),
             robot.file.catalog.interfaces.clone(),
         )?;
@@ -66,7 +67,6 @@ impl RobotNode {
         if let Some(log) = log {
             log.names.set_node(node.name());
         }
-        let features = robot.file.expose.features.clone();
         let rosout = log.map(|log| &log.rosout);
         let rosout = rosout.filter(|_| features.rosout && !robot.file.is_rosout_disabled);
         if let (None, Some(log)) = (rosout, log) {

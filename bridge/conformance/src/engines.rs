@@ -4,8 +4,9 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
-use downbeat_bridge::middleware::dds::DdsParticipant;
 use downbeat_bridge::middleware::in_process::Hub;
+#[cfg(feature = "rustdds")]
+use downbeat_bridge::middleware::rustdds::RustddsParticipant;
 use downbeat_bridge::middleware::{Middleware, MiddlewareError, ParticipantOptions};
 
 use crate::engine::{Engine, KnownFailure};
@@ -26,6 +27,7 @@ pub fn in_process() -> Engine {
     }
 }
 
+#[cfg(feature = "rustdds")]
 /// rustdds; with the program that is the other process, if there is one.
 #[must_use]
 pub fn rustdds(peer: Option<PathBuf>) -> Engine {
@@ -38,14 +40,16 @@ pub fn rustdds(peer: Option<PathBuf>) -> Engine {
     }
 }
 
+#[cfg(feature = "rustdds")]
 /// A participant of rustdds.
 ///
 /// # Errors
-/// Those of [`DdsParticipant::new`].
+/// Those of [`RustddsParticipant::new`].
 pub fn join_rustdds(options: &ParticipantOptions) -> Result<Box<dyn Middleware>, MiddlewareError> {
-    Ok(Box::new(DdsParticipant::new(options)?))
+    Ok(Box::new(RustddsParticipant::new(options)?))
 }
 
+#[cfg(feature = "rustdds")]
 /// Causes are in the source of rustdds 0.15.1 where a path is given.
 const RUSTDDS: &[KnownFailure] = &[
     KnownFailure {

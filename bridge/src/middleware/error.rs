@@ -42,12 +42,6 @@ pub enum MiddlewareError {
     /// The thread that runs the handlers of services could not start.
     #[error("starting the thread of the services failed: {0}")]
     ServiceThread(std::io::Error),
-    /// The thread that watches over the engine could not start.
-    #[error("starting the thread that watches over the DDS engine failed: {0}")]
-    Supervisor(std::io::Error),
-    /// The participant is not in its domain at this moment.
-    #[error("the participant is joining its domain again after it lost touch; try again in a second")]
-    Away,
     /// The engine panicked; the participant must not be used any more.
     #[error("the DDS engine panicked while {doing}; restart the bridge")]
     Panicked {
@@ -62,10 +56,6 @@ pub enum WriteError {
     /// The send window is full: a reliable reader does not acknowledge.
     #[error("the send window is full: a reliable reader does not acknowledge (its process may have died)")]
     WindowFull,
-    /// The participant is not in its domain at this moment. A writer that is transient local writes the sample when it is
-    /// there again.
-    #[error("the participant is joining its domain again after it lost touch")]
-    Away,
     /// The payload does not begin with an encapsulation header the engine can send.
     #[error(
         "a payload must begin with the encapsulation header of little-endian CDR, 00 01 00 00; found {found:02x?}"
@@ -73,16 +63,6 @@ pub enum WriteError {
     Encapsulation {
         /// The first bytes of the payload, at most four.
         found: Vec<u8>,
-    },
-    /// The engine cannot say to which other sample so large a sample belongs.
-    #[error(
-        "a sample that names another (a reply) may have {limit} bytes on this DDS engine, this one has {length}"
-    )]
-    TooLargeToNameAnother {
-        /// The length of the payload.
-        length: usize,
-        /// The greatest length.
-        limit: usize,
     },
     /// The engine failed.
     #[error("the DDS engine failed: {0}")]
@@ -107,6 +87,12 @@ pub enum OptionsError {
         /// The value found.
         found: String,
     },
+    /// No engine of that name is built in.
+    #[error("{found:?} is no engine that is built in: there is {}{}", engines(), hint(found))]
+    Engine {
+        /// The name found.
+        found: String,
+    },
     /// `ROS_AUTOMATIC_DISCOVERY_RANGE` is not a range.
     #[error(
         "ROS_AUTOMATIC_DISCOVERY_RANGE={found:?} is not a range: expected LOCALHOST, SUBNET, OFF or SYSTEM_DEFAULT"
@@ -115,4 +101,12 @@ pub enum OptionsError {
         /// The value found.
         found: String,
     },
+}
+
+fn engines() -> String {
+    super::Engine::ALL.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+}
+
+fn hint(engine: &str) -> &'static str {
+    if engine == "rustdds" { "; build with the feature rustdds for that one" } else { "" }
 }

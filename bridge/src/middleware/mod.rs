@@ -4,16 +4,15 @@
 //! the node graph ([`crate::ros`] does). The bytes are a whole serialized payload: the four bytes of the CDR
 //! encapsulation header, then the body, as `rclpy.serialization.serialize_message` gives them.
 //!
-//! Two engines implement [`Middleware`]: [`dds`] (rustdds, speaks RTPS with every ROS 2 node) and [`in_process`]
-//! (a hub in memory: tests without a network, and `ROS_AUTOMATIC_DISCOVERY_RANGE=OFF`). One suite, the package in
-//! `conformance/`, holds for both, and for the requests and replies ([`rpc`]) that are made of samples that name the sample
-//! they belong to. What an engine does not tell of its endpoints is observed from outside ([`observing`]).
+//! Engines behind [`Middleware`]: `downbeat-rtps`, which speaks RTPS with every ROS 2 node; the crate rustdds, with the
+//! feature of that name; and [`in_process`], a hub in memory for tests without a network. One suite, the package in
+//! `conformance/`, holds for all of them, and for the requests and replies ([`rpc`]), which are samples that name the
+//! sample they belong to.
 
-pub mod dds;
 pub mod in_process;
-pub mod observing;
-pub mod rejoining;
 pub mod rpc;
+#[cfg(feature = "rustdds")]
+pub mod rustdds;
 
 mod endpoint;
 mod error;
@@ -23,11 +22,9 @@ mod options;
 pub use endpoint::{Direction, Endpoint, Gid, RemoteEndpoint, Sample, SampleIdentity, WriteOptions};
 pub use error::{MiddlewareError, OptionsError, WriteError};
 pub use event::{Aliveness, EndpointEvent, EventHandler, QosPolicyKind};
-pub use options::{DiscoveryRange, MAX_DOMAIN_ID, ParticipantOptions};
+pub use options::{DiscoveryRange, Engine, MAX_DOMAIN_ID, ParticipantOptions};
 
 use bytes::Bytes;
-use observing::Observing;
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -38,23 +35,6 @@ pub type SampleHandler = Box<dyn FnMut(Sample) + Send>;
 /// Is told that an endpoint was matched, or is matched no more. It runs on a thread of the middleware, so it must hand
 /// over and return.
 pub type MatchHandler = Box<dyn Fn() + Send + Sync>;
-
-/// Is told when a participant leaves its domain to join it again. It runs on a thread of the middleware.
-pub type RejoinHandler = Box<dyn Fn(&RejoinStep) + Send + Sync>;
-
-/// What becomes of a participant that has lost touch.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum RejoinStep {
-    /// It is about to leave: a last word can be written.
-    Leaving,
-    /// It is there again.
-    Joined {
-        /// The identity it has now.
-        participant: Gid,
-        /// The identities of its endpoints: before and now.
-        endpoints: BTreeMap<Gid, Gid>,
-    },
-}
 
 /// A participant of a domain: creates endpoints, and knows those of others. It does not hear itself: its own readers
 /// neither match nor receive what its own writers write.
@@ -83,10 +63,6 @@ pub trait Middleware: Send + Sync {
 
     /// The endpoints of other participants that are known at this moment.
     fn remote_endpoints(&self) -> Vec<RemoteEndpoint>;
-
-    /// Has `handler` called, besides those before, when the participant joins its domain again with other identities.
-    /// One that never does need not call it.
-    fn on_rejoin(&self, _handler: RejoinHandler) {}
 }
 
 /// Writes samples to one topic. Dropping it removes the endpoint.
@@ -104,7 +80,7 @@ pub trait Writer: Send + Sync {
     fn on_match(&self, handler: MatchHandler);
 
     /// Has `handler` told what happens to this endpoint: first what holds already, then what changes. It replaces the one
-    /// before. An engine tells at least who is matched and who is not for what policy; [`observing`] adds the rest.
+    /// before.
     fn on_event(&self, handler: EventHandler);
 
     /// Writes one sample, stamped with the present time. Never blocks: a sample that does not fit the send window
@@ -141,7 +117,7 @@ pub trait Reader: Send + Sync {
     fn on_match(&self, handler: MatchHandler);
 
     /// Has `handler` told what happens to this endpoint: first what holds already, then what changes. It replaces the one
-    /// before. An engine tells at least who is matched and who is not for what policy; [`observing`] adds the rest.
+    /// before.
     fn on_event(&self, handler: EventHandler);
 }
 
@@ -153,9 +129,10 @@ pub fn join(options: &ParticipantOptions) -> Result<Arc<dyn Middleware>, Middlew
     options.not_honoured().iter().for_each(|sentence| tracing::warn!("{sentence}"));
     if options.discovery_range == DiscoveryRange::Off {
         tracing::warn!("ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: no other ROS 2 node will see this one");
-        return Ok(Arc::new(Observing::over(Box::new(in_process::Hub::new().join()))));
     }
-    let options = options.clone();
-    let join = move |sink| Ok(Box::new(dds::DdsParticipant::watched(&options, sink)?) as Box<dyn Middleware>);
-    Ok(Arc::new(Observing::over(Box::new(rejoining::Rejoining::join(join)?))))
+    match options.engine {
+        Engine::Rtps => Ok(Arc::new(in_process::Hub::new().join())),
+        #[cfg(feature = "rustdds")]
+        Engine::Rustdds => Ok(Arc::new(rustdds::RustddsParticipant::new(options)?)),
+    }
 }

@@ -1,6 +1,9 @@
 //! Which domain to join and how far to look, as ROS 2 environment variables say it.
 
 use super::OptionsError;
+use std::fmt;
+use std::str::FromStr;
+use std::time::Duration;
 
 /// The highest domain whose UDP ports exist: port 7400 + 250 * domain must stay below 65536.
 pub const MAX_DOMAIN_ID: u16 = 232;
@@ -16,6 +19,49 @@ pub enum DiscoveryRange {
     Subnet,
 }
 
+/// The engine that speaks RTPS.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Engine {
+    /// The engine of this project, `downbeat-rtps`.
+    #[default]
+    Rtps,
+    /// The crate rustdds: a second opinion, with the limits that `docs/dds_limits.md` lists.
+    #[cfg(feature = "rustdds")]
+    Rustdds,
+}
+
+impl Engine {
+    /// The engines that are built in.
+    pub const ALL: &[Self] = &[
+        Self::Rtps,
+        #[cfg(feature = "rustdds")]
+        Self::Rustdds,
+    ];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Rtps => "rtps",
+            #[cfg(feature = "rustdds")]
+            Self::Rustdds => "rustdds",
+        }
+    }
+}
+
+impl fmt::Display for Engine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Engine {
+    type Err = OptionsError;
+
+    fn from_str(text: &str) -> Result<Self, OptionsError> {
+        let found = Self::ALL.iter().find(|engine| engine.name() == text).copied();
+        found.ok_or_else(|| OptionsError::Engine { found: text.to_owned() })
+    }
+}
+
 /// How to join a domain.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ParticipantOptions {
@@ -27,9 +73,16 @@ pub struct ParticipantOptions {
     pub static_peers: Vec<String>,
     /// `ROS_SECURITY_ENABLE`, which the engine cannot honour: told in a warning.
     pub wants_security: bool,
+    /// The engine.
+    pub engine: Engine,
+    /// How long others keep this participant after they last heard of it.
+    pub lease: Duration,
 }
 
 impl ParticipantOptions {
+    /// The lease of Fast DDS.
+    pub const LEASE: Duration = Duration::from_secs(20);
+
     /// Domain `domain_id`, and the range that ROS 2 takes unless told otherwise.
     #[must_use]
     pub fn new(domain_id: u16) -> Self {
@@ -38,6 +91,8 @@ impl ParticipantOptions {
             discovery_range: DiscoveryRange::Subnet,
             static_peers: Vec::new(),
             wants_security: false,
+            engine: Engine::default(),
+            lease: Self::LEASE,
         }
     }
 
@@ -90,7 +145,7 @@ impl ParticipantOptions {
         if wants_security && lookup("ROS_SECURITY_STRATEGY").is_some_and(|value| value == "Enforce") {
             return Err(OptionsError::Security);
         }
-        Ok(Self { domain_id, discovery_range, static_peers, wants_security })
+        Ok(Self { discovery_range, static_peers, wants_security, ..Self::new(domain_id) })
     }
 
     /// What is asked for and cannot be done, each with what to do instead: a sentence for the log.

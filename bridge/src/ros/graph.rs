@@ -8,8 +8,7 @@ use super::network::Owners;
 use super::{MessageType, NodeName, TopicName};
 use crate::middleware::rpc::{RpcLink, TimeLimited};
 use crate::middleware::{
-    Direction, Endpoint, Gid, Middleware, MiddlewareError, Reader, RejoinStep, RemoteEndpoint, Sample,
-    WriteError, Writer,
+    Direction, Endpoint, Gid, Middleware, MiddlewareError, Reader, RemoteEndpoint, Sample, WriteError, Writer,
 };
 use downbeat_msgs::qos::{Durability, QosProfile};
 use downbeat_msgs::rmw_dds_common::msg::{Gid as GidMessage, NodeEntitiesInfo, ParticipantEntitiesInfo};
@@ -75,12 +74,9 @@ struct Untold {
 
 #[derive(Default)]
 struct OwnNode {
-    readers: Endpoints,
-    writers: Endpoints,
+    readers: BTreeSet<Gid>,
+    writers: BTreeSet<Gid>,
 }
-
-/// The identities of endpoints: when they were created, and now.
-type Endpoints = BTreeMap<Gid, Gid>;
 
 /// The last message of each participant.
 type Heard = BTreeMap<[u8; 12], ParticipantEntitiesInfo>;
@@ -106,12 +102,6 @@ impl Graph {
         };
         let reader_endpoint = Endpoint { qos: endpoint.qos.keep_last(100), ..endpoint };
         let reader = middleware.create_reader(&reader_endpoint, Box::new(hear))?;
-        let rejoining = Arc::downgrade(&own);
-        middleware.on_rejoin(Box::new(move |step| {
-            if let Some(own) = rejoining.upgrade() {
-                own.rejoin(step);
-            }
-        }));
         Ok(Self { own, heard, _reader: reader })
     }
 
@@ -133,15 +123,14 @@ impl Graph {
     }
 
     pub(super) fn add_endpoint(&self, node: &NodeName, direction: Direction, endpoint: Gid) {
-        self.change(node, direction, |gids| gids.insert(endpoint, endpoint).is_none());
+        self.change(node, direction, |gids| gids.insert(endpoint));
     }
 
-    /// Takes away an endpoint, by the identity it was added with.
     pub(super) fn remove_endpoint(&self, node: &NodeName, direction: Direction, endpoint: Gid) {
-        self.change(node, direction, |gids| gids.remove(&endpoint).is_some());
+        self.change(node, direction, |gids| gids.remove(&endpoint));
     }
 
-    fn change(&self, node: &NodeName, direction: Direction, change: impl FnOnce(&mut Endpoints) -> bool) {
+    fn change(&self, node: &NodeName, direction: Direction, change: impl FnOnce(&mut BTreeSet<Gid>) -> bool) {
         let mut state = lock(&self.own.state);
         let Some(endpoints) = state.nodes.get_mut(node) else { return };
         let gids = match direction {
@@ -198,8 +187,7 @@ impl Own {
     /// Tells all there is, now or as soon as there is room for it.
     fn tell(&self, state: &mut OwnState) {
         match self.write(state) {
-            // While the participant is away nothing can be told; it is once it is there again.
-            Ok(()) | Err(WriteError::Away) => state.untold = None,
+            Ok(()) => state.untold = None,
             Err(WriteError::WindowFull) => {
                 let waited = state.untold.take().map(|untold| untold.wait);
                 let wait = waited.map_or(FIRST_WAIT, |waited| (waited * 2).min(LONGEST_WAIT));
@@ -219,7 +207,7 @@ impl Own {
     }
 
     fn write(&self, state: &OwnState) -> Result<(), WriteError> {
-        let messages = |gids: &Endpoints| gids.values().map(|gid| GidMessage { data: gid.0 }).collect();
+        let messages = |gids: &BTreeSet<Gid>| gids.iter().map(|gid| GidMessage { data: gid.0 }).collect();
         let node = |(node, endpoints): (&NodeName, &OwnNode)| NodeEntitiesInfo {
             node_namespace: node.namespace().to_owned(),
             node_name: node.name().to_owned(),
@@ -231,22 +219,6 @@ impl Own {
             node_entities_info_seq: state.nodes.iter().map(node).collect(),
         };
         self.writer.write(cdr::to_vec(&info).into())
-    }
-
-    fn rejoin(&self, step: &RejoinStep) {
-        let mut state = lock(&self.state);
-        match step {
-            RejoinStep::Leaving => self.take_leave(state.participant),
-            RejoinStep::Joined { participant, endpoints } => {
-                state.participant = *participant;
-                let own = state.nodes.values_mut();
-                let gids = own.flat_map(|node| node.readers.values_mut().chain(node.writers.values_mut()));
-                for gid in gids {
-                    *gid = endpoints.get(gid).copied().unwrap_or(*gid);
-                }
-                self.tell(&mut state);
-            }
-        }
     }
 
     /// Tells that there are no nodes any more, and waits until the others have heard it.

@@ -102,7 +102,7 @@ impl Sender {
         let counters = &self.rosout.shared;
         match self.publish(line) {
             // A line that comes while the participant is away is latched, and sent when it has joined its domain again.
-            Ok(()) | Err(WriteError::Away) => drop(counters.published.fetch_add(1, Ordering::Relaxed)),
+            Ok(()) => drop(counters.published.fetch_add(1, Ordering::Relaxed)),
             Err(error) => {
                 if counters.failed.fetch_add(1, Ordering::Relaxed) == 0 {
                     tracing::warn!(%error, "a line was not sent on {TOPIC}; from now on this is only counted");

@@ -5,13 +5,13 @@ pub mod matrix;
 pub mod rclpy;
 
 use bytes::Bytes;
-use downbeat_bridge::middleware::dds::DdsParticipant;
 use downbeat_bridge::middleware::in_process::Hub;
+use downbeat_bridge::middleware::rtps::RtpsParticipant;
 use downbeat_bridge::middleware::{DiscoveryRange, Endpoint, Middleware, ParticipantOptions, Reader, Sample};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-/// Generous: the machine may be busy, and transient local data of a late reader takes seconds by design of rustdds.
+/// Generous: the machine may be busy.
 pub const WATCHDOG: Duration = Duration::from_secs(30);
 
 /// The program behind [`rclpy::Peer`].
@@ -30,7 +30,7 @@ pub struct Dds(pub u16);
 
 impl Domain for Dds {
     fn join(&self) -> Box<dyn Middleware> {
-        Box::new(DdsParticipant::new(&on_loopback(self.0)).unwrap())
+        Box::new(RtpsParticipant::new(&on_loopback(self.0)).unwrap())
     }
 }
 

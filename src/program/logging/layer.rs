@@ -86,7 +86,7 @@ impl LogLayer {
     /// True if some logger has a level at which such an event is wanted.
     fn may_be_raised(&self, metadata: &Metadata<'_>) -> bool {
         let severity = Severity::of(*metadata.level());
-        let is_ours = !metadata.target().starts_with(crate::bridge::middleware::dds::LOG_TARGET);
+        let is_ours = !metadata.target().starts_with("rustdds");
         metadata.is_event() && is_ours && self.levels.least().is_some_and(|least| severity >= least)
     }
 }

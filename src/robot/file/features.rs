@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use downbeat_bridge::clock;
+use downbeat_bridge::middleware::{Engine, OptionsError};
 
 use super::table::{Table, Value};
 use super::{Located, Result, RobotFile, choice};
@@ -22,6 +23,8 @@ pub struct NodeFeatures {
     pub clock: ClockChoice,
     /// Whether the process tells of itself on the topic `diagnostics` once a second.
     pub diagnostics: bool,
+    /// The engine that speaks RTPS.
+    pub engine: Engine,
     /// A URDF file, relative to the robot file, to publish on `robot_description`.
     pub(crate) robot_description: Option<Located<String>>,
 }
@@ -50,6 +53,7 @@ impl Default for NodeFeatures {
             network: false,
             clock: ClockChoice::Own,
             diagnostics: true,
+            engine: Engine::default(),
             robot_description: None,
         }
     }
@@ -73,6 +77,9 @@ impl NodeFeatures {
             diagnostics: table
                 .take("diagnostics")
                 .map_or(Ok(unless_given.diagnostics), |value| value.flag())?,
+            engine: table.take("engine").map_or(Ok(unless_given.engine), |value| {
+                value.text()?.parse().map_err(|error: OptionsError| value.error(error.to_string()))
+            })?,
             robot_description: description
                 .map(|value| Ok(Located { line: value.line(), value: value.text()?.to_owned() }))
                 .transpose()?,

@@ -90,25 +90,18 @@ struct Shared {
     /// Held while a request is numbered and written: the number of the call must be known before its answer comes.
     sending: Mutex<Sending>,
     /// The identity of the reader of replies, by which servers name it.
-    reader: Mutex<Gid>,
+    reader: Gid,
     calls: Mutex<Calls>,
     /// Beside `changed`, which tells that matches have changed.
     waiting: Mutex<()>,
     changed: Condvar,
 }
 
-/// The endpoint that sends, which a participant that rejoins its domain gets anew, the number of its last sample, and who
-/// takes what it sends.
+/// The number of the last sample, and who takes what is sent.
+#[derive(Default)]
 struct Sending {
-    writer: Gid,
     last: CallNumber,
     acquaintances: Acquaintances,
-}
-
-impl Sending {
-    fn with(writer: Gid) -> Self {
-        Self { writer, last: 0, acquaintances: Acquaintances::default() }
-    }
 }
 
 #[derive(Default)]
@@ -156,8 +149,8 @@ impl RequestClient {
         let shared = Arc::new(Shared {
             service: service.name.clone(),
             link: thread.link(),
-            sending: Mutex::new(Sending::with(writer.gid())),
-            reader: Mutex::new(reader.gid()),
+            sending: Mutex::default(),
+            reader: reader.gid(),
             writer,
             calls: Mutex::default(),
             waiting: Mutex::default(),
@@ -266,24 +259,8 @@ impl RequestClient {
             calls.by_deadline.first() == Some(&(deadline, number))
         };
         let options = WriteOptions { related, only_to: is_mixed.then_some(server) };
-        let written = match shared.writer.write_with(payload.clone(), options) {
-            // The server then knows the request by its own identity, and does not wait for the reader of replies.
-            Err(WriteError::TooLargeToNameAnother { .. }) => {
-                shared.writer.write_with(payload, WriteOptions { related: None, ..options })
-            }
-            written => written,
-        };
-        match written {
+        match shared.writer.write_with(payload, options) {
             Ok(written) => {
-                // Only this client writes with its writer: another number is that of a writer that came in between.
-                if written != number
-                    && let Some(call) = lock(&shared.calls).take(number)
-                {
-                    return Err((
-                        call.on_reply,
-                        CallError::Write { service: service(), error: WriteError::Away },
-                    ));
-                }
                 sending.last = written;
                 if is_first {
                     shared.link.look_again();
@@ -298,19 +275,8 @@ impl RequestClient {
         }
     }
 
-    /// What was asked before the participant left its domain is not answered any more, and samples count from 1 again.
-    fn begin_anew_if_rejoined(&self, sending: &mut Sending) {
-        let writer = self.shared.writer.gid();
-        if sending.writer != writer {
-            *sending = Sending::with(writer);
-            *lock(&self.shared.reader) = self.reader.gid();
-            self.shared.end_calls(|service| CallError::Write { service, error: WriteError::Away });
-        }
-    }
-
     /// The readers of requests that take what is asked now and whose participants can also answer.
     fn request_readers(&self, sending: &mut Sending) -> Vec<Gid> {
-        self.begin_anew_if_rejoined(sending);
         let answering = self.reader.matched_writers();
         let mut readers = self.shared.acquainted_readers(sending);
         readers.retain(|reader| of_participant(&answering, reader.participant()).is_some());
@@ -327,10 +293,7 @@ impl Drop for RequestClient {
 impl Shared {
     /// Begins to be acquainted with who was matched, so that the first call finds it done.
     fn introduce(&self) {
-        let mut sending = lock(&self.sending);
-        if sending.writer == self.writer.gid() {
-            self.acquainted_readers(&mut sending);
-        }
+        self.acquainted_readers(&mut lock(&self.sending));
     }
 
     fn acquainted_readers(&self, sending: &mut Sending) -> Vec<Gid> {
@@ -352,11 +315,11 @@ impl Shared {
     fn receive(&self, sample: Sample) {
         let (number, cdr) = match sample.related {
             Some(SampleIdentity { endpoint, number })
-                if endpoint == *lock(&self.reader) || endpoint == self.writer.gid() =>
+                if endpoint == self.reader || endpoint == self.writer.gid() =>
             {
                 (number, sample.cdr)
             }
-            // A server of this program answers so too where the reply is large.
+            // Of a server of rmw_cyclonedds.
             None => match PayloadHeader::take_off(&sample.cdr) {
                 Some((header, cdr)) if header == PayloadHeader::of(self.writer.gid(), header.number) => {
                     (header.number, cdr)

@@ -1,6 +1,6 @@
 //! The side that answers.
 
-use super::mapping::{Label, PayloadHeader, ReturnAddress, request};
+use super::mapping::{Label, ReturnAddress, request};
 use super::thread::{RpcLink, RpcThread, TimeLimited};
 use super::{MAX_IN_FLIGHT, REPLY_HOLD, ServiceEndpoint, lock, of_participant, reading};
 use crate::limiter::Limiter;
@@ -262,23 +262,12 @@ impl Shared {
     fn send(&self, address: &ReturnAddress, cdr: &Bytes) -> Result<(), ReplyError> {
         let readers = self.writer.matched_readers();
         let reader = address.reader.or_else(|| of_participant(&readers, address.client.participant()));
-        let write = |label| {
-            let (payload, related) = match label {
-                Label::Related(identity) => (cdr.clone(), Some(identity)),
-                Label::Header(header) => (header.put_on(cdr), None),
-            };
-            self.writer.write_with(payload, WriteOptions { related, only_to: reader })
+        let (payload, related) = match address.label {
+            Label::Related(identity) => (cdr.clone(), Some(identity)),
+            Label::Header(header) => (header.put_on(cdr), None),
         };
-        let written = match write(address.label) {
-            // A client of this program also knows its request as those of rmw_cyclonedds do.
-            Err(WriteError::TooLargeToNameAnother { .. })
-                if address.client.vendor() == self.writer.gid().vendor() =>
-            {
-                write(Label::Header(PayloadHeader::of(address.client, address.number)))
-            }
-            written => written,
-        };
-        written.map(drop).map_err(ReplyError::from)
+        self.writer.write_with(payload, WriteOptions { related, only_to: reader })?;
+        Ok(())
     }
 
     fn send_held(&self) {

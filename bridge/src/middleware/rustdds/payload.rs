@@ -38,25 +38,6 @@ impl OutgoingBody {
         }
         Ok(Self(cdr.split_off(HEADER_LENGTH)))
     }
-
-    pub(super) fn as_slice(&self) -> &[u8] {
-        &self.0
-    }
-
-    /// The length with the encapsulation header.
-    pub(super) fn payload_length(&self) -> usize {
-        HEADER_LENGTH + self.0.len()
-    }
-
-    /// Appends zeros until the payload has `length` bytes; who reads it stops before them.
-    pub(super) fn pad_to(&mut self, length: usize) {
-        if self.payload_length() < length {
-            let mut padded = BytesMut::with_capacity(length);
-            padded.extend_from_slice(&self.0);
-            padded.resize(length - HEADER_LENGTH, 0);
-            self.0 = padded.freeze();
-        }
-    }
 }
 
 /// Gives rustdds the body of an [`OutgoingBody`].

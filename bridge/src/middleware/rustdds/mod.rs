@@ -6,148 +6,67 @@
 //! rustdds says much at ERROR about lost and repaired packets that is no error. It logs through the `log` crate under
 //! the target [`LOG_TARGET`]; programs set that to `off` unless asked otherwise.
 
-mod engine_threads;
-mod farewell;
-mod first_fragment;
 mod matches;
 mod payload;
 mod qos;
 mod reader_thread;
-mod returned;
-mod rtps;
-mod static_peers;
 mod writer;
 
-use super::rejoining::TroubleSink;
 use super::{
     Direction, DiscoveryRange, Endpoint, EventHandler, Gid, MatchHandler, Middleware, MiddlewareError,
     ParticipantOptions, Reader, RemoteEndpoint, SampleHandler, Writer,
 };
 use downbeat_msgs::qos::Durability;
-use engine_threads::EngineThreads;
-use farewell::Farewell;
-use first_fragment::FirstFragments;
 use matches::{MatchedCount, Matches};
 use payload::{OutgoingBody, ReceiveAny, ReceivedCdr, SendLittleEndian};
 use reader_thread::{DdsDataReader, ReaderThread};
-use returned::ReturnWatch;
 use rustdds::{DomainParticipant, DomainParticipantBuilder, QosPolicies, RTPSEntity, TopicKind};
-use static_peers::{Listening, StaticPeers};
 use std::net::Ipv4Addr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 
 /// The target under which rustdds logs.
 pub const LOG_TARGET: &str = "rustdds";
 
-/// When rustdds has surely answered a participant that was found.
-const ANSWERED: Duration = Duration::from_millis(100);
-
-/// How long a participant that joins looks for others before it has endpoints; more by [`ANSWERED`] when it finds some.
-const FIRST_LOOK: Duration = Duration::from_millis(100);
-
 type SharedMatches = Arc<Mutex<Matches>>;
 
 /// A participant of a DDS domain.
-pub struct DdsParticipant {
+pub struct RustddsParticipant {
     gid: Gid,
     // Fields drop in this order: the thread holds the readers and a strong reference to the participant.
     reader_thread: ReaderThread,
     matches: SharedMatches,
-    first_fragments: Arc<FirstFragments>,
-    _static_peers: Option<StaticPeers>,
     publisher: rustdds::Publisher,
     subscriber: rustdds::Subscriber,
     participant: DomainParticipant,
-    // Behind all that the participant itself says.
-    _farewell: Farewell,
 }
 
-impl DdsParticipant {
+impl RustddsParticipant {
     /// Joins a domain.
     ///
     /// # Errors
-    /// [`MiddlewareError::Join`] when no participant can be created, for example because 120 exist on this machine.
+    /// [`MiddlewareError::Join`] if no participant can be created, for example because 120 exist on this machine.
     pub fn new(options: &ParticipantOptions) -> Result<Self, MiddlewareError> {
-        Self::with(options, None)
-    }
-
-    /// Joins a domain with an engine that tells when it has lost touch.
-    ///
-    /// # Errors
-    /// As [`DdsParticipant::new`].
-    pub fn watched(options: &ParticipantOptions, trouble: TroubleSink) -> Result<Self, MiddlewareError> {
-        Self::with(options, Some(trouble))
-    }
-
-    fn with(options: &ParticipantOptions, trouble: Option<TroubleSink>) -> Result<Self, MiddlewareError> {
         let failed = |reason: String| MiddlewareError::Join { domain_id: options.domain_id, reason };
-        let hosts = options.static_peers.clone();
-        let listening = (!hosts.is_empty()).then(|| StaticPeers::start(options.domain_id, hosts));
-        let listening = listening.transpose().map_err(|error| failed(error.to_string()))?;
-        let ((participant, publisher, subscriber), threads) = guarded("joining the domain", || {
+        let (participant, publisher, subscriber) = guarded("joining the domain", || {
             let mut builder = DomainParticipantBuilder::new(options.domain_id);
             if options.discovery_range == DiscoveryRange::Localhost {
                 builder = builder.with_only_networks([Ipv4Addr::LOCALHOST]);
             }
-            let build = || builder.build().map_err(|error| failed(error.to_string()));
-            let (participant, threads) = EngineThreads::started_by(build)?;
+            let participant = builder.build().map_err(|error| failed(error.to_string()))?;
             let unset = QosPolicies::default();
             let publisher =
                 participant.create_publisher(&unset).map_err(|error| failed(error.to_string()))?;
             let subscriber =
                 participant.create_subscriber(&unset).map_err(|error| failed(error.to_string()))?;
-            Ok(((participant, publisher, subscriber), threads))
+            Ok((participant, publisher, subscriber))
         })?;
         let gid = matches::gid(participant.guid());
-        let watch = trouble.map(|sink| ReturnWatch::new(options.domain_id, sink));
-        let matches = Arc::new(Mutex::new(Matches::new(gid, watch)));
+        let matches = Arc::new(Mutex::new(Matches::new(gid)));
         let listener = participant.status_listener();
-        let reader_thread = ReaderThread::start(gid, listener, Arc::clone(&matches), threads)?;
-        let announce = |listening: Listening| listening.announce(gid.participant());
-        let static_peers = listening.map(announce).transpose().map_err(|error| failed(error.to_string()))?;
-        let farewell = Farewell {
-            participant: gid,
-            domain_id: options.domain_id,
-            range: options.discovery_range,
-            static_peers: static_peers.as_ref().map(StaticPeers::addresses).unwrap_or_default(),
-        };
-        let first_fragments = FirstFragments::new().map_err(|error| failed(error.to_string()))?;
-        let first_fragments = Arc::new(first_fragments);
-        let joined = Self {
-            gid,
-            reader_thread,
-            matches,
-            first_fragments,
-            _static_peers: static_peers,
-            publisher,
-            subscriber,
-            participant,
-            _farewell: farewell,
-        };
-        joined.look_around();
-        Ok(joined)
-    }
-
-    /// Waits until those who are there have surely found this participant.
-    ///
-    /// They are then told of its endpoints one by one and in order. Were endpoints created meanwhile, the first would come
-    /// again behind later ones, and Fast DDS 2.14 forgets some when two participants do that at once: it keeps what
-    /// comes out of order sorted by source timestamps (`ReaderHistory::add_change`), of which rustdds sends none with
-    /// announcements. Such an endpoint would stay unknown to that peer for ever.
-    fn look_around(&self) {
-        std::thread::sleep(FIRST_LOOK);
-        self.wait_until_all_are_answered();
-    }
-
-    fn wait_until_all_are_answered(&self) {
-        let last_participant = lock(&self.matches).last_participant();
-        let answering = last_participant.and_then(|found| ANSWERED.checked_sub(found.elapsed()));
-        if let Some(rest) = answering {
-            std::thread::sleep(rest);
-        }
+        let reader_thread = ReaderThread::start(listener, Arc::clone(&matches))?;
+        Ok(Self { gid, reader_thread, matches, publisher, subscriber, participant })
     }
 
     fn topic(
@@ -164,7 +83,7 @@ impl DdsParticipant {
     }
 }
 
-impl Middleware for DdsParticipant {
+impl Middleware for RustddsParticipant {
     fn gid(&self) -> Gid {
         self.gid
     }
@@ -205,15 +124,6 @@ impl Middleware for DdsParticipant {
 
     fn remote_endpoints(&self) -> Vec<RemoteEndpoint> {
         lock(&self.matches).remote_endpoints()
-    }
-}
-
-impl Drop for DdsParticipant {
-    fn drop(&mut self) {
-        // 10 ms after a participant was found the discovery thread of rustdds 0.15 holds a strong reference for a moment,
-        // to answer it. Were ours dropped in that moment, that thread would drop the participant, fail to join itself,
-        // and never tell the others that we leave.
-        self.wait_until_all_are_answered();
     }
 }
 
@@ -283,6 +193,3 @@ fn guarded<T>(
 fn lock(matches: &SharedMatches) -> std::sync::MutexGuard<'_, Matches> {
     matches.lock().unwrap_or_else(PoisonError::into_inner)
 }
-
-#[cfg(test)]
-mod tests;

@@ -2,12 +2,10 @@
 //!
 //! Readers are owned by the thread: rustdds registers a reader for polling through `&mut`. Handles send commands.
 
-use super::engine_threads::EngineThreads;
 use super::matches::gid;
 use super::payload::{ReceiveAny, ReceivedCdr};
 use super::{SharedMatches, lock};
 use crate::limiter::Limiter;
-use crate::middleware::rejoining::Trouble;
 use crate::middleware::{EventHandler, Gid, Sample, SampleHandler, SampleIdentity};
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
 use rustdds::mio1::{Events, Interest, Poll, Registry, Token, Waker};
@@ -18,7 +16,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 pub(super) type DdsDataReader = rustdds::no_key::SimpleDataReader<ReceivedCdr, ReceiveAny>;
 
@@ -29,9 +27,6 @@ const FIRST_READER: usize = 2;
 /// After so many samples of one reader the others get their turn.
 const SAMPLES_PER_TURN: usize = 256;
 
-/// How often it is looked whether the threads of the engine are still there.
-const LOOK_AT_THREADS: Duration = Duration::from_secs(1);
-
 /// A running thread; dropping it stops and joins the thread.
 pub(super) struct ReaderThread {
     link: Link,
@@ -41,16 +36,13 @@ pub(super) struct ReaderThread {
 
 impl ReaderThread {
     pub(super) fn start(
-        own: Gid,
         discovery: DomainParticipantStatusListener,
         matches: SharedMatches,
-        threads: EngineThreads,
     ) -> io::Result<Self> {
         let poll = Poll::new()?;
         let waker = Arc::new(Waker::new(poll.registry(), WAKE)?);
         let (sender, commands) = unbounded();
-        let (own, readers) = (own.participant(), HashMap::new());
-        let mut served = Served { own, poll, commands, discovery, matches, threads, readers };
+        let mut served = Served { poll, commands, discovery, matches, readers: HashMap::new() };
         served.discovery.as_status_source_mio1().register(
             served.poll.registry(),
             DISCOVERY,
@@ -146,12 +138,10 @@ struct ServedReader {
 
 /// What the thread owns.
 struct Served {
-    own: [u8; 12],
     poll: Poll,
     commands: Receiver<Command>,
     discovery: DomainParticipantStatusListener,
     matches: SharedMatches,
-    threads: EngineThreads,
     readers: HashMap<Token, Box<ServedReader>>,
 }
 
@@ -159,28 +149,16 @@ impl Served {
     fn run(mut self) {
         let mut events = Events::with_capacity(128);
         let mut ready = Vec::new();
-        let (mut looked, mut is_told) = (Instant::now(), false);
         self.hear_discovery();
         loop {
             // Readers that used up their turn are still ready, and polling would not tell again.
-            let timeout = if ready.is_empty() { Some(LOOK_AT_THREADS) } else { Some(Duration::ZERO) };
+            let timeout = if ready.is_empty() { None } else { Some(Duration::ZERO) };
             match self.poll.poll(&mut events, timeout) {
                 Ok(()) => {}
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
                 Err(error) => {
                     tracing::error!(%error, "polling the DDS readers failed: nothing is received any more");
-                    lock(&self.matches).tell(Trouble::Engine(format!("polling failed: {error}")));
                     return;
-                }
-            }
-            if looked.elapsed() >= LOOK_AT_THREADS {
-                looked = Instant::now();
-                if !is_told && self.threads.is_one_gone() {
-                    is_told = true;
-                    tracing::error!(
-                        "a thread of the DDS engine has ended: nothing goes out or comes in any more"
-                    );
-                    lock(&self.matches).tell(Trouble::Engine("a thread of its ended".to_owned()));
                 }
             }
             for event in &events {
@@ -232,14 +210,13 @@ impl Served {
     /// Gives what a reader holds to its handler; true when it may hold more.
     fn serve(&mut self, token: Token) -> bool {
         let Some(reader) = self.readers.get_mut(&token) else { return false };
-        match catch_unwind(AssertUnwindSafe(|| reader.take_a_turn(self.own))) {
+        match catch_unwind(AssertUnwindSafe(|| reader.take_a_turn())) {
             Ok(Turn::MayHoldMore) => true,
             Ok(Turn::Empty) => false,
             Ok(Turn::EnginePanicked) => {
                 let topic = reader.topic_name.clone();
                 tracing::error!(topic, "the DDS engine panicked while it was read");
                 self.remove(token);
-                lock(&self.matches).tell(Trouble::Engine(format!("it panicked while {topic} was read")));
                 false
             }
             Err(_) => {
@@ -276,13 +253,12 @@ impl Served {
             tracing::error!(
                 "the DDS engine panicked during discovery: numbers of matched peers may be wrong"
             );
-            lock(&self.matches).tell(Trouble::Engine("it panicked during discovery".to_owned()));
         }
     }
 }
 
 impl ServedReader {
-    fn take_a_turn(&mut self, own: [u8; 12]) -> Turn {
+    fn take_a_turn(&mut self) -> Turn {
         self.reader.drain_read_notifications();
         for _ in 0..SAMPLES_PER_TURN {
             let Ok(taken) = catch_unwind(AssertUnwindSafe(|| self.reader.try_take_one())) else {
@@ -290,7 +266,6 @@ impl ServedReader {
             };
             match taken {
                 Ok(None) => return Turn::Empty,
-                Ok(Some(change)) if gid(change.writer_guid()).participant() == own => {}
                 Ok(Some(change)) => {
                     let sample = Sample {
                         source_time_ns: change.source_timestamp().and_then(unix_time_ns),

@@ -4,17 +4,14 @@
 //! participant's, which holds 2048.
 
 use super::qos;
-use super::returned::ReturnWatch;
-use crate::middleware::rejoining::Trouble;
 use crate::middleware::{
     Direction, EndpointEvent, EventHandler, Gid, MatchHandler, QosPolicyKind, RemoteEndpoint,
 };
 use downbeat_msgs::qos::Liveliness;
-use rustdds::{DomainParticipantStatusEvent as Event, EndpointDescription, GUID, LostReason};
+use rustdds::{DomainParticipantStatusEvent as Event, EndpointDescription, GUID};
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Instant;
 
 /// The number of endpoints that one of ours is matched with, shared with its handle.
 pub(super) type MatchedCount = Arc<AtomicUsize>;
@@ -97,20 +94,11 @@ pub(super) struct Matches {
     own: [u8; 12],
     local: HashMap<Gid, Matched>,
     remote: HashMap<Gid, RemoteEndpoint>,
-    last_participant: Option<Instant>,
-    /// Where there is a supervisor to tell.
-    watch: Option<ReturnWatch>,
 }
 
 impl Matches {
-    pub(super) fn new(own: Gid, watch: Option<ReturnWatch>) -> Self {
-        Self {
-            own: own.participant(),
-            local: HashMap::new(),
-            remote: HashMap::new(),
-            last_participant: None,
-            watch,
-        }
+    pub(super) fn new(own: Gid) -> Self {
+        Self { own: own.participant(), local: HashMap::new(), remote: HashMap::new() }
     }
 
     /// The count of a local endpoint; events may have come before this call.
@@ -167,17 +155,11 @@ impl Matches {
         endpoints
     }
 
-    /// When another participant was last found.
-    pub(super) fn last_participant(&self) -> Option<Instant> {
-        self.last_participant
-    }
-
     /// Applies one event of discovery.
     #[must_use]
     pub(super) fn apply(&mut self, event: Event) -> News {
         let mut news = News::default();
         match event {
-            Event::ParticipantDiscovered { .. } => self.last_participant = Some(Instant::now()),
             Event::ReaderDetected { reader } => self.detected(reader, Direction::In),
             Event::WriterDetected { writer } => self.detected(writer, Direction::Out),
             Event::ReaderLost { guid, .. } | Event::WriterLost { guid, .. } => {
@@ -185,26 +167,21 @@ impl Matches {
                 self.remote.remove(&lost);
                 self.remove_peers(|peer| peer == lost, &mut news);
             }
-            Event::ParticipantLost { id, reason } => {
+            Event::ParticipantLost { id, .. } => {
                 let mut anyone = GUID::GUID_UNKNOWN;
                 anyone.prefix = id;
                 let lost = gid(anyone).participant();
-                if let (LostReason::Timeout { .. }, Some(watch)) = (reason, &mut self.watch) {
-                    watch.lost(lost);
-                }
                 self.remote.retain(|gid, _| gid.participant() != lost);
                 self.remove_peers(|peer| peer.participant() == lost, &mut news);
             }
             Event::RemoteReaderMatched { local_writer: local, remote_reader: peer }
             | Event::RemoteWriterMatched { local_reader: local, remote_writer: peer } => {
                 let peer = gid(peer);
-                if peer.participant() != self.own {
-                    let matched = self.local.entry(gid(local)).or_default();
-                    if self.remote.get(&peer).is_none_or(|remote| matched.suits(remote.liveliness)) {
-                        matched.matched(peer, &mut news);
-                    } else {
-                        matched.incompatible(peer, QosPolicyKind::Liveliness, &mut news);
-                    }
+                let matched = self.local.entry(gid(local)).or_default();
+                if self.remote.get(&peer).is_none_or(|remote| matched.suits(remote.liveliness)) {
+                    matched.matched(peer, &mut news);
+                } else {
+                    matched.incompatible(peer, QosPolicyKind::Liveliness, &mut news);
                 }
             }
             Event::RemoteReaderQosIncompatible {
@@ -218,20 +195,13 @@ impl Matches {
                 remote_writer: peer,
                 requested_qos,
                 offered_qos,
-            } if gid(peer).participant() != self.own => {
+            } => {
                 let policy = qos::incompatibility(&offered_qos, &requested_qos);
                 self.local.entry(gid(local)).or_default().incompatible(gid(peer), policy, &mut news);
             }
             _ => {}
         }
         news
-    }
-
-    /// Tells the supervisor, if there is one.
-    pub(super) fn tell(&self, trouble: Trouble) {
-        if let Some(watch) = &self.watch {
-            watch.tell(trouble);
-        }
     }
 
     fn detected(&mut self, endpoint: EndpointDescription, direction: Direction) {
