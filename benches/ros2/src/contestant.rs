@@ -124,7 +124,7 @@ impl Drop for Contestant {
     }
 }
 
-const CYCLONE_ON_THIS_MACHINE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" \
+pub const CYCLONE_ON_THIS_MACHINE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" \
     multicast=\"true\"/></Interfaces></General></Domain></CycloneDDS>";
 
 /// A program of this package on the interpreter that has rclpy and cyclonedds.

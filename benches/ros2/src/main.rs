@@ -11,6 +11,7 @@ mod hold;
 mod images;
 mod payload;
 mod peer;
+mod wire;
 
 use clap::{Parser, Subcommand};
 
@@ -31,6 +32,11 @@ enum Command {
     Images(images::Options),
     /// 1000 messages a second to another process and back, and the memory of both each minute.
     Hold(hold::Options),
+    /// Round trips and streams of the engine alone, beside bare UDP, rustdds (with that feature) and Cyclone DDS in C.
+    Wire(wire::Options),
+    /// One end of a pair of `wire`.
+    #[command(hide = true)]
+    WirePeer(wire::PeerOptions),
     /// One end of a pair; its results are lines of JSON.
     #[command(hide = true)]
     Peer(peer::Options),
@@ -42,6 +48,8 @@ fn main() -> anyhow::Result<()> {
         Command::AddedDelay(options) => added_delay::run(&options),
         Command::Images(options) => images::run(&options),
         Command::Hold(options) => hold::run(&options),
+        Command::Wire(options) => wire::run(&options),
+        Command::WirePeer(options) => wire::peer(&options),
         Command::Peer(options) => peer::run(&options),
     }
 }

@@ -1,0 +1,90 @@
+//! UDP sockets and nothing else.
+
+use std::io::Write;
+use std::net::{Ipv4Addr, UdpSocket};
+use std::time::{Duration, Instant};
+
+use super::{End, PeerOptions, Stream, trips, wait_for_the_end};
+
+/// What the engine puts into a datagram on one host.
+const DATAGRAM: usize = 65_000;
+/// After so long without a datagram the other end is done.
+const IDLE: Duration = Duration::from_millis(500);
+
+pub fn run(options: &PeerOptions) -> anyhow::Result<()> {
+    let socket = socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::DGRAM, None)?;
+    // As the engine asks for; without it the comparison would be one of buffers.
+    socket.set_recv_buffer_size(4 << 20)?;
+    socket.set_send_buffer_size(4 << 20)?;
+    socket.bind(&std::net::SocketAddrV4::new(Ipv4Addr::LOCALHOST, 0).into())?;
+    let socket = UdpSocket::from(socket);
+    println!("{}", socket.local_addr()?.port());
+    std::io::stdout().flush()?;
+    if options.port > 0 {
+        socket.connect((Ipv4Addr::LOCALHOST, options.port))?;
+    }
+    match options.end {
+        End::Echo => echo(&socket),
+        End::Ping => ping(&socket, options),
+        End::Flood => flood(&socket, options),
+        End::Count => count(&socket),
+    }
+}
+
+fn echo(socket: &UdpSocket) -> anyhow::Result<()> {
+    let answering = socket.try_clone()?;
+    std::thread::spawn(move || {
+        let mut buffer = [0; 2048];
+        while let Ok((length, from)) = answering.recv_from(&mut buffer) {
+            // A ping that has ended needs no answer.
+            let _ = answering.send_to(&buffer[..length], from);
+        }
+    });
+    wait_for_the_end()
+}
+
+fn ping(socket: &UdpSocket, options: &PeerOptions) -> anyhow::Result<()> {
+    socket.set_read_timeout(Some(Duration::from_secs(1)))?;
+    let (mut buffer, mut times) = (vec![0; options.size], Vec::new());
+    let start = Instant::now();
+    while start.elapsed().as_secs_f64() < options.seconds {
+        let sent = Instant::now();
+        socket.send(&buffer)?;
+        if socket.recv(&mut buffer).is_ok() {
+            times.push(sent.elapsed());
+        }
+    }
+    println!("{}", serde_json::to_string(&trips(times)?)?);
+    Ok(())
+}
+
+fn flood(socket: &UdpSocket, options: &PeerOptions) -> anyhow::Result<()> {
+    let datagram = vec![0x5a; options.size.min(DATAGRAM)];
+    let (mut bytes, mut samples) = (0, 0);
+    let start = Instant::now();
+    while start.elapsed().as_secs_f64() < options.seconds {
+        bytes += socket.send(&datagram)? as u64;
+        samples += 1;
+    }
+    let sent = Stream { bytes, samples, seconds: start.elapsed().as_secs_f64() };
+    println!("{}", serde_json::to_string(&sent)?);
+    Ok(())
+}
+
+fn count(socket: &UdpSocket) -> anyhow::Result<()> {
+    let (mut buffer, mut bytes, mut samples) = (vec![0; 65_536], 0, 0);
+    let mut first = None;
+    let mut last = Instant::now();
+    loop {
+        // It is not known when the other end begins.
+        socket.set_read_timeout(first.map(|_| IDLE))?;
+        let Ok(length) = socket.recv(&mut buffer) else { break };
+        last = Instant::now();
+        first.get_or_insert(last);
+        bytes += length as u64;
+        samples += 1;
+    }
+    let seconds = first.map_or(0.0, |first| (last - first).as_secs_f64());
+    println!("{}", serde_json::to_string(&Stream { bytes, samples, seconds })?);
+    wait_for_the_end()
+}

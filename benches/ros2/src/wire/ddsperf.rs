@@ -1,0 +1,38 @@
+//! Cyclone DDS in C: `ddsperf` of Debian's package `cyclonedds-tools`.
+
+use std::process::{Command, Stdio};
+
+use anyhow::Context;
+
+use super::{Options, Trips};
+use crate::contestant::CYCLONE_ON_THIS_MACHINE;
+
+/// Round trips of 100 bytes between two processes, one turn for each round.
+pub fn round_trips(options: &Options) -> anyhow::Result<Vec<Trips>> {
+    (0..options.rounds).map(|_| turn(options)).collect()
+}
+
+fn turn(options: &Options) -> anyhow::Result<Trips> {
+    let ddsperf = |mode: &[&str]| {
+        let mut command = Command::new("ddsperf");
+        let seconds = options.seconds.ceil().max(2.0) + 1.0;
+        command.args(["-i", &options.domain.to_string(), "-D", &seconds.to_string(), "-T", "KS"]);
+        command.args(mode).env("CYCLONEDDS_URI", CYCLONE_ON_THIS_MACHINE);
+        command
+    };
+    let mut pong =
+        ddsperf(&["pong"]).stdout(Stdio::null()).spawn().context("no ddsperf (cyclonedds-tools)")?;
+    let ping = ddsperf(&["ping", "size", "100"]).output();
+    pong.kill()?;
+    pong.wait()?;
+    let output = String::from_utf8(ping?.stdout)?;
+    // A line for each second, of half a round trip: "… mean 35.1us min 28.3us 50% 33.9us 90% 41.2us 99% 60.3us max …".
+    let mut lines = output.lines().filter(|line| line.contains("mean"));
+    let line = lines.next_back().with_context(|| format!("ddsperf measured nothing: {output}"))?;
+    let figure = |name: &str| {
+        let mut words = line.split_ascii_whitespace().skip_while(|word| *word != name).skip(1);
+        let text = words.next().with_context(|| format!("no {name} in {line:?}"))?;
+        text.trim_end_matches("us").parse::<f64>().with_context(|| format!("{name} in {line:?}"))
+    };
+    Ok(Trips { p50_us: 2.0 * figure("50%")?, p99_us: 2.0 * figure("99%")? })
+}

@@ -1,0 +1,160 @@
+//! An engine behind the trait of the bridge, raw.
+
+use std::io::Write;
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use bytes::Bytes;
+use downbeat_bridge::middleware::{
+    Endpoint, Engine, Middleware, ParticipantOptions, Sample, SampleHandler, WriteError, Writer, join,
+};
+use downbeat_msgs::qos::{History, QosProfile};
+
+use super::{End, PeerOptions, Stream, trips, wait_for_the_end};
+use crate::peer::on_this_machine;
+
+/// How long the ends look for each other.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+pub fn run(options: &PeerOptions, engine: Engine) -> anyhow::Result<()> {
+    let participant = join(&ParticipantOptions { engine, ..on_this_machine(options.domain)? })?;
+    println!("0");
+    std::io::stdout().flush()?;
+    match options.end {
+        End::Echo => echo(&*participant),
+        End::Ping => ping(&*participant, options),
+        End::Flood => flood(&*participant, options),
+        End::Count => count(&*participant),
+    }
+}
+
+fn endpoint(topic: &str) -> Endpoint {
+    let qos = QosProfile { history: History::KeepAll, ..QosProfile::DEFAULT };
+    Endpoint::new(format!("rt/{topic}"), "std_msgs::msg::dds_::UInt8MultiArray_", qos)
+}
+
+/// A little-endian payload of that many bytes.
+fn payload(size: usize) -> Bytes {
+    let mut bytes = vec![0x5a; size.max(4)];
+    bytes[..4].copy_from_slice(&[0, 1, 0, 0]);
+    bytes.into()
+}
+
+fn echo(participant: &dyn Middleware) -> anyhow::Result<()> {
+    let writer = participant.create_writer(&endpoint("pong"))?;
+    let answer: SampleHandler = Box::new(move |sample: Sample| {
+        if let Err(error) = writer.write(sample.cdr) {
+            eprintln!("no answer: {error}");
+        }
+    });
+    let _reader = participant.create_reader(&endpoint("ping"), answer)?;
+    wait_for_the_end()
+}
+
+/// Sends the next one from the handler of what came back.
+struct Pinger {
+    payload: Bytes,
+    until: Instant,
+    sent: Instant,
+    times: Vec<Duration>,
+}
+
+fn ping(participant: &dyn Middleware, options: &PeerOptions) -> anyhow::Result<()> {
+    // The handler writes with it, and is there before it.
+    let slot: Arc<OnceLock<Box<dyn Writer>>> = Arc::default();
+    let pinger = Arc::new(Mutex::new(Pinger {
+        payload: payload(options.size),
+        until: Instant::now(),
+        sent: Instant::now(),
+        times: Vec::new(),
+    }));
+    let (done, is_done) = channel();
+    let on_answer: SampleHandler = {
+        let (writer, pinger) = (Arc::clone(&slot), Arc::clone(&pinger));
+        Box::new(move |_| {
+            let mut pinger = pinger.lock().unwrap_or_else(PoisonError::into_inner);
+            let time = pinger.sent.elapsed();
+            pinger.times.push(time);
+            let next = writer.get().filter(|_| Instant::now() < pinger.until);
+            pinger.sent = Instant::now();
+            if next.is_none_or(|writer| writer.write(pinger.payload.clone()).is_err()) {
+                // Nobody listens after the first time.
+                let _ = done.send(());
+            }
+        })
+    };
+    let reader = participant.create_reader(&endpoint("pong"), on_answer)?;
+    let writer = participant.create_writer(&endpoint("ping"))?;
+    let writer = slot.get_or_init(|| writer);
+    wait_until("the other end is there", || writer.matched() == 1 && reader.matched() == 1)?;
+    // The other end may not know of this one yet.
+    std::thread::sleep(Duration::from_millis(500));
+    {
+        let mut pinger = pinger.lock().unwrap_or_else(PoisonError::into_inner);
+        pinger.until = Instant::now() + Duration::from_secs_f64(options.seconds);
+        pinger.sent = Instant::now();
+        writer.write(pinger.payload.clone())?;
+    }
+    is_done.recv_timeout(PATIENCE).context("an answer is missing")?;
+    let times = std::mem::take(&mut pinger.lock().unwrap_or_else(PoisonError::into_inner).times);
+    println!("{}", serde_json::to_string(&trips(times)?)?);
+    Ok(())
+}
+
+fn flood(participant: &dyn Middleware, options: &PeerOptions) -> anyhow::Result<()> {
+    let writer = participant.create_writer(&endpoint("ping"))?;
+    wait_until("the other end is there", || writer.matched() == 1)?;
+    std::thread::sleep(Duration::from_millis(500));
+    let payload = payload(options.size);
+    let (mut bytes, mut samples) = (0, 0);
+    let start = Instant::now();
+    while start.elapsed().as_secs_f64() < options.seconds {
+        match writer.write(payload.clone()) {
+            Ok(()) => {
+                bytes += payload.len() as u64;
+                samples += 1;
+            }
+            // The reader is behind: give it the processor.
+            Err(WriteError::WindowFull) => std::thread::sleep(Duration::from_micros(20)),
+            Err(error) => return Err(error.into()),
+        }
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    writer.flush(PATIENCE);
+    println!("{}", serde_json::to_string(&Stream { bytes, samples, seconds })?);
+    Ok(())
+}
+
+fn count(participant: &dyn Middleware) -> anyhow::Result<()> {
+    struct Counter {
+        stream: Stream,
+        first: Option<Instant>,
+    }
+    let stream = Stream { bytes: 0, samples: 0, seconds: 0.0 };
+    let counter = Arc::new(Mutex::new(Counter { stream, first: None }));
+    let counted = Arc::clone(&counter);
+    let on_sample: SampleHandler = Box::new(move |sample: Sample| {
+        let mut counter = counted.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = Instant::now();
+        let first = *counter.first.get_or_insert(now);
+        counter.stream.bytes += sample.cdr.len() as u64;
+        counter.stream.samples += 1;
+        counter.stream.seconds = (now - first).as_secs_f64();
+    });
+    let _reader = participant.create_reader(&endpoint("ping"), on_sample)?;
+    wait_for_the_end()?;
+    let stream = counter.lock().unwrap_or_else(PoisonError::into_inner).stream;
+    println!("{}", serde_json::to_string(&stream)?);
+    Ok(())
+}
+
+fn wait_until(what: &str, condition: impl Fn() -> bool) -> anyhow::Result<()> {
+    let start = Instant::now();
+    while !condition() {
+        anyhow::ensure!(start.elapsed() < PATIENCE, "gave up waiting until {what}");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    Ok(())
+}
