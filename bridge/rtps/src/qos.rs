@@ -275,3 +275,155 @@ fn in_set(mut set: &[u8], byte: u8) -> bool {
         set = rest;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn second(count: u64) -> Option<Duration> {
+        Some(Duration::from_secs(count))
+    }
+
+    /// Who offers `offered` to `requested`, both changed from the defaults of a writer.
+    fn check(offered: impl FnOnce(&mut Qos), requested: impl FnOnce(&mut Qos)) -> Option<Policy> {
+        let (mut offer, mut request) = (Qos::writer_default(), Qos::writer_default());
+        offered(&mut offer);
+        requested(&mut request);
+        incompatible(&offer, &request)
+    }
+
+    fn partitions(offered: &[&str], requested: &[&str]) -> bool {
+        let names = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
+        check(|qos| qos.partition = names(offered), |qos| qos.partition = names(requested)).is_none()
+    }
+
+    #[test]
+    fn defaults_match() {
+        assert_eq!(incompatible(&Qos::writer_default(), &Qos::reader_default()), None);
+        assert_eq!(check(|_| {}, |_| {}), None);
+    }
+
+    #[test]
+    fn a_writer_that_offers_less_does_not_match_and_one_that_offers_more_does() {
+        type Change = fn(&mut Qos);
+        let cases: [(Policy, Change, Change); 13] = [
+            (
+                Policy::Reliability,
+                |qos| qos.reliability = Reliability::BestEffort,
+                |qos| qos.reliability = Reliability::Reliable,
+            ),
+            (
+                Policy::Durability,
+                |qos| qos.durability = Durability::Volatile,
+                |qos| qos.durability = Durability::TransientLocal,
+            ),
+            (Policy::Deadline, |qos| qos.deadline = second(2), |qos| qos.deadline = second(1)),
+            (Policy::Deadline, |qos| qos.deadline = None, |qos| qos.deadline = second(1)),
+            (
+                Policy::Liveliness,
+                |qos| qos.liveliness = Liveliness::Automatic,
+                |qos| qos.liveliness = Liveliness::ManualByTopic,
+            ),
+            (Policy::Liveliness, |qos| qos.lease = None, |qos| qos.lease = second(1)),
+            (
+                Policy::LatencyBudget,
+                |qos| qos.latency_budget = second(1),
+                |qos| qos.latency_budget = second(0),
+            ),
+            (
+                Policy::DestinationOrder,
+                |qos| qos.destination_order = DestinationOrder::ByReception,
+                |qos| qos.destination_order = DestinationOrder::BySource,
+            ),
+            (
+                Policy::Presentation,
+                |qos| qos.presentation.access_scope = AccessScope::Instance,
+                |qos| qos.presentation.access_scope = AccessScope::Topic,
+            ),
+            (
+                Policy::Presentation,
+                |qos| qos.presentation.coherent = false,
+                |qos| qos.presentation.coherent = true,
+            ),
+            (
+                Policy::Presentation,
+                |qos| qos.presentation.ordered = false,
+                |qos| qos.presentation.ordered = true,
+            ),
+            (Policy::Deadline, |qos| qos.deadline = None, |qos| qos.deadline = second(100)),
+            (Policy::Liveliness, |qos| qos.lease = second(3), |qos| qos.lease = second(2)),
+        ];
+        for (policy, less, more) in cases {
+            assert_eq!(check(less, more), Some(policy));
+            assert_eq!(check(more, less), None, "{policy:?}");
+            assert_eq!(check(more, more), None, "{policy:?}");
+        }
+    }
+
+    #[test]
+    fn ownership_must_be_equal() {
+        let exclusive = |qos: &mut Qos| qos.ownership = Ownership::Exclusive;
+        assert_eq!(check(exclusive, |_| {}), Some(Policy::Ownership));
+        assert_eq!(check(|_| {}, exclusive), Some(Policy::Ownership));
+        assert_eq!(check(exclusive, exclusive), None);
+    }
+
+    #[test]
+    fn the_first_representation_of_the_writer_decides() {
+        let both = |qos: &mut Qos| qos.representation = vec![Representation::XCDR2, Representation::XCDR1];
+        let none = |qos: &mut Qos| qos.representation.clear();
+        assert_eq!(check(none, both), None);
+        assert_eq!(check(both, none), Some(Policy::Representation));
+        assert_eq!(check(both, both), None);
+    }
+
+    #[test]
+    fn history_and_lifespan_never_decide() {
+        let one = |qos: &mut Qos| {
+            qos.history = History::KeepAll;
+            qos.lifespan = second(1);
+        };
+        assert_eq!(check(one, |_| {}), None);
+        assert_eq!(check(|_| {}, one), None);
+    }
+
+    #[test]
+    fn partitions_meet_by_name_or_by_a_pattern_on_one_side() {
+        assert!(partitions(&[], &[]));
+        assert!(partitions(&[], &[""]));
+        assert!(partitions(&["left", "right"], &["right"]));
+        assert!(!partitions(&["left"], &["right"]));
+        assert!(!partitions(&["left"], &[]));
+        assert!(partitions(&["robot_1/arm"], &["robot_*"]));
+        assert!(partitions(&["robot_?"], &["robot_1"]));
+        assert!(!partitions(&["robot_?"], &["robot_"]));
+        assert!(!partitions(&["a*"], &["*b"]), "two patterns do not meet");
+        assert!(partitions(&["a*"], &["a*"]), "but equal names do");
+    }
+
+    #[test]
+    fn patterns_are_those_of_fnmatch() {
+        for (pattern, name, is_fitting) in [
+            ("*", "", true),
+            ("a*b*c", "aXbYbZc", true),
+            ("a*b*c", "aXbYbZ", false),
+            ("[abc]x", "bx", true),
+            ("[!abc]x", "bx", false),
+            ("[!abc]x", "dx", true),
+            ("[a-c0-9]", "7", true),
+            ("[a-c0-9]", "d", false),
+            ("[]]", "]", true),
+            ("[]-]", "-", true),
+            ("[a", "a", false),
+            ("[", "[", false),
+        ] {
+            assert_eq!(fits(pattern.as_bytes(), name.as_bytes()), is_fitting, "{pattern} {name}");
+        }
+    }
+
+    #[test]
+    fn a_pattern_made_to_take_long_does_not() {
+        let pattern = "*a".repeat(250) + "b";
+        assert!(!fits(pattern.as_bytes(), "a".repeat(500).as_bytes()));
+    }
+}

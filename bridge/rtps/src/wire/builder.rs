@@ -271,3 +271,233 @@ fn write_ends(out: &mut Encoder<'_>, reader: EntityId, writer: EntityId) {
 fn flag_of(inline_qos: &InlineQos) -> u8 {
     if inline_qos.is_empty() { 0 } else { flag::INLINE_QOS }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::super::{
+        FragmentSet, Guid, SampleIdentity, SequenceNumber, SequenceNumberSet, Submessage, parse,
+    };
+    use super::*;
+
+    const READER: EntityId = EntityId::user_reader(2);
+    const WRITER: EntityId = EntityId::user_writer(1);
+    const HEADER: Header = Header::ours(GuidPrefix([1, 0x44, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]));
+    const NUMBER: SequenceNumber = SequenceNumber((7 << 32) + 9);
+
+    fn data(payload: Payload<'_>) -> Data<'_> {
+        Data { reader: READER, writer: WRITER, number: NUMBER, inline_qos: InlineQos::default(), payload }
+    }
+
+    fn with_inline_qos<'a>(payload: Payload<'a>) -> Data<'a> {
+        let identity = SampleIdentity { writer: Guid::new(HEADER.prefix, READER), number: NUMBER };
+        let inline_qos = InlineQos {
+            related_sample_identity: Some(identity),
+            ..InlineQos::removal(Guid::new(HEADER.prefix, WRITER))
+        };
+        Data { inline_qos, ..data(payload) }
+    }
+
+    fn heartbeat(count: u32) -> Heartbeat {
+        let (first, last) = (NUMBER.previous(), NUMBER);
+        Heartbeat { reader: READER, writer: WRITER, first, last, count, is_final: true, is_liveliness: false }
+    }
+
+    /// One of each that can be written.
+    fn all(payload: &[u8]) -> Vec<Submessage<'_>> {
+        let mut missing = SequenceNumberSet::new(NUMBER);
+        assert!(missing.insert(SequenceNumber(NUMBER.0 + 255)));
+        let mut fragments = FragmentSet::new(3);
+        assert!(fragments.insert(4));
+        let fragment = DataFragment {
+            reader: READER,
+            writer: WRITER,
+            number: NUMBER,
+            first: 2,
+            count: 2,
+            fragment_size: 5,
+            sample_size: 14,
+            inline_qos: InlineQos::default(),
+            payload: &payload[..9],
+            is_key: false,
+        };
+        let key = with_inline_qos(Payload::Key(payload));
+        vec![
+            Submessage::Data(data(Payload::Data(payload))),
+            Submessage::Data(data(Payload::None)),
+            Submessage::Data(key),
+            Submessage::Data(Data { payload: Payload::None, ..key }),
+            Submessage::DataFragment(fragment),
+            Submessage::DataFragment(DataFragment { inline_qos: key.inline_qos, is_key: true, ..fragment }),
+            Submessage::AckNack(AckNack {
+                reader: READER,
+                writer: WRITER,
+                missing,
+                count: 4,
+                is_final: true,
+            }),
+            Submessage::Heartbeat(heartbeat(5)),
+            Submessage::Heartbeat(Heartbeat { is_final: false, is_liveliness: true, ..heartbeat(6) }),
+            Submessage::Gap(Gap { reader: READER, writer: WRITER, start: NUMBER.previous(), list: missing }),
+            Submessage::NackFragment(NackFragment {
+                reader: READER,
+                writer: WRITER,
+                number: NUMBER,
+                missing: fragments,
+                count: 7,
+            }),
+            Submessage::HeartbeatFragment(HeartbeatFragment {
+                reader: READER,
+                writer: WRITER,
+                number: NUMBER,
+                last: 8,
+                count: 9,
+            }),
+        ]
+    }
+
+    fn add(message: &mut MessageBuilder<'_>, submessage: &Submessage<'_>) -> bool {
+        match submessage {
+            Submessage::Data(data) => message.data(data),
+            Submessage::DataFragment(fragment) => message.data_fragment(fragment),
+            Submessage::AckNack(ack_nack) => message.ack_nack(ack_nack),
+            Submessage::Heartbeat(heartbeat) => message.heartbeat(heartbeat),
+            Submessage::Gap(gap) => message.gap(gap),
+            Submessage::NackFragment(nack) => message.nack_fragment(nack),
+            Submessage::HeartbeatFragment(heartbeat) => message.heartbeat_fragment(heartbeat),
+            other => panic!("{other:?} cannot be written"),
+        }
+    }
+
+    fn read(bytes: &[u8]) -> Vec<Submessage<'_>> {
+        let (header, submessages) = parse(bytes).unwrap();
+        assert_eq!(header, HEADER);
+        submessages.collect::<Result<_, _>>().unwrap()
+    }
+
+    #[test]
+    fn what_is_written_is_read_again_in_both_byte_orders() {
+        let payload = [0, 1, 0, 0, 1, 2, 3, 4, 5, 6, 7];
+        for order in [ByteOrder::Big, ByteOrder::Little] {
+            for length in 9..=payload.len() {
+                let written = all(&payload[..length]);
+                let mut bytes = Vec::new();
+                let mut message = MessageBuilder::new(&mut bytes, 1472, HEADER);
+                message.order = order;
+                assert!(written.iter().all(|submessage| add(&mut message, submessage)));
+                // The padding of a payload is told in its options, and a reader takes no notice.
+                let read = read(&bytes).into_iter().map(|submessage| match submessage {
+                    Submessage::Data(data) => {
+                        Submessage::Data(Data { payload: without_options(data.payload), ..data })
+                    }
+                    other => other,
+                });
+                assert_eq!(read.collect::<Vec<_>>(), written);
+                assert_eq!(bytes.len() % 4, 0);
+            }
+        }
+    }
+
+    fn without_options(payload: Payload<'_>) -> Payload<'_> {
+        let clear = |payload: &[u8]| {
+            let mut payload = payload.to_vec();
+            payload[3] &= !3;
+            &*payload.leak()
+        };
+        match payload {
+            Payload::None => Payload::None,
+            Payload::Data(payload) => Payload::Data(clear(payload)),
+            Payload::Key(payload) => Payload::Key(clear(payload)),
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_leaves_the_message_as_it_was() {
+        let payload = [0, 1, 0, 0, 1, 2, 3, 4, 5, 6, 7];
+        for submessage in all(&payload) {
+            let mut enough = Vec::new();
+            let mut message = MessageBuilder::new(&mut enough, 1472, HEADER);
+            message.info_destination(GuidPrefix([9; 12]));
+            message.info_timestamp(Some(Timestamp::from_nanos(1)));
+            let before = message.remaining();
+            assert!(add(&mut message, &submessage));
+            let needed = message.len();
+            assert_eq!(before - message.remaining(), needed - Header::LEN - 16 - 12);
+
+            for max_len in Header::LEN..needed {
+                let mut bytes = vec![0xaa];
+                let mut message = MessageBuilder::new(&mut bytes, max_len, HEADER);
+                message.info_destination(GuidPrefix([9; 12]));
+                message.info_timestamp(Some(Timestamp::from_nanos(1)));
+                assert!(!add(&mut message, &submessage));
+                assert!(message.is_empty());
+                assert_eq!(bytes.len(), 1 + Header::LEN);
+            }
+            let mut exact = Vec::new();
+            let mut message = MessageBuilder::new(&mut exact, needed, HEADER);
+            message.info_destination(GuidPrefix([9; 12]));
+            message.info_timestamp(Some(Timestamp::from_nanos(1)));
+            assert!(add(&mut message, &submessage));
+            assert_eq!((message.remaining(), message.is_empty()), (0, false));
+            assert_eq!(exact, enough);
+        }
+    }
+
+    #[test]
+    fn the_constants_and_lengths_tell_what_fits() {
+        let payload = vec![0; 1001];
+        let data = with_inline_qos(Payload::Data(&payload));
+        let needed = MessageBuilder::DATA_OVERHEAD + data.inline_qos.encoded_len() + 1004;
+        for (max_len, fits) in [(Header::LEN + needed, true), (Header::LEN + needed - 1, false)] {
+            let mut bytes = Vec::new();
+            assert_eq!(MessageBuilder::new(&mut bytes, max_len, HEADER).data(&data), fits);
+        }
+        let Submessage::DataFragment(fragment) = all(&payload)[4] else { panic!("no fragment") };
+        let mut bytes = Vec::new();
+        let mut message = MessageBuilder::new(&mut bytes, 1472, HEADER);
+        assert!(message.data_fragment(&fragment));
+        assert_eq!(message.len(), Header::LEN + MessageBuilder::DATA_FRAGMENT_OVERHEAD + 12);
+    }
+
+    #[test]
+    fn a_payload_beyond_what_a_length_can_say_does_not_fit() {
+        let payload = vec![0; 65_536];
+        let mut bytes = Vec::new();
+        let mut message = MessageBuilder::new(&mut bytes, 1 << 20, HEADER);
+        assert!(!message.data(&data(Payload::Data(&payload))));
+        assert!(message.is_empty());
+        assert!(message.data(&data(Payload::Data(&payload[..65_512]))));
+    }
+
+    #[test]
+    fn destination_and_time_are_written_once_and_only_with_what_they_are_for() {
+        let time = Timestamp::from_nanos(1_500_000_000);
+        let (a, b) = (GuidPrefix([0xa; 12]), GuidPrefix([0xb; 12]));
+        let mut bytes = Vec::new();
+        let mut message = MessageBuilder::new(&mut bytes, 1472, HEADER);
+        message.info_destination(b);
+        message.info_destination(a);
+        assert!(message.heartbeat(&heartbeat(1)));
+        message.info_destination(a);
+        message.info_timestamp(Some(time));
+        assert!(message.data(&data(Payload::None)));
+        assert!(message.data(&data(Payload::None)));
+        message.info_timestamp(None);
+        message.info_destination(GuidPrefix::UNKNOWN);
+        assert!(message.data(&data(Payload::None)));
+        message.info_destination(b);
+        let data = Submessage::Data(data(Payload::None));
+        let expected = [
+            Submessage::InfoDestination(a),
+            Submessage::Heartbeat(heartbeat(1)),
+            Submessage::InfoTimestamp(Some(time)),
+            data,
+            data,
+            Submessage::InfoDestination(GuidPrefix::UNKNOWN),
+            Submessage::InfoTimestamp(None),
+            data,
+        ];
+        assert_eq!(read(&bytes), expected);
+    }
+}

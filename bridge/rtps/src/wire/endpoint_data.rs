@@ -241,3 +241,184 @@ fn read_count(value: &mut Cursor<'_>) -> Option<usize> {
     let count = value.u32().ok()? as usize;
     (count <= MAX_ITEMS).then_some(count)
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+    use crate::wire::{EntityId, GuidPrefix};
+    use std::net::Ipv4Addr;
+
+    fn data(entity: EntityId) -> EndpointData {
+        EndpointData {
+            guid: Guid::new(GuidPrefix([1, 0x44, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]), entity),
+            topic: "rt/chatter".to_owned(),
+            type_name: "std_msgs::msg::dds_::String_".to_owned(),
+            qos: Qos {
+                reliability: Reliability::BestEffort,
+                durability: Durability::TransientLocal,
+                history: History::KeepLast(7),
+                deadline: Some(Duration::from_millis(1500)),
+                lifespan: Some(Duration::from_nanos(1)),
+                liveliness: Liveliness::ManualByTopic,
+                lease: Some(Duration::from_secs(3)),
+                latency_budget: None,
+                ownership: Ownership::Exclusive,
+                destination_order: DestinationOrder::BySource,
+                presentation: Presentation {
+                    access_scope: AccessScope::Group,
+                    coherent: true,
+                    ordered: false,
+                },
+                partition: vec!["a".to_owned(), "robot/*".to_owned(), String::new()],
+                representation: vec![Representation::XCDR2, Representation::XCDR1, Representation(-1)],
+            },
+            unicast: vec![SocketAddrV4::new(Ipv4Addr::LOCALHOST, 7411)],
+            multicast: vec![SocketAddrV4::new(Ipv4Addr::new(239, 255, 0, 2), 7401)],
+            user_data: b"typehash=RIHS01_00;".to_vec(),
+            expects_inline_qos: true,
+        }
+    }
+
+    /// A reader with no more than it must have, and what `write` adds.
+    fn parse_with(write: impl FnOnce(&mut Encoder<'_>)) -> Result<EndpointData, Malformed> {
+        let data = data(EntityId::user_reader(1));
+        let mut payload = Vec::new();
+        write_payload(&mut payload, ByteOrder::Big, |out| {
+            write_parameter(out, pid::ENDPOINT_GUID, |out| out.bytes(&data.guid.to_bytes()));
+            write_parameter(out, pid::TOPIC_NAME, |out| write_string(&data.topic, out));
+            write_parameter(out, pid::TYPE_NAME, |out| write_string(&data.type_name, out));
+            write(out);
+        });
+        EndpointData::parse(&payload)
+    }
+
+    #[test]
+    fn all_of_it_goes_in_and_out_in_both_byte_orders() {
+        for entity in [EntityId::user_writer(1), EntityId::user_reader(0xab_cdef)] {
+            for order in [ByteOrder::Big, ByteOrder::Little] {
+                let mut payload = Vec::new();
+                data(entity).emit_in(order, &mut payload);
+                assert_eq!(EndpointData::parse(&payload), Ok(data(entity)));
+            }
+        }
+    }
+
+    #[test]
+    fn every_default_goes_in_and_out() {
+        for qos in [Qos::writer_default(), Qos { history: History::KeepAll, ..Qos::reader_default() }] {
+            let data = EndpointData { qos, ..data(EntityId::user_writer(1)) };
+            let mut payload = Vec::new();
+            data.emit(&mut payload);
+            assert_eq!(EndpointData::parse(&payload), Ok(data));
+        }
+    }
+
+    #[test]
+    fn a_silent_reader_is_best_effort_and_a_silent_writer_reliable() {
+        assert_eq!(parse_with(|_| {}).unwrap().qos, Qos::reader_default());
+        let writer = Guid::new(GuidPrefix([1; 12]), EntityId::user_writer(9));
+        let data =
+            parse_with(|out| write_parameter(out, pid::ENDPOINT_GUID, |out| out.bytes(&writer.to_bytes())));
+        assert_eq!(data.unwrap().qos, Qos::reader_default(), "the first guid counts");
+        let mut payload = Vec::new();
+        write_payload(&mut payload, ByteOrder::Big, |out| {
+            write_parameter(out, pid::TYPE_NAME, |out| write_string("T", out));
+            write_parameter(out, pid::TOPIC_NAME, |out| write_string("t", out));
+            write_parameter(out, pid::ENDPOINT_GUID, |out| out.bytes(&writer.to_bytes()));
+        });
+        assert_eq!(EndpointData::parse(&payload).unwrap().qos, Qos::writer_default());
+    }
+
+    #[test]
+    fn what_has_no_guid_topic_or_type_is_malformed() {
+        for left_out in [pid::ENDPOINT_GUID, pid::TOPIC_NAME, pid::TYPE_NAME] {
+            let mut payload = Vec::new();
+            write_payload(&mut payload, ByteOrder::Big, |out| {
+                let guid = data(EntityId::user_writer(1)).guid.to_bytes();
+                let texts = [pid::TOPIC_NAME, pid::TYPE_NAME].into_iter().filter(|id| *id != left_out);
+                if left_out != pid::ENDPOINT_GUID {
+                    write_parameter(out, pid::ENDPOINT_GUID, |out| out.bytes(&guid));
+                }
+                texts.for_each(|id| write_parameter(out, id, |out| write_string("name", out)));
+            });
+            assert_eq!(EndpointData::parse(&payload), Err(Malformed::Lacks(left_out)));
+        }
+    }
+
+    #[test]
+    fn an_entity_that_neither_writes_nor_reads_is_malformed() {
+        let mut payload = Vec::new();
+        data(EntityId::PARTICIPANT).emit(&mut payload);
+        assert_eq!(EndpointData::parse(&payload), Err(Malformed::Parameter(pid::ENDPOINT_GUID)));
+    }
+
+    #[test]
+    fn a_policy_with_a_value_that_there_is_not_is_malformed() {
+        let kinds = [
+            pid::RELIABILITY,
+            pid::DURABILITY,
+            pid::HISTORY,
+            pid::LIVELINESS,
+            pid::OWNERSHIP,
+            pid::DESTINATION_ORDER,
+            pid::PRESENTATION,
+        ];
+        let durations = [pid::DEADLINE, pid::LATENCY_BUDGET, pid::LIFESPAN];
+        let lists = [pid::PARTITION, pid::DATA_REPRESENTATION];
+        for id in kinds.into_iter().chain(durations).chain(lists) {
+            for value in [&[][..], &[0xff; 12]] {
+                let data = parse_with(|out| write_parameter(out, id, |out| out.bytes(value)));
+                assert_eq!(data, Err(Malformed::Parameter(id)), "{value:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn names_of_512_bytes_are_taken_and_longer_ones_not() {
+        let with_topic = |length: usize| {
+            let topic = "x".repeat(length);
+            parse_with(|out| write_parameter(out, pid::TOPIC_NAME, |out| write_string(&topic, out)))
+        };
+        assert_eq!(with_topic(512).unwrap().topic.len(), 512);
+        assert_eq!(with_topic(513), Err(Malformed::Parameter(pid::TOPIC_NAME)));
+        assert_eq!(with_topic(10_000), Err(Malformed::Parameter(pid::TOPIC_NAME)));
+    }
+
+    #[test]
+    fn a_list_of_more_partitions_than_anyone_has_is_malformed() {
+        let with = |count: u32| {
+            parse_with(|out| {
+                write_parameter(out, pid::PARTITION, |out| {
+                    out.u32(count);
+                    (0..count).for_each(|_| write_string("abc", out));
+                });
+            })
+        };
+        assert_eq!(with(16).unwrap().qos.partition.len(), 16);
+        assert_eq!(with(17), Err(Malformed::Parameter(pid::PARTITION)));
+    }
+
+    #[test]
+    fn an_unknown_parameter_is_skipped_unless_it_must_be_understood() {
+        let with = |id| parse_with(|out| write_parameter(out, id, |out| out.u32(0)));
+        assert!(with(0x0075).is_ok());
+        assert!(with(0x8007).is_ok());
+        assert_eq!(with(0x4abc), Err(Malformed::MustUnderstand(0x4abc)));
+    }
+
+    #[test]
+    fn a_history_without_depth_keeps_one() {
+        let depth = |depth: i32| {
+            parse_with(|out| {
+                write_parameter(out, pid::HISTORY, |out| {
+                    out.u32(0);
+                    out.i32(depth);
+                });
+            })
+        };
+        assert_eq!(depth(0).unwrap().qos.history, History::KeepLast(1));
+        assert_eq!(depth(-5).unwrap().qos.history, History::KeepLast(1));
+    }
+}

@@ -112,3 +112,85 @@ impl InlineQos {
         write_end(out);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+    use crate::wire::{ByteOrder, EntityId, GuidPrefix};
+
+    const GUID: Guid =
+        Guid::new(GuidPrefix([1, 0x44, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]), EntityId::user_writer(5));
+
+    fn read(bytes: &[u8]) -> Result<InlineQos, Malformed> {
+        InlineQos::from_list(ParameterList::read(&mut Cursor::new(bytes, ByteOrder::Big))?)
+    }
+
+    #[test]
+    fn all_of_it_goes_in_and_out_in_both_byte_orders() {
+        let number = SequenceNumber(0x1_0000_0002);
+        let identity = SampleIdentity { writer: GUID, number };
+        let full = InlineQos { related_sample_identity: Some(identity), ..InlineQos::removal(GUID) };
+        let unknown = SampleIdentity { number: SequenceNumber::UNKNOWN, ..identity };
+        let request = InlineQos { related_sample_identity: Some(unknown), ..InlineQos::default() };
+        for inline_qos in [full, request, InlineQos::removal(GUID)] {
+            for order in [ByteOrder::Big, ByteOrder::Little] {
+                let mut bytes = Vec::new();
+                inline_qos.write(&mut Encoder::new(&mut bytes, order));
+                assert_eq!(bytes.len(), inline_qos.encoded_len());
+                let list = ParameterList::read(&mut Cursor::new(&bytes, order)).unwrap();
+                assert_eq!(InlineQos::from_list(list), Ok(inline_qos));
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_takes_no_bytes() {
+        let mut bytes = Vec::new();
+        InlineQos::default().write(&mut Encoder::new(&mut bytes, ByteOrder::Big));
+        assert!(bytes.is_empty());
+        assert_eq!(InlineQos::default().encoded_len(), 0);
+    }
+
+    #[test]
+    fn the_identity_of_older_fast_dds_counts_if_there_is_no_other() {
+        let old = [&[0x80, 0x0f, 0, 24][..], &[9; 24]].concat();
+        let new = [&[0x00, 0x83, 0, 24][..], &[1; 24]].concat();
+        let end = &[0, 1, 0, 0][..];
+        let writer = |bytes: &[u8]| read(bytes).unwrap().related_sample_identity.unwrap().writer;
+        assert_eq!(writer(&[&old, end].concat()).to_bytes(), [9; 16]);
+        assert_eq!(writer(&[&old, &new, end].concat()).to_bytes(), [1; 16]);
+        assert_eq!(writer(&[&new, &old, end].concat()).to_bytes(), [1; 16]);
+        assert_eq!(
+            read(&[0x80, 0x0f, 0, 4, 1, 2, 3, 4, 0, 1, 0, 0]),
+            Ok(InlineQos::default()),
+            "of another vendor"
+        );
+    }
+
+    #[test]
+    fn a_parameter_that_is_too_short_is_malformed() {
+        for id in [pid::RELATED_SAMPLE_IDENTITY, pid::KEY_HASH] {
+            let [high, low] = id.to_be_bytes();
+            assert_eq!(read(&[high, low, 0, 4, 0, 0, 0, 0, 0, 1, 0, 0]), Err(Malformed::Parameter(id)));
+        }
+        assert_eq!(read(&[0, 0x71, 0, 0, 0, 1, 0, 0]), Err(Malformed::Parameter(pid::STATUS_INFO)));
+    }
+
+    #[test]
+    fn a_removal_tells_who_is_removed_by_key_hash_or_by_key() {
+        assert_eq!(InlineQos::removal(GUID).removed(Payload::None), Some(GUID));
+        let without_hash = InlineQos { key_hash: None, ..InlineQos::removal(GUID) };
+        let [mut key, end] = [vec![0, 2, 0, 0, 0, 0x5a, 0, 16], vec![0, 1, 0, 0]];
+        key.extend(GUID.to_bytes());
+        key.extend(end);
+        assert_eq!(without_hash.removed(Payload::Key(&key)), Some(GUID));
+        assert_eq!(without_hash.removed(Payload::Data(&key)), None);
+        assert_eq!(without_hash.removed(Payload::Key(&key[..20])), None);
+        assert_eq!(without_hash.removed(Payload::None), None);
+        let alive = InlineQos { status: Some(StatusInfo(0)), ..InlineQos::removal(GUID) };
+        assert_eq!(alive.removed(Payload::None), None);
+        assert_eq!(InlineQos { status: None, ..alive }.removed(Payload::None), None);
+    }
+}

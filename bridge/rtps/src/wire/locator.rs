@@ -44,3 +44,26 @@ impl From<SocketAddrV4> for Locator {
         Self { kind: Self::UDP_V4, port: socket.port().into(), address }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_socket_address_goes_in_and_out() {
+        let socket = SocketAddrV4::new(Ipv4Addr::new(192, 168, 1, 2), 7410);
+        assert_eq!(Locator::from(socket).udp_v4(), Some(socket));
+    }
+
+    #[test]
+    fn what_cannot_be_sent_to_by_udp_is_no_socket_address() {
+        let good = Locator::from(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 7410));
+        for kind in [-1, 0, 2, 4, 16] {
+            assert_eq!(Locator { kind, ..good }.udp_v4(), None);
+        }
+        for port in [0, 65_536, u32::MAX] {
+            assert_eq!(Locator { port, ..good }.udp_v4(), None);
+        }
+        assert_eq!(Locator { address: [0; 16], ..good }.udp_v4(), None);
+    }
+}

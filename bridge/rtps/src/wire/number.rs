@@ -183,3 +183,101 @@ impl<N: Number + fmt::Debug> fmt::Debug for NumberSet<N> {
         f.debug_set().entries(self.iter()).finish()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+    use crate::wire::ByteOrder;
+
+    fn set(base: i64, numbers: &[i64]) -> SequenceNumberSet {
+        let mut set = SequenceNumberSet::new(SequenceNumber(base));
+        assert!(numbers.iter().all(|number| set.insert(SequenceNumber(*number))));
+        set
+    }
+
+    fn read(bytes: &[u8]) -> Result<SequenceNumberSet, Malformed> {
+        SequenceNumberSet::read_bits(&mut Cursor::new(bytes, ByteOrder::Big), SequenceNumber(100))
+    }
+
+    #[test]
+    fn a_set_holds_256_numbers_from_its_base_on() {
+        let mut set = SequenceNumberSet::new(SequenceNumber(100));
+        assert!(set.is_empty());
+        assert!(!set.insert(SequenceNumber(99)));
+        assert!(!set.insert(SequenceNumber(356)));
+        assert!(!set.insert(SequenceNumber(i64::MIN)));
+        assert!(set.is_empty());
+        assert!(set.insert(SequenceNumber(355)));
+        assert!(set.insert(SequenceNumber(100)));
+        assert!(!set.is_empty());
+        assert!(set.contains(SequenceNumber(355)) && !set.contains(SequenceNumber(354)));
+        assert_eq!(set.iter().map(|number| number.0).collect::<Vec<_>>(), [100, 355]);
+    }
+
+    #[test]
+    fn the_first_number_is_the_highest_bit() {
+        for order in [ByteOrder::Big, ByteOrder::Little] {
+            let sent = set(100, &[100, 102, 131, 132]);
+            let mut bytes = Vec::new();
+            sent.write_bits(&mut Encoder::new(&mut bytes, order));
+            if order == ByteOrder::Big {
+                assert_eq!(bytes, [0, 0, 0, 33, 0xa0, 0, 0, 1, 0x80, 0, 0, 0]);
+            }
+            let mut cursor = Cursor::new(&bytes, order);
+            assert_eq!(SequenceNumberSet::read_bits(&mut cursor, SequenceNumber(100)), Ok(sent));
+            assert_eq!(cursor.remaining(), 0);
+        }
+    }
+
+    #[test]
+    fn bits_beyond_the_size_of_a_set_do_not_count() {
+        let odd = read(&[0, 0, 0, 3, 0xff, 0xff, 0xff, 0xff]).unwrap();
+        assert_eq!(odd, set(100, &[100, 101, 102]));
+        assert!(read(&[0, 0, 0, 0]).unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_set_of_more_than_256_bits_or_fewer_words_than_bits_is_malformed() {
+        let full = [&[0, 0, 1, 0][..], &[0xff; 32]].concat();
+        assert_eq!(read(&full).unwrap().iter().count(), 256);
+        assert_eq!(read(&full[..35]), Err(Malformed::Truncated));
+        assert_eq!(read(&[&[0, 0, 1, 1][..], &[0xff; 64]].concat()), Err(Malformed::NumberSet));
+        assert_eq!(read(&[0xff; 64]), Err(Malformed::NumberSet));
+    }
+
+    #[test]
+    fn a_set_at_the_end_of_the_numbers_does_not_wrap() {
+        let mut fragments = FragmentSet::new(u32::MAX);
+        assert!(fragments.insert(u32::MAX));
+        assert!(!fragments.insert(0));
+        assert_eq!(fragments.iter().collect::<Vec<_>>(), [u32::MAX]);
+        let bytes = [&[0, 0, 1, 0][..], &[0xff; 32]].concat();
+        let all = FragmentSet::read_bits(&mut Cursor::new(&bytes, ByteOrder::Big), u32::MAX).unwrap();
+        assert!(all.iter().all(|number| number == u32::MAX));
+    }
+
+    #[test]
+    fn a_number_is_a_signed_high_and_an_unsigned_low_half() {
+        let number = SequenceNumber(0x1_ffff_ffff);
+        let mut bytes = Vec::new();
+        number.write(&mut Encoder::new(&mut bytes, ByteOrder::Big));
+        assert_eq!(bytes, [0, 0, 0, 1, 0xff, 0xff, 0xff, 0xff]);
+        let read = |bytes: [u8; 8]| {
+            SequenceNumber::read(&mut Cursor::new(&bytes, ByteOrder::Big), SequenceNumber::FIRST)
+        };
+        assert_eq!(read([0, 0, 0, 1, 0xff, 0xff, 0xff, 0xff]), Ok(number));
+        assert_eq!(read(SequenceNumber::MAX.0.to_be_bytes()), Ok(SequenceNumber::MAX));
+        for bad in [0, -1, i64::MIN, SequenceNumber::UNKNOWN.0, SequenceNumber::MAX.0 + 1, i64::MAX] {
+            assert_eq!(read(bad.to_be_bytes()), Err(Malformed::SequenceNumber), "{bad}");
+        }
+    }
+
+    #[test]
+    fn numbers_end_without_a_wrap() {
+        assert_eq!(SequenceNumber::MAX.checked_add(1), None);
+        assert_eq!(SequenceNumber::FIRST.checked_add(u64::MAX), None);
+        assert_eq!(SequenceNumber::FIRST.checked_add(2), Some(SequenceNumber(3)));
+    }
+}

@@ -152,3 +152,67 @@ pub(super) fn write_end(out: &mut Encoder<'_>) {
     out.u16(pid::SENTINEL);
     out.u16(0);
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    fn ids(payload: &[u8]) -> Result<Vec<u16>, Malformed> {
+        Ok(ParameterList::from_payload(payload)?.iter().map(|parameter| parameter.id).collect())
+    }
+
+    #[test]
+    fn both_byte_orders_are_read() {
+        for order in [ByteOrder::Big, ByteOrder::Little] {
+            let mut payload = Vec::new();
+            write_payload(&mut payload, order, |out| {
+                write_parameter(out, pid::DOMAIN_ID, |out| out.u32(7));
+                write_parameter(out, pid::PROTOCOL_VERSION, |out| out.bytes(&[2, 3]));
+            });
+            let list = ParameterList::from_payload(&payload).unwrap();
+            assert_eq!(ids(&payload), Ok(vec![pid::DOMAIN_ID, pid::PROTOCOL_VERSION]));
+            assert_eq!(list.iter().next().unwrap().get(|value| value.u32().ok()), Ok(7));
+            assert_eq!(payload.len() % 4, 0);
+        }
+    }
+
+    #[test]
+    fn padding_is_skipped_and_the_rest_behind_the_end_is_not_read() {
+        let payload = [0, 2, 0, 0, 0, 0, 0, 4, 9, 9, 9, 9, 0, 0x0f, 0, 0, 0, 1, 0xff, 0xff, 1, 2, 3];
+        assert_eq!(ids(&payload), Ok(vec![0x0f]));
+    }
+
+    #[test]
+    fn a_list_without_end_is_malformed() {
+        assert_eq!(ids(&[0, 2, 0, 0]), Err(Malformed::Truncated));
+        assert_eq!(ids(&[0, 2, 0, 0, 0, 0x0f, 0, 4, 0, 0, 0, 7]), Err(Malformed::Truncated));
+        assert_eq!(ids(&[0, 2, 0, 0, 0, 1]), Err(Malformed::Truncated));
+    }
+
+    #[test]
+    fn a_parameter_that_reaches_beyond_the_list_is_malformed() {
+        assert_eq!(ids(&[0, 2, 0, 0, 0, 0x0f, 0xff, 0xfc, 0, 1, 0, 0]), Err(Malformed::Truncated));
+    }
+
+    #[test]
+    fn a_length_that_is_no_multiple_of_four_is_malformed() {
+        assert_eq!(ids(&[0, 2, 0, 0, 0, 0x0f, 0, 3, 0, 0, 0, 0, 1, 0, 0]), Err(Malformed::ParameterList));
+    }
+
+    #[test]
+    fn only_parameter_lists_are_read_as_such() {
+        for payload in [&[][..], &[0], &[0, 1, 0, 0, 0, 1, 0, 0], &[1, 2, 0, 0, 0, 1, 0, 0]] {
+            assert_eq!(ids(payload), Err(Malformed::Encapsulation));
+        }
+    }
+
+    #[test]
+    fn what_must_be_understood_is_not_skipped() {
+        let skip = |id| Parameter { id, value: Cursor::new(&[], ByteOrder::Big) }.skip();
+        assert_eq!(skip(0x3fff), Ok(()));
+        assert_eq!(skip(0x4001), Err(Malformed::MustUnderstand(0x4001)));
+        assert_eq!(skip(0xc001), Ok(()));
+    }
+}

@@ -175,3 +175,135 @@ impl ParticipantData {
         });
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+    use crate::wire::bytes::Encoder;
+    use std::net::Ipv4Addr;
+
+    fn data() -> ParticipantData {
+        let socket = |port| SocketAddrV4::new(Ipv4Addr::LOCALHOST, port);
+        ParticipantData {
+            prefix: GuidPrefix([1, 0x44, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]),
+            version: [2, 3],
+            vendor: VendorId::OURS,
+            metatraffic_unicast: vec![socket(7410), SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 1), 7410)],
+            metatraffic_multicast: vec![SocketAddrV4::new(Ipv4Addr::new(239, 255, 0, 1), 7400)],
+            default_unicast: vec![socket(7411)],
+            default_multicast: vec![socket(7401)],
+            lease: Some(Duration::from_millis(20_500)),
+            builtin_endpoints: BuiltinEndpoints::OURS,
+            user_data: b"enclave=/;".to_vec(),
+            name: "robot".to_owned(),
+            domain_id: Some(42),
+            domain_tag: "tag".to_owned(),
+            expects_inline_qos: true,
+            receive_buffer: Some(4 << 20),
+        }
+    }
+
+    /// The parameter list that `write` makes behind a guid.
+    fn parse_with(write: impl FnOnce(&mut Encoder<'_>)) -> Result<ParticipantData, Malformed> {
+        let guid = Guid::new(data().prefix, EntityId::PARTICIPANT);
+        let mut payload = Vec::new();
+        write_payload(&mut payload, ByteOrder::Big, |out| {
+            write_parameter(out, pid::PARTICIPANT_GUID, |out| out.bytes(&guid.to_bytes()));
+            write(out);
+        });
+        ParticipantData::parse(&payload)
+    }
+
+    #[test]
+    fn all_of_it_goes_in_and_out_in_both_byte_orders() {
+        for order in [ByteOrder::Big, ByteOrder::Little] {
+            let mut payload = Vec::new();
+            data().emit_in(order, &mut payload);
+            assert_eq!(ParticipantData::parse(&payload), Ok(data()));
+        }
+    }
+
+    #[test]
+    fn what_is_not_said_has_its_default() {
+        let data = parse_with(|_| {}).unwrap();
+        assert_eq!(data.lease, Some(Duration::from_secs(100)));
+        assert_eq!((data.domain_id, data.domain_tag.as_str()), (None, ""));
+        assert!(data.metatraffic_unicast.is_empty() && !data.expects_inline_qos);
+    }
+
+    #[test]
+    fn only_our_own_kind_says_its_receive_buffer() {
+        let parse = |vendor: VendorId, length: usize| {
+            parse_with(|out| {
+                write_parameter(out, pid::OUR_RECEIVE_BUFFER, |out| out.bytes(&[0, 0, 1, 0][..length]));
+                write_parameter(out, pid::VENDOR_ID, |out| out.bytes(&vendor.0));
+            })
+        };
+        assert_eq!(parse(VendorId::OURS, 4).unwrap().receive_buffer, Some(256));
+        assert_eq!(parse(VendorId::CYCLONE, 4).unwrap().receive_buffer, None);
+        assert_eq!(parse(VendorId::CYCLONE, 0).unwrap().receive_buffer, None);
+    }
+
+    #[test]
+    fn locators_that_cannot_be_used_are_skipped_and_no_more_than_16_kept() {
+        let data = parse_with(|out| {
+            for kind in [16, 2, 1, -7] {
+                let locator = super::super::Locator { kind, port: 7410, address: [1; 16] };
+                write_parameter(out, pid::DEFAULT_UNICAST_LOCATOR, |out| locator.write(out));
+            }
+            let many: Vec<_> = (1..1000).map(|port| SocketAddrV4::new(Ipv4Addr::LOCALHOST, port)).collect();
+            write_locators(out, pid::METATRAFFIC_UNICAST_LOCATOR, &many);
+        })
+        .unwrap();
+        assert_eq!(data.default_unicast, [SocketAddrV4::new(Ipv4Addr::new(1, 1, 1, 1), 7410)]);
+        assert_eq!(data.metatraffic_unicast.len(), 16);
+        assert_eq!(data.metatraffic_unicast[15].port(), 16);
+    }
+
+    #[test]
+    fn without_a_guid_of_a_participant_it_is_malformed() {
+        let mut payload = Vec::new();
+        write_payload(&mut payload, ByteOrder::Big, |_| {});
+        assert_eq!(ParticipantData::parse(&payload), Err(Malformed::Lacks(pid::PARTICIPANT_GUID)));
+        let of_endpoint = parse_with(|out| {
+            write_parameter(out, pid::PARTICIPANT_GUID, |out| out.bytes(&[3; 16]));
+        });
+        assert_eq!(of_endpoint, Err(Malformed::Parameter(pid::PARTICIPANT_GUID)));
+    }
+
+    #[test]
+    fn a_value_that_is_too_short_or_negative_is_malformed() {
+        for id in [
+            pid::PARTICIPANT_GUID,
+            pid::PROTOCOL_VERSION,
+            pid::VENDOR_ID,
+            pid::METATRAFFIC_UNICAST_LOCATOR,
+            pid::METATRAFFIC_MULTICAST_LOCATOR,
+            pid::DEFAULT_UNICAST_LOCATOR,
+            pid::DEFAULT_MULTICAST_LOCATOR,
+            pid::PARTICIPANT_LEASE_DURATION,
+            pid::BUILTIN_ENDPOINT_SET,
+            pid::USER_DATA,
+            pid::ENTITY_NAME,
+            pid::DOMAIN_ID,
+            pid::DOMAIN_TAG,
+            pid::EXPECTS_INLINE_QOS,
+        ] {
+            assert_eq!(parse_with(|out| write_parameter(out, id, |_| {})), Err(Malformed::Parameter(id)));
+        }
+        let id = pid::PARTICIPANT_LEASE_DURATION;
+        let negative = parse_with(|out| write_parameter(out, id, |out| out.bytes(&[0xff; 8])));
+        assert_eq!(negative, Err(Malformed::Parameter(id)));
+    }
+
+    #[test]
+    fn every_truncation_is_malformed() {
+        let mut payload = Vec::new();
+        data().emit(&mut payload);
+        for length in 0..payload.len() - 4 {
+            assert!(ParticipantData::parse(&payload[..length]).is_err(), "{length}");
+        }
+    }
+}

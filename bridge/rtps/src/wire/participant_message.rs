@@ -34,3 +34,31 @@ impl ParticipantMessage {
         Encoder::new(out, ByteOrder::Little).u32(0); // octets of the vendor
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MESSAGE: ParticipantMessage =
+        ParticipantMessage { prefix: GuidPrefix([7; 12]), kind: ParticipantMessage::MANUAL };
+
+    #[test]
+    fn it_goes_in_and_out() {
+        let mut payload = Vec::new();
+        MESSAGE.emit(&mut payload);
+        assert_eq!(payload.len(), 24);
+        assert_eq!(ParticipantMessage::parse(&payload), Ok(MESSAGE));
+        payload[1] = 0; // big-endian
+        assert_eq!(ParticipantMessage::parse(&payload), Ok(MESSAGE));
+    }
+
+    #[test]
+    fn what_is_cut_off_or_no_cdr_is_malformed() {
+        let mut payload = Vec::new();
+        MESSAGE.emit(&mut payload);
+        assert_eq!(ParticipantMessage::parse(&payload[..19]), Err(Malformed::Truncated));
+        assert_eq!(ParticipantMessage::parse(&payload[..3]), Err(Malformed::Encapsulation));
+        payload[1] = 3;
+        assert_eq!(ParticipantMessage::parse(&payload), Err(Malformed::Encapsulation));
+    }
+}

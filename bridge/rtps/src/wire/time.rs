@@ -69,3 +69,57 @@ fn fraction(nanos: u32) -> u32 {
 fn nanos(fraction: u32) -> u64 {
     (u64::from(fraction) * NANOS_PER_SECOND + (1 << 31)) >> 32
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::ByteOrder;
+
+    fn read(seconds: u32, fraction: u32) -> Option<Option<Duration>> {
+        let bytes = [seconds.to_be_bytes(), fraction.to_be_bytes()].concat();
+        read_duration(&mut Cursor::new(&bytes, ByteOrder::Big))
+    }
+
+    #[test]
+    fn nanoseconds_survive_the_way_over_the_wire() {
+        for nanos in [0, 1, 2, 3, 499_999_999, 500_000_000, 999_999_998, 999_999_999] {
+            let since_epoch = 1_795_300_000_000_000_000 + nanos;
+            assert_eq!(Timestamp::from_nanos(since_epoch).to_nanos(), since_epoch);
+            let duration = Some(Duration::from_nanos(nanos.cast_unsigned()));
+            let mut bytes = Vec::new();
+            write_duration(duration, &mut Encoder::new(&mut bytes, ByteOrder::Little));
+            assert_eq!(read_duration(&mut Cursor::new(&bytes, ByteOrder::Little)), Some(duration));
+        }
+    }
+
+    #[test]
+    fn times_out_of_range_become_the_nearest() {
+        assert_eq!(Timestamp::from_nanos(-1), Timestamp::from_nanos(0));
+        assert!(Timestamp::from_nanos(i64::MAX) > Timestamp::from_nanos(1_795_300_000_000_000_000));
+        assert!(Timestamp { seconds: u32::MAX, fraction: u32::MAX }.to_nanos() > 0);
+    }
+
+    #[test]
+    fn the_invalid_time_is_none() {
+        assert_eq!(Timestamp::read(&mut Cursor::new(&[0xff; 8], ByteOrder::Big)), Ok(None));
+    }
+
+    #[test]
+    fn the_infinite_duration_is_none_and_a_negative_one_no_duration() {
+        assert_eq!(read(0x7fff_ffff, 0xffff_ffff), Some(None));
+        assert_eq!(read(0x7fff_ffff, 0), Some(None));
+        assert_eq!(read(0x8000_0000, 0), None);
+        assert_eq!(read(0xffff_ffff, 0xffff_ffff), None);
+        assert_eq!(read(1, 0x8000_0000), Some(Some(Duration::from_millis(1500))));
+        assert_eq!(read(0x7fff_fffe, 0xffff_ffff), Some(Some(Duration::from_secs(0x7fff_ffff))));
+    }
+
+    #[test]
+    fn a_duration_that_does_not_fit_becomes_infinite() {
+        for duration in [None, Some(Duration::MAX), Some(Duration::from_secs(0x7fff_ffff))] {
+            let mut bytes = Vec::new();
+            write_duration(duration, &mut Encoder::new(&mut bytes, ByteOrder::Big));
+            assert_eq!(bytes, [0x7f, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff]);
+        }
+    }
+}

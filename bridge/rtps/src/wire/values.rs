@@ -64,3 +64,47 @@ pub(super) fn write_locators(out: &mut Encoder<'_>, id: u16, locators: &[SocketA
         write_parameter(out, id, |out| Locator::from(*locator).write(out));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::ByteOrder;
+
+    fn string(bytes: &[u8]) -> Option<String> {
+        read_string(&mut Cursor::new(bytes, ByteOrder::Big), 5)
+    }
+
+    #[test]
+    fn a_string_ends_with_a_zero_that_its_length_counts() {
+        assert_eq!(string(b"\0\0\0\x03ab\0"), Some("ab".to_owned()));
+        assert_eq!(string(b"\0\0\0\x01\0"), Some(String::new()));
+        assert_eq!(string(b"\0\0\0\0"), Some(String::new()));
+        assert_eq!(string(b"\0\0\0\x06abcde\0"), Some("abcde".to_owned()));
+    }
+
+    #[test]
+    fn other_strings_are_none() {
+        for bytes in [
+            &b""[..],
+            b"\0\0\0",
+            b"\0\0\0\x02ab",         // no zero
+            b"\0\0\0\x03a\0\0",      // a zero in between
+            b"\0\0\0\x07abcdef\0",   // too long
+            b"\0\0\0\x04ab\0",       // cut off
+            b"\xff\xff\xff\xffab\0", // far beyond the end
+            b"\0\0\0\x03\xff\xfe\0", // no UTF-8
+        ] {
+            assert_eq!(string(bytes), None, "{bytes:?}");
+        }
+    }
+
+    #[test]
+    fn octets_lie_within_their_parameter_and_too_many_are_not_kept() {
+        let octets = |bytes: &[u8]| read_octets(&mut Cursor::new(bytes, ByteOrder::Big));
+        assert_eq!(octets(b"\0\0\0\x02ab"), Some(b"ab".to_vec()));
+        assert_eq!(octets(b"\0\0\0\x03ab"), None);
+        assert_eq!(octets(b"\xff\xff\xff\xffab"), None);
+        let long = [&2000_u32.to_be_bytes()[..], &[1; 2000]].concat();
+        assert_eq!(octets(&long), Some(Vec::new()));
+    }
+}
