@@ -43,7 +43,11 @@ fn columns(heading: &str) -> &'static [(&'static str, &'static str)] {
             ("rosbags", "rosbags"),
             ("mcap_core", "@mcap/core"),
         ],
-        _ => &[("rclpy", "rclpy, rmw_fastrtps_cpp"), ("cyclonedds", "Cyclone DDS, Python")],
+        _ => &[
+            ("rclpy", "rclpy, rmw_fastrtps_cpp"),
+            ("cyclonedds", "Cyclone DDS, Python"),
+            ("ros2_client", "ros2-client, Rust"),
+        ],
     }
 }
 

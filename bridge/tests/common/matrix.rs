@@ -12,6 +12,8 @@ pub enum With {
     Rclpy,
     /// The Python package `cyclonedds`: the engine of rmw_cyclonedds_cpp.
     Cyclone,
+    /// The crate `ros2-client`.
+    Ros2Client,
     /// The recorder of Jazzy, rosbag2: bags that it made.
     Rosbag2,
     /// The Python package `mcap`.
@@ -41,6 +43,7 @@ pub fn check(heading: &str, feature: &str, with: With, way: Way) -> Check {
     let with = match with {
         With::Rclpy => "rclpy",
         With::Cyclone => "cyclonedds",
+        With::Ros2Client => "ros2_client",
         With::Rosbag2 => "rosbag2",
         With::Mcap => "mcap",
         With::McapRos2 => "mcap_ros2",
