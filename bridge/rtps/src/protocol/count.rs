@@ -1,0 +1,36 @@
+//! The counts of acknowledgements and heartbeats, by which the newer of two is known.
+
+use std::time::{Duration, Instant};
+
+/// After so long a silence a lower count is taken for that of a peer that has begun again.
+const MEMORY: Duration = Duration::from_millis(500);
+
+/// The last count heard.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct LastCount(Option<(u32, Instant)>);
+
+impl LastCount {
+    /// Whether a message with `count` is news; if so it is the last one from now on.
+    pub fn accept(&mut self, count: u32, now: Instant) -> bool {
+        let is_news = self.0.is_none_or(|(last, at)| {
+            count.wrapping_sub(last).cast_signed() > 0 || now.saturating_duration_since(at) >= MEMORY
+        });
+        if is_news {
+            self.0 = Some((count, now));
+        }
+        is_news
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_rise_unless_the_peer_was_silent() {
+        let (mut last, now) = (LastCount::default(), Instant::now());
+        assert!(last.accept(u32::MAX, now) && last.accept(0, now) && last.accept(5, now));
+        assert!(!last.accept(5, now) && !last.accept(4, now + MEMORY / 2));
+        assert!(last.accept(1, now + MEMORY) && last.accept(2, now + MEMORY));
+    }
+}

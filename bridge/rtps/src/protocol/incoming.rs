@@ -1,0 +1,451 @@
+//! What a reader knows about one writer: what has arrived, what waits, what is missing.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+
+use crate::wire::{
+    AckNack, DataFragment, EntityId, FragmentSet, Gap, Guid, Heartbeat, HeartbeatFragment, MessageBuilder,
+    NackFragment, SequenceNumber, SequenceNumberSet, Timestamp,
+};
+
+use super::Now;
+
+use super::assembly::Assembly;
+use super::count::LastCount;
+use super::intervals::Intervals;
+use super::links::LinkId;
+use super::received::{Received, Sample};
+
+/// A writer is asked for a first heartbeat after so long, then twice as late each time.
+const FIRST_QUESTION: Duration = Duration::from_millis(10);
+const QUESTION_MAX: Duration = Duration::from_secs(3);
+/// The same samples are not asked for again within this time.
+const NACK_PAUSE: Duration = Duration::from_millis(10);
+/// How far ahead of the next sample to be delivered others are kept.
+const MAX_AHEAD: i64 = 1024;
+/// How many holes there may be in what was received.
+const MAX_RUNS: usize = 600;
+/// Samples of a reliable and of a best-effort writer of which fragments are kept.
+const MAX_OPEN_RELIABLE: usize = 64;
+const MAX_OPEN_BEST_EFFORT: usize = 4;
+/// For how many samples fragments are asked for at once.
+const MAX_FRAGMENT_NACKS: usize = 8;
+
+/// A writer that is matched with the reader.
+#[derive(Debug, Clone, Copy)]
+pub struct MatchedWriter {
+    #[allow(missing_docs)]
+    pub guid: Guid,
+    /// Whether both are reliable.
+    pub is_reliable: bool,
+    /// How long its samples are of use.
+    pub lifespan: Option<Duration>,
+    /// How long it is taken for alive without an assertion.
+    pub liveliness_lease: Option<Duration>,
+    /// Where acknowledgements go to.
+    pub link: LinkId,
+    /// Whether the writer is of this engine: then fragments are acknowledged too.
+    pub is_ours: bool,
+}
+
+/// The state of one matched writer.
+#[derive(Debug)]
+pub(super) struct Incoming {
+    pub matched: MatchedWriter,
+    /// The next sample to be delivered. All before it are, or never will be.
+    next: SequenceNumber,
+    /// Whether the writer has said what it has; before that nothing is lost.
+    is_known: bool,
+    /// Numbers above `next` that were received or will not come.
+    settled: Intervals,
+    /// Received samples above `next`.
+    waiting: BTreeMap<SequenceNumber, Sample>,
+    assemblies: BTreeMap<SequenceNumber, Assembly>,
+    /// Bytes held by the two.
+    pub size: usize,
+    /// The newest sample there is, as the writer said last.
+    last: SequenceNumber,
+    last_heartbeat: LastCount,
+    last_heartbeat_fragment: LastCount,
+    /// Counts of what is sent to the writer.
+    ack_nacks: u32,
+    nack_fragments: u32,
+    /// When the writer will be asked for a heartbeat, and how long after that again.
+    question: Option<(Instant, Duration)>,
+    /// What the next acknowledgement is about.
+    answer: Answer,
+    /// What was asked for last, and when.
+    asked: Option<(Progress, Instant)>,
+    /// When the same will be asked for again.
+    ask_at: Option<Instant>,
+    /// The sample of which fragments are to be acknowledged, and the last of those that were sent.
+    fragments_sent: Option<(SequenceNumber, u32)>,
+    is_alive: bool,
+    /// When the writer was last known to be alive.
+    asserted: Instant,
+}
+
+/// The next sample to be delivered and how many fragments of it are there: as long as that is the same, no answer has come.
+type Progress = (SequenceNumber, u32);
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Answer {
+    None,
+    /// A request for a heartbeat.
+    Question,
+    /// What is there and what is missing.
+    Acknowledgement,
+}
+
+impl Incoming {
+    pub fn new(matched: MatchedWriter, now: Instant) -> Self {
+        Self {
+            matched,
+            next: SequenceNumber::FIRST,
+            is_known: false,
+            settled: Intervals::default(),
+            waiting: BTreeMap::new(),
+            assemblies: BTreeMap::new(),
+            size: 0,
+            last: SequenceNumber::ZERO,
+            last_heartbeat: LastCount::default(),
+            last_heartbeat_fragment: LastCount::default(),
+            ack_nacks: 0,
+            nack_fragments: 0,
+            question: matched.is_reliable.then_some((now + FIRST_QUESTION, FIRST_QUESTION)),
+            answer: Answer::None,
+            asked: None,
+            ask_at: None,
+            fragments_sent: None,
+            is_alive: true,
+            asserted: now,
+        }
+    }
+
+    /// Whether the sample `number` is neither delivered nor received nor given up.
+    pub fn is_wanted(&self, number: SequenceNumber) -> bool {
+        let is_near = !self.matched.is_reliable || number.0 - self.next.0 < MAX_AHEAD;
+        number >= self.next && is_near && !self.settled.contains(number.0)
+    }
+
+    /// Takes a wanted sample. If it has to wait and takes more than `room`, it is dropped and will be asked for again.
+    pub fn take_sample(&mut self, now: Now, sample: Sample, room: usize, out: &mut Vec<Received>) {
+        let number = sample.number;
+        if !self.matched.is_reliable {
+            self.lose_before(number, out);
+            self.deliver(now, sample, out);
+            self.advance(now, number.next(), out);
+        } else if number == self.next {
+            self.deliver(now, sample, out);
+            self.advance(now, number.next(), out);
+        } else if sample.payload.len() <= room && self.settled.runs() < MAX_RUNS {
+            self.size += sample.payload.len();
+            self.settled.insert(number.0..number.0 + 1);
+            self.waiting.insert(number, sample);
+        }
+    }
+
+    /// Takes fragments of a wanted sample, as far as they fit into `room`.
+    pub fn take_fragment(
+        &mut self,
+        now: Now,
+        timestamp: Option<Timestamp>,
+        fragment: &DataFragment<'_>,
+        room: usize,
+        out: &mut Vec<Received>,
+    ) {
+        let number = fragment.number;
+        if self.assemblies.get(&number).is_some_and(|assembly| !assembly.fits(fragment)) {
+            self.drop_assembly(number);
+        }
+        if !self.assemblies.contains_key(&number) && !self.open_assembly(number, fragment, timestamp, room) {
+            return;
+        }
+        let Some(assembly) = self.assemblies.get_mut(&number) else { return };
+        let size = assembly.size();
+        // The next sample always goes on, or nothing would.
+        if number == self.next || assembly.size_with(fragment) - size <= room {
+            assembly.add(fragment);
+        }
+        self.size += assembly.size() - size;
+        if assembly.is_complete()
+            && let Some(assembly) = self.drop_assembly(number)
+        {
+            let sample = Sample {
+                writer: self.matched.guid,
+                number,
+                source_timestamp: assembly.timestamp,
+                inline_qos: assembly.inline_qos,
+                is_key: assembly.is_key,
+                payload: Bytes::from(assembly.into_bytes()),
+            };
+            self.take_sample(now, sample, room, out);
+        }
+    }
+
+    /// Gives a wanted sample up: it is more than the reader takes.
+    pub fn refuse(&mut self, now: Now, number: SequenceNumber, out: &mut Vec<Received>) {
+        self.drop_assembly(number);
+        out.push(Received::Lost { writer: self.matched.guid, count: 1 });
+        self.settle(number.0..number.0 + 1);
+        self.advance(now, self.next, out);
+    }
+
+    /// Takes note of samples that will not come, and were not for this reader.
+    pub fn take_gap(&mut self, now: Now, gap: &Gap, out: &mut Vec<Received>) {
+        self.settle(gap.start.0..gap.list.base().0);
+        for number in gap.list.iter() {
+            self.settle(number.0..number.0 + 1);
+        }
+        self.advance(now, self.next, out);
+    }
+
+    /// Takes note of what the writer has. Whether there is something to answer.
+    pub fn take_heartbeat(&mut self, now: Now, heartbeat: &Heartbeat, out: &mut Vec<Received>) -> bool {
+        if !self.matched.is_reliable || !self.last_heartbeat.accept(heartbeat.count, now.steady) {
+            return false;
+        }
+        self.question = None;
+        self.last = heartbeat.last;
+        if heartbeat.first > self.next {
+            self.lose_before(heartbeat.first, out);
+            self.advance(now, heartbeat.first, out);
+        }
+        self.is_known = true;
+        let is_due = !heartbeat.is_final || self.next <= self.last;
+        if is_due {
+            self.answer = Answer::Acknowledgement;
+        }
+        is_due
+    }
+
+    /// Takes note of which fragments were sent. Whether there is something to answer.
+    pub fn take_heartbeat_fragment(&mut self, now: Now, heartbeat: &HeartbeatFragment) -> bool {
+        let is_news = self.last_heartbeat_fragment.accept(heartbeat.count, now.steady);
+        if !self.matched.is_reliable || !is_news {
+            return false;
+        }
+        // Others do not expect an acknowledgement, only requests.
+        let is_complete = || match self.assemblies.get(&heartbeat.number) {
+            Some(assembly) => assembly.missing(heartbeat.last).is_empty(),
+            None => !self.is_wanted(heartbeat.number),
+        };
+        if !self.matched.is_ours && is_complete() {
+            return false;
+        }
+        self.fragments_sent = Some((heartbeat.number, heartbeat.last));
+        true
+    }
+
+    /// Does what is due by now. Whether there is something to send.
+    pub fn handle_timeout(&mut self, now: Instant) -> bool {
+        if let Some((at, period)) = self.question.filter(|(at, _)| *at <= now) {
+            let period = (2 * period).min(QUESTION_MAX);
+            self.question = Some((at.max(now) + period, period));
+            if self.answer == Answer::None {
+                self.answer = Answer::Question;
+            }
+        }
+        if self.ask_at.is_some_and(|at| at <= now) {
+            self.ask_at = None;
+            self.answer = Answer::Acknowledgement;
+        }
+        self.answer != Answer::None
+    }
+
+    /// The writer is alive. Whether that is news.
+    pub fn assert_liveliness(&mut self, now: Instant) -> bool {
+        self.asserted = now;
+        !std::mem::replace(&mut self.is_alive, true)
+    }
+
+    /// When the writer is taken for dead unless it is heard; `None` if it is already, or if it has no lease.
+    pub fn lease_ends(&self) -> Option<Instant> {
+        self.matched.liveliness_lease.filter(|_| self.is_alive).map(|lease| self.asserted + lease)
+    }
+
+    /// Takes the writer for dead if its lease has ended. Whether that is news.
+    pub fn run_out_lease(&mut self, now: Instant) -> bool {
+        let is_over = self.lease_ends().is_some_and(|ends| ends <= now);
+        self.is_alive &= !is_over;
+        is_over
+    }
+
+    pub fn next_timeout(&self) -> Option<Instant> {
+        [self.question.map(|(at, _)| at), self.ask_at].into_iter().flatten().min()
+    }
+
+    /// Sends what is to be answered; `false` if it does not fit.
+    pub fn emit(&mut self, now: Instant, reader: EntityId, builder: &mut MessageBuilder<'_>) -> bool {
+        builder.info_destination(self.matched.guid.prefix);
+        self.emit_fragments_sent(now, reader, builder) && self.emit_answer(now, reader, builder)
+    }
+
+    fn emit_answer(&mut self, now: Instant, reader: EntityId, builder: &mut MessageBuilder<'_>) -> bool {
+        let mut missing = SequenceNumberSet::new(self.next);
+        let mut partial = Vec::new();
+        if self.answer == Answer::None {
+            return true;
+        }
+        if self.answer == Answer::Acknowledgement {
+            let end = self.last.0.min(self.next.0 + i64::from(SequenceNumberSet::CAPACITY) - 1) + 1;
+            for number in self.settled.absent(self.next.0..end).map(SequenceNumber) {
+                match self.assemblies.get(&number) {
+                    Some(assembly) if partial.len() < MAX_FRAGMENT_NACKS => {
+                        partial.push((number, assembly.all_missing()));
+                    }
+                    Some(_) => {}
+                    None => _ = missing.insert(number),
+                }
+            }
+            if !missing.is_empty() || !partial.is_empty() {
+                let progress = self.progress();
+                if let Some((_, at)) =
+                    self.asked.filter(|(asked, at)| *asked == progress && now < *at + NACK_PAUSE)
+                {
+                    self.ask_at = Some(at + NACK_PAUSE);
+                    self.answer = Answer::None;
+                    return true;
+                }
+                self.asked = Some((progress, now));
+            }
+        }
+        let writer = self.matched.guid.entity;
+        self.ack_nacks = self.ack_nacks.wrapping_add(1);
+        let is_final = self.answer == Answer::Acknowledgement && missing.is_empty();
+        if !builder.ack_nack(&AckNack { reader, writer, missing, count: self.ack_nacks, is_final }) {
+            return false;
+        }
+        for (number, missing) in partial {
+            self.nack_fragments = self.nack_fragments.wrapping_add(1);
+            let nack = NackFragment { reader, writer, number, missing, count: self.nack_fragments };
+            if !builder.nack_fragment(&nack) {
+                // The rest is asked for when the time has come to ask again.
+                self.ask_at = Some(now + NACK_PAUSE);
+                break;
+            }
+        }
+        self.answer = Answer::None;
+        true
+    }
+
+    /// Acknowledges fragments of a sample under way, and asks for those that were lost.
+    fn emit_fragments_sent(
+        &mut self,
+        now: Instant,
+        reader: EntityId,
+        builder: &mut MessageBuilder<'_>,
+    ) -> bool {
+        let Some((number, last)) = self.fragments_sent else { return true };
+        let mut missing = match self.assemblies.get(&number) {
+            Some(assembly) => assembly.missing(last),
+            None if self.is_wanted(number) => {
+                let mut missing = FragmentSet::new(1);
+                (1..=last).all(|fragment| missing.insert(fragment));
+                missing
+            }
+            None => FragmentSet::new(last.saturating_add(1)),
+        };
+        if !missing.is_empty() {
+            let progress = self.progress();
+            match self.asked {
+                Some((asked, at)) if asked == progress && now < at + NACK_PAUSE => {
+                    missing = FragmentSet::new(missing.base());
+                }
+                _ => self.asked = Some((progress, now)),
+            }
+        }
+        self.nack_fragments = self.nack_fragments.wrapping_add(1);
+        let writer = self.matched.guid.entity;
+        let nack = NackFragment { reader, writer, number, missing, count: self.nack_fragments };
+        let is_written = builder.nack_fragment(&nack);
+        if is_written {
+            self.fragments_sent = None;
+        }
+        is_written
+    }
+
+    fn progress(&self) -> Progress {
+        (self.next, self.assemblies.get(&self.next).map_or(0, |assembly| assembly.missing(u32::MAX).base()))
+    }
+
+    /// Counts as lost what is neither received nor excused before `number`.
+    fn lose_before(&mut self, number: SequenceNumber, out: &mut Vec<Received>) {
+        let range = self.next.0..number.0;
+        let lost = range.end.abs_diff(range.start) - self.settled.count_in(range);
+        if std::mem::replace(&mut self.is_known, true) && lost > 0 {
+            out.push(Received::Lost { writer: self.matched.guid, count: lost });
+        }
+    }
+
+    /// Numbers that will not come.
+    fn settle(&mut self, range: std::ops::Range<i64>) {
+        if range.start <= self.next.0 {
+            self.next.0 = self.next.0.max(range.end);
+        } else if range.start - self.next.0 < MAX_AHEAD && self.settled.runs() < MAX_RUNS {
+            self.settled.insert(range);
+        }
+    }
+
+    /// Goes on to `next` or further, and delivers what waited for that.
+    fn advance(&mut self, now: Now, next: SequenceNumber, out: &mut Vec<Received>) {
+        self.next = next;
+        if !self.settled.is_empty() {
+            self.next = SequenceNumber(self.settled.first_absent(next.0));
+            self.settled.remove(0..self.next.0);
+        }
+        while let Some(entry) = self.waiting.first_entry().filter(|entry| *entry.key() < self.next) {
+            let sample = entry.remove();
+            self.size -= sample.payload.len();
+            self.deliver(now, sample, out);
+        }
+        while let Some(number) = self.assemblies.keys().next().copied().filter(|number| *number < self.next) {
+            self.drop_assembly(number);
+        }
+    }
+
+    fn deliver(&self, now: Now, sample: Sample, out: &mut Vec<Received>) {
+        let is_expired = self.matched.lifespan.zip(sample.source_timestamp).is_some_and(|(span, stamp)| {
+            let age = now.wall_ns.saturating_sub(stamp.to_nanos());
+            u128::try_from(age).is_ok_and(|age| age > span.as_nanos())
+        });
+        if !is_expired {
+            out.push(Received::Sample(sample));
+        }
+    }
+
+    /// Begins to put a sample together; `false` if there is no room for it.
+    fn open_assembly(
+        &mut self,
+        number: SequenceNumber,
+        fragment: &DataFragment<'_>,
+        timestamp: Option<Timestamp>,
+        room: usize,
+    ) -> bool {
+        let max_open = if self.matched.is_reliable { MAX_OPEN_RELIABLE } else { MAX_OPEN_BEST_EFFORT };
+        let is_crowded = self.assemblies.len() >= max_open || fragment.payload.len() > room;
+        if is_crowded && self.matched.is_reliable && number != self.next {
+            return false;
+        }
+        if self.assemblies.len() >= max_open {
+            // The next sample of a reliable writer matters most; of a best-effort writer, the newest.
+            let other = match self.matched.is_reliable {
+                true => self.assemblies.keys().next_back().copied(),
+                false => self.assemblies.keys().next().copied().filter(|other| *other < number),
+            };
+            if other.and_then(|other| self.drop_assembly(other)).is_none() {
+                return false;
+            }
+        }
+        self.assemblies.insert(number, Assembly::new(fragment, timestamp));
+        true
+    }
+
+    fn drop_assembly(&mut self, number: SequenceNumber) -> Option<Assembly> {
+        let assembly = self.assemblies.remove(&number)?;
+        self.size -= assembly.size();
+        Some(assembly)
+    }
+}

@@ -1,0 +1,879 @@
+//! What a writer sends over one link: to all matched readers of one participant.
+//!
+//! A sample goes over a link once, for all readers there. What a reader lacks is sent again to that reader alone.
+
+use std::time::{Duration, Instant};
+
+use crate::wire::{
+    AckNack, Data, DataFragment, EntityId, FragmentSet, Gap, Guid, Heartbeat, HeartbeatFragment,
+    MessageBuilder, NackFragment, SequenceNumber, SequenceNumberSet,
+};
+
+use super::count::LastCount;
+use super::history::{Entry, History};
+use super::intervals::Intervals;
+use super::links::{Emitted, LinkId, Links};
+use super::pacer::Load;
+
+/// Heartbeats that go along with samples are at least this far apart: at high rates not every sample is acknowledged.
+const HEARTBEAT_PAUSE: Duration = Duration::from_millis(5);
+/// The first heartbeat of its own for what is not acknowledged; then twice as late each time.
+const HEARTBEAT_PERIOD: Duration = Duration::from_millis(20);
+const HEARTBEAT_PERIOD_MAX: Duration = Duration::from_secs(3);
+/// Where no window says when, a heartbeat goes along after so much data.
+const HEARTBEAT_DATA: u64 = 64 * 1024;
+/// A link that a window holds back is given up on for now after so long without an acknowledgement.
+const STALL: Duration = Duration::from_millis(100);
+/// Samples up to this size go ahead of the queue of a pacer.
+const SMALL: usize = 4096;
+/// Bytes of a heartbeat.
+const HEARTBEAT_LEN: usize = 32;
+/// Samples of one reader of which fragments may be asked for at a time.
+const MAX_FRAGMENTED: usize = 8;
+
+/// A reader that is matched with the writer.
+#[derive(Debug, Clone, Copy)]
+pub struct MatchedReader {
+    #[allow(missing_docs)]
+    pub guid: Guid,
+    /// Whether both are reliable.
+    pub is_reliable: bool,
+    /// Whether both are transient local.
+    pub wants_history: bool,
+    /// Where the reader is.
+    pub link: LinkId,
+}
+
+/// What all lanes of a writer share while they send.
+pub(super) struct Sending<'a> {
+    pub now: Instant,
+    pub writer: EntityId,
+    pub history: &'a History,
+    /// The count of the last heartbeat.
+    pub heartbeats: &'a mut u32,
+}
+
+/// The state of one link of a writer.
+#[derive(Debug)]
+pub(super) struct Lane {
+    link: LinkId,
+    pub readers: Vec<ReaderState>,
+    /// The first sample that is not wholly sent.
+    next: SequenceNumber,
+    /// How many fragments of `next` are sent.
+    next_fragment: u32,
+    /// How much of the stream is sent, and how much of that all reliable readers have.
+    sent: u64,
+    acknowledged: u64,
+    /// When the acknowledgements last rose, or the first sample was sent after all had been acknowledged.
+    progress: Instant,
+    /// When the next heartbeat is due.
+    pub heartbeat_at: Option<Instant>,
+    heartbeat_period: Duration,
+    /// A heartbeat is to be sent with the next datagram.
+    heartbeat: HeartbeatWish,
+    last_heartbeat: Option<Instant>,
+    /// How much of the stream was sent before the last heartbeat.
+    heartbeat_sent: u64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum HeartbeatWish {
+    None,
+    /// For an answer.
+    Plain,
+    /// Also to say that the writer is alive.
+    Liveliness,
+}
+
+/// The state of one matched reader.
+#[derive(Debug)]
+pub(super) struct ReaderState {
+    pub guid: Guid,
+    pub is_reliable: bool,
+    pub wants_history: bool,
+    /// The first sample that concerns this reader.
+    start: SequenceNumber,
+    /// The first sample that this reader has not acknowledged.
+    acknowledged: SequenceNumber,
+    /// The same in the stream: parts of a sample count. Never below what was sent when the reader was matched: sending
+    /// it the history is not held against the window.
+    position: u64,
+    /// How much had been sent when the reader was matched.
+    matched_position: u64,
+    /// The first sample to be sent after the reader was matched.
+    matched_next: SequenceNumber,
+    /// Samples to be sent again, and how many fragments of the first of them already are.
+    repair: Intervals,
+    repaired_fragments: Option<(SequenceNumber, u32)>,
+    /// Fragments to be sent again.
+    fragments: Vec<(SequenceNumber, FragmentSet)>,
+    /// The first of some samples that were not for this reader, which does not know yet.
+    gap_from: Option<SequenceNumber>,
+    /// A heartbeat to this reader is due.
+    heartbeat: bool,
+    last_ack_nack: LastCount,
+    last_nack_fragment: LastCount,
+}
+
+/// Who gets a sample on a lane.
+enum Audience {
+    Nobody,
+    Some(Guid),
+    All,
+}
+
+impl Lane {
+    /// A lane that sends what is written from now on.
+    pub fn new(link: LinkId, history: &History, now: Instant) -> Self {
+        let sent = history.position(history.next());
+        Self {
+            link,
+            readers: Vec::new(),
+            next: history.next(),
+            next_fragment: 0,
+            sent,
+            acknowledged: sent,
+            progress: now,
+            heartbeat_at: None,
+            heartbeat_period: HEARTBEAT_PERIOD,
+            heartbeat: HeartbeatWish::None,
+            last_heartbeat: None,
+            heartbeat_sent: sent,
+        }
+    }
+
+    /// The first sample that was not sent here at least once.
+    pub fn next(&self) -> SequenceNumber {
+        self.next
+    }
+
+    /// Whether nobody can wait for what is not sent here: the peer has stopped acknowledging.
+    pub fn is_stalled(&self, now: Instant, links: &Links) -> bool {
+        let is_held = links.window_size(self.link).is_some() && self.acknowledged < self.sent;
+        is_held && now.saturating_duration_since(self.progress) >= STALL
+    }
+
+    /// Adds a reader. One that `moved` here from another link goes on with what it has acknowledged.
+    pub fn add_reader(
+        &mut self,
+        matched: &MatchedReader,
+        moved: Option<ReaderState>,
+        sending: &Sending<'_>,
+        depth: usize,
+        links: &mut Links,
+    ) {
+        let mut reader = ReaderState {
+            guid: matched.guid,
+            is_reliable: matched.is_reliable,
+            wants_history: matched.wants_history,
+            start: self.next,
+            acknowledged: self.next,
+            position: self.sent,
+            matched_position: self.sent,
+            matched_next: self.next,
+            repair: Intervals::default(),
+            repaired_fragments: None,
+            fragments: Vec::new(),
+            gap_from: None,
+            heartbeat: matched.is_reliable,
+            last_ack_nack: LastCount::default(),
+            last_nack_fragment: LastCount::default(),
+        };
+        match moved {
+            Some(moved) => {
+                reader.start = moved.start;
+                reader.acknowledged = moved.acknowledged.min(self.next);
+                reader.repair = moved.repair;
+            }
+            None => {
+                reader.begin(self.next, sending.history, depth);
+                if !matched.is_reliable {
+                    reader.repair.insert(reader.start.0..self.next.0);
+                }
+            }
+        }
+        self.readers.push(reader);
+        self.update_acknowledged(sending.now, links);
+        self.arm(sending.now, sending.history);
+        links.request(self.link, sending.writer);
+    }
+
+    /// The lane is of no use any more: gives back what it took of the window of its link.
+    pub fn close(&mut self, links: &mut Links) {
+        self.readers.clear();
+        self.set_acknowledged(self.sent, links);
+    }
+
+    pub fn remove_reader(&mut self, guid: Guid, now: Instant, links: &mut Links) -> Option<ReaderState> {
+        let index = self.readers.iter().position(|reader| reader.guid == guid)?;
+        let reader = self.readers.remove(index);
+        self.update_acknowledged(now, links);
+        Some(reader)
+    }
+
+    /// A sample was written that is for nobody here; if nothing else waits, it is done with.
+    pub fn pass_over(&mut self, number: SequenceNumber, history: &History, links: &mut Links) -> bool {
+        let is_idle = self.next == number && self.next_fragment == 0;
+        if is_idle {
+            self.skip(number.next(), |_| true, history, links);
+        }
+        is_idle
+    }
+
+    /// A sample was written: makes sure that a heartbeat follows if nobody acknowledges it.
+    pub fn note_written(&mut self, now: Instant) {
+        if self.heartbeat_at.is_none() && self.has_reliable() {
+            self.heartbeat_period = HEARTBEAT_PERIOD;
+            self.heartbeat_at = Some(now + HEARTBEAT_PERIOD);
+        }
+    }
+
+    pub fn wish_liveliness(&mut self) {
+        self.heartbeat = HeartbeatWish::Liveliness;
+    }
+
+    /// Sends a heartbeat if one is due and somebody has not acknowledged.
+    pub fn handle_timeout(&mut self, sending: &Sending<'_>, links: &mut Links) {
+        if self.heartbeat_at.is_none_or(|at| at > sending.now) {
+            return;
+        }
+        self.heartbeat_at = None;
+        if self.is_behind(sending.history) {
+            self.heartbeat = self.heartbeat.max(HeartbeatWish::Plain);
+            self.heartbeat_at = Some(sending.now + self.heartbeat_period);
+            self.heartbeat_period = (2 * self.heartbeat_period).min(HEARTBEAT_PERIOD_MAX);
+            links.request(self.link, sending.writer);
+        }
+    }
+
+    /// Takes an acknowledgement of the reader at `index`.
+    pub fn handle_ack_nack(
+        &mut self,
+        index: usize,
+        ack_nack: &AckNack,
+        sending: &Sending<'_>,
+        depth: usize,
+        links: &mut Links,
+    ) {
+        let (now, history, next) = (sending.now, sending.history, self.next);
+        let reader = &mut self.readers[index];
+        let base = ack_nack.missing.base();
+        if !reader.is_reliable || base > history.next() || !reader.last_ack_nack.accept(ack_nack.count, now) {
+            return;
+        }
+        let asks = !ack_nack.missing.is_empty();
+        if !asks && base <= SequenceNumber::FIRST {
+            // The first words of a reader, or it has forgotten what it had.
+            if reader.acknowledged > SequenceNumber::FIRST {
+                (reader.matched_next, reader.matched_position) = (next, self.sent);
+                reader.begin(next, history, depth);
+            }
+            reader.heartbeat |= !ack_nack.is_final;
+        } else {
+            reader.acknowledge(base.min(next), history);
+            let lost = reader.request(&ack_nack.missing, next);
+            if lost {
+                links.lose(self.link, now);
+            }
+            reader.heartbeat |= !asks && !ack_nack.is_final;
+        }
+        if reader.has_something() {
+            links.request(self.link, sending.writer);
+        }
+        self.update_acknowledged(now, links);
+        self.arm(now, history);
+    }
+
+    /// Takes a request for fragments, or the acknowledgement of some, of the reader at `index`.
+    pub fn handle_nack_fragment(
+        &mut self,
+        index: usize,
+        nack: &NackFragment,
+        sending: &Sending<'_>,
+        links: &mut Links,
+    ) {
+        let (now, number) = (sending.now, nack.number);
+        let fragment_size = links.fragment_size(self.link);
+        let (next, next_fragment) = (self.next, self.next_fragment);
+        let reader = &mut self.readers[index];
+        if !reader.is_reliable || number > next || !reader.last_nack_fragment.accept(nack.count, now) {
+            return;
+        }
+        let Some(entry) = sending.history.get(number) else {
+            reader.heartbeat = true;
+            links.request(self.link, sending.writer);
+            return;
+        };
+        let count = fragment_count(entry, fragment_size);
+        // Below its limit fragments are sent already; those above will be anyway.
+        let limit = match reader.repaired_fragments {
+            _ if number == next => next_fragment,
+            Some((repaired, fragments)) if repaired == number => fragments,
+            _ => count,
+        };
+        let received = nack.missing.base().saturating_sub(1).min(limit);
+        if number == reader.acknowledged {
+            let bytes = (u64::from(received) * u64::from(fragment_size)).min(entry.payload.len() as u64);
+            reader.position = reader.position.max(entry.position + bytes);
+        }
+        let mut missing = FragmentSet::new(nack.missing.base());
+        nack.missing
+            .iter()
+            .take_while(|fragment| *fragment <= limit)
+            .all(|fragment| missing.insert(fragment));
+        if !missing.is_empty() {
+            reader.fragments.retain(|(of, _)| *of != number);
+            if reader.fragments.len() < MAX_FRAGMENTED {
+                reader.fragments.push((number, missing));
+            }
+            links.lose(self.link, now);
+            links.request(self.link, sending.writer);
+        }
+        self.update_acknowledged(now, links);
+        self.arm(now, sending.history);
+    }
+
+    /// Fills a datagram.
+    pub fn emit(
+        &mut self,
+        sending: &mut Sending<'_>,
+        links: &mut Links,
+        builder: &mut MessageBuilder<'_>,
+    ) -> Emitted {
+        builder.info_destination(links.peer(self.link));
+        if self.heartbeat > HeartbeatWish::None
+            && self.data_since_heartbeat() >= self.heartbeat_data(links)
+            && !self.emit_heartbeats(sending, links, builder)
+        {
+            return Emitted::More;
+        }
+        let mut emitted = Emitted::Done;
+        for reader in &mut self.readers {
+            match reader.emit_repairs(sending, self.link, self.next, links, builder) {
+                Emitted::More => return Emitted::More,
+                Emitted::Blocked => emitted = Emitted::Blocked,
+                Emitted::Done => {}
+            }
+        }
+        match self.emit_new(sending, links, builder) {
+            Emitted::More => {
+                if self.data_since_heartbeat() >= self.heartbeat_data(links) {
+                    // If it does not fit here, then into the next datagram.
+                    let _ = self.emit_heartbeats(sending, links, builder);
+                }
+                return Emitted::More;
+            }
+            Emitted::Blocked => emitted = Emitted::Blocked,
+            Emitted::Done => {}
+        }
+        if !self.wish_heartbeat(sending, emitted, links) || self.emit_heartbeats(sending, links, builder) {
+            emitted
+        } else {
+            Emitted::More
+        }
+    }
+
+    /// Sends what was not sent yet.
+    fn emit_new(
+        &mut self,
+        sending: &Sending<'_>,
+        links: &mut Links,
+        builder: &mut MessageBuilder<'_>,
+    ) -> Emitted {
+        let history = sending.history;
+        while self.next < history.next() {
+            let Some(entry) = history.get(self.next) else {
+                let next = history.at_or_after(self.next);
+                // What was discarded is for nobody. What gave way unsent is lost: the next heartbeat says so.
+                let is_discarded = self.next > history.first();
+                self.skip(next, |_| is_discarded, history, links);
+                continue;
+            };
+            let audience = self.audience(entry);
+            if matches!(audience, Audience::Nobody) {
+                self.skip(entry.number.next(), |_| true, history, links);
+                continue;
+            }
+            let is_for = |reader: &ReaderState| match audience {
+                Audience::Nobody => false,
+                Audience::Some(guid) => reader.guid == guid,
+                Audience::All => true,
+            };
+            for reader in self.readers.iter_mut().filter(|reader| is_for(reader)) {
+                if !reader.emit_gap_before(entry.number, sending.writer, builder) {
+                    return Emitted::More;
+                }
+            }
+            let entity = match audience {
+                Audience::Some(guid) => guid.entity,
+                Audience::All if self.readers.len() == 1 => self.readers[0].guid.entity,
+                Audience::All | Audience::Nobody => EntityId::UNKNOWN,
+            };
+            let fragment_size = links.fragment_size(self.link);
+            let part = Part::of(entry, fragment_size, self.next_fragment + 1);
+            if !part.fits(entry, builder) {
+                return Emitted::More;
+            }
+            let (load, bytes) = (Load::of(entry), part.len(entry));
+            let may_send = match self.has_reliable() {
+                true => links.may_send_reliable(self.link, sending.now, load, bytes),
+                false => links.may_send(self.link, sending.now, load, bytes),
+            };
+            if !may_send {
+                return Emitted::Blocked;
+            }
+            part.emit(entry, entity, sending.writer, builder);
+            if self.acknowledged == self.sent {
+                self.progress = sending.now;
+            }
+            if part.is_last(entry) {
+                self.skip(entry.number.next(), |reader| !is_for(reader), history, links);
+            } else {
+                self.next_fragment += 1;
+                self.set_sent(entry.position + part.end(), links);
+            }
+            // In the middle of a large sample, and of a flood of small ones, acknowledgements have to be asked for.
+            if self.data_since_heartbeat() >= self.heartbeat_data(links) && self.has_reliable() {
+                self.heartbeat = self.heartbeat.max(HeartbeatWish::Plain);
+                if builder.remaining() < 2 * HEARTBEAT_LEN || self.next_fragment > 0 {
+                    return Emitted::More;
+                }
+            }
+        }
+        Emitted::Done
+    }
+
+    /// Goes on to `next`. The readers for whom what lies before it `is_nothing` need not acknowledge it.
+    fn skip(
+        &mut self,
+        next: SequenceNumber,
+        is_nothing: impl Fn(&ReaderState) -> bool,
+        history: &History,
+        links: &mut Links,
+    ) {
+        let before = std::mem::replace(&mut self.next, next);
+        self.next_fragment = 0;
+        for reader in self.readers.iter_mut().filter(|reader| is_nothing(reader)) {
+            reader.gap_from.get_or_insert(before);
+            if reader.acknowledged == before {
+                reader.acknowledge(next, history);
+            }
+        }
+        self.set_sent(history.position(next), links);
+    }
+
+    fn audience(&self, entry: &Entry) -> Audience {
+        match entry.only_to {
+            None => Audience::All,
+            Some(guid) if self.readers.iter().any(|reader| reader.guid == guid) => Audience::Some(guid),
+            Some(_) => Audience::Nobody,
+        }
+    }
+
+    /// Whether a heartbeat is due, now that all was sent that can be.
+    fn wish_heartbeat(&mut self, sending: &Sending<'_>, emitted: Emitted, links: &Links) -> bool {
+        let now = sending.now;
+        if self.heartbeat > HeartbeatWish::None || self.readers.iter().any(|reader| reader.heartbeat) {
+            return true;
+        }
+        if !self.has_reliable() || self.data_since_heartbeat() == 0 {
+            return false;
+        }
+        let is_early = self.last_heartbeat.is_some_and(|last| now < last + HEARTBEAT_PAUSE);
+        let is_much = self.data_since_heartbeat() >= self.heartbeat_data(links);
+        if emitted == Emitted::Done && (!is_early || is_much) || emitted == Emitted::Blocked && is_much {
+            self.heartbeat = HeartbeatWish::Plain;
+            return true;
+        }
+        if let (true, Some(last)) = (is_early, self.last_heartbeat) {
+            let soon = last + HEARTBEAT_PAUSE;
+            self.heartbeat_at = Some(self.heartbeat_at.map_or(soon, |at| at.min(soon)));
+        }
+        false
+    }
+
+    /// Sends the heartbeats that are due; `false` if one does not fit.
+    fn emit_heartbeats(
+        &mut self,
+        sending: &mut Sending<'_>,
+        links: &Links,
+        builder: &mut MessageBuilder<'_>,
+    ) -> bool {
+        let (now, history) = (sending.now, sending.history);
+        let first = history.first();
+        let single = match self.readers.as_slice() {
+            [reader] => Some(reader.guid.entity),
+            _ => None,
+        };
+        let mut heartbeat = Heartbeat {
+            reader: single.unwrap_or(EntityId::UNKNOWN),
+            writer: sending.writer,
+            first,
+            last: self.next.previous().max(first.previous()),
+            count: sending.heartbeats.wrapping_add(1),
+            is_final: !self.has_reliable(),
+            is_liveliness: self.heartbeat == HeartbeatWish::Liveliness,
+        };
+        for reader in self.readers.iter_mut().filter(|reader| reader.heartbeat) {
+            let first = first.max(reader.start);
+            let last = heartbeat.last.max(first.previous());
+            if !builder.heartbeat(&Heartbeat { reader: reader.guid.entity, first, last, ..heartbeat }) {
+                return false;
+            }
+            *sending.heartbeats = heartbeat.count;
+            heartbeat.count = heartbeat.count.wrapping_add(1);
+            reader.heartbeat = false;
+            if single.is_some() {
+                self.heartbeat = HeartbeatWish::None;
+            }
+        }
+        if self.heartbeat > HeartbeatWish::None {
+            if !builder.heartbeat(&heartbeat) {
+                return false;
+            }
+            *sending.heartbeats = heartbeat.count;
+            self.heartbeat = HeartbeatWish::None;
+        }
+        // Between participants of this engine, the fragments of a sample under way are acknowledged as well.
+        if self.next_fragment > 0 && self.has_reliable() && links.window_size(self.link).is_some() {
+            let fragments = HeartbeatFragment {
+                reader: heartbeat.reader,
+                writer: sending.writer,
+                number: self.next,
+                last: self.next_fragment,
+                count: sending.heartbeats.wrapping_add(1),
+            };
+            if !builder.heartbeat_fragment(&fragments) {
+                self.heartbeat = HeartbeatWish::Plain;
+                return false;
+            }
+            *sending.heartbeats = fragments.count;
+        }
+        self.last_heartbeat = Some(now);
+        self.heartbeat_sent = self.sent;
+        self.heartbeat_at = self.is_behind(history).then(|| now + self.heartbeat_period);
+        true
+    }
+
+    fn data_since_heartbeat(&self) -> u64 {
+        self.sent.saturating_sub(self.heartbeat_sent)
+    }
+
+    /// After how much data a heartbeat goes along even if more data wait.
+    fn heartbeat_data(&self, links: &Links) -> u64 {
+        match links.window_size(self.link) {
+            Some(window) => window / 4,
+            // Stock readers do not acknowledge fragments.
+            None if self.next_fragment > 0 => u64::MAX,
+            None => HEARTBEAT_DATA,
+        }
+    }
+
+    fn has_reliable(&self) -> bool {
+        self.readers.iter().any(|reader| reader.is_reliable)
+    }
+
+    fn is_behind(&self, history: &History) -> bool {
+        self.readers.iter().any(|reader| reader.is_behind(history))
+    }
+
+    /// After an acknowledgement: the next heartbeat comes in the shortest period again, or not at all.
+    fn arm(&mut self, now: Instant, history: &History) {
+        if !self.is_behind(history) {
+            self.heartbeat_at = None;
+        } else if self.progress == now || self.heartbeat_at.is_none() {
+            self.heartbeat_period = HEARTBEAT_PERIOD;
+            self.heartbeat_at = Some(now + HEARTBEAT_PERIOD);
+        }
+    }
+
+    fn update_acknowledged(&mut self, now: Instant, links: &mut Links) {
+        let acknowledged = self.lowest_position();
+        if acknowledged > self.acknowledged {
+            self.progress = now;
+        }
+        self.set_acknowledged(acknowledged, links);
+    }
+
+    fn set_acknowledged(&mut self, acknowledged: u64, links: &mut Links) {
+        let before = self.in_flight();
+        self.acknowledged = acknowledged;
+        links.change_in_flight(self.link, before, self.in_flight());
+    }
+
+    fn set_sent(&mut self, sent: u64, links: &mut Links) {
+        let before = self.in_flight();
+        self.sent = sent;
+        self.acknowledged = self.lowest_position();
+        links.change_in_flight(self.link, before, self.in_flight());
+    }
+
+    /// How much of the stream all reliable readers have.
+    fn lowest_position(&self) -> u64 {
+        let reliable = self.readers.iter().filter(|reader| reader.is_reliable);
+        reliable.map(|reader| reader.position).min().map_or(self.sent, |lowest| lowest.min(self.sent))
+    }
+
+    fn in_flight(&self) -> u64 {
+        self.sent - self.acknowledged
+    }
+}
+
+impl ReaderState {
+    /// Whether the reader has yet to acknowledge something.
+    pub fn is_behind(&self, history: &History) -> bool {
+        self.is_reliable && self.acknowledged < history.next()
+    }
+
+    /// Whether the reader has yet to acknowledge the sample `number`.
+    pub fn lacks(&self, number: SequenceNumber) -> bool {
+        self.is_reliable && self.acknowledged <= number
+    }
+
+    /// Begins with what the reader is due: the newest samples if it wants history, else what it has not acknowledged.
+    fn begin(&mut self, next: SequenceNumber, history: &History, depth: usize) {
+        if self.wants_history {
+            self.start = history.newest(depth).min(next);
+            self.acknowledged = self.start;
+        } else {
+            self.start = self.acknowledged;
+        }
+        self.position = self.matched_position;
+        self.repair.clear();
+        self.fragments.clear();
+        self.repaired_fragments = None;
+    }
+
+    fn acknowledge(&mut self, base: SequenceNumber, history: &History) {
+        if base <= self.acknowledged {
+            return;
+        }
+        self.acknowledged = base;
+        self.position = self.position.max(history.position(base));
+        self.repair.remove(0..base.0);
+        self.fragments.retain(|(number, _)| *number >= base);
+    }
+
+    /// Notes what is to be sent again; whether some of it was lost on the way.
+    fn request(&mut self, missing: &SequenceNumberSet, next: SequenceNumber) -> bool {
+        self.repair.clear();
+        // A sample that is being sent again stays in the list, though the reader asks for its fragments by now.
+        if let Some((number, _)) = self.repaired_fragments.filter(|(number, _)| *number >= missing.base()) {
+            self.repair.insert(number.0..number.0 + 1);
+        }
+        let mut lost = false;
+        for number in missing.iter().filter(|number| *number < next) {
+            self.repair.insert(number.0..number.0 + 1);
+            lost |= number >= self.matched_next;
+        }
+        lost
+    }
+
+    fn has_something(&self) -> bool {
+        self.heartbeat || !self.repair.is_empty() || !self.fragments.is_empty()
+    }
+
+    /// Sends again what was asked for.
+    fn emit_repairs(
+        &mut self,
+        sending: &Sending<'_>,
+        link: LinkId,
+        next: SequenceNumber,
+        links: &mut Links,
+        builder: &mut MessageBuilder<'_>,
+    ) -> Emitted {
+        let (history, entity) = (sending.history, self.guid.entity);
+        let fragment_size = links.fragment_size(link);
+        while let Some(first) = self.repair.first().map(SequenceNumber) {
+            let Some(entry) = history.get(first).filter(|entry| self.is_due(entry)) else {
+                if !self.emit_repair_gap(first, next, sending, builder) {
+                    return Emitted::More;
+                }
+                continue;
+            };
+            let sent =
+                self.repaired_fragments.filter(|(number, _)| *number == first).map_or(0, |(_, sent)| sent);
+            let part = Part::of(entry, fragment_size, sent + 1);
+            if !part.fits(entry, builder) {
+                return Emitted::More;
+            }
+            if !links.may_send(link, sending.now, Load::of(entry), part.len(entry)) {
+                return Emitted::Blocked;
+            }
+            part.emit(entry, entity, sending.writer, builder);
+            if part.is_last(entry) {
+                self.repair.remove(first.0..first.0 + 1);
+                self.repaired_fragments = None;
+                self.heartbeat = self.is_reliable;
+            } else {
+                self.repaired_fragments = Some((first, sent + 1));
+            }
+        }
+        self.repaired_fragments = None;
+        while let Some((number, missing)) = self.fragments.first().copied() {
+            let entry = history.get(number).filter(|entry| self.is_due(entry));
+            let Some((entry, fragment)) = entry.zip(missing.iter().next()) else {
+                self.fragments.remove(0);
+                self.heartbeat = true;
+                continue;
+            };
+            let part = Part::of(entry, fragment_size, fragment);
+            if !part.fits(entry, builder) {
+                return Emitted::More;
+            }
+            if !links.may_send(link, sending.now, Load::of(entry), part.len(entry)) {
+                return Emitted::Blocked;
+            }
+            part.emit(entry, entity, sending.writer, builder);
+            let mut rest = FragmentSet::new(fragment + 1);
+            missing.iter().skip(1).all(|fragment| rest.insert(fragment));
+            self.fragments[0].1 = rest;
+        }
+        Emitted::Done
+    }
+
+    /// Whether the sample is for this reader.
+    fn is_due(&self, entry: &Entry) -> bool {
+        entry.number >= self.start && entry.only_to.is_none_or(|only| only == self.guid)
+    }
+
+    /// Says what becomes of the requests from `first` on that are for samples which will not come; `false` if that does not
+    /// fit.
+    fn emit_repair_gap(
+        &mut self,
+        first: SequenceNumber,
+        next: SequenceNumber,
+        sending: &Sending<'_>,
+        builder: &mut MessageBuilder<'_>,
+    ) -> bool {
+        let history = sending.history;
+        if first >= self.start && first < history.first() {
+            // It gave way to newer ones. The heartbeat that says so counts as a loss at the reader, a gap would not.
+            self.repair.remove(0..history.first().0);
+            self.heartbeat = true;
+            return true;
+        }
+        let mut end = self.start.max(first.next());
+        while end < next && history.get(end).is_none_or(|entry| !self.is_due(entry)) && end > history.first()
+        {
+            end = history.at_or_after(end.next());
+        }
+        let end = end.min(next.max(first.next()));
+        let gap = Gap {
+            reader: self.guid.entity,
+            writer: sending.writer,
+            start: first,
+            list: SequenceNumberSet::new(end),
+        };
+        if !builder.gap(&gap) {
+            return false;
+        }
+        self.repair.remove(first.0..end.0);
+        self.heartbeat = self.is_reliable;
+        true
+    }
+
+    /// Tells the reader what was not for it before it gets `number`; `false` if that does not fit.
+    fn emit_gap_before(
+        &mut self,
+        number: SequenceNumber,
+        writer: EntityId,
+        builder: &mut MessageBuilder<'_>,
+    ) -> bool {
+        let Some(start) = self.gap_from else { return true };
+        let list = SequenceNumberSet::new(number);
+        let is_said = builder.gap(&Gap { reader: self.guid.entity, writer, start, list });
+        if is_said {
+            self.gap_from = None;
+        }
+        is_said
+    }
+}
+
+impl Load {
+    fn of(entry: &Entry) -> Self {
+        if entry.payload.len() <= SMALL { Self::Small } else { Self::Bulk }
+    }
+}
+
+/// A sample, or one fragment of it.
+#[derive(Clone, Copy)]
+enum Part {
+    Whole,
+    Fragment { number: u32, size: u16 },
+}
+
+fn fragment_count(entry: &Entry, fragment_size: u16) -> u32 {
+    entry.payload.len().div_ceil(fragment_size.into()) as u32
+}
+
+impl Part {
+    /// What to send of a sample if `fragment` is next.
+    fn of(entry: &Entry, fragment_size: u16, fragment: u32) -> Self {
+        match entry.payload.len() > usize::from(fragment_size) {
+            true => Self::Fragment { number: fragment, size: fragment_size },
+            false => Self::Whole,
+        }
+    }
+
+    /// Where it begins and ends in the payload.
+    fn range(self, entry: &Entry) -> std::ops::Range<usize> {
+        match self {
+            Self::Whole => 0..entry.payload.len(),
+            Self::Fragment { number, size } => {
+                let start = (number as usize - 1) * usize::from(size);
+                start.min(entry.payload.len())..(start + usize::from(size)).min(entry.payload.len())
+            }
+        }
+    }
+
+    fn len(self, entry: &Entry) -> usize {
+        self.range(entry).len()
+    }
+
+    fn end(self) -> u64 {
+        match self {
+            Self::Whole => 0,
+            Self::Fragment { number, size } => u64::from(number) * u64::from(size),
+        }
+    }
+
+    fn is_last(self, entry: &Entry) -> bool {
+        self.range(entry).end == entry.payload.len()
+    }
+
+    fn fits(self, entry: &Entry, builder: &MessageBuilder<'_>) -> bool {
+        // Info of the time may have to go in front, and zeros up to a multiple of four behind.
+        const REST: usize = 16;
+        let overhead = match self {
+            Self::Whole => MessageBuilder::DATA_OVERHEAD,
+            Self::Fragment { .. } => MessageBuilder::DATA_FRAGMENT_OVERHEAD,
+        };
+        builder.remaining() >= overhead + entry.inline_qos.encoded_len() + self.len(entry) + REST
+    }
+
+    /// Writes it; the caller knows that it fits.
+    fn emit(self, entry: &Entry, reader: EntityId, writer: EntityId, builder: &mut MessageBuilder<'_>) {
+        builder.info_timestamp(Some(entry.timestamp));
+        let (number, inline_qos) = (entry.number, entry.inline_qos);
+        let is_written = match self {
+            Self::Whole => {
+                builder.data(&Data { reader, writer, number, inline_qos, payload: entry.payload() })
+            }
+            Self::Fragment { number: first, size } => builder.data_fragment(&DataFragment {
+                reader,
+                writer,
+                number,
+                first,
+                count: 1,
+                fragment_size: size,
+                sample_size: entry.payload.len() as u32,
+                inline_qos,
+                payload: &entry.payload[self.range(entry)],
+                is_key: false,
+            }),
+        };
+        debug_assert!(is_written, "a part that fits was not written");
+    }
+}

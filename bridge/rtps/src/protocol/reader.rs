@@ -1,0 +1,281 @@
+//! The reader: hands out what its writers send, once and in their order, and asks for what is missing.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Instant;
+
+use bytes::Bytes;
+
+use crate::qos::Qos;
+use crate::wire::{
+    Data, DataFragment, Gap, Guid, Heartbeat, HeartbeatFragment, MessageBuilder, Payload, SequenceNumber,
+    Timestamp,
+};
+
+use super::Now;
+use super::incoming::{Incoming, MatchedWriter};
+use super::links::{Emitted, LinkId, Links};
+use super::received::{Received, Sample};
+use super::writer::missed_periods;
+
+/// What a reader is made from.
+#[derive(Debug, Clone)]
+pub struct ReaderConfig {
+    #[allow(missing_docs)]
+    pub guid: Guid,
+    #[allow(missing_docs)]
+    pub qos: Qos,
+    /// Bytes of a sample; larger ones are lost.
+    pub max_sample_size: u32,
+    /// Bytes of samples that are incomplete or wait for earlier ones, of all writers together. The next sample of each
+    /// writer may exceed it.
+    pub max_open_bytes: usize,
+}
+
+/// The state of a reader, builtin or of the user.
+#[derive(Debug)]
+pub struct Reader {
+    config: ReaderConfig,
+    writers: BTreeMap<Guid, Incoming>,
+    /// Writers that are to be answered, by their links.
+    due: BTreeSet<(LinkId, Guid)>,
+    /// Bytes of samples that are incomplete or wait.
+    open_bytes: usize,
+    deadline_at: Option<Instant>,
+    /// Not later than the next timeout.
+    timeout: Option<Instant>,
+}
+
+impl Reader {
+    #[allow(missing_docs)]
+    pub fn new(config: ReaderConfig) -> Self {
+        let (writers, due) = (BTreeMap::new(), BTreeSet::new());
+        Self { config, writers, due, open_bytes: 0, deadline_at: None, timeout: None }
+    }
+
+    #[allow(missing_docs)]
+    pub fn guid(&self) -> Guid {
+        self.config.guid
+    }
+
+    #[allow(missing_docs)]
+    pub fn qos(&self) -> &Qos {
+        &self.config.qos
+    }
+
+    /// Matches a writer. If it is already, its link and QoS are renewed.
+    pub fn match_writer(&mut self, now: Now, matched: MatchedWriter) {
+        let incoming = self.writers.entry(matched.guid).or_insert_with(|| Incoming::new(matched, now.steady));
+        self.due.remove(&(incoming.matched.link, matched.guid));
+        incoming.matched = matched;
+        let lease_ends = incoming.lease_ends();
+        let timeout = incoming.next_timeout();
+        self.set_timeout(timeout);
+        self.set_timeout(lease_ends);
+    }
+
+    /// Forgets a writer.
+    pub fn unmatch_writer(&mut self, writer: Guid) {
+        if let Some(incoming) = self.writers.remove(&writer) {
+            self.open_bytes -= incoming.size;
+            self.due.remove(&(incoming.matched.link, writer));
+        }
+    }
+
+    /// The matched writers.
+    pub fn matched(&self) -> impl Iterator<Item = Guid> {
+        self.writers.keys().copied()
+    }
+
+    #[allow(missing_docs)]
+    pub fn is_matched(&self, writer: Guid) -> bool {
+        self.writers.contains_key(&writer)
+    }
+
+    /// Takes a sample. Writers that are not matched are ignored, here and below.
+    pub fn handle_data(
+        &mut self,
+        now: Now,
+        writer: Guid,
+        timestamp: Option<Timestamp>,
+        data: &Data<'_>,
+        out: &mut Vec<Received>,
+    ) {
+        let (payload, is_key) = match data.payload {
+            Payload::None => (&[][..], false),
+            Payload::Data(payload) => (payload, false),
+            Payload::Key(payload) => (payload, true),
+        };
+        let max = self.config.max_sample_size as usize;
+        self.take(now, writer, data.number, out, |incoming, room, out| {
+            if payload.len() > max {
+                return incoming.refuse(now, data.number, out);
+            }
+            let sample = Sample {
+                writer,
+                number: data.number,
+                source_timestamp: timestamp,
+                inline_qos: data.inline_qos,
+                is_key,
+                payload: Bytes::copy_from_slice(payload),
+            };
+            incoming.take_sample(now, sample, room, out);
+        });
+    }
+
+    /// Takes fragments of a sample.
+    pub fn handle_fragment(
+        &mut self,
+        now: Now,
+        writer: Guid,
+        timestamp: Option<Timestamp>,
+        fragment: &DataFragment<'_>,
+        out: &mut Vec<Received>,
+    ) {
+        let max = self.config.max_sample_size;
+        self.take(now, writer, fragment.number, out, |incoming, room, out| {
+            if fragment.sample_size > max {
+                return incoming.refuse(now, fragment.number, out);
+            }
+            incoming.take_fragment(now, timestamp, fragment, room, out);
+        });
+    }
+
+    /// Takes note of which samples a writer has.
+    pub fn handle_heartbeat(
+        &mut self,
+        now: Now,
+        writer: Guid,
+        heartbeat: &Heartbeat,
+        out: &mut Vec<Received>,
+        links: &mut Links,
+    ) {
+        let Some(incoming) = self.writers.get_mut(&writer) else { return };
+        let (link, size) = (incoming.matched.link, incoming.size);
+        let is_due = incoming.take_heartbeat(now, heartbeat, out);
+        self.open_bytes = self.open_bytes + incoming.size - size;
+        if is_due {
+            self.answer(link, writer, links);
+        }
+        if heartbeat.is_liveliness {
+            self.assert_liveliness(now, writer, out);
+        }
+    }
+
+    /// Takes note of samples that will not come.
+    pub fn handle_gap(&mut self, now: Now, writer: Guid, gap: &Gap, out: &mut Vec<Received>) {
+        let Some(incoming) = self.writers.get_mut(&writer) else { return };
+        let size = incoming.size;
+        incoming.take_gap(now, gap, out);
+        self.open_bytes = self.open_bytes + incoming.size - size;
+    }
+
+    /// Takes note of which fragments of a sample a writer has sent.
+    pub fn handle_heartbeat_fragment(
+        &mut self,
+        now: Now,
+        writer: Guid,
+        heartbeat: &HeartbeatFragment,
+        links: &mut Links,
+    ) {
+        let Some(incoming) = self.writers.get_mut(&writer) else { return };
+        let link = incoming.matched.link;
+        if incoming.take_heartbeat_fragment(now, heartbeat) {
+            self.answer(link, writer, links);
+        }
+    }
+
+    /// The writer is alive, as its participant says.
+    pub fn assert_liveliness(&mut self, now: Now, writer: Guid, out: &mut Vec<Received>) {
+        let Some(incoming) = self.writers.get_mut(&writer) else { return };
+        if incoming.assert_liveliness(now.steady) {
+            out.push(Received::LivelinessChanged { writer, is_alive: true });
+            let lease_ends = incoming.lease_ends();
+            self.set_timeout(lease_ends);
+        }
+    }
+
+    /// Does what is due by now.
+    pub fn handle_timeout(&mut self, now: Now, out: &mut Vec<Received>, links: &mut Links) {
+        if self.timeout.is_none_or(|timeout| timeout > now.steady) {
+            return;
+        }
+        if let Some((deadline, at)) = self.config.qos.deadline.zip(self.deadline_at) {
+            let (count, next) = missed_periods(at, deadline, now.steady);
+            self.deadline_at = Some(next);
+            if count > 0 {
+                out.push(Received::DeadlineMissed { count });
+            }
+        }
+        self.timeout = self.deadline_at;
+        for (guid, incoming) in &mut self.writers {
+            if incoming.handle_timeout(now.steady) {
+                self.due.insert((incoming.matched.link, *guid));
+                links.request(incoming.matched.link, self.config.guid.entity);
+            }
+            if incoming.run_out_lease(now.steady) {
+                out.push(Received::LivelinessChanged { writer: *guid, is_alive: false });
+            }
+            let timeouts = [self.timeout, incoming.next_timeout(), incoming.lease_ends()];
+            self.timeout = timeouts.into_iter().flatten().min();
+        }
+    }
+
+    /// When [`Reader::handle_timeout`] is to be called. May be early, is never late.
+    pub fn next_timeout(&self) -> Option<Instant> {
+        self.timeout
+    }
+
+    /// Fills a datagram for `link`.
+    pub fn emit(&mut self, now: Now, link: LinkId, builder: &mut MessageBuilder<'_>) -> Emitted {
+        let lowest = (link, Guid::UNKNOWN);
+        while let Some(due) = self.due.range(lowest..).next().copied().filter(|due| due.0 == link) {
+            if let Some(incoming) = self.writers.get_mut(&due.1) {
+                if !incoming.emit(now.steady, self.config.guid.entity, builder) {
+                    return Emitted::More;
+                }
+                let timeout = incoming.next_timeout();
+                self.set_timeout(timeout);
+            }
+            self.due.remove(&due);
+        }
+        Emitted::Done
+    }
+
+    /// Lets `take` have a sample that is wanted, and the bytes that are free for it.
+    fn take(
+        &mut self,
+        now: Now,
+        writer: Guid,
+        number: SequenceNumber,
+        out: &mut Vec<Received>,
+        take: impl FnOnce(&mut Incoming, usize, &mut Vec<Received>),
+    ) {
+        let Some(incoming) = self.writers.get_mut(&writer) else { return };
+        if incoming.assert_liveliness(now.steady) {
+            out.push(Received::LivelinessChanged { writer, is_alive: true });
+            let lease_ends = incoming.lease_ends();
+            self.timeout = [self.timeout, lease_ends].into_iter().flatten().min();
+        }
+        if !incoming.is_wanted(number) {
+            return;
+        }
+        let (size, received) = (incoming.size, out.len());
+        take(incoming, self.config.max_open_bytes.saturating_sub(self.open_bytes), out);
+        self.open_bytes = self.open_bytes + incoming.size - size;
+        if out.len() > received
+            && let Some(deadline) = self.config.qos.deadline
+        {
+            self.deadline_at = Some(now.steady + deadline);
+            self.set_timeout(self.deadline_at);
+        }
+    }
+
+    fn answer(&mut self, link: LinkId, writer: Guid, links: &mut Links) {
+        self.due.insert((link, writer));
+        links.request(link, self.config.guid.entity);
+    }
+
+    fn set_timeout(&mut self, at: Option<Instant>) {
+        self.timeout = [self.timeout, at].into_iter().flatten().min();
+    }
+}

@@ -1,0 +1,48 @@
+//! What readers hand out.
+
+use bytes::Bytes;
+
+use crate::wire::{Guid, InlineQos, SequenceNumber, Timestamp};
+
+/// A sample that was received.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Sample {
+    #[allow(missing_docs)]
+    pub writer: Guid,
+    #[allow(missing_docs)]
+    pub number: SequenceNumber,
+    /// When the writer wrote it, by the clock of its host.
+    pub source_timestamp: Option<Timestamp>,
+    #[allow(missing_docs)]
+    pub inline_qos: InlineQos,
+    /// Whether the payload is only the key of an instance.
+    pub is_key: bool,
+    /// With the four bytes of its encapsulation; empty if there is none.
+    pub payload: Bytes,
+}
+
+/// What happened at a reader, in its order.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Received {
+    /// A sample; those of one reliable writer in the order of their numbers, without a gap that is not told as lost.
+    Sample(Sample),
+    /// Samples of a writer that will not come any more.
+    Lost {
+        #[allow(missing_docs)]
+        writer: Guid,
+        #[allow(missing_docs)]
+        count: u64,
+    },
+    /// Nothing came for so many further periods.
+    DeadlineMissed {
+        #[allow(missing_docs)]
+        count: u64,
+    },
+    /// A writer was silent for its lease, or is heard again. At first it is taken for alive.
+    LivelinessChanged {
+        #[allow(missing_docs)]
+        writer: Guid,
+        #[allow(missing_docs)]
+        is_alive: bool,
+    },
+}

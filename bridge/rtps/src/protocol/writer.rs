@@ -1,0 +1,456 @@
+//! The writer: what it keeps, and who has to get it.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+
+use crate::qos::{Durability, History as HistoryQos, Liveliness, Qos};
+use crate::wire::{AckNack, Guid, InlineQos, MessageBuilder, NackFragment, SequenceNumber, Timestamp};
+
+use super::Now;
+use super::history::History;
+use super::lane::{Lane, MatchedReader, ReaderState, Sending};
+use super::links::{Emitted, LinkId, Links};
+
+/// What a writer is made from.
+#[derive(Debug, Clone)]
+pub struct WriterConfig {
+    #[allow(missing_docs)]
+    pub guid: Guid,
+    #[allow(missing_docs)]
+    pub qos: Qos,
+    /// Samples that may wait: unacknowledged ones if the writer keeps all, else those beyond its depth that are not sent
+    /// yet because a pacer holds them back.
+    pub send_window: usize,
+}
+
+/// What goes with a sample.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct WriteOptions {
+    #[allow(missing_docs)]
+    pub inline_qos: InlineQos,
+    /// The only reader that gets the sample; for the others the number is a gap.
+    pub only_to: Option<Guid>,
+}
+
+/// The sample was not written: as many wait as may. [`Writer::can_write`] tells when it can be tried again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("as many samples wait to be sent or acknowledged as the send window holds")]
+pub struct WindowFull;
+
+/// What happened to a writer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WriterEvent {
+    /// Nothing was written for so many further periods.
+    DeadlineMissed {
+        #[allow(missing_docs)]
+        count: u64,
+    },
+    /// The application did not say for a lease that the writer is alive.
+    LivelinessLost,
+    /// All reliable readers have all samples.
+    Acknowledged,
+}
+
+/// The state of a writer, builtin or of the user.
+#[derive(Debug)]
+pub struct Writer {
+    guid: Guid,
+    qos: Qos,
+    send_window: usize,
+    history: History,
+    lanes: BTreeMap<LinkId, Lane>,
+    /// The link of each matched reader.
+    readers: BTreeMap<Guid, LinkId>,
+    /// How many reliable readers have not acknowledged all.
+    behind: usize,
+    /// The count of the last heartbeat.
+    heartbeats: u32,
+    deadline_at: Option<Instant>,
+    lease_ends: Option<Instant>,
+    /// Not later than the next timeout.
+    timeout: Option<Instant>,
+    events: VecDeque<WriterEvent>,
+}
+
+impl Writer {
+    #[allow(missing_docs)]
+    pub fn new(config: WriterConfig) -> Self {
+        Self {
+            guid: config.guid,
+            qos: config.qos,
+            send_window: config.send_window.max(1),
+            history: History::new(),
+            lanes: BTreeMap::new(),
+            readers: BTreeMap::new(),
+            behind: 0,
+            heartbeats: 0,
+            deadline_at: None,
+            lease_ends: None,
+            timeout: None,
+            events: VecDeque::new(),
+        }
+    }
+
+    #[allow(missing_docs)]
+    pub fn guid(&self) -> Guid {
+        self.guid
+    }
+
+    #[allow(missing_docs)]
+    pub fn qos(&self) -> &Qos {
+        &self.qos
+    }
+
+    /// Writes a sample; an empty payload is a sample without one.
+    ///
+    /// # Errors
+    /// [`WindowFull`] if the writer keeps all and too many samples are not acknowledged, or if it keeps the last ones and too
+    /// many were not sent once. A peer that stopped acknowledging does not count in the second case.
+    pub fn write(
+        &mut self,
+        now: Now,
+        payload: Bytes,
+        options: WriteOptions,
+        links: &mut Links,
+    ) -> Result<SequenceNumber, WindowFull> {
+        self.expire(now.steady);
+        self.make_room(now.steady, links)?;
+        let stamp = Timestamp::from_nanos(now.wall_ns);
+        let (inline_qos, only_to) = (options.inline_qos, options.only_to);
+        let number = self.history.push(payload, inline_qos, only_to, stamp, now.steady);
+        match only_to {
+            None => self.offer_to_all(now.steady, links),
+            Some(reader) => self.offer_to_one(now.steady, number, reader, links),
+        }
+        if let Some(deadline) = self.qos.deadline {
+            self.deadline_at = Some(now.steady + deadline);
+            self.set_timeout(self.deadline_at);
+        }
+        if let Some(lifespan) = self.qos.lifespan {
+            self.set_timeout(Some(now.steady + lifespan));
+        }
+        self.renew_lease(now.steady);
+        self.trim();
+        Ok(number)
+    }
+
+    /// Whether [`Writer::write`] would take a sample.
+    pub fn can_write(&self, now: Now, links: &Links) -> bool {
+        self.history.len() < self.limit() || !self.is_waited_for(self.history.first(), now.steady, links)
+    }
+
+    /// Takes a sample out of the history. Who still lacks it is told that it will not come.
+    pub fn discard(&mut self, number: SequenceNumber) {
+        self.history.remove(number);
+    }
+
+    /// Matches a reader. If it is already, its link and its QoS are renewed, and what it has acknowledged stays.
+    pub fn match_reader(&mut self, now: Now, matched: MatchedReader, links: &mut Links) {
+        if self.readers.get(&matched.guid) == Some(&matched.link) {
+            let readers = self.lanes.get_mut(&matched.link).into_iter().flat_map(|lane| &mut lane.readers);
+            for reader in readers.filter(|reader| reader.guid == matched.guid) {
+                if reader.is_reliable == matched.is_reliable {
+                    reader.wants_history = matched.wants_history;
+                    return;
+                }
+            }
+        }
+        let moved = self.remove_reader(now, matched.guid, links);
+        let depth = self.depth();
+        let lane = self
+            .lanes
+            .entry(matched.link)
+            .or_insert_with(|| Lane::new(matched.link, &self.history, now.steady));
+        let sending = Sending {
+            now: now.steady,
+            writer: self.guid.entity,
+            history: &self.history,
+            heartbeats: &mut self.heartbeats,
+        };
+        lane.add_reader(&matched, moved, &sending, depth, links);
+        let is_behind = lane.readers.last().is_some_and(|reader| reader.is_behind(&self.history));
+        let heartbeat_at = lane.heartbeat_at;
+        self.readers.insert(matched.guid, matched.link);
+        self.behind += usize::from(is_behind);
+        self.set_timeout(heartbeat_at);
+    }
+
+    /// Forgets a reader.
+    pub fn unmatch_reader(&mut self, now: Now, guid: Guid, links: &mut Links) {
+        let removed = self.remove_reader(now, guid, links);
+        if removed.is_some_and(|reader| reader.is_behind(&self.history)) {
+            self.note_acknowledged();
+        }
+        self.trim();
+    }
+
+    fn remove_reader(&mut self, now: Now, guid: Guid, links: &mut Links) -> Option<ReaderState> {
+        let link = self.readers.remove(&guid)?;
+        let lane = self.lanes.get_mut(&link)?;
+        let removed = lane.remove_reader(guid, now.steady, links)?;
+        if lane.readers.is_empty() {
+            lane.close(links);
+            self.lanes.remove(&link);
+        }
+        self.behind -= usize::from(removed.is_behind(&self.history));
+        Some(removed)
+    }
+
+    /// The matched readers.
+    pub fn matched(&self) -> impl Iterator<Item = Guid> {
+        self.readers.keys().copied()
+    }
+
+    #[allow(missing_docs)]
+    pub fn is_matched(&self, reader: Guid) -> bool {
+        self.readers.contains_key(&reader)
+    }
+
+    /// Whether all matched reliable readers have all samples.
+    pub fn is_acknowledged(&self) -> bool {
+        self.behind == 0
+    }
+
+    /// Takes an acknowledgement. Readers that are not matched are ignored.
+    pub fn handle_ack_nack(&mut self, now: Now, reader: Guid, ack_nack: &AckNack, links: &mut Links) {
+        let depth = self.depth();
+        let was_behind = self.behind;
+        self.with_reader(now, reader, |lane, index, sending| {
+            let was_behind = lane.readers[index].is_behind(sending.history);
+            lane.handle_ack_nack(index, ack_nack, sending, depth, links);
+            isize::from(lane.readers[index].is_behind(sending.history)) - isize::from(was_behind)
+        });
+        if self.behind < was_behind {
+            self.note_acknowledged();
+            self.trim();
+        }
+    }
+
+    /// Takes a request for fragments. Readers that are not matched are ignored.
+    pub fn handle_nack_fragment(&mut self, now: Now, reader: Guid, nack: &NackFragment, links: &mut Links) {
+        self.with_reader(now, reader, |lane, index, sending| {
+            lane.handle_nack_fragment(index, nack, sending, links);
+            0
+        });
+    }
+
+    /// The application says that the writer is alive: sends that without a sample.
+    pub fn assert_liveliness(&mut self, now: Now, links: &mut Links) {
+        self.renew_lease(now.steady);
+        for (link, lane) in &mut self.lanes {
+            lane.wish_liveliness();
+            links.request(*link, self.guid.entity);
+        }
+    }
+
+    /// Does what is due by now.
+    pub fn handle_timeout(&mut self, now: Now, links: &mut Links) {
+        if self.timeout.is_none_or(|timeout| timeout > now.steady) {
+            return;
+        }
+        self.expire(now.steady);
+        let sending = Sending {
+            now: now.steady,
+            writer: self.guid.entity,
+            history: &self.history,
+            heartbeats: &mut self.heartbeats,
+        };
+        self.lanes.values_mut().for_each(|lane| lane.handle_timeout(&sending, links));
+        if let Some((deadline, at)) = self.qos.deadline.zip(self.deadline_at) {
+            let (count, next) = missed_periods(at, deadline, now.steady);
+            self.deadline_at = Some(next);
+            if count > 0 {
+                self.events.push_back(WriterEvent::DeadlineMissed { count });
+            }
+        }
+        if self.lease_ends.is_some_and(|ends| ends <= now.steady) {
+            self.lease_ends = None;
+            self.events.push_back(WriterEvent::LivelinessLost);
+        }
+        let expires = self.qos.lifespan.zip(self.history.oldest()).map(|(span, entry)| entry.written + span);
+        let own = [self.deadline_at, self.lease_ends, expires];
+        let heartbeats = self.lanes.values().map(|lane| lane.heartbeat_at);
+        self.timeout = own.into_iter().chain(heartbeats).flatten().min();
+    }
+
+    /// When [`Writer::handle_timeout`] is to be called. May be early, is never late.
+    pub fn next_timeout(&self) -> Option<Instant> {
+        self.timeout
+    }
+
+    /// What has happened since.
+    pub fn poll_event(&mut self) -> Option<WriterEvent> {
+        self.events.pop_front()
+    }
+
+    /// Fills a datagram for `link`.
+    pub fn emit(
+        &mut self,
+        now: Now,
+        link: LinkId,
+        links: &mut Links,
+        builder: &mut MessageBuilder<'_>,
+    ) -> Emitted {
+        self.expire(now.steady);
+        let Some(lane) = self.lanes.get_mut(&link) else { return Emitted::Done };
+        let mut sending = Sending {
+            now: now.steady,
+            writer: self.guid.entity,
+            history: &self.history,
+            heartbeats: &mut self.heartbeats,
+        };
+        let behind =
+            |lane: &Lane| lane.readers.iter().filter(|reader| reader.is_behind(&self.history)).count();
+        let before = behind(lane);
+        let emitted = lane.emit(&mut sending, links, builder);
+        // Samples for others need no acknowledgement.
+        let acknowledged = before - behind(lane);
+        let heartbeat_at = lane.heartbeat_at;
+        self.behind -= acknowledged;
+        if acknowledged > 0 {
+            self.note_acknowledged();
+        }
+        self.set_timeout(heartbeat_at);
+        if emitted == Emitted::Done {
+            self.trim();
+        }
+        emitted
+    }
+
+    fn offer_to_all(&mut self, now: Instant, links: &mut Links) {
+        self.behind = 0;
+        for (link, lane) in &mut self.lanes {
+            self.behind += lane.readers.iter().filter(|reader| reader.is_reliable).count();
+            lane.note_written(now);
+            links.request(*link, self.guid.entity);
+        }
+        self.set_timeout(self.lanes.values().filter_map(|lane| lane.heartbeat_at).min());
+    }
+
+    fn offer_to_one(&mut self, now: Instant, number: SequenceNumber, reader: Guid, links: &mut Links) {
+        let link = self.readers.get(&reader).copied();
+        for (id, lane) in &mut self.lanes {
+            if Some(*id) == link || !lane.pass_over(number, &self.history, links) {
+                lane.note_written(now);
+                links.request(*id, self.guid.entity);
+            }
+        }
+        let readers = self.lanes.values().flat_map(|lane| &lane.readers);
+        self.behind = readers.filter(|reader| reader.is_behind(&self.history)).count();
+        self.set_timeout(self.lanes.values().filter_map(|lane| lane.heartbeat_at).min());
+    }
+
+    /// Runs `handle` for the lane and the index of a reader; it returns by how many the readers that are behind changed.
+    fn with_reader(
+        &mut self,
+        now: Now,
+        guid: Guid,
+        handle: impl FnOnce(&mut Lane, usize, &Sending<'_>) -> isize,
+    ) {
+        let Some(lane) = self.readers.get(&guid).and_then(|link| self.lanes.get_mut(link)) else { return };
+        let Some(index) = lane.readers.iter().position(|reader| reader.guid == guid) else { return };
+        let sending = Sending {
+            now: now.steady,
+            writer: self.guid.entity,
+            history: &self.history,
+            heartbeats: &mut self.heartbeats,
+        };
+        self.behind = self.behind.saturating_add_signed(handle(lane, index, &sending));
+        let heartbeat_at = lane.heartbeat_at;
+        self.set_timeout(heartbeat_at);
+    }
+
+    fn note_acknowledged(&mut self) {
+        if self.behind == 0 && self.events.back() != Some(&WriterEvent::Acknowledged) {
+            self.events.push_back(WriterEvent::Acknowledged);
+        }
+    }
+
+    /// How many samples a late joiner gets at most.
+    fn depth(&self) -> usize {
+        match self.qos.history {
+            HistoryQos::KeepLast(depth) => (depth as usize).max(1),
+            HistoryQos::KeepAll => usize::MAX,
+        }
+    }
+
+    fn keeps_all(&self) -> bool {
+        self.qos.history == HistoryQos::KeepAll
+    }
+
+    /// How many samples the history may hold.
+    fn limit(&self) -> usize {
+        if self.keeps_all() { self.send_window } else { self.send_window.max(self.depth()) }
+    }
+
+    /// Lets old samples give way to a new one.
+    fn make_room(&mut self, now: Instant, links: &Links) -> Result<(), WindowFull> {
+        let kept = self.depth().min(self.limit());
+        while self.history.len() >= kept {
+            if self.is_waited_for(self.history.first(), now, links) {
+                return if self.history.len() >= self.limit() { Err(WindowFull) } else { Ok(()) };
+            }
+            self.history.remove_oldest();
+        }
+        Ok(())
+    }
+
+    /// Whether `number` has yet to be sent somewhere, or if the writer keeps all, to be acknowledged.
+    fn is_waited_for(&self, number: SequenceNumber, now: Instant, links: &Links) -> bool {
+        let keeps_all = self.keeps_all();
+        self.lanes.values().any(|lane| {
+            let is_unsent = lane.next() <= number;
+            let lacks = |reader: &ReaderState| reader.lacks(number);
+            if keeps_all {
+                is_unsent || lane.readers.iter().any(lacks)
+            } else {
+                is_unsent && !lane.is_stalled(now, links)
+            }
+        })
+    }
+
+    /// Drops samples that nobody needs any more.
+    fn trim(&mut self) {
+        let is_volatile = self.qos.durability == Durability::Volatile;
+        if is_volatile
+            && self.behind == 0
+            && self.history.len() > 0
+            && self.lanes.values().all(|lane| lane.next() == self.history.next())
+        {
+            self.history.clear();
+        }
+    }
+
+    fn expire(&mut self, now: Instant) {
+        let Some(lifespan) = self.qos.lifespan else { return };
+        while self.history.oldest().is_some_and(|entry| entry.written + lifespan <= now) {
+            self.history.remove_oldest();
+        }
+    }
+
+    fn renew_lease(&mut self, now: Instant) {
+        if self.qos.liveliness == Liveliness::ManualByTopic
+            && let Some(lease) = self.qos.lease
+        {
+            self.lease_ends = Some(now + lease);
+            self.set_timeout(self.lease_ends);
+        }
+    }
+
+    fn set_timeout(&mut self, at: Option<Instant>) {
+        if let Some(at) = at {
+            self.timeout = Some(self.timeout.map_or(at, |timeout| timeout.min(at)));
+        }
+    }
+}
+
+/// How many periods have ended by now if the first of them ends at `at`, and when the next one ends.
+pub(super) fn missed_periods(at: Instant, period: Duration, now: Instant) -> (u64, Instant) {
+    let period = period.max(Duration::from_nanos(1));
+    let Some(late) = now.checked_duration_since(at) else { return (0, at) };
+    let missed = late.as_nanos() / period.as_nanos();
+    let rest = Duration::from_nanos((late.as_nanos() % period.as_nanos()) as u64);
+    (missed as u64 + 1, now - rest + period)
+}
