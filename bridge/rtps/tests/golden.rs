@@ -2,7 +2,8 @@
 
 #![allow(clippy::unwrap_used)]
 
-mod support;
+#[path = "golden/capture.rs"]
+mod capture;
 
 use std::collections::HashSet;
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -14,7 +15,6 @@ use downbeat_rtps::wire::{
     ParticipantData, ParticipantMessage, Payload, SampleIdentity, SequenceNumber, Submessage, VendorId,
     parse,
 };
-use support::capture;
 
 /// The participants of the recordings.
 const TALKER: GuidPrefix = GuidPrefix([0x01, 0x0f, 0x7f, 0x01, 0xac, 0x21, 0xf7, 0x45, 0, 0, 0, 0]);

@@ -26,7 +26,7 @@ impl Timestamp {
 
     /// Nanoseconds since 1970: exactly those given to [`Timestamp::from_nanos`].
     pub fn to_nanos(self) -> i64 {
-        // At most 2³² s and 10⁹ ns: half of what fits.
+        // Below 2³² s: half of what fits.
         (u64::from(self.seconds) * NANOS_PER_SECOND + nanos(self.fraction)).cast_signed()
     }
 
@@ -66,8 +66,9 @@ fn fraction(nanos: u32) -> u32 {
     ((u64::from(nanos) << 32) / NANOS_PER_SECOND) as u32
 }
 
+/// The nearest nanoseconds, below a second.
 fn nanos(fraction: u32) -> u64 {
-    (u64::from(fraction) * NANOS_PER_SECOND + (1 << 31)) >> 32
+    ((u64::from(fraction) * NANOS_PER_SECOND + (1 << 31)) >> 32).min(NANOS_PER_SECOND - 1)
 }
 
 #[cfg(test)]
@@ -111,7 +112,7 @@ mod tests {
         assert_eq!(read(0x8000_0000, 0), None);
         assert_eq!(read(0xffff_ffff, 0xffff_ffff), None);
         assert_eq!(read(1, 0x8000_0000), Some(Some(Duration::from_millis(1500))));
-        assert_eq!(read(0x7fff_fffe, 0xffff_ffff), Some(Some(Duration::from_secs(0x7fff_ffff))));
+        assert_eq!(read(0x7fff_fffe, 0xffff_ffff), Some(Some(Duration::new(0x7fff_fffe, 999_999_999))));
     }
 
     #[test]

@@ -1,7 +1,7 @@
-//! The datagrams of recorded conversations, see `tests/golden/README.md`.
+//! The datagrams of recorded conversations, see `tesREADME.md`.
 
-const FAST_DDS: &[u8] = include_bytes!("../golden/fast_dds.pcap");
-const CYCLONE_DDS: &[u8] = include_bytes!("../golden/cyclone_dds.pcap");
+const FAST_DDS: &[u8] = include_bytes!("fast_dds.pcap");
+const CYCLONE_DDS: &[u8] = include_bytes!("cyclone_dds.pcap");
 
 pub fn fast_dds() -> Vec<&'static [u8]> {
     datagrams(FAST_DDS)

@@ -1,0 +1,3 @@
+//! What the fuzzer and the tests run.
+
+pub mod wire;
