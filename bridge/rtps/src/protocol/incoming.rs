@@ -82,6 +82,7 @@ pub(super) struct Incoming {
     ask_at: Option<Instant>,
     /// The sample of which fragments are to be acknowledged, and the last of those that were sent.
     fragments_sent: Option<(SequenceNumber, u32)>,
+    /// Whether it was heard of within its lease. Nobody is told that it is not as long as it never was.
     is_alive: bool,
     /// When the writer was last known to be alive.
     asserted: Instant,
@@ -119,7 +120,7 @@ impl Incoming {
             asked: None,
             ask_at: None,
             fragments_sent: None,
-            is_alive: true,
+            is_alive: false,
             asserted: now,
         }
     }
@@ -258,7 +259,8 @@ impl Incoming {
     /// The writer is alive. Whether that is news.
     pub fn assert_liveliness(&mut self, now: Instant) -> bool {
         self.asserted = now;
-        !std::mem::replace(&mut self.is_alive, true)
+        let was_alive = std::mem::replace(&mut self.is_alive, true);
+        !was_alive && self.matched.liveliness_lease.is_some()
     }
 
     /// When the writer is taken for dead unless it is heard; `None` if it is already, or if it has no lease.

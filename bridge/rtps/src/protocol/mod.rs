@@ -1,24 +1,44 @@
 //! The protocol as a state machine: no sockets, no clock, no threads.
 //!
-//! Datagrams, timeouts and the time go in; datagrams, events and the time of the next timeout come out.
+//! Datagrams, timeouts and the time go in; datagrams, events and the time of the next timeout come out. [`Participant`] is
+//! the whole of it; [`Writer`] and [`Reader`] are its parts, which stand alone in tests.
 
+mod addresses;
 mod assembly;
+mod config;
 mod count;
+mod counters;
+mod discovery;
+mod dispatch;
+mod event;
+mod guard;
 mod history;
 mod incoming;
 mod intervals;
 mod lane;
 mod links;
+mod locals;
+mod matching;
 mod now;
 mod pacer;
+mod participant;
+mod peers;
 mod reader;
 mod received;
+mod timers;
+mod transmit;
 mod writer;
 
+pub use addresses::{Addresses, Interface};
+pub use config::{Config, EndpointConfig, Limits};
+pub use counters::{Counters, Fault};
+pub use event::{Departure, Event, LivelinessChange};
+pub use guard::{Admission, Guard};
 pub use incoming::MatchedWriter;
 pub use lane::MatchedReader;
 pub use links::{Destination, Emitted, LinkId, LinkOptions, Links};
 pub use now::Now;
+pub use participant::{CreateError, Participant, WriteError};
 pub use reader::{Reader, ReaderConfig};
 pub use received::{Received, Sample};
 pub use writer::{WindowFull, WriteOptions, Writer, WriterConfig, WriterEvent};

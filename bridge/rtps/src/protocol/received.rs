@@ -38,7 +38,7 @@ pub enum Received {
         #[allow(missing_docs)]
         count: u64,
     },
-    /// A writer was silent for its lease, or is heard again. At first it is taken for alive.
+    /// A writer with a lease is heard for the first time, was silent for its lease, or is heard again.
     LivelinessChanged {
         #[allow(missing_docs)]
         writer: Guid,

@@ -1,0 +1,149 @@
+//! Counts of traffic and of bad input.
+
+use std::time::{Duration, Instant};
+
+/// Time between two warnings of one kind: hostile input must not fill a log.
+const WARNING_PERIOD: Duration = Duration::from_secs(60);
+
+/// A kind of bad, hostile or foreign input. It is dropped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, thiserror::Error)]
+pub enum Fault {
+    /// Of another protocol or another major version.
+    #[error("a datagram of another protocol")]
+    Foreign,
+    #[allow(missing_docs)]
+    #[error("a malformed message")]
+    Malformed,
+    #[allow(missing_docs)]
+    #[error("malformed discovery data")]
+    MalformedDiscovery,
+    /// An announcement without an IPv4 address that we can send to.
+    #[error("a participant without a usable address")]
+    NoAddress,
+    /// An endpoint announced in the name of another participant.
+    #[error("an endpoint that belongs to another participant")]
+    ForeignEndpoint,
+    #[allow(missing_docs)]
+    #[error("a participant beyond the limit")]
+    TooManyParticipants,
+    #[allow(missing_docs)]
+    #[error("an endpoint beyond the limit")]
+    TooManyEndpoints,
+    /// The guard does not let it through.
+    #[error("a message that security rejects")]
+    Rejected,
+}
+
+impl Fault {
+    /// Number of kinds.
+    pub const COUNT: usize = Self::Rejected as usize + 1;
+}
+
+/// Traffic and faults since the participant was made.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub struct Counters {
+    pub datagrams_received: u64,
+    pub bytes_received: u64,
+    pub datagrams_sent: u64,
+    pub bytes_sent: u64,
+    /// Data of writers that no reader of ours is matched with. Ordinary at the start and end of a writer.
+    pub unmatched: u64,
+    /// Times that sending waited because a peer has not answered yet and was sent three times what came from it.
+    pub withheld: u64,
+    faults: [u64; Fault::COUNT],
+}
+
+impl Counters {
+    /// How often `fault` occurred.
+    pub fn faults(&self, fault: Fault) -> u64 {
+        self.faults[fault as usize]
+    }
+}
+
+/// Counts faults and decides when to warn of them.
+#[derive(Debug, Default)]
+pub(crate) struct Warnings {
+    kinds: [Option<Warned>; Fault::COUNT],
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Warned {
+    at: Instant,
+    since: u64,
+}
+
+impl Warnings {
+    /// Counts a fault. Returns how many there were since the last warning if it is time for one.
+    pub(crate) fn count(&mut self, counters: &mut Counters, fault: Fault, now: Instant) -> Option<u64> {
+        counters.faults[fault as usize] += 1;
+        let warned = &mut self.kinds[fault as usize];
+        let since = warned.map_or(1, |warned| warned.since + 1);
+        let is_due = warned.is_none_or(|warned| now.saturating_duration_since(warned.at) >= WARNING_PERIOD);
+        match warned {
+            Some(warned) if !is_due => warned.since = since,
+            _ => *warned = Some(Warned { at: now, since: 0 }),
+        }
+        is_due.then_some(since)
+    }
+}
+
+/// Bytes from and to a peer that has not yet shown that it is where its announcement says.
+///
+/// Anybody can announce a participant with the address of somebody else. Until an answer comes from there, no more is sent
+/// than three times what was received (as in RFC 9000, section 8.1).
+#[derive(Debug, Default)]
+pub(crate) struct Account {
+    received: u64,
+    sent: u64,
+    is_known: bool,
+}
+
+impl Account {
+    const FACTOR: u64 = 3;
+
+    pub(crate) fn received(&mut self, bytes: usize) {
+        self.received = self.received.saturating_add(bytes as u64);
+    }
+
+    pub(crate) fn sent(&mut self, bytes: usize) {
+        self.sent = self.sent.saturating_add(bytes as u64);
+    }
+
+    pub(crate) fn answered(&mut self) {
+        self.is_known = true;
+    }
+
+    pub(crate) fn is_known(&self) -> bool {
+        self.is_known
+    }
+
+    /// Bytes that may be sent now.
+    pub(crate) fn allowance(&self) -> usize {
+        if self.is_known {
+            return usize::MAX;
+        }
+        let allowed = self.received.saturating_mul(Self::FACTOR).saturating_sub(self.sent);
+        usize::try_from(allowed).unwrap_or(usize::MAX)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_warning_a_minute_tells_how_many_faults_there_were() {
+        let start = Instant::now();
+        let (mut counters, mut warnings) = (Counters::default(), Warnings::default());
+        let mut count =
+            |seconds| warnings.count(&mut counters, Fault::Malformed, start + Duration::from_secs(seconds));
+        assert_eq!(count(0), Some(1));
+        assert_eq!(count(1), None);
+        assert_eq!(count(59), None);
+        assert_eq!(count(60), Some(3));
+        assert_eq!(count(61), None);
+        assert_eq!(counters.faults(Fault::Malformed), 5);
+        assert_eq!(counters.faults(Fault::Foreign), 0);
+    }
+}

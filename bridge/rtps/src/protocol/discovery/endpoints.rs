@@ -1,0 +1,144 @@
+//! Announcement of endpoints, ours and others' (SEDP, section 8.5.4).
+//!
+//! The topics of endpoints have a key, the guid, which ordinary writers know nothing of: what a later sample supersedes is
+//! taken out of the history here.
+
+use std::{collections::HashMap, net::SocketAddrV4};
+
+use bytes::Bytes;
+
+use crate::{
+    protocol::{
+        Event, Fault, Now, Participant, Sample, WriteOptions,
+        peers::{Full, Noted},
+    },
+    wire::{EndpointData, EntityId, Guid, InlineQos, Payload, SequenceNumber, StatusInfo},
+};
+
+/// What the history of the announcing writers holds.
+#[derive(Debug, Default)]
+pub(crate) struct Endpoints {
+    current: HashMap<EntityId, SequenceNumber>,
+    /// Removals that somebody may not have heard of yet, by announcing writer.
+    removals: HashMap<EntityId, Vec<SequenceNumber>>,
+}
+
+/// The builtin writer that announces an endpoint.
+fn announcing_writer(id: EntityId) -> EntityId {
+    if id.is_writer() { EntityId::SEDP_PUBLICATIONS_WRITER } else { EntityId::SEDP_SUBSCRIPTIONS_WRITER }
+}
+
+impl Participant {
+    /// Tells the others of an endpoint of ours.
+    pub(in crate::protocol) fn announce_endpoint(&mut self, now: Now, id: EntityId) {
+        let Some(data) = self.locals.data(id) else { return };
+        let mut payload = Vec::new();
+        data.emit(&mut payload);
+        let key_hash = Some(data.guid.to_bytes());
+        let inline_qos = InlineQos { key_hash, ..InlineQos::default() };
+        if let Some(number) = self.write_builtin(now, announcing_writer(id), payload.into(), inline_qos) {
+            self.announced.current.insert(id, number);
+        }
+    }
+
+    /// Tells the others that an endpoint of ours is gone.
+    pub(in crate::protocol) fn dispose_endpoint(&mut self, now: Now, id: EntityId) {
+        let announcing = announcing_writer(id);
+        if let Some(number) = self.announced.current.remove(&id)
+            && let Some(local) = self.locals.writers.get_mut(&announcing)
+        {
+            local.machine.discard(number);
+        }
+        // Fast DDS wants the key hash, Cyclone DDS takes that or a payload.
+        let inline_qos = InlineQos::removal(Guid::new(self.config.prefix, id));
+        if let Some(number) = self.write_builtin(now, announcing, Bytes::new(), inline_qos) {
+            self.announced.removals.entry(announcing).or_default().push(number);
+        }
+        if self.is_acknowledged(announcing) {
+            self.drop_removals(announcing);
+        }
+    }
+
+    /// Takes removals out of the history of `announcing` that everybody has heard of. Newcomers need none.
+    pub(in crate::protocol) fn drop_removals(&mut self, announcing: EntityId) {
+        let Some(local) = self.locals.writers.get_mut(&announcing) else { return };
+        for number in self.announced.removals.remove(&announcing).into_iter().flatten() {
+            local.machine.discard(number);
+        }
+    }
+
+    pub(super) fn write_builtin(
+        &mut self,
+        now: Now,
+        writer: EntityId,
+        payload: Bytes,
+        inline_qos: InlineQos,
+    ) -> Option<SequenceNumber> {
+        let options = WriteOptions { inline_qos, ..WriteOptions::default() };
+        self.with_writer(now, writer, |writer, links| writer.write(now, payload, options, links))?.ok()
+    }
+
+    /// What another participant says of an endpoint of its own.
+    pub(in crate::protocol) fn hear_of_endpoint(&mut self, now: Now, reader: EntityId, sample: &Sample) {
+        let Some(peer) = self.peers.get(sample.writer.prefix) else { return };
+        let from = SocketAddrV4::new(peer.source, 0);
+        let payload =
+            if sample.is_key { Payload::Key(&sample.payload) } else { Payload::Data(&sample.payload) };
+        let is_removal = sample.inline_qos.status.is_some_and(StatusInfo::is_removal);
+        if is_removal {
+            match sample.inline_qos.removed(payload) {
+                Some(guid) if guid.prefix == sample.writer.prefix => self.remove_remote(now, guid),
+                Some(_) => self.fault(now, Fault::ForeignEndpoint, from),
+                None => self.fault(now, Fault::MalformedDiscovery, from),
+            }
+            return;
+        }
+        let data = match EndpointData::parse(&sample.payload) {
+            Ok(data) => data,
+            Err(_) => return self.fault(now, Fault::MalformedDiscovery, from),
+        };
+        let announces_writers = reader == EntityId::SEDP_PUBLICATIONS_READER;
+        let entity = data.guid.entity;
+        if data.guid.prefix != sample.writer.prefix || entity.is_builtin() {
+            self.fault(now, Fault::ForeignEndpoint, from);
+        } else if entity.is_writer() != announces_writers || entity.is_reader() == announces_writers {
+            self.fault(now, Fault::MalformedDiscovery, from);
+        } else {
+            self.note_remote(now, data, from);
+        }
+    }
+
+    fn note_remote(&mut self, now: Now, data: EndpointData, from: SocketAddrV4) {
+        let guid = data.guid;
+        let moved = self.peers.endpoint(guid).is_some_and(|known| {
+            known.data.topic != data.topic
+                || known.data.type_name != data.type_name
+                || known.data.unicast != data.unicast
+        });
+        if moved {
+            self.remove_remote(now, guid);
+        }
+        match self.peers.note(data, &self.config.limits) {
+            Ok(Noted::Same) => return,
+            Ok(Noted::New) => self.events.push_back(Event::EndpointFound { remote: guid }),
+            Ok(Noted::Changed) => self.events.push_back(Event::EndpointChanged { remote: guid }),
+            Err(Full::Participant | Full::All) => return self.fault(now, Fault::TooManyEndpoints, from),
+        }
+        self.match_remote(now, guid);
+    }
+
+    /// Forgets an endpoint of another participant.
+    pub(in crate::protocol) fn remove_remote(&mut self, now: Now, guid: Guid) {
+        let Some(remote) = self.peers.endpoint_mut(guid) else { return };
+        for local in std::mem::take(&mut remote.matched) {
+            self.unmatch(now, local, guid);
+        }
+        let Some(remote) = self.peers.forget_endpoint(guid) else { return };
+        for local in self.locals.on_topic(&remote.data.topic) {
+            if let Some(refused) = self.locals.refused_mut(local) {
+                refused.remove(&guid);
+            }
+        }
+        self.events.push_back(Event::EndpointLeft { remote: guid });
+    }
+}

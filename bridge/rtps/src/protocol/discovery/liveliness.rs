@@ -1,0 +1,99 @@
+//! Assertion that writers are alive, by their participant (WLP, section 8.4.13).
+//!
+//! Only writers with a finite lease need it. Without any, nothing is sent.
+
+use std::time::Duration;
+
+use crate::{
+    protocol::{Now, Participant, Sample, participant::Timer},
+    qos::Liveliness as Kind,
+    wire::{EntityId, Guid, GuidPrefix, InlineQos, ParticipantMessage},
+};
+
+/// Assertions in the shortest lease: one may come late.
+const PER_LEASE: u32 = 3;
+
+/// Shorter leases than this are not kept up with.
+const SHORTEST_PERIOD: Duration = Duration::from_millis(1);
+
+/// When own writers are asserted.
+#[derive(Debug, Default)]
+pub(crate) struct Liveliness {
+    period: Option<Duration>,
+}
+
+impl Participant {
+    /// Follows writers that came or went.
+    pub(in crate::protocol) fn plan_liveliness(&mut self, now: Now) {
+        let leases = self.locals.writers.values().filter_map(|local| {
+            let qos = &local.data.qos;
+            qos.lease.filter(|_| qos.liveliness == Kind::Automatic)
+        });
+        let period = leases.min().map(|lease| (lease / PER_LEASE).max(SHORTEST_PERIOD));
+        if self.liveliness.period != period {
+            self.liveliness.period = period;
+            self.timers.set(Timer::Liveliness, period.map(|_| now.steady));
+        }
+    }
+
+    /// Asserts all writers whose liveliness is automatic.
+    pub(in crate::protocol) fn assert_automatic_writers(&mut self, now: Now) {
+        self.assert_writers(now, ParticipantMessage::AUTOMATIC);
+        self.timers.set(Timer::Liveliness, self.liveliness.period.map(|period| now.steady + period));
+    }
+
+    /// Asserts a writer on behalf of the application.
+    pub(in crate::protocol) fn assert_manual_writer(&mut self, now: Now, id: EntityId) {
+        let Some(local) = self.locals.writers.get(&id) else { return };
+        let is_for_all = local.data.qos.liveliness == Kind::ManualByParticipant;
+        self.with_writer(now, id, |writer, links| writer.assert_liveliness(now, links));
+        if is_for_all {
+            self.assert_writers(now, ParticipantMessage::MANUAL);
+        }
+    }
+
+    fn assert_writers(&mut self, now: Now, kind: u32) {
+        let mut payload = Vec::new();
+        ParticipantMessage { prefix: self.config.prefix, kind }.emit(&mut payload);
+        self.write_builtin(now, EntityId::WLP_WRITER, payload.into(), InlineQos::default());
+        self.assert_writers_of(now, self.config.prefix, kind);
+    }
+
+    /// Another participant asserts its writers.
+    pub(in crate::protocol) fn hear_assertion(&mut self, now: Now, sample: &Sample) {
+        // What is not understood is for other protocols on the same topic, such as those of security.
+        if let Ok(message) = ParticipantMessage::parse(&sample.payload)
+            && message.prefix == sample.writer.prefix
+        {
+            self.assert_writers_of(now, message.prefix, message.kind);
+        }
+    }
+
+    fn assert_writers_of(&mut self, now: Now, prefix: GuidPrefix, kind: u32) {
+        let asserted = match kind {
+            ParticipantMessage::AUTOMATIC => Kind::Automatic,
+            ParticipantMessage::MANUAL => Kind::ManualByParticipant,
+            _ => return,
+        };
+        let is_asserted = |qos: &crate::qos::Qos| qos.liveliness == asserted && qos.lease.is_some();
+        let writers: Vec<Guid> = if prefix == self.config.prefix {
+            let own = self.locals.writers.values().filter(|local| is_asserted(&local.data.qos));
+            own.map(|local| local.data.guid).collect()
+        } else {
+            let Some(peer) = self.peers.get(prefix) else { return };
+            let theirs = peer.endpoints.values().filter(|remote| {
+                remote.data.guid.entity.is_writer()
+                    && !remote.matched.is_empty()
+                    && is_asserted(&remote.data.qos)
+            });
+            theirs.map(|remote| remote.data.guid).collect()
+        };
+        for writer in writers {
+            for reader in self.locals.readers_of(writer).to_vec() {
+                self.with_reader(now, reader, |reader, received, _| {
+                    reader.assert_liveliness(now, writer, received);
+                });
+            }
+        }
+    }
+}

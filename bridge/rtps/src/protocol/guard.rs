@@ -1,0 +1,160 @@
+//! Where DDS Security attaches: a gate before matches, and coding of messages, submessages and payloads.
+
+use bytes::Bytes;
+
+use crate::wire::{EndpointData, Guid, GuidPrefix, Header, ParticipantData};
+
+/// Decides who takes part, and protects what is sent.
+///
+/// The state machines know nothing of it: they see plain messages of admitted participants. Each `bool` is `false` if
+/// the bytes are to be dropped.
+pub trait Guard: Send {
+    /// Asked when a participant announces itself, and again after [`Participant::reconsider`](super::Participant::reconsider).
+    fn admit_participant(&mut self, remote: &ParticipantData) -> Admission;
+
+    /// Asked before two endpoints match; `local` is ours. [`Admission::Wait`] is asked again as above.
+    fn admit_endpoint(&mut self, local: &EndpointData, remote: &EndpointData) -> Admission;
+
+    /// Bytes kept free in each datagram for what [`Guard::encode_submessage`] and [`Guard::encode_message`] add. One that
+    /// grows by more is larger than others, and so may be sent in parts by IP.
+    fn room(&self) -> usize;
+
+    /// Protects a sample of a writer of ours; `None` refuses to send it.
+    fn encode_payload(&mut self, writer: Guid, payload: Bytes) -> Option<Bytes>;
+
+    /// The reverse of [`Guard::encode_payload`], for a writer of anybody.
+    fn decode_payload(&mut self, writer: Guid, payload: Bytes) -> Option<Bytes>;
+
+    /// Appends `submessage`, protected or not, to `out`. `to` is [`GuidPrefix::UNKNOWN`] for everybody.
+    fn encode_submessage(&mut self, to: GuidPrefix, submessage: &[u8], out: &mut Vec<u8>) -> bool;
+
+    /// Appends what `submessages` hold to `out`: a whole sequence from its prefix to its postfix, or one that came in the
+    /// clear. `false` for those in the clear that had to be protected.
+    fn decode_submessage(&mut self, from: GuidPrefix, submessages: &[u8], out: &mut Vec<u8>) -> bool;
+
+    /// Protects a whole datagram.
+    fn encode_message(&mut self, to: GuidPrefix, message: &mut Vec<u8>) -> bool;
+
+    /// The reverse of [`Guard::encode_message`].
+    fn decode_message(&mut self, from: GuidPrefix, message: &mut Vec<u8>) -> bool;
+}
+
+/// What a guard says of somebody new.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Admission {
+    #[allow(missing_docs)]
+    Admit,
+    /// Not yet: authentication is under way.
+    Wait,
+    #[allow(missing_docs)]
+    Refuse,
+}
+
+/// Ids of the submessages between which a protected one stands (DDS Security 1.1, section 7.3.6).
+const PREFIX: u8 = 0x31;
+const POSTFIX: u8 = 0x32;
+/// The only submessage without a length of its own that may be followed by others.
+const INFO_TIMESTAMP: u8 = 0x09;
+const PAD: u8 = 0x01;
+
+/// Protects a datagram that is ready to be sent.
+pub(super) fn encode(guard: &mut dyn Guard, to: GuidPrefix, datagram: &mut Vec<u8>) -> bool {
+    let clear = std::mem::take(datagram);
+    let Some((header, submessages)) = clear.split_at_checked(Header::LEN) else { return false };
+    datagram.extend_from_slice(header);
+    Raw(submessages).all(|submessage| guard.encode_submessage(to, submessage.bytes, datagram))
+        && guard.encode_message(to, datagram)
+}
+
+/// The plain form of a datagram that was received.
+pub(super) fn decode(guard: &mut dyn Guard, from: GuidPrefix, datagram: &[u8]) -> Option<Vec<u8>> {
+    let mut message = datagram.to_vec();
+    if !guard.decode_message(from, &mut message) {
+        return None;
+    }
+    let (header, submessages) = message.split_at_checked(Header::LEN)?;
+    let mut plain = header.to_vec();
+    // A datagram may hold submessages for several receivers: one that is rejected does not spoil the others.
+    for group in groups(submessages) {
+        let length = plain.len();
+        if !guard.decode_submessage(from, group, &mut plain) {
+            plain.truncate(length);
+        }
+    }
+    Some(plain)
+}
+
+/// Cuts submessages into protected sequences and single ones in the clear.
+fn groups(submessages: &[u8]) -> impl Iterator<Item = &[u8]> {
+    let mut rest = submessages;
+    std::iter::from_fn(move || {
+        let mut length = 0;
+        let mut is_inside = false;
+        for submessage in Raw(rest) {
+            length += submessage.bytes.len();
+            is_inside = match submessage.id {
+                PREFIX => true,
+                POSTFIX => false,
+                _ => is_inside,
+            };
+            if !is_inside {
+                break;
+            }
+        }
+        let (group, behind) = rest.split_at(length);
+        rest = behind;
+        (!group.is_empty()).then_some(group)
+    })
+}
+
+/// Submessages as bytes, with their headers. Ends where one does not fit.
+struct Raw<'a>(&'a [u8]);
+
+struct RawSubmessage<'a> {
+    id: u8,
+    bytes: &'a [u8],
+}
+
+impl<'a> Iterator for Raw<'a> {
+    type Item = RawSubmessage<'a>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let &[id, flags, a, b, ..] = self.0 else { return None };
+        let length = if flags & 1 == 1 { u16::from_le_bytes([a, b]) } else { u16::from_be_bytes([a, b]) };
+        let whole = match (length, id) {
+            (0, PAD | INFO_TIMESTAMP) => 4,
+            (0, _) => self.0.len(),
+            (length, _) => 4 + usize::from(length),
+        };
+        let (bytes, rest) = self.0.split_at_checked(whole)?;
+        self.0 = rest;
+        Some(RawSubmessage { id, bytes })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_protected_sequence_stays_together() {
+        let submessages = [
+            [0x0e, 1, 4, 0, 9, 9, 9, 9].as_slice(),
+            &[0x31, 1, 0, 0x00][..0],
+            &[0x31, 1, 4, 0, 1, 1, 1, 1],
+            &[0x30, 1, 4, 0, 2, 2, 2, 2],
+            &[0x32, 1, 4, 0, 3, 3, 3, 3],
+            &[0x09, 3, 0, 0],
+            &[0x15, 0, 0, 0, 7, 7],
+        ]
+        .concat();
+        let lengths: Vec<_> = groups(&submessages).map(<[u8]>::len).collect();
+        assert_eq!(lengths, [8, 24, 4, 6]);
+    }
+
+    #[test]
+    fn a_submessage_that_does_not_fit_ends_the_walk() {
+        assert_eq!(groups(&[0x15, 1, 200, 0, 1, 2]).count(), 0);
+        assert_eq!(groups(&[0x31, 1, 0]).count(), 0);
+    }
+}

@@ -1,0 +1,442 @@
+//! The engine: one participant of a domain, with its endpoints.
+
+use std::{
+    collections::VecDeque,
+    net::SocketAddrV4,
+    time::{Duration, Instant},
+};
+
+use bytes::Bytes;
+
+use super::{
+    Addresses, Config, Counters, Destination, EndpointConfig, Event, Fault, Guard, Limits, LinkId,
+    LinkOptions, Links, Now, Reader, ReaderConfig, Received, WriteOptions, Writer, WriterConfig,
+    counters::Warnings,
+    discovery::{Announcer, Endpoints, Liveliness},
+    locals::Locals,
+    peers::Peers,
+    timers::Timers,
+};
+use crate::{
+    qos::{Durability, History, Qos, Reliability},
+    wire::{EndpointData, EntityId, Guid, GuidPrefix, ParticipantData, SequenceNumber},
+};
+
+/// Longest datagram to a peer of this host; UDP allows 65 507 bytes.
+pub(super) const OWN_HOST_DATAGRAM: usize = 65_000;
+/// Payload of a fragment to own endpoints, which lose nothing.
+const OWN_FRAGMENT: u16 = 60_000;
+/// Longest datagram to another host: one that fits in an Ethernet frame.
+pub(super) const REMOTE_DATAGRAM: usize = 1_472;
+
+/// A longer time than this without a call means that the process was suspended: announcements alone call more often.
+const SUSPENSION: Duration = Duration::from_secs(2);
+
+/// Timers are not finer than this.
+const SHORTEST_TIMEOUT: Duration = Duration::from_micros(50);
+
+/// Why a write is refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum WriteError {
+    #[error("the writer does not exist")]
+    UnknownWriter,
+    #[error("too many samples of the writer wait to be sent or acknowledged")]
+    WindowFull,
+    #[error("security refuses the sample")]
+    Rejected,
+}
+
+/// Why an endpoint is not created.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum CreateError {
+    #[error("no identities are left for endpoints of this participant")]
+    TooMany,
+    #[error("the name of the topic or type, or the user data, exceed what peers of our kind accept")]
+    Overlong,
+}
+
+/// When a part of the participant is to be called.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(super) enum Timer {
+    Announcement,
+    Liveliness,
+    Lease(GuidPrefix),
+    Endpoint(EntityId),
+}
+
+/// A participant without sockets, clock or threads.
+///
+/// After each call that takes the time, call [`Participant::poll_transmit`] until it returns `None`, then
+/// [`Participant::poll_event`] likewise, and call again at [`Participant::next_timeout`].
+pub struct Participant {
+    pub(super) config: Config,
+    pub(super) locals: Locals,
+    pub(super) peers: Peers,
+    pub(super) links: Links,
+    /// The link to own endpoints.
+    pub(super) own: LinkId,
+    pub(super) timers: Timers<Timer>,
+    pub(super) announcer: Announcer,
+    pub(super) announced: Endpoints,
+    pub(super) liveliness: Liveliness,
+    pub(super) events: VecDeque<Event>,
+    pub(super) counters: Counters,
+    pub(super) warnings: Warnings,
+    pub(super) guard: Option<Box<dyn Guard>>,
+    /// Until then no lease runs out: after a suspension everybody's announcements have yet to come.
+    pub(super) grace_until: Instant,
+    latest_call: Instant,
+    latest_key: u32,
+    /// Kept for its allocation.
+    received: Vec<Received>,
+}
+
+impl Participant {
+    #[allow(missing_docs)]
+    pub fn new(config: Config, now: Now) -> Self {
+        let mut links = Links::new();
+        let own = links.open(LinkOptions {
+            destination: Destination::Own,
+            peer: config.prefix,
+            max_datagram: OWN_HOST_DATAGRAM,
+            fragment_size: OWN_FRAGMENT,
+            receive_buffer: None,
+        });
+        let mut participant = Self {
+            locals: Locals::default(),
+            peers: Peers::default(),
+            links,
+            own,
+            timers: Timers::new(),
+            announcer: Announcer::new(&config, now),
+            announced: Endpoints::default(),
+            liveliness: Liveliness::default(),
+            events: VecDeque::new(),
+            counters: Counters::default(),
+            warnings: Warnings::default(),
+            guard: None,
+            grace_until: now.steady,
+            latest_call: now.steady,
+            latest_key: 0,
+            received: Vec::new(),
+            config,
+        };
+        participant.create_builtin_endpoints();
+        participant.timers.set(Timer::Announcement, participant.announcer.next());
+        participant
+    }
+
+    /// A participant whose messages and matches `guard` protects.
+    pub fn with_guard(config: Config, guard: Box<dyn Guard>, now: Now) -> Self {
+        Self { guard: Some(guard), ..Self::new(config, now) }
+    }
+
+    #[allow(missing_docs)]
+    pub fn guid(&self) -> Guid {
+        Guid::new(self.config.prefix, EntityId::PARTICIPANT)
+    }
+
+    #[allow(missing_docs)]
+    pub fn prefix(&self) -> GuidPrefix {
+        self.config.prefix
+    }
+
+    /// Does what is due.
+    pub fn handle_timeout(&mut self, now: Now) {
+        self.note_time(now);
+        while let Some(timer) = self.timers.pop(now.steady) {
+            match timer {
+                Timer::Announcement => self.announce(now),
+                Timer::Liveliness => self.assert_automatic_writers(now),
+                Timer::Lease(prefix) => self.check_lease(now, prefix),
+                Timer::Endpoint(id) if self.locals.writers.contains_key(&id) => {
+                    self.with_writer(now, id, |writer, links| writer.handle_timeout(now, links));
+                }
+                Timer::Endpoint(id) => {
+                    self.with_reader(now, id, |reader, received, links| {
+                        reader.handle_timeout(now, received, links);
+                    });
+                }
+            }
+        }
+    }
+
+    /// The next time at which [`Participant::handle_timeout`] has something to do.
+    pub fn next_timeout(&self) -> Option<Instant> {
+        let pacers = self.links.next_timeout();
+        self.timers.next().into_iter().chain(pacers).min()
+    }
+
+    /// What happened, oldest first.
+    pub fn poll_event(&mut self) -> Option<Event> {
+        self.events.pop_front()
+    }
+
+    /// Follows interfaces that came or went.
+    pub fn set_addresses(&mut self, now: Now, addresses: Addresses) {
+        self.note_time(now);
+        if self.config.addresses != addresses {
+            self.config.addresses = addresses;
+            self.readdress(now);
+        }
+    }
+
+    /// Makes a writer and tells the others of it.
+    pub fn create_writer(&mut self, now: Now, config: EndpointConfig) -> Result<EntityId, CreateError> {
+        self.note_time(now);
+        let id = EntityId::user_writer(self.next_key()?);
+        let data = self.announceable(id, &config)?;
+        let writer =
+            Writer::new(WriterConfig { guid: data.guid, qos: config.qos, send_window: config.send_window });
+        self.locals.add_writer(data, writer);
+        self.introduce(now, id);
+        Ok(id)
+    }
+
+    /// Makes a reader and tells the others of it.
+    pub fn create_reader(&mut self, now: Now, config: EndpointConfig) -> Result<EntityId, CreateError> {
+        self.note_time(now);
+        let id = EntityId::user_reader(self.next_key()?);
+        let data = self.announceable(id, &config)?;
+        let reader = Reader::new(self.reader_config(data.guid, config.qos));
+        self.locals.add_reader(data, reader);
+        self.introduce(now, id);
+        Ok(id)
+    }
+
+    fn introduce(&mut self, now: Now, id: EntityId) {
+        // First the others hear of it, then it sends: data of a writer that they do not know would be lost on them.
+        self.announce_endpoint(now, id);
+        self.match_local(now, id);
+        self.plan_liveliness(now);
+    }
+
+    /// Removes an endpoint and tells the others. Returns whether there was one.
+    pub fn remove_endpoint(&mut self, now: Now, id: EntityId) -> bool {
+        self.note_time(now);
+        if id.is_builtin() || self.locals.data(id).is_none() {
+            return false;
+        }
+        self.unmatch_local(now, id);
+        self.links.forget_endpoint(id);
+        self.timers.set(Timer::Endpoint(id), None);
+        self.locals.remove(id);
+        self.dispose_endpoint(now, id);
+        self.plan_liveliness(now);
+        true
+    }
+
+    /// Sends a sample, `payload` with its encapsulation in front, to all matched readers.
+    pub fn write(
+        &mut self,
+        now: Now,
+        id: EntityId,
+        payload: Bytes,
+        options: WriteOptions,
+    ) -> Result<SequenceNumber, WriteError> {
+        self.note_time(now);
+        if id.is_builtin() {
+            return Err(WriteError::UnknownWriter);
+        }
+        let payload = match &mut self.guard {
+            None => payload,
+            Some(guard) => guard
+                .encode_payload(Guid::new(self.config.prefix, id), payload)
+                .ok_or(WriteError::Rejected)?,
+        };
+        self.with_writer(now, id, |writer, links| writer.write(now, payload, options, links))
+            .ok_or(WriteError::UnknownWriter)?
+            .map_err(|_| {
+                if let Some(local) = self.locals.writers.get_mut(&id) {
+                    local.is_full = true;
+                }
+                WriteError::WindowFull
+            })
+    }
+
+    /// Asserts that a writer with manual liveliness is alive, without a sample.
+    pub fn assert_liveliness(&mut self, now: Now, writer: EntityId) {
+        self.note_time(now);
+        self.assert_manual_writer(now, writer);
+    }
+
+    /// Whether every matched reliable reader has all that was written.
+    pub fn is_acknowledged(&self, writer: EntityId) -> bool {
+        self.locals.writers.get(&writer).is_none_or(|local| local.machine.is_acknowledged())
+    }
+
+    /// Says farewell, after what still waits to be sent. Call [`Participant::poll_transmit`] until it returns `None`, and
+    /// nothing else afterwards.
+    pub fn leave(&mut self, now: Now) {
+        self.note_time(now);
+        self.announcer.leave(&self.config.addresses, &self.peers);
+        self.timers = Timers::new();
+    }
+
+    /// Asks the guard again about a participant that had to wait, or about all matches with it.
+    pub fn reconsider(&mut self, now: Now, prefix: GuidPrefix) {
+        self.note_time(now);
+        self.admit(now, prefix);
+    }
+
+    /// The endpoints that one of ours is matched with.
+    pub fn matched(&self, id: EntityId) -> Vec<Guid> {
+        self.locals.matched(id).into_iter().flatten().copied().collect()
+    }
+
+    /// Endpoints of the other participants.
+    pub fn remote_endpoints(&self) -> impl Iterator<Item = &EndpointData> {
+        self.peers.iter().flat_map(|(_, peer)| peer.endpoints.values()).map(|remote| &remote.data)
+    }
+
+    #[allow(missing_docs)]
+    pub fn remote_endpoint(&self, guid: Guid) -> Option<&EndpointData> {
+        self.peers.endpoint(guid).map(|remote| &remote.data)
+    }
+
+    #[allow(missing_docs)]
+    pub fn remote_participants(&self) -> impl Iterator<Item = &ParticipantData> {
+        self.peers.iter().map(|(_, peer)| &peer.data)
+    }
+
+    /// Endpoints made by [`Participant::create_writer`] and [`Participant::create_reader`].
+    pub fn own_endpoints(&self) -> impl Iterator<Item = &EndpointData> {
+        self.locals.announced()
+    }
+
+    #[allow(missing_docs)]
+    pub fn counters(&self) -> Counters {
+        self.counters
+    }
+
+    fn next_key(&mut self) -> Result<u32, CreateError> {
+        // Keys are not used again: a peer may still hold the removed endpoint for this one.
+        let key = self.latest_key + 1;
+        if key >= 1 << 24 {
+            return Err(CreateError::TooMany);
+        }
+        self.latest_key = key;
+        Ok(key)
+    }
+
+    fn reader_config(&self, guid: Guid, qos: Qos) -> ReaderConfig {
+        let Limits { max_sample_size, max_open_bytes, .. } = self.config.limits;
+        ReaderConfig { guid, qos, max_sample_size, max_open_bytes }
+    }
+
+    /// Makes those endpoints by which others learn of the ones of the user.
+    fn create_builtin_endpoints(&mut self) {
+        let prefix = self.config.prefix;
+        let qos = |history| Qos {
+            reliability: Reliability::Reliable,
+            durability: Durability::TransientLocal,
+            history,
+            ..Qos::writer_default()
+        };
+        for (writer, reader, history) in [
+            (EntityId::SEDP_PUBLICATIONS_WRITER, EntityId::SEDP_PUBLICATIONS_READER, History::KeepAll),
+            (EntityId::SEDP_SUBSCRIPTIONS_WRITER, EntityId::SEDP_SUBSCRIPTIONS_READER, History::KeepAll),
+            (EntityId::WLP_WRITER, EntityId::WLP_READER, History::KeepLast(1)),
+        ] {
+            let config = EndpointConfig::new("", "", qos(history));
+            let guid = Guid::new(prefix, writer);
+            // What the user has is announced, however slow the others are.
+            let config_of_writer = WriterConfig { guid, qos: qos(history), send_window: usize::MAX };
+            self.locals.add_writer(self.endpoint_data(writer, &config), Writer::new(config_of_writer));
+            let config_of_reader = self.reader_config(Guid::new(prefix, reader), qos(History::KeepAll));
+            self.locals.add_reader(self.endpoint_data(reader, &config), Reader::new(config_of_reader));
+        }
+    }
+
+    fn announceable(&self, id: EntityId, config: &EndpointConfig) -> Result<EndpointData, CreateError> {
+        let data = self.endpoint_data(id, config);
+        let mut payload = Vec::new();
+        data.emit(&mut payload);
+        if EndpointData::parse(&payload).is_err() { Err(CreateError::Overlong) } else { Ok(data) }
+    }
+
+    fn endpoint_data(&self, id: EntityId, config: &EndpointConfig) -> EndpointData {
+        EndpointData {
+            guid: Guid::new(self.config.prefix, id),
+            topic: config.topic.clone(),
+            type_name: config.type_name.clone(),
+            qos: config.qos.clone(),
+            unicast: Vec::new(),
+            multicast: Vec::new(),
+            user_data: config.user_data.to_vec(),
+            expects_inline_qos: false,
+        }
+    }
+
+    /// Notices that the process was suspended.
+    pub(super) fn note_time(&mut self, now: Now) {
+        let pause = now.steady.saturating_duration_since(self.latest_call);
+        self.latest_call = self.latest_call.max(now.steady);
+        if pause > self.config.announcement_period + SUSPENSION {
+            self.grace_until = now.steady + self.config.lease.min(self.config.announcement_period * 4);
+            self.announcer.hurry(now);
+            self.timers.set(Timer::Announcement, self.announcer.next());
+        }
+    }
+
+    /// Calls a writer and follows up on what that leads to.
+    pub(super) fn with_writer<T>(
+        &mut self,
+        now: Now,
+        id: EntityId,
+        call: impl FnOnce(&mut Writer, &mut Links) -> T,
+    ) -> Option<T> {
+        let local = self.locals.writers.get_mut(&id)?;
+        let result = call(&mut local.machine, &mut self.links);
+        self.follow_up(now, id);
+        Some(result)
+    }
+
+    /// Takes up what a call of a writer changed.
+    pub(super) fn follow_up(&mut self, now: Now, id: EntityId) {
+        while let Some(local) = self.locals.writers.get_mut(&id) {
+            let Some(event) = local.machine.poll_event() else {
+                if local.is_full && local.machine.can_write(now, &self.links) {
+                    local.is_full = false;
+                    self.events.push_back(Event::WindowOpen { writer: id });
+                }
+                let timeout = local.machine.next_timeout();
+                return self.set_timer(now, id, timeout);
+            };
+            self.take_from_writer(id, event);
+        }
+    }
+
+    /// Follows the next timeout of an endpoint.
+    pub(super) fn set_timer(&mut self, now: Now, id: EntityId, timeout: Option<Instant>) {
+        // Never at once: whatever an endpoint asks for, time passes between two calls.
+        let soonest = now.steady + SHORTEST_TIMEOUT;
+        self.timers.set(Timer::Endpoint(id), timeout.map(|at| at.max(soonest)));
+    }
+
+    /// Calls a reader and follows up on what that leads to.
+    pub(super) fn with_reader(
+        &mut self,
+        now: Now,
+        id: EntityId,
+        call: impl FnOnce(&mut Reader, &mut Vec<Received>, &mut Links),
+    ) {
+        let Some(local) = self.locals.readers.get_mut(&id) else { return };
+        let mut received = std::mem::take(&mut self.received);
+        call(&mut local.machine, &mut received, &mut self.links);
+        let timeout = local.machine.next_timeout();
+        self.set_timer(now, id, timeout);
+        for item in received.drain(..) {
+            self.take_from_reader(now, id, item);
+        }
+        self.received = received;
+    }
+
+    pub(super) fn fault(&mut self, now: Now, fault: Fault, from: SocketAddrV4) {
+        if let Some(count) = self.warnings.count(&mut self.counters, fault, now.steady) {
+            self.events.push_back(Event::Warning { fault, from, count });
+        }
+    }
+}

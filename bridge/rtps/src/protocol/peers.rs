@@ -1,0 +1,150 @@
+//! The other participants and what they have.
+
+use std::{
+    collections::HashMap,
+    net::{Ipv4Addr, SocketAddrV4},
+    time::Instant,
+};
+
+use super::{Limits, LinkId, counters::Account, guard::Admission};
+use crate::wire::{EndpointData, EntityId, Guid, GuidPrefix, ParticipantData};
+
+/// Another participant, known by its announcement.
+#[derive(Debug)]
+pub(crate) struct Peer {
+    pub(crate) data: ParticipantData,
+    /// Where its announcement came from.
+    pub(crate) source: Ipv4Addr,
+    /// Whether the guard lets it in; until then nothing is matched with it.
+    pub(crate) admission: Admission,
+    /// The link for discovery.
+    pub(crate) metatraffic: LinkId,
+    /// The link for samples of endpoints that have no address of their own.
+    pub(crate) default: LinkId,
+    /// All links, the two above among them.
+    pub(crate) links: Vec<(SocketAddrV4, LinkId)>,
+    pub(crate) account: Account,
+    /// What waits for the account to allow it.
+    pub(crate) withheld: Vec<(LinkId, EntityId)>,
+    /// When the last valid message came.
+    pub(crate) heard: Instant,
+    /// When it was last sent our announcement.
+    pub(crate) told: Instant,
+    pub(crate) endpoints: HashMap<EntityId, Remote>,
+}
+
+/// An endpoint of another participant.
+#[derive(Debug)]
+pub(crate) struct Remote {
+    pub(crate) data: EndpointData,
+    /// Own endpoints that are matched with it.
+    pub(crate) matched: Vec<EntityId>,
+}
+
+/// Why an endpoint is not taken up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Full {
+    /// Its participant has too many.
+    Participant,
+    /// All together have too many.
+    All,
+}
+
+/// What became of announced endpoint data.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Noted {
+    New,
+    Changed,
+    Same,
+}
+
+/// All other participants, with an index of their endpoints by topic.
+#[derive(Debug, Default)]
+pub(crate) struct Peers {
+    by_prefix: HashMap<GuidPrefix, Peer>,
+    by_topic: HashMap<String, Vec<Guid>>,
+    endpoints: usize,
+}
+
+impl Peers {
+    pub(crate) fn len(&self) -> usize {
+        self.by_prefix.len()
+    }
+
+    pub(crate) fn get(&self, prefix: GuidPrefix) -> Option<&Peer> {
+        self.by_prefix.get(&prefix)
+    }
+
+    pub(crate) fn get_mut(&mut self, prefix: GuidPrefix) -> Option<&mut Peer> {
+        self.by_prefix.get_mut(&prefix)
+    }
+
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (GuidPrefix, &Peer)> {
+        self.by_prefix.iter().map(|(prefix, peer)| (*prefix, peer))
+    }
+
+    pub(crate) fn iter_mut(&mut self) -> impl Iterator<Item = (GuidPrefix, &mut Peer)> {
+        self.by_prefix.iter_mut().map(|(prefix, peer)| (*prefix, peer))
+    }
+
+    pub(crate) fn insert(&mut self, prefix: GuidPrefix, peer: Peer) {
+        self.by_prefix.insert(prefix, peer);
+    }
+
+    /// Removes a participant that has no endpoints left.
+    pub(crate) fn remove(&mut self, prefix: GuidPrefix) -> Option<Peer> {
+        self.by_prefix.remove(&prefix)
+    }
+
+    /// The one that gives way to a newcomer: of those that never answered the one not heard for longest.
+    pub(crate) fn expendable(&self) -> Option<GuidPrefix> {
+        let unknown = self.iter().filter(|(_, peer)| !peer.account.is_known());
+        unknown.min_by_key(|(prefix, peer)| (peer.heard, *prefix)).map(|(prefix, _)| prefix)
+    }
+
+    pub(crate) fn endpoint(&self, guid: Guid) -> Option<&Remote> {
+        self.by_prefix.get(&guid.prefix)?.endpoints.get(&guid.entity)
+    }
+
+    pub(crate) fn endpoint_mut(&mut self, guid: Guid) -> Option<&mut Remote> {
+        self.by_prefix.get_mut(&guid.prefix)?.endpoints.get_mut(&guid.entity)
+    }
+
+    pub(crate) fn on_topic(&self, topic: &str) -> Vec<Guid> {
+        self.by_topic.get(topic).cloned().unwrap_or_default()
+    }
+
+    /// Takes up an endpoint of a participant that is known, or what changed of it. A changed topic makes it a new one, so
+    /// the caller removes the old one first.
+    pub(crate) fn note(&mut self, data: EndpointData, limits: &Limits) -> Result<Noted, Full> {
+        let guid = data.guid;
+        let Some(peer) = self.by_prefix.get_mut(&guid.prefix) else { return Err(Full::All) };
+        if let Some(remote) = peer.endpoints.get_mut(&guid.entity) {
+            let is_same = remote.data == data;
+            remote.data = data;
+            return Ok(if is_same { Noted::Same } else { Noted::Changed });
+        }
+        if peer.endpoints.len() >= limits.endpoints_per_participant {
+            return Err(Full::Participant);
+        }
+        if self.endpoints >= limits.endpoints {
+            return Err(Full::All);
+        }
+        self.endpoints += 1;
+        self.by_topic.entry(data.topic.clone()).or_default().push(guid);
+        peer.endpoints.insert(guid.entity, Remote { data, matched: Vec::new() });
+        Ok(Noted::New)
+    }
+
+    pub(crate) fn forget_endpoint(&mut self, guid: Guid) -> Option<Remote> {
+        let remote = self.by_prefix.get_mut(&guid.prefix)?.endpoints.remove(&guid.entity)?;
+        self.endpoints -= 1;
+        if let Some(guids) = self.by_topic.get_mut(&remote.data.topic) {
+            guids.retain(|other| *other != guid);
+            if guids.is_empty() {
+                self.by_topic.remove(&remote.data.topic);
+            }
+        }
+        Some(remote)
+    }
+}

@@ -1,0 +1,112 @@
+//! What is sent: waiting submessages are packed into datagrams.
+
+use super::{Destination, Emitted, LinkId, Now, Participant, guard};
+use crate::wire::{EntityId, GuidPrefix, Header, MessageBuilder};
+
+/// Less room than this is not worth a datagram: an acknowledgement with its header takes so much.
+const SMALLEST: usize = 128;
+
+impl Participant {
+    /// Fills `datagram` with what is to be sent next, and says where to; `None` if nothing is.
+    ///
+    /// What own endpoints send each other is delivered on the way.
+    pub fn poll_transmit(&mut self, now: Now, datagram: &mut Vec<u8>) -> Option<Destination> {
+        self.note_time(now);
+        if !self.announcer.is_leaving()
+            && let Some(destination) = self.transmit_announcement(now, datagram)
+        {
+            return Some(destination);
+        }
+        while let Some(link) = self.links.next(now.steady) {
+            if !self.fill(now, link, datagram) {
+                continue;
+            }
+            let Some(destination) = self.links.destination(link) else { continue };
+            if destination == Destination::Own {
+                let own = std::mem::take(datagram);
+                self.loop_back(now, &own);
+                *datagram = own;
+                continue;
+            }
+            let peer = self.links.peer(link);
+            if self.seal(peer, datagram) {
+                return Some(destination);
+            }
+        }
+        if self.announcer.is_leaving() { self.transmit_announcement(now, datagram) } else { None }
+    }
+
+    /// Packs what waits on a link into one datagram. Returns whether there is one to be sent.
+    fn fill(&mut self, now: Now, link: LinkId, datagram: &mut Vec<u8>) -> bool {
+        let peer = self.links.peer(link);
+        let allowance = self.peers.get(peer).map_or(usize::MAX, |peer| peer.account.allowance());
+        let room = self.guard.as_deref().map_or(0, |guard| guard.room());
+        let max_len = self.links.max_datagram(link).min(allowance).saturating_sub(room);
+        let is_limited = allowance <= self.links.max_datagram(link);
+        datagram.clear();
+        if is_limited && max_len < SMALLEST {
+            while let Some(id) = self.links.pop(link) {
+                self.withhold(peer, link, id);
+            }
+            return false;
+        }
+        let mut builder = MessageBuilder::new(datagram, max_len, Header::ours(self.config.prefix));
+        while let Some(id) = self.links.pop(link) {
+            let emitted = if let Some(local) = self.locals.writers.get_mut(&id) {
+                let emitted = local.machine.emit(now, link, &mut self.links, &mut builder);
+                self.follow_up(now, id);
+                emitted
+            } else if let Some(local) = self.locals.readers.get_mut(&id) {
+                let emitted = local.machine.emit(now, link, &mut builder);
+                let timeout = local.machine.next_timeout();
+                self.set_timer(now, id, timeout);
+                emitted
+            } else {
+                continue;
+            };
+            let is_full = emitted == Emitted::More;
+            if is_full && is_limited && builder.is_empty() {
+                self.withhold(peer, link, id);
+            } else {
+                self.links.put_back(link, id, emitted);
+            }
+            if is_full {
+                break;
+            }
+        }
+        !builder.is_empty()
+    }
+
+    /// Protects and counts a datagram that is ready. Returns whether it may be sent.
+    pub(super) fn seal(&mut self, peer: GuidPrefix, datagram: &mut Vec<u8>) -> bool {
+        if let Some(guard) = self.guard.as_deref_mut()
+            && !guard::encode(guard, peer, datagram)
+        {
+            return false;
+        }
+        if let Some(peer) = self.peers.get_mut(peer) {
+            peer.account.sent(datagram.len());
+        }
+        self.counters.datagrams_sent += 1;
+        self.counters.bytes_sent += datagram.len() as u64;
+        true
+    }
+
+    /// Puts a sender aside until more was received from the peer.
+    fn withhold(&mut self, peer: GuidPrefix, link: LinkId, id: EntityId) {
+        self.counters.withheld += 1;
+        if let Some(peer) = self.peers.get_mut(peer)
+            && !peer.withheld.contains(&(link, id))
+        {
+            peer.withheld.push((link, id));
+        }
+    }
+
+    /// Lets those send again that were put aside.
+    pub(super) fn release_withheld(&mut self, prefix: GuidPrefix) {
+        let Some(peer) = self.peers.get_mut(prefix) else { return };
+        for (link, id) in std::mem::take(&mut peer.withheld) {
+            self.links.request(link, id);
+        }
+    }
+}
