@@ -1,0 +1,271 @@
+//! Participants wired together in memory, with a clock that the test moves.
+
+#![allow(dead_code)] // each test program uses a part
+
+use std::{
+    collections::BTreeMap,
+    net::{Ipv4Addr, SocketAddrV4},
+    time::{Duration, Instant},
+};
+
+use bytes::Bytes;
+use downbeat_rtps::{
+    protocol::{
+        Addresses, Config, Destination, EndpointConfig, Event, Interface, Now, Participant, WriteOptions,
+    },
+    qos::{Durability, History, Qos, Reliability},
+    wire::{EntityId, Guid},
+};
+
+/// Where all announce themselves.
+pub const GROUP: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(239, 255, 0, 1), 7400);
+pub const METATRAFFIC_PORT: u16 = 7410;
+pub const USER_PORT: u16 = 7411;
+
+/// Time a datagram takes, unless the fate of datagrams says otherwise.
+pub const DELAY: Duration = Duration::from_micros(50);
+
+/// A datagram on its way.
+pub struct Flight {
+    pub from: SocketAddrV4,
+    pub to: SocketAddrV4,
+    pub bytes: Vec<u8>,
+}
+
+/// After how long a datagram arrives, each time that it does: none is a loss, two are a duplicate.
+pub type Fate = Box<dyn FnMut(&Flight) -> Vec<Duration>>;
+
+/// A host with one participant.
+pub struct Node {
+    pub participant: Participant,
+    pub address: Ipv4Addr,
+    pub events: Vec<Event>,
+    /// `false` while it is suspended: it neither receives nor notices time.
+    pub is_running: bool,
+    /// Datagrams it sent, and their bytes.
+    pub sent: (u64, u64),
+    next_timeout: Option<Instant>,
+}
+
+impl Node {
+    /// The texts that a reader got, without their encapsulation.
+    pub fn texts(&self, of: EntityId) -> Vec<String> {
+        let samples = self.events.iter().filter_map(|event| match event {
+            Event::Sample { reader, sample } if *reader == of => Some(&sample.payload[4..]),
+            _ => None,
+        });
+        samples.map(|text| String::from_utf8_lossy(text).into_owned()).collect()
+    }
+
+    pub fn count(&self, is_counted: impl Fn(&Event) -> bool) -> usize {
+        self.events.iter().filter(|event| is_counted(event)).count()
+    }
+}
+
+/// Hosts of one subnet.
+pub struct Network {
+    pub nodes: Vec<Node>,
+    pub fate: Fate,
+    /// Called for each datagram when it is sent.
+    pub watch: Box<dyn FnMut(&Flight)>,
+    start: Instant,
+    pub elapsed: Duration,
+    /// By time of arrival; those of one moment in the order in which they were sent.
+    flying: BTreeMap<(Duration, u64), Flight>,
+    launched: u64,
+}
+
+/// 2026-01-01.
+const WALL_START_NS: i64 = 1_767_225_600_000_000_000;
+
+impl Network {
+    pub fn new(nodes: u8) -> Self {
+        let mut network = Self {
+            nodes: Vec::new(),
+            fate: Box::new(|_| vec![DELAY]),
+            watch: Box::new(|_| {}),
+            start: Instant::now(),
+            elapsed: Duration::ZERO,
+            flying: BTreeMap::new(),
+            launched: 0,
+        };
+        for _ in 0..nodes {
+            network.join(|_| {});
+        }
+        network
+    }
+
+    /// Adds a host whose participant is configured as `change` says. Returns its index.
+    pub fn join(&mut self, change: impl FnOnce(&mut Config)) -> usize {
+        self.join_at(Ipv4Addr::from(0x0a00_0001 + self.nodes.len() as u32), change)
+    }
+
+    pub fn join_at(&mut self, address: Ipv4Addr, change: impl FnOnce(&mut Config)) -> usize {
+        let mut unique = [0; 10];
+        unique[..4].copy_from_slice(&address.octets());
+        unique[4..8].copy_from_slice(&(self.nodes.len() as u32).to_be_bytes());
+        let mut config = Config::new(unique, 0, addresses(address));
+        change(&mut config);
+        let participant = Participant::new(config, self.now());
+        let next_timeout = participant.next_timeout();
+        self.nodes.push(Node {
+            participant,
+            address,
+            events: Vec::new(),
+            is_running: true,
+            sent: (0, 0),
+            next_timeout,
+        });
+        self.nodes.len() - 1
+    }
+
+    pub fn now(&self) -> Now {
+        Now { steady: self.start + self.elapsed, wall_ns: WALL_START_NS + self.elapsed.as_nanos() as i64 }
+    }
+
+    /// Calls a participant and sends what it has to say.
+    pub fn call<T>(&mut self, node: usize, call: impl FnOnce(&mut Participant, Now) -> T) -> T {
+        let now = self.now();
+        let result = call(&mut self.nodes[node].participant, now);
+        self.collect(node);
+        result
+    }
+
+    /// Puts a datagram of somebody foreign on the wire.
+    pub fn inject(&mut self, node: usize, from: SocketAddrV4, bytes: &[u8]) {
+        self.call(node, |participant, now| participant.handle_datagram(now, from, bytes));
+    }
+
+    fn collect(&mut self, index: usize) {
+        let now = self.now();
+        let mut datagram = Vec::new();
+        for turn in 0.. {
+            assert!(turn < 1_000_000, "a participant never stops sending");
+            let node = &mut self.nodes[index];
+            let Some(destination) = node.participant.poll_transmit(now, &mut datagram) else { break };
+            let to = match destination {
+                Destination::Unicast(to) | Destination::Multicast(to) => to,
+                Destination::Own => panic!("own datagrams do not leave"),
+            };
+            node.sent.0 += 1;
+            node.sent.1 += datagram.len() as u64;
+            let from = SocketAddrV4::new(node.address, METATRAFFIC_PORT);
+            let flight = Flight { from, to, bytes: datagram.clone() };
+            (self.watch)(&flight);
+            for delay in (self.fate)(&flight) {
+                self.launched += 1;
+                let copy = Flight { bytes: flight.bytes.clone(), ..flight };
+                self.flying.insert((self.elapsed + delay, self.launched), copy);
+            }
+        }
+        let node = &mut self.nodes[index];
+        while let Some(event) = node.participant.poll_event() {
+            node.events.push(event);
+        }
+        node.next_timeout = node.participant.next_timeout();
+    }
+
+    /// Does everything up to a time.
+    pub fn run_for(&mut self, duration: Duration) {
+        self.run_until(duration, |_| false);
+    }
+
+    /// Runs until `is_done`, at most for `limit`. Returns whether it was done.
+    pub fn run_until(&mut self, limit: Duration, is_done: impl Fn(&Self) -> bool) -> bool {
+        let end = self.elapsed + limit;
+        loop {
+            if is_done(self) {
+                return true;
+            }
+            let running = self.nodes.iter().filter(|node| node.is_running);
+            let timeout = running.filter_map(|node| node.next_timeout).min();
+            let timeout = timeout.map(|at| at.saturating_duration_since(self.start));
+            let arrival = self.flying.keys().next().map(|(at, _)| *at);
+            let Some(next) = timeout.into_iter().chain(arrival).min().filter(|next| *next <= end) else {
+                self.elapsed = end;
+                return is_done(self);
+            };
+            self.elapsed = self.elapsed.max(next);
+            if arrival == Some(next) {
+                let (_, flight) = self.flying.pop_first().expect("something arrives");
+                self.deliver(&flight);
+            } else {
+                let now = self.now();
+                for index in 0..self.nodes.len() {
+                    let node = &self.nodes[index];
+                    if node.is_running && node.next_timeout.is_some_and(|at| at <= now.steady) {
+                        self.call(index, |participant, now| participant.handle_timeout(now));
+                    }
+                }
+            }
+        }
+    }
+
+    fn deliver(&mut self, flight: &Flight) {
+        for index in 0..self.nodes.len() {
+            let node = &self.nodes[index];
+            let is_for_it = flight.to.ip().is_multicast() || *flight.to.ip() == node.address;
+            if is_for_it && node.is_running {
+                self.call(index, |participant, now| {
+                    participant.handle_datagram(now, flight.from, &flight.bytes);
+                });
+            }
+        }
+    }
+
+    pub fn writer(&mut self, node: usize, topic: &str, qos: Qos) -> EntityId {
+        self.call(node, |participant, now| participant.create_writer(now, endpoint(topic, qos)))
+            .expect("writer")
+    }
+
+    pub fn reader(&mut self, node: usize, topic: &str, qos: Qos) -> EntityId {
+        self.call(node, |participant, now| participant.create_reader(now, endpoint(topic, qos)))
+            .expect("reader")
+    }
+
+    pub fn write(&mut self, node: usize, writer: EntityId, text: &str) {
+        let written = self.call(node, |participant, now| {
+            participant.write(now, writer, payload(text), WriteOptions::default())
+        });
+        written.expect("room to write");
+    }
+
+    pub fn guid(&self, node: usize, entity: EntityId) -> Guid {
+        Guid::new(self.nodes[node].participant.prefix(), entity)
+    }
+}
+
+pub fn addresses(address: Ipv4Addr) -> Addresses {
+    Addresses {
+        metatraffic_unicast: vec![SocketAddrV4::new(address, METATRAFFIC_PORT)],
+        metatraffic_multicast: vec![GROUP],
+        default_unicast: vec![SocketAddrV4::new(address, USER_PORT)],
+        announce_to: vec![GROUP],
+        interfaces: vec![Interface { address, prefix_length: 24 }],
+    }
+}
+
+pub fn endpoint(topic: &str, qos: Qos) -> EndpointConfig {
+    EndpointConfig {
+        user_data: Bytes::from_static(b"typehash=RIHS01_00;"),
+        ..EndpointConfig::new(topic, "std_msgs::msg::dds_::String_", qos)
+    }
+}
+
+/// Bytes that begin with an encapsulation.
+pub fn payload(text: &str) -> Bytes {
+    [&[0, 1, 0, 0], text.as_bytes()].concat().into()
+}
+
+/// The default of ROS 2.
+pub fn reliable() -> Qos {
+    Qos { history: History::KeepLast(10), ..Qos::writer_default() }
+}
+
+pub fn best_effort() -> Qos {
+    Qos { reliability: Reliability::BestEffort, ..reliable() }
+}
+
+pub fn latched(depth: u32) -> Qos {
+    Qos { durability: Durability::TransientLocal, history: History::KeepLast(depth), ..reliable() }
+}
