@@ -3,7 +3,7 @@
 use super::{Admission, Event, LivelinessChange, MatchedReader, MatchedWriter, Now, Participant};
 use crate::{
     qos::{Durability, Policy, Reliability, incompatible},
-    wire::{EndpointData, EntityId, Guid},
+    wire::{EndpointData, EntityId, Guid, VendorId},
 };
 
 /// Whether two endpoints of one topic match.
@@ -109,6 +109,8 @@ impl Participant {
         let Some(link) = self.link_to(remote) else { return };
         let Some(ours) = self.locals.data(local) else { return };
         let is_own = remote.prefix == self.config.prefix;
+        let is_ours =
+            is_own || self.peers.get(remote.prefix).is_some_and(|peer| peer.data.vendor == VendorId::OURS);
         let theirs = if is_own {
             self.locals.data(remote.entity)
         } else {
@@ -125,7 +127,7 @@ impl Participant {
             lifespan: theirs.qos.lifespan,
             liveliness_lease: ours.qos.lease,
             link,
-            is_ours: is_own,
+            is_ours,
         };
         if let Some(matched) = self.locals.matched_mut(local) {
             matched.insert(remote);

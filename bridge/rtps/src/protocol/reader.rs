@@ -116,7 +116,7 @@ impl Reader {
                 source_timestamp: timestamp,
                 inline_qos: data.inline_qos,
                 is_key,
-                payload: Bytes::copy_from_slice(payload),
+                payload: as_written(payload),
             };
             incoming.take_sample(now, sample, room, out);
         });
@@ -277,5 +277,17 @@ impl Reader {
 
     fn set_timeout(&mut self, at: Option<Instant>) {
         self.timeout = [self.timeout, at].into_iter().flatten().min();
+    }
+}
+/// A copy of a payload whose encapsulation no longer tells of the padding that was taken off.
+fn as_written(payload: &[u8]) -> Bytes {
+    match *payload {
+        [0, format, options_high, options_low, ref content @ ..] if options_low & 3 != 0 => {
+            let mut bytes = Vec::with_capacity(payload.len());
+            bytes.extend_from_slice(&[0, format, options_high, options_low & !3]);
+            bytes.extend_from_slice(content);
+            bytes.into()
+        }
+        _ => Bytes::copy_from_slice(payload),
     }
 }
