@@ -1,8 +1,10 @@
-//! The IPv4 addresses of this machine at which a participant can be reached.
+//! The IPv4 addresses of this machine.
 
 use super::Range;
+use super::sockets::Ports;
+use crate::protocol;
 use std::io;
-use std::net::Ipv4Addr;
+use std::net::{Ipv4Addr, SocketAddrV4};
 
 /// One address of one network interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -11,35 +13,81 @@ pub(super) struct Interface {
     index: u32,
     pub(super) address: Ipv4Addr,
     /// Bits of the address that its whole subnet shares.
-    pub(super) prefix_length: u8,
+    prefix_length: u8,
 }
 
-/// The addresses to use, loopback only for [`Range::Localhost`] and where there is no network.
-///
-/// An interface counts once it is running. While it was counted `before` it stays for as long as it has its address, so that
-/// a cable that is out for a moment changes nothing for participants on this machine.
-pub(super) fn list(range: Range, before: &[Interface]) -> io::Result<Vec<Interface>> {
-    let loopback = Interface { index: 1, address: Ipv4Addr::LOCALHOST, prefix_length: 8 };
-    if range == Range::Localhost {
-        return Ok(vec![loopback]);
+/// The addresses of this machine at one moment.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Interfaces {
+    /// All, loopback among them.
+    all: Vec<Interface>,
+    /// Those at which others are to reach the participant.
+    used: Vec<Interface>,
+}
+
+impl Interfaces {
+    /// Reads the addresses of interfaces that are running.
+    ///
+    /// One that was there `before` stays for as long as it has its address, so that a cable that is out for a moment changes
+    /// nothing for participants on this machine.
+    pub(super) fn read(range: Range, before: &Self) -> io::Result<Self> {
+        let mut all = Vec::new();
+        for interface in if_addrs::get_if_addrs()? {
+            let if_addrs::IfAddr::V4(address) = &interface.addr else { continue };
+            let is_running = interface.is_oper_up();
+            let index = interface.index.unwrap_or_default();
+            let interface = Interface { index, address: address.ip, prefix_length: address.prefixlen };
+            if is_running || before.all.contains(&interface) {
+                all.push(interface);
+            }
+        }
+        Ok(Self::of(range, all))
     }
-    let mut found = Vec::new();
-    for interface in if_addrs::get_if_addrs()? {
-        let if_addrs::IfAddr::V4(address) = &interface.addr else { continue };
-        let is_running = interface.is_oper_up();
-        let interface = Interface {
-            index: interface.index.unwrap_or_default(),
-            address: address.ip,
-            prefix_length: address.prefixlen,
+
+    fn of(range: Range, mut all: Vec<Interface>) -> Self {
+        if !all.iter().any(|interface| interface.address.is_loopback()) {
+            // Without it nothing works, so nobody is without; a container may hide it.
+            all.push(Interface { index: 1, address: Ipv4Addr::LOCALHOST, prefix_length: 8 });
+        }
+        let (loopback, outside): (Vec<_>, Vec<_>) =
+            all.iter().copied().partition(|interface| interface.address.is_loopback());
+        let used = match range {
+            Range::Off => Vec::new(),
+            Range::Subnet if !outside.is_empty() => outside,
+            Range::Subnet | Range::Localhost => loopback,
         };
-        if !interface.address.is_loopback() && (is_running || before.contains(&interface)) {
-            found.push(interface);
+        Self { all, used }
+    }
+
+    /// Those at which others are to reach the participant: none for [`Range::Off`]; loopback for [`Range::Localhost`] and where
+    /// there is no network; else all others.
+    pub(super) fn used(&self) -> &[Interface] {
+        &self.used
+    }
+
+    /// Where a participant is reached that has these ports, and announces itself to its group and to `announce_to`.
+    pub(super) fn addresses(
+        &self,
+        ports: Ports,
+        (meta, user): (u16, u16),
+        announce_to: impl IntoIterator<Item = SocketAddrV4>,
+    ) -> protocol::Addresses {
+        if self.used.is_empty() {
+            return protocol::Addresses::default();
+        }
+        let at = |port| self.used.iter().map(move |used| SocketAddrV4::new(used.address, port)).collect();
+        let interface = |interface: &Interface| protocol::Interface {
+            address: interface.address,
+            prefix_length: interface.prefix_length,
+        };
+        protocol::Addresses {
+            metatraffic_unicast: at(meta),
+            metatraffic_multicast: vec![ports.group()],
+            default_unicast: at(user),
+            announce_to: std::iter::once(ports.group()).chain(announce_to).collect(),
+            interfaces: self.all.iter().map(interface).collect(),
         }
     }
-    if found.is_empty() {
-        found.push(loopback);
-    }
-    Ok(found)
 }
 
 #[cfg(test)]
@@ -47,12 +95,22 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
+    const LOOPBACK: Interface = Interface { index: 1, address: Ipv4Addr::LOCALHOST, prefix_length: 8 };
+    const OUTSIDE: Interface = Interface { index: 2, address: Ipv4Addr::new(10, 0, 0, 5), prefix_length: 24 };
+
     #[test]
     fn localhost_is_loopback_alone_and_a_subnet_has_it_only_without_a_network() {
-        let addresses = |range| list(range, &[]).unwrap().into_iter().map(|interface| interface.address);
-        assert!(addresses(Range::Localhost).eq([Ipv4Addr::LOCALHOST]));
-        let subnet: Vec<_> = addresses(Range::Subnet).collect();
-        assert!(!subnet.is_empty());
-        assert!(subnet.len() == 1 || !subnet.contains(&Ipv4Addr::LOCALHOST), "{subnet:?}");
+        let used = |range, all: &[Interface]| Interfaces::of(range, all.to_vec()).used;
+        assert_eq!(used(Range::Off, &[LOOPBACK, OUTSIDE]), []);
+        assert_eq!(used(Range::Localhost, &[LOOPBACK, OUTSIDE]), [LOOPBACK]);
+        assert_eq!(used(Range::Subnet, &[LOOPBACK, OUTSIDE]), [OUTSIDE]);
+        assert_eq!(used(Range::Subnet, &[LOOPBACK]), [LOOPBACK]);
+        assert_eq!(used(Range::Subnet, &[]), [LOOPBACK]);
+    }
+
+    #[test]
+    fn this_machine_has_loopback() {
+        let interfaces = Interfaces::read(Range::Localhost, &Interfaces::default()).unwrap();
+        assert!(interfaces.used.iter().any(|used| used.address == Ipv4Addr::LOCALHOST), "{interfaces:?}");
     }
 }

@@ -1,8 +1,294 @@
 //! The protocol on UDP: sockets, a thread, and handles for writers and readers.
+//!
+//! A write sends on the thread that writes; samples in quick succession share datagrams. Everything else happens on the
+//! one thread of the participant: it receives, gives samples and events to the handlers, and runs the timers. A handler
+//! that writes sends at once too, so an answer leaves on the thread on which the question came.
 
+mod endpoint;
+mod engine;
 mod interfaces;
 mod log_limit;
 mod options;
 mod sockets;
+mod static_peers;
+mod thread;
 
+pub use endpoint::{EndpointEvent, EventHandler, MatchHandler, SampleHandler};
 pub use options::{JoinError, Options, Range};
+
+use crate::protocol::{self, Counters, CreateError, EndpointConfig, WriteError, WriteOptions};
+use crate::wire::{EndpointData, Guid, GuidPrefix, SequenceNumber};
+use bytes::Bytes;
+use endpoint::EndpointState;
+use engine::{Engine, now};
+use interfaces::Interfaces;
+use mio::{Poll, Token, Waker};
+use sockets::{Ports, Receivers, Senders};
+use std::hash::{BuildHasher, Hasher, RandomState};
+use std::net::Ipv4Addr;
+use std::sync::Arc;
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// Of the sockets that receive, from 0.
+const TOKENS: usize = 3;
+const SENDER: Token = Token(TOKENS);
+const WAKER: Token = Token(TOKENS + 1);
+/// Participants of this machine that are announced to by address where other hosts do not count, as rmw_fastrtps does.
+const LOCAL_PARTICIPANTS: usize = 32;
+/// Names of static peers are looked up this often.
+const LOOK_UP: Duration = Duration::from_secs(60);
+
+/// A participant of a domain. Dropping it leaves the domain; endpoints that still exist are of no use then.
+pub struct Participant {
+    engine: Arc<Engine>,
+    prefix: GuidPrefix,
+    thread: Option<JoinHandle<()>>,
+    /// Ends the thread that looks names up when it is dropped.
+    _stop_looking: mpsc::Sender<()>,
+}
+
+impl Participant {
+    /// Joins a domain. Others are found from now on.
+    ///
+    /// # Errors
+    /// [`JoinError`] when no port is free, or the system refuses sockets or a thread.
+    pub fn join(options: &Options) -> Result<Self, JoinError> {
+        let Options { domain_id, range, .. } = *options;
+        let ports = Ports::of_domain(domain_id).ok_or(JoinError::Domain(domain_id))?;
+        let poll = Poll::new().map_err(JoinError::Socket)?;
+        let interfaces = Interfaces::read(range, &Interfaces::default()).map_err(JoinError::Interfaces)?;
+        let mut receivers = Receivers::bind(ports, range, poll.registry())?;
+        receivers.join(interfaces.used());
+        let mut senders = Senders::bind(range, poll.registry(), SENDER).map_err(JoinError::Socket)?;
+        senders.set_interfaces(interfaces.used());
+        let waker = Waker::new(poll.registry(), WAKER).map_err(JoinError::Socket)?;
+
+        let hosts = if range == Range::Off { &[][..] } else { &options.static_peers };
+        let (mut fixed, names) = static_peers::split(hosts, ports);
+        if range == Range::Localhost {
+            fixed.extend(ports.announcements_to(Ipv4Addr::LOCALHOST, LOCAL_PARTICIPANTS));
+        }
+        let bound = (receivers.meta_port, receivers.user_port);
+        let addresses = interfaces.addresses(ports, bound, fixed.iter().copied());
+        let mut config = protocol::Config::new(unique(), domain_id.into(), addresses);
+        config.name.clone_from(&options.name);
+        config.user_data = Bytes::copy_from_slice(&options.user_data);
+        config.lease = options.lease;
+        config.announcement_period = options.announcement_period;
+        config.receive_buffer = u32::try_from(receivers.buffer).ok().filter(|bytes| *bytes > 0);
+        let prefix = config.prefix;
+        let engine = Engine::new(protocol::Participant::new(config, now()), senders, waker);
+        let engine = Arc::new(engine);
+
+        let (found, looked_up) = mpsc::channel();
+        let thread = thread::Thread {
+            engine: Arc::clone(&engine),
+            poll,
+            receivers,
+            range,
+            ports,
+            interfaces,
+            period: options.announcement_period,
+            fixed,
+            named: Vec::new(),
+            looked_up,
+        };
+        let thread = std::thread::Builder::new().name("downbeat-rtps".to_owned()).spawn(|| thread.run());
+        let thread = Some(thread.map_err(JoinError::Thread)?);
+        let (stop_looking, stop) = mpsc::channel();
+        let participant = Self { engine, prefix, thread, _stop_looking: stop_looking };
+        if !names.is_empty() {
+            let engine = Arc::downgrade(&participant.engine);
+            let look_up = move || {
+                loop {
+                    let sent = found.send(names.look_up(ports));
+                    let Some(engine) = engine.upgrade().filter(|_| sent.is_ok()) else { return };
+                    engine.wake();
+                    drop(engine);
+                    if stop.recv_timeout(LOOK_UP) != Err(RecvTimeoutError::Timeout) {
+                        return;
+                    }
+                }
+            };
+            let builder = std::thread::Builder::new().name("downbeat-peers".to_owned());
+            // Not waited for at the end: a name server may let it wait for long.
+            drop(builder.spawn(look_up).map_err(JoinError::Thread)?);
+        }
+        Ok(participant)
+    }
+
+    /// The identity of this participant.
+    #[must_use]
+    pub fn prefix(&self) -> GuidPrefix {
+        self.prefix
+    }
+
+    /// Creates a writer.
+    ///
+    /// # Errors
+    /// [`CreateError`] when the configuration is not valid.
+    pub fn create_writer(&self, config: EndpointConfig) -> Result<Writer, CreateError> {
+        let state = self.engine.create_writer(config)?;
+        Ok(Writer { engine: Arc::clone(&self.engine), state })
+    }
+
+    /// Creates a reader that gives each sample to `on_sample`.
+    ///
+    /// # Errors
+    /// [`CreateError`] when the configuration is not valid.
+    pub fn create_reader(
+        &self,
+        config: EndpointConfig,
+        on_sample: SampleHandler,
+    ) -> Result<Reader, CreateError> {
+        let state = self.engine.create_reader(config, on_sample)?;
+        Ok(Reader { engine: Arc::clone(&self.engine), state })
+    }
+
+    /// The endpoints of other participants that are known at this moment.
+    #[must_use]
+    pub fn remote_endpoints(&self) -> Vec<EndpointData> {
+        self.engine.lock().participant.remote_endpoints().cloned().collect()
+    }
+
+    /// Traffic and bad input since it joined.
+    #[must_use]
+    pub fn counters(&self) -> Counters {
+        self.engine.lock().participant.counters()
+    }
+}
+
+impl Drop for Participant {
+    fn drop(&mut self) {
+        self.engine.stop();
+        if let Some(thread) = self.thread.take()
+            && !self.engine.is_on_its_thread()
+        {
+            // It has reported its panics itself.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Writes samples to one topic. Dropping it removes the endpoint.
+pub struct Writer {
+    engine: Arc<Engine>,
+    state: Arc<EndpointState>,
+}
+
+impl Writer {
+    /// The identity of this endpoint.
+    #[must_use]
+    pub fn guid(&self) -> Guid {
+        self.state.guid
+    }
+
+    /// Number of matched readers.
+    #[must_use]
+    pub fn matched(&self) -> usize {
+        self.state.matched()
+    }
+
+    /// The matched readers.
+    #[must_use]
+    pub fn matched_readers(&self) -> Vec<Guid> {
+        self.state.peers()
+    }
+
+    /// Registers a handler of events, and gives it what holds already on the calling thread. Replaces the one before. Not to
+    /// be called in a handler of this endpoint.
+    pub fn on_event(&self, handler: EventHandler) {
+        self.state.on_event(handler);
+    }
+
+    /// Registers a handler that is called whenever the matched readers have changed. Replaces the one before.
+    pub fn on_match(&self, handler: MatchHandler) {
+        self.state.on_match(handler);
+    }
+
+    /// Writes one sample: encapsulation header and body. Never waits. Returns its number.
+    ///
+    /// # Errors
+    /// [`WriteError`] when the sample was not written.
+    pub fn write(&self, payload: Bytes, options: WriteOptions) -> Result<SequenceNumber, WriteError> {
+        self.engine.write(self.state.guid.entity, payload, options)
+    }
+
+    /// Shows that this writer is alive, where its liveliness is manual, without a sample.
+    pub fn assert_liveliness(&self) {
+        let mut protocol = self.engine.lock();
+        protocol.participant.assert_liveliness(now(), self.state.guid.entity);
+        self.engine.follow_up(protocol);
+    }
+
+    /// Waits until all matched reliable readers have acknowledged all samples; false if some have not after `timeout`.
+    /// In a handler it does not wait.
+    #[must_use]
+    pub fn flush(&self, timeout: Duration) -> bool {
+        self.engine.wait_until_acknowledged(self.state.guid.entity, timeout)
+    }
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        self.engine.remove(&self.state);
+    }
+}
+
+/// Keeps a subscription alive. Once it is dropped its handlers are not called any more.
+pub struct Reader {
+    engine: Arc<Engine>,
+    state: Arc<EndpointState>,
+}
+
+impl Reader {
+    /// The identity of this endpoint.
+    #[must_use]
+    pub fn guid(&self) -> Guid {
+        self.state.guid
+    }
+
+    /// Number of matched writers.
+    #[must_use]
+    pub fn matched(&self) -> usize {
+        self.state.matched()
+    }
+
+    /// The matched writers.
+    #[must_use]
+    pub fn matched_writers(&self) -> Vec<Guid> {
+        self.state.peers()
+    }
+
+    /// As [`Writer::on_event`].
+    pub fn on_event(&self, handler: EventHandler) {
+        self.state.on_event(handler);
+    }
+
+    /// Registers a handler that is called whenever the matched writers have changed. Replaces the one before.
+    pub fn on_match(&self, handler: MatchHandler) {
+        self.state.on_match(handler);
+    }
+}
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        self.engine.remove(&self.state);
+    }
+}
+
+/// Bytes that no other participant has in its identity: the keys of a hasher come from the random numbers of the system.
+fn unique() -> [u8; 10] {
+    let mut hashers = std::iter::repeat_with(|| {
+        let mut hasher = RandomState::new().build_hasher();
+        hasher.write_u32(std::process::id());
+        hasher.finish()
+    });
+    let mut unique = [0; 10];
+    for (bytes, hash) in unique.chunks_mut(8).zip(&mut hashers) {
+        bytes.copy_from_slice(&hash.to_ne_bytes()[..bytes.len()]);
+    }
+    unique
+}

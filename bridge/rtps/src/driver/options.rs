@@ -7,6 +7,8 @@ use thiserror::Error;
 /// How far a participant looks for others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Range {
+    /// Nobody is found and nobody finds it: endpoints of the participant hear each other. No socket is bound to a known port.
+    Off,
     /// This machine only: every socket is bound to the loopback interface.
     Localhost,
     /// Everybody that multicast reaches, and this machine.

@@ -82,10 +82,21 @@ pub(super) struct Buffers {
 impl Receivers {
     /// Binds the ports of the first participant of the domain whose ports are free.
     pub(super) fn bind(ports: Ports, range: Range, registry: &Registry) -> Result<Self, JoinError> {
-        let address = match range {
-            Range::Localhost => Ipv4Addr::LOCALHOST,
-            Range::Subnet => Ipv4Addr::UNSPECIFIED,
-        };
+        let group = ports.group();
+        if range == Range::Off {
+            let (sockets, joined, log) = (Vec::new(), Vec::new(), LogLimit::default());
+            return Ok(Self {
+                meta_port: 0,
+                user_port: 0,
+                buffer: 0,
+                sockets,
+                multicast: None,
+                group: *group.ip(),
+                joined,
+                log,
+            });
+        }
+        let address = address(range);
         let ((meta_port, user_port), pair) = bind_pair(ports, address)?;
         let mut sockets = pair.map(Receiver::new).into_iter().collect::<Result<Vec<_>, _>>()?;
         let buffer = sockets.iter().map(|receiver| buffer_of(&receiver.socket)).min().unwrap_or_default();
@@ -97,7 +108,6 @@ impl Receivers {
                 BUFFER >> 10
             );
         }
-        let group = ports.group();
         let multicast = match bind_group(group).and_then(Receiver::new_in) {
             Ok(receiver) => {
                 sockets.push(receiver);
@@ -222,10 +232,7 @@ pub(super) enum Sent {
 
 impl Senders {
     pub(super) fn bind(range: Range, registry: &Registry, token: Token) -> io::Result<Self> {
-        let address = match range {
-            Range::Localhost => Ipv4Addr::LOCALHOST,
-            Range::Subnet => Ipv4Addr::UNSPECIFIED,
-        };
+        let address = address(range);
         let mut unicast = sender(address)?;
         registry.register(&mut unicast, token, Interest::WRITABLE)?;
         Ok(Self { unicast, multicast: Vec::new(), address, log: LogLimit::default() })
@@ -287,6 +294,14 @@ fn send(socket: &UdpSocket, to: SocketAddrV4, datagram: &[u8]) -> io::Result<usi
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
             sent => return sent,
         }
+    }
+}
+
+/// What sockets are bound to.
+fn address(range: Range) -> Ipv4Addr {
+    match range {
+        Range::Off | Range::Localhost => Ipv4Addr::LOCALHOST,
+        Range::Subnet => Ipv4Addr::UNSPECIFIED,
     }
 }
 
@@ -357,7 +372,7 @@ fn buffer_of(socket: &UdpSocket) -> usize {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::driver::interfaces;
+    use crate::driver::interfaces::Interfaces;
     use mio::{Events, Poll};
     use std::time::Duration;
 
@@ -390,11 +405,12 @@ mod tests {
     #[test]
     fn datagrams_to_the_group_and_to_the_address_arrive_over_loopback() {
         let (ports, mut poll) = (Ports::of_domain(DOMAIN + 1).unwrap(), Poll::new().unwrap());
-        let interfaces = interfaces::list(Range::Localhost, &[]).unwrap();
+        let interfaces = Interfaces::read(Range::Localhost, &Interfaces::default()).unwrap();
+        let interfaces = interfaces.used();
         let mut receivers = Receivers::bind(ports, Range::Localhost, poll.registry()).unwrap();
-        receivers.join(&interfaces);
+        receivers.join(interfaces);
         let mut senders = Senders::bind(Range::Localhost, poll.registry(), Token(9)).unwrap();
-        senders.set_interfaces(&interfaces);
+        senders.set_interfaces(interfaces);
         senders.send_to_group(ports.group(), b"group");
         for port in [receivers.meta_port, receivers.user_port] {
             assert_eq!(senders.send(SocketAddrV4::new(Ipv4Addr::LOCALHOST, port), &[7; 65_000]), Sent::Done);

@@ -1,0 +1,205 @@
+//! What an endpoint of ours is told, and who listens.
+
+use crate::protocol::{LivelinessChange, Sample};
+use crate::qos::Policy;
+use crate::wire::Guid;
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Receives the samples of one reader, in the order of each writer. It runs on the thread of the participant, which receives
+/// nothing meanwhile: it hands over and returns, or answers at once.
+pub type SampleHandler = Box<dyn FnMut(Sample) + Send>;
+
+/// Receives the events of one endpoint. It runs on the thread of the participant and returns soon.
+pub type EventHandler = Box<dyn Fn(&EndpointEvent) + Send + Sync>;
+
+/// Called when the matched endpoints of one endpoint have changed. It runs on the thread of the participant and returns soon.
+pub type MatchHandler = Box<dyn Fn() + Send + Sync>;
+
+/// What happened to an endpoint. `peer` is any other, of this participant or of another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub enum EndpointEvent {
+    /// The two found each other.
+    Matched { peer: Guid },
+    /// A matched endpoint was removed, or its participant left.
+    Unmatched { peer: Guid },
+    /// A policy keeps the two apart, though topic and type are the same.
+    Incompatible { peer: Guid, policy: Policy },
+    /// The two are on one topic and have different types.
+    OtherType { peer: Guid },
+    /// The deadline passed `count` times: the offered one of a writer, the requested one of a reader.
+    DeadlineMissed { count: u64 },
+    /// This writer was not asserted in time.
+    LivelinessLost,
+    /// What this reader knows of the life of a writer changed.
+    LivelinessChanged { peer: Guid, change: LivelinessChange },
+    /// `count` samples of a writer will never arrive.
+    Lost { peer: Guid, count: u64 },
+}
+
+/// An endpoint of ours, shared by its handle and the thread.
+pub(super) struct EndpointState {
+    pub(super) guid: Guid,
+    /// Empty for writers, and once the reader is dropped.
+    on_sample: Mutex<Option<SampleHandler>>,
+    matched: AtomicUsize,
+    listeners: Mutex<Listeners>,
+    /// Held while handlers of events run, so that they run in the order of the events.
+    telling: Mutex<()>,
+}
+
+#[derive(Default)]
+struct Listeners {
+    /// How others stand to this endpoint.
+    others: BTreeMap<Guid, Standing>,
+    on_event: Option<Arc<EventHandler>>,
+    on_match: Option<Arc<MatchHandler>>,
+}
+
+#[derive(Clone, Copy)]
+enum Standing {
+    Matched { liveliness: Option<LivelinessChange> },
+    Apart(EndpointEvent),
+}
+
+impl EndpointState {
+    pub(super) fn new(guid: Guid, on_sample: Option<SampleHandler>) -> Self {
+        Self {
+            guid,
+            on_sample: Mutex::new(on_sample),
+            matched: AtomicUsize::new(0),
+            listeners: Mutex::default(),
+            telling: Mutex::default(),
+        }
+    }
+
+    pub(super) fn matched(&self) -> usize {
+        self.matched.load(Ordering::Acquire)
+    }
+
+    pub(super) fn peers(&self) -> Vec<Guid> {
+        let listeners = lock(&self.listeners);
+        let is_matched =
+            |(peer, standing): (&Guid, &_)| matches!(standing, Standing::Matched { .. }).then_some(*peer);
+        listeners.others.iter().filter_map(is_matched).collect()
+    }
+
+    /// Replaces the handler of events, and gives it what holds already.
+    pub(super) fn on_event(&self, handler: EventHandler) {
+        let handler = Arc::new(handler);
+        let _telling = lock(&self.telling);
+        let events: Vec<_> = {
+            let mut listeners = lock(&self.listeners);
+            listeners.on_event = Some(Arc::clone(&handler));
+            listeners.others.iter().flat_map(|(peer, standing)| standing.events(*peer)).collect()
+        };
+        events.iter().for_each(|event| handler(event));
+    }
+
+    pub(super) fn on_match(&self, handler: MatchHandler) {
+        lock(&self.listeners).on_match = Some(Arc::new(handler));
+    }
+
+    /// Records an event and gives it to the handlers.
+    pub(super) fn tell(&self, event: EndpointEvent) {
+        let _telling = lock(&self.telling);
+        let (on_event, on_match) = {
+            let mut listeners = lock(&self.listeners);
+            let has_changed = listeners.record(event);
+            if has_changed {
+                let is_matched = |standing: &&Standing| matches!(standing, Standing::Matched { .. });
+                let count = listeners.others.values().filter(is_matched).count();
+                self.matched.store(count, Ordering::Release);
+            }
+            (listeners.on_event.clone(), listeners.on_match.clone().filter(|_| has_changed))
+        };
+        if let Some(on_event) = on_event {
+            on_event(&event);
+        }
+        if let Some(on_match) = on_match {
+            on_match();
+        }
+    }
+
+    /// Forgets what kept an endpoint apart that is gone.
+    pub(super) fn forget(&self, peer: Guid) {
+        let mut listeners = lock(&self.listeners);
+        if matches!(listeners.others.get(&peer), Some(Standing::Apart(_))) {
+            listeners.others.remove(&peer);
+        }
+    }
+
+    /// Hands a sample to the reader.
+    pub(super) fn give(&self, sample: Sample) {
+        if let Some(on_sample) = lock(&self.on_sample).as_mut() {
+            on_sample(sample);
+        }
+    }
+
+    /// Ends the handlers: none of them runs any more when this returns, except the one that calls it.
+    pub(super) fn close(&self, is_inside_a_handler: bool) {
+        let on_sample = if is_inside_a_handler {
+            // The handler of this very reader may be the one that runs; then it goes with the endpoint.
+            self.on_sample.try_lock().ok().and_then(|mut on_sample| on_sample.take())
+        } else {
+            lock(&self.on_sample).take()
+        };
+        let listeners = std::mem::take(&mut *lock(&self.listeners));
+        if !is_inside_a_handler {
+            drop(lock(&self.telling));
+        }
+        // What they hold may have handles in it, so without a lock.
+        drop((on_sample, listeners));
+    }
+}
+
+impl Listeners {
+    /// Keeps what holds from now on; true if it is another match.
+    fn record(&mut self, event: EndpointEvent) -> bool {
+        match event {
+            EndpointEvent::Matched { peer } => {
+                let before = self.others.insert(peer, Standing::Matched { liveliness: None });
+                !matches!(before, Some(Standing::Matched { .. }))
+            }
+            EndpointEvent::Unmatched { peer } => {
+                matches!(self.others.remove(&peer), Some(Standing::Matched { .. }))
+            }
+            EndpointEvent::Incompatible { peer, .. } | EndpointEvent::OtherType { peer } => {
+                let before = self.others.insert(peer, Standing::Apart(event));
+                matches!(before, Some(Standing::Matched { .. }))
+            }
+            EndpointEvent::LivelinessChanged { peer, change } => {
+                if let Some(Standing::Matched { liveliness }) = self.others.get_mut(&peer) {
+                    *liveliness = Some(change);
+                }
+                false
+            }
+            EndpointEvent::DeadlineMissed { .. }
+            | EndpointEvent::LivelinessLost
+            | EndpointEvent::Lost { .. } => false,
+        }
+    }
+}
+
+impl Standing {
+    /// What somebody who listens from now on has missed.
+    fn events(self, peer: Guid) -> impl Iterator<Item = EndpointEvent> {
+        let (first, liveliness) = match self {
+            Self::Matched { liveliness } => (EndpointEvent::Matched { peer }, liveliness),
+            Self::Apart(event) => (event, None),
+        };
+        // One that is alive again is alive, for somebody who did not know it before.
+        let change = liveliness.map(|change| match change {
+            LivelinessChange::Revived => LivelinessChange::Alive,
+            change => change,
+        });
+        let change = change.map(|change| EndpointEvent::LivelinessChanged { peer, change });
+        std::iter::once(first).chain(change)
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
