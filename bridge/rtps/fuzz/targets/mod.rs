@@ -1,3 +1,4 @@
 //! What the fuzzer and the tests run.
 
+pub mod participant;
 pub mod wire;

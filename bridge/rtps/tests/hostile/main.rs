@@ -2,11 +2,16 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod attacks;
 #[path = "../golden/capture.rs"]
 mod capture;
+#[path = "../common/mod.rs"]
+mod common;
+mod conversations;
 mod memory;
 mod mutation;
 mod random;
 mod reading;
+mod robot;
 #[path = "../../fuzz/targets/mod.rs"]
 mod targets;
