@@ -234,6 +234,30 @@ fn static_peers_are_kept_without_multicast_though_only_one_lists_the_other() {
 }
 
 #[test]
+fn an_answer_that_was_not_heard_is_given_again() {
+    let mut network = Network::new(1);
+    let writer = network.writer(0, "rt/a", reliable());
+    network.run_for(10 * SECOND);
+    // As Fast DDS, which announces itself before it listens.
+    let start = network.elapsed;
+    let is_deaf = std::rc::Rc::new(std::cell::Cell::new(true));
+    let still = is_deaf.clone();
+    let late = network.join(|_| {});
+    let deaf = network.nodes[late].address;
+    network.fate =
+        Box::new(
+            move |flight| {
+                if still.get() && *flight.to.ip() == deaf { vec![] } else { vec![common::DELAY] }
+            },
+        );
+    network.reader(late, "rt/a", reliable());
+    network.run_for(Duration::from_millis(50));
+    is_deaf.set(false);
+    assert!(network.run_until(Duration::from_millis(100), |network| is_matched(network, 0, writer, 1)));
+    assert!(network.elapsed - start < Duration::from_millis(150));
+}
+
+#[test]
 fn participants_of_other_domains_are_ignored() {
     let mut network = Network::new(1);
     network.join(|config| config.domain_id = 7);

@@ -188,10 +188,9 @@ impl Participant {
             return;
         }
         let addresses = &self.config.addresses;
-        let mut theirs = peer.links.iter().map(|(address, _)| *address.ip());
         let mut announced = peer.data.metatraffic_unicast.iter().chain(&peer.data.default_unicast);
-        let is_there = announced.any(|address| *address.ip() == from)
-            || addresses.is_own_host(from) && theirs.any(|address| addresses.is_own_host(address));
+        let is_there =
+            announced.any(|address| *address.ip() == from) || addresses.is_own_host(from) && peer.is_own_host;
         if is_there {
             peer.account.answered();
             self.release_withheld(source);

@@ -188,7 +188,9 @@ impl Lane {
             }
             None => {
                 reader.begin(self.next, sending.history, depth);
-                if !matched.is_reliable {
+                // A new participant has nothing of what discovery has to say. Other reliable readers ask for what they
+                // lack once they know the writer.
+                if !matched.is_reliable || sending.writer.is_builtin() {
                     reader.repair.insert(reader.start.0..self.next.0);
                 }
             }

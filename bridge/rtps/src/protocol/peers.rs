@@ -15,6 +15,8 @@ pub(crate) struct Peer {
     pub(crate) data: ParticipantData,
     /// Where its announcement came from.
     pub(crate) source: Ipv4Addr,
+    /// Whether it is on this host.
+    pub(crate) is_own_host: bool,
     /// Whether the guard lets it in; until then nothing is matched with it.
     pub(crate) admission: Admission,
     /// The link for discovery.

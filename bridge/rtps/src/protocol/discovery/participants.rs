@@ -4,8 +4,8 @@ use std::{net::SocketAddrV4, time::Duration};
 
 use crate::{
     protocol::{
-        Addresses, Admission, Departure, Destination, Event, Fault, LinkId, LinkOptions, MatchedReader,
-        MatchedWriter, Now, Participant,
+        Admission, Departure, Destination, Event, Fault, LinkId, LinkOptions, MatchedReader, MatchedWriter,
+        Now, Participant,
         counters::Account,
         participant::{OWN_HOST_DATAGRAM, REMOTE_DATAGRAM, Timer},
         peers::Peer,
@@ -108,6 +108,7 @@ impl Participant {
         let buffer = data.receive_buffer.filter(|_| data.vendor == VendorId::OURS);
         let mut peer = Peer {
             source: *from.ip(),
+            is_own_host: self.config.addresses.is_own_host(*from.ip()),
             admission: Admission::Wait,
             metatraffic: self.own,
             default: self.own,
@@ -184,10 +185,17 @@ impl Participant {
     fn refresh_peer(&mut self, now: Now, from: SocketAddrV4, data: ParticipantData) {
         let prefix = data.prefix;
         let Some(peer) = self.peers.get_mut(prefix) else { return };
-        if peer.data == data {
+        let is_news = peer.data != data;
+        if !peer.account.is_known() {
+            // It may not have heard the answer: Fast DDS announces itself before it listens.
+            self.announce_to(now, prefix);
+        }
+        if !is_news {
             return;
         }
+        let Some(peer) = self.peers.get_mut(prefix) else { return };
         peer.source = *from.ip();
+        peer.is_own_host = self.config.addresses.is_own_host(*from.ip());
         peer.data = data;
         self.arm_lease(now, prefix);
         self.readdress_peer(prefix);
@@ -210,7 +218,7 @@ impl Participant {
             for (address, known) in &mut peer.links {
                 if *known == link && *address != to {
                     *address = to;
-                    let (max_datagram, _) = sizes(addresses, to, self.config.fragment_size);
+                    let (max_datagram, _) = sizes(peer.is_own_host, self.config.fragment_size);
                     self.links.redirect(link, Destination::Unicast(to), max_datagram);
                 }
             }
@@ -222,7 +230,7 @@ impl Participant {
         if let Some((_, link)) = peer.links.iter().find(|(address, _)| *address == to) {
             return *link;
         }
-        let (max_datagram, fragment_size) = sizes(&self.config.addresses, to, self.config.fragment_size);
+        let (max_datagram, fragment_size) = sizes(peer.is_own_host, self.config.fragment_size);
         let destination = Destination::Unicast(to);
         let peer_prefix = peer.data.prefix;
         let link = self.links.open(LinkOptions {
@@ -304,9 +312,9 @@ impl Participant {
     }
 }
 
-/// Longest datagram to `to`, and the payload of a fragment.
-fn sizes(addresses: &Addresses, to: SocketAddrV4, fragment_size: u16) -> (usize, u16) {
-    if addresses.is_own_host(*to.ip()) {
+/// Longest datagram to a peer, and the payload of a fragment.
+fn sizes(is_own_host: bool, fragment_size: u16) -> (usize, u16) {
+    if is_own_host {
         return (OWN_HOST_DATAGRAM, OWN_HOST_FRAGMENT.max(fragment_size));
     }
     (REMOTE_DATAGRAM.max(usize::from(fragment_size) + FRAGMENT_OVERHEAD), fragment_size)
