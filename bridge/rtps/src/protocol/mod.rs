@@ -10,6 +10,8 @@ mod count;
 mod counters;
 mod discovery;
 mod dispatch;
+#[cfg(test)]
+mod endpoints_test;
 mod event;
 mod guard;
 mod history;

@@ -241,6 +241,11 @@ impl Reader {
         Emitted::Done
     }
 
+    /// Bytes of samples that are incomplete or wait for earlier ones.
+    pub fn open_bytes(&self) -> usize {
+        self.open_bytes
+    }
+
     /// Lets `take` have a sample that is wanted, and the bytes that are free for it.
     fn take(
         &mut self,
@@ -279,6 +284,7 @@ impl Reader {
         self.timeout = [self.timeout, at].into_iter().flatten().min();
     }
 }
+
 /// A copy of a payload whose encapsulation no longer tells of the padding that was taken off.
 fn as_written(payload: &[u8]) -> Bytes {
     match *payload {
