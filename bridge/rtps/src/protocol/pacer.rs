@@ -155,7 +155,8 @@ impl Bucket {
             self.busy_since = None;
         }
         self.busy_since.get_or_insert(now);
-        Permit::At(now + Duration::from_secs_f64(missing / self.rate))
+        // Rounded up, so that nobody is woken for nothing.
+        Permit::At(now + Duration::from_secs_f64(missing / self.rate) + Duration::from_micros(1))
     }
 
     fn fill(&mut self, now: Instant) {
