@@ -415,3 +415,23 @@ fn two_hundred_endpoints_match_within_100_ms() {
         network.nodes[1].count(matched) == 100 && network.nodes[0].count(matched) == 300
     }));
 }
+
+#[test]
+fn what_is_written_from_the_match_on_arrives_though_the_history_is_short() {
+    let mut network = Network::new(2);
+    let reader = network.reader(1, "rt/a", reliable());
+    network.run_for(SECOND);
+    // The reader is known here long before the writer is known there.
+    let writer = network.writer(0, "rt/a", reliable());
+    let is_told = |network: &Network| {
+        let is_match = |event: &Event| matches!(event, Event::Matched { local, .. } if *local == writer);
+        network.nodes[0].count(is_match) == 1
+    };
+    assert!(!is_told(&network), "the reader has not answered");
+    assert!(network.run_until(Duration::from_millis(200), is_told));
+    for number in 0..100 {
+        network.write(0, writer, &number.to_string());
+    }
+    network.run_for(SECOND);
+    assert_eq!(network.nodes[1].texts(reader).len(), 100);
+}

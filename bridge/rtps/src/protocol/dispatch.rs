@@ -147,6 +147,7 @@ impl Participant {
                 self.with_writer(now, ack_nack.writer, |writer, links| {
                     writer.handle_ack_nack(now, reader, ack_nack, links);
                 });
+                self.note_acquaintance(ack_nack.writer, reader);
             }
             Submessage::NackFragment(nack) => {
                 let reader = from(nack.reader);

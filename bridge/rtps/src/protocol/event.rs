@@ -19,7 +19,8 @@ pub enum Event {
         reader: EntityId,
         sample: Sample,
     },
-    /// Two endpoints found each other.
+    /// Two endpoints found each other. A reliable reader counts once it has answered a writer: only then does it surely
+    /// receive what is written.
     Matched {
         local: EntityId,
         remote: Guid,

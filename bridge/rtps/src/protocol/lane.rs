@@ -112,6 +112,8 @@ pub(super) struct ReaderState {
     gap_from: Option<SequenceNumber>,
     /// A heartbeat to this reader is due.
     heartbeat: bool,
+    /// Whether the reader has acknowledged anything: it knows the writer then. Until it does heartbeats are repeated.
+    has_answered: bool,
     last_ack_nack: LastCount,
     last_nack_fragment: LastCount,
 }
@@ -177,6 +179,7 @@ impl Lane {
             fragments: Vec::new(),
             gap_from: None,
             heartbeat: matched.is_reliable,
+            has_answered: false,
             last_ack_nack: LastCount::default(),
             last_nack_fragment: LastCount::default(),
         };
@@ -184,6 +187,7 @@ impl Lane {
             Some(moved) => {
                 reader.start = moved.start;
                 reader.acknowledged = moved.acknowledged.min(self.next);
+                reader.has_answered = moved.has_answered;
                 reader.repair = moved.repair;
             }
             None => {
@@ -264,6 +268,7 @@ impl Lane {
         if !reader.is_reliable || base > history.next() || !reader.last_ack_nack.accept(ack_nack.count, now) {
             return;
         }
+        reader.has_answered = true;
         let asks = !ack_nack.missing.is_empty();
         if !asks && base <= SequenceNumber::FIRST {
             // The first words of a reader, or it has forgotten what it had.
@@ -623,9 +628,9 @@ impl Lane {
 }
 
 impl ReaderState {
-    /// Whether the reader has yet to acknowledge something.
+    /// Whether the reader has yet to acknowledge something, its match at least.
     pub fn is_behind(&self, history: &History) -> bool {
-        self.is_reliable && self.acknowledged < history.next()
+        self.is_reliable && (!self.has_answered || self.acknowledged < history.next())
     }
 
     /// Whether the reader has yet to acknowledge the sample `number`.

@@ -11,6 +11,8 @@ pub(crate) struct Local<E> {
     pub(crate) data: EndpointData,
     pub(crate) machine: E,
     pub(crate) matched: BTreeSet<Guid>,
+    /// Reliable readers that are matched with a writer and have not answered yet: they may not know of it.
+    pub(crate) unanswered: HashSet<Guid>,
     /// Endpoints of the same topic that it was reported not to match.
     pub(crate) refused: HashSet<Guid>,
     /// Whether writers that a reader is matched with are alive, of those that were heard of.
@@ -25,6 +27,7 @@ impl<E> Local<E> {
             data,
             machine,
             matched: BTreeSet::new(),
+            unanswered: HashSet::new(),
             refused: HashSet::new(),
             liveliness: HashMap::new(),
             is_full: false,

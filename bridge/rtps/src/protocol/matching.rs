@@ -136,14 +136,25 @@ impl Participant {
             if let Some(known) = self.peers.endpoint_mut(remote) {
                 known.matched.push(local);
             }
-            // Before what follows from the match: a sample that waited, a change of liveliness.
-            self.events.push_back(Event::Matched { local, remote });
+            match self.locals.writers.get_mut(&local).filter(|_| is_reliable) {
+                Some(writer) => _ = writer.unanswered.insert(remote),
+                // Before what follows from the match: a sample that waited, a change of liveliness.
+                None => self.events.push_back(Event::Matched { local, remote }),
+            }
         }
         if local.is_writer() {
             self.with_writer(now, local, |writer, links| writer.match_reader(now, reader, links));
         } else {
             self.locals.note_source(local, remote);
             self.with_reader(now, local, |reader, _, _| reader.match_writer(now, writer));
+        }
+    }
+
+    /// A reader has acknowledged something, so it knows our writer: what is written from now on reaches it.
+    pub(super) fn note_acquaintance(&mut self, local: EntityId, remote: Guid) {
+        let writer = self.locals.writers.get_mut(&local).filter(|writer| !writer.unanswered.is_empty());
+        if writer.is_some_and(|writer| writer.unanswered.remove(&remote)) {
+            self.events.push_back(Event::Matched { local, remote });
         }
     }
 
@@ -154,6 +165,9 @@ impl Participant {
         }
         if local.is_writer() {
             self.with_writer(now, local, |writer, links| writer.unmatch_reader(now, remote, links));
+            if self.locals.writers.get_mut(&local).is_some_and(|writer| writer.unanswered.remove(&remote)) {
+                return;
+            }
         } else {
             self.locals.forget_source(local, remote);
             self.with_reader(now, local, |reader, _, _| reader.unmatch_writer(remote));
