@@ -9,7 +9,7 @@ use std::{
     time::Duration,
 };
 
-use common::{Network, reliable};
+use common::{Network, best_effort, reliable};
 use downbeat_rtps::{
     protocol::{Departure, Event, Fault},
     wire::{
@@ -124,6 +124,35 @@ fn only_an_answer_from_where_a_participant_says_it_is_lets_more_through() {
     // Fast DDS announces the address of an interface and sends from loopback to loopback.
     assert!(sent_after_answer(loopback, loopback) > 10_000);
     assert!(sent_after_answer(loopback, at(66)) < 2000);
+}
+
+#[test]
+fn a_known_participant_cannot_be_moved_to_a_victim_by_a_forged_announcement() {
+    let mut network = Network::new(2);
+    let writer = network.writer(0, "rt/a", best_effort());
+    network.reader(1, "rt/a", best_effort());
+    network.run_for(SECOND);
+    let sent = Rc::new(Cell::new(0));
+    let to_victim = sent.clone();
+    network.watch = Box::new(move |flight| {
+        if flight.to == at(77) {
+            to_victim.set(to_victim.get() + flight.bytes.len());
+        }
+    });
+    let forged = announcement(network.nodes[1].participant.prefix(), at(77));
+    network.inject(0, at(66), &forged);
+    for _ in 0..1000 {
+        network.write(0, writer, &"x".repeat(1000));
+        network.run_for(Duration::from_millis(1));
+    }
+    assert!(sent.get() <= 3 * forged.len(), "{}", sent.get());
+    // The true one announces itself again.
+    network.run_for(10 * SECOND);
+    let reader = network.reader(1, "rt/a", best_effort());
+    network.run_for(SECOND);
+    network.write(0, writer, "back");
+    network.run_for(SECOND);
+    assert!(network.nodes[1].texts(reader).iter().any(|text| text == "back"));
 }
 
 #[test]

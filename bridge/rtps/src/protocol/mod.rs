@@ -27,6 +27,7 @@ mod participant;
 mod peers;
 mod reader;
 mod received;
+mod routes;
 mod timers;
 mod transmit;
 mod writer;

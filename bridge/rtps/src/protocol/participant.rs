@@ -15,6 +15,7 @@ use super::{
     discovery::{Announcer, Endpoints, Liveliness},
     locals::Locals,
     peers::Peers,
+    routes::OWN_HOST_DATAGRAM,
     timers::Timers,
 };
 use crate::{
@@ -22,12 +23,8 @@ use crate::{
     wire::{EndpointData, EntityId, Guid, GuidPrefix, ParticipantData, SequenceNumber},
 };
 
-/// Longest datagram to a peer of this host; UDP allows 65 507 bytes.
-pub(super) const OWN_HOST_DATAGRAM: usize = 65_000;
 /// Payload of a fragment to own endpoints, which lose nothing.
 const OWN_FRAGMENT: u16 = 60_000;
-/// Longest datagram to another host: one that fits in an Ethernet frame.
-pub(super) const REMOTE_DATAGRAM: usize = 1_472;
 
 /// A longer time than this without a call means that the process was suspended: announcements alone call more often.
 const SUSPENSION: Duration = Duration::from_secs(2);

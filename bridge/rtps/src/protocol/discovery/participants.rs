@@ -4,11 +4,8 @@ use std::{net::SocketAddrV4, time::Duration};
 
 use crate::{
     protocol::{
-        Admission, Departure, Destination, Event, Fault, LinkId, LinkOptions, MatchedReader, MatchedWriter,
-        Now, Participant,
-        counters::Account,
-        participant::{OWN_HOST_DATAGRAM, REMOTE_DATAGRAM, Timer},
-        peers::Peer,
+        Admission, Departure, Event, Fault, MatchedReader, MatchedWriter, Now, Participant,
+        counters::Account, participant::Timer, peers::Peer,
     },
     wire::{
         BuiltinEndpoints, Data, EntityId, Guid, GuidPrefix, ParticipantData, Payload, StatusInfo, VendorId,
@@ -17,15 +14,6 @@ use crate::{
 
 /// Lease of a participant that announces none (section 9.6.4.2, as Cyclone DDS reads it).
 const DEFAULT_LEASE: Duration = Duration::from_secs(100);
-
-/// Bytes of a datagram that are no payload of a fragment, at most.
-const FRAGMENT_OVERHEAD: usize = 200;
-
-/// Addresses that the endpoints of one participant may have, those of the participant among them.
-const MAX_LINKS: usize = 16;
-
-/// Payload of a fragment to a peer of this host: three datagrams of it fit in the smallest receive buffer Linux gives.
-const OWN_HOST_FRAGMENT: u16 = 32_768;
 
 /// Builtin endpoints: the writer, the reader, and the bits by which a participant says that it has them.
 const BUILTIN: [(EntityId, EntityId, u32, u32); 3] = [
@@ -77,7 +65,7 @@ impl Participant {
         {
             // Another domain on the same port: none of ours, and no fault.
         } else if self.peers.get(source).is_some() {
-            self.refresh_peer(now, from, data);
+            self.refresh_peer(now, from, length, data);
         } else {
             self.meet(now, from, length, data);
         }
@@ -85,12 +73,9 @@ impl Participant {
 
     fn meet(&mut self, now: Now, from: SocketAddrV4, length: usize, data: ParticipantData) {
         let prefix = data.prefix;
-        let addresses = &self.config.addresses;
-        let metatraffic = addresses.choose(&data.metatraffic_unicast, *from.ip());
-        let default = addresses.choose(&data.default_unicast, *from.ip());
-        let Some(metatraffic) = metatraffic else { return self.fault(now, Fault::NoAddress, from) };
-        // Those without an address for samples have no endpoints of a user.
-        let default = default.unwrap_or(metatraffic);
+        let Some(route) = self.route(&data, *from.ip()) else {
+            return self.fault(now, Fault::NoAddress, from);
+        };
         if self.peers.len() >= self.config.limits.participants {
             self.fault(now, Fault::TooManyParticipants, from);
             let Some(expendable) = self.peers.expendable() else { return };
@@ -121,8 +106,8 @@ impl Participant {
             data,
         };
         // The buffer is that of the socket for samples; discovery is small.
-        peer.metatraffic = self.open_link(&mut peer, metatraffic, None);
-        peer.default = self.open_link(&mut peer, default, buffer);
+        peer.metatraffic = self.open_link(&mut peer, route.metatraffic, None);
+        peer.default = self.open_link(&mut peer, route.default, buffer);
         self.peers.insert(prefix, peer);
         self.events.push_back(Event::ParticipantFound { remote: prefix });
         self.arm_lease(now, prefix);
@@ -182,7 +167,7 @@ impl Participant {
         }
     }
 
-    fn refresh_peer(&mut self, now: Now, from: SocketAddrV4, data: ParticipantData) {
+    fn refresh_peer(&mut self, now: Now, from: SocketAddrV4, length: usize, data: ParticipantData) {
         let prefix = data.prefix;
         let Some(peer) = self.peers.get_mut(prefix) else { return };
         let is_news = peer.data != data;
@@ -198,72 +183,19 @@ impl Participant {
         peer.is_own_host = self.config.addresses.is_own_host(*from.ip());
         peer.data = data;
         self.arm_lease(now, prefix);
-        self.readdress_peer(prefix);
+        if self.reroute(prefix) {
+            self.doubt(now, prefix, length);
+        }
     }
 
-    /// Follows a change of our own addresses.
-    pub(in crate::protocol) fn readdress(&mut self, now: Now) {
-        let prefixes: Vec<_> = self.peers.iter().map(|(prefix, _)| prefix).collect();
-        prefixes.into_iter().for_each(|prefix| self.readdress_peer(prefix));
-        self.announce_anew(now);
-    }
-
-    /// Chooses anew where a peer is reached.
-    fn readdress_peer(&mut self, prefix: GuidPrefix) {
+    /// A known participant says that it moved. Anybody can say so: it has to answer from there.
+    fn doubt(&mut self, now: Now, prefix: GuidPrefix, length: usize) {
         let Some(peer) = self.peers.get_mut(prefix) else { return };
-        let addresses = &self.config.addresses;
-        let Some(metatraffic) = addresses.choose(&peer.data.metatraffic_unicast, peer.source) else { return };
-        let default = addresses.choose(&peer.data.default_unicast, peer.source).unwrap_or(metatraffic);
-        for (link, to) in [(peer.metatraffic, metatraffic), (peer.default, default)] {
-            for (address, known) in &mut peer.links {
-                if *known == link && *address != to {
-                    *address = to;
-                    let (max_datagram, _) = sizes(peer.is_own_host, self.config.fragment_size);
-                    self.links.redirect(link, Destination::Unicast(to), max_datagram);
-                }
-            }
-        }
-    }
-
-    /// The link to an address of a peer.
-    fn open_link(&mut self, peer: &mut Peer, to: SocketAddrV4, receive_buffer: Option<u32>) -> LinkId {
-        if let Some((_, link)) = peer.links.iter().find(|(address, _)| *address == to) {
-            return *link;
-        }
-        let (max_datagram, fragment_size) = sizes(peer.is_own_host, self.config.fragment_size);
-        let destination = Destination::Unicast(to);
-        let peer_prefix = peer.data.prefix;
-        let link = self.links.open(LinkOptions {
-            destination,
-            peer: peer_prefix,
-            max_datagram,
-            fragment_size,
-            receive_buffer,
-        });
-        peer.links.push((to, link));
-        link
-    }
-
-    /// The link to an endpoint: that of its participant, unless it announced an address of its own.
-    pub(in crate::protocol) fn link_to(&mut self, remote: Guid) -> Option<LinkId> {
-        if remote.prefix == self.config.prefix {
-            return Some(self.own);
-        }
-        let peer = self.peers.get(remote.prefix)?;
-        let (default, source) = (peer.default, peer.source);
-        let unicast = &peer.endpoints.get(&remote.entity)?.data.unicast;
-        let Some(to) = self.config.addresses.choose(unicast, source) else { return Some(default) };
-        if let Some((_, link)) = peer.links.iter().find(|(address, _)| *address == to) {
-            return Some(*link);
-        }
-        // Bounded, since a link costs more than an announcement of one.
-        if peer.links.len() >= MAX_LINKS {
-            return Some(default);
-        }
-        let mut peer = self.peers.remove(remote.prefix)?;
-        let link = self.open_link(&mut peer, to, None);
-        self.peers.insert(remote.prefix, peer);
-        Some(link)
+        peer.account = Account::default();
+        peer.account.received(length);
+        self.announce_to(now, prefix);
+        // Asks for acknowledgements.
+        self.let_in(now, prefix);
     }
 
     fn arm_lease(&mut self, now: Now, prefix: GuidPrefix) {
@@ -310,12 +242,4 @@ impl Participant {
         }
         self.events.push_back(Event::ParticipantLeft { remote: prefix, reason });
     }
-}
-
-/// Longest datagram to a peer, and the payload of a fragment.
-fn sizes(is_own_host: bool, fragment_size: u16) -> (usize, u16) {
-    if is_own_host {
-        return (OWN_HOST_DATAGRAM, OWN_HOST_FRAGMENT.max(fragment_size));
-    }
-    (REMOTE_DATAGRAM.max(usize::from(fragment_size) + FRAGMENT_OVERHEAD), fragment_size)
 }
