@@ -3,7 +3,9 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::{Duration, Instant};
 
-use downbeat_rtps::protocol::{Addresses, Config, EndpointConfig, Interface, Now, Participant, WriteOptions};
+use downbeat_rtps::protocol::{
+    Addresses, Config, EndpointConfig, Event, Interface, Now, Participant, WriteOptions,
+};
 use downbeat_rtps::qos::{Durability, History, Qos, Reliability};
 use downbeat_rtps::wire::{EntityId, GuidPrefix};
 
@@ -25,6 +27,8 @@ pub struct Listener {
     participant: Participant,
     now: Now,
     datagram: Vec<u8>,
+    /// Samples that its readers got.
+    pub samples: usize,
 }
 
 /// Topics and types in the recorded conversations, with the durability of the endpoints.
@@ -39,8 +43,8 @@ const TOPICS: [(&str, &str, Durability); 5] = [
 impl Listener {
     pub const PREFIX: GuidPrefix = GuidPrefix([0x01, 0x44, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]);
 
-    /// Also returns the readers and the writers, by topic.
-    pub fn new() -> (Self, Vec<(&'static str, EntityId)>) {
+    /// Also returns the writers, in the order of the topics.
+    pub fn new() -> (Self, [EntityId; TOPICS.len()]) {
         let here = |port| vec![SocketAddrV4::new(Ipv4Addr::LOCALHOST, port)];
         let addresses = Addresses {
             metatraffic_unicast: here(7412),
@@ -52,23 +56,22 @@ impl Listener {
         let [_, _, unique @ ..] = Self::PREFIX.0;
         let now = Now { steady: Instant::now(), wall_ns: 1_795_000_000_000_000_000 };
         let participant = Participant::new(Config::new(unique, 0, addresses), now);
-        let mut listener = Self { participant, now, datagram: Vec::new() };
-        let mut endpoints = Vec::new();
-        for (topic, type_name, durability) in TOPICS {
+        let mut listener = Self { participant, now, datagram: Vec::new(), samples: 0 };
+        let writers = TOPICS.map(|(topic, type_name, durability)| {
             let history = History::KeepLast(5);
             let qos =
                 Qos { reliability: Reliability::Reliable, durability, history, ..Qos::writer_default() };
             let config = EndpointConfig::new(topic, type_name, qos);
-            let reader = listener.participant.create_reader(now, config.clone()).expect("a reader");
+            listener.participant.create_reader(now, config.clone()).expect("a reader");
             let writer = listener.participant.create_writer(now, config).expect("a writer");
-            endpoints.extend([(topic, reader), (topic, writer)]);
             for size in [10, 100_000] {
                 let payload = vec![0; size].into();
                 let _ = listener.participant.write(now, writer, payload, WriteOptions::default());
             }
-        }
+            writer
+        });
         listener.send();
-        (listener, endpoints)
+        (listener, writers)
     }
 
     pub fn participant(&self) -> &Participant {
@@ -112,7 +115,9 @@ impl Listener {
             sent += 1;
             assert!(sent < MOST_AT_ONCE, "a participant never stops sending");
         }
-        while self.participant.poll_event().is_some() {}
+        while let Some(event) = self.participant.poll_event() {
+            self.samples += usize::from(matches!(event, Event::Sample { .. }));
+        }
     }
 }
 

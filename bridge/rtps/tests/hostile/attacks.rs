@@ -247,9 +247,9 @@ fn topic_names_of_ten_kilobytes_are_refused() {
 #[test]
 fn two_hundred_readers_that_never_acknowledge_delay_nobody() {
     survives(|robot| {
-        robot.hear(&announcement(stranger(1)));
-        for number in 1..=200 {
-            let entity = EntityId::user_reader(number);
+        robot.meet(stranger(1));
+        for number in 2..=200 {
+            let entity = EntityId::user_reader(1000 + number);
             robot.hear(&endpoint(stranger(1), entity, SequenceNumber(number.into()), "rt/state"));
         }
         assert_eq!(robot.participant().matched(robot.writer).len(), 201);

@@ -16,7 +16,7 @@ pub fn mutate(datagram: &mut Vec<u8>, random: &mut Random) {
 const HEADER: usize = 20;
 
 /// Begins and ends of the submessages, as far as their lengths can be followed.
-fn submessages(datagram: &[u8]) -> Vec<(usize, usize)> {
+pub fn submessages(datagram: &[u8]) -> Vec<(usize, usize)> {
     let mut found = Vec::new();
     let mut start = HEADER;
     while let Some([_, flags, a, b]) = datagram.get(start..).and_then(|rest| rest.first_chunk()) {

@@ -5,11 +5,11 @@ use std::time::{Duration, Instant};
 
 use downbeat_rtps::qos::Qos;
 use downbeat_rtps::wire::{
-    BuiltinEndpoints, Data, DataFragment, EndpointData, EntityId, Guid, GuidPrefix, Header, InlineQos,
-    MessageBuilder, ParticipantData, Payload, SequenceNumber, VendorId,
+    AckNack, BuiltinEndpoints, Data, DataFragment, EndpointData, EntityId, Guid, GuidPrefix, Header,
+    InlineQos, MessageBuilder, ParticipantData, Payload, SequenceNumber, SequenceNumberSet, VendorId,
 };
 
-use crate::common::{Network, reliable};
+use crate::common::{Network, latched, reliable};
 use crate::memory;
 
 /// What one robot may hold at any time: the goal is below 64 MB.
@@ -84,6 +84,12 @@ impl Robot {
         self.network.inject(ROBOT, STRANGER, datagram);
     }
 
+    /// Makes the robot a writer and a reader, that keeps the last few samples for late readers.
+    pub fn add_endpoints(&mut self, topic: &str) -> EntityId {
+        self.network.reader(ROBOT, topic, latched(3));
+        self.network.writer(ROBOT, topic, latched(3))
+    }
+
     pub fn write(&mut self, text: &str) {
         self.network.write(ROBOT, self.writer, text);
     }
@@ -100,6 +106,11 @@ impl Robot {
         &self.network.nodes[ROBOT].participant
     }
 
+    /// What happened to the robot's endpoints.
+    pub fn events(&self) -> usize {
+        self.network.nodes[ROBOT].events.len()
+    }
+
     /// Bytes that the robot has sent.
     pub fn sent(&self) -> u64 {
         self.network.nodes[ROBOT].sent.1
@@ -108,6 +119,14 @@ impl Robot {
     /// Makes the stranger a participant with a reader and a writer on the robot's topics.
     pub fn meet(&mut self, stranger: GuidPrefix) {
         self.hear(&announcement(stranger));
+        // It answers from where it says it is, and is known from then on.
+        let robot = self.prefix();
+        self.hear(&message(stranger, |message| {
+            let (reader, writer) = (EntityId::SEDP_PUBLICATIONS_READER, EntityId::SEDP_PUBLICATIONS_WRITER);
+            let missing = SequenceNumberSet::new(SequenceNumber::FIRST);
+            message.info_destination(robot);
+            message.ack_nack(&AckNack { reader, writer, missing, count: 1, is_final: false })
+        }));
         self.hear(&endpoint(stranger, WRITER, SequenceNumber::FIRST, "rt/commands"));
         self.hear(&endpoint(stranger, READER, SequenceNumber::FIRST, "rt/state"));
         let participant = self.participant();
