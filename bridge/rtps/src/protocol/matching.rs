@@ -1,9 +1,11 @@
 //! Which endpoints talk to which.
 
-use super::{Admission, Event, LivelinessChange, MatchedReader, MatchedWriter, Now, Participant};
+use super::{
+    Admission, Event, LivelinessChange, MatchedReader, MatchedWriter, Now, Participant, peers::Peer,
+};
 use crate::{
     qos::{Durability, Policy, Reliability, incompatible},
-    wire::{EndpointData, EntityId, Guid, VendorId},
+    wire::{EndpointData, EntityId, Guid},
 };
 
 /// Whether two endpoints of one topic match.
@@ -109,8 +111,7 @@ impl Participant {
         let Some(link) = self.link_to(remote) else { return };
         let Some(ours) = self.locals.data(local) else { return };
         let is_own = remote.prefix == self.config.prefix;
-        let is_ours =
-            is_own || self.peers.get(remote.prefix).is_some_and(|peer| peer.data.vendor == VendorId::OURS);
+        let is_ours = is_own || self.peers.get(remote.prefix).is_some_and(Peer::is_ours);
         let theirs = if is_own {
             self.locals.data(remote.entity)
         } else {

@@ -7,7 +7,7 @@ use std::{
 };
 
 use super::{Limits, LinkId, counters::Account, guard::Admission};
-use crate::wire::{EndpointData, EntityId, Guid, GuidPrefix, ParticipantData};
+use crate::wire::{EndpointData, EntityId, Guid, GuidPrefix, ParticipantData, VendorId};
 
 /// Another participant, known by its announcement.
 #[derive(Debug)]
@@ -33,6 +33,13 @@ pub(crate) struct Peer {
     /// When it was last sent our announcement.
     pub(crate) told: Instant,
     pub(crate) endpoints: HashMap<EntityId, Remote>,
+}
+
+impl Peer {
+    /// Whether it runs this engine.
+    pub(crate) fn is_ours(&self) -> bool {
+        self.data.vendor == VendorId::OURS
+    }
 }
 
 /// An endpoint of another participant.

@@ -133,7 +133,8 @@ impl Participant {
     /// Announces this participant to whoever listens.
     pub(in crate::protocol) fn announce(&mut self, now: Now) {
         let announcer = &mut self.announcer;
-        let period = if announcer.first > 1 { FIRST_PERIOD } else { self.config.announcement_period };
+        let usual = self.config.announcement_period.max(FIRST_PERIOD);
+        let period = if announcer.first > 1 { FIRST_PERIOD } else { usual };
         announcer.first = announcer.first.saturating_sub(1);
         announcer.next = Some(now.steady + period);
         self.timers.set(Timer::Announcement, announcer.next);

@@ -7,9 +7,7 @@ use crate::{
         Admission, Departure, Event, Fault, MatchedReader, MatchedWriter, Now, Participant,
         counters::Account, participant::Timer, peers::Peer,
     },
-    wire::{
-        BuiltinEndpoints, Data, EntityId, Guid, GuidPrefix, ParticipantData, Payload, StatusInfo, VendorId,
-    },
+    wire::{BuiltinEndpoints, Data, EntityId, Guid, GuidPrefix, ParticipantData, Payload, StatusInfo},
 };
 
 /// Lease of a participant that announces none (section 9.6.4.2, as Cyclone DDS reads it).
@@ -90,7 +88,6 @@ impl Participant {
         }
         let mut account = Account::default();
         account.received(length);
-        let buffer = data.receive_buffer.filter(|_| data.vendor == VendorId::OURS);
         let mut peer = Peer {
             source: *from.ip(),
             is_own_host: self.config.addresses.is_own_host(*from.ip()),
@@ -106,6 +103,7 @@ impl Participant {
             data,
         };
         // The buffer is that of the socket for samples; discovery is small.
+        let buffer = peer.data.receive_buffer.filter(|_| peer.is_ours());
         peer.metatraffic = self.open_link(&mut peer, route.metatraffic, None);
         peer.default = self.open_link(&mut peer, route.default, buffer);
         self.peers.insert(prefix, peer);
@@ -140,7 +138,7 @@ impl Participant {
     fn let_in(&mut self, now: Now, prefix: GuidPrefix) {
         let Some(peer) = self.peers.get_mut(prefix) else { return };
         peer.admission = Admission::Admit;
-        let (link, theirs) = (peer.metatraffic, peer.data.builtin_endpoints);
+        let (link, theirs, is_ours) = (peer.metatraffic, peer.data.builtin_endpoints, peer.is_ours());
         for (writer, reader, writer_bit, reader_bit) in BUILTIN {
             if theirs.has(writer_bit) {
                 let guid = Guid::new(prefix, writer);
@@ -152,7 +150,7 @@ impl Participant {
                         lifespan: None,
                         liveliness_lease: None,
                         link,
-                        is_ours: false,
+                        is_ours,
                     };
                     reader.match_writer(now, matched);
                 });
