@@ -1,7 +1,7 @@
 //! Quality of service of an endpoint, and the rule that decides whether a writer and a reader match.
 //!
-//! Offered must be at least what is requested (DDS 1.4, table in section 2.2.3). History, lifespan and user data never
-//! decide. Topic and type names are compared by the caller.
+//! A writer must offer at least what a reader requests (DDS 1.4, section 2.2.3). History, lifespan and user data have no
+//! influence. Topic and type names are compared by the caller.
 
 use std::time::Duration;
 
@@ -13,16 +13,16 @@ pub enum Reliability {
     Reliable = 2,
 }
 
-/// Which earlier samples a reader gets that is matched late.
+/// Which earlier samples a late reader receives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Durability {
     /// None.
     Volatile,
     /// Those in the history of the writer.
     TransientLocal,
-    /// Those a service keeps in memory. ROS 2 has none, a foreign peer may offer it.
+    /// Those that a service keeps in memory. ROS 2 has no such service, but other peers may offer it.
     Transient,
-    /// Those a service keeps on disk. ROS 2 has none, a foreign peer may offer it.
+    /// Those that a service keeps on disk. ROS 2 has no such service, but other peers may offer it.
     Persistent,
 }
 
@@ -38,7 +38,7 @@ pub enum History {
 /// Who asserts that a writer is alive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Liveliness {
-    /// Its participant, unasked.
+    /// Its participant, without the application.
     Automatic,
     /// The application, for all writers of the participant at once.
     ManualByParticipant,
@@ -103,13 +103,13 @@ pub struct Qos {
     pub history: History,
     /// The longest time between two samples; `None` is infinite.
     pub deadline: Option<Duration>,
-    /// How long a sample is of use after its source timestamp; `None` is for ever.
+    /// How long a sample is valid after its source timestamp; `None` is infinite.
     pub lifespan: Option<Duration>,
     #[allow(missing_docs)]
     pub liveliness: Liveliness,
-    /// After this time without an assertion a writer is taken for dead; `None` is infinite.
+    /// Time without an assertion after which a writer is no longer alive; `None` is infinite.
     pub lease: Option<Duration>,
-    /// The delay that delivery may have; `None` is infinite.
+    /// The acceptable delay of delivery; `None` is infinite.
     pub latency_budget: Option<Duration>,
     #[allow(missing_docs)]
     pub ownership: Ownership,
@@ -117,19 +117,19 @@ pub struct Qos {
     pub destination_order: DestinationOrder,
     #[allow(missing_docs)]
     pub presentation: Presentation,
-    /// Names or `fnmatch` patterns; none is the partition with the empty name.
+    /// Names or `fnmatch` patterns. An empty list is the partition with the empty name.
     pub partition: Vec<String>,
-    /// What a writer sends (the first) or a reader accepts; an empty list is [`Representation::XCDR1`].
+    /// What a writer sends (the first one) or a reader accepts. An empty list is [`Representation::XCDR1`].
     pub representation: Vec<Representation>,
 }
 
 impl Qos {
-    /// What holds for a writer whose announcement says nothing: reliable.
+    /// The policies of a writer that announces none: reliable.
     pub fn writer_default() -> Self {
         Self { reliability: Reliability::Reliable, ..Self::reader_default() }
     }
 
-    /// What holds for a reader whose announcement says nothing: best effort.
+    /// The policies of a reader that announces none: best effort.
     pub fn reader_default() -> Self {
         Self {
             reliability: Reliability::BestEffort,
@@ -153,7 +153,7 @@ impl Qos {
     }
 }
 
-/// A policy that keeps a writer and a reader apart.
+/// A policy in which a writer and a reader are incompatible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[allow(missing_docs)]
 pub enum Policy {
@@ -214,7 +214,7 @@ fn partitions_meet(offered: &[String], requested: &[String]) -> bool {
     offered.iter().any(|offered| requested.iter().any(|requested| names_meet(offered, requested)))
 }
 
-/// Two names meet if they are equal, or if one is a pattern for the other; two patterns do not.
+/// Two names meet if they are equal or one is a pattern that matches the other. Two patterns meet only if they are equal.
 fn names_meet(a: &str, b: &str) -> bool {
     let is_pattern = |name: &str| name.contains(['*', '?', '[']);
     a == b
@@ -284,7 +284,7 @@ mod tests {
         Some(Duration::from_secs(count))
     }
 
-    /// Who offers `offered` to `requested`, both changed from the defaults of a writer.
+    /// Compares two endpoints, both with the defaults of a writer and one change.
     fn check(offered: impl FnOnce(&mut Qos), requested: impl FnOnce(&mut Qos)) -> Option<Policy> {
         let (mut offer, mut request) = (Qos::writer_default(), Qos::writer_default());
         offered(&mut offer);

@@ -1,4 +1,4 @@
-//! Writing of messages.
+//! Builds messages, the inverse of [`parse`](super::parse).
 
 use super::bytes::Encoder;
 use super::message::{flag, id};
@@ -9,8 +9,7 @@ use super::{
 
 /// Fills one datagram with submessages, in little-endian order.
 ///
-/// Each method that adds a submessage returns `false` if it does not fit: then nothing is written, and what was written
-/// before remains a valid message.
+/// Each method that appends a submessage returns `false` if it does not fit. The message is unchanged then, and remains valid.
 pub struct MessageBuilder<'a> {
     out: &'a mut Vec<u8>,
     start: usize,
@@ -20,12 +19,12 @@ pub struct MessageBuilder<'a> {
     timestamp: Announced<Option<Timestamp>>,
 }
 
-/// Something that holds for the submessages after it.
+/// A property that applies to all following submessages.
 #[derive(Clone, Copy)]
 struct Announced<T> {
-    /// What the message says so far.
+    /// The value that the message states so far.
     written: T,
-    /// What must hold for the next submessage.
+    /// The value that applies to the next submessage.
     wanted: T,
 }
 
@@ -73,7 +72,7 @@ impl<'a> MessageBuilder<'a> {
         self.out.len() - self.start
     }
 
-    /// Bytes left for the next submessage, with its own header.
+    /// Bytes left for the next submessage, including its header.
     pub fn remaining(&self) -> usize {
         let destination = if self.destination.is_news() { SUBMESSAGE_HEADER_LEN + 12 } else { 0 };
         let timestamp = match self.timestamp.wanted {
@@ -84,18 +83,19 @@ impl<'a> MessageBuilder<'a> {
         self.max_len.saturating_sub(self.len() + destination + timestamp)
     }
 
-    /// Says for whom the following submessages are; [`GuidPrefix::UNKNOWN`], as at the beginning, is everybody. Written
-    /// together with the next submessage, if it is news by then.
+    /// Sets the destination of the following submessages. Initially it is [`GuidPrefix::UNKNOWN`], which means everybody.
+    /// An INFO_DST is written in front of the next submessage, if the destination differs by then.
     pub fn info_destination(&mut self, prefix: GuidPrefix) {
         self.destination.wanted = prefix;
     }
 
-    /// Says when the following data were written. Written together with the next submessage, if it is news by then.
+    /// Sets the source timestamp of the following data. An INFO_TS is written in front of the next submessage, if the
+    /// timestamp differs by then.
     pub fn info_timestamp(&mut self, timestamp: Option<Timestamp>) {
         self.timestamp.wanted = timestamp;
     }
 
-    /// Appends a sample. On the wire its payload is a multiple of four bytes, see [`Payload`].
+    /// Appends a sample. Its payload is padded to a multiple of four bytes, see [`Payload`].
     #[must_use]
     pub fn data(&mut self, data: &Data<'_>) -> bool {
         let (payload_flag, payload) = match data.payload {
@@ -201,7 +201,7 @@ impl<'a> MessageBuilder<'a> {
         })
     }
 
-    /// Appends what is news and a submessage, or nothing.
+    /// Appends a submessage, preceded by its destination and timestamp if these have changed; or nothing.
     fn submessage(&mut self, id: u8, flags: u8, body: impl FnOnce(&mut Encoder<'_>)) -> bool {
         let before = self.out.len();
         let is_complete = self.write_news() && self.write_submessage(id, flags, body);
@@ -227,7 +227,7 @@ impl<'a> MessageBuilder<'a> {
         destination_fits && timestamp_fits
     }
 
-    /// `false` if the body is longer than its header can say.
+    /// Returns `false` if the length of the body exceeds the 16 bits in its header.
     fn write_submessage(&mut self, id: u8, flags: u8, body: impl FnOnce(&mut Encoder<'_>)) -> bool {
         let order_flag = match self.order {
             ByteOrder::Big => 0,
@@ -253,7 +253,7 @@ impl Header {
     }
 }
 
-/// Bytes from behind the offset of the inline QoS to the inline QoS.
+/// Value of `octetsToInlineQos` (section 9.4.5.3.3): bytes between that field and the inline QoS.
 const DATA_OFFSET: u16 = 16;
 const DATA_FRAGMENT_OFFSET: u16 = 28;
 
@@ -304,7 +304,7 @@ mod tests {
         Heartbeat { reader: READER, writer: WRITER, first, last, count, is_final: true, is_liveliness: false }
     }
 
-    /// One of each that can be written.
+    /// One submessage of each kind that can be written.
     fn all(payload: &[u8]) -> Vec<Submessage<'_>> {
         let mut missing = SequenceNumberSet::new(NUMBER);
         assert!(missing.insert(SequenceNumber(NUMBER.0 + 255)));

@@ -1,4 +1,4 @@
-//! Reading and writing of numbers in either byte order, with every length checked.
+//! Reads and writes numbers in either byte order and checks every length.
 
 use super::Malformed;
 
@@ -9,7 +9,7 @@ pub(super) enum ByteOrder {
     Little,
 }
 
-/// Reads forward through bytes; what would leave them is [`Malformed::Truncated`].
+/// Reads bytes from front to back. Reading past the end fails with [`Malformed::Truncated`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cursor<'a> {
     bytes: &'a [u8],
@@ -26,7 +26,7 @@ impl<'a> Cursor<'a> {
         self.order
     }
 
-    /// Bytes read so far.
+    /// Number of bytes read so far.
     pub(super) fn position(&self) -> usize {
         self.at
     }

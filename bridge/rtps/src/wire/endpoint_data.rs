@@ -17,7 +17,7 @@ use crate::qos::{
 
 /// The content of a SEDP sample.
 ///
-/// Locators are those of UDP over IPv4 that can be sent to; others are skipped. At most 16 of each kind are kept.
+/// Only locators of UDP over IPv4 with a valid address are kept, at most 16 of each kind.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EndpointData {
     /// Its entity is a writer or a reader.
@@ -28,7 +28,7 @@ pub struct EndpointData {
     pub type_name: String,
     #[allow(missing_docs)]
     pub qos: Qos,
-    /// Empty if the participant's default locators hold.
+    /// Empty if the participant's default locators apply.
     pub unicast: Vec<SocketAddrV4>,
     #[allow(missing_docs)]
     pub multicast: Vec<SocketAddrV4>,
@@ -41,14 +41,14 @@ pub struct EndpointData {
 /// Longest name of a topic or a type, in bytes. Fast DDS cannot hold more than 255, and rmw refuses longer topics.
 const MAX_NAME: usize = 512;
 
-/// Most partitions, and most representations, of one endpoint. ROS 2 uses none and one.
+/// Largest number of partitions, and of representations, of one endpoint. ROS 2 uses no partition and one representation.
 const MAX_ITEMS: usize = 16;
 
-/// For how long a writer in ROS 2 waits for room in its history. Decides no match.
+/// Announced with reliability, as ROS 2 does. It has no influence on matching.
 const MAX_BLOCKING_TIME: Option<Duration> = Some(Duration::from_millis(100));
 
 impl EndpointData {
-    /// Reads the payload of a SEDP sample. Whether it is about a writer or a reader is told by its guid.
+    /// Reads the payload of a SEDP sample. The guid determines whether it describes a writer or a reader.
     pub fn parse(payload: &[u8]) -> Result<Self, Malformed> {
         let list = ParameterList::from_payload(payload)?;
         let guid = list.iter().find(|parameter| parameter.id == pid::ENDPOINT_GUID);
@@ -88,7 +88,10 @@ impl EndpointData {
         }
     }
 
-    /// Appends the payload of a SEDP sample. Every policy is explicit, so that no peer's defaults matter.
+    /// Appends the payload of a SEDP sample. Every policy is explicit, so that the defaults of peers do not matter.
+    ///
+    /// # Panics
+    /// If a name or the user data is longer than 64 kB.
     pub fn emit(&self, out: &mut Vec<u8>) {
         self.emit_in(ByteOrder::Little, out);
     }
@@ -190,7 +193,7 @@ fn write_policies(out: &mut Encoder<'_>, qos: &Qos) {
     });
 }
 
-/// Reads an enumeration whose values count from 0.
+/// Reads an enumeration with consecutive values from 0.
 fn one_of<T: Copy>(value: &mut Cursor<'_>, kinds: &[T]) -> Option<T> {
     kinds.get(value.u32().ok()? as usize).copied()
 }
@@ -281,7 +284,7 @@ mod tests {
         }
     }
 
-    /// A reader with no more than it must have, and what `write` adds.
+    /// Parses a reader with only the required parameters and those that `write` appends.
     fn parse_with(write: impl FnOnce(&mut Encoder<'_>)) -> Result<EndpointData, Malformed> {
         let data = data(EntityId::user_reader(1));
         let mut payload = Vec::new();

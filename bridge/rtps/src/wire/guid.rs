@@ -1,10 +1,10 @@
-//! Who is who: participants and their endpoints (section 9.3.1).
+//! Identities of vendors, participants, endpoints and samples (section 9.3.1).
 
 use std::fmt;
 
 use super::SequenceNumber;
 
-/// Who wrote an implementation of RTPS. The OMG keeps the list.
+/// The vendor of an RTPS implementation, assigned by the OMG.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct VendorId(pub [u8; 2]);
 
@@ -15,7 +15,7 @@ impl VendorId {
     pub const CYCLONE: Self = Self([0x01, 0x10]);
     /// RustDDS.
     pub const RUSTDDS: Self = Self([0x01, 0x12]);
-    /// This engine. Not registered with the OMG; nobody else was seen to use it.
+    /// This engine. The id is not registered with the OMG; no other implementation is known to use it.
     pub const OURS: Self = Self([0x01, 0x44]);
 }
 
@@ -24,7 +24,7 @@ impl VendorId {
 pub struct GuidPrefix(pub [u8; 12]);
 
 impl GuidPrefix {
-    /// Nobody, or as a destination: everybody.
+    /// No participant; as a destination, every participant.
     pub const UNKNOWN: Self = Self([0; 12]);
 }
 
@@ -45,7 +45,7 @@ impl fmt::Debug for GuidPrefix {
 pub struct EntityId(pub [u8; 4]);
 
 impl EntityId {
-    /// Nobody, or as a destination: every matched endpoint.
+    /// No endpoint; as a destination, every matched endpoint.
     pub const UNKNOWN: Self = Self([0; 4]);
     /// The participant itself.
     pub const PARTICIPANT: Self = Self([0x00, 0x00, 0x01, 0xc1]);
@@ -66,12 +66,12 @@ impl EntityId {
     /// Receives assertions of liveliness.
     pub const WLP_READER: Self = Self([0x00, 0x02, 0x00, 0xc7]);
 
-    /// A writer of the user without a key, the only kind in ROS 2. `key` must fit in 24 bits.
+    /// A user-defined writer without key, the only kind in ROS 2. Only the low 24 bits of `key` are used.
     pub const fn user_writer(key: u32) -> Self {
         Self::with_kind(key, 0x03)
     }
 
-    /// A reader of the user without a key, the only kind in ROS 2. `key` must fit in 24 bits.
+    /// A user-defined reader without key, the only kind in ROS 2. Only the low 24 bits of `key` are used.
     pub const fn user_reader(key: u32) -> Self {
         Self::with_kind(key, 0x04)
     }
@@ -81,17 +81,17 @@ impl EntityId {
         Self([a, b, c, kind])
     }
 
-    /// Whether the protocol itself defines this endpoint.
+    /// Whether the specification defines this endpoint.
     pub const fn is_builtin(self) -> bool {
         self.0[3] & 0xc0 == 0xc0
     }
 
-    /// Whether this is a writer, with or without a key, of any origin.
+    /// Whether this is a writer, keyed or not, builtin or user-defined.
     pub const fn is_writer(self) -> bool {
         matches!(self.0[3] & 0x3f, 0x02 | 0x03)
     }
 
-    /// Whether this is a reader, with or without a key, of any origin.
+    /// Whether this is a reader, keyed or not, builtin or user-defined.
     pub const fn is_reader(self) -> bool {
         matches!(self.0[3] & 0x3f, 0x04 | 0x07)
     }
@@ -109,7 +109,7 @@ impl fmt::Debug for EntityId {
     }
 }
 
-/// Identity of an endpoint in the world.
+/// Globally unique identity of an endpoint.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs)]
 pub struct Guid {
@@ -118,7 +118,7 @@ pub struct Guid {
 }
 
 impl Guid {
-    /// Nobody.
+    /// No endpoint.
     pub const UNKNOWN: Self = Self::new(GuidPrefix::UNKNOWN, EntityId::UNKNOWN);
 
     #[allow(missing_docs)]
@@ -153,11 +153,11 @@ impl fmt::Debug for Guid {
     }
 }
 
-/// Identity of a sample: a reply carries that of the request it answers.
+/// Identity of a sample. A reply carries the identity of its request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct SampleIdentity {
-    /// The writer of the sample; Fast DDS clients put the reader of the replies here.
+    /// The writer of the sample. Clients of Fast DDS put the guid of their reply reader here.
     pub writer: Guid,
-    /// May be [`SequenceNumber::UNKNOWN`] in a request: then the number of the request itself counts.
+    /// In a request it may be [`SequenceNumber::UNKNOWN`]: the number of the request applies then.
     pub number: SequenceNumber,
 }

@@ -1,27 +1,27 @@
-//! What may stand in front of a sample (section 8.7.2 and 9.6.4).
+//! Parameters in front of a sample (section 9.6.4).
 
 use super::bytes::{Cursor, Encoder};
 use super::parameters::{ParameterList, pid, write_end, write_parameter};
 use super::{Guid, Malformed, Payload, SampleIdentity, SequenceNumber};
 
-/// The parameters in front of a sample that mean something in ROS 2. Others are skipped.
+/// The parameters in front of a sample that ROS 2 uses. Others are skipped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct InlineQos {
-    /// Of a request or its reply. Sent as parameter 0x0083, which every Fast DDS of Jazzy takes; accepted as 0x800f too,
-    /// which older ones send.
+    /// Present in requests and replies. Sent as parameter 0x0083; received as 0x0083 or 0x800f, of which older versions of
+    /// Fast DDS send the latter only.
     pub related_sample_identity: Option<SampleIdentity>,
-    /// Identity of the instance; in discovery data the guid of the entity.
+    /// Identity of the instance. In discovery it is the guid of the entity.
     pub key_hash: Option<[u8; 16]>,
     #[allow(missing_docs)]
     pub status: Option<StatusInfo>,
 }
 
-/// What became of a sample's instance (section 9.6.4.9).
+/// The state of a sample's instance (section 9.6.4.9).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct StatusInfo(pub u8);
 
 impl StatusInfo {
-    /// Disposed and unregistered: the end of an entity, as both Fast DDS and Cyclone DDS say it.
+    /// Disposed and unregistered, as Fast DDS and Cyclone DDS announce the end of an entity.
     pub const REMOVED: Self = Self(3);
 
     /// Whether the instance is disposed, unregistered or both.
@@ -33,13 +33,13 @@ impl StatusInfo {
 const IDENTITY_LEN: usize = 24;
 
 impl InlineQos {
-    /// The guid of `removed` and that it has gone: the content of a removal in discovery.
+    /// The parameters of a discovery sample that announces the end of `removed`.
     pub fn removal(removed: Guid) -> Self {
         Self { key_hash: Some(removed.to_bytes()), status: Some(StatusInfo::REMOVED), ..Self::default() }
     }
 
-    /// The entity whose removal a sample of discovery announces: from the key hash, as Fast DDS sends it, or from a payload
-    /// that is only the key, as Cyclone DDS does. `None` if this is no removal, or one of nobody.
+    /// The entity whose end a discovery sample announces. Fast DDS identifies it by the key hash, Cyclone DDS by a payload
+    /// that contains only the key. `None` if the sample announces no end, or does not identify the entity.
     pub fn removed(&self, payload: Payload<'_>) -> Option<Guid> {
         self.status.filter(|status| status.is_removal())?;
         if let Some(key_hash) = self.key_hash {
@@ -51,7 +51,7 @@ impl InlineQos {
         guid.get(|value| value.array().ok()).ok().map(Guid::from_bytes)
     }
 
-    /// Bytes on the wire: 0 if there is nothing to say.
+    /// Number of bytes on the wire; 0 if there are no parameters.
     pub fn encoded_len(&self) -> usize {
         if self.is_empty() {
             return 0;

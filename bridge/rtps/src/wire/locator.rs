@@ -1,11 +1,11 @@
-//! Where an endpoint is reached (section 9.3.2).
+//! Addresses of endpoints (section 9.3.2).
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::Malformed;
 use super::bytes::{Cursor, Encoder};
 
-/// An address of a transport, known here or not.
+/// An address of any transport, including unsupported ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[allow(missing_docs)]
 pub struct Locator {
@@ -18,7 +18,7 @@ impl Locator {
     /// UDP over IPv4: the address is in the last four bytes.
     pub const UDP_V4: i32 = 1;
 
-    /// The socket address; `None` for other transports and for what cannot be sent to.
+    /// The socket address; `None` for other transports, port 0 and the unspecified address.
     pub fn udp_v4(self) -> Option<SocketAddrV4> {
         let [.., a, b, c, d] = self.address;
         let address = SocketAddrV4::new(Ipv4Addr::new(a, b, c, d), u16::try_from(self.port).ok()?);

@@ -26,7 +26,7 @@ pub(super) mod id {
     pub(super) const SECURITY: std::ops::RangeInclusive<u8> = 0x30..=0x34;
 }
 
-/// Flags of submessages; a bit means something else in each kind (section 9.4.5).
+/// Flags of submessages. Their meaning depends on the kind (section 9.4.5).
 pub(super) mod flag {
     /// In all kinds.
     pub(in crate::wire) const LITTLE_ENDIAN: u8 = 0x01;
@@ -46,7 +46,7 @@ pub(super) mod flag {
     pub(in crate::wire) const INVALIDATE: u8 = 0x02;
 }
 
-/// The beginning of every message.
+/// The header of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Header {
     /// Major and minor.
@@ -70,13 +70,13 @@ impl Header {
 /// One part of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Submessage<'a> {
-    /// Source timestamp of the data that follow; `None` takes an earlier one back.
+    /// Source timestamp of the data that follow; `None` cancels an earlier one.
     InfoTimestamp(Option<Timestamp>),
-    /// For whom the following is; [`GuidPrefix::UNKNOWN`] is everybody.
+    /// Destination of the submessages that follow; [`GuidPrefix::UNKNOWN`] is every participant.
     InfoDestination(GuidPrefix),
-    /// From whom the following is.
+    /// Source of the submessages that follow.
     InfoSource(Header),
-    /// Where to answer. We answer to announced locators only, so its content is ignored.
+    /// Locators for answers. Its content is ignored, since answers go to announced locators only.
     InfoReply,
     #[allow(missing_docs)]
     Data(Data<'a>),
@@ -92,12 +92,12 @@ pub enum Submessage<'a> {
     NackFragment(NackFragment),
     #[allow(missing_docs)]
     HeartbeatFragment(HeartbeatFragment),
-    /// Filler.
+    /// Padding.
     Pad,
     /// Part of DDS Security: ids 0x30 to 0x34.
     #[allow(missing_docs)]
     Security { id: u8, body: &'a [u8] },
-    /// Of a later version or another vendor: skipped.
+    /// Of a later version of the specification, or specific to a vendor.
     #[allow(missing_docs)]
     Unknown { id: u8 },
 }
@@ -119,12 +119,12 @@ pub struct Data<'a> {
 
 /// The content of a sample, with the four bytes of its encapsulation in front.
 ///
-/// A payload is a multiple of four bytes on the wire. How much of the end is padding is told by the last two bits of the
-/// encapsulation (DDS-XTypes 1.3, section 7.6.3.1.2): those bytes are taken off here. Fast DDS does not set them, so up
-/// to three bytes of padding may remain.
+/// On the wire a payload is padded to a multiple of four bytes. The last two bits of the encapsulation hold the length of the
+/// padding (DDS-XTypes 1.3, section 7.6.3.1.2), which is removed on reception. Fast DDS does not set these bits, so up to
+/// three bytes of padding may remain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Payload<'a> {
-    /// Nothing: the inline QoS says it all.
+    /// No payload; the inline QoS is the content.
     None,
     /// A sample.
     Data(&'a [u8]),
@@ -132,7 +132,7 @@ pub enum Payload<'a> {
     Key(&'a [u8]),
 }
 
-/// A run of consecutive fragments of a sample. It lies within the sample.
+/// Consecutive fragments of a sample. They lie within the sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DataFragment<'a> {
     /// [`EntityId::UNKNOWN`] is every matched reader.
@@ -141,65 +141,65 @@ pub struct DataFragment<'a> {
     pub writer: EntityId,
     #[allow(missing_docs)]
     pub number: SequenceNumber,
-    /// The first fragment in here; the first of the sample is 1.
+    /// Number of the first of these fragments. The first fragment of the sample is 1.
     pub first: u32,
-    /// How many are in here, at least 1.
+    /// How many fragments these are, at least 1.
     pub count: u16,
-    /// Bytes of every fragment but the last of the sample, at least 1.
+    /// Bytes of each fragment except the last of the sample, at least 1.
     pub fragment_size: u16,
-    /// Bytes of the sample with its encapsulation, at least 1.
+    /// Bytes of the sample including its encapsulation, at least 4.
     pub sample_size: u32,
     /// Cyclone DDS sends it with the first fragment only.
     pub inline_qos: InlineQos,
-    /// The fragments' bytes: neither fewer nor more than the numbers above say.
+    /// The bytes of the fragments, of exactly the length that the fields above imply.
     pub payload: &'a [u8],
     /// Whether the sample is only the key of an instance.
     pub is_key: bool,
 }
 
 impl DataFragment<'_> {
-    /// Where in the sample the payload begins.
+    /// Offset of the payload in the sample.
     pub fn offset(&self) -> u32 {
         // Checked when parsed: the range is within the sample, whose size is 32 bits.
         (self.first - 1) * u32::from(self.fragment_size)
     }
 }
 
-/// What a reader has and what it lacks.
+/// The samples that a reader has received and those it is missing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AckNack {
     #[allow(missing_docs)]
     pub reader: EntityId,
     #[allow(missing_docs)]
     pub writer: EntityId,
-    /// All below the base are received. Base 0 without a number is how Fast DDS asks for a first [`Heartbeat`].
+    /// All samples below the base are received. An empty set with base 0 requests a first [`Heartbeat`]; Fast DDS sends it.
     pub missing: SequenceNumberSet,
-    /// Rises with each one of this reader to this writer.
+    /// Increases with each one from this reader to this writer.
     pub count: u32,
-    /// Whether no answer is needed.
+    /// Whether no answer is required.
     pub is_final: bool,
 }
 
-/// What a writer has.
+/// The samples that a writer has available.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {
     /// [`EntityId::UNKNOWN`] is every matched reader.
     pub reader: EntityId,
     #[allow(missing_docs)]
     pub writer: EntityId,
-    /// The oldest sample there is.
+    /// The oldest available sample.
     pub first: SequenceNumber,
-    /// The newest sample there was; one less than `first` if there is none.
+    /// The newest sample written; `first - 1` if none is available.
     pub last: SequenceNumber,
-    /// Rises with each one of this writer.
+    /// Increases with each one of this writer.
     pub count: u32,
-    /// Whether no answer is needed.
+    /// Whether no answer is required.
     pub is_final: bool,
-    /// Whether it asserts that the writer is alive, by the application's wish.
+    /// Whether the application asserts the liveliness of the writer with it.
     pub is_liveliness: bool,
 }
 
-/// Samples that will never come: those from `start` to below the base of the list, and those in the list.
+/// Samples that are no longer available: those from `start` to before the base of the list, and those in the list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gap {
     /// [`EntityId::UNKNOWN`] is every matched reader.
@@ -212,7 +212,7 @@ pub struct Gap {
     pub list: SequenceNumberSet,
 }
 
-/// Fragments of one sample that a reader lacks.
+/// Fragments of one sample that a reader is missing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NackFragment {
     #[allow(missing_docs)]
@@ -223,11 +223,11 @@ pub struct NackFragment {
     pub number: SequenceNumber,
     /// Its base is at least 1.
     pub missing: FragmentSet,
-    /// Rises with each one of this reader to this writer.
+    /// Increases with each one from this reader to this writer.
     pub count: u32,
 }
 
-/// Fragments of one sample that a writer has ready.
+/// Fragments of one sample that a writer has available.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HeartbeatFragment {
     /// [`EntityId::UNKNOWN`] is every matched reader.
@@ -236,16 +236,16 @@ pub struct HeartbeatFragment {
     pub writer: EntityId,
     #[allow(missing_docs)]
     pub number: SequenceNumber,
-    /// The last fragment that is ready, at least 1; all before it are too.
+    /// The last available fragment, at least 1. All before it are available too.
     pub last: u32,
-    /// Rises with each one of this writer.
+    /// Increases with each one of this writer.
     pub count: u32,
 }
 
-/// Reads the header of a message and gives its submessages.
+/// Reads the header of a message and returns an iterator over its submessages.
 ///
 /// # Errors
-/// [`Malformed::NotRtps`] and [`Malformed::Version`]. What is wrong with a submessage is an item of the iterator.
+/// If the header is not one of RTPS 2.x. Errors in submessages are items of the iterator.
 pub fn parse(bytes: &[u8]) -> Result<(Header, Submessages<'_>), Malformed> {
     let Some(rest) = bytes.strip_prefix(b"RTPS") else { return Err(Malformed::NotRtps) };
     // The header knows no byte order: it consists of single bytes.
@@ -257,7 +257,7 @@ pub fn parse(bytes: &[u8]) -> Result<(Header, Submessages<'_>), Malformed> {
     }
 }
 
-/// The submessages of a message. Ends after the first malformed one, as section 8.3.4.1 demands.
+/// The submessages of a message. The iterator ends after the first malformed one, as section 8.3.4.1 requires.
 #[derive(Clone, Debug)]
 pub struct Submessages<'a> {
     rest: &'a [u8],
@@ -329,13 +329,13 @@ impl<'a> Submessage<'a> {
     }
 }
 
-/// The reader and the writer that begin most submessages.
+/// Reads the reader and the writer, with which most submessages begin.
 fn read_ends(body: &mut Cursor<'_>) -> Result<(EntityId, EntityId), Malformed> {
     Ok((EntityId(body.array()?), EntityId(body.array()?)))
 }
 
-/// Reads what DATA and DATA_FRAG begin with; returns what lies at the offset of the inline QoS, too. That offset is
-/// there so that later versions can add fields in front.
+/// Reads the beginning of DATA and DATA_FRAG. The returned cursor is at the inline QoS, whose offset allows later versions to
+/// add fields in front.
 fn read_data_ends<'a>(body: &mut Cursor<'a>) -> Result<(EntityId, EntityId, Cursor<'a>), Malformed> {
     body.u16()?; // extra flags: none are defined
     let offset = body.u16()?;
@@ -369,14 +369,14 @@ impl<'a> Data<'a> {
     }
 }
 
-/// Takes off the padding that the encapsulation declares.
+/// Removes the padding that the encapsulation declares.
 fn without_padding(payload: &[u8]) -> Result<&[u8], Malformed> {
     match *payload {
         [0, _, _, options, ref content @ ..] => {
             let padding = usize::from(options & 3).min(content.len());
             Ok(&payload[..payload.len() - padding])
         }
-        // Not an encapsulation of the standard, but one: its options are not ours to read.
+        // No encapsulation of the standard, so its options are unknown.
         [_, _, _, _, ..] => Ok(payload),
         _ => Err(Malformed::Encapsulation),
     }
@@ -411,8 +411,8 @@ impl<'a> DataFragment<'a> {
     }
 }
 
-/// Bytes in `count` fragments from number `first` on, where the last of the sample may be short; `None` if they do not
-/// lie within a sample that has at least its encapsulation.
+/// Bytes in `count` fragments from `first` on, where the last fragment of the sample may be short. `None` if they do not lie
+/// within the sample, or the sample is shorter than an encapsulation.
 fn length_of_fragments(first: u32, count: u16, fragment_size: u16, sample_size: u32) -> Option<usize> {
     if count == 0 || fragment_size == 0 || sample_size < 4 {
         return None;
@@ -500,7 +500,7 @@ mod tests {
 
     use super::*;
 
-    /// One message with one of each, of hand, big-endian but for the DATA.
+    /// A message written by hand, big-endian except for the DATA.
     const MESSAGE: &[u8] = &[
         b'R', b'T', b'P', b'S', 2, 1, 0x01, 0x10, // header
         1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, // its prefix
@@ -524,7 +524,7 @@ mod tests {
         parse(bytes).unwrap().1.collect()
     }
 
-    /// What a message with one submessage is read as.
+    /// Reads a message with one submessage.
     fn read(id: u8, flags: u8, body: &[u8]) -> Result<Submessage<'static>, Malformed> {
         let length = u16::try_from(body.len()).unwrap_or(0).to_be_bytes();
         let bytes = [&MESSAGE[..20], &[id, flags], &length, body].concat();
@@ -697,7 +697,7 @@ mod tests {
         }
     }
 
-    /// A DATA_FRAG with so many bytes of payload.
+    /// Reads a DATA_FRAG with `payload` bytes of payload.
     fn fragment(first: u32, count: u16, size: u16, sample: u32, payload: usize) -> Result<usize, Malformed> {
         let numbers =
             body(&[&first.to_be_bytes(), &count.to_be_bytes(), &size.to_be_bytes(), &sample.to_be_bytes()]);

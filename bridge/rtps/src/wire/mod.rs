@@ -1,8 +1,8 @@
-//! RTPS messages: bytes on one side, checked views and plain values on the other.
+//! RTPS messages and discovery data, between bytes and values.
 //!
-//! [`parse`] reads a datagram of either byte order without copying, [`MessageBuilder`] writes one. Whatever exists as a
-//! value here is valid: numbers are in range, fragments lie within their sample, lists end. No input makes this module
-//! panic or allocate more than the input is long.
+//! [`parse`] reads a datagram of either byte order without copying, [`MessageBuilder`] writes one. A parsed value is valid:
+//! numbers are in range, fragments lie within their sample, lists end. No input makes this module panic or allocate more than
+//! a small multiple of the input's length.
 //!
 //! Sections are those of the OMG specification DDSI-RTPS 2.5 (formal/2022-04-01).
 
@@ -36,40 +36,40 @@ pub use time::Timestamp;
 
 use bytes::ByteOrder;
 
-/// Why bytes are not taken for what they claim to be.
+/// Why a message, or a part of it, is not accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 pub enum Malformed {
     /// The datagram does not begin with `RTPS`.
-    #[error("is no RTPS message")]
+    #[error("not an RTPS message")]
     NotRtps,
     /// The major version of the protocol is not 2.
-    #[error("has the major protocol version {0}, not 2")]
+    #[error("unsupported major protocol version {0}")]
     Version(u8),
-    /// Something ends before all of it was read.
-    #[error("ends early")]
+    /// A field lies beyond the end of its submessage.
+    #[error("message ends early")]
     Truncated,
-    /// A sequence number is zero, negative or above [`SequenceNumber::MAX`], or a range runs backwards.
-    #[error("has a sequence number that cannot be")]
+    /// A sequence number is zero, negative or above [`SequenceNumber::MAX`], or a heartbeat ends before it begins.
+    #[error("invalid sequence number")]
     SequenceNumber,
-    /// A set of numbers has more than 256 bits or leaves the range of its numbers.
-    #[error("has a set of numbers that cannot be")]
+    /// A set of numbers has more than 256 bits.
+    #[error("set of numbers with more than 256 bits")]
     NumberSet,
     /// A fragment lies outside its sample, or has no size.
-    #[error("has a fragment outside its sample")]
+    #[error("fragment outside its sample")]
     Fragment,
-    /// The length of a parameter is not a multiple of four, or the list has no end.
-    #[error("has a parameter list without order or end")]
+    /// The length of a parameter is not a multiple of four.
+    #[error("length of a parameter is not a multiple of four")]
     ParameterList,
-    /// A parameter holds a value that its type does not have.
-    #[error("has a bad value for parameter {0:#06x}")]
+    /// The value of a parameter is invalid or too long.
+    #[error("invalid value of parameter {0:#06x}")]
     Parameter(u16),
-    /// A parameter is absent without which the entity means nothing.
-    #[error("lacks parameter {0:#06x}")]
+    /// A required parameter is missing.
+    #[error("parameter {0:#06x} is missing")]
     Lacks(u16),
-    /// A parameter is unknown here, and its sender demands that it be understood.
-    #[error("demands that the unknown parameter {0:#06x} be understood")]
+    /// A parameter is unknown, and its sender requires that it is understood.
+    #[error("unknown parameter {0:#06x} that must be understood")]
     MustUnderstand(u16),
-    /// The payload is neither a parameter list nor CDR where it has to be.
-    #[error("has an encapsulation that does not fit")]
+    /// The payload has no encapsulation, or not the required one.
+    #[error("missing or unexpected encapsulation of a payload")]
     Encapsulation,
 }

@@ -10,14 +10,14 @@ use super::bytes::{Cursor, Encoder};
 pub struct SequenceNumber(pub i64);
 
 impl SequenceNumber {
-    /// "No number": stands in related identities only, never in front of data.
+    /// No number. Occurs in related sample identities only.
     pub const UNKNOWN: Self = Self(-1 << 32);
-    /// No sample has it; Fast DDS acknowledges with it before it has heard anything.
+    /// Before the first sample. Fast DDS acknowledges with it until it has received a heartbeat.
     pub const ZERO: Self = Self(0);
-    /// The first sample of every writer.
+    /// The number of a writer's first sample.
     pub const FIRST: Self = Self(1);
-    /// The highest number accepted from others: so far from the end of `i64` that no sum of two numbers overflows. At a
-    /// million samples per second a writer gets there in 146 000 years.
+    /// The highest number accepted from others. It is far enough from the end of `i64` that small offsets cannot overflow; at a
+    /// million samples per second a writer reaches it in 146 000 years.
     pub const MAX: Self = Self(1 << 62);
 
     /// The number after this one.
@@ -38,7 +38,7 @@ impl SequenceNumber {
         (sum <= Self::MAX).then_some(sum)
     }
 
-    /// Reads any number, of a sample or not.
+    /// Reads a number without checking its range.
     pub(super) fn read_any(cursor: &mut Cursor<'_>) -> Result<Self, Malformed> {
         let (high, low) = (cursor.i32()?, cursor.u32()?);
         Ok(Self(i64::from(high) << 32 | i64::from(low)))
@@ -68,17 +68,17 @@ impl fmt::Debug for SequenceNumber {
     }
 }
 
-/// Samples that an [`AckNack`](super::AckNack) asks for or a [`Gap`](super::Gap) excuses.
+/// Samples that an [`AckNack`](super::AckNack) requests or a [`Gap`](super::Gap) declares unavailable.
 pub type SequenceNumberSet = NumberSet<SequenceNumber>;
 
-/// Fragments of one sample, from 1, that a [`NackFragment`](super::NackFragment) asks for.
+/// Fragments of one sample, counted from 1, that a [`NackFragment`](super::NackFragment) requests.
 pub type FragmentSet = NumberSet<u32>;
 
-/// What a [`NumberSet`] may hold.
+/// An element of a [`NumberSet`].
 pub trait Number: Copy {
-    /// `self + offset`; the caller knows that it is in range.
+    /// Adds an offset, saturating at the end of the range.
     fn plus(self, offset: u32) -> Self;
-    /// How far `self` is above `base`; `None` if below, or further than `u32` goes.
+    /// The difference to `base`; `None` if it is negative or exceeds `u32`.
     fn offset_from(self, base: Self) -> Option<u32>;
 }
 
@@ -102,18 +102,18 @@ impl Number for u32 {
     }
 }
 
-/// A base and up to 256 numbers from it on.
+/// A set of numbers among the 256 from a base on.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct NumberSet<N> {
     base: N,
-    /// How many bits are on the wire.
+    /// Number of bits on the wire.
     size: u32,
     /// Bit 0 is the highest bit of the first word; bits from `size` on are 0.
     words: [u32; 8],
 }
 
 impl<N: Number> NumberSet<N> {
-    /// Numbers that fit in a set.
+    /// Number of bits of the largest set.
     pub const CAPACITY: u32 = 256;
 
     /// An empty set.
@@ -121,17 +121,17 @@ impl<N: Number> NumberSet<N> {
         Self { base, size: 0, words: [0; 8] }
     }
 
-    /// The number of the first bit; in an acknowledgement all below are received.
+    /// The number of the first bit. In an acknowledgement, all samples below are received.
     pub fn base(&self) -> N {
         self.base
     }
 
-    /// Whether no number is in the set.
+    /// Whether the set contains no number.
     pub fn is_empty(&self) -> bool {
         self.words == [0; 8]
     }
 
-    /// Adds a number; `false` if it is below the base or too far above it.
+    /// Adds a number. Returns `false` if it is below the base or too far above it.
     pub fn insert(&mut self, number: N) -> bool {
         let Some(offset) = number.offset_from(self.base).filter(|offset| *offset < Self::CAPACITY) else {
             return false;
@@ -146,7 +146,7 @@ impl<N: Number> NumberSet<N> {
         number.offset_from(self.base).is_some_and(|offset| offset < Self::CAPACITY && self.bit(offset))
     }
 
-    /// The numbers in the set, rising.
+    /// The numbers in the set, in ascending order.
     pub fn iter(&self) -> impl Iterator<Item = N> {
         (0..self.size).filter(|offset| self.bit(*offset)).map(|offset| self.base.plus(offset))
     }
@@ -155,7 +155,7 @@ impl<N: Number> NumberSet<N> {
         self.words[offset as usize / 32] & 1 << (31 - offset % 32) != 0
     }
 
-    /// Reads what follows the base.
+    /// Reads the size and the bits, which follow the base.
     pub(super) fn read_bits(cursor: &mut Cursor<'_>, base: N) -> Result<Self, Malformed> {
         let mut set = Self { size: cursor.u32()?, ..Self::new(base) };
         if set.size > Self::CAPACITY {

@@ -1,9 +1,9 @@
-//! Lists of parameters, in front of samples and in discovery data (section 9.4.2.11).
+//! Parameter lists, in front of samples and in discovery data (section 9.4.2.11).
 
 use super::bytes::{Cursor, Encoder};
 use super::{ByteOrder, Malformed};
 
-/// Ids (table 9.18). Those from 0x8000 on mean something else with each vendor.
+/// Ids of parameters (sections 9.6.3 and 9.6.4). Those from 0x8000 on depend on the vendor.
 pub(super) mod pid {
     pub(in crate::wire) const PAD: u16 = 0x0000;
     pub(in crate::wire) const SENTINEL: u16 = 0x0001;
@@ -41,22 +41,22 @@ pub(super) mod pid {
     pub(in crate::wire) const DATA_REPRESENTATION: u16 = 0x0073;
     pub(in crate::wire) const RELATED_SAMPLE_IDENTITY: u16 = 0x0083;
     pub(in crate::wire) const DOMAIN_TAG: u16 = 0x4014;
-    /// Of Fast DDS and RTI Connext: what 0x0083 has become in the standard.
+    /// Of Fast DDS and RTI Connext, from before the standard assigned 0x0083.
     pub(in crate::wire) const LEGACY_RELATED_SAMPLE_IDENTITY: u16 = 0x800f;
     /// Ours: bytes of the receive buffer for user data.
     pub(in crate::wire) const OUR_RECEIVE_BUFFER: u16 = 0x8044;
 }
 
-/// A list that is known to end, and whose values lie within it.
+/// A checked list: it has an end, and all values lie within it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ParameterList<'a> {
-    /// Up to the end mark, which is left out.
+    /// Without the sentinel.
     bytes: &'a [u8],
     order: ByteOrder,
 }
 
 impl<'a> ParameterList<'a> {
-    /// Reads up to and with the end mark.
+    /// Reads a list including its sentinel.
     pub(super) fn read(cursor: &mut Cursor<'a>) -> Result<Self, Malformed> {
         let mut ahead = *cursor;
         let length = loop {
@@ -106,15 +106,15 @@ pub(super) struct Parameter<'a> {
 }
 
 impl<'a> Parameter<'a> {
-    /// Reads the value by `read`, which returns `None` if it is none of its type.
+    /// Reads the value with `read`, which returns `None` if it is invalid.
     pub(super) fn get<T>(mut self, read: impl FnOnce(&mut Cursor<'a>) -> Option<T>) -> Result<T, Malformed> {
         read(&mut self.value).ok_or(Malformed::Parameter(self.id))
     }
 
-    /// Skips a parameter that is unknown here.
+    /// Skips an unknown parameter.
     ///
     /// # Errors
-    /// If its sender demands that it be understood. Demands in the range of the vendors are for their own kind.
+    /// If its sender requires that it is understood. In the range of the vendors the requirement is for their own products.
     pub(super) fn skip(self) -> Result<(), Malformed> {
         const MUST_UNDERSTAND: u16 = 0x4000;
         const OF_VENDOR: u16 = 0x8000;
@@ -125,7 +125,7 @@ impl<'a> Parameter<'a> {
     }
 }
 
-/// Appends the encapsulation of a parameter list, what `write` adds, and the end mark.
+/// Appends an encapsulated parameter list, whose parameters `write` appends.
 pub(super) fn write_payload(out: &mut Vec<u8>, order: ByteOrder, write: impl FnOnce(&mut Encoder<'_>)) {
     out.extend(match order {
         ByteOrder::Big => [0x00, 0x02, 0x00, 0x00],
@@ -136,18 +136,20 @@ pub(super) fn write_payload(out: &mut Vec<u8>, order: ByteOrder, write: impl FnO
     write_end(&mut out);
 }
 
-/// Appends one parameter, whose value `write` adds.
+/// Appends one parameter, whose value `write` appends.
+///
+/// # Panics
+/// If the value is longer than 64 kB.
 pub(super) fn write_parameter(out: &mut Encoder<'_>, id: u16, write: impl FnOnce(&mut Encoder<'_>)) {
     out.u16(id);
     out.u16(0);
     let start = out.len();
     write(out);
     out.align(start);
-    // Strings and user data of our own are configuration of a few hundred bytes.
     out.set_u16(start - 2, u16::try_from(out.len() - start).expect("a parameter below 64 kB"));
 }
 
-/// Appends the end mark.
+/// Appends the sentinel, which ends a list.
 pub(super) fn write_end(out: &mut Encoder<'_>) {
     out.u16(pid::SENTINEL);
     out.u16(0);

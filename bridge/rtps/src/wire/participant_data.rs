@@ -1,4 +1,4 @@
-//! What a participant announces about itself (sections 8.5.3.2 and 9.6.3.1).
+//! What a participant announces about itself (sections 8.5.3.2 and 9.6.3.2).
 
 use std::net::SocketAddrV4;
 use std::time::Duration;
@@ -25,10 +25,10 @@ impl BuiltinEndpoints {
     pub const SEDP_SUBSCRIPTIONS_READER: u32 = 1 << 5;
     pub const WLP_WRITER: u32 = 1 << 10;
     pub const WLP_READER: u32 = 1 << 11;
-    /// All of the above: all that ROS 2 uses.
+    /// All of the above, which are those that ROS 2 uses.
     pub const OURS: Self = Self(0xc3f);
 
-    /// Whether all of `bits` are there.
+    /// Whether all of `bits` are set.
     pub fn has(self, bits: u32) -> bool {
         self.0 & bits == bits
     }
@@ -36,7 +36,7 @@ impl BuiltinEndpoints {
 
 /// The content of an SPDP sample.
 ///
-/// Locators are those of UDP over IPv4 that can be sent to; others are skipped. At most 16 of each kind are kept.
+/// Only locators of UDP over IPv4 with a valid address are kept, at most 16 of each kind.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ParticipantData {
     /// Its entity is [`EntityId::PARTICIPANT`].
@@ -45,33 +45,33 @@ pub struct ParticipantData {
     pub version: [u8; 2],
     #[allow(missing_docs)]
     pub vendor: VendorId,
-    /// Where it listens for discovery.
+    /// Addresses for discovery traffic.
     pub metatraffic_unicast: Vec<SocketAddrV4>,
     #[allow(missing_docs)]
     pub metatraffic_multicast: Vec<SocketAddrV4>,
-    /// Where those of its endpoints listen that announce no locators of their own.
+    /// Addresses of those endpoints that announce no locators of their own.
     pub default_unicast: Vec<SocketAddrV4>,
     #[allow(missing_docs)]
     pub default_multicast: Vec<SocketAddrV4>,
-    /// After this time without a message it is taken for gone; `None` is infinite.
+    /// Time without a message after which the participant is considered lost; `None` is infinite.
     pub lease: Option<Duration>,
     #[allow(missing_docs)]
     pub builtin_endpoints: BuiltinEndpoints,
     /// In ROS 2 `enclave=<enclave>;`. At most 1024 bytes are kept.
     pub user_data: Vec<u8>,
-    /// Empty if it has none.
+    /// Empty if it is not announced.
     pub name: String,
-    /// `None` if it does not say.
+    /// `None` if it is not announced.
     pub domain_id: Option<u32>,
     /// Participants with different tags ignore each other. Empty by default.
     pub domain_tag: String,
-    /// Whether its readers want the QoS of the writer with each sample.
+    /// Whether its readers expect the QoS of the writer with each sample.
     pub expects_inline_qos: bool,
-    /// Bytes of the receive buffer of its socket for user data; only participants of [`VendorId::OURS`] say it.
+    /// Size of its receive buffer for user data, in bytes. Only participants of [`VendorId::OURS`] announce it.
     pub receive_buffer: Option<u32>,
 }
 
-/// What holds if a participant announces no lease (section 9.6.4, table 9.21).
+/// The lease of a participant that announces none (section 9.6.3.2).
 const DEFAULT_LEASE: Duration = Duration::from_secs(100);
 
 impl ParticipantData {
@@ -121,7 +121,7 @@ impl ParticipantData {
                 pid::DOMAIN_ID => data.domain_id = Some(parameter.get(|value| value.u32().ok())?),
                 pid::DOMAIN_TAG => data.domain_tag = parameter.get(|value| read_string(value, MAX_TEXT))?,
                 pid::EXPECTS_INLINE_QOS => data.expects_inline_qos = parameter.get(read_bool)?,
-                // With other vendors the id may mean anything, so that a value of no use is no error.
+                // Other vendors may use the id for something else, so an unexpected value is no error.
                 pid::OUR_RECEIVE_BUFFER => {
                     data.receive_buffer = parameter.get(|value| value.u32().ok()).ok();
                 }
@@ -138,6 +138,9 @@ impl ParticipantData {
     }
 
     /// Appends the payload of an SPDP sample.
+    ///
+    /// # Panics
+    /// If a text or the user data is longer than 64 kB.
     pub fn emit(&self, out: &mut Vec<u8>) {
         self.emit_in(ByteOrder::Little, out);
     }
@@ -205,7 +208,7 @@ mod tests {
         }
     }
 
-    /// The parameter list that `write` makes behind a guid.
+    /// Parses the parameters that `write` appends to a guid.
     fn parse_with(write: impl FnOnce(&mut Encoder<'_>)) -> Result<ParticipantData, Malformed> {
         let guid = Guid::new(data().prefix, EntityId::PARTICIPANT);
         let mut payload = Vec::new();

@@ -1,4 +1,4 @@
-//! The assertion that a participant, and with it its writers, is alive (sections 8.4.13 and 9.6.3.1).
+//! Assertions of the liveliness of writers (sections 8.4.13 and 9.6.3.1).
 
 use super::bytes::{ByteOrder, Cursor, Encoder};
 use super::{GuidPrefix, Malformed};
@@ -8,7 +8,7 @@ use super::{GuidPrefix, Malformed};
 pub struct ParticipantMessage {
     #[allow(missing_docs)]
     pub prefix: GuidPrefix,
-    /// Which of its writers are alive: [`Self::AUTOMATIC`] or [`Self::MANUAL`]; others mean something else.
+    /// Which of its writers are alive: [`Self::AUTOMATIC`] or [`Self::MANUAL`]. Other values have other purposes.
     pub kind: u32,
 }
 
@@ -18,7 +18,7 @@ impl ParticipantMessage {
     /// Those with [`Liveliness::ManualByParticipant`](crate::qos::Liveliness::ManualByParticipant).
     pub const MANUAL: u32 = 2;
 
-    /// Reads the payload of a WLP sample. What a vendor appends is not read.
+    /// Reads the payload of a WLP sample. Data appended by vendors is not read.
     pub fn parse(payload: &[u8]) -> Result<Self, Malformed> {
         let [0x00, 0x00 | 0x01, _, _, content @ ..] = payload else { return Err(Malformed::Encapsulation) };
         let mut cursor = Cursor::new(content, ByteOrder::Big);

@@ -7,7 +7,7 @@ use super::bytes::{Cursor, Encoder};
 
 const NANOS_PER_SECOND: u64 = 1_000_000_000;
 
-/// A point in time as RTPS has it: since 1970, until 2106, in steps of 0.23 ns.
+/// A point in time between 1970 and 2106 with a resolution of 0.23 ns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Timestamp {
     seconds: u32,
@@ -15,7 +15,7 @@ pub struct Timestamp {
 }
 
 impl Timestamp {
-    /// The nearest time RTPS can express; what is before 1970 becomes 1970.
+    /// Converts from nanoseconds since 1970. Times out of range become the nearest in range.
     pub fn from_nanos(since_epoch: i64) -> Self {
         let nanos = u64::try_from(since_epoch).unwrap_or(0);
         match u32::try_from(nanos / NANOS_PER_SECOND) {
@@ -24,13 +24,13 @@ impl Timestamp {
         }
     }
 
-    /// Nanoseconds since 1970: exactly those given to [`Timestamp::from_nanos`].
+    /// Nanoseconds since 1970. The exact inverse of [`Timestamp::from_nanos`].
     pub fn to_nanos(self) -> i64 {
         // Below 2³² s: half of what fits.
         (u64::from(self.seconds) * NANOS_PER_SECOND + nanos(self.fraction)).cast_signed()
     }
 
-    /// `None` is the time that the specification calls invalid.
+    /// Reads a time; `None` is `TIME_INVALID` of the specification.
     pub(super) fn read(cursor: &mut Cursor<'_>) -> Result<Option<Self>, Malformed> {
         let time = Self { seconds: cursor.u32()?, fraction: cursor.u32()? };
         Ok((time != Self { seconds: u32::MAX, fraction: u32::MAX }).then_some(time))
@@ -42,7 +42,7 @@ impl Timestamp {
     }
 }
 
-/// Reads a duration: `Some(None)` is infinite, `None` an error because it is negative or cut off.
+/// Reads a duration. `Some(None)` is infinite; `None` is an error: negative or cut off.
 pub(super) fn read_duration(cursor: &mut Cursor<'_>) -> Option<Option<Duration>> {
     let (seconds, fraction) = (cursor.i32().ok()?, cursor.u32().ok()?);
     let seconds = u32::try_from(seconds).ok()?;
@@ -50,7 +50,7 @@ pub(super) fn read_duration(cursor: &mut Cursor<'_>) -> Option<Option<Duration>>
     Some((seconds != i32::MAX.cast_unsigned()).then_some(finite))
 }
 
-/// Writes a duration; `None` and what is longer than 68 years is infinite.
+/// Writes a duration. `None` and durations above 68 years become infinite.
 pub(super) fn write_duration(duration: Option<Duration>, out: &mut Encoder<'_>) {
     let finite = duration.and_then(|duration| {
         let seconds = i32::try_from(duration.as_secs()).ok().filter(|seconds| *seconds < i32::MAX)?;
@@ -61,12 +61,12 @@ pub(super) fn write_duration(duration: Option<Duration>, out: &mut Encoder<'_>) 
     out.u32(fraction);
 }
 
-/// Rounds down, so that `nanos` brings the same nanoseconds back.
+/// Rounds down, so that `nanos` returns the same nanoseconds.
 fn fraction(nanos: u32) -> u32 {
     ((u64::from(nanos) << 32) / NANOS_PER_SECOND) as u32
 }
 
-/// The nearest nanoseconds, below a second.
+/// The nearest number of nanoseconds below a second.
 fn nanos(fraction: u32) -> u64 {
     ((u64::from(fraction) * NANOS_PER_SECOND + (1 << 31)) >> 32).min(NANOS_PER_SECOND - 1)
 }

@@ -1,4 +1,4 @@
-//! Values of parameters that more than one kind of discovery data has. Readers return `None` for what is no such value.
+//! Values of parameters that several kinds of discovery data have in common. Readers return `None` for invalid values.
 
 use std::net::SocketAddrV4;
 
@@ -6,17 +6,17 @@ use super::Locator;
 use super::bytes::{Cursor, Encoder};
 use super::parameters::write_parameter;
 
-/// Longest string or user data kept, in bytes, unless a caller says otherwise: what ROS 2 puts there is a path or two.
+/// Longest string and user data, in bytes. In ROS 2 these hold an enclave or a type hash.
 pub(super) const MAX_TEXT: usize = 1024;
 
-/// Locators kept of each list: a host with more interfaces is reached by the first ones.
+/// Locators kept of each list. Hosts with more interfaces are reached by the first ones.
 pub(super) const MAX_LOCATORS: usize = 16;
 
 /// Reads a string of at most `max_len` bytes.
 pub(super) fn read_string(value: &mut Cursor<'_>, max_len: usize) -> Option<String> {
     let length = value.u32().ok()? as usize;
     let bytes = match value.take(length).ok()? {
-        [] => &[], // not CDR, but harmless
+        [] => &[], // not valid CDR, but harmless
         [text @ .., 0] => text,
         _ => return None,
     };
@@ -32,7 +32,7 @@ pub(super) fn write_string(text: &str, out: &mut Encoder<'_>) {
     out.bytes(&[0]);
 }
 
-/// Reads octets. More than [`MAX_TEXT`] are not kept: they are not of ROS 2, and nothing depends on them.
+/// Reads octets. If there are more than [`MAX_TEXT`], none are kept: they do not come from ROS 2, and nothing depends on them.
 pub(super) fn read_octets(value: &mut Cursor<'_>) -> Option<Vec<u8>> {
     let length = value.u32().ok()? as usize;
     let octets = value.take(length).ok()?;
@@ -52,7 +52,7 @@ pub(super) fn read_bool(value: &mut Cursor<'_>) -> Option<bool> {
     value.array::<1>().ok().map(|[byte]| byte != 0)
 }
 
-/// Reads a locator and keeps it, if it can be used and there is room.
+/// Reads a locator and keeps it if it is usable and there is room.
 pub(super) fn read_locator(value: &mut Cursor<'_>, kept: &mut Vec<SocketAddrV4>) -> Option<()> {
     let address = Locator::read(value).ok()?.udp_v4();
     kept.extend(address.filter(|_| kept.len() < MAX_LOCATORS));
