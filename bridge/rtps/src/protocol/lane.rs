@@ -20,6 +20,8 @@ const HEARTBEAT_PAUSE: Duration = Duration::from_millis(5);
 /// The first heartbeat of its own for what is not acknowledged; then twice as late each time.
 const HEARTBEAT_PERIOD: Duration = Duration::from_millis(20);
 const HEARTBEAT_PERIOD_MAX: Duration = Duration::from_secs(3);
+/// The same while a reader asks for something.
+const REPAIR_PERIOD_MAX: Duration = Duration::from_millis(100);
 /// Where no window says when, a heartbeat goes along after so much data.
 const HEARTBEAT_DATA: u64 = 64 * 1024;
 /// A link that a window holds back is given up on for now after so long without an acknowledgement.
@@ -290,6 +292,12 @@ impl Lane {
         }
         self.update_acknowledged(now, links);
         self.arm(now, history);
+        if asks {
+            // It is there and waits: should the repair be lost too, it learns of it soon.
+            self.heartbeat_period = self.heartbeat_period.min(REPAIR_PERIOD_MAX);
+            let soon = now + self.heartbeat_period;
+            self.heartbeat_at = self.heartbeat_at.map(|at| at.min(soon));
+        }
     }
 
     /// Takes a request for fragments, or the acknowledgement of some, of the reader at `index`.
