@@ -3,6 +3,7 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::{Duration, Instant};
 
+use downbeat_rtps::protocol::Limits;
 use downbeat_rtps::qos::Qos;
 use downbeat_rtps::wire::{
     AckNack, BuiltinEndpoints, Data, DataFragment, EndpointData, EntityId, Guid, GuidPrefix, Header,
@@ -100,6 +101,11 @@ impl Robot {
 
     pub fn prefix(&self) -> GuidPrefix {
         self.network.nodes[ROBOT].participant.prefix()
+    }
+
+    /// The longest sample that the robot takes, in bytes.
+    pub fn largest_sample(&self) -> u32 {
+        Limits::default().max_sample_size
     }
 
     pub fn participant(&self) -> &downbeat_rtps::protocol::Participant {
