@@ -1,6 +1,7 @@
 //! What the tests share: the program in a process of its own, robot files, and real rclpy.
 #![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc, missing_docs)]
 
+#[path = "../../bridge/tests/common/hosts.rs"]
 pub mod hosts;
 #[path = "../../bridge/tests/common/matrix.rs"]
 pub mod matrix;

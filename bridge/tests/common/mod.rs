@@ -1,8 +1,10 @@
 //! What the tests share: domains of their own on loopback, and waiting on a condition with a watchdog.
 #![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc)]
 
+pub mod hosts;
 pub mod matrix;
 pub mod rclpy;
+pub mod texts;
 
 use bytes::Bytes;
 use downbeat_bridge::middleware::in_process::Hub;

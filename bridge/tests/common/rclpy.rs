@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 pub struct Peer {
     child: Child,
     commands: Option<ChildStdin>,
-    answers: Receiver<String>,
+    answers: Receiver<Value>,
 }
 
 impl Peer {
@@ -33,6 +33,12 @@ impl Peer {
         Some(Self::run(command(&python).arg(super::PEER_SCRIPT).arg("peer")))
     }
 
+    /// Starts a participant of Cyclone DDS by a command that runs the Python it is given.
+    pub fn cyclonedds_by(command: impl FnOnce(&OsStr) -> Command) -> Option<Self> {
+        let python = python()?;
+        Some(Self::run(command(&python).arg(super::CYCLONEDDS_SCRIPT).arg("peer")))
+    }
+
     fn of_domain(script: &str, domain_id: u16, discovery_range: &str) -> Option<Self> {
         let mut command = Command::new(python()?);
         command
@@ -43,13 +49,16 @@ impl Peer {
         Some(Self::run(&mut command))
     }
 
-    fn run(command: &mut Command) -> Self {
+    /// Starts a program that obeys the commands of such a peer.
+    pub fn run(command: &mut Command) -> Self {
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let output = BufReader::new(child.stdout.take().unwrap());
         let (sender, answers) = channel();
         std::thread::spawn(move || {
-            for line in output.lines().map_while(Result::ok) {
-                if sender.send(line).is_err() {
+            // A test program that obeys commands prints other lines too.
+            let lines = output.lines().map_while(Result::ok);
+            for answer in lines.filter_map(|line| serde_json::from_str(&line).ok()) {
+                if sender.send(answer).is_err() {
                     return;
                 }
             }
@@ -81,6 +90,12 @@ impl Peer {
         taken
     }
 
+    /// Sends its process a signal, as `kill` names it.
+    pub fn signal(&self, signal: &str) {
+        let status = Command::new("kill").arg(signal).arg(self.child.id().to_string()).status().unwrap();
+        assert!(status.success());
+    }
+
     /// Ends the node as a user's program ends.
     pub fn leave(mut self) {
         drop(self.commands.take());
@@ -93,8 +108,7 @@ impl Peer {
 
     /// The answer to a command that was sent.
     pub fn answer(&self) -> Value {
-        let line = self.answers.recv_timeout(WATCHDOG).expect("an answer of rclpy within the watchdog time");
-        serde_json::from_str(&line).unwrap()
+        self.answers.recv_timeout(WATCHDOG).expect("an answer of the peer within the watchdog time")
     }
 }
 

@@ -9,19 +9,24 @@ import sys
 import time
 from dataclasses import dataclass, fields, is_dataclass
 
-os.environ["CYCLONEDDS_URI"] = """<CycloneDDS><Domain id="any">
+# On loopback, unless the test says otherwise.
+os.environ.setdefault("CYCLONEDDS_URI", """<CycloneDDS><Domain id="any">
   <General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces><AllowMulticast>false</AllowMulticast></General>
   <Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
     <Peers><Peer address="127.0.0.1"/></Peers></Discovery>
-</Domain></CycloneDDS>"""
+</Domain></CycloneDDS>""")
 
-from cyclonedds.core import Policy, Qos  # noqa: E402, it reads the variable
+sys.path.append(os.path.join(os.path.dirname(__file__), "..", "common"))
+
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription  # noqa: E402
+from cyclonedds.core import InstanceState, Policy, Qos  # noqa: E402, it reads the variable
 from cyclonedds.domain import DomainParticipant  # noqa: E402
 from cyclonedds.idl import IdlStruct, types  # noqa: E402
 from cyclonedds.pub import DataWriter  # noqa: E402
 from cyclonedds.sub import DataReader  # noqa: E402
 from cyclonedds.topic import Topic  # noqa: E402
 from cyclonedds.util import duration  # noqa: E402
+from texts import number_of, text_of  # noqa: E402
 
 
 @dataclass
@@ -130,10 +135,14 @@ TYPES = {
 def policies(qos):
     is_reliable = qos.get("reliability", "reliable") == "reliable"
     is_latched = qos.get("durability", "volatile") == "transient_local"
+    is_whole = qos.get("history") == "keep_all"
+    history = Policy.History.KeepAll if is_whole else Policy.History.KeepLast(qos.get("depth", 10))
     chosen = [
         Policy.Reliability.Reliable(duration(milliseconds=100)) if is_reliable else Policy.Reliability.BestEffort,
         Policy.Durability.TransientLocal if is_latched else Policy.Durability.Volatile,
-        Policy.History.KeepAll if qos.get("history") == "keep_all" else Policy.History.KeepLast(qos.get("depth", 10)),
+        history,
+        # As rmw_cyclonedds: what late joiners get is the history.
+        Policy.DurabilityService(0, history, -1, -1, -1),
         Policy.DataRepresentation(use_cdrv0_representation=True),
     ]
     if "deadline_ms" in qos:
@@ -180,6 +189,11 @@ class Peer:
         self.readers = {}
         self.services = {}
         self.clients = {}
+        self.texts = set()
+        self.builtin = [
+            BuiltinDataReader(self.participant, topic)
+            for topic in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription)
+        ]
 
     def service_topics(self, service):
         """Those of requests and of responses of std_srvs/srv/SetBool."""
@@ -245,6 +259,27 @@ class Peer:
     def subscribe(self, topic, type, qos={}):
         self.readers[topic] = DataReader(self.participant, self.topic(topic, type, qos), qos=policies(qos))
 
+    def publish_texts(self, topic, size, count, first=0, period_ms=0):
+        """As the peer of rclpy."""
+        writer, kind = self.writers[topic]
+        for number in range(first, first + count):
+            writer.write(kind(text_of(number, size)))
+            time.sleep(period_ms / 1000)
+
+    def subscribe_texts(self, topic, qos={}):
+        self.subscribe(topic, "std_msgs/msg/String", qos)
+        self.texts.add(topic)
+
+    def endpoints(self, topic):
+        """The publishers and subscriptions of a topic that discovery knows, each by its user data, such as the type hash."""
+        found = []
+        for reader in self.builtin:
+            for sample in reader.read(N=1000):
+                is_alive = sample.sample_info.instance_state == InstanceState.Alive
+                if is_alive and sample.topic_name == "rt" + topic and Policy.Userdata in sample.qos:
+                    found.append(sample.qos[Policy.Userdata].data.decode())
+        return found
+
     def matched(self, topic):
         if topic in self.writers:
             return len(self.writers[topic][0].get_matched_subscriptions())
@@ -252,7 +287,10 @@ class Peer:
 
     def take(self, topic):
         """What has been received since the last call."""
-        return [{"fields": fields_of(sample)} for sample in self.readers[topic].take(N=1000)]
+        samples = self.readers[topic].take(N=1000)
+        if topic in self.texts:
+            return [number_of(sample.data) for sample in samples if isinstance(sample, String)]
+        return [{"fields": fields_of(sample)} for sample in samples]
 
     def stop(self, topic):
         """Removes the endpoint."""

@@ -6,6 +6,7 @@ It ends when its standard input closes.
 import importlib
 import json
 import math
+import os
 import re
 import sys
 import threading
@@ -22,6 +23,9 @@ from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, Reliabilit
 from rclpy.serialization import deserialize_message
 
 from actions import Actions
+
+sys.path.append(os.path.join(os.path.dirname(__file__), "..", "common"))
+from texts import number_of, text_of  # noqa: E402, of the folder beside
 
 
 def message_class(type_name):
@@ -176,6 +180,57 @@ class Peer(Actions):
         self.subscriptions[topic] = self.node.create_subscription(
             kind, topic, on_message, profile(qos), raw=True, event_callbacks=callbacks
         )
+
+    def publish_texts(self, topic, size, count, first=0, period_ms=0):
+        """Texts with the numbers from `first` on."""
+        publisher = self.publishers[topic]
+        for number in range(first, first + count):
+            publisher.publish(publisher.msg_type(data=text_of(number, size)))
+            time.sleep(period_ms / 1000)
+
+    def subscribe_texts(self, topic, qos={}):
+        """As `subscribe`, of texts of which only number and size are noted."""
+        received = self.received.setdefault(topic, [])
+        self.subscriptions[topic] = self.node.create_subscription(
+            message_class("std_msgs/msg/String"),
+            topic,
+            lambda message: received.append(number_of(message.data)),
+            profile(qos),
+        )
+
+    def stop(self, topic):
+        """Removes the endpoints of a topic."""
+        if topic in self.publishers:
+            self.node.destroy_publisher(self.publishers.pop(topic))
+        if topic in self.subscriptions:
+            self.node.destroy_subscription(self.subscriptions.pop(topic))
+
+    def second_node(self, name, topic):
+        """Another node of this process, with a publisher; without a topic it goes."""
+        if topic is None:
+            self.other.destroy_node()
+        else:
+            self.other = rclpy.create_node(name)
+            self.other.create_publisher(message_class("std_msgs/msg/String"), topic, 10)
+
+    def many(self, count, type):
+        """Publishers on /theirs_0, /theirs_1, … and subscriptions on /ours_0, …"""
+        for number in range(count):
+            self.advertise(f"/theirs_{number}", type)
+            self.subscribe_texts(f"/ours_{number}")
+
+    def publish_on_all(self, size):
+        for topic in self.publishers:
+            self.publish_texts(topic, size, 1)
+
+    def take_from_all(self):
+        """How many messages have been received since the last call, by topic."""
+        return {topic: len(self.take(topic)) for topic in self.received}
+
+    def type_hashes(self, topic):
+        """Of the publishers and the subscriptions of a topic, as `ros2 topic info -v` prints them."""
+        infos = self.node.get_publishers_info_by_topic(topic) + self.node.get_subscriptions_info_by_topic(topic)
+        return [str(info.topic_type_hash) for info in infos]
 
     def serve(self, service, type, suffix="", qos={}):
         """A server of std_srvs/srv/SetBool or sensor_msgs/srv/SetCameraInfo that answers with what it was asked."""
