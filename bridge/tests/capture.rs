@@ -1,0 +1,129 @@
+//! What we send, as `tshark` decodes it: a recorded conversation of topics, fragments, a service and removals.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+mod ours;
+
+use common::texts::{Talker, qos_of};
+use common::{WATCHDOG, on_loopback, wait_until};
+use downbeat_bridge::ros::{NodeName, Participant};
+use downbeat_msgs::qos::{Durability, QosProfile};
+use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
+use serde_json::json;
+use std::collections::BTreeSet;
+use std::io::{BufRead, BufReader};
+use std::net::UdpSocket;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+const DOMAIN: u16 = 108;
+
+/// Of the domain, and of nobody's.
+const MARK_PORT: u16 = 7400 + 250 * DOMAIN + 249;
+
+/// Records the domain on the loopback interface, or says why not and returns nothing.
+fn record(file: &Path) -> Option<Child> {
+    let filter = format!("udp portrange {}-{MARK_PORT}", 7400 + 250 * DOMAIN);
+    let mut command = Command::new("dumpcap");
+    command.args(["-q", "-i", "lo", "-B", "64", "-f", &filter, "-w"]).arg(file).stderr(Stdio::piped());
+    let Ok(mut recording) = command.spawn() else {
+        eprintln!("skipped: there is no dumpcap, Debian's package tshark has it");
+        return None;
+    };
+    let mut told = String::new();
+    let mut errors = BufReader::new(recording.stderr.take().unwrap());
+    while errors.read_line(&mut told).unwrap() > 0 {
+        if told.contains("File:") {
+            // It goes on to tell how much it has recorded.
+            recording.stderr = Some(errors.into_inner());
+            return Some(recording);
+        }
+    }
+    recording.wait().unwrap();
+    eprintln!("skipped: dumpcap may not record: {told}");
+    None
+}
+
+/// Until what was sent so far is in the file.
+fn wait_until_recorded(file: &Path) {
+    const MARK: &[u8] = b"all that was said before is recorded";
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    wait_until("the recording is written", || {
+        // Nobody listens there, which a later send may tell.
+        let _ = socket.send_to(MARK, ("127.0.0.1", MARK_PORT));
+        std::fs::read(file).unwrap().windows(MARK.len()).any(|bytes| bytes == MARK)
+    });
+}
+
+fn tshark(file: &Path, arguments: &[&str]) -> String {
+    let output = Command::new("tshark").arg("-r").arg(file).args(arguments).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// All that we say: two of us, with a service, with latched texts, with fragments, with a text that comes too late.
+fn converse() {
+    let latched = QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT }.keep_last(2);
+    let mut peer = ours::start(DOMAIN);
+    let talker = Talker::join(&on_loopback(DOMAIN), latched);
+    (0..5).for_each(|number| talker.say(number, 100));
+    talker.meet(&mut peer, 100);
+    assert_eq!(common::texts::taken(&mut peer, "/ours", 2), [(3, 100), (4, 100)]);
+    for size in [10, 1_400, 100_000, 1_000_000] {
+        talker.exchange(&mut peer, size, 2);
+    }
+    let best_effort = QosProfile::SENSOR_DATA;
+    let qos = qos_of(best_effort, 5);
+    peer.ask(json!({"do": "subscribe_texts", "topic": "/best_effort", "qos": qos}));
+
+    let other = Participant::join(&on_loopback(DOMAIN)).unwrap();
+    let other = other.create_node(NodeName::new("/", "other").unwrap()).unwrap();
+    let service = talker
+        .node
+        .serve::<SetBool>("/light", QosProfile::SERVICES, |request| SetBoolResponse {
+            success: request.data,
+            message: String::new(),
+        })
+        .unwrap();
+    let client = other.client::<SetBool>("/light", QosProfile::SERVICES).unwrap();
+    assert!(client.wait_for_service(WATCHDOG));
+    // What is said to one client is nothing to another.
+    let second = other.client::<SetBool>("/light", QosProfile::SERVICES).unwrap();
+    assert!(second.wait_for_service(WATCHDOG));
+    for client in [&client, &second, &client] {
+        assert!(client.call_and_wait(&SetBoolRequest { data: true }, WATCHDOG).unwrap().success);
+    }
+    drop(service);
+    wait_until("the service is gone", || !client.is_available());
+    drop((client, second, other, talker));
+}
+
+#[test]
+fn tshark_decodes_a_conversation_of_ours_without_a_malformed_packet() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("conversation.pcapng");
+    let Some(mut recording) = record(&file) else { return };
+    converse();
+    wait_until_recorded(&file);
+    let status = Command::new("kill").arg("-INT").arg(recording.id().to_string()).status().unwrap();
+    assert!(status.success());
+    recording.wait().unwrap();
+
+    let malformed = "_ws.malformed || _ws.expert.severity == \"Error\" || !rtps";
+    let malformed = format!("({malformed}) && udp.dstport != {MARK_PORT} && !icmp");
+    assert_eq!(tshark(&file, &["-Y", &malformed]), "");
+    let submessages = tshark(&file, &["-T", "fields", "-e", "rtps.sm.id", "-E", "aggregator=,"]);
+    let found: BTreeSet<&str> = submessages.split([',', '\n']).collect();
+    // INFO_TS, INFO_DST, DATA, DATA_FRAG, HEARTBEAT, ACKNACK, GAP: the names of these numbers stand in RTPS 2.5, 9.4.5.1.
+    for id in ["0x09", "0x0e", "0x15", "0x16", "0x07", "0x06", "0x08"] {
+        assert!(found.contains(id), "no submessage {id} among {found:?}");
+    }
+    let topics = tshark(&file, &["-T", "fields", "-e", "rtps.param.topicName"]);
+    for topic in ["rt/ours", "rt/theirs", "rq/lightRequest", "rr/lightReply"] {
+        assert!(topics.contains(topic), "{topic} among {topics}");
+    }
+    // The status of a sample that removes what its key names: disposed and unregistered.
+    let removals =
+        tshark(&file, &["-Y", "rtps.param.status_info == 3", "-T", "fields", "-e", "frame.number"]);
+    assert!(removals.lines().count() >= 3, "{removals}");
+}

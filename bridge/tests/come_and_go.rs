@@ -1,0 +1,386 @@
+//! Endpoints, nodes and processes that come, go, are killed or stopped: what each side knows of the other, and when.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+mod ours;
+
+use common::matrix::{Way, With, check};
+use common::rclpy::Peer;
+use common::texts::{TEXT, Talker, assert_whole, hear, is_matched, qos_of, taken, text_of};
+use common::{WATCHDOG, on_loopback, wait_until};
+use downbeat_bridge::middleware::Direction;
+use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant, Publisher};
+use downbeat_msgs::Message;
+use downbeat_msgs::qos::{Durability, QosProfile};
+use downbeat_msgs::std_msgs::msg::String as Text;
+use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
+use serde_json::{Value, json};
+use std::sync::mpsc::channel;
+use std::time::{Duration, Instant};
+
+/// Longer than a lease of 20 s, after which Fast DDS and we forget who is silent.
+const LONGER_THAN_A_LEASE: Duration = Duration::from_secs(25);
+/// "At once" on a busy machine, far below every lease and every period of announcements and heartbeats but the shortest.
+const AT_ONCE: Duration = Duration::from_secs(2);
+
+fn join(domain_id: u16) -> (Participant, Node) {
+    let participant = Participant::join(&on_loopback(domain_id)).unwrap();
+    let node = participant.create_node(NodeName::new("/", "downbeat").unwrap()).unwrap();
+    (participant, node)
+}
+
+fn publish(node: &Node, topic: &str, qos: QosProfile) -> Publisher {
+    node.publish(topic, &MessageType::new(TEXT).unwrap(), qos).unwrap()
+}
+
+#[track_caller]
+fn at_once(what: &str, condition: impl FnMut() -> bool) {
+    let start = Instant::now();
+    wait_until(what, condition);
+    assert!(start.elapsed() < AT_ONCE, "{what}: after {:?}", start.elapsed());
+}
+
+/// How many endpoints of a topic `ros2 topic info` counts.
+fn count(peer: &mut Peer, direction: &str, topic: &str) -> usize {
+    peer.ask(json!({"do": format!("{direction}_of"), "topic": topic})).as_array().unwrap().len()
+}
+
+fn lists(peer: &mut Peer, node: &str) -> bool {
+    peer.ask(json!({"do": "nodes"})).as_array().unwrap().contains(&Value::from(node))
+}
+
+#[test]
+fn what_we_remove_is_gone_from_rclpy_at_once() {
+    let Some(mut peer) = Peer::start(88, "LOCALHOST") else { return };
+    let _endpoint =
+        check("Graph", "a removed endpoint is gone from `ros2 topic info`", With::Rclpy, Way::Out);
+    let _node = check("Graph", "a removed node of a process that goes on", With::Rclpy, Way::Out);
+    let (participant, node) = join(88);
+    let second = participant.create_node(NodeName::new("/", "second").unwrap()).unwrap();
+    let of_second = publish(&second, "/ours", QosProfile::DEFAULT);
+    let ours = publish(&node, "/ours", QosProfile::DEFAULT);
+    let theirs = hear(&node, "/theirs", QosProfile::DEFAULT);
+    peer.ask(json!({"do": "subscribe_texts", "topic": "/ours"}));
+    peer.ask(json!({"do": "advertise", "topic": "/theirs", "type": TEXT}));
+    wait_until("rclpy knows all", || {
+        count(&mut peer, "publishers", "/ours") == 2
+            && count(&mut peer, "subscriptions", "/theirs") == 1
+            && lists(&mut peer, "/downbeat")
+            && lists(&mut peer, "/second")
+    });
+    drop(ours);
+    at_once("the publisher is gone", || count(&mut peer, "publishers", "/ours") == 1);
+    at_once("and unmatched", || is_matched(&mut peer, "/ours"));
+    drop(theirs);
+    at_once("the subscription is gone", || count(&mut peer, "subscriptions", "/theirs") == 0);
+    at_once("and unmatched", || peer.ask(json!({"do": "matched", "topic": "/theirs"})) == 0);
+    drop((of_second, second));
+    at_once("the second node is gone", || !lists(&mut peer, "/second"));
+    at_once("with its publisher", || count(&mut peer, "publishers", "/ours") == 0);
+    assert!(lists(&mut peer, "/downbeat"));
+    drop((node, participant));
+    at_once("the process is gone", || !lists(&mut peer, "/downbeat"));
+}
+
+#[test]
+fn what_rclpy_removes_is_gone_from_us_at_once() {
+    let Some(mut peer) = Peer::start(89, "LOCALHOST") else { return };
+    let _endpoint = check("Graph", "a removed endpoint is gone from `ros2 topic info`", With::Rclpy, Way::In);
+    let _node = check("Graph", "a removed node of a process that goes on", With::Rclpy, Way::In);
+    let (participant, node) = join(89);
+    let ours = publish(&node, "/ours", QosProfile::DEFAULT);
+    let (theirs, _heard) = hear(&node, "/theirs", QosProfile::DEFAULT);
+    peer.ask(json!({"do": "subscribe_texts", "topic": "/ours"}));
+    peer.ask(json!({"do": "advertise", "topic": "/theirs", "type": TEXT}));
+    peer.ask(json!({"do": "second_node", "name": "second", "topic": "/theirs"}));
+    let lists = |name: &str| participant.remote_nodes().iter().any(|node| node.name == name);
+    wait_until("we know all", || {
+        ours.matched_subscriptions() == 1 && theirs.matched_publishers() == 2 && lists("/second")
+    });
+    peer.ask(json!({"do": "stop", "topic": "/ours"}));
+    at_once("the subscription is gone", || ours.matched_subscriptions() == 0);
+    peer.ask(json!({"do": "second_node", "name": "second", "topic": null}));
+    at_once("the second node is gone", || !lists("/second") && theirs.matched_publishers() == 1);
+    peer.ask(json!({"do": "stop", "topic": "/theirs"}));
+    at_once("the publisher is gone", || theirs.matched_publishers() == 0);
+    assert!(lists("/peer"));
+    peer.leave();
+    at_once("the process is gone", || participant.remote_endpoints().is_empty() && !lists("/peer"));
+}
+
+/// The publishers and subscriptions of a topic that Cyclone DDS knows, each by its user data.
+fn user_data(peer: &mut Peer, topic: &str) -> Vec<Value> {
+    peer.ask(json!({"do": "endpoints", "topic": topic})).as_array().unwrap().clone()
+}
+
+#[test]
+fn cyclone_knows_our_type_hashes_and_what_we_remove_is_gone_at_once() {
+    let Some(mut peer) = Peer::cyclonedds(90) else { return };
+    let _hash = check("Graph", "type hashes of our endpoints", With::Cyclone, Way::Out);
+    let _gone = check("Graph", "a removed endpoint is gone from discovery", With::Cyclone, Way::Out);
+    let (participant, node) = join(90);
+    let ours = publish(&node, "/ours", QosProfile::DEFAULT);
+    let theirs = hear(&node, "/theirs", QosProfile::DEFAULT);
+    let expected = [Value::from(format!("typehash={};", Text::TYPE_HASH))];
+    wait_until("Cyclone knows our endpoints by their type hash", || {
+        user_data(&mut peer, "/ours") == expected && user_data(&mut peer, "/theirs") == expected
+    });
+    drop(ours);
+    at_once("the publisher is gone", || user_data(&mut peer, "/ours").is_empty());
+    drop(theirs);
+    at_once("the subscription is gone", || user_data(&mut peer, "/theirs").is_empty());
+    let again = publish(&node, "/ours", QosProfile::DEFAULT);
+    at_once("another publisher is known", || user_data(&mut peer, "/ours") == expected);
+    drop((again, node, participant));
+    at_once("the process is gone", || user_data(&mut peer, "/ours").is_empty());
+}
+
+#[test]
+fn rclpy_knows_the_type_hashes_of_our_endpoints_and_we_know_theirs() {
+    let Some(mut peer) = Peer::start(91, "LOCALHOST") else { return };
+    let _out = check("Graph", "type hashes of our endpoints", With::Rclpy, Way::Out);
+    let (participant, node) = join(91);
+    let _ours = publish(&node, "/ours", QosProfile::DEFAULT);
+    let _theirs = hear(&node, "/theirs", QosProfile::DEFAULT);
+    for topic in ["/ours", "/theirs"] {
+        wait_until("rclpy knows the type hash", || {
+            peer.ask(json!({"do": "type_hashes", "topic": topic})) == json!([Text::TYPE_HASH])
+        });
+    }
+    peer.ask(json!({"do": "advertise", "topic": "/theirs", "type": TEXT}));
+    wait_until("we know theirs", || {
+        participant.remote_endpoints().iter().any(|endpoint| {
+            endpoint.topic_name == "rt/theirs"
+                && endpoint.direction == Direction::Out
+                && endpoint.type_hash.as_deref() == Some(Text::TYPE_HASH)
+        })
+    });
+}
+
+#[test]
+fn rclpy_forgets_us_when_our_lease_is_over_after_we_were_killed() {
+    let Some(mut rclpy) = Peer::start(92, "LOCALHOST") else { return };
+    let _check = check("Faults", "a process that was killed is gone after its lease", With::Rclpy, Way::Out);
+    let mut killed = ours::start_by(|program| {
+        let mut command = ours::on_loopback(program, 92);
+        command.env(ours::LEASE_MS, "3000");
+        command
+    });
+    killed.ask(json!({"do": "advertise", "topic": "/theirs", "type": TEXT}));
+    wait_until("rclpy knows it", || count(&mut rclpy, "publishers", "/theirs") == 1);
+    // Killed by the drop: it takes no leave.
+    drop(killed);
+    let start = Instant::now();
+    wait_until("rclpy has forgotten it", || count(&mut rclpy, "publishers", "/theirs") == 0);
+    assert!(start.elapsed() < Duration::from_secs(8), "after {:?}", start.elapsed());
+}
+
+#[test]
+fn we_forget_rclpy_when_its_lease_is_over_after_it_was_killed() {
+    let Some(mut killed) = Peer::start(93, "LOCALHOST") else { return };
+    let _check = check("Faults", "a process that was killed is gone after its lease", With::Rclpy, Way::In);
+    let talker = Talker::join(&on_loopback(93), QosProfile::DEFAULT);
+    talker.meet(&mut killed, 10);
+    drop(killed);
+    // More than any window: a reader that is dead delays nobody.
+    for number in 0..10_000 {
+        talker.say(number, 100);
+    }
+    wait_until("it is forgotten", || {
+        talker.ours.matched_subscriptions() == 0 && talker.theirs.matched_publishers() == 0
+    });
+    assert_eq!(talker.participant.remote_endpoints(), []);
+}
+
+#[test]
+fn what_rclpy_missed_while_it_was_stopped_it_gets_when_it_goes_on() {
+    let Some(mut peer) = Peer::start(94, "LOCALHOST") else { return };
+    let _check = check("Faults", "a peer that is stopped for 3 s misses nothing", With::Rclpy, Way::Both);
+    let qos = QosProfile::DEFAULT.keep_last(300);
+    let talker = Talker::join(&on_loopback(94), qos);
+    talker.meet(&mut peer, 300);
+    let mut other = ours::start(94);
+    other.ask(json!({"do": "subscribe_texts", "topic": "/ours", "qos": qos_of(qos, 300)}));
+    wait_until("the other is matched", || {
+        talker.ours.matched_subscriptions() == 2 && is_matched(&mut other, "/ours")
+    });
+    peer.signal("-STOP");
+    // More than its socket holds.
+    for number in 0..300 {
+        talker.say(number, 5_000);
+    }
+    assert_whole(&taken(&mut other, "/ours", 300), 5_000, 300);
+    std::thread::sleep(Duration::from_secs(3));
+    peer.signal("-CONT");
+    assert_whole(&taken(&mut peer, "/ours", 300), 5_000, 300);
+    peer.ask(json!({"do": "publish_texts", "topic": "/theirs", "size": 5_000, "count": 300}));
+    let heard: Vec<_> = (0..300).map(|_| talker.heard()).collect();
+    assert_whole(&heard, 5_000, 300);
+}
+
+/// Until a text goes each way.
+fn hear_each_other(talker: &Talker, peer: &mut Peer) {
+    let mut number = 1000;
+    wait_until("the peer hears us", || {
+        number += 1;
+        talker.say(number, 50);
+        std::thread::sleep(Duration::from_millis(20));
+        let heard = peer.ask(json!({"do": "take", "topic": "/ours"}));
+        heard.as_array().unwrap().contains(&json!([number, 50]))
+    });
+    wait_until("we hear the peer", || {
+        number += 1;
+        let publish =
+            json!({"do": "publish_texts", "topic": "/theirs", "size": 50, "count": 1, "first": number});
+        peer.ask(publish);
+        talker.heard_within(Duration::from_millis(200)).is_some_and(|(heard, _)| heard == number)
+    });
+}
+
+#[test]
+fn who_was_stopped_for_longer_than_the_lease_is_found_again() {
+    let Some(rclpy) = Peer::start(95, "LOCALHOST") else { return };
+    let Some(cyclone) = Peer::cyclonedds(100) else { return };
+    let Some(mut watching) = Peer::start(96, "LOCALHOST") else { return };
+    let feature = "a peer that is stopped for longer than its lease";
+    let _rclpy = check("Faults", feature, With::Rclpy, Way::Both);
+    let _cyclone = check("Faults", feature, With::Cyclone, Way::Both);
+    let _ours = check("Faults", "we are stopped for longer than our lease", With::Rclpy, Way::Both);
+    const DOMAINS: [u16; 3] = [95, 100, 96];
+    let mut stopped = [rclpy, cyclone, ours::start(96)];
+    let talkers = DOMAINS.map(|domain_id| Talker::join(&on_loopback(domain_id), QosProfile::DEFAULT));
+    for (talker, peer) in talkers.iter().zip(&mut stopped) {
+        talker.meet(peer, 10);
+    }
+    let [.., ours] = &mut stopped;
+    ours.ask(json!({"do": "advertise", "topic": "/to_rclpy", "type": TEXT}));
+    watching.ask(json!({"do": "subscribe_texts", "topic": "/to_rclpy"}));
+    wait_until("rclpy knows the one of us", || is_matched(&mut watching, "/to_rclpy"));
+
+    stopped.iter().for_each(|peer| peer.signal("-STOP"));
+    std::thread::sleep(LONGER_THAN_A_LEASE);
+    for (talker, domain_id) in talkers.iter().zip(DOMAINS) {
+        assert_eq!(talker.ours.matched_subscriptions(), 0, "the peer in domain {domain_id} is forgotten");
+    }
+    assert!(!is_matched(&mut watching, "/to_rclpy"), "the one of us is forgotten");
+    stopped.iter().for_each(|peer| peer.signal("-CONT"));
+    for (talker, peer) in talkers.iter().zip(&mut stopped) {
+        talker.wait_until_matched(peer);
+        hear_each_other(talker, peer);
+    }
+    let [.., ours] = &mut stopped;
+    wait_until("rclpy hears the one of us again", || {
+        ours.ask(json!({"do": "publish_texts", "topic": "/to_rclpy", "size": 60, "count": 1}));
+        std::thread::sleep(Duration::from_millis(20));
+        watching
+            .ask(json!({"do": "take", "topic": "/to_rclpy"}))
+            .as_array()
+            .is_some_and(|heard| !heard.is_empty())
+    });
+}
+
+#[test]
+fn two_hundred_endpoints_of_ours_and_of_rclpy_are_matched() {
+    const COUNT: usize = 100;
+    let Some(mut peer) = Peer::start(97, "LOCALHOST") else { return };
+    let _check = check("Graph", "200 endpoints", With::Rclpy, Way::Both);
+    let (_participant, node) = join(97);
+    let name = |whose: &str, number: usize| format!("/{whose}_{number}");
+    let ours: Vec<_> =
+        (0..COUNT).map(|number| publish(&node, &name("ours", number), QosProfile::DEFAULT)).collect();
+    let theirs: Vec<_> =
+        (0..COUNT).map(|number| hear(&node, &name("theirs", number), QosProfile::DEFAULT)).collect();
+    peer.ask(json!({"do": "many", "count": COUNT, "type": TEXT}));
+    wait_until("all are matched", || {
+        ours.iter().all(|publisher| publisher.matched_subscriptions() == 1)
+            && theirs.iter().all(|(subscription, _)| subscription.matched_publishers() == 1)
+    });
+    wait_until("at rclpy too", || {
+        (0..COUNT).all(|number| {
+            is_matched(&mut peer, &name("ours", number)) && is_matched(&mut peer, &name("theirs", number))
+        })
+    });
+    ours.iter().for_each(|publisher| publisher.publish(text_of(7, 100)).unwrap());
+    let mut missing = COUNT as u64;
+    wait_until("rclpy hears all", || {
+        let taken = peer.ask(json!({"do": "take_from_all"}));
+        missing -= taken.as_object().unwrap().values().filter_map(Value::as_u64).sum::<u64>();
+        missing == 0
+    });
+    peer.ask(json!({"do": "publish_on_all", "size": 100}));
+    for (_, heard) in &theirs {
+        assert_eq!(heard.recv_timeout(WATCHDOG).unwrap(), Some((0, 100)));
+    }
+}
+
+/// Late joiners get the depth of the publisher, no more and no less; 20 texts were published before.
+fn latched(domain_id: u16, peer: &mut Peer) {
+    const DEPTH: u32 = 5;
+    const SIZE: usize = 100_000;
+    let latched = QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT };
+    let (_participant, node) = join(domain_id);
+    let ours = publish(&node, "/ours", latched.keep_last(DEPTH));
+    (0..20).for_each(|number| ours.publish(text_of(number, SIZE)).unwrap());
+    let qos = |depth| qos_of(latched, depth);
+    peer.ask(json!({"do": "advertise", "topic": "/theirs", "type": TEXT, "qos": qos(DEPTH)}));
+    peer.ask(json!({"do": "publish_texts", "topic": "/theirs", "size": SIZE, "count": 20}));
+
+    let last: Vec<_> = (15..=20).map(|number| (number, SIZE)).collect();
+    peer.ask(json!({"do": "subscribe_texts", "topic": "/ours", "qos": qos(100)}));
+    let (_theirs, heard) = hear(&node, "/theirs", latched.keep_last(100));
+    assert_eq!(taken(peer, "/ours", 5), last[..5]);
+    let first: Vec<_> = (0..5).map(|_| heard.recv_timeout(WATCHDOG).unwrap().unwrap()).collect();
+    assert_eq!(first, last[..5]);
+    // Nothing older came between: the next is the one that is published now.
+    ours.publish(text_of(20, SIZE)).unwrap();
+    assert_eq!(taken(peer, "/ours", 1), last[5..]);
+    let publish = json!({"do": "publish_texts", "topic": "/theirs", "size": SIZE, "count": 1, "first": 20});
+    peer.ask(publish);
+    assert_eq!(heard.recv_timeout(WATCHDOG).unwrap(), Some(last[5]));
+}
+
+const EXACT: &str = "latched messages: exactly as many as the depth of the publisher";
+
+#[test]
+fn late_joiners_of_rclpy_and_ours_get_exactly_the_depth() {
+    let Some(mut peer) = Peer::start(98, "LOCALHOST") else { return };
+    let _check = check("Topics", EXACT, With::Rclpy, Way::Both);
+    latched(98, &mut peer);
+}
+
+#[test]
+fn late_joiners_of_cyclone_and_ours_get_exactly_the_depth() {
+    let Some(mut peer) = Peer::cyclonedds(99) else { return };
+    let _check = check("Topics", EXACT, With::Cyclone, Way::Both);
+    latched(99, &mut peer);
+}
+
+#[test]
+fn replies_of_100_kb_pass_in_the_words_of_cyclone() {
+    let Some(mut peer) = Peer::cyclonedds(101) else { return };
+    let _check = check("Services", "requests and replies of up to 100 kB", With::Cyclone, Way::Both);
+    let (_participant, node) = join(101);
+    let long = "x".repeat(100_000);
+    let message = long.clone();
+    let _service = node
+        .serve::<SetBool>("/ours", QosProfile::SERVICES, move |request| SetBoolResponse {
+            success: request.data,
+            message: message.clone(),
+        })
+        .unwrap();
+    peer.ask(json!({"do": "client", "service": "/ours"}));
+    wait_until("Cyclone finds our service", || peer.ask(json!({"do": "is_available"})) == true);
+    let answered = peer.ask(json!({"do": "call", "requests": [true, false, true]}));
+    assert!(answered == json!([[[true, long]], [[false, long]], [[true, long]]]));
+
+    peer.ask(json!({"do": "serve", "service": "/theirs"}));
+    let client = node.client::<SetBool>("/theirs", QosProfile::SERVICES).unwrap();
+    assert!(client.wait_for_service(WATCHDOG));
+    let (sender, answers) = channel();
+    client.call(&SetBoolRequest { data: true }, WATCHDOG, move |answer| sender.send(answer).unwrap());
+    wait_until("Cyclone was asked", || {
+        peer.ask(json!({"do": "answer", "service": "/theirs", "suffix": long})) == json!([true])
+    });
+    let answer = answers.recv_timeout(WATCHDOG).unwrap().unwrap();
+    assert!(answer == SetBoolResponse { success: true, message: format!("data is True{long}") });
+}
