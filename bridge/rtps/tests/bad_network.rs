@@ -104,7 +104,8 @@ fn converse(seed: u64) {
         pairs.all(|(node, writer)| node.participant.is_acknowledged(*writer))
     };
     assert!(network.run_until(limit, acknowledged), "seed {seed}: not all is acknowledged");
-    network.run_for(Duration::from_secs(10));
+    // What discovery has to say may still wait for its last acknowledgement, asked for every 3 s.
+    network.run_for(limit);
     let sent = |network: &Network| network.nodes.iter().map(|node| node.sent.0).sum::<u64>();
     let before = sent(&network);
     network.run_for(Duration::from_secs(60));
