@@ -1,5 +1,7 @@
 //! Writers and readers together, over an imagined network.
 
+#![allow(clippy::unwrap_used)] // a test may fail
+
 use std::collections::VecDeque;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::{Duration, Instant};

@@ -56,7 +56,7 @@ pub(super) struct Incoming {
     pub matched: MatchedWriter,
     /// The next sample to be delivered. All before it are, or never will be.
     next: SequenceNumber,
-    /// Whether the writer has said what it has; before that nothing is lost.
+    /// Whether the writer sent a sample, or knew this reader: before that nothing is lost.
     is_known: bool,
     /// Numbers above `next` that were received or will not come.
     settled: Intervals,
@@ -214,7 +214,8 @@ impl Incoming {
             self.lose_before(heartbeat.first, out);
             self.advance(now, heartbeat.first, out);
         }
-        self.is_known = true;
+        // One to all readers may be from before the writer knew this one.
+        self.is_known |= heartbeat.reader != EntityId::UNKNOWN;
         let is_due = !heartbeat.is_final || self.next <= self.last;
         if is_due {
             self.answer = Answer::Acknowledgement;
@@ -373,11 +374,13 @@ impl Incoming {
         (self.next, self.assemblies.get(&self.next).map_or(0, |assembly| assembly.missing(u32::MAX).base()))
     }
 
-    /// Counts as lost what is neither received nor excused before `number`.
+    /// Counts as lost what is neither received nor excused before `number`. Of a writer that was not heard before, that
+    /// begins with the first sample that was received.
     fn lose_before(&mut self, number: SequenceNumber, out: &mut Vec<Received>) {
-        let range = self.next.0..number.0;
+        let first_waiting = || self.waiting.keys().next().copied().unwrap_or(number).min(number);
+        let range = if self.is_known { self.next } else { first_waiting() }.0..number.0;
         let lost = range.end.abs_diff(range.start) - self.settled.count_in(range);
-        if std::mem::replace(&mut self.is_known, true) && lost > 0 {
+        if lost > 0 {
             out.push(Received::Lost { writer: self.matched.guid, count: lost });
         }
     }
@@ -408,7 +411,8 @@ impl Incoming {
         }
     }
 
-    fn deliver(&self, now: Now, sample: Sample, out: &mut Vec<Received>) {
+    fn deliver(&mut self, now: Now, sample: Sample, out: &mut Vec<Received>) {
+        self.is_known = true;
         let is_expired = self.matched.lifespan.zip(sample.source_timestamp).is_some_and(|(span, stamp)| {
             let age = now.wall_ns.saturating_sub(stamp.to_nanos());
             u128::try_from(age).is_ok_and(|age| age > span.as_nanos())

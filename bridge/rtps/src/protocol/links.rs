@@ -284,6 +284,8 @@ impl Link {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)] // a test may fail
+
     use std::net::Ipv4Addr;
     use std::time::Duration;
 

@@ -27,6 +27,8 @@ pub const DELAY: Duration = Duration::from_micros(50);
 
 /// A datagram on its way.
 pub struct Flight {
+    /// Index of the node that sent it.
+    pub sender: usize,
     pub from: SocketAddrV4,
     pub to: SocketAddrV4,
     pub bytes: Vec<u8>,
@@ -68,6 +70,10 @@ pub struct Network {
     pub fate: Fate,
     /// Called for each datagram when it is sent.
     pub watch: Box<dyn FnMut(&Flight)>,
+    /// Nodes between which nothing gets through, in this direction.
+    pub cut: Vec<(usize, usize)>,
+    /// How far the wall clocks were set forward.
+    pub wall_offset_ns: i64,
     start: Instant,
     pub elapsed: Duration,
     /// By time of arrival; those of one moment in the order in which they were sent.
@@ -84,6 +90,8 @@ impl Network {
             nodes: Vec::new(),
             fate: Box::new(|_| vec![DELAY]),
             watch: Box::new(|_| {}),
+            cut: Vec::new(),
+            wall_offset_ns: 0,
             start: Instant::now(),
             elapsed: Duration::ZERO,
             flying: BTreeMap::new(),
@@ -120,7 +128,8 @@ impl Network {
     }
 
     pub fn now(&self) -> Now {
-        Now { steady: self.start + self.elapsed, wall_ns: WALL_START_NS + self.elapsed.as_nanos() as i64 }
+        let wall_ns = WALL_START_NS + self.wall_offset_ns + self.elapsed.as_nanos() as i64;
+        Now { steady: self.start + self.elapsed, wall_ns }
     }
 
     /// Calls a participant and sends what it has to say.
@@ -150,7 +159,7 @@ impl Network {
             node.sent.0 += 1;
             node.sent.1 += datagram.len() as u64;
             let from = SocketAddrV4::new(node.address, METATRAFFIC_PORT);
-            let flight = Flight { from, to, bytes: datagram.clone() };
+            let flight = Flight { sender: index, from, to, bytes: datagram.clone() };
             (self.watch)(&flight);
             for delay in (self.fate)(&flight) {
                 self.launched += 1;
@@ -205,7 +214,7 @@ impl Network {
         for index in 0..self.nodes.len() {
             let node = &self.nodes[index];
             let is_for_it = flight.to.ip().is_multicast() || *flight.to.ip() == node.address;
-            if is_for_it && node.is_running {
+            if is_for_it && node.is_running && !self.cut.contains(&(flight.sender, index)) {
                 self.call(index, |participant, now| {
                     participant.handle_datagram(now, flight.from, &flight.bytes);
                 });
