@@ -1,7 +1,8 @@
 //! Two to eight participants over a network that loses, repeats, reorders and delays, is cut and healed, while participants
 //! die, return, sleep and have their clocks set. What happens is drawn from a seed.
 //!
-//! `DOWNBEAT_SIMULATION_SEEDS=10000` tries so many seeds, `DOWNBEAT_SIMULATION_SEED=17` replays one.
+//! `DOWNBEAT_SIMULATION_SEEDS=10000` tries so many seeds, `DOWNBEAT_SIMULATION_SEED=17` replays one, and with
+//! `DOWNBEAT_SIMULATION_TRACE=1` prints what was sent and what came of it.
 
 mod common;
 
@@ -106,6 +107,8 @@ struct Stream {
     whole_since: u64,
     /// Samples between others that did not come.
     missing: u64,
+    /// Those of them that were written when the two knew each other for certain.
+    missing_due: u64,
     /// Samples that were reported as lost.
     lost: u64,
     /// The first sample that concerns the reader, as the writer sees it.
@@ -145,6 +148,12 @@ impl Simulation {
         let of_watch = Rc::clone(&trace);
         network.watch =
             Box::new(move |flight: &Flight| {
+                if is_traced() {
+                    let (_, submessages) = parse(&flight.bytes).expect("a message");
+                    let submessages =
+                        submessages.map(|it| format!("{:.160}", format!("{it:?}"))).collect::<Vec<_>>();
+                    eprintln!("{} to {}: {submessages:#?}", flight.sender, flight.to);
+                }
                 let to = flight.to.ip().octets();
                 let bytes = flight.bytes.iter().chain(&to);
                 of_watch.set(bytes.fold(of_watch.get(), |hash, byte| {
@@ -324,6 +333,9 @@ impl Simulation {
     }
 
     fn take_event(&mut self, node: usize, event: Event) {
+        if is_traced() {
+            eprintln!("{:?}, {node}: {:.160}", self.network.elapsed, format!("{event:?}"));
+        }
         match event {
             Event::Sample { reader, sample } => {
                 let Some(key) = self.key(node, reader, sample.writer) else {
@@ -371,16 +383,17 @@ impl Simulation {
             Some(next) => {
                 assert!(index >= next, "sample {index} of {key:?} came after {}", next - 1);
                 stream.missing += index - next;
+                stream.missing_due += stream.start.map_or(0, |start| index.saturating_sub(start.max(next)));
                 if index > next {
                     stream.whole_since = index;
                 }
                 if stream.is_torn {
-                    (stream.first, stream.missing, stream.lost) = (index, 0, 0);
+                    (stream.first, stream.missing, stream.missing_due, stream.lost) = (index, 0, 0, 0);
                 }
-                let Stream { missing, lost, .. } = *stream;
+                let Stream { missing_due, lost, .. } = *stream;
                 assert!(
-                    missing <= lost,
-                    "{key:?}: {index} came after {}: {missing} missing, {lost} lost",
+                    missing_due <= lost,
+                    "{key:?}: {index} came after {}: {missing_due} missing, {lost} lost",
                     next - 1
                 );
             }
@@ -456,11 +469,10 @@ impl Simulation {
             };
             let due = start.max(writer.written.saturating_sub(writer.depth()));
             // What was written before the first sample that came may be lost as well.
-            let Stream { missing, lost, first, .. } = *stream;
-            let before = first.saturating_sub(start);
+            let Stream { missing, missing_due, lost, first, .. } = *stream;
             assert!(
-                (missing..=missing + before).contains(&lost),
-                "{key:?}: {missing} (+ {before}) missing, {lost} lost"
+                (missing_due..=missing + first).contains(&lost),
+                "{key:?}: {missing_due} to {missing} missing, {lost} lost"
             );
             if due < writer.written {
                 assert_eq!(stream.next, Some(writer.written), "{key:?} lacks the newest sample");
@@ -551,6 +563,10 @@ fn simulate(seed: u64) -> u64 {
     }
     simulation.conclude();
     simulation.trace.get()
+}
+
+fn is_traced() -> bool {
+    std::env::var_os("DOWNBEAT_SIMULATION_TRACE").is_some()
 }
 
 fn variable(name: &str) -> Option<u64> {

@@ -1,6 +1,6 @@
 //! Own endpoints, builtin ones among them, and the indexes by which datagrams and matches find them.
 
-use std::collections::{BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::{Reader, Writer};
 use crate::wire::{EndpointData, EntityId, Guid};
@@ -12,11 +12,11 @@ pub(crate) struct Local<E> {
     pub(crate) machine: E,
     pub(crate) matched: BTreeSet<Guid>,
     /// Reliable readers that are matched with a writer and have not answered yet: they may not know of it.
-    pub(crate) unanswered: HashSet<Guid>,
+    pub(crate) unanswered: BTreeSet<Guid>,
     /// Endpoints of the same topic that it was reported not to match.
-    pub(crate) refused: HashSet<Guid>,
+    pub(crate) refused: BTreeSet<Guid>,
     /// Whether writers that a reader is matched with are alive, of those that were heard of.
-    pub(crate) liveliness: HashMap<Guid, bool>,
+    pub(crate) liveliness: BTreeMap<Guid, bool>,
     /// Whether a write was refused for want of room, and that there is room again was not yet told.
     pub(crate) is_full: bool,
 }
@@ -27,9 +27,9 @@ impl<E> Local<E> {
             data,
             machine,
             matched: BTreeSet::new(),
-            unanswered: HashSet::new(),
-            refused: HashSet::new(),
-            liveliness: HashMap::new(),
+            unanswered: BTreeSet::new(),
+            refused: BTreeSet::new(),
+            liveliness: BTreeMap::new(),
             is_full: false,
         }
     }
@@ -38,12 +38,12 @@ impl<E> Local<E> {
 /// All own endpoints.
 #[derive(Debug, Default)]
 pub(crate) struct Locals {
-    pub(crate) writers: HashMap<EntityId, Local<Writer>>,
-    pub(crate) readers: HashMap<EntityId, Local<Reader>>,
+    pub(crate) writers: BTreeMap<EntityId, Local<Writer>>,
+    pub(crate) readers: BTreeMap<EntityId, Local<Reader>>,
     /// Without the builtin ones.
-    by_topic: HashMap<String, Vec<EntityId>>,
+    by_topic: BTreeMap<String, Vec<EntityId>>,
     /// The readers to which a message without the name of a reader goes.
-    readers_of: HashMap<Guid, Vec<EntityId>>,
+    readers_of: BTreeMap<Guid, Vec<EntityId>>,
 }
 
 impl Locals {
@@ -91,7 +91,7 @@ impl Locals {
         writer.or_else(|| self.readers.get_mut(&id).map(|local| &mut local.matched))
     }
 
-    pub(crate) fn refused_mut(&mut self, id: EntityId) -> Option<&mut HashSet<Guid>> {
+    pub(crate) fn refused_mut(&mut self, id: EntityId) -> Option<&mut BTreeSet<Guid>> {
         let writer = self.writers.get_mut(&id).map(|local| &mut local.refused);
         writer.or_else(|| self.readers.get_mut(&id).map(|local| &mut local.refused))
     }

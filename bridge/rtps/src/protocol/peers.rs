@@ -1,7 +1,7 @@
 //! The other participants and what they have.
 
 use std::{
-    collections::HashMap,
+    collections::BTreeMap,
     net::{Ipv4Addr, SocketAddrV4},
     time::Instant,
 };
@@ -32,7 +32,7 @@ pub(crate) struct Peer {
     pub(crate) heard: Instant,
     /// When it was last sent our announcement.
     pub(crate) told: Instant,
-    pub(crate) endpoints: HashMap<EntityId, Remote>,
+    pub(crate) endpoints: BTreeMap<EntityId, Remote>,
 }
 
 impl Peer {
@@ -70,8 +70,8 @@ pub(crate) enum Noted {
 /// All other participants, with an index of their endpoints by topic.
 #[derive(Debug, Default)]
 pub(crate) struct Peers {
-    by_prefix: HashMap<GuidPrefix, Peer>,
-    by_topic: HashMap<String, Vec<Guid>>,
+    by_prefix: BTreeMap<GuidPrefix, Peer>,
+    by_topic: BTreeMap<String, Vec<Guid>>,
     endpoints: usize,
 }
 

@@ -3,7 +3,7 @@
 //! The topics of endpoints have a key, the guid, which ordinary writers know nothing of: what a later sample supersedes is
 //! taken out of the history here.
 
-use std::{collections::HashMap, net::SocketAddrV4};
+use std::{collections::BTreeMap, net::SocketAddrV4};
 
 use bytes::Bytes;
 
@@ -18,9 +18,9 @@ use crate::{
 /// What the history of the announcing writers holds.
 #[derive(Debug, Default)]
 pub(crate) struct Endpoints {
-    current: HashMap<EntityId, SequenceNumber>,
+    current: BTreeMap<EntityId, SequenceNumber>,
     /// Removals that somebody may not have heard of yet, by announcing writer.
-    removals: HashMap<EntityId, Vec<SequenceNumber>>,
+    removals: BTreeMap<EntityId, Vec<SequenceNumber>>,
 }
 
 /// The builtin writer that announces an endpoint.
