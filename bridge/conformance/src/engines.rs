@@ -5,11 +5,14 @@ use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
 use downbeat_bridge::middleware::in_process::Hub;
+use downbeat_bridge::middleware::rtps::RtpsParticipant;
 #[cfg(feature = "rustdds")]
 use downbeat_bridge::middleware::rustdds::RustddsParticipant;
 use downbeat_bridge::middleware::{Middleware, MiddlewareError, ParticipantOptions};
 
-use crate::engine::{Engine, KnownFailure};
+use crate::engine::Engine;
+#[cfg(feature = "rustdds")]
+use crate::engine::KnownFailure;
 
 /// The engine in memory.
 #[must_use]
@@ -25,6 +28,20 @@ pub fn in_process() -> Engine {
         peer: None,
         known_failures: &[],
     }
+}
+
+/// The engine of this project; with the program that is the other process, if there is one.
+#[must_use]
+pub fn rtps(peer: Option<PathBuf>) -> Engine {
+    Engine { name: "downbeat-rtps", join: Box::new(join_rtps), has_network: true, peer, known_failures: &[] }
+}
+
+/// A participant of the engine of this project.
+///
+/// # Errors
+/// Those of [`RtpsParticipant::new`].
+pub fn join_rtps(options: &ParticipantOptions) -> Result<Box<dyn Middleware>, MiddlewareError> {
+    Ok(Box::new(RtpsParticipant::new(options)?))
 }
 
 #[cfg(feature = "rustdds")]
@@ -52,6 +69,48 @@ pub fn join_rustdds(options: &ParticipantOptions) -> Result<Box<dyn Middleware>,
 #[cfg(feature = "rustdds")]
 /// Causes are in the source of rustdds 0.15.1 where a path is given.
 const RUSTDDS: &[KnownFailure] = &[
+    KnownFailure {
+        case: "a_participant_hears_itself",
+        limit: "nodes of one process do not hear each other",
+        cause: "it matches its own endpoints only when it announces them again",
+        effect: "a subscription of the same process gets nothing",
+        remedy: "let modules speak to each other in the executor",
+    },
+    KnownFailure {
+        case: "payloads_of_either_byte_order_arrive_as_they_were_written",
+        limit: "payloads of big-endian CDR are not sent",
+        cause: "the encoding is a constant of the writer's type",
+        effect: "messages of a bag that was recorded on a big-endian machine are refused",
+        remedy: "none",
+    },
+    KnownFailure {
+        case: "missed_deadlines_are_told_on_both_sides",
+        limit: "missed deadlines are not told",
+        cause: "it has no such event for the readers it is used with, and none for writers",
+        effect: "no event on `bridge/qos_events`",
+        remedy: "none",
+    },
+    KnownFailure {
+        case: "a_writer_with_manual_liveliness_lives_as_long_as_it_says_so",
+        limit: "changes of liveliness are not told",
+        cause: "it has no such events",
+        effect: "no event on `bridge/qos_events`",
+        remedy: "none",
+    },
+    KnownFailure {
+        case: "a_late_reader_gets_no_sample_past_its_lifespan",
+        limit: "samples do not expire",
+        cause: "lifespan is announced and not carried out",
+        effect: "a late subscription gets messages that are too old",
+        remedy: "look at the stamp of messages",
+    },
+    KnownFailure {
+        case: "large_requests_and_replies_arrive_whole",
+        limit: "replies of more than 1372 bytes are refused",
+        cause: "inline QoS of fragments is spoiled (`rtps/writer.rs`)",
+        effect: "a service with large answers times out",
+        remedy: "none",
+    },
     KnownFailure {
         case: "a_late_reader_gets_no_more_than_the_history_depth",
         limit: "the history depth of a latched topic is not kept to",

@@ -8,11 +8,12 @@ use super::qos_events::{EndpointQos, QOS_EVENTS_TOPIC, QosEvents};
 use super::status::{BridgeStatus, EndpointReport, EndpointStatus, Traffic, WeakEndpoint};
 use super::{ExposeError, Exposure, OfACycle};
 use crate::edge::{CoreAccess, EncodedInlet, EncodedInletError, Waiting};
-use crate::middleware::{Direction, Sample};
+use crate::middleware::{Direction, Gid, Sample};
 use crate::ros::{MessageType, Node, NodeError, Publisher, Subscription};
 use downbeat_executor::{Clock, Core, CoreHandle, InletError, OutletInbox};
 use downbeat_msgs::qos::QosProfile;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 /// Creates the endpoints of all exposures on `node`, each fed by an outlet of `core` or feeding an inlet.
 ///
@@ -36,8 +37,23 @@ pub struct Bridge {
     events: QosEvents,
     endpoints: Arc<Endpoints>,
     inbox: OutletInbox,
+    own: OwnPublishers,
     /// Held while something is changed, so that one change follows the other.
     changes: Arc<Mutex<()>>,
+}
+
+/// The publishers of a bridge. What they send comes from the core, so it does not enter the core again.
+#[derive(Clone, Default)]
+struct OwnPublishers(Arc<RwLock<BTreeSet<Gid>>>);
+
+impl OwnPublishers {
+    fn add(&self, publisher: Gid) {
+        self.0.write().unwrap_or_else(PoisonError::into_inner).insert(publisher);
+    }
+
+    fn contain(&self, writer: Gid) -> bool {
+        self.0.read().unwrap_or_else(PoisonError::into_inner).contains(&writer)
+    }
 }
 
 impl Bridge {
@@ -57,6 +73,7 @@ impl Bridge {
             clock,
             endpoints: Arc::default(),
             inbox: inbox(),
+            own: OwnPublishers::default(),
             changes: Arc::default(),
         };
         bridge.endpoints.extend(bridge.create_all(&mut CoreAccess::Idle(core), exposures)?)?;
@@ -161,6 +178,7 @@ impl Bridge {
         let (held, endpoint, ros_topic, qos, events) = match exposure.direction {
             Direction::Out => {
                 let publisher = Arc::new(publisher(node, exposure).map_err(failed)?);
+                self.own.add(publisher.gid());
                 let (topic, qos) = (publisher.topic().to_string(), publisher.qos());
                 let events = events(&topic);
                 let told = Arc::clone(&events);
@@ -182,7 +200,8 @@ impl Bridge {
                 };
                 let inlet = exposure.message_type.inlet_with(core, &exposure.topic, waiting)?;
                 let limiter = Limiter::new(exposure.limits);
-                let take = from_ros(inlet, Arc::clone(&traffic), limiter, Arc::clone(&self.clock));
+                let take =
+                    from_ros(inlet, self.own.clone(), Arc::clone(&traffic), limiter, Arc::clone(&self.clock));
                 let subscription = Arc::new(subscription(node, exposure, take).map_err(failed)?);
                 if let Err(error) = learn(node, &subscription, exposure.message_type) {
                     tracing::warn!(topic = exposure.topic, %error, "nobody is asked what the type looks like: no thread");
@@ -229,14 +248,18 @@ fn qos(node: &Node, exposure: &Exposure) -> Result<QosProfile, NodeError> {
     Ok(node.resolve_qos(exposure.ros_topic(), exposure.direction, &exposure.qos)?)
 }
 
-/// Takes the samples of one topic in.
+/// Takes the samples of one topic in, but for those that left the core by the same bridge.
 fn from_ros(
     inlet: EncodedInlet,
+    own: OwnPublishers,
     traffic: Arc<Traffic>,
     mut limiter: Limiter,
     clock: Arc<dyn Clock>,
 ) -> impl FnMut(Sample) + Send {
     move |sample| {
+        if own.contain(sample.writer) {
+            return;
+        }
         if !limiter.lets_pass(clock.now()) {
             traffic.count_limited();
             return;

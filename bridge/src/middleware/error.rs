@@ -58,7 +58,8 @@ pub enum WriteError {
     WindowFull,
     /// The payload does not begin with an encapsulation header the engine can send.
     #[error(
-        "a payload must begin with the encapsulation header of little-endian CDR, 00 01 00 00; found {found:02x?}"
+        "a payload must begin with an encapsulation header of CDR that the engine sends, 00 01 00 00 for little-endian; found \
+         {found:02x?}"
     )]
     Encapsulation {
         /// The first bytes of the payload, at most four.

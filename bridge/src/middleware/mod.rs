@@ -4,13 +4,14 @@
 //! the node graph ([`crate::ros`] does). The bytes are a whole serialized payload: the four bytes of the CDR
 //! encapsulation header, then the body, as `rclpy.serialization.serialize_message` gives them.
 //!
-//! Engines behind [`Middleware`]: `downbeat-rtps`, which speaks RTPS with every ROS 2 node; the crate rustdds, with the
-//! feature of that name; and [`in_process`], a hub in memory for tests without a network. One suite, the package in
+//! Engines behind [`Middleware`]: [`rtps`], the engine of this project, which speaks RTPS with every ROS 2 node; the crate
+//! rustdds, with the feature of that name; and [`in_process`], a hub in memory for tests without a network. One suite, the package in
 //! `conformance/`, holds for all of them, and for the requests and replies ([`rpc`]), which are samples that name the
 //! sample they belong to.
 
 pub mod in_process;
 pub mod rpc;
+pub mod rtps;
 #[cfg(feature = "rustdds")]
 pub mod rustdds;
 
@@ -36,8 +37,8 @@ pub type SampleHandler = Box<dyn FnMut(Sample) + Send>;
 /// over and return.
 pub type MatchHandler = Box<dyn Fn() + Send + Sync>;
 
-/// A participant of a domain: creates endpoints, and knows those of others. It does not hear itself: its own readers
-/// neither match nor receive what its own writers write.
+/// A participant of a domain: creates endpoints, and knows those of others. Its own readers hear its own writers as they
+/// hear those of others, so that nodes of one process hear each other.
 ///
 /// Dropping it makes it leave the domain. Drop its endpoints before.
 pub trait Middleware: Send + Sync {
@@ -70,7 +71,7 @@ pub trait Writer: Send + Sync {
     /// The identity of this endpoint.
     fn gid(&self) -> Gid;
 
-    /// How many readers receive what is written now.
+    /// How many readers receive what is written now. A reliable reader counts once it has shown that it knows this writer.
     fn matched(&self) -> usize;
 
     /// Which readers receive what is written now.
@@ -97,6 +98,10 @@ pub trait Writer: Send + Sync {
     /// # Errors
     /// [`WriteError`] when this sample was not written.
     fn write_with(&self, cdr: Bytes, options: WriteOptions) -> Result<i64, WriteError>;
+
+    /// Shows that this writer is alive without a sample, where its liveliness is manual. An engine may know samples as the only
+    /// sign of life.
+    fn assert_liveliness(&self) {}
 
     /// Waits until every matched reliable reader has acknowledged all samples, or for `timeout`; tells which.
     fn flush(&self, timeout: Duration) -> bool;
@@ -131,7 +136,7 @@ pub fn join(options: &ParticipantOptions) -> Result<Arc<dyn Middleware>, Middlew
         tracing::warn!("ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: no other ROS 2 node will see this one");
     }
     match options.engine {
-        Engine::Rtps => Ok(Arc::new(in_process::Hub::new().join())),
+        Engine::Rtps => Ok(Arc::new(rtps::RtpsParticipant::new(options)?)),
         #[cfg(feature = "rustdds")]
         Engine::Rustdds => Ok(Arc::new(rustdds::RustddsParticipant::new(options)?)),
     }

@@ -97,8 +97,9 @@ impl Graph {
         let retold: Weak<dyn TimeLimited> = Arc::<Own>::downgrade(&own) as _;
         own.thread.watch(retold);
         let hear = {
-            let (heard, own) = (Arc::clone(&heard), Arc::clone(&own));
-            move |sample| hear(&heard, lock(&own.state).participant.participant(), &sample)
+            // Not by the state, which is locked while its writer waits for this reader too.
+            let (heard, own) = (Arc::clone(&heard), middleware.gid().participant());
+            move |sample| hear(&heard, own, &sample)
         };
         let reader_endpoint = Endpoint { qos: endpoint.qos.keep_last(100), ..endpoint };
         let reader = middleware.create_reader(&reader_endpoint, Box::new(hear))?;

@@ -186,6 +186,8 @@ fn vendor(participant: Gid) -> String {
         [1, 15] => "eProsima Fast DDS".to_owned(),
         [1, 16] => "Eclipse Cyclone DDS".to_owned(),
         [1, 18] => "RustDDS".to_owned(),
+        // Not among those numbers: this program.
+        [1, 0x44] => "downbeat".to_owned(),
         [first, second] => format!("{first:02x}.{second:02x}"),
     }
 }

@@ -4,7 +4,7 @@ use super::incompatible::Warned;
 use super::node::{Hold, Listed};
 use super::{MessageType, Node, NodeError, TopicName};
 use crate::edge::Interfaces;
-use crate::middleware::{Direction, Endpoint, EventHandler, WriteError, Writer};
+use crate::middleware::{Direction, Endpoint, EventHandler, Gid, WriteError, Writer};
 use bytes::Bytes;
 use downbeat_msgs::qos::QosProfile;
 use std::time::Duration;
@@ -41,7 +41,7 @@ impl Publisher {
         self.qos
     }
 
-    /// How many subscriptions of other participants are matched.
+    /// How many subscriptions are matched.
     #[must_use]
     pub fn matched_subscriptions(&self) -> usize {
         self.writer.matched()
@@ -53,12 +53,23 @@ impl Publisher {
         self.writer.on_event(self.warned.and(&self.topic, Direction::Out, handler));
     }
 
-    /// Publishes one message: encapsulation header (little-endian) and body. Does not block.
+    /// The identity of its endpoint.
+    #[must_use]
+    pub fn gid(&self) -> Gid {
+        self.writer.gid()
+    }
+
+    /// Publishes one message: encapsulation header and body. Does not block.
     ///
     /// # Errors
     /// [`WriteError`] when it was not sent.
     pub fn publish(&self, cdr: Bytes) -> Result<(), WriteError> {
         self.writer.write(cdr)
+    }
+
+    /// Shows that this publisher is alive without a message, where its liveliness is `manual_by_topic`.
+    pub fn assert_liveliness(&self) {
+        self.writer.assert_liveliness();
     }
 
     /// Waits until the reliable subscriptions that are matched have acknowledged all messages; false when some have not

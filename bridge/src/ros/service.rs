@@ -74,7 +74,7 @@ impl Service {
         self.events.configure(node, introspection, qos, clock)
     }
 
-    /// How many clients of other participants are matched.
+    /// How many clients are matched.
     #[must_use]
     pub fn matched_clients(&self) -> usize {
         self.server.matched_clients()

@@ -38,7 +38,7 @@ impl Subscription {
         self.qos
     }
 
-    /// How many publishers of other participants are matched.
+    /// How many publishers are matched.
     #[must_use]
     pub fn matched_publishers(&self) -> usize {
         self.reader.matched()

@@ -1,9 +1,11 @@
 //! Endpoints, what goes between them, and the graph of them.
 #![allow(clippy::unwrap_used)]
 
+use super::Ran;
 use crate::engine::Domain;
 use crate::peer::chatter;
 use crate::support::{cdr, next, subscribe, wait_until};
+use bytes::Bytes;
 use downbeat_bridge::middleware::{Direction, WriteError};
 use downbeat_msgs::qos::{Durability, History, QosProfile, Reliability};
 use std::time::Duration;
@@ -56,19 +58,24 @@ pub(super) fn samples_of_a_writer_arrive_in_order_and_none_is_lost(domain: &Doma
     }
 }
 
-pub(super) fn a_participant_does_not_hear_itself(domain: &Domain<'_>) {
+pub(super) fn a_participant_hears_itself(domain: &Domain<'_>) {
     let (alice, bob) = (domain.join(), domain.join());
     let (own_reader, own_samples) = subscribe(&*alice, &chatter(QosProfile::DEFAULT));
     let own_writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
-    let writer = bob.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
     let (reader, samples) = subscribe(&*bob, &chatter(QosProfile::DEFAULT));
-    wait_until("each is matched with the other participant only", || {
-        [own_reader.matched(), own_writer.matched(), reader.matched(), writer.matched()] == [1; 4]
+    wait_until("both readers are matched", || {
+        [own_reader.matched(), own_writer.matched(), reader.matched()] == [1, 2, 1]
     });
-    own_writer.write(cdr([1; 4])).unwrap();
-    assert_eq!(next(&samples).cdr, cdr([1; 4]));
-    writer.write(cdr([2; 4])).unwrap();
-    assert_eq!(next(&own_samples).cdr, cdr([2; 4]), "not her own, which was written before");
+    for number in 0..100_u8 {
+        own_writer.write(cdr([number; 4])).unwrap();
+    }
+    for number in 0..100 {
+        assert_eq!(next(&own_samples).cdr, cdr([number; 4]));
+        assert_eq!(next(&samples).cdr, cdr([number; 4]));
+    }
+    assert!(own_writer.flush(Duration::from_secs(10)), "both acknowledge");
+    drop(own_reader);
+    wait_until("her own reader no longer counts", || own_writer.matched() == 1);
 }
 
 pub(super) fn matched_counts_follow_what_comes_and_goes(domain: &Domain<'_>) {
@@ -109,11 +116,29 @@ pub(super) fn a_dropped_reader_hears_nothing_more(domain: &Domain<'_>) {
     assert!(dropped_samples.recv().is_err(), "its handler is gone, and with it the sending half");
 }
 
-pub(super) fn a_payload_without_a_little_endian_header_is_refused(domain: &Domain<'_>) {
+pub(super) fn payloads_of_either_byte_order_arrive_as_they_were_written(domain: &Domain<'_>) -> Ran {
+    let (alice, bob) = (domain.join(), domain.join());
+    let (reader, samples) = subscribe(&*bob, &chatter(QosProfile::DEFAULT));
+    let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
+    wait_until("the writer has its reader", || writer.matched() == 1 && reader.matched() == 1);
+    for order in 0..=1 {
+        let payload = Bytes::from(vec![0, order, 0, 0, 1, 2, 3, 4]);
+        if let Err(error) = writer.write(payload.clone()) {
+            return Ran::Failed(error.to_string());
+        }
+        assert_eq!(next(&samples).cdr, payload);
+    }
+    Ran::Done(None)
+}
+
+pub(super) fn a_payload_without_an_encapsulation_header_is_refused(domain: &Domain<'_>) {
     let alice = domain.join();
     let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
-    let big_endian = bytes::Bytes::from_static(&[0, 0, 0, 0, 1, 2, 3, 4]);
-    assert_eq!(writer.write(big_endian), Err(WriteError::Encapsulation { found: vec![0; 4] }));
+    for bytes in [&[0xff; 8][..], &[0, 1, 0], &[]] {
+        let found = bytes[..bytes.len().min(4)].to_vec();
+        let refused = writer.write(Bytes::copy_from_slice(bytes));
+        assert_eq!(refused, Err(WriteError::Encapsulation { found }));
+    }
 }
 
 pub(super) fn endpoints_of_others_are_listed_until_they_go(domain: &Domain<'_>) {

@@ -28,6 +28,21 @@ pub(super) fn time_until_a_new_participant_is_matched(domain: &Domain<'_>) -> St
     format!("median {}", milliseconds(percentile(times, 50)))
 }
 
+pub(super) fn time_until_a_late_reader_has_a_latched_sample(domain: &Domain<'_>) -> String {
+    let (alice, bob) = (domain.join(), domain.join());
+    let writer = alice.create_writer(&chatter(QosProfile::LATCHED)).unwrap();
+    writer.write(cdr([7; 100])).unwrap();
+    let known = || bob.remote_endpoints().iter().any(|endpoint| endpoint.gid == writer.gid());
+    wait_until("the writer is known", known);
+    let times = (0..5).map(|_| {
+        let start = Instant::now();
+        let (_reader, samples) = subscribe(&*bob, &chatter(QosProfile::LATCHED));
+        next(&samples);
+        start.elapsed()
+    });
+    format!("median {}", milliseconds(percentile(times.collect(), 50)))
+}
+
 pub(super) fn round_trip_of_100_bytes(domain: &Domain<'_>) -> String {
     const ROUNDS: usize = 500;
     let (alice, bob) = (domain.join(), domain.join());

@@ -1,13 +1,14 @@
 //! What those get that come later.
 #![allow(clippy::unwrap_used)]
 
-use super::Ran;
+use super::{NO_TIMES, Ran};
 use crate::engine::Domain;
 use crate::peer::chatter;
 use crate::support::{cdr, next, subscribe, wait_until};
 use downbeat_bridge::middleware::Sample;
 use downbeat_msgs::qos::{Durability, QosProfile};
 use std::sync::mpsc::Receiver;
+use std::time::{Duration, Instant};
 
 const TRANSIENT_LOCAL: QosProfile =
     QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT };
@@ -56,6 +57,26 @@ pub(super) fn a_late_volatile_reader_gets_no_history(domain: &Domain<'_>) -> Ran
     match until(&samples, &6_u32.to_le_bytes()) - 1 {
         0 => Ran::Done(None),
         count => Ran::Failed(format!("{count} samples came that were written before it was there")),
+    }
+}
+
+pub(super) fn a_late_reader_gets_no_sample_past_its_lifespan(domain: &Domain<'_>) -> Ran {
+    if !domain.engine.has_network {
+        return Ran::NotApplicable(NO_TIMES);
+    }
+    let (alice, bob) = (domain.join(), domain.join());
+    let lifespan = Duration::from_millis(250);
+    let qos = QosProfile { lifespan: Some(lifespan), ..TRANSIENT_LOCAL };
+    let writer = alice.create_writer(&chatter(qos)).unwrap();
+    writer.write(cdr(1_u32.to_le_bytes())).unwrap();
+    let written = Instant::now();
+    wait_until("it has expired", || written.elapsed() > lifespan * 2);
+    let (reader, samples) = subscribe(&*bob, &chatter(TRANSIENT_LOCAL));
+    wait_until("both are matched", || writer.matched() == 1 && reader.matched() == 1);
+    writer.write(cdr(2_u32.to_le_bytes())).unwrap();
+    match until(&samples, &2_u32.to_le_bytes()) - 1 {
+        0 => Ran::Done(None),
+        count => Ran::Failed(format!("{count} samples came that had expired")),
     }
 }
 

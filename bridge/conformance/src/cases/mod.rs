@@ -45,6 +45,9 @@ pub enum Heading {
     Figures,
 }
 
+/// Why cases about times are not for the engine in memory.
+const NO_TIMES: &str = "it keeps no times";
+
 /// How far a case came, where it did not panic.
 pub(crate) enum Ran {
     /// With a figure, where one was measured.
@@ -105,22 +108,25 @@ cases! {
         endpoints::a_sample_arrives_as_it_was_written on 10;
         endpoints::a_best_effort_reader_hears_a_reliable_writer on 11;
         endpoints::samples_of_a_writer_arrive_in_order_and_none_is_lost on 12;
-        endpoints::a_participant_does_not_hear_itself on 14;
+        endpoints::a_participant_hears_itself on 14;
         endpoints::matched_counts_follow_what_comes_and_goes on 15;
         endpoints::a_dropped_reader_hears_nothing_more on 17;
         endpoints::endpoints_of_others_are_listed_until_they_go on 18;
-        endpoints::a_payload_without_a_little_endian_header_is_refused on 19;
+        endpoints::payloads_of_either_byte_order_arrive_as_they_were_written on 170;
+        endpoints::a_payload_without_an_encapsulation_header_is_refused on 19;
     }
     Qos: {
         qos::a_reader_that_asks_for_more_than_is_offered_is_not_matched on 16;
         qos::each_policy_keeps_apart_what_does_not_suit_and_is_named_on_both_sides on 157;
         qos::matches_are_told_as_they_come_and_go on 158;
-        qos::deadlines_and_lost_samples_are_observed_from_outside on 159;
+        qos::missed_deadlines_are_told_on_both_sides on 159;
+        qos::a_writer_with_manual_liveliness_lives_as_long_as_it_says_so on 171;
     }
     LateJoiners: {
         late::a_late_reader_of_a_transient_local_writer_catches_up_in_order on 13;
         late::a_late_reader_gets_no_more_than_the_history_depth on 160;
         late::a_late_volatile_reader_gets_no_history on 161;
+        late::a_late_reader_gets_no_sample_past_its_lifespan on 172;
     }
     LargeSamples: {
         large::a_sample_of_many_fragments_arrives_whole on 20;
@@ -149,6 +155,7 @@ cases! {
     }
     Figures: {
         figures::time_until_a_new_participant_is_matched on 167;
+        figures::time_until_a_late_reader_has_a_latched_sample on 173;
         figures::round_trip_of_100_bytes on 168;
         figures::throughput on 169;
     }

@@ -1,13 +1,14 @@
 //! Who suits whom, and what is told of it.
 #![allow(clippy::unwrap_used)]
 
+use super::{NO_TIMES, Ran};
 use crate::engine::Domain;
 use crate::peer::chatter;
 use crate::support::{cdr, events, next, subscribe, wait_until};
-use downbeat_bridge::middleware::observing::Observing;
-use downbeat_bridge::middleware::{Endpoint, EndpointEvent, Middleware, QosPolicyKind, WriteOptions};
+use downbeat_bridge::middleware::{Aliveness, Endpoint, EndpointEvent, QosPolicyKind, WriteOptions};
 use downbeat_msgs::qos::{Durability, Liveliness, QosProfile, Reliability};
-use std::time::Duration;
+use std::sync::mpsc::Receiver;
+use std::time::{Duration, Instant};
 
 pub(super) fn a_reader_that_asks_for_more_than_is_offered_is_not_matched(domain: &Domain<'_>) {
     let (alice, bob) = (domain.join(), domain.join());
@@ -74,25 +75,72 @@ pub(super) fn matches_are_told_as_they_come_and_go(domain: &Domain<'_>) {
     assert_eq!(next(&of_again), EndpointEvent::Unmatched { peer });
 }
 
-pub(super) fn deadlines_and_lost_samples_are_observed_from_outside(domain: &Domain<'_>) {
-    let (alice, bob) = (Observing::over(domain.join()), Observing::over(domain.join()));
-    let (other, _others) = subscribe(&alice, &chatter(QosProfile::SENSOR_DATA));
+pub(super) fn missed_deadlines_are_told_on_both_sides(domain: &Domain<'_>) -> Ran {
+    if !domain.engine.has_network {
+        return Ran::NotApplicable(NO_TIMES);
+    }
+    let (alice, bob) = (domain.join(), domain.join());
+    let (other, _others) = subscribe(&*alice, &chatter(QosProfile::SENSOR_DATA));
     // Exact on the wire.
     let qos = QosProfile { deadline: Some(Duration::from_millis(250)), ..QosProfile::DEFAULT };
     let writer = alice.create_writer(&chatter(qos)).unwrap();
-    let (reader, samples) = subscribe(&bob, &chatter(qos));
+    let (reader, samples) = subscribe(&*bob, &chatter(qos));
+    wait_until("all are matched", || writer.matched() == 2 && reader.matched() == 1);
     let (of_writer, of_reader) =
         (events(|handler| writer.on_event(handler)), events(|handler| reader.on_event(handler)));
-    assert_eq!(next(&of_writer), EndpointEvent::Matched { peer: reader.gid() });
-    assert_eq!(next(&of_reader), EndpointEvent::Matched { peer: writer.gid() });
-    // One is for somebody else, so that its number never comes.
+    // One is for somebody else: its number never comes, and yet it is not lost.
     let for_another = WriteOptions { only_to: Some(other.gid()), ..WriteOptions::default() };
     for options in [WriteOptions::default(), for_another, WriteOptions::default()] {
         writer.write_with(cdr([1; 4]), options).unwrap();
     }
     next(&samples);
     next(&samples);
-    assert_eq!(next(&of_reader), EndpointEvent::MessagesLost { peer: writer.gid(), count: 1 });
-    assert!(matches!(next(&of_writer), EndpointEvent::DeadlineMissed { count: 1.. }));
-    assert!(matches!(next(&of_reader), EndpointEvent::DeadlineMissed { count: 1.. }));
+    let missed = |of: &Receiver<EndpointEvent>| {
+        let is_other = |event: &EndpointEvent| !matches!(event, EndpointEvent::Matched { .. });
+        of.iter().find(is_other).unwrap()
+    };
+    for event in [missed(&of_writer), missed(&of_reader)] {
+        assert!(matches!(event, EndpointEvent::DeadlineMissed { count: 1.. }), "{event:?}");
+    }
+    Ran::Done(None)
+}
+
+pub(super) fn a_writer_with_manual_liveliness_lives_as_long_as_it_says_so(domain: &Domain<'_>) -> Ran {
+    if !domain.engine.has_network {
+        return Ran::NotApplicable(NO_TIMES);
+    }
+    let (alice, bob) = (domain.join(), domain.join());
+    let lease = Duration::from_millis(500);
+    let qos = QosProfile {
+        liveliness: Liveliness::ManualByTopic,
+        liveliness_lease_duration: Some(lease),
+        ..QosProfile::DEFAULT
+    };
+    let writer = alice.create_writer(&chatter(qos)).unwrap();
+    let (reader, _samples) = subscribe(&*bob, &chatter(qos));
+    wait_until("both are matched", || writer.matched() == 1 && reader.matched() == 1);
+    let (of_writer, of_reader) =
+        (events(|handler| writer.on_event(handler)), events(|handler| reader.on_event(handler)));
+    let peer = writer.gid();
+    let until = |now| {
+        let change = EndpointEvent::LivelinessChanged { peer, now };
+        assert!(of_reader.iter().any(|event| event == change));
+    };
+    // Without a sample, for longer than a lease.
+    let start = Instant::now();
+    while start.elapsed() < lease * 3 {
+        writer.assert_liveliness();
+        let lost = of_writer.recv_timeout(lease / 5);
+        assert!(!matches!(lost, Ok(EndpointEvent::LivelinessLost)), "after {:?}", start.elapsed());
+    }
+    until(Aliveness::Alive);
+    let told = of_reader.try_iter().collect::<Vec<_>>();
+    assert_eq!(told, [], "it did not die");
+    assert!(of_writer.iter().any(|event| event == EndpointEvent::LivelinessLost));
+    until(Aliveness::NotAlive);
+    writer.assert_liveliness();
+    until(Aliveness::Alive);
+    drop(writer);
+    until(Aliveness::Gone);
+    Ran::Done(None)
 }

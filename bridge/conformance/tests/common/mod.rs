@@ -9,18 +9,21 @@ macro_rules! each_case {
             a_sample_arrives_as_it_was_written
             a_best_effort_reader_hears_a_reliable_writer
             samples_of_a_writer_arrive_in_order_and_none_is_lost
-            a_participant_does_not_hear_itself
+            a_participant_hears_itself
             matched_counts_follow_what_comes_and_goes
             a_dropped_reader_hears_nothing_more
             endpoints_of_others_are_listed_until_they_go
-            a_payload_without_a_little_endian_header_is_refused
+            payloads_of_either_byte_order_arrive_as_they_were_written
+            a_payload_without_an_encapsulation_header_is_refused
             a_reader_that_asks_for_more_than_is_offered_is_not_matched
             each_policy_keeps_apart_what_does_not_suit_and_is_named_on_both_sides
             matches_are_told_as_they_come_and_go
-            deadlines_and_lost_samples_are_observed_from_outside
+            missed_deadlines_are_told_on_both_sides
+            a_writer_with_manual_liveliness_lives_as_long_as_it_says_so
             a_late_reader_of_a_transient_local_writer_catches_up_in_order
             a_late_reader_gets_no_more_than_the_history_depth
             a_late_volatile_reader_gets_no_history
+            a_late_reader_gets_no_sample_past_its_lifespan
             a_sample_of_many_fragments_arrives_whole
             samples_of_64_kilobytes_to_8_megabytes_arrive_whole
             a_request_is_answered_to_the_client_that_asked
@@ -39,6 +42,7 @@ macro_rules! each_case {
             the_hash_of_a_type_is_told
             static_peers_are_announced_to
             time_until_a_new_participant_is_matched
+            time_until_a_late_reader_has_a_latched_sample
             round_trip_of_100_bytes
             throughput
         }

@@ -1,10 +1,11 @@
 //! An engine without a network: participants of one [`Hub`] hear each other, nobody else does.
 //!
-//! It stands in for DDS in tests that are not about DDS, and is what `ROS_AUTOMATIC_DISCOVERY_RANGE=OFF` gets. It
-//! delivers on the thread that writes, loses nothing, and matches by the policies that DDS matches by.
+//! It stands in for DDS in tests that are not about DDS. It delivers on the thread that writes, loses nothing, matches by the
+//! policies that DDS matches by, and keeps no times: no deadline is missed, and no sample expires.
 
 mod state;
 
+use super::rtps::is_cdr;
 use super::{
     Direction, Endpoint, EventHandler, Gid, MatchHandler, Middleware, MiddlewareError, Reader,
     RemoteEndpoint, SampleHandler, WriteError, WriteOptions, Writer,
@@ -75,7 +76,7 @@ impl Middleware for InProcessParticipant {
         let mut state = lock(&self.hub.state);
         let gid = state.next_gid(self.gid);
         if endpoint.qos.durability == Durability::TransientLocal {
-            for (_, writer) in state.writers_to(gid, endpoint) {
+            for (_, writer) in state.writers_to(endpoint) {
                 lock(&writer.history).samples.iter().for_each(|sample| on_sample(sample.clone()));
             }
         }
@@ -134,7 +135,7 @@ impl Writer for InProcessWriter {
     }
 
     fn matched_readers(&self) -> Vec<Gid> {
-        lock(&self.hub.state).readers_of(self.gid, &self.endpoint).map(|(to, _)| to).collect()
+        lock(&self.hub.state).readers_of(&self.endpoint).map(|(to, _)| to).collect()
     }
 
     fn on_match(&self, handler: MatchHandler) {
@@ -144,20 +145,20 @@ impl Writer for InProcessWriter {
     fn on_event(&self, handler: EventHandler) {
         let handler = Arc::new(handler);
         let state = lock(&self.hub.state);
-        let events = state.events_of_writer(self.gid, &self.endpoint);
+        let events = state.events_of_writer(&self.endpoint);
         *lock(&self.handlers.on_event) = Some(Arc::clone(&handler));
         drop(state);
         events.iter().for_each(|event| handler(event));
     }
 
     fn write_with(&self, cdr: Bytes, options: WriteOptions) -> Result<i64, WriteError> {
-        if !cdr.starts_with(&[0x00, 0x01, 0x00, 0x00]) {
+        if !is_cdr(&cdr) {
             return Err(WriteError::Encapsulation { found: cdr[..cdr.len().min(4)].to_vec() });
         }
         let handlers: Vec<SharedHandler> = {
             let state = lock(&self.hub.state);
             let is_meant = |to: &Gid| options.only_to.is_none_or(|only| only == *to);
-            let readers = state.readers_of(self.gid, &self.endpoint).filter(|(to, _)| is_meant(to));
+            let readers = state.readers_of(&self.endpoint).filter(|(to, _)| is_meant(to));
             readers.map(|(_, reader)| Arc::clone(&reader.on_sample)).collect()
         };
         // Held while the handlers run, so that samples of one writer stay in order.
@@ -201,7 +202,7 @@ impl Reader for InProcessReader {
     }
 
     fn matched_writers(&self) -> Vec<Gid> {
-        lock(&self.hub.state).writers_to(self.gid, &self.endpoint).map(|(from, _)| from).collect()
+        lock(&self.hub.state).writers_to(&self.endpoint).map(|(from, _)| from).collect()
     }
 
     fn on_match(&self, handler: MatchHandler) {
@@ -211,7 +212,7 @@ impl Reader for InProcessReader {
     fn on_event(&self, handler: EventHandler) {
         let handler = Arc::new(handler);
         let state = lock(&self.hub.state);
-        let events = state.events_of_reader(self.gid, &self.endpoint);
+        let events = state.events_of_reader(&self.endpoint);
         *lock(&self.handlers.on_event) = Some(Arc::clone(&handler));
         drop(state);
         events.iter().for_each(|event| handler(event));

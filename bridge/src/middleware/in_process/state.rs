@@ -64,21 +64,23 @@ impl State {
         gid
     }
 
-    pub(super) fn readers_of(&self, from: Gid, writer: &Endpoint) -> impl Iterator<Item = (Gid, &HubReader)> {
-        self.readers.iter().map(|(to, reader)| (*to, reader)).filter(move |(to, reader)| {
-            matches!(suits((from, writer), (*to, &reader.endpoint)), Some(Suits::Yes))
-        })
+    pub(super) fn readers_of(&self, writer: &Endpoint) -> impl Iterator<Item = (Gid, &HubReader)> {
+        self.readers
+            .iter()
+            .map(|(to, reader)| (*to, reader))
+            .filter(move |(_, reader)| matches!(suits(writer, &reader.endpoint), Some(Suits::Yes)))
     }
 
-    pub(super) fn writers_to(&self, to: Gid, reader: &Endpoint) -> impl Iterator<Item = (Gid, &HubWriter)> {
-        self.writers.iter().map(|(from, writer)| (*from, writer)).filter(move |(from, writer)| {
-            matches!(suits((*from, &writer.endpoint), (to, reader)), Some(Suits::Yes))
-        })
+    pub(super) fn writers_to(&self, reader: &Endpoint) -> impl Iterator<Item = (Gid, &HubWriter)> {
+        self.writers
+            .iter()
+            .map(|(from, writer)| (*from, writer))
+            .filter(move |(_, writer)| matches!(suits(&writer.endpoint, reader), Some(Suits::Yes)))
     }
 
     pub(super) fn add_writer(&mut self, from: Gid, writer: HubWriter) -> News {
-        let news = self.readers.iter().filter_map(|(to, reader)| {
-            let event = event_of(suits((from, &writer.endpoint), (*to, &reader.endpoint))?, from);
+        let news = self.readers.values().filter_map(|reader| {
+            let event = event_of(suits(&writer.endpoint, &reader.endpoint)?, from);
             Some((reader.handlers.clone(), event))
         });
         let news = news.collect();
@@ -87,8 +89,8 @@ impl State {
     }
 
     pub(super) fn add_reader(&mut self, to: Gid, reader: HubReader) -> News {
-        let news = self.writers.iter().filter_map(|(from, writer)| {
-            let event = event_of(suits((*from, &writer.endpoint), (to, &reader.endpoint))?, to);
+        let news = self.writers.values().filter_map(|writer| {
+            let event = event_of(suits(&writer.endpoint, &reader.endpoint)?, to);
             Some((writer.handlers.clone(), event))
         });
         let news = news.collect();
@@ -98,32 +100,30 @@ impl State {
 
     pub(super) fn remove_writer(&mut self, from: Gid) -> News {
         let Some(writer) = self.writers.remove(&from) else { return News::new() };
-        let readers = self.readers_of(from, &writer.endpoint);
+        let readers = self.readers_of(&writer.endpoint);
         let gone = EndpointEvent::Unmatched { peer: from };
         readers.map(|(_, reader)| (reader.handlers.clone(), gone)).collect()
     }
 
     pub(super) fn remove_reader(&mut self, to: Gid) -> News {
         let Some(reader) = self.readers.remove(&to) else { return News::new() };
-        let writers = self.writers_to(to, &reader.endpoint);
+        let writers = self.writers_to(&reader.endpoint);
         let gone = EndpointEvent::Unmatched { peer: to };
         writers.map(|(_, writer)| (writer.handlers.clone(), gone)).collect()
     }
 
     /// What holds for a writer.
-    pub(super) fn events_of_writer(&self, from: Gid, writer: &Endpoint) -> Vec<EndpointEvent> {
+    pub(super) fn events_of_writer(&self, writer: &Endpoint) -> Vec<EndpointEvent> {
         let readers = self.readers.iter();
-        let events = readers
-            .filter_map(|(to, reader)| Some(event_of(suits((from, writer), (*to, &reader.endpoint))?, *to)));
+        let events = readers.filter_map(|(to, reader)| Some(event_of(suits(writer, &reader.endpoint)?, *to)));
         events.collect()
     }
 
     /// What holds for a reader.
-    pub(super) fn events_of_reader(&self, to: Gid, reader: &Endpoint) -> Vec<EndpointEvent> {
+    pub(super) fn events_of_reader(&self, reader: &Endpoint) -> Vec<EndpointEvent> {
         let writers = self.writers.iter();
-        let events = writers.filter_map(|(from, writer)| {
-            Some(event_of(suits((*from, &writer.endpoint), (to, reader))?, *from))
-        });
+        let events =
+            writers.filter_map(|(from, writer)| Some(event_of(suits(&writer.endpoint, reader)?, *from)));
         events.collect()
     }
 }
@@ -180,10 +180,8 @@ fn event_of(suits: Suits, peer: Gid) -> EndpointEvent {
     }
 }
 
-/// Nothing where the two have nothing to do with each other, as endpoints of one participant.
-fn suits((from, writer): (Gid, &Endpoint), (to, reader): (Gid, &Endpoint)) -> Option<Suits> {
-    let concerns = from.participant() != to.participant()
-        && writer.topic_name == reader.topic_name
-        && writer.type_name == reader.type_name;
+/// `None` where the two have nothing to do with each other.
+fn suits(writer: &Endpoint, reader: &Endpoint) -> Option<Suits> {
+    let concerns = writer.topic_name == reader.topic_name && writer.type_name == reader.type_name;
     concerns.then(|| QosPolicyKind::between(&writer.qos, &reader.qos).map_or(Suits::Yes, Suits::No))
 }

@@ -1,6 +1,5 @@
 //! The side that asks.
 
-use super::introduction::Acquaintances;
 use super::mapping::{Mapping, PayloadHeader};
 use super::thread::{RpcLink, RpcThread, TimeLimited};
 use super::{MAX_IN_FLIGHT, ServiceEndpoint, lock, of_participant, reading};
@@ -12,9 +11,6 @@ use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Condvar, Mutex, OnceLock, PoisonError, Weak};
 use std::time::{Duration, Instant};
 use thiserror::Error;
-
-/// How often is looked whether a server that was matched has acknowledged it.
-const LOOK_AGAIN: Duration = Duration::from_millis(2);
 
 /// Tells the calls of one client apart.
 pub type CallNumber = i64;
@@ -87,21 +83,15 @@ struct Shared {
     service: String,
     writer: Box<dyn Writer>,
     link: RpcLink,
-    /// Held while a request is numbered and written: the number of the call must be known before its answer comes.
-    sending: Mutex<Sending>,
+    /// The number of the last request. Held while one is numbered and written: the number of the call must be known before
+    /// its answer comes.
+    last: Mutex<CallNumber>,
     /// The identity of the reader of replies, by which servers name it.
     reader: Gid,
     calls: Mutex<Calls>,
     /// Beside `changed`, which tells that matches have changed.
     waiting: Mutex<()>,
     changed: Condvar,
-}
-
-/// The number of the last sample, and who takes what is sent.
-#[derive(Default)]
-struct Sending {
-    last: CallNumber,
-    acquaintances: Acquaintances,
 }
 
 #[derive(Default)]
@@ -149,7 +139,7 @@ impl RequestClient {
         let shared = Arc::new(Shared {
             service: service.name.clone(),
             link: thread.link(),
-            sending: Mutex::default(),
+            last: Mutex::default(),
             reader: reader.gid(),
             writer,
             calls: Mutex::default(),
@@ -163,8 +153,6 @@ impl RequestClient {
             if let Some(shared) = weak.upgrade() {
                 drop(lock(&shared.waiting));
                 shared.changed.notify_all();
-                let weak = weak.clone();
-                shared.link.run(move || weak.upgrade().iter().for_each(|shared| shared.introduce()));
             }
         };
         shared.writer.on_match(Box::new(on_match.clone()));
@@ -178,10 +166,10 @@ impl RequestClient {
         (self.reader.gid(), self.shared.writer.gid())
     }
 
-    /// How many servers of other participants are matched in both directions and know it, or were waited for in vain.
+    /// How many servers are matched in both directions.
     #[must_use]
     pub fn servers(&self) -> usize {
-        self.request_readers(&mut lock(&self.shared.sending)).len()
+        self.request_readers().len()
     }
 
     /// Waits until a server is there, or for `timeout`; tells which.
@@ -197,9 +185,6 @@ impl RequestClient {
             if rest.is_zero() {
                 return false;
             }
-            // Matches wake, acknowledgements do not.
-            let is_matched = self.shared.writer.matched() > 0;
-            let rest = if is_matched { rest.min(LOOK_AGAIN) } else { rest };
             let woken = self.shared.changed.wait_timeout(waiting, rest);
             waiting = woken.unwrap_or_else(PoisonError::into_inner).0;
         }
@@ -233,14 +218,14 @@ impl RequestClient {
     ) -> Result<CallNumber, (ReplyHandler, CallError)> {
         let shared = &self.shared;
         let service = || shared.service.clone();
-        let mut sending = lock(&shared.sending);
-        let servers = self.request_readers(&mut sending);
+        let mut last = lock(&shared.last);
+        let servers = self.request_readers();
         let Some(server) = preferred(&servers) else {
             return Err((on_reply, CallError::NoServer { service: service() }));
         };
         let is_mixed = servers.iter().any(|other| Mapping::of(*other) != Mapping::of(server));
 
-        let number = sending.last + 1;
+        let number = *last + 1;
         let (payload, related) = match Mapping::of(server) {
             Mapping::RelatedIdentity => {
                 let number = SampleIdentity::UNKNOWN_NUMBER;
@@ -261,7 +246,7 @@ impl RequestClient {
         let options = WriteOptions { related, only_to: is_mixed.then_some(server) };
         match shared.writer.write_with(payload, options) {
             Ok(written) => {
-                sending.last = written;
+                *last = written;
                 if is_first {
                     shared.link.look_again();
                 }
@@ -276,9 +261,9 @@ impl RequestClient {
     }
 
     /// The readers of requests that take what is asked now and whose participants can also answer.
-    fn request_readers(&self, sending: &mut Sending) -> Vec<Gid> {
+    fn request_readers(&self) -> Vec<Gid> {
         let answering = self.reader.matched_writers();
-        let mut readers = self.shared.acquainted_readers(sending);
+        let mut readers = self.shared.writer.matched_readers();
         readers.retain(|reader| of_participant(&answering, reader.participant()).is_some());
         readers
     }
@@ -291,17 +276,6 @@ impl Drop for RequestClient {
 }
 
 impl Shared {
-    /// Begins to be acquainted with who was matched, so that the first call finds it done.
-    fn introduce(&self) {
-        self.acquainted_readers(&mut lock(&self.sending));
-    }
-
-    fn acquainted_readers(&self, sending: &mut Sending) -> Vec<Gid> {
-        let mut readers = self.writer.matched_readers();
-        sending.acquaintances.retain(&*self.writer, &mut sending.last, &mut readers);
-        readers
-    }
-
     /// Answers all calls that wait with an error.
     fn end_calls(&self, error: impl Fn(String) -> CallError) {
         let calls = std::mem::take(&mut *lock(&self.calls));

@@ -10,7 +10,7 @@ const ENCAPSULATION: usize = 4;
 const HEADER: usize = 16;
 
 /// The vendor id of Eclipse Cyclone DDS.
-pub(super) const CYCLONE: [u8; 2] = [0x01, 0x10];
+const CYCLONE: [u8; 2] = [0x01, 0x10];
 
 /// How a peer names requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

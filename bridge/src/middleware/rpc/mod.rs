@@ -14,7 +14,6 @@
 //! call and answer whatever they like.
 
 mod client;
-mod introduction;
 mod mapping;
 mod server;
 mod thread;

@@ -117,7 +117,7 @@ impl RequestServer {
         (self.reader.gid(), self.shared.writer.gid())
     }
 
-    /// How many clients of other participants are matched in both directions.
+    /// How many clients are matched in both directions.
     #[must_use]
     pub fn matched_clients(&self) -> usize {
         let readers = self.shared.writer.matched_readers();
