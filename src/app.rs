@@ -53,11 +53,11 @@ pub struct App {
     problem: Option<CatalogError>,
 }
 
-/// Why an app does not do what it is asked.
+/// Why an app cannot do what was requested.
 #[derive(Debug, thiserror::Error)]
 pub enum AppError {
-    /// The app registers something that it cannot.
-    #[error("this program's app cannot be: {0}")]
+    /// A registration was refused.
+    #[error("this program registers something invalid: {0}")]
     Catalog(#[from] CatalogError),
     /// The robot file does not describe a robot.
     #[error(transparent)]
@@ -80,14 +80,14 @@ impl App {
         Self::default()
     }
 
-    /// An app with the kinds of modules that come with downbeat: what the program `downbeat` is.
+    /// An app with the kinds of modules that come with downbeat, as the program `downbeat` has.
     #[must_use]
     pub fn with_built_in_kinds() -> Self {
         Self { catalog: Catalog::built_in(), problem: None }
     }
 
-    /// Registers messages, services and actions: such as the `INTERFACES` of a crate, or that of one type. From then on they are
-    /// exposed, recorded, replayed and shown as those that downbeat carries.
+    /// Registers messages, services and actions: the set `INTERFACES` of a crate, or that of one type. They are then exposed, recorded,
+    /// replayed and shown like those that downbeat carries.
     ///
     /// ```
     /// use downbeat::msgs::Message;
@@ -107,7 +107,7 @@ impl App {
         self.register(|catalog| catalog.add_interfaces(set))
     }
 
-    /// Registers a kind of module: its name in robot files, what it is for in a line, and what makes one.
+    /// Registers a kind of module: its name in robot files, a description of one line, and a function that makes a module.
     #[must_use]
     pub fn kind<M: Module>(
         self,
@@ -118,13 +118,13 @@ impl App {
         self.add_kind(Kind::new(name, about, make))
     }
 
-    /// Registers a kind of module of which more is to be said: that it runs detached, drives a device, or is emulated.
+    /// Registers a kind of module with further properties: detached, with a device, or emulated.
     #[must_use]
     pub fn add_kind(self, kind: Kind) -> Self {
         self.register(|catalog| catalog.add_kind(kind))
     }
 
-    /// Registers a mechanism, which every core gets.
+    /// Registers a mechanism, which is added to every core.
     #[must_use]
     pub fn mechanism<M: Mechanism>(self, make: impl Fn() -> M + Send + Sync + 'static) -> Self {
         self.register(|catalog| {
@@ -133,7 +133,8 @@ impl App {
         })
     }
 
-    /// Registers a launcher, for `kind` in `[launcher]`. It is given where and how the robot file wants threads to run.
+    /// Registers a launcher, which robot files name as `kind` in `[launcher]`. `make` receives the CPUs and priorities that the robot
+    /// file sets.
     #[must_use]
     pub fn launcher<L: Launcher + 'static>(
         self,
@@ -150,7 +151,7 @@ impl App {
         self
     }
 
-    /// What robot files can name.
+    /// The registered kinds, interfaces, launchers and mechanisms.
     ///
     /// # Errors
     /// If a registration was refused.
@@ -169,11 +170,10 @@ impl App {
         Ok(RobotFile::read_with(path.as_ref(), self.catalog()?, &RosArgs::default())?)
     }
 
-    /// Runs the robot of a robot file on threads of its own until the result is stopped or dropped: its core, its node in
-    /// the ROS domain that the environment names, and what `downbeat top` looks at.
+    /// Starts the robot of a robot file on threads of its own: its core, its node in the ROS domain of the environment, and the socket
+    /// for `downbeat top`. It runs until the result is stopped or dropped.
     ///
-    /// A program that wants more say (a recording, another domain, no node, inlets of its own) prepares the robot itself,
-    /// by [`App::robot_file`] and [`PreparedRobot`].
+    /// For a recording, another domain, no node or inlets, use [`App::robot_file`] and [`PreparedRobot`] instead.
     ///
     /// # Errors
     /// If the file does not describe a robot, or something of it cannot start.
@@ -195,8 +195,8 @@ impl App {
         Ok(replay::replay(file, &Reader::open(bag.as_ref())?, &options)?)
     }
 
-    /// Does what the command line says: run robots, check them, look at them and at bags. An error is printed and gives exit
-    /// code 1. Takes over logging, SIGINT and SIGTERM of the process.
+    /// Runs the command line, with every command of `downbeat`. Errors are printed and give exit code 1. Takes over logging, SIGINT
+    /// and SIGTERM of the process.
     #[cfg(feature = "cli")]
     #[must_use]
     pub fn main(&self) -> std::process::ExitCode {

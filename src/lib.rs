@@ -4,12 +4,11 @@
 //! [`App::start`] runs a robot inside another program; [`executor`] runs modules without robot files.
 
 mod app;
-pub mod cycle_journal;
 pub mod duration;
 pub mod encoding;
-pub mod event_journal;
 mod failure;
 pub mod inspect;
+pub mod journal;
 pub mod playback;
 #[cfg(feature = "cli")]
 mod program;
@@ -19,8 +18,6 @@ pub mod replay;
 pub mod robot;
 pub mod ros_recorder;
 pub mod running;
-pub mod settings_journal;
-pub mod step_journal;
 pub mod table;
 
 pub use app::{App, AppError};

@@ -115,10 +115,14 @@ impl Unrecorded {
 
     /// Warns of each topic, with what to do.
     pub fn warn(&self) {
-        for TopicInfo { name, message_type, .. } in &self.topics {
-            let problem = unregistered(message_type, "ROS message");
-            tracing::warn!("\"{name}\" is not recorded: it carries {message_type}, {problem}");
-        }
+        self.topics.iter().for_each(|topic| tracing::warn!("{}", problem(topic)));
+    }
+
+    /// Why a topic is not recorded, and what to do; `None` if it is. The name may have a leading slash.
+    #[must_use]
+    pub fn problem_of(&self, topic: &str) -> Option<String> {
+        let name = topic.trim_start_matches('/');
+        self.topics.iter().find(|known| *known.name == *name).map(problem)
     }
 
     /// Has a bag tell the topics, and how many messages they carried.
@@ -150,6 +154,11 @@ impl Unrecorded {
         let noted = metadata.custom_data.get(Self::KEY);
         noted.and_then(|noted| serde_json::from_str(noted).ok()).unwrap_or_default()
     }
+}
+
+fn problem(TopicInfo { name, message_type, .. }: &TopicInfo) -> String {
+    let problem = unregistered(message_type, "ROS message");
+    format!("\"{name}\" is not recorded: it carries {message_type}, {problem}")
 }
 
 struct ToBag {

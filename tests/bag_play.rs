@@ -119,6 +119,30 @@ fn a_player_says_what_it_waits_for() {
 }
 
 #[test]
+fn topics_are_played_by_type_and_expression_with_other_qos_and_a_clock() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = bag(folder.path(), 3);
+    let overrides = folder.path().join("qos.yaml");
+    std::fs::write(&overrides, "/chatter: {reliability: best_effort, depth: 10}\n").unwrap();
+    let play = ["bag", "play", text(&bag), "-r", "100", "--domain", "63", "--disable-keyboard-controls"];
+    let by_type = [
+        "--topic-types",
+        "std_msgs/msg/String",
+        "--qos-profile-overrides-path",
+        text(&overrides),
+        "--clock-topics-all",
+    ];
+    let played = text_of(&[&play[..], &by_type].concat());
+    assert!(played.contains("played 4 messages"), "{played}");
+    let by_name = ["--regex", "/chat.*", "--exclude-services", "/switch", "--clock-topics", "/chatter"];
+    let reading = ["--read-ahead-queue-size", "1", "--wait-for-all-acked", "1000"];
+    let played = text_of(&[&play[..], &by_name, &reading].concat());
+    assert!(played.contains("played 3 messages"), "{played}");
+    let other_type = text_of(&[&play[..], &["--topic-types", "std_msgs/msg/Bool"]].concat());
+    assert!(other_type.contains("played 0 messages"), "{other_type}");
+}
+
+#[test]
 fn a_bag_of_more_topics_than_a_process_can_publish_is_refused_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("wide");

@@ -301,6 +301,26 @@ fn a_replay_that_compared_nothing_fails() {
 }
 
 #[test]
+fn what_a_module_that_is_left_out_published_fails_a_strict_replay() {
+    let folder = tempfile::tempdir().unwrap();
+    let without = "[record]\nexcept = [\"bus/exchanges\", \"module_events\"]";
+    let (robot, bag) = recorded(folder.path(), |text| text.replace("[record]", without));
+    let lax = replayed(&robot, &bag, &[]);
+    assert!(lax.status.success(), "{}", told(&lax));
+    let strict = replayed(&robot, &bag, &["--strict"]);
+    let printed = told(&strict);
+    assert_eq!(strict.status.code(), Some(1), "{printed}");
+    for expected in [
+        "not hardware: it drives a device, and the bag has no /bus/exchanges with the device's answers",
+        "without /module_events, which is not in the bag: requests from outside, transitions",
+        "not all topics of the replayed modules were compared",
+        "/joint_states: published by hardware, which was not replayed",
+    ] {
+        assert!(printed.contains(expected), "{expected:?} in {printed}");
+    }
+}
+
+#[test]
 fn a_topic_that_the_bag_lacks_is_listed_and_fails_a_strict_replay() {
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag) = recorded_until("/joint_goals", 20, folder.path(), |text| {

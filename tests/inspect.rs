@@ -73,6 +73,22 @@ fn a_client_sees_holds_and_steps_a_robot() {
 }
 
 #[test]
+fn two_robots_of_one_name_in_a_process_are_looked_at_and_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let (directory, first, _) = start(folder.path());
+    let second = InspectionServer::start(&directory, "darwin_op", Arc::new(Robot::default())).unwrap();
+    let robots = directory.running().unwrap();
+    assert_eq!(robots.iter().map(|robot| &*robot.name).collect::<Vec<_>>(), ["darwin_op", "darwin_op.2"]);
+    for robot in &robots {
+        assert_eq!(Client::connect(robot).unwrap().snapshot().unwrap().cycle, 1);
+    }
+    drop(first);
+    assert_eq!(directory.running().unwrap()[0].name, "darwin_op.2");
+    drop(second);
+    assert!(directory.running().unwrap().is_empty());
+}
+
+#[test]
 fn a_refusal_reaches_the_client_in_words() {
     let folder = tempfile::tempdir().unwrap();
     let (_directory, _server, robot) = start(folder.path());

@@ -95,6 +95,7 @@ fn topics_nodes_and_services_of_rclpy_are_shown_as_by_ros2() {
          /parameter_events: rcl_interfaces/msg/ParameterEvent\n    /rosout: rcl_interfaces/msg/Log\n  Service Servers:\n{owned}  \
          Service Clients:\n\n  Action Servers:\n\n  Action Clients:\n\n"
     );
+    let all_of_it = info.replace("  Publishers:\n", &format!("  Publishers:\n    /_hidden: {STRING}\n"));
     let chatter = format!(
         "Type: {STRING}\n\nPublisher count: 1\n\nNode name: peer\nNode namespace: /\nTopic type: {STRING}\nTopic type hash: \
          {STRING_HASH}\nEndpoint type: PUBLISHER\nQoS profile:\n  Reliability: RELIABLE\n  History (Depth): UNKNOWN\n  \
@@ -123,6 +124,7 @@ fn topics_nodes_and_services_of_rclpy_are_shown_as_by_ros2() {
         (&["node", "list"], "/peer\n"),
         (&["node", "list", "-c"], "1\n"),
         (&["node", "info", "/peer"], &info),
+        (&["node", "info", "/peer", "--include-hidden", "--no-daemon"], &all_of_it),
         (&["service", "list", "-t"], &typed),
         (&["service", "type", "/switch"], "std_srvs/srv/SetBool\n"),
         (&["service", "find", "std_srvs/srv/SetBool"], "/switch\n"),
@@ -187,6 +189,10 @@ fn messages_of_rclpy_are_echoed_as_by_ros2_of_types_that_only_rclpy_knows_too() 
         ),
         (&["/chatter", "--field", "data"], "\\u001b[2Jhello\n---\n"),
         (&["/plane", "--flow-style"], "coef: [0.0, 0.5, 1.0, -2.0]\n---\n"),
+        (
+            &["/plane", "--no-arr", "--qos-durability", "transient_local", "--qos-reliability", "reliable"],
+            "coef: '<array type: double[4]>'\n---\n",
+        ),
     ];
     for some in expected.chunks(4) {
         scope(|scope| {

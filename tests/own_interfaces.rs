@@ -330,9 +330,11 @@ fn what_is_not_registered_is_refused_with_the_line_to_add() {
     let folder = tempfile::tempdir().unwrap();
     let file = unregistered.robot_file(robot_file(folder.path(), robot)).unwrap();
     let robot = file.build(Core::new()).unwrap();
-    let unrecorded =
-        Unrecorded::of(&robot.recorded_topics().unwrap(), &robot.file.catalog.interfaces).topics();
-    let names: Vec<_> = unrecorded.iter().map(|topic| topic.topic.as_str()).collect();
+    let unrecorded = Unrecorded::of(&robot.recorded_topics().unwrap(), &robot.file.catalog.interfaces);
+    let problem = unrecorded.problem_of("/tilt").unwrap();
+    assert!(problem.contains(generated), "as `bag record --robot --topics` says: {problem}");
+    let topics = unrecorded.topics();
+    let names: Vec<_> = topics.iter().map(|topic| topic.topic.as_str()).collect();
     for topic in ["/tilt", "/reach", "/upright", "/count", "/wanted"] {
         assert!(names.contains(&topic), "{names:?}");
     }

@@ -6,11 +6,11 @@ use std::time::Duration;
 
 use downbeat::bags::{Reader, Recording, Selection, WriterOptions};
 use downbeat::bridge::edge::Interfaces;
-use downbeat::cycle_journal::CycleJournal;
 use downbeat::executor::{
     Context, Core, ManualClock, Module, ModuleOptions, Publication, Received, Setup, SetupError, Synchrony,
     Time, TopicInfo,
 };
+use downbeat::journal::CycleJournal;
 use downbeat::msgs::encoding::Encoding;
 use downbeat::msgs::qos::QosProfile;
 use downbeat::msgs::std_msgs::msg::Float64;

@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex};
 
 use common::matrix::{Way, With, check};
 use common::rclpy::{Peer, python as rclpy_python};
-use common::{Running, WATCHDOG, downbeat, output_of, python, robot_file, text_of, wait_until};
+use common::{QUIET_ROBOT, Running, WATCHDOG, downbeat, output_of, python, robot_file, text_of, wait_until};
 use downbeat::bags::metadata::{Metadata, RecordedDurability, RecordedHistory, RecordedReliability};
 use downbeat::bags::{Reader, Selection};
 use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions, Sample};
@@ -233,6 +233,8 @@ fn a_snapshot_is_written_when_the_service_asks_for_it() {
         "--snapshot-mode",
         "--max-cache-size",
         "4000",
+        "--snapshot-duration",
+        "1h",
         "-o",
         text(&bag),
         "--domain",
@@ -363,6 +365,24 @@ fn a_robot_is_recorded_by_module_and_pattern_into_files_of_a_size() {
     for reader in ["mcap", "mcap_ros2", "rosbags"] {
         assert_eq!(found[reader], found["metadata"], "{reader}");
     }
+}
+
+#[test]
+fn a_robot_is_recorded_by_expression_as_a_storage_file_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag, storage) =
+        (folder.path().join("robot.toml"), folder.path().join("bag"), folder.path().join("storage.yaml"));
+    std::fs::write(&robot, QUIET_ROBOT).unwrap();
+    std::fs::write(&storage, "compression: Zstd\nchunkSize: 4096\n").unwrap();
+    let what = ["bag", "record", "--robot", text(&robot), "-o", text(&bag), "--regex", "^/cycle_"];
+    let how = ["--storage", "mcap", "--storage-config-file", text(&storage), "--sync", "files"];
+    let trouble = ["--when-slow", "stop", "--when-disk-full", "stop", "--flush-interval", "200ms"];
+    text_of(&[&what[..], &how, &trouble, &["--duration", "500ms"]].concat());
+    let recorded = counts(&bag);
+    assert!(recorded["/cycle_times"] > 0, "{recorded:?}");
+    assert!(recorded.keys().all(|topic| topic.starts_with("/cycle_")), "{recorded:?}");
+    let file = std::fs::read(bag.join("bag_0.mcap")).unwrap();
+    assert!(file.windows(4).any(|bytes| bytes == b"zstd"), "the chunks are compressed");
 }
 
 #[test]

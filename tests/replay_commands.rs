@@ -1,5 +1,5 @@
-//! Robots that are commanded while they are recorded: by services, actions, transitions, and by the results of jobs. They replay
-//! bit for bit.
+//! Robots that are commanded while they are recorded: by services, actions, transitions and the results of jobs, from within the
+//! process and from ROS 2. They replay bit for bit.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -12,28 +12,39 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::task::{Poll, Waker};
 use std::time::Duration;
 
+use common::matrix::{Way, With, check};
+use common::rclpy::Peer;
 use common::{WATCHDOG, wait_until};
 use downbeat::App;
 use downbeat::bags::{Reader, Recording, Selection, WriterOptions};
+use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions};
+use downbeat::bridge::ros::{Client, Node, NodeName, Participant};
 use downbeat::executor::{
-    CallError, Caller, Context, Core, CoreHandle, Job, Module, Publication, Setting, Setup, SetupError,
-    TopicInfo, Transition, TransitionError,
+    CallError, Caller, Context, Core, CoreHandle, Job, ManualClock, Module, Publication, Setting, Setup,
+    SetupError, TopicInfo, Transition, TransitionError,
 };
 use downbeat::modules::actions::{ActionServer, GoalId};
-use downbeat::msgs::cdr;
-use downbeat::msgs::downbeat_interfaces::msg::ModuleEvent;
+use downbeat::msgs::downbeat_interfaces::msg::{ModuleEvent, ModuleSettings};
+use downbeat::msgs::lifecycle_msgs::srv::{ChangeState, ChangeStateRequest};
 use downbeat::msgs::qos::QosProfile;
+use downbeat::msgs::rcl_interfaces::msg::{Parameter, ParameterType, ParameterValue};
+use downbeat::msgs::rcl_interfaces::srv::{SetParameters, SetParametersRequest};
 use downbeat::msgs::std_msgs::msg::{Float64, String as Text};
-use downbeat::msgs::std_srvs::srv::{SetBoolRequest, SetBoolResponse, TriggerRequest, TriggerResponse};
-use downbeat::msgs::tf2_msgs::action::{
-    LookupTransform, LookupTransformFeedback, LookupTransformGetResultRequest,
-    LookupTransformGetResultResponse, LookupTransformGoal, LookupTransformResult,
-    LookupTransformSendGoalRequest, LookupTransformSendGoalResponse,
+use downbeat::msgs::std_srvs::srv::{
+    SetBool, SetBoolRequest, SetBoolResponse, TriggerRequest, TriggerResponse,
+};
+use downbeat::msgs::test_msgs::action::{
+    Fibonacci, FibonacciFeedback, FibonacciGetResult, FibonacciGetResultRequest, FibonacciGetResultResponse,
+    FibonacciGoal, FibonacciResult, FibonacciSendGoal, FibonacciSendGoalRequest, FibonacciSendGoalResponse,
 };
 use downbeat::msgs::unique_identifier_msgs::msg::UUID;
+use downbeat::msgs::{Message, Service, cdr};
+use downbeat::playback::{play_into, start_time};
 use downbeat::recorder::{WhenFull, record};
 use downbeat::replay::{ReplayOptions, ReplayReport, Strictness, replay};
 use downbeat::robot::Kind;
+use downbeat::running::{PreparedRobot, RecordPlan};
+use serde_json::json;
 
 /// Rises on request, and asks for a plan each time. What it publishes depends on its ticks between requests.
 #[derive(Default)]
@@ -201,10 +212,10 @@ impl Module for Worker {
     }
 }
 
-/// Counts the ticks of a goal, as many as its timeout has seconds; the action is `count`.
+/// Counts the ticks of a goal, as many as its order says; the action is `count`.
 #[derive(Default)]
 struct Counter {
-    server: ActionServer<LookupTransform>,
+    server: ActionServer<Fibonacci>,
     goals: Vec<(GoalId, i32)>,
     ticks: i32,
 }
@@ -220,12 +231,12 @@ impl Module for Counter {
             counter.ticks += 1;
             for (id, count) in &mut counter.goals {
                 *count += 1;
-                let wanted = counter.server.goal(*id).unwrap().goal().timeout.sec;
+                let wanted = counter.server.goal(*id).unwrap().goal().order;
                 if *count < wanted {
-                    counter.server.publish_feedback(ctx, *id, LookupTransformFeedback::default()).unwrap();
+                    let feedback = FibonacciFeedback { sequence: vec![*count] };
+                    counter.server.publish_feedback(ctx, *id, feedback).unwrap();
                 } else if *count == wanted {
-                    let mut result = LookupTransformResult::default();
-                    result.transform.transform.translation.x = f64::from(counter.ticks);
+                    let result = FibonacciResult { sequence: vec![counter.ticks] };
                     counter.server.succeed(ctx, *id, result).unwrap();
                 }
             }
@@ -265,10 +276,19 @@ impl Recorded {
         replay(file, &Reader::open(&self.bag).unwrap(), &options).unwrap()
     }
 
-    fn events(&self) -> Vec<ModuleEvent> {
+    fn messages<T: Message>(&self, topic: &str) -> Vec<T> {
         let reader = Reader::open(&self.bag).unwrap();
-        let events = reader.messages(Selection::all().topics(reader.topic("/module_events"))).unwrap();
-        events.map(|event| cdr::from_slice(&event.unwrap().data).unwrap()).collect()
+        let messages = reader.messages(Selection::all().topics(reader.topic(topic))).unwrap();
+        messages.map(|message| cdr::from_slice(&message.unwrap().data).unwrap()).collect()
+    }
+
+    fn events(&self) -> Vec<ModuleEvent> {
+        self.messages("/module_events")
+    }
+
+    fn commands(&self) -> Vec<String> {
+        let commands = self.events().into_iter().filter(|event| event.kind == ModuleEvent::COMMAND);
+        commands.map(|event| format!("{} {}", event.command, event.module)).collect()
     }
 
     fn assert_same(&self, modules: &[&str]) -> BTreeMap<String, u64> {
@@ -284,8 +304,8 @@ struct Commander {
     core: CoreHandle,
     raise: Caller<SetBoolRequest, SetBoolResponse>,
     work: Caller<TriggerRequest, TriggerResponse>,
-    send_goal: Caller<LookupTransformSendGoalRequest, LookupTransformSendGoalResponse>,
-    get_result: Caller<LookupTransformGetResultRequest, LookupTransformGetResultResponse>,
+    send_goal: Caller<FibonacciSendGoalRequest, FibonacciSendGoalResponse>,
+    get_result: Caller<FibonacciGetResultRequest, FibonacciGetResultResponse>,
     topics: Vec<TopicInfo>,
 }
 
@@ -307,9 +327,13 @@ fn ask<Q: Send + 'static, R: Send + 'static>(caller: &Caller<Q, R>, request: Q) 
 }
 
 fn recorded(gates: &Arc<[Gate]>, command: impl FnOnce(&Commander)) -> Recorded {
+    recorded_robot(ROBOT, gates, command)
+}
+
+fn recorded_robot(text: &str, gates: &Arc<[Gate]>, command: impl FnOnce(&Commander)) -> Recorded {
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag) = (folder.path().join("robot.toml"), folder.path().join("bag"));
-    std::fs::write(&robot, ROBOT).unwrap();
+    std::fs::write(&robot, text).unwrap();
     let app = app(gates);
     let mut built = app.robot_file(&robot).unwrap().build(Core::new()).unwrap();
     let core = &mut built.core;
@@ -381,12 +405,10 @@ fn a_robot_that_serves_an_action_repeats() {
     let recorded = recorded(&gates(0), |robot| {
         for ticks in [3, 9, 5] {
             let goal_id = UUID { uuid: [u8::try_from(ticks).unwrap(); 16] };
-            let mut goal = LookupTransformGoal::default();
-            goal.timeout.sec = ticks;
-            let goal = LookupTransformSendGoalRequest { goal_id, goal };
+            let goal = FibonacciSendGoalRequest { goal_id, goal: FibonacciGoal { order: ticks } };
             assert!(ask(&robot.send_goal, goal).unwrap().accepted);
-            let result = ask(&robot.get_result, LookupTransformGetResultRequest { goal_id }).unwrap();
-            assert!(result.result.transform.transform.translation.x >= f64::from(ticks));
+            let result = ask(&robot.get_result, FibonacciGetResultRequest { goal_id }).unwrap();
+            assert!(result.result.sequence[0] >= ticks);
         }
     });
     for modules in [&[][..], &["counter"]] {
@@ -415,8 +437,7 @@ fn a_robot_whose_modules_make_transitions_and_pause_repeats() {
             }
         }
     });
-    let commands: Vec<_> =
-        recorded.events().into_iter().filter(|event| event.kind == ModuleEvent::COMMAND).collect();
+    let commands = recorded.commands();
     assert_eq!(commands.len(), 40, "{commands:?}");
     for modules in [&[][..], &["arm"], &["planner"]] {
         recorded.assert_same(modules);
@@ -446,6 +467,167 @@ fn results_of_jobs_join_in_the_cycles_and_in_the_order_in_which_they_joined() {
     for modules in [&[][..], &["worker"], &["worker", "arm"]] {
         assert_eq!(recorded.assert_same(modules)["/results"], 4);
     }
+}
+
+#[test]
+fn a_bag_played_into_a_robot_commands_it_as_it_was_commanded() {
+    let without_planner = ROBOT.replace("[[module]]\nkind = \"planner\"\nname = \"planner\"\n", "");
+    let recorded = recorded_robot(&without_planner, &gates(0), |robot| {
+        for number in 0..10 {
+            ask(&robot.raise, SetBoolRequest { data: number % 3 > 0 }).unwrap();
+            robot.wait_for("angle", number % 3);
+        }
+        for transition in [Transition::Deactivate, Transition::Activate] {
+            robot.core.transition("arm", transition).wait(WATCHDOG).unwrap().unwrap();
+        }
+    });
+    let reader = Reader::open(&recorded.bag).unwrap();
+    let clock = ManualClock::new(start_time(&reader).unwrap());
+    let file = recorded.app.robot_file(&recorded.robot).unwrap();
+    let interfaces = recorded.app.catalog().unwrap().interfaces.clone();
+    let mut core = file.build(Core::new().with_clock(clock.clone())).unwrap().core;
+    let played = recorded.bag.with_file_name("played");
+    let recording = start_recording(&mut core, &played, &recorded.app);
+    play_into(&mut core, &clock, &reader, &[], &interfaces).unwrap();
+    recording.finish().unwrap();
+    let angles: Vec<Float64> = recorded.messages("/angle");
+    let played: Vec<Float64> = Recorded { bag: played, ..recorded }.messages("/angle");
+    // What is published while the robot stops is not to be the same.
+    let before_the_end = angles.len() - 3;
+    assert_eq!(played[..before_the_end], angles[..before_the_end]);
+}
+
+const EXPOSED: &str = "[expose]\nservices = [\"raise\"]\nactions = [\"count\"]\nlifecycle = [\"arm\"]\nparameters = [\"planner.*\"]\n";
+
+fn on_loopback(domain_id: u16) -> ParticipantOptions {
+    ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(domain_id) }
+}
+
+/// Runs and records the robot with its node in a domain until `command` has commanded it from there.
+fn recorded_in_domain(domain: u16, command: impl FnOnce()) -> Recorded {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = (folder.path().join("robot.toml"), folder.path().join("bag"));
+    std::fs::write(&robot, format!("{ROBOT}{EXPOSED}")).unwrap();
+    let app = app(&gates(0));
+    let mut prepared = PreparedRobot::new(app.robot_file(&robot).unwrap(), None).unwrap();
+    prepared.expose(&on_loopback(domain), None).unwrap();
+    let plan = RecordPlan::of_robot(&bag, prepared.file(), None);
+    prepared.record(plan).unwrap();
+    let running = prepared.start().unwrap();
+    command();
+    running.stop().unwrap();
+    Recorded { app, robot, bag, _folder: folder }
+}
+
+/// What commanded the robot from ROS 2: five requests, two goals, two transitions and a parameter.
+fn assert_commanded_from_ros_2(recorded: &Recorded) {
+    assert_eq!(recorded.commands(), ["deactivate arm", "activate arm"]);
+    let settings: Vec<ModuleSettings> = recorded.messages("/module_settings");
+    let gains = settings.iter().flat_map(|change| &change.settings).map(|gain| gain.value.integer_value);
+    assert_eq!(gains.filter(|gain| *gain == -7).count(), 1, "{settings:?}");
+    let report = recorded.app.replay(&recorded.robot, &recorded.bag).unwrap();
+    let not_compared: Vec<_> = report.not_compared.iter().map(|topic| &*topic.topic).collect();
+    let process = ["/bridge/qos_events", "/cycle_times", "/diagnostics"];
+    let journals = ["/module_events", "/module_settings", "/module_steps"];
+    // Nobody called the worker.
+    assert_eq!(not_compared, [&process[..], &journals, &["/results"]].concat());
+    report.assert_same().unwrap();
+    let compared = recorded.assert_same(&[]);
+    assert!(compared["/raise answers"] >= 5 && compared["/said"] > 0, "{compared:?}");
+    assert_eq!(compared["/count/_action/send_goal answers"], 2, "{compared:?}");
+    assert_eq!(compared["/count/_action/get_result answers"], 2, "{compared:?}");
+    assert!(compared["/count/_action/feedback"] >= 6, "{compared:?}");
+    for modules in [["arm"], ["planner"], ["counter"]] {
+        recorded.assert_same(&modules);
+    }
+}
+
+fn client<S: Service>(node: &Node, service: &str, qos: QosProfile) -> Client<S> {
+    let client = node.client(service, qos).unwrap();
+    assert!(client.wait_for_service(WATCHDOG), "{service}");
+    client
+}
+
+#[test]
+fn a_robot_that_is_commanded_over_dds_repeats() {
+    let recorded = recorded_in_domain(61, || {
+        let participant = Participant::join(&on_loopback(61)).unwrap();
+        let node = participant.create_node(NodeName::new("/", "commander").unwrap()).unwrap();
+        let raise = client::<SetBool>(&node, "/raise", QosProfile::SERVICES);
+        let send_goal = client::<FibonacciSendGoal>(&node, "/count/_action/send_goal", QosProfile::SERVICES);
+        let get_result =
+            client::<FibonacciGetResult>(&node, "/count/_action/get_result", QosProfile::SERVICES);
+        let change_state = client::<ChangeState>(&node, "/arm/change_state", QosProfile::SERVICES);
+        let parameters = client::<SetParameters>(&node, "/commanded/set_parameters", QosProfile::PARAMETERS);
+        let raise = |data| raise.call_and_wait(&SetBoolRequest { data }, WATCHDOG).unwrap();
+        let change_state = |label: &str| {
+            let mut request = ChangeStateRequest::default();
+            request.transition.label = label.to_owned();
+            assert!(change_state.call_and_wait(&request, WATCHDOG).unwrap().success, "{label}");
+        };
+        for order in [4_u8, 5] {
+            let (goal_id, goal) = (UUID { uuid: [order; 16] }, FibonacciGoal { order: order.into() });
+            let goal = FibonacciSendGoalRequest { goal_id, goal };
+            assert!(send_goal.call_and_wait(&goal, WATCHDOG).unwrap().accepted);
+            raise(true);
+            let result = FibonacciGetResultRequest { goal_id };
+            let result = get_result.call_and_wait(&result, WATCHDOG).unwrap().result;
+            assert!(result.sequence[0] >= i32::from(order));
+        }
+        change_state("deactivate");
+        change_state("activate");
+        let value = ParameterValue {
+            r#type: ParameterType::PARAMETER_INTEGER,
+            integer_value: -7,
+            ..ParameterValue::default()
+        };
+        let gain = Parameter { name: "planner.gain".to_owned(), value };
+        let set = SetParametersRequest { parameters: vec![gain] };
+        let set = parameters.call_and_wait(&set, WATCHDOG).unwrap();
+        assert!(set.results[0].successful, "{set:?}");
+        for _ in 0..3 {
+            raise(false);
+        }
+    });
+    assert_commanded_from_ros_2(&recorded);
+}
+
+#[test]
+fn a_robot_that_is_commanded_by_rclpy_repeats() {
+    let Some(mut peer) = Peer::start(62, "LOCALHOST") else { return };
+    let _check = check("Bags", "replay of a robot that was commanded", With::Rclpy, Way::In);
+    let call = |peer: &mut Peer, service: &str, requests: serde_json::Value| {
+        let answers = peer.ask(json!({"do": "call", "service": service, "requests": requests}));
+        for answer in answers.as_array().unwrap() {
+            assert_eq!(answer["success"], true, "{service}: {answer}");
+        }
+    };
+    let recorded = recorded_in_domain(62, || {
+        let services =
+            [("/raise", "std_srvs/srv/SetBool"), ("/arm/change_state", "lifecycle_msgs/srv/ChangeState")];
+        for (service, type_name) in services {
+            peer.ask(json!({"do": "client", "service": service, "type": type_name}));
+            assert_eq!(peer.ask(json!({"do": "wait_for_service", "service": service})), true);
+        }
+        peer.ask(json!({"do": "action_client", "action": "/count", "type": "test_msgs/action/Fibonacci"}));
+        assert_eq!(peer.ask(json!({"do": "wait_for_action", "action": "/count"})), true);
+        call(&mut peer, "/raise", json!([{"data": true}, {"data": true}]));
+        for label in ["deactivate", "activate"] {
+            call(&mut peer, "/arm/change_state", json!([{"transition": {"label": label}}]));
+        }
+        call(&mut peer, "/raise", json!([{"data": false}, {"data": false}, {"data": false}]));
+        for order in [4, 5] {
+            let goal = peer.ask(json!({"do": "send_goal", "action": "/count", "goal": {"order": order}}));
+            let result = peer.ask(json!({"do": "result_of", "goal": goal}));
+            assert_eq!(result[0], 4, "succeeded: {result}");
+        }
+        let gain = json!({"do": "parameters", "node": "/commanded", "call": "set_parameters", "argument": {"planner.gain": -7}});
+        let set = peer.ask(gain);
+        assert_eq!(set["results"][0]["successful"], true, "{set}");
+        call(&mut peer, "/raise", json!([{"data": true}]));
+    });
+    peer.leave();
+    assert_commanded_from_ros_2(&recorded);
 }
 
 #[test]

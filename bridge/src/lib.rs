@@ -13,7 +13,7 @@ pub mod diagnostics;
 pub mod edge;
 pub mod expose;
 pub mod lifecycle;
-mod limiter;
+pub mod limiter;
 pub mod middleware;
 pub mod network;
 pub mod robot_description;

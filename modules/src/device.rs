@@ -1,4 +1,4 @@
-//! Devices that replay: what a module asked of a device and what came back is recorded, and in a replay the recording answers.
+//! Devices whose exchanges with a module are recorded, so that a replay can answer in place of the device.
 //!
 //! A module that talks to hardware cannot repeat a run by its inputs alone. It can if everything it learns from the
 //! device passes through one place that records it. That place is a [`DeviceLink`]: it publishes each exchange on a topic,
@@ -74,32 +74,32 @@ use downbeat_executor::{Context, Publication, Time};
 use downbeat_msgs::Message;
 use std::collections::VecDeque;
 
-/// Something outside the process that is asked and answers: servos on a bus, a sensor, a camera.
+/// A device outside the process that answers requests: servos on a bus, a sensor, a camera.
 ///
 /// Everything a module learns from it, errors and times included, is in the exchanges.
 pub trait Device: Send + 'static {
-    /// What the module asks.
+    /// A request of the module.
     type Request;
 
-    /// One request with what came of it: a message, so that a bag can hold it.
+    /// A request with its outcome, as a message that a bag can hold.
     type Exchange: Message;
 
-    /// The module's own name of the topic on which exchanges are published.
+    /// The topic on which exchanges are published, before remapping.
     const TOPIC: &'static str;
 
-    /// Asks the device and waits for the answer. Whatever goes wrong is a part of the exchange. `now` is the time of the
+    /// Sends a request to the device and waits for the answer. Failures are reported in the exchange. `now` is the time of the
     /// module's run.
     fn exchange(&mut self, request: &Self::Request, now: Time) -> Self::Exchange;
 
-    /// True if `exchange` is one of this request: a replay compares what is asked with what was asked, and should do so
-    /// byte for byte.
+    /// Returns whether `exchange` belongs to this request. A replay compares each request with the recorded one by this; the comparison
+    /// should be byte for byte.
     fn answers(exchange: &Self::Exchange, request: &Self::Request) -> bool;
 
-    /// The exchange of a request that a replay has no answer to.
+    /// The exchange for a request to which a replay has no recorded answer.
     fn failed(request: &Self::Request, now: Time, reason: &str) -> Self::Exchange;
 }
 
-/// A module's way to its device, or to the recording of one.
+/// A module's link to its device, or to the recording of one.
 pub struct DeviceLink<D: Device> {
     way: Way<D>,
 }
@@ -115,13 +115,13 @@ impl<D: Device> DeviceLink<D> {
         Self { way: Way::Device(device) }
     }
 
-    /// A link to the recording of a device: its exchanges in their order.
+    /// A link to a recording: the exchanges of a device, in their order.
     pub fn recorded(exchanges: impl IntoIterator<Item = D::Exchange>) -> Self {
         Self { way: Way::Recording(exchanges.into_iter().collect()) }
     }
 
-    /// The device, to tell it where it is connected; `None` in a replay. What a module asks and publishes must not depend on
-    /// which of the two it is.
+    /// The device, to configure it; `None` in a replay. What the module requests and publishes must not depend on which of the two it
+    /// is.
     ///
     /// ```
     /// # use std::time::Duration;
@@ -172,10 +172,10 @@ impl<D: Device> DeviceLink<D> {
         }
     }
 
-    /// Asks the device, publishes the exchange on `topic` and returns it.
+    /// Sends a request to the device, publishes the exchange on `topic` and returns it.
     ///
-    /// In a replay the exchange is the next one of the recording. If that is one of another request, or there is none, the
-    /// result is [`Device::failed`].
+    /// In a replay this returns the next exchange of the recording, or [`Device::failed`] if that belongs to another request or the
+    /// recording is over.
     pub fn exchange<P>(
         &mut self,
         request: &D::Request,

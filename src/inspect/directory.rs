@@ -73,7 +73,7 @@ pub struct NodeClaim {
 /// A robot that runs now.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunningRobot {
-    /// Its name, from the robot file.
+    /// Its name, from the robot file; with `.2` and so on if the process has several robots of that name.
     pub name: String,
     /// The number of its process.
     pub pid: u32,
@@ -181,10 +181,11 @@ impl SocketDirectory {
         Ok(NodeClaim { _lock: file })
     }
 
-    /// The socket of a robot of this process.
-    pub(super) fn socket(&self, robot: &str) -> PathBuf {
+    /// The socket of a robot of this process, which is the `number`-th of that name, from 1.
+    pub(super) fn socket(&self, robot: &str, number: u32) -> PathBuf {
         let name = robot.replace(|c: char| !(c.is_alphanumeric() || c == '_'), "_");
-        self.path.join(format!("{name}-{}.sock", std::process::id()))
+        let number = if number > 1 { format!(".{number}") } else { String::new() };
+        self.path.join(format!("{name}{number}-{}.sock", std::process::id()))
     }
 }
 
@@ -259,6 +260,6 @@ mod tests {
     fn a_name_cannot_lead_out_of_the_directory() {
         let folder = tempfile::tempdir().unwrap();
         let directory = SocketDirectory::open_at(folder.path().join("sockets")).unwrap();
-        assert_eq!(directory.socket("../../a b").parent(), Some(directory.path()));
+        assert_eq!(directory.socket("../../a b", 2).parent(), Some(directory.path()));
     }
 }

@@ -72,8 +72,7 @@ impl InspectionServer {
         name: &str,
         robot: Arc<dyn Inspected>,
     ) -> Result<Self, ServerError> {
-        let path = directory.socket(name);
-        let listener = listen(&path).map_err(|source| ServerError::Socket { path: path.clone(), source })?;
+        let (path, listener) = listen(directory, name)?;
         let (is_stopping, clients) = (AtomicBool::new(false), Mutex::default());
         let shared = Arc::new(Shared { robot, is_stopping, clients });
         let builder = std::thread::Builder::new().name("inspect".into());
@@ -118,12 +117,25 @@ impl Drop for InspectionServer {
 }
 
 /// A socket under its final name listens already, so that nobody takes it for one of a dead process.
-fn listen(path: &Path) -> io::Result<UnixListener> {
+fn listen(directory: &SocketDirectory, name: &str) -> Result<(PathBuf, UnixListener), ServerError> {
+    /// Two robots of this process do not take the same name.
+    static NAMING: Mutex<()> = Mutex::new(());
+    let _naming = NAMING.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut number = 1;
+    let mut path = directory.socket(name, number);
+    // What nobody listens to is of a process of the same number that has ended.
+    while UnixStream::connect(&path).is_ok() {
+        number += 1;
+        path = directory.socket(name, number);
+    }
     let unfinished = path.with_extension("new");
     let _ = std::fs::remove_file(&unfinished);
-    let listener = UnixListener::bind(&unfinished)?;
-    std::fs::rename(&unfinished, path)?;
-    Ok(listener)
+    let listener = UnixListener::bind(&unfinished)
+        .and_then(|listener| std::fs::rename(&unfinished, &path).map(|()| listener));
+    match listener {
+        Ok(listener) => Ok((path, listener)),
+        Err(source) => Err(ServerError::Socket { path, source }),
+    }
 }
 
 fn accept(listener: &UnixListener, shared: &Arc<Shared>) {

@@ -5,7 +5,7 @@ use downbeat_msgs::cdr;
 use downbeat_msgs::downbeat_interfaces::msg::CycleTimes;
 
 use super::{Extract, PlaybackError};
-use crate::cycle_journal;
+use crate::journal;
 
 /// What a bag tells of the cycles.
 pub(crate) enum Cycles {
@@ -19,7 +19,7 @@ pub(crate) enum Cycles {
 
 /// The topic that tells it.
 pub(crate) fn topic() -> String {
-    format!("/{}", cycle_journal::TOPIC)
+    format!("/{}", journal::CYCLES)
 }
 
 impl Cycles {
@@ -27,7 +27,7 @@ impl Cycles {
         let name = topic();
         let topic = reader.topic(&name).filter(|id| reader.topics()[id.index()].message_count > 0);
         let Some(id) = topic else {
-            // What `Session` notes of each robot that it records.
+            // What the recorder notes of each robot that it records.
             let is_of_robot =
                 reader.metadata().is_some_and(|metadata| metadata.custom_data.contains_key("robot"));
             return Ok(if is_of_robot { Self::OfMessages } else { Self::Unknown });

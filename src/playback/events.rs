@@ -10,11 +10,11 @@ use downbeat_msgs::cdr;
 use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 
 use super::Extract;
-use crate::event_journal;
+use crate::journal;
 
 /// The topic of the bag that records them.
 pub(crate) fn topic() -> String {
-    format!("/{}", event_journal::TOPIC)
+    format!("/{}", journal::EVENTS)
 }
 
 /// All events of a bag in their order; `None` if it lacks the topic.
@@ -94,6 +94,11 @@ impl Events {
         prepared.modules = core.modules().iter().map(|module| module.name.to_string()).collect();
         core.hold_results();
         Ok(prepared)
+    }
+
+    /// Whether there is nothing to make happen.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.waiting.is_empty()
     }
 
     fn has(&self, module: &str) -> bool {

@@ -95,8 +95,9 @@ const MOST_CYCLES: u32 = 10_000;
 
 /// Plays a bag into a core, whose clock is at or before [`start_time`]. Where the bag tells the cycles of the robot that it was
 /// recorded in, the core runs the same cycles at the same times, and each message joins in the cycle in which it joined then;
-/// so do changed settings, requests from outside, answers from outside, commands to modules and results of jobs. Otherwise the clock follows the messages, and timers fire between them at their exact times.
-/// Messages of one time are given in the order of the bag. It takes no longer than the modules need.
+/// so do changed settings, requests from outside, answers from outside, commands to modules and results of jobs. Otherwise the
+/// clock follows the messages, and timers fire between them at their exact times. Messages of one time are given in the order of
+/// the bag. It takes no longer than the modules need.
 ///
 /// Played are `topics`, or if there are none, those of the bag that modules receive and none publishes. Returns
 /// the number of messages played. The core's modules are stopped at the end.
@@ -125,10 +126,11 @@ pub fn play_into(
         let recorded = events::read::<PlaybackError>(reader, &mut extract)?;
         events = Events::of_core(core, recorded.as_deref(), interfaces)?;
     }
+    let has_events = !events.is_empty();
     let mut follower = Follower { core, clock, inputs, settings, events };
     follower.run(reader, &cycles, || {})?;
     match follower.inputs.given() {
-        0 => Err(PlaybackError::NothingToPlay),
+        0 if !has_events => Err(PlaybackError::NothingToPlay),
         played => Ok(played),
     }
 }

@@ -9,11 +9,11 @@ use downbeat_msgs::cdr;
 use downbeat_msgs::downbeat_interfaces::msg::ModuleSettings;
 
 use super::Extract;
-use crate::settings_journal;
+use crate::journal;
 
 /// The topic that tells them.
 pub(crate) fn topic() -> String {
-    format!("/{}", settings_journal::TOPIC)
+    format!("/{}", journal::SETTINGS)
 }
 
 /// Those of some modules, in the order in which they were made.

@@ -14,7 +14,7 @@ use super::Extract;
 use super::events::{self, Events, EventsError};
 use super::settings::{SettingsChanges, SettingsError};
 use crate::encoding::{RecordedType, RecordedTypeError};
-use crate::step_journal;
+use crate::journal;
 
 /// Why a module cannot be replayed.
 #[derive(Debug, thiserror::Error)]
@@ -134,7 +134,7 @@ pub(crate) fn replay_steps(
 }
 
 fn steps_of(module: &str, reader: &Reader, extract: &mut Extract) -> Result<Vec<ModuleStep>, ReplayError> {
-    let topic = format!("/{}", step_journal::TOPIC);
+    let topic = format!("/{}", journal::STEPS);
     let Some(id) = reader.topic(&topic) else { return Err(ReplayError::NoSteps(module.into())) };
     let mut steps = Vec::new();
     for (number, message) in extract.of::<ReplayError>(reader, id)?.iter().enumerate() {

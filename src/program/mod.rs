@@ -60,10 +60,12 @@ pub(crate) fn main(app: &App) -> ExitCode {
         Command::Graph(arguments) => graph::graph(&arguments, catalog, &ros),
         Command::Bag(BagCommand::Info(arguments)) => bag::info::info(&arguments),
         Command::Bag(BagCommand::Record(arguments)) => {
-            bag::record::record(&arguments, catalog, &ros, &screen)
+            bag::record::record(&arguments, catalog, &ros, &screen, &log)
         }
-        Command::Bag(BagCommand::Play(arguments)) => bag::play::play(&arguments, catalog, &ros, &screen),
-        Command::Bag(BagCommand::Replay(arguments)) => bag::replay::replay(&arguments, catalog, &ros),
+        Command::Bag(BagCommand::Play(arguments)) => {
+            bag::play::play(&arguments, catalog, &ros, &screen, &log)
+        }
+        Command::Bag(BagCommand::Replay(arguments)) => bag::replay::replay(&arguments, catalog, &ros, &log),
         Command::Bag(BagCommand::Check(arguments)) => bag::check::check(&arguments),
         Command::Bag(BagCommand::Repair(arguments)) => bag::repair::repair(&arguments),
         Command::Bag(BagCommand::Reindex(arguments)) => bag::reindex::reindex(&arguments),

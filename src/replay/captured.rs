@@ -7,7 +7,7 @@ use downbeat_bridge::edge::{CoreAccess, Interfaces};
 use downbeat_executor::{self as executor, Core, Inbox, OutletInbox, Received, SetupError, Time};
 use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 
-use crate::event_journal;
+use crate::journal;
 
 /// A message that a replayed module published.
 pub(super) struct Replayed {
@@ -53,7 +53,7 @@ impl Captured {
         }
         let events = captured.clone();
         let note = move |event: Received<'_, executor::ModuleEvent>| {
-            events.lock().events.push(event_journal::message(&event));
+            events.lock().events.push(journal::events::message(&event));
         };
         core.outlet(executor::ModuleEvent::TOPIC, &inbox, note)?.keep();
         Ok(captured)

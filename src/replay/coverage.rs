@@ -8,12 +8,8 @@ use downbeat_bridge::edge::Interfaces;
 use super::plan::{Plan, Wiring};
 use super::{ReplayOptions, TopicReport};
 use crate::encoding::RecordedType;
+use crate::journal;
 use crate::recorder::{Unrecorded, UnrecordedTopic};
-use crate::{cycle_journal, event_journal, settings_journal, step_journal};
-
-/// With which a recording tells how the robot ran.
-const JOURNALS: [&str; 4] =
-    [cycle_journal::TOPIC, step_journal::TOPIC, settings_journal::TOPIC, event_journal::TOPIC];
 
 /// A topic of the bag, or of the replayed modules, that was not compared.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -120,7 +116,7 @@ fn reason(
     interfaces: &Interfaces,
 ) -> Option<NotComparedReason> {
     use NotComparedReason as Why;
-    if JOURNALS.contains(&name) {
+    if journal::TOPICS.contains(&name) {
         return Some(Why::Journal);
     }
     let publishers = graph.publishers.get(name).into_iter().flatten();

@@ -9,13 +9,11 @@ use downbeat_executor::{Core, Graph, GraphEdge, Synchrony, TopicInfo};
 
 use super::coverage::{self, NotCompared};
 use super::{LeftOut, ReplayError, ReplayOptions};
-use crate::cycle_journal::CycleJournal;
-use crate::event_journal::{EventJournal, UnrecordedService, unrecorded_services};
+use crate::journal;
+use crate::journal::events::{UnrecordedService, unrecorded_services};
 use crate::playback::cycles::{self, Cycles};
 use crate::playback::{Extract, events, settings};
 use crate::robot::{ModuleEntry, RobotFile};
-use crate::settings_journal::SettingsJournal;
-use crate::step_journal::{self, StepJournal};
 
 pub(super) struct Plan {
     /// Modules inside the cycle, run together.
@@ -27,7 +25,8 @@ pub(super) struct Plan {
     pub(super) outputs: BTreeMap<String, Output>,
     /// The topics that the modules inside the cycle receive from the bag.
     pub(super) inputs: BTreeSet<String>,
-    /// Those that they receive, that others publish, and that are not in the bag.
+    /// Those that they receive, that others publish, and that are not in the bag; also the journals of settings and events, if a
+    /// robot was recorded without them.
     pub(super) missing_inputs: BTreeSet<String>,
     pub(super) not_compared: Vec<NotCompared>,
     /// Who serves each service.
@@ -90,6 +89,10 @@ impl Plan {
             }
         }
         plan.find_inputs(&graph, is_in_bag)?;
+        if reader.metadata().is_some_and(|metadata| metadata.custom_data.contains_key("robot")) {
+            let accounts = [journal::SETTINGS, journal::EVENTS].into_iter().filter(|topic| !is_in_bag(topic));
+            plan.missing_inputs.extend(accounts.map(str::to_owned));
+        }
         plan.check()?;
         plan.not_compared =
             coverage::not_compared(&mut plan, &graph, reader, options, &file.catalog.interfaces);
@@ -129,7 +132,7 @@ impl Plan {
         topics.push(settings::topic());
         topics.push(events::topic());
         if !self.detached.is_empty() {
-            topics.push(format!("/{}", step_journal::TOPIC));
+            topics.push(format!("/{}", journal::STEPS));
         }
         topics.iter().filter_map(|topic| reader.topic(topic)).collect()
     }
@@ -189,7 +192,7 @@ fn replayability(module: &ModuleEntry, reader: &Reader) -> Result<(), String> {
             return Err(format!("it drives a device, and the bag has no {topic} with the device's answers"));
         }
     }
-    let steps = format!("/{}", step_journal::TOPIC);
+    let steps = format!("/{}", journal::STEPS);
     if matches!(module.options().synchrony, Synchrony::Detached(_)) && reader.topic(&steps).is_none() {
         return Err(format!("it is detached, and the bag has no {steps} with its runs"));
     }
@@ -219,11 +222,8 @@ impl Wiring {
             ProcessDiagnostics::add(&mut core, &file.name)?;
         }
         let mut core = file.build_modules(core, |_, _| None)?;
-        StepJournal::add(&mut core)?;
-        SettingsJournal::add(&mut core)?;
         let interfaces = &file.catalog.interfaces;
-        EventJournal::add(&mut core, interfaces)?;
-        CycleJournal::add(&mut core)?;
+        journal::add(&mut core, interfaces, file.launcher.idle)?;
         let unrecorded_services = unrecorded_services(&core, interfaces);
         let services = || core.services().map(|info| info.name.to_string());
         let servers = core

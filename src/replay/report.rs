@@ -7,7 +7,7 @@ use downbeat_bags::FieldDifference;
 use downbeat_executor::Time;
 
 use super::NotCompared;
-use crate::TestResult;
+use crate::{TestResult, journal};
 
 /// What was replayed, and where it differs from the bag.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,7 +26,8 @@ pub struct ReplayReport {
     pub left_out: Vec<LeftOut>,
     /// The topics that the modules inside the cycle received from the bag.
     pub inputs: Vec<String>,
-    /// The topics that they received when they were recorded, and that are not in the bag.
+    /// The topics that they received when they were recorded, and that are not in the bag. `module_settings` and `module_events` are
+    /// among them if the bag of a robot lacks these: changed settings, requests, commands and results of jobs are not repeated.
     pub missing_inputs: Vec<String>,
     /// What was compared.
     pub topics: Vec<TopicReport>,
@@ -230,7 +231,14 @@ impl fmt::Display for ReplayReport {
             writeln!(f, "  not {left_out}")?;
         }
         for topic in &self.missing_inputs {
-            writeln!(f, "  without /{topic}, which is not in the bag")?;
+            let lost = match topic.as_str() {
+                journal::SETTINGS => ": changed settings are not repeated",
+                journal::EVENTS => {
+                    ": requests from outside, transitions and results of jobs are not repeated"
+                }
+                _ => "",
+            };
+            writeln!(f, "  without /{topic}, which is not in the bag{lost}")?;
         }
         let width = self.topics.iter().map(|topic| topic.topic.len()).max().unwrap_or(0).max(5);
         writeln!(f, "\n  {:<width$}  {:>9}  {:>9}", "topic", "compared", "different")?;

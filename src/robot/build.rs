@@ -1,4 +1,4 @@
-//! From a robot file to a core with its modules, and with the journal of their runs.
+//! From a robot file to a core with its modules and journals.
 
 use downbeat_bridge::expose::Exposure;
 use downbeat_executor::{
@@ -8,10 +8,8 @@ use downbeat_executor::{
 use super::LauncherChoice;
 use super::expose::canonical;
 use super::file::{LauncherEntry, ModuleEntry, Place, RobotFile, RobotFileError, suggestion};
-use crate::cycle_journal::CycleJournal;
-use crate::event_journal::{EventJournal, UnrecordedService, unrecorded_services};
-use crate::settings_journal::SettingsJournal;
-use crate::step_journal::StepJournal;
+use crate::journal;
+use crate::journal::events::{UnrecordedService, unrecorded_services};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -40,16 +38,12 @@ impl RobotFile {
                  {types} are plain Rust types"
             );
         }
-        let journals = StepJournal::add(&mut core).and_then(|()| SettingsJournal::add(&mut core));
-        let journals = journals.and_then(|()| EventJournal::add(&mut core, &self.catalog.interfaces));
-        let journals = journals.and_then(|()| match self.launcher.idle {
-            Idle::Park => CycleJournal::add(&mut core),
-            // There would be millions, and nearly all of them idle.
-            Idle::Spin => Ok(()),
-        });
-        journals.map_err(|error| self.source.error(1, error.to_string()))?;
+        journal::add(&mut core, &self.catalog.interfaces, self.launcher.idle)
+            .map_err(|error| self.source.error(1, error.to_string()))?;
         let robot = Robot { file: self, core };
         robot.exposed()?;
+        let topics: Vec<_> = robot.core.topics().cloned().collect();
+        robot.file.passed_over(&topics).iter().for_each(|sentence| tracing::warn!("{sentence}"));
         robot.parameter_exposure()?;
         robot.lifecycle_exposures()?;
         robot.recorded_topics()?;

@@ -10,13 +10,13 @@ use downbeat_msgs::InterfaceSet;
 use super::kind::Kind;
 use super::kinds;
 
-/// What robot files can name: kinds of modules, launchers, and types of messages, services and actions; and the mechanisms that
-/// every core has.
+/// The registry of an app: kinds of modules and launchers, which robot files name; types of messages, services and actions; and
+/// mechanisms, which every core gets.
 ///
 /// Clones are cheap and share what they hold.
 #[derive(Clone, Default)]
 pub struct Catalog {
-    /// The messages, services and actions: those carried, and those added.
+    /// The registered messages, services and actions, those that `downbeat-msgs` carries among them.
     pub interfaces: Interfaces,
     kinds: BTreeMap<Arc<str>, Kind>,
     launchers: BTreeMap<Arc<str>, Arc<MakeLauncher>>,
@@ -26,7 +26,7 @@ pub struct Catalog {
 type MakeLauncher = dyn Fn(&ThreadOptions) -> Result<Box<dyn Launcher>, String> + Send + Sync;
 type Engage = dyn Fn(Core) -> Core + Send + Sync;
 
-/// A catalog does not take a name.
+/// A registration was refused, since its name is taken.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CatalogError {
     /// Two kinds of one name.
@@ -44,13 +44,13 @@ pub enum CatalogError {
 pub(super) const BUILT_IN_LAUNCHERS: [&str; 3] = ["linear", "pool", "threads"];
 
 impl Catalog {
-    /// Nothing but the launchers `linear`, `pool` and `threads`, and the interfaces that `downbeat-msgs` carries.
+    /// A catalog without kinds: with the launchers `linear`, `pool` and `threads`, and the interfaces that `downbeat-msgs` carries.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// With the kinds of modules that come with the program.
+    /// A catalog with the kinds of modules that come with downbeat.
     #[must_use]
     pub fn built_in() -> Self {
         let kinds = kinds::built_in().into_iter().map(|kind| (Arc::from(kind.name()), kind));
@@ -60,7 +60,7 @@ impl Catalog {
     /// Adds a kind of module.
     ///
     /// # Errors
-    /// If there is one of that name.
+    /// If the name is taken.
     pub fn add_kind(&mut self, kind: Kind) -> Result<(), CatalogError> {
         if self.kinds.contains_key(kind.name()) {
             return Err(CatalogError::TwoKinds(kind.name().to_owned()));
@@ -72,13 +72,13 @@ impl Catalog {
     /// Adds messages, services and actions: such as the `INTERFACES` of a crate.
     ///
     /// # Errors
-    /// If one has the name of another with another definition. Then none of them is added.
+    /// If a name is registered with another definition. Then none of the set is added.
     pub fn add_interfaces(&mut self, set: impl InterfaceSet) -> Result<(), CatalogError> {
         self.interfaces = self.interfaces.with(set)?;
         Ok(())
     }
 
-    /// Adds a launcher, made anew for each core with where and how the robot file wants its threads to run.
+    /// Adds a launcher. `make` is called for each core, with the CPUs and priorities that the robot file gives its threads.
     ///
     /// # Errors
     /// If there is one of that name.
@@ -95,7 +95,7 @@ impl Catalog {
         Ok(())
     }
 
-    /// Adds a mechanism, made anew for each core.
+    /// Adds a mechanism. `make` is called for each core.
     pub fn add_mechanism<M: Mechanism>(&mut self, make: impl Fn() -> M + Send + Sync + 'static) {
         self.mechanisms.push(Arc::new(move |core: Core| core.with_mechanism(make())));
     }
@@ -105,7 +105,7 @@ impl Catalog {
         self.kinds.values()
     }
 
-    /// The kind of that name.
+    /// Returns the kind with this name.
     #[must_use]
     pub fn kind(&self, name: &str) -> Option<&Kind> {
         self.kinds.get(name)
@@ -116,7 +116,7 @@ impl Catalog {
         BUILT_IN_LAUNCHERS.into_iter().chain(self.launchers.keys().map(|name| &**name))
     }
 
-    /// Makes the launcher of that name that was added.
+    /// Makes the added launcher with this name.
     pub(super) fn make_launcher(
         &self,
         name: &str,
@@ -125,7 +125,7 @@ impl Catalog {
         self.launchers.get(name).map(|make| make(threads))
     }
 
-    /// Gives a core the mechanisms.
+    /// Adds the mechanisms to a core.
     pub(super) fn engage(&self, core: Core) -> Core {
         self.mechanisms.iter().fold(core, |core, engage| engage(core))
     }

@@ -10,7 +10,7 @@ use downbeat_executor::TopicInfo;
 
 use super::file::{Direction, ExposeEntry, RobotFile, RobotFileError, TopicChoice, suggestion};
 use super::registration::unregistered;
-use crate::{cycle_journal, settings_journal, step_journal};
+use crate::journal;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -52,6 +52,31 @@ impl RobotFile {
         let Selection { found, .. } = selection;
         self.refuse_the_same_name_twice(&found)?;
         Ok(found.into_iter().map(|(_, exposure)| exposure).collect())
+    }
+
+    /// The topics that a pattern of the file matches and does not expose, since they carry no registered message: a sentence for each.
+    pub(super) fn passed_over(&self, topics: &[TopicInfo]) -> Vec<String> {
+        let mut sentences = Vec::new();
+        for entry in self.expose.topics.iter().filter(|entry| entry.type_name.is_none()) {
+            let TopicChoice::Pattern { pattern, except } = &entry.topics else { continue };
+            let is_told = |topic: &&TopicInfo| {
+                self.is_passed_over(entry, pattern, topic)
+                    && !except.iter().any(|(_, excepted)| excepted.matches(&topic.name))
+            };
+            for TopicInfo { name, message_type, .. } in topics.iter().filter(is_told) {
+                let problem = unregistered(message_type, "ROS message");
+                sentences.push(format!(
+                    "\"{pattern}\" does not expose \"{name}\": it carries {message_type}, {problem}"
+                ));
+            }
+        }
+        sentences
+    }
+
+    fn is_passed_over(&self, entry: &ExposeEntry, pattern: &TopicPattern, topic: &TopicInfo) -> bool {
+        pattern.matches(&topic.name)
+            && can_be_meant(entry, topic)
+            && self.catalog.interfaces.message_of(topic.message_type_id).is_none()
     }
 
     fn refuse_the_same_name_twice(&self, found: &[(usize, Exposure)]) -> Result<()> {
@@ -117,16 +142,9 @@ impl<'a> Selection<'a> {
 
     /// A topic that a pattern may mean, with its type.
     fn candidate(&self, entry: &ExposeEntry, topic: &'a TopicInfo) -> Option<(&'a TopicInfo, KnownType)> {
-        // An action is exposed as a whole.
-        let journals = [step_journal::TOPIC, settings_journal::TOPIC, cycle_journal::TOPIC];
-        let is_internal = topic.name.starts_with("executor/")
-            || journals.contains(&&*topic.name)
-            || *topic.name == *QOS_EVENTS_TOPIC
-            || topic.name.contains("/_action/");
-        let goes_that_way = topic.is_published == (entry.direction == Direction::Out);
         let message_type = self.interfaces().message_of(topic.message_type_id)?;
         let has_type = entry.type_name.as_deref().is_none_or(|name| name == message_type.name());
-        (!is_internal && goes_that_way && has_type).then_some((topic, message_type))
+        (has_type && can_be_meant(entry, topic)).then_some((topic, message_type))
     }
 
     fn select(&mut self, entry: &ExposeEntry) -> Result<()> {
@@ -203,7 +221,13 @@ impl<'a> Selection<'a> {
             return refuse(entry.line, format!("\"{pattern}\" matches no topic{of_type} {way}{hint}"));
         }
         for (line, excepted) in except {
-            if !matching.iter().any(|(topic, _)| excepted.matches(&topic.name)) {
+            // Also what is passed over for its type, so that nothing is told of it.
+            let is_meant = |topic: &TopicInfo| {
+                excepted.matches(&topic.name) && self.file.is_passed_over(entry, pattern, topic)
+            };
+            if !matching.iter().any(|(topic, _)| excepted.matches(&topic.name))
+                && !self.topics.iter().any(is_meant)
+            {
                 let matched = matching.iter().map(|(topic, _)| &*topic.name);
                 let hint = suggestion(&excepted.to_string(), matched);
                 return refuse(*line, format!("\"{excepted}\" is none of what \"{pattern}\" matches{hint}"));
@@ -243,6 +267,16 @@ impl<'a> Selection<'a> {
             node,
         })
     }
+}
+
+/// Whether a pattern may mean a topic, by its name and direction.
+fn can_be_meant(entry: &ExposeEntry, topic: &TopicInfo) -> bool {
+    let is_internal = topic.name.starts_with("executor/")
+        || journal::TOPICS.contains(&&*topic.name)
+        || *topic.name == *QOS_EVENTS_TOPIC
+        // An action is exposed as a whole.
+        || topic.name.contains("/_action/");
+    !is_internal && topic.is_published == (entry.direction == Direction::Out)
 }
 
 fn way(direction: Direction) -> &'static str {

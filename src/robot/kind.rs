@@ -9,7 +9,7 @@ use downbeat_executor::{Core, Inbox, Module, ModuleOptions, SetupError, Synchron
 use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::{Message, cdr};
 
-/// A sort of module that a robot file can name, and what a robot file needs to know of it.
+/// A kind of module that robot files name: how a module of it is made, how it runs by default, and whether it drives a device.
 ///
 /// ```
 /// use downbeat::executor::{Module, Setup, SetupError};
@@ -43,13 +43,13 @@ pub struct Kind {
 /// How a module that drives a device runs without it.
 #[derive(Clone)]
 pub(crate) struct ReplayedDevice {
-    /// The module's own name of the topic on which it publishes what the device answered.
+    /// The topic on which the module publishes what the device answered, before remapping.
     topic: Arc<str>,
     add: Arc<AddReplayed>,
 }
 
 type Add = dyn Fn(&mut Core, &str, ModuleOptions) -> Result<(), SetupError> + Send + Sync;
-/// The outer error says what is wrong with the recorded answers.
+/// The outer error reports invalid recorded answers.
 type AddReplayed =
     dyn Fn(&mut Core, &str, ModuleOptions, &[Bytes]) -> Result<Result<(), SetupError>, String> + Send + Sync;
 
@@ -58,10 +58,10 @@ type AddReplayed =
 pub(super) const INBOX: Inbox = Inbox::KeepLast(NonZeroUsize::new(250).expect("not zero"));
 
 impl Kind {
-    /// A kind whose modules `make` makes: at the start, and again when the restart policy says so after a panic.
+    /// A kind whose modules are made by `make`: at the start, and again if the restart policy restarts them after a panic.
     ///
-    /// `about` says in a line what the module is for. Modules of the kind run in the cycles in which they have something
-    /// to do, unless the kind or the robot file says otherwise.
+    /// `about` describes the module in one line. By default, modules of the kind run inside the cycle, in the cycles in which they have
+    /// something to do.
     pub fn new<M: Module>(
         name: impl Into<Arc<str>>,
         about: impl Into<Arc<str>>,
@@ -84,7 +84,7 @@ impl Kind {
 
     /// A kind whose modules drive a [`Device`]: `connect` makes the device and `make` the module on a link to it.
     ///
-    /// Modules of the kind run detached. A replay gives them a link that answers as the bag says.
+    /// Modules of the kind run detached. In a replay the link returns the recorded answers.
     pub fn device<D: Device, M: Module>(
         name: impl Into<Arc<str>>,
         about: impl Into<Arc<str>>,
@@ -99,32 +99,32 @@ impl Kind {
             .replayed_on(D::TOPIC, move |exchanges| Ok(of_recorded(DeviceLink::recorded(exchanges))))
     }
 
-    /// The same kind, whose modules run on a thread of their own: for work that blocks or takes longer than a cycle may.
+    /// Runs the modules on threads of their own by default: for work that blocks, or takes longer than a cycle may.
     #[must_use]
     pub fn detached(self) -> Self {
         self.with_synchrony(Synchrony::Detached(INBOX))
     }
 
-    /// The same kind, whose modules run like this unless the robot file says otherwise.
+    /// Sets how the modules run unless the robot file says otherwise.
     #[must_use]
     pub fn with_synchrony(self, synchrony: Synchrony) -> Self {
         Self { synchrony, ..self }
     }
 
-    /// The same kind, whose modules drive a device: a replay does not run them, unless on recorded answers.
+    /// Marks the modules as driving a device: a replay runs them only on recorded answers.
     #[must_use]
     pub fn drives_device(self) -> Self {
         Self { uses_device: true, ..self }
     }
 
-    /// The same kind, whose data does not come from real hardware: status, bags and `check` say so.
+    /// Marks the data of the modules as not from real hardware, which status, bags and `check` then show.
     #[must_use]
     pub fn emulated(self) -> Self {
         Self { is_emulated: true, ..self }
     }
 
-    /// The same kind, whose modules can be replayed: they publish all that their device answered as messages of type `E`
-    /// on `topic`, the module's own name of it, and `make` makes one that has these messages in place of the device.
+    /// Makes modules that drive a device replayable. They publish everything their device answers as messages of type `E` on `topic`
+    /// (the name before remapping); for a replay `make` creates a module that takes these messages in place of the device.
     ///
     /// [`Kind::device`] does this for every [`Device`].
     #[must_use]
@@ -142,43 +142,43 @@ impl Kind {
         Self { replayed: Some(replayed), ..self }
     }
 
-    /// Its name in robot files.
+    /// The name in robot files.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// What it is for, in a line.
+    /// The description, one line.
     #[must_use]
     pub fn about(&self) -> &str {
         &self.about
     }
 
-    /// True if what it publishes does not come from real hardware.
+    /// True if the data of its modules does not come from real hardware.
     #[must_use]
     pub fn is_emulated(&self) -> bool {
         self.is_emulated
     }
 
-    /// True if it drives a device, which a replay must not.
+    /// True if its modules drive a device, which a replay must not touch.
     #[must_use]
     pub fn uses_device(&self) -> bool {
         self.uses_device
     }
 
-    /// How its modules run, unless the robot file says otherwise.
+    /// How its modules run by default.
     #[must_use]
     pub fn synchrony(&self) -> Synchrony {
         self.synchrony
     }
 
-    /// How modules of this kind join a core, unless the robot file says otherwise.
+    /// The default options of its modules.
     #[must_use]
     pub fn options(&self) -> ModuleOptions {
         ModuleOptions { synchrony: self.synchrony, ..ModuleOptions::default() }
     }
 
-    /// Adds a module of this kind to a core; after a panic it can be made again.
+    /// Adds a module of this kind to a core. The module can be restarted after a panic.
     ///
     /// # Errors
     /// Those of [`Core::add_restartable`].
@@ -204,7 +204,7 @@ impl ReplayedDevice {
         format!("/{}", name.trim_start_matches('/'))
     }
 
-    /// Adds the module with these answers, the messages of the topic as CDR. The outer error says what is wrong with them.
+    /// Adds the module with these answers, the messages of the topic in CDR. The outer error reports invalid answers.
     pub(crate) fn add_to(
         &self,
         core: &mut Core,

@@ -22,12 +22,13 @@ pub use actions::Exposed;
 pub use build::Robot;
 pub use catalog::{Catalog, CatalogError};
 pub use exposed::{ExposedEndpoint, ExposedQos, ExposedTraffic};
-pub(crate) use file::toml_string;
 pub use file::{
     ActionEntry, ClockChoice, Direction, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry,
     LifecycleEntry, ModuleEntry, NodeFeatures, RecordEntry, ReplaySection, RobotFile, RobotFileError,
     TopicChoice,
 };
+pub(crate) use file::{Source, toml_string};
 pub use kind::Kind;
+pub(crate) use parameters::{NodeParameter, parameters_of_nodes, setting_value};
 pub(crate) use registration::unregistered;
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};

@@ -45,7 +45,7 @@ use expose_service::ExposeService;
 use inspected::InspectedRobot;
 use recording::RobotRecording;
 
-/// Why a robot does not start.
+/// Why a robot cannot start.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
     /// The robot file does not describe a robot.
@@ -57,7 +57,7 @@ pub enum StartError {
     /// Another robot has the node name.
     #[error(transparent)]
     Claim(#[from] ClaimError),
-    /// A variable of the environment that says how to join ROS 2 has no valid value.
+    /// An environment variable that configures ROS 2 has an invalid value.
     #[error(transparent)]
     Options(#[from] OptionsError),
     /// The DDS domain cannot be joined.
@@ -93,7 +93,7 @@ pub enum StartError {
     /// The robot cannot be recorded.
     #[error(transparent)]
     Recorder(#[from] RecorderError),
-    /// The system gives no more threads.
+    /// A thread cannot be started.
     #[error("cannot start the thread of {what}: {source}")]
     Thread {
         /// Whose it was to be.
@@ -103,7 +103,7 @@ pub enum StartError {
     },
 }
 
-/// What went wrong with a robot that ran.
+/// What failed while a robot ran or stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum StopError {
     /// The core could not run.
@@ -127,7 +127,7 @@ pub struct PreparedRobot {
 }
 
 impl PreparedRobot {
-    /// A core with the modules of the file. What the core does is reported to the probe, if there is one.
+    /// Builds a core with the modules of the file. The core reports its cycles to the probe, if there is one.
     ///
     /// # Errors
     /// If a module cannot be set up as the file says.
@@ -141,7 +141,7 @@ impl PreparedRobot {
         Ok(Self { robot: file.build(core)?, clock, diagnostics, node: None, recording: None })
     }
 
-    /// Shows to ROS 2 what the robot file exposes. What the program logs goes to `/rosout` if it gives its log.
+    /// Exposes to ROS 2 what the robot file says. If `log` is given, the log of the program is published on `/rosout`.
     ///
     /// # Errors
     /// If the domain cannot be joined, or something cannot be exposed as the file says.
@@ -172,10 +172,10 @@ impl PreparedRobot {
         &mut self.robot.core
     }
 
-    /// Starts it.
+    /// Starts the robot.
     ///
     /// # Errors
-    /// If the system gives no thread.
+    /// If a thread cannot be started.
     pub fn start(self) -> Result<RunningRobot, StartError> {
         let Self { robot: Robot { file, mut core }, node, recording, .. } = self;
         let handle = core.handle();
@@ -218,7 +218,7 @@ pub struct RunningRobot {
 }
 
 impl RunningRobot {
-    /// The handle to its core: publish, call, set, add modules, stop, from any thread.
+    /// The handle of its core, which publishes, calls, sets, adds modules and stops from any thread.
     #[must_use]
     pub fn core(&self) -> &CoreHandle {
         &self.core

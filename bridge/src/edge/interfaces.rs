@@ -13,8 +13,8 @@ use std::fmt;
 use std::sync::{Arc, LazyLock};
 use thiserror::Error;
 
-/// The messages, services and actions that a program can name, find by their Rust types, and turn into bytes: those that
-/// `downbeat-msgs` carries, and those that the program registers. Clones share one table.
+/// The registry of message, service and action types, looked up by name, hash or Rust type: those that `downbeat-msgs` carries, and
+/// those that the program registers. Clones share one table.
 ///
 /// ```
 /// use downbeat_bridge::edge::Interfaces;
@@ -32,14 +32,14 @@ use thiserror::Error;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
-/// A name has one definition. Two Rust types of the same name and hash, such as the `sensor_msgs/msg/Imu` that another crate has
-/// generated, are one type: both are found by their Rust types.
+/// A name has one definition. Two Rust types of the same name and hash, such as a `sensor_msgs/msg/Imu` that another crate
+/// generated, count as one type, which is found by either Rust type.
 #[derive(Clone)]
 pub struct Interfaces {
     tables: Arc<Tables>,
 }
 
-/// Two definitions have the same name.
+/// A name was registered with two definitions.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error(
     "{name} is registered with two definitions: {known} and {other}. On a ROS 2 network a name has one definition: rename one \
@@ -83,10 +83,10 @@ impl Interfaces {
         CARRIED.clone()
     }
 
-    /// These interfaces and those of a set.
+    /// Returns these interfaces with those of a set added.
     ///
     /// # Errors
-    /// [`InterfaceConflict`] if one of them has the name of another with another definition.
+    /// [`InterfaceConflict`] if a name of the set is registered with another definition.
     pub fn with(&self, set: impl InterfaceSet) -> Result<Self, InterfaceConflict> {
         Ok(Self { tables: Arc::new(Tables::clone(&self.tables).with(set)?) })
     }
@@ -109,8 +109,8 @@ impl Interfaces {
         self.tables.message_types.get(&type_id).copied()
     }
 
-    /// An entry for serialized messages into a core. Where two Rust types have the definition of `message`, it takes that which the
-    /// topic carries.
+    /// Opens an inlet for serialized messages. If two Rust types have the definition of `message`, the one that the topic carries is
+    /// used.
     ///
     /// # Errors
     /// [`SetupError`] when the name is not valid or the topic carries another message.
@@ -142,13 +142,13 @@ impl Interfaces {
         })
     }
 
-    /// The type of a service of a core, if its request and response are those of a service here.
+    /// The type of a service of a core, if its request and response types are registered.
     #[must_use]
     pub fn service_of(&self, service: &ServiceInfo) -> Option<KnownService> {
         self.tables.service_types.get(&(service.request_type, service.response_type)).copied()
     }
 
-    /// The type of a service of a core by its name, also where the service is a part of an action.
+    /// The type of the service with this name in a core; the services of actions are found too.
     #[must_use]
     pub fn service_in(&self, core: &Core, service: &str) -> Option<KnownService> {
         let find = |name: &str| core.services().find(|info| *info.name == *name);
@@ -190,8 +190,7 @@ impl Interfaces {
         self.tables.actions.values().copied()
     }
 
-    /// The messages, services and actions that were registered beside those carried, by name: descriptions with the definition
-    /// texts.
+    /// The messages, services and actions that the program registered, by name: descriptions with the definition texts.
     pub fn registered(&self) -> impl Iterator<Item = &'static Description> {
         let carried = Self::carried();
         let descriptions = self.tables.descriptions.iter();
@@ -201,7 +200,7 @@ impl Interfaces {
         registered.into_iter()
     }
 
-    /// The definitions of what was registered beside the interfaces carried.
+    /// The definitions of what the program registered.
     #[must_use]
     pub fn registered_definitions(&self) -> Schemas {
         let mut registered = Schemas::new("the interfaces registered");
@@ -222,7 +221,7 @@ impl Interfaces {
         registered.with_carried().with(AmentPrefixPath::from_environment())
     }
 
-    /// The message, service or action with that hash.
+    /// The message, service or action with this hash.
     #[must_use]
     pub fn described(&self, hash: &str) -> Option<&'static Description> {
         self.tables.descriptions.get(hash).copied()

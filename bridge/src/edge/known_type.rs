@@ -11,8 +11,8 @@ use std::marker::PhantomData;
 use std::sync::OnceLock;
 use thiserror::Error;
 
-/// A message type of ROS 2: one with a Rust type, found through [`Interfaces`](super::Interfaces) or named ([`KnownType::of`]),
-/// or one that passes through ([`KnownType::raw`]).
+/// A message type of ROS 2: one with a Rust type ([`Interfaces`](super::Interfaces), [`KnownType::of`]), or one whose messages pass
+/// through as bytes ([`KnownType::raw`]).
 #[derive(Clone, Copy)]
 pub struct KnownType {
     entry: &'static Entry,
@@ -29,7 +29,7 @@ pub struct UnknownType {
 }
 
 impl KnownType {
-    /// The type of messages of a Rust type. Whether it is registered anywhere makes no difference.
+    /// The message type of a Rust type, which need not be registered.
     #[must_use]
     pub fn of<T: Message>() -> Self {
         Self { entry: Of::<T>::ENTRY }
@@ -86,7 +86,7 @@ impl KnownType {
         }
     }
 
-    /// An entry for serialized messages into a core, from any thread.
+    /// Opens an inlet for serialized messages, which any thread may use.
     ///
     /// # Errors
     /// [`SetupError`] when the name is not valid or the topic carries another type.
@@ -94,7 +94,7 @@ impl KnownType {
         self.inlet_with(&mut CoreAccess::Idle(core), topic, Waiting::All)
     }
 
-    /// An entry for serialized messages into a core that may be running, from any thread.
+    /// Opens an inlet for serialized messages into a core that may be running.
     ///
     /// # Errors
     /// [`SetupError`] when the name is not valid, the topic carries another type, or the core does not answer.

@@ -3,6 +3,7 @@
 use super::LifecycleError;
 use super::machine::{RosState, RosTransition, STATES, TRANSITIONS, Track};
 use super::teller::Events;
+use crate::limiter::Limiter;
 use crate::ros::{MessageType, Node, NodeError, Publisher, Reply, Service};
 use crossbeam::channel::{Receiver, Sender, TrySendError, bounded};
 use downbeat_executor::{CoreHandle, LifeStep, LifecycleState};
@@ -37,6 +38,8 @@ pub(super) struct Followed {
     module: String,
     track: Mutex<Track>,
     events: Publisher,
+    /// Of requests that are refused or not answered, which others may repeat without end.
+    lines: Limiter,
 }
 
 impl LifecycleNode {
@@ -69,7 +72,7 @@ impl LifecycleNode {
 
 /// The services of `rcl_lifecycle/src/com_interface.c`.
 fn serve(node: &Node, followed: &Arc<Followed>, changes: &Changes) -> Result<[Service; 5], NodeError> {
-    let (of_state, of_transitions) = (Arc::clone(followed), Arc::clone(followed));
+    let [of_changes, of_state, of_transitions] = std::array::from_fn(|_| Arc::clone(followed));
     let qos = QosProfile::SERVICES;
     let transitions = |transitions: &mut dyn Iterator<Item = RosTransition>| {
         let available_transitions = transitions.map(RosTransition::to_message).collect();
@@ -81,7 +84,7 @@ fn serve(node: &Node, followed: &Arc<Followed>, changes: &Changes) -> Result<[Se
             if let Err(TrySendError::Full(Some((_, reply))) | TrySendError::Disconnected(Some((_, reply)))) =
                 jobs.try_send(Some((request.transition, reply)))
             {
-                answer(reply, false);
+                of_changes.answer(reply, false);
             }
         })?,
         node.serve::<GetState>("~/get_state", qos, move |_| GetStateResponse {
@@ -103,7 +106,8 @@ impl Followed {
     fn new(node: &Node, module: &str, state: LifecycleState) -> Result<Self, NodeError> {
         let kind = MessageType::new(TransitionEvent::TYPE_NAME)?;
         let events = node.publish("~/transition_event", &kind, QosProfile::DEFAULT)?;
-        Ok(Self { module: module.to_owned(), track: Mutex::new(Track::new(state)), events })
+        let track = Mutex::new(Track::new(state));
+        Ok(Self { module: module.to_owned(), track, events, lines: Limiter::default() })
     }
 
     fn now(&self) -> RosState {
@@ -120,8 +124,17 @@ impl Followed {
                 ..TransitionEvent::default()
             };
             if let Err(error) = self.events.publish(cdr::to_vec(&event).into()) {
-                tracing::warn!(module = self.module, %error, "a transition was not told");
+                tracing::warn!(module = self.module, %error, "a transition event was not published");
             }
+        }
+    }
+
+    fn answer(&self, reply: Reply<ChangeState>, success: bool) {
+        if let Err(error) = reply.send(&ChangeStateResponse { success })
+            && let Some(left_out) = self.lines.allow()
+        {
+            let module = &*self.module;
+            tracing::warn!(module, "a request to change the state is not answered: {error}{left_out}");
         }
     }
 }
@@ -165,7 +178,7 @@ impl Drop for Changes {
 impl Changer {
     fn run(&self, jobs: &Receiver<Option<Job>>) {
         while let Ok(Some((request, reply))) = jobs.recv() {
-            answer(reply, self.change(&request));
+            self.followed.answer(reply, self.change(&request));
         }
     }
 
@@ -175,11 +188,13 @@ impl Changer {
         let requested = RosTransition::requested(request, now).and_then(RosTransition::of_module);
         let Some(transition) = requested else {
             let (id, label) = (request.id, &request.label);
-            tracing::error!(
-                module,
-                "Unable to start transition {id} {label:?} from current state {}: Transition is not registered.",
-                now.label()
-            );
+            if let Some(left_out) = self.followed.lines.allow() {
+                tracing::error!(
+                    module,
+                    "Unable to start transition {id} {label:?} from current state {}: Transition is not registered.{left_out}",
+                    now.label()
+                );
+            }
             return false;
         };
         let outcome = self.core.transition(module, transition).wait(PATIENCE);
@@ -194,11 +209,5 @@ impl Changer {
                 false
             }
         }
-    }
-}
-
-fn answer(reply: Reply<ChangeState>, success: bool) {
-    if let Err(error) = reply.send(&ChangeStateResponse { success }) {
-        tracing::warn!("a request to change a state is not answered: {error}");
     }
 }

@@ -7,7 +7,6 @@ use std::process::ExitCode;
 
 use downbeat::App;
 use downbeat::robot::Kind;
-use downbeat_msgs::Message;
 
 use emulator::Emulator;
 use range_finder::{Exchange, Line, RangeFinder};

@@ -20,15 +20,14 @@ use crate::management::Command;
 use crate::messaging::{Batch, Topics};
 use crate::{Inbox, Received, SetupError, Stage};
 
-/// Takes the messages of a topic out of a core, until it is dropped; from [`Core::outlet`](crate::Core::outlet) or
+/// A subscription of a topic from outside the core, which ends when it is dropped. It is made by [`Core::outlet`](crate::Core::outlet) or
 /// [`CoreHandle::outlet`](crate::CoreHandle::outlet).
 ///
-/// The messages go to a *sink*, a closure that runs on a thread of its own and may block: it never delays a cycle. Under a
+/// Messages are given to a *sink*, a closure that runs on a thread of its own and may block: it never delays a cycle. Under a
 /// clock that does not go on by itself the sink runs inside the next cycle, before its modules. A sink that panics is logged and not
 /// called again.
 ///
-/// An outlet sees everything: when the core stops, its sink receives the last messages of all modules, and is dropped after
-/// that. When the outlet itself is dropped, the sink is dropped at once, or when it returns from the message that it is
+/// When the core stops, the sink receives the last messages of all modules, and is dropped after that. When the outlet itself is dropped, the sink is dropped at once, or when it returns from the message that it is
 /// taking; messages that wait for it are discarded.
 ///
 /// ```

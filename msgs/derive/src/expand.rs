@@ -34,6 +34,12 @@ fn expand_in(structure: &Structure, here: &Crate) -> Result<TokenStream> {
 
         #cdr
 
+        impl #ident {
+            /// The set of this message, to be registered.
+            #[allow(dead_code)]
+            pub const INTERFACES: #runtime::OneMessage<Self> = <Self as #runtime::Message>::INTERFACES;
+        }
+
         // Of a message that refers to many others the compiler takes a moment to compute the hash.
         #[allow(long_running_const_eval)]
         impl #runtime::Message for #ident {

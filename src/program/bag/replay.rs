@@ -14,6 +14,7 @@ use serde_json::{Value, json};
 
 use super::open;
 use crate::program::cli::ParameterArguments;
+use crate::program::logging::Log;
 
 #[derive(Args)]
 pub(crate) struct ReplayArguments {
@@ -50,8 +51,14 @@ pub(crate) struct ReplayArguments {
     pub(crate) parameters: ParameterArguments,
 }
 
-pub(crate) fn replay(arguments: &ReplayArguments, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<()> {
+pub(crate) fn replay(
+    arguments: &ReplayArguments,
+    catalog: &Catalog,
+    ros: &RosArgs,
+    log: &Log,
+) -> anyhow::Result<()> {
     let mut file = arguments.parameters.read_robot(&arguments.robot, catalog, ros)?;
+    log.name_after(&file)?;
     if let Some(launcher) = arguments.launcher.clone() {
         file.launcher.choice = launcher;
     }

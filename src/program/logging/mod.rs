@@ -6,7 +6,7 @@ mod format;
 mod layer;
 
 use crate::bridge::rosout::{LoggerLevels, LoggerNames, Rosout, Severity};
-use crate::robot::{LogArguments, LogLevel};
+use crate::robot::{LogArguments, LogLevel, RobotFile};
 use crate::running::NodeLog;
 use anyhow::Context;
 use tracing_subscriber::filter::Targets;
@@ -72,6 +72,12 @@ impl Log {
         }
         options.remarks.iter().for_each(|remark| tracing::warn!("{remark}"));
         Ok(log)
+    }
+
+    /// Names the loggers of modules after a robot that has no node in ROS 2.
+    pub(crate) fn name_after(&self, robot: &RobotFile) -> anyhow::Result<()> {
+        self.of_node.names.set_node(&robot.node_name()?);
+        Ok(())
     }
 
     /// Writes what still waits to be written.

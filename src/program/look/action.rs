@@ -20,6 +20,7 @@ use super::clock::LookClock;
 use super::definitions::{Types, full_name};
 use super::network::{
     Environment, Look, LookArguments, NamesAndTypes, OF_TOPICS, Patience, actions, joined, print_list,
+    print_types,
 };
 use super::service::{Call, DynamicClient};
 use super::values::FieldArguments;
@@ -143,10 +144,7 @@ fn type_of(arguments: &NameArguments, environment: &Environment<'_>) -> anyhow::
     let look = Look::join("action", &arguments.look, environment)?;
     let name = look.node.topic_name(&arguments.action)?;
     let types = |found: &Found| actions(found, OF_TOPICS, None).remove(name.as_str());
-    let types = types(&look.found_with(|found| types(found).is_some()));
-    let types = types.with_context(|| format!("Unknown action '{name}'"))?;
-    types.iter().for_each(|name| println!("{name}"));
-    Ok(())
+    print_types(&look, types).with_context(|| format!("Unknown action '{name}'"))
 }
 
 /// A number that no other goal has.

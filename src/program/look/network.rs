@@ -233,6 +233,13 @@ pub(super) fn print_list(names: &NamesAndTypes, with_types: bool, only_count: bo
     }
 }
 
+/// Prints the types of what is asked for once it is found; `None` if it is not.
+pub(super) fn print_types(look: &Look, types: impl Fn(&Found) -> Option<BTreeSet<String>>) -> Option<()> {
+    let found = look.found_with(|found| types(found).is_some());
+    types(&found)?.iter().for_each(|name| println!("{name}"));
+    Some(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

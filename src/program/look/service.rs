@@ -16,7 +16,7 @@ use super::clock::LookClock;
 use super::definitions::{Types, full_name};
 use super::network::{
     Environment, Look, LookArguments, NamesAndTypes, OF_SERVICES, Patience, count, is_hidden,
-    names_and_types, print_list, type_or_types,
+    names_and_types, print_list, print_types, type_or_types,
 };
 use super::values::{FieldArguments, period, positive};
 
@@ -39,6 +39,13 @@ pub(crate) struct ListArguments {
     /// Print the types, too.
     #[arg(short = 't', long)]
     show_types: bool,
+    #[command(flatten)]
+    names: NamesArguments,
+}
+
+/// Which services are listed, and how.
+#[derive(Args)]
+struct NamesArguments {
     /// Print only how many there are.
     #[arg(short, long)]
     count_services: bool,
@@ -47,6 +54,14 @@ pub(crate) struct ListArguments {
     include_hidden_services: bool,
     #[command(flatten)]
     look: LookArguments,
+}
+
+impl NamesArguments {
+    fn services(&self, found: &Found) -> NamesAndTypes {
+        let mut services = names_and_types(found, OF_SERVICES, None);
+        services.retain(|name, _| self.include_hidden_services || !is_hidden(name));
+        services
+    }
 }
 
 #[derive(Args)]
@@ -62,14 +77,8 @@ pub(crate) struct FindArguments {
     /// The type, for example std_srvs/srv/SetBool.
     #[arg(value_name = "TYPE")]
     type_name: String,
-    /// Print only how many there are.
-    #[arg(short, long)]
-    count_services: bool,
-    /// Print also services with a name that begins with an underscore, or has a part that does.
-    #[arg(short = 'a', long)]
-    include_hidden_services: bool,
     #[command(flatten)]
-    look: LookArguments,
+    names: NamesArguments,
 }
 
 #[derive(Args)]
@@ -101,26 +110,21 @@ pub(crate) fn service(command: &ServiceCommand, environment: &Environment<'_>) -
     }
 }
 
-fn services(found: &Found, with_hidden: bool) -> NamesAndTypes {
-    let mut services = names_and_types(found, OF_SERVICES, None);
-    services.retain(|name, _| with_hidden || !is_hidden(name));
-    services
-}
-
 fn list(arguments: &ListArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
-    let look = Look::join("service", &arguments.look, environment)?;
-    let services = services(&look.all(Patience::Endpoints), arguments.include_hidden_services);
-    print_list(&services, arguments.show_types, arguments.count_services);
+    let ListArguments { show_types, names } = arguments;
+    let look = Look::join("service", &names.look, environment)?;
+    let services = names.services(&look.all(Patience::Endpoints));
+    print_list(&services, *show_types, names.count_services);
     Ok(())
 }
 
 fn info(arguments: &NameArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
     let look = Look::join("service", &arguments.look, environment)?;
     let name = look.node.service_name(&arguments.service)?;
-    let found = look.all_with(Patience::Endpoints, |found| services(found, true).contains_key(name.as_str()));
-    let services = services(&found, true);
-    let Some(types) = services.get(name.as_str()) else { bail!("Unknown service '{name}'") };
-    println!("Type: {}", type_or_types(types));
+    let types = |found: &Found| names_and_types(found, OF_SERVICES, None).remove(name.as_str());
+    let found = look.all_with(Patience::Endpoints, |found| types(found).is_some());
+    let Some(types) = types(&found) else { bail!("Unknown service '{name}'") };
+    println!("Type: {}", type_or_types(&types));
     println!("Clients count: {}", count(&found, name.as_str(), EndpointKind::Client));
     println!("Services count: {}", count(&found, name.as_str(), EndpointKind::Server));
     Ok(())
@@ -129,18 +133,16 @@ fn info(arguments: &NameArguments, environment: &Environment<'_>) -> anyhow::Res
 fn type_of(arguments: &NameArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
     let look = Look::join("service", &arguments.look, environment)?;
     let name = look.node.service_name(&arguments.service)?;
-    let found = look.found_with(|found| services(found, true).contains_key(name.as_str()));
-    let services = services(&found, true);
-    let types = services.get(name.as_str()).with_context(|| format!("Unknown service '{name}'"))?;
-    types.iter().for_each(|name| println!("{name}"));
-    Ok(())
+    let types = |found: &Found| names_and_types(found, OF_SERVICES, None).remove(name.as_str());
+    print_types(&look, types).with_context(|| format!("Unknown service '{name}'"))
 }
 
 fn find(arguments: &FindArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
-    let look = Look::join("service", &arguments.look, environment)?;
-    let mut services = services(&look.all(Patience::Endpoints), arguments.include_hidden_services);
-    services.retain(|_, types| types.contains(&arguments.type_name));
-    print_list(&services, false, arguments.count_services);
+    let FindArguments { type_name, names } = arguments;
+    let look = Look::join("service", &names.look, environment)?;
+    let mut services = names.services(&look.all(Patience::Endpoints));
+    services.retain(|_, types| types.contains(type_name));
+    print_list(&services, false, names.count_services);
     Ok(())
 }
 

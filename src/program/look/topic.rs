@@ -11,7 +11,7 @@ use clap::{Args, Subcommand};
 use super::echo::{self, EchoArguments};
 use super::network::{
     Environment, Look, LookArguments, NamesAndTypes, OF_TOPICS, Patience, count, is_hidden, joined,
-    names_and_types, print_list, type_or_types,
+    names_and_types, print_list, print_types, type_or_types,
 };
 use super::publish::{self, PublishArguments};
 use super::rate::{self, HzArguments, RateArguments};
@@ -43,17 +43,32 @@ pub(crate) struct ListArguments {
     /// Print the types, too.
     #[arg(short = 't', long)]
     show_types: bool,
+    /// Print how many publishers and subscribers each topic has.
+    #[arg(short, long)]
+    verbose: bool,
+    #[command(flatten)]
+    names: NamesArguments,
+}
+
+/// Which topics are listed, and how.
+#[derive(Args)]
+struct NamesArguments {
     /// Print only how many there are.
     #[arg(short, long)]
     count_topics: bool,
     /// Print also topics with a name that begins with an underscore, or has a part that does.
     #[arg(short = 'a', long)]
     include_hidden_topics: bool,
-    /// Print how many publishers and subscribers each topic has.
-    #[arg(short, long)]
-    verbose: bool,
     #[command(flatten)]
     look: LookArguments,
+}
+
+impl NamesArguments {
+    fn topics(&self, found: &Found) -> NamesAndTypes {
+        let mut topics = names_and_types(found, OF_TOPICS, None);
+        topics.retain(|name, _| self.include_hidden_topics || !is_hidden(name));
+        topics
+    }
 }
 
 #[derive(Args)]
@@ -80,14 +95,8 @@ pub(crate) struct FindArguments {
     /// The type, for example sensor_msgs/msg/JointState.
     #[arg(value_name = "TYPE")]
     type_name: String,
-    /// Print only how many there are.
-    #[arg(short, long)]
-    count_topics: bool,
-    /// Print also topics with a name that begins with an underscore, or has a part that does.
-    #[arg(short = 'a', long)]
-    include_hidden_topics: bool,
     #[command(flatten)]
-    look: LookArguments,
+    names: NamesArguments,
 }
 
 pub(crate) fn topic(command: &TopicCommand, environment: &Environment<'_>) -> anyhow::Result<()> {
@@ -104,18 +113,13 @@ pub(crate) fn topic(command: &TopicCommand, environment: &Environment<'_>) -> an
     }
 }
 
-fn topics(found: &Found, with_hidden: bool) -> NamesAndTypes {
-    let mut topics = names_and_types(found, OF_TOPICS, None);
-    topics.retain(|name, _| with_hidden || !is_hidden(name));
-    topics
-}
-
 fn list(arguments: &ListArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
-    let look = Look::join("topic", &arguments.look, environment)?;
+    let ListArguments { show_types, verbose, names } = arguments;
+    let look = Look::join("topic", &names.look, environment)?;
     let found = look.all(Patience::Endpoints);
-    let topics = topics(&found, arguments.include_hidden_topics);
-    if !arguments.verbose || arguments.count_topics {
-        print_list(&topics, arguments.show_types, arguments.count_topics);
+    let topics = names.topics(&found);
+    if !verbose || names.count_topics {
+        print_list(&topics, *show_types, names.count_topics);
     } else if !topics.is_empty() {
         println!("{}", counted("Published topics:", &topics, &found, EndpointKind::Publisher, "publisher"));
         println!(
@@ -215,18 +219,16 @@ fn details(endpoint: &FoundEndpoint) -> String {
 fn type_of(arguments: &NameArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
     let look = Look::join("topic", &arguments.look, environment)?;
     let name = look.node.topic_name(&arguments.topic)?;
-    let found = look.found_with(|found| names_and_types(found, OF_TOPICS, None).contains_key(name.as_str()));
-    let topics = names_and_types(&found, OF_TOPICS, None);
-    let types = topics.get(name.as_str()).with_context(|| format!("Unknown topic '{name}'"))?;
-    types.iter().for_each(|name| println!("{name}"));
-    Ok(())
+    let types = |found: &Found| names_and_types(found, OF_TOPICS, None).remove(name.as_str());
+    print_types(&look, types).with_context(|| format!("Unknown topic '{name}'"))
 }
 
 fn find(arguments: &FindArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
-    let look = Look::join("topic", &arguments.look, environment)?;
-    let mut topics = topics(&look.all(Patience::Endpoints), arguments.include_hidden_topics);
-    topics.retain(|_, types| types.contains(&arguments.type_name));
-    print_list(&topics, false, arguments.count_topics);
+    let FindArguments { type_name, names } = arguments;
+    let look = Look::join("topic", &names.look, environment)?;
+    let mut topics = names.topics(&look.all(Patience::Endpoints));
+    topics.retain(|_, types| types.contains(type_name));
+    print_list(&topics, false, names.count_topics);
     Ok(())
 }
 

@@ -42,6 +42,34 @@ fn problem(expose: &str) -> String {
 }
 
 #[test]
+fn what_a_pattern_does_not_expose_for_its_type_is_told() {
+    struct Talker;
+    impl downbeat_executor::Module for Talker {
+        type Ports = ();
+
+        fn setup(
+            &mut self,
+            setup: &mut downbeat_executor::Setup<'_, Self>,
+        ) -> std::result::Result<(), downbeat_executor::SetupError> {
+            setup.publish::<u32>("plain/count")?;
+            setup.publish::<std::time::Duration>("plain/hidden")?;
+            setup.publish::<downbeat_msgs::std_msgs::msg::String>("plain/said").map(drop)
+        }
+    }
+    let mut catalog = crate::robot::Catalog::default();
+    catalog.add_kind(crate::robot::Kind::new("talker", "talks", || Talker)).unwrap();
+    let expose = "out = [{ topic = \"plain/*\", except = [\"plain/hidden\"] }]";
+    let text = format!("[robot]\nname = \"r\"\n[[module]]\nkind = \"talker\"\n[expose]\n{expose}");
+    let file = RobotFile::parse(Source::new(Path::new("robot.toml"), text), &catalog).unwrap().0;
+    let robot = file.build(Core::new()).unwrap();
+    let topics: Vec<_> = robot.core.topics().cloned().collect();
+    assert_eq!(
+        robot.file.passed_over(&topics),
+        ["\"plain/*\" does not expose \"plain/count\": it carries u32, which is no ROS message"]
+    );
+}
+
+#[test]
 fn a_pattern_means_what_modules_publish_as_ros_messages() {
     let all = names("out = [\"**\"]");
     for topic in ["joint_states", "imu/data_raw", "battery_state", "motion/joint_commands", "joint_goals"] {
@@ -49,7 +77,8 @@ fn a_pattern_means_what_modules_publish_as_ros_messages() {
     }
     let never = |name: &String| {
         name.starts_with("executor/")
-            || ["module_steps", "module_settings", "cycle_times", "joint_commands"].contains(&name.as_str())
+            || ["module_steps", "module_settings", "module_events", "cycle_times", "joint_commands"]
+                .contains(&name.as_str())
     };
     assert!(!all.iter().any(never), "{all:?}");
     assert_eq!(names("out = [\"joint_*\"]"), ["joint_states", "joint_goals"]);

@@ -8,6 +8,7 @@ use downbeat_executor::{Inbox, LifecycleState, ModuleOptions, Restart, Synchrony
 
 use super::table::{Table, Value};
 use super::{Given, Located, Place, RobotFileError, choice, identifier, launcher, suggestion};
+use crate::journal;
 use crate::robot::Catalog;
 use crate::robot::kind::{INBOX, Kind};
 
@@ -29,7 +30,7 @@ pub struct ModuleEntry {
 }
 
 /// The modules that the program adds to a robot.
-const RESERVED_NAMES: [&str; 10] = [
+const RESERVED_NAMES: [&str; 6] = [
     // Threads of outlets, which `top` shows beside the modules.
     "bridge",
     "recorder",
@@ -37,10 +38,6 @@ const RESERVED_NAMES: [&str; 10] = [
     downbeat_bridge::expose::SERVICES_MODULE_NAME,
     downbeat_bridge::clock::MODULE_NAME,
     downbeat_bridge::diagnostics::MODULE_NAME,
-    "step_journal",
-    crate::cycle_journal::CycleJournal::MODULE_NAME,
-    crate::settings_journal::SettingsJournal::MODULE_NAME,
-    crate::event_journal::EventJournal::MODULE_NAME,
 ];
 
 /// How long a module that panicked waits before it starts again, unless the file says otherwise.
@@ -89,7 +86,7 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
 
 fn module_name(value: Value<'_>) -> Result<String> {
     let name = identifier(value)?;
-    if RESERVED_NAMES.contains(&name.as_str()) {
+    if RESERVED_NAMES.contains(&&*name) || journal::MODULE_NAMES.contains(&&*name) {
         return Err(
             value.error(format!("\"{name}\" is the name of a module that the program adds; choose another"))
         );

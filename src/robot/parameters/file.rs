@@ -16,17 +16,17 @@ use crate::robot::file::{ParameterPlace, Source};
 type Result<T> = std::result::Result<T, RobotFileError>;
 
 /// A parameter of a node.
-pub(super) struct Parameter {
+pub(crate) struct NodeParameter {
     /// Joined with `.` where the file has maps in maps.
-    pub(super) name: String,
+    pub(crate) name: String,
     /// Or what is wrong with it.
-    pub(super) value: std::result::Result<SettingValue, String>,
+    pub(crate) value: std::result::Result<SettingValue, String>,
     /// The keys that lead to it, from the root of the file.
-    pub(super) keys: Vec<String>,
+    pub(crate) keys: Vec<String>,
 }
 
 /// The nodes of a file by absolute name, wildcards included, with their parameters; both in the order of the file.
-pub(super) fn nodes(source: &Arc<Source>) -> Result<Vec<(String, Vec<Parameter>)>> {
+pub(crate) fn parameters_of_nodes(source: &Arc<Source>) -> Result<Vec<(String, Vec<NodeParameter>)>> {
     let root = yaml::from_str(source.text()).map_err(|error| {
         let line = error.location().map_or(1, |location| location.line());
         source.error(line, error.to_string())
@@ -65,7 +65,7 @@ fn collect_nodes(
     source: &Arc<Source>,
     value: &Value,
     keys: &mut Vec<String>,
-    nodes: &mut Vec<(String, Vec<Parameter>)>,
+    nodes: &mut Vec<(String, Vec<NodeParameter>)>,
 ) -> Result<()> {
     let place = |keys: &[String]| ParameterPlace { source: Arc::clone(source), keys: keys.to_vec() };
     let Value::Mapping(map) = value else {
@@ -103,11 +103,11 @@ fn collect_parameters(
     value: &Value,
     keys: &mut Vec<String>,
     root: usize,
-    parameters: &mut Vec<Parameter>,
+    parameters: &mut Vec<NodeParameter>,
 ) -> Result<()> {
     let Value::Mapping(map) = value else {
         let (name, value) = (keys[root..].join("."), setting_value(value));
-        parameters.push(Parameter { name, value, keys: keys.clone() });
+        parameters.push(NodeParameter { name, value, keys: keys.clone() });
         return Ok(());
     };
     for (key, value) in map {

@@ -10,11 +10,12 @@ use std::sync::Arc;
 
 use downbeat_executor::SettingValue;
 
+pub(crate) use file::{NodeParameter, parameters_of_nodes};
 pub(crate) use line::line_of;
+pub(crate) use value::setting_value;
 
 use super::file::{Given, ParameterPlace, Place, Source, suggestion};
 use super::{ClockChoice, RobotFile, RobotFileError};
-use file::Parameter;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -46,18 +47,18 @@ impl RobotFile {
             return Err(self.error_at(&place, "expected module.setting:=value"));
         };
         let value = crate::msgs::yaml::from_str(text).map_err(|error| error.to_string());
-        let value = value.and_then(|value| value::setting_value(&value));
+        let value = value.and_then(|value| setting_value(&value));
         let value = value.map_err(|problem| self.error_at(&place, problem))?;
         self.set(name.trim(), value, place)
     }
 
     pub(crate) fn set_from_parameters(&mut self, source: &Arc<Source>) -> Result<()> {
         let node = self.node_name()?.to_string();
-        let nodes = file::nodes(source)?;
+        let nodes = parameters_of_nodes(source)?;
         let mut is_for_us = false;
         for (_, parameters) in nodes.iter().filter(|(pattern, _)| file::matches(pattern, &node)) {
             is_for_us = true;
-            for Parameter { name, value, keys } in parameters {
+            for NodeParameter { name, value, keys } in parameters {
                 let place = ParameterPlace { source: Arc::clone(source), keys: keys.clone() };
                 let value = value.clone().map_err(|problem| place.error(problem));
                 let first = name.split('.').next().unwrap_or_default();

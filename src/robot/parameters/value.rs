@@ -6,7 +6,7 @@ use serde_norway::Value;
 use crate::robot::file::list_of;
 
 /// The value as a setting holds it. Errors say what was expected and found.
-pub(super) fn setting_value(value: &Value) -> Result<SettingValue, String> {
+pub(crate) fn setting_value(value: &Value) -> Result<SettingValue, String> {
     match value {
         Value::Bool(value) => Ok(SettingValue::Bool(*value)),
         Value::String(text) => Ok(SettingValue::Text(text.clone())),

@@ -10,6 +10,7 @@ use crate::recorder::{self, Unrecorded, WhenFull};
 use crate::robot::{Catalog, RobotFile, RosArgs};
 
 use super::PlayArguments;
+use crate::program::logging::Log;
 use crate::program::new_output::Output;
 
 pub(super) fn play_into(
@@ -18,12 +19,14 @@ pub(super) fn play_into(
     arguments: &PlayArguments,
     catalog: &Catalog,
     ros: &RosArgs,
+    log: &Log,
 ) -> anyhow::Result<()> {
     if let Some(directory) = &arguments.record {
         arguments.force.make_way(Output::Bag, directory, [reader.path()])?;
     }
     let clock = ManualClock::new(playback::start_time(reader)?);
     let file = RobotFile::read_with(robot, catalog, ros)?;
+    log.name_after(&file)?;
     file.refuse_devices()?;
     let mut robot = file.on_any_machine().build(Core::new().with_clock(clock.clone()))?;
     let recording = arguments

@@ -19,6 +19,7 @@ use clap::Args;
 use super::carried::carried_over;
 use super::open;
 use super::select::TopicArguments;
+use crate::program::logging::Log;
 use crate::program::new_output::Force;
 use crate::program::screen::Screen;
 use requests::RequestsSource;
@@ -122,10 +123,11 @@ pub(crate) fn play(
     catalog: &Catalog,
     ros: &RosArgs,
     screen: &Screen,
+    log: &Log,
 ) -> anyhow::Result<()> {
     let bags = arguments.bags.iter().map(|bag| open(bag)).collect::<anyhow::Result<Vec<Reader>>>()?;
     let unreadable = match (&arguments.into, &bags[..]) {
-        (Some(robot), [bag]) => into::play_into(bag, robot, arguments, catalog, ros).map(|()| 0)?,
+        (Some(robot), [bag]) => into::play_into(bag, robot, arguments, catalog, ros, log).map(|()| 0)?,
         (Some(_), _) => bail!("one bag is played into a robot; merge them first: downbeat bag convert"),
         (None, bags) => ros::play(bags, arguments, catalog, ros, screen)?,
     };

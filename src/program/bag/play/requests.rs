@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
 use crate::bags::{RecordedTopic, TopicInfo};
+use crate::bridge::limiter::Limiter;
 use crate::bridge::ros::{Node, RawClient, ServiceType};
 use crate::msgs::qos::QosProfile;
 use crate::msgs::service_msgs::msg::ServiceEventInfo;
@@ -39,6 +40,8 @@ pub(super) struct Requests {
     decoder: Decoder,
     event_type: u8,
     unanswered: Arc<AtomicUsize>,
+    /// Of requests that are not sent or not answered.
+    failures: Arc<Limiter>,
     /// That events lack the requests is told once.
     has_told: AtomicBool,
 }
@@ -64,6 +67,7 @@ impl Requests {
             decoder: Decoder::of(topic, node.participant().interfaces())?,
             event_type: source.event_type(),
             unanswered: Arc::default(),
+            failures: Arc::default(),
             has_told: AtomicBool::new(false),
         })
     }
@@ -94,15 +98,20 @@ impl Requests {
             return Ok(false);
         };
         if !self.has_server() {
-            tracing::warn!("{service}: there is no server, a request is not sent");
+            if let Some(left_out) = self.failures.allow() {
+                tracing::warn!("{service}: there is no server, a request is not sent{left_out}");
+            }
             return Ok(false);
         }
         let (name, unanswered) = (service.to_string(), Arc::clone(&self.unanswered));
+        let failures = Arc::clone(&self.failures);
         unanswered.fetch_add(1, Ordering::Relaxed);
         self.client.call(request.to_message().to_cdr().into(), TIMEOUT, move |answer| {
             unanswered.fetch_sub(1, Ordering::Relaxed);
-            if let Err(error) = answer {
-                tracing::warn!("{name}: {error}");
+            if let Err(error) = answer
+                && let Some(left_out) = failures.allow()
+            {
+                tracing::warn!("{name}: {error}{left_out}");
             }
         });
         Ok(true)

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use crate::bags::{BagMessage, Player, PlayerOptions, Rate, Reader, ReaderError, Step};
+use crate::bridge::limiter::Limiter;
 use crate::bridge::middleware::WriteError;
 use crate::bridge::ros::{MessageType, Node, Publisher};
 use crate::msgs::builtin_interfaces::msg::Time;
@@ -82,6 +83,7 @@ pub(super) fn play(
         delay: arguments.delay.unwrap_or_default(),
         played: 0,
         refused: 0,
+        refusals: Limiter::default(),
         unreadable: 0,
         is_over: false,
     };
@@ -200,6 +202,7 @@ struct Run<'a> {
     delay: Duration,
     played: u64,
     refused: u64,
+    refusals: Limiter,
     unreadable: usize,
     is_over: bool,
 }
@@ -260,8 +263,8 @@ impl Run<'_> {
                 self.refused += 1;
                 if error.is::<WriteError>() {
                     tracing::debug!("{name}: {error}");
-                } else {
-                    tracing::warn!("{name}: {error}");
+                } else if let Some(left_out) = self.refusals.allow() {
+                    tracing::warn!("{name}: {error}{left_out}");
                 }
                 false
             }

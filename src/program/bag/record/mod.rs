@@ -7,12 +7,14 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use crate::bags::{Recording, RecordingControl, RecordingSummary};
+use crate::recorder::Unrecorded;
 use crate::robot::{Catalog, ClockChoice, RecordEntry, RobotFile, RosArgs};
 use crate::ros_recorder::{QosOverrides, RosRecorder, RosRecorderOptions, TopicFilter, serve, split_events};
 use anyhow::{Context, bail};
 
 use crate::program::bag::select::absolute;
 use crate::program::keyboard::{Key, Keyboard};
+use crate::program::logging::Log;
 use crate::program::new_output::Output;
 use crate::program::run::WatchedRobot;
 use crate::program::run::node;
@@ -28,13 +30,14 @@ pub(crate) fn record(
     catalog: &Catalog,
     ros: &RosArgs,
     screen: &Screen,
+    log: &Log,
 ) -> anyhow::Result<()> {
     let output = arguments.output.clone().unwrap_or_else(|| {
         PathBuf::from(chrono::Local::now().format("rosbag2_%Y_%m_%d-%H_%M_%S").to_string())
     });
     arguments.force.check(Output::Bag, &output)?;
     match &arguments.robot {
-        Some(robot) => record_robot(arguments, robot, output, catalog, ros, screen),
+        Some(robot) => record_robot(arguments, robot, output, catalog, ros, screen, log),
         None => record_from_ros(arguments, output, catalog, ros, screen),
     }
 }
@@ -46,8 +49,10 @@ fn record_robot(
     catalog: &Catalog,
     ros: &RosArgs,
     screen: &Screen,
+    log: &Log,
 ) -> anyhow::Result<()> {
     let mut file = RobotFile::read_with(robot, catalog, ros)?;
+    log.name_after(&file)?;
     // There is no node to hear `/clock` with.
     file.expose.features.clock = ClockChoice::Own;
     writing::apply(&arguments.writing, &mut file.record)?;
@@ -65,6 +70,7 @@ fn record_robot(
         filter.all_topics = true;
         filter.includes_hidden = true;
     }
+    let named = if filter.all_topics { Vec::new() } else { filter.topics.clone() };
     let plan = RecordPlan {
         directory,
         writer: writing::writer_options(&arguments.writing, &file.record),
@@ -73,7 +79,13 @@ fn record_robot(
         filter: Some(filter),
     };
     let stop = Stop::new()?;
+    let interfaces = file.catalog.interfaces.clone();
     let mut robot = WatchedRobot::new(file)?;
+    let topics: Vec<_> = robot.prepared.core().topics().cloned().collect();
+    let unrecorded = Unrecorded::of(&topics, &interfaces);
+    if let Some(problem) = named.iter().find_map(|name| unrecorded.problem_of(name)) {
+        bail!(problem);
+    }
     arguments.force.make_way(Output::Bag, &plan.directory, [])?;
     robot.prepared.record(plan)?;
     robot.run(&stop.after(arguments.duration), screen)

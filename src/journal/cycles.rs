@@ -1,4 +1,4 @@
-//! The times of a robot's cycles as a ROS message, so that a bag holds them and a replay can run the same cycles.
+//! The times of a robot's cycles, which a replay runs again.
 
 use std::time::Duration;
 
@@ -7,10 +7,9 @@ use downbeat_executor::{
 };
 use downbeat_msgs::downbeat_interfaces::msg::CycleTimes;
 
-/// The topic on which the times are published.
-pub const TOPIC: &str = "cycle_times";
+use super::{CYCLE_JOURNAL, CYCLES};
 
-/// Publishes the times of all cycles on [`TOPIC`], many at once.
+/// Publishes the times of all cycles on [`CYCLES`], many at once.
 ///
 /// It is to be the last part that joins a core: then it is the first to stop, and its last message tells which cycles
 /// there were before the end began.
@@ -25,16 +24,13 @@ const MOST: usize = 256;
 const OLDEST: Duration = Duration::from_millis(250);
 
 impl CycleJournal {
-    /// The name of the module.
-    pub const MODULE_NAME: &'static str = "cycle_journal";
-
     /// Adds the journal to a core.
     ///
     /// # Errors
     /// If another module has the name or the topic.
     pub fn add(core: &mut Core) -> Result<(), SetupError> {
         let options = ModuleOptions { synchrony: Synchrony::EveryCycle, ..ModuleOptions::default() };
-        core.add_with(Self::MODULE_NAME, Self::default(), options)
+        core.add_with(CYCLE_JOURNAL, Self::default(), options)
     }
 
     fn on_cycle(&mut self, ctx: &mut Context<'_, Publication<CycleTimes>>) {
@@ -59,7 +55,7 @@ impl Module for CycleJournal {
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError> {
         setup.each_run(Self::on_cycle);
-        setup.publish(TOPIC)
+        setup.publish(CYCLES)
     }
 
     fn shutdown(&mut self, ctx: &mut Context<'_, Publication<CycleTimes>>) {

@@ -1,52 +1,16 @@
-//! What takes effect in the cycles of a running robot besides messages and settings, as a ROS message, so that a bag holds it and
-//! a replay can repeat it: requests, answers, commands to modules and results of jobs.
+//! What takes effect in a cycle besides messages and settings: requests, answers, commands to modules and results of jobs.
 
 use std::collections::BTreeSet;
 
 use downbeat_bridge::edge::Interfaces;
 use downbeat_executor::{
-    CallError, CallOrigin, Context, Core, Graph, GraphEdge, Module, ModuleCommand, ModuleEvent as Event,
-    ModuleEventKind as Kind, ModuleOptions, Publication, Received, Role, Setup, SetupError,
+    CallError, CallOrigin, Core, Graph, GraphEdge, ModuleCommand, ModuleEvent as Event,
+    ModuleEventKind as Kind, SetupError,
 };
 use downbeat_msgs::builtin_interfaces::msg::Time;
 use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 
-/// The topic on which the events are published.
-pub const TOPIC: &str = "module_events";
-
-/// Publishes each event on [`TOPIC`]: an observer, so that it tells the last ones too.
-pub struct EventJournal;
-
-impl EventJournal {
-    /// The name of the module.
-    pub const MODULE_NAME: &'static str = "event_journal";
-
-    /// Adds the journal to a core whose modules are all there. Requests and answers are recorded with their content where their types
-    /// are registered.
-    ///
-    /// # Errors
-    /// If another module has the name or the topic.
-    pub fn add(core: &mut Core, interfaces: &Interfaces) -> Result<(), SetupError> {
-        encode_services(core, interfaces)?;
-        let options = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
-        core.add_with(Self::MODULE_NAME, Self, options)
-    }
-
-    fn on_event(&mut self, event: Received<'_, Event>, ctx: &mut Context<'_, Publication<ModuleEvent>>) {
-        ctx.publish(*ctx.ports, message(&event));
-    }
-}
-
-impl Module for EventJournal {
-    type Ports = Publication<ModuleEvent>;
-
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError> {
-        setup.subscribe(Event::TOPIC, Self::on_event)?;
-        setup.publish(TOPIC)
-    }
-}
-
-/// Has the content of requests and answers told of all services whose types are registered.
+/// Makes the executor report the content of requests and answers of all services whose types are registered.
 pub(crate) fn encode_services(core: &mut Core, interfaces: &Interfaces) -> Result<(), SetupError> {
     let names: Vec<_> = core.services().map(|service| service.name.clone()).collect();
     for name in names {
@@ -144,4 +108,49 @@ pub(crate) fn message(event: &Event) -> ModuleEvent {
         },
     };
     ModuleEvent { stamp: Time::from_nanos(event.time.as_nanos()), cycle: event.cycle, ..message }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::time::Duration;
+
+    use downbeat_executor::{Inbox, Module, ModuleOptions, Setup, Synchrony};
+
+    use super::*;
+
+    struct Doubler;
+
+    impl Module for Doubler {
+        type Ports = ();
+
+        fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+            setup.serve::<u32, u64, _>("double", |_: &mut Self, number, _| Ok(u64::from(*number) * 2))
+        }
+    }
+
+    struct Asker;
+
+    impl Module for Asker {
+        type Ports = ();
+
+        fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+            setup.client::<u32, u64, _>("double", Duration::from_secs(1), |_: &mut Self, _, _| ()).map(drop)
+        }
+    }
+
+    #[test]
+    fn a_service_of_plain_types_is_not_recorded_where_one_side_is_detached() {
+        let unrecorded = |synchrony| {
+            let mut core = Core::new();
+            core.add("doubler", Doubler).unwrap();
+            core.add_with("asker", Asker, ModuleOptions { synchrony, ..ModuleOptions::default() }).unwrap();
+            unrecorded_services(&core, &Interfaces::carried())
+        };
+        assert!(unrecorded(Synchrony::default()).is_empty());
+        let found = unrecorded(Synchrony::Detached(Inbox::KeepAll));
+        assert_eq!(found.len(), 1);
+        assert_eq!((&*found[0].service, &*found[0].types), ("double", "u32 -> u64"));
+        assert!(found[0].modules.iter().eq(["asker", "doubler"]));
+    }
 }
