@@ -7,7 +7,6 @@ use std::time::Duration;
 
 /// Whether lost samples are sent again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[allow(missing_docs)]
 pub enum Reliability {
     BestEffort = 1,
     Reliable = 2,
@@ -48,7 +47,6 @@ pub enum Liveliness {
 
 /// Whether several writers may update one instance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[allow(missing_docs)]
 pub enum Ownership {
     Shared,
     Exclusive,
@@ -65,7 +63,6 @@ pub enum DestinationOrder {
 
 /// The scope in which changes are presented in order or together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[allow(missing_docs)]
 pub enum AccessScope {
     Instance,
     Topic,
@@ -74,7 +71,6 @@ pub enum AccessScope {
 
 /// How changes of several instances are presented.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[allow(missing_docs)]
 pub struct Presentation {
     pub access_scope: AccessScope,
     pub coherent: bool,
@@ -95,27 +91,20 @@ impl Representation {
 /// The policies of a writer (offered) or a reader (requested).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Qos {
-    #[allow(missing_docs)]
     pub reliability: Reliability,
-    #[allow(missing_docs)]
     pub durability: Durability,
-    #[allow(missing_docs)]
     pub history: History,
     /// The longest time between two samples; `None` is infinite.
     pub deadline: Option<Duration>,
     /// How long a sample is valid after its source timestamp; `None` is infinite.
     pub lifespan: Option<Duration>,
-    #[allow(missing_docs)]
     pub liveliness: Liveliness,
     /// Time without an assertion after which a writer is no longer alive; `None` is infinite.
     pub lease: Option<Duration>,
     /// The acceptable delay of delivery; `None` is infinite.
     pub latency_budget: Option<Duration>,
-    #[allow(missing_docs)]
     pub ownership: Ownership,
-    #[allow(missing_docs)]
     pub destination_order: DestinationOrder,
-    #[allow(missing_docs)]
     pub presentation: Presentation,
     /// Names or `fnmatch` patterns. An empty list is the partition with the empty name.
     pub partition: Vec<String>,
@@ -155,7 +144,6 @@ impl Qos {
 
 /// A policy in which a writer and a reader are incompatible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[allow(missing_docs)]
 pub enum Policy {
     Reliability,
     Durability,

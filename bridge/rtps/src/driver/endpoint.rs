@@ -19,7 +19,6 @@ pub type MatchHandler = Box<dyn Fn() + Send + Sync>;
 
 /// What happened to an endpoint. `peer` is any other, of this participant or of another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)]
 pub enum EndpointEvent {
     /// The two found each other.
     Matched { peer: Guid },

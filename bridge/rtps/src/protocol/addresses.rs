@@ -21,7 +21,6 @@ pub struct Addresses {
 
 /// An address of this host with its subnet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[allow(missing_docs)]
 pub struct Interface {
     pub address: Ipv4Addr,
     pub prefix_length: u8,

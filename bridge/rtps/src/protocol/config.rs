@@ -15,7 +15,6 @@ use crate::{
 pub struct Config {
     /// Unique to this participant. Begins with [`VendorId::OURS`], by which peers of our kind know each other.
     pub prefix: GuidPrefix,
-    #[allow(missing_docs)]
     pub domain_id: u32,
     /// Shown by tools of other vendors; means nothing to ROS 2.
     pub name: String,
@@ -25,13 +24,11 @@ pub struct Config {
     pub lease: Duration,
     /// Time between two announcements, but for the first few.
     pub announcement_period: Duration,
-    #[allow(missing_docs)]
     pub addresses: Addresses,
     /// Bytes of a sample in one fragment to other hosts. On this host fragments are at least 32 kB.
     pub fragment_size: u16,
     /// Bytes that our socket holds until we read them; told to peers of our kind, which then send that much at once.
     pub receive_buffer: Option<u32>,
-    #[allow(missing_docs)]
     pub limits: Limits,
 }
 
@@ -63,7 +60,6 @@ pub struct EndpointConfig {
     pub topic: String,
     /// As in DDS: `std_msgs::msg::dds_::String_`.
     pub type_name: String,
-    #[allow(missing_docs)]
     pub qos: Qos,
     /// In ROS 2 `typehash=RIHS01_…;`.
     pub user_data: Bytes,
@@ -89,7 +85,6 @@ impl EndpointConfig {
 pub struct Limits {
     /// Participants known at once. When more come, those that never answered us give way.
     pub participants: usize,
-    #[allow(missing_docs)]
     pub endpoints_per_participant: usize,
     /// Endpoints of all other participants together.
     pub endpoints: usize,

@@ -11,10 +11,8 @@ pub enum Fault {
     /// Of another protocol or another major version.
     #[error("a datagram of another protocol")]
     Foreign,
-    #[allow(missing_docs)]
     #[error("a malformed message")]
     Malformed,
-    #[allow(missing_docs)]
     #[error("malformed discovery data")]
     MalformedDiscovery,
     /// An announcement without an IPv4 address that we can send to.
@@ -23,10 +21,8 @@ pub enum Fault {
     /// An endpoint announced in the name of another participant.
     #[error("an endpoint that belongs to another participant")]
     ForeignEndpoint,
-    #[allow(missing_docs)]
     #[error("a participant beyond the limit")]
     TooManyParticipants,
-    #[allow(missing_docs)]
     #[error("an endpoint beyond the limit")]
     TooManyEndpoints,
     /// The guard does not let it through.
@@ -41,7 +37,6 @@ impl Fault {
 
 /// Traffic and faults since the participant was made.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-#[allow(missing_docs)]
 pub struct Counters {
     pub datagrams_received: u64,
     pub bytes_received: u64,

@@ -12,7 +12,6 @@ use crate::{
 ///
 /// `local` is an endpoint of this participant. `remote` is any other endpoint, of this participant or of another.
 #[derive(Debug, Clone)]
-#[allow(missing_docs)]
 pub enum Event {
     /// A sample arrived.
     Sample {

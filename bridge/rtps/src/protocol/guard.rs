@@ -42,11 +42,9 @@ pub trait Guard: Send {
 /// What a guard says of somebody new.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Admission {
-    #[allow(missing_docs)]
     Admit,
     /// Not yet: authentication is under way.
     Wait,
-    #[allow(missing_docs)]
     Refuse,
 }
 

@@ -36,7 +36,6 @@ const MAX_FRAGMENT_NACKS: usize = 8;
 /// A writer that is matched with the reader.
 #[derive(Debug, Clone, Copy)]
 pub struct MatchedWriter {
-    #[allow(missing_docs)]
     pub guid: Guid,
     /// Whether both are reliable.
     pub is_reliable: bool,

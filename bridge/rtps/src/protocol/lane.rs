@@ -36,7 +36,6 @@ const MAX_FRAGMENTED: usize = 8;
 /// A reader that is matched with the writer.
 #[derive(Debug, Clone, Copy)]
 pub struct MatchedReader {
-    #[allow(missing_docs)]
     pub guid: Guid,
     /// Whether both are reliable.
     pub is_reliable: bool,

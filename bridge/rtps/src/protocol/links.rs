@@ -29,7 +29,6 @@ pub enum Destination {
 /// What is known about a destination.
 #[derive(Debug, Clone, Copy)]
 pub struct LinkOptions {
-    #[allow(missing_docs)]
     pub destination: Destination,
     /// The participant there; [`GuidPrefix::UNKNOWN`] for a group.
     pub peer: GuidPrefix,

@@ -34,7 +34,6 @@ const SHORTEST_TIMEOUT: Duration = Duration::from_micros(50);
 
 /// Why a write is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum WriteError {
     #[error("the writer does not exist")]
     UnknownWriter,
@@ -46,7 +45,6 @@ pub enum WriteError {
 
 /// Why an endpoint is not created.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum CreateError {
     #[error("no identities are left for endpoints of this participant")]
     TooMany,
@@ -91,7 +89,6 @@ pub struct Participant {
 }
 
 impl Participant {
-    #[allow(missing_docs)]
     pub fn new(config: Config, now: Now) -> Self {
         let mut links = Links::new();
         let own = links.open(LinkOptions {
@@ -130,12 +127,10 @@ impl Participant {
         Self { guard: Some(guard), ..Self::new(config, now) }
     }
 
-    #[allow(missing_docs)]
     pub fn guid(&self) -> Guid {
         Guid::new(self.config.prefix, EntityId::PARTICIPANT)
     }
 
-    #[allow(missing_docs)]
     pub fn prefix(&self) -> GuidPrefix {
         self.config.prefix
     }
@@ -288,12 +283,10 @@ impl Participant {
         self.peers.iter().flat_map(|(_, peer)| peer.endpoints.values()).map(|remote| &remote.data)
     }
 
-    #[allow(missing_docs)]
     pub fn remote_endpoint(&self, guid: Guid) -> Option<&EndpointData> {
         self.peers.endpoint(guid).map(|remote| &remote.data)
     }
 
-    #[allow(missing_docs)]
     pub fn remote_participants(&self) -> impl Iterator<Item = &ParticipantData> {
         self.peers.iter().map(|(_, peer)| &peer.data)
     }
@@ -303,7 +296,6 @@ impl Participant {
         self.locals.announced()
     }
 
-    #[allow(missing_docs)]
     pub fn counters(&self) -> Counters {
         self.counters
     }

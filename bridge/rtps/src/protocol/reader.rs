@@ -20,9 +20,7 @@ use super::writer::missed_periods;
 /// What a reader is made from.
 #[derive(Debug, Clone)]
 pub struct ReaderConfig {
-    #[allow(missing_docs)]
     pub guid: Guid,
-    #[allow(missing_docs)]
     pub qos: Qos,
     /// Bytes of a sample; larger ones are lost.
     pub max_sample_size: u32,
@@ -46,18 +44,15 @@ pub struct Reader {
 }
 
 impl Reader {
-    #[allow(missing_docs)]
     pub fn new(config: ReaderConfig) -> Self {
         let (writers, due) = (BTreeMap::new(), BTreeSet::new());
         Self { config, writers, due, open_bytes: 0, deadline_at: None, timeout: None }
     }
 
-    #[allow(missing_docs)]
     pub fn guid(&self) -> Guid {
         self.config.guid
     }
 
-    #[allow(missing_docs)]
     pub fn qos(&self) -> &Qos {
         &self.config.qos
     }
@@ -86,7 +81,6 @@ impl Reader {
         self.writers.keys().copied()
     }
 
-    #[allow(missing_docs)]
     pub fn is_matched(&self, writer: Guid) -> bool {
         self.writers.contains_key(&writer)
     }

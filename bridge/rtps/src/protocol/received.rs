@@ -7,13 +7,10 @@ use crate::wire::{Guid, InlineQos, SequenceNumber, Timestamp};
 /// A sample that was received.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sample {
-    #[allow(missing_docs)]
     pub writer: Guid,
-    #[allow(missing_docs)]
     pub number: SequenceNumber,
     /// When the writer wrote it, by the clock of its host.
     pub source_timestamp: Option<Timestamp>,
-    #[allow(missing_docs)]
     pub inline_qos: InlineQos,
     /// Whether the payload is only the key of an instance.
     pub is_key: bool,
@@ -27,22 +24,9 @@ pub enum Received {
     /// A sample; those of one reliable writer in the order of their numbers, without a gap that is not told as lost.
     Sample(Sample),
     /// Samples of a writer that will not come any more.
-    Lost {
-        #[allow(missing_docs)]
-        writer: Guid,
-        #[allow(missing_docs)]
-        count: u64,
-    },
+    Lost { writer: Guid, count: u64 },
     /// Nothing came for so many further periods.
-    DeadlineMissed {
-        #[allow(missing_docs)]
-        count: u64,
-    },
+    DeadlineMissed { count: u64 },
     /// A writer with a lease is heard for the first time, was silent for its lease, or is heard again.
-    LivelinessChanged {
-        #[allow(missing_docs)]
-        writer: Guid,
-        #[allow(missing_docs)]
-        is_alive: bool,
-    },
+    LivelinessChanged { writer: Guid, is_alive: bool },
 }

@@ -16,9 +16,7 @@ use super::links::{Emitted, LinkId, Links};
 /// What a writer is made from.
 #[derive(Debug, Clone)]
 pub struct WriterConfig {
-    #[allow(missing_docs)]
     pub guid: Guid,
-    #[allow(missing_docs)]
     pub qos: Qos,
     /// Samples that may wait: unacknowledged ones if the writer keeps all, else those beyond its depth that are not sent
     /// yet because a pacer holds them back.
@@ -28,7 +26,6 @@ pub struct WriterConfig {
 /// What goes with a sample.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct WriteOptions {
-    #[allow(missing_docs)]
     pub inline_qos: InlineQos,
     /// The only reader that gets the sample; for the others the number is a gap.
     pub only_to: Option<Guid>,
@@ -43,10 +40,7 @@ pub struct WindowFull;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WriterEvent {
     /// Nothing was written for so many further periods.
-    DeadlineMissed {
-        #[allow(missing_docs)]
-        count: u64,
-    },
+    DeadlineMissed { count: u64 },
     /// The application did not say for a lease that the writer is alive.
     LivelinessLost,
     /// All reliable readers have all samples.
@@ -75,7 +69,6 @@ pub struct Writer {
 }
 
 impl Writer {
-    #[allow(missing_docs)]
     pub fn new(config: WriterConfig) -> Self {
         Self {
             guid: config.guid,
@@ -93,12 +86,10 @@ impl Writer {
         }
     }
 
-    #[allow(missing_docs)]
     pub fn guid(&self) -> Guid {
         self.guid
     }
 
-    #[allow(missing_docs)]
     pub fn qos(&self) -> &Qos {
         &self.qos
     }
@@ -203,7 +194,6 @@ impl Writer {
         self.readers.keys().copied()
     }
 
-    #[allow(missing_docs)]
     pub fn is_matched(&self, reader: Guid) -> bool {
         self.readers.contains_key(&reader)
     }

@@ -26,15 +26,12 @@ pub struct EndpointData {
     pub topic: String,
     /// As in DDS: `std_msgs::msg::dds_::String_`.
     pub type_name: String,
-    #[allow(missing_docs)]
     pub qos: Qos,
     /// Empty if the participant's default locators apply.
     pub unicast: Vec<SocketAddrV4>,
-    #[allow(missing_docs)]
     pub multicast: Vec<SocketAddrV4>,
     /// In ROS 2 `typehash=RIHS01_…;`. At most 1024 bytes are kept.
     pub user_data: Vec<u8>,
-    #[allow(missing_docs)]
     pub expects_inline_qos: bool,
 }
 

@@ -111,7 +111,6 @@ impl fmt::Debug for EntityId {
 
 /// Globally unique identity of an endpoint.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[allow(missing_docs)]
 pub struct Guid {
     pub prefix: GuidPrefix,
     pub entity: EntityId,
@@ -121,7 +120,6 @@ impl Guid {
     /// No endpoint.
     pub const UNKNOWN: Self = Self::new(GuidPrefix::UNKNOWN, EntityId::UNKNOWN);
 
-    #[allow(missing_docs)]
     pub const fn new(prefix: GuidPrefix, entity: EntityId) -> Self {
         Self { prefix, entity }
     }

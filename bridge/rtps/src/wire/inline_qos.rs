@@ -12,7 +12,6 @@ pub struct InlineQos {
     pub related_sample_identity: Option<SampleIdentity>,
     /// Identity of the instance. In discovery it is the guid of the entity.
     pub key_hash: Option<[u8; 16]>,
-    #[allow(missing_docs)]
     pub status: Option<StatusInfo>,
 }
 

@@ -7,7 +7,6 @@ use super::bytes::{Cursor, Encoder};
 
 /// An address of any transport, including unsupported ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[allow(missing_docs)]
 pub struct Locator {
     pub kind: i32,
     pub port: u32,

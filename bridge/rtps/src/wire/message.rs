@@ -51,7 +51,6 @@ pub(super) mod flag {
 pub struct Header {
     /// Major and minor.
     pub version: [u8; 2],
-    #[allow(missing_docs)]
     pub vendor: VendorId,
     /// The participant that sent the message.
     pub prefix: GuidPrefix,
@@ -78,28 +77,24 @@ pub enum Submessage<'a> {
     InfoSource(Header),
     /// Locators for answers. Its content is ignored, since answers go to announced locators only.
     InfoReply,
-    #[allow(missing_docs)]
     Data(Data<'a>),
-    #[allow(missing_docs)]
     DataFragment(DataFragment<'a>),
-    #[allow(missing_docs)]
     AckNack(AckNack),
-    #[allow(missing_docs)]
     Heartbeat(Heartbeat),
-    #[allow(missing_docs)]
     Gap(Gap),
-    #[allow(missing_docs)]
     NackFragment(NackFragment),
-    #[allow(missing_docs)]
     HeartbeatFragment(HeartbeatFragment),
     /// Padding.
     Pad,
     /// Part of DDS Security: ids 0x30 to 0x34.
-    #[allow(missing_docs)]
-    Security { id: u8, body: &'a [u8] },
+    Security {
+        id: u8,
+        body: &'a [u8],
+    },
     /// Of a later version of the specification, or specific to a vendor.
-    #[allow(missing_docs)]
-    Unknown { id: u8 },
+    Unknown {
+        id: u8,
+    },
 }
 
 /// A sample, or the end of an instance.
@@ -107,13 +102,9 @@ pub enum Submessage<'a> {
 pub struct Data<'a> {
     /// [`EntityId::UNKNOWN`] is every matched reader.
     pub reader: EntityId,
-    #[allow(missing_docs)]
     pub writer: EntityId,
-    #[allow(missing_docs)]
     pub number: SequenceNumber,
-    #[allow(missing_docs)]
     pub inline_qos: InlineQos,
-    #[allow(missing_docs)]
     pub payload: Payload<'a>,
 }
 
@@ -137,9 +128,7 @@ pub enum Payload<'a> {
 pub struct DataFragment<'a> {
     /// [`EntityId::UNKNOWN`] is every matched reader.
     pub reader: EntityId,
-    #[allow(missing_docs)]
     pub writer: EntityId,
-    #[allow(missing_docs)]
     pub number: SequenceNumber,
     /// Number of the first of these fragments. The first fragment of the sample is 1.
     pub first: u32,
@@ -168,9 +157,7 @@ impl DataFragment<'_> {
 /// The samples that a reader has received and those it is missing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AckNack {
-    #[allow(missing_docs)]
     pub reader: EntityId,
-    #[allow(missing_docs)]
     pub writer: EntityId,
     /// All samples below the base are received. An empty set with base 0 requests a first [`Heartbeat`]; Fast DDS sends it.
     pub missing: SequenceNumberSet,
@@ -185,7 +172,6 @@ pub struct AckNack {
 pub struct Heartbeat {
     /// [`EntityId::UNKNOWN`] is every matched reader.
     pub reader: EntityId,
-    #[allow(missing_docs)]
     pub writer: EntityId,
     /// The oldest available sample.
     pub first: SequenceNumber,
@@ -204,22 +190,17 @@ pub struct Heartbeat {
 pub struct Gap {
     /// [`EntityId::UNKNOWN`] is every matched reader.
     pub reader: EntityId,
-    #[allow(missing_docs)]
     pub writer: EntityId,
     /// At most the base of the list.
     pub start: SequenceNumber,
-    #[allow(missing_docs)]
     pub list: SequenceNumberSet,
 }
 
 /// Fragments of one sample that a reader is missing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NackFragment {
-    #[allow(missing_docs)]
     pub reader: EntityId,
-    #[allow(missing_docs)]
     pub writer: EntityId,
-    #[allow(missing_docs)]
     pub number: SequenceNumber,
     /// Its base is at least 1.
     pub missing: FragmentSet,
@@ -232,9 +213,7 @@ pub struct NackFragment {
 pub struct HeartbeatFragment {
     /// [`EntityId::UNKNOWN`] is every matched reader.
     pub reader: EntityId,
-    #[allow(missing_docs)]
     pub writer: EntityId,
-    #[allow(missing_docs)]
     pub number: SequenceNumber,
     /// The last available fragment, at least 1. All before it are available too.
     pub last: u32,

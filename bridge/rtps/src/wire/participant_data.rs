@@ -15,7 +15,6 @@ use super::{EntityId, Guid, GuidPrefix, Malformed, VendorId};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct BuiltinEndpoints(pub u32);
 
-#[allow(missing_docs)]
 impl BuiltinEndpoints {
     pub const SPDP_WRITER: u32 = 1 << 0;
     pub const SPDP_READER: u32 = 1 << 1;
@@ -43,19 +42,15 @@ pub struct ParticipantData {
     pub prefix: GuidPrefix,
     /// Major and minor version of the protocol.
     pub version: [u8; 2],
-    #[allow(missing_docs)]
     pub vendor: VendorId,
     /// Addresses for discovery traffic.
     pub metatraffic_unicast: Vec<SocketAddrV4>,
-    #[allow(missing_docs)]
     pub metatraffic_multicast: Vec<SocketAddrV4>,
     /// Addresses of those endpoints that announce no locators of their own.
     pub default_unicast: Vec<SocketAddrV4>,
-    #[allow(missing_docs)]
     pub default_multicast: Vec<SocketAddrV4>,
     /// Time without a message after which the participant is considered lost; `None` is infinite.
     pub lease: Option<Duration>,
-    #[allow(missing_docs)]
     pub builtin_endpoints: BuiltinEndpoints,
     /// In ROS 2 `enclave=<enclave>;`. At most 1024 bytes are kept.
     pub user_data: Vec<u8>,

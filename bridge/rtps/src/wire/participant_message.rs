@@ -6,7 +6,6 @@ use super::{GuidPrefix, Malformed};
 /// The content of a sample of the writer liveliness protocol (WLP).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ParticipantMessage {
-    #[allow(missing_docs)]
     pub prefix: GuidPrefix,
     /// Which of its writers are alive: [`Self::AUTOMATIC`] or [`Self::MANUAL`]. Other values have other purposes.
     pub kind: u32,
