@@ -8,8 +8,7 @@ use common::rclpy::Peer;
 use common::{WATCHDOG, on_loopback, wait_until};
 use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{BridgeStatus, Exposure, QOS_EVENTS_TOPIC, QosCounts, expose};
-use downbeat_bridge::middleware::in_process::Hub;
-use downbeat_bridge::middleware::observing::Observing;
+use downbeat_bridge::middleware::rtps::RtpsParticipant;
 use downbeat_bridge::middleware::{Direction, EndpointEvent, Middleware, QosPolicyKind, WriteOptions};
 use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant};
 use downbeat_executor::{
@@ -115,15 +114,14 @@ impl Drop for Running {
     }
 }
 
-fn of(hub: &Hub) -> Participant {
-    Participant::on(Arc::new(Observing::over(Box::new(hub.join())))).unwrap()
+fn join(domain_id: u16) -> Participant {
+    Participant::join(&on_loopback(domain_id)).unwrap()
 }
 
 #[test]
 fn modules_hear_who_is_matched_who_is_not_and_what_was_lost() {
-    let hub = Hub::new();
-    let robot = Running::start(&of(&hub), QosProfile::SENSOR_DATA);
-    let peer = of(&hub);
+    let robot = Running::start(&join(72), QosProfile::SENSOR_DATA);
+    let peer = join(72);
     let node = peer.create_node(NodeName::new("/", "peer").unwrap()).unwrap();
     let text = MessageType::new(TEXT).unwrap();
     let subscription = node.subscribe("/text", &text, QosProfile::SENSOR_DATA, Box::new(|_| ())).unwrap();
@@ -146,7 +144,7 @@ fn modules_hear_who_is_matched_who_is_not_and_what_was_lost() {
     };
     assert_eq!(out, expected);
 
-    let other = Observing::over(Box::new(hub.join()));
+    let other = RtpsParticipant::new(&on_loopback(72)).unwrap();
     let endpoint =
         downbeat_bridge::middleware::Endpoint::new("rt/words", text.to_wire(), QosProfile::SENSOR_DATA);
     let writer = other.create_writer(&endpoint).unwrap();
@@ -176,11 +174,10 @@ impl Module for Flood {
 fn what_the_inbox_of_the_bridge_drops_is_counted_by_topic() {
     // More than the inbox holds, twice: what the bridge took before it was held up, and what waits then.
     const CYCLES: u64 = 10_000;
-    let hub = Hub::new();
     let mut core = Core::new();
     let synchrony = Synchrony::EveryCycle;
     core.add_with("flood", Flood, ModuleOptions { synchrony, ..ModuleOptions::default() }).unwrap();
-    let participant = of(&hub);
+    let participant = join(73);
     let node = participant.create_node(NodeName::new("/", "downbeat").unwrap()).unwrap();
     let kind = Interfaces::carried().message(TEXT).unwrap();
     let status = expose(&mut core, &node, &[Exposure::new("text", kind, Direction::Out)]).unwrap();
@@ -189,7 +186,7 @@ fn what_the_inbox_of_the_bridge_drops_is_counted_by_topic() {
     let on_sample = move |_| {
         let _ = held.recv();
     };
-    let peer = of(&hub);
+    let peer = join(73);
     let peer_node = peer.create_node(NodeName::new("/", "peer").unwrap()).unwrap();
     let text = MessageType::new(TEXT).unwrap();
     let _slow = peer_node.subscribe("/text", &text, QosProfile::DEFAULT, Box::new(on_sample)).unwrap();
@@ -314,8 +311,7 @@ fn a_publisher_that_is_silent_is_told_to_be_not_alive_on_both_sides() {
 
 #[test]
 fn events_of_an_endpoint_that_nobody_asked_for_are_not_measured() {
-    let hub = Hub::new();
-    let participant = Observing::over(Box::new(hub.join()));
+    let participant = RtpsParticipant::new(&on_loopback(74)).unwrap();
     let endpoint = downbeat_bridge::middleware::Endpoint::new("rt/t", "T", QosProfile::DEFAULT);
     let writer = participant.create_writer(&endpoint).unwrap();
     let (sender, events) = channel();
