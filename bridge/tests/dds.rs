@@ -102,8 +102,16 @@ fn a_handler_that_panics_ends_its_own_reader_only() {
 }
 
 #[test]
-fn with_discovery_off_there_is_no_dds() {
+fn with_discovery_off_a_participant_hears_only_itself() {
     let off = ParticipantOptions { discovery_range: DiscoveryRange::Off, ..on_loopback(37) };
-    let participant = downbeat_bridge::middleware::join(&off).unwrap();
-    assert_eq!(participant.gid().0[..8], *b"downbeat", "the identity of a participant in memory");
+    let [one, other] = [(); 2].map(|()| downbeat_bridge::middleware::join(&off).unwrap());
+    let on_loopback = Dds(37).join();
+    let writer = one.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
+    let (own, samples) = subscribe(&*one, &chatter(QosProfile::DEFAULT));
+    let (others, _) = subscribe(&*other, &chatter(QosProfile::DEFAULT));
+    let (strangers, _) = subscribe(&*on_loopback, &chatter(QosProfile::DEFAULT));
+    wait_until("its own reader is matched", || writer.matched() == 1 && own.matched() == 1);
+    writer.write(cdr([1; 4])).unwrap();
+    assert_eq!(next(&samples).cdr, cdr([1; 4]));
+    assert_eq!((others.matched(), strangers.matched()), (0, 0));
 }

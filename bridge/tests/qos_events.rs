@@ -5,12 +5,13 @@ mod common;
 
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
+use common::texts::text_of;
 use common::{WATCHDOG, on_loopback, wait_until};
 use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{BridgeStatus, Exposure, QOS_EVENTS_TOPIC, QosCounts, expose};
 use downbeat_bridge::middleware::in_process::Hub;
-use downbeat_bridge::middleware::observing::Observing;
-use downbeat_bridge::middleware::{Direction, EndpointEvent, Middleware, QosPolicyKind, WriteOptions};
+use downbeat_bridge::middleware::rtps::RtpsParticipant;
+use downbeat_bridge::middleware::{Direction, EndpointEvent, Middleware, QosPolicyKind};
 use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant};
 use downbeat_executor::{
     Context, Core, CoreHandle, Module, ModuleOptions, Received, Setup, SetupError, Synchrony,
@@ -115,15 +116,15 @@ impl Drop for Running {
     }
 }
 
-fn of(hub: &Hub) -> Participant {
-    Participant::on(Arc::new(Observing::over(Box::new(hub.join())))).unwrap()
+fn join(domain_id: u16) -> Participant {
+    Participant::join(&on_loopback(domain_id)).unwrap()
 }
 
 #[test]
 fn modules_hear_who_is_matched_who_is_not_and_what_was_lost() {
-    let hub = Hub::new();
-    let robot = Running::start(&of(&hub), QosProfile::SENSOR_DATA);
-    let peer = of(&hub);
+    let participant = join(72);
+    let robot = Running::start(&participant, QosProfile::SENSOR_DATA);
+    let peer = join(72);
     let node = peer.create_node(NodeName::new("/", "peer").unwrap()).unwrap();
     let text = MessageType::new(TEXT).unwrap();
     let subscription = node.subscribe("/text", &text, QosProfile::SENSOR_DATA, Box::new(|_| ())).unwrap();
@@ -146,18 +147,23 @@ fn modules_hear_who_is_matched_who_is_not_and_what_was_lost() {
     };
     assert_eq!(out, expected);
 
-    let other = Observing::over(Box::new(hub.join()));
-    let endpoint =
-        downbeat_bridge::middleware::Endpoint::new("rt/words", text.to_wire(), QosProfile::SENSOR_DATA);
-    let writer = other.create_writer(&endpoint).unwrap();
-    robot.event("words", QosEvent::MATCHED);
-    let nobody = WriteOptions { only_to: Some(other.gid()), ..WriteOptions::default() };
-    for options in [WriteOptions::default(), nobody, nobody, WriteOptions::default()] {
-        writer.write_with(common::cdr([1, 0, 0, 0, 0]), options).unwrap();
-    }
+    // A handler that is slow holds up the thread that reads for the robot, and its socket overflows.
+    let holder = participant.create_node(NodeName::new("/", "holder").unwrap()).unwrap();
+    let on_sample = Box::new(|_| std::thread::sleep(Duration::from_secs(1)));
+    let _holds = holder.subscribe("/hold", &text, QosProfile::DEFAULT, on_sample).unwrap();
+    let hold = node.publish("/hold", &text, QosProfile::DEFAULT).unwrap();
+    let words = node.publish("/words", &text, QosProfile::SENSOR_DATA).unwrap();
+    let peer = robot.event("words", QosEvent::MATCHED).peer;
+    wait_until("the slow one is matched", || hold.matched_subscriptions() == 1);
+    hold.publish(text_of(0, 10)).unwrap();
+    wait_until("words are lost", || {
+        // It may be refused while what was written before is not sent yet.
+        let _ = words.publish(text_of(0, 100_000));
+        robot.counts()[1].lost > 0
+    });
     let lost = robot.event("words", QosEvent::MESSAGE_LOST);
-    assert_eq!((lost.count, lost.total, lost.peer), (2, 2, writer.gid().0));
-    assert_eq!(robot.counts()[1].lost, 2);
+    assert!(lost.count >= 1 && lost.total == lost.count.unsigned_abs(), "{lost:?}");
+    assert_eq!(lost.peer, peer);
 }
 
 /// Publishes once a cycle.
@@ -176,11 +182,12 @@ impl Module for Flood {
 fn what_the_inbox_of_the_bridge_drops_is_counted_by_topic() {
     // More than the inbox holds, twice: what the bridge took before it was held up, and what waits then.
     const CYCLES: u64 = 10_000;
-    let hub = Hub::new();
     let mut core = Core::new();
     let synchrony = Synchrony::EveryCycle;
     core.add_with("flood", Flood, ModuleOptions { synchrony, ..ModuleOptions::default() }).unwrap();
-    let participant = of(&hub);
+    let hub = Hub::new();
+    let join = || Participant::on(Arc::new(hub.join())).unwrap();
+    let participant = join();
     let node = participant.create_node(NodeName::new("/", "downbeat").unwrap()).unwrap();
     let kind = Interfaces::carried().message(TEXT).unwrap();
     let status = expose(&mut core, &node, &[Exposure::new("text", kind, Direction::Out)]).unwrap();
@@ -189,7 +196,7 @@ fn what_the_inbox_of_the_bridge_drops_is_counted_by_topic() {
     let on_sample = move |_| {
         let _ = held.recv();
     };
-    let peer = of(&hub);
+    let peer = join();
     let peer_node = peer.create_node(NodeName::new("/", "peer").unwrap()).unwrap();
     let text = MessageType::new(TEXT).unwrap();
     let _slow = peer_node.subscribe("/text", &text, QosProfile::DEFAULT, Box::new(on_sample)).unwrap();
@@ -303,19 +310,18 @@ fn a_publisher_that_is_silent_is_told_to_be_not_alive_on_both_sides() {
         let event = robot.event("words", QosEvent::LIVELINESS_CHANGED);
         (event.current, event.not_alive)
     };
-    assert_eq!([changed(&robot), changed(&robot)], [(1, 0), (0, 1)], "it has published nothing");
+    // As in Fast DDS, the lease begins with the first message.
     peer.ask(json!({"do": "publish", "topic": "/words", "fields": {"data": "I am"}}));
     assert_eq!([changed(&robot), changed(&robot)], [(1, 0), (0, 1)]);
     wait_told(&mut peer, "/words", "liveliness", |told| told["total_count"].as_u64() >= Some(1));
     let [out, into] = robot.counts();
-    assert!(out.liveliness_lost >= 1 && into.silences >= 2, "{out:?} {into:?}");
+    assert!(out.liveliness_lost >= 1 && into.silences >= 1, "{out:?} {into:?}");
     peer.leave();
 }
 
 #[test]
 fn events_of_an_endpoint_that_nobody_asked_for_are_not_measured() {
-    let hub = Hub::new();
-    let participant = Observing::over(Box::new(hub.join()));
+    let participant = RtpsParticipant::new(&on_loopback(74)).unwrap();
     let endpoint = downbeat_bridge::middleware::Endpoint::new("rt/t", "T", QosProfile::DEFAULT);
     let writer = participant.create_writer(&endpoint).unwrap();
     let (sender, events) = channel();

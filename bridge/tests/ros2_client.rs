@@ -113,7 +113,7 @@ fn topics_go_both_ways() {
     });
     let _from_peer = node.subscribe("/from_peer", &text, QosProfile::DEFAULT, on_sample).unwrap();
 
-    let mut topic = |name: &str| {
+    let topic = |name: &str| {
         peer.node.create_topic(&their_name(name), MessageTypeName::new("std_msgs", "String"), &their_qos())
     };
     let (to, from) = (topic("to_peer").unwrap(), topic("from_peer").unwrap());

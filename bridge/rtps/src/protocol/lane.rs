@@ -5,15 +5,17 @@
 use std::time::{Duration, Instant};
 
 use crate::wire::{
-    AckNack, Data, DataFragment, EntityId, FragmentSet, Gap, Guid, Heartbeat, HeartbeatFragment,
-    MessageBuilder, NackFragment, SequenceNumber, SequenceNumberSet,
+    AckNack, EntityId, FragmentSet, Guid, Heartbeat, HeartbeatFragment, MessageBuilder, NackFragment,
+    SequenceNumber,
 };
 
 use super::count::LastCount;
 use super::history::{Entry, History};
 use super::intervals::Intervals;
 use super::links::{Emitted, LinkId, Links};
+use super::outgoing::{MatchedReader, Outgoing, Sending};
 use super::pacer::Load;
+use super::part::{Part, fragment_count};
 
 /// Heartbeats that go along with samples are at least this far apart: at high rates not every sample is acknowledged.
 const HEARTBEAT_PAUSE: Duration = Duration::from_millis(5);
@@ -26,39 +28,16 @@ const REPAIR_PERIOD_MAX: Duration = Duration::from_millis(100);
 const HEARTBEAT_DATA: u64 = 64 * 1024;
 /// A link that a window holds back is given up on for now after so long without an acknowledgement.
 const STALL: Duration = Duration::from_millis(100);
-/// Samples up to this size go ahead of the queue of a pacer.
-const SMALL: usize = 4096;
 /// Bytes of a heartbeat.
 const HEARTBEAT_LEN: usize = 32;
 /// Samples of one reader of which fragments may be asked for at a time.
 const MAX_FRAGMENTED: usize = 8;
 
-/// A reader that is matched with the writer.
-#[derive(Debug, Clone, Copy)]
-pub struct MatchedReader {
-    pub guid: Guid,
-    /// Whether both are reliable.
-    pub is_reliable: bool,
-    /// Whether both are transient local.
-    pub wants_history: bool,
-    /// Where the reader is.
-    pub link: LinkId,
-}
-
-/// What all lanes of a writer share while they send.
-pub(super) struct Sending<'a> {
-    pub now: Instant,
-    pub writer: EntityId,
-    pub history: &'a History,
-    /// The count of the last heartbeat.
-    pub heartbeats: &'a mut u32,
-}
-
 /// The state of one link of a writer.
 #[derive(Debug)]
 pub(super) struct Lane {
     link: LinkId,
-    pub readers: Vec<ReaderState>,
+    pub readers: Vec<Outgoing>,
     /// The first sample that is not wholly sent.
     next: SequenceNumber,
     /// How many fragments of `next` are sent.
@@ -85,38 +64,6 @@ enum HeartbeatWish {
     Plain,
     /// Also to say that the writer is alive.
     Liveliness,
-}
-
-/// The state of one matched reader.
-#[derive(Debug)]
-pub(super) struct ReaderState {
-    pub guid: Guid,
-    pub is_reliable: bool,
-    pub wants_history: bool,
-    /// The first sample that concerns this reader.
-    start: SequenceNumber,
-    /// The first sample that this reader has not acknowledged.
-    acknowledged: SequenceNumber,
-    /// The same in the stream: parts of a sample count. Never below what was sent when the reader was matched: sending
-    /// it the history is not held against the window.
-    position: u64,
-    /// How much had been sent when the reader was matched.
-    matched_position: u64,
-    /// The first sample to be sent after the reader was matched.
-    matched_next: SequenceNumber,
-    /// Samples to be sent again, and how many fragments of the first of them already are.
-    repair: Intervals,
-    repaired_fragments: Option<(SequenceNumber, u32)>,
-    /// Fragments to be sent again.
-    fragments: Vec<(SequenceNumber, FragmentSet)>,
-    /// The first of some samples that were not for this reader, which does not know yet.
-    gap_from: Option<SequenceNumber>,
-    /// A heartbeat to this reader is due.
-    heartbeat: bool,
-    /// Whether the reader has acknowledged anything: it knows the writer then. Until it does heartbeats are repeated.
-    has_answered: bool,
-    last_ack_nack: LastCount,
-    last_nack_fragment: LastCount,
 }
 
 /// Who gets a sample on a lane.
@@ -161,12 +108,12 @@ impl Lane {
     pub fn add_reader(
         &mut self,
         matched: &MatchedReader,
-        moved: Option<ReaderState>,
+        moved: Option<Outgoing>,
         sending: &Sending<'_>,
         depth: usize,
         links: &mut Links,
     ) {
-        let mut reader = ReaderState {
+        let mut reader = Outgoing {
             guid: matched.guid,
             is_reliable: matched.is_reliable,
             wants_history: matched.wants_history,
@@ -212,7 +159,7 @@ impl Lane {
         self.set_acknowledged(self.sent, links);
     }
 
-    pub fn remove_reader(&mut self, guid: Guid, now: Instant, links: &mut Links) -> Option<ReaderState> {
+    pub fn remove_reader(&mut self, guid: Guid, now: Instant, links: &mut Links) -> Option<Outgoing> {
         let index = self.readers.iter().position(|reader| reader.guid == guid)?;
         let reader = self.readers.remove(index);
         self.update_acknowledged(now, links);
@@ -409,7 +356,7 @@ impl Lane {
                 self.skip(entry.number.next(), |_| true, history, links);
                 continue;
             }
-            let is_for = |reader: &ReaderState| match audience {
+            let is_for = |reader: &Outgoing| match audience {
                 Audience::Nobody => false,
                 Audience::Some(guid) => reader.guid == guid,
                 Audience::All => true,
@@ -462,7 +409,7 @@ impl Lane {
     fn skip(
         &mut self,
         next: SequenceNumber,
-        is_nothing: impl Fn(&ReaderState) -> bool,
+        is_nothing: impl Fn(&Outgoing) -> bool,
         history: &History,
         links: &mut Links,
     ) {
@@ -631,263 +578,5 @@ impl Lane {
 
     fn in_flight(&self) -> u64 {
         self.sent - self.acknowledged
-    }
-}
-
-impl ReaderState {
-    /// Whether the reader has yet to acknowledge something, its match at least.
-    pub fn is_behind(&self, history: &History) -> bool {
-        self.is_reliable && (!self.has_answered || self.acknowledged < history.next())
-    }
-
-    /// Whether the reader has yet to acknowledge the sample `number`.
-    pub fn lacks(&self, number: SequenceNumber) -> bool {
-        self.is_reliable && self.acknowledged <= number
-    }
-
-    /// Begins with what the reader is due: the newest samples if it wants history, else what it has not acknowledged.
-    fn begin(&mut self, next: SequenceNumber, history: &History, depth: usize) {
-        if self.wants_history {
-            self.start = history.newest(depth).min(next);
-            self.acknowledged = self.start;
-        } else {
-            self.start = self.acknowledged;
-        }
-        self.position = self.matched_position;
-        self.repair.clear();
-        self.fragments.clear();
-        self.repaired_fragments = None;
-    }
-
-    fn acknowledge(&mut self, base: SequenceNumber, history: &History) {
-        if base <= self.acknowledged {
-            return;
-        }
-        self.acknowledged = base;
-        self.position = self.position.max(history.position(base));
-        self.repair.remove(0..base.0);
-        self.fragments.retain(|(number, _)| *number >= base);
-    }
-
-    /// Notes what is to be sent again; whether some of it was lost on the way.
-    fn request(&mut self, missing: &SequenceNumberSet, next: SequenceNumber) -> bool {
-        self.repair.clear();
-        // A sample that is being sent again stays in the list, though the reader asks for its fragments by now.
-        if let Some((number, _)) = self.repaired_fragments.filter(|(number, _)| *number >= missing.base()) {
-            self.repair.insert(number.0..number.0 + 1);
-        }
-        let mut lost = false;
-        for number in missing.iter().filter(|number| *number < next) {
-            self.repair.insert(number.0..number.0 + 1);
-            lost |= number >= self.matched_next;
-        }
-        lost
-    }
-
-    fn has_something(&self) -> bool {
-        self.heartbeat || !self.repair.is_empty() || !self.fragments.is_empty()
-    }
-
-    /// Sends again what was asked for.
-    fn emit_repairs(
-        &mut self,
-        sending: &Sending<'_>,
-        link: LinkId,
-        next: SequenceNumber,
-        links: &mut Links,
-        builder: &mut MessageBuilder<'_>,
-    ) -> Emitted {
-        let (history, entity) = (sending.history, self.guid.entity);
-        let fragment_size = links.fragment_size(link);
-        while let Some(first) = self.repair.first().map(SequenceNumber) {
-            let Some(entry) = history.get(first).filter(|entry| self.is_due(entry)) else {
-                if !self.emit_repair_gap(first, next, sending, builder) {
-                    return Emitted::More;
-                }
-                continue;
-            };
-            let sent =
-                self.repaired_fragments.filter(|(number, _)| *number == first).map_or(0, |(_, sent)| sent);
-            let part = Part::of(entry, fragment_size, sent + 1);
-            if !part.fits(entry, builder) {
-                return Emitted::More;
-            }
-            if !links.may_send(link, sending.now, Load::of(entry), part.len(entry)) {
-                return Emitted::Blocked;
-            }
-            part.emit(entry, entity, sending.writer, builder);
-            if part.is_last(entry) {
-                self.repair.remove(first.0..first.0 + 1);
-                self.repaired_fragments = None;
-                self.heartbeat = self.is_reliable;
-            } else {
-                self.repaired_fragments = Some((first, sent + 1));
-            }
-        }
-        self.repaired_fragments = None;
-        while let Some((number, missing)) = self.fragments.first().copied() {
-            let entry = history.get(number).filter(|entry| self.is_due(entry));
-            let Some((entry, fragment)) = entry.zip(missing.iter().next()) else {
-                self.fragments.remove(0);
-                self.heartbeat = true;
-                continue;
-            };
-            let part = Part::of(entry, fragment_size, fragment);
-            if !part.fits(entry, builder) {
-                return Emitted::More;
-            }
-            if !links.may_send(link, sending.now, Load::of(entry), part.len(entry)) {
-                return Emitted::Blocked;
-            }
-            part.emit(entry, entity, sending.writer, builder);
-            let mut rest = FragmentSet::new(fragment + 1);
-            missing.iter().skip(1).all(|fragment| rest.insert(fragment));
-            self.fragments[0].1 = rest;
-        }
-        Emitted::Done
-    }
-
-    /// Whether the sample is for this reader.
-    fn is_due(&self, entry: &Entry) -> bool {
-        entry.number >= self.start && entry.only_to.is_none_or(|only| only == self.guid)
-    }
-
-    /// Says what becomes of the requests from `first` on that are for samples which will not come; `false` if that does not
-    /// fit.
-    fn emit_repair_gap(
-        &mut self,
-        first: SequenceNumber,
-        next: SequenceNumber,
-        sending: &Sending<'_>,
-        builder: &mut MessageBuilder<'_>,
-    ) -> bool {
-        let history = sending.history;
-        if first >= self.start && first < history.first() {
-            // It gave way to newer ones. The heartbeat that says so counts as a loss at the reader, a gap would not.
-            self.repair.remove(0..history.first().0);
-            self.heartbeat = true;
-            return true;
-        }
-        let mut end = self.start.max(first.next());
-        while end < next && history.get(end).is_none_or(|entry| !self.is_due(entry)) && end > history.first()
-        {
-            end = history.at_or_after(end.next());
-        }
-        let end = end.min(next.max(first.next()));
-        let gap = Gap {
-            reader: self.guid.entity,
-            writer: sending.writer,
-            start: first,
-            list: SequenceNumberSet::new(end),
-        };
-        if !builder.gap(&gap) {
-            return false;
-        }
-        self.repair.remove(first.0..end.0);
-        self.heartbeat = self.is_reliable;
-        true
-    }
-
-    /// Tells the reader what was not for it before it gets `number`; `false` if that does not fit.
-    fn emit_gap_before(
-        &mut self,
-        number: SequenceNumber,
-        writer: EntityId,
-        builder: &mut MessageBuilder<'_>,
-    ) -> bool {
-        let Some(start) = self.gap_from else { return true };
-        let list = SequenceNumberSet::new(number);
-        let is_said = builder.gap(&Gap { reader: self.guid.entity, writer, start, list });
-        if is_said {
-            self.gap_from = None;
-        }
-        is_said
-    }
-}
-
-impl Load {
-    fn of(entry: &Entry) -> Self {
-        if entry.payload.len() <= SMALL { Self::Small } else { Self::Bulk }
-    }
-}
-
-/// A sample, or one fragment of it.
-#[derive(Clone, Copy)]
-enum Part {
-    Whole,
-    Fragment { number: u32, size: u16 },
-}
-
-fn fragment_count(entry: &Entry, fragment_size: u16) -> u32 {
-    entry.payload.len().div_ceil(fragment_size.into()) as u32
-}
-
-impl Part {
-    /// What to send of a sample if `fragment` is next.
-    fn of(entry: &Entry, fragment_size: u16, fragment: u32) -> Self {
-        match entry.payload.len() > usize::from(fragment_size) {
-            true => Self::Fragment { number: fragment, size: fragment_size },
-            false => Self::Whole,
-        }
-    }
-
-    /// Where it begins and ends in the payload.
-    fn range(self, entry: &Entry) -> std::ops::Range<usize> {
-        match self {
-            Self::Whole => 0..entry.payload.len(),
-            Self::Fragment { number, size } => {
-                let start = (number as usize - 1) * usize::from(size);
-                start.min(entry.payload.len())..(start + usize::from(size)).min(entry.payload.len())
-            }
-        }
-    }
-
-    fn len(self, entry: &Entry) -> usize {
-        self.range(entry).len()
-    }
-
-    fn end(self) -> u64 {
-        match self {
-            Self::Whole => 0,
-            Self::Fragment { number, size } => u64::from(number) * u64::from(size),
-        }
-    }
-
-    fn is_last(self, entry: &Entry) -> bool {
-        self.range(entry).end == entry.payload.len()
-    }
-
-    fn fits(self, entry: &Entry, builder: &MessageBuilder<'_>) -> bool {
-        // Info of the time may have to go in front, and zeros up to a multiple of four behind.
-        const REST: usize = 16;
-        let overhead = match self {
-            Self::Whole => MessageBuilder::DATA_OVERHEAD,
-            Self::Fragment { .. } => MessageBuilder::DATA_FRAGMENT_OVERHEAD,
-        };
-        builder.remaining() >= overhead + entry.inline_qos.encoded_len() + self.len(entry) + REST
-    }
-
-    /// Writes it; the caller knows that it fits.
-    fn emit(self, entry: &Entry, reader: EntityId, writer: EntityId, builder: &mut MessageBuilder<'_>) {
-        builder.info_timestamp(Some(entry.timestamp));
-        let (number, inline_qos) = (entry.number, entry.inline_qos);
-        let is_written = match self {
-            Self::Whole => {
-                builder.data(&Data { reader, writer, number, inline_qos, payload: entry.payload() })
-            }
-            Self::Fragment { number: first, size } => builder.data_fragment(&DataFragment {
-                reader,
-                writer,
-                number,
-                first,
-                count: 1,
-                fragment_size: size,
-                sample_size: entry.payload.len() as u32,
-                inline_qos,
-                payload: &entry.payload[self.range(entry)],
-                is_key: false,
-            }),
-        };
-        debug_assert!(is_written, "a part that fits was not written");
     }
 }

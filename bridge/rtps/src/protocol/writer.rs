@@ -10,8 +10,9 @@ use crate::wire::{AckNack, Guid, InlineQos, MessageBuilder, NackFragment, Sequen
 
 use super::Now;
 use super::history::History;
-use super::lane::{Lane, MatchedReader, ReaderState, Sending};
+use super::lane::Lane;
 use super::links::{Emitted, LinkId, Links};
+use super::outgoing::{MatchedReader, Outgoing, Sending};
 
 /// What a writer is made from.
 #[derive(Debug, Clone)]
@@ -177,7 +178,7 @@ impl Writer {
         self.trim();
     }
 
-    fn remove_reader(&mut self, now: Now, guid: Guid, links: &mut Links) -> Option<ReaderState> {
+    fn remove_reader(&mut self, now: Now, guid: Guid, links: &mut Links) -> Option<Outgoing> {
         let link = self.readers.remove(&guid)?;
         let lane = self.lanes.get_mut(&link)?;
         let removed = lane.remove_reader(guid, now.steady, links)?;
@@ -392,7 +393,7 @@ impl Writer {
         let keeps_all = self.keeps_all();
         self.lanes.values().any(|lane| {
             let is_unsent = lane.next() <= number;
-            let lacks = |reader: &ReaderState| reader.lacks(number);
+            let lacks = |reader: &Outgoing| reader.lacks(number);
             if keeps_all {
                 is_unsent || lane.readers.iter().any(lacks)
             } else {
