@@ -220,3 +220,18 @@ fn a_topic_of_another_type_is_refused() {
     let error = expose(&mut world.core, &world.node, &[wrong]).err().unwrap().to_string();
     assert!(error.contains("\"text\"") && error.contains("Imu"), "{error}");
 }
+
+#[test]
+fn what_left_by_the_bridge_does_not_come_back_by_it() {
+    let mut world = world();
+    world.core.add("talker", Talker { ticks: 0 }).unwrap();
+    let echo = Exposure { topic: "echo".into(), ros_topic: Some("text".into()), ..text(Direction::In) };
+    let status = expose(&mut world.core, &world.node, &[text(Direction::Out), echo]).unwrap();
+    let peer = world.speak("/robot/text");
+    world.cycles(5);
+    peer.publish(cdr::to_vec(&msg::String { data: "from outside".into() }).into()).unwrap();
+    world.cycles(2);
+    let messages: Vec<_> = status.endpoints().iter().map(|report| report.messages).collect();
+    assert!(messages[0] >= 4, "{messages:?}");
+    assert_eq!(messages[1], 1, "of the peer");
+}
