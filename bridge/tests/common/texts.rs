@@ -15,6 +15,9 @@ use std::time::{Duration, Instant};
 
 pub const TEXT: &str = "std_msgs/msg/String";
 
+/// The number and the size of a text; `None` if it is not as it was made.
+pub type Heard = Option<(usize, usize)>;
+
 /// A message std_msgs/msg/String of `size` bytes, without the encapsulation. `texts.py` makes the same.
 pub fn text_of(number: usize, size: usize) -> Bytes {
     let letters = (b'a'..=b'z').map(char::from).cycle();
@@ -23,8 +26,7 @@ pub fn text_of(number: usize, size: usize) -> Bytes {
     cdr::to_vec(&Text { data }).into()
 }
 
-/// The number and the size of a text; `None` if it is not as it was made.
-pub fn number_of(cdr: &[u8]) -> Option<(usize, usize)> {
+pub fn number_of(cdr: &[u8]) -> Heard {
     let data = cdr::from_slice::<Text>(cdr).ok()?.data;
     let (number, size) = (data.split_once(':')?.0.parse().ok()?, data.len() + 5);
     let expected = cdr::from_slice::<Text>(&text_of(number, size)).ok()?.data;
@@ -40,7 +42,7 @@ pub fn qos_of(qos: QosProfile, depth: u32) -> Value {
 }
 
 /// A subscription whose texts go into a channel.
-pub fn hear(node: &Node, topic: &str, qos: QosProfile) -> (Subscription, Receiver<Option<(usize, usize)>>) {
+pub fn hear(node: &Node, topic: &str, qos: QosProfile) -> (Subscription, Receiver<Heard>) {
     let (sender, heard) = channel();
     let handler = Box::new(move |sample: downbeat_bridge::middleware::Sample| {
         // The test may have stopped listening.
@@ -55,7 +57,7 @@ pub struct Talker {
     pub node: Node,
     pub ours: Publisher,
     pub theirs: Subscription,
-    heard: Receiver<Option<(usize, usize)>>,
+    heard: Receiver<Heard>,
 }
 
 impl Talker {
@@ -120,7 +122,7 @@ pub fn taken(peer: &mut Peer, topic: &str, count: usize) -> Vec<(usize, usize)> 
     let (mut taken, mut last) = (Vec::new(), Instant::now());
     while taken.len() < count && last.elapsed() < WATCHDOG {
         let more = peer.ask(json!({"do": "take", "topic": topic}));
-        let more: Vec<Option<(usize, usize)>> = serde_json::from_value(more).unwrap();
+        let more: Vec<Heard> = serde_json::from_value(more).unwrap();
         if more.is_empty() {
             std::thread::sleep(Duration::from_millis(5));
         } else {

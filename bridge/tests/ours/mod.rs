@@ -2,7 +2,7 @@
 #![allow(dead_code, clippy::unwrap_used)]
 
 use crate::common::rclpy::Peer;
-use crate::common::texts::{TEXT, hear, text_of};
+use crate::common::texts::{Heard, TEXT, hear, text_of};
 use downbeat_bridge::middleware::ParticipantOptions;
 use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant, Publisher, Subscription};
 use downbeat_msgs::qos::{Durability, QosProfile, Reliability};
@@ -55,7 +55,7 @@ fn a_peer_obeys() {
 struct Ours {
     node: Node,
     publishers: HashMap<String, Publisher>,
-    subscriptions: HashMap<String, (Subscription, Receiver<Option<(usize, usize)>>)>,
+    subscriptions: HashMap<String, (Subscription, Receiver<Heard>)>,
 }
 
 impl Ours {
