@@ -27,8 +27,11 @@ pub use file::{
     LifecycleEntry, ModuleEntry, NodeFeatures, RecordEntry, ReplaySection, RobotFile, RobotFileError,
     TopicChoice,
 };
-pub(crate) use file::{Source, toml_string};
+#[cfg(feature = "cli")]
+pub(crate) use file::Source;
+pub(crate) use file::toml_string;
 pub use kind::Kind;
+#[cfg(feature = "cli")]
 pub(crate) use parameters::{NodeParameter, parameters_of_nodes, setting_value};
 pub(crate) use registration::unregistered;
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};
