@@ -22,14 +22,14 @@ pub use actions::Exposed;
 pub use build::Robot;
 pub use catalog::{Catalog, CatalogError};
 pub use exposed::{ExposedEndpoint, ExposedQos, ExposedTraffic};
+#[cfg(feature = "cli")]
+pub(crate) use file::Source;
+pub(crate) use file::toml_string;
 pub use file::{
     ActionEntry, ClockChoice, Direction, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry,
     LifecycleEntry, ModuleEntry, NodeFeatures, RecordEntry, ReplaySection, RobotFile, RobotFileError,
     TopicChoice,
 };
-#[cfg(feature = "cli")]
-pub(crate) use file::Source;
-pub(crate) use file::toml_string;
 pub use kind::Kind;
 #[cfg(feature = "cli")]
 pub(crate) use parameters::{NodeParameter, parameters_of_nodes, setting_value};

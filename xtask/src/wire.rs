@@ -1,0 +1,28 @@
+//! `cargo xtask wire`
+
+use std::process::Command;
+
+use crate::steps::{Steps, run};
+
+/// The long proofs of the wire, which the test run has in short.
+pub(crate) fn wire() -> anyhow::Result<()> {
+    let cargo = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO"));
+        command.args(arguments);
+        command
+    };
+    let mut steps = Steps::default();
+    steps.step("rustdds, the second engine, in the conformance suite", || {
+        let package = ["--package", "downbeat-conformance", "--features", "rustdds"];
+        let tests = ["--test", "rustdds", "--", "--test-threads=1"];
+        run(cargo(&["test"]).args(package).args(tests).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"))
+    });
+    let rtps = |test: &str| cargo(&["test", "--release", "--package", "downbeat-rtps", "--test", test]);
+    steps.step("10 000 simulated networks", || {
+        run(rtps("simulation").env("DOWNBEAT_SIMULATION_SEEDS", "10000"))
+    });
+    steps.step("10 million hostile datagrams", || {
+        run(rtps("hostile").env("DOWNBEAT_FUZZ_ROUNDS", "500000").args(["noise_for_long"]))
+    });
+    steps.finish()
+}
