@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::core::World;
 use crate::guard::drop_guarded;
 use crate::join::JoinQueue;
-use crate::messaging::{Outbox, Topics};
+use crate::messaging::{AnyMessage, AnyOutbox, MessageType, Outbox, Topics};
 use crate::queue::{Locked, Overflow, Pushed, Queue};
 use crate::{SetupError, Stage, Time};
 
@@ -95,25 +95,79 @@ pub(crate) fn open_inlet<T: Send + Sync + 'static>(
     topic: &str,
     queue: impl Queue<T> + 'static,
 ) -> Result<Inlet<T>, SetupError> {
-    let topics = &mut stage.shared.topics;
-    let index = topics.open::<T>(topic, "inlet")?;
-    topics.add_publisher(index);
+    let index = stage.shared.topics.open::<T>(topic, "inlet")?;
+    Ok(add_inlet(stage, world, queue, Outbox { topic: index, messages: Vec::new() }))
+}
+
+/// The same for messages whose type only the topic knows.
+pub(crate) fn open_inlet_of(
+    stage: &mut Stage,
+    world: &mut World,
+    message_type: MessageType,
+    topic: &str,
+    queue: impl Queue<AnyMessage> + 'static,
+) -> Result<Inlet<AnyMessage>, SetupError> {
+    let index = (message_type.open)(&mut stage.shared.topics, topic, "inlet")?;
+    Ok(add_inlet(stage, world, queue, (message_type.outbox)(index)))
+}
+
+fn add_inlet<T: Send + 'static>(
+    stage: &mut Stage,
+    world: &mut World,
+    queue: impl Queue<T> + 'static,
+    outbox: impl Filled<T> + 'static,
+) -> Inlet<T> {
     let messages: Arc<dyn Queue<T>> = Arc::new(queue);
-    world.inlets.push(Box::new(InletPort::new(Arc::clone(&messages), index)));
-    Ok(Inlet::new(messages, Arc::clone(&world.queue)))
+    let port = InletPort { messages: Arc::clone(&messages), outbox, dropped: 0 };
+    stage.shared.topics.add_publisher(port.topic());
+    world.inlets.push(Box::new(port));
+    Inlet::new(messages, Arc::clone(&world.queue))
 }
 
 /// The core's side of an [`Inlet`].
-pub(crate) struct InletPort<T> {
+struct InletPort<T, O: Filled<T>> {
     messages: Arc<dyn Queue<T>>,
-    outbox: Outbox<T>,
+    outbox: O,
     /// How many of the messages that the queue dropped are counted.
     dropped: u64,
 }
 
-impl<T> InletPort<T> {
-    pub(crate) fn new(messages: Arc<dyn Queue<T>>, topic: usize) -> Self {
-        Self { messages, outbox: Outbox { topic, messages: Vec::new() }, dropped: 0 }
+/// The outbox of an inlet whose queue holds values of type `T`.
+trait Filled<T>: Send {
+    fn fill(&mut self, messages: impl Iterator<Item = T>);
+    fn outbox(&self) -> &dyn AnyOutbox;
+    fn outbox_mut(&mut self) -> &mut dyn AnyOutbox;
+}
+
+impl<T: Send + 'static> Filled<T> for Outbox<T> {
+    fn fill(&mut self, messages: impl Iterator<Item = T>) {
+        self.messages.extend(messages);
+    }
+
+    fn outbox(&self) -> &dyn AnyOutbox {
+        self
+    }
+
+    fn outbox_mut(&mut self) -> &mut dyn AnyOutbox {
+        self
+    }
+}
+
+impl Filled<AnyMessage> for Box<dyn AnyOutbox> {
+    fn fill(&mut self, messages: impl Iterator<Item = AnyMessage>) {
+        for message in messages {
+            if !self.add_any(message) {
+                tracing::error!("a message of another type than that of its topic is discarded");
+            }
+        }
+    }
+
+    fn outbox(&self) -> &dyn AnyOutbox {
+        &**self
+    }
+
+    fn outbox_mut(&mut self) -> &mut dyn AnyOutbox {
+        &mut **self
     }
 }
 
@@ -127,19 +181,19 @@ pub(crate) trait AnyInlet: Send {
     fn is_orphaned(&self) -> bool;
 }
 
-impl<T: Send + Sync + 'static> AnyInlet for InletPort<T> {
+impl<T: Send + 'static, O: Filled<T>> AnyInlet for InletPort<T, O> {
     fn topic(&self) -> usize {
-        self.outbox.topic
+        self.outbox.outbox().topic()
     }
 
     fn drain(&mut self, topics: &mut Topics, now: Time) {
         let dropped = self.messages.dropped();
-        topics.meter_mut(self.outbox.topic).dropped(dropped.saturating_sub(self.dropped));
+        topics.meter_mut(self.topic()).dropped(dropped.saturating_sub(self.dropped));
         self.dropped = dropped;
         let waiting = self.messages.len();
-        self.outbox.messages.extend(std::iter::from_fn(|| self.messages.pop()).take(waiting));
-        if !self.outbox.messages.is_empty() {
-            topics.absorb(&mut self.outbox, now);
+        self.outbox.fill(std::iter::from_fn(|| self.messages.pop()).take(waiting));
+        if !self.outbox.outbox().is_empty() {
+            topics.absorb(self.outbox.outbox_mut(), now);
         }
     }
 
@@ -148,8 +202,8 @@ impl<T: Send + Sync + 'static> AnyInlet for InletPort<T> {
     }
 }
 
-impl<T> Drop for InletPort<T> {
+impl<T, O: Filled<T>> Drop for InletPort<T, O> {
     fn drop(&mut self) {
-        drop_guarded("a message", || self.outbox.messages.clear());
+        drop_guarded("a message", || self.outbox.outbox_mut().discard());
     }
 }

@@ -213,7 +213,9 @@ pub use lifecycle::{LifecycleState, Transition, TransitionError, TransitionRefus
 pub use listeners::{LifeEvent, LifeStep, Listening};
 pub use management::{ModuleId, SettingRefused, UnknownModule};
 pub use mechanism::{Mechanism, MechanismKey, Version};
-pub use messaging::{Kept, Publication, Received, TopicCounter, TopicInfo};
+pub use messaging::{
+    AnyMessage, AnyReceived, Kept, MessageType, Publication, Received, TopicCounter, TopicInfo,
+};
 pub use module::Module;
 pub use options::{Inbox, ModuleOptions, Restart, Role, Synchrony};
 pub use outlet::{Outlet, OutletInbox};

@@ -359,3 +359,28 @@ fn dropping_a_core_that_never_ran_drops_the_sinks() {
     assert_eq!(numbers.recv_timeout(Duration::from_secs(30)).ok(), None);
     assert!(numbers.recv().is_err());
 }
+
+#[test]
+fn messages_of_a_type_that_is_a_value_arrive_as_typed_ones_do() {
+    let (mut core, _clock) = manual_core();
+    let numbers = MessageType::of::<u64>();
+    let (sender, received) = channel();
+    let _outlet = core.outlet_of(numbers, "numbers", Inbox::KeepAll, move |message| {
+        let number = *message.message.downcast_ref::<u64>().unwrap();
+        sender.send((number, message.time, message.is_last, message.missed)).unwrap();
+    });
+    let (_typed, typed) = collect::<u64>(&mut core, "numbers", Inbox::KeepAll);
+    let queue = queue::Locked::bounded(NonZeroUsize::new(2).unwrap(), queue::Overflow::DropOldest);
+    let inlet = core.inlet_of(numbers, "numbers", queue).unwrap();
+    for number in 0..3_u64 {
+        inlet.publish(Box::new(number)).unwrap();
+    }
+    core.cycle().unwrap();
+    inlet.publish(Box::new("no number")).unwrap();
+    core.cycle().unwrap();
+    let received: Vec<_> = received.try_iter().collect();
+    assert_eq!(received, [(1, Time::ZERO, false, 0), (2, Time::ZERO, true, 0)]);
+    assert_eq!(typed.try_iter().collect::<Vec<_>>(), [1, 2]);
+    assert_eq!(inlet.dropped(), 1);
+    assert!(core.outlet_of(MessageType::of::<u8>(), "numbers", Inbox::KeepAll, |_| {}).is_err());
+}

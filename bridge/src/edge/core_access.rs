@@ -1,7 +1,10 @@
 //! A core before it runs, and while it does.
 
 use downbeat_executor::queue::Queue;
-use downbeat_executor::{Core, CoreHandle, Inlet, Outlet, OutletInbox, Receipt, Received, SetupError};
+use downbeat_executor::{
+    AnyMessage, AnyReceived, Core, CoreHandle, Inlet, MessageType, Outlet, OutletInbox, Receipt, Received,
+    SetupError,
+};
 use std::time::Duration;
 
 /// How long a running core may take to come to the end of a cycle.
@@ -44,6 +47,33 @@ impl CoreAccess<'_> {
         match self {
             Self::Idle(core) => core.inlet_with(topic, queue),
             Self::Running(core) => answer("inlet", &core.inlet_with(topic, queue)),
+        }
+    }
+
+    /// As [`outlet`](Self::outlet), for messages of a type that is a value.
+    pub(super) fn outlet_of(
+        &mut self,
+        message_type: MessageType,
+        topic: &str,
+        inbox: &OutletInbox,
+        sink: impl FnMut(AnyReceived<'_>) + Send + 'static,
+    ) -> Result<Outlet, SetupError> {
+        match self {
+            Self::Idle(core) => core.outlet_of(message_type, topic, inbox, sink),
+            Self::Running(core) => answer("outlet", &core.outlet_of(message_type, topic, inbox, sink)),
+        }
+    }
+
+    /// As [`inlet`](Self::inlet), for messages of a type that is a value.
+    pub(super) fn inlet_of(
+        &mut self,
+        message_type: MessageType,
+        topic: &str,
+        queue: impl Queue<AnyMessage> + 'static,
+    ) -> Result<Inlet<AnyMessage>, SetupError> {
+        match self {
+            Self::Idle(core) => core.inlet_of(message_type, topic, queue),
+            Self::Running(core) => answer("inlet", &core.inlet_of(message_type, topic, queue)),
         }
     }
 }

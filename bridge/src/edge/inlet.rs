@@ -1,10 +1,9 @@
 //! Messages on their way into the executor.
 
-use super::known_type::PublishEncoded;
 use super::{CoreAccess, KnownType};
 use downbeat_executor::queue::{Locked, Overflow};
-use downbeat_executor::{Inlet, InletError, SetupError};
-use downbeat_msgs::{Message, cdr};
+use downbeat_executor::{AnyMessage, Inlet, InletError, SetupError};
+use downbeat_msgs::cdr;
 use std::fmt;
 use std::num::NonZeroUsize;
 use std::sync::Arc;
@@ -15,7 +14,7 @@ use thiserror::Error;
 pub struct EncodedInlet {
     topic: Arc<str>,
     message_type: KnownType,
-    publish: Arc<PublishEncoded>,
+    inlet: Inlet<AnyMessage>,
 }
 
 /// Which of the messages that come between two cycles enter.
@@ -52,8 +51,14 @@ pub enum EncodedInletError {
 }
 
 impl EncodedInlet {
-    pub(super) fn new(topic: &str, message_type: KnownType, publish: Box<PublishEncoded>) -> Self {
-        Self { topic: topic.into(), message_type, publish: publish.into() }
+    pub(super) fn open(
+        message_type: KnownType,
+        core: &mut CoreAccess<'_>,
+        topic: &str,
+        waiting: Waiting,
+    ) -> Result<Self, SetupError> {
+        let inlet = core.inlet_of(message_type.in_core(), topic, waiting.queue())?;
+        Ok(Self { topic: topic.into(), message_type, inlet })
     }
 
     /// The topic.
@@ -73,7 +78,12 @@ impl EncodedInlet {
     /// # Errors
     /// [`EncodedInletError`] when the bytes are no such message, or the core does not take it.
     pub fn publish(&self, cdr: &[u8]) -> Result<(), EncodedInletError> {
-        (self.publish)(cdr)
+        let topic = || Arc::clone(&self.topic);
+        let type_name = self.message_type.name();
+        let message = self.message_type.decode(cdr);
+        let message =
+            message.map_err(|error| EncodedInletError::Decode { topic: topic(), type_name, error })?;
+        self.inlet.publish(message).map_err(|error| EncodedInletError::Inlet { topic: topic(), error })
     }
 }
 
@@ -83,35 +93,12 @@ impl fmt::Debug for EncodedInlet {
     }
 }
 
-/// An inlet whose queue holds what is to wait.
-pub(super) fn open_queue<T: Send + Sync + 'static>(
-    core: &mut CoreAccess<'_>,
-    topic: &str,
-    waiting: Waiting,
-) -> Result<Inlet<T>, SetupError> {
-    let all = NonZeroUsize::MIN.saturating_add(Inlet::<T>::CAPACITY - 1);
-    core.inlet::<T>(
-        topic,
-        match waiting {
-            Waiting::All => Locked::bounded(all, Overflow::Refuse),
-            Waiting::Latest => Locked::bounded(NonZeroUsize::MIN, Overflow::DropOldest),
-        },
-    )
-}
-
-pub(super) fn open<T: Message>(
-    core: &mut CoreAccess<'_>,
-    topic: &str,
-    waiting: Waiting,
-) -> Result<Box<PublishEncoded>, SetupError> {
-    let inlet = open_queue::<T>(core, topic, waiting)?;
-    let topic: Arc<str> = topic.into();
-    Ok(Box::new(move |bytes| {
-        let message = cdr::from_slice::<T>(bytes).map_err(|error| EncodedInletError::Decode {
-            topic: Arc::clone(&topic),
-            type_name: T::TYPE_NAME,
-            error,
-        })?;
-        inlet.publish(message).map_err(|error| EncodedInletError::Inlet { topic: Arc::clone(&topic), error })
-    }))
+impl Waiting {
+    fn queue(self) -> Locked<AnyMessage> {
+        let all = NonZeroUsize::MIN.saturating_add(Inlet::<AnyMessage>::CAPACITY - 1);
+        match self {
+            Self::All => Locked::bounded(all, Overflow::Refuse),
+            Self::Latest => Locked::bounded(NonZeroUsize::MIN, Overflow::DropOldest),
+        }
+    }
 }

@@ -1,11 +1,12 @@
 //! Types of messages.
 
-use super::raw::{self, Learned};
-use super::{CoreAccess, EncodedInlet, EncodedInletError, Sink, Waiting, inlet, outlet};
-use downbeat_executor::{Core, Outlet, OutletInbox, SetupError};
-use downbeat_msgs::Message;
+use super::raw::{Learned, RawMessage};
+use super::{CoreAccess, EncodedInlet, Sink, Waiting, outlet};
+use bytes::Bytes;
+use downbeat_executor::{AnyMessage, Core, MessageType, Outlet, OutletInbox, SetupError};
 use downbeat_msgs::dynamic::DynamicMessage;
-use std::any::TypeId;
+use downbeat_msgs::{Message, cdr};
+use std::any::{Any, TypeId};
 use std::fmt;
 use std::marker::PhantomData;
 use std::sync::OnceLock;
@@ -64,7 +65,7 @@ impl KnownType {
     pub fn rust_type(self) -> TypeId {
         match &self.entry.rust {
             Rust::Compiled(compiled) => (compiled.rust_type)(),
-            Rust::Raw(_) => raw::rust_type(),
+            Rust::Raw(_) => TypeId::of::<RawMessage>(),
         }
     }
 
@@ -80,10 +81,7 @@ impl KnownType {
         inbox: &OutletInbox,
         sink: impl Sink,
     ) -> Result<Outlet, SetupError> {
-        match &self.entry.rust {
-            Rust::Compiled(compiled) => (compiled.open_outlet)(core, topic, inbox, Box::new(sink)),
-            Rust::Raw(_) => raw::open_outlet(self, core, topic, inbox, Box::new(sink)),
-        }
+        outlet::open(self, core, topic, inbox, Box::new(sink))
     }
 
     /// Opens an inlet for serialized messages, which any thread may use.
@@ -104,11 +102,7 @@ impl KnownType {
         topic: &str,
         waiting: Waiting,
     ) -> Result<EncodedInlet, SetupError> {
-        let publish = match &self.entry.rust {
-            Rust::Compiled(compiled) => (compiled.open_inlet)(core, topic, waiting)?,
-            Rust::Raw(_) => raw::open(self, core, topic, waiting)?,
-        };
-        Ok(EncodedInlet::new(topic, self, publish))
+        EncodedInlet::open(self, core, topic, waiting)
     }
 
     /// Serializes the default value of the type: a message that every reader accepts, for tests and probes. Of a raw type
@@ -121,6 +115,35 @@ impl KnownType {
                 let message = self.dynamic().map(|dynamic| DynamicMessage::new(&dynamic).to_cdr());
                 message.unwrap_or_else(|| vec![0, 1, 0, 0])
             }
+        }
+    }
+
+    /// The type of its messages in a core.
+    pub(super) fn in_core(self) -> MessageType {
+        match &self.entry.rust {
+            Rust::Compiled(compiled) => compiled.in_core,
+            Rust::Raw(_) => MessageType::of::<RawMessage>(),
+        }
+    }
+
+    /// Makes a message of its serialized form.
+    pub(super) fn decode(self, cdr: &[u8]) -> cdr::Result<AnyMessage> {
+        match &self.entry.rust {
+            Rust::Compiled(compiled) => (compiled.decode)(cdr),
+            Rust::Raw(_) => Ok(Box::new(RawMessage::new(self, Bytes::copy_from_slice(cdr)))),
+        }
+    }
+
+    /// Whether a message of [`in_core`](Self::in_core) is of this type: raw messages of all types have one Rust type.
+    pub(super) fn is_of(self, message: &dyn Any) -> bool {
+        message.downcast_ref::<RawMessage>().is_none_or(|raw| raw.message_type() == self)
+    }
+
+    /// Serializes a message; `None` if it has another Rust type.
+    pub(super) fn encode(self, message: &dyn Any) -> Option<Bytes> {
+        match &self.entry.rust {
+            Rust::Compiled(compiled) => (compiled.encode)(message).map(Bytes::from),
+            Rust::Raw(_) => message.downcast_ref().map(|raw: &RawMessage| raw.cdr().clone()),
         }
     }
 
@@ -153,9 +176,6 @@ impl PartialEq for KnownType {
 
 impl Eq for KnownType {}
 
-/// Decodes one message and publishes it.
-pub(super) type PublishEncoded = dyn Fn(&[u8]) -> Result<(), EncodedInletError> + Send + Sync;
-
 pub(super) struct Entry {
     pub(super) name: &'static str,
     pub(super) rust: Rust,
@@ -168,15 +188,14 @@ pub(super) enum Rust {
     Raw(&'static OnceLock<Learned>),
 }
 
-/// Gives the messages of a topic, serialized, to a sink.
-type OpenOutlet = fn(&mut CoreAccess<'_>, &str, &OutletInbox, Box<dyn Sink>) -> Result<Outlet, SetupError>;
-
+// Each function exists once per message type: what does not depend on the type is elsewhere.
 pub(super) struct Compiled {
     hash: &'static str,
     definition: &'static str,
     rust_type: fn() -> TypeId,
-    open_inlet: fn(&mut CoreAccess<'_>, &str, Waiting) -> Result<Box<PublishEncoded>, SetupError>,
-    open_outlet: OpenOutlet,
+    in_core: MessageType,
+    decode: fn(&[u8]) -> cdr::Result<AnyMessage>,
+    encode: fn(&dyn Any) -> Option<Vec<u8>>,
     default_cdr: fn() -> Vec<u8>,
 }
 
@@ -190,9 +209,10 @@ impl<T: Message> Of<T> {
             hash: T::TYPE_HASH,
             definition: T::DEFINITION,
             rust_type: TypeId::of::<T>,
-            open_inlet: inlet::open::<T>,
-            open_outlet: outlet::open::<T>,
-            default_cdr: || downbeat_msgs::cdr::to_vec(&T::default()),
+            in_core: MessageType::of::<T>(),
+            decode: |bytes| Ok(Box::new(cdr::from_slice::<T>(bytes)?)),
+            encode: |message| message.downcast_ref::<T>().map(cdr::to_vec),
+            default_cdr: || cdr::to_vec(&T::default()),
         }),
     };
 }

@@ -1,9 +1,8 @@
 //! Messages on their way out of the executor.
 
-use super::CoreAccess;
+use super::{CoreAccess, KnownType};
 use bytes::Bytes;
-use downbeat_executor::{Outlet, OutletInbox, Received, SetupError, Time};
-use downbeat_msgs::{Message, cdr};
+use downbeat_executor::{AnyReceived, Outlet, OutletInbox, SetupError, Time};
 
 /// Takes the serialized messages of a topic.
 pub trait Sink: Send + 'static {
@@ -34,23 +33,26 @@ impl<F: FnMut(Time, Bytes) + Send + 'static> Sink for F {
     }
 }
 
-// The sink is boxed: the code below exists once per message type, not once more per sink.
-pub(super) fn open<T: Message>(
+/// Serializes the messages of a topic for a sink; a raw type's, those of that type only.
+pub(super) fn open(
+    message_type: KnownType,
     core: &mut CoreAccess<'_>,
     topic: &str,
     inbox: &OutletInbox,
     mut sink: Box<dyn Sink>,
 ) -> Result<Outlet, SetupError> {
-    core.outlet(topic, inbox, move |message: Received<'_, T>| {
-        if sink.is_wanted(Offered::of(&message)) {
-            sink.take(message.time(), cdr::to_vec(&*message).into());
-        }
-    })
-}
-
-impl Offered {
-    pub(super) fn of<T>(message: &Received<'_, T>) -> Self {
-        let (time, is_last_of_cycle) = (message.time(), message.is_last());
-        Self { time, is_last_of_cycle, missed: message.missed() }
-    }
+    core.outlet_of(
+        message_type.in_core(),
+        topic,
+        inbox,
+        move |AnyReceived { message, time, is_last, missed }| {
+            let offered = Offered { time, is_last_of_cycle: is_last, missed };
+            if message_type.is_of(message)
+                && sink.is_wanted(offered)
+                && let Some(cdr) = message_type.encode(message)
+            {
+                sink.take(time, cdr);
+            }
+        },
+    )
 }

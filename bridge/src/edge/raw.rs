@@ -1,14 +1,12 @@
 //! Messages that pass through as bytes: of types that are not compiled in, or that nobody here looks into.
 
-use super::known_type::{Entry, PublishEncoded, Rust};
-use super::{CoreAccess, EncodedInletError, KnownType, Offered, Sink, Waiting, inlet};
+use super::KnownType;
+use super::known_type::{Entry, Rust};
 use bytes::Bytes;
-use downbeat_executor::{Outlet, OutletInbox, Received, SetupError};
 use downbeat_msgs::definitions::{Kind, TypeName};
 use downbeat_msgs::dynamic::{Definitions, DynamicMessage, DynamicType, TypeDefinition};
-use std::any::TypeId;
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 use thiserror::Error;
 
 /// A message as bytes, with the name of its type: what a topic of a core carries whose type is not compiled in. A module that
@@ -176,39 +174,4 @@ impl Entry {
     fn raw(name: &'static str) -> Self {
         Self { name, rust: Rust::Raw(Box::leak(Box::new(OnceLock::new()))) }
     }
-}
-
-/// The Rust type of raw messages.
-pub(super) fn rust_type() -> TypeId {
-    TypeId::of::<RawMessage>()
-}
-
-/// An entry for bytes of one type into a core.
-pub(super) fn open(
-    message_type: KnownType,
-    core: &mut CoreAccess<'_>,
-    topic: &str,
-    waiting: Waiting,
-) -> Result<Box<PublishEncoded>, SetupError> {
-    let inlet = inlet::open_queue::<RawMessage>(core, topic, waiting)?;
-    let topic: Arc<str> = topic.into();
-    Ok(Box::new(move |cdr| {
-        let message = RawMessage::new(message_type, Bytes::copy_from_slice(cdr));
-        inlet.publish(message).map_err(|error| EncodedInletError::Inlet { topic: Arc::clone(&topic), error })
-    }))
-}
-
-/// Gives a sink the messages of one type that a topic carries; others are ignored.
-pub(super) fn open_outlet(
-    message_type: KnownType,
-    core: &mut CoreAccess<'_>,
-    topic: &str,
-    inbox: &OutletInbox,
-    mut sink: Box<dyn Sink>,
-) -> Result<Outlet, SetupError> {
-    core.outlet(topic, inbox, move |message: Received<'_, RawMessage>| {
-        if message.message_type == message_type && sink.is_wanted(Offered::of(&message)) {
-            sink.take(message.time(), message.cdr.clone());
-        }
-    })
 }

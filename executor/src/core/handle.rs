@@ -4,9 +4,10 @@ use std::sync::Arc;
 
 use crate::core::world::Pause;
 use crate::core::{ModuleInfo, World};
-use crate::inlet::{default_queue, open_inlet};
+use crate::inlet::{default_queue, open_inlet, open_inlet_of};
 use crate::join::{JoinQueue, Request};
 use crate::management::{Candidate, Command, Look, Source};
+use crate::messaging::{AnyMessage, AnyReceived, MessageType};
 use crate::outlet::NewOutlet;
 use crate::queue::Queue;
 use crate::receipt::{Receipt, ReceiptSender, receipt};
@@ -324,6 +325,30 @@ impl CoreHandle {
         sink: impl FnMut(Received<'_, T>) + Send + 'static,
     ) -> Receipt<Result<Outlet, SetupError>> {
         self.open_outlet(NewOutlet::new(topic, inbox.into(), sink))
+    }
+
+    /// As [`inlet_with`](Self::inlet_with), for messages of a type that is a value; see [`Core::inlet_of`](crate::Core::inlet_of).
+    #[must_use = "the answer is in the receipt"]
+    pub fn inlet_of(
+        &self,
+        message_type: MessageType,
+        topic: &str,
+        queue: impl Queue<AnyMessage> + 'static,
+    ) -> Receipt<Result<Inlet<AnyMessage>, SetupError>> {
+        let topic = topic.to_owned();
+        self.ask(move |stage, world| open_inlet_of(stage, world, message_type, &topic, queue))
+    }
+
+    /// As [`outlet`](Self::outlet), for messages of a type that is a value.
+    #[must_use = "the answer is in the receipt"]
+    pub fn outlet_of(
+        &self,
+        message_type: MessageType,
+        topic: &str,
+        inbox: impl Into<OutletInbox>,
+        sink: impl FnMut(AnyReceived<'_>) + Send + 'static,
+    ) -> Receipt<Result<Outlet, SetupError>> {
+        self.open_outlet(NewOutlet::of(message_type, topic, inbox.into(), sink))
     }
 
     /// The topics, in the order in which they were first declared.

@@ -21,13 +21,13 @@ pub(crate) use world::{Answer, JobResult, World};
 
 use crate::asked::Asked;
 use crate::event::Encoder;
-use crate::inlet::{default_queue, open_inlet};
+use crate::inlet::{default_queue, open_inlet, open_inlet_of};
 use crate::inspect::{Graph, Inspector};
 use crate::job::Jobs;
 use crate::join::JoinQueue;
 use crate::management::{Candidate, Modules, Place, Source, admit};
 use crate::mechanism::{Engaged, Version};
-use crate::messaging::Messaging;
+use crate::messaging::{AnyMessage, AnyReceived, MessageType, Messaging};
 use crate::outlet::NewOutlet;
 use crate::probe::Probe;
 use crate::queue::Queue;
@@ -266,6 +266,35 @@ impl Core {
         sink: impl FnMut(Received<'_, T>) + Send + 'static,
     ) -> Result<Outlet, SetupError> {
         NewOutlet::new(topic, inbox.into(), sink).open(self.stage.exclusive(), &mut self.world)
+    }
+
+    /// As [`inlet_with`](Self::inlet_with), for messages of a type that is a value. A message of another type is logged and
+    /// discarded.
+    ///
+    /// # Errors
+    /// Those of [`inlet_with`](Self::inlet_with).
+    pub fn inlet_of(
+        &mut self,
+        message_type: MessageType,
+        topic: &str,
+        queue: impl Queue<AnyMessage> + 'static,
+    ) -> Result<Inlet<AnyMessage>, SetupError> {
+        open_inlet_of(self.stage.exclusive(), &mut self.world, message_type, topic, queue)
+    }
+
+    /// As [`outlet`](Self::outlet), for messages of a type that is a value.
+    ///
+    /// # Errors
+    /// Those of [`outlet`](Self::outlet).
+    pub fn outlet_of(
+        &mut self,
+        message_type: MessageType,
+        topic: &str,
+        inbox: impl Into<OutletInbox>,
+        sink: impl FnMut(AnyReceived<'_>) + Send + 'static,
+    ) -> Result<Outlet, SetupError> {
+        let outlet = NewOutlet::of(message_type, topic, inbox.into(), sink);
+        outlet.open(self.stage.exclusive(), &mut self.world)
     }
 
     /// Calls `then` when the core has stopped, after its modules and outlets.

@@ -13,11 +13,12 @@ pub(crate) struct Batch<T> {
     time: Time,
     segments: Vec<Vec<T>>,
     used: usize,
+    messages: usize,
 }
 
 impl<T> Default for Batch<T> {
     fn default() -> Self {
-        Self { time: Time::ZERO, segments: Vec::new(), used: 0 }
+        Self { time: Time::ZERO, segments: Vec::new(), used: 0, messages: 0 }
     }
 }
 
@@ -27,6 +28,7 @@ impl<T> Batch<T> {
             segment.clear();
         }
         self.used = 0;
+        self.messages = 0;
     }
 
     /// Takes over the messages and leaves an empty vector, with capacity where there is some to reuse.
@@ -34,6 +36,7 @@ impl<T> Batch<T> {
         if self.used == self.segments.len() {
             self.segments.push(Vec::new());
         }
+        self.messages += messages.len();
         std::mem::swap(&mut self.segments[self.used], messages);
         self.used += 1;
     }
@@ -42,12 +45,16 @@ impl<T> Batch<T> {
         self.time = time;
     }
 
+    pub(crate) fn time(&self) -> Time {
+        self.time
+    }
+
     pub(crate) fn segments(&self) -> &[Vec<T>] {
         &self.segments[..self.used]
     }
 
     pub(crate) fn len(&self) -> usize {
-        self.segments().iter().map(Vec::len).sum()
+        self.messages
     }
 
     fn is_last(&self, position: Position) -> bool {

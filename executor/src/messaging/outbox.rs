@@ -3,6 +3,8 @@
 use std::any::Any;
 use std::marker::PhantomData;
 
+use crate::messaging::AnyMessage;
+
 /// A module's key to one of its topics, from [`Setup::publish`](crate::Setup::publish).
 ///
 /// It is a small number, valid only in the module that made it.
@@ -39,6 +41,9 @@ pub(crate) struct Outbox<T> {
 pub(crate) trait AnyOutbox: Any + Send {
     fn topic(&self) -> usize;
     fn discard(&mut self);
+    fn is_empty(&self) -> bool;
+    /// Adds a message of its type; another is discarded, and `false` returned.
+    fn add_any(&mut self, message: AnyMessage) -> bool;
     /// The messages in an outbox of their own; this one stays, empty.
     fn split_off(&mut self) -> Box<dyn AnyOutbox>;
 }
@@ -50,6 +55,14 @@ impl<T: Send + 'static> AnyOutbox for Outbox<T> {
 
     fn discard(&mut self) {
         self.messages.clear();
+    }
+
+    fn is_empty(&self) -> bool {
+        self.messages.is_empty()
+    }
+
+    fn add_any(&mut self, message: AnyMessage) -> bool {
+        message.downcast().map(|message| self.messages.push(*message)).is_ok()
     }
 
     fn split_off(&mut self) -> Box<dyn AnyOutbox> {

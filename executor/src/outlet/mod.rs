@@ -17,7 +17,7 @@ use crate::core::World;
 use crate::guard::{drop_guarded, end_of};
 use crate::join::{JoinQueue, Request};
 use crate::management::Command;
-use crate::messaging::{Batch, Topics};
+use crate::messaging::{AnyReceived, Batch, MessageType, Topics, VisitBatch};
 use crate::{Inbox, Received, SetupError, Stage};
 
 /// A subscription of a topic from outside the core, which ends when it is dropped. It is made by [`Core::outlet`](crate::Core::outlet) or
@@ -255,6 +255,24 @@ impl<T: Send + Sync + 'static, F: FnMut(Received<'_, T>) + Send> AnySink for Typ
     }
 }
 
+/// A sink for messages whose type only the topic knows.
+struct AnyTypeSink<F> {
+    take: F,
+    visit: VisitBatch,
+}
+
+impl<F: FnMut(AnyReceived<'_>) + Send> AnySink for AnyTypeSink<F> {
+    fn take(&mut self, delivery: Delivery, is_closed: &AtomicBool) {
+        let mut missed = delivery.missed;
+        (self.visit)(&*delivery.batch, &mut |message| {
+            let missed = std::mem::take(&mut missed);
+            if !is_closed.load(Ordering::Relaxed) {
+                (self.take)(AnyReceived { missed, ..message });
+            }
+        });
+    }
+}
+
 /// An outlet to be opened: what of it depends on the type of its messages is behind a pointer, so that the rest is compiled once,
 /// for however many types there are.
 pub(crate) struct NewOutlet {
@@ -272,6 +290,16 @@ impl NewOutlet {
     ) -> Self {
         let sink = Box::new(TypedSink { take: sink, message: PhantomData::<fn(T)> });
         Self { topic: topic.to_owned(), open_topic: Topics::open::<T>, inbox, sink }
+    }
+
+    pub(crate) fn of(
+        message_type: MessageType,
+        topic: &str,
+        inbox: OutletInbox,
+        sink: impl FnMut(AnyReceived<'_>) + Send + 'static,
+    ) -> Self {
+        let sink = Box::new(AnyTypeSink { take: sink, visit: message_type.visit });
+        Self { topic: topic.to_owned(), open_topic: message_type.open, inbox, sink }
     }
 
     pub(crate) fn open(self, stage: &mut Stage, world: &mut World) -> Result<Outlet, SetupError> {

@@ -34,7 +34,7 @@ pub(crate) struct ServiceRegistry {
 
 pub(crate) struct Service {
     pub(crate) info: ServiceInfo,
-    types: (TypeId, TypeId),
+    types: ServiceTypes,
     pub(crate) server: Option<(ModuleId, u32)>,
     /// How many modules and callers know its index.
     users: u32,
@@ -44,6 +44,18 @@ pub(crate) struct Service {
     /// True if answers come from a [`StandIn`](crate::StandIn) where no module serves it.
     pub(crate) has_stand_in: bool,
     pub(crate) encoder: Option<Encoder>,
+}
+
+/// What of a service depends on its types `Q` and `R`.
+#[derive(Clone, Copy)]
+struct ServiceTypes {
+    ids: (TypeId, TypeId),
+    /// The Rust path of `Q`.
+    request: &'static str,
+    /// The Rust path of `R`.
+    response: &'static str,
+    /// Makes an empty `Vec<Incoming<Q>>`.
+    staged: fn() -> Box<dyn Any + Send>,
     each: EachStaged,
     split: fn(&mut dyn Any) -> Box<dyn Any + Send>,
 }
@@ -55,12 +67,12 @@ impl Service {
 
     /// Calls `visit` with each request on its way.
     pub(crate) fn each_staged(&self, visit: &mut dyn FnMut(ReplyTo, &dyn Any)) {
-        (self.each)(&*self.staged, visit);
+        (self.types.each)(&*self.staged, visit);
     }
 
     /// The requests on their way, for another thread.
     pub(crate) fn take_staged(&mut self) -> Box<dyn Any + Send> {
-        (self.split)(&mut *self.staged)
+        (self.types.split)(&mut *self.staged)
     }
 }
 
@@ -81,17 +93,29 @@ impl ServiceRegistry {
         name: &str,
         module: &str,
     ) -> Result<usize, SetupError> {
+        let types = ServiceTypes {
+            ids: (TypeId::of::<Q>(), TypeId::of::<R>()),
+            request: type_name::<Q>(),
+            response: type_name::<R>(),
+            staged: || Box::new(Vec::<Incoming<Q>>::new()),
+            each: each::<Q>,
+            split: split::<Q>,
+        };
+        self.open_of(types, name, module)
+    }
+
+    /// The same for types that are values: compiled once, for however many services there are.
+    fn open_of(&mut self, types: ServiceTypes, name: &str, module: &str) -> Result<usize, SetupError> {
         let name = canonical_name(name)
             .ok_or_else(|| SetupError::InvalidServiceName { module: module.into(), service: name.into() })?;
-        let types = (TypeId::of::<Q>(), TypeId::of::<R>());
         if let Some(&index) = self.by_name.get(name) {
             let service = &mut self.services[index];
-            if service.types != types {
+            if service.types.ids != types.ids {
                 return Err(SetupError::ServiceType {
                     module: module.into(),
                     service: name.into(),
-                    asked: format!("{} -> {}", type_name::<Q>(), type_name::<R>()),
-                    known: format!("{} -> {}", service.info.request_type, service.info.response_type),
+                    asked: format!("{} -> {}", types.request, types.response),
+                    known: format!("{} -> {}", service.types.request, service.types.response),
                 });
             }
             service.users += 1;
@@ -101,19 +125,17 @@ impl ServiceRegistry {
         let service = Service {
             info: ServiceInfo {
                 name: Arc::clone(&name),
-                request_type: type_name::<Q>(),
-                response_type: type_name::<R>(),
+                request_type: types.request,
+                response_type: types.response,
                 server: None,
             },
             types,
             server: None,
             users: 1,
-            staged: Box::new(Vec::<Incoming<Q>>::new()),
+            staged: (types.staged)(),
             has_staged: false,
             has_stand_in: false,
             encoder: None,
-            each: each::<Q>,
-            split: split::<Q>,
         };
         let index = match self.services.iter().position(|service| service.users == 0) {
             Some(free) => {
