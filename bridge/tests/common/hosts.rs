@@ -4,6 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::mem::ManuallyDrop;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 const FORWARDER: &str = include_str!("forwarder.py");
 
@@ -20,12 +21,13 @@ pub enum Line {
 pub struct Hosts {
     names: [String; 2],
     switch: String,
+    prefix: String,
     forwarder: Option<Child>,
 }
 
 impl Hosts {
     const CABLE: &str = "cable";
-    /// Tells a test that it runs on host 0: the process that made the hosts.
+    /// Tells a test that it runs on host 0: how the names of the hosts begin.
     const VARIABLE: &str = "DOWNBEAT_HOSTS";
 
     /// Makes hosts on a switch, or says why not and returns nothing: only root may, and not on every machine.
@@ -35,7 +37,10 @@ impl Hosts {
 
     /// The same, with a line to choose.
     pub fn on(line: Line) -> Option<Self> {
-        let mut hosts = Self::of(std::process::id());
+        // Tests of one process may run side by side.
+        static MADE: AtomicU32 = AtomicU32::new(0);
+        let number = MADE.fetch_add(1, Ordering::Relaxed);
+        let mut hosts = Self::of(&format!("downbeat_{}_{number}", std::process::id()));
         if let Err(error) = hosts.make(line) {
             let line = format!("skipped: hosts of their own need root and network namespaces: {error}\n");
             // Past the capture of test output, which shows nothing of a test that passes.
@@ -45,23 +50,23 @@ impl Hosts {
         Some(hosts)
     }
 
-    fn of(process: u32) -> Self {
-        let of = |host: &str| format!("downbeat_{process}_{host}");
-        Self { names: [of("a"), of("b")], switch: of("switch"), forwarder: None }
+    fn of(prefix: &str) -> Self {
+        let of = |host: &str| format!("{prefix}_{host}");
+        Self { names: [of("a"), of("b")], switch: of("switch"), prefix: prefix.to_owned(), forwarder: None }
     }
 
     /// The hosts, in a process that [`Hosts::run_again`] has started on host 0.
     pub fn around() -> Option<ManuallyDrop<Self>> {
-        let process = std::env::var(Self::VARIABLE).ok()?;
+        let prefix = std::env::var(Self::VARIABLE).ok()?;
         // They belong to the process that made them.
-        Some(ManuallyDrop::new(Self::of(process.parse().unwrap())))
+        Some(ManuallyDrop::new(Self::of(&prefix)))
     }
 
     /// Runs a test of this program once more, on host 0.
     pub fn run_again(&self, test: &str) {
         let mut command = self.command(0, std::env::current_exe().unwrap());
         command.args(["--exact", test, "--nocapture", "--include-ignored"]);
-        let status = command.env(Self::VARIABLE, std::process::id().to_string()).status().unwrap();
+        let status = command.env(Self::VARIABLE, &self.prefix).status().unwrap();
         assert!(status.success(), "{test} failed on its host");
     }
 
