@@ -10,10 +10,8 @@ use std::sync::Arc;
 
 use downbeat_executor::SettingValue;
 
-#[cfg(feature = "cli")]
 pub(crate) use file::{NodeParameter, parameters_of_nodes};
 pub(crate) use line::line_of;
-#[cfg(feature = "cli")]
 pub(crate) use value::setting_value;
 
 use super::file::{Given, ParameterPlace, Place, Source, suggestion};
