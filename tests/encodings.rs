@@ -90,10 +90,9 @@ fn a_robot_recorded_as_foxglove_has_it_is_read_by_mcap_and_its_protobuf_support(
     let joints = found["last_joints"].as_array().unwrap();
     assert_eq!(joints.len(), last.name.len());
     for (joint, (name, position)) in joints.iter().zip(last.name.iter().zip(&last.position)) {
-        assert_eq!(
-            (joint["name"].as_str(), joint["position"].as_f64()),
-            (Some(name.as_str()), Some(*position))
-        );
+        // A servo that did not answer in time has no position; JSON has no NaN.
+        let position = position.is_finite().then_some(*position);
+        assert_eq!((joint["name"].as_str(), joint["position"].as_f64()), (Some(name.as_str()), position));
     }
 }
 
