@@ -1,4 +1,4 @@
-//! UDP sockets and nothing else.
+//! UDP sockets, and a copy of what comes into memory of the sample's own.
 
 use std::io::Write;
 use std::net::{Ipv4Addr, UdpSocket};
@@ -27,7 +27,7 @@ pub fn run(options: &PeerOptions) -> anyhow::Result<()> {
         End::Echo => echo(&socket),
         End::Ping => ping(&socket, options),
         End::Flood => flood(&socket, options),
-        End::Count => count(&socket),
+        End::Count => count(&socket, options.size),
     }
 }
 
@@ -59,11 +59,13 @@ fn ping(socket: &UdpSocket, options: &PeerOptions) -> anyhow::Result<()> {
 }
 
 fn flood(socket: &UdpSocket, options: &PeerOptions) -> anyhow::Result<()> {
-    let datagram = vec![0x5a; options.size.min(DATAGRAM)];
+    let sample = vec![0x5a; options.size];
     let (mut bytes, mut samples) = (0, 0);
     let start = Instant::now();
     while start.elapsed().as_secs_f64() < options.seconds {
-        bytes += socket.send(&datagram)? as u64;
+        for datagram in sample.chunks(DATAGRAM) {
+            bytes += socket.send(datagram)? as u64;
+        }
         samples += 1;
     }
     let sent = Stream { bytes, samples, seconds: start.elapsed().as_secs_f64() };
@@ -71,8 +73,9 @@ fn flood(socket: &UdpSocket, options: &PeerOptions) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn count(socket: &UdpSocket) -> anyhow::Result<()> {
+fn count(socket: &UdpSocket, size: usize) -> anyhow::Result<()> {
     let (mut buffer, mut bytes, mut samples) = (vec![0; 65_536], 0, 0);
+    let mut sample = Vec::new();
     let mut first = None;
     let mut last = Instant::now();
     loop {
@@ -82,7 +85,12 @@ fn count(socket: &UdpSocket) -> anyhow::Result<()> {
         last = Instant::now();
         first.get_or_insert(last);
         bytes += length as u64;
-        samples += 1;
+        // Put together in memory of its own, as whoever hands samples on has to; what is lost is not noticed.
+        sample.extend_from_slice(&buffer[..length]);
+        if sample.len() >= size {
+            drop(std::mem::take(&mut sample));
+            samples += 1;
+        }
     }
     let seconds = first.map_or(0.0, |first| (last - first).as_secs_f64());
     println!("{}", serde_json::to_string(&Stream { bytes, samples, seconds })?);
