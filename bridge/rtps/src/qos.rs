@@ -34,7 +34,7 @@ pub enum History {
     KeepAll,
 }
 
-/// Who asserts that a writer is alive.
+/// The participant or writer that asserts liveliness.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Liveliness {
     /// Its participant, without the application.

@@ -51,7 +51,7 @@ pub fn run(bytes: &[u8]) -> usize {
     understood
 }
 
-/// Equal but for padding, which is told within the payload or cannot be told at all.
+/// Compares payloads without their padding, whose length is part of the encapsulation options or unknown.
 fn assert_same(read: Submessage<'_>, written: Submessage<'_>) {
     match (read, written) {
         (Submessage::Data(read), Submessage::Data(written)) => {

@@ -1,4 +1,4 @@
-//! What an endpoint of ours is told, and who listens.
+//! An endpoint's events and the handlers registered for them.
 
 use crate::protocol::{LivelinessChange, Sample};
 use crate::qos::Policy;
@@ -183,13 +183,13 @@ impl Listeners {
 }
 
 impl Standing {
-    /// What somebody who listens from now on has missed.
+    /// The events that describe the present state, for a handler that is registered now.
     fn events(self, peer: Guid) -> impl Iterator<Item = EndpointEvent> {
         let (first, liveliness) = match self {
             Self::Matched { liveliness } => (EndpointEvent::Matched { peer }, liveliness),
             Self::Apart(event) => (event, None),
         };
-        // One that is alive again is alive, for somebody who did not know it before.
+        // To a new handler a writer that has recovered is simply alive.
         let change = liveliness.map(|change| match change {
             LivelinessChange::Revived => LivelinessChange::Alive,
             change => change,

@@ -370,7 +370,7 @@ impl Engine {
             protocol.participant.set_addresses(now(), addresses);
         }
         drop(protocol);
-        // Who finds it taken meanwhile leaves its datagrams to this thread, which sends next.
+        // Threads that find it taken meanwhile leave their datagrams to this thread, which sends next.
         self.outgoing
             .lock()
             .unwrap_or_else(PoisonError::into_inner)

@@ -27,7 +27,7 @@ pub struct Config {
     pub addresses: Addresses,
     /// Bytes of a sample in one fragment to other hosts. On this host fragments are at least 32 kB.
     pub fragment_size: u16,
-    /// Bytes that our socket holds until we read them; told to peers of our kind, which then send that much at once.
+    /// Size of the socket's receive buffer in bytes; announced to participants of this engine, which pace by it.
     pub receive_buffer: Option<u32>,
     pub limits: Limits,
 }

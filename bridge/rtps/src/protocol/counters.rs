@@ -85,7 +85,7 @@ impl Warnings {
 
 /// Bytes from and to a peer that has not yet shown that it is where its announcement says.
 ///
-/// Anybody can announce a participant with the address of somebody else. Until an answer comes from there, no more is sent
+/// Anybody can announce a participant with the address of a third party. Until an answer comes from there, no more is sent
 /// than three times what was received (as in RFC 9000, section 8.1).
 #[derive(Debug, Default)]
 pub(crate) struct Account {

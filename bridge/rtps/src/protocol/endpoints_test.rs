@@ -400,7 +400,7 @@ fn sample(number: u32) -> Vec<u8> {
     [[0; 4], number.to_le_bytes()].concat()
 }
 
-/// A sample that is large, tells its number and, every now and then, a position.
+/// A large payload that holds its sample's number, and at regular distances its position.
 fn large(number: u32, size: usize) -> Vec<u8> {
     let mut bytes = vec![number as u8; size];
     bytes[..8].copy_from_slice(&sample(number));

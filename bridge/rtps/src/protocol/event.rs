@@ -29,13 +29,13 @@ pub enum Event {
         local: EntityId,
         remote: Guid,
     },
-    /// A policy keeps two endpoints of one topic apart. Told once for each pair.
+    /// A policy keeps two endpoints of one topic from matching. Reported once for each pair.
     Incompatible {
         local: EntityId,
         remote: Guid,
         policy: Policy,
     },
-    /// Two endpoints of one topic have different types. Told once for each pair.
+    /// Two endpoints of one topic have different types. Reported once for each pair.
     OtherType {
         local: EntityId,
         remote: Guid,
@@ -45,7 +45,7 @@ pub enum Event {
         local: EntityId,
         count: u64,
     },
-    /// The application did not assert one of its writers in time. Told once until it does.
+    /// The application did not assert a writer in time. Reported once until it does.
     LivelinessLost {
         writer: EntityId,
     },

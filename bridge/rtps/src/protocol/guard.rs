@@ -39,7 +39,7 @@ pub trait Guard: Send {
     fn decode_message(&mut self, from: GuidPrefix, message: &mut Vec<u8>) -> bool;
 }
 
-/// What a guard says of somebody new.
+/// A guard's decision about a new participant or endpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Admission {
     Admit,
@@ -72,7 +72,7 @@ pub(super) fn decode(guard: &mut dyn Guard, from: GuidPrefix, datagram: &[u8]) -
     }
     let (header, submessages) = message.split_at_checked(Header::LEN)?;
     let mut plain = header.to_vec();
-    // A datagram may hold submessages for several receivers: one that is rejected does not spoil the others.
+    // A datagram may hold submessages for several receivers: the others are still handled when one is rejected.
     for group in groups(submessages) {
         let length = plain.len();
         if !guard.decode_submessage(from, group, &mut plain) {

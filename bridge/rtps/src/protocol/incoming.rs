@@ -81,7 +81,7 @@ pub(super) struct Incoming {
     ask_at: Option<Instant>,
     /// The sample of which fragments are to be acknowledged, and the last of those that were sent.
     fragments_sent: Option<(SequenceNumber, u32)>,
-    /// Whether it was heard of within its lease. Nobody is told that it is not as long as it never was.
+    /// Whether it was heard within its lease. False until it is heard first; no event is reported before that.
     is_alive: bool,
     /// When the writer was last known to be alive.
     asserted: Instant,

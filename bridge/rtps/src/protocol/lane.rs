@@ -66,7 +66,7 @@ enum HeartbeatWish {
     Liveliness,
 }
 
-/// Who gets a sample on a lane.
+/// The readers of a lane that get a sample.
 enum Audience {
     Nobody,
     Some(Guid),
@@ -187,7 +187,7 @@ impl Lane {
         self.heartbeat = HeartbeatWish::Liveliness;
     }
 
-    /// Sends a heartbeat if one is due and somebody has not acknowledged.
+    /// Sends a heartbeat if one is due and a reader has not acknowledged all samples.
     pub fn handle_timeout(&mut self, sending: &Sending<'_>, links: &mut Links) {
         if self.heartbeat_at.is_none_or(|at| at > sending.now) {
             return;

@@ -71,7 +71,7 @@ struct Link {
     pacer: Pacer,
     ready: VecDeque<EntityId>,
     is_in_line: bool,
-    /// Who waits for the pacer or for an acknowledgement.
+    /// Endpoints that wait for the pacer or for an acknowledgement.
     blocked: Vec<EntityId>,
     /// When the pacer opens.
     opens: Option<Instant>,
@@ -156,7 +156,7 @@ impl Links {
         }
     }
 
-    /// A link on which somebody may send now.
+    /// A link on which an endpoint may send now.
     pub fn next(&mut self, now: Instant) -> Option<LinkId> {
         for index in (0..self.paced.len()).rev() {
             let id = self.paced[index];

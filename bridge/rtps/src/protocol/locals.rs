@@ -17,7 +17,7 @@ pub(crate) struct Local<E> {
     pub(crate) refused: BTreeSet<Guid>,
     /// Whether writers that a reader is matched with are alive, of those that were heard of.
     pub(crate) liveliness: BTreeMap<Guid, bool>,
-    /// Whether a write was refused for want of room, and that there is room again was not yet told.
+    /// Whether a write was refused and the event that the window is open again is still owed.
     pub(crate) is_full: bool,
 }
 

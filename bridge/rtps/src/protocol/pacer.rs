@@ -25,7 +25,7 @@ const RATE_MAX: f64 = 2e9;
 
 /// The rate falls at most once in this time: what is asked for again was sent at the rate of before.
 const LOSS_PAUSE: Duration = Duration::from_millis(20);
-/// The rate rises after so long a time in which somebody always waited for it.
+/// The rate rises after the link was saturated for this long.
 const BUSY_BEFORE_RISE: Duration = Duration::from_millis(300);
 
 /// Whether something may be sent now.

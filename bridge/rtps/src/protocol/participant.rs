@@ -175,7 +175,7 @@ impl Participant {
         }
     }
 
-    /// Makes a writer and tells the others of it.
+    /// Creates a writer and announces it.
     pub fn create_writer(&mut self, now: Now, config: EndpointConfig) -> Result<EntityId, CreateError> {
         self.note_time(now);
         let id = EntityId::user_writer(self.next_key()?);
@@ -187,7 +187,7 @@ impl Participant {
         Ok(id)
     }
 
-    /// Makes a reader and tells the others of it.
+    /// Creates a reader and announces it.
     pub fn create_reader(&mut self, now: Now, config: EndpointConfig) -> Result<EntityId, CreateError> {
         self.note_time(now);
         let id = EntityId::user_reader(self.next_key()?);
@@ -205,7 +205,7 @@ impl Participant {
         self.plan_liveliness(now);
     }
 
-    /// Removes an endpoint and tells the others. Returns whether there was one.
+    /// Removes an endpoint and announces that. Returns whether it existed.
     pub fn remove_endpoint(&mut self, now: Now, id: EntityId) -> bool {
         self.note_time(now);
         if id.is_builtin() || self.locals.data(id).is_none() {

@@ -279,7 +279,7 @@ impl Reader {
     }
 }
 
-/// A copy of a payload whose encapsulation no longer tells of the padding that was taken off.
+/// Copies a payload and clears the padding bits of its encapsulation header, because the padding was removed.
 fn as_written(payload: &[u8]) -> Bytes {
     match *payload {
         [0, format, options_high, options_low, ref content @ ..] if options_low & 3 != 0 => {

@@ -21,7 +21,7 @@ pub struct Sample {
 /// What happened at a reader, in its order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Received {
-    /// A sample; those of one reliable writer in the order of their numbers, without a gap that is not told as lost.
+    /// A sample. Samples of a reliable writer come in the order of their numbers; each gap is reported as lost.
     Sample(Sample),
     /// Samples of a writer that will not come any more.
     Lost { writer: Guid, count: u64 },

@@ -32,7 +32,7 @@ pub struct WriteOptions {
     pub only_to: Option<Guid>,
 }
 
-/// The sample was not written: as many wait as may. [`Writer::can_write`] tells when it can be tried again.
+/// The sample was not written because the send window is full. [`Writer::can_write`] says when there is room again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("as many samples wait to be sent or acknowledged as the send window holds")]
 pub struct WindowFull;
@@ -133,7 +133,7 @@ impl Writer {
         self.history.len() < self.limit() || !self.is_waited_for(self.history.first(), now.steady, links)
     }
 
-    /// Takes a sample out of the history. Who still lacks it is told that it will not come.
+    /// Removes a sample from the history. Readers that lack it receive a GAP.
     pub fn discard(&mut self, number: SequenceNumber) {
         self.history.remove(number);
     }

@@ -386,7 +386,7 @@ mod tests {
                 let mut message = MessageBuilder::new(&mut bytes, 1472, HEADER);
                 message.order = order;
                 assert!(written.iter().all(|submessage| add(&mut message, submessage)));
-                // The padding of a payload is told in its options, and a reader takes no notice.
+                // The length of the padding is in the encapsulation options, which our reader ignores.
                 let read = read(&bytes).into_iter().map(|submessage| match submessage {
                     Submessage::Data(data) => {
                         Submessage::Data(Data { payload: without_options(data.payload), ..data })

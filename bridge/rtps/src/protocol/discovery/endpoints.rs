@@ -19,7 +19,7 @@ use crate::{
 #[derive(Debug, Default)]
 pub(crate) struct Endpoints {
     current: BTreeMap<EntityId, SequenceNumber>,
-    /// Removals that somebody may not have heard of yet, by announcing writer.
+    /// Removals that are not acknowledged by all peers yet, by announcing writer.
     removals: BTreeMap<EntityId, Vec<SequenceNumber>>,
 }
 

@@ -214,7 +214,7 @@ impl Participant {
         if !is_over {
             return self.arm_lease(now, prefix);
         }
-        // If it still lives it takes us for one that knows it, and would not say again what it told us already.
+        // A peer that is still alive believes that we know it, and would not repeat what it has sent.
         if peer.account.is_known() {
             self.part_from(prefix);
         }
