@@ -1,9 +1,9 @@
 //! Small files that are made to fill the memory.
 
 use downbeat_bags::{BagInfo, Check, Problem, Reader, check};
+use fuzzing::most_in;
 use mcap::records::op;
 
-use crate::memory::most_in;
 use crate::parts::{Chunk, Content, Part, Parts, add, records, text, zstd_with_zeros};
 
 const MIB: usize = 1024 * 1024;

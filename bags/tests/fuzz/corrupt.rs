@@ -1,9 +1,9 @@
 //! Changes of bag files: of any bytes, and of parts in a file that is right otherwise.
 
+use fuzzing::Random;
 use mcap::records::op;
 
 use crate::parts::{self, Part, Parts};
-use crate::random::Random;
 
 /// Changes some bytes, lengths and stretches.
 pub fn bytes(bytes: &mut Vec<u8>, random: &mut Random) {

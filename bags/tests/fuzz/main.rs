@@ -7,9 +7,7 @@
 
 mod bombs;
 mod corrupt;
-mod memory;
 mod parts;
-mod random;
 mod seeds;
 #[path = "../../fuzz/targets/mod.rs"]
 mod targets;
@@ -17,8 +15,8 @@ mod targets;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::{Duration, Instant};
 
+use fuzzing::{Random, most_in, rounds};
 use parts::Parts;
-use random::Random;
 use seeds::Seed;
 
 /// What reading may have beyond what a bag file is long: two windows of Zstandard, each of 128 MiB, are taken at once where a
@@ -31,20 +29,19 @@ const RECORDED_ONE_IN: usize = 2000;
 
 #[test]
 fn whatever_is_changed_in_a_bag_the_reader_comes_to_an_end_in_bounded_memory() {
-    let number = |name| std::env::var(name).ok().and_then(|number: String| number.parse().ok());
-    let rounds: u64 = number("DOWNBEAT_FUZZ_ROUNDS").unwrap_or(1_000);
-    let first: u64 = number("DOWNBEAT_FUZZ_FIRST").unwrap_or(0);
+    let numbers = rounds(1_000);
+    let (first, rounds) = (numbers.start, numbers.end - numbers.start);
     let (small, recorded) = (seeds::small(), seeds::recorded());
     let start = Instant::now();
     let (mut most, mut longest) = ((0, first), (Duration::ZERO, first));
     let mut opened = 0;
-    for round in first..first + rounds {
+    for round in numbers {
         let mut random = Random::new(round);
         let seeds = if random.one_in(RECORDED_ONE_IN) { &recorded } else { &small };
         let bytes = changed(random.choose(seeds), &mut random);
         let begun = Instant::now();
         let run = || catch_unwind(AssertUnwindSafe(|| targets::reader::run(&bytes)));
-        let (memory, result) = memory::most_in(run);
+        let (memory, result) = most_in(run);
         let took = begun.elapsed();
         opened += u64::from(*result.as_ref().unwrap_or_else(|_| panic!("round {round}: {bytes:02x?}")));
         assert!(memory < MOST_MEMORY + bytes.len(), "round {round} takes {memory} bytes of memory");

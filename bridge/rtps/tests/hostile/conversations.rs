@@ -8,11 +8,11 @@ use std::time::Duration;
 
 use downbeat_rtps::protocol::Fault;
 use downbeat_rtps::wire::{EntityId, GuidPrefix, parse};
+use fuzzing::{Random, most_in, rounds};
 
 use crate::mutation::{mutate, submessages};
-use crate::random::{Random, rounds};
 use crate::targets::participant::{Listener, run, say};
-use crate::{capture, memory, robot};
+use crate::{capture, robot};
 
 /// What one participant may hold. It keeps samples of its own of half a megabyte.
 const MOST_MEMORY: usize = 16 << 20;
@@ -105,7 +105,7 @@ fn whatever_is_changed_in_a_conversation_a_participant_goes_on_in_bounded_memory
                 say(&mut conversation, random.below(3) as u8, &datagram);
             }
         }
-        let (memory, result) = memory::most_in(|| catch_unwind(AssertUnwindSafe(|| run(&conversation))));
+        let (memory, result) = most_in(|| catch_unwind(AssertUnwindSafe(|| run(&conversation))));
         assert!(result.is_ok(), "round {round}: {conversation:02x?}");
         assert!(memory < MOST_MEMORY, "round {round} takes {memory} bytes of memory");
         most = most.max((memory, round));

@@ -8,9 +8,7 @@ mod capture;
 #[path = "../common/mod.rs"]
 mod common;
 mod conversations;
-mod memory;
 mod mutation;
-mod random;
 mod reading;
 mod robot;
 #[path = "../../fuzz/targets/mod.rs"]

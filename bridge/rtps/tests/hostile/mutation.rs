@@ -1,6 +1,6 @@
 //! Random changes of datagrams: of any bytes, of numbers where RTPS has them, and of whole submessages.
 
-use crate::random::Random;
+use fuzzing::Random;
 
 /// Changes a datagram in a few places.
 pub fn mutate(datagram: &mut Vec<u8>, random: &mut Random) {

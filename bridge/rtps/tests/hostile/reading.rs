@@ -5,9 +5,10 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
+use fuzzing::{Random, most_in, rounds};
+
 use crate::mutation::mutate;
-use crate::random::{Random, rounds};
-use crate::{capture, memory, targets};
+use crate::{capture, targets};
 
 #[test]
 fn whatever_is_changed_in_a_datagram_it_is_read_to_its_end_in_bounded_memory() {
@@ -19,7 +20,7 @@ fn whatever_is_changed_in_a_datagram_it_is_read_to_its_end_in_bounded_memory() {
         let mut datagram = random.choose(&seeds).to_vec();
         mutate(&mut datagram, &mut random);
         let run = || catch_unwind(AssertUnwindSafe(|| targets::wire::run(&datagram)));
-        let (memory, result) = memory::most_in(run);
+        let (memory, result) = most_in(run);
         understood += usize::from(result.unwrap_or_else(|_| panic!("round {round}: {datagram:02x?}")) > 0);
         // What is read, and written again.
         assert!(memory < 4 * datagram.len() + 4096, "round {round} takes {memory} bytes of memory");

@@ -9,9 +9,9 @@ use downbeat_rtps::wire::{
     AckNack, BuiltinEndpoints, Data, DataFragment, EndpointData, EntityId, Guid, GuidPrefix, Header,
     InlineQos, MessageBuilder, ParticipantData, Payload, SequenceNumber, SequenceNumberSet, VendorId,
 };
+use fuzzing::most_in;
 
 use crate::common::{Network, latched, reliable};
-use crate::memory;
 
 /// What one robot may hold at any time: the goal is below 64 MB.
 const MOST_MEMORY: usize = 64 << 20;
@@ -150,7 +150,7 @@ pub fn survives(attack: impl FnOnce(&mut Robot)) {
 
 /// The same of an attack that may take any time.
 pub fn survives_for_long(attack: impl FnOnce(&mut Robot)) {
-    let (most, ()) = memory::most_in(|| {
+    let (most, ()) = most_in(|| {
         let mut robot = Robot::new();
         attack(&mut robot);
         robot.talk();

@@ -51,7 +51,7 @@ fn count(bytes: isize) {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// What `run` had at most beyond what this thread had before it.
+/// Runs `run`. Returns the most bytes that this thread held beyond what it held before, and the result.
 pub fn most_in<T>(run: impl FnOnce() -> T) -> (usize, T) {
     let before = HELD.get();
     MOST.set(before);
