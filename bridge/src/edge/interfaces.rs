@@ -1,9 +1,9 @@
 //! The registry of messages, services and actions.
 
 use super::known_type::UnknownType;
-use super::nearest::nearest;
 use super::{EncodedInlet, KnownAction, KnownService, KnownType, UnknownAction, UnknownService};
 use downbeat_executor::{Core, ServiceInfo, SetupError};
+use downbeat_msgs::definitions::nearest;
 use downbeat_msgs::description::Description;
 use downbeat_msgs::dynamic::{AmentPrefixPath, Definitions, Schemas};
 use downbeat_msgs::{Action, InterfaceSet, InterfaceVisitor, Message, Service};
@@ -372,7 +372,7 @@ mod tests {
             ("my_msgs/Tilt", "my_msgs/msg/Tilt"),
         ] {
             let error = interfaces.message(wrong).unwrap_err();
-            assert_eq!(error.nearest, meant);
+            assert_eq!(error.nearest, Some(meant));
             assert_eq!(error.to_string(), format!("unknown message type {wrong:?}, did you mean {meant:?}?"));
         }
         assert_eq!(interfaces.service("std_srvs/srv/SetBool").unwrap().name(), "std_srvs/srv/SetBool");
@@ -382,7 +382,7 @@ mod tests {
             "unknown service type \"std_srvs/SetBool\", did you mean \"std_srvs/srv/SetBool\"?"
         );
         let error = interfaces.action("tf2_msgs/LookupTransform").unwrap_err();
-        assert_eq!(error.nearest, "tf2_msgs/action/LookupTransform");
+        assert_eq!(error.nearest, Some("tf2_msgs/action/LookupTransform"));
     }
 
     #[test]

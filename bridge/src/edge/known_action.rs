@@ -17,12 +17,12 @@ pub struct KnownAction {
 
 /// A type name that no action has.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("unknown action type {name:?}, did you mean {nearest:?}?")]
+#[error("unknown action type {name:?}{}", nearest.map(|name| format!(", did you mean {name:?}?")).unwrap_or_default())]
 pub struct UnknownAction {
     /// The name that was looked for.
     pub name: String,
-    /// The name most like it.
-    pub nearest: &'static str,
+    /// The name most like it, if one is like it.
+    pub nearest: Option<&'static str>,
 }
 
 impl KnownAction {

@@ -19,12 +19,12 @@ pub struct KnownService {
 
 /// A type name that no service has.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("unknown service type {name:?}, did you mean {nearest:?}?")]
+#[error("unknown service type {name:?}{}", nearest.map(|name| format!(", did you mean {name:?}?")).unwrap_or_default())]
 pub struct UnknownService {
     /// The name that was looked for.
     pub name: String,
-    /// The name most like it.
-    pub nearest: &'static str,
+    /// The name most like it, if one is like it.
+    pub nearest: Option<&'static str>,
 }
 
 impl KnownService {

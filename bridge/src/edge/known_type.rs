@@ -21,12 +21,12 @@ pub struct KnownType {
 
 /// A type name that no message has.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("unknown message type {name:?}, did you mean {nearest:?}?")]
+#[error("unknown message type {name:?}{}", nearest.map(|name| format!(", did you mean {name:?}?")).unwrap_or_default())]
 pub struct UnknownType {
     /// The name that was looked for.
     pub name: String,
-    /// The name most like it.
-    pub nearest: &'static str,
+    /// The name most like it, if one is like it.
+    pub nearest: Option<&'static str>,
 }
 
 impl KnownType {

@@ -19,7 +19,6 @@ mod interfaces;
 mod known_action;
 mod known_service;
 mod known_type;
-mod nearest;
 mod outlet;
 mod raw;
 

@@ -31,6 +31,7 @@ mod idl;
 mod message_text;
 mod name;
 mod parse;
+mod suggestion;
 
 pub use catalog::{AmentPrefix, Catalog};
 pub use definition::{
@@ -43,3 +44,4 @@ pub use error::{Error, Place};
 pub use idl::{Definition, parse_idl};
 pub use name::{Kind, TypeName};
 pub use parse::{parse_action, parse_message, parse_service};
+pub use suggestion::{nearest, suggestion};

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use downbeat_msgs_definitions::{Element, FieldType, Shape, TypeName};
+use downbeat_msgs_definitions::{Element, FieldType, Shape, TypeName, nearest};
 
 use super::layout::{FieldLayout, MessageLayout};
 use super::path::{Step, steps};
@@ -171,17 +171,16 @@ pub(super) fn misstep(step: Step<'_>, here: ValueRef<'_>) -> FieldProblem {
 }
 
 fn hint(message: &MessageLayout, name: &str) -> String {
+    const SHOWN: usize = 12;
     let names = || message.fields.iter().map(|field| field.name.as_str());
-    let near = names().map(|known| (strsim::damerau_levenshtein(known, name), known)).min();
-    match near {
-        Some((distance, known)) if distance <= 1 + name.len() / 3 => format!(", did you mean `{known}`?"),
-        Some(_) => {
-            const SHOWN: usize = 12;
+    match nearest(name, names()) {
+        Some(known) => format!(", did you mean `{known}`?"),
+        None if message.fields.is_empty() => ", it has no fields at all".into(),
+        None => {
             let list: Vec<String> = names().take(SHOWN).map(|known| format!("`{known}`")).collect();
             let more = if message.fields.len() > SHOWN { ", …" } else { "" };
             format!(", it has {}{more}", list.join(", "))
         }
-        None => ", it has no fields at all".into(),
     }
 }
 

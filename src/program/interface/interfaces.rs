@@ -1,17 +1,18 @@
 //! The interfaces that a command can name.
 
 use std::collections::BTreeSet;
+use std::fmt::Display;
 use std::io::IsTerminal;
 use std::path::Path;
 
 use crate::msgs::definitions::{
     ActionDefinition, Catalog, DefinitionEncoding, Kind, MessageDefinition, ServiceDefinition, TypeName,
+    nearest,
 };
 use anyhow::{Context, anyhow, bail};
 
 use super::Registered;
 use super::arguments::{SourceArguments, TypeArguments};
-use super::nearest::nearest;
 use super::packages::{ament_packages, packages_at};
 
 /// Definitions from --from, AMENT_PREFIX_PATH and this program (what it carries and what it registers), in this order: the first place that has a package gives
@@ -128,7 +129,7 @@ impl Interfaces {
         if packages.contains(&package) {
             return Ok(());
         }
-        let hint = hint(nearest(package, packages.iter().map(ToString::to_string)));
+        let hint = hint(nearest(package, packages));
         bail!("no package \"{package}\" with interfaces is known{hint}")
     }
 
@@ -150,7 +151,7 @@ impl Interfaces {
             }
             _ => String::new(),
         };
-        let hint = hint(nearest(text, names.iter().map(TypeName::to_string)));
+        let hint = hint(nearest(text, &names));
         anyhow!("no interface \"{text}\" is known{place}{hint}")
     }
 }
@@ -221,7 +222,7 @@ fn package_name(folder: &Path) -> String {
     folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-fn hint(nearest: Option<String>) -> String {
+fn hint(nearest: Option<impl Display>) -> String {
     nearest.map(|nearest| format!(", did you mean \"{nearest}\"?")).unwrap_or_default()
 }
 

@@ -5,7 +5,6 @@ mod decode;
 mod description;
 mod interfaces;
 mod list;
-mod nearest;
 mod packages;
 mod show;
 mod source_text;

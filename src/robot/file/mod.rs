@@ -16,6 +16,7 @@ use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::ros::{RemapRule, RemapRules};
 use toml::de::DeTable;
 
+pub(crate) use crate::msgs::definitions::suggestion;
 pub use expose::{
     ActionEntry, Direction, ExposeEntry, ExposeSection, LifecycleEntry, ServiceEntry, TopicChoice,
 };
@@ -26,7 +27,7 @@ pub(crate) use place::{Given, ParameterPlace, Place};
 pub use record::RecordEntry;
 pub use replay::ReplaySection;
 pub use source::RobotFileError;
-pub(crate) use source::{Source, suggestion, toml_string};
+pub(crate) use source::{Source, toml_string};
 pub(crate) use table::list_of;
 use table::{Table, Value};
 

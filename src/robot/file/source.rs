@@ -72,21 +72,6 @@ impl Source {
     }
 }
 
-/// `, did you mean "..."?` with the candidate most like `name`, or the candidates where none is like it.
-pub(crate) fn suggestion<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> String {
-    let candidates: Vec<_> = candidates.into_iter().collect();
-    let likeness = |candidate: &str| strsim::normalized_damerau_levenshtein(name, candidate);
-    match candidates.iter().max_by(|a, b| likeness(a).total_cmp(&likeness(b))) {
-        Some(nearest) if likeness(nearest) > 0.45 => format!(", did you mean \"{nearest}\"?"),
-        Some(_) if candidates.len() <= 16 => format!("; there is {}", quoted(&candidates)),
-        Some(_) | None => String::new(),
-    }
-}
-
-fn quoted(names: &[&str]) -> String {
-    names.iter().map(|name| format!("\"{name}\"")).collect::<Vec<_>>().join(", ")
-}
-
 /// A string of TOML, in which everything that is not plain is escaped.
 pub(crate) fn toml_string(text: &str) -> String {
     let escape = |c: char| match c {
@@ -100,13 +85,6 @@ pub(crate) fn toml_string(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_nearest_name_is_suggested_and_far_ones_are_listed() {
-        assert_eq!(suggestion("joint_sates", ["imu", "joint_states"]), ", did you mean \"joint_states\"?");
-        assert_eq!(suggestion("xyz", ["imu", "joint_states"]), "; there is \"imu\", \"joint_states\"");
-        assert_eq!(suggestion("xyz", []), "");
-    }
 
     #[test]
     fn lines_count_from_one() {

@@ -6,7 +6,8 @@ use std::time::Duration;
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
-use super::source::{RobotFileError, Source, suggestion};
+use super::source::{RobotFileError, Source};
+use super::suggestion;
 use downbeat_executor::SettingValue;
 
 type Result<T> = std::result::Result<T, RobotFileError>;

@@ -2,7 +2,6 @@
 
 mod check;
 mod files;
-mod nearest;
 
 pub use files::AmentPrefix;
 
@@ -11,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use crate::derived::{event_of, parts_of};
 use crate::{
     ActionDefinition, Definition, Element, Error, Kind, MessageDefinition, ServiceDefinition, TypeName,
-    parse_action, parse_idl, parse_message, parse_service,
+    nearest, parse_action, parse_idl, parse_message, parse_service,
 };
 
 /// Definitions by name. Fill it, [check](Catalog::check) it, then derive from it what you need.
@@ -197,6 +196,44 @@ impl Catalog {
         self.actions.entry(action.name.clone()).or_insert(action);
         Ok(())
     }
+
+    fn not_in_catalog(&self, name: &TypeName) -> Error {
+        let hint = if self.messages.contains_key(name) {
+            ": it is a message, no service or action".into()
+        } else if self.services.contains_key(name) {
+            ": it is a service, no message".into()
+        } else if self.actions.contains_key(name) {
+            ": it is an action, no message or service".into()
+        } else {
+            let others = self.messages.keys().chain(self.services.keys()).chain(self.actions.keys());
+            match nearest_type(name, others) {
+                Some(other) => format!(", did you mean {other}?"),
+                None => self.hint_for_package(name),
+            }
+        };
+        Error::NotInCatalog { name: Box::new(name.clone()), hint }
+    }
+
+    /// For a field of that type.
+    fn hint_for_field(&self, wanted: &TypeName) -> String {
+        match nearest_type(wanted, self.messages.keys().filter(|name| name.kind == Kind::Message)) {
+            Some(other) => format!(", did you mean `{}`?", other.short()),
+            None => self.hint_for_package(wanted),
+        }
+    }
+
+    fn hint_for_package(&self, wanted: &TypeName) -> String {
+        if self.messages.keys().any(|name| name.package == wanted.package) {
+            return String::new();
+        }
+        format!(": no interface of the package {} is known, add its folder", wanted.package)
+    }
+}
+
+/// One of the same package or of the same name in another package.
+fn nearest_type<'a>(wanted: &TypeName, names: impl Iterator<Item = &'a TypeName>) -> Option<&'a TypeName> {
+    let related = names.filter(|name| name.package == wanted.package || name.name == wanted.name);
+    nearest(&wanted.to_string(), related)
 }
 
 #[cfg(test)]

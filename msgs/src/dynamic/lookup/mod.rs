@@ -8,7 +8,7 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-use downbeat_msgs_definitions::{Catalog, Element, Error as DefinitionError, TypeName};
+use downbeat_msgs_definitions::{Catalog, Element, Error as DefinitionError, TypeName, nearest};
 
 use super::{DynamicType, TypeError};
 use crate::carried;
@@ -275,8 +275,7 @@ fn instead<'a>(subject: &str, catalogs: impl Iterator<Item = &'a Catalog>, name:
         .map(|message| &message.name)
         .filter(|other| other.package == name.package)
         .collect();
-    let nearest = names.iter().min_by_key(|other| strsim::damerau_levenshtein(&other.name, &name.name));
-    match nearest {
+    match nearest(&name.to_string(), &names).or(names.first()) {
         Some(nearest) => format!("{subject} {nearest} of that package"),
         None => format!("{subject} nothing of that package"),
     }

@@ -1,0 +1,80 @@
+//! What was probably meant by a name that is not known, for error messages.
+
+use std::fmt::Display;
+
+/// The most names a [`suggestion`] lists.
+const MOST_LISTED: usize = 16;
+
+/// Longer names are not compared: the time grows with the square of the length.
+const LONGEST_COMPARED: usize = 128;
+
+/// The candidate most like `name`, or `None` if none is like it. The part behind the last slash counts as much as the
+/// whole; upper and lower case are the same.
+pub fn nearest<T: Display>(name: &str, candidates: impl IntoIterator<Item = T>) -> Option<T> {
+    if name.len() > LONGEST_COMPARED {
+        return None;
+    }
+    let name = name.to_lowercase();
+    let likeness = |candidate: T| {
+        let text = candidate.to_string().to_lowercase();
+        (text.len() <= LONGEST_COMPARED).then(|| (likeness(&name, &text), candidate))
+    };
+    let scored = candidates.into_iter().filter_map(likeness);
+    // Of equals the first.
+    let (likeness, candidate) = scored.reduce(|best, other| if other.0 > best.0 { other } else { best })?;
+    (likeness > 0.45).then_some(candidate)
+}
+
+/// The end of an error message: `, did you mean "..."?` with the [`nearest`] candidate; `; there is ...` with all
+/// candidates if none is like `name` and they are few; or nothing.
+pub fn suggestion<T: Display>(name: &str, candidates: impl IntoIterator<Item = T>) -> String {
+    let candidates: Vec<T> = candidates.into_iter().collect();
+    match nearest(name, &candidates) {
+        Some(nearest) => format!(", did you mean \"{nearest}\"?"),
+        None if (1..=MOST_LISTED).contains(&candidates.len()) => {
+            let quoted: Vec<_> = candidates.iter().map(|name| format!("\"{name}\"")).collect();
+            format!("; there is {}", quoted.join(", "))
+        }
+        None => String::new(),
+    }
+}
+
+/// From 0, nothing alike, to 1, the same.
+fn likeness(name: &str, candidate: &str) -> f64 {
+    let last = |name| str::rsplit_once(name, '/').map_or(name, |(_, last)| last);
+    let whole = strsim::normalized_damerau_levenshtein(name, candidate);
+    (whole + strsim::normalized_damerau_levenshtein(last(name), last(candidate))) / 2.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{nearest, suggestion};
+
+    #[test]
+    fn the_part_behind_the_last_slash_decides_and_far_names_are_no_answer() {
+        let known = ["std_msgs/msg/String", "std_msgs/msg/Int8", "sensor_msgs/msg/Imu"];
+        for (wrong, meant) in [
+            ("std_msgs/String", Some("std_msgs/msg/String")),
+            ("string", Some("std_msgs/msg/String")),
+            ("std_msgs/msg/Strnig", Some("std_msgs/msg/String")),
+            ("sensor_msgs/srv/Imu", Some("sensor_msgs/msg/Imu")),
+            ("xyz", None),
+        ] {
+            assert_eq!(nearest(wrong, known), meant, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn the_nearest_name_is_suggested_and_far_ones_are_listed() {
+        assert_eq!(suggestion("joint_sates", ["imu", "joint_states"]), ", did you mean \"joint_states\"?");
+        assert_eq!(suggestion("xyz", ["imu", "joint_states"]), "; there is \"imu\", \"joint_states\"");
+        assert_eq!(suggestion("xyz", [""; 0]), "");
+    }
+
+    #[test]
+    fn names_that_nobody_writes_are_not_compared() {
+        let long = "x".repeat(1 << 20);
+        assert_eq!(nearest(&long, [&long]), None);
+        assert_eq!(nearest("x", [&long]), None);
+    }
+}
