@@ -6,15 +6,13 @@ mod common;
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{WATCHDOG, on_loopback, wait_until};
+use downbeat_actions::{ActionClient, ActionServer, CancelResponse, GoalId, GoalResponse, GoalStatus};
 use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{ActionExposure, ServicesStatus, expose, expose_services};
 use downbeat_bridge::middleware::Direction;
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::ros::{Node, NodeName, Participant};
 use downbeat_executor::{Context, Core, CoreHandle, Inlet, Module, Received, Setup, SetupError};
-use downbeat_modules::actions::{
-    ActionClient, ActionServer, CancelResponse, GoalId, GoalResponse, GoalStatus,
-};
 use downbeat_msgs::test_msgs::action::{Fibonacci, FibonacciFeedback, FibonacciGoal, FibonacciResult};
 use serde_json::{Value, json};
 use std::sync::Arc;

@@ -5,6 +5,7 @@ mod common;
 
 use common::matrix::{Way, With, check};
 use common::{WATCHDOG, on_loopback, wait_until};
+use downbeat_actions::{ActionClient, ActionServer, GoalId, GoalResponse};
 use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{
     ActionExposure, ParameterExposure, ParameterServer, TopicPattern, expose, expose_services,
@@ -12,7 +13,6 @@ use downbeat_bridge::expose::{
 use downbeat_bridge::middleware::Direction;
 use downbeat_bridge::ros::{Client, MessageType, Node, NodeName, Participant};
 use downbeat_executor::{Core, Module, Received, Setup, SetupError};
-use downbeat_modules::actions::{ActionClient, ActionServer, GoalId, GoalResponse};
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::rcl_interfaces::srv::{GetParameters, GetParametersRequest};

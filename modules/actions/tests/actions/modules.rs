@@ -1,9 +1,7 @@
 //! A module that serves an action, one that uses it, and one that listens.
 
+use downbeat_actions::{ActionClient, ActionServer, CancelResponse, GoalId, GoalResponse, GoalStatus};
 use downbeat_executor::{Context, Module, Received, Setup, SetupError};
-use downbeat_modules::actions::{
-    ActionClient, ActionServer, CancelResponse, GoalId, GoalResponse, GoalStatus,
-};
 use downbeat_msgs::action_msgs::msg::GoalStatusArray;
 use downbeat_msgs::test_msgs::action::{Fibonacci, FibonacciFeedback, FibonacciGoal, FibonacciResult};
 use std::sync::mpsc::Sender;

@@ -1,9 +1,11 @@
 //! The goals that a module was given.
 
 use super::goal::GoalEvent;
-use super::server_builder::ResultResponder;
-use super::{GetResultResponse, GoalError, GoalId, GoalStatus, ServerBuilder, stamp};
-use downbeat_executor::{Context, Module, Publication, Task, Time};
+use super::{
+    GetResultRequest, GetResultResponse, GoalError, GoalId, GoalStatus, SendGoalRequest, SendGoalResponse,
+    part, stamp,
+};
+use downbeat_executor::{Context, Module, Publication, Responder, Setup, SetupError, Task, Time};
 use downbeat_msgs::Action;
 use downbeat_msgs::action_msgs::msg::{GoalInfo, GoalStatus as StatusMessage, GoalStatusArray};
 use downbeat_msgs::action_msgs::srv::{CancelGoalRequest, CancelGoalResponse};
@@ -32,10 +34,10 @@ pub struct Goal<A: Action> {
     waiting: Vec<ResultResponder<A>>,
 }
 
-pub(super) struct Keys<A: Action> {
-    pub(super) feedback: Publication<A::FeedbackMessage>,
-    pub(super) status: Publication<GoalStatusArray>,
-    pub(super) expiry: Task,
+struct Keys<A: Action> {
+    feedback: Publication<A::FeedbackMessage>,
+    status: Publication<GoalStatusArray>,
+    expiry: Task,
 }
 
 impl<A: Action> Default for ActionServer<A> {
@@ -58,7 +60,7 @@ impl<A: Action> ActionServer<A> {
         ServerBuilder::new(access)
     }
 
-    pub(super) fn declared(action: &str, keys: Keys<A>, result_timeout: Duration) -> Self {
+    fn declared(action: &str, keys: Keys<A>, result_timeout: Duration) -> Self {
         Self { action: action.to_owned(), keys: Some(keys), goals: Vec::new(), result_timeout }
     }
 
@@ -191,7 +193,7 @@ impl<A: Action> ActionServer<A> {
 /// What requests do.
 impl<A: Action> ActionServer<A> {
     /// Why a goal cannot be taken, whatever the module thinks of it.
-    pub(super) fn refusal(&self, id: GoalId) -> Option<String> {
+    fn refusal(&self, id: GoalId) -> Option<String> {
         if self.goal(id).is_some() {
             return Some("there is one of that id already".to_owned());
         }
@@ -199,13 +201,13 @@ impl<A: Action> ActionServer<A> {
         is_full.then(|| format!("there are {} goals already", Self::MAX_GOALS))
     }
 
-    pub(super) fn accept(&mut self, id: GoalId, goal: A::Goal, status: GoalStatus, accepted_at: Time) {
+    fn accept(&mut self, id: GoalId, goal: A::Goal, status: GoalStatus, accepted_at: Time) {
         self.goals.push(Goal { id, goal, accepted_at, status, end: None, waiting: Vec::new() });
     }
 
     /// The goals that a request means to cancel, and the answer where it is none, as `rcl_action_process_cancel_request`
     /// has it: by id; or all that were accepted at a time or before; or all.
-    pub(super) fn meant_by(&self, request: &CancelGoalRequest) -> (i8, Vec<GoalId>) {
+    fn meant_by(&self, request: &CancelGoalRequest) -> (i8, Vec<GoalId>) {
         let GoalInfo { goal_id, stamp: time } = request.goal_info;
         let is_cancelable = |goal: &&Goal<A>| goal.status.after(GoalEvent::Cancel).is_some();
         let (id, has_time) = (GoalId::from(goal_id), time != stamp(Time::ZERO));
@@ -223,17 +225,12 @@ impl<A: Action> ActionServer<A> {
     }
 
     /// Marks a goal as to be canceled; nothing if it has ended by now.
-    pub(super) fn cancel(&mut self, id: GoalId) -> Option<GoalInfo> {
+    fn cancel(&mut self, id: GoalId) -> Option<GoalInfo> {
         self.change(id, GoalEvent::Cancel).ok().map(|goal| goal.info())
     }
 
     /// Answers a request for a result, now or when there is one.
-    pub(super) fn tell_result<P>(
-        &mut self,
-        ctx: &mut Context<'_, P>,
-        id: GoalId,
-        responder: ResultResponder<A>,
-    ) {
+    fn tell_result<P>(&mut self, ctx: &mut Context<'_, P>, id: GoalId, responder: ResultResponder<A>) {
         let answer: GetResultResponse<A> = match self.goals.iter_mut().find(|goal| goal.id == id) {
             None => A::get_result_response(GoalStatus::Unknown.to_message(), A::Result::default()),
             Some(Goal { status, end: Some((_, result)), .. }) => {
@@ -245,13 +242,13 @@ impl<A: Action> ActionServer<A> {
     }
 
     /// Forgets goals that ended long enough ago.
-    pub(super) fn expire(&mut self, now: Time) {
+    fn expire(&mut self, now: Time) {
         let timeout = self.result_timeout;
         let is_over = |goal: &Goal<A>| goal.end.as_ref().is_some_and(|(end, _)| *end + timeout <= now);
         self.goals.retain(|goal| !is_over(goal));
     }
 
-    pub(super) fn publish_status<P>(&self, ctx: &mut Context<'_, P>) {
+    fn publish_status<P>(&self, ctx: &mut Context<'_, P>) {
         let status =
             |goal: &Goal<A>| StatusMessage { goal_info: goal.info(), status: goal.status.to_message() };
         ctx.publish(
@@ -301,4 +298,199 @@ impl<A: Action> Goal<A> {
     fn info(&self) -> GoalInfo {
         GoalInfo { goal_id: self.id.into(), stamp: stamp(self.accepted_at) }
     }
+}
+
+/// What a module thinks of a goal; named as in rclcpp.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GoalResponse {
+    /// It is not taken.
+    Reject,
+    /// It is taken, and work on it begins.
+    AcceptAndExecute,
+    /// It is taken, and waits until [`ActionServer::execute`].
+    AcceptAndDefer,
+}
+
+/// What a module thinks of canceling a goal; named as in rclcpp.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CancelResponse {
+    /// It goes on.
+    Reject,
+    /// The module will end it, with [`ActionServer::canceled`] or as it likes.
+    Accept,
+}
+
+type ResultResponder<A> = Responder<GetResultRequest<A>, GetResultResponse<A>>;
+
+type OnGoal<A, M> = dyn FnMut(&mut M, GoalId, &<A as Action>::Goal, &mut Context<'_, <M as Module>::Ports>) -> GoalResponse
+    + Send;
+type OnCancel<M> = dyn FnMut(&mut M, GoalId, &mut Context<'_, <M as Module>::Ports>) -> CancelResponse + Send;
+type OnEvent<M> = dyn FnMut(&mut M, GoalId, &mut Context<'_, <M as Module>::Ports>) + Send;
+
+/// A declaration that a module serves an action; from [`ActionServer::builder`].
+#[must_use = "an action is served when this is declared"]
+pub struct ServerBuilder<A: Action, M: Module> {
+    access: fn(&mut M) -> &mut ActionServer<A>,
+    on_goal: Box<OnGoal<A, M>>,
+    on_accepted: Box<OnEvent<M>>,
+    on_cancel: Box<OnCancel<M>>,
+    on_canceling: Box<OnEvent<M>>,
+    result_timeout: Duration,
+}
+
+impl<A: Action, M: Module> ServerBuilder<A, M> {
+    fn new(access: fn(&mut M) -> &mut ActionServer<A>) -> Self {
+        Self {
+            access,
+            on_goal: Box::new(|_, _, _, _| GoalResponse::AcceptAndExecute),
+            on_accepted: Box::new(|_, _, _| ()),
+            on_cancel: Box::new(|_, _, _| CancelResponse::Reject),
+            on_canceling: Box::new(|_, _, _| ()),
+            result_timeout: ActionServer::<A>::RESULT_TIMEOUT,
+        }
+    }
+
+    /// Decides about goals that are sent; unless given, all are accepted and executed.
+    pub fn on_goal(
+        mut self,
+        decide: impl FnMut(&mut M, GoalId, &A::Goal, &mut Context<'_, M::Ports>) -> GoalResponse + Send + 'static,
+    ) -> Self {
+        self.on_goal = Box::new(decide);
+        self
+    }
+
+    /// Is called when a goal was accepted: the server has it now.
+    pub fn on_accepted(
+        mut self,
+        begin: impl FnMut(&mut M, GoalId, &mut Context<'_, M::Ports>) + Send + 'static,
+    ) -> Self {
+        self.on_accepted = Box::new(begin);
+        self
+    }
+
+    /// Decides whether an active goal may be canceled; unless given, none may.
+    pub fn on_cancel(
+        mut self,
+        decide: impl FnMut(&mut M, GoalId, &mut Context<'_, M::Ports>) -> CancelResponse + Send + 'static,
+    ) -> Self {
+        self.on_cancel = Box::new(decide);
+        self
+    }
+
+    /// Is called when a goal is [canceling](super::Goal::is_canceling), since [`on_cancel`](Self::on_cancel) accepted that.
+    pub fn on_canceling(
+        mut self,
+        begin: impl FnMut(&mut M, GoalId, &mut Context<'_, M::Ports>) + Send + 'static,
+    ) -> Self {
+        self.on_canceling = Box::new(begin);
+        self
+    }
+
+    /// How long the result of a goal that has ended is kept, [`ActionServer::RESULT_TIMEOUT`] unless given;
+    /// [`Duration::MAX`] for ever, up to [`ActionServer::MAX_GOALS`] of them.
+    pub fn result_timeout(mut self, timeout: Duration) -> Self {
+        self.result_timeout = timeout;
+        self
+    }
+
+    /// Declares the three services and two topics of the action, in a module's setup; `server` is what `access` leads to.
+    ///
+    /// A name that the module was given for the action holds for all of them.
+    ///
+    /// # Errors
+    /// A name that is not valid, an action of another type, or one that is served already.
+    pub fn declare(
+        self,
+        setup: &mut Setup<'_, M>,
+        action: &str,
+        server: &mut ActionServer<A>,
+    ) -> Result<(), SetupError> {
+        let Self { access, on_goal, on_accepted, on_cancel, on_canceling, result_timeout } = self;
+        let action = setup.remapped(action);
+        serve_goals(setup, &action, access, on_goal, on_accepted)?;
+        serve_cancels(setup, &action, access, on_cancel, on_canceling)?;
+        setup.serve_later::<GetResultRequest<A>, GetResultResponse<A>, _>(
+            &part(&action, "get_result"),
+            move |module, request, responder, ctx| {
+                access(module).tell_result(ctx, A::goal_id_of(request).into(), responder);
+            },
+        )?;
+        let keys = Keys {
+            feedback: setup.publish(&part(&action, "feedback"))?,
+            status: setup.publish(&part(&action, "status"))?,
+            expiry: setup.task(move |module, ctx| access(module).expire(ctx.now())),
+        };
+        *server = ActionServer::declared(&action, keys, result_timeout);
+        Ok(())
+    }
+}
+
+fn serve_goals<A: Action, M: Module>(
+    setup: &mut Setup<'_, M>,
+    action: &str,
+    access: fn(&mut M) -> &mut ActionServer<A>,
+    mut on_goal: Box<OnGoal<A, M>>,
+    mut on_accepted: Box<OnEvent<M>>,
+) -> Result<(), SetupError> {
+    let name = action.to_owned();
+    setup.serve_later::<SendGoalRequest<A>, SendGoalResponse<A>, _>(
+        &part(action, "send_goal"),
+        move |module, request, responder, ctx| {
+            let (id, goal) = A::goal_of(request);
+            let id = GoalId::from(id);
+            let now = ctx.now();
+            let response = match access(module).refusal(id) {
+                Some(reason) => {
+                    tracing::warn!("action \"{name}\": goal {id} is rejected: {reason}");
+                    GoalResponse::Reject
+                }
+                None => on_goal(module, id, &goal, ctx),
+            };
+            let status = match response {
+                GoalResponse::Reject => None,
+                GoalResponse::AcceptAndExecute => Some(GoalStatus::Executing),
+                GoalResponse::AcceptAndDefer => Some(GoalStatus::Accepted),
+            };
+            ctx.reply(responder, Ok(A::send_goal_response(status.is_some(), stamp(now))));
+            if let Some(status) = status {
+                let server = access(module);
+                server.accept(id, goal, status, now);
+                server.publish_status(ctx);
+                on_accepted(module, id, ctx);
+            }
+        },
+    )
+}
+
+fn serve_cancels<A: Action, M: Module>(
+    setup: &mut Setup<'_, M>,
+    action: &str,
+    access: fn(&mut M) -> &mut ActionServer<A>,
+    mut on_cancel: Box<OnCancel<M>>,
+    mut on_canceling: Box<OnEvent<M>>,
+) -> Result<(), SetupError> {
+    setup.serve::<CancelGoalRequest, CancelGoalResponse, _>(
+        &part(action, "cancel_goal"),
+        move |module, request, ctx| {
+            let (mut return_code, meant) = access(module).meant_by(request);
+            let mut goals_canceling = Vec::new();
+            for id in &meant {
+                if on_cancel(module, *id, ctx) == CancelResponse::Accept {
+                    // The module may have ended it just now.
+                    goals_canceling.extend(access(module).cancel(*id));
+                }
+            }
+            // As in rclcpp_action: where all refuse, the request as a whole is rejected.
+            if !meant.is_empty() && goals_canceling.is_empty() {
+                return_code = CancelGoalResponse::ERROR_REJECTED;
+            }
+            if !goals_canceling.is_empty() {
+                access(module).publish_status(ctx);
+            }
+            for goal in &goals_canceling {
+                on_canceling(module, goal.goal_id.into(), ctx);
+            }
+            Ok(CancelGoalResponse { return_code, goals_canceling })
+        },
+    )
 }

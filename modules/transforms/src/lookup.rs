@@ -1,12 +1,12 @@
 //! Where a frame is in another one.
 
-use super::buffer::TransformBuffer;
+use super::buffer::{Gap, Sample, TransformBuffer};
 use super::error::LookupError;
 use super::geometry::transform_message;
-use super::history::{Gap, Sample};
 use super::{Isometry, Stamped, Transformable};
 use downbeat_executor::Time;
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
+use downbeat_msgs::definitions::suggestion;
 use downbeat_msgs::geometry_msgs::msg::TransformStamped;
 use downbeat_msgs::std_msgs::msg::Header;
 
@@ -139,18 +139,11 @@ impl TransformBuffer {
             target_frame: query.target.to_owned(),
             source_frame: query.source.to_owned(),
             frame: name.to_owned(),
-            nearest: self.nearest(name),
+            hint: match self.names.is_empty() {
+                true => "; no frames are known yet".into(),
+                false => suggestion(name, &self.names),
+            },
         })
-    }
-
-    /// At most three names.
-    fn nearest(&self, name: &str) -> Vec<String> {
-        let likeness = |known: &str| strsim::jaro_winkler(known, name);
-        let mut names: Vec<_> = self.names.iter().map(|known| (likeness(known), known)).collect();
-        names.sort_by(|one, other| other.0.total_cmp(&one.0).then(one.1.cmp(other.1)));
-        let best = names.first().map_or(0.0, |&(likeness, _)| likeness);
-        let near = names.iter().take_while(|(likeness, _)| *likeness > best - 0.05);
-        near.take(3).map(|(_, known)| known.to_string()).collect()
     }
 
     fn find_at(

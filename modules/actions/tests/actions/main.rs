@@ -3,8 +3,8 @@
 
 mod modules;
 
+use downbeat_actions::{ActionServer, GoalId, GoalStatus};
 use downbeat_executor::{Core, Inlet, ManualClock, ModuleOptions, Pool, Threads, Time};
-use downbeat_modules::actions::{ActionServer, GoalId, GoalStatus};
 use downbeat_msgs::action_msgs::srv::{CancelGoalRequest, CancelGoalResponse};
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::test_msgs::action::{

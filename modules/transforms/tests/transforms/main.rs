@@ -2,10 +2,10 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use downbeat_executor::{Context, Core, ManualClock, Module, Setup, SetupError, Time};
-use downbeat_modules::transforms::{At, LookupError, TransformBroadcaster, TransformBuffer, listen};
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::geometry_msgs::msg::{Quaternion, TransformStamped, Vector3};
 use downbeat_msgs::tf2_msgs::msg::TFMessage;
+use downbeat_transforms::{At, LookupError, TransformBroadcaster, TransformBuffer, listen};
 use serde_json::{Value, json};
 use std::io::Write;
 use std::process::{Command, Stdio};

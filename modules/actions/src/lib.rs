@@ -7,7 +7,7 @@
 //!
 //! ```
 //! use downbeat_executor::{Context, Core, ManualClock, Module, Setup, SetupError, Time};
-//! use downbeat_modules::actions::{ActionClient, ActionServer, CancelResponse, GoalResponse, GoalStatus};
+//! use downbeat_actions::{ActionClient, ActionServer, CancelResponse, GoalResponse, GoalStatus};
 //! use downbeat_msgs::tf2_msgs::action::{LookupTransform, LookupTransformGoal, LookupTransformResult};
 //! use std::sync::mpsc::{Sender, channel};
 //! use std::time::Duration;
@@ -81,16 +81,12 @@
 //!   `rcl_action` 9.2.0 the result is kept for its time from the goal's end, not from its acceptance.
 
 mod client;
-mod client_builder;
 mod goal;
 mod server;
-mod server_builder;
 
-pub use client::{ActionClient, GoalRefused, GoalResult};
-pub use client_builder::ClientBuilder;
+pub use client::{ActionClient, ClientBuilder, GoalRefused, GoalResult};
 pub use goal::{GoalError, GoalId, GoalStatus};
-pub use server::{ActionServer, Goal};
-pub use server_builder::{CancelResponse, GoalResponse, ServerBuilder};
+pub use server::{ActionServer, CancelResponse, Goal, GoalResponse, ServerBuilder};
 
 use downbeat_executor::Time;
 use downbeat_msgs::{Action, Service, builtin_interfaces};

@@ -5,7 +5,7 @@
 //!
 //! ```
 //! use downbeat_executor::Time;
-//! use downbeat_modules::transforms::{At, TransformBuffer};
+//! use downbeat_transforms::{At, TransformBuffer};
 //! use downbeat_msgs::geometry_msgs::msg::{Point, PointStamped, TransformStamped};
 //!
 //! let transform = |parent: &str, child: &str, x: f64, seconds: i64| {
@@ -42,24 +42,17 @@
 //! - `tf2/src/buffer_core.cpp`, `tf2/src/cache.cpp` and `tf2_geometry_msgs` of `ros2/geometry2`, for what is looked up how.
 //! - REP-105 for names of frames.
 
-mod apply;
-mod broadcaster;
 mod buffer;
 mod error;
 mod geometry;
-mod history;
-mod isometry;
-mod listener;
 mod lookup;
+mod modules;
 
-pub use apply::{Stamped, Transformable};
-pub use broadcaster::TransformBroadcaster;
 pub use buffer::{FrameInfo, Taken, TransformBuffer};
 pub use error::{Direction, LookupError, TransformRefused};
-pub use geometry::{isometry, transform_message};
-pub use isometry::Isometry;
-pub use listener::{TF, TF_STATIC, listen};
+pub use geometry::{Isometry, Stamped, Transformable, isometry, transform_message};
 pub use lookup::{At, FoundTransform};
+pub use modules::{TF, TF_STATIC, TransformBroadcaster, listen};
 
 #[cfg(test)]
 mod tests;

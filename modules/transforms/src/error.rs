@@ -8,10 +8,7 @@ use thiserror::Error;
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum LookupError {
     /// Nobody has told of a frame of that name.
-    #[error(
-        "cannot look up \"{source_frame}\" in \"{target_frame}\": there is no frame \"{frame}\"{}",
-        hint(nearest)
-    )]
+    #[error("cannot look up \"{source_frame}\" in \"{target_frame}\": there is no frame \"{frame}\"{hint}")]
     UnknownFrame {
         /// The frame to express in.
         target_frame: String,
@@ -19,8 +16,8 @@ pub enum LookupError {
         source_frame: String,
         /// The one that is not known.
         frame: String,
-        /// Known frames whose names are most like it.
-        nearest: Vec<String>,
+        /// The known frame whose name is most like it, or the known frames, as the end of a sentence.
+        hint: String,
     },
     /// A link on the way is known, but not at that time.
     #[error(
@@ -166,12 +163,4 @@ pub enum TransformRefused {
         /// How long it may be.
         limit: usize,
     },
-}
-
-fn hint(nearest: &[String]) -> String {
-    match nearest {
-        [] => "; no frames are known yet".into(),
-        [one] => format!(", did you mean \"{one}\"?"),
-        some => format!(", did you mean one of \"{}\"?", some.join("\", \"")),
-    }
 }

@@ -1,0 +1,354 @@
+//! The goals that a module has sent.
+
+use super::{
+    GetResultRequest, GetResultResponse, GoalId, GoalStatus, SendGoalRequest, SendGoalResponse, part, stamp,
+};
+use downbeat_executor::{
+    CallError, CallId, Client, Context, Module, Received, Reply, Setup, SetupError, Time,
+};
+use downbeat_msgs::Action;
+use downbeat_msgs::action_msgs::msg::{GoalInfo, GoalStatusArray};
+use downbeat_msgs::action_msgs::srv::{CancelGoalRequest, CancelGoalResponse};
+use downbeat_msgs::unique_identifier_msgs::msg::UUID;
+use std::time::Duration;
+use thiserror::Error;
+
+/// The goals of one action that a module has sent and that have not ended; see the [module page](super).
+pub struct ActionClient<A: Action> {
+    action: String,
+    keys: Option<ClientKeys<A>>,
+    next: u64,
+    goals: Vec<SentGoal>,
+}
+
+/// A goal whose end is not known yet.
+#[derive(Clone, Copy, Debug)]
+struct SentGoal {
+    id: GoalId,
+    status: GoalStatus,
+    /// The call that is to be answered next: of `send_goal`, then of `get_result`.
+    call: CallId,
+    is_accepted: bool,
+}
+
+/// A goal that was sent is not pursued.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum GoalRefused {
+    /// The server does not take it.
+    #[error("goal {0} was rejected")]
+    Rejected(GoalId),
+    /// There is no answer.
+    #[error("goal {goal} was not answered: {error}")]
+    Call {
+        /// The goal.
+        goal: GoalId,
+        /// Why not.
+        error: CallError,
+    },
+}
+
+/// How a goal ended.
+pub struct GoalResult<A: Action> {
+    /// Succeeded, canceled or aborted; unknown if the server had forgotten it.
+    pub status: GoalStatus,
+    /// What the server said at the end.
+    pub result: A::Result,
+}
+
+/// What has come of a request for a result.
+struct Ended<A: Action> {
+    id: GoalId,
+    result: Result<GoalResult<A>, CallError>,
+}
+
+impl<A: Action> Default for ActionClient<A> {
+    /// One that can send nothing until it is declared.
+    fn default() -> Self {
+        Self { action: String::new(), keys: None, next: 0, goals: Vec::new() }
+    }
+}
+
+impl<A: Action> ActionClient<A> {
+    /// How long a server may take to say whether it takes a goal or cancels one, unless said otherwise.
+    pub const TIMEOUT: Duration = Duration::from_secs(10);
+
+    /// Begins a declaration; `access` tells where in the module its client is.
+    pub fn builder<M: Module>(access: fn(&mut M) -> &mut Self) -> ClientBuilder<A, M> {
+        ClientBuilder::new(access)
+    }
+
+    /// For a module that was set up before, the counter goes on: the ids stay different.
+    fn declare(&mut self, action: &str, keys: ClientKeys<A>) {
+        *self = Self { action: action.to_owned(), keys: Some(keys), next: self.next, goals: Vec::new() };
+    }
+
+    /// Sends a goal. What becomes of it is told to the callbacks of the declaration.
+    ///
+    /// # Panics
+    /// If the client was not declared in the module's setup, which stops the module.
+    pub fn send<P>(&mut self, ctx: &mut Context<'_, P>, goal: A::Goal) -> GoalId {
+        let id = GoalId::new(ctx.module_name(), &self.action, ctx.now(), self.next);
+        self.next += 1;
+        let send_goal = self.keys().send_goal;
+        let call = ctx.call(send_goal, A::send_goal_request(id.into(), goal));
+        self.goals.push(SentGoal { id, status: GoalStatus::Unknown, call, is_accepted: false });
+        id
+    }
+
+    /// Asks that a goal be canceled.
+    ///
+    /// # Panics
+    /// As [`send`](Self::send).
+    pub fn cancel<P>(&self, ctx: &mut Context<'_, P>, id: GoalId) {
+        self.ask_to_cancel(ctx, GoalInfo { goal_id: id.into(), ..GoalInfo::default() });
+    }
+
+    /// Asks that all goals of the server be canceled, those of others too.
+    ///
+    /// # Panics
+    /// As [`send`](Self::send).
+    pub fn cancel_all<P>(&self, ctx: &mut Context<'_, P>) {
+        self.ask_to_cancel(ctx, GoalInfo::default());
+    }
+
+    /// Asks that all goals that the server accepted at that time or before be canceled, those of others too.
+    ///
+    /// # Panics
+    /// As [`send`](Self::send).
+    pub fn cancel_before<P>(&self, ctx: &mut Context<'_, P>, time: Time) {
+        self.ask_to_cancel(ctx, GoalInfo { goal_id: UUID::default(), stamp: stamp(time) });
+    }
+
+    /// The goals that were sent and have not ended, in the order in which they were sent, with what the server last said
+    /// of them; unknown until it has said something.
+    pub fn goals(&self) -> impl Iterator<Item = (GoalId, GoalStatus)> {
+        self.goals.iter().map(|goal| (goal.id, goal.status))
+    }
+
+    /// What the server last said of a goal; nothing if it was not sent from here or has ended.
+    #[must_use]
+    pub fn status(&self, id: GoalId) -> Option<GoalStatus> {
+        self.goals().find(|(known, _)| *known == id).map(|(_, status)| status)
+    }
+
+    fn ask_to_cancel<P>(&self, ctx: &mut Context<'_, P>, goal_info: GoalInfo) {
+        ctx.call(self.keys().cancel_goal, CancelGoalRequest { goal_info });
+    }
+
+    fn keys(&self) -> &ClientKeys<A> {
+        match &self.keys {
+            Some(keys) => keys,
+            None => {
+                panic!("a client of {} is used that was not declared in the module's setup", A::TYPE_NAME)
+            }
+        }
+    }
+}
+
+/// What answers and messages do.
+impl<A: Action> ActionClient<A> {
+    /// Takes the answer to a goal that was sent, and asks for the result of one that was accepted.
+    fn answered<P>(
+        &mut self,
+        ctx: &mut Context<'_, P>,
+        call: CallId,
+        answer: Result<(bool, Time), CallError>,
+    ) -> Option<(GoalId, Result<Time, GoalRefused>)> {
+        let get_result = self.keys().get_result;
+        let position = self.goals.iter().position(|goal| !goal.is_accepted && goal.call == call)?;
+        let goal = &mut self.goals[position];
+        let id = goal.id;
+        let response = match answer {
+            Ok((true, stamp)) => {
+                goal.is_accepted = true;
+                goal.call = ctx.call(get_result, A::get_result_request(id.into()));
+                // A status that came before may say more.
+                if goal.status == GoalStatus::Unknown {
+                    goal.status = GoalStatus::Accepted;
+                }
+                return Some((id, Ok(stamp)));
+            }
+            Ok((false, _)) => GoalRefused::Rejected(id),
+            Err(error) => GoalRefused::Call { goal: id, error },
+        };
+        self.goals.remove(position);
+        Some((id, Err(response)))
+    }
+
+    fn ended(&mut self, call: CallId, answer: Result<(i8, A::Result), CallError>) -> Option<Ended<A>> {
+        let position = self.goals.iter().position(|goal| goal.is_accepted && goal.call == call)?;
+        let id = self.goals.remove(position).id;
+        let result =
+            answer.map(|(status, result)| GoalResult { status: GoalStatus::from_message(status), result });
+        Some(Ended { id, result })
+    }
+
+    fn is_ours(&self, id: GoalId) -> bool {
+        self.goals.iter().any(|goal| goal.id == id)
+    }
+
+    fn take_status(&mut self, statuses: &GoalStatusArray) {
+        for status in &statuses.status_list {
+            let id = GoalId::from(status.goal_info.goal_id);
+            if let Some(goal) = self.goals.iter_mut().find(|goal| goal.id == id) {
+                goal.status = GoalStatus::from_message(status.status);
+            }
+        }
+    }
+}
+
+struct ClientKeys<A: Action> {
+    send_goal: Client<SendGoalRequest<A>, SendGoalResponse<A>>,
+    get_result: Client<GetResultRequest<A>, GetResultResponse<A>>,
+    cancel_goal: Client<CancelGoalRequest, CancelGoalResponse>,
+}
+
+type OnResponse<M> =
+    dyn FnMut(&mut M, GoalId, Result<Time, GoalRefused>, &mut Context<'_, <M as Module>::Ports>) + Send;
+type OnFeedback<A, M> =
+    dyn FnMut(&mut M, GoalId, &<A as Action>::Feedback, &mut Context<'_, <M as Module>::Ports>) + Send;
+type OnResult<A, M> = dyn FnMut(&mut M, GoalId, Result<GoalResult<A>, CallError>, &mut Context<'_, <M as Module>::Ports>)
+    + Send;
+type OnCancel<M> =
+    dyn FnMut(&mut M, Result<CancelGoalResponse, CallError>, &mut Context<'_, <M as Module>::Ports>) + Send;
+
+/// A declaration that a module uses an action; from [`ActionClient::builder`].
+#[must_use = "an action can be used when this is declared"]
+pub struct ClientBuilder<A: Action, M: Module> {
+    access: fn(&mut M) -> &mut ActionClient<A>,
+    on_response: Box<OnResponse<M>>,
+    on_feedback: Box<OnFeedback<A, M>>,
+    on_result: Box<OnResult<A, M>>,
+    on_cancel: Box<OnCancel<M>>,
+    timeout: Duration,
+    result_timeout: Duration,
+}
+
+impl<A: Action, M: Module> ClientBuilder<A, M> {
+    fn new(access: fn(&mut M) -> &mut ActionClient<A>) -> Self {
+        Self {
+            access,
+            on_response: Box::new(|_, _, _, _| ()),
+            on_feedback: Box::new(|_, _, _, _| ()),
+            on_result: Box::new(|_, _, _, _| ()),
+            on_cancel: Box::new(|_, _, _| ()),
+            timeout: ActionClient::<A>::TIMEOUT,
+            result_timeout: Duration::MAX,
+        }
+    }
+
+    /// Is called once for each goal: with the time at which it was accepted, or with why it is not pursued.
+    pub fn on_response(
+        mut self,
+        take: impl FnMut(&mut M, GoalId, Result<Time, GoalRefused>, &mut Context<'_, M::Ports>) + Send + 'static,
+    ) -> Self {
+        self.on_response = Box::new(take);
+        self
+    }
+
+    /// Is called with the feedback to goals that this client has sent.
+    pub fn on_feedback(
+        mut self,
+        take: impl FnMut(&mut M, GoalId, &A::Feedback, &mut Context<'_, M::Ports>) + Send + 'static,
+    ) -> Self {
+        self.on_feedback = Box::new(take);
+        self
+    }
+
+    /// Is called once for each goal that was accepted: with its end, or with why that is not known.
+    pub fn on_result(
+        mut self,
+        take: impl FnMut(&mut M, GoalId, Result<GoalResult<A>, CallError>, &mut Context<'_, M::Ports>)
+        + Send
+        + 'static,
+    ) -> Self {
+        self.on_result = Box::new(take);
+        self
+    }
+
+    /// Is called with the answer to each request to cancel.
+    pub fn on_cancel(
+        mut self,
+        take: impl FnMut(&mut M, Result<CancelGoalResponse, CallError>, &mut Context<'_, M::Ports>)
+        + Send
+        + 'static,
+    ) -> Self {
+        self.on_cancel = Box::new(take);
+        self
+    }
+
+    /// How long the server may take to say whether it takes a goal or cancels one; [`ActionClient::TIMEOUT`] unless given.
+    pub fn timeout(mut self, timeout: Duration) -> Self {
+        self.timeout = timeout;
+        self
+    }
+
+    /// How long a goal may take from its acceptance to its end, after which its client gives it up; for ever unless given.
+    pub fn result_timeout(mut self, timeout: Duration) -> Self {
+        self.result_timeout = timeout;
+        self
+    }
+
+    /// Declares that the module calls the three services of the action and hears its two topics, in the module's setup;
+    /// `client` is what `access` leads to. A module has one client of an action: two would make the same ids.
+    ///
+    /// A name that the module was given for the action holds for all of them.
+    ///
+    /// # Errors
+    /// A name that is not valid, or an action of another type.
+    pub fn declare(
+        self,
+        setup: &mut Setup<'_, M>,
+        action: &str,
+        client: &mut ActionClient<A>,
+    ) -> Result<(), SetupError> {
+        let Self { access, timeout, result_timeout, .. } = self;
+        let (mut on_response, mut on_feedback) = (self.on_response, self.on_feedback);
+        let (mut on_result, mut on_cancel) = (self.on_result, self.on_cancel);
+        let action = setup.remapped(action);
+        let send_goal = setup.client(
+            &part(&action, "send_goal"),
+            timeout,
+            move |module, reply: Reply<SendGoalResponse<A>>, ctx| {
+                let answer = reply.result.map(|response| {
+                    let (accepted, stamp) = A::acceptance_of(response);
+                    (accepted, Time::from_nanos(stamp.as_nanos()))
+                });
+                if let Some((id, response)) = access(module).answered(ctx, reply.call, answer) {
+                    on_response(module, id, response, ctx);
+                }
+            },
+        )?;
+        let cancel_goal = setup.client(
+            &part(&action, "cancel_goal"),
+            timeout,
+            move |module, reply: Reply<CancelGoalResponse>, ctx| on_cancel(module, reply.result, ctx),
+        )?;
+        // Before the results, which come to the callbacks after them.
+        setup.subscribe(
+            &part(&action, "status"),
+            move |module, statuses: Received<'_, GoalStatusArray>, _| access(module).take_status(&statuses),
+        )?;
+        setup.subscribe(
+            &part(&action, "feedback"),
+            move |module, message: Received<'_, A::FeedbackMessage>, ctx| {
+                let (id, feedback) = A::feedback_of(&message);
+                if access(module).is_ours(id.into()) {
+                    on_feedback(module, id.into(), feedback, ctx);
+                }
+            },
+        )?;
+        let get_result = setup.client(
+            &part(&action, "get_result"),
+            result_timeout,
+            move |module, reply: Reply<GetResultResponse<A>>, ctx| {
+                let answer = reply.result.map(A::result_of);
+                if let Some(Ended { id, result }) = access(module).ended(reply.call, answer) {
+                    on_result(module, id, result, ctx);
+                }
+            },
+        )?;
+        client.declare(&action, ClientKeys { send_goal, get_result, cancel_goal });
+        Ok(())
+    }
+}
