@@ -85,10 +85,27 @@ def echo(participant, options):
     del reader
 
 
+def camera(participant, options):
+    """Sends numbered messages at a steady rate, best effort, and prints "go" when all are sent."""
+    qos = Qos(Policy.Reliability.BestEffort, Policy.Durability.Volatile, Policy.History.KeepLast(10))
+    writer = DataWriter(participant, Topic(participant, "rt/ping", Bytes), qos=qos)
+    peer.wait_for(writer.get_matched_subscriptions)
+    rest = b"\x5a" * (options.size - 8)
+    start = time.monotonic()
+    for number in range(options.messages):
+        time.sleep(max(0.0, start + number / options.hz - time.monotonic()))
+        writer.write(Bytes(layout=LAYOUT, data=number.to_bytes(8, "little") + rest))
+    print("go", flush=True)
+    peer.end_of_input().wait()
+
+
+ROLES = {"ping": ping, "echo": echo, "acknowledge": echo, "camera": camera}
+
+
 def main():
     options = peer.options()
     participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
-    (ping if options.role == "ping" else echo)(participant, options)
+    ROLES[options.role](participant, options)
 
 
 main()

@@ -6,17 +6,20 @@ import sys
 import threading
 import time
 
+ROLES = ["ping", "echo", "acknowledge", "count", "camera", "latch", "late"]
 PATIENCE = 2.0
 """How long a message may be under way before it counts as lost, in seconds."""
 
 
 def options():
     parser = argparse.ArgumentParser()
-    parser.add_argument("--role", choices=["ping", "echo", "acknowledge", "count"], required=True)
+    parser.add_argument("--role", choices=ROLES, required=True)
     parser.add_argument("--size", type=int, default=100)
     parser.add_argument("--window", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=3.0)
     parser.add_argument("--best-effort", action="store_true")
+    parser.add_argument("--hz", type=float, default=30.0)
+    parser.add_argument("--messages", type=int, default=300)
     return parser.parse_args()
 
 

@@ -1,10 +1,12 @@
 """One end of a pair on rclpy."""
 
 import array
+import json
+import time
 
 import peer
 import rclpy
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
 QOS = QoSProfile(depth=100)
@@ -49,11 +51,39 @@ def count(node, options):
     print(len(heard), flush=True)
 
 
-ROLES = {"ping": ping, "echo": echo, "acknowledge": echo, "count": count}
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def latch(node, options):
+    """Offers a latched sample and a subscription."""
+    publisher = node.create_publisher(UInt8MultiArray, "latched", LATCHED)
+    publisher.publish(UInt8MultiArray(data=array.array("B", bytes(options.size))))
+    node.create_subscription(UInt8MultiArray, "ping", lambda _: None, 10)
+    ended = peer.end_of_input()
+    while not ended.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
+
+
+def late(node, options):
+    """Measures how long it takes to meet the one that offers a latched sample, since `options.start`."""
+    times = {}
+    elapsed = lambda: 1e3 * (time.perf_counter() - options.start)
+    take = lambda _: times.setdefault("latched_ms", elapsed())
+    publisher = node.create_publisher(UInt8MultiArray, "ping", 10)
+    node.create_subscription(UInt8MultiArray, "latched", take, LATCHED)
+    while len(times) < 2 and elapsed() < 20_000:
+        rclpy.spin_once(node, timeout_sec=0.0002)
+        if publisher.get_subscription_count():
+            times.setdefault("matched_ms", elapsed())
+    print(json.dumps(times), flush=True)
+
+
+ROLES = {"ping": ping, "echo": echo, "acknowledge": echo, "count": count, "latch": latch, "late": late}
 
 
 def main():
     options = peer.options()
+    options.start = time.perf_counter()
     rclpy.init()
     node = rclpy.create_node(f"rclpy_{options.role}")
     ROLES[options.role](node, options)

@@ -6,8 +6,9 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
+use serde::de::DeserializeOwned;
 
-use crate::peer::{GO, Outcome, Role};
+use crate::peer::{GO, Role};
 
 /// What a contestant stands on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -81,7 +82,7 @@ impl Contestant {
         }
     }
 
-    pub fn outcome(&mut self) -> anyhow::Result<Outcome> {
+    pub fn outcome<T: DeserializeOwned>(&mut self) -> anyhow::Result<T> {
         let line = self.line()?;
         serde_json::from_str(&line).with_context(|| line)
     }

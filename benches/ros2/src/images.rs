@@ -35,17 +35,34 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
         let bytes = std::fs::read_to_string(format!("/proc/sys/net/core/{limit}"))?;
         println!("net.core.{limit} = {}", bytes.trim());
     }
-    println!("\n| bytes | reliable | best effort |");
-    println!("| --- | --- | --- |");
+    println!("\n| bytes | reliable | best effort | best effort, from Cyclone DDS |");
+    println!("| --- | --- | --- | --- |");
     for &size in &options.sizes {
         let [reliable, best_effort] = [Reliability::Reliable, Reliability::BestEffort]
             .map(|reliability| arrived(size, reliability, options));
         println!(
-            "| {size} | {} of {} | {} of {} |",
-            reliable?, options.messages, best_effort?, options.messages
+            "| {size} | {} of {messages} | {} of {messages} | {} of {messages} |",
+            reliable?,
+            best_effort?,
+            arrived_from_cyclone(size, options)?,
+            messages = options.messages
         );
     }
     Ok(())
+}
+
+fn arrived_from_cyclone(size: usize, options: &Options) -> anyhow::Result<u64> {
+    let task = Task { size, window: 1, seconds: 0.0, domain_id: options.domain };
+    let mut counter = Contestant::start_with(Kind::Rclpy, Role::Count, &task, &["--best-effort"])?;
+    let (hz, messages) = (options.hz.to_string(), options.messages.to_string());
+    let more = ["--best-effort", "--hz", &hz, "--messages", &messages];
+    let mut camera = Contestant::start_with(Kind::Cyclone, Role::Camera, &task, &more)?;
+    camera.wait_for_go()?;
+    std::thread::sleep(Duration::from_secs(1));
+    let heard = counter.count()?;
+    camera.end()?;
+    counter.end()?;
+    Ok(heard)
 }
 
 fn arrived(size: usize, reliability: Reliability, options: &Options) -> anyhow::Result<u64> {

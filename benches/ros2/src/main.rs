@@ -8,7 +8,9 @@ mod added_delay;
 mod contest;
 mod contestant;
 mod hold;
+mod hostile;
 mod images;
+mod meeting;
 mod payload;
 mod peer;
 mod wire;
@@ -32,6 +34,13 @@ enum Command {
     Images(images::Options),
     /// 1000 messages a second to another process and back, and the memory of both each minute.
     Hold(hold::Options),
+    /// How fast a process that joins is matched and has a latched sample.
+    Meeting(meeting::Options),
+    /// A loop of 8 ms while hostile datagrams come in.
+    Hostile(hostile::Options),
+    /// Sends hostile datagrams.
+    #[command(hide = true)]
+    Attacker(hostile::AttackerOptions),
     /// Round trips and streams of the engine alone, beside bare UDP, rustdds (with that feature) and Cyclone DDS in C.
     Wire(wire::Options),
     /// One end of a pair of `wire`.
@@ -48,6 +57,9 @@ fn main() -> anyhow::Result<()> {
         Command::AddedDelay(options) => added_delay::run(&options),
         Command::Images(options) => images::run(&options),
         Command::Hold(options) => hold::run(&options),
+        Command::Meeting(options) => meeting::run(&options),
+        Command::Hostile(options) => hostile::run(&options),
+        Command::Attacker(options) => hostile::attack(&options),
         Command::Wire(options) => wire::run(&options),
         Command::WirePeer(options) => wire::peer(&options),
         Command::Peer(options) => peer::run(&options),

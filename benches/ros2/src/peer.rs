@@ -16,6 +16,7 @@ use downbeat_msgs::qos::{History, QosProfile};
 use downbeat_msgs::std_msgs::msg::UInt8MultiArray;
 use serde::{Deserialize, Serialize};
 
+use crate::meeting;
 use crate::payload::{self, NUMBER_BYTES};
 
 /// How long a message may be under way before it counts as lost.
@@ -47,6 +48,12 @@ pub enum Role {
     Acknowledge,
     /// Counts what it hears; of Python contestants only.
     Count,
+    /// Sends large messages at a steady rate; of Python contestants only.
+    Camera,
+    /// Offers a latched sample.
+    Latch,
+    /// Joins and measures how long it takes to meet the one that offers a latched sample.
+    Late,
 }
 
 /// What the end that sends has measured.
@@ -69,14 +76,18 @@ pub const GO: &str = "go";
 
 /// Runs one end: an echo until its input ends, the other until it has measured.
 pub fn run(options: &Options) -> anyhow::Result<()> {
-    let participant = Participant::join(&ParticipantOptions::from_env()?)?;
+    let join = || anyhow::Ok(Participant::join(&ParticipantOptions::from_env()?)?);
     match options.role {
-        Role::Count => anyhow::bail!("this end does not count"),
+        Role::Count | Role::Camera => anyhow::bail!("only Python contestants have this role"),
+        Role::Latch => meeting::latch()?,
+        Role::Late => meeting::late()?,
         Role::Ping => {
+            let participant = join()?;
             let node = participant.create_node(NodeName::new("/", "downbeat_ping")?)?;
             println!("{}", serde_json::to_string(&ping(&node, options)?)?);
         }
         Role::Echo | Role::Acknowledge => {
+            let participant = join()?;
             let node = participant.create_node(NodeName::new("/", "downbeat_echo")?)?;
             let only_number = options.role == Role::Acknowledge;
             let mut core = Core::new();

@@ -7,7 +7,7 @@ use bytes::Bytes;
 
 use crate::wire::{
     AckNack, DataFragment, EntityId, FragmentSet, Gap, Guid, Heartbeat, HeartbeatFragment, MessageBuilder,
-    NackFragment, SequenceNumber, SequenceNumberSet, Timestamp,
+    NackFragment, SequenceNumber, SequenceNumberSet, Timestamp, VendorId,
 };
 
 use super::Now;
@@ -45,8 +45,8 @@ pub struct MatchedWriter {
     pub liveliness_lease: Option<Duration>,
     /// Where acknowledgements go to.
     pub link: LinkId,
-    /// Whether the writer is of this engine: then fragments are acknowledged too.
-    pub is_ours: bool,
+    /// The engine of the writer. One of ours is sent acknowledgements of fragments too.
+    pub vendor: VendorId,
 }
 
 /// The state of one matched writer.
@@ -233,7 +233,7 @@ impl Incoming {
             Some(assembly) => assembly.missing(heartbeat.last).is_empty(),
             None => !self.is_wanted(heartbeat.number),
         };
-        if !self.matched.is_ours && is_complete() {
+        if self.matched.vendor != VendorId::OURS && is_complete() {
             return false;
         }
         self.fragments_sent = Some((heartbeat.number, heartbeat.last));
@@ -286,7 +286,11 @@ impl Incoming {
     }
 
     fn emit_answer(&mut self, now: Instant, reader: EntityId, builder: &mut MessageBuilder<'_>) -> bool {
-        let mut missing = SequenceNumberSet::new(self.next);
+        // Fast DDS answers a question at once only if its base is 0, and any other within its heartbeat period of 3 s
+        // (`StatefulWriter::process_acknack`); other engines refuse that base.
+        let asks_from_zero = self.answer == Answer::Question && self.matched.vendor == VendorId::FAST_DDS;
+        let base = if asks_from_zero { SequenceNumber::ZERO } else { self.next };
+        let mut missing = SequenceNumberSet::new(base);
         let mut partial = Vec::new();
         if self.answer == Answer::None {
             return true;
@@ -452,5 +456,56 @@ impl Incoming {
         let assembly = self.assemblies.remove(&number)?;
         self.size -= assembly.size();
         Some(assembly)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::protocol::Destination;
+    use crate::protocol::links::{LinkOptions, Links};
+    use crate::wire::{GuidPrefix, Header, Submessage, parse};
+
+    /// The first number of what a reader asks a writer of an engine that it has not heard yet.
+    fn base_of_first_question(vendor: VendorId) -> SequenceNumber {
+        let link = Links::new().open(LinkOptions {
+            destination: Destination::Own,
+            peer: GuidPrefix([1; 12]),
+            max_datagram: 65_000,
+            fragment_size: 64_000,
+            receive_buffer: None,
+        });
+        let matched = MatchedWriter {
+            guid: Guid::new(GuidPrefix([1; 12]), EntityId::user_writer(1)),
+            is_reliable: true,
+            lifespan: None,
+            liveliness_lease: None,
+            link,
+            vendor,
+        };
+        let start = Instant::now();
+        let mut incoming = Incoming::new(matched, start);
+        assert!(!incoming.handle_timeout(start));
+        assert!(incoming.handle_timeout(start + FIRST_QUESTION));
+        let mut datagram = Vec::new();
+        let mut builder = MessageBuilder::new(&mut datagram, 1000, Header::ours(GuidPrefix([2; 12])));
+        assert!(incoming.emit(start + FIRST_QUESTION, EntityId::user_reader(1), &mut builder));
+        let (_, mut submessages) = parse(&datagram).unwrap();
+        let found = submessages.find_map(|submessage| match submessage.unwrap() {
+            Submessage::AckNack(ack_nack) => Some(ack_nack),
+            _ => None,
+        });
+        let ack_nack = found.unwrap();
+        assert!(ack_nack.missing.is_empty() && !ack_nack.is_final);
+        ack_nack.missing.base()
+    }
+
+    #[test]
+    fn fast_dds_is_asked_for_a_heartbeat_as_it_wants_to_be() {
+        assert_eq!(base_of_first_question(VendorId::FAST_DDS), SequenceNumber::ZERO);
+        for other in [VendorId::CYCLONE, VendorId::RUSTDDS, VendorId::OURS] {
+            assert_eq!(base_of_first_question(other), SequenceNumber::FIRST);
+        }
     }
 }

@@ -1,11 +1,9 @@
 //! Which endpoints talk to which.
 
-use super::{
-    Admission, Event, LivelinessChange, MatchedReader, MatchedWriter, Now, Participant, peers::Peer,
-};
+use super::{Admission, Event, LivelinessChange, MatchedReader, MatchedWriter, Now, Participant};
 use crate::{
     qos::{Durability, Policy, Reliability, incompatible},
-    wire::{EndpointData, EntityId, Guid},
+    wire::{EndpointData, EntityId, Guid, VendorId},
 };
 
 /// Whether two endpoints of one topic match.
@@ -111,7 +109,10 @@ impl Participant {
         let Some(link) = self.link_to(remote) else { return };
         let Some(ours) = self.locals.data(local) else { return };
         let is_own = remote.prefix == self.config.prefix;
-        let is_ours = is_own || self.peers.get(remote.prefix).is_some_and(Peer::is_ours);
+        let vendor = match self.peers.get(remote.prefix) {
+            Some(peer) if !is_own => peer.data.vendor,
+            _ => VendorId::OURS,
+        };
         let theirs = if is_own {
             self.locals.data(remote.entity)
         } else {
@@ -128,7 +129,7 @@ impl Participant {
             lifespan: theirs.qos.lifespan,
             liveliness_lease: ours.qos.lease,
             link,
-            is_ours,
+            vendor,
         };
         if let Some(matched) = self.locals.matched_mut(local) {
             matched.insert(remote);

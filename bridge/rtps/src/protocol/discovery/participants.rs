@@ -138,7 +138,7 @@ impl Participant {
     fn let_in(&mut self, now: Now, prefix: GuidPrefix) {
         let Some(peer) = self.peers.get_mut(prefix) else { return };
         peer.admission = Admission::Admit;
-        let (link, theirs, is_ours) = (peer.metatraffic, peer.data.builtin_endpoints, peer.is_ours());
+        let (link, theirs, vendor) = (peer.metatraffic, peer.data.builtin_endpoints, peer.data.vendor);
         for (writer, reader, writer_bit, reader_bit) in BUILTIN {
             if theirs.has(writer_bit) {
                 let guid = Guid::new(prefix, writer);
@@ -150,7 +150,7 @@ impl Participant {
                         lifespan: None,
                         liveliness_lease: None,
                         link,
-                        is_ours,
+                        vendor,
                     };
                     reader.match_writer(now, matched);
                 });

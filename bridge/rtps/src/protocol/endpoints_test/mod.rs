@@ -16,7 +16,7 @@ use bytes::Bytes;
 use crate::qos::{Durability, History, Liveliness, Qos, Reliability};
 use crate::wire::{
     AckNack, EntityId, Gap, Guid, GuidPrefix, Header, Heartbeat, InlineQos, MessageBuilder, SequenceNumber,
-    SequenceNumberSet, Submessage, parse,
+    SequenceNumberSet, Submessage, VendorId, parse,
 };
 
 use super::*;
@@ -184,7 +184,7 @@ impl World {
                 lifespan: offered.lifespan,
                 liveliness_lease: offered.lease,
                 link: side.to[writer],
-                is_ours,
+                vendor: if is_ours { VendorId::OURS } else { VendorId::CYCLONE },
             },
         );
     }
