@@ -7,7 +7,8 @@ use std::{env, fs};
 
 use downbeat_msgs_generator::{Catalog, Modules, RustSource};
 
-/// What the crate itself, and every generated service or action, refers to: there whatever the features.
+/// Packages that the crate itself and every generated service or action refer to; included regardless of
+/// features.
 const ALWAYS: [&str; 4] =
     ["builtin_interfaces", "service_msgs", "type_description_interfaces", "unique_identifier_msgs"];
 
@@ -38,11 +39,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     )?;
     fs::write(out.join("carried.rs"), carried_texts(&interfaces)?)?;
 
-    // What `downbeat_msgs_generator::Build` reads in the build scripts of other crates.
+    // Read by `downbeat_msgs_generator::Build` in the build scripts of other crates.
     println!("cargo::metadata=interfaces={}", interfaces.display());
     println!("cargo::metadata=packages={}", packages.join(","));
 
-    // What a user's own package becomes: the tests, which enable all features, include it as another crate would.
+    // The types of a user's package: the tests, which enable all features, include it like another crate.
     if env::var_os("CARGO_FEATURE_ALL").is_some() {
         let mut theirs = catalog.clone();
         theirs.add_package(Path::new("tests/data/odd_msgs"))?;
@@ -54,7 +55,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The folders of `interfaces/` that are there for always, or by their feature.
+/// The folders of `interfaces/` that are always included or whose feature is enabled.
 fn enabled_packages(interfaces: &Path) -> Result<Vec<String>, Box<dyn Error>> {
     let mut packages = sorted_entries(interfaces)?;
     packages.retain(|package| {
@@ -64,7 +65,8 @@ fn enabled_packages(interfaces: &Path) -> Result<Vec<String>, Box<dyn Error>> {
     Ok(packages)
 }
 
-/// Rust source of the texts in `interfaces/` by name, of all packages: for types that are only met at run time.
+/// Rust source that maps names to the texts in `interfaces/`, for all packages: for types known only at run
+/// time.
 fn carried_texts(interfaces: &Path) -> Result<String, Box<dyn Error>> {
     let mut source = String::from("&[\n");
     for package in sorted_entries(interfaces)? {

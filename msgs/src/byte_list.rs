@@ -1,7 +1,8 @@
 //! Serde for arrays and sequences of bytes: `#[serde(with = "byte_list")]`.
 //!
-//! Formats for people (JSON, YAML) get a list of numbers, as they do for numbers of every other size; all others get a byte
-//! string, which is half as long as a list in CBOR and is copied as a whole. Both are read.
+//! Human-readable formats (JSON, YAML) get a list of numbers, as for numbers of any other size; other formats
+//! get a byte string, which is half as long as a list in CBOR and is copied as a whole. Both are accepted
+//! when reading.
 
 use std::fmt;
 
@@ -67,7 +68,7 @@ pub mod array {
     }
 }
 
-/// Bytes that may be taken to come before they have.
+/// The maximum number of bytes reserved in advance.
 const MOST_AT_ONCE: usize = 1 << 20;
 
 struct Bytes;

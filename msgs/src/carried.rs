@@ -1,4 +1,4 @@
-//! The definitions this crate carries, for types that are met at run time.
+//! The definitions in this crate, for types known only at run time.
 
 use std::sync::LazyLock;
 
@@ -7,7 +7,7 @@ use downbeat_msgs_definitions::{Catalog, Error, Kind, TypeName};
 /// The name and text of every `.msg`, `.srv` and `.action` file in `interfaces/`.
 const TEXTS: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/carried.rs"));
 
-/// The definitions of all packages in `interfaces/`, whatever the features, parsed when they are first asked for.
+/// The definitions of all packages in `interfaces/`, regardless of features, parsed on first use.
 ///
 /// ```
 /// let catalog = downbeat_msgs::carried();
@@ -20,7 +20,7 @@ const TEXTS: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/carried.rs"))
 /// Never: the texts were parsed when this crate was built.
 pub fn carried() -> &'static Catalog {
     static CATALOG: LazyLock<Catalog> = LazyLock::new(|| {
-        parse().unwrap_or_else(|error| panic!("the definitions carried are wrong: {error}"))
+        parse().unwrap_or_else(|error| panic!("the built-in definitions are invalid: {error}"))
     });
     &CATALOG
 }

@@ -1,14 +1,15 @@
-//! Sets of interfaces: what a crate of messages hands to a program that exposes, records and shows them.
+//! Sets of interfaces, which a crate of messages passes to a program that exposes, records and shows them.
 
 use std::marker::PhantomData;
 
 use crate::{Action, Message, Service};
 
-/// Messages, services and actions, for code that treats each of them: a bridge, a recorder.
+/// A set of messages, services and actions, for code that handles each of them, such as a bridge or a
+/// recorder.
 ///
-/// [`include_interfaces!`](crate::include_interfaces) makes a set of all that it includes, [`interfaces!`](crate::interfaces) one
-/// of the types that are named, and every message, service and action is a set of itself: `Leg::INTERFACES`. A tuple of sets is
-/// a set.
+/// [`include_interfaces!`](crate::include_interfaces) declares the set of everything it includes,
+/// [`interfaces!`](crate::interfaces) a set of the given types, and every message, service and action has a
+/// set of itself: `Leg::INTERFACES`. A tuple of sets is a set.
 ///
 /// ```
 /// use downbeat_msgs::{InterfaceSet, InterfaceVisitor, Message, Service, Action, std_msgs, std_srvs};
@@ -40,20 +41,20 @@ use crate::{Action, Message, Service};
 /// ]);
 /// ```
 pub trait InterfaceSet {
-    /// Names each interface to the visitor: a service before its messages, an action before its messages and services. One that is
-    /// in the set twice is visited twice.
+    /// Calls the visitor for each interface: a service before its messages, an action before its messages and
+    /// services. Duplicates are visited twice.
     fn visit(&self, visitor: &mut impl InterfaceVisitor);
 }
 
-/// Treats every interface of a set.
+/// Handles every interface of a set.
 pub trait InterfaceVisitor {
-    /// A message, be it one of a service or an action.
+    /// Visits a message, possibly one of a service or an action.
     fn message<T: Message>(&mut self);
 
-    /// A service, be it one of an action.
+    /// Visits a service, possibly one of an action.
     fn service<S: Service>(&mut self);
 
-    /// An action.
+    /// Visits an action.
     fn action<A: Action>(&mut self);
 }
 
@@ -127,8 +128,8 @@ tuple!(A 0, B 1, C 2, D 3);
 tuple!(A 0, B 1, C 2, D 3, E 4);
 tuple!(A 0, B 1, C 2, D 3, E 4, F 5);
 
-/// Makes a set of messages, services and actions: a value that a program registers, such as the set of a crate whose messages
-/// are derived.
+/// Declares a set of messages, services and actions that a program registers, for example for a crate with
+/// derived messages.
 ///
 /// ```
 /// use downbeat_msgs::Message;
@@ -156,7 +157,7 @@ tuple!(A 0, B 1, C 2, D 3, E 4, F 5);
 macro_rules! interfaces {
     ($(#[$attribute:meta])* $visibility:vis $name:ident: $($interface:ty),* $(,)?) => {
         $(#[$attribute])*
-        #[allow(non_camel_case_types, clippy::upper_case_acronyms)] // It is used as a constant.
+        #[allow(non_camel_case_types, clippy::upper_case_acronyms)] // Used as a constant.
         #[derive(Clone, Copy, Debug)]
         $visibility struct $name;
 

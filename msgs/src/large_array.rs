@@ -1,6 +1,7 @@
-//! Serde for arrays longer than 32 elements, which serde itself does not do: `#[serde(with = "large_array")]`.
+//! Serde for arrays longer than 32 elements, which serde itself does not support: `#[serde(with =
+//! "large_array")]`.
 //!
-//! They are written as serde writes shorter arrays: as a tuple.
+//! They are written as tuples, like shorter arrays.
 
 use std::fmt;
 use std::marker::PhantomData;

@@ -11,17 +11,18 @@
 //! # Ok::<(), cdr::Error>(())
 //! ```
 //!
-//! The module of a package has a module `msg` with a struct per message, a module `srv` with a type per service and its
-//! messages (`SetBool`, `SetBoolRequest`, `SetBoolResponse`, `SetBoolEvent`), and a module `action` with a type per action,
-//! its messages and its services (`Fibonacci`, `FibonacciGoal`, `FibonacciSendGoal`, `FibonacciSendGoalRequest`, …). Fields are named as in ROS 2;
-//! a field named as a keyword is written raw (`r#type`). All of it is generated at build time from `interfaces/`.
+//! The module of a package has a module `msg` with a struct per message, a module `srv` with a type per
+//! service and its messages (`SetBool`, `SetBoolRequest`, `SetBoolResponse`, `SetBoolEvent`), and a module
+//! `action` with a type per action, its messages and its services (`Fibonacci`, `FibonacciGoal`,
+//! `FibonacciSendGoal`, `FibonacciSendGoalRequest`, …). Fields are named as in ROS 2; a field whose name is a
+//! keyword is a raw identifier (`r#type`). All of it is generated at build time from `interfaces/`.
 //!
-//! Beside each struct that holds strings or sequences there is a view in `msg::view`, which borrows them from the bytes it is
-//! read from: see [`cdr::FromReader`].
+//! Each struct with strings or sequences has a view in `msg::view`, which borrows them from the input: see
+//! [`cdr::FromReader`].
 //!
-//! Bounds of sequences and strings are checked when reading, and when writing if asked for: see [`cdr`].
+//! Bounds of sequences and strings are checked when reading, and on request when writing: see [`cdr`].
 
-// First, so that the macros it defines are known below.
+// First, so that its macros are defined below.
 include!(concat!(env!("OUT_DIR"), "/interfaces.rs"));
 
 pub mod byte_list;
@@ -46,8 +47,8 @@ mod interface_set;
 mod message;
 mod time;
 
-/// Stands for the modules of the packages that the crate's `build.rs` generates with `downbeat_msgs_generator`, and for
-/// `INTERFACES`, the [set](InterfaceSet) of all that is in them:
+/// Includes the modules of the packages that the crate's `build.rs` generates with `downbeat_msgs_generator`,
+/// and `INTERFACES`, the [set](InterfaceSet) of everything in them:
 ///
 /// ```ignore
 /// downbeat_msgs::include_interfaces!(); // pub mod my_msgs { pub mod msg { pub struct Leg { … } } }
@@ -66,10 +67,10 @@ pub use interface_set::{InterfaceSet, InterfaceVisitor, OneAction, OneMessage, O
 pub use message::{Action, Message, Service};
 pub use printable::{printable, write_printable_lines};
 #[doc(hidden)]
-pub use serde; // Generated code in other crates derives its traits by this path.
+pub use serde; // Generated code in other crates derives its traits through this path.
 
-/// Makes a ROS 2 message of a hand-written struct: with the bytes, the definition text, the type description and the hash
-/// that the generator would give the same definition.
+/// Makes a hand-written struct a ROS 2 message, with the same bytes, definition text, type description and
+/// hash as a generated message with that definition.
 ///
 /// ```
 /// use downbeat_msgs::std_msgs::msg::Header;
@@ -94,24 +95,25 @@ pub use serde; // Generated code in other crates derives its traits by this path
 /// # Ok::<(), cdr::Error>(())
 /// ```
 ///
-/// Everything but the name is computed from the fields while the crate is compiled. What a field's type refers to is the Rust type
-/// that stands there, generated or derived, so the hash cannot be that of another version of it.
+/// Everything but the name is computed from the fields at compile time. The type of a field is the Rust type
+/// in the struct, generated or derived, so the hash always matches it.
 ///
 /// # Attributes
-/// - `name = "my_msgs/msg/Leg"`: the full name. Without it the message has the name of the crate, or that which the path
-///   of the file says, and of the struct.
-/// - `file = "msg/Leg.msg"`: the definition, relative to the folder of `Cargo.toml`. The struct must have its fields, in
-///   their order and of their types; a field that differs is an error at that field. The file's text, its comments and defaults
-///   included, is what `DEFINITION` holds. Its constants, and its defaults as those of `Default`, are the struct's own affair.
-/// - `crate = "some::path"`: where this crate is, if not at `::downbeat_msgs`.
-/// - on a field, where there is no file: `type = "byte"` or `type = "string<=16[<=4]"`, the type as a definition spells it, for
-///   what Rust types do not say: `byte`, and bounds.
+/// - `name = "my_msgs/msg/Leg"`: the full name. Without it, the name consists of the crate's name, or the
+///   package in the path of the file, and the struct's name.
+/// - `file = "msg/Leg.msg"`: the definition, relative to the folder of `Cargo.toml`. The struct must have the
+///   same fields in the same order with the same types; a field that differs is an error at that field.
+///   `DEFINITION` is the file's text, including its comments and defaults. Constants, and defaults in the
+///   implementation of `Default`, are up to the struct.
+/// - `crate = "some::path"`: the path of this crate, if not `::downbeat_msgs`.
+/// - on a field, without a file: `type = "byte"` or `type = "string<=16[<=4]"`, the type as in a definition,
+///   for what Rust types cannot express: `byte`, and bounds.
 ///
 /// # Types
 /// `bool`, the integers of 8 to 64 bits, `f32`, `f64`, `String` (`string`), `WString` (`wstring`), structs that are messages,
 /// and `[T; N]` and `Vec<T>` of these. `u8` is `uint8`; in a file also `byte` or `char`.
 ///
-/// A field of another type does not compile, nor one that is not what the file says:
+/// A field of another type, or one that does not match the file, does not compile:
 ///
 /// ```compile_fail,E0277
 /// # use downbeat_msgs::Message;

@@ -1,4 +1,4 @@
-//! What every generated type offers.
+//! The traits of generated types.
 
 use std::fmt::Debug;
 
@@ -25,17 +25,17 @@ pub trait Message: Cdr + Clone + Default + Debug + PartialEq + Send + Sync + 'st
     const DESCRIPTION: &'static Description =
         &Description { type_name: Self::TYPE_NAME, definition: Self::DEFINITION, fields: Self::FIELDS };
 
-    /// The set of this message, to register it.
+    /// The interface set of this message, for registration.
     const INTERFACES: OneMessage<Self> = OneMessage::NEW;
 
-    /// What a node answers when it is asked for the type (`~/get_type_description`).
+    /// The type description that a node returns from `~/get_type_description`.
     #[must_use]
     fn type_description() -> TypeDescription {
         Self::DESCRIPTION.to_message()
     }
 }
 
-/// A ROS 2 service. The types that implement it have no values, they name it.
+/// A ROS 2 service. Types that implement it have no values; they only name it.
 pub trait Service: Sized + Send + Sync + 'static {
     /// As in `std_srvs/srv/SetBool`.
     const TYPE_NAME: &'static str;
@@ -43,14 +43,15 @@ pub trait Service: Sized + Send + Sync + 'static {
     const TYPE_HASH: &'static str;
     /// The definition text with all dependencies, as rosbag2 stores it for service events.
     const DEFINITION: &'static str;
-    /// What a client sends.
+    /// The message that a client sends.
     type Request: Message;
-    /// What the server answers.
+    /// The message that the server replies with.
     type Response: Message;
-    /// What service introspection publishes.
+    /// The message that service introspection publishes.
     type Event: Message;
 
-    /// Name, fields and definition in one: ROS 2 describes a service as if it were a message of its three messages.
+    /// Name, fields and definition in one: ROS 2 describes a service like a message with its three messages
+    /// as fields.
     const DESCRIPTION: &'static Description = &Description {
         type_name: Self::TYPE_NAME,
         definition: Self::DEFINITION,
@@ -61,16 +62,16 @@ pub trait Service: Sized + Send + Sync + 'static {
         ],
     };
 
-    /// The set of this service and its messages, to register it.
+    /// The interface set of this service and its messages, for registration.
     const INTERFACES: OneService<Self> = OneService::NEW;
 
-    /// What a node answers when it is asked for the type (`~/get_type_description`).
+    /// The type description that a node returns from `~/get_type_description`.
     #[must_use]
     fn type_description() -> TypeDescription {
         Self::DESCRIPTION.to_message()
     }
 
-    /// Puts together what service introspection publishes.
+    /// Creates the message that service introspection publishes.
     #[must_use]
     fn event(
         info: ServiceEventInfo,
@@ -85,10 +86,10 @@ type Request<S> = <S as Service>::Request;
 /// The response of a service.
 type Response<S> = <S as Service>::Response;
 
-/// A ROS 2 action. The types that implement it have no values, they name it.
+/// A ROS 2 action. Types that implement it have no values; they only name it.
 ///
-/// Its functions put the messages by which client and server talk together, and take them apart, for code that treats all
-/// actions alike.
+/// Its functions assemble and split the messages between client and server, for code that is generic over
+/// actions.
 pub trait Action: Sized + Send + Sync + 'static {
     /// As in `test_msgs/action/Fibonacci`.
     const TYPE_NAME: &'static str;
@@ -96,20 +97,21 @@ pub trait Action: Sized + Send + Sync + 'static {
     const TYPE_HASH: &'static str;
     /// The definition text with all dependencies.
     const DEFINITION: &'static str;
-    /// What a client wants.
+    /// The goal that a client sends.
     type Goal: Message;
-    /// What has become of it in the end.
+    /// The final result of a goal.
     type Result: Message;
-    /// What has become of it so far.
+    /// The progress of a goal.
     type Feedback: Message;
     /// The service `<action>/_action/send_goal`.
     type SendGoal: Service;
     /// The service `<action>/_action/get_result`.
     type GetResult: Service;
-    /// What the topic `<action>/_action/feedback` carries.
+    /// The message on the topic `<action>/_action/feedback`.
     type FeedbackMessage: Message;
 
-    /// Name, fields and definition in one: ROS 2 describes an action as if it were a message of its messages and services.
+    /// Name, fields and definition in one: ROS 2 describes an action like a message with its messages and
+    /// services as fields.
     const DESCRIPTION: &'static Description = &Description {
         type_name: Self::TYPE_NAME,
         definition: Self::DEFINITION,
@@ -123,10 +125,10 @@ pub trait Action: Sized + Send + Sync + 'static {
         ],
     };
 
-    /// The set of this action, its services and its messages, to register it.
+    /// The interface set of this action, its services and its messages, for registration.
     const INTERFACES: OneAction<Self> = OneAction::NEW;
 
-    /// What a node answers when it is asked for the type (`~/get_type_description`).
+    /// The type description that a node returns from `~/get_type_description`.
     #[must_use]
     fn type_description() -> TypeDescription {
         Self::DESCRIPTION.to_message()
@@ -152,7 +154,7 @@ pub trait Action: Sized + Send + Sync + 'static {
     #[must_use]
     fn get_result_request(goal_id: UUID) -> Request<Self::GetResult>;
 
-    /// The goal whose result is asked for.
+    /// The goal whose result is requested.
     #[must_use]
     fn goal_id_of(request: Request<Self::GetResult>) -> UUID;
 
@@ -168,7 +170,7 @@ pub trait Action: Sized + Send + Sync + 'static {
     #[must_use]
     fn feedback_message(goal_id: UUID, feedback: Self::Feedback) -> Self::FeedbackMessage;
 
-    /// The goal that a message of the topic `feedback` is about, and what it says.
+    /// The goal id and the feedback in a message of the topic `feedback`.
     #[must_use]
     fn feedback_of(message: &Self::FeedbackMessage) -> (UUID, &Self::Feedback);
 }
@@ -182,7 +184,7 @@ mod tests {
     use super::{Message, Service};
 
     #[test]
-    fn published_hashes_are_met() {
+    fn published_hashes_are_reproduced() {
         use crate::{geometry_msgs::msg::Twist, std_msgs::msg};
         assert_eq!(
             msg::String::TYPE_HASH,
@@ -223,7 +225,7 @@ mod tests {
 
     #[cfg(feature = "test_msgs")]
     #[test]
-    fn the_messages_of_an_action_are_taken_apart_into_what_they_were_made_of() {
+    fn splitting_the_messages_of_an_action_returns_their_parts() {
         use super::Action;
         use crate::test_msgs::action::{Fibonacci, FibonacciFeedback, FibonacciGoal, FibonacciResult};
         use crate::{builtin_interfaces::msg::Time, unique_identifier_msgs::msg::UUID};

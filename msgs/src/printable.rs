@@ -1,25 +1,25 @@
-//! Text that others wrote, made fit for a terminal: names and values from messages, bags and the network.
+//! Escapes untrusted text for terminals: names and values from messages, bags and the network.
 
 use std::borrow::Cow;
 use std::fmt::{self, Write};
 
-/// The text with each control character, line ends included, as JSON writes it: `\u001b`. So no name can clear the screen, move
-/// the cursor, or look like a line of its own.
+/// Escapes control characters, including line ends, as in JSON: `\u001b`. So no name can clear the screen,
+/// move the cursor, or look like a separate line.
 #[must_use]
 pub fn printable(text: &str) -> Cow<'_, str> {
     if !text.contains(is_harmful) {
         return Cow::Borrowed(text);
     }
     let mut escaped = String::with_capacity(text.len() + 16);
-    // A `String` takes everything.
+    // Writing to a `String` cannot fail.
     let _ = write_escaped(&mut escaped, text, is_harmful);
     Cow::Owned(escaped)
 }
 
-/// As [`printable`], but line ends and tabs stay: for output of many lines.
+/// Like [`printable`], but keeps line ends and tabs, for output of several lines.
 ///
 /// # Errors
-/// What `to` says.
+/// Those of `to`.
 pub fn write_printable_lines(to: &mut impl Write, text: &str) -> fmt::Result {
     write_escaped(to, text, |character| is_harmful(character) && !matches!(character, '\n' | '\t'))
 }
@@ -37,7 +37,7 @@ fn write_escaped(to: &mut impl Write, text: &str, is_escaped: impl Fn(char) -> b
     to.write_str(rest)
 }
 
-/// Controls of terminals (C0, DEL, C1), and marks that change the direction in which text is shown.
+/// Terminal controls (C0, DEL, C1), and marks that change the direction of text.
 fn is_harmful(character: char) -> bool {
     character.is_control()
         || matches!(character, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn control_characters_are_shown_and_other_text_stays() {
+    fn control_characters_are_escaped_and_other_text_is_kept() {
         assert_eq!(printable("/cam\u{1b}[2J\n/x\u{9b}\u{202e}"), "/cam\\u001b[2J\\u000a/x\\u009b\\u202e");
         assert!(matches!(printable("/köpf/µ"), Cow::Borrowed("/köpf/µ")));
         let mut lines = String::new();

@@ -1,4 +1,4 @@
-//! Quality of service as ROS 2 names it: what a publisher offers and a subscription asks for.
+//! Quality of service in the terms of ROS 2: what a publisher offers and a subscription requests.
 //!
 //! The presets are those of `rmw/qos_profiles.h` and `rcl/logging_rosout.h` (branch jazzy).
 
@@ -9,20 +9,20 @@ use std::time::Duration;
 pub enum Reliability {
     /// Lost samples are repeated.
     Reliable,
-    /// Lost samples stay lost.
+    /// Lost samples are not repeated.
     BestEffort,
 }
 
-/// Whether a subscription that comes late receives what was published before it came.
+/// Whether a late subscription receives samples that were published before it joined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Durability {
-    /// It receives nothing older than itself.
+    /// It does not receive earlier samples.
     Volatile,
-    /// It receives as many of the latest samples as the history holds ("latched").
+    /// It receives the latest samples, up to the depth of the history ("latched").
     TransientLocal,
 }
 
-/// How many samples are held for sending again and for late subscriptions.
+/// How many samples are kept for repetition and for late subscriptions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum History {
     /// The latest n, at least 1.
@@ -51,16 +51,16 @@ pub struct QosProfile {
     pub durability: Durability,
     /// The longest time between two samples.
     pub deadline: Option<Duration>,
-    /// How long a sample is worth delivering.
+    /// How long a sample is valid.
     pub lifespan: Option<Duration>,
     /// See [`Liveliness`].
     pub liveliness: Liveliness,
-    /// How long a publisher may be silent before it counts as gone.
+    /// How long a publisher may be silent before it is considered lost.
     pub liveliness_lease_duration: Option<Duration>,
 }
 
 impl QosProfile {
-    /// Reliable, volatile, keep last 10: what `rclcpp` uses unless told otherwise.
+    /// Reliable, volatile, keep last 10: the default of `rclcpp`.
     pub const DEFAULT: Self = Self {
         history: History::KeepLast(10),
         reliability: Reliability::Reliable,
@@ -70,7 +70,8 @@ impl QosProfile {
         liveliness: Liveliness::Automatic,
         liveliness_lease_duration: None,
     };
-    /// Best effort, volatile, keep last 5: for sensors, where the newest sample matters more than each.
+    /// Best effort, volatile, keep last 5: for sensors, where the newest sample matters more than
+    /// completeness.
     pub const SENSOR_DATA: Self = Self { reliability: Reliability::BestEffort, ..Self::DEFAULT.keep_last(5) };
     /// Reliable, volatile, keep last 1000.
     pub const PARAMETERS: Self = Self::DEFAULT.keep_last(1000);
@@ -89,7 +90,7 @@ impl QosProfile {
     /// Reliable, transient local, keep last 1: a topic that holds a value, such as a robot description.
     pub const LATCHED: Self = Self { durability: Durability::TransientLocal, ..Self::DEFAULT.keep_last(1) };
 
-    /// The names [`QosProfile::preset`] knows, for error messages.
+    /// The names that [`QosProfile::preset`] accepts, for error messages.
     pub const PRESETS: [&str; 8] = [
         "default",
         "sensor_data",
@@ -101,7 +102,7 @@ impl QosProfile {
         "latched",
     ];
 
-    /// The preset of that name, as ROS 2 tools spell it.
+    /// The preset of that name, spelled as in ROS 2 tools.
     #[must_use]
     pub fn preset(name: &str) -> Option<Self> {
         Some(match name {

@@ -5,8 +5,8 @@ use crate::builtin_interfaces::msg::{Duration, Time};
 const NANOS_PER_SEC: i64 = 1_000_000_000;
 
 impl Time {
-    /// The time so many nanoseconds after the epoch, before it if negative. What the 32-bit seconds cannot hold (from
-    /// the year 2038 on) becomes the latest or earliest time they can.
+    /// The time `nanos` nanoseconds after the epoch, or before it if negative. Times that 32-bit seconds
+    /// cannot represent (from the year 2038) saturate.
     #[must_use]
     pub fn from_nanos(nanos: i64) -> Self {
         let (sec, nanosec) = split(nanos);
@@ -21,7 +21,8 @@ impl Time {
 }
 
 impl Duration {
-    /// So many nanoseconds. What the 32-bit seconds cannot hold (68 years) becomes the longest duration they can.
+    /// The duration of `nanos` nanoseconds. Durations that 32-bit seconds cannot represent (68 years)
+    /// saturate.
     #[must_use]
     pub fn from_nanos(nanos: i64) -> Self {
         let (sec, nanosec) = split(nanos);
@@ -62,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_as_far_as_it_can_be() {
+    fn values_out_of_range_saturate() {
         assert_eq!(Time::from_nanos(i64::MAX), Time { sec: i32::MAX, nanosec: 999_999_999 });
         assert_eq!(Time::from_nanos(i64::MIN), Time { sec: i32::MIN, nanosec: 0 });
         assert_eq!(Time { sec: i32::MAX, nanosec: u32::MAX }.as_nanos(), 2_147_483_651_294_967_295);

@@ -1,12 +1,12 @@
-//! YAML that others wrote: what would keep the parser busy for long is refused before it.
+//! Parses untrusted YAML: input that would keep the parser busy for long is rejected first.
 //!
-//! The parser, a translation of libyaml, looks at every open bracket again with every token: 100 kB of `[` take it
+//! The parser, a translation of libyaml, visits every open bracket for every token: 100 kB of `[` take
 //! seconds. So the work is estimated first.
 
 use serde::de::{DeserializeOwned, Error as _};
 use serde_norway::{Deserializer, Error};
 
-/// Characters times open brackets, about what the parser does in a second without optimization.
+/// Characters times open brackets, about one second of parsing in a debug build.
 const MOST_WORK: usize = 100_000_000;
 
 /// The longest text, in bytes.
@@ -15,7 +15,7 @@ const LONGEST: usize = 64 * 1024 * 1024;
 /// Reads a value from a YAML text.
 ///
 /// # Errors
-/// If the text is no YAML, not of this form, or longer or deeper nested than anybody writes it.
+/// If the text is not YAML, does not have this structure, or is unreasonably long or deeply nested.
 pub fn from_str<T: DeserializeOwned>(text: &str) -> Result<T, Error> {
     T::deserialize(deserializer(text)?)
 }
@@ -23,21 +23,22 @@ pub fn from_str<T: DeserializeOwned>(text: &str) -> Result<T, Error> {
 /// A deserializer for a YAML text.
 ///
 /// # Errors
-/// If the text is longer or deeper nested than anybody writes it.
+/// If the text is unreasonably long or deeply nested.
 pub fn deserializer(text: &str) -> Result<Deserializer<'_>, Error> {
     if text.len() > LONGEST {
-        return Err(Error::custom(format_args!("{} bytes of YAML, at most {LONGEST} are read", text.len())));
+        return Err(Error::custom(format_args!("{} bytes of YAML, the limit is {LONGEST}", text.len())));
     }
     if work(text) > MOST_WORK {
-        return Err(Error::custom("too many brackets in brackets"));
+        return Err(Error::custom("too many nested brackets"));
     }
     Ok(Deserializer::from_str(text))
 }
 
 /// The number of open brackets, summed up over all characters: an upper bound.
 ///
-/// Whether a bracket is one, or part of a text or a comment, only the parser knows. So every opening bracket counts, and a
-/// closing one takes back the last opening one only if nothing between them could begin a text or a comment.
+/// Only the parser knows whether a bracket is part of a string or a comment. So every opening bracket counts,
+/// and a closing one cancels the last opening one only if nothing between them could start a string or a
+/// comment.
 fn work(text: &str) -> usize {
     let (mut open, mut closable, mut work) = (0_usize, 0_usize, 0_usize);
     for byte in text.bytes() {

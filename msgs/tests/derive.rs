@@ -1,4 +1,4 @@
-//! Hand-written structs as messages, beside the generated ones they must equal.
+//! Hand-written structs as messages, compared with the equivalent generated ones.
 
 #![cfg(feature = "derive")]
 #![allow(clippy::unwrap_used)]
@@ -90,7 +90,7 @@ fn hash_definition_and_description_are_those_of_the_generated_type() {
     assert_same::<Empty, test_msgs::msg::Empty>();
     assert_same::<Defaults, test_msgs::msg::Defaults>();
 
-    // Without a file the definition has the comments of the struct.
+    // Without a file, the definition contains the comments of the struct.
     type Generated = sensor_msgs::msg::JointState;
     assert_eq!(JointState::TYPE_HASH, Generated::TYPE_HASH);
     assert_eq!(
@@ -128,7 +128,7 @@ fn a_message_without_a_file_defines_itself_as_its_file_would() {
         Leg::DEFINITION
     );
 
-    // The hash, as the definitions alone give it.
+    // The hash computed from the definitions alone.
     let mut catalog = downbeat_msgs_definitions::Catalog::new();
     let interfaces = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("interfaces");
     catalog.add_packages(&interfaces).unwrap();
@@ -139,7 +139,7 @@ fn a_message_without_a_file_defines_itself_as_its_file_would() {
     assert_eq!(Leg::TYPE_HASH, catalog.type_hash(&"my_msgs/msg/Leg".parse().unwrap()).unwrap());
     assert_eq!(Legs::TYPE_HASH, catalog.type_hash(&"my_msgs/msg/Legs".parse().unwrap()).unwrap());
     let text = catalog.definition_text(&"my_msgs/msg/Legs".parse().unwrap()).unwrap();
-    // JointState here is hand-written too, and has a comment that the file has not.
+    // JointState is hand-written too, and has a comment that the file lacks.
     assert_eq!(Legs::DEFINITION.replace("# As `sensor_msgs/msg/JointState`.\n\n", ""), text);
 }
 

@@ -19,7 +19,7 @@ fn every_package_has_a_feature_that_enables_what_it_refers_to() {
         for other in needed {
             assert!(
                 enabled.contains(&other) || ALWAYS.contains(&other.as_str()),
-                "the feature {package} has to enable {other}"
+                "the feature {package} must enable {other}"
             );
         }
     }
@@ -40,7 +40,7 @@ fn all_enables_every_package_and_every_feature_is_one() {
 }
 
 #[test]
-fn what_is_always_there_needs_nothing_else() {
+fn packages_that_are_always_enabled_need_no_others() {
     let packages = packages();
     for package in ALWAYS {
         assert!(packages[package].iter().all(|other| ALWAYS.contains(&other.as_str())), "{package}");

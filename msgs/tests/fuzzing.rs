@@ -1,4 +1,4 @@
-//! What the fuzzers found so far, and a few thousand random changes of it. Longer runs: `fuzz/README.md`.
+//! Runs the corpus of the fuzzers and a few thousand random mutations of it. Longer runs: `fuzz/README.md`.
 #![allow(clippy::expect_used, clippy::unwrap_used, missing_docs)]
 
 use std::path::Path;
@@ -6,21 +6,21 @@ use std::path::Path;
 #[path = "../fuzz/targets/mod.rs"]
 mod targets;
 
-/// Of each file of the corpus.
+/// Mutations of each file of the corpus.
 const CHANGES: usize = 50;
 
 #[test]
-fn no_interface_file_brings_the_parser_down() {
+fn no_interface_file_crashes_the_parser() {
     check("interface_files", targets::interface_files::run);
 }
 
 #[test]
-fn no_idl_file_brings_the_parser_down() {
+fn no_idl_file_crashes_the_parser() {
     check("idl_files", targets::idl_files::run);
 }
 
 #[test]
-fn no_bytes_bring_the_reader_of_a_message_down() {
+fn no_bytes_crash_the_reader_of_a_message() {
     check("cdr", targets::cdr::run);
 }
 
@@ -46,7 +46,7 @@ fn check(target: &str, run: fn(&[u8])) {
     }
 }
 
-/// xorshift (Marsaglia 2003): the same changes in every run.
+/// xorshift (Marsaglia 2003): the same mutations in every run.
 struct Random(u64);
 
 impl Random {
@@ -57,7 +57,7 @@ impl Random {
         (self.0 >> 11) as usize % bound.max(1)
     }
 
-    /// A copy with one to four bytes changed, removed, added or cut off.
+    /// A copy with one to four bytes changed, removed, inserted or truncated.
     fn changed(&mut self, seed: &[u8]) -> Vec<u8> {
         const TELLING: [u8; 8] = [0, 1, 0x7F, 0x80, 0xFF, b'\n', b'[', b'='];
         let mut bytes = seed.to_vec();

@@ -1,4 +1,4 @@
-//! The crate in `examples/users_package`, built by cargo as its user would, in a folder of its own.
+//! Builds the crate in `examples/users_package` with cargo like a user, in a separate folder.
 
 #![allow(clippy::unwrap_used)]
 
@@ -6,9 +6,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// One test, since its parts use one folder: what is built for the first is not built again for the others.
+/// One test, since its parts share a folder: dependencies are built only once.
 #[test]
-fn a_crate_with_interfaces_of_its_own_builds_runs_and_is_told_what_is_wrong() {
+fn a_crate_with_its_own_interfaces_builds_runs_and_gets_clear_errors() {
     let users = UsersCrate::new();
 
     let output = users.cargo("run");
@@ -20,9 +20,9 @@ fn a_crate_with_interfaces_of_its_own_builds_runs_and_is_told_what_is_wrong() {
     assert_eq!(lines[2], "my_msgs/srv/Kick KickRequest { side: 0, strength: 1.0 }");
     assert_eq!(lines[3], "my_msgs/action/Walk WalkGoal { steps: 3 }");
     let all = "lab_msgs/msg/Foot my_msgs/msg/Gait my_msgs/msg/Leg my_msgs/srv/Kick my_msgs/action/Walk";
-    assert_eq!(lines[4], all, "INTERFACES has them all, those of lab_msgs too");
+    assert_eq!(lines[4], all, "INTERFACES contains all of them, including those of lab_msgs");
 
-    // A change is seen, and a fault in it is told with its place and nothing else.
+    // A change is noticed, and an error in it is reported with its location only.
     let path = users.folder.join("my_msgs/msg/Gait.msg");
     let gait = fs::read_to_string(&path).unwrap();
     fs::write(&path, gait.replace("Leg[]", "Arm[]")).unwrap();
@@ -41,7 +41,7 @@ fn a_crate_with_interfaces_of_its_own_builds_runs_and_is_told_what_is_wrong() {
     );
     fs::write(&path, &gait).unwrap();
 
-    // So is a file that comes.
+    // So is a new file.
     fs::write(users.folder.join("my_msgs/srv/Walk.srv"), "float64 speed\n").unwrap();
     let errors = users.errors();
     assert!(errors[0].starts_with("error: users_package@0.1.0: my_msgs/srv/Walk.srv"), "{errors:?}");
@@ -57,14 +57,14 @@ impl UsersCrate {
         let here = Path::new(env!("CARGO_MANIFEST_DIR"));
         let example = here.join("examples/users_package");
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("users_package");
-        let _ = fs::remove_dir_all(folder.join("my_msgs")); // Of an earlier run, which has left it as it was at the end.
+        let _ = fs::remove_dir_all(folder.join("my_msgs")); // Left by an earlier run.
         copy(&example, &folder);
         let manifest = fs::read_to_string(example.join("Cargo.toml")).unwrap();
         let manifest = manifest
             .replace("\"../..\"", &format!("{here:?}"))
             .replace("\"../../generator\"", &format!("{:?}", here.join("generator")));
         fs::write(folder.join("Cargo.toml"), manifest).unwrap();
-        // What is fetched already.
+        // Uses crates that are already downloaded.
         fs::copy(here.join("../Cargo.lock"), folder.join("Cargo.lock")).unwrap();
         Self { folder }
     }
@@ -81,7 +81,7 @@ impl UsersCrate {
             .unwrap()
     }
 
-    /// The errors of a build that fails, but the last, which only says that there were some.
+    /// The errors of a failing build, except the last, which only says that there were errors.
     fn errors(&self) -> Vec<String> {
         let output = self.cargo("check");
         assert!(!output.status.success());
@@ -108,7 +108,7 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// The hash that the definitions alone give.
+/// The hash computed from the definitions alone.
 fn hash(name: &str) -> String {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut catalog = downbeat_msgs_definitions::Catalog::new();

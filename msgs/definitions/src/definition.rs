@@ -1,4 +1,4 @@
-//! What a `.msg`, `.srv` or `.action` file says, as values.
+//! The parsed form of `.msg`, `.srv` and `.action` files.
 
 use crate::{Place, TypeName};
 
@@ -7,7 +7,7 @@ use crate::{Place, TypeName};
 pub struct MessageDefinition {
     /// Its name.
     pub name: TypeName,
-    /// Comment lines at the top of the file, up to the first line that is none.
+    /// Comment lines at the top of the file.
     pub comment: Vec<String>,
     /// Its fields, in order.
     pub fields: Vec<Field>,
@@ -58,9 +58,9 @@ pub struct Field {
     pub name: String,
     /// Its type.
     pub field_type: FieldType,
-    /// Its value in a new message, where the definition says one.
+    /// Its initial value, if the definition has one.
     pub default: Option<Value>,
-    /// Comment lines directly above it and behind it.
+    /// Comment lines directly above it and after it on its line.
     pub comment: Vec<String>,
     /// Where its type is written.
     pub place: Place,
@@ -75,32 +75,32 @@ pub struct Constant {
     pub element: Element,
     /// Its value.
     pub value: Value,
-    /// Comment lines directly above it and behind it.
+    /// Comment lines directly above it and after it on its line.
     pub comment: Vec<String>,
 }
 
 /// The type of a field: one element, or several.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FieldType {
-    /// What it holds.
+    /// The type of an element.
     pub element: Element,
-    /// How many of it.
+    /// The number of elements.
     pub shape: Shape,
 }
 
-/// What a field holds.
+/// The type of an element of a field.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Element {
-    /// A number, a byte, or a truth value.
+    /// A number, a byte, or a boolean.
     Primitive(Primitive),
     /// `string`, `string<=N`; the bound counts bytes.
     String {
-        /// The N.
+        /// The bound N.
         bound: Option<u64>,
     },
     /// `wstring`, `wstring<=N`; the bound counts UTF-16 code units.
     WString {
-        /// The N.
+        /// The bound N.
         bound: Option<u64>,
     },
     /// Another message.
@@ -110,11 +110,11 @@ pub enum Element {
 /// How many elements a field holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shape {
-    /// One.
+    /// One element.
     Single,
-    /// Exactly so many: `[N]`.
+    /// Exactly this many: `[N]`.
     Array(u64),
-    /// At most so many: `[<=N]`.
+    /// At most this many: `[<=N]`.
     Bounded(u64),
     /// Any number: `[]`.
     Sequence,
@@ -152,7 +152,7 @@ pub enum Primitive {
 }
 
 impl MessageDefinition {
-    /// Whether both have the same fields, defaults and constants, whatever their comments and spaces.
+    /// Whether both have the same fields, defaults and constants, ignoring comments and spaces.
     #[must_use]
     pub fn means_the_same_as(&self, other: &Self) -> bool {
         let same_fields = self.fields.len() == other.fields.len()
@@ -182,7 +182,7 @@ impl FieldType {
 }
 
 impl Element {
-    /// `char` is another word for `uint8`; IDL has none for it.
+    /// `char` is an alias of `uint8`, which IDL does not have.
     fn is_same_as(&self, other: &Self) -> bool {
         let is_byte = |of: &Self| matches!(of, Self::Primitive(Primitive::Char | Primitive::UInt8));
         self == other || (is_byte(self) && is_byte(other))
@@ -190,7 +190,7 @@ impl Element {
 }
 
 impl Value {
-    /// Whether both are the same to the bit: not-a-number too is the same as itself.
+    /// Whether both are bitwise equal: NaN equals itself.
     fn is_same_as(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Float(one), Self::Float(two)) => one.to_bits() == two.to_bits(),
@@ -203,7 +203,7 @@ impl Value {
 }
 
 impl Primitive {
-    /// All of them.
+    /// All primitive types.
     pub const ALL: [Self; 13] = [
         Self::Bool,
         Self::Byte,
@@ -220,7 +220,7 @@ impl Primitive {
         Self::Float64,
     ];
 
-    /// The ROS 2 word.
+    /// The name in ROS 2.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -284,7 +284,7 @@ pub enum Value {
 }
 
 impl std::fmt::Display for FieldType {
-    /// The type as a definition spells it, with the package of messages always named.
+    /// The type as in a definition, always with the package of messages.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match &self.element {
             Element::Primitive(primitive) => f.write_str(primitive.as_str())?,

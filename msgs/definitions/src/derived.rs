@@ -1,4 +1,4 @@
-//! What rosidl makes of a service or an action beyond its text.
+//! Messages and services that rosidl derives from services and actions.
 //!
 //! # References
 //! `rosidl_parser/rosidl_parser/definition.py`, branch jazzy: the classes `Service` and `Action`.
@@ -8,7 +8,8 @@ use crate::{
     ServiceDefinition, Shape, TypeName,
 };
 
-/// What service introspection publishes: who and when, and the request or response where contents are asked for.
+/// The message that service introspection publishes: who and when, and the request or response if contents
+/// are enabled.
 pub(crate) fn event_of(service: &ServiceDefinition) -> MessageDefinition {
     let info = TypeName::new("service_msgs", Kind::Message, "ServiceEventInfo");
     let content = |message: &MessageDefinition| FieldType {
@@ -23,7 +24,7 @@ pub(crate) fn event_of(service: &ServiceDefinition) -> MessageDefinition {
     message(service.name.with_suffix("_Event"), fields, &service.origin)
 }
 
-/// The services and the message by which the two ends of an action talk.
+/// The services and the message with which the two ends of an action communicate.
 pub(crate) struct ActionParts {
     /// `<name>_SendGoal`.
     pub(crate) send_goal: ServiceDefinition,
@@ -61,7 +62,7 @@ pub(crate) fn parts_of(action: &ActionDefinition) -> ActionParts {
     }
 }
 
-/// What the parts above contain, which the definition texts of services and actions leave out.
+/// Types used by the parts above that the definition texts of services and actions leave out.
 pub(crate) const IMPLIED: [(&str, &str); 3] = [
     (
         "service_msgs/msg/ServiceEventInfo",
@@ -89,7 +90,7 @@ fn service(name: TypeName, request: Vec<Member>, response: Vec<Member>, origin: 
     }
 }
 
-/// Its text is what its author would have written.
+/// A message with the text that its author would have written.
 fn message(name: TypeName, members: Vec<Member>, origin: &str) -> MessageDefinition {
     let text = members.iter().map(|(field, field_type)| format!("{field_type} {field}\n")).collect();
     let place = Place { origin: origin.into(), line: 1, column: 1 };

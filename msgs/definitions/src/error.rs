@@ -1,14 +1,14 @@
-//! What can be wrong with interface definitions.
+//! Errors in interface definitions.
 
 use std::fmt;
 use std::path::PathBuf;
 
 use crate::TypeName;
 
-/// A place in a definition: file, line, column.
+/// A position in a definition: file, line, column.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Place {
-    /// The file, or whatever names the text if it came from elsewhere.
+    /// The file, or another name of the text.
     pub origin: String,
     /// Counted from 1.
     pub line: usize,
@@ -26,10 +26,10 @@ impl fmt::Display for Place {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A line is not what the grammar of interface files allows.
+    /// A line does not follow the grammar of interface files.
     #[error("{place}: {message}")]
     Syntax {
-        /// Where.
+        /// The position of the error.
         place: Place,
         /// What was found, what was expected.
         message: String,
@@ -37,13 +37,13 @@ pub enum Error {
     /// A `.srv` or `.action` file does not have the separator lines it needs.
     #[error("{place}: {what} with {expected} between them, found {found}")]
     Separators {
-        /// The separator that is too many, or the end of the file where one is missing.
+        /// The superfluous separator, or the end of the file if one is missing.
         place: Place,
-        /// What needs them.
+        /// The definition that needs them.
         what: &'static str,
         /// How many are needed, in words.
         expected: &'static str,
-        /// How many such lines there are.
+        /// The number of such lines found.
         found: usize,
     },
     /// A field has a type that no definition describes.
@@ -57,7 +57,7 @@ pub enum Error {
         field: String,
         /// Its type.
         wanted: Box<TypeName>,
-        /// What to do, where that can be told; empty otherwise.
+        /// A suggestion, or empty.
         hint: String,
     },
     /// A message contains itself, directly or through others.
@@ -68,27 +68,27 @@ pub enum Error {
         /// The messages on the way from the first to itself.
         cycle: Vec<TypeName>,
     },
-    /// Messages contain messages that contain messages, and so on, for longer than any program has to follow.
+    /// Messages are nested too deeply.
     #[error("{place}: {name} is nested deeper than {bound} messages")]
     TooDeep {
         /// The field that goes too deep.
         place: Box<Place>,
         /// The message with the field.
         name: Box<TypeName>,
-        /// How deep is allowed.
+        /// The maximum depth.
         bound: usize,
     },
     /// A message cannot be sent even when all its sequences are empty: its arrays are too large.
     #[error("{place}: {name} takes at least {size} bytes, and no more than {} can be sent", u32::MAX)]
     TooLarge {
-        /// The field that is too much.
+        /// The field that exceeds the limit.
         place: Box<Place>,
         /// The message with the field.
         name: Box<TypeName>,
         /// The bytes of its fields up to this one.
         size: u64,
     },
-    /// The same type is defined twice, with different meaning.
+    /// A type has two different definitions.
     #[error("{second}: {name} is already defined, differently, in {first}")]
     DefinedTwice {
         /// The type.
@@ -98,12 +98,12 @@ pub enum Error {
         /// Where it was defined again.
         second: String,
     },
-    /// A type was asked for that no definition describes.
+    /// The requested type has no definition.
     #[error("{name} is not in the catalog{hint}")]
     NotInCatalog {
         /// The type.
         name: Box<TypeName>,
-        /// What to do, where that can be told.
+        /// A suggestion, or empty.
         hint: String,
     },
     /// A text is not the name of an interface.
@@ -111,37 +111,35 @@ pub enum Error {
         "`{0}` is not an interface name: expected `package/msg/Type`, `package/srv/Type` or `package/action/Type`"
     )]
     Name(String),
-    /// A service or an action was given the name of something else.
-    #[error(
-        "{origin}: {name} cannot be the name of what is defined here: expected `package/{expected}/Type`"
-    )]
+    /// The name does not fit the kind of the definition.
+    #[error("{origin}: {name} cannot be the name of this definition: expected `package/{expected}/Type`")]
     Kind {
         /// The file.
         origin: String,
         /// The name.
         name: Box<TypeName>,
-        /// The middle it should have.
+        /// The expected middle part of the name.
         expected: &'static str,
     },
-    /// A type description does not describe what ROS 2 can have.
+    /// A type description describes something that ROS 2 does not support.
     #[error("{origin}: the description of `{type_name}`{} {message}", field.as_ref().map(|field| format!(", field `{field}`,")).unwrap_or_default())]
     Description {
-        /// What names the description.
+        /// The source of the description.
         origin: String,
         /// The type within it.
         type_name: String,
-        /// The field at fault, if it is one.
+        /// The invalid field, if any.
         field: Option<String>,
         /// What is wrong.
         message: String,
     },
-    /// A definition text is in a language that is not understood.
-    #[error("definition texts in `{0}` are not understood, only those in `ros2msg` and `ros2idl`")]
+    /// The language of a definition text is not supported.
+    #[error("definition texts in `{0}` are not supported, only `ros2msg` and `ros2idl`")]
     Encoding(String),
     /// A file or folder could not be read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
-        /// Which.
+        /// The file or folder.
         path: PathBuf,
         /// Why.
         source: std::io::Error,

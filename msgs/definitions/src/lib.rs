@@ -1,5 +1,5 @@
-//! Reads ROS 2 interface definitions (`.msg`, `.srv`, `.action`, `.idl`) and derives from them what both ends of a
-//! connection have to agree on: the `ros2msg` definition text, type descriptions and RIHS01 hashes.
+//! Reads ROS 2 interface definitions (`.msg`, `.srv`, `.action`, `.idl`) and derives what both ends of a
+//! connection must agree on: the `ros2msg` definition text, type descriptions and RIHS01 hashes.
 //!
 //! ```
 //! use downbeat_msgs_definitions::{Catalog, TypeName};
@@ -12,9 +12,9 @@
 //! # Ok::<(), downbeat_msgs_definitions::Error>(())
 //! ```
 //!
-//! The steps, one module each: text is [parsed](parse_message) into [definitions](MessageDefinition), a [`Catalog`]
-//! holds them and follows the references between them, and everything else ([`TypeDescription`],
-//! [definition text](Catalog::definition_text)) is derived from a checked catalog.
+//! Text is [parsed](parse_message) into [definitions](MessageDefinition), a [`Catalog`] holds them and
+//! resolves their references, and everything else ([`TypeDescription`], [definition
+//! text](Catalog::definition_text)) is derived from a checked catalog.
 //!
 //! # References
 //! - `ros2/rosidl` branch jazzy: `rosidl_adapter/rosidl_adapter/parser.py` (the grammar),

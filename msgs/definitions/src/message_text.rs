@@ -1,9 +1,9 @@
-//! A message as a `.msg` file says it, for those that come from elsewhere.
+//! Writes messages that come from other sources as `.msg` text.
 
 use crate::{Constant, Element, Field, FieldType, MessageDefinition, Shape, Value};
 
-/// Constants and fields, one a line. A constant or default that no `.msg` file can say (a text with `#` or with control
-/// characters, which IDL can) is left out.
+/// Constants and fields, one per line. A constant or default that a `.msg` file cannot express (a string with
+/// `#` or control characters, which IDL permits) is left out.
 pub(crate) fn of(message: &MessageDefinition) -> String {
     let constants = message.constants.iter().filter_map(constant);
     constants.chain(message.fields.iter().map(field)).collect()
@@ -33,7 +33,7 @@ fn literal(value: &Value) -> Option<String> {
             format!("{quote}{}{quote}", text.replace(quote, &format!("\\{quote}")))
         }
         Value::List(values) => {
-            // What is within quotes in a list has no backslash but before quotes.
+            // In a list, backslashes occur only before quotes.
             let is_plain = |value: &&Value| !matches!(value, Value::Text(text) if text.contains('\\'));
             let items = values.iter().map(|value| literal(Some(value).filter(is_plain)?));
             format!("[{}]", items.collect::<Option<Vec<_>>>()?.join(", "))
@@ -41,7 +41,7 @@ fn literal(value: &Value) -> Option<String> {
     })
 }
 
-/// The element a constant of a bounded string has: constants have no bounds.
+/// Removes the bound of a string: constants have no bounds.
 pub(crate) fn without_bound(element: Element) -> Element {
     match element {
         Element::String { .. } => Element::String { bound: None },

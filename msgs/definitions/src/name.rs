@@ -5,22 +5,22 @@ use std::str::FromStr;
 
 use crate::Error;
 
-/// What an interface is.
+/// The kind of an interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
-    /// `action`: an action, or one of the services and messages made from it.
+    /// `action`: an action, or one of the services and messages derived from it.
     Action,
     /// `msg`
     Message,
-    /// `srv`: a service, or one of the messages made from it (`_Request`, `_Response`, `_Event`).
+    /// `srv`: a service, or one of the messages derived from it (`_Request`, `_Response`, `_Event`).
     Service,
 }
 
 impl Kind {
-    /// All of them, in the order in which they can be read: messages first.
+    /// All kinds, in an order in which they can be read: messages first.
     pub const ALL: [Self; 3] = [Self::Message, Self::Service, Self::Action];
 
-    /// The middle of the name, the name of the folder, and the extension of the file: `msg`, `srv` or `action`.
+    /// `msg`, `srv` or `action`: the middle part of names, the name of the folder, and the file extension.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -31,7 +31,7 @@ impl Kind {
     }
 }
 
-/// The full name of an interface, as in `sensor_msgs/msg/JointState`. Orders as its text does.
+/// The full name of an interface, as in `sensor_msgs/msg/JointState`. Ordered like its text.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TypeName {
     /// The package: `sensor_msgs`.
@@ -43,19 +43,19 @@ pub struct TypeName {
 }
 
 impl TypeName {
-    /// A name of its parts.
+    /// Creates a name from its parts.
     #[must_use]
     pub fn new(package: &str, kind: Kind, name: &str) -> Self {
         Self { package: package.into(), kind, name: name.into() }
     }
 
-    /// The name without its middle, as definition texts write it: `sensor_msgs/JointState`.
+    /// The name without its middle part, as in definition texts: `sensor_msgs/JointState`.
     #[must_use]
     pub fn short(&self) -> String {
         format!("{}/{}", self.package, self.name)
     }
 
-    /// A name of its parts, if they are names.
+    /// Creates a name from its parts, if they are valid.
     pub(crate) fn checked(package: &str, kind: Kind, name: &str) -> Option<Self> {
         let (stem, part) = name.split_once('_').map_or((name, None), |(stem, part)| (stem, Some(part)));
         let is_name = is_package_name(package)
@@ -64,8 +64,8 @@ impl TypeName {
         is_name.then(|| Self::new(package, kind, name))
     }
 
-    /// The name that [`short`](TypeName::short) shortens. A message's own name has no underscore, so one that has is a part of a
-    /// service or an action.
+    /// The inverse of [`short`](TypeName::short). Names of messages have no underscore, so a name with one is
+    /// a part of a service or an action.
     pub(crate) fn from_short(package: &str, name: &str) -> Option<Self> {
         let kind = match name.split_once('_') {
             None => Kind::Message,
@@ -74,7 +74,7 @@ impl TypeName {
         Self::checked(package, kind, name)
     }
 
-    /// The same name with `suffix` added, for the parts of a service or an action.
+    /// Appends `suffix` to the name, for the parts of a service or an action.
     #[must_use]
     pub fn with_suffix(&self, suffix: &str) -> Self {
         Self { name: format!("{}{suffix}", self.name), ..self.clone() }
@@ -125,13 +125,13 @@ pub(crate) fn is_constant_name(text: &str) -> bool {
         && !text.ends_with('_')
 }
 
-/// Letters, digits and underscores, a letter first: as IDL and ROS 1 have it.
+/// Letters, digits and underscores, a letter first, as in IDL and ROS 1.
 pub(crate) fn is_identifier(text: &str) -> bool {
     text.starts_with(|c: char| c.is_ascii_alphabetic())
         && text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
 }
 
-/// What has parts that rosidl names so, behind an underscore.
+/// The kind of interface that has a part with this suffix.
 fn kind_of_part(part: &str) -> Option<Kind> {
     match part {
         "Request" | "Response" | "Event" => Some(Kind::Service),
@@ -152,7 +152,7 @@ mod tests {
     use super::TypeName;
 
     #[test]
-    fn a_name_is_read_and_written_the_same() {
+    fn a_name_is_written_as_it_was_read() {
         for text in [
             "sensor_msgs/msg/JointState",
             "std_srvs/srv/SetBool_Request",
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_name_is_refused() {
+    fn invalid_names_are_refused() {
         for text in [
             "",
             "String",

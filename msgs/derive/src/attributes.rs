@@ -2,7 +2,7 @@
 
 use syn::{Attribute, Expr, ExprLit, Lit, LitStr, Meta, Path, Result};
 
-/// What stands above the struct.
+/// The attributes of the struct.
 #[derive(Default)]
 pub(crate) struct StructAttributes {
     /// `name = "my_msgs/msg/Leg"`
@@ -34,7 +34,7 @@ impl StructAttributes {
     }
 }
 
-/// What stands above a field: `type = "string<=10"`.
+/// The attribute of a field: `type = "string<=10"`.
 pub(crate) fn field_type(attributes: &[Attribute]) -> Result<Option<LitStr>> {
     let mut found = None;
     for attribute in attributes.iter().filter(|attribute| attribute.path().is_ident("message")) {
@@ -43,14 +43,14 @@ pub(crate) fn field_type(attributes: &[Attribute]) -> Result<Option<LitStr>> {
                 found = Some(meta.value()?.parse()?);
                 Ok(())
             } else {
-                Err(meta.error("expected `type = \"…\"`, the type as a definition spells it"))
+                Err(meta.error("expected `type = \"…\"`, the type as in a definition"))
             }
         })?;
     }
     Ok(found)
 }
 
-/// The documentation as comment lines of a definition; nothing if there is none.
+/// The documentation as comment lines of a definition, or empty.
 pub(crate) fn comment(attributes: &[Attribute]) -> String {
     let mut comment = String::new();
     for attribute in attributes.iter().filter(|attribute| attribute.path().is_ident("doc")) {

@@ -10,7 +10,7 @@ use crate::definition::Definition;
 use crate::expand::tokens;
 use crate::structure::{StructField, Structure};
 
-/// Field by field, as in generated messages that are not of one layout.
+/// Field by field, as in generated messages without a fixed layout.
 pub(crate) fn implementation(
     structure: &Structure,
     definition: &Definition,
@@ -78,7 +78,7 @@ fn check_bounds(field: &StructField, defined: Option<&Field>, runtime: &Path) ->
     let (ident, name) = (&field.ident, &field.name);
     let call = |function: &str, bound: Option<u64>| {
         let function = format_ident!("{function}");
-        let bound = bound.map(|bound| bound as usize).into_iter(); // From 32 bits.
+        let bound = bound.map(|bound| bound as usize).into_iter(); // Fits in 32 bits.
         quote!(#runtime::cdr::#function(#name, &self.#ident #(, #bound)*)?;)
     };
     let Some(defined) = defined else { return call("check_field", None) };

@@ -1,4 +1,4 @@
-//! The name of the message, and what its definition says of its fields.
+//! The name of the message and the definitions of its fields.
 
 use std::path::{Path, PathBuf};
 
@@ -13,20 +13,20 @@ use crate::structure::{StructField, Structure};
 /// What is known of a message when the macro runs.
 pub(crate) struct Definition {
     pub name: TypeName,
-    /// The definition file, with all folders.
+    /// The path of the definition file.
     pub file: Option<PathBuf>,
-    /// For each field of the struct what its definition or attribute says, if there is one.
+    /// For each field of the struct, its type by definition or attribute, if any.
     pub fields: Vec<Option<Field>>,
 }
 
-/// The crate that is compiled.
+/// The crate being compiled.
 pub(crate) struct Crate {
     pub name: String,
     pub folder: PathBuf,
 }
 
 impl Crate {
-    /// From what cargo tells the compiler.
+    /// Reads it from cargo's environment variables.
     pub fn from_cargo() -> Result<Self> {
         let variable = |name: &str| {
             std::env::var(name)
@@ -59,7 +59,7 @@ impl Definition {
     }
 }
 
-/// The name that is told; otherwise that which the path of the file tells, or crate and struct.
+/// The name in the attribute, or else derived from the path of the file, or from crate and struct.
 fn type_name(structure: &Structure, here: &Crate) -> Result<TypeName> {
     let of_crate = here.name.replace('-', "_");
     let (text, span) = match (&structure.attributes.name, &structure.attributes.file) {
@@ -77,7 +77,7 @@ fn type_name(structure: &Structure, here: &Crate) -> Result<TypeName> {
         _ => Err(Error::new(
             span,
             format!(
-                "`{text}` is not the name of a message: expected one as `my_msgs/msg/Leg`, say it with `name = \"…\"`"
+                "`{text}` is not the name of a message: set one such as `my_msgs/msg/Leg` with `name = \"…\"`"
             ),
         )),
     }
@@ -87,7 +87,7 @@ fn stem(file: &LitStr) -> String {
     Path::new(&file.value()).file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The fields of the file, which those of the struct have to be one by one.
+/// The fields of the file, which must match those of the struct.
 fn fields_of_file(
     structure: &Structure,
     message: MessageDefinition,
@@ -97,7 +97,7 @@ fn fields_of_file(
     let mut theirs = message.fields.into_iter();
     for ours in &structure.fields {
         if let Some(attribute) = &ours.type_attribute {
-            return Err(Error::new(attribute.span(), format!("the type of this field is told by {file}")));
+            return Err(Error::new(attribute.span(), format!("the type of this field is defined in {file}")));
         }
         match theirs.next() {
             Some(field) if field.name == ours.name => fields.push(Some(field)),
@@ -119,11 +119,11 @@ fn fields_of_file(
     }
 }
 
-/// What stands above a field. A field without gets the type that its Rust type has.
+/// The type in the attribute of a field. Without an attribute, the type follows from the Rust type.
 fn field_by_attribute(field: &StructField, name: &TypeName) -> Result<Option<Field>> {
     let (type_text, span) = match &field.type_attribute {
         Some(attribute) => (attribute.value(), attribute.span()),
-        None => ("bool".into(), field.ident.span()), // For a look at the name.
+        None => ("bool".into(), field.ident.span()), // Checks the name only.
     };
     if type_text.contains(|character: char| character.is_whitespace() || character == '#') {
         return Err(Error::new(span, format!("`{type_text}` is not the type of a field")));

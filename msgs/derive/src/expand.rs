@@ -1,4 +1,4 @@
-//! The code that is added to the struct.
+//! Generates the code that is added to the struct.
 
 use downbeat_msgs_definitions::{Element, Field, Shape};
 use downbeat_msgs_generator::generated;
@@ -35,12 +35,12 @@ fn expand_in(structure: &Structure, here: &Crate) -> Result<TokenStream> {
         #cdr
 
         impl #ident {
-            /// The set of this message, to be registered.
+            /// The interface set of this message, for registration.
             #[allow(dead_code)]
             pub const INTERFACES: #runtime::OneMessage<Self> = <Self as #runtime::Message>::INTERFACES;
         }
 
-        // Of a message that refers to many others the compiler takes a moment to compute the hash.
+        // For a message that refers to many others, computing the hash takes the compiler a moment.
         #[allow(long_running_const_eval)]
         impl #runtime::Message for #ident {
             const TYPE_NAME: &'static ::core::primitive::str = #name;
@@ -62,7 +62,7 @@ fn expand_in(structure: &Structure, here: &Crate) -> Result<TokenStream> {
     })
 }
 
-/// Fails the build, at the type of the field, if it is not what the definition says.
+/// Fails the build at the type of the field if it does not match the definition.
 fn check(field: &StructField, defined: &Field, runtime: &Path) -> TokenStream {
     let rust_type = &field.rust_type;
     let defined_type = &defined.field_type;
@@ -87,7 +87,7 @@ fn check(field: &StructField, defined: &Field, runtime: &Path) -> TokenStream {
     }
 }
 
-/// The field as the constant `FIELDS` has it.
+/// The field as in the constant `FIELDS`.
 fn described(field: &StructField, defined: Option<&Field>, runtime: &Path) -> Result<TokenStream> {
     let (name, rust_type) = (&field.name, &field.rust_type);
     let modifiers = tokens(&defined.map(generated::modifiers).unwrap_or_default())?;
@@ -107,11 +107,11 @@ fn own_text(structure: &Structure, definition: &Definition, runtime: &Path) -> R
     let Some(path) = file.to_str() else {
         return Err(Error::new(structure.ident.span(), format!("{} is not UTF-8", file.display())));
     };
-    // Also tells cargo to compile the crate again when the file changes.
+    // This also makes cargo recompile the crate when the file changes.
     Ok(quote!(#runtime::description::OwnText::File(::core::include_str!(#path))))
 }
 
-/// Source text as tokens. Without spans of its own, it is placed where the derive stands.
+/// Source text as tokens, with the span of the derive.
 pub(crate) fn tokens(source: &str) -> Result<TokenStream> {
     source.parse().map_err(Error::from)
 }

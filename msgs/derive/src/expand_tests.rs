@@ -26,7 +26,7 @@ fn expand(input: proc_macro2::TokenStream, definition: &str) -> Result<String, S
 }
 
 #[test]
-fn the_name_is_told_or_that_of_the_file_or_of_crate_and_struct() {
+fn the_name_comes_from_the_attribute_the_file_or_crate_and_struct() {
     for (attribute, name) in [
         (quote!(#[message(file = "msg/Leg.msg")]), "my_msgs/msg/Leg"),
         (quote!(#[message(file = "msg/Leg.msg", name = "lab_msgs/msg/Leg")]), "lab_msgs/msg/Leg"),
@@ -51,7 +51,7 @@ fn the_fields_have_to_be_those_of_the_file() {
         (quote!(side: u8, angles: Vec<f64>, more: u8), "msg/Leg.msg has no more fields"),
         (
             quote!(#[message(type = "byte")] side: u8, angles: Vec<f64>),
-            "the type of this field is told by msg/Leg.msg",
+            "the type of this field is defined in msg/Leg.msg",
         ),
     ] {
         let input = quote!(#[message(file = "msg/Leg.msg")] struct Leg { #fields });
@@ -80,7 +80,7 @@ fn the_types_of_the_fields_are_checked_by_the_compiler_with_the_place_in_the_fil
 }
 
 #[test]
-fn types_that_rust_does_not_have_are_told_by_an_attribute() {
+fn types_that_rust_does_not_have_are_set_by_an_attribute() {
     let field = |attribute: &str| {
         quote!(
             struct Leg {

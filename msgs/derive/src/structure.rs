@@ -22,14 +22,14 @@ pub(crate) struct StructField {
     /// Its name in ROS 2.
     pub name: String,
     pub rust_type: Type,
-    /// Its ROS 2 type, where that is written above it.
+    /// Its ROS 2 type, if set by an attribute.
     pub type_attribute: Option<LitStr>,
     /// Its documentation as comment lines.
     pub comment: String,
 }
 
 impl StructField {
-    /// Where its Rust type is written, for errors; names mean what they mean in the code of the macro.
+    /// The span of its Rust type, for errors; names resolve as in the code of the macro.
     pub fn type_span(&self) -> Span {
         self.rust_type.span().resolved_at(Span::call_site())
     }
@@ -49,7 +49,7 @@ impl Structure {
                 Fields::Unit | Fields::Unnamed(_) => {
                     return Err(Error::new(
                         input.ident.span(),
-                        "the fields of a message have names: write `struct Name { … }`, be it without a field",
+                        "the fields of a message have names: write `struct Name { … }`, even without fields",
                     ));
                 }
             },
@@ -79,7 +79,8 @@ impl Structure {
     }
 }
 
-/// As generated structs have it: `r#type` for `type`, and `self_`, which cannot be raw, for `self`.
+/// The ROS name of a field: as in generated structs, `r#type` is `type`, and `self_`, which cannot be raw, is
+/// `self`.
 fn ros_name(ident: &Ident) -> String {
     let name = ident.unraw().to_string();
     match name.strip_suffix('_') {

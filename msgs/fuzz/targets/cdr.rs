@@ -1,4 +1,4 @@
-//! Serialised messages of every carried type, and views of them. The first two bytes choose the type.
+//! Serialised messages of every built-in type, and views of them. The first two bytes choose the type.
 
 use downbeat_msgs::{
     Message,
@@ -21,12 +21,12 @@ pub fn run(bytes: &[u8]) {
 fn read<T: Message + Viewed>(bytes: &[u8]) {
     let message = cdr::from_slice::<T>(bytes);
     let view = cdr::from_slice::<T::View<'_>>(bytes);
-    assert_eq!(message.is_ok(), view.is_ok(), "a message and its view are read alike: {view:?}");
-    // What a view borrows is looked at when it is shown.
+    assert_eq!(message.is_ok(), view.is_ok(), "a message and its view must agree: {view:?}");
+    // Formatting a view reads the borrowed data.
     let _ = std::hint::black_box(format!("{view:?}"));
     let Ok(message) = message else { return };
     let written = cdr::to_vec(&message);
-    let again: T = cdr::from_slice(&written).expect("what we wrote is read");
-    // Not the values: NaN equals nothing.
+    let again: T = cdr::from_slice(&written).expect("our own bytes are valid");
+    // Compares bytes, not values: NaN is not equal to itself.
     assert_eq!(cdr::to_vec(&again), written);
 }

@@ -1,5 +1,5 @@
-//! Serialised messages of every carried type, read by their definition: as the compiled types read them. The first two
-//! bytes choose the type.
+//! Serialised messages of every built-in type, read by their definition, compared with the compiled types.
+//! The first two bytes choose the type.
 
 use std::sync::LazyLock;
 

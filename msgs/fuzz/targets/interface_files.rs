@@ -18,7 +18,7 @@ pub fn run(bytes: &[u8]) {
     derive(&of, DefinitionEncoding::Ros2Msg, text);
 }
 
-/// Derives from a definition text what can be derived.
+/// Derives everything that can be derived from a definition text.
 pub fn derive(name: &TypeName, encoding: DefinitionEncoding, text: &str) {
     let mut catalog = Catalog::new();
     if catalog.add_definition_text(name, encoding, text, "fuzzer").is_err()
@@ -26,10 +26,10 @@ pub fn derive(name: &TypeName, encoding: DefinitionEncoding, text: &str) {
     {
         return;
     }
-    let hash = catalog.type_hash(name).expect("what is checked has a hash");
-    let written = catalog.definition_text(name).expect("what is checked has a text");
+    let hash = catalog.type_hash(name).expect("a checked type has a hash");
+    let written = catalog.definition_text(name).expect("a checked type has a text");
     let mut read = Catalog::new();
     read.add_definition_text(name, DefinitionEncoding::Ros2Msg, &written, "written")
-        .expect("our own text is read");
+        .expect("our own text is valid");
     assert_eq!(read.type_hash(name).expect("the same type"), hash, "{written}");
 }

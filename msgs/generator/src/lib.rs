@@ -1,13 +1,14 @@
 //! Writes the Rust types of ROS 2 interfaces: structs with CDR, their definitions and their hashes.
 //!
-//! A crate with interface files of its own calls [`compile`] in the `main` function of its `build.rs`:
+//! A crate with its own interface files calls [`compile`] in the `main` function of its `build.rs`:
 //!
 //! ```no_run
 //! downbeat_msgs_generator::compile("my_msgs"); // the folder with msg/*.msg, srv/*.srv, action/*.action
 //! ```
 //!
-//! and has their types, and the set of them to register, where it says `downbeat_msgs::include_interfaces!();`. [`Build`] takes several packages, and those
-//! of an ament prefix path. Below it is [`RustSource`], which makes text of a catalog:
+//! and includes the types, and the set of them to register, with `downbeat_msgs::include_interfaces!();`.
+//! [`Build`] compiles several packages, and those of an ament prefix path. It uses [`RustSource`], which
+//! generates source from a catalog:
 //!
 //! ```
 //! use downbeat_msgs_generator::{Catalog, Modules, RustSource};

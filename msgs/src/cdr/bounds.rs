@@ -1,20 +1,20 @@
-//! What generated code calls to check bounds before writing.
+//! Functions with which generated code checks bounds before writing.
 
 use super::{Cdr, Count, EncodeError, Text};
 
 type Checked = Result<(), EncodeError>;
 
-/// The fields of a field.
+/// Checks the fields of a message in a field.
 pub fn check_field<T: Cdr>(name: &str, value: &T) -> Checked {
     value.check_bounds().map_err(|error| error.in_field(name))
 }
 
-/// How many elements a bounded sequence has.
+/// Checks the number of elements of a bounded sequence.
 pub fn check_count<T: Count>(name: &str, value: &T, bound: usize) -> Checked {
     check(name, value.count(), bound)
 }
 
-/// How long the bounded strings are.
+/// Checks the length of bounded strings.
 pub fn check_text<T: Text>(name: &str, value: &T, bound: usize) -> Checked {
     check(name, value.longest(), bound)
 }

@@ -1,42 +1,42 @@
-//! Why bytes are not a value.
+//! Errors of reading and writing CDR.
 
 /// A result of reading CDR.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// Bytes are not the value they were read as.
+/// The bytes are not a value of the expected type.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("cannot decode CDR at byte {offset}{}: {problem}", in_field(path))]
 pub struct Error {
-    /// What is wrong.
+    /// The problem.
     pub problem: Problem,
-    /// Where in the bytes, the header counted.
+    /// The offset in the bytes, including the header.
     pub offset: usize,
-    /// The field that was being read, as in `points[3].x`. Empty outside of any.
+    /// The field that was being read, as in `points[3].x`. Empty outside of fields.
     pub path: String,
 }
 
-/// What is wrong with the bytes.
+/// The problem with the bytes.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Problem {
-    /// They end too early.
+    /// The input ends too early.
     #[error("needs {needed} more bytes, the input has {left}")]
     TooShort {
-        /// Bytes the next part takes.
+        /// Bytes required by the next part.
         needed: usize,
-        /// Bytes there are.
+        /// Bytes available.
         left: usize,
     },
-    /// A length is greater than what is left can hold.
+    /// A length is greater than the rest of the input can hold.
     #[error(
         "says that {count} elements follow, of at least {least_size} bytes each, but the input has {left} bytes left"
     )]
     Length {
-        /// Elements the length promises.
+        /// The number of elements declared.
         count: usize,
-        /// The fewest bytes of one.
+        /// The minimum size of an element in bytes.
         least_size: usize,
-        /// Bytes there are.
+        /// Bytes available.
         left: usize,
     },
     /// A bounded string or sequence exceeds its bound.
@@ -44,10 +44,10 @@ pub enum Problem {
     Bound {
         /// Its length.
         found: usize,
-        /// The greatest allowed.
+        /// The maximum length.
         bound: usize,
     },
-    /// A truth value is neither 0 nor 1.
+    /// A boolean is neither 0 nor 1.
     #[error("a bool is 0 or 1, found {0}")]
     Bool(u8),
     /// A string does not end with a zero byte.
@@ -56,26 +56,26 @@ pub enum Problem {
     /// A string is not UTF-8.
     #[error("the string is not UTF-8 after its first {valid} bytes")]
     Utf8 {
-        /// Bytes that are.
+        /// The number of valid bytes.
         valid: usize,
     },
     /// A wide string is not UTF-16.
-    #[error("the wide string is not UTF-16: {0:#x} has no place in it")]
+    #[error("the wide string is not UTF-16: {0:#x} is invalid in it")]
     Utf16(u32),
     /// The size of a wide string is odd.
     #[error("the wide string has {0} bytes, but each unit has two")]
     Utf16Size(usize),
-    /// The header names a representation that no ROS 2 type is sent in.
+    /// The header names a representation that ROS 2 does not use.
     #[error(
-        "the header names the representation {0:#06x}{name}, which no ROS 2 type is sent in; \
-         CDR (0x0000, 0x0001), CDR2 (0x0006, 0x0007) and D_CDR2 (0x0008, 0x0009) are read",
+        "the header names the representation {0:#06x}{name}, which ROS 2 does not use; \
+         CDR (0x0000, 0x0001), CDR2 (0x0006, 0x0007) and D_CDR2 (0x0008, 0x0009) are supported",
         name = super::representation::refused_name(*.0)
     )]
     Representation(u16),
 }
 
 impl Error {
-    /// The same error, one field further out.
+    /// Prepends a field to the path.
     #[must_use]
     #[cold]
     pub fn in_field(mut self, name: &str) -> Self {
@@ -83,7 +83,7 @@ impl Error {
         self
     }
 
-    /// The same error, one element of an array or sequence further out.
+    /// Prepends an index of an array or sequence to the path.
     #[must_use]
     #[cold]
     pub fn at_index(mut self, index: usize) -> Self {
@@ -92,7 +92,7 @@ impl Error {
     }
 }
 
-/// What is further out, before a path.
+/// Prepends a part to a path.
 fn put_before(path: &mut String, part: &str) {
     let separator = if path.is_empty() || path.starts_with('[') { "" } else { "." };
     *path = format!("{part}{separator}{path}");
@@ -102,7 +102,7 @@ fn in_field(path: &str) -> String {
     if path.is_empty() { String::new() } else { format!(", field `{path}`") }
 }
 
-/// A value exceeds a bound of its type, so that a receiver would refuse it.
+/// A value exceeds a bound of its type, so that receivers would reject it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EncodeError {
     /// A bounded string or sequence exceeds its bound.
@@ -112,19 +112,19 @@ pub enum EncodeError {
         path: String,
         /// Its length.
         found: usize,
-        /// The greatest allowed.
+        /// The maximum length.
         bound: usize,
     },
-    /// The value is larger than what a length in CDR can count.
+    /// The value is too large for CDR, whose lengths have 32 bits.
     #[error("cannot encode a value of {size} bytes: lengths in CDR have 32 bits")]
     TooLarge {
-        /// Bytes it would take.
+        /// The encoded size in bytes.
         size: usize,
     },
 }
 
 impl EncodeError {
-    /// The same error, one field further out.
+    /// Prepends a field to the path.
     #[must_use]
     #[cold]
     pub fn in_field(mut self, name: &str) -> Self {
@@ -134,7 +134,7 @@ impl EncodeError {
         self
     }
 
-    /// The same error, one element of an array or sequence further out.
+    /// Prepends an index of an array or sequence to the path.
     #[must_use]
     #[cold]
     pub fn at_index(self, index: usize) -> Self {

@@ -8,28 +8,32 @@
 //! # Ok::<(), cdr::Error>(())
 //! ```
 //!
-//! A serialised value begins with a header of four bytes that names the representation; alignment counts from behind
-//! it. We write little-endian, as Fast DDS does on every machine ROS 2 supports, and read both byte orders.
+//! A serialised value starts with a header of four bytes that names the representation; alignment is relative
+//! to the end of the header. We write little-endian, as Fast DDS does on every machine ROS 2 supports, and
+//! read both byte orders.
 //!
-//! [`to_vec`] asks for memory once, since [`encoded_size`] knows the size beforehand. Large messages can be read without
-//! copying what is large in them: see [`FromReader`].
+//! [`to_vec`] allocates once, since [`encoded_size`] computes the size first. Large messages can be read
+//! without copying their strings and sequences: see [`FromReader`].
 //!
-//! # Bad input
-//! Reading trusts nothing: whatever the bytes, the result is a value or an [`Error`] that says which field, at which
-//! byte, and never more memory than a small multiple of the input. Bytes behind the value are ignored, since DDS pads.
+//! # Invalid input
+//! Reading is safe for any input: the result is a value or an [`Error`] with the field and the byte offset,
+//! and memory is bounded by a small multiple of the input. Bytes after the value are ignored, since DDS pads.
 //!
 //! # Bounds
-//! [`to_vec`] does not check the bounds of bounded strings and sequences: it cannot fail, and a receiver refuses what
-//! exceeds them. [`try_to_vec`] checks them, at no cost for the many messages without bounds.
+//! [`to_vec`] does not check the bounds of bounded strings and sequences: it cannot fail, and receivers
+//! reject values that exceed them. [`try_to_vec`] checks them, at no cost for the many messages without
+//! bounds.
 //!
 //! # XCDR version 2
-//! ROS 2 does not write it, but other DDS applications may, with the types of ROS 2: it is read, plain (`CDR2`, each type
-//! taken as final) and delimited (`D_CDR2`, each type taken as appendable; what a sender has in addition is passed over, what it
-//! lacks is an error). Parameter lists (`PL_CDR`, `PL_CDR2`), which only mutable types use, are refused.
+//! ROS 2 does not write it, but other DDS applications may, for ROS 2 types. Both plain (`CDR2`, all types
+//! final) and delimited (`D_CDR2`, all types appendable) encodings are read; additional fields of a sender
+//! are skipped, missing ones are an error. Parameter lists (`PL_CDR`, `PL_CDR2`), which only mutable types
+//! use, are rejected.
 //!
 //! # Length
-//! What we write ends with the value, as it does on the wire. The buffer that rclpy's `serialize_message` returns holds
-//! the same bytes and then, for some types, others without meaning: it is as long as a size estimated beforehand.
+//! The output ends with the value, as on the wire. The buffer returned by rclpy's `serialize_message`
+//! contains the same bytes but, for some types, is followed by meaningless bytes, since its length is
+//! estimated in advance.
 //!
 //! # References
 //! - OMG DDS-XTypes 1.3, 7.4.1 and 7.4.2 (XCDR version 1), 7.4.3 (version 2) and 7.6.3.1.2 (representation identifiers).
@@ -57,18 +61,19 @@ pub use text::{Text, WString};
 pub use view::{Count, FromReader, Numbers, Sequence, Viewed};
 pub use writer::Writer;
 
-/// Bytes of the header in front of a serialised value.
+/// Size of the header of a serialised value in bytes.
 pub const HEADER_SIZE: usize = 4;
 
-/// A type with a CDR form. Messages get it from the generator.
+/// A type that can be serialised as CDR. The generator implements it for messages.
 pub trait Cdr: Sized {
-    /// The fewest bytes a value takes, padding not counted; at least 1. Bounds how many can be in what is left.
+    /// The minimum size of a value without padding; at least 1. Limits how many elements the rest of the
+    /// input can hold.
     const LEAST_SIZE: usize;
 
-    /// Whether it is a number or a truth value: in XCDR version 2 sequences of anything else begin with their size.
+    /// Whether it is a number or a boolean: in XCDR version 2 sequences of other types start with their size.
     const IS_PRIMITIVE: bool = false;
 
-    /// Where the value ends if it may begin at `position`, both counted from behind the header.
+    /// The end of the value if it starts at or after `position`, both relative to the end of the header.
     fn end(&self, position: usize) -> usize;
 
     /// Appends the value.
@@ -77,10 +82,10 @@ pub trait Cdr: Sized {
     /// Reads a value.
     ///
     /// # Errors
-    /// If the bytes are no such value.
+    /// If the bytes are not a valid value.
     fn decode(reader: &mut Reader<'_>) -> Result<Self>;
 
-    /// Checks the bounds of bounded strings and sequences. Does nothing for types without.
+    /// Checks the bounds of bounded strings and sequences. Does nothing for types without bounds.
     ///
     /// # Errors
     /// If one is exceeded.
@@ -88,22 +93,22 @@ pub trait Cdr: Sized {
         Ok(())
     }
 
-    /// As [`Cdr::end`], for values one after another.
+    /// Like [`Cdr::end`], for values one after another.
     fn end_of_slice(values: &[Self], position: usize) -> usize {
         values.iter().fold(position, |position, value| value.end(position))
     }
 
-    /// Appends values one after another; types whose values lie side by side do it in one go.
+    /// Appends values one after another; types with contiguous values append them at once.
     fn encode_slice(values: &[Self], writer: &mut Writer<'_>) {
         for value in values {
             value.encode(writer);
         }
     }
 
-    /// Reads as many values as the slice has places.
+    /// Fills the slice with values.
     ///
     /// # Errors
-    /// As [`Cdr::decode`].
+    /// See [`Cdr::decode`].
     fn decode_slice(values: &mut [Self], reader: &mut Reader<'_>) -> Result<()> {
         for (index, value) in values.iter_mut().enumerate() {
             *value = Self::decode(reader).map_err(|error| error.at_index(index))?;
@@ -111,10 +116,10 @@ pub trait Cdr: Sized {
         Ok(())
     }
 
-    /// Reads so many values. The caller has checked that they can be in what is left.
+    /// Reads `count` values. The caller has checked that the rest of the input can hold them.
     ///
     /// # Errors
-    /// As [`Cdr::decode`].
+    /// See [`Cdr::decode`].
     fn decode_vec(count: usize, reader: &mut Reader<'_>) -> Result<Vec<Self>> {
         let mut values = Vec::with_capacity(count);
         for index in 0..count {
@@ -135,15 +140,15 @@ pub fn to_vec<T: Cdr>(value: &T) -> Vec<u8> {
     buffer
 }
 
-/// As [`to_vec`], into a buffer whose memory is used again. What it held is gone.
+/// Like [`to_vec`], into a buffer whose memory is reused. Its previous contents are discarded.
 ///
 /// # Panics
-/// As [`to_vec`].
+/// See [`to_vec`].
 pub fn to_buffer<T: Cdr>(value: &T, buffer: &mut Vec<u8>) {
     value.encode(&mut Writer::with_header(buffer, encoded_size(value)));
 }
 
-/// As [`to_vec`], after a check that a receiver will not refuse the value.
+/// Like [`to_vec`], after checking the bounds that receivers enforce.
 ///
 /// ```
 /// use downbeat_msgs::{cdr, rmw_dds_common::msg::NodeEntitiesInfo};
@@ -163,7 +168,7 @@ pub fn try_to_vec<T: Cdr>(value: &T) -> std::result::Result<Vec<u8>, EncodeError
     }
 }
 
-/// How many bytes [`to_vec`] gives, exactly.
+/// The exact number of bytes that [`to_vec`] returns.
 ///
 /// ```
 /// use downbeat_msgs::{cdr, std_msgs::msg::Header};
@@ -180,7 +185,7 @@ pub fn encoded_size<T: Cdr>(value: &T) -> usize {
 /// borrows from the bytes.
 ///
 /// # Errors
-/// If no ROS 2 type has such a representation, or the bytes are no such value.
+/// If ROS 2 does not use the representation, or the bytes are not a valid value.
 pub fn from_slice<'a, T: FromReader<'a>>(bytes: &'a [u8]) -> Result<T> {
     T::from_reader(&mut Reader::new(bytes)?)
 }

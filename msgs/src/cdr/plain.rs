@@ -1,19 +1,20 @@
-//! Values that all have one layout, which are copied as a whole.
+//! Values with a fixed layout, which are copied as a whole.
 
 use super::{Cdr, Endianness, Reader, Result, Writer};
 
-/// A type whose values all have one layout: nothing in them depends on where they stand, and side by side they need no
-/// padding. The numbers are plain, and messages whose fields are, as `geometry_msgs/msg/Pose`.
+/// A type whose values all have the same layout, independent of their position, without padding between
+/// consecutive values: numbers, and messages of such fields, for example `geometry_msgs/msg/Pose`.
 ///
-/// The layout is the same in both versions of XCDR, but for where a value begins: see [`Plain::ALIGNMENT`].
+/// The layout is the same in both versions of XCDR, except for the start of a value: see
+/// [`Plain::ALIGNMENT`].
 pub trait Plain: Copy {
-    /// A value begins at a multiple of it; in XCDR version 2 at a multiple of 4 if it is 8.
+    /// A value starts at a multiple of it; in XCDR version 2 at a multiple of 4 if it is 8.
     const ALIGNMENT: usize;
 
-    /// Bytes of a value, a multiple of the alignment.
+    /// The size of a value in bytes, a multiple of the alignment.
     const SIZE: usize;
 
-    /// Whether it is a number itself, and not a message or array of such.
+    /// Whether it is a number rather than a message or array.
     #[doc(hidden)]
     const IS_NUMBER: bool = false;
 
@@ -32,7 +33,7 @@ pub trait Plain: Copy {
         }
     }
 
-    /// Reads as many values as the slice has places.
+    /// Fills the slice with values.
     #[inline]
     fn get_slice(values: &mut [Self], run: &mut PlainReader<'_>) {
         let endianness = run.endianness;
@@ -42,20 +43,20 @@ pub trait Plain: Copy {
         }
     }
 
-    /// Reads as many values as the array has places.
+    /// Reads an array of values.
     #[inline]
     fn get_array<const N: usize>(run: &mut PlainReader<'_>) -> [Self; N] {
         std::array::from_fn(|_| Self::get(run))
     }
 
-    /// The values as bytes, if that is what they are.
+    /// The values as bytes, if they are bytes.
     #[doc(hidden)]
     #[inline]
     fn as_bytes(_values: &[Self]) -> Option<&[u8]> {
         None
     }
 
-    /// Values that were written one after another, with nothing behind them.
+    /// Reads all consecutive values in `bytes`.
     #[doc(hidden)]
     #[inline]
     fn collect(bytes: &[u8], endianness: Endianness) -> Vec<Self> {
@@ -81,7 +82,7 @@ impl<T: Plain, const N: usize> Plain for [T; N] {
     }
 }
 
-/// Where a [`Plain`] value is written: exactly its bytes.
+/// The destination of a [`Plain`] value: exactly its bytes.
 ///
 /// Writing more than these panics, which only a wrong [`Plain::SIZE`] can cause.
 #[derive(Debug)]
@@ -101,7 +102,7 @@ impl<'a> PlainWriter<'a> {
         part.put(self);
     }
 
-    /// Leaves bytes as they are: zero.
+    /// Leaves bytes zero.
     #[inline]
     pub fn skip(&mut self, count: usize) {
         self.take(count);
@@ -115,7 +116,7 @@ impl<'a> PlainWriter<'a> {
     }
 }
 
-/// Where a [`Plain`] value is read from: exactly its bytes.
+/// The source of a [`Plain`] value: exactly its bytes.
 ///
 /// Reading more than these panics, which only a wrong [`Plain::SIZE`] can cause.
 #[derive(Debug)]
@@ -136,13 +137,13 @@ impl<'a> PlainReader<'a> {
         T::get(self)
     }
 
-    /// Leaves bytes out.
+    /// Skips bytes.
     #[inline]
     pub fn skip(&mut self, count: usize) {
         self.take(count);
     }
 
-    /// The byte order of what is read.
+    /// The byte order of the input.
     #[inline]
     #[must_use]
     pub fn endianness(&self) -> Endianness {
@@ -157,7 +158,7 @@ impl<'a> PlainReader<'a> {
     }
 }
 
-/// Where the last of so many values ends, if they may begin at `position`.
+/// The end of `count` values that start at or after `position`.
 #[inline]
 pub(super) const fn plain_end<T: Plain>(count: usize, position: usize) -> usize {
     if count == 0 {
@@ -166,12 +167,13 @@ pub(super) const fn plain_end<T: Plain>(count: usize, position: usize) -> usize 
     position.next_multiple_of(T::ALIGNMENT) + count * T::SIZE
 }
 
-/// A message whose values all have one layout.
+/// A message with a fixed layout.
 pub trait PlainMessage: Plain {
-    /// Reads a value field by field: where messages begin with their sizes, and to find which field is cut off.
+    /// Reads a value field by field: if messages start with their sizes, and to find out which field is
+    /// truncated.
     ///
     /// # Errors
-    /// If the bytes end too early.
+    /// If the input ends too early.
     fn decode_fields(reader: &mut Reader<'_>) -> Result<Self>;
 }
 

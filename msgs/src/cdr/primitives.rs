@@ -1,4 +1,4 @@
-//! CDR of numbers and truth values.
+//! CDR of numbers and booleans.
 
 use super::plain::{PlainReader, PlainWriter, plain_end};
 use super::{Cdr, Endianness, Plain, Problem, Reader, Result, Writer};

@@ -4,10 +4,10 @@ use super::plain::PlainReader;
 use super::representation::{Encoding, Endianness, split};
 use super::{Cdr, Count, Error, FromReader, HEADER_SIZE, Plain, Problem, Result, Sequence, Text};
 
-/// Reads the parts of a serialised value one after another. Alignment counts from behind the header.
+/// Reads the parts of a serialised value one after another. Alignment is relative to the end of the header.
 #[derive(Clone, Debug)]
 pub struct Reader<'a> {
-    /// Up to where may be read now: less than there is while within something delimited.
+    /// The readable part: shorter than the input while reading a delimited value.
     body: &'a [u8],
     position: usize,
     encoding: Encoding,
@@ -18,27 +18,27 @@ impl<'a> Reader<'a> {
     /// Reads the header.
     ///
     /// # Errors
-    /// If there is none, or it names a representation that no ROS 2 type is sent in.
+    /// If there is none, or it names a representation that ROS 2 does not use.
     pub fn new(bytes: &'a [u8]) -> Result<Self> {
         let (encoding, endianness, body) = split(bytes)?;
         Ok(Self { body, position: 0, encoding, endianness })
     }
 
-    /// The byte order the header names.
+    /// The byte order in the header.
     #[inline]
     #[must_use]
     pub fn endianness(&self) -> Endianness {
         self.endianness
     }
 
-    /// The rules of layout the header names.
+    /// The encoding rules in the header.
     #[inline]
     #[must_use]
     pub fn encoding(&self) -> Encoding {
         self.encoding
     }
 
-    /// How many bytes have not been read.
+    /// The number of unread bytes.
     #[inline]
     #[must_use]
     pub fn left(&self) -> usize {
@@ -48,16 +48,16 @@ impl<'a> Reader<'a> {
     /// Reads a value; errors name the field.
     ///
     /// # Errors
-    /// If the bytes are no such value.
+    /// If the bytes are not a valid value.
     #[inline]
     pub fn field<T: FromReader<'a>>(&mut self, name: &'static str) -> Result<T> {
         T::from_reader(self).map_err(|error| error.in_field(name))
     }
 
-    /// As [`Reader::field`], for a sequence of at most `bound` elements.
+    /// Like [`Reader::field`], for a sequence of at most `bound` elements.
     ///
     /// # Errors
-    /// If the bytes are no such value.
+    /// If the bytes are not a valid value.
     pub fn bounded_field<T: FromReader<'a> + Count>(
         &mut self,
         name: &'static str,
@@ -66,19 +66,19 @@ impl<'a> Reader<'a> {
         self.bounded(bound, T::count).map_err(|error| error.in_field(name))
     }
 
-    /// As [`Reader::field`], for strings of at most `bound` bytes (wide strings: UTF-16 code units), alone or several.
+    /// Like [`Reader::field`], for strings of at most `bound` bytes (wide strings: UTF-16 code units), alone or several.
     ///
     /// # Errors
-    /// If the bytes are no such value.
+    /// If the bytes are not a valid value.
     pub fn text_field<T: FromReader<'a> + Text>(&mut self, name: &'static str, bound: usize) -> Result<T> {
         self.bounded(bound, T::longest).map_err(|error| error.in_field(name))
     }
 
-    /// As [`Reader::field`], for a sequence of at most `bound` strings, each of at most `text_bound` as in
+    /// Like [`Reader::field`], for a sequence of at most `bound` strings, each of at most `text_bound` as in
     /// [`Reader::text_field`].
     ///
     /// # Errors
-    /// If the bytes are no such value.
+    /// If the bytes are not a valid value.
     pub fn bounded_texts_field<T: FromReader<'a> + Count + Text>(
         &mut self,
         name: &'static str,
@@ -91,10 +91,10 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// As [`Reader::field`], for the view of an array.
+    /// Like [`Reader::field`], for the view of an array.
     ///
     /// # Errors
-    /// If the bytes are no such value.
+    /// If the bytes are not a valid value.
     pub fn array_field<V: FromReader<'a>>(
         &mut self,
         name: &'static str,
@@ -103,10 +103,10 @@ impl<'a> Reader<'a> {
         Sequence::of_array(count, self).map_err(|error| error.in_field(name))
     }
 
-    /// As [`Reader::array_field`], for strings as in [`Reader::text_field`].
+    /// Like [`Reader::array_field`], for strings as in [`Reader::text_field`].
     ///
     /// # Errors
-    /// If the bytes are no such value.
+    /// If the bytes are not a valid value.
     pub fn texts_array_field<V: FromReader<'a> + Text>(
         &mut self,
         name: &'static str,
@@ -123,17 +123,17 @@ impl<'a> Reader<'a> {
     /// Reads the fields of a message, which `fields` reads one after another.
     ///
     /// # Errors
-    /// Those of `fields`, and if the message says that it is longer than the input.
+    /// Those of `fields`, and if the declared size exceeds the input.
     #[inline]
     pub fn message<T>(&mut self, fields: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
         self.delimited(self.encoding == Encoding::Delimited2, fields)
     }
 
-    /// Reads a sequence (its length included) or an array, which `read` does. Its elements are numbers or truth
+    /// Reads a sequence (including its length) or an array with `read`. Its elements are numbers or truth
     /// values, or they are not.
     ///
     /// # Errors
-    /// Those of `read`, and if the collection says that it is longer than the input.
+    /// Those of `read`, and if the declared size exceeds the input.
     #[inline]
     pub fn elements<T>(
         &mut self,
@@ -143,10 +143,10 @@ impl<'a> Reader<'a> {
         self.delimited(!are_primitive && self.encoding != Encoding::Plain1, read)
     }
 
-    /// Reads as many values of fixed layout as the slice has places.
+    /// Fills the slice with values of fixed layout.
     ///
     /// # Errors
-    /// If the bytes end before.
+    /// If the input ends before.
     pub fn plain_slice<T: Plain + Cdr>(&mut self, values: &mut [T]) -> Result<()> {
         if let Some(bytes) = self.plain_bytes::<T>(values.len()) {
             T::get_slice(values, &mut PlainReader::new(bytes, self.endianness));
@@ -158,10 +158,10 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    /// Reads so many values of fixed layout.
+    /// Reads `count` values of fixed layout.
     ///
     /// # Errors
-    /// If the bytes end before.
+    /// If the input ends before.
     pub fn plain_vec<T: Plain + Cdr>(&mut self, count: usize) -> Result<Vec<T>> {
         if let Some(bytes) = self.plain_bytes::<T>(count) {
             return Ok(T::collect(bytes, self.endianness));
@@ -169,7 +169,7 @@ impl<'a> Reader<'a> {
         (0..count).map(|index| T::decode(self).map_err(|error| error.at_index(index))).collect()
     }
 
-    /// Reads what stands for a message without fields: one byte of any value.
+    /// Reads a message without fields: one byte of any value.
     ///
     /// # Errors
     /// If there is none.
@@ -177,10 +177,10 @@ impl<'a> Reader<'a> {
         self.bytes(1).map(|_| ())
     }
 
-    /// Reads a length, and checks that so many elements of at least `least_size` bytes can follow.
+    /// Reads a length, and checks that the input can hold that many elements of at least `least_size` bytes.
     ///
     /// # Errors
-    /// If they cannot.
+    /// If it cannot.
     #[inline]
     pub fn length(&mut self, least_size: usize) -> Result<usize> {
         let count = self.count()?;
@@ -200,7 +200,7 @@ impl<'a> Reader<'a> {
         self.bytes(self.aligned(alignment) - self.position).map(|_| ())
     }
 
-    /// Reads bytes as they are.
+    /// Reads raw bytes.
     ///
     /// # Errors
     /// If there are fewer.
@@ -215,7 +215,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// An error at the present position.
+    /// Creates an error at the current position.
     #[must_use]
     #[cold]
     pub fn error(&self, problem: Problem) -> Error {
@@ -235,7 +235,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Reads the bytes of so many numbers.
+    /// Reads the bytes of `count` numbers.
     #[inline]
     pub(super) fn numbers<T: Plain + Cdr>(&mut self, count: usize) -> Result<&'a [u8]> {
         match self.plain_bytes::<T>(count) {
@@ -244,7 +244,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Reads a value of fixed layout, if its bytes are side by side and all there.
+    /// Reads a value of fixed layout, if its bytes are contiguous and complete.
     #[inline]
     pub(super) fn plain<T: Plain>(&mut self) -> Option<T> {
         let bytes = self.plain_bytes::<T>(1)?;
@@ -254,7 +254,7 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// The bytes of so many values side by side, if they are that and are all there.
+    /// The bytes of `count` values, if they are contiguous and complete.
     #[inline]
     fn plain_bytes<T: Plain>(&mut self, count: usize) -> Option<&'a [u8]> {
         if count == 0 {
@@ -289,14 +289,14 @@ impl<'a> Reader<'a> {
         let outer = if has_size { Some(self.begin_delimited()?) } else { None };
         let value = read(self)?;
         if let Some(outer) = outer {
-            // What the sender has more than we know is passed over.
+            // Skips fields of the sender that we do not know.
             self.position = self.body.len();
             self.body = outer;
         }
         Ok(value)
     }
 
-    /// Reads a size, and ends the body behind so many bytes. Returns the body there was.
+    /// Reads a size, and limits the body to that many bytes. Returns the previous body.
     #[cold]
     fn begin_delimited(&mut self) -> Result<&'a [u8]> {
         let size = self.length(1)?;
@@ -332,7 +332,7 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Apart from the reading of what everyone sends, so that this stays small.
+/// Separate from the common case, so that this stays small.
 #[cold]
 #[inline(never)]
 fn big<T: Plain>(bytes: &[u8]) -> T {

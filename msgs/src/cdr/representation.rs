@@ -1,4 +1,4 @@
-//! The header in front of a serialised value: how the bytes behind it are to be read.
+//! The header of a serialised value, which names its encoding.
 
 use super::{Error, HEADER_SIZE, Problem, Result};
 
@@ -11,21 +11,21 @@ pub enum Endianness {
     Little,
 }
 
-/// The rules by which a value is laid out.
+/// The encoding rules of a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Encoding {
     /// XCDR version 1, plain: what ROS 2 writes.
     Plain1,
-    /// XCDR version 2, plain: nothing is aligned to more than four bytes, and sequences and arrays of anything but
-    /// primitives begin with their size.
+    /// XCDR version 2, plain: the maximum alignment is four bytes, and sequences and arrays of non-primitive
+    /// types start with their size.
     Plain2,
-    /// XCDR version 2, delimited: as plain, and messages begin with their size too, so that a sender can have more
-    /// fields at the end than we know.
+    /// XCDR version 2, delimited: like plain, but messages also start with their size, so that a sender can
+    /// append fields that we do not know.
     Delimited2,
 }
 
 impl Encoding {
-    /// The greatest alignment there is.
+    /// The maximum alignment.
     pub(super) const fn greatest_alignment(self) -> usize {
         match self {
             Self::Plain1 => 8,
@@ -34,7 +34,7 @@ impl Encoding {
     }
 }
 
-/// Parts a serialised value into its representation and its body.
+/// Splits a serialised value into its representation and its body.
 pub(super) fn split(bytes: &[u8]) -> Result<(Encoding, Endianness, &[u8])> {
     let fail = |problem| Error { problem, offset: 0, path: String::new() };
     let Some((header, body)) = bytes.split_first_chunk::<HEADER_SIZE>() else {
@@ -51,7 +51,7 @@ pub(super) fn split(bytes: &[u8]) -> Result<(Encoding, Endianness, &[u8])> {
     Ok((encoding, endianness, body))
 }
 
-/// What the identifiers that are not read here stand for.
+/// The meaning of identifiers that are not supported.
 pub(super) fn refused_name(identifier: u16) -> &'static str {
     match identifier {
         0x0002 | 0x0003 => " (PL_CDR, a parameter list of XCDR version 1)",

@@ -24,13 +24,13 @@ fn a_header_has_these_bytes() {
 }
 
 #[test]
-fn big_endian_is_read_too() {
+fn big_endian_is_read() {
     let bytes = [0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0, 4, b'm', b'a', b'p', 0];
     assert_eq!(from_slice::<Header>(&bytes).unwrap(), header());
 }
 
 #[test]
-fn padding_is_counted_from_behind_the_header_and_none_stands_before_an_empty_run() {
+fn padding_is_relative_to_the_end_of_the_header_and_absent_before_an_empty_run() {
     let state = sensor_msgs::msg::JointState { position: vec![1.0], ..Default::default() };
     let mut bytes = vec![0, 1, 0, 0];
     bytes.extend([0; 8]); // stamp
@@ -52,7 +52,7 @@ fn an_empty_message_is_one_byte() {
 }
 
 #[test]
-fn a_buffer_is_used_again() {
+fn a_buffer_is_reused() {
     let mut buffer = vec![9; 100];
     let memory = buffer.as_ptr();
     to_buffer(&header(), &mut buffer);
@@ -66,14 +66,14 @@ fn other_representations_are_named_in_the_error() {
     assert_eq!(
         from_slice::<Bool>(&[0, 11, 0, 0, 1]).unwrap_err().to_string(),
         "cannot decode CDR at byte 0: the header names the representation 0x000b \
-         (PL_CDR2, a parameter list of XCDR version 2), which no ROS 2 type is sent in; \
-         CDR (0x0000, 0x0001), CDR2 (0x0006, 0x0007) and D_CDR2 (0x0008, 0x0009) are read"
+         (PL_CDR2, a parameter list of XCDR version 2), which ROS 2 does not use; \
+         CDR (0x0000, 0x0001), CDR2 (0x0006, 0x0007) and D_CDR2 (0x0008, 0x0009) are supported"
     );
     assert_eq!(problem::<Bool>(&[0, 1]), Problem::TooShort { needed: 4, left: 2 });
 }
 
 #[test]
-fn an_error_tells_the_field_and_the_byte() {
+fn an_error_names_the_field_and_the_byte() {
     let mut path = geometry_msgs::msg::PolygonStamped::default();
     path.polygon.points = vec![Default::default(); 2];
     let bytes = to_vec(&path);
@@ -96,7 +96,7 @@ fn an_error_tells_the_field_and_the_byte() {
 }
 
 #[test]
-fn a_length_is_not_believed_before_memory_is_taken() {
+fn a_length_is_checked_before_memory_is_allocated() {
     let bytes = [0, 1, 0, 0, 255, 255, 255, 255, 1];
     assert_eq!(problem::<Vec<f64>>(&bytes), Problem::Length { count: 0xffff_ffff, least_size: 8, left: 1 });
     assert!(matches!(problem::<String>(&bytes), Problem::Length { .. }));
@@ -104,7 +104,7 @@ fn a_length_is_not_believed_before_memory_is_taken() {
 }
 
 #[test]
-fn strings_and_truth_values_are_validated() {
+fn strings_and_booleans_are_validated() {
     assert_eq!(problem::<Bool>(&[0, 1, 0, 0, 2]), Problem::Bool(2));
     assert_eq!(problem::<StringMessage>(&[0, 1, 0, 0, 2, 0, 0, 0, b'a', b'b']), Problem::Terminator(b'b'));
     assert_eq!(
@@ -115,7 +115,7 @@ fn strings_and_truth_values_are_validated() {
 }
 
 #[test]
-fn wide_strings_take_32_bits_a_unit() {
+fn wide_strings_take_32_bits_per_unit() {
     let text = WString::from("a\u{1f600}");
     let bytes = [0, 1, 0, 0, 3, 0, 0, 0, b'a', 0, 0, 0, 0x3d, 0xd8, 0, 0, 0x00, 0xde, 0, 0];
     assert_eq!(to_vec(&text), bytes);
@@ -135,7 +135,7 @@ fn wide_strings_take_32_bits_a_unit() {
 }
 
 #[test]
-fn bounds_are_held_when_reading() {
+fn bounds_are_enforced_when_reading() {
     let node = rmw_dds_common::msg::NodeEntitiesInfo { node_name: "n".repeat(257), ..Default::default() };
     let error = from_slice::<rmw_dds_common::msg::NodeEntitiesInfo>(&to_vec(&node)).unwrap_err();
     assert_eq!(
@@ -152,7 +152,7 @@ fn bounds_are_held_when_reading() {
 }
 
 #[test]
-fn bounds_are_checked_when_writing_if_asked_for() {
+fn bounds_are_checked_when_writing_on_request() {
     let info = |name_size| rmw_dds_common::msg::ParticipantEntitiesInfo {
         node_entities_info_seq: vec![
             Default::default(),
@@ -166,14 +166,14 @@ fn bounds_are_checked_when_writing_if_asked_for() {
 }
 
 #[test]
-fn memory_is_asked_for_once() {
+fn memory_is_allocated_once() {
     let transform = geometry_msgs::msg::TransformStamped { header: header(), ..Default::default() };
     let bytes = to_vec(&vec![transform; 50]);
     assert_eq!(bytes.capacity(), bytes.len());
 }
 
 #[test]
-fn version_2_aligns_to_four_bytes_and_tells_the_size_of_what_is_no_number() {
+fn version_2_aligns_to_four_bytes_and_writes_the_size_of_non_primitive_sequences() {
     let point = [1_f64, 2.0, 3.0].map(f64::to_le_bytes).concat();
     let points = |header: &[u8]| [header, &point, &point].concat();
     let expected = vec![geometry_msgs::msg::Point { x: 1.0, y: 2.0, z: 3.0 }; 2];
@@ -186,7 +186,7 @@ fn version_2_aligns_to_four_bytes_and_tells_the_size_of_what_is_no_number() {
 }
 
 #[test]
-fn what_a_sender_appended_in_version_2_is_passed_over_and_what_it_lacks_is_an_error() {
+fn fields_appended_by_a_sender_in_version_2_are_skipped_and_missing_ones_are_an_error() {
     let longer = [0, 9, 0, 0, 5, 0, 0, 0, 1, 9, 9, 9, 9];
     assert_eq!(from_slice::<Bool>(&longer).unwrap(), Bool { data: true });
     let error = from_slice::<Bool>(&[0, 9, 0, 0, 0, 0, 0, 0, 1]).unwrap_err();
@@ -196,19 +196,19 @@ fn what_a_sender_appended_in_version_2_is_passed_over_and_what_it_lacks_is_an_er
 }
 
 #[test]
-fn wide_strings_of_version_2_take_16_bits_a_unit() {
+fn wide_strings_of_version_2_take_16_bits_per_unit() {
     let bytes = [0, 6, 0, 0, 0, 0, 0, 6, 0, b'a', 0xd8, 0x3d, 0xde, 0x00];
     assert_eq!(from_slice::<WString>(&bytes).unwrap(), WString::from("a\u{1f600}"));
     assert_eq!(problem::<WString>(&[0, 6, 0, 0, 0, 0, 0, 1, 0]), Problem::Utf16Size(1));
 }
 
 #[test]
-fn truth_values_in_a_sequence_are_validated() {
+fn booleans_in_a_sequence_are_validated() {
     let error = from_slice::<Vec<bool>>(&[0, 1, 0, 0, 3, 0, 0, 0, 1, 0, 2]).unwrap_err();
     assert_eq!((error.offset, error.path.as_str(), error.problem), (10, "[2]", Problem::Bool(2)));
 }
 
-/// Reads the bytes as every message there is; what can be read must be stable from then on.
+/// Reads the bytes as every message type; accepted values must round-trip.
 fn read_as_everything(bytes: &[u8]) {
     fn read<T: Message + Viewed>(bytes: &[u8]) {
         let view = from_slice::<T::View<'_>>(bytes);
@@ -217,7 +217,7 @@ fn read_as_everything(bytes: &[u8]) {
                 let written = try_to_vec(&message).unwrap();
                 assert_eq!(encoded_size(&message), written.len(), "{}", T::TYPE_NAME);
                 assert_eq!(format!("{:?}", view.unwrap()), format!("{message:?}"), "{}", T::TYPE_NAME);
-                // Not the messages but their bytes are compared: NaN is unequal to itself.
+                // Compares bytes, not messages: NaN is not equal to itself.
                 assert_eq!(to_vec(&from_slice::<T>(&written).unwrap()), written, "{}", T::TYPE_NAME);
             }
             Err(error) => {

@@ -39,9 +39,10 @@ impl fmt::Display for WString {
     }
 }
 
-/// What a string bound applies to: a string, or several.
+/// A string or a collection of strings, to which a string bound applies.
 pub trait Text {
-    /// The length of the longest string, in the unit its bound counts: bytes, or UTF-16 code units of a [`WString`].
+    /// The length of the longest string, in the unit of its bound: bytes, or UTF-16 code units of a
+    /// [`WString`].
     fn longest(&self) -> usize;
 }
 
@@ -113,8 +114,8 @@ impl<'a> FromReader<'a> for &'a str {
     }
 }
 
-/// Length, then each UTF-16 code unit in 32 bits, no terminator: so does Fast DDS on Linux. In XCDR version 2, which
-/// no ROS 2 writes: as the standard says it, the length in bytes, then each code unit in 16 bits.
+/// Length, then each UTF-16 code unit in 32 bits, no terminator, like Fast DDS on Linux. In XCDR version 2,
+/// which ROS 2 does not write, as in the standard: the length in bytes, then each code unit in 16 bits.
 impl Cdr for WString {
     const LEAST_SIZE: usize = 4;
 

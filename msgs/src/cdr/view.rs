@@ -1,4 +1,4 @@
-//! Reading without copying: what borrows from the input.
+//! Reading without copying: views that borrow from the input.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -6,10 +6,10 @@ use std::marker::PhantomData;
 use super::plain::PlainReader;
 use super::{Cdr, Endianness, Plain, Reader, Result, Text};
 
-/// What can be read from CDR: every [`Cdr`] type, and views, which borrow from the input.
+/// A type that can be read from CDR: every [`Cdr`] type, and views, which borrow from the input.
 ///
-/// The module `msg::view` of a package has the views of its messages. They have the same fields, in which strings,
-/// bytes and sequences are not copied. Reading a view checks all of it, as reading the message does.
+/// The module `msg::view` of a package has the views of its messages. They have the same fields, in which
+/// strings, bytes and sequences are not copied. Reading a view validates all of it, like reading the message.
 ///
 /// ```
 /// use downbeat_msgs::sensor_msgs::msg::{self, view};
@@ -24,22 +24,22 @@ use super::{Cdr, Endianness, Plain, Reader, Result, Text};
 /// # Ok::<(), cdr::Error>(())
 /// ```
 pub trait FromReader<'a>: Sized {
-    /// As [`Cdr::LEAST_SIZE`].
+    /// See [`Cdr::LEAST_SIZE`].
     const FEWEST_BYTES: usize;
 
-    /// As [`Cdr::IS_PRIMITIVE`].
+    /// See [`Cdr::IS_PRIMITIVE`].
     const IS_NUMBER_OR_BOOL: bool = false;
 
     /// Reads a value.
     ///
     /// # Errors
-    /// If the bytes are no such value.
+    /// If the bytes are not a valid value.
     fn from_reader(reader: &mut Reader<'a>) -> Result<Self>;
 }
 
-/// A message by its view, for code that is generic over messages.
+/// Relates a message to its view, for code that is generic over messages.
 pub trait Viewed: Cdr {
-    /// The view; the message itself if there is nothing in it to borrow.
+    /// The view; the message itself if it has nothing to borrow.
     type View<'a>: FromReader<'a> + fmt::Debug;
 }
 
@@ -64,7 +64,7 @@ impl<'a> FromReader<'a> for &'a [u8] {
     }
 }
 
-/// A sequence of numbers that stays in the input, where its bytes may be in either order and at any address.
+/// A sequence of numbers that remains in the input, in either byte order and with any alignment.
 ///
 /// ```
 /// use downbeat_msgs::{cdr, sensor_msgs::msg::{self, view}};
@@ -83,7 +83,7 @@ pub struct Numbers<'a, T> {
 }
 
 impl<'a, T: Plain> Numbers<'a, T> {
-    /// How many there are.
+    /// The number of elements.
     #[inline]
     #[must_use]
     pub fn len(&self) -> usize {
@@ -151,7 +151,7 @@ impl<'a, T: Plain + Cdr> FromReader<'a> for Numbers<'a, T> {
     }
 }
 
-/// A sequence or array that stays in the input: its elements, views again, are read while iterating.
+/// A sequence or array that remains in the input: its elements, which are views, are read during iteration.
 ///
 /// ```
 /// use downbeat_msgs::{cdr, sensor_msgs::msg::{self, view}};
@@ -188,14 +188,14 @@ impl<'a, V: FromReader<'a>> Sequence<'a, V> {
     /// The elements, one after another.
     pub fn iter(&self) -> impl Iterator<Item = V> + use<'a, V> {
         let mut reader = self.start.clone();
-        // Each was read before without an error, so the iterator does not end early.
+        // Each element was already read without an error, so the iterator does not end early.
         (0..self.count).map_while(move |_| V::from_reader(&mut reader).ok())
     }
 
     /// Reads the elements of an array.
     ///
     /// # Errors
-    /// If the bytes are no such elements.
+    /// If the bytes are not valid elements.
     pub fn of_array(count: usize, reader: &mut Reader<'a>) -> Result<Self> {
         reader.elements(V::IS_NUMBER_OR_BOOL, |reader| Self::read(count, reader))
     }
@@ -226,7 +226,7 @@ impl<'a, V: FromReader<'a>> FromReader<'a> for Sequence<'a, V> {
     }
 }
 
-/// What a sequence bound applies to.
+/// A sequence, to which a bound applies.
 pub trait Count {
     /// How many elements there are.
     fn count(&self) -> usize;

@@ -2,35 +2,37 @@
 
 use super::{Cdr, HEADER_SIZE, Plain, PlainWriter};
 
-/// Bytes that are made zero at a time, before they are written over: a part of a first-level cache.
+/// The number of bytes zeroed at a time, before they are overwritten: fits into a first-level cache.
 const BLOCK: usize = 2048;
 
-/// Bytes that are copied behind the buffer's end and not over zeros, since so many would be written twice.
+/// From this size, bytes are appended to the buffer instead of overwriting zeros, to avoid writing them
+/// twice.
 const MANY: usize = 512;
 
-/// Appends little-endian CDR to a buffer. Alignment counts from where the writer began.
+/// Appends little-endian CDR to a buffer. Alignment is relative to the start of the writer.
 ///
-/// The buffer is given back when the writer is dropped.
-// A number is written over zeros that are there already, so that padding costs nothing and the buffer grows seldom.
+/// The buffer is returned to its owner when the writer is dropped.
+// Numbers overwrite existing zeros, so that padding is free and the buffer rarely grows.
 #[derive(Debug)]
 pub struct Writer<'a> {
     target: &'a mut Vec<u8>,
-    /// What the target held, what was written, and zeros to be written over.
+    /// The previous contents of the target, the written bytes, and zeros to be overwritten.
     buffer: Vec<u8>,
-    /// Where what was written ends.
+    /// The end of the written bytes.
     end: usize,
     origin: usize,
 }
 
 impl<'a> Writer<'a> {
-    /// Begins behind what the buffer holds.
+    /// Appends to the buffer.
     pub fn new(target: &'a mut Vec<u8>) -> Self {
         let buffer = std::mem::take(target);
         let end = buffer.len();
         Self { target, buffer, end, origin: end }
     }
 
-    /// Begins with a header, in place of what the buffer holds. So many bytes are expected, the header counted.
+    /// Replaces the contents of the buffer, starting with a header. `size` is the expected size including the
+    /// header.
     #[inline]
     pub(super) fn with_header(target: &'a mut Vec<u8>, size: usize) -> Self {
         let mut buffer = std::mem::take(target);
@@ -65,13 +67,13 @@ impl<'a> Writer<'a> {
             self.bytes(bytes);
             return;
         }
-        // Block by block, so that the zeros that are written over are still in the cache.
+        // Block by block, so that the overwritten zeros are still in the cache.
         for block in values.chunks((BLOCK / T::SIZE).max(1)) {
             T::put_slice(block, &mut PlainWriter::new(self.places(0, block.len() * T::SIZE)));
         }
     }
 
-    /// Appends what stands for a message without fields: one zero byte.
+    /// Appends a message without fields: one zero byte.
     pub fn empty_message(&mut self) {
         self.places(0, 1);
     }
@@ -94,7 +96,7 @@ impl<'a> Writer<'a> {
         self.places(self.padding(alignment), 0);
     }
 
-    /// Appends bytes as they are.
+    /// Appends raw bytes.
     #[inline]
     pub fn bytes(&mut self, bytes: &[u8]) {
         if bytes.len() < MANY {
@@ -104,7 +106,7 @@ impl<'a> Writer<'a> {
         }
     }
 
-    /// Appends a string, a zero behind it.
+    /// Appends a string and a terminating zero.
     #[inline]
     pub(super) fn text(&mut self, text: &str) {
         let text = text.as_bytes();
@@ -114,7 +116,7 @@ impl<'a> Writer<'a> {
             self.places(0, 1);
             return;
         }
-        // In one go, since each store of the end would have the next wait for it.
+        // In one step, since each store of the end would delay the next one.
         let (length, rest) = self.places(self.padding(4), 4 + text.len() + 1).split_at_mut(4);
         length.copy_from_slice(&(text.len() as u32 + 1).to_le_bytes());
         copy(text, &mut rest[..text.len()]);
@@ -126,13 +128,13 @@ impl<'a> Writer<'a> {
         self.places(self.padding(N), N).copy_from_slice(&number);
     }
 
-    /// How far the next multiple of an alignment, a power of two, is.
+    /// The distance to the next multiple of an alignment, a power of two.
     #[inline]
     fn padding(&self, alignment: usize) -> usize {
         self.origin.wrapping_sub(self.end) & (alignment - 1)
     }
 
-    /// Appends padding and so many zero bytes, and lends these out to be filled.
+    /// Appends padding and `count` zero bytes, and returns the latter for writing.
     #[inline]
     fn places(&mut self, padding: usize, count: usize) -> &mut [u8] {
         let start = self.end + padding;
@@ -143,7 +145,7 @@ impl<'a> Writer<'a> {
         &mut self.buffer[start..][..count]
     }
 
-    /// Makes zeros up to the end, and more where there is memory.
+    /// Adds zeros up to the end, and beyond it if capacity permits.
     #[cold]
     #[inline(never)]
     fn grow(&mut self) {
@@ -166,7 +168,7 @@ impl Drop for Writer<'_> {
     }
 }
 
-/// Copies bytes, few of them without a call: as two words that overlap.
+/// Copies bytes; small copies are two overlapping words instead of a call.
 #[inline]
 fn copy(from: &[u8], to: &mut [u8]) {
     fn ends<const N: usize>(from: &[u8], to: &mut [u8]) -> Option<()> {

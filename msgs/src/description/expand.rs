@@ -6,8 +6,8 @@ use super::{Description, Field, FieldType};
 use crate::type_description_interfaces::msg;
 
 impl Description {
-    /// The description of the type and of all that it refers to, these in the order of their names, as a node answers it when it is
-    /// asked for the type (`~/get_type_description`).
+    /// The description of the type and of all types it refers to, sorted by name, as a node returns it from
+    /// `~/get_type_description`.
     #[must_use]
     pub fn to_message(&self) -> msg::TypeDescription {
         let mut references = BTreeMap::new();
@@ -19,7 +19,7 @@ impl Description {
     }
 }
 
-/// As deep as the types lie within each other, which the compiler has bounded.
+/// Recurses as deep as the types are nested, which the compiler bounds.
 fn collect(of: &Description, references: &mut BTreeMap<&'static str, &'static Description>) {
     for nested in of.fields.iter().filter_map(|field| field.field_type.nested) {
         if references.insert(nested.type_name, nested).is_none() {
@@ -31,7 +31,7 @@ fn collect(of: &Description, references: &mut BTreeMap<&'static str, &'static De
 fn individual(description: &Description) -> msg::IndividualTypeDescription {
     let mut fields: Vec<msg::Field> = description.fields.iter().map(field).collect();
     if fields.is_empty() {
-        // What rosidl puts into an empty message, since C structs must not be empty.
+        // rosidl adds this field to an empty message, since C structs must not be empty.
         let r#type = msg::FieldType { type_id: msg::FieldType::FIELD_TYPE_UINT8, ..Default::default() };
         let name = "structure_needs_at_least_one_member".into();
         fields.push(msg::Field { name, r#type, ..Default::default() });

@@ -8,7 +8,7 @@ use crate::{Message, WString};
 pub struct Description {
     /// As in `sensor_msgs/msg/JointState`.
     pub type_name: &'static str,
-    /// Its definition text, dependencies included.
+    /// Its definition text, including dependencies.
     pub definition: &'static str,
     /// Its fields, in order.
     pub fields: &'static [Field],
@@ -21,31 +21,32 @@ pub struct Field {
     pub name: &'static str,
     /// Its type.
     pub field_type: FieldType,
-    /// Its default as Python writes it, which is how ROS 2 passes it on; empty if the definition says none.
+    /// Its default in Python syntax, as in ROS 2's descriptions; empty if the definition has none.
     pub default_value: &'static str,
 }
 
 /// The type of a field: one element, or several.
 #[derive(Clone, Copy, Debug)]
 pub struct FieldType {
-    /// What it holds: one of the constants of [`FieldType`](crate::type_description_interfaces::msg::FieldType) below 48.
+    /// The type of an element: one of the constants of
+    /// [`FieldType`](crate::type_description_interfaces::msg::FieldType) below 48.
     pub element: u8,
-    /// How many of it.
+    /// The number of elements.
     pub shape: Shape,
     /// The bound of a bounded string, otherwise 0.
     pub string_capacity: u64,
-    /// What is known of the message, if it holds messages.
+    /// The description of the message type, if it holds messages.
     pub nested: Option<&'static Description>,
 }
 
 /// How many elements a field holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shape {
-    /// One.
+    /// One element.
     Single,
-    /// Exactly so many: `[N]`.
+    /// Exactly this many: `[N]`.
     Array(u64),
-    /// At most so many: `[<=N]`.
+    /// At most this many: `[<=N]`.
     Bounded(u64),
     /// Any number: `[]`.
     Sequence,
@@ -58,7 +59,7 @@ pub enum Shape {
     note = "it can be a number of 8 to 64 bits, `bool`, `String`, `WString`, a message, or an array or `Vec` of one of these"
 )]
 pub trait FieldValue {
-    /// The ROS 2 type that it is, if nothing else is said.
+    /// The default ROS 2 type of this Rust type.
     const FIELD_TYPE: FieldType;
 }
 
@@ -67,7 +68,7 @@ const UINT8: u8 = 3;
 const BYTE: u8 = 16;
 const STRING: u8 = 17;
 const WSTRING: u8 = 18;
-/// From strings to bounded strings.
+/// The offset from strings to bounded strings.
 const BOUNDED: u8 = 4;
 
 impl Field {
@@ -77,14 +78,14 @@ impl Field {
         Self { name, field_type: T::FIELD_TYPE, default_value: "" }
     }
 
-    /// The same, as a sequence of at most so many elements.
+    /// Makes it a sequence of at most `bound` elements.
     #[must_use]
     pub const fn bounded(mut self, bound: u64) -> Self {
         self.field_type.shape = Shape::Bounded(bound);
         self
     }
 
-    /// The same, as strings of at most that length.
+    /// Limits its strings to that length.
     #[must_use]
     pub const fn bounded_text(mut self, bound: u64) -> Self {
         if matches!(self.field_type.element, STRING | WSTRING) {
@@ -94,7 +95,7 @@ impl Field {
         self
     }
 
-    /// The same, as the ROS 2 type `byte`, which is an `u8` in Rust as `uint8` is.
+    /// Makes it the ROS 2 type `byte`, which is a `u8` in Rust, like `uint8`.
     #[must_use]
     pub const fn byte(mut self) -> Self {
         if self.field_type.element == UINT8 {
@@ -103,7 +104,7 @@ impl Field {
         self
     }
 
-    /// The same, with a default as Python writes it.
+    /// Sets a default in Python syntax.
     #[must_use]
     pub const fn with_default(mut self, value: &'static str) -> Self {
         self.default_value = value;
@@ -116,7 +117,7 @@ impl FieldType {
         Self { element, shape: Shape::Single, string_capacity: 0, nested: None }
     }
 
-    /// A field that is one value of a type with that description.
+    /// A field type of one message with that description.
     #[must_use]
     pub const fn nested(description: &'static Description) -> Self {
         Self { nested: Some(description), ..Self::single(NESTED) }
@@ -177,8 +178,9 @@ impl<T: FieldValue, const N: usize> FieldValue for [T; N] {
     const FIELD_TYPE: FieldType = T::FIELD_TYPE.shaped(Shape::Array(N as u64));
 }
 
-/// Fails the build with `message` if the type does not correspond to that of a definition, of which `element` is the Rust name
-/// (`message` for one, whose name is then `nested`). Bounds and `byte` have no Rust types, so they are not looked at.
+/// Fails the build with `message` if the type does not match that of a definition. `element` is its Rust name
+/// (`message` for a message, whose name is then `nested`). Bounds and `byte` have no Rust types, so they are
+/// not checked.
 #[doc(hidden)]
 #[track_caller]
 pub const fn check<T: FieldValue>(element: &str, shape: Shape, nested: &str, message: &str) {

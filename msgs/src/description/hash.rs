@@ -1,4 +1,4 @@
-//! The RIHS01 hash of a message, computed when it is compiled.
+//! The RIHS01 hash of a message, computed at compile time.
 
 use super::sha256::Sha256;
 use super::text::{compare, digits};
@@ -99,10 +99,10 @@ impl Json {
     }
 }
 
-/// The most message types that one may refer to, if it has no generated description.
+/// The maximum number of message types that a message without a generated description may refer to.
 const MOST_REFERENCES: usize = 256;
 
-/// The messages that fields refer to, directly or not, in the order of their names.
+/// The messages that fields refer to, directly or indirectly, sorted by name.
 struct References {
     descriptions: [Option<&'static Description>; MOST_REFERENCES],
     count: usize,
@@ -127,7 +127,7 @@ impl References {
         }
     }
 
-    /// Whether it was not there yet.
+    /// Returns whether it was new.
     const fn insert(&mut self, new: &'static Description) -> bool {
         let mut place = 0;
         while let Some(old) = self.descriptions[place] {

@@ -1,6 +1,6 @@
-//! What messages are made of, known when a program is compiled.
+//! Type descriptions, known at compile time.
 //!
-//! Every message, service and action has its description, in the form in which ROS 2 nodes ask each other for it
+//! Every message, service and action has a description, in the form that ROS 2 nodes request from each other
 //! (`~/get_type_description`):
 //!
 //! ```
@@ -11,8 +11,8 @@
 //! assert_eq!(description.referenced_type_descriptions[0].type_name, "builtin_interfaces/msg/Time");
 //! ```
 //!
-//! It is made of a constant, [`Message::FIELDS`](crate::Message::FIELDS), from which the derive macro also computes, at
-//! compile time, the hash and the definition text of a message that has no definition file.
+//! It is derived from a constant, [`Message::FIELDS`](crate::Message::FIELDS), from which the derive macro
+//! also computes, at compile time, the hash and the definition text of a message that has no definition file.
 //!
 //! # References
 //! `type_description_interfaces` of `ros2/rcl_interfaces` and `rosidl_generator_type_description` of `ros2/rosidl`, branch

@@ -1,13 +1,13 @@
-//! SHA-256 that the compiler can evaluate.
+//! SHA-256 that can be evaluated at compile time.
 //!
 //! # References
 //! FIPS 180-4, 4.2.2, 5.1.1, 5.3.3 and 6.2.
 
-/// A hash in the making.
+/// The state of a hash computation.
 pub(super) struct Sha256 {
     state: [u32; 8],
     block: [u8; 64],
-    /// Bytes in all; those beyond the last whole block are in `block`.
+    /// Total bytes; those after the last complete block are in `block`.
     length: usize,
 }
 
@@ -16,7 +16,7 @@ impl Sha256 {
         Self { state: INITIAL, block: [0; 64], length: 0 }
     }
 
-    /// Takes more bytes.
+    /// Adds bytes.
     pub const fn push(&mut self, bytes: &[u8]) {
         let mut index = 0;
         while index < bytes.len() {
@@ -29,7 +29,7 @@ impl Sha256 {
         }
     }
 
-    /// The hash of the bytes taken.
+    /// Returns the hash of all bytes.
     pub const fn finish(mut self) -> [u8; 32] {
         let bits = (self.length as u64 * 8).to_be_bytes();
         self.push(&[0x80]);
@@ -110,7 +110,7 @@ mod tests {
 
     /// The examples of FIPS 180-4, and lengths around that of a block.
     #[test]
-    fn published_hashes_are_met() {
+    fn published_hashes_are_reproduced() {
         for (message, hash) in [
             (Vec::new(), "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"),
             (b"abc".to_vec(), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"),

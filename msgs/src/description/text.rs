@@ -1,14 +1,14 @@
-//! The definition text of a message, put together when it is compiled.
+//! The definition text of a message, assembled at compile time.
 
 use super::{Description, Field, FieldType, Shape};
 
-/// What a message says of itself.
+/// The definition text of the message itself.
 #[derive(Clone, Copy, Debug)]
 pub enum OwnText {
     /// The text of its file.
     File(&'static str),
-    /// What its fields say, each below its comment; the comment of the message comes first. Comments are lines that
-    /// begin with `#` and end with a newline, or nothing.
+    /// Text derived from its fields, each after its comment; the comment of the message comes first. Comments
+    /// are lines that start with `#` and end with a newline, or empty.
     Fields {
         /// The comment of the message.
         comment: &'static str,
@@ -23,8 +23,8 @@ pub struct Text<const N: usize> {
     length: usize,
 }
 
-/// The definition text of a message with these fields: what it says of itself, then, depth first and in the order of
-/// their names, each message it depends on, once. `N` is the length, which `definition::<0>` tells.
+/// The definition text of a message with these fields: its own text, then each message it depends on, once,
+/// depth first and sorted by name. `N` is the length, which `definition::<0>` computes.
 #[must_use]
 pub const fn definition<const N: usize>(own: OwnText, fields: &'static [Field]) -> Text<N> {
     let mut text = Text { bytes: [0; N], length: 0 };
@@ -38,24 +38,24 @@ pub const fn definition<const N: usize>(own: OwnText, fields: &'static [Field]) 
 }
 
 impl<const N: usize> Text<N> {
-    /// Its length, be there room for it or not.
+    /// Its length, even if it exceeds `N`.
     #[must_use]
     pub const fn len(&self) -> usize {
         self.length
     }
 
-    /// Whether there is none.
+    /// Whether it is empty.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.length == 0
     }
 
-    /// The text, for which there must have been room.
+    /// The text, which must fit into `N` bytes.
     #[must_use]
     pub const fn as_str(&self) -> &str {
         match std::str::from_utf8(&self.bytes) {
             Ok(text) if self.length == N => text,
-            _ => panic!("the room for a text is not that which it needs"),
+            _ => panic!("the length of the buffer is not that of the text"),
         }
     }
 
@@ -81,7 +81,7 @@ impl<const N: usize> Text<N> {
     const fn own(&mut self, comment: &str, comments: &[&str], fields: &[Field]) {
         self.push(comment);
         if !comment.is_empty() {
-            self.push("\n"); // So that it is not taken for the comment of the first field.
+            self.push("\n"); // Separates it from the comment of the first field.
         }
         let mut index = 0;
         while index < fields.len() {
@@ -94,7 +94,7 @@ impl<const N: usize> Text<N> {
         }
     }
 
-    /// The type as a definition spells it.
+    /// Appends the type as in a definition.
     const fn field_type(&mut self, of: &FieldType) {
         match of.nested {
             Some(nested) => self.short_name(nested.type_name),
@@ -130,7 +130,7 @@ impl<const N: usize> Text<N> {
     }
 
     const fn dependencies(&mut self, fields: &'static [Field], seen: &mut Seen) {
-        // The next by name each time: there are few, and nothing to sort them into.
+        // Finds the next name each time: there are few, and sorting needs memory.
         let mut last = "";
         while let Some(nested) = next_nested(fields, last) {
             last = nested.type_name;
@@ -152,14 +152,14 @@ const RULE: &str = "============================================================
 
 const MOST_DEPENDENCIES: usize = 256;
 
-/// Names of types that are in the text.
+/// Names of types that the text contains.
 struct Seen {
     names: [&'static str; MOST_DEPENDENCIES],
     count: usize,
 }
 
 impl Seen {
-    /// Whether it was not there yet.
+    /// Returns whether it was new.
     const fn insert(&mut self, name: &'static str) -> bool {
         let mut index = 0;
         while index < self.count {
@@ -177,7 +177,7 @@ impl Seen {
     }
 }
 
-/// Of the messages that fields hold, the first whose name is behind `last`.
+/// The first message type of the fields whose name is greater than `last`.
 const fn next_nested(fields: &'static [Field], last: &str) -> Option<&'static Description> {
     let mut best: Option<&'static Description> = None;
     let mut index = 0;
@@ -195,7 +195,7 @@ const fn next_nested(fields: &'static [Field], last: &str) -> Option<&'static De
     best
 }
 
-/// A definition text without its dependencies. No line of a definition can be the rule before them.
+/// A definition text without its dependencies. The rule before them cannot be a line of a definition.
 const fn own_text(definition: &'static str) -> &'static str {
     let bytes = definition.as_bytes();
     let mut start = 0;
@@ -230,11 +230,11 @@ const fn word(element: u8) -> &'static str {
         16 => "byte",
         17 | 21 => "string",
         18 | 22 => "wstring",
-        _ => panic!("no type of ROS 2 has this number"),
+        _ => panic!("no ROS 2 type has this number"),
     }
 }
 
-/// The parts before and behind the first slash.
+/// The parts before and after the first slash.
 const fn split_at_slash(text: &str) -> (&str, &str) {
     let mut index = 0;
     while index < text.len() {
@@ -246,7 +246,7 @@ const fn split_at_slash(text: &str) -> (&str, &str) {
     (text, "")
 }
 
-/// Less than, equal to, or greater than 0 as `a` is to `b`.
+/// Negative, 0 or positive if `a` is less than, equal to or greater than `b`.
 pub(super) const fn compare(a: &str, b: &str) -> i32 {
     let (a, b) = (a.as_bytes(), b.as_bytes());
     let mut index = 0;
@@ -265,7 +265,7 @@ pub(super) const fn compare(a: &str, b: &str) -> i32 {
     }
 }
 
-/// The decimal digits of a number, at the end of the array, and how many they are.
+/// The decimal digits of a number, at the end of the array, and their count.
 pub(super) const fn digits(mut number: u64) -> ([u8; 20], usize) {
     let mut digits = [b'0'; 20];
     let mut count = 0;
@@ -287,7 +287,7 @@ mod tests {
         let mut count = 0;
         macro_rules! check {
             ($($message:ty),* $(,)?) => {$(
-                // Text of an event is that of its service.
+                // The text of an event is that of its service.
                 if !<$message>::TYPE_NAME.ends_with("_Event") {
                     const LENGTH: usize = definition::<0>(OwnText::File(own_text(<$message>::DEFINITION)), <$message>::FIELDS).len();
                     let text = definition::<LENGTH>(OwnText::File(own_text(<$message>::DEFINITION)), <$message>::FIELDS);

@@ -11,10 +11,10 @@ use super::{Array, DynamicMessage, DynamicType, FieldError, FieldProblem, Value,
 use crate::WString;
 
 impl DynamicMessage {
-    /// Gives a field, or an element of one, another value.
+    /// Sets a field, or an element of one.
     ///
-    /// Any integer is taken where it is in range, an integer where a floating-point number is wanted, and the other way
-    /// round if nothing is lost. A message is taken where its type is the one wanted.
+    /// Integers are converted if they are in range. Integers and floating-point numbers are converted to each
+    /// other if nothing is lost. A message must have the type of the field.
     ///
     /// ```
     /// # use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
@@ -32,7 +32,7 @@ impl DynamicMessage {
     /// ```
     ///
     /// # Errors
-    /// If there is no such field, or it cannot have this value. The message is unchanged then.
+    /// If there is no such field, or it cannot have this value. The message is then unchanged.
     pub fn set(&mut self, path: &str, value: impl Into<Value>) -> Result<(), FieldError> {
         self.at(path, |place| place.set(value.into()))
     }
@@ -40,15 +40,15 @@ impl DynamicMessage {
     /// Appends an element to a sequence.
     ///
     /// # Errors
-    /// If there is no such sequence, it is full, or it cannot have this value. The message is unchanged then.
+    /// If there is no such sequence, it is full, or it cannot have this value. The message is then unchanged.
     pub fn push(&mut self, path: &str, value: impl Into<Value>) -> Result<(), FieldError> {
         self.at(path, |place| place.push(value.into()))
     }
 
-    /// Gives a sequence so many elements: takes away its last ones, or appends some with the defaults of their type.
+    /// Resizes a sequence: removes its last elements, or appends elements with the defaults of their type.
     ///
     /// # Errors
-    /// If there is no such sequence, or its bound is less.
+    /// If there is no such sequence, or `count` exceeds its bound.
     pub fn resize(&mut self, path: &str, count: usize) -> Result<(), FieldError> {
         self.at(path, |place| place.resize(count))
     }
@@ -67,7 +67,7 @@ impl DynamicMessage {
     }
 }
 
-/// Where a path leads.
+/// The target of a path.
 pub(super) enum Place<'a> {
     Message { layout: &'a DynamicType, index: usize, slots: &'a mut [Value] },
     Slot { layout: &'a DynamicType, field: &'a FieldLayout, value: &'a mut Value },
@@ -157,7 +157,7 @@ impl<'a> Place<'a> {
         Ok(())
     }
 
-    /// The array of the place, if its length can change; `wanted` is what for.
+    /// The array at this place, if its length can change; `wanted` names the operation in errors.
     fn sequence(self, wanted: &str) -> Result<(&'a FieldLayout, &'a mut Array), FieldProblem> {
         let expected = || format!("a sequence for {wanted}");
         match self {
@@ -206,7 +206,7 @@ pub(super) fn element_place(messages: &mut Messages, index: usize) -> Option<Pla
     Some(Place::Message { layout: of, index: of.index(), slots })
 }
 
-/// Gives an array so many elements, new ones with the defaults of their type.
+/// Resizes an array, with the defaults of their type for new elements.
 pub(super) fn resize(array: &mut Array, count: usize) {
     match array {
         Array::Bool(values) => values.resize(count, false),
@@ -232,7 +232,7 @@ pub(super) fn resize(array: &mut Array, count: usize) {
     }
 }
 
-/// Puts a value, of the type the array holds, in the place of one there is.
+/// Replaces an element by a value of the array's type.
 fn put(array: &mut Array, index: usize, value: Value) -> Result<(), FieldProblem> {
     let length = array.len();
     let none = || FieldProblem::Index { index, length };

@@ -1,40 +1,38 @@
-//! What can be wrong.
+//! Errors of dynamic messages.
 
 use downbeat_msgs_definitions::{Error as DefinitionError, TypeName};
 
 use crate::cdr;
 
-/// Why a definition could not be made a type.
+/// Why a definition could not be compiled to a type.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TypeError {
-    /// The definition, or one it refers to, is missing or wrong.
+    /// The definition, or one it refers to, is missing or invalid.
     #[error(transparent)]
     Definition(#[from] DefinitionError),
-    /// Messages are nested without measure.
-    #[error("{name} contains messages that contain messages, more than {limit} levels deep")]
+    /// Messages are nested too deeply.
+    #[error("{name} contains messages nested more than {limit} levels deep")]
     TooDeep {
         /// The type.
         name: TypeName,
-        /// The greatest depth allowed.
+        /// The maximum depth.
         limit: usize,
     },
-    /// There are fields without measure.
-    #[error("{name} has more than {limit} fields, those of messages within it counted")]
+    /// There are too many fields.
+    #[error("{name} has more than {limit} fields, including those of nested messages")]
     TooManyFields {
         /// The type.
         name: TypeName,
-        /// The greatest number allowed.
+        /// The maximum number.
         limit: usize,
     },
-    /// Fixed arrays without measure.
-    #[error(
-        "{name} takes more than {limit} bytes of memory whatever its value: its fixed arrays are too long"
-    )]
+    /// Fixed arrays are too large.
+    #[error("{name} always takes more than {limit} bytes of memory: its fixed arrays are too long")]
     TooLarge {
         /// The type.
         name: TypeName,
-        /// The greatest size allowed.
+        /// The maximum size.
         limit: u64,
     },
     /// A default value does not fit its field.
@@ -47,9 +45,9 @@ pub enum TypeError {
     Hash {
         /// The type.
         name: String,
-        /// The one announced.
+        /// The announced hash.
         expected: String,
-        /// The one it has.
+        /// The actual hash.
         found: String,
     },
 }
@@ -62,62 +60,62 @@ pub struct FieldError {
     pub type_name: String,
     /// The field, as in `points[3].x`.
     pub path: String,
-    /// What is wrong.
+    /// The problem.
     pub problem: FieldProblem,
 }
 
-/// What is wrong with a field, or with a value for it.
+/// The problem with a field, or with a value for it.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FieldProblem {
-    /// The text is no path.
-    #[error("this is no path: expected {expected} at byte {at}, as in `points[3].x`")]
+    /// The text is not a path.
+    #[error("invalid path: expected {expected} at byte {at}, as in `points[3].x`")]
     Path {
         /// Counted from 0.
         at: usize,
-        /// What should be there.
+        /// The expected part.
         expected: &'static str,
     },
-    /// No such field.
+    /// There is no such field.
     #[error("{message} has no field `{wanted}`{hint}")]
     NoField {
-        /// The message that was looked into.
+        /// The type of the message.
         message: String,
-        /// The field that was looked for.
+        /// The requested field.
         wanted: String,
         /// The nearest name, or all names, as the end of a sentence.
         hint: String,
     },
-    /// What has no fields was asked for one.
+    /// A field of a value without fields was requested.
     #[error("cannot look for `{wanted}` in {found}, which has no fields")]
     NoFields {
-        /// The field that was looked for.
+        /// The requested field.
         wanted: String,
-        /// What is there.
+        /// A description of the value.
         found: String,
     },
-    /// What has no elements was asked for one.
+    /// An element of a value without elements was requested.
     #[error("cannot take element {index} of {found}, which has no elements")]
     NoElements {
         /// The element.
         index: usize,
-        /// What is there.
+        /// A description of the value.
         found: String,
     },
-    /// There are not as many elements.
+    /// The index is out of range.
     #[error("there is no element {index}, there are {length}, counted from 0")]
     Index {
         /// The element.
         index: usize,
-        /// How many there are.
+        /// The number of elements.
         length: usize,
     },
     /// The value is of another kind.
     #[error("takes {expected}, found {found}")]
     Kind {
-        /// What the field holds.
+        /// The kind that the field holds.
         expected: String,
-        /// What was given.
+        /// The given value.
         found: String,
     },
     /// The number is too small or too great.
@@ -125,7 +123,7 @@ pub enum FieldProblem {
     Range {
         /// The type of the number.
         expected: String,
-        /// What was given.
+        /// The given value.
         found: String,
     },
     /// A string exceeds its bound.
@@ -144,7 +142,7 @@ pub enum FieldProblem {
         /// The number given.
         found: usize,
     },
-    /// An array is given another number of elements.
+    /// The number of elements does not match the array.
     #[error("takes exactly {expected} elements, found {found}")]
     Length {
         /// The number it has.
@@ -152,10 +150,10 @@ pub enum FieldProblem {
         /// The number given.
         found: usize,
     },
-    /// The elements take more memory than can be justified.
+    /// The elements take too much memory.
     #[error("the elements take more than {limit} bytes of memory together")]
     Memory {
-        /// The most allowed.
+        /// The maximum in bytes.
         limit: u64,
     },
 }
@@ -166,7 +164,7 @@ impl FieldProblem {
     }
 }
 
-/// Why a dynamic message could not be made a struct.
+/// Why a dynamic message could not be converted to or from a struct.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConvertError {
@@ -179,11 +177,11 @@ pub enum ConvertError {
         typed: &'static str,
     },
     /// They have the same name but different definitions.
-    #[error("{name} is defined differently there: {problem}")]
+    #[error("{name} has a different definition there: {problem}")]
     Cdr {
         /// The type of both.
         name: &'static str,
-        /// Where the difference shows.
+        /// The first difference.
         problem: cdr::Error,
     },
 }

@@ -1,4 +1,4 @@
-//! Making a value one of the type a field has, or saying why it is none.
+//! Converts values to the type of a field.
 
 use downbeat_msgs_definitions::{Element, FieldType, Primitive, Shape, Value as DefaultValue};
 
@@ -7,7 +7,8 @@ use super::{Array, DynamicType, FieldProblem, Value, ValueRef};
 use crate::WString;
 use crate::cdr::Text;
 
-/// The value as a field of that type holds it. `nested` is the type of the messages in the field, if it holds messages.
+/// Converts a value to the type of a field. `nested` is the type of the messages in the field, if it holds
+/// messages.
 pub(super) fn fit(
     field_type: &FieldType,
     nested: Option<&DynamicType>,
@@ -46,7 +47,7 @@ pub(super) fn fit(
     Ok(Value::Array(fitted))
 }
 
-/// The value as one element of that type, not a message.
+/// Converts a value to an element of that type, which is not a message.
 pub(super) fn fit_element(element: &Element, value: Value) -> Result<Value, FieldProblem> {
     match element {
         Element::Primitive(primitive) => {
@@ -67,7 +68,7 @@ pub(super) fn fit_element(element: &Element, value: Value) -> Result<Value, Fiel
     }
 }
 
-/// The default that a definition gives, as the field holds it.
+/// Converts the default in a definition to the type of the field.
 pub(super) fn default_value(field_type: &FieldType, default: &DefaultValue) -> Result<Value, FieldProblem> {
     match default {
         DefaultValue::List(list) => {
@@ -95,7 +96,7 @@ pub(super) fn default_value(field_type: &FieldType, default: &DefaultValue) -> R
     }
 }
 
-/// Whether an array or sequence of that shape can have so many elements.
+/// Checks the number of elements of an array or sequence of that shape.
 pub(super) fn check_count(shape: Shape, found: usize) -> Result<(), FieldProblem> {
     match shape {
         Shape::Array(expected) if found as u64 != expected => Err(FieldProblem::Length { expected, found }),
@@ -104,17 +105,17 @@ pub(super) fn check_count(shape: Shape, found: usize) -> Result<(), FieldProblem
     }
 }
 
-/// A value that one slot or one place in an array can hold.
+/// A value that one slot or one array element can hold.
 pub(super) trait Scalar: Sized {
     fn fit(value: ValueRef<'_>) -> Result<Self, FieldProblem>;
 }
 
-/// A value of another kind was found.
+/// The error for a value of another kind.
 pub(super) fn kind(expected: String, found: ValueRef<'_>) -> FieldProblem {
     FieldProblem::Kind { expected, found: describe(found) }
 }
 
-/// What a value is, as part of a sentence.
+/// Describes a value, as part of a sentence.
 pub(super) fn describe(value: ValueRef<'_>) -> String {
     match value {
         ValueRef::Bool(value) => format!("the bool {value}"),
@@ -181,7 +182,7 @@ fn integer(value: ValueRef<'_>) -> Option<i128> {
     match value {
         ValueRef::Float32(_) | ValueRef::Float64(_) => {
             let float = value.as_f64()?;
-            // Numbers that look like integers to whoever wrote them, as JSON does.
+            // Whole numbers count as integers, as in JSON.
             (float.fract() == 0.0 && float.abs() < 1e18).then_some(float as i128)
         }
         ValueRef::UInt64(value) => Some(value.into()),
@@ -215,7 +216,7 @@ macro_rules! from_array {
         impl TryFrom<Array> for Vec<$of> {
             type Error = Array;
 
-            /// The values, or the array as it was if it is one of others.
+            /// The values, or the unchanged array if it holds other values.
             fn try_from(array: Array) -> Result<Self, Array> {
                 match array {
                     Array::$variant(values) => Ok(values),

@@ -1,8 +1,8 @@
-//! Types that are met at run time, compiled to a layout once.
+//! Types known only at run time, compiled once to a layout.
 //!
-//! A value of a type is a row of slots. A field that is one number or text takes one slot, an array or sequence takes one
-//! slot whatever its length, and a field that is one message takes the slots of that message, in place. So a message of
-//! any depth is one row, and how many slots it has is known from its type.
+//! A value of a type is a row of slots. A field that is one number or text takes one slot, an array or
+//! sequence takes one slot whatever its length, and a field that is one message takes the slots of that
+//! message, in place. So a message of any depth is one row, and its type determines the number of slots.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -14,15 +14,16 @@ use downbeat_msgs_definitions::{
 
 use super::{TypeError, Value, fit};
 
-/// Messages within messages, at most.
+/// Maximum nesting of messages.
 const DEEPEST: usize = 32;
-/// Fields of a message and of all messages in it, at most: types that name others twice over, level by level, would have
-/// 2 to the power of the levels.
+/// Maximum number of fields of a message and all nested messages: types that refer to others twice on each
+/// level would have 2 to the power of the levels.
 const MOST_FIELDS: usize = 1 << 16;
-/// Bytes of memory of a message as its definition makes it, at most: its arrays of fixed length decide it.
+/// Maximum memory in bytes of a default message, which depends on its fixed arrays.
 const MOST_MEMORY: u64 = 64 << 20;
 
-/// The type of a [`DynamicMessage`](super::DynamicMessage): a definition and all it refers to, ready for use.
+/// The type of a [`DynamicMessage`](super::DynamicMessage): a definition and all definitions it refers to,
+/// compiled.
 ///
 /// Cloning is cheap: clones share the layout.
 ///
@@ -46,13 +47,13 @@ pub struct DynamicType {
 pub struct DynamicField<'a> {
     /// Its name.
     pub name: &'a str,
-    /// Its type, as the definition has it.
+    /// Its type, as in the definition.
     pub field_type: &'a FieldType,
     /// The type of the message or messages it holds; `None` for numbers and texts.
     pub message: Option<DynamicType>,
 }
 
-/// The messages of a type, each behind those it contains.
+/// The messages of a type, each after those it contains.
 #[derive(Debug)]
 pub(super) struct Layout {
     messages: Vec<MessageLayout>,
@@ -62,13 +63,13 @@ pub(super) struct Layout {
 pub(super) struct MessageLayout {
     pub name: TypeName,
     pub fields: Vec<FieldLayout>,
-    /// How many fields it has, those of messages within it counted wherever they occur.
+    /// The number of fields, including all nested ones.
     pub all_fields: usize,
-    /// How many slots a value has.
+    /// The number of slots of a value.
     pub slots: usize,
-    /// The fewest bytes a value takes on the wire, padding not counted; at least 1.
+    /// The minimum size of a value on the wire, without padding; at least 1.
     pub least_size: usize,
-    /// What a default value takes in memory, about.
+    /// The approximate memory of a default value in bytes.
     pub memory: u64,
 }
 
@@ -76,26 +77,26 @@ pub(super) struct MessageLayout {
 pub(super) struct FieldLayout {
     pub name: String,
     pub field_type: FieldType,
-    /// Where its slots begin within those of the message.
+    /// The index of its first slot in the message.
     pub slot: usize,
-    /// The layout of the message or messages it holds; of no meaning for others.
+    /// The layout of the messages it holds; meaningless for other fields.
     pub nested: usize,
-    /// As the definition gives it.
+    /// The default in the definition.
     pub default: Option<Value>,
 }
 
 impl FieldLayout {
-    /// Whether it holds one message, in place.
+    /// Whether it holds a single message, in place.
     pub(super) fn is_one_message(&self) -> bool {
         matches!((&self.field_type.element, self.field_type.shape), (Element::Message(_), Shape::Single))
     }
 }
 
 impl DynamicType {
-    /// Compiles the message of that name and all it refers to.
+    /// Compiles the message of that name and all messages it refers to.
     ///
     /// # Errors
-    /// If one of them is not in the catalog, contains itself, or is out of all proportion: nested deeper than 32 levels,
+    /// If one of them is not in the catalog, contains itself, or is too large: nested deeper than 32 levels,
     /// more than 65 536 fields in all, or fixed arrays of more than 64 MiB.
     pub fn new(catalog: &Catalog, name: &TypeName) -> Result<Self, TypeError> {
         let mut compiler =
@@ -104,11 +105,11 @@ impl DynamicType {
         Ok(Self { layout: Arc::new(Layout { messages: compiler.messages }), index })
     }
 
-    /// Compiles the type `name` from a definition text with its dependencies, as bags have it: `encoding` is `ros2msg`
-    /// or `ros2idl`, or for the text of a service the `unknown` that rosbag2 writes there.
+    /// Compiles the type `name` from a definition text with its dependencies, as in bags: `encoding` is
+    /// `ros2msg` or `ros2idl`, or `unknown`, which rosbag2 writes for services.
     ///
     /// # Errors
-    /// If the text is no such definition, and as [`DynamicType::new`].
+    /// If the text is not a definition of the type; see also [`DynamicType::new`].
     pub fn from_definition_text(name: &str, encoding: &str, text: &str) -> Result<Self, TypeError> {
         let name: TypeName = name.parse()?;
         let catalog = catalog_of(&name, encoding, text, &format!("definition of {name}"))?;
@@ -135,7 +136,7 @@ impl DynamicType {
 
     /// The layout of the message itself.
     pub(super) fn message(&self) -> &MessageLayout {
-        // Both are made together and never changed.
+        // Both are created together and never change.
         &self.layout.messages[self.index]
     }
 
@@ -152,20 +153,20 @@ impl DynamicType {
         self.index
     }
 
-    /// The type of another index of the same layout.
+    /// The type at another index of the same layout.
     pub(super) fn at(&self, index: usize) -> Self {
         Self { layout: Arc::clone(&self.layout), index }
     }
 }
 
-/// The definitions in a text that `origin` names in errors.
+/// Parses the definitions in a text; `origin` names it in errors.
 pub(super) fn catalog_of(
     name: &TypeName,
     encoding: &str,
     text: &str,
     origin: &str,
 ) -> Result<Catalog, DefinitionError> {
-    // What rosbag2 of Jazzy notes beside the text of a service, which stands behind a line of `=`.
+    // Jazzy's rosbag2 writes this encoding for the text of a service, which starts with a line of `=`.
     let is_unnoted = encoding == "unknown" && text.starts_with("===");
     let encoding = if is_unnoted { DefinitionEncoding::Ros2Msg } else { encoding.parse()? };
     let mut catalog = Catalog::new();
@@ -181,7 +182,7 @@ impl Layout {
 }
 
 impl PartialEq for DynamicType {
-    /// Whether the names and the fields are the same, those of messages within included.
+    /// Whether the names and the fields are equal, including those of nested messages.
     fn eq(&self, other: &Self) -> bool {
         fn same(ours: &DynamicType, theirs: &DynamicType) -> bool {
             let (a, b) = (ours.message(), theirs.message());
@@ -270,7 +271,7 @@ impl Compiler<'_> {
         Ok(self.messages.len() - 1)
     }
 
-    /// Adds what the field takes to the sums of its message.
+    /// Adds the sizes of the field to those of its message.
     fn measure(&self, field: &FieldLayout, message: &mut MessageLayout) {
         const SLOT: u64 = size_of::<Value>() as u64;
         let (slots, least_size, memory) = match &field.field_type.element {

@@ -1,4 +1,4 @@
-//! What must be done for each kind of value, written once.
+//! Macros that expand code for each kind of value.
 
 /// Evaluates `$body` with `$Type` standing for the Rust type of a primitive.
 macro_rules! each_primitive {
@@ -25,7 +25,7 @@ macro_rules! each_primitive {
     }};
 }
 
-/// Evaluates `$body` with `$values` standing for the values of an array, whatever they are.
+/// Evaluates `$body` with `$values` standing for the values of an array of any type.
 macro_rules! each_array {
     ($array:expr, $values:ident => $body:expr) => {
         match $array {

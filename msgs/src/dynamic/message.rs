@@ -1,4 +1,4 @@
-//! Messages whose type is met at run time.
+//! Messages whose type is known only at run time.
 
 use std::fmt;
 
@@ -10,17 +10,17 @@ use super::value::Messages;
 use super::{Array, DynamicType, FieldError, FieldProblem, Value, ValueRef, fit};
 use crate::WString;
 
-/// A message of any type: what is in it is known from its [`DynamicType`].
+/// A message of any type; its [`DynamicType`] describes its fields.
 #[derive(Clone)]
 pub struct DynamicMessage {
     pub(super) of: DynamicType,
     pub(super) slots: Vec<Value>,
 }
 
-/// A message within a message, or a whole one, lent out.
+/// A borrowed message, possibly nested in another one.
 #[derive(Clone, Copy)]
 pub struct MessageRef<'a> {
-    /// A type with the same layout; `index` says which of the layout is meant.
+    /// A type with the same layout; `index` selects the message of the layout.
     layout: &'a DynamicType,
     index: usize,
     slots: &'a [Value],
@@ -47,7 +47,7 @@ impl DynamicMessage {
         self.of.name()
     }
 
-    /// The message lent out, as those within it are.
+    /// Borrows the message, like nested ones.
     #[must_use]
     pub fn as_message(&self) -> MessageRef<'_> {
         MessageRef::new(&self.of, self.of.index(), &self.slots)
@@ -68,7 +68,7 @@ impl DynamicMessage {
 }
 
 impl<'a> MessageRef<'a> {
-    /// `slots` are as many as the message has.
+    /// `slots` are exactly those of the message.
     pub(super) fn new(layout: &'a DynamicType, index: usize, slots: &'a [Value]) -> Self {
         Self { layout, index, slots }
     }
@@ -106,7 +106,7 @@ impl<'a> MessageRef<'a> {
         self.find(path).map_err(|problem| problem.of(self.type_name(), path))
     }
 
-    /// A copy to keep.
+    /// Returns an owned copy.
     #[must_use]
     pub fn to_message(self) -> DynamicMessage {
         DynamicMessage { of: self.message_type(), slots: self.slots.to_vec() }
@@ -161,7 +161,7 @@ pub(super) fn field_of<'a>(message: &'a MessageLayout, name: &str) -> Result<&'a
     })
 }
 
-/// Why a step cannot be taken from there.
+/// The error for a step that does not apply to a value.
 pub(super) fn misstep(step: Step<'_>, here: ValueRef<'_>) -> FieldProblem {
     let found = fit::describe(here);
     match step {
@@ -198,7 +198,7 @@ pub(super) fn append_default(layout: &DynamicType, index: usize, slots: &mut Vec
     }
 }
 
-/// The value of a field for which the definition gives none.
+/// The value of a field without a default.
 fn zero(layout: &DynamicType, field: &FieldLayout) -> Value {
     let count = match field.field_type.shape {
         Shape::Single => {
@@ -208,7 +208,7 @@ fn zero(layout: &DynamicType, field: &FieldLayout) -> Value {
                 _ => Value::String(String::new()),
             };
         }
-        // The compiler of types has bounded what fixed arrays take.
+        // Compiling the type bounded the size of fixed arrays.
         Shape::Array(count) => usize::try_from(count).unwrap_or(0),
         Shape::Bounded(_) | Shape::Sequence => 0,
     };
@@ -250,7 +250,7 @@ impl fmt::Debug for DynamicMessage {
 }
 
 impl fmt::Debug for MessageRef<'_> {
-    /// As the generated structs show themselves, under the full name of the type.
+    /// Formats like the generated structs, with the full name of the type.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = self.type_name().to_string();
         let mut shown = f.debug_struct(&name);

@@ -1,9 +1,9 @@
-//! Messages whose type is met at run time.
+//! Messages whose type is known only at run time.
 //!
 //! ```
 //! use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
 //!
-//! // The definition may come from a bag, from files, from another node, or from what this crate carries.
+//! // The definition may come from a bag, from files, from another node, or from this crate.
 //! let text = "float64 voltage\nstring[] warnings\n";
 //! let battery = DynamicType::from_definition_text("my_msgs/msg/Battery", "ros2msg", text)?;
 //!

@@ -50,14 +50,14 @@ mod tests {
     use super::{Step, steps};
 
     #[test]
-    fn a_path_is_taken_apart() {
+    fn a_path_is_split_into_steps() {
         let expected =
             [Step::Field("a"), Step::Element(3), Step::Field("b_2"), Step::Field("c"), Step::Element(0)];
         assert_eq!(steps("a[3].b_2.c[0]").unwrap(), expected);
     }
 
     #[test]
-    fn what_is_no_path_is_told_with_its_place() {
+    fn invalid_paths_are_reported_with_the_position() {
         for (path, at) in [
             ("", 0),
             (".a", 0),

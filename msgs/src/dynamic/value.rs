@@ -4,10 +4,10 @@ use super::message::MessageRef;
 use super::{DynamicMessage, DynamicType};
 use crate::WString;
 
-/// A value of a field, or one to be given to a field.
+/// A value of a field, or a new value for one.
 ///
-/// `byte` and `char` are [`Value::UInt8`], as in the generated structs. Floating-point values compare as Rust compares
-/// them: NaN is unequal to itself.
+/// `byte` and `char` are [`Value::UInt8`], as in the generated structs. Floating-point values compare as in
+/// Rust: NaN is not equal to itself.
 #[derive(Clone, Debug, PartialEq)]
 #[expect(missing_docs, reason = "each is named as the type of ROS 2 that it holds")]
 pub enum Value {
@@ -30,7 +30,7 @@ pub enum Value {
     Array(Array),
 }
 
-/// The values of an array or sequence, side by side.
+/// The values of an array or sequence, stored contiguously.
 #[derive(Clone, Debug, PartialEq)]
 #[expect(missing_docs, reason = "each is named as the type of ROS 2 that it holds")]
 pub enum Array {
@@ -59,7 +59,7 @@ pub struct Messages {
     pub(super) slots: Vec<Value>,
 }
 
-/// A value of a field, lent out.
+/// A borrowed value of a field.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[expect(missing_docs, reason = "each is named as the type of ROS 2 that it holds")]
 pub enum ValueRef<'a> {
@@ -105,7 +105,7 @@ impl<'a> ValueRef<'a> {
         self.as_integer().and_then(|value| value.try_into().ok())
     }
 
-    /// A truth value.
+    /// A boolean.
     #[must_use]
     pub fn as_bool(self) -> Option<bool> {
         match self {
@@ -156,7 +156,7 @@ impl<'a> ValueRef<'a> {
         self.as_array().and_then(T::slice)
     }
 
-    /// A copy to keep.
+    /// Returns an owned copy.
     #[must_use]
     pub fn to_value(self) -> Value {
         match self {
@@ -216,7 +216,7 @@ impl<'a> From<&'a Value> for ValueRef<'a> {
 }
 
 impl Array {
-    /// How many values there are.
+    /// The number of values.
     #[must_use]
     pub fn len(&self) -> usize {
         each_array!(self, values => values.len())
@@ -228,7 +228,7 @@ impl Array {
         self.len() == 0
     }
 
-    /// One of them.
+    /// The element at an index.
     #[must_use]
     pub fn get(&self, index: usize) -> Option<ValueRef<'_>> {
         Some(match self {
@@ -249,14 +249,14 @@ impl Array {
         })
     }
 
-    /// All of them, one after another.
+    /// Iterates over the values.
     pub fn iter(&self) -> impl Iterator<Item = ValueRef<'_>> {
         (0..self.len()).filter_map(|index| self.get(index))
     }
 }
 
 impl Messages {
-    /// How many there are.
+    /// The number of messages.
     #[must_use]
     pub fn len(&self) -> usize {
         self.count
@@ -274,11 +274,11 @@ impl Messages {
         &self.of
     }
 
-    /// One of them.
+    /// The element at an index.
     #[must_use]
     pub fn get(&self, index: usize) -> Option<MessageRef<'_>> {
         if index >= self.count {
-            return None; // Messages without fields have no slots to tell.
+            return None; // Messages without fields have no slots.
         }
         let stride = self.of.message().slots;
         let slots = self.slots.get(index * stride..(index + 1) * stride)?;
@@ -298,9 +298,9 @@ impl std::fmt::Debug for Messages {
     }
 }
 
-/// What an [`Array`] can hold side by side.
+/// An element type of an [`Array`].
 pub trait ArrayElement: Sized {
-    /// The values, if these are they.
+    /// The values, if they are of this type.
     fn slice(array: &Array) -> Option<&[Self]>;
 }
 

@@ -1,4 +1,4 @@
-//! Reading single fields from bytes, without reading the others.
+//! Reads single fields from bytes, without reading the others.
 
 use downbeat_msgs_definitions::{Element, FieldType, Primitive, Shape};
 
@@ -10,7 +10,7 @@ use super::{Array, DynamicMessage, DynamicType, FieldError, FieldProblem, Value,
 use crate::WString;
 use crate::cdr::{self, Cdr, FromReader, Reader};
 
-/// A serialised message of which fields are read where they stand. What is not asked for is skipped, not checked.
+/// A serialised message whose fields are read in place. Other fields are skipped without validation.
 ///
 /// ```
 /// use downbeat_msgs::cdr;
@@ -38,13 +38,13 @@ pub struct DynamicView<'a> {
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum ViewValue<'a> {
-    /// A number, a truth value, or a wide string.
+    /// A number, a boolean, or a wide string.
     Value(Value),
     /// A string.
     Text(&'a str),
-    /// A message, of which nothing was read yet.
+    /// A message that has not been read yet.
     Message(DynamicView<'a>),
-    /// An array or sequence, of which only the length was read yet.
+    /// An array or sequence of which only the length has been read.
     Array(ArrayView<'a>),
 }
 
@@ -55,10 +55,10 @@ pub struct ArrayView<'a> {
     layout: DynamicType,
     field_type: FieldType,
     nested: usize,
-    /// Where the array begins: at its length, if it has one.
+    /// The start of the array: its length, if it has one.
     start: Reader<'a>,
     count: usize,
-    /// Of elements of one byte each.
+    /// The content, if elements are single bytes.
     bytes: Option<&'a [u8]>,
 }
 
@@ -69,16 +69,16 @@ pub enum ViewError {
     /// There is no such field or element.
     #[error(transparent)]
     Field(Box<FieldError>),
-    /// The bytes are no such message.
+    /// The bytes are not a message of the type.
     #[error(transparent)]
     Cdr(#[from] cdr::Error),
 }
 
 impl<'a> DynamicView<'a> {
-    /// Reads the header of a serialised message, and nothing else yet.
+    /// Reads only the header of a serialised message.
     ///
     /// # Errors
-    /// If no ROS 2 type has such a representation.
+    /// If ROS 2 does not use the representation.
     pub fn new(of: &DynamicType, bytes: &'a [u8]) -> cdr::Result<Self> {
         Ok(Self { of: of.clone(), reader: Reader::new(bytes)? })
     }
@@ -92,7 +92,7 @@ impl<'a> DynamicView<'a> {
     /// The value of a field, as in `header.stamp.sec` or `points[3].x`.
     ///
     /// # Errors
-    /// If there is no such field or element, or the bytes up to it are no such message.
+    /// If there is no such field or element, or the bytes up to it are invalid.
     pub fn get(&self, path: &str) -> Result<ViewValue<'a>, ViewError> {
         let fail = |problem: FieldProblem| ViewError::Field(Box::new(problem.of(self.of.name(), path)));
         let mut here = ViewValue::Message(self.clone());
@@ -123,18 +123,18 @@ impl<'a> DynamicView<'a> {
     /// Reads all of it.
     ///
     /// # Errors
-    /// If the bytes are no such message.
+    /// If the bytes are not a message of the type.
     pub fn to_message(&self) -> cdr::Result<DynamicMessage> {
         let mut slots = Vec::with_capacity(self.of.message().slots);
         decode_message(&self.of, self.of.index(), &mut self.reader.clone(), &mut slots)?;
         Ok(DynamicMessage { of: self.of.clone(), slots })
     }
 
-    /// The field of that name, which is there.
+    /// Reads the field of that name, which exists.
     fn field(&self, name: &str) -> cdr::Result<ViewValue<'a>> {
         let layout = &self.of;
         let mut reader = self.reader.clone();
-        // Only the bounds of a message that is delimited: the fields behind this one stay unread.
+        // Only determines the bounds of a delimited message: the fields after this one are not read.
         reader.message(|reader| {
             for field in &layout.message().fields {
                 if field.name == name {
@@ -166,7 +166,7 @@ impl<'a> ViewValue<'a> {
         self.scalar().and_then(ValueRef::as_u64)
     }
 
-    /// A truth value.
+    /// A boolean.
     #[must_use]
     pub fn as_bool(&self) -> Option<bool> {
         self.scalar().and_then(ValueRef::as_bool)
@@ -193,7 +193,7 @@ impl<'a> ViewValue<'a> {
     /// A copy to keep.
     ///
     /// # Errors
-    /// If the bytes are no such value.
+    /// If the bytes are not a valid value.
     pub fn to_value(&self) -> cdr::Result<Value> {
         Ok(match self {
             Self::Value(value) => value.clone(),
@@ -221,7 +221,7 @@ impl<'a> ViewValue<'a> {
 }
 
 impl<'a> ArrayView<'a> {
-    /// How many elements there are.
+    /// The number of elements.
     #[must_use]
     pub fn len(&self) -> usize {
         self.count
@@ -236,7 +236,7 @@ impl<'a> ArrayView<'a> {
     /// Reads all of it.
     ///
     /// # Errors
-    /// If the bytes are no such array.
+    /// If the bytes are not a valid array.
     pub fn to_array(&self) -> cdr::Result<Array> {
         let field = self.as_field(self.field_type.shape);
         match decode_value(&self.layout, &field, &mut self.start.clone())? {
@@ -245,7 +245,7 @@ impl<'a> ArrayView<'a> {
         }
     }
 
-    /// One element; `None` if there are not as many.
+    /// The element at an index; `None` if it is out of range.
     fn element(&self, index: usize) -> cdr::Result<Option<ViewValue<'a>>> {
         if index >= self.count {
             return Ok(None);
@@ -266,7 +266,7 @@ impl<'a> ArrayView<'a> {
         })
     }
 
-    /// The field this is, with another shape.
+    /// This field with another shape.
     fn as_field(&self, shape: Shape) -> FieldLayout {
         FieldLayout {
             name: String::new(),
@@ -278,7 +278,7 @@ impl<'a> ArrayView<'a> {
     }
 }
 
-/// Reads a field, but neither messages nor arrays further than to know where they are.
+/// Reads a field; for messages and arrays only their position.
 fn read<'a>(
     layout: &DynamicType,
     field: &FieldLayout,
@@ -311,7 +311,7 @@ fn read<'a>(
     }
 }
 
-/// Passes over a field.
+/// Skips a field.
 fn skip(layout: &DynamicType, field: &FieldLayout, reader: &mut Reader<'_>) -> cdr::Result<()> {
     let FieldType { element, shape } = &field.field_type;
     if *shape == Shape::Single {
@@ -356,7 +356,7 @@ fn skip_message(layout: &DynamicType, index: usize, reader: &mut Reader<'_>) -> 
     })
 }
 
-/// Reads what stands before the elements of an array, then what `read` reads of so many elements.
+/// Reads what precedes the elements of an array, then its elements with `read`.
 fn within<'a, T>(
     field_type: &FieldType,
     layout: &DynamicType,

@@ -1,4 +1,5 @@
-//! CDR of messages whose type is met at run time: the bytes that the structs of the same definition have.
+//! CDR of messages whose type is known only at run time: the same bytes as for structs with the same
+//! definition.
 
 use downbeat_msgs_definitions::{Element, FieldType, Shape};
 
@@ -9,13 +10,14 @@ use crate::cdr::{self, Cdr, Problem, Reader, Text, Writer};
 use crate::{Message, WString};
 
 impl DynamicMessage {
-    /// Reads a message from its serialised form, header included, in either byte order. Bytes behind it are ignored.
+    /// Reads a message from its serialised form, including the header, in either byte order. Bytes after it
+    /// are ignored.
     ///
-    /// Takes memory in proportion to the bytes: 32 bytes for each at most, 1 KiB for each if the type nests arrays of
-    /// messages without sense.
+    /// Memory is proportional to the input: at most 32 bytes per byte, or 1 KiB per byte for pathologically
+    /// nested arrays of messages.
     ///
     /// # Errors
-    /// As [`cdr::from_slice`].
+    /// See [`cdr::from_slice`].
     pub fn from_cdr(of: &DynamicType, bytes: &[u8]) -> cdr::Result<Self> {
         let mut reader = Reader::new(bytes)?;
         let mut slots = Vec::with_capacity(of.message().slots);
@@ -26,7 +28,7 @@ impl DynamicMessage {
     /// The serialised form: header and body, little-endian.
     ///
     /// # Panics
-    /// As [`cdr::to_vec`].
+    /// See [`cdr::to_vec`].
     #[must_use]
     pub fn to_cdr(&self) -> Vec<u8> {
         let mut buffer = Vec::new();
@@ -34,27 +36,28 @@ impl DynamicMessage {
         buffer
     }
 
-    /// As [`DynamicMessage::to_cdr`], into a buffer whose memory is used again. What it held is gone.
+    /// Like [`DynamicMessage::to_cdr`], into a buffer whose memory is reused. Its previous contents are
+    /// discarded.
     ///
     /// # Panics
-    /// As [`cdr::to_vec`].
+    /// See [`cdr::to_vec`].
     pub fn to_cdr_buffer(&self, buffer: &mut Vec<u8>) {
         buffer.clear();
         buffer.extend_from_slice(&[0, 1, 0, 0]);
         encode_message(self.of.layout(), self.of.index(), &self.slots, &mut Writer::new(buffer));
     }
 
-    /// From a struct, by way of its bytes.
+    /// Converts a struct, through its serialised form.
     ///
     /// # Errors
-    /// If the type is another one.
+    /// If the types differ.
     pub fn from_typed<T: Message>(of: &DynamicType, message: &T) -> Result<Self, ConvertError> {
         same_type::<T>(of)?;
         Self::from_cdr(of, &cdr::to_vec(message))
             .map_err(|problem| ConvertError::Cdr { name: T::TYPE_NAME, problem })
     }
 
-    /// The struct, by way of its bytes.
+    /// Converts to a struct, through its serialised form.
     ///
     /// ```
     /// use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
@@ -67,7 +70,7 @@ impl DynamicMessage {
     /// ```
     ///
     /// # Errors
-    /// If the type is another one.
+    /// If the types differ.
     pub fn to_typed<T: Message>(&self) -> Result<T, ConvertError> {
         same_type::<T>(&self.of)?;
         cdr::from_slice(&self.to_cdr()).map_err(|problem| ConvertError::Cdr { name: T::TYPE_NAME, problem })
@@ -78,7 +81,7 @@ impl DynamicType {
     /// The type of a struct.
     ///
     /// # Errors
-    /// As [`DynamicType::new`]: if the definition of the struct is out of all proportion.
+    /// If the definition of the struct is too large: see [`DynamicType::new`].
     pub fn of<T: Message>() -> Result<Self, TypeError> {
         Self::from_definition_text(T::TYPE_NAME, "ros2msg", T::DEFINITION)
     }
@@ -125,7 +128,7 @@ pub(super) fn decode_value(
             }
             Element::WString { bound } => text(WString::decode(reader)?, *bound, reader).map(Value::WString),
             Element::String { bound } => text(String::decode(reader)?, *bound, reader).map(Value::String),
-            // Not reached: one message is no slot.
+            // Not reached: a single message is not a slot.
             Element::Message(_) => decode_messages(layout, field, reader).map(Value::Array),
         };
     }
@@ -155,7 +158,7 @@ fn decode_array(layout: &DynamicType, field: &FieldLayout, reader: &mut Reader<'
 fn decode_messages(layout: &DynamicType, field: &FieldLayout, reader: &mut Reader<'_>) -> cdr::Result<Array> {
     let nested = layout.layout().message(field.nested);
     let count = count(field.field_type.shape, nested.least_size, reader)?;
-    // A slot takes at least a byte of the input, so this is in proportion to it.
+    // A slot takes at least a byte of the input, so this is proportional to it.
     let mut slots = Vec::with_capacity(count * nested.slots);
     for element in 0..count {
         decode_message(layout, field.nested, reader, &mut slots).map_err(|error| error.at_index(element))?;
@@ -163,7 +166,7 @@ fn decode_messages(layout: &DynamicType, field: &FieldLayout, reader: &mut Reade
     Ok(Array::Message(Messages { of: layout.nested(field), count, slots }))
 }
 
-/// How many elements follow: checked against the shape, and against what is left.
+/// Reads the number of elements, and checks it against the shape and the rest of the input.
 pub(super) fn count(shape: Shape, least_size: usize, reader: &mut Reader<'_>) -> cdr::Result<usize> {
     match shape {
         Shape::Single => Ok(1),
@@ -185,7 +188,7 @@ pub(super) fn count(shape: Shape, least_size: usize, reader: &mut Reader<'_>) ->
     }
 }
 
-/// The text, or texts, if the bound allows.
+/// Checks strings against their bound.
 fn text<T: Text>(value: T, bound: Option<u64>, reader: &Reader<'_>) -> cdr::Result<T> {
     let Some(bound) = bound else { return Ok(value) };
     let bound = usize::try_from(bound).unwrap_or(usize::MAX);

@@ -6,24 +6,24 @@ use std::str::FromStr;
 /// A serialisation of messages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Encoding {
-    /// What ROS 2 sends and records.
+    /// CDR, which ROS 2 sends and records.
     #[default]
     Cdr,
     /// Objects with the names of the fields.
     Json,
-    /// As JSON, in bytes (RFC 8949); bytes are byte strings.
+    /// Like JSON, but binary (RFC 8949); bytes are byte strings.
     Cbor,
-    /// By a schema made of the definition.
+    /// With a schema derived from the definition.
     Protobuf,
-    /// By the schema Foxglove has for the type; types it has none for as [`Encoding::Protobuf`].
+    /// With Foxglove's schema for the type; other types as [`Encoding::Protobuf`].
     FoxgloveProtobuf,
-    /// By a schema made of the definition.
+    /// With a schema derived from the definition.
     FlatBuffers,
-    /// By the schema Foxglove has for the type; types it has none for as [`Encoding::FlatBuffers`].
+    /// With Foxglove's schema for the type; other types as [`Encoding::FlatBuffers`].
     FoxgloveFlatBuffers,
 }
 
-/// A name that no encoding has.
+/// The name of an encoding is unknown.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("unknown encoding \"{name}\"; there are {}", Encoding::ALL.map(Encoding::as_str).join(", "))]
 pub struct UnknownEncoding {
@@ -32,7 +32,7 @@ pub struct UnknownEncoding {
 }
 
 impl Encoding {
-    /// All of them.
+    /// All encodings.
     pub const ALL: [Self; 7] = [
         Self::Cdr,
         Self::Json,
@@ -69,7 +69,7 @@ impl Encoding {
         }
     }
 
-    /// The encoding of a channel of an MCAP file: its message encoding, and the name of its schema.
+    /// The encoding of a channel in an MCAP file, from its message encoding and the name of its schema.
     #[must_use]
     pub fn of_channel(message_encoding: &str, schema_name: &str) -> Option<Self> {
         let is_foxglove = schema_name.starts_with("foxglove.");

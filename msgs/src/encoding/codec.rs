@@ -1,4 +1,4 @@
-//! From CDR to an encoding and back.
+//! Conversion between CDR and an encoding.
 
 use downbeat_msgs_definitions::{Catalog, DefinitionEncoding, TypeName};
 
@@ -9,32 +9,32 @@ use crate::foxglove;
 use crate::interchange::{self, Direction, Error, Problem, Value};
 use crate::message::Message;
 
-/// Goes between the CDR of one message type and an encoding.
+/// Converts between the CDR of a message type and an encoding.
 #[derive(Clone, Debug)]
 pub struct Codec {
     type_name: String,
     encoding: Encoding,
-    /// Of the definition: what CDR is read and written by.
+    /// The schema of the definition, for reading and writing CDR.
     definition: interchange::Schema,
-    /// Of the type that Foxglove has for it, if the encoding wants that.
+    /// The mapping to Foxglove's type, if the encoding uses it.
     #[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
     foxglove: Option<foxglove::Mapping>,
     schema: Schema,
 }
 
-/// What an MCAP file says of the messages of a channel.
+/// The schema record of a channel in an MCAP file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Schema {
     /// The type: `sensor_msgs/msg/Imu`, `sensor_msgs.msg.Imu`, `foxglove.RawImage`.
     pub name: String,
-    /// What the data is: `ros2msg`, `jsonschema`, `protobuf`, `flatbuffer`; empty if there is none.
+    /// The format of the data: `ros2msg`, `jsonschema`, `protobuf`, `flatbuffer`; empty if there is none.
     pub encoding: String,
     /// The schema.
     pub data: Vec<u8>,
 }
 
 impl Encoding {
-    /// Prepares the conversion of a type, whose definition the catalog has.
+    /// Creates a codec for a type whose definition is in the catalog.
     ///
     /// # Errors
     /// If the catalog lacks a type, the type is too large, or this build lacks the encoding.
@@ -79,10 +79,11 @@ impl Encoding {
         })
     }
 
-    /// As [`Encoding::codec`], by the `ros2msg` text of the definition: [`Message::DEFINITION`], or that of a bag.
+    /// Like [`Encoding::codec`], with the `ros2msg` text of the definition: [`Message::DEFINITION`], or from
+    /// a bag.
     ///
     /// # Errors
-    /// As [`Encoding::codec`], and if the text is no definition.
+    /// See [`Encoding::codec`]; also if the text is not a definition.
     pub fn codec_of_text(self, type_name: &str, definition: &str) -> Result<Codec, Error> {
         let name: TypeName = type_name.parse()?;
         let mut catalog = Catalog::new();
@@ -109,7 +110,7 @@ impl Codec {
         self.encoding
     }
 
-    /// The type, as ROS 2 names it.
+    /// The name of the ROS 2 type.
     #[must_use]
     pub fn type_name(&self) -> &str {
         &self.type_name
@@ -121,16 +122,16 @@ impl Codec {
         self.encoding.message_encoding()
     }
 
-    /// What an MCAP file says of the messages.
+    /// The schema for MCAP files.
     #[must_use]
     pub fn schema(&self) -> &Schema {
         &self.schema
     }
 
-    /// Converts CDR of either byte order, its header included.
+    /// Converts from CDR in either byte order, including its header.
     ///
     /// # Errors
-    /// If the bytes are no message of the type, or the message has a value that the encoding has no place for.
+    /// If the bytes are not a message of the type, or the encoding cannot represent a value.
     pub fn encode(&self, cdr: &[u8]) -> Result<Vec<u8>, Error> {
         #[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
         if let Some(mapping) = &self.foxglove {
@@ -147,10 +148,11 @@ impl Codec {
         self.put(&self.definition, &value).map_err(|problem| self.error(Direction::Write, problem))
     }
 
-    /// Converts to CDR, little-endian with its header. What the encoding does not keep is as in a new message.
+    /// Converts to CDR, little-endian with its header. Fields that the encoding does not preserve have their
+    /// defaults.
     ///
     /// # Errors
-    /// If the bytes are no such message in the encoding, or one that the definition does not allow.
+    /// If the bytes are not a message of the type in the encoding, or violate its definition.
     pub fn decode(&self, bytes: &[u8]) -> Result<Vec<u8>, Error> {
         #[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
         if let Some(mapping) = &self.foxglove {
@@ -169,19 +171,19 @@ impl Codec {
             .map_err(|problem| self.error(Direction::Read, problem))
     }
 
-    /// Encodes a message, which is of the type the codec was made for.
+    /// Encodes a message of the codec's type.
     ///
     /// # Errors
-    /// If it is of another type, or has a value that the encoding has no place for.
+    /// If it is of another type, or the encoding cannot represent a value.
     pub fn to_vec<T: Message>(&self, message: &T) -> Result<Vec<u8>, Error> {
         self.check_type::<T>(Direction::Write)?;
         self.encode(&cdr::to_vec(message))
     }
 
-    /// Decodes a message, which is of the type the codec was made for.
+    /// Decodes a message of the codec's type.
     ///
     /// # Errors
-    /// If it is of another type, or the bytes are no such message in the encoding.
+    /// If it is of another type, or the bytes are not a message of the type in the encoding.
     pub fn from_slice<T: Message>(&self, bytes: &[u8]) -> Result<T, Error> {
         self.check_type::<T>(Direction::Read)?;
         cdr::from_slice(&self.decode(bytes)?).map_err(|source| self.cdr_error(source))
@@ -194,7 +196,7 @@ impl Codec {
         Err(self.error(direction, Problem::new(format!("the message is a {}", T::TYPE_NAME))))
     }
 
-    /// The value in the encoding.
+    /// Writes the value in the encoding.
     fn put(&self, schema: &interchange::Schema, value: &Value<'_>) -> Result<Vec<u8>, Problem> {
         match self.encoding {
             #[cfg(feature = "json")]

@@ -1,14 +1,14 @@
 //! JSON Schema of a message.
 //!
 //! # References
-//! - `website/docs/spec/registry.md` of foxglove/mcap: the root is an object. References are not used, since readers of MCAP
-//!   files need not follow them.
+//! - `website/docs/spec/registry.md` of foxglove/mcap: the root is an object. References are not used, since
+//!   readers of MCAP files need not resolve them.
 
 use serde_json::{Map, Value, json};
 
 use crate::interchange::{Count, Field, Kind, Schema};
 
-/// What the objects of a type are.
+/// The schema of the objects of a type.
 pub(super) fn json_schema(title: &str, schema: &Schema) -> Vec<u8> {
     let mut root = record(schema, 0);
     root.insert("$schema".into(), json!("http://json-schema.org/draft-07/schema#"));
@@ -58,10 +58,10 @@ fn element(schema: &Schema, kind: Kind) -> Map<String, Value> {
         Kind::UInt16 => json!({ "type": "integer", "minimum": 0, "maximum": u16::MAX }),
         Kind::UInt32 | Kind::Fixed32 => json!({ "type": "integer", "minimum": 0, "maximum": u32::MAX }),
         Kind::UInt64 => json!({ "type": "integer", "minimum": 0, "maximum": u64::MAX }),
-        // What is not finite is null.
+        // Numbers that are not finite are null.
         Kind::Float32 | Kind::Float64 => json!({ "type": ["number", "null"] }),
         Kind::Text { bound } | Kind::WideText { bound } => match bound {
-            // A character takes at least a byte, or a UTF-16 code unit.
+            // A character takes at least one byte or UTF-16 code unit.
             Some(bound) => json!({ "type": "string", "maxLength": bound }),
             None => json!({ "type": "string" }),
         },

@@ -1,4 +1,4 @@
-//! The serialisation of messages as a choice: CDR, or others for those who read what ROS 2 does not write.
+//! Selectable serialisations of messages: CDR, or other formats for readers other than ROS 2.
 //!
 //! ```
 //! use downbeat_msgs::definitions::Catalog;
@@ -10,7 +10,7 @@
 //!
 //! let encoding: Encoding = "protobuf".parse()?;
 //! let codec = encoding.codec(&catalog, &String::TYPE_NAME.parse()?)?;
-//! assert_eq!(codec.message_encoding(), "protobuf"); // as an MCAP file names it
+//! assert_eq!(codec.message_encoding(), "protobuf"); // as in MCAP files
 //! assert_eq!(codec.schema().name, "std_msgs.msg.String");
 //!
 //! let bytes = codec.encode(&cdr::to_vec(&String { data: "hi".into() }))?;
@@ -19,23 +19,24 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! A [`Codec`] goes between CDR and its encoding by the definition of the type, so it serves types that a program was not
-//! compiled with as well, and adds no code per type. The structs also have serde's traits, which give the same JSON.
+//! A [`Codec`] converts between CDR and its encoding using the definition of the type, so it also supports
+//! types that are not compiled in, and adds no code per type. The structs also implement serde's traits,
+//! which produce the same JSON.
 //!
-//! | encoding | schema | what comes back |
+//! | encoding | schema | preserved |
 //! | --- | --- | --- |
 //! | `cdr` | `ros2msg` | all, in either byte order |
-//! | `json` | `jsonschema` | all but NaN and the infinities, which JSON cannot tell: each is `null`, and read as NaN |
+//! | `json` | `jsonschema` | all but NaN and infinities, which JSON cannot represent: each is `null`, and read as NaN |
 //! | `cbor` | none | all |
 //! | `protobuf` | `protobuf` | all |
-//! | `foxglove-protobuf` | `protobuf`, Foxglove's own where it has one for the type | what Foxglove's schema has a place for |
+//! | `foxglove-protobuf` | `protobuf`, Foxglove's own if it has one for the type | the fields of Foxglove's schema |
 //! | `flatbuffers` | `flatbuffer` | all |
-//! | `foxglove-flatbuffers` | `flatbuffer`, Foxglove's own likewise | what Foxglove's schema has a place for |
+//! | `foxglove-flatbuffers` | `flatbuffer`, Foxglove's own likewise | the fields of Foxglove's schema |
 //!
-//! Each but `cdr` is a Cargo feature: `json`, `cbor`, `protobuf`, `flatbuffers`.
+//! Each except `cdr` is a Cargo feature: `json`, `cbor`, `protobuf`, `flatbuffers`.
 //!
 //! # References
-//! - `website/docs/spec/registry.md` of foxglove/mcap: how encodings and their schemas are named in MCAP files.
+//! - `website/docs/spec/registry.md` of foxglove/mcap: names of encodings and their schemas in MCAP files.
 
 mod choice;
 mod codec;

@@ -1,4 +1,4 @@
-//! `.bfbs`: a schema as a FlatBuffer, by the schema of schemas.
+//! `.bfbs`: a schema as a FlatBuffer, described by `reflection.fbs`.
 
 use super::encode::encode_with_identifier;
 use super::inline_size;
@@ -29,7 +29,7 @@ pub(crate) fn binary_schema(schema: &Schema) -> Vec<u8> {
     let mut names: Vec<&str> = schema.records.iter().map(|record| record.name.as_str()).collect();
     let moments = [(Kind::Time, TIME, base_type::UINT), (Kind::Duration, DURATION, base_type::INT)];
     names.extend(moments.iter().filter(|(kind, ..)| uses(*kind)).map(|(_, name, _)| *name));
-    // Readers find objects and enumerations by binary search.
+    // Readers find objects and enumerations by binary search, so they must be sorted.
     names.sort_unstable();
     let mut enumerations: Vec<&str> = schema.enumerations.iter().map(|of| of.name).collect();
     enumerations.sort_unstable();
@@ -45,11 +45,11 @@ pub(crate) fn binary_schema(schema: &Schema) -> Vec<u8> {
         Value::List(enums.collect()),
         made.object(&schema.root().name),
     ]);
-    // Only times and sizes beyond 2 GiB are refused, and there are none.
+    // Only fails for times and sizes above 2 GiB, which do not occur.
     encode_with_identifier(&reflection(), &value, Some(b"BFBS")).unwrap_or_default()
 }
 
-/// The size that `flatc` notes for the elements of what has none.
+/// The element size that `flatc` writes for types without elements.
 const NO_ELEMENT: u64 = 1;
 const TIME: &str = "foxglove.Time";
 const DURATION: &str = "foxglove.Duration";
@@ -91,7 +91,7 @@ impl Made<'_> {
         }
     }
 
-    /// The base type of a kind, and the place of what it refers to.
+    /// The base type of a kind, and the index of the object it refers to.
     fn element(&self, kind: Kind) -> (i64, Option<usize>) {
         let object = |name: &str| (base_type::OBJECT, self.names.iter().position(|other| *other == name));
         match kind {
@@ -151,7 +151,7 @@ fn moment(name: &str, number: i64) -> Value<'static> {
     object(name, fields.into(), Some((4, 8)))
 }
 
-/// A table, or a struct of that alignment and size.
+/// A table, or a struct with that alignment and size.
 fn object(name: &str, fields: Vec<Value<'static>>, layout: Option<(i64, i64)>) -> Value<'static> {
     let (alignment, size) = layout.unwrap_or((1, 0));
     Value::Record(vec![
@@ -183,7 +183,7 @@ fn text(text: &str) -> Value<'static> {
     Value::Text(text.to_owned().into())
 }
 
-/// `reflection.fbs`, as much of it as is written here.
+/// The part of `reflection.fbs` that is written here.
 fn reflection() -> Schema {
     use Count::{Any, One, Optional};
     const TEXT: Kind = Kind::Text { bound: None };
@@ -244,7 +244,7 @@ fn reflection() -> Schema {
                 &[
                     ("base_type", 0, Kind::Int8, One),
                     ("element", 1, Kind::Int8, One),
-                    // Absent, these are -1 and 4.
+                    // Their defaults are -1 and 4.
                     ("index", 2, Kind::Int32, Optional),
                     ("base_size", 4, Kind::UInt32, Optional),
                     ("element_size", 5, Kind::UInt32, One),

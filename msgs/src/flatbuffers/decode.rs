@@ -1,5 +1,5 @@
-//! FlatBuffers to values. Nothing in the bytes is trusted: every offset is checked, and what a value takes is counted, since
-//! two offsets may lead to the same table.
+//! Reads values from FlatBuffers. The input is not trusted: every offset is checked, and the memory of values
+//! is counted, since several offsets may lead to the same table.
 
 use std::borrow::Cow;
 
@@ -8,7 +8,7 @@ use crate::interchange::{Budget, Count, Field, Kind, Problem, Schema, Value};
 /// Reads a value of the schema's root record.
 ///
 /// # Errors
-/// If the bytes are no such buffer.
+/// If the bytes are not a valid buffer.
 pub(crate) fn decode<'a>(schema: &Schema, bytes: &'a [u8]) -> Result<Value<'a>, Problem> {
     let mut reader = Reader { schema, bytes, budget: Budget::for_input(bytes.len()) };
     let root = reader.follow(0)?;
@@ -22,11 +22,11 @@ struct Reader<'s, 'a> {
 }
 
 impl<'a> Reader<'_, 'a> {
-    /// The table at a place.
+    /// Reads the table at an offset.
     fn record(&mut self, index: usize, table: usize) -> Result<Value<'a>, Problem> {
         let schema = self.schema;
         let back = i32::from_le_bytes(self.array(table)?);
-        // A vtable may be before or behind its table.
+        // A vtable may be before or after its table.
         let vtable = i64::try_from(table).unwrap_or(i64::MAX).checked_sub(i64::from(back));
         let Some(vtable) = vtable.and_then(|vtable| usize::try_from(vtable).ok()) else {
             return Err(Problem::at(
@@ -99,7 +99,7 @@ impl<'a> Reader<'_, 'a> {
         match kind.width() {
             Some(width) => {
                 let bytes = self.slice(first, length.saturating_mul(width))?;
-                // A truth value is any byte here, and 0 or 1 in CDR.
+                // A boolean is any byte here, but 0 or 1 in CDR.
                 let is_plain = kind != Kind::Bool || bytes.iter().all(|&byte| byte <= 1);
                 Ok(Value::Packed(if is_plain {
                     Cow::Borrowed(bytes)
@@ -120,7 +120,7 @@ impl<'a> Reader<'_, 'a> {
         }
     }
 
-    /// The string or table that the offset at a place leads to.
+    /// Reads the string or table to which the offset at a position points.
     fn element(&mut self, kind: Kind, slot: usize) -> Result<Value<'a>, Problem> {
         let target = self.follow(slot)?;
         match kind {

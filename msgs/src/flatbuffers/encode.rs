@@ -1,17 +1,17 @@
-//! Values to FlatBuffers, front to back: a table, then what it refers to.
+//! Writes values as FlatBuffers, front to back: a table, then what it refers to.
 
 use super::inline_size;
 use crate::interchange::{Count, Field, Kind, Problem, Schema, Value};
 
-/// The bytes of a value of the schema's root record.
+/// Writes a value of the schema's root record.
 ///
 /// # Errors
-/// If a time has no place in the format, or the message is larger than 2 GiB.
+/// If the format cannot represent a time, or the message is larger than 2 GiB.
 pub(crate) fn encode(schema: &Schema, value: &Value<'_>) -> Result<Vec<u8>, Problem> {
     encode_with_identifier(schema, value, None)
 }
 
-/// As [`encode`], with the four characters that tell what a file is.
+/// Like [`encode`], with the four characters of the file identifier.
 pub(super) fn encode_with_identifier(
     schema: &Schema,
     value: &Value<'_>,
@@ -28,18 +28,18 @@ struct Buffer {
     bytes: Vec<u8>,
 }
 
-/// A value that is not in its table: where the offset to it is.
+/// A value that is not stored in its table, and the position of the offset to it.
 struct Elsewhere<'v> {
     slot: usize,
     field: &'v Field,
     value: &'v Value<'v>,
 }
 
-/// Greatest size of a buffer.
+/// The maximum size of a buffer.
 const MOST_BYTES: usize = i32::MAX as usize;
 
 impl Buffer {
-    /// Appends a table and what it refers to; gives where the table is.
+    /// Appends a table and the values it refers to; returns the position of the table.
     fn record<'v>(
         &mut self,
         schema: &'v Schema,
@@ -51,7 +51,7 @@ impl Buffer {
         let present: Vec<(&Field, &Value<'v>)> =
             record.fields.iter().zip(values).filter(|(field, value)| is_stored(field, value)).collect();
 
-        // Where each value is, counted from the table: the largest first, so that little is lost to alignment.
+        // The offset of each value in the table: the largest first, to minimise padding.
         let mut places =
             vec![0_usize; record.fields.iter().map(|field| usize::from(field.id) + 1).max().unwrap_or(0)];
         let (mut size, mut alignment) = (4, 4);
@@ -67,7 +67,7 @@ impl Buffer {
         let too_large = || Problem::new("the fields of a table take more than 64 KiB");
         let size = u16::try_from(size).map_err(|_| too_large())?;
 
-        // The vtable ends where the table begins.
+        // The vtable ends at the start of the table.
         let vtable_size = u16::try_from(4 + 2 * places.len()).map_err(|_| too_large())?;
         let table = (self.bytes.len() + usize::from(vtable_size)).next_multiple_of(alignment);
         let vtable = table - usize::from(vtable_size);
@@ -103,7 +103,7 @@ impl Buffer {
         Ok(table)
     }
 
-    /// Appends a string, vector or table; gives where it is.
+    /// Appends a string, vector or table; returns its position.
     fn elsewhere<'v>(
         &mut self,
         schema: &'v Schema,
@@ -146,7 +146,7 @@ impl Buffer {
         Ok(start)
     }
 
-    /// Appends the length of a vector, so that elements of that alignment can follow; gives where it is.
+    /// Appends the length of a vector, aligned so that its elements can follow; returns its position.
     fn vector(&mut self, length: usize, alignment: usize) -> Result<usize, Problem> {
         let start = (self.bytes.len() + 4).next_multiple_of(alignment.max(4)) - 4;
         self.bytes.resize(start, 0);
@@ -157,7 +157,7 @@ impl Buffer {
         Ok(start)
     }
 
-    /// Makes the offset at `slot` one to `target`, which is behind it.
+    /// Sets the offset at `slot` to point to `target`, which is after it.
     fn point(&mut self, slot: usize, target: usize) -> Result<(), Problem> {
         if self.bytes.len() > MOST_BYTES {
             return Err(too_long());
@@ -176,12 +176,12 @@ fn size_of_slot(field: &Field) -> (usize, usize) {
     if field.count.is_list() { (4, 4) } else { inline_size(field.kind) }
 }
 
-/// What is as a reader takes it to be anyway is left out.
+/// Whether a value must be stored: defaults are left out.
 fn is_stored(field: &Field, value: &Value<'_>) -> bool {
     match value {
         Value::Absent => false,
         Value::Packed(bytes) => !bytes.is_empty(),
-        // Lists of tables are: some schemas require them.
+        // Lists of tables are stored even if empty: some schemas require them.
         Value::List(values) => !values.is_empty() || matches!(field.kind, Kind::Record(_)),
         Value::Text(text) => !text.is_empty(),
         Value::Float64(value) if field.count == Count::One => value.to_bits() != field.default.to_bits(),
@@ -203,7 +203,7 @@ fn moment(kind: Kind, sec: i64, nanosec: u32) -> Result<[u8; 8], Problem> {
         i32::try_from(sec).is_ok()
     };
     if !fits {
-        return Err(Problem::new(format!("{sec} s have no place in FlatBuffers' {kind:?}")));
+        return Err(Problem::new(format!("{sec} s cannot be represented by FlatBuffers' {kind:?}")));
     }
     let mut bytes = [0; 8];
     bytes[..4].copy_from_slice(&(sec as u32).to_le_bytes());
@@ -213,10 +213,10 @@ fn moment(kind: Kind, sec: i64, nanosec: u32) -> Result<[u8; 8], Problem> {
 
 #[cold]
 fn too_long() -> Problem {
-    Problem::new("the message would take more than 2 GiB, more than FlatBuffers can")
+    Problem::new("the message would take more than 2 GiB, the limit of FlatBuffers")
 }
 
-/// A value that does not fit the schema it was made for: only a defect of what made it gives one.
+/// A value that does not match its schema, which only a bug can cause.
 #[cold]
 fn mismatch(value: &Value<'_>) -> Problem {
     Problem::new(format!("the value {value:?} is not of the field's kind"))

@@ -1,4 +1,4 @@
-//! FlatBuffers: schemas made of definitions, and the format.
+//! FlatBuffers: schemas derived from definitions, and the format.
 //!
 //! ```
 //! use downbeat_msgs::definitions::Catalog;
@@ -18,11 +18,13 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Package `p` and kind `msg` are the namespace `p.msg`, messages are tables, the n-th field has the id n-1, arrays and
-//! sequences are vectors, the numbers are those of the same size, and `wstring` is `string`. The value is kept whole. Bounds
-//! and lengths are checked when a message is read back into ROS 2, since FlatBuffers has no word for them.
+//! Package `p` and kind `msg` are the namespace `p.msg`, messages are tables, the n-th field has the id n-1,
+//! arrays and sequences are vectors, numbers keep their size, and `wstring` is `string`. Values round-trip
+//! without loss. Bounds and lengths are checked when a message is converted back to ROS 2, since FlatBuffers
+//! cannot express them.
 //!
-//! The schema for MCAP files is the binary one (`.bfbs`), which is itself a FlatBuffer and made here without `flatc`.
+//! The schema for MCAP files is the binary one (`.bfbs`), which is itself a FlatBuffer and is written here
+//! without `flatc`.
 //!
 //! # References
 //! - `docs/source/internals.md` (the format) and `reflection/reflection.fbs` (the binary schema) of google/flatbuffers.
@@ -40,7 +42,7 @@ pub(crate) use binary_schema::binary_schema;
 pub(crate) use decode::decode;
 pub(crate) use encode::encode;
 
-/// The `.fbs` text of a message and those within it.
+/// The `.fbs` text of a message and its nested messages.
 ///
 /// # Errors
 /// If the catalog lacks a type, or the type is too large.
@@ -48,12 +50,12 @@ pub fn schema_text(catalog: &Catalog, name: &TypeName) -> Result<String, Error> 
     Ok(text::schema_text(&Schema::of_definition(catalog, name)?))
 }
 
-/// Bytes of a field's value within its table, and their alignment.
+/// Size and alignment of a field's value within its table.
 fn inline_size(kind: Kind) -> (usize, usize) {
     match kind {
         // A struct of two 32-bit numbers.
         Kind::Time | Kind::Duration => (8, 4),
-        // An offset to what is elsewhere, if it has no width.
+        // An offset, if it has no width.
         kind => kind.width().map_or((4, 4), |width| (width, width)),
     }
 }

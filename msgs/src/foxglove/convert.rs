@@ -1,4 +1,4 @@
-//! By the rules, there and back.
+//! Converts messages by the rules, in both directions.
 
 use std::borrow::Cow;
 
@@ -8,7 +8,7 @@ use super::schemas;
 use crate::encoding::Encoding;
 use crate::interchange::{Budget, Count, Field, Kind, Problem, Schema, Value};
 
-/// How one message type becomes one of Foxglove's.
+/// Converts a message type to and from one of Foxglove's.
 #[derive(Clone)]
 pub(crate) struct Mapping {
     rule: &'static Rule,
@@ -22,12 +22,12 @@ impl std::fmt::Debug for Mapping {
 }
 
 impl Mapping {
-    /// For the types that have a rule, if their definition is the one that the rule was written for.
+    /// Returns the mapping of a type that has a rule, if its definition matches the rule.
     pub(crate) fn new(type_name: &str, definition: &Schema, encoding: Encoding) -> Option<Self> {
         let rule = rule_of(type_name)?;
         let mut schema = schemas::schema(rule.foxglove)?;
         if encoding == Encoding::FoxgloveFlatBuffers {
-            // Matrices have capitals for names in Protobuf only.
+            // Matrices have upper-case names in Protobuf only.
             let fields = schema.records.iter_mut().flat_map(|record| &mut record.fields);
             fields.for_each(|field| field.name.make_ascii_lowercase());
         }
@@ -39,7 +39,7 @@ impl Mapping {
         &self.schema
     }
 
-    /// A message as Foxglove has it.
+    /// Converts a message to Foxglove's type.
     pub(crate) fn to_foxglove<'v>(
         &self,
         definition: &Schema,
@@ -48,7 +48,7 @@ impl Mapping {
         to_foxglove(self.rule, Object::new(definition, 0, &mut value), &self.schema, 0)
     }
 
-    /// A message as ROS 2 has it.
+    /// Converts a message to the ROS 2 type.
     pub(crate) fn to_ros<'v>(&self, definition: &Schema, mut value: Value<'v>) -> Result<Value<'v>, Problem> {
         to_ros(self.rule, Object::new(&self.schema, 0, &mut value), definition, 0)
     }
@@ -76,7 +76,7 @@ fn is_applicable(rule: &Rule, ros: &Schema, ros_record: usize, foxglove: &Schema
     is_same && is_each
 }
 
-/// Whether the values of one field can be those of the other.
+/// Whether the values of one field can be converted to the other.
 fn are_alike((foxglove, theirs): (&Schema, &Field), (ros, ours): (&Schema, &Field)) -> bool {
     theirs.count.is_list() == ours.count.is_list()
         && are_kinds_alike((foxglove, theirs.kind), (ros, ours.kind))
@@ -120,7 +120,7 @@ fn to_foxglove<'v>(
         let (from, elements) = ros.take_list(ours)?;
         let to = foxglove.field(theirs)?.0.kind;
         let (Some(rule), Kind::Record(from), Kind::Record(to)) = (rule_of(element), from, to) else {
-            return Err(Problem::new("is no list of messages").in_field(ours));
+            return Err(Problem::new("is not a list of messages").in_field(ours));
         };
         let elements = elements.into_iter().enumerate().map(|(index, mut element)| {
             to_foxglove(rule, Object::new(ros.schema, from, &mut element), schema, to)
@@ -157,7 +157,7 @@ fn to_ros<'v>(
         let (from, elements) = foxglove.take_list(theirs)?;
         let to = ros.field(ours)?.0.kind;
         let (Some(rule), Kind::Record(from), Kind::Record(to)) = (rule_of(element), from, to) else {
-            return Err(Problem::new("is no list of messages").in_field(theirs));
+            return Err(Problem::new("is not a list of messages").in_field(theirs));
         };
         let elements = elements.into_iter().enumerate().map(|(index, mut element)| {
             to_ros(rule, Object::new(foxglove.schema, from, &mut element), schema, to)
@@ -168,14 +168,14 @@ fn to_ros<'v>(
     Ok(made)
 }
 
-/// The same value as another field has it; the two [are alike](are_alike).
+/// Converts a value to the type of another field; the two [are alike](are_alike).
 fn convert<'v>(
     value: Value<'v>,
     from: (&Schema, &Field),
     to: (&Schema, &Field),
 ) -> Result<Value<'v>, Problem> {
     match value {
-        // What is not there is zero, in lists of a fixed length as well.
+        // A missing value is zero, also in lists of a fixed length.
         Value::Absent => Value::absent(to.0, to.1, &mut Budget::for_input(0)),
         Value::Packed(bytes) if bytes.is_empty() && matches!(to.1.count, Count::Array(_)) => {
             Value::absent(to.0, to.1, &mut Budget::for_input(0))
@@ -202,7 +202,7 @@ fn convert_one<'v>(
             [Value::Signed(sec), Value::Unsigned(nanosec)] => {
                 Ok(Value::Moment { sec, nanosec: u32::try_from(nanosec).unwrap_or(u32::MAX) })
             }
-            _ => Err(Problem::new("is no time")),
+            _ => Err(Problem::new("is not a time")),
         },
         (Value::Moment { sec, nanosec }, Kind::Time, Kind::Record(_)) => match i32::try_from(sec) {
             Ok(sec) => Ok(Value::Record(vec![Value::Signed(sec.into()), Value::Unsigned(nanosec.into())])),

@@ -1,8 +1,8 @@
-//! Fields of a value by their names.
+//! Access to the fields of a value by name.
 
 use crate::interchange::{Field, Kind, Problem, Schema, Value};
 
-/// A record's value with what describes it.
+/// A record's value with its schema.
 pub(super) struct Object<'o, 'v> {
     pub(super) schema: &'o Schema,
     pub(super) record: usize,
@@ -23,13 +23,13 @@ impl<'o, 'v> Object<'o, 'v> {
         for index in indices {
             value = match value {
                 Value::Record(values) if index < values.len() => &mut values[index],
-                _ => return Err(Problem::new("is not there").in_field(path)),
+                _ => return Err(Problem::new("does not exist").in_field(path)),
             };
         }
         Ok((field, value))
     }
 
-    /// Takes a value out.
+    /// Removes and returns a value.
     pub(super) fn take(&mut self, path: &str) -> Result<Value<'v>, Problem> {
         Ok(std::mem::replace(self.field(path)?.1, Value::Absent))
     }
@@ -43,7 +43,7 @@ impl<'o, 'v> Object<'o, 'v> {
         match self.field(path)?.1 {
             Value::Unsigned(value) => Ok(*value),
             Value::Bool(value) => Ok(u64::from(*value)),
-            _ => Err(Problem::new("is no unsigned number").in_field(path)),
+            _ => Err(Problem::new("is not an unsigned number").in_field(path)),
         }
     }
 
@@ -51,14 +51,14 @@ impl<'o, 'v> Object<'o, 'v> {
         match self.field(path)?.1 {
             Value::Float32(value) => Ok((*value).into()),
             Value::Float64(value) => Ok(*value),
-            _ => Err(Problem::new("is no floating-point number").in_field(path)),
+            _ => Err(Problem::new("is not a floating-point number").in_field(path)),
         }
     }
 
     pub(super) fn text(&mut self, path: &str) -> Result<String, Problem> {
         match self.field(path)?.1 {
             Value::Text(text) => Ok(text.to_string()),
-            _ => Err(Problem::new("is no text").in_field(path)),
+            _ => Err(Problem::new("is not a string").in_field(path)),
         }
     }
 
@@ -66,26 +66,26 @@ impl<'o, 'v> Object<'o, 'v> {
     pub(super) fn take_packed(&mut self, path: &str) -> Result<std::borrow::Cow<'v, [u8]>, Problem> {
         match self.take(path)? {
             Value::Packed(bytes) => Ok(bytes),
-            _ => Err(Problem::new("is no list of numbers").in_field(path)),
+            _ => Err(Problem::new("is not a list of numbers").in_field(path)),
         }
     }
 
-    /// Takes the elements of a list, and gives the kind of an element.
+    /// Takes the elements of a list, and returns the kind of an element.
     pub(super) fn take_list(&mut self, path: &str) -> Result<(Kind, Vec<Value<'v>>), Problem> {
         let kind = self.field(path)?.0.kind;
         match self.take(path)? {
             Value::List(values) => Ok((kind, values)),
-            _ => Err(Problem::new("is no list").in_field(path)),
+            _ => Err(Problem::new("is not a list").in_field(path)),
         }
     }
 }
 
-/// The field at a path, and its position in each record on the way.
+/// The field at a path, and its index in each record on the path.
 pub(super) fn resolve<'s>(schema: &'s Schema, record: usize, path: &str) -> Option<(&'s Field, Vec<usize>)> {
     let (mut record, mut indices, mut found) = (Some(record), Vec::new(), None);
     for name in path.split('.') {
         let fields = &schema.records.get(record?)?.fields;
-        // What is `D` in Protobuf is `d` in FlatBuffers.
+        // `D` in Protobuf is `d` in FlatBuffers.
         let index = fields.iter().position(|field| field.name.eq_ignore_ascii_case(name))?;
         let field = &fields[index];
         record = match field.kind {

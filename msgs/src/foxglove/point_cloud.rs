@@ -1,4 +1,4 @@
-//! Point clouds: rows of points with padding there, points alone here.
+//! Point clouds: rows of points with padding in ROS 2, points without padding in Foxglove.
 
 use std::borrow::Cow;
 
@@ -6,10 +6,10 @@ use super::path::Object;
 use super::special::{check_identity, put_identity};
 use crate::interchange::{Problem, Value};
 
-/// For each numeric type of `sensor_msgs/msg/PointField` from 1 on: its number for Foxglove, and its size.
+/// For each numeric type of `sensor_msgs/msg/PointField`, starting at 1: Foxglove's number, and its size.
 const TYPES: [(u64, u64); 8] = [(2, 1), (1, 1), (4, 2), (3, 2), (6, 4), (5, 4), (7, 4), (8, 8)];
 
-/// Values in a point: the longest descriptors have some hundred.
+/// Maximum number of values in a point: the longest descriptors have a few hundred.
 const MOST_FIELDS: u64 = 4096;
 
 pub(super) fn to_foxglove(ros: &mut Object<'_, '_>, foxglove: &mut Object<'_, '_>) -> Result<(), Problem> {
@@ -27,7 +27,9 @@ pub(super) fn to_foxglove(ros: &mut Object<'_, '_>, foxglove: &mut Object<'_, '_
     // 32 bits each, so that the products cannot overflow.
     let (row, padded_row) = (width * stride, ros.unsigned("row_step")?);
     let (_, data) = foxglove.field("data")?;
-    let Value::Packed(bytes) = data else { return Err(Problem::new("is no list of bytes").in_field("data")) };
+    let Value::Packed(bytes) = data else {
+        return Err(Problem::new("is not a list of bytes").in_field("data"));
+    };
     if padded_row == row || height <= 1 {
         return Ok(());
     }
@@ -35,7 +37,7 @@ pub(super) fn to_foxglove(ros: &mut Object<'_, '_>, foxglove: &mut Object<'_, '_
         (usize::try_from(row).unwrap_or(usize::MAX), usize::try_from(padded_row).unwrap_or(usize::MAX));
     if padded_row < row || padded_row.checked_mul(height as usize).is_none_or(|size| size > bytes.len()) {
         let text = format!(
-            "{height} rows of {padded_row} bytes with {row} of points are not in {} bytes",
+            "{height} rows of {padded_row} bytes with {row} bytes of points do not fit into {} bytes",
             bytes.len()
         );
         return Err(Problem::new(text).in_field("row_step"));
@@ -46,30 +48,30 @@ pub(super) fn to_foxglove(ros: &mut Object<'_, '_>, foxglove: &mut Object<'_, '_
     Ok(())
 }
 
-/// A field of several values is one field for each.
+/// A field of several values becomes one field for each value.
 fn add_field<'v>(
     field: Value<'_>,
     is_bigendian: bool,
     stride: u64,
     fields: &mut Vec<Value<'v>>,
 ) -> Result<(), Problem> {
-    let Value::Record(parts) = field else { return Err(Problem::new("is no point field")) };
+    let Value::Record(parts) = field else { return Err(Problem::new("is not a point field")) };
     // Name, offset, datatype, count.
     let [Value::Text(name), Value::Unsigned(offset), Value::Unsigned(datatype), Value::Unsigned(count)] =
         &parts[..]
     else {
-        return Err(Problem::new("is no point field"));
+        return Err(Problem::new("is not a point field"));
     };
     let place = usize::try_from(*datatype).ok().and_then(|datatype| datatype.checked_sub(1));
     let Some((number, size)) = place.and_then(|place| TYPES.get(place)).copied() else {
-        return Err(Problem::new(format!("{datatype} is no numeric type")).in_field("datatype"));
+        return Err(Problem::new(format!("{datatype} is not a numeric type")).in_field("datatype"));
     };
     if is_bigendian && size > 1 {
-        return Err(Problem::new("big-endian numbers, Foxglove has them little-endian").in_field(name));
+        return Err(Problem::new("big-endian numbers, Foxglove supports little-endian only").in_field(name));
     }
     let count = (*count).max(1);
     if offset.saturating_add(count.saturating_mul(size)) > stride {
-        let text = format!("{count} values of {size} bytes at {offset} are not in a point of {stride} bytes");
+        let text = format!("{count} values of {size} bytes at {offset} exceed a point of {stride} bytes");
         return Err(Problem::new(text).in_field(name));
     }
     if count.saturating_add(fields.len() as u64) > MOST_FIELDS {
@@ -92,12 +94,12 @@ pub(super) fn to_ros(foxglove: &mut Object<'_, '_>, ros: &mut Object<'_, '_>) ->
     let mut fields = Vec::new();
     for (index, field) in foxglove.take_list("fields")?.1.into_iter().enumerate() {
         let no_field = |text: &str| Problem::new(text).at_index(index).in_field("fields");
-        let Value::Record(parts) = field else { return Err(no_field("is no field")) };
+        let Value::Record(parts) = field else { return Err(no_field("is not a field")) };
         let [Value::Text(name), offset, Value::Unsigned(number)] = &parts[..] else {
-            return Err(no_field("is no field"));
+            return Err(no_field("is not a field"));
         };
         let Some(place) = TYPES.iter().position(|(of, _)| of == number) else {
-            return Err(no_field(&format!("{number} is no numeric type that ROS 2 has")));
+            return Err(no_field(&format!("{number} is not a numeric type of ROS 2")));
         };
         let numbers = [place as u64 + 1, 1].map(Value::Unsigned);
         let [datatype, count] = numbers;
@@ -112,7 +114,7 @@ pub(super) fn to_ros(foxglove: &mut Object<'_, '_>, ros: &mut Object<'_, '_>) ->
     };
     let width = length.checked_div(stride).unwrap_or(0);
     if width * stride != length || u32::try_from(length).is_err() {
-        let text = format!("{length} bytes are no points of {stride} bytes that ROS 2 has room for");
+        let text = format!("{length} bytes are not points of {stride} bytes, or too many for ROS 2");
         return Err(Problem::new(text).in_field("data"));
     }
     ros.put("height", Value::Unsigned(1))?;

@@ -1,16 +1,17 @@
-//! Which field of ROS 2 is which of Foxglove's.
+//! The mapping between fields of ROS 2 and of Foxglove.
 
 use super::special::{self, Special};
 
-/// How a message type becomes one of Foxglove's.
+/// The mapping of a message type to one of Foxglove's.
 pub(super) struct Rule {
     pub(super) ros: &'static str,
     pub(super) foxglove: &'static str,
-    /// Foxglove's field, and the path of the one that means the same in the message. Those not named are empty.
+    /// Foxglove's field, and the path of the corresponding field in the message. Others stay empty.
     pub(super) same: &'static [(&'static str, &'static str)],
-    /// Lists whose elements are converted by a rule of their own: Foxglove's field, the message's, the elements' type.
+    /// A list whose elements are converted by their own rule: Foxglove's field, the message's, the elements'
+    /// type.
     pub(super) each: Option<(&'static str, &'static str, &'static str)>,
-    /// What no equality says.
+    /// Conversions beyond equal fields.
     pub(super) special: Option<Special>,
 }
 

@@ -1,4 +1,4 @@
-//! Foxglove's schemas: names, numbers of Protobuf, ids of FlatBuffers.
+//! Foxglove's schemas: names, Protobuf numbers, FlatBuffers ids.
 
 use crate::interchange::{Count, Enumeration, Field, Kind, Record, Schema};
 
@@ -7,7 +7,7 @@ use crate::interchange::{Count, Enumeration, Field, Kind, Record, Schema};
 enum Type {
     U32,
     F64,
-    /// With what FlatBuffers takes it to be if it is not there.
+    /// With its default in FlatBuffers.
     F64Or(f64),
     OptionalF64,
     F64s,

@@ -1,15 +1,15 @@
-//! Types whose fields do not stand for one another one by one.
+//! Types whose fields do not correspond one to one.
 
 use super::path::Object;
 use crate::interchange::{Problem, Value};
 
-/// What is done besides the fields that are the same. `to_foxglove` runs after those were moved, `to_ros` before.
+/// Conversions beyond equal fields. `to_foxglove` runs after equal fields are moved, `to_ros` before.
 pub(super) struct Special {
     pub(super) to_foxglove: fn(&mut Object<'_, '_>, &mut Object<'_, '_>) -> Result<(), Problem>,
     pub(super) to_ros: fn(&mut Object<'_, '_>, &mut Object<'_, '_>) -> Result<(), Problem>,
 }
 
-/// Severities of ROS 2 are the tens of Foxglove's.
+/// Severities of ROS 2 are ten times those of Foxglove.
 pub(super) const LOG: Special = Special {
     to_foxglove: |ros, foxglove| {
         let level = (ros.unsigned("level")? / 10).min(5);
@@ -24,10 +24,10 @@ pub(super) const LOG: Special = Special {
 pub(super) const IMAGE: Special = Special {
     to_foxglove: |ros, foxglove| {
         let encoding = foxglove.text("encoding")?;
-        // Names of encodings tell the bits of a channel: `mono16`, `16UC1`, `32FC1`, `bayer_rggb16`.
+        // Names of encodings contain the bits of a channel: `mono16`, `16UC1`, `32FC1`, `bayer_rggb16`.
         let has_long_channels = ["16", "32", "64"].iter().any(|bits| encoding.contains(bits));
         if ros.unsigned("is_bigendian")? != 0 && has_long_channels {
-            let text = format!("pixels of encoding {encoding} are little-endian for Foxglove");
+            let text = format!("pixels of encoding {encoding} must be little-endian for Foxglove");
             return Err(Problem::new(text).in_field("is_bigendian"));
         }
         Ok(())
@@ -39,7 +39,7 @@ pub(super) const IMAGE: Special = Special {
 pub(super) const COMPRESSED_IMAGE: Special = Special {
     to_foxglove: |ros, foxglove| {
         let said = ros.text("format")?;
-        // Depth images begin with a header of their own: they are no PNG.
+        // Depth images start with an additional header, so they are not PNG.
         let known = ["jpeg", "png", "webp", "avif"].into_iter().find(|format| said.contains(format));
         let format = match known {
             Some(format) if !said.contains("compressedDepth") => format.to_owned(),
@@ -68,7 +68,7 @@ pub(super) const LASER_SCAN: Special = Special {
     },
 };
 
-/// Lists of names and values are a list of joints. A list that is as long as that of the names is kept.
+/// Lists of names and values become a list of joints. Lists as long as that of the names are preserved.
 pub(super) const JOINT_STATE: Special = Special {
     to_foxglove: |ros, foxglove| {
         let names = ros.take_list("name")?.1;
@@ -78,7 +78,7 @@ pub(super) const JOINT_STATE: Special = Special {
             let numbers: Vec<f64> =
                 numbers.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
             if !numbers.is_empty() && numbers.len() != names.len() {
-                let text = format!("has {} elements, there are {} names", numbers.len(), names.len());
+                let text = format!("has {} elements, but there are {} names", numbers.len(), names.len());
                 return Err(Problem::new(text).in_field(column));
             }
             columns.push(numbers);
@@ -91,7 +91,7 @@ pub(super) const JOINT_STATE: Special = Special {
             // Name, position, velocity, acceleration, effort.
             let name = match name {
                 Value::Text(text) => Value::Text(text.into_owned().into()),
-                other => return Err(Problem::new(format!("{other:?} is no name"))),
+                other => return Err(Problem::new(format!("{other:?} is not a name"))),
             };
             Ok(Value::Record(vec![name, number(0), number(1), Value::Absent, number(2)]))
         });
@@ -103,10 +103,10 @@ pub(super) const JOINT_STATE: Special = Special {
         let count = joints.len();
         for (index, joint) in joints.into_iter().enumerate() {
             let Value::Record(fields) = joint else {
-                return Err(Problem::new("is no joint").in_field("joints"));
+                return Err(Problem::new("is not a joint").in_field("joints"));
             };
             let [Value::Text(name), position, velocity, _, effort] = &fields[..] else {
-                return Err(Problem::new("is no joint").at_index(index).in_field("joints"));
+                return Err(Problem::new("is not a joint").at_index(index).in_field("joints"));
             };
             names.push(Value::Text(name.to_string().into()));
             for (column, value) in columns.iter_mut().zip([position, velocity, effort]) {
@@ -117,9 +117,9 @@ pub(super) const JOINT_STATE: Special = Special {
         }
         ros.put("name", Value::List(names))?;
         for (name, column) in ["position", "velocity", "effort"].into_iter().zip(columns) {
-            // ROS 2 has a value for all joints or for none.
+            // In ROS 2 either all joints have a value or none.
             if !column.is_empty() && column.len() != count * 8 {
-                let text = "some joints have it and some do not, which ROS 2 cannot say";
+                let text = "some joints have it and some do not, which ROS 2 cannot express";
                 return Err(Problem::new(text).in_field(name));
             }
             ros.put(name, Value::Packed(column.into()))?;
@@ -131,12 +131,12 @@ pub(super) const JOINT_STATE: Special = Special {
 pub(super) const POINT_CLOUD: Special =
     Special { to_foxglove: super::point_cloud::to_foxglove, to_ros: super::point_cloud::to_ros };
 
-/// Sets the pose of something that is where its frame is.
+/// Sets the identity pose.
 pub(super) fn put_identity(foxglove: &mut Object<'_, '_>) -> Result<(), Problem> {
     foxglove.put("pose.orientation.w", Value::Float64(1.0))
 }
 
-/// Checks that something is where its frame is: the message of ROS 2 has no place for a pose. One that was left out is.
+/// Checks that the pose is the identity, since the ROS 2 message has no pose. A missing pose is the identity.
 pub(super) fn check_identity(foxglove: &mut Object<'_, '_>) -> Result<(), Problem> {
     let w = foxglove.float("pose.orientation.w")?;
     let names = ["position.x", "position.y", "position.z", "orientation.x", "orientation.y", "orientation.z"];
@@ -146,7 +146,7 @@ pub(super) fn check_identity(foxglove: &mut Object<'_, '_>) -> Result<(), Proble
     }
     if is_elsewhere {
         return Err(
-            Problem::new("is not where its frame is, which the ROS 2 message cannot say").in_field("pose")
+            Problem::new("is not the identity, which the ROS 2 message cannot express").in_field("pose")
         );
     }
     Ok(())

@@ -1,18 +1,19 @@
-//! How much memory a value may take.
+//! Limits the memory of a value.
 
 use super::Problem;
 
-/// Formats that leave out what has its default, or that let two places share one table, can say much with few bytes. What
-/// a value takes is therefore counted while it is read.
+/// Formats that omit defaults, or that share tables, can represent large values with few bytes. The memory of
+/// a value is therefore counted while it is read.
 #[derive(Debug)]
 pub(crate) struct Budget {
     left: usize,
     all: usize,
 }
 
-/// What any input may become: more than any message made of defaults alone.
+/// The limit for any input: more than any message of defaults.
 const FLOOR: usize = 16 << 20;
-/// Bytes in memory per byte of input, above the floor: a list of numbers in text or varints takes 8, of small messages 100.
+/// Bytes of memory per byte of input, above the floor: a list of numbers in text or varints takes 8, of small
+/// messages 100.
 const FACTOR: usize = 128;
 
 impl Budget {

@@ -1,22 +1,22 @@
-//! Between CDR and values. Numbers that lie side by side are borrowed from the bytes, not copied.
+//! Conversion between CDR and values. Contiguous numbers are borrowed from the input, not copied.
 
 use std::borrow::Cow;
 
 use super::{Count, Field, Kind, Problem, Schema, Value};
 use crate::cdr::{self, Cdr, Endianness, Reader, WString, Writer};
 
-/// Reads the root record of a schema made of a definition.
+/// Reads the root record of a schema derived from a definition.
 ///
 /// # Errors
-/// If the bytes are no such message.
+/// If the bytes are not a valid message.
 pub(crate) fn read<'a>(schema: &Schema, bytes: &'a [u8]) -> cdr::Result<Value<'a>> {
     read_record(schema, 0, &mut Reader::new(bytes)?)
 }
 
-/// Writes the root record of a schema made of a definition, little-endian with its header.
+/// Writes the root record of a schema derived from a definition, little-endian with its header.
 ///
 /// # Errors
-/// If the value has more than the definition allows. The caller has checked that it is of the schema.
+/// If the value exceeds a bound of the definition. The caller has checked that it matches the schema.
 pub(crate) fn write(schema: &Schema, value: &Value<'_>) -> Result<Vec<u8>, Problem> {
     let mut buffer = vec![0, 1, 0, 0];
     write_one(schema, Kind::Record(0), value, &mut Writer::new(&mut buffer))?;
@@ -129,7 +129,7 @@ fn check_bound(found: usize, bound: Option<usize>, reader: &Reader<'_>) -> cdr::
     }
 }
 
-/// The fewest bytes of an element, padding not counted.
+/// The minimum size of an element, without padding.
 fn least_size(schema: &Schema, kind: Kind) -> usize {
     match kind {
         Kind::Record(index) => schema.records[index].least_size,
@@ -178,12 +178,12 @@ fn write_length(count: Count, found: usize, writer: &mut Writer<'_>) -> Result<(
     Ok(())
 }
 
-/// CDR lengths have 32 bits, and that of a string counts its end too.
+/// CDR lengths have 32 bits, and the length of a string includes its terminator.
 fn check_length(found: usize) -> Result<(), Problem> {
     if u32::try_from(found).is_ok_and(|found| found < u32::MAX) {
         return Ok(());
     }
-    Err(Problem::new(format!("has {found} elements, CDR has lengths of 32 bits")))
+    Err(Problem::new(format!("has {found} elements, but lengths in CDR have 32 bits")))
 }
 
 fn write_one(schema: &Schema, kind: Kind, value: &Value<'_>, writer: &mut Writer<'_>) -> Result<(), Problem> {
@@ -228,7 +228,7 @@ fn write_one(schema: &Schema, kind: Kind, value: &Value<'_>, writer: &mut Writer
     Ok(())
 }
 
-/// A value that does not fit the schema it was made for: only a defect of a format's reader makes one.
+/// A value that does not match its schema, which only a bug in a format's reader can cause.
 #[cold]
 fn mismatch(value: &Value<'_>) -> Problem {
     Problem::new(format!("the value {value:?} is not of the field's kind"))

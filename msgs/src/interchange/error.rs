@@ -1,20 +1,20 @@
-//! Why a message does not go through an encoding.
+//! Errors of converting messages.
 
 use std::fmt;
 
-/// A message could not be converted, or the conversion not be prepared.
+/// A message or a type cannot be converted.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The definition is not what it should be.
+    /// The definition is invalid.
     #[error(transparent)]
     Definition(#[from] downbeat_msgs_definitions::Error),
-    /// The bytes that were to be converted are no CDR of the type.
+    /// The bytes to convert are not CDR of the type.
     #[error("{type_name}: {source}")]
     Cdr {
-        /// The type they were read as.
+        /// The expected type.
         type_name: String,
-        /// What is wrong with them.
+        /// The problem.
         source: crate::cdr::Error,
     },
     /// A value or its bytes cannot be converted.
@@ -26,31 +26,31 @@ pub enum Error {
         direction: Direction,
         /// The format: `protobuf`, `json`, …
         format: &'static str,
-        /// Where in the bytes, if they were being read and the format has places.
+        /// The offset in the bytes, if they were being read and the format has offsets.
         offset: Option<usize>,
-        /// The field, as in `points[3].x`. Empty outside of any.
+        /// The field, as in `points[3].x`. Empty outside of fields.
         path: String,
-        /// What is wrong.
+        /// The problem.
         problem: String,
     },
-    /// A type is nested deeper than conversions follow.
+    /// A type is nested too deeply for conversions.
     #[error(
-        "{type_name} nests messages more than {limit} deep, which the other serialisations do not follow"
+        "{type_name} nests messages more than {limit} levels deep, the limit for serialisations other than CDR"
     )]
     TooDeep {
         /// The type.
         type_name: String,
-        /// How deep they follow.
+        /// The maximum depth.
         limit: usize,
     },
-    /// A type has more fields than numbers are there for.
-    #[error("{type_name} has {found} fields, Protobuf and FlatBuffers number at most {limit}")]
+    /// A type has more fields than the format can number.
+    #[error("{type_name} has {found} fields, Protobuf and FlatBuffers support at most {limit}")]
     TooManyFields {
         /// The type.
         type_name: String,
-        /// How many it has.
+        /// The number of fields.
         found: usize,
-        /// How many there are numbers for.
+        /// The maximum number.
         limit: usize,
     },
     /// This build does not have the encoding.
@@ -58,12 +58,12 @@ pub enum Error {
     NotCompiledIn {
         /// Its name.
         encoding: &'static str,
-        /// What brings it.
+        /// The feature that enables it.
         feature: &'static str,
     },
 }
 
-/// Which way a conversion went.
+/// The direction of a conversion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
     /// From bytes of the format.
@@ -81,7 +81,7 @@ impl fmt::Display for Direction {
     }
 }
 
-/// An error on its way out of the fields it occurred in.
+/// An error that is passed outwards, collecting the path of its field.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Problem {
     pub(crate) text: String,

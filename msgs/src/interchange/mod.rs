@@ -1,6 +1,6 @@
-//! What all serialisations but CDR share: a message as a [`Value`] of named and numbered fields, described by a
-//! [`Schema`]. Each format reads and writes values by their schema and knows nothing of ROS 2; [`cdr`] is the way between
-//! values and messages.
+//! The common part of all serialisations except CDR: a message is a [`Value`] of named and numbered fields,
+//! described by a [`Schema`]. Each format reads and writes values by their schema and does not depend on ROS
+//! 2; [`cdr`] converts between values and messages.
 //!
 //! ```text
 //!  message ◄── cdr ──► Value + Schema of its definition ◄──► JSON, CBOR, Protobuf, FlatBuffers

@@ -7,7 +7,7 @@ use downbeat_msgs_definitions::{Catalog, Element, FieldType, Primitive, Shape, T
 
 use super::{Error, Value};
 
-/// A record and those within it.
+/// A record and its nested records.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Schema {
     /// The first is the root. No record contains itself.
@@ -18,10 +18,10 @@ pub(crate) struct Schema {
 /// A message type.
 #[derive(Clone, Debug)]
 pub(crate) struct Record {
-    /// With its namespace, as in `sensor_msgs.msg.Imu`, `foxglove.RawImage`.
+    /// Including the namespace, as in `sensor_msgs.msg.Imu`, `foxglove.RawImage`.
     pub(crate) name: String,
     pub(crate) fields: Vec<Field>,
-    /// The fewest bytes of CDR.
+    /// The minimum size in CDR.
     pub(crate) least_size: usize,
 }
 
@@ -29,19 +29,19 @@ pub(crate) struct Record {
 #[derive(Clone, Debug)]
 pub(crate) struct Field {
     pub(crate) name: String,
-    /// Of Protobuf.
+    /// The field number in Protobuf.
     pub(crate) number: u32,
-    /// Of FlatBuffers.
+    /// The field id in FlatBuffers.
     pub(crate) id: u16,
     pub(crate) kind: Kind,
     pub(crate) count: Count,
-    /// What FlatBuffers takes a number to be that is not there.
+    /// The default of a number in FlatBuffers.
     pub(crate) default: f64,
-    /// What a new message has, where the definition says so.
+    /// The default in the definition, if any.
     pub(crate) initial: Option<Value<'static>>,
 }
 
-/// What a field holds.
+/// The type of a field's elements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     Bool,
@@ -51,7 +51,7 @@ pub(crate) enum Kind {
     UInt16,
     Int32,
     UInt32,
-    /// A `UInt32` that Protobuf writes in four bytes.
+    /// A `UInt32` that Protobuf writes as four bytes.
     Fixed32,
     Int64,
     UInt64,
@@ -66,18 +66,18 @@ pub(crate) enum Kind {
     },
     /// A point in time: a well-known type of Protobuf, a struct in FlatBuffers.
     Time,
-    /// A span of time, likewise.
+    /// A span of time: a well-known type of Protobuf, a struct in FlatBuffers.
     Duration,
     /// A small number with names for its values.
     Enumeration(usize),
     Record(usize),
 }
 
-/// How many of it.
+/// The number of elements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Count {
     One,
-    /// One or none, and none is not zero.
+    /// One or none; none differs from zero.
     Optional,
     Array(usize),
     Bounded(usize),
@@ -92,17 +92,17 @@ pub(crate) struct Enumeration {
     pub(crate) nested_name: &'static str,
     /// Its name in FlatBuffers.
     pub(crate) name: &'static str,
-    /// From 0 on.
+    /// The names of the values, starting at 0.
     pub(crate) values: &'static [&'static str],
 }
 
-/// How deep records may be nested: conversions recurse as deep.
+/// Maximum nesting of records: conversions recurse.
 const DEEPEST: usize = 64;
-/// Protobuf keeps the numbers from 19 000 on for itself.
+/// Protobuf reserves the numbers from 19 000.
 const MOST_FIELDS: usize = 18_999;
 
 impl Schema {
-    /// The fields of a definition in their order, numbered in it, with all that can be said in CDR.
+    /// Derives a schema from a definition, with fields numbered in order and everything that CDR requires.
     ///
     /// # Errors
     /// If the catalog lacks a type, or the type is too large.
@@ -123,7 +123,7 @@ impl Schema {
         known: &mut BTreeMap<TypeName, usize>,
         depth: usize,
     ) -> Result<usize, Error> {
-        // Also ends the walk through a cycle, which the catalog's own check would have named.
+        // Also stops at cycles, which the catalog's own check reports.
         if depth > DEEPEST {
             return Err(Error::TooDeep { type_name: name.to_string(), limit: DEEPEST });
         }
@@ -160,7 +160,7 @@ impl Schema {
 }
 
 impl Kind {
-    /// Bytes of one, where all take the same: numbers and truth values.
+    /// The size of a value, if fixed: numbers and booleans.
     pub(crate) const fn width(self) -> Option<usize> {
         Some(match self {
             Self::Bool | Self::Int8 | Self::UInt8 | Self::Enumeration(_) => 1,
@@ -179,14 +179,14 @@ impl Count {
         matches!(self, Self::Array(_) | Self::Bounded(_) | Self::Any)
     }
 
-    /// Whether so many elements may be there.
+    /// Checks the number of elements.
     pub(crate) fn check(self, found: usize) -> Result<(), super::Problem> {
         let (what, length) = match self {
             Self::Array(length) if found != length => ("exactly", length),
             Self::Bounded(length) if found > length => ("at most", length),
             _ => return Ok(()),
         };
-        Err(super::Problem::new(format!("has {found} elements, the type has {what} {length}")))
+        Err(super::Problem::new(format!("has {found} elements, but the type has {what} {length}")))
     }
 }
 
@@ -217,7 +217,7 @@ fn kind_of(element: &Element) -> Kind {
     }
 }
 
-/// A default of a definition, which its parser has checked against the field's type.
+/// Converts a default of a definition, which the parser has checked against the field's type.
 fn initial(kind: Kind, default: &definitions::Value) -> Option<Value<'static>> {
     Some(match (default, kind) {
         (definitions::Value::Bool(value), _) => Value::Bool(*value),

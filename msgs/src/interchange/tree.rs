@@ -1,4 +1,5 @@
-//! Values through serde, for formats that need no schema: the same JSON and CBOR as the structs give.
+//! Reads and writes values with serde, for formats without a schema: the same JSON and CBOR as for the
+//! structs.
 
 use std::cell::RefCell;
 use std::fmt;
@@ -42,11 +43,11 @@ pub(crate) fn from_cbor<'a>(schema: &Schema, bytes: &'a [u8]) -> Result<Value<'a
         .map_err(|error| Problem::new(error.to_string()))?;
     match deserializer.into_inner().fill(1) {
         Ok(rest) if rest.as_ref().is_empty() => Ok(value),
-        _ => Err(Problem::new("there are bytes behind the value")),
+        _ => Err(Problem::new("there are bytes after the value")),
     }
 }
 
-/// A value on its way out.
+/// A value to serialise.
 struct Node<'n> {
     schema: &'n Schema,
     kind: Kind,
@@ -103,7 +104,7 @@ impl Serialize for Node<'_> {
     }
 }
 
-/// What is expected next: one of a kind.
+/// Deserialises one value of a kind.
 #[derive(Clone, Copy)]
 struct Seed<'s> {
     schema: &'s Schema,
@@ -111,7 +112,7 @@ struct Seed<'s> {
     budget: &'s RefCell<Budget>,
 }
 
-/// What is expected next: the content of a field.
+/// Deserialises the content of a field.
 struct FieldSeed<'s> {
     seed: Seed<'s>,
     field: &'s Field,
@@ -177,7 +178,7 @@ impl<'de> Visitor<'de> for Seed<'_> {
         }
     }
 
-    /// `null`: a number that JSON cannot tell.
+    /// `null` is a number that JSON cannot represent.
     fn visit_unit<E: serde::de::Error>(self) -> Result<Self::Value, E> {
         match self.kind {
             Kind::Float32 | Kind::Float64 => self.visit_f64(f64::NAN),
@@ -217,7 +218,7 @@ impl<'de> Visitor<'de> for Seed<'_> {
         while let Some(key) = map.next_key::<String>()? {
             match fields.iter().position(|field| field.name == key) {
                 Some(index) if values[index].is_some() => {
-                    return Err(A::Error::custom(format!("the field `{key}` is there twice")));
+                    return Err(A::Error::custom(format!("duplicate field `{key}`")));
                 }
                 Some(index) => {
                     let seed =

@@ -4,34 +4,34 @@ use std::borrow::Cow;
 
 use super::{Budget, Count, Field, Kind, Problem, Schema};
 
-/// What a field holds, or a record. Which variants a field may have, its kind and count say.
+/// The value of a field or a record. Kind and count of a field determine its variant.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Value<'a> {
     Bool(bool),
-    /// Of a signed integer kind, and within it.
+    /// A value in the range of its signed integer kind.
     Signed(i64),
-    /// Of an unsigned integer kind or an enumeration, and within it.
+    /// A value in the range of its unsigned integer kind or enumeration.
     Unsigned(u64),
     Float32(f32),
     Float64(f64),
     Text(Cow<'a, str>),
-    /// Of time and duration: seconds rounded down, and nanoseconds below 10^9.
+    /// A time or duration: seconds rounded down, and nanoseconds below 10^9.
     Moment {
         sec: i64,
         nanosec: u32,
     },
-    /// A list of a kind with a [width](Kind::width): the numbers one after another, little-endian.
+    /// A list of a kind with a [width](Kind::width): contiguous little-endian numbers.
     Packed(Cow<'a, [u8]>),
     /// A list of any other kind.
     List(Vec<Value<'a>>),
-    /// The fields of a record, all of them, in the order of the schema.
+    /// All fields of a record, in the order of the schema.
     Record(Vec<Value<'a>>),
-    /// An optional field that is not there.
+    /// A missing optional field.
     Absent,
 }
 
 impl<'a> Value<'a> {
-    /// What a field is that the bytes do not mention: zero, empty, not there.
+    /// The value of a field that is missing in the input: zero, empty or absent.
     pub(crate) fn absent(schema: &Schema, field: &Field, budget: &mut Budget) -> Result<Self, Problem> {
         budget.spend(size_of::<Self>())?;
         match (field.count, field.kind.width()) {
@@ -79,7 +79,7 @@ impl<'a> Value<'a> {
         })
     }
 
-    /// Gives a record that is all zeros the values of a new message.
+    /// Sets the fields of a zeroed record to the defaults of the definition.
     pub(crate) fn initialize(&mut self, schema: &Schema, record: usize) {
         let Self::Record(values) = self else { return };
         for (field, value) in schema.records[record].fields.iter().zip(values) {
@@ -111,7 +111,7 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// The bits of a number or truth value, for its little-endian bytes: as many as the kind is wide.
+    /// The bits of a number or boolean, as wide as its kind.
     pub(crate) fn bits(&self) -> Option<u64> {
         Some(match self {
             Self::Bool(value) => u64::from(*value),
@@ -123,7 +123,7 @@ impl<'a> Value<'a> {
         })
     }
 
-    /// An integer of a kind, if it is within the kind.
+    /// An integer of a kind, if it is in range.
     pub(crate) fn integer(kind: Kind, integer: i128) -> Option<Self> {
         let (least, greatest) = match kind {
             Kind::Int8 => (i8::MIN.into(), i8::MAX.into()),

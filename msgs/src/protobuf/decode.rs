@@ -1,19 +1,19 @@
-//! The wire to values.
+//! Reads values from the wire format.
 
 use std::borrow::Cow;
 
 use super::wire::{Content, Fields};
 use crate::interchange::{Budget, Count, Field, Kind, Problem, Schema, Value};
 
-/// Reads a value of the schema's root record. Fields come in any order, unknown ones are passed over, and of a field that
-/// comes more than once the last one counts (messages: both together), as the format says.
+/// Reads a value of the schema's root record. As the format specifies, fields may be in any order, unknown
+/// fields are skipped, and the last occurrence of a repeated field is used (messages are merged).
 ///
 /// # Errors
-/// If the bytes are no such message.
+/// If the bytes are not a valid message.
 pub(crate) fn decode<'a>(schema: &Schema, bytes: &'a [u8]) -> Result<Value<'a>, Problem> {
     let mut budget = Budget::for_input(bytes.len());
     let mut value = Value::zero(schema, Kind::Record(0), &mut budget)?;
-    // Lists begin empty, also those of a fixed length: their elements are counted at the end.
+    // Lists start empty, even those of a fixed length: their elements are counted at the end.
     Merger { schema, budget }.merge(0, bytes, 0, &mut value)?;
     Ok(value)
 }
@@ -24,7 +24,7 @@ struct Merger<'s> {
 }
 
 impl Merger<'_> {
-    /// Reads the fields of a record into what is known of it.
+    /// Merges the fields of a record into its current value.
     fn merge<'a>(
         &mut self,
         record: usize,
@@ -34,8 +34,8 @@ impl Merger<'_> {
     ) -> Result<(), Problem> {
         let schema = self.schema;
         let known = &schema.records[record].fields;
-        let Value::Record(values) = value else { return Err(Problem::new("no record to read into")) };
-        // Elements of lists of a fixed length read so far: what the value holds until then are zeros.
+        let Value::Record(values) = value else { return Err(Problem::new("not a record")) };
+        // The number of elements read so far of fixed-length lists, whose other elements are zero.
         let mut counts = vec![0_usize; known.len()];
         self.budget.spend(size_of::<usize>() * known.len())?;
         let mut fields = Fields::new(bytes, origin);
@@ -50,7 +50,7 @@ impl Merger<'_> {
             result.map_err(|problem| problem.in_field(&field.name))?;
         }
         for (field, &count) in known.iter().zip(&counts) {
-            // An array whose elements were not sent is one of zeros.
+            // An array without elements on the wire is all zeros.
             if count > 0 {
                 field.count.check(count).map_err(|problem| problem.in_field(&field.name))?;
             }
@@ -67,7 +67,7 @@ impl Merger<'_> {
         count: &mut usize,
     ) -> Result<(), Problem> {
         if *count == 0 && matches!(field.count, Count::Array(_)) {
-            // In place of the zeros.
+            // Replaces the zeros.
             *list = if field.kind.width().is_some() {
                 Value::Packed(Cow::Borrowed(&[]))
             } else {
@@ -88,7 +88,7 @@ impl Merger<'_> {
                 list.push(element);
                 *count = list.len();
             }
-            _ => return Err(Problem::at(offset, "no list to read into")),
+            _ => return Err(Problem::at(offset, "not a list")),
         }
         Ok(())
     }
@@ -102,11 +102,11 @@ impl Merger<'_> {
     ) -> Result<(), Problem> {
         let width = field.kind.width().unwrap_or(1);
         match (field.kind, content) {
-            // One `bytes` is all of the list: a later one takes its place.
+            // A `bytes` field is the whole list: a later one replaces it.
             (Kind::UInt8, Content::Delimited(bytes)) => *packed = Cow::Borrowed(bytes),
             (Kind::Fixed32 | Kind::Float32 | Kind::Float64, Content::Delimited(bytes)) => {
                 if bytes.len() % width != 0 {
-                    let text = format!("{} bytes are no list of numbers of {width} bytes", bytes.len());
+                    let text = format!("{} bytes are not a list of numbers of {width} bytes", bytes.len());
                     return Err(Problem::at(offset, text));
                 }
                 if packed.is_empty() {
@@ -125,7 +125,7 @@ impl Merger<'_> {
                     packed.extend_from_slice(&value.bits().unwrap_or(0).to_le_bytes()[..width]);
                 }
             }
-            // One number by itself: what writes no packed lists sends each so.
+            // A single number: writers of unpacked lists send each separately.
             _ => {
                 self.budget.spend(width)?;
                 let value = number_of(field.kind, content, offset)?;
@@ -165,7 +165,7 @@ impl Merger<'_> {
     }
 }
 
-/// A timestamp or duration, over what is known of it.
+/// Merges a timestamp or duration into its current value.
 fn moment(bytes: &[u8], origin: usize, known: &Value<'_>) -> Result<Value<'static>, Problem> {
     let (mut seconds, mut nanos) = match known {
         Value::Moment { sec, nanosec } => (*sec, i64::from(*nanosec)),
@@ -197,7 +197,7 @@ fn number_of(kind: Kind, content: Content<'_>, offset: usize) -> Result<Value<'s
         (_, Content::Varint(value)) => value,
         _ => return Err(wrong_wire_type(kind, content, offset)),
     };
-    // As the format says: what does not fit the 32 bits of its own types loses its upper ones.
+    // As the format specifies, numbers that do not fit into 32 bits are truncated.
     let integer = match kind {
         Kind::Bool => return Ok(Value::Bool(varint != 0)),
         Kind::Int64 => i128::from(varint as i64),
@@ -218,5 +218,5 @@ fn wrong_wire_type(kind: Kind, content: Content<'_>, offset: usize) -> Problem {
         Content::Fixed32(_) => "four bytes",
         Content::Delimited(_) => "bytes with a length",
     };
-    Problem::at(offset, format!("{found} is not how {kind:?} is sent"))
+    Problem::at(offset, format!("{found} is not a valid encoding of {kind:?}"))
 }

@@ -1,4 +1,4 @@
-//! `FileDescriptorSet`: a schema as the schema of Protobuf itself has it, which MCAP files hold.
+//! `FileDescriptorSet`: Protobuf's own representation of a schema, which MCAP files contain.
 
 use std::convert::Infallible;
 
@@ -9,7 +9,7 @@ use crate::interchange::{Count, Enumeration, Field, Kind, Record, Schema};
 
 type Result = std::result::Result<(), Infallible>;
 
-/// Every file of a schema, and those of well-known types that they import; what is imported comes first.
+/// Every file of a schema, and those of imported well-known types; imports come first.
 pub(crate) fn file_descriptor_set(schema: &Schema) -> Vec<u8> {
     let mut set = Vec::new();
     let uses =
@@ -31,7 +31,7 @@ fn put_file(set: &mut Vec<u8>, schema: &Schema, index: usize, is_written: &mut [
     if std::mem::replace(&mut is_written[index], true) {
         return;
     }
-    // As deep as schemas may be.
+    // The depth of schemas is bounded.
     for field in &schema.records[index].fields {
         if let Kind::Record(inner) = field.kind {
             put_file(set, schema, inner, is_written);
@@ -87,7 +87,7 @@ fn message(out: &mut Vec<u8>, schema: &Schema, index: usize) -> Result {
     for enumeration in schema.enumerations.iter().filter(|enumeration| enumeration.owner == index) {
         put(out, 4, |out| enum_descriptor(out, enumeration));
     }
-    // The compiler stands for each optional field by a `oneof` of its own.
+    // The compiler represents each optional field by its own `oneof`.
     for field in optional {
         put(out, 8, |out| {
             put_bytes(out, 1, format!("_{}", field.name).as_bytes());

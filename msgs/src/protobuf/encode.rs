@@ -1,12 +1,12 @@
-//! Values to the wire.
+//! Writes values in the wire format.
 
 use super::wire::{WireType, put_bytes, put_delimited, put_tag, put_varint};
 use crate::interchange::{Count, Field, Kind, Problem, Schema, Value};
 
-/// The bytes of a value of the schema's root record.
+/// Writes a value of the schema's root record.
 ///
 /// # Errors
-/// If a time has no place in the format.
+/// If the format cannot represent a time.
 pub(crate) fn encode(schema: &Schema, value: &Value<'_>) -> Result<Vec<u8>, Problem> {
     let mut out = Vec::new();
     put_record(&mut out, schema, 0, value)?;
@@ -32,14 +32,14 @@ fn put_field(out: &mut Vec<u8>, schema: &Schema, field: &Field, value: &Value<'_
         Value::List(list) => list.iter().enumerate().try_for_each(|(index, value)| {
             put_element(out, schema, field, value).map_err(|problem| problem.at_index(index))
         }),
-        // proto3 sends no zeros, unless a zero is different from nothing.
+        // proto3 omits zeros, unless zero differs from absent.
         _ if field.count != Count::Optional && value.bits() == Some(0) => Ok(()),
         Value::Text(text) if text.is_empty() && field.count != Count::Optional => Ok(()),
         _ => put_element(out, schema, field, value),
     }
 }
 
-/// Numbers side by side: those with a fixed size are on the wire as they are in memory.
+/// Writes packed numbers: those with a fixed size are the same on the wire as in memory.
 fn put_packed(out: &mut Vec<u8>, field: &Field, bytes: &[u8]) {
     match field.kind {
         Kind::UInt8 | Kind::Fixed32 | Kind::Float32 | Kind::Float64 => put_bytes(out, field.number, bytes),
@@ -52,7 +52,7 @@ fn put_packed(out: &mut Vec<u8>, field: &Field, bytes: &[u8]) {
                 }
                 Ok::<(), Problem>(())
             };
-            // Nothing in it fails.
+            // Writing to memory cannot fail.
             let _ = put_delimited(out, field.number, varints);
         }
     }
@@ -98,10 +98,10 @@ fn put_element(out: &mut Vec<u8>, schema: &Schema, field: &Field, value: &Value<
     }
 }
 
-/// Seconds and nanoseconds as the well-known types have them: nanoseconds of a timestamp count up, those of a duration
-/// have the sign of the seconds.
+/// Seconds and nanoseconds as in the well-known types: nanoseconds of a timestamp are positive, those of a
+/// duration have the sign of the seconds.
 fn well_known(kind: Kind, sec: i64, nanosec: u32) -> (i64, i64) {
-    // ROS 2 does not forbid more than a second of nanoseconds; both well-known types do.
+    // ROS 2 permits nanoseconds of a second and more; the well-known types do not.
     let sec = sec.saturating_add(i64::from(nanosec / 1_000_000_000));
     let nanos = i64::from(nanosec % 1_000_000_000);
     if kind == Kind::Duration && sec < 0 && nanos > 0 {
@@ -118,7 +118,7 @@ fn put_nonzero(out: &mut Vec<u8>, number: u32, value: i64) {
     }
 }
 
-/// A value that does not fit the schema it was made for: only a defect of what made it gives one.
+/// A value that does not match its schema, which only a bug can cause.
 #[cold]
 fn mismatch(value: &Value<'_>) -> Problem {
     Problem::new(format!("the value {value:?} is not of the field's kind"))

@@ -1,4 +1,4 @@
-//! Protobuf: schemas made of definitions, and the wire format.
+//! Protobuf: schemas derived from definitions, and the wire format.
 //!
 //! ```
 //! use downbeat_msgs::definitions::Catalog;
@@ -20,7 +20,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! # How definitions become schemas
+//! # Schemas
 //! | ROS 2 | proto3 |
 //! | --- | --- |
 //! | package `p`, kind `msg` | package `p.msg`, one file `p/msg/Type.proto` per type |
@@ -33,8 +33,8 @@
 //! | other arrays and sequences | `repeated` |
 //! | messages | messages, always sent |
 //!
-//! The value is kept whole: what is read back is the same message to the bit. Bounds and lengths are checked when a message
-//! is read back into ROS 2, since proto3 has no word for them. Constants and defaults are not in the schema.
+//! Values round-trip exactly. Bounds and lengths are checked when a message is converted back to ROS 2, since
+//! proto3 cannot express them. Constants and defaults are not in the schema.
 //!
 //! # References
 //! - <https://protobuf.dev/programming-guides/encoding/> (wire format) and `google/protobuf/descriptor.proto` of
@@ -56,7 +56,7 @@ pub(crate) use encode::encode;
 pub use text::SchemaFile;
 pub(crate) use text::schema_files as schema_files_of;
 
-/// The `.proto` files of a message: its own first, then those it imports.
+/// The `.proto` files of a message: its own file first, then its imports.
 ///
 /// # Errors
 /// If the catalog lacks a type, or the type is too large.

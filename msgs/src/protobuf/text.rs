@@ -6,9 +6,9 @@ use crate::interchange::{Count, Field, Kind, Record, Schema};
 /// A `.proto` file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SchemaFile {
-    /// Where others import it from: `sensor_msgs/msg/Imu.proto`.
+    /// The path by which it is imported: `sensor_msgs/msg/Imu.proto`.
     pub path: String,
-    /// What is in it.
+    /// The content.
     pub text: String,
 }
 
@@ -79,7 +79,7 @@ fn type_name(schema: &Schema, kind: Kind) -> String {
         Kind::Time => TIMESTAMP.1,
         Kind::Duration => DURATION.1,
         Kind::Enumeration(index) => schema.enumerations[index].nested_name,
-        // From the root, so that no name of a field or package on the way hides it.
+        // Fully qualified, so that no field or package name can shadow it.
         Kind::Record(index) => return format!(".{}", schema.records[index].name),
     }
     .into()

@@ -2,7 +2,7 @@
 
 use crate::interchange::Problem;
 
-/// How a field's bytes end.
+/// The wire type of a field, which determines its length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum WireType {
     Varint = 0,
@@ -29,7 +29,7 @@ pub(super) fn put_bytes(out: &mut Vec<u8>, number: u32, bytes: &[u8]) {
     out.extend_from_slice(bytes);
 }
 
-/// Appends what `write` appends, with its length before it.
+/// Appends the output of `write`, preceded by its length.
 pub(super) fn put_delimited<E>(
     out: &mut Vec<u8>,
     number: u32,
@@ -38,7 +38,7 @@ pub(super) fn put_delimited<E>(
     put_tag(out, number, WireType::Delimited);
     let start = out.len();
     write(out)?;
-    // The length takes as many bytes as it is large: it is inserted when it is known.
+    // The length is a varint: it is inserted once it is known.
     let mut length = Vec::with_capacity(10);
     put_varint(&mut length, (out.len() - start) as u64);
     out.splice(start..start, length);
@@ -50,11 +50,11 @@ pub(super) fn put_delimited<E>(
 pub(super) struct Fields<'a> {
     bytes: &'a [u8],
     position: usize,
-    /// Where the bytes begin in the whole input, for errors.
+    /// The offset of the bytes in the whole input, for errors.
     origin: usize,
 }
 
-/// What follows a tag.
+/// The content after a tag.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Content<'a> {
     Varint(u64),
@@ -63,7 +63,7 @@ pub(super) enum Content<'a> {
     Delimited(&'a [u8]),
 }
 
-/// A field: its number, its content, and where the content is.
+/// A field: its number, its content, and the offset of the content.
 pub(super) struct Part<'a> {
     pub(super) number: u32,
     pub(super) content: Content<'a>,
@@ -84,7 +84,7 @@ impl<'a> Fields<'a> {
         let tag = self.varint()?;
         let number = match u32::try_from(tag >> 3) {
             Ok(number @ 1..=0x1fff_ffff) => number,
-            _ => return Err(Problem::at(start, format!("{} is no field number", tag >> 3))),
+            _ => return Err(Problem::at(start, format!("{} is not a field number", tag >> 3))),
         };
         let offset = self.offset();
         let content = match tag & 7 {
@@ -98,13 +98,13 @@ impl<'a> Fields<'a> {
                 return Ok(Some(Part { number, content: Content::Delimited(content), offset }));
             }
             5 => Content::Fixed32(self.array()?),
-            3 | 4 => return Err(Problem::at(start, "groups are not read: proto3 has none")),
-            other => return Err(Problem::at(start, format!("{other} is no wire type"))),
+            3 | 4 => return Err(Problem::at(start, "groups are not supported: proto3 has none")),
+            other => return Err(Problem::at(start, format!("{other} is not a wire type"))),
         };
         Ok(Some(Part { number, content, offset }))
     }
 
-    /// The next number of a packed list, with its place.
+    /// The next number of a packed list, with its offset.
     pub(super) fn next_varint(&mut self) -> Result<Option<(u64, usize)>, Problem> {
         let offset = self.offset();
         if self.position == self.bytes.len() { Ok(None) } else { Ok(Some((self.varint()?, offset))) }
@@ -119,7 +119,7 @@ impl<'a> Fields<'a> {
         let mut value = 0;
         for shift in (0..70).step_by(7) {
             let [byte] = self.array()?;
-            // Of the tenth byte one bit has a place; the others are dropped, as all implementations do.
+            // Only one bit of the tenth byte fits; the others are dropped, as in all implementations.
             value |= u64::from(byte & 0x7f).checked_shl(shift).unwrap_or(0);
             if byte < 0x80 {
                 return Ok(value);
@@ -142,7 +142,7 @@ impl<'a> Fields<'a> {
                 Ok(bytes)
             }
             None => {
-                let text = format!("needs {count} more bytes, there are {}", rest.len());
+                let text = format!("needs {count} more bytes, but there are only {}", rest.len());
                 Err(Problem::at(self.offset(), text))
             }
         }

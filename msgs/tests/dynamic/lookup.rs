@@ -1,4 +1,4 @@
-//! Definitions are found by name, in the order of the places given, and errors say what was found where.
+//! Looking up definitions by name: the order of sources, and errors that list what was found where.
 
 use std::fs;
 use std::path::Path;
@@ -25,7 +25,7 @@ fn field_names(of: &DynamicType) -> Vec<String> {
 }
 
 #[test]
-fn everything_carried_is_found() {
+fn all_built_in_types_are_found() {
     let definitions = Definitions::new().with_carried();
     for name in TYPE_NAMES {
         assert_eq!(definitions.find(name).unwrap().name().to_string(), *name);
@@ -65,7 +65,7 @@ fn files_of_an_ament_prefix_are_found_with_what_they_refer_to() {
 }
 
 #[test]
-fn the_first_place_that_has_a_type_is_taken_and_a_schema_stands_for_itself() {
+fn the_first_source_that_has_a_type_is_used_and_schemas_are_independent() {
     let folder = tempfile::tempdir().unwrap();
     let installed = prefix(folder.path(), &[("std_msgs/msg/Header.msg", "int8 other\n")]);
     let mut schemas = Schemas::new("walk.mcap");
@@ -108,13 +108,13 @@ fn recorded_messages_are_read_by_recorded_schemas() {
         let message = DynamicMessage::from_cdr(&definitions.find(name).unwrap(), &bytes).unwrap();
         let again = message.to_cdr();
         assert_eq!(again, bytes[..again.len()], "{name}");
-        // What is behind the value says nothing.
+        // Bytes after the value are padding.
         assert!(bytes[again.len()..].iter().all(|byte| *byte == 0), "{name}");
     }
 }
 
 #[test]
-fn what_a_node_describes_is_checked_against_the_hash_and_found() {
+fn the_description_of_a_node_is_checked_against_the_hash_and_found() {
     let mut described = DescribedTypes::new("/legs");
     for name in ["sensor_msgs/msg/JointState", "std_srvs/srv/SetBool", "test_msgs/action/Fibonacci"] {
         let ours = carried().type_description(&name.parse::<TypeName>().unwrap()).unwrap();
@@ -137,7 +137,7 @@ fn what_a_node_describes_is_checked_against_the_hash_and_found() {
 }
 
 #[test]
-fn an_error_says_where_it_looked_and_what_is_wrong_there() {
+fn an_error_lists_the_searched_sources_and_their_problems() {
     let folder = tempfile::tempdir().unwrap();
     let installed = prefix(
         folder.path(),
@@ -148,7 +148,7 @@ fn an_error_says_where_it_looked_and_what_is_wrong_there() {
     assert_eq!(
         error.to_string(),
         format!(
-            "found no definition of legs/msg/Knee, which legs/msg/Leg has a field of. Looked in the interfaces carried: \
+            "found no definition of legs/msg/Knee, the type of a field of legs/msg/Leg. Looked in the built-in interfaces: \
              they have nothing of that package; in the ament prefixes: no share/legs/msg/Knee.msg or .idl in {}",
             folder.path().display()
         )
@@ -162,5 +162,5 @@ fn an_error_says_where_it_looked_and_what_is_wrong_there() {
         assert!(matches!(definitions.find(name), Err(LookupError::Name(_))), "{name}");
     }
     let error = Definitions::new().find("a/msg/A").unwrap_err().to_string();
-    assert!(error.ends_with("Looked nowhere: no place to look in was given"), "{error}");
+    assert!(error.ends_with("Looked nowhere: there are no sources"), "{error}");
 }

@@ -1,4 +1,5 @@
-//! Messages met at run time against the structs of the same definitions, and against what is malformed.
+//! Messages of types known only at run time, compared with the structs of the same definitions, and malformed
+//! input.
 
 #![allow(clippy::unwrap_used)]
 

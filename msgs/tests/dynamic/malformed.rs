@@ -1,4 +1,4 @@
-//! Definitions and bytes that are wrong or hostile: an error, no panic, no memory out of proportion.
+//! Invalid and hostile definitions and bytes cause errors, no panics, and bounded use of memory.
 
 use std::fmt::Write as _;
 
@@ -31,7 +31,7 @@ fn levels(count: usize, field: impl Fn(&str) -> String) -> Result<DynamicType, T
 }
 
 #[test]
-fn what_is_missing_or_contains_itself_is_told() {
+fn missing_and_recursive_types_are_reported() {
     assert_eq!(error(&[("A", "B b\n")]), "a/msg/B is not in the catalog, did you mean a/msg/A?");
     assert_eq!(
         error(&[("A", "B b\n"), ("B", "int8 x\nC[] c\n"), ("C", "B b\n")]),
@@ -40,11 +40,11 @@ fn what_is_missing_or_contains_itself_is_told() {
 }
 
 #[test]
-fn types_without_measure_are_refused_quickly() {
+fn excessive_types_are_refused_quickly() {
     assert!(levels(32, |next| format!("{next} next\n")).is_ok());
     assert_eq!(
         levels(33, |next| format!("{next} next\n")).unwrap_err().to_string(),
-        "a/msg/A contains messages that contain messages, more than 32 levels deep"
+        "a/msg/A contains messages nested more than 32 levels deep"
     );
     for field in ["{} a\n{} b\n", "{}[] a\n{}[] b\n", "{}[2] a\n"] {
         let error = levels(31, |next| field.replace("{}", next)).unwrap_err();
@@ -55,14 +55,14 @@ fn types_without_measure_are_refused_quickly() {
     }
     assert_eq!(
         error(&[("A", "uint8[4294967295] huge\n")]),
-        "a/msg/A takes more than 67108864 bytes of memory whatever its value: its fixed arrays are too long"
+        "a/msg/A always takes more than 67108864 bytes of memory: its fixed arrays are too long"
     );
     assert!(error(&[("A", "B[65536] b\n"), ("B", "string[65536] s\n")]).contains("too long"));
     assert!(error(&[("A", "B[4294967295] b\n"), ("B", "")]).contains("too long"));
 }
 
 #[test]
-fn a_definition_text_is_taken_apart_or_refused() {
+fn a_definition_text_is_parsed_or_refused() {
     let line = "=".repeat(80);
     let read = |text: &str| DynamicType::from_definition_text("a/msg/A", "ros2msg", text);
     let inner = format!("B b\nc/D d\n\n{line}\nMSG: a/B\nint8 x\n\n{line}\nMSG: c/D\nint8 y\n");
@@ -101,7 +101,7 @@ fn services_of_bags_are_read() {
 }
 
 #[test]
-fn lengths_are_not_believed() {
+fn lengths_are_not_trusted() {
     let text = "int8[] bytes\nB[] bs\nstring s\nwstring w\n";
     let of = compile(&[("A", text), ("B", "float64[3] xyz\n")]).unwrap();
     let huge = [0, 1, 0, 0, 255, 255, 255, 255, 0, 0];
@@ -121,7 +121,7 @@ fn lengths_are_not_believed() {
     assert!(error.contains("0x0909"), "{error}");
 }
 
-/// Definition texts of one to four messages that may refer to each other, right or wrong.
+/// Definition texts of one to four messages that may refer to each other, valid or not.
 fn definitions() -> impl Strategy<Value = Vec<String>> {
     let element = prop_oneof![
         6 => proptest::sample::select(vec![
@@ -139,7 +139,7 @@ fn definitions() -> impl Strategy<Value = Vec<String>> {
             .map(|(number, fields)| {
                 let mut text = String::new();
                 for (index, (element, shape)) in fields.iter().enumerate() {
-                    // Mostly messages refer to later ones only, so that most definitions are right.
+                    // Messages mostly refer to later ones only, so that most definitions are valid.
                     let later = element
                         .strip_prefix('M')
                         .and_then(|of| of.parse().ok())
@@ -180,7 +180,7 @@ proptest! {
         let bytes = [&[0, u8::from(!big), 0, 0], body.as_slice()].concat();
         if let Ok(message) = DynamicMessage::from_cdr(&of, &bytes) {
             let written = message.to_cdr();
-            // Not the messages but their bytes are compared: NaN is unequal to itself.
+            // Compares bytes, not messages: NaN is not equal to itself.
             prop_assert_eq!(DynamicMessage::from_cdr(&of, &written).unwrap().to_cdr(), written);
         }
     }

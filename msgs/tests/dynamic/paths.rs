@@ -1,4 +1,4 @@
-//! Fields are read and changed by path, and errors say what is there.
+//! Reading and changing fields by path, and errors that list what exists.
 
 use downbeat_msgs::definitions::Catalog;
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType, Value};
@@ -11,7 +11,7 @@ fn joints() -> DynamicMessage {
     joints
 }
 
-/// All kinds of fields.
+/// A message with all kinds of fields.
 fn kinds() -> DynamicMessage {
     let mut catalog = Catalog::new();
     let text = "bool flag\nbyte raw\nint8[<=3] few\nstring<=3 short\nstring<=2[<=2] shorts\nwstring wide\nInner[2] pair\n\
@@ -38,7 +38,7 @@ fn fields_and_elements_are_changed_and_read() {
 }
 
 #[test]
-fn messages_within_messages_are_changed_and_read() {
+fn nested_messages_are_changed_and_read() {
     let mut message = kinds();
     assert_eq!(message.get("pair[1].x").unwrap().as_i64(), Some(-2));
     message.set("pair[1].x", 5).unwrap();
@@ -63,7 +63,7 @@ fn messages_within_messages_are_changed_and_read() {
 }
 
 #[test]
-fn values_are_held_to_the_type_of_the_field() {
+fn values_are_checked_against_the_type_of_the_field() {
     let mut message = kinds();
     for (path, value, end) in [
         ("flag", Value::from(1), "takes a bool, found the integer 1"),
@@ -105,7 +105,7 @@ fn values_are_held_to_the_type_of_the_field() {
 }
 
 #[test]
-fn errors_say_what_is_there_and_what_was_meant() {
+fn errors_list_what_exists_and_suggest_names() {
     let message = joints();
     for (path, end) in [
         ("header.stmp.sec", "std_msgs/msg/Header has no field `stmp`, did you mean `stamp`?"),
@@ -119,7 +119,7 @@ fn errors_say_what_is_there_and_what_was_meant() {
         ("header[0]", "cannot take element 0 of a std_msgs/msg/Header, which has no elements"),
         ("position[2]", "there is no element 2, there are 2, counted from 0"),
         ("position.x", "cannot look for `x` in an array of 2 elements, which has no fields"),
-        ("header..x", "this is no path: expected the name of a field at byte 7, as in `points[3].x`"),
+        ("header..x", "invalid path: expected the name of a field at byte 7, as in `points[3].x`"),
     ] {
         let expected = format!("sensor_msgs/msg/JointState, field `{path}`: {end}");
         assert_eq!(message.get(path).unwrap_err().to_string(), expected);

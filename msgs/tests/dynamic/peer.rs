@@ -1,6 +1,6 @@
-//! What is built and changed at run time, read by rclpy and rosbags.
+//! Messages built and changed at run time, read by rclpy and rosbags.
 //!
-//! Needs the Python interpreter that `DOWNBEAT_PYTHON` names; without it the tests say so and pass.
+//! Needs the Python interpreter named by `DOWNBEAT_PYTHON`; without it the tests print a note and pass.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -13,10 +13,10 @@ use serde_json::Value as Json;
 
 use crate::random::Random;
 
-/// Runs a command of `peer.py` with `input` in a file; gives the lines it prints, or nothing if there is no Python.
+/// Runs a command of `peer.py` with `input` in a file; returns its lines of output, or `None` without Python.
 fn ask(command: &str, input: &str) -> Option<Vec<String>> {
     let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
-        // Past the capture of test output, which shows nothing of a test that passes.
+        // Bypasses the capture of test output, which hides the output of passing tests.
         let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
         let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
         return None;
@@ -48,7 +48,7 @@ fn fill(message: &mut DynamicMessage, random: &mut Random) {
                 todo.extend(inner);
             }
             ValueRef::Array(_) => {
-                // Of fixed length, or bounded to less: as they are.
+                // Sequences of fixed length or a smaller bound keep their length.
                 let count = if message.resize(&path, 2).is_ok() { 2 } else { array_length(message, &path) };
                 todo.extend((0..count.min(3)).map(|index| format!("{path}[{index}]")));
             }
@@ -68,7 +68,7 @@ fn paths(message: MessageRef<'_>, prefix: &str) -> Vec<String> {
     message.fields().map(|(name, _)| format!("{prefix}{separator}{name}")).collect()
 }
 
-/// Every message carried that the wheels have, parts of services and actions included, filled by path.
+/// Every built-in message that the wheels contain, including parts of services and actions, filled by path.
 fn messages() -> Vec<DynamicMessage> {
     const NO_WHEEL: [&str; 5] = [
         "downbeat_interfaces",
@@ -90,7 +90,7 @@ fn messages() -> Vec<DynamicMessage> {
 }
 
 #[test]
-fn rclpy_reads_what_was_built_by_path() {
+fn rclpy_reads_messages_built_by_path() {
     let messages = messages();
     let input: String = messages
         .iter()
@@ -107,7 +107,7 @@ fn rclpy_reads_what_was_built_by_path() {
 
 #[test]
 fn big_endian_bytes_of_rosbags_are_the_same_messages() {
-    // rosbags reads neither wide strings nor definition texts that begin with a service.
+    // rosbags reads neither wide strings nor definition texts that start with a service.
     let messages: Vec<DynamicMessage> = messages()
         .into_iter()
         .filter(|message| {

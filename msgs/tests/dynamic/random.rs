@@ -1,11 +1,11 @@
-//! Random values of any type with `serde::Deserialize`: a deserializer that makes up what it is asked for.
+//! Random values of any type with `serde::Deserialize`: a deserializer that invents the requested values.
 
 use std::fmt;
 
 use serde::de::value::BorrowedStrDeserializer;
 use serde::de::{DeserializeOwned, DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 
-/// A source of values that gives the same ones for the same seed (xorshift64*, S. Vigna 2016).
+/// A deterministic source of values (xorshift64*, S. Vigna 2016).
 pub struct Random {
     state: u64,
 }
@@ -50,7 +50,7 @@ impl Random {
     }
 }
 
-/// Nothing goes wrong but a type that messages never have.
+/// The only error: a type that messages never have.
 #[derive(Debug)]
 pub struct Unsupported(String);
 
@@ -136,7 +136,7 @@ impl<'de> Deserializer<'de> for &mut Random {
     }
 }
 
-/// The elements of a sequence, or the fields of a struct, still to come.
+/// The remaining elements of a sequence or fields of a struct.
 struct Parts<'a> {
     random: &'a mut Random,
     left: usize,

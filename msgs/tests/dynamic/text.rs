@@ -1,7 +1,7 @@
-//! YAML as the tools of ROS 2 write and read it, byte by byte; JSON as serde has it for the structs.
+//! YAML as the tools of ROS 2 write and read it, byte by byte; JSON as serde writes it for the structs.
 //!
-//! `tests/data/echo.jsonl` is what rosidl_runtime_py 0.13.1 (branch jazzy) and PyYAML 6.0.3 made of messages of rclpy;
-//! `echo.py` here makes it.
+//! `tests/data/echo.jsonl` is the output of rosidl_runtime_py 0.13.1 (branch jazzy) and PyYAML 6.0.3 for
+//! rclpy messages, created by `echo.py` in this folder.
 
 use std::collections::BTreeSet;
 
@@ -27,7 +27,7 @@ pub fn unhex(text: &str) -> Vec<u8> {
 }
 
 #[test]
-fn messages_are_shown_as_ros2_topic_echo_shows_them_to_the_byte() {
+fn messages_are_printed_like_ros2_topic_echo_to_the_byte() {
     let catalog = carried();
     let mut count = 0;
     for line in recorded().iter().filter(|line| line["yaml"].is_string()) {
@@ -46,7 +46,7 @@ fn messages_are_shown_as_ros2_topic_echo_shows_them_to_the_byte() {
 }
 
 #[test]
-fn what_is_shown_whole_is_read_again() {
+fn messages_printed_without_truncation_are_read_again() {
     let catalog = carried();
     for line in recorded().iter().filter(|line| line["yaml"].is_string()) {
         if ["truncate_length", "no_arr", "no_str"].iter().any(|option| !line["style"][option].is_null()) {
@@ -55,7 +55,7 @@ fn what_is_shown_whole_is_read_again() {
         let of = type_of(catalog, line);
         let message = DynamicMessage::from_cdr(&of, &unhex(line["cdr"].as_str().unwrap())).unwrap();
         let yaml = line["yaml"].as_str().unwrap();
-        // Characters that YAML has no place for, and breaks that it takes for others.
+        // Characters that YAML cannot represent, and line breaks that it normalises.
         let is_odd = |c: char| matches!(c, '\u{85}' | '\u{2028}' | '\u{2029}' | '\u{10ffff}');
         if !yaml.contains(is_odd) {
             let read = DynamicMessage::from_yaml(&of, yaml).unwrap_or_else(|error| panic!("{yaml}: {error}"));
@@ -65,7 +65,7 @@ fn what_is_shown_whole_is_read_again() {
     }
 }
 
-/// What ROS 2 takes and we do not, or the other way round, and why.
+/// Input that only ROS 2 or only we accept, and why.
 const TAKEN_DIFFERENTLY: [(&str, &str); 8] = [
     ("std_msgs/msg/String", "data: [1]"), // There, the text of a Python list.
     ("std_msgs/msg/String", "data: {a: 1}"), // Likewise.
@@ -78,7 +78,7 @@ const TAKEN_DIFFERENTLY: [(&str, &str); 8] = [
 ];
 
 #[test]
-fn what_users_write_is_taken_as_ros2_topic_pub_takes_it() {
+fn user_input_is_read_as_by_ros2_topic_pub() {
     let catalog = carried();
     let mut differences = BTreeSet::new();
     let lines = recorded();
@@ -89,7 +89,7 @@ fn what_users_write_is_taken_as_ros2_topic_pub_takes_it() {
         let mut message = DynamicMessage::new(&of);
         match (message.fill_yaml(text), line["cdr"].as_str()) {
             (Ok(stamps), Some(theirs)) => {
-                // Padding is not the same.
+                // Padding differs.
                 let theirs = DynamicMessage::from_cdr(&of, &unhex(theirs)).unwrap();
                 assert_eq!(
                     message.to_yaml(&YamlStyle::default()),
@@ -111,7 +111,7 @@ fn what_users_write_is_taken_as_ros2_topic_pub_takes_it() {
 }
 
 #[test]
-fn times_left_to_the_sender_are_set_when_it_sends() {
+fn times_to_be_set_by_the_sender_are_set_on_sending() {
     let catalog = carried();
     let mut array = DynamicMessage::new(
         &DynamicType::new(catalog, &"diagnostic_msgs/msg/DiagnosticArray".parse().unwrap()).unwrap(),
@@ -123,11 +123,11 @@ fn times_left_to_the_sender_are_set_when_it_sends() {
     assert_eq!(array.get("header.stamp.nanosec").unwrap().as_i64(), Some(4));
     let of = array.message_type().clone();
     let error = DynamicMessage::from_yaml(&of, "header: auto").unwrap_err().to_string();
-    assert_eq!(error, "cannot read this YAML: `header.stamp` is left to the sender, give it a time");
+    assert_eq!(error, "cannot read this YAML: `header.stamp` is to be set by the sender: give it a time");
 }
 
 #[test]
-fn errors_tell_the_line_the_field_and_what_was_meant() {
+fn errors_name_the_line_the_field_and_a_suggestion() {
     let of = DynamicType::of::<sensor_msgs::msg::JointState>().unwrap();
     for (yaml, expected) in [
         (
@@ -169,7 +169,7 @@ fn errors_tell_the_line_the_field_and_what_was_meant() {
 }
 
 #[test]
-fn a_text_cannot_ask_for_memory_without_measure() {
+fn a_text_cannot_allocate_unbounded_memory() {
     let mut catalog = Catalog::new();
     catalog.add_message("a/msg/A".parse().unwrap(), "B[] bs\n", "").unwrap();
     catalog.add_message("a/msg/B".parse().unwrap(), "uint8[16000000] b\n", "").unwrap();

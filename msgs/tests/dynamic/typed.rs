@@ -1,4 +1,4 @@
-//! What is known at compile time and what is met at run time are the same.
+//! Compiled messages and dynamic messages agree.
 
 use downbeat_msgs::dynamic::{ConvertError, DynamicMessage, DynamicType};
 use downbeat_msgs::std_msgs::msg::Header;
@@ -12,7 +12,7 @@ use crate::random::Random;
 const VALUES: usize = 40;
 
 fn random_value<T: Message + DeserializeOwned>(random: &mut Random) -> (T, Vec<u8>) {
-    // Bounds of sequences are not known to serde, but to our reader.
+    // Serde does not check the bounds of sequences, but our reader does.
     let values = std::iter::repeat_with(|| random.value::<T>());
     let mut values = values.map(|value| (cdr::to_vec(&value), value)).take(1000);
     let (bytes, value) = values.find(|(bytes, _)| cdr::from_slice::<T>(bytes).is_ok()).unwrap();
@@ -31,13 +31,13 @@ fn check<T: Message + DeserializeOwned>(random: &mut Random) {
         assert_eq!(buffer, bytes, "{value:?}");
         let typed: T = message.to_typed().unwrap();
         assert_eq!(cdr::to_vec(&typed), bytes, "{value:?}");
-        // Whatever is cut off, both miss it in the same field.
+        // Both report truncated input at the same field.
         for length in [0, 3, 4, bytes.len() / 2, bytes.len() - 1] {
             let (ours, theirs) =
                 (DynamicMessage::from_cdr(&of, &bytes[..length]), cdr::from_slice::<T>(&bytes[..length]));
             match (ours, theirs) {
                 (Ok(ours), Ok(theirs)) => assert_eq!(ours.to_cdr(), cdr::to_vec(&theirs)),
-                // One of them may say which element, too.
+                // One of them may also name the element.
                 (Err(ours), Err(theirs)) => assert!(theirs.path.starts_with(&ours.path), "{ours} {theirs}"),
                 different => panic!("{different:?}"),
             }
@@ -46,7 +46,7 @@ fn check<T: Message + DeserializeOwned>(random: &mut Random) {
 }
 
 #[test]
-fn every_carried_message_has_the_bytes_of_its_struct() {
+fn every_dynamic_message_has_the_bytes_of_its_struct() {
     let mut random = Random::new(0xd1a);
     let mut count = 0;
     macro_rules! check_each {
@@ -57,7 +57,7 @@ fn every_carried_message_has_the_bytes_of_its_struct() {
 }
 
 #[test]
-fn a_message_shows_itself_as_the_struct_does() {
+fn a_message_is_formatted_like_the_struct() {
     let mut joints = sensor_msgs::msg::JointState { name: vec!["a".into()], ..Default::default() };
     joints.header.frame_id = "body".into();
     joints.position = vec![0.5];
@@ -93,7 +93,7 @@ fn a_struct_of_another_type_is_refused() {
     assert!(matches!(error, ConvertError::Cdr { .. }), "{error}");
 }
 
-/// Reads bytes both ways; they agree on what the value is, or on the field at which it is none.
+/// Reads bytes in both ways, which must agree on the value, or on the invalid field.
 fn read_both_ways<T: Message>(of: &DynamicType, bytes: &[u8]) {
     match (DynamicMessage::from_cdr(of, bytes), cdr::from_slice::<T>(bytes)) {
         (Ok(ours), Ok(theirs)) => assert_eq!(ours.to_cdr(), cdr::to_vec(&theirs)),
@@ -112,7 +112,7 @@ proptest! {
 
     /// In both byte orders and all representations of XCDR.
     #[test]
-    fn any_bytes_are_read_alike(
+    fn arbitrary_bytes_are_read_alike(
         representation in proptest::sample::select(vec![0, 1, 6, 7, 8, 9_u8]),
         body in proptest::collection::vec(prop_oneof![8 => Just(0_u8), 3 => 1_u8..6, 1 => any::<u8>()], 0..400),
     ) {

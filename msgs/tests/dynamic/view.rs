@@ -1,4 +1,4 @@
-//! What a view reads of a field is what reading the whole message gives.
+//! Reading a field through a view gives the same value as reading the whole message.
 
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType, DynamicView, MessageRef, ValueRef};
 use downbeat_msgs::{Message, cdr, sensor_msgs};
@@ -6,7 +6,7 @@ use serde::de::DeserializeOwned;
 
 use crate::random::Random;
 
-/// The paths of all fields and elements, those that hold others included.
+/// The paths of all fields and elements, including messages and arrays.
 fn paths(message: MessageRef<'_>, prefix: &str, all: &mut Vec<String>) {
     for (name, value) in message.fields() {
         let path = if prefix.is_empty() { name.to_owned() } else { format!("{prefix}.{name}") };
@@ -38,7 +38,7 @@ fn check<T: Message + DeserializeOwned>(random: &mut Random) {
         paths(message.as_message(), "", &mut all);
         for path in all.iter().take(300) {
             let ours = view.get(path).unwrap_or_else(|error| panic!("{path}: {error}")).to_value().unwrap();
-            // Not the values but what they show is compared: NaN is unequal to itself.
+            // Compares formatted values: NaN is not equal to itself.
             let whole = message.get(path).unwrap().to_value();
             assert_eq!(format!("{ours:?}"), format!("{whole:?}"), "{} {path}", T::TYPE_NAME);
         }
@@ -55,7 +55,7 @@ fn every_field_of_every_message_is_read_alone() {
 }
 
 #[test]
-fn a_field_is_read_though_what_follows_is_cut_off() {
+fn a_field_is_read_even_if_the_following_bytes_are_missing() {
     let mut joints =
         sensor_msgs::msg::JointState { name: vec!["a".into(), "b".into()], ..Default::default() };
     joints.position = vec![0.5; 100];

@@ -1,11 +1,11 @@
-//! Bytes against `rosbags`, for types the wheels do not have, and for big-endian ones.
+//! Compares bytes with `rosbags`, for types that the wheels lack and for big-endian messages.
 
 use crate::every_type::{Type, every_type};
 use crate::peer::{Peer, unhex};
 use crate::values::{self, samples};
 
-/// Whether rosbags understands the type by our definition text. It reads no texts of events (they are those of services), has
-/// no wide strings, and not all that is odd in names.
+/// Whether rosbags can read the type with our definition text. It does not support the texts of events (which
+/// are those of services), wide strings, and some unusual names.
 pub fn is_known(of: &Type) -> bool {
     !of.name.ends_with("_Event") && !of.definition.contains("wstring") && !of.name.starts_with("odd_msgs/")
 }

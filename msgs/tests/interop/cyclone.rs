@@ -1,4 +1,4 @@
-//! Bytes against `cyclonedds`, the other DDS implementation that ROS 2 supports.
+//! Compares bytes with `cyclonedds`, the other DDS implementation that ROS 2 supports.
 
 use crate::bags::is_known;
 use crate::every_type::{Type, every_type};
@@ -18,7 +18,7 @@ fn cyclonedds_reads_what_we_write_and_we_read_what_it_writes_in_both_versions_an
         sample.check_value(json, "cyclonedds");
         sample.check_bytes(&unhex(little));
         sample.check_swapped(&unhex(big));
-        // Of a structure that may not grow, which those of ROS 2 are.
+        // For final types, which those of ROS 2 are.
         for (bytes, representation) in [(unhex(little_2), [0, 7]), (unhex(big_2), [0, 6])] {
             assert!(bytes.starts_with(&representation), "{}: {}", sample.label(), hex(&bytes));
             sample.check_read(&bytes);
@@ -27,7 +27,7 @@ fn cyclonedds_reads_what_we_write_and_we_read_what_it_writes_in_both_versions_an
 }
 
 #[test]
-fn what_cyclonedds_writes_of_types_that_may_grow_is_read() {
+fn appendable_types_written_by_cyclonedds_are_read() {
     let Some(peer) = Peer::find() else { return };
     let types = every_type();
     let types: Vec<&Type> = types.iter().filter(|of| is_known(of)).collect();

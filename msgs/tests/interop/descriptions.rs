@@ -1,4 +1,4 @@
-//! Type descriptions, default values included, against those in the wheels.
+//! Compares type descriptions, including default values, with those in the wheels.
 
 use std::collections::BTreeMap;
 
@@ -18,7 +18,8 @@ fn every_type_description_is_that_of_the_wheels() {
         }
         let ours = serde_json::to_value(describe()).unwrap();
         let published = individual_descriptions(&peer.published(name)["type_description_msg"]);
-        // The wheels have a file for a message, service or action; what it refers to, parts of it among that, is below.
+        // The wheels have one file per message, service or action; referenced types and parts are nested in
+        // it.
         for (part, description) in individual_descriptions(&ours) {
             assert_eq!(Some(&description), published.get(&part), "{part} in {name}");
         }
@@ -48,7 +49,7 @@ fn every_description() -> Vec<(&'static str, Describe)> {
     all
 }
 
-/// The descriptions of a type and of what it refers to, by name.
+/// The descriptions of a type and of the types it refers to, by name.
 fn individual_descriptions(description: &Value) -> BTreeMap<String, Value> {
     let referenced = description["referenced_type_descriptions"].as_array().unwrap().iter();
     let all = referenced.chain([&description["type_description"]]);

@@ -17,11 +17,11 @@ pub struct Type {
     pub definition: &'static str,
     /// The bytes of its default value.
     pub default: fn() -> Vec<u8>,
-    /// The bytes of a value, whose floating-point numbers are texts of their bits. Their number was known before.
+    /// The bytes of a value whose floating-point numbers are strings of their bits.
     pub write: fn(&Value) -> Vec<u8>,
-    /// Reads bytes; gives them as we write them.
+    /// Reads bytes and writes them again.
     pub read: fn(&[u8]) -> cdr::Result<Vec<u8>>,
-    /// Reads bytes; gives what the message, or its view, shows for debugging.
+    /// Reads bytes and returns the debug output of the message or its view.
     pub show: fn(&[u8], As) -> cdr::Result<String>,
 }
 
@@ -61,7 +61,7 @@ impl Type {
     }
 }
 
-/// The types this crate carries, and some that are odd.
+/// The built-in types, and some unusual ones.
 pub fn every_type() -> Vec<Type> {
     macro_rules! table {
         ($($message:ty),* $(,)?) => { vec![$(Type::of::<$message>()),*] };
@@ -94,7 +94,7 @@ pub fn services_and_actions() -> Vec<(&'static str, &'static str)> {
     all
 }
 
-/// The definitions the types are made from, read anew.
+/// The definitions of the types, read again.
 pub fn catalog() -> Catalog {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut catalog = Catalog::new();

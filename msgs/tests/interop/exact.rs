@@ -1,4 +1,4 @@
-//! Structs from values in which floating-point numbers are texts of their bits.
+//! Structs from values in which floating-point numbers are strings of their bits.
 
 use serde::de::value::{MapDeserializer, SeqDeserializer, StringDeserializer};
 use serde::de::{DeserializeOwned, Deserializer, Error as _, IntoDeserializer, Visitor};
@@ -65,7 +65,7 @@ impl<'de> IntoDeserializer<'de, Error> for Exact<'_> {
     }
 }
 
-/// Where two values differ first, and how; `None` where they do not.
+/// The first difference between two values; `None` if they are equal.
 pub fn first_difference(expected: &Value, found: &Value) -> Option<String> {
     match (expected, found) {
         (Value::Array(expected), Value::Array(found)) if expected.len() == found.len() => {

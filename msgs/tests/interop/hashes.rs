@@ -21,10 +21,10 @@ fn every_hash_is_that_of_the_wheels() {
         assert_eq!(hash, theirs, "{name}");
         compared.insert(name, hash);
     }
-    // What the registry lacks of a package that is here is missing, not left out.
+    // Every interface of a built-in package must be in the registry.
     let places: BTreeSet<&str> = compared.keys().map(|name| place_of(name)).collect();
     for name in published.keys().filter(|name| places.contains(place_of(name))) {
-        assert!(compared.contains_key(name.as_str()), "{name} is not carried");
+        assert!(compared.contains_key(name.as_str()), "{name} is not built in");
     }
     assert!(compared.len() > 300, "only {} types were compared", compared.len());
 }
@@ -34,7 +34,7 @@ fn place_of(name: &str) -> &str {
     name.rsplit_once('/').unwrap().0
 }
 
-/// The wheels lack some packages, of which rosbags has the messages, written down by its own authors.
+/// The wheels lack some packages, whose messages rosbags defines independently.
 #[test]
 fn hashes_of_messages_are_those_that_rosbags_computes_from_its_own_definitions() {
     let Some(peer) = Peer::find() else { return };

@@ -1,10 +1,10 @@
-//! Our messages against those of others: hashes, definition texts and bytes. Witnesses are the ROS 2 Jazzy wheels (rclpy over
-//! rmw_fastrtps_cpp), and for what these do not have or do, `rosbags` and `cyclonedds`.
+//! Compares our messages with other implementations: hashes, definition texts and bytes. The references are
+//! the ROS 2 Jazzy wheels (rclpy over rmw_fastrtps_cpp) and, for what these lack, `rosbags` and `cyclonedds`.
 //!
-//! Needs the Python interpreter that `DOWNBEAT_PYTHON` names; without it the tests say so and pass.
+//! Needs the Python interpreter named by `DOWNBEAT_PYTHON`; without it the tests print a note and pass.
 //!
-//! Every type of the registry is compared; none is listed here. Random values come from [`SEED`], the type's name and a
-//! number, all three told where a comparison fails.
+//! Every type of the registry is compared. Random values depend on [`SEED`], the type's name and a number,
+//! which a failed comparison prints.
 
 #![allow(clippy::unwrap_used)]
 
@@ -27,5 +27,5 @@ mod odd_msgs {
     include!(concat!(env!("OUT_DIR"), "/odd_msgs.rs"));
 }
 
-/// What all random values come from.
+/// The seed of all random values.
 const SEED: u64 = 0x5eed;

@@ -1,4 +1,4 @@
-//! The Python at the other end.
+//! The Python process with the reference implementations.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,12 +12,12 @@ pub struct Peer {
 }
 
 impl Peer {
-    /// The one `DOWNBEAT_PYTHON` names; says so if there is none.
+    /// The interpreter named by `DOWNBEAT_PYTHON`; prints a note if it is not set.
     pub fn find() -> Option<Self> {
         match std::env::var_os("DOWNBEAT_PYTHON") {
             Some(python) => Some(Self { python: python.into() }),
             None => {
-                // Past the capture of test output, which shows nothing of a test that passes.
+                // Bypasses the capture of test output, which hides the output of passing tests.
                 let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
                 let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
                 None
@@ -31,20 +31,20 @@ impl Peer {
         self.python.parent().and_then(Path::parent).unwrap().join("share")
     }
 
-    /// Whether the wheels have the package of that type.
+    /// Whether the wheels contain the package of that type.
     pub fn has_package_of(&self, name: &str) -> bool {
         let package = name.split('/').next().unwrap();
         self.share().join(package).is_dir()
     }
 
-    /// The file the wheels have for an interface, or for the one that it is a part of.
+    /// The file in the wheels for an interface, or for the one that it is a part of.
     pub fn published(&self, name: &str) -> Value {
         let kind_ends = name.rfind('/').unwrap();
         let stem = name[kind_ends..].find('_').map_or(name, |end| &name[..kind_ends + end]);
         read_json(&self.share().join(stem).with_extension("json"))
     }
 
-    /// The hashes the wheels have, of messages, services and actions and all their parts.
+    /// The hashes in the wheels, of messages, services and actions and all their parts.
     pub fn published_hashes(&self) -> BTreeMap<String, String> {
         let mut hashes = BTreeMap::new();
         for package in entries(&self.share()) {
@@ -60,20 +60,20 @@ impl Peer {
         hashes
     }
 
-    /// Runs a command of `python/peer.py` with `input` in a file; gives the parts of each line it prints.
+    /// Runs a command of `python/peer.py` with `input` in a file; returns the parts of each line of output.
     pub fn ask(&self, command: &str, arguments: &[&str], input: &str) -> Answer {
-        // Tests run side by side, in one process or in several.
+        // Tests run in parallel, in one process or several.
         let test = std::thread::current().name().unwrap_or_default().replace("::", "_");
         let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{test}_{command}.txt"));
         std::fs::write(&file, input).unwrap();
         let output = Command::new(&self.python)
-            .arg("-B") // leaves no compiled files in the source tree
+            .arg("-B") // writes no compiled files to the source tree
             .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/interop/python/peer.py"))
             .arg(command)
             .arg(&file)
             .args(arguments)
-            // Fast CDR leaves padding as it finds it in fresh memory. These make the C library hand out zeros, so that
-            // equal values have equal bytes.
+            // Fast CDR does not initialise padding. These settings make the C library return zeroed memory,
+            // so that equal values have equal bytes.
             .env("GLIBC_TUNABLES", "glibc.malloc.perturb=255:glibc.malloc.tcache_count=0")
             .output()
             .unwrap_or_else(|error| panic!("cannot run {}: {error}", self.python.display()));
@@ -82,20 +82,20 @@ impl Peer {
     }
 }
 
-/// What a command printed.
+/// The output of a command.
 pub struct Answer {
     text: String,
 }
 
 impl Answer {
-    /// The parts of each line; all must have as many.
+    /// The parts of each line, which must be `PARTS`.
     pub fn lines<const PARTS: usize>(&self) -> Vec<[&str; PARTS]> {
         let parts = self.text.lines().map(|line| line.split('\t').collect::<Vec<_>>());
         parts.map(|parts| parts.try_into().unwrap_or_else(|parts| panic!("{parts:?}"))).collect()
     }
 }
 
-/// What is in a folder, in order; nothing if it is none.
+/// The sorted entries of a folder; empty if it does not exist.
 fn entries(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
@@ -108,7 +108,7 @@ fn read_json(path: &Path) -> Value {
     serde_json::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Written for speed without optimisation: much of what the tests do is this.
+/// Written for speed in debug builds, where the tests spend much of their time here.
 pub fn hex(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 16] = b"0123456789abcdef";
     let mut digits = vec![0; bytes.len() * 2];
@@ -122,7 +122,7 @@ pub fn unhex(text: &str) -> Vec<u8> {
     let value = |digit: u8| match digit {
         b'0'..=b'9' => digit - b'0',
         b'a'..=b'f' => digit - b'a' + 10,
-        _ => panic!("{digit:#x} is no hexadecimal digit"),
+        _ => panic!("{digit:#x} is not a hexadecimal digit"),
     };
     let (pairs, rest) = text.as_bytes().as_chunks::<2>();
     assert!(rest.is_empty(), "half a byte");

@@ -1,10 +1,10 @@
-//! Random values of any type, made by its definition.
+//! Random values of any type, generated from its definition.
 
 use downbeat_msgs_definitions::{Catalog, Element, FieldType, Primitive, Shape, TypeName};
 use serde_json::{Map, Value};
 
-/// A value of a message, floating-point numbers as texts of their bits in hexadecimal: so each bit counts, and infinities
-/// and what is no number have a place in JSON.
+/// A value of a message, with floating-point numbers as hexadecimal strings of their bits, so that each bit
+/// counts, and JSON can represent infinities and NaN.
 ///
 /// The same seed, name and number give the same value.
 pub fn random_message(catalog: &Catalog, name: &TypeName, seed: u64, number: usize) -> Value {
@@ -34,7 +34,7 @@ const CHARACTERS: [char; 14] = [
     '\u{10ffff}',
 ];
 
-/// Lengths of sequences, the further in the shorter: messages within messages become large quickly.
+/// Lengths of sequences, shorter on deeper levels: nested messages grow quickly.
 const LENGTHS_OF_MESSAGES: [&[u64]; 3] = [&[0, 1, 2, 3], &[0, 1, 2], &[0, 0, 1]];
 const LENGTHS: [&[u64]; 3] = [&[0, 1, 3, 17], &[0, 1, 2, 3], &[0, 1, 2]];
 
@@ -90,7 +90,7 @@ impl Random<'_> {
         }
     }
 
-    /// Bits of a number; of what is no number only such as conversions between the two sizes keep.
+    /// The bits of a number; of NaNs only those that conversions between the two sizes preserve.
     fn float32(&mut self) -> u32 {
         let edges = [0, 1 << 31, 0x7f80_0000, 0xff80_0000, 0x7fc0_0000, 0xffc1_2345, 1, 0x7f7f_ffff];
         let bits = if self.below(3) == 0 { self.choose(&edges) } else { self.bits() as u32 };

@@ -1,10 +1,10 @@
-//! Views beside messages, and input that ends too early.
+//! Views compared with messages, and truncated input.
 
 use crate::every_type::{As, every_type};
 use crate::values::samples;
 
 #[test]
-fn views_hold_what_messages_hold() {
+fn views_have_the_values_of_messages() {
     for of in &every_type() {
         for sample in samples(&[of], 20) {
             let message = (of.show)(&sample.bytes, As::Message);
@@ -15,10 +15,10 @@ fn views_hold_what_messages_hold() {
 }
 
 #[test]
-fn what_is_cut_off_anywhere_is_refused_there() {
+fn truncated_input_is_refused_where_it_ends() {
     for of in &every_type() {
         for sample in samples(&[of], 2) {
-            // Not each byte of what is long: that is only more of the same.
+            // Not at every byte of long messages.
             let step = 1 + sample.bytes.len() / 400;
             for end in (0..sample.bytes.len()).step_by(step) {
                 let refused = (of.show)(&sample.bytes[..end], As::Message);

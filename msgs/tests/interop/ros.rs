@@ -1,4 +1,4 @@
-//! Bytes against rclpy, which is Fast CDR beneath.
+//! Compares bytes with rclpy, which uses Fast CDR.
 
 use crate::SEED;
 use crate::every_type::{Type, every_type};
@@ -13,7 +13,7 @@ fn types_of_the_wheels(peer: &Peer) -> Vec<Type> {
 }
 
 #[test]
-fn what_rclpy_writes_is_read_and_written_again_to_the_byte() {
+fn messages_of_rclpy_are_read_and_written_again_to_the_byte() {
     let Some(peer) = Peer::find() else { return };
     let types = types_of_the_wheels(&peer);
     let names = types.iter().fold(String::new(), |names, of| names + of.name + "\n");
@@ -29,7 +29,8 @@ fn what_rclpy_writes_is_read_and_written_again_to_the_byte() {
             if number == 0 {
                 assert_same(&(of.default)(), &theirs, || format!("the default of {name}"));
             }
-            // Our bytes of their value are theirs, and come from reading theirs: so what was read is the value.
+            // Our bytes for their value equal theirs and come from reading theirs, so we read the right
+            // value.
             assert_same(&(of.write)(&parse(json)), &theirs, what);
             let again = (of.read)(&theirs).unwrap_or_else(|error| panic!("{}: {error}: {json}", what()));
             assert_same(&again, &theirs, what);
@@ -38,7 +39,7 @@ fn what_rclpy_writes_is_read_and_written_again_to_the_byte() {
 }
 
 #[test]
-fn what_we_write_is_read_and_written_again_by_rclpy_to_the_byte() {
+fn our_messages_are_read_and_written_again_by_rclpy_to_the_byte() {
     let Some(peer) = Peer::find() else { return };
     let types = types_of_the_wheels(&peer);
     let ours = samples(&types.iter().collect::<Vec<_>>(), VALUES_PER_TYPE);
@@ -46,7 +47,7 @@ fn what_we_write_is_read_and_written_again_by_rclpy_to_the_byte() {
     check_read(&ours, &answer, "rclpy");
 }
 
-/// What rclpy cannot write it reads: its numbers are swapped where the header says so.
+/// rclpy does not write big-endian bytes but reads them.
 #[test]
 fn rclpy_reads_the_same_values_from_big_endian_bytes() {
     let Some(peer) = Peer::find() else { return };
@@ -62,7 +63,7 @@ fn rclpy_reads_the_same_values_from_big_endian_bytes() {
     check_read(&ours, &peer.ask("ros_read", &[], &request), "rclpy from big-endian bytes");
 }
 
-/// Checks values and bytes that it gives for ours.
+/// Checks the values and bytes that it returns for ours.
 fn check_read(ours: &[Sample], answer: &Answer, by: &str) {
     let lines = answer.lines::<2>();
     assert_eq!(lines.len(), ours.len());
@@ -72,13 +73,13 @@ fn check_read(ours: &[Sample], answer: &Answer, by: &str) {
     }
 }
 
-/// `serialize_message` gives a buffer as long as the size it estimated beforehand (`rmw_serialize` in
-/// rmw_fastrtps_shared_cpp takes the length from `getEstimatedSerializedSize`), which is the greatest size for types that have
-/// one, and counts padding before empty sequences for others. What stands behind the value is no part of it.
+/// `serialize_message` returns a buffer with the estimated size (`rmw_serialize` in rmw_fastrtps_shared_cpp
+/// uses `getEstimatedSerializedSize`), which is the maximum size for types that have one, and includes
+/// padding before empty sequences for others. Bytes after the value are not part of it.
 fn assert_same(ours: &[u8], theirs: &[u8], what: impl Fn() -> String) {
     let rest = theirs.strip_prefix(ours).unwrap_or_else(|| {
         let same = ours.iter().zip(theirs).take_while(|(a, b)| a == b).count();
         panic!("{}: differ from byte {same} on: we write {}, they {}", what(), hex(ours), hex(theirs))
     });
-    assert!(rest.iter().all(|byte| *byte == 0), "{}: behind {} rclpy has {}", what(), hex(ours), hex(rest));
+    assert!(rest.iter().all(|byte| *byte == 0), "{}: after {} rclpy has {}", what(), hex(ours), hex(rest));
 }

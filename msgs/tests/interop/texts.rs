@@ -1,4 +1,4 @@
-//! Definition texts, and messages that real programs have sent.
+//! Definition texts, and messages recorded from real programs.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -51,7 +51,7 @@ fn recorded_schemas() -> BTreeMap<String, String> {
     schemas
 }
 
-/// The words of each line that has any, comments left out.
+/// The words of each non-empty line, without comments.
 fn without_comments(text: &str) -> Vec<Vec<&str>> {
     text.lines()
         .map(|line| {

@@ -1,4 +1,4 @@
-//! Random values of each type, and how they come out elsewhere.
+//! Random values of each type, compared with other implementations.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -13,7 +13,7 @@ use crate::exact::first_difference;
 use crate::peer::hex;
 use crate::random::random_message;
 
-/// A random value of a type, and the bytes we write it as.
+/// A random value of a type and its bytes.
 pub struct Sample {
     pub name: &'static str,
     pub number: usize,
@@ -23,19 +23,19 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// What to look at when it fails.
+    /// Identifies the sample in failures.
     pub fn label(&self) -> String {
         label(self.name, self.number)
     }
 
-    /// Checks the value that another reads from its bytes.
+    /// Checks the value that another implementation reads from its bytes.
     pub fn check_value(&self, json: &str, by: &str) {
         if let Some(difference) = first_difference(&self.value, &parse(json)) {
             panic!("{} read by {by}: at {difference}", self.label());
         }
     }
 
-    /// Checks the bytes that another writes for its value.
+    /// Checks the bytes that another implementation writes for its value.
     pub fn check_bytes(&self, theirs: &[u8]) {
         let same = self.bytes.iter().zip(theirs).take_while(|(a, b)| a == b).count();
         if same < self.bytes.len().max(theirs.len()) {
@@ -66,7 +66,7 @@ pub fn parse(json: &str) -> Value {
     serde_json::from_str(json).unwrap_or_else(|error| panic!("{json}: {error}"))
 }
 
-/// So many random values of each of the types.
+/// `of_each` random values of each of the types.
 pub fn samples(types: &[&Type], of_each: usize) -> Vec<Sample> {
     let catalog = catalog();
     let mut samples = Vec::new();
@@ -101,7 +101,7 @@ pub fn by_name() -> BTreeMap<&'static str, Type> {
 }
 
 #[test]
-fn random_values_of_every_type_come_back_the_same() {
+fn random_values_of_every_type_round_trip() {
     let types = every_type();
     for of in &types {
         for sample in samples(&[of], 50) {

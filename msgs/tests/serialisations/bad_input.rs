@@ -1,4 +1,4 @@
-//! Bytes that are no message: an error that says where, no panic, no memory that the input does not justify.
+//! Invalid input causes errors with positions, no panics, and bounded use of memory.
 
 use downbeat_msgs::encoding::{Codec, Encoding};
 
@@ -30,7 +30,8 @@ fn no_prefix_and_no_flipped_bit_of_any_message_makes_a_reader_panic() {
         let value = (of.random)(&mut random);
         for encoding in READABLE {
             let codec = codec(encoding, of.name);
-            // Random images and clouds are inconsistent, which Foxglove's schemas need not have a place for.
+            // Random images and clouds are inconsistent, which Foxglove's schemas may not be able to
+            // represent.
             let Ok(bytes) = codec.encode(&value) else { continue };
             for end in (0..bytes.len()).step_by(bytes.len() / 40 + 1) {
                 refused += usize::from(codec.decode(&bytes[..end]).is_err());
@@ -49,7 +50,7 @@ fn no_prefix_and_no_flipped_bit_of_any_message_makes_a_reader_panic() {
 fn errors_name_the_byte_and_the_field() {
     assert_eq!(
         error(Encoding::Protobuf, "sensor_msgs/msg/Imu", b"\x0a\x04\x12\x7fab"),
-        "sensor_msgs/msg/Imu: cannot read protobuf at byte 4, field `header`: needs 127 more bytes, there are 2"
+        "sensor_msgs/msg/Imu: cannot read protobuf at byte 4, field `header`: needs 127 more bytes, but there are only 2"
     );
     assert_eq!(
         error(Encoding::Protobuf, "std_msgs/msg/String", b"\x0a\x02\xff\xfe"),
@@ -61,7 +62,7 @@ fn errors_name_the_byte_and_the_field() {
     );
     assert_eq!(
         error(Encoding::Protobuf, "rmw_dds_common/msg/Gid", b"\x0a\x02ab"),
-        "rmw_dds_common/msg/Gid: cannot read protobuf, field `data`: has 2 elements, the type has exactly 16"
+        "rmw_dds_common/msg/Gid: cannot read protobuf, field `data`: has 2 elements, but the type has exactly 16"
     );
     let short = error(Encoding::FlatBuffers, "std_msgs/msg/String", b"\xff\xff\xff\xff");
     assert_eq!(
@@ -73,7 +74,7 @@ fn errors_name_the_byte_and_the_field() {
     let json = error(Encoding::Json, "std_msgs/msg/UInt8", b"{}");
     assert!(json.contains("missing field `data`"), "{json}");
     let json = error(Encoding::Json, "std_msgs/msg/UInt8", br#"{"data": 1, "data": 2}"#);
-    assert!(json.contains("the field `data` is there twice"), "{json}");
+    assert!(json.contains("duplicate field `data`"), "{json}");
 }
 
 #[test]
@@ -83,7 +84,7 @@ fn tables_that_share_what_they_refer_to_do_not_take_memory_without_bound() {
     let put =
         |bytes: &mut Vec<u8>, numbers: &[u32]| numbers.iter().for_each(|n| bytes.extend(n.to_le_bytes()));
     put(&mut bytes, &[12]);
-    bytes.extend([8, 0, 8, 0, 0, 0, 4, 0]); // The vtable: header is not there, poses at 4.
+    bytes.extend([8, 0, 8, 0, 0, 0, 4, 0]); // The vtable: no header, poses at 4.
     put(&mut bytes, &[8, 4]); // The table: its vtable 8 back, the vector 4 on.
     const COUNT: u32 = 100_000;
     put(&mut bytes, &[COUNT]);
@@ -93,7 +94,7 @@ fn tables_that_share_what_they_refer_to_do_not_take_memory_without_bound() {
     bytes.extend([4, 0, 4, 0]); // A vtable without fields, and its table.
     put(&mut bytes, &[4]);
     let codec = codec(Encoding::FlatBuffers, "geometry_msgs/msg/PoseArray");
-    // An encapsulation header, a `Header` without text, a length and padding, and the poses.
+    // An encapsulation header, an empty `Header`, a length and padding, and the poses.
     let poses = codec.decode(&bytes).map(|cdr| cdr.len());
     assert!(poses.as_ref().is_ok_and(|length| *length == 4 + 24 + 56 * COUNT as usize), "{poses:?}");
 
@@ -102,7 +103,7 @@ fn tables_that_share_what_they_refer_to_do_not_take_memory_without_bound() {
     assert!(error.contains("bytes of memory, too many for an input of this size"), "{error}");
 }
 
-/// A `MultiNested` with a list of `Arrays` that names one of them a hundred thousand times.
+/// A `MultiNested` with a list that refers to one `Arrays` a hundred thousand times.
 fn sharing_arrays() -> Vec<u8> {
     const COUNT: u32 = 100_000;
     let mut bytes = Vec::new();
@@ -110,9 +111,9 @@ fn sharing_arrays() -> Vec<u8> {
         |bytes: &mut Vec<u8>, numbers: &[u32]| numbers.iter().for_each(|n| bytes.extend(n.to_le_bytes()));
     put(&mut bytes, &[28]);
     bytes.extend([22, 0, 8, 0]);
-    bytes.extend([0; 12]); // Six fields that are not there,
+    bytes.extend([0; 12]); // Six absent fields,
     bytes.extend([4, 0]); // the list of `Arrays` of any length,
-    bytes.extend([0; 6]); // and what is behind it and padding.
+    bytes.extend([0; 6]); // and the remaining fields and padding.
     put(&mut bytes, &[24, 4, COUNT]);
     let first = bytes.len() as u32;
     let shared = first + 4 * COUNT + 4;

@@ -28,14 +28,14 @@ fn each_value(encoding: Encoding, mut check: impl FnMut(&Type, &[u8], &[u8], &[u
 }
 
 #[test]
-fn every_type_comes_back_to_the_bit_from_every_encoding_that_keeps_it() {
+fn every_type_round_trips_exactly_through_every_lossless_encoding() {
     for encoding in [Encoding::Cdr, Encoding::Cbor, Encoding::Protobuf, Encoding::FlatBuffers] {
         each_value(encoding, |of, value, _, decoded| assert_eq!(decoded, value, "{encoding} {}", of.name));
     }
 }
 
 #[test]
-fn the_json_is_that_of_the_structs_and_comes_back_but_for_what_is_not_finite() {
+fn the_json_equals_that_of_the_structs_and_round_trips_finite_numbers() {
     let mut compared = 0;
     each_value(Encoding::Json, |of, value, encoded, decoded| {
         let text = std::str::from_utf8(encoded).unwrap();
@@ -72,10 +72,11 @@ fn big_endian_messages_are_encoded_as_little_endian_ones() {
     };
     let little = cdr::to_vec(&state);
     let codec = |encoding: Encoding| encoding.codec(catalog(), &name("sensor_msgs/msg/JointState")).unwrap();
-    // Header, stamp, frame_id "", names, positions, velocity and effort empty: all numbers of 4 bytes but the positions.
+    // Header, stamp, frame_id "", names, positions, empty velocity and effort: all are 4-byte numbers except
+    // positions.
     let mut big = little.clone();
     big[1] = 0;
-    let strings = [16, 17, 18, 19, 28, 29, 36, 37]; // Where characters are, not numbers.
+    let strings = [16, 17, 18, 19, 28, 29, 36, 37]; // Offsets of characters, which are not swapped.
     for (start, width) in
         [(4, 4), (8, 4), (12, 4), (20, 4), (24, 4), (32, 4), (40, 4), (44, 8), (52, 8), (60, 4), (64, 4)]
     {
@@ -99,7 +100,7 @@ fn version_2_of_cdr_is_encoded_as_version_1() {
     let mut value = Temperature { temperature: 36.6, variance: 0.5, ..Temperature::default() };
     value.header.frame_id = "abcd".into();
     let version_1 = cdr::to_vec(&value);
-    // Doubles stand at multiples of 4 there: behind stamp, length and five characters with their padding.
+    // Doubles are aligned to 4 bytes there: after stamp, length and five characters with padding.
     let (head, doubles) = (&version_1[4..24], &version_1[28..]);
     let version_2 = [&[0, 7, 0, 0], head, doubles].concat();
     assert_eq!(cdr::from_slice::<Temperature>(&version_2).unwrap(), value);
@@ -117,7 +118,7 @@ fn a_zero_that_is_not_the_default_of_the_definition_stays_zero() {
 }
 
 #[test]
-fn a_codec_takes_only_messages_of_its_type() {
+fn a_codec_accepts_only_messages_of_its_type() {
     let codec = Encoding::Json.codec(catalog(), &name("sensor_msgs/msg/JointState")).unwrap();
     let error = codec.to_vec(&Quaternion::default()).unwrap_err().to_string();
     assert_eq!(
@@ -127,7 +128,7 @@ fn a_codec_takes_only_messages_of_its_type() {
 }
 
 #[test]
-fn names_of_encodings_are_read_and_those_of_channels_known() {
+fn names_of_encodings_and_channels_are_parsed() {
     for encoding in Encoding::ALL {
         assert_eq!(encoding.as_str().parse(), Ok(encoding));
         let codec = encoding.codec(catalog(), &name("sensor_msgs/msg/Image")).unwrap();

@@ -1,4 +1,4 @@
-//! Foxglove's own schemas: the same as those it publishes, and messages as its libraries read them.
+//! Foxglove's own schemas, compared with the published ones, and messages as read by its libraries.
 
 use downbeat_msgs::builtin_interfaces::msg::Time;
 use downbeat_msgs::encoding::Encoding;
@@ -55,7 +55,7 @@ fn transform() -> TransformStamped {
     }
 }
 
-/// A message as Foxglove is to see it, and what is to come back from there.
+/// A message, its expected form in Foxglove, and the result of converting it back.
 struct Example {
     type_name: &'static str,
     cdr: Vec<u8>,
@@ -277,7 +277,7 @@ fn timestamp() -> Value {
     json!({ "seconds": 1_700_000_000, "nanos": 250_000_000 })
 }
 
-/// Lines for the witness: schema and bytes of each example.
+/// Lines for `witness.py`: schema and bytes of each example.
 fn lines(encoding: Encoding) -> String {
     let mut lines = String::new();
     for example in examples() {
@@ -289,7 +289,7 @@ fn lines(encoding: Encoding) -> String {
     lines
 }
 
-/// Infinity and NaN as null, and the timestamp apart.
+/// Infinity and NaN as null, and the timestamp separately.
 fn seen(text: &str) -> (Value, Option<Value>) {
     let text = text.replace("Infinity", "null").replace("NaN", "null");
     let mut value: Value = serde_json::from_str(&text).unwrap();
@@ -304,7 +304,7 @@ fn check_seen(example: &Example, text: &str) {
 }
 
 #[test]
-fn there_is_an_example_of_every_type() {
+fn every_type_has_an_example() {
     let examples = examples();
     for (ros, foxglove) in foxglove::types() {
         assert!(examples.iter().any(|example| example.type_name == ros), "{ros}");
@@ -314,7 +314,7 @@ fn there_is_an_example_of_every_type() {
 }
 
 #[test]
-fn what_foxglove_has_a_place_for_comes_back() {
+fn fields_of_foxgloves_schemas_round_trip() {
     for encoding in [Encoding::FoxgloveProtobuf, Encoding::FoxgloveFlatBuffers] {
         for example in examples() {
             let codec = encoding.codec(catalog(), &name(example.type_name)).unwrap();
@@ -326,7 +326,7 @@ fn what_foxglove_has_a_place_for_comes_back() {
 }
 
 #[test]
-fn our_protobuf_is_that_of_foxgloves_published_schemas_both_ways() {
+fn our_protobuf_matches_foxgloves_published_schemas_in_both_directions() {
     let Some(answer) = ask("foxglove_protobuf", &lines(Encoding::FoxgloveProtobuf)) else { return };
     let examples = examples();
     assert_eq!(answer.lines().count(), examples.len());
@@ -340,12 +340,12 @@ fn our_protobuf_is_that_of_foxgloves_published_schemas_both_ways() {
 }
 
 #[test]
-fn our_flatbuffers_are_those_of_foxgloves_published_schemas() {
+fn our_flatbuffers_match_foxgloves_published_schemas() {
     let Some(answer) = ask("foxglove_flatbuffers", &lines(Encoding::FoxgloveFlatBuffers)) else { return };
     let examples = examples();
     assert_eq!(answer.lines().count(), examples.len());
     for (line, example) in answer.lines().zip(&examples) {
-        // Protobuf has capitals for the names of matrices.
+        // Protobuf has upper-case names for matrices.
         let line = ["D", "K", "R", "P"].iter().fold(line.to_owned(), |line, name| {
             line.replace(&format!("\"{}\": [", name.to_lowercase()), &format!("\"{name}\": ["))
         });
@@ -354,7 +354,7 @@ fn our_flatbuffers_are_those_of_foxgloves_published_schemas() {
 }
 
 #[test]
-fn what_foxglove_has_no_place_for_is_refused_and_says_why() {
+fn values_that_foxglove_cannot_represent_are_refused_with_a_reason() {
     let error = |cdr: &[u8], type_name: &str, encoding: Encoding| {
         encoding.codec(catalog(), &name(type_name)).unwrap().encode(cdr).unwrap_err().to_string()
     };
@@ -367,13 +367,13 @@ fn what_foxglove_has_no_place_for_is_refused_and_says_why() {
     let state = JointState { name: vec!["a".into()], velocity: vec![0.0; 2], ..JointState::default() };
     assert_eq!(
         error(&cdr::to_vec(&state), JointState::TYPE_NAME, Encoding::FoxgloveProtobuf),
-        "sensor_msgs/msg/JointState: cannot write foxglove-protobuf, field `velocity`: has 2 elements, there are 1 names"
+        "sensor_msgs/msg/JointState: cannot write foxglove-protobuf, field `velocity`: has 2 elements, but there are 1 names"
     );
     let mut early = transform();
     early.header.stamp.sec = -1;
     assert_eq!(
         error(&cdr::to_vec(&early), TransformStamped::TYPE_NAME, Encoding::FoxgloveFlatBuffers),
-        "geometry_msgs/msg/TransformStamped: cannot write foxglove-flatbuffers, field `timestamp`: -1 s have no place in \
+        "geometry_msgs/msg/TransformStamped: cannot write foxglove-flatbuffers, field `timestamp`: -1 s cannot be represented by \
          FlatBuffers' Time"
     );
     let short = PointCloud2 {
@@ -386,13 +386,14 @@ fn what_foxglove_has_no_place_for_is_refused_and_says_why() {
     };
     let short = error(&cdr::to_vec(&short), PointCloud2::TYPE_NAME, Encoding::FoxgloveProtobuf);
     assert!(
-        short.ends_with("field `row_step`: 2 rows of 8 bytes with 4 of points are not in 15 bytes"),
+        short
+            .ends_with("field `row_step`: 2 rows of 8 bytes with 4 bytes of points do not fit into 15 bytes"),
         "{short}"
     );
 }
 
 #[test]
-fn a_package_that_gives_the_name_another_meaning_is_encoded_by_its_own_definition() {
+fn a_type_with_the_name_of_a_known_one_is_encoded_by_its_own_definition() {
     let mut other = downbeat_msgs::definitions::Catalog::new();
     other.add_message(name("sensor_msgs/msg/Image"), "uint8[] pixels\n", "Image.msg").unwrap();
     let codec = Encoding::FoxgloveProtobuf.codec(&other, &name("sensor_msgs/msg/Image")).unwrap();

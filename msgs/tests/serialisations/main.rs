@@ -1,6 +1,7 @@
-//! Messages in other serialisations than CDR: through serde, and through `encoding`. What comes back is compared by its CDR,
-//! bit for bit. The witnesses are `ciborium`, and for Protobuf, FlatBuffers and JSON Schema the Python libraries of their
-//! makers and of Foxglove; those need the interpreter that `DOWNBEAT_PYTHON` names, without it the tests say so and pass.
+//! Messages in other serialisations than CDR: through serde, and through `encoding`. Round trips are compared
+//! by their CDR, bit for bit. The references are `ciborium`, and for Protobuf, FlatBuffers and JSON Schema
+//! the Python libraries of their authors and of Foxglove. These need the interpreter named by
+//! `DOWNBEAT_PYTHON`; without it the tests print a note and pass.
 
 #![allow(clippy::unwrap_used)]
 

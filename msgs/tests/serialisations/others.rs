@@ -1,4 +1,4 @@
-//! What we write, read by the libraries of the formats' makers by the schema we make, and what they write, read by us.
+//! Our output, read by the reference libraries of the formats with our schemas, and their output, read by us.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -12,7 +12,8 @@ use crate::types::{catalog, every_type, name};
 
 const VALUES_PER_TYPE: usize = 8;
 
-/// For each type a line with its schema, then for each value a line with its bytes and its JSON. Gives the values too.
+/// For each type a line with its schema, then for each value a line with its bytes and its JSON. Also returns
+/// the values.
 fn values(encoding: Encoding) -> (String, Vec<(Codec, Vec<u8>)>) {
     let mut random = Random::new(0x07e5);
     let (mut lines, mut values) = (String::new(), Vec::new());
@@ -30,7 +31,7 @@ fn values(encoding: Encoding) -> (String, Vec<(Codec, Vec<u8>)>) {
 }
 
 #[test]
-fn googles_protobuf_reads_every_type_by_our_schema_and_we_read_what_it_writes() {
+fn googles_protobuf_reads_every_type_with_our_schema_and_we_read_its_output() {
     let (lines, values) = values(Encoding::Protobuf);
     let Some(answer) = ask("protobuf", &lines) else { return };
     assert_eq!(answer.lines().count(), values.len());
@@ -41,7 +42,7 @@ fn googles_protobuf_reads_every_type_by_our_schema_and_we_read_what_it_writes() 
 }
 
 #[test]
-fn the_protobuf_compiler_makes_of_our_text_the_descriptors_that_we_make() {
+fn the_protobuf_compiler_derives_our_descriptors_from_our_text() {
     let (mut lines, mut files) = (String::new(), BTreeMap::new());
     for of in every_type() {
         let codec = Encoding::Protobuf.codec(catalog(), &name(of.name)).unwrap();
@@ -58,7 +59,7 @@ fn the_protobuf_compiler_makes_of_our_text_the_descriptors_that_we_make() {
 }
 
 #[test]
-fn googles_flatbuffers_reads_every_type_by_our_binary_schema() {
+fn googles_flatbuffers_reads_every_type_with_our_binary_schema() {
     let (lines, values) = values(Encoding::FlatBuffers);
     let Some(answer) = ask("flatbuffers", &lines) else { return };
     assert_eq!(answer.trim(), values.len().to_string());

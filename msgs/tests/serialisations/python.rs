@@ -1,13 +1,14 @@
-//! The Python at the other end.
+//! The Python process with the reference implementations.
 
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::Command;
 
-/// Runs a command of `witness.py` with `input` in a file; gives what it prints. `None` without an interpreter.
+/// Runs a command of `witness.py` with `input` in a file; returns its output, or `None` without an
+/// interpreter.
 pub fn ask(command: &str, input: &str) -> Option<String> {
     let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
-        // Past the capture of test output, which shows nothing of a test that passes.
+        // Bypasses the capture of test output, which hides the output of passing tests.
         let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
         let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
         return None;

@@ -10,7 +10,7 @@ use crate::types::every_type;
 const VALUES_PER_TYPE: usize = 40;
 
 #[test]
-fn cbor_brings_every_type_back_to_the_bit() {
+fn cbor_round_trips_every_type_exactly() {
     let mut random = Random::new(0xcb0);
     for of in every_type() {
         for _ in 0..VALUES_PER_TYPE {
@@ -21,7 +21,7 @@ fn cbor_brings_every_type_back_to_the_bit() {
 }
 
 #[test]
-fn json_brings_every_type_back_to_the_bit_if_its_numbers_are_finite() {
+fn json_round_trips_every_type_with_finite_numbers_exactly() {
     let mut random = Random::new(0x150);
     let mut infinite = 0;
     for of in every_type() {
@@ -36,7 +36,7 @@ fn json_brings_every_type_back_to_the_bit_if_its_numbers_are_finite() {
 }
 
 #[test]
-fn json_cannot_tell_what_is_not_finite_and_the_structs_refuse_its_null() {
+fn json_writes_null_for_non_finite_numbers_which_the_structs_refuse() {
     let state = JointState { position: vec![f64::NAN, f64::INFINITY], ..JointState::default() };
     let json = serde_json::to_string(&state).unwrap();
     assert!(json.contains("\"position\":[null,null]"), "{json}");
@@ -68,7 +68,7 @@ fn bytes_are_a_byte_string_in_cbor_and_a_list_in_json() {
 }
 
 #[test]
-fn a_list_of_numbers_in_cbor_is_read_as_bytes_too() {
+fn a_list_of_numbers_in_cbor_is_also_read_as_bytes() {
     let mut cbor = Vec::new();
     ciborium::into_writer(&serde_json::json!({ "data": [1, 2, 255], "point_step": 3 }), &mut cbor).unwrap();
     let cloud: PointCloud2 = ciborium::from_reader(&cbor[..]).unwrap();
@@ -86,7 +86,7 @@ fn an_array_of_bytes_of_another_length_is_refused() {
     assert_eq!(cdr::to_vec(&gid).len(), 4 + 16);
 }
 
-/// Puts numbers in place of each null, which stands for a number that is not finite; tells how many there were.
+/// Replaces each null, which represents a number that is not finite; returns their number.
 fn make_finite(json: &mut Value) -> usize {
     match json {
         Value::Null => {

@@ -15,7 +15,7 @@ use crate::random::Random;
 /// A message type. Values are their CDR.
 pub struct Type {
     pub name: &'static str,
-    /// A random value within its bounds, NaN and the infinities among its numbers.
+    /// A random value within its bounds; its numbers include NaN and infinities.
     pub random: fn(&mut Random) -> Vec<u8>,
     pub to_json: fn(&[u8]) -> String,
     pub to_json_value: fn(&[u8]) -> Value,
@@ -32,7 +32,7 @@ impl Type {
         Self {
             name: T::TYPE_NAME,
             random: |random| {
-                // Bounds of sequences are not known to serde, but to our reader.
+                // Serde does not check the bounds of sequences, but our reader does.
                 let bytes = std::iter::repeat_with(|| cdr::to_vec(&random.value::<T>()));
                 let fitting = bytes.take(1000).find(|bytes| cdr::from_slice::<T>(bytes).is_ok());
                 fitting.unwrap_or_else(|| panic!("{}: no random value can be read", T::TYPE_NAME))
@@ -50,7 +50,7 @@ impl Type {
     }
 }
 
-/// The types this crate carries, and some that are odd.
+/// The built-in types, and some unusual ones.
 pub fn every_type() -> Vec<Type> {
     macro_rules! table {
         ($($message:ty),* $(,)?) => { vec![$(Type::of::<$message>()),*] };

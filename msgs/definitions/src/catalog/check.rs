@@ -1,28 +1,28 @@
-//! Whether the references between definitions lead somewhere, and come to an end.
+//! Checks that the references between definitions resolve and do not form cycles.
 
 use std::collections::BTreeMap;
 
 use super::Catalog;
 use crate::{Element, Error, Field, MessageDefinition, Shape, TypeName};
 
-/// Deeper than any interface is nested (that of rosbag2 is 50), and shallow enough to be followed on any stack.
+/// Deeper than any interface (rosbag2's limit is 50), and shallow enough for any stack.
 const DEEPEST_NESTING: usize = 64;
 
-/// What is known of a message when all it contains has been looked at.
+/// What is known of a message after visiting everything it contains.
 #[derive(Clone, Copy)]
 struct Measure {
-    /// Levels of messages, itself included.
+    /// Levels of nesting, including the message itself.
     height: usize,
-    /// The fewest bytes on the wire, padding not counted.
+    /// The minimum size on the wire, without padding.
     size: u64,
 }
 
-/// Those that have been looked at.
+/// The visited messages.
 type Measured<'a> = BTreeMap<&'a TypeName, Measure>;
 
 impl Catalog {
-    /// Checks that every type a field names is there, that no message contains itself or is nested without end, and that
-    /// each is small enough to be sent.
+    /// Checks that the type of every field exists, that no message contains itself or is nested too deeply,
+    /// and that each is small enough to be sent.
     ///
     /// # Errors
     /// [`Error::UnknownType`], [`Error::Cycle`], [`Error::TooDeep`] or [`Error::TooLarge`], the first one found.
@@ -33,10 +33,10 @@ impl Catalog {
             .try_for_each(|message| self.measure(message, &mut Vec::new(), &mut measured).map(|_| ()))
     }
 
-    /// As [`Catalog::check`], of one type and what it refers to.
+    /// Like [`Catalog::check`], for one type and the types it refers to.
     ///
     /// # Errors
-    /// As [`Catalog::check`], and [`Error::NotInCatalog`].
+    /// The errors of [`Catalog::check`], and [`Error::NotInCatalog`].
     pub fn check_type(&self, name: &TypeName) -> Result<(), Error> {
         let description = self.type_description(name);
         let mut measured = Measured::new();
@@ -45,22 +45,23 @@ impl Catalog {
             None => Ok(()),
         };
         check(name)?;
-        // Of a service or an action it names the parts.
+        // For a service or an action these are its parts.
         for part in &description?.referenced_type_descriptions {
             check(&part.type_name.parse()?)?;
         }
         Ok(())
     }
 
-    /// The fewest bytes the CDR of a message takes, padding not counted.
+    /// The minimum size of a message in CDR, without padding.
     ///
     /// # Errors
-    /// [`Error::NotInCatalog`] for the message itself, and as [`Catalog::check`] for what it contains.
+    /// [`Error::NotInCatalog`] for the message itself, and the errors of [`Catalog::check`] for its contents.
     pub fn least_wire_size(&self, name: &TypeName) -> Result<u64, Error> {
         Ok(self.measure(self.message(name)?, &mut Vec::new(), &mut Measured::new())?.size)
     }
 
-    /// `path` is the way from where the check began: messages, and the field by which each leads on.
+    /// `path` leads here from the start of the check: messages, each with the field that refers to the next
+    /// one.
     fn measure<'a>(
         &'a self,
         message: &'a MessageDefinition,
@@ -103,7 +104,7 @@ impl Catalog {
         Ok(measure)
     }
 
-    /// Of the message a field holds.
+    /// Measures the message in a field.
     fn measure_field<'a>(
         &'a self,
         owner: &'a MessageDefinition,

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::Catalog;
 use crate::{Error, Kind, Place, TypeName};
 
-/// No definition is larger; one that is, is something else.
+/// No definition is larger than this; a larger file is something else.
 const LARGEST_FILE: u64 = 16 << 20;
 
 /// What was found in an ament prefix.
@@ -16,7 +16,8 @@ const LARGEST_FILE: u64 = 16 << 20;
 pub struct AmentPrefix {
     /// How many files were read.
     pub files: usize,
-    /// Why others were left out: they have faults, or what they define is in the catalog already, with another meaning.
+    /// Why other files were left out: they are invalid, or the catalog already has a different definition of
+    /// the type.
     pub faults: Vec<Error>,
 }
 
@@ -41,7 +42,7 @@ impl Catalog {
     /// Adds every package below a folder of packages. Returns how many files were read.
     ///
     /// # Errors
-    /// As [`Catalog::add_package`].
+    /// See [`Catalog::add_package`].
     pub fn add_packages(&mut self, folder: &Path) -> Result<usize, Error> {
         let mut count = 0;
         for package in packages_in(folder)? {
@@ -50,12 +51,12 @@ impl Catalog {
         Ok(count)
     }
 
-    /// Adds the interfaces of every package installed below an ament prefix, such as `/opt/ros/jazzy` or a workspace's
-    /// `install/my_msgs`: those in `share/*/{msg,srv,action}`, from `.msg`, `.srv` and `.action` files, and from the `.idl` file
-    /// where there is no such file.
+    /// Adds the interfaces of every package installed below an ament prefix, such as `/opt/ros/jazzy` or a
+    /// workspace's `install/my_msgs`: those in `share/*/{msg,srv,action}`, from `.msg`, `.srv` and `.action`
+    /// files, and from the `.idl` file if there is no such file.
     ///
-    /// A file with a fault does not keep the others out: it is told of in the result. A prefix can hold what no program
-    /// here will ever need.
+    /// An invalid file does not prevent reading the others; it is reported in the result, since a prefix may
+    /// contain packages that the program never needs.
     ///
     /// # Errors
     /// [`Error::Read`] if there is no folder `share`.
@@ -121,7 +122,7 @@ fn read(file: &Path) -> Result<String, Error> {
             line: valid.matches('\n').count() + 1,
             column: line.chars().count() + 1,
         };
-        Error::Syntax { place, message: "the text is not UTF-8 from here on: save the file as UTF-8".into() }
+        Error::Syntax { place, message: "invalid UTF-8 from here on: save the file as UTF-8".into() }
     })
 }
 

@@ -13,7 +13,8 @@ use crate::{
     nearest, parse_action, parse_idl, parse_message, parse_service,
 };
 
-/// Definitions by name. Fill it, [check](Catalog::check) it, then derive from it what you need.
+/// Definitions by name. Add definitions, [check](Catalog::check) the catalog, then derive descriptions, texts
+/// and hashes from it.
 #[derive(Clone, Debug, Default)]
 pub struct Catalog {
     messages: BTreeMap<TypeName, MessageDefinition>,
@@ -28,11 +29,11 @@ impl Catalog {
         Self::default()
     }
 
-    /// Adds one message from its text; `origin` names the text in errors. The same definition again, be its comments others,
-    /// changes nothing.
+    /// Adds one message from its text; `origin` names the text in errors. Adding the same definition again
+    /// has no effect; comments may differ.
     ///
     /// # Errors
-    /// If the text is no message definition, or the name has another definition already.
+    /// If the text is not a message definition, or the name already has a different definition.
     pub fn add_message(&mut self, name: TypeName, text: &str, origin: &str) -> Result<(), Error> {
         let message = parse_message(name, text, origin)?;
         self.insert(message)
@@ -41,7 +42,7 @@ impl Catalog {
     /// Adds one service, and the request, response and event messages that belong to it.
     ///
     /// # Errors
-    /// If the text is no service definition, or the name has another definition already.
+    /// If the text is not a service definition, or the name already has a different definition.
     pub fn add_service(&mut self, name: TypeName, text: &str, origin: &str) -> Result<(), Error> {
         self.insert_service(parse_service(name, text, origin)?)
     }
@@ -50,15 +51,15 @@ impl Catalog {
     /// `_FeedbackMessage`, `_SendGoal`, `_GetResult` and the messages of these two.
     ///
     /// # Errors
-    /// If the text is no action definition, or the name has another definition already.
+    /// If the text is not an action definition, or the name already has a different definition.
     pub fn add_action(&mut self, name: TypeName, text: &str, origin: &str) -> Result<(), Error> {
         self.insert_action(parse_action(name, text, origin)?)
     }
 
-    /// Adds what an `.idl` file defines, and returns the names. See [`parse_idl`].
+    /// Adds the definitions of an `.idl` file, and returns their names. See [`parse_idl`].
     ///
     /// # Errors
-    /// If the text is no IDL that ROS 2 understands, or a name has another definition already.
+    /// If the text is not IDL that ROS 2 supports, or a name already has a different definition.
     pub fn add_idl(&mut self, text: &str, origin: &str) -> Result<Vec<TypeName>, Error> {
         let definitions = parse_idl(text, origin)?;
         let names = definitions.iter().map(|definition| definition.name().clone()).collect();
@@ -66,10 +67,11 @@ impl Catalog {
         Ok(names)
     }
 
-    /// Adds a message of another catalog, and all that it refers to there. What the other catalog lacks is left out.
+    /// Adds a message of another catalog, and all types that it refers to. Types that the other catalog lacks
+    /// are left out.
     ///
     /// # Errors
-    /// If a name has another definition already.
+    /// If a name already has a different definition.
     pub fn add_message_from(&mut self, other: &Self, name: &TypeName) -> Result<(), Error> {
         let mut wanted = vec![name];
         let mut seen = BTreeSet::from([name]);
@@ -87,7 +89,7 @@ impl Catalog {
         Ok(())
     }
 
-    /// The definition of a message, be it one of a service or an action.
+    /// The definition of a message, including those of services and actions.
     ///
     /// # Errors
     /// [`Error::NotInCatalog`].
@@ -95,7 +97,7 @@ impl Catalog {
         self.messages.get(name).ok_or_else(|| self.not_in_catalog(name))
     }
 
-    /// The definition of a service, be it one of an action.
+    /// The definition of a service, including those of actions.
     ///
     /// # Errors
     /// [`Error::NotInCatalog`].
@@ -135,12 +137,12 @@ impl Catalog {
         packages
     }
 
-    /// As [`Catalog::message`], where it is no error that there is none.
+    /// Like [`Catalog::message`], but a missing message is not an error.
     pub(crate) fn find_message(&self, name: &TypeName) -> Option<&MessageDefinition> {
         self.messages.get(name)
     }
 
-    /// As [`Catalog::service`], where it is no error that there is none.
+    /// Like [`Catalog::service`], but a missing service is not an error.
     pub(crate) fn find_service(&self, name: &TypeName) -> Option<&ServiceDefinition> {
         self.services.get(name)
     }
@@ -177,7 +179,7 @@ impl Catalog {
         self.insert(service.response.clone())?;
         let mut event = event_of(&service);
         if service.name.kind == Kind::Service {
-            // As in rosbag2, which knows no text of events.
+            // As in rosbag2, which has no text for events.
             event.text.clone_from(&service.text);
         }
         self.insert(event)?;

@@ -15,7 +15,7 @@ fn fault(messages: &[(&str, &str)]) -> String {
 }
 
 #[test]
-fn an_unknown_type_is_told_with_its_place_and_the_likely_name() {
+fn an_unknown_type_is_reported_with_its_place_and_the_likely_name() {
     assert_eq!(
         fault(&[("a/msg/A", "int8 x\nHeader header"), ("std_msgs/msg/Header", "string frame_id")]),
         "a/msg/A:2:1: field `header` of a/msg/A has the unknown type `a/msg/Header`, did you mean `std_msgs/Header`?"
@@ -32,7 +32,7 @@ fn an_unknown_type_is_told_with_its_place_and_the_likely_name() {
 }
 
 #[test]
-fn a_type_that_is_not_there_is_told_with_the_nearest_name() {
+fn a_missing_type_is_reported_with_the_nearest_name() {
     let mut catalog = catalog(&[("std_msgs/msg/Header", ""), ("sensor_msgs/msg/JointState", "")]);
     catalog.add_service("std_srvs/srv/SetBool".parse().unwrap(), "---\n", "").unwrap();
     let message = |name: &str| catalog.message(&name.parse().unwrap()).unwrap_err().to_string();
@@ -42,7 +42,7 @@ fn a_type_that_is_not_there_is_told_with_the_nearest_name() {
     );
     assert_eq!(
         message("std_srvs/srv/SetBool"),
-        "std_srvs/srv/SetBool is not in the catalog: it is a service, no message"
+        "std_srvs/srv/SetBool is not in the catalog: it is a service, not a message"
     );
     assert_eq!(
         message("my_msgs/msg/Leg"),
@@ -59,7 +59,7 @@ fn a_message_that_contains_itself_is_refused() {
     let cyclic = [("a/msg/A", "B b"), ("a/msg/B", "int8 x\nC[] c"), ("a/msg/C", "B b")];
     assert_eq!(fault(&cyclic), "a/msg/C:1:1: a/msg/B contains itself: a/msg/B -> a/msg/C -> a/msg/B");
     assert_eq!(fault(&[("a/msg/A", "A a")]), "a/msg/A:1:1: a/msg/A contains itself: a/msg/A -> a/msg/A");
-    // Nor can what follows references be led in circles before the check.
+    // Following references terminates even before the check.
     let catalog = catalog(&cyclic);
     let name = "a/msg/A".parse().unwrap();
     assert!(catalog.least_wire_size(&name).is_err());
@@ -77,7 +77,7 @@ fn messages_cannot_be_nested_without_end() {
     chain.add_message("a/msg/N010000".parse().unwrap(), "", "chain").unwrap();
     let error = chain.check().unwrap_err().to_string();
     assert_eq!(error, "chain:1:1: a/msg/N000064 is nested deeper than 64 messages");
-    // The same chain met from its far end.
+    // The same chain, built from its far end.
     let mut chain = Catalog::new();
     for depth in (0..1000).rev() {
         let name = format!("a/msg/N{:06}", 1000 - depth).parse().unwrap();
@@ -89,12 +89,12 @@ fn messages_cannot_be_nested_without_end() {
 }
 
 #[test]
-fn a_message_too_large_to_be_sent_is_refused_and_sizes_are_told_quickly() {
+fn a_message_too_large_to_be_sent_is_refused_and_sizes_are_computed_quickly() {
     assert_eq!(
         fault(&[("a/msg/A", "int8 x\nB[70000] b"), ("a/msg/B", "float64[70000] x")]),
         "a/msg/A:2:1: a/msg/A takes at least 39200000001 bytes, and no more than 4294967295 can be sent"
     );
-    // Every level holds the one below twice: 2^40 ways from top to bottom.
+    // Every level contains the one below twice: 2^40 paths from top to bottom.
     let texts: Vec<(String, String)> = (0..40)
         .map(|depth| (format!("a/msg/N{depth}"), format!("N{}[] one\nN{} two\n", depth + 1, depth + 1)))
         .chain([("a/msg/N40".to_owned(), String::new())])

@@ -1,8 +1,9 @@
-//! The text rosbag2 stores as the schema of a topic (`ros2msg`): writing it here, reading it in `read.rs`.
+//! The text that rosbag2 stores as the schema of a topic (`ros2msg`): written here, read in `read.rs`.
 //!
-//! The root's own text comes first; then, depth first and in the order of their names, each message it depends on,
-//! once, after a line of 80 `=` and a line `MSG: package/Type`. A service's text stands below such a head itself, and so
-//! does an action's. A message that rosidl derives from an action has the text its author would have written.
+//! The root's own text comes first. Then each message it depends on follows once, depth first and sorted by
+//! name, after a line of 80 `=` and a line `MSG: package/Type`. The texts of services and actions have such a
+//! header themselves. For a message that rosidl derives from an action, the text is the one its author would
+//! have written.
 
 mod read;
 
@@ -13,8 +14,8 @@ use std::collections::BTreeSet;
 use crate::{Catalog, Element, Error, Kind, MessageDefinition, TypeName};
 
 impl Catalog {
-    /// The definition text of a message, a service or an action. That of a service's event is the text of the service,
-    /// as in rosbag2.
+    /// Returns the definition text of a message, a service or an action. The text of a service's event is
+    /// that of the service, as in rosbag2.
     ///
     /// # Errors
     /// [`Error::NotInCatalog`] for the type itself or a message it depends on.
@@ -33,7 +34,7 @@ impl Catalog {
         let message = self.message(name)?;
         if let (Kind::Service, Some(service)) = (name.kind, name.name.strip_suffix("_Event")) {
             let service = TypeName::new(&name.package, name.kind, service);
-            // A type description can have the event alone.
+            // A type description may contain the event without the service.
             if self.find_service(&service).is_some() {
                 return self.service_definition_text(&service);
             }
@@ -57,7 +58,7 @@ impl Catalog {
         roots: &[&MessageDefinition],
         mut seen: BTreeSet<TypeName>,
     ) -> Result<String, Error> {
-        // What is still to be written, the next one last.
+        // Types that are still to be written, the next one last.
         let mut waiting: Vec<&TypeName> = dependencies_backwards(roots);
         while let Some(name) = waiting.pop() {
             if seen.insert(name.clone()) {
@@ -70,7 +71,7 @@ impl Catalog {
     }
 }
 
-/// The line before each head.
+/// The line before each header.
 const RULE: &str = "================================================================================";
 
 fn dependencies_backwards<'a>(of: &[&'a MessageDefinition]) -> Vec<&'a TypeName> {
@@ -113,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn dependencies_follow_once_each_depth_first() {
+    fn each_dependency_follows_once_depth_first() {
         let mut catalog = Catalog::new();
         for (name, text) in
             [("b/msg/Root", "b/Z z\na/A[] a\nZ again\n"), ("b/msg/Z", "int8 z\n"), ("a/msg/A", "b/Z z\n")]

@@ -1,4 +1,4 @@
-//! Reading definition texts: those of bags and of others who describe their topics.
+//! Reads definition texts from bags and other sources.
 
 use std::str::FromStr;
 
@@ -7,12 +7,12 @@ use crate::idl::parse_idl_from;
 use crate::parse::{Source, parse_action_from, parse_message_from, parse_service_from};
 use crate::{Catalog, Definition, Element, Error, Kind, Place, TypeName};
 
-/// The language of a definition text, as a bag names it.
+/// The language of a definition text, named as in bags.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DefinitionEncoding {
-    /// `ros2msg`: that of `.msg` files.
+    /// `ros2msg`: the language of `.msg` files.
     Ros2Msg,
-    /// `ros2idl`: that of `.idl` files.
+    /// `ros2idl`: the language of `.idl` files.
     Ros2Idl,
 }
 
@@ -37,16 +37,18 @@ impl FromStr for DefinitionEncoding {
 }
 
 impl Catalog {
-    /// Adds what a definition text defines: the type `name`, and behind lines of `=` what it depends on. Below such a line
-    /// stands `MSG: package/Type`, `SRV: package/srv/Type`, `ACTION: package/action/Type` or `IDL: package/msg/Type`.
+    /// Adds the definitions in a definition text: the type `name` and, after lines of `=`, its dependencies.
+    /// Such a line is followed by `MSG: package/Type`, `SRV: package/srv/Type`, `ACTION: package/action/Type`
+    /// or `IDL: package/msg/Type`.
     ///
-    /// Fields and constants may have any names, as in IDL and ROS 1.
+    /// Fields and constants may have any name, as in IDL and ROS 1.
     ///
-    /// A text that begins with such a line holds whatever that line names; rosbag2 stores the service for its events. What it
-    /// leaves out then, `service_msgs/msg/ServiceEventInfo` and the like, is added.
+    /// A text that starts with such a line defines what that line names: for service events, rosbag2 stores
+    /// the service. Types that it leaves out, such as `service_msgs/msg/ServiceEventInfo`, are added.
     ///
     /// # Errors
-    /// If a part is no definition, or a name has another definition already. Places count from the top of the text.
+    /// If a part is not a definition, or a name already has a different definition. Line numbers count from
+    /// the top of the text.
     ///
     /// # Examples
     /// ```
@@ -79,7 +81,7 @@ impl Catalog {
         self.add_implied()
     }
 
-    /// Adds what parts of services and actions refer to, if it is not there.
+    /// Adds types that parts of services and actions refer to, if they are missing.
     fn add_implied(&mut self) -> Result<(), Error> {
         for (name, text) in IMPLIED {
             let name: TypeName = name.parse()?;
@@ -89,14 +91,14 @@ impl Catalog {
                 .flat_map(|message| &message.fields)
                 .any(|field| field.field_type.element == element);
             if is_referred_to && self.find_message(&name).is_none() {
-                self.add_message(name, text, "what services and actions imply")?;
+                self.add_message(name, text, "implied by services and actions")?;
             }
         }
         Ok(())
     }
 }
 
-/// What a block holds.
+/// The kind of a block.
 #[derive(Clone, Copy)]
 enum Keyword {
     Message,
@@ -106,7 +108,7 @@ enum Keyword {
 }
 
 impl Keyword {
-    /// For a block without a head: a part of a service or an action is a message by itself.
+    /// The kind of a block without a header: a part of a service or an action is a message itself.
     fn of(name: &TypeName, encoding: DefinitionEncoding) -> Self {
         match name.kind {
             _ if encoding == DefinitionEncoding::Ros2Idl => Self::Idl,
@@ -128,7 +130,7 @@ impl Keyword {
 }
 
 struct Block<'a> {
-    /// None of the first one, as a rule.
+    /// Usually `None` for the first block.
     head: Option<(Keyword, TypeName)>,
     text: &'a str,
     first_line: usize,
@@ -145,7 +147,8 @@ fn blocks<'a>(text: &'a str, origin: &str) -> Result<Vec<Block<'a>>, Error> {
         if !is_rule(line) {
             continue;
         }
-        // The line break before the rule belongs to it. A text that begins with a rule has nothing before it.
+        // The line break before the rule belongs to the rule. If a text starts with a rule, nothing precedes
+        // it.
         if head.is_some() || rule_at > 0 {
             let text = &text[start..rule_at];
             let text = text.strip_suffix('\n').map_or(text, |text| text.strip_suffix('\r').unwrap_or(text));
@@ -160,7 +163,7 @@ fn blocks<'a>(text: &'a str, origin: &str) -> Result<Vec<Block<'a>>, Error> {
     Ok(blocks)
 }
 
-/// 80 of them as a rule; no line of a definition can be of these alone.
+/// Whether the line consists of `=` only, usually 80 of them; no line of a definition does.
 fn is_rule(line: &str) -> bool {
     let line = line.trim_end();
     line.len() >= 3 && line.bytes().all(|byte| byte == b'=')
@@ -173,7 +176,7 @@ fn parse_head(line: &str, origin: &str, number: usize) -> Result<(Keyword, TypeN
     };
     let expected = || {
         fault(format!(
-            "expected a line such as `MSG: package/Type` behind the line of `=`, found `{}`",
+            "expected a line such as `MSG: package/Type` after the line of `=`, found `{}`",
             line.trim_end()
         ))
     };
@@ -187,7 +190,7 @@ fn parse_head(line: &str, origin: &str, number: usize) -> Result<(Keyword, TypeN
     };
     let name = name.trim();
     let full_name = match name.split_once('/') {
-        // Messages are named without their middle.
+        // Messages are named without `msg`.
         Some((package, name)) if !name.contains('/') => match keyword {
             Keyword::Message | Keyword::Idl => TypeName::from_short(package, name),
             Keyword::Service => TypeName::checked(package, Kind::Service, name),
@@ -213,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn a_text_that_was_written_is_read_to_the_same() {
+    fn a_written_text_reads_back_the_same() {
         let mut catalog = Catalog::new();
         for (name, text) in [
             ("builtin_interfaces/msg/Time", "int32 sec\nuint32 nanosec\n"),
@@ -280,10 +283,7 @@ mod tests {
             (format!("B b\n{rule}\nB\n"), "bag:3:1: expected a line such as `MSG: package/Type`"),
             (format!("B b\n{rule}"), "bag:3:1: expected a line such as"),
             (format!("{rule}\nMSG: b\n"), "bag:2:1: `b` is not an interface name"),
-            (
-                format!("{rule}\nSRV: a/msg/S\n---\n"),
-                "bag: a/msg/S cannot be the name of what is defined here",
-            ),
+            (format!("{rule}\nSRV: a/msg/S\n---\n"), "bag: a/msg/S cannot be the name of this definition"),
             (format!("{rule}\nSRV: a/S\nint8 x\n"), "bag:3:1: a service is a request and a response"),
             (format!("{rule}\nSRV: a/srv/S\n---\nint8\n"), "bag:4:5: expected a name"),
             (format!("{rule}\nIDL: a/msg/S\n\n  struct\n"), "bag:5:1: expected the name of the struct"),

@@ -12,12 +12,13 @@ use sha2::{Digest, Sha256};
 
 use crate::{Catalog, Element, Error, FieldType, Primitive, Shape, TypeName};
 
-/// A type and all it refers to, as `type_description_interfaces/msg/TypeDescription`, default values left out.
+/// A type and all types it refers to, as `type_description_interfaces/msg/TypeDescription` without default
+/// values.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TypeDescription {
     /// The type itself.
     pub type_description: IndividualTypeDescription,
-    /// What it refers to, directly or not, in the order of the names.
+    /// The types it refers to, directly or indirectly, sorted by name.
     pub referenced_type_descriptions: Vec<IndividualTypeDescription>,
 }
 
@@ -85,7 +86,7 @@ impl Catalog {
     /// The hash of a message, a service or an action.
     ///
     /// # Errors
-    /// As [`Catalog::type_description`].
+    /// See [`Catalog::type_description`].
     pub fn type_hash(&self, name: &TypeName) -> Result<String, Error> {
         Ok(self.type_description(name)?.hash())
     }
@@ -116,7 +117,7 @@ impl Catalog {
         Ok(())
     }
 
-    /// Name and type of each field; services and actions count as messages of what they are made of.
+    /// Name and type of each field; the parts of services and actions count as their fields.
     fn members(&self, name: &TypeName) -> Result<Vec<(String, FieldType)>, Error> {
         let member = |(field, suffix): &(&str, &str)| {
             let element = Element::Message(name.with_suffix(suffix));
@@ -133,7 +134,7 @@ impl Catalog {
     }
 }
 
-/// Field and suffix of the type's name, of each part.
+/// Field and type name suffix of each part.
 const SERVICE_MEMBERS: [(&str, &str); 3] =
     [("request_message", "_Request"), ("response_message", "_Response"), ("event_message", "_Event")];
 
@@ -166,7 +167,7 @@ fn describe_type(field_type: &FieldType) -> FieldTypeDescription {
     FieldTypeDescription { type_id: base + offset, capacity, string_capacity, nested_type_name }
 }
 
-/// The field that stands for none.
+/// The field of empty messages.
 const PLACEHOLDER: &str = "structure_needs_at_least_one_member";
 
 fn placeholder_type() -> FieldTypeDescription {
@@ -190,13 +191,13 @@ fn primitive_id(primitive: Primitive) -> u8 {
     }
 }
 
-/// The one with that id.
+/// The primitive type with that id.
 fn primitive_of(id: u8) -> Option<Primitive> {
     let is_it = |primitive: &Primitive| *primitive != Primitive::Char && primitive_id(*primitive) == id;
     Primitive::ALL.into_iter().find(is_it)
 }
 
-// Names are ASCII without quotes or backslashes (the parser sees to it), so JSON needs no escapes here.
+// The parser ensures that names are ASCII without quotes or backslashes, so JSON needs no escapes here.
 fn write_individual(json: &mut String, description: &IndividualTypeDescription) {
     json.push_str(&format!("{{\"type_name\": \"{}\", \"fields\": [", description.type_name));
     for (index, (name, field)) in description.fields.iter().enumerate() {
@@ -216,7 +217,7 @@ mod tests {
 
     use crate::Catalog;
 
-    /// `example_interfaces/srv/AddTwoInts` and all it refers to.
+    /// `example_interfaces/srv/AddTwoInts` and all types it refers to.
     fn add_two_ints() -> Catalog {
         let mut catalog = Catalog::new();
         let time = "int32 sec\nuint32 nanosec\n";

@@ -1,4 +1,4 @@
-//! Definitions from type descriptions, such as a remote node gives of its types.
+//! Definitions from type descriptions, such as those a remote node returns.
 
 use std::collections::{BTreeMap, HashSet};
 
@@ -10,12 +10,12 @@ use crate::{
 };
 
 impl Catalog {
-    /// Adds the types of a description; `origin` names it in errors. Descriptions have neither constants nor comments, and
-    /// defaults are not taken from them, so definitions from files say more.
+    /// Adds the types of a description; `origin` names it in errors. Descriptions have neither constants nor
+    /// comments, and their defaults are ignored, so definitions from files contain more.
     ///
     /// # Errors
-    /// [`Error::Description`] if it describes what ROS 2 cannot have; [`Error::DefinedTwice`] if a type has another
-    /// definition already, be it one with constants or defaults.
+    /// [`Error::Description`] if it describes something that ROS 2 does not support; [`Error::DefinedTwice`]
+    /// if a type already has a different definition, for example one with constants or defaults.
     ///
     /// # Examples
     /// ```
@@ -34,7 +34,7 @@ impl Catalog {
     /// ```
     pub fn add_type_description(&mut self, description: &TypeDescription, origin: &str) -> Result<(), Error> {
         let mut messages = BTreeMap::new();
-        // Services and actions are described by what they are made of; their names are enough.
+        // Services and actions are described by their parts; their names are enough.
         let mut wholes = Vec::new();
         let all =
             [&description.type_description].into_iter().chain(&description.referenced_type_descriptions);
@@ -51,7 +51,7 @@ impl Catalog {
                 messages.insert(name.clone(), message_of(name, described, origin)?);
             }
         }
-        // Those of actions bring their services with them.
+        // Actions contain their services.
         let (actions, services): (Vec<TypeName>, Vec<TypeName>) =
             wholes.into_iter().partition(|name| name.kind == Kind::Action && !name.name.contains('_'));
         for name in actions {
@@ -84,7 +84,7 @@ impl Catalog {
     }
 }
 
-/// Whether it names a service or an action, and no message of one.
+/// Whether it names a service or an action rather than a part of one.
 fn is_whole(name: &TypeName) -> bool {
     let is_service_of_action = name.name.ends_with("_SendGoal") || name.name.ends_with("_GetResult");
     name.kind != Kind::Message && (!name.name.contains('_') || is_service_of_action)
@@ -102,7 +102,7 @@ fn parts<const N: usize>(
         origin: origin.into(),
         type_name: whole.to_string(),
         field: None,
-        message: format!("needs those of its parts beside it: {}", suffixes.join(", ")),
+        message: format!("requires descriptions of its parts: {}", suffixes.join(", ")),
     })
 }
 
@@ -122,11 +122,11 @@ fn message_of(
         };
         if !is_identifier(field) {
             return Err(fault(
-                "has a name that is none: letters, digits and underscores, a letter first".into(),
+                "has an invalid name: expected letters, digits and underscores, a letter first".into(),
             ));
         }
         if !names.insert(field) {
-            return Err(fault("is there twice".into()));
+            return Err(fault("is defined twice".into()));
         }
         let place = Place { origin: origin.into(), line: fields.len() + 1, column: 1 };
         let field_type = field_type_of(field_type).map_err(fault)?;
@@ -165,7 +165,7 @@ fn field_type_of(described: &FieldTypeDescription) -> Result<FieldType, String> 
     let element = match base {
         1 => match nested_type_name.parse() {
             Ok(name) => Element::Message(name),
-            Err(error) => return Err(format!("has a type of an impossible name: {error}")),
+            Err(error) => return Err(format!("has a type with an invalid name: {error}")),
         },
         17 => Element::String { bound: None },
         18 => Element::WString { bound: None },
@@ -173,7 +173,7 @@ fn field_type_of(described: &FieldTypeDescription) -> Result<FieldType, String> 
         22 => Element::WString { bound: Some(size(*string_capacity)?) },
         _ => match primitive_of(base) {
             Some(primitive) => Element::Primitive(primitive),
-            None => return Err(format!("has the type {type_id}, for which no definition has a word")),
+            None => return Err(format!("has the type {type_id}, which no definition can express")),
         },
     };
     Ok(FieldType { element, shape })
@@ -190,7 +190,7 @@ mod tests {
                               float32 k\nfloat64 l\nstring m\nstring<=4 n\nwstring[] o\nwstring<=5[<=6] p\na/B[7] q\n";
 
     #[test]
-    fn what_is_described_is_defined_the_same() {
+    fn a_description_defines_the_same_types() {
         let mut theirs = Catalog::new();
         theirs.add_message("a/msg/B".parse().unwrap(), "", "").unwrap();
         theirs.add_message("a/msg/A".parse().unwrap(), EVERYTHING, "").unwrap();
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_definition_can_say_is_refused() {
+    fn what_no_definition_can_express_is_refused() {
         let of = |type_name: &str, name: &str, field: FieldTypeDescription| {
             let type_description =
                 IndividualTypeDescription { type_name: type_name.into(), fields: vec![(name.into(), field)] };
@@ -229,15 +229,15 @@ mod tests {
                 .starts_with("node: the description of `A` `A` is not an interface name")
         );
         for (name, field, fault) in [
-            ("x\"", field(2, 0), "has a name that is none"),
-            ("", field(2, 0), "has a name that is none"),
-            ("x", field(0, 0), "has the type 0, for which"),
-            ("x", field(12, 0), "has the type 12, for which"),
-            ("x", field(255, 0), "has the type 255, for which"),
+            ("x\"", field(2, 0), "has an invalid name"),
+            ("", field(2, 0), "has an invalid name"),
+            ("x", field(0, 0), "has the type 0, which"),
+            ("x", field(12, 0), "has the type 12, which"),
+            ("x", field(255, 0), "has the type 255, which"),
             ("x", field(50, 0), "has the size 0, which must"),
             ("x", field(98, 1 << 32), "has the size 4294967296, which must"),
             ("x", field(21, 0), "has the size 0, which must"),
-            ("x", field(1, 0), "has a type of an impossible name"),
+            ("x", field(1, 0), "has a type with an invalid name"),
         ] {
             let error = of("a/msg/A", name, field);
             let start = format!("node: the description of `a/msg/A`, field `{name}`, {fault}");
@@ -245,7 +245,7 @@ mod tests {
         }
         assert_eq!(
             of("a/srv/S", "x", field(2, 0)),
-            "node: the description of `a/srv/S` needs those of its parts beside it: _Request, _Response"
+            "node: the description of `a/srv/S` requires descriptions of its parts: _Request, _Response"
         );
     }
 }

@@ -1,4 +1,4 @@
-//! The words of an IDL text.
+//! Splits an IDL text into tokens.
 //!
 //! # References
 //! OMG IDL 4.2, clause 7.2 (lexical conventions) and 7.3 (preprocessing).
@@ -7,7 +7,7 @@ use std::str::Chars;
 
 use crate::{Error, Place};
 
-/// A word, with where it begins.
+/// A token with its position.
 #[derive(Clone, Debug)]
 pub(super) struct Token<'a> {
     pub(super) kind: TokenKind<'a>,
@@ -30,7 +30,7 @@ pub(super) enum TokenKind<'a> {
 }
 
 impl TokenKind<'_> {
-    /// As an error message quotes it.
+    /// The token as quoted in error messages.
     pub(super) fn quoted(&self) -> String {
         match self {
             Self::Word(text) | Self::Number(text) | Self::Symbol(text) => format!("`{text}`"),
@@ -49,7 +49,7 @@ pub(super) struct Lexer<'a> {
 }
 
 impl<'a> Lexer<'a> {
-    /// Of a text whose first line is the line `first_line` of `origin`.
+    /// Creates a lexer for a text that starts at line `first_line` of `origin`.
     pub(super) fn new(text: &'a str, origin: &'a str, first_line: usize) -> Self {
         Self { rest: text.chars(), origin, line: first_line, column: 1 }
     }
@@ -58,7 +58,7 @@ impl<'a> Lexer<'a> {
         Place { origin: self.origin.into(), line, column }
     }
 
-    /// The next token; the last one again and again is [`TokenKind::End`].
+    /// Returns the next token; at the end, always [`TokenKind::End`].
     pub(super) fn next(&mut self) -> Result<Token<'a>, Error> {
         self.skip_space()?;
         let (line, column) = (self.line, self.column);
@@ -113,8 +113,8 @@ impl<'a> Lexer<'a> {
         &text[..text.len() - self.rest.as_str().len()]
     }
 
-    /// Spaces, comments and preprocessor lines. Of these `#include` and `#pragma` mean nothing here: what a text refers
-    /// to is looked up by its name.
+    /// Skips spaces, comments and preprocessor lines. `#include` and `#pragma` are ignored: references are
+    /// looked up by name.
     fn skip_space(&mut self) -> Result<(), Error> {
         loop {
             self.take_while(char::is_whitespace);
@@ -134,7 +134,7 @@ impl<'a> Lexer<'a> {
                     return Err(self.fault(
                         line,
                         column,
-                        format!("`{directive}`: of preprocessor lines only `#include` and `#pragma` are understood"),
+                        format!("`{directive}`: only the preprocessor lines `#include` and `#pragma` are supported"),
                     ));
                 }
             } else {
@@ -173,7 +173,7 @@ impl<'a> Lexer<'a> {
         }
     }
 
-    /// What stands behind a backslash (table 7-9).
+    /// Reads the character after a backslash (table 7-9).
     fn escape(&mut self, value: &mut String, line: usize, column: usize) -> Result<(), Error> {
         let (at_line, at_column) = (self.line, self.column);
         let numeric = |text: &str, radix| u32::from_str_radix(text, radix).ok().and_then(char::from_u32);
@@ -195,14 +195,14 @@ impl<'a> Lexer<'a> {
                 let more = self.digits(2, 8);
                 numeric(&format!("{first}{more}"), 8)
             }
-            // As rosidl does with what it does not know.
+            // rosidl keeps unknown escapes as well.
             Some(other) => {
                 value.push('\\');
                 Some(other)
             }
         };
         let fault =
-            || self.fault(at_line, at_column, "the escape behind this backslash names no character".into());
+            || self.fault(at_line, at_column, "the escape after this backslash is not a character".into());
         value.push(character.ok_or_else(fault)?);
         Ok(())
     }

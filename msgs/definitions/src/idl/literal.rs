@@ -2,7 +2,7 @@
 
 use crate::{Element, FieldType, Primitive, Shape, Value};
 
-/// The value of a literal or of a constant that was named.
+/// The value of a literal or of a named constant.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Literal {
     Bool(bool),
@@ -12,7 +12,7 @@ pub(super) enum Literal {
 }
 
 impl Literal {
-    /// From the text of a number: decimal, octal, hexadecimal, floating or fixed point.
+    /// Parses a number: decimal, octal, hexadecimal, floating or fixed point.
     pub(super) fn number(text: &str) -> Option<Self> {
         let lower = text.to_ascii_lowercase();
         if let Some(digits) = lower.strip_prefix("0x") {
@@ -35,7 +35,7 @@ impl Literal {
         }
     }
 
-    /// As a value of that type, if it is one.
+    /// Converts it to a value of that type, if possible.
     pub(super) fn into_value(self, element: &Element) -> Result<Value, String> {
         let expected = match element {
             Element::Primitive(Primitive::Bool) => "TRUE or FALSE".to_owned(),
@@ -80,13 +80,14 @@ impl Literal {
     }
 }
 
-/// The default of a field. That of an array or sequence is a string with a Python tuple in it: `"(1, 2, 3)"`.
+/// The default of a field. For an array or sequence it is a string that contains a Python tuple: `"(1, 2,
+/// 3)"`.
 pub(super) fn default_value(literal: Literal, field_type: &FieldType) -> Result<Value, String> {
     if field_type.shape == Shape::Single {
         return literal.into_value(&field_type.element);
     }
     let Literal::Text(text) = literal else {
-        return Err(format!("the default of `{field_type}` is written as a string with a tuple in it"));
+        return Err(format!("the default of `{field_type}` must be a string that contains a tuple"));
     };
     let items = tuple(&text).ok_or_else(|| format!("`{text}` is not a tuple of values"))?;
     let found = items.len() as u64;
@@ -103,7 +104,7 @@ pub(super) fn default_value(literal: Literal, field_type: &FieldType) -> Result<
     values.collect::<Result<_, _>>().map(Value::List)
 }
 
-/// Reads what Python's `repr` writes for a tuple of booleans, numbers or strings.
+/// Parses Python's `repr` of a tuple of booleans, numbers or strings.
 fn tuple(text: &str) -> Option<Vec<Literal>> {
     let mut rest = text.trim().strip_prefix('(')?.strip_suffix(')')?.trim_start();
     let mut items = Vec::new();
@@ -140,7 +141,7 @@ fn python_scalar(text: &str) -> Option<Literal> {
     }
 }
 
-/// The string, and what stands behind its closing quote.
+/// Returns the string, and the text after its closing quote.
 fn python_string(text: &str, quote: char) -> Option<(String, &str)> {
     let mut value = String::new();
     let mut characters = text.chars();

@@ -1,8 +1,9 @@
-//! From the text of an `.idl` file to its definitions.
+//! Parses `.idl` files.
 //!
-//! What is understood is what `rosidl_adapter` writes and what others write as `ros2idl` schemas: modules, structs, typedefs,
-//! constants, arrays, sequences, bounded strings, and the annotations `@verbatim`, `@default` and `@unit`; other annotations
-//! mean nothing. What ROS 2 has no word for (enumerations, unions, maps, arrays of arrays, `char`, `long double`) is an error.
+//! It supports what `rosidl_adapter` writes and what occurs in `ros2idl` schemas: modules, structs, typedefs,
+//! constants, arrays, sequences, bounded strings, and the annotations `@verbatim`, `@default` and `@unit`;
+//! other annotations are ignored. Types that ROS 2 does not have (enumerations, unions, maps, arrays of
+//! arrays, `char`, `long double`) are errors.
 //!
 //! # References
 //! OMG IDL 4.2; `rosidl_parser/rosidl_parser/grammar.lark` and `rosidl_adapter/rosidl_adapter/resource/*.em`, branch jazzy.
@@ -45,10 +46,10 @@ impl Definition {
 /// A struct in `module package { module msg {` is a message; in a module `srv` the structs `X_Request` and `X_Response` are the
 /// service `X`; in a module `action` the structs `X_Goal`, `X_Result` and `X_Feedback` are the action `X`.
 ///
-/// The `text` of the definitions is what a `.msg`, `.srv` or `.action` file would say, without comments.
+/// The `text` of the definitions is that of an equivalent `.msg`, `.srv` or `.action` file without comments.
 ///
 /// # Errors
-/// [`Error::Syntax`] with the place of the first word that is not understood.
+/// [`Error::Syntax`] with the position of the first unexpected token.
 ///
 /// # Examples
 /// ```
@@ -65,11 +66,11 @@ pub fn parse_idl(text: &str, origin: &str) -> Result<Vec<Definition>, Error> {
     parse_idl_from(text, origin, 1)
 }
 
-/// As [`parse_idl`], of a part of a file.
+/// Like [`parse_idl`], for a part of a file.
 pub(crate) fn parse_idl_from(text: &str, origin: &str, first_line: usize) -> Result<Vec<Definition>, Error> {
     let structs = parser::parse(text, origin, first_line)?;
     let mut definitions = Vec::new();
-    // Of services and actions, by name: where the first part stands, and the parts.
+    // Services and actions by name: the position of the first part, and the parts.
     let mut wholes: BTreeMap<TypeName, (Place, Vec<MessageDefinition>)> = BTreeMap::new();
     for parser::Struct { mut message, place } in structs {
         message.text = message_text::of(&message);
@@ -132,7 +133,7 @@ fn ordered<const N: usize>(
     if parts.iter().any(|part| position(part).is_none()) {
         return Err(fault());
     }
-    // Names are distinct (the parser sees to it), so N parts are the N wanted.
+    // The parser ensures that names are distinct, so N parts are the N expected ones.
     parts.sort_by_key(position);
     parts.try_into().map_err(|_| fault())
 }

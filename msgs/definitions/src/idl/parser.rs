@@ -1,4 +1,4 @@
-//! Modules, and what can be declared in them.
+//! Modules and the declarations in them.
 
 use std::collections::{HashMap, HashSet};
 
@@ -9,13 +9,13 @@ use crate::{
     Constant, Element, Error, Field, FieldType, Kind, MessageDefinition, Place, Primitive, Shape, TypeName,
 };
 
-/// What rosidl puts into a struct without members.
+/// The member that rosidl adds to an empty struct.
 const PLACEHOLDER: &str = "structure_needs_at_least_one_member";
 
 /// More modules within modules than any interface has.
 const DEEPEST_MODULE: usize = 8;
 
-/// A message whose text is not written yet, and where its name stands.
+/// A message whose text is not written yet, and the position of its name.
 pub(super) struct Struct {
     pub(super) message: MessageDefinition,
     pub(super) place: Place,
@@ -48,13 +48,13 @@ pub(super) fn parse(text: &str, origin: &str, first_line: usize) -> Result<Vec<S
 pub(super) struct Parser<'a> {
     lexer: Lexer<'a>,
     origin: &'a str,
-    /// The next one.
+    /// The next token.
     pub(super) token: Token<'a>,
-    /// The modules around it, the outermost first.
+    /// The enclosing modules, the outermost first.
     pub(super) scope: Vec<&'a str>,
     /// By path, as in `a::b::name`.
     pub(super) typedefs: HashMap<String, FieldType>,
-    /// Those of constants, by path.
+    /// The values of constants, by path.
     pub(super) values: HashMap<String, Literal>,
     /// By the path of their module.
     constants: HashMap<String, Vec<Constant>>,
@@ -62,11 +62,11 @@ pub(super) struct Parser<'a> {
     names: HashSet<TypeName>,
 }
 
-/// What the annotations before a declaration say.
+/// The annotations before a declaration.
 #[derive(Default)]
 struct Annotations {
     comment: Vec<String>,
-    /// With its place.
+    /// With its line and column.
     default: Option<(Literal, usize, usize)>,
 }
 
@@ -141,7 +141,7 @@ impl<'a> Parser<'a> {
             let (name, field_type) = self.declarator(&base)?;
             match self.typedefs.get(&self.path(name)) {
                 Some(first) if *first != field_type => {
-                    let fault = format!("`{name}` is `{first}` already, and cannot be `{field_type}`");
+                    let fault = format!("`{name}` is already `{first}` and cannot be `{field_type}`");
                     return Err(self.fault(line, column, fault));
                 }
                 _ => self.typedefs.insert(self.path(name), field_type),
@@ -157,7 +157,7 @@ impl<'a> Parser<'a> {
         let place = self.lexer.place(self.token.line, self.token.column);
         let name = self.identifier("the name of the struct")?;
         if self.accept(";")? {
-            return Ok(()); // It is only announced.
+            return Ok(()); // A forward declaration.
         }
         let fault = |message: String| Error::Syntax { place: place.clone(), message };
         let name = self.interface_name(name).map_err(fault)?;
@@ -190,7 +190,7 @@ impl<'a> Parser<'a> {
         Ok(())
     }
 
-    /// The name of a struct from the modules around it.
+    /// Derives the name of a struct from the enclosing modules.
     fn interface_name(&self, name: &str) -> Result<TypeName, String> {
         let kind_of = |module: &str| Kind::ALL.into_iter().find(|kind| kind.as_str() == module);
         match self.scope.as_slice() {
@@ -206,7 +206,7 @@ impl<'a> Parser<'a> {
         })
     }
 
-    /// The members that one type declares.
+    /// The members declared with one type.
     fn members(&mut self, fields: &mut Vec<Field>, names: &mut HashSet<&'a str>) -> Result<(), Error> {
         let annotations = self.annotations()?;
         let place = self.lexer.place(self.token.line, self.token.column);
@@ -258,12 +258,12 @@ impl<'a> Parser<'a> {
         let mut text = None;
         loop {
             let (line, column) = (self.token.line, self.token.column);
-            // Without a name it is the one value there is.
+            // Without a name, it is the only value.
             let (name, value) = match self.token.kind {
                 TokenKind::Word(name @ ("language" | "placement" | "text" | "value")) => {
                     self.advance()?;
                     self.expect("=")?;
-                    // The values of a placement are words.
+                    // The values of a placement are identifiers.
                     if name == "placement" && matches!(self.token.kind, TokenKind::Word(_)) {
                         self.advance()?;
                         (name, None)
@@ -290,7 +290,7 @@ impl<'a> Parser<'a> {
         self.expect(")")
     }
 
-    /// Skips what stands in parentheses behind the name of an annotation that means nothing here.
+    /// Skips the parenthesised parameters of an ignored annotation.
     fn skip_parameters(&mut self) -> Result<(), Error> {
         if self.token.kind != TokenKind::Symbol("(") {
             return Ok(());
@@ -310,7 +310,7 @@ impl<'a> Parser<'a> {
         }
     }
 
-    /// What has that name here: looked for in the innermost module first.
+    /// Looks up a path, in the innermost module first.
     pub(super) fn lookup<'b, T>(&self, known: &'b HashMap<String, T>, path: &str) -> Option<&'b T> {
         if let Some(absolute) = path.strip_prefix("::") {
             return known.get(absolute);

@@ -3,7 +3,7 @@
 use super::{Definition, parse_idl};
 use crate::{Element, Error, MessageDefinition, Value};
 
-/// The message `a/msg/A` with these declarations in and before its struct.
+/// Parses the message `a/msg/A` with these declarations in and before its struct.
 fn message(before: &str, members: &str) -> Result<MessageDefinition, Error> {
     let text = format!("module a {{ module msg {{ {before}\nstruct A {{ {members} }}; }}; }};");
     match parse_idl(&text, "A.idl")?.pop() {
@@ -41,7 +41,7 @@ fn typedefs_and_constants_are_looked_up_from_the_inside_out() {
 }
 
 #[test]
-fn constants_defaults_units_and_comments_belong_to_what_they_stand_before() {
+fn constants_defaults_units_and_comments_belong_to_the_following_declaration() {
     let before = r#"
         module A_Constants { @verbatim (language="comment", text="first" "\n" " second") const uint8 ON = 0x01;
           const string NAME = "it\"s \\ ok"; const double NONE = nan; const float LOW = -1e-05; const boolean YES = TRUE; };
@@ -62,7 +62,7 @@ fn constants_defaults_units_and_comments_belong_to_what_they_stand_before() {
     assert_eq!(message.fields[1].default, Some(Value::List(vec![Value::Integer(1), Value::Integer(2)])));
     assert_eq!(message.fields[2].default, Some(Value::Text("a#b".into())));
     assert_eq!((message.fields[5].name.as_str(), &message.fields[5].default), ("also", &None));
-    // A `.msg` file cannot have `#` in a text.
+    // A `.msg` file cannot have `#` in a string.
     assert_eq!(
         message.text,
         "uint8 ON=1\nstring NAME='it\"s \\ ok'\nfloat64 NONE=NaN\nfloat32 LOW=-1e-5\nbool YES=true\n\
@@ -105,7 +105,7 @@ fn structs_of_services_and_actions_are_put_together() {
 }
 
 #[test]
-fn includes_comments_and_announcements_mean_nothing() {
+fn includes_comments_and_forward_declarations_are_ignored() {
     let text =
         "// c\n#include \"a/msg/B.idl\"\n  # pragma once\nmodule a { /* struct X {}; \n */ module msg {
         struct B; struct A { B b; /**/ }; }; };";
@@ -137,14 +137,14 @@ fn errors_name_file_line_and_column() {
         (
             "typedef int8 T[2]; typedef int8 T[3];",
             "T x;",
-            "A.idl:1:57: `T` is `int8[2]` already, and cannot be `int8[3]`",
+            "A.idl:1:57: `T` is already `int8[2]` and cannot be `int8[3]`",
         ),
         ("", "char x;", "A.idl:2:12: ROS 2 has no type for `char`"),
         ("", "long double x;", "A.idl:2:17: ROS 2 has no type for `long double`"),
         ("", "other::B x;", "A.idl:2:12: `other::B` is neither a type of IDL"),
         ("", "lower x;", "A.idl:2:12: `lower` is neither a type of IDL"),
         ("", "@default (value=300) int8 x;", "A.idl:2:22: expected an integer from -128 to 127 as the value"),
-        ("", "@default (value=1+1) int8 x;", "A.idl:2:29: expressions are not understood"),
+        ("", "@default (value=1+1) int8 x;", "A.idl:2:29: expressions are not supported"),
         ("", "@default (value=) int8 x;", "A.idl:2:28: expected a value, found `)`"),
         (
             "",
@@ -159,12 +159,12 @@ fn errors_name_file_line_and_column() {
             "A.idl:1:31: only primitives and strings can be the type of a constant",
         ),
         ("const uint8 X = -\"a\";", "", "A.idl:1:41: only a number can have a sign"),
-        ("const uint8 X = 0b1;", "", "A.idl:1:41: `0b1` is no number"),
+        ("const uint8 X = 0b1;", "", "A.idl:1:41: `0b1` is not a number"),
         ("const string X = \"a", "", "A.idl:1:42: the string is not closed"),
-        ("const string X = \"\\xZ\";", "", "A.idl:1:44: the escape behind this backslash names no character"),
+        ("const string X = \"\\xZ\";", "", "A.idl:1:44: the escape after this backslash is not a character"),
         ("enum E { ONE };", "", "A.idl:1:25: ROS 2 interfaces have no `enum`"),
         ("/* never closed", "", "A.idl:1:25: the comment `/*` is not closed"),
-        ("\n#if X", "", "A.idl:2:1: `#if X`: of preprocessor lines only"),
+        ("\n#if X", "", "A.idl:2:1: `#if X`: only the preprocessor lines"),
         ("struct A {};", "", "A.idl:2:8: a/msg/A is defined twice"),
         ("struct lower {};", "", "A.idl:1:32: `lower` in the modules `a::msg` cannot name an interface"),
         (
@@ -193,7 +193,7 @@ fn errors_name_file_line_and_column() {
 }
 
 #[test]
-fn a_bounded_string_is_no_type_of_a_constant() {
+fn the_bound_of_a_constant_string_is_ignored() {
     let message = message("module A_Constants { const string<5> X = \"abc\"; };", "").unwrap();
     assert_eq!(message.constants[0].element, Element::String { bound: None });
 }

@@ -5,7 +5,7 @@ use super::literal::Literal;
 use super::parser::Parser;
 use crate::{Element, Error, FieldType, Kind, Primitive, Shape, TypeName};
 
-/// What stands between the number of elements of a type that is refused, and why.
+/// The error for nested arrays.
 const NESTED: &str = "ROS 2 has no arrays of arrays: put the inner one into a struct";
 
 impl<'a> Parser<'a> {
@@ -90,7 +90,7 @@ impl<'a> Parser<'a> {
         self.advance()?;
         self.expect("<")?;
         let (line, column) = (self.token.line, self.token.column);
-        // Said before it is read, so that no text can nest without end.
+        // Rejected before it is read, so that no text can nest without bound.
         if self.token.kind == TokenKind::Word("sequence") {
             return Err(self.fault(line, column, NESTED.into()));
         }
@@ -103,7 +103,7 @@ impl<'a> Parser<'a> {
         Ok(FieldType { element, shape })
     }
 
-    /// A name, with the size of an array where one stands behind it.
+    /// A name, followed by the size of an array if there is one.
     pub(super) fn declarator(&mut self, base: &FieldType) -> Result<(&'a str, FieldType), Error> {
         let name = self.identifier("a name")?;
         if self.token.kind != TokenKind::Symbol("[") {
@@ -119,7 +119,7 @@ impl<'a> Parser<'a> {
         Ok((name, FieldType { element: base.element.clone(), shape: Shape::Array(count) }))
     }
 
-    /// A name that a typedef or a struct has.
+    /// The name of a typedef or a struct.
     fn named_type(&mut self) -> Result<FieldType, Error> {
         let (line, column) = (self.token.line, self.token.column);
         let path = self.scoped_name()?;
@@ -145,7 +145,7 @@ impl<'a> Parser<'a> {
         }
     }
 
-    /// `a::b::c`, in front of it `::` where it counts from the outermost module.
+    /// `a::b::c`, with a leading `::` if it starts at the outermost module.
     fn scoped_name(&mut self) -> Result<String, Error> {
         let mut path = String::new();
         if self.accept("::")? {
@@ -154,12 +154,12 @@ impl<'a> Parser<'a> {
         path.push_str(self.identifier("a name")?);
         while self.accept("::")? {
             path.push_str("::");
-            path.push_str(self.identifier("a name behind `::`")?);
+            path.push_str(self.identifier("a name after `::`")?);
         }
         Ok(path)
     }
 
-    /// The number of elements or characters: a constant from 1 on.
+    /// The number of elements or characters: a constant of at least 1.
     fn size(&mut self) -> Result<u64, Error> {
         let (line, column) = (self.token.line, self.token.column);
         match self.constant_value()? {
@@ -188,8 +188,9 @@ impl<'a> Parser<'a> {
         let value = self.literal()?;
         if let TokenKind::Symbol(operator @ ("+" | "-" | "*" | "/" | "%" | "&" | "|" | "^")) = self.token.kind
         {
-            let fault =
-                format!("expressions are not understood: write the value of what stands around `{operator}`");
+            let fault = format!(
+                "expressions are not supported: replace the operands of `{operator}` with their value"
+            );
             return Err(self.fault(self.token.line, self.token.column, fault));
         }
         if !is_negative {
@@ -204,12 +205,12 @@ impl<'a> Parser<'a> {
         match self.token.kind.clone() {
             TokenKind::Number(text) => {
                 self.advance()?;
-                let fault = || self.fault(line, column, format!("`{text}` is no number"));
+                let fault = || self.fault(line, column, format!("`{text}` is not a number"));
                 Literal::number(text).ok_or_else(fault)
             }
             TokenKind::Text(mut text) => {
                 self.advance()?;
-                // Adjacent strings are one.
+                // Adjacent strings are concatenated.
                 while let TokenKind::Text(more) = &self.token.kind {
                     text.push_str(more);
                     self.advance()?;
@@ -224,7 +225,7 @@ impl<'a> Parser<'a> {
                     return Ok(value.clone());
                 }
                 match path.as_str() {
-                    // What rosidl_adapter writes for these, as Python spells them.
+                    // rosidl_adapter writes them as Python does.
                     "inf" => Ok(Literal::Float(f64::INFINITY)),
                     "nan" => Ok(Literal::Float(f64::NAN)),
                     _ => Err(self.fault(

@@ -1,4 +1,4 @@
-//! The lines of one message.
+//! Parses the lines of one message.
 
 use std::collections::HashSet;
 
@@ -34,7 +34,7 @@ pub(super) fn parse_message(
         // The comment at the top belongs to the message, not to its first field.
         if index >= message.comment.len() {
             match comment {
-                // Goes on below what it stands behind.
+                // Continues the comment of the line above.
                 Some(comment) if code.is_empty() && line.starts_with(' ') => {
                     if let Some(last) = last_comment(&mut message, last_is_constant) {
                         last.push(comment.into());
@@ -158,12 +158,12 @@ impl Line<'_> {
         }
     }
 
-    /// Where the type begins.
+    /// The offset of the type.
     fn start(&self) -> usize {
         self.code.len() - self.code.trim_start().len()
     }
 
-    /// Where the name begins.
+    /// The offset of the name.
     fn name_at(&self) -> usize {
         match self.code.trim_start().split_once(' ') {
             Some((_, rest)) => self.code.len() - rest.trim_start().len(),
@@ -181,7 +181,7 @@ impl Line<'_> {
     }
 }
 
-/// On failure also the part at fault: 0 the type, 1 the value.
+/// On failure also returns the invalid part: 0 is the type, 1 the value.
 fn parse_constant(
     field_type: FieldType,
     name: &str,

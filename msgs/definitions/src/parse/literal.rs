@@ -1,10 +1,10 @@
-//! Values of constants and defaults, read as `rosidl_adapter` reads them.
+//! Parses values of constants and defaults like `rosidl_adapter`.
 
 use std::borrow::Cow;
 
 use crate::{Element, FieldType, Primitive, Shape, Value};
 
-/// Reads the value of a field of that type.
+/// Parses the value of a field of that type.
 pub(crate) fn parse_value(field_type: &FieldType, text: &str) -> Result<Value, String> {
     if matches!(field_type.element, Element::Message(_)) {
         return Err(format!("a field of type `{field_type}` cannot have a default value"));
@@ -38,7 +38,7 @@ pub(crate) fn parse_value(field_type: &FieldType, text: &str) -> Result<Value, S
         .map(Value::List)
 }
 
-/// Reads one value.
+/// Parses one value.
 pub(crate) fn parse_element(element: &Element, text: &str) -> Result<Value, String> {
     match element {
         Element::Primitive(Primitive::Bool) => match text.to_ascii_lowercase().as_str() {
@@ -77,14 +77,14 @@ fn integer(primitive: Primitive, text: &str) -> Result<Value, String> {
     let bases = [("0x", 16), ("0o", 8), ("0b", 2)];
     let based = bases.iter().find_map(|(prefix, radix)| Some((lower.strip_prefix(prefix)?, *radix)));
     let magnitude = match based {
-        // Behind the prefix too an underscore may stand.
+        // An underscore may also follow the prefix.
         Some((digits, radix)) => {
             let digits = without_underscores(digits.strip_prefix('_').unwrap_or(digits), radix);
             digits.and_then(|digits| i128::from_str_radix(&digits, radix).ok())
         }
         None => without_underscores(&lower, 10).and_then(|digits| digits.parse().ok()),
     };
-    // What is left of the sign is none.
+    // No second sign.
     let magnitude = magnitude.filter(|_: &i128| !digits.contains(['+', '-']));
     match magnitude.map(|magnitude| sign * magnitude) {
         Some(value) if (least..=greatest).contains(&value) => Ok(Value::Integer(value)),
@@ -95,7 +95,7 @@ fn integer(primitive: Primitive, text: &str) -> Result<Value, String> {
     }
 }
 
-/// A number as Python reads it: an underscore may stand between two digits.
+/// Removes the underscores that Python permits between two digits.
 pub(super) fn without_underscores(text: &str, radix: u32) -> Option<Cow<'_, str>> {
     if !text.contains('_') {
         return Some(text.into());
@@ -118,13 +118,13 @@ fn within(text: &str, length: u64, bound: Option<u64>) -> Result<(), String> {
     }
 }
 
-/// Takes the outer quotes off, if both are there, and the backslashes before inner ones.
+/// Removes the outer quotes, if both exist, and the backslashes before inner ones.
 fn unquote(text: &str) -> Result<String, String> {
     for quote in ['"', '\''] {
         if let Some(rest) = text.strip_prefix(quote)
             && text.ends_with(quote)
         {
-            // A quote alone is both.
+            // A single quote is both.
             let inner = rest.strip_suffix(quote).unwrap_or(rest);
             let mut before = None;
             for character in inner.chars() {
@@ -166,7 +166,7 @@ fn split_texts(inner: &str) -> Result<Vec<String>, String> {
         items.push(item.trim().to_owned());
     }
     if items.iter().any(String::is_empty) {
-        return Err(format!("the list [{inner}] has an empty place; an empty string is written \"\""));
+        return Err(format!("the list [{inner}] has an empty item; an empty string is written \"\""));
     }
     Ok(items)
 }
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn quotes_are_taken_off_and_escapes_resolved() {
+    fn quotes_are_removed_and_escapes_resolved() {
         assert_eq!(text(r#""Hello world!""#).unwrap(), Value::Text("Hello world!".into()));
         assert_eq!(text(r"'Hello\'world!'").unwrap(), Value::Text("Hello'world!".into()));
         assert_eq!(text(r#"'Hello"world!'"#).unwrap(), Value::Text("Hello\"world!".into()));
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn integers_are_held_to_the_range_of_their_type() {
+    fn integers_are_checked_against_the_range_of_their_type() {
         let byte = Element::Primitive(Primitive::UInt8);
         assert_eq!(parse_element(&byte, "0xff").unwrap(), Value::Integer(255));
         assert!(parse_element(&byte, "256").is_err());
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_list_has_the_length_its_type_asks_for() {
+    fn a_list_has_the_length_its_type_requires() {
         let three = FieldType { element: Element::Primitive(Primitive::Int8), shape: Shape::Array(3) };
         assert!(parse_value(&three, "[1, 2]").is_err());
         let at_most = FieldType { shape: Shape::Bounded(3), ..three };

@@ -1,7 +1,8 @@
-//! From the text of a `.msg`, `.srv` or `.action` file to its definition.
+//! Parses `.msg`, `.srv` and `.action` files.
 //!
-//! The grammar is that of `rosidl_adapter/parser.py`: one field or constant a line, a comment from the first `#` on
-//! (quoted or not), tabs count as spaces. What is accepted beyond it: spaces before a type, and `=` within a default.
+//! The grammar is that of `rosidl_adapter/parser.py`: one field or constant per line, a comment starts at the
+//! first `#` (quoted or not), tabs count as spaces. In addition, spaces before a type and `=` within a
+//! default are accepted.
 
 mod line;
 pub(crate) mod literal;
@@ -11,7 +12,7 @@ use crate::{ActionDefinition, Error, Kind, MessageDefinition, Place, ServiceDefi
 /// Parses the text of a `.msg` file. `origin` names it in errors.
 ///
 /// # Errors
-/// [`Error::Syntax`] with the place of the first line that is not understood.
+/// [`Error::Syntax`] with the position of the first invalid line.
 pub fn parse_message(name: TypeName, text: &str, origin: &str) -> Result<MessageDefinition, Error> {
     parse_message_from(name, text, Source::file(origin))
 }
@@ -19,8 +20,8 @@ pub fn parse_message(name: TypeName, text: &str, origin: &str) -> Result<Message
 /// Parses the text of a `.srv` file. `origin` names it in errors.
 ///
 /// # Errors
-/// [`Error::Separators`] if request and response are not told apart, [`Error::Kind`] if the name is not that of a service,
-/// [`Error::Syntax`] for any other fault.
+/// [`Error::Separators`] if request and response are not separated, [`Error::Kind`] if the name is not that
+/// of a service, [`Error::Syntax`] for any other fault.
 pub fn parse_service(name: TypeName, text: &str, origin: &str) -> Result<ServiceDefinition, Error> {
     parse_service_from(name, text, Source::file(origin))
 }
@@ -28,13 +29,13 @@ pub fn parse_service(name: TypeName, text: &str, origin: &str) -> Result<Service
 /// Parses the text of an `.action` file. `origin` names it in errors.
 ///
 /// # Errors
-/// [`Error::Separators`] if goal, result and feedback are not told apart, [`Error::Kind`] if the name is not that of an
-/// action, [`Error::Syntax`] for any other fault.
+/// [`Error::Separators`] if goal, result and feedback are not separated, [`Error::Kind`] if the name is not
+/// that of an action, [`Error::Syntax`] for any other fault.
 pub fn parse_action(name: TypeName, text: &str, origin: &str) -> Result<ActionDefinition, Error> {
     parse_action_from(name, text, Source::file(origin))
 }
 
-/// Where a text is from.
+/// The source of a text.
 #[derive(Clone, Copy)]
 pub(crate) struct Source<'a> {
     origin: &'a str,
@@ -42,22 +43,23 @@ pub(crate) struct Source<'a> {
     names: Names,
 }
 
-/// What may name fields and constants.
+/// The permitted names of fields and constants.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Names {
-    /// What rosidl allows in files.
+    /// Those that rosidl permits in files.
     OfFiles,
-    /// Letters, digits and underscores, a letter first, as in IDL and ROS 1: what others recorded is to be read.
+    /// Letters, digits and underscores, a letter first, as in IDL and ROS 1, so that bags of other recorders
+    /// can be read.
     Any,
 }
 
 impl<'a> Source<'a> {
-    /// A file of its own.
+    /// A complete file.
     pub(crate) fn file(origin: &'a str) -> Self {
         Self { origin, first_line: 1, names: Names::OfFiles }
     }
 
-    /// A definition text, or a part of one that begins at that line.
+    /// A definition text, or a part of one that starts at that line.
     pub(crate) fn definition_text(origin: &'a str, first_line: usize) -> Self {
         Self { origin, first_line, names: Names::Any }
     }
@@ -67,7 +69,7 @@ impl<'a> Source<'a> {
     }
 }
 
-/// As [`parse_message`], of a text from anywhere.
+/// Like [`parse_message`], for a text from any source.
 pub(crate) fn parse_message_from(
     name: TypeName,
     text: &str,
@@ -76,7 +78,7 @@ pub(crate) fn parse_message_from(
     line::parse_message(name, text, source)
 }
 
-/// As [`parse_service`], of a text from anywhere.
+/// Like [`parse_service`], for a text from any source.
 pub(crate) fn parse_service_from(
     name: TypeName,
     text: &str,
@@ -94,7 +96,7 @@ pub(crate) fn parse_service_from(
     })
 }
 
-/// As [`parse_action`], of a text from anywhere.
+/// Like [`parse_action`], for a text from any source.
 pub(crate) fn parse_action_from(
     name: TypeName,
     text: &str,

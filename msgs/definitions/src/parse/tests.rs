@@ -26,7 +26,7 @@ fn fields_constants_defaults_and_comments_are_read() {
 }
 
 #[test]
-fn an_indented_comment_goes_on_below_what_it_stands_behind() {
+fn an_indented_comment_continues_that_of_the_line_above() {
     let text = "# Top.\n\n    # of nothing\nuint8 LOST = 9   # Sent no more\n                 #   and never will be.\n# Why\nint8 x\n\t# not\n";
     let message = parse_message("a/msg/A".parse().unwrap(), text, "A.msg").unwrap();
     assert_eq!(message.constants[0].comment, ["Sent no more", "and never will be."]);

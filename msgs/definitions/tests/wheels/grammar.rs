@@ -1,11 +1,11 @@
-//! What `rosidl_adapter` reads in a text, and what we do.
+//! Compares our parser with `rosidl_adapter`.
 
 use downbeat_msgs_definitions::{Constant, FieldType, MessageDefinition, Shape, parse_message};
 use serde_json::{Value as Json, json};
 
 use crate::peer::Peer;
 
-/// Texts that both read, or both refuse. Each is one file.
+/// Texts that both accept, or both reject. Each is one file.
 const ALIKE: &[&str] = &[
     // Spaces and comments.
     "",
@@ -121,7 +121,7 @@ const ALIKE: &[&str] = &[
     "int8 X = 5 ",
     "int8 X=5 # five",
     "int8 X=5=6",
-    // Truth values.
+    // Booleans.
     "bool x true",
     "bool x TRUE",
     "bool x 1",
@@ -201,7 +201,7 @@ const ALIKE: &[&str] = &[
     "A x 1",
 ];
 
-/// Texts we read and rosidl refuses: what they mean is plain.
+/// Texts that we accept and rosidl rejects: their meaning is clear.
 const READ_BY_US_ALONE: &[&str] = &[
     "  int8 x",
     "A_Event x",
@@ -212,11 +212,12 @@ const READ_BY_US_ALONE: &[&str] = &[
     "int8[] x [ ]",
 ];
 
-/// Texts we refuse and rosidl reads: there is no such type in ROS 2, nothing can be sent, or no other would guess the meaning.
+/// Texts that we reject and rosidl accepts: ROS 2 has no such type, nothing can be sent, or the meaning is
+/// obscure.
 const READ_BY_ROSIDL_ALONE: &[&str] = &[
     "int8[4294967296] x",
     "string<=4294967296 x",
-    // How early DDS types were named.
+    // A naming scheme of early DDS types.
     "Sample_A x",
     // Two characters, four bytes: the bound counts bytes on the wire.
     "string<=2 x \"ää\"",
@@ -359,7 +360,7 @@ fn ask<'a>(peer: &Peer, texts: &[&'a str]) -> Vec<(&'a str, Json)> {
     texts.iter().copied().zip(answers).collect()
 }
 
-/// What we read, as `peer.py` puts it.
+/// Our result in the format of `peer.py`.
 fn ours(text: &str) -> Json {
     let Ok(message) = parse_message("pkg/msg/Name".parse().unwrap(), text, "Name.msg") else {
         return Json::Null;
@@ -379,7 +380,7 @@ fn ours(text: &str) -> Json {
     json!({ "fields": fields, "constants": constants })
 }
 
-/// As `peer.py` puts one.
+/// A constant in the format of `peer.py`.
 pub fn constant(of: &Constant) -> Json {
     let field_type = FieldType { element: of.element.clone(), shape: Shape::Single };
     json!([field_type.to_string(), of.name, value(&of.value)])

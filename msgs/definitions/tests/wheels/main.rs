@@ -1,6 +1,7 @@
-//! Definitions, descriptions and hashes against those that ROS 2 Jazzy ships and those that its own tools make.
+//! Compares definitions, descriptions and hashes with those that ROS 2 Jazzy ships and those that its tools
+//! generate.
 //!
-//! Needs the Python interpreter that `DOWNBEAT_PYTHON` names; without it the tests say so and pass.
+//! Needs the Python interpreter named by `DOWNBEAT_PYTHON`; without it the tests print a note and pass.
 
 #![allow(clippy::unwrap_used)]
 
@@ -22,7 +23,8 @@ fn carried() -> Catalog {
     catalog
 }
 
-/// Compares every type of a published description, the parts and dependencies of the root among them; returns their names.
+/// Compares every type of a published description, including the parts and dependencies of the root, and
+/// returns their names.
 fn compare(catalog: &Catalog, published: &Value) -> BTreeSet<String> {
     let mut names = BTreeSet::new();
     for entry in published["type_hashes"].as_array().unwrap() {
@@ -39,7 +41,7 @@ fn compare(catalog: &Catalog, published: &Value) -> BTreeSet<String> {
     names
 }
 
-/// The hash does not depend on them, nor are they in what is compared.
+/// Removes defaults: the hash does not depend on them, and our descriptions lack them.
 fn without_defaults(description: &mut Value) {
     match description {
         Value::Object(members) => {
@@ -59,7 +61,7 @@ fn names_of(catalog: &Catalog) -> BTreeSet<String> {
 }
 
 #[test]
-fn what_we_carry_has_the_descriptions_and_hashes_of_every_json_file_of_the_wheels() {
+fn built_in_packages_have_the_descriptions_and_hashes_of_every_json_file_of_the_wheels() {
     let Some(peer) = Peer::find() else { return };
     let catalog = carried();
     let mut compared = BTreeSet::new();
@@ -68,7 +70,7 @@ fn what_we_carry_has_the_descriptions_and_hashes_of_every_json_file_of_the_wheel
         compared.extend(compare(&catalog, &serde_json::from_str(&file.text).unwrap()));
     }
     assert!(files.len() > 190, "only {} files were found", files.len());
-    // Nothing of these packages is carried that the wheels do not have, parts of services and actions included.
+    // Our packages contain nothing that the wheels lack, including parts of services and actions.
     let packages: BTreeSet<&str> = files.iter().map(|file| file.package.as_str()).collect();
     let mut ours = names_of(&catalog);
     ours.retain(|name| packages.contains(name.split('/').next().unwrap()));
@@ -76,7 +78,7 @@ fn what_we_carry_has_the_descriptions_and_hashes_of_every_json_file_of_the_wheel
 }
 
 #[test]
-fn an_ament_prefix_is_read_whole_beside_what_we_carry() {
+fn an_ament_prefix_is_read_completely_together_with_the_built_in_packages() {
     let Some(peer) = Peer::find() else { return };
     let mut catalog = carried();
     let before = names_of(&catalog);
@@ -106,7 +108,7 @@ fn an_ament_prefix_with_idl_files_alone_means_the_same() {
     for file in peer.files("json") {
         compare(&catalog, &serde_json::from_str(&file.text).unwrap());
     }
-    // What the hash does not depend on: defaults and constants.
+    // Defaults and constants, on which the hash does not depend.
     let mut written = Catalog::new();
     written.add_packages(&peer.prefix().join("share")).unwrap();
     assert_eq!(names_of(&catalog), names_of(&written));
@@ -150,7 +152,7 @@ fn a_schema_of_idl_blocks_as_rosbag2_writes_it_means_the_same() {
 }
 
 #[test]
-fn rosidl_describes_as_we_do_what_no_wheel_has() {
+fn rosidl_generates_our_descriptions_of_types_that_no_wheel_has() {
     let Some(peer) = Peer::find() else { return };
     let catalog = carried();
     let published: BTreeSet<String> = peer.files("json").into_iter().map(|file| file.package).collect();
@@ -185,7 +187,7 @@ fn rosbags_knows_the_same_messages_and_constants() {
     for line in peer.ask("store", "").lines() {
         let [name, hash, constants] = line.split('\t').collect::<Vec<_>>()[..] else { panic!("{line}") };
         let name: TypeName = name.parse().unwrap();
-        // Of what has a `char` rosbags computes another hash than ROS 2 publishes.
+        // For types with a `char`, rosbags computes a different hash than ROS 2.
         if !["Char", "Gid", "NodeEntitiesInfo", "ParticipantEntitiesInfo", "ServiceEventInfo"]
             .contains(&&*name.name)
         {
@@ -195,7 +197,7 @@ fn rosbags_knows_the_same_messages_and_constants() {
         assert_eq!(ours, serde_json::from_str::<Value>(constants).unwrap(), "{name}");
         compared.insert(name);
     }
-    // All messages but those that others do not carry, and one that came to Jazzy late.
+    // All messages except those that rosbags lacks, and one that was added to Jazzy late.
     for message in catalog.messages().filter(|message| message.name.kind == Kind::Message) {
         let name = &message.name;
         let is_left_out = ["downbeat_interfaces", "test_msgs"].contains(&name.package.as_str())

@@ -1,10 +1,10 @@
-//! The Python with the ROS 2 wheels.
+//! The Python environment with the ROS 2 wheels.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// An interpreter, and what its environment has of ROS 2.
+/// A Python interpreter and the ROS 2 packages of its environment.
 pub struct Peer {
     python: PathBuf,
 }
@@ -17,12 +17,12 @@ pub struct File {
 }
 
 impl Peer {
-    /// The one `DOWNBEAT_PYTHON` names; says so if there is none.
+    /// The interpreter named by `DOWNBEAT_PYTHON`; prints a note if it is not set.
     pub fn find() -> Option<Self> {
         match std::env::var_os("DOWNBEAT_PYTHON") {
             Some(python) => Some(Self { python: python.into() }),
             None => {
-                // Past the capture of test output, which shows nothing of a test that passes.
+                // Bypasses the capture of test output, which hides the output of passing tests.
                 let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
                 let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
                 None
@@ -36,9 +36,9 @@ impl Peer {
         self.python.parent().and_then(Path::parent).unwrap().to_owned()
     }
 
-    /// Runs a command of `peer.py` with `input` in a file; gives what it prints.
+    /// Runs a command of `peer.py` with `input` in a file; returns its output.
     pub fn ask(&self, command: &str, input: &str) -> String {
-        // Tests run beside each other.
+        // Tests run in parallel.
         static COUNT: AtomicUsize = AtomicUsize::new(0);
         let unique = format!("{}_{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
         let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("wheels_{command}_{unique}.txt"));

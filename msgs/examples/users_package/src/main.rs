@@ -1,4 +1,4 @@
-//! Writes and reads a message of this crate's own package `my_msgs`, and lists what there is to register.
+//! Writes and reads a message of this crate's own package `my_msgs`, and lists the interfaces to register.
 
 use downbeat_msgs::{Action, InterfaceSet, InterfaceVisitor, Message, Service, cdr, geometry_msgs::msg::Point};
 
@@ -8,7 +8,7 @@ use lab_msgs::msg::Foot;
 use my_msgs::action::{Walk, WalkGoal};
 use my_msgs::{msg::Leg, srv::Kick};
 
-/// The names of what is not part of something else.
+/// The names of interfaces that are not part of another one.
 #[derive(Default)]
 struct Names(Vec<&'static str>);
 

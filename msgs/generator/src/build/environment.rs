@@ -1,4 +1,4 @@
-//! What cargo and ROS 2 tell a build script.
+//! The environment of a build script, from cargo and ROS 2.
 
 use std::collections::BTreeSet;
 use std::env;
@@ -6,16 +6,16 @@ use std::path::{Path, PathBuf};
 
 use super::BuildError;
 
-/// Where files are.
+/// The folders that a build script uses.
 #[derive(Clone, Debug)]
 pub(super) struct Environment {
-    /// Where generated files go.
+    /// The folder for generated files.
     pub out: PathBuf,
-    /// The definitions that `downbeat-msgs` carries: a folder for each package.
+    /// The definitions in `downbeat-msgs`: a folder for each package.
     pub carried: PathBuf,
-    /// The packages of these that it was built with.
+    /// The packages that it was built with.
     pub enabled: BTreeSet<String>,
-    /// Folders with an install space each.
+    /// Install prefixes.
     pub ament_prefixes: Vec<PathBuf>,
 }
 
@@ -23,7 +23,7 @@ impl Environment {
     /// From the environment variables of this process.
     pub fn of_build_script() -> Result<Self, BuildError> {
         let out = env::var_os("OUT_DIR").ok_or(BuildError::NoBuildScript)?;
-        // The build script of downbeat-msgs says so much to those of the crates that depend on it directly.
+        // Set by the build script of downbeat-msgs for crates that depend on it directly.
         let carried = env::var_os("DEP_DOWNBEAT_MSGS_INTERFACES").ok_or(BuildError::NoDependency)?;
         let enabled = env::var("DEP_DOWNBEAT_MSGS_PACKAGES").map_err(|_| BuildError::NoDependency)?;
         let prefixes = env::var_os("AMENT_PREFIX_PATH").unwrap_or_default();
@@ -35,24 +35,24 @@ impl Environment {
         })
     }
 
-    /// The folder of a package that `downbeat-msgs` carries, enabled or not.
+    /// The folder of a package in `downbeat-msgs`, enabled or not.
     pub fn carried(&self, package: &str) -> Option<PathBuf> {
         Some(self.carried.join(package)).filter(|folder| has_interfaces(folder))
     }
 
-    /// The folder of an installed package. The first prefix that has it wins, as in ROS 2.
+    /// The folder of an installed package. The first prefix that contains it is used, as in ROS 2.
     pub fn installed(&self, package: &str) -> Option<PathBuf> {
         let folders = self.ament_prefixes.iter().map(|prefix| prefix.join("share").join(package));
         folders.into_iter().find(|folder| has_interfaces(folder))
     }
 }
 
-/// Whether the folder is laid out as that of a package with interfaces.
+/// Whether the folder has the layout of a package with interfaces.
 pub(super) fn has_interfaces(folder: &Path) -> bool {
     interface_folders(folder).next().is_some()
 }
 
-/// The folders that hold the interfaces of a package, those that are there.
+/// The existing folders with the interfaces of a package.
 pub(super) fn interface_folders(folder: &Path) -> impl Iterator<Item = PathBuf> {
     ["msg", "srv", "action"].into_iter().map(|kind| folder.join(kind)).filter(|folder| folder.is_dir())
 }

@@ -1,4 +1,4 @@
-//! Why a build script could not turn interface files into Rust types.
+//! Errors of generating Rust types in a build script.
 
 use std::path::PathBuf;
 
@@ -6,14 +6,14 @@ use downbeat_msgs_definitions::{Place, TypeName};
 
 use crate::Error;
 
-/// Why no types were generated. Its `Debug` form is the text too, so that `main` can return it.
+/// Why no types were generated. `Debug` also prints the message, so that `main` can return it.
 #[derive(thiserror::Error)]
 #[non_exhaustive]
 pub enum BuildError {
-    /// A definition is not understood, or what it refers to is not found.
+    /// A definition is invalid, or a type it refers to is not found.
     #[error(transparent)]
     Definition(#[from] Error),
-    /// A field refers to a package that is carried, but not enabled.
+    /// A field refers to a built-in package that is not enabled.
     #[error(
         "{place}: field `{field}` of {owner} has the type {wanted}: enable the feature `{}` of downbeat-msgs in \
          Cargo.toml", wanted.package
@@ -28,7 +28,7 @@ pub enum BuildError {
         /// Its type.
         wanted: Box<TypeName>,
     },
-    /// A package is generated that the crate has already from `downbeat-msgs`.
+    /// A generated package is already provided by `downbeat-msgs`.
     #[error(
         "{}: downbeat-msgs is built with a package `{package}` of its own: use `downbeat_msgs::{package}`, or give \
          this one another name", folder.display()
@@ -39,17 +39,17 @@ pub enum BuildError {
         /// The package.
         package: String,
     },
-    /// Two types would have one name in Rust.
+    /// Two types would have the same name in Rust.
     #[error(
         "{second} and {first} would have the same name in Rust, where underscores are left out: rename one of them"
     )]
     NameClash {
-        /// The one.
+        /// The first type.
         first: TypeName,
-        /// The other.
+        /// The second type.
         second: TypeName,
     },
-    /// A folder that was named has no interfaces.
+    /// A folder has no interfaces.
     #[error(
         "{}: there is no interface here: the folder of a package holds `msg/*.msg`, `srv/*.srv` or `action/*.action`",
         folder.display()
@@ -58,11 +58,11 @@ pub enum BuildError {
         /// The folder.
         folder: PathBuf,
     },
-    /// No prefix has the package.
+    /// No prefix contains the package.
     #[error(
         "no package `{package}` with interfaces is installed: {}",
         if searched.is_empty() { "AMENT_PREFIX_PATH is not set, source the setup file of ROS 2 first".into() }
-        else { format!("looked for it in `share` below {}", list(searched)) }
+        else { format!("searched `share` below {}", list(searched)) }
     )]
     NotInstalled {
         /// The package.
@@ -70,7 +70,7 @@ pub enum BuildError {
         /// The folders of `AMENT_PREFIX_PATH`.
         searched: Vec<PathBuf>,
     },
-    /// The process is no build script.
+    /// The process is not a build script.
     #[error("OUT_DIR is not set: types are generated from a build script, which cargo runs")]
     NoBuildScript,
     /// The crate does not depend on `downbeat-msgs`.

@@ -1,4 +1,4 @@
-//! What a build script calls to turn interface files into Rust types.
+//! The builder with which a build script generates Rust types from interface files.
 
 mod environment;
 mod error;
@@ -15,7 +15,7 @@ use environment::Environment;
 /// The file in `OUT_DIR` that `downbeat_msgs::include_interfaces!()` includes.
 const FILE: &str = "downbeat_msgs.rs";
 
-/// Turns the interface files of one package into Rust types: the short form of
+/// Generates Rust types from the interface files of one package: short for
 /// [`Build::new().package(folder).compile()`](Build).
 ///
 /// ```no_run
@@ -26,7 +26,8 @@ pub fn compile(folder: impl Into<PathBuf>) {
     Build::new().package(folder).compile();
 }
 
-/// Turns the interface files of packages into Rust types, from the `build.rs` of a crate that depends on `downbeat-msgs`.
+/// Generates Rust types from the interface files of packages, in the `build.rs` of a crate that depends on
+/// `downbeat-msgs`.
 ///
 /// ```no_run
 /// // build.rs, in `fn main()`
@@ -37,16 +38,16 @@ pub fn compile(folder: impl Into<PathBuf>) {
 ///     .compile();
 /// ```
 ///
-/// The line `downbeat_msgs::include_interfaces!();` in the crate then stands for the modules of these packages and for
-/// `INTERFACES`, the set of all that is in them, which a program registers. Where in the crate it stands makes no difference to
-/// them.
+/// The line `downbeat_msgs::include_interfaces!();` in the crate then declares the modules of these packages
+/// and `INTERFACES`, the set of all interfaces in them, which a program registers. It may be in any module of
+/// the crate.
 ///
-/// What the definitions refer to is found in this order: the packages named here; those that `downbeat-msgs` carries, if
-/// their features are enabled, so that a `std_msgs/Header` is everyone's `downbeat_msgs::std_msgs::msg::Header`; those in
-/// the environment variable `AMENT_PREFIX_PATH`, of which types are generated beside the others.
+/// References are resolved in this order: the packages named here; those in `downbeat-msgs`, if their
+/// features are enabled, so that `std_msgs/Header` is always `downbeat_msgs::std_msgs::msg::Header`; those in
+/// the environment variable `AMENT_PREFIX_PATH`, whose types are also generated.
 ///
-/// Paths are relative to the folder of the crate's `Cargo.toml`. Cargo runs the script again when one of these files
-/// changes, comes or goes.
+/// Paths are relative to the folder of the crate's `Cargo.toml`. Cargo runs the script again when one of
+/// these files changes, appears or disappears.
 #[derive(Clone, Debug, Default)]
 #[must_use = "nothing is generated before `compile`"]
 pub struct Build {
@@ -54,30 +55,31 @@ pub struct Build {
     runtime: Option<String>,
 }
 
-/// What a build script asked for.
+/// A package or folder to generate.
 #[derive(Clone, Debug)]
 enum Request {
     /// One package, by its folder.
     Folder(PathBuf),
-    /// Each folder below this one.
+    /// Every package below this folder.
     Below(PathBuf),
     /// One package of an ament prefix, by its name.
     Installed(String),
 }
 
 impl Build {
-    /// Without any package.
+    /// A builder without packages.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Adds a package: a folder of the package's name, with the folders `msg`, `srv` and `action` in it, or some of them.
+    /// Adds a package: a folder with the package's name that contains some of the folders `msg`, `srv` and
+    /// `action`.
     pub fn package(mut self, folder: impl Into<PathBuf>) -> Self {
         self.requests.push(Request::Folder(folder.into()));
         self
     }
 
-    /// Adds every package below a folder: each folder in it that holds interfaces.
+    /// Adds every package below a folder: each folder in it that contains interfaces.
     pub fn packages(mut self, folder: impl Into<PathBuf>) -> Self {
         self.requests.push(Request::Below(folder.into()));
         self
@@ -89,7 +91,7 @@ impl Build {
         self
     }
 
-    /// The path of `downbeat-msgs` in the crate, where that is not `::downbeat_msgs`.
+    /// Sets the path of `downbeat-msgs` in the crate, if it is not `::downbeat_msgs`.
     pub fn runtime(mut self, path: &str) -> Self {
         self.runtime = Some(path.into());
         self
@@ -97,18 +99,18 @@ impl Build {
 
     /// Generates the types.
     ///
-    /// If that fails, the build fails with the [error](BuildError) as its only text, and the process ends here.
+    /// On failure, the build fails with the [error](BuildError) as its only message, and the process exits.
     pub fn compile(self) {
         if let Err(error) = self.try_compile() {
-            // Each line is an error of its own to cargo.
+            // Cargo treats each line as a separate error.
             for line in error.to_string().lines() {
                 println!("cargo::error={line}");
             }
-            std::process::exit(0); // Cargo fails the build for the errors above, and would tell of another status at length.
+            std::process::exit(0); // Cargo fails the build because of the errors above; another status would print more text.
         }
     }
 
-    /// As [`Build::compile`], for a build script that treats errors itself.
+    /// Like [`Build::compile`], for build scripts that handle errors themselves.
     ///
     /// # Errors
     /// If a file cannot be read, parsed or written, or a type that is referred to is not found.
@@ -119,7 +121,7 @@ impl Build {
         fs::write(&path, source).map_err(|source| BuildError::Write { path, source })
     }
 
-    /// The generated source; `watch` is told what cargo has to watch.
+    /// Returns the generated source; calls `watch` with what cargo has to watch.
     fn source(&self, environment: &Environment, watch: &mut dyn FnMut(String)) -> Result<String, BuildError> {
         let found = packages::collect(&self.requests, environment, watch)?;
         found.catalog.check()?;

@@ -1,4 +1,4 @@
-//! Finds the packages that types are generated of, and those they refer to.
+//! Finds the packages to generate and those they refer to.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -10,18 +10,19 @@ use super::environment::{Environment, has_interfaces, interface_folders};
 use super::{BuildError, Request};
 use crate::Error;
 
-/// Definitions, and whose they are.
+/// Definitions and their packages.
 #[derive(Debug, Default)]
 pub(super) struct Found {
-    /// All of them.
+    /// All definitions.
     pub catalog: Catalog,
     /// The packages to generate.
     pub generated: BTreeSet<String>,
-    /// The packages that `downbeat-msgs` has.
+    /// The packages in `downbeat-msgs`.
     pub carried: BTreeSet<String>,
 }
 
-/// Reads what was asked for, and the packages it refers to; tells `watch` in cargo's words what it depends on.
+/// Reads the requested packages and those they refer to; calls `watch` with the dependencies in cargo's
+/// format.
 pub(super) fn collect(
     requests: &[Request],
     environment: &Environment,
@@ -67,7 +68,7 @@ pub(super) fn collect(
         } else if let Some(folder) = environment.installed(&wanted.package) {
             found.add(&folder, environment, watch)?;
         } else {
-            break; // The check of the catalog tells where it is referred to.
+            break; // The check of the catalog reports where it is referred to.
         }
     }
     Ok(found)
@@ -92,7 +93,7 @@ impl Found {
         Ok(())
     }
 
-    /// A type that is referred to and of whose package nothing is known, and the field that has it.
+    /// A type of an unknown package, and the field that refers to it.
     fn missing_package(&self) -> Option<(&MessageDefinition, &Field, TypeName)> {
         let known = self.catalog.packages();
         self.catalog
@@ -107,8 +108,9 @@ impl Found {
     }
 }
 
-/// Files that change, come or go: cargo looks at all that is in a folder. That of the package itself tells of new folders
-/// in it, but where it is that of the crate, everything else in there would be looked at too.
+/// Watches for files that change, appear or disappear: cargo watches everything in a folder. Watching the
+/// package's own folder detects new folders in it, but if that is the crate's folder, everything else in it
+/// would be watched too.
 fn watch_package(folder: &Path, watch: &mut dyn FnMut(String)) {
     let is_crate = folder.join("Cargo.toml").exists();
     if is_crate {

@@ -8,7 +8,8 @@ use tempfile::TempDir;
 use super::environment::Environment;
 use super::{Build, BuildError};
 
-/// A folder with `carried/std_msgs`, `carried/nav_msgs` (not enabled) and `ament/share/lab_msgs`, and what a test adds.
+/// A folder with `carried/std_msgs`, `carried/nav_msgs` (not enabled) and `ament/share/lab_msgs`; tests add
+/// files.
 struct Space {
     folder: TempDir,
     environment: Environment,
@@ -41,7 +42,7 @@ impl Space {
         self.folder.path().join(path)
     }
 
-    /// What is generated, and what cargo is told to watch, with the space's own folder cut off.
+    /// Returns the generated source and the paths that cargo watches, relative to the space's folder.
     fn build(&self, build: &Build) -> Result<(String, Vec<String>), BuildError> {
         let mut watched = Vec::new();
         let source = build.source(&self.environment, &mut |line| watched.push(self.short(&line)))?;
@@ -58,7 +59,7 @@ impl Space {
 }
 
 #[test]
-fn what_is_carried_is_referred_to_and_what_is_installed_is_generated() {
+fn built_in_packages_are_referred_to_and_installed_ones_are_generated() {
     let space = Space::new();
     space.write("my_msgs/msg/Robot.msg", "std_msgs/Header header\nlab_msgs/Leg[2] legs\n");
     let (source, watched) = space.build(&Build::new().package(space.path("my_msgs"))).unwrap();
@@ -74,7 +75,7 @@ fn what_is_carried_is_referred_to_and_what_is_installed_is_generated() {
         source.contains("<self::lab_msgs::msg::Leg as ::downbeat_msgs::Message>::INTERFACES"),
         "{source}"
     );
-    assert!(!source.contains("std_msgs::msg::Header as"), "what is carried is registered already: {source}");
+    assert!(!source.contains("std_msgs::msg::Header as"), "built-in types are already registered: {source}");
     assert_eq!(
         watched,
         [
@@ -95,7 +96,7 @@ fn the_package_of_a_crate_that_is_one_is_watched_without_the_rest_of_it() {
 }
 
 #[test]
-fn every_package_below_a_folder_is_taken_and_what_is_none_is_not() {
+fn every_package_below_a_folder_is_taken_and_other_folders_are_not() {
     let space = Space::new();
     space.write("vendor/a_msgs/msg/A.msg", "b_msgs/B b\n");
     space.write("vendor/b_msgs/msg/B.msg", "int8 b\n");
@@ -114,7 +115,7 @@ fn installed_packages_are_found_by_name() {
         space
             .error(&Build::new().installed("no_msgs"))
             .replace(&space.folder.path().display().to_string(), ""),
-        "no package `no_msgs` with interfaces is installed: looked for it in `share` below empty, ament"
+        "no package `no_msgs` with interfaces is installed: searched `share` below empty, ament"
     );
 }
 
@@ -169,7 +170,7 @@ fn two_types_with_one_rust_name_are_refused() {
 }
 
 #[test]
-fn a_package_that_is_carried_already_is_refused() {
+fn a_built_in_package_is_refused() {
     let space = Space::new();
     space.write("mine/std_msgs/msg/Header.msg", "int8 seq\n");
     let error = space.error(&Build::new().package(space.path("mine/std_msgs")));
@@ -177,7 +178,7 @@ fn a_package_that_is_carried_already_is_refused() {
 }
 
 #[test]
-fn errors_are_their_text_when_main_returns_them() {
+fn errors_returned_by_main_print_their_message() {
     let error = BuildError::NoInterfaces { folder: Path::new("a").into() };
     assert_eq!(format!("{error:?}"), error.to_string());
 }

@@ -1,4 +1,4 @@
-//! The type that stands for an action.
+//! The type of an action.
 
 use super::names::struct_name;
 use super::values::text_literal;
@@ -10,7 +10,7 @@ impl RustSource<'_> {
         let name = struct_name(&action.name);
         let definition = self.catalog.definition_text(&action.name)?;
         let mut source = docs::doc(&[], &action.name.to_string(), "");
-        // Without values: it is only ever named.
+        // Has no values: it is only named.
         source.push_str(&format!(
             "pub enum {name} {{}}\n\nimpl {}::Action for {name} {{\n",
             self.modules.runtime
@@ -26,7 +26,7 @@ impl RustSource<'_> {
         Ok(source)
     }
 
-    /// The functions that put the messages of an action together and take them apart.
+    /// The functions that assemble and split the messages of an action.
     fn parts(&self, name: &str) -> String {
         let uuid = format!("{}::unique_identifier_msgs::msg::UUID", self.modules.runtime);
         let time = format!("{}::builtin_interfaces::msg::Time", self.modules.runtime);

@@ -1,4 +1,4 @@
-//! How a message is written and read as CDR.
+//! Generates code that writes and reads messages as CDR.
 
 use super::RustSource;
 use super::layout::{Part, plain_layout};
@@ -45,7 +45,7 @@ impl RustSource<'_> {
         Ok(source)
     }
 
-    /// The method that checks bounds before writing, where there are any.
+    /// The method that checks bounds before writing, if there are any.
     fn check_bounds(&self, message: &MessageDefinition) -> Result<String, Error> {
         let mut checks = Vec::new();
         for field in &message.fields {
@@ -86,7 +86,7 @@ impl RustSource<'_> {
     }
 }
 
-/// How a field is read: the owned value or its view.
+/// The code that reads a field: the owned value or its view.
 #[must_use]
 pub fn decode_call(field: &Field) -> String {
     let name = &field.name;
@@ -108,7 +108,7 @@ pub(super) fn field_line(indentation: &str, field: &Field, value: &str) -> Strin
     format!("{indentation}{}: {value},\n", identifier(&field.name))
 }
 
-/// A message whose values all have one layout says only that.
+/// A message with a fixed layout only implements `Plain`.
 fn plain_impl(message: &MessageDefinition, layout: &super::layout::Layout) -> String {
     let name = struct_name(&message.name);
     let mut source = format!(

@@ -1,4 +1,4 @@
-//! The fields of a message as the trait `Message` tells them.
+//! The fields of a message, as in the trait `Message`.
 
 use super::RustSource;
 use downbeat_msgs_definitions::{Element, Field, MessageDefinition, Primitive, Shape, Value};
@@ -23,7 +23,7 @@ impl RustSource<'_> {
     }
 }
 
-/// What the Rust type does not say.
+/// Properties that the Rust type does not express.
 #[must_use]
 pub fn modifiers(field: &Field) -> String {
     let mut source = String::new();
@@ -47,7 +47,7 @@ pub fn modifiers(field: &Field) -> String {
     source
 }
 
-/// A value as Python's `repr` writes it, which is what ROS 2 puts into the type descriptions it generates.
+/// A value as in Python's `repr`, which ROS 2 uses in generated type descriptions.
 fn python(value: &Value) -> String {
     match value {
         Value::Bool(true) => "True".into(),
@@ -62,7 +62,7 @@ fn python(value: &Value) -> String {
     }
 }
 
-/// The shortest digits that give the value back, with an exponent below 1e-4 and from 1e16 on.
+/// The shortest digits that round-trip, with an exponent below 1e-4 and from 1e16.
 fn python_float(value: f64) -> String {
     if value.is_nan() {
         return "nan".into();

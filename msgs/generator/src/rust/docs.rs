@@ -1,6 +1,6 @@
 //! Doc comments of generated items.
 
-/// The lines of a doc comment: what the definition's author wrote, then `code`, in code style.
+/// The lines of a doc comment: the comment in the definition, then `code`, in code style.
 pub(super) fn doc(comment: &[String], code: &str, indentation: &str) -> String {
     let mut lines: Vec<String> = comment.iter().map(|line| escape(line)).collect();
     while lines.last().is_some_and(String::is_empty) {
@@ -17,12 +17,12 @@ pub(super) fn doc(comment: &[String], code: &str, indentation: &str) -> String {
     text
 }
 
-/// The constant with a hash, on two lines as `rustfmt` has it.
+/// The constant with a hash, on two lines like `rustfmt`.
 pub(super) fn hash_line(hash: &str) -> String {
     format!("    const TYPE_HASH: &'static str =\n        \"{hash}\";\n")
 }
 
-/// Keeps the words of a comment from being read as Markdown.
+/// Escapes Markdown in a comment.
 fn escape(line: &str) -> String {
     let words = line.split(' ').map(|word| {
         if word.starts_with("http://") || word.starts_with("https://") {

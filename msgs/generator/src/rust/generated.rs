@@ -1,4 +1,4 @@
-//! Parts of generated code, for the derive macro: what it adds to a struct has to be what is generated with one.
+//! Parts of generated code, for the derive macro: it adds the same code to a struct.
 
 use downbeat_msgs_definitions::{Element, FieldType, Shape};
 
@@ -6,7 +6,7 @@ pub use super::cdr::decode_call;
 pub use super::description::modifiers;
 pub use super::names::primitive;
 
-/// A type in words of Rust, for people.
+/// A type in Rust terms, for error messages.
 #[must_use]
 pub fn in_rust(field_type: &FieldType) -> String {
     let element = match &field_type.element {

@@ -1,12 +1,12 @@
-//! Which messages have one layout, wherever they stand.
+//! Determines which messages have a fixed layout, wherever they are.
 
 use downbeat_msgs_definitions::{Catalog, Element, Error, Field, MessageDefinition, Primitive, Shape};
 
-/// The layout of a message whose values all have the same, and need no padding side by side.
+/// The layout of a message whose values all have the same layout and need no padding between them.
 pub(super) struct Layout<'a> {
-    /// A value begins at a multiple of it.
+    /// A value starts at a multiple of it.
     pub alignment: u64,
-    /// Bytes of a value: a multiple of the alignment.
+    /// The size of a value in bytes: a multiple of the alignment.
     pub size: u64,
     pub parts: Vec<Part<'a>>,
 }
@@ -16,8 +16,9 @@ pub(super) enum Part<'a> {
     Field(&'a Field),
 }
 
-/// The layout of a message, if it has one. It must be the same in both versions of XCDR but for where the value begins.
-/// In version 2 that is a multiple of 4 where version 1 has 8, so that padding before eight bytes would differ.
+/// The layout of a message, if it has a fixed one. It must be the same in both versions of XCDR except for
+/// the start of the value. In version 2 that is a multiple of 4 instead of 8, so that padding before eight
+/// bytes would differ.
 pub(super) fn plain_layout<'a>(
     catalog: &Catalog,
     message: &'a MessageDefinition,
@@ -30,7 +31,7 @@ pub(super) fn plain_layout<'a>(
             _ => return Ok(None),
         };
         let (alignment, size) = match &field.field_type.element {
-            // A truth value has to be checked.
+            // A boolean must be validated.
             Element::Primitive(Primitive::Bool) | Element::String { .. } | Element::WString { .. } => {
                 return Ok(None);
             }

@@ -1,4 +1,4 @@
-//! The struct of a message and what is implemented for it.
+//! The struct of a message and its implementations.
 
 use super::names::{identifier, primitive, struct_name};
 use super::values::{constant, expression, is_zero, text_literal, zero};
@@ -105,7 +105,7 @@ impl RustSource<'_> {
         Ok(source)
     }
 
-    /// Whether something holds for every element of the message, those of messages within it included.
+    /// Whether a predicate holds for every element of the message, including those of nested messages.
     pub(super) fn every_element(
         &self,
         message: &MessageDefinition,
@@ -126,7 +126,7 @@ impl RustSource<'_> {
     }
 }
 
-/// On one line where it fits into one, within two modules.
+/// On one line if it fits, within two modules.
 fn derive_attribute(derives: &str) -> String {
     const LONGEST: usize = 100 - 8 - "#[derive()]".len();
     if derives.len() > LONGEST {

@@ -1,8 +1,9 @@
 //! Rust source for the interfaces of a catalog.
 //!
-//! One text per package, to be included in a module of the package's name. It holds modules `msg`, `srv` and
-//! `action` with one struct per message and the implementations of the traits of `downbeat-msgs`. Names within it are chosen so
-//! that no ROS 2 type name (`String`, `Error`, `Message`) can shadow what the code needs.
+//! One text per package, to be included in a module with the package's name. It contains modules `msg`, `srv`
+//! and `action` with one struct per message and the implementations of the traits of `downbeat-msgs`. Names
+//! within it are chosen so that no ROS 2 type name (`String`, `Error`, `Message`) can shadow names that the
+//! code uses.
 
 mod action;
 mod cdr;
@@ -22,7 +23,7 @@ use std::collections::BTreeMap;
 
 use downbeat_msgs_definitions::{Catalog, Error, Kind, MessageDefinition, TypeName};
 
-/// Where generated code finds what it refers to.
+/// The paths that generated code refers to.
 #[derive(Clone, Debug)]
 pub struct Modules {
     runtime: String,
@@ -38,7 +39,7 @@ impl Modules {
         Self { runtime: runtime.into(), home: home.into(), elsewhere: BTreeMap::new() }
     }
 
-    /// Packages that need not be generated because the module at `path` has them.
+    /// Packages that are not generated because the module at `path` contains them.
     #[must_use]
     pub fn with_packages<'a>(mut self, path: &str, packages: impl IntoIterator<Item = &'a str>) -> Self {
         self.elsewhere.extend(packages.into_iter().map(|package| (package.to_owned(), path.to_owned())));
@@ -58,7 +59,7 @@ pub struct RustSource<'a> {
 }
 
 impl<'a> RustSource<'a> {
-    /// From a catalog that was [checked](Catalog::check).
+    /// For a [checked](Catalog::check) catalog.
     #[must_use]
     pub fn new(catalog: &'a Catalog, modules: &'a Modules) -> Self {
         Self { catalog, modules }
@@ -67,7 +68,7 @@ impl<'a> RustSource<'a> {
     /// The module of one package.
     ///
     /// # Errors
-    /// As [`RustSource::package`].
+    /// See [`RustSource::package`].
     pub fn module(&self, package: &str) -> Result<String, Error> {
         let content = indent(&self.package(package)?);
         let name = names::identifier(package);
@@ -79,7 +80,7 @@ impl<'a> RustSource<'a> {
     /// The content of the module of one package.
     ///
     /// # Errors
-    /// [`Error::NotInCatalog`] if a message refers to one the catalog does not have.
+    /// [`Error::NotInCatalog`] if a message refers to one that is not in the catalog.
     pub fn package(&self, package: &str) -> Result<String, Error> {
         let mut source = String::new();
         for (kind, what) in
@@ -113,7 +114,7 @@ impl<'a> RustSource<'a> {
     }
 }
 
-/// Indents what is code, and leaves the lines of raw strings as they are: their spaces count.
+/// Indents code, but not the lines of raw strings.
 fn indent(source: &str) -> String {
     let mut indented = String::from("\n");
     let mut within_raw_string: Option<String> = None;

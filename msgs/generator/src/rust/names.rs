@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::RustSource;
 use downbeat_msgs_definitions::{Element, FieldType, Kind, Primitive, Shape, TypeName};
 
-/// The words of Rust 2024 that cannot name a field as they are.
+/// The keywords of Rust 2024.
 const KEYWORDS: [&str; 47] = [
     "abstract", "as", "async", "await", "become", "box", "break", "const", "continue", "do", "dyn", "else",
     "enum", "extern", "false", "final", "fn", "for", "gen", "if", "impl", "in", "let", "loop", "macro",
@@ -24,7 +24,7 @@ pub(super) fn identifier(name: &str) -> String {
     }
 }
 
-/// The struct of a message, or what stands for a service or action: its name, `SetBoolRequest` for `SetBool_Request`.
+/// The name of the Rust type of a message, service or action: `SetBoolRequest` for `SetBool_Request`.
 pub(super) fn struct_name(name: &TypeName) -> String {
     match name.name.as_str() {
         "Self" => "Self_".into(),
@@ -32,7 +32,7 @@ pub(super) fn struct_name(name: &TypeName) -> String {
     }
 }
 
-/// The Rust type of a primitive one.
+/// The Rust type of a primitive type.
 #[must_use]
 pub fn primitive(primitive: Primitive) -> &'static str {
     match primitive {
@@ -68,7 +68,7 @@ impl RustSource<'_> {
         }
     }
 
-    /// The path of a struct, as short as it may be where `owner` is defined.
+    /// The shortest path of a struct from where `owner` is defined.
     pub(super) fn type_path(&self, name: &TypeName, owner: &TypeName) -> String {
         if name.package == owner.package && name.kind == owner.kind {
             struct_name(name)
@@ -83,7 +83,7 @@ impl RustSource<'_> {
         format!("{module}::{}::{}::{}", identifier(&name.package), name.kind.as_str(), struct_name(name))
     }
 
-    /// Two types of one package that would have the same name in Rust, if there are any: the service `FooRequest` beside
+    /// Two types of a package that would have the same name in Rust, if any: the service `FooRequest` beside
     /// the request of the service `Foo`.
     pub(crate) fn name_clash(&self, package: &str) -> Option<[&TypeName; 2]> {
         let mut known: BTreeMap<(Kind, String), &TypeName> = BTreeMap::new();
@@ -97,7 +97,7 @@ impl RustSource<'_> {
             .find_map(|name| known.insert((name.kind, struct_name(name)), name).map(|first| [first, name]))
     }
 
-    /// A name of the standard prelude, or its full path where a ROS 2 type of the same module has that name.
+    /// A name of the standard prelude, or its full path if a ROS 2 type of the same module has that name.
     pub(super) fn prelude(&self, short: &str, full: &str, owner: &TypeName) -> String {
         let shadowed = TypeName { name: short.into(), ..owner.clone() };
         let is_shadowed = self.catalog.message(&shadowed).is_ok()

@@ -1,11 +1,11 @@
-//! Lists of all types, for code that must treat each.
+//! Lists of all types, for code that handles each of them.
 
 use super::RustSource;
 use downbeat_msgs_definitions::{Kind, TypeName};
 
 impl RustSource<'_> {
-    /// Modules that include the text of each [package](RustSource::package) from `<package>.rs` in the folder that
-    /// the environment variable `OUT_DIR` names at compile time.
+    /// Modules that include the text of each [package](RustSource::package) from `<package>.rs` in the folder
+    /// of the environment variable `OUT_DIR` at compile time.
     #[must_use]
     pub fn index(&self, packages: &[&str]) -> String {
         let mut source = String::new();
@@ -19,8 +19,9 @@ impl RustSource<'_> {
         source
     }
 
-    /// The macros `for_each_message`, `for_each_service` and `for_each_action`, and the constant `TYPE_NAMES`, over the
-    /// packages named. They belong at the root of a crate that has the packages at its root.
+    /// The macros `for_each_message`, `for_each_service` and `for_each_action`, and the constant
+    /// `TYPE_NAMES`, for the given packages. They must be at the root of a crate that has the packages at its
+    /// root.
     #[must_use]
     pub fn registry(&self, packages: &[&str]) -> String {
         let is_here = |name: &&TypeName| packages.contains(&name.package.as_str());
@@ -31,8 +32,8 @@ impl RustSource<'_> {
         let actions: Vec<&TypeName> =
             self.catalog.actions().map(|action| &action.name).filter(is_here).collect();
         let mut source =
-            self.for_each("message", "the messages of services and actions among them", &messages);
-        source.push_str(&self.for_each("service", "the services of actions among them", &services));
+            self.for_each("message", "including the messages of services and actions", &messages);
+        source.push_str(&self.for_each("service", "including the services of actions", &services));
         source.push_str(&self.for_each("action", "those that implement `Action`", &actions));
         source.push_str(
             "/// The name of every message type here, in order.\npub const TYPE_NAMES: &[&str] = &[\n",
@@ -44,12 +45,13 @@ impl RustSource<'_> {
         source
     }
 
-    /// The set `INTERFACES` of all messages, services and actions of the packages named. It belongs beside their modules.
+    /// The set `INTERFACES` of all messages, services and actions of the given packages. It must be next to
+    /// their modules.
     #[must_use]
     pub fn interface_set(&self, packages: &[&str]) -> String {
         let runtime = &self.modules.runtime;
         let is_here = |name: &&TypeName| packages.contains(&name.package.as_str());
-        // Messages of services come with these, messages and services of actions with those.
+        // Services include their messages, actions include their messages and services.
         let messages = self.catalog.messages().map(|message| &message.name).filter(is_here);
         let messages = messages.filter(|name| name.kind == Kind::Message).map(|name| ("Message", name));
         let services = self.catalog.services().map(|service| &service.name).filter(is_here);

@@ -1,4 +1,4 @@
-//! The type that stands for a service.
+//! The type of a service.
 
 use super::names::struct_name;
 use super::values::text_literal;
@@ -10,7 +10,7 @@ impl RustSource<'_> {
         let name = struct_name(&service.name);
         let definition = self.catalog.service_definition_text(&service.name)?;
         let mut source = docs::doc(&[], &service.name.to_string(), "");
-        // Without values: it is only ever named.
+        // Has no values: it is only named.
         source.push_str(&format!(
             "pub enum {name} {{}}\n\nimpl {}::Service for {name} {{\n",
             self.modules.runtime

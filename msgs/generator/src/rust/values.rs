@@ -1,4 +1,4 @@
-//! Constants, defaults and texts as Rust literals.
+//! Constants, defaults and strings as Rust literals.
 
 use downbeat_msgs_definitions::{Element, FieldType, Primitive, Shape, Value};
 
@@ -29,7 +29,7 @@ pub(super) fn constant(value: &Value, element: &Element) -> String {
     }
 }
 
-/// Whether the value is what the type's own default is anyway.
+/// Whether the value equals the type's own default.
 pub(super) fn is_zero(value: &Value) -> bool {
     match value {
         Value::Bool(value) => !value,
@@ -49,7 +49,7 @@ pub(super) fn zero(primitive: Primitive) -> &'static str {
     }
 }
 
-/// A string literal that shows the text as it is: raw, unless a carriage return forbids that.
+/// A string literal of the text: raw, unless it contains a carriage return.
 pub(super) fn text_literal(text: &str) -> String {
     if text.contains('\r') || !text.contains('\n') {
         return format!("{text:?}");
@@ -61,7 +61,7 @@ pub(super) fn text_literal(text: &str) -> String {
     format!("r{hashes}\"{text}\"{hashes}")
 }
 
-/// If the line begins a raw string that goes on below, the end that string will have.
+/// If the line starts a raw string of several lines, the end of that string.
 pub(super) fn opens_raw_string(line: &str) -> Option<String> {
     let literal = line.trim_start().strip_prefix("const DEFINITION: &'static str = r")?;
     let hashes = &literal[..literal.len() - literal.trim_start_matches('#').len()];

@@ -9,7 +9,7 @@ impl RustSource<'_> {
     /// The module with the views of messages of one kind and package.
     pub(super) fn views(&self, messages: &[&MessageDefinition]) -> Result<String, Error> {
         let mut source = String::from(
-            "/// The messages that hold strings or sequences, as views: these borrow from the bytes that are read.\n\
+            "/// Views of the messages that contain strings or sequences: they borrow from the input.\n\
              pub mod view {\n",
         );
         source.push_str(&format!("    use {}::cdr;\n", self.modules.runtime));
@@ -24,7 +24,7 @@ impl RustSource<'_> {
         Ok(if is_empty { String::new() } else { source })
     }
 
-    /// The view of a message; `None` if nothing in it could be borrowed.
+    /// The view of a message; `None` if it has nothing to borrow.
     fn view(&self, message: &MessageDefinition) -> Result<Option<String>, Error> {
         if !self.is_borrowing(message)? {
             return Ok(None);
@@ -78,7 +78,7 @@ impl RustSource<'_> {
         })
     }
 
-    /// Whether a message holds a string or sequence, itself or in a message within.
+    /// Whether a message contains a string or sequence, directly or in a nested message.
     pub(super) fn is_borrowing(&self, message: &MessageDefinition) -> Result<bool, Error> {
         let has_none = self.every_element(message, &|element, shape| {
             matches!(element, Element::Primitive(_) | Element::Message(_))
@@ -107,14 +107,14 @@ impl RustSource<'_> {
         }
     }
 
-    /// The path of an owned message from within the module of views.
+    /// The path of an owned message from the module of views.
     fn owned_path(&self, name: &TypeName, owner: &TypeName) -> String {
         let path = self.type_path(name, owner);
         if name.package == owner.package { format!("super::{path}") } else { from_view(path) }
     }
 }
 
-/// A path, from the module of views: if it is relative, it is so to the module with the messages, one further out.
+/// Converts a path relative to the module of the messages into one from its submodule of views.
 fn from_view(path: String) -> String {
     if path.starts_with("super::") { format!("super::{path}") } else { path }
 }

@@ -1,4 +1,4 @@
-//! Definitions in the files that ROS 2 packages install.
+//! Definitions in the files of installed ROS 2 packages.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -8,10 +8,11 @@ use downbeat_msgs_definitions::{Catalog, Error, Kind, TypeName};
 
 use super::{DefinitionSource, Found};
 
-/// No definition is larger; a file that is, is something else.
+/// No definition is larger than this; a larger file is something else.
 const LARGEST_FILE: u64 = 16 << 20;
 
-/// Ament prefixes: `/opt/ros/jazzy`, `install/my_msgs`. The first one that has the file of a type is taken, as by ROS 2.
+/// Ament prefixes: `/opt/ros/jazzy`, `install/my_msgs`. The first one that contains the file of a type is
+/// used, as in ROS 2.
 #[derive(Clone, Debug)]
 pub struct AmentPrefixPath {
     name: String,
@@ -19,7 +20,7 @@ pub struct AmentPrefixPath {
 }
 
 impl AmentPrefixPath {
-    /// These prefixes, each with a folder `share` of packages.
+    /// Searches these prefixes, each with a folder `share` of packages.
     #[must_use]
     pub fn new(prefixes: impl IntoIterator<Item = PathBuf>) -> Self {
         Self { name: "the ament prefixes".into(), prefixes: prefixes.into_iter().collect() }
@@ -40,10 +41,10 @@ impl DefinitionSource for AmentPrefixPath {
     }
 
     fn find(&self, name: &TypeName) -> Result<Found<'_>, Error> {
-        // The name becomes a path: nothing but a name may.
+        // The name becomes a path, so it must be a valid name.
         let name: TypeName = name.to_string().parse()?;
         let kind = name.kind.as_str();
-        // A message of a service or an action is in the file of that.
+        // A message of a service or an action is defined in the file of the latter.
         let stem = match name.kind {
             Kind::Message => name.name.as_str(),
             _ => name.name.split('_').next().unwrap_or_default(),
@@ -58,7 +59,7 @@ impl DefinitionSource for AmentPrefixPath {
             }
         }
         Ok(Found::Nothing(match self.prefixes.as_slice() {
-            [] => "it is empty, as where no workspace is sourced".into(),
+            [] => "it is empty: no workspace is sourced".into(),
             prefixes => {
                 let folders: Vec<String> =
                     prefixes.iter().map(|prefix| prefix.display().to_string()).collect();
@@ -86,12 +87,12 @@ fn definition(
         (_, Kind::Service) => catalog.add_service(whole, text, &origin)?,
         (_, Kind::Action) => catalog.add_action(whole, text, &origin)?,
     }
-    // The file may define something else, or no such part.
+    // The file may define something else, or lack the part.
     catalog.message(name)?;
     Ok(Found::Alone(Box::new(catalog)))
 }
 
-/// The text of a file; none if there is no such file.
+/// The text of a file; `None` if there is no such file.
 fn read(file: &Path) -> Result<Option<String>, Error> {
     let failed = |source| Error::Read { path: file.into(), source };
     let open = match File::open(file) {

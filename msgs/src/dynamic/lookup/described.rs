@@ -1,4 +1,4 @@
-//! Definitions from what nodes answer to `get_type_description`.
+//! Definitions from replies to `get_type_description`.
 
 use std::collections::BTreeMap;
 
@@ -28,7 +28,7 @@ use crate::type_description_interfaces::msg;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
-/// Descriptions have no constants; their defaults are not read.
+/// Descriptions have no constants; their defaults are ignored.
 #[derive(Clone, Debug, Default)]
 pub struct DescribedTypes {
     description: String,
@@ -36,17 +36,17 @@ pub struct DescribedTypes {
 }
 
 impl DescribedTypes {
-    /// No types yet; `description` names the node in errors.
+    /// Starts without types; `description` names the node in errors.
     #[must_use]
     pub fn new(description: &str) -> Self {
         Self { description: description.into(), catalogs: BTreeMap::new() }
     }
 
-    /// Adds a type as a node describes it. `announced` is the RIHS01 hash of the type that is wanted, as the endpoint of
-    /// the topic announces it, or as was sent with the request.
+    /// Adds a type described by a node. `announced` is the RIHS01 hash of the requested type, as announced by
+    /// the endpoint of the topic or sent in the request.
     ///
     /// # Errors
-    /// If the description is none, or that of a type with another hash.
+    /// If the description is invalid, or its hash differs.
     pub fn add(&mut self, description: &msg::TypeDescription, announced: &str) -> Result<(), TypeError> {
         let described = TypeDescription::from(description);
         let found = described.hash();
@@ -73,7 +73,7 @@ impl DefinitionSource for DescribedTypes {
 }
 
 impl From<&msg::TypeDescription> for TypeDescription {
-    /// Without default values, which are no part of a type's hash.
+    /// Without default values, which are not part of a type's hash.
     fn from(message: &msg::TypeDescription) -> Self {
         Self {
             type_description: individual(&message.type_description),
@@ -87,7 +87,7 @@ impl From<&msg::TypeDescription> for TypeDescription {
 }
 
 impl From<&TypeDescription> for msg::TypeDescription {
-    /// What a node answers; default values stay empty.
+    /// A node's reply; default values are empty.
     fn from(description: &TypeDescription) -> Self {
         let referenced = description.referenced_type_descriptions.iter();
         Self {

@@ -17,7 +17,7 @@ pub use ament::AmentPrefixPath;
 pub use described::DescribedTypes;
 pub use schemas::Schemas;
 
-/// Places in which definitions are looked up, one after another: in the order in which they were added.
+/// Sources of definitions, searched in the order in which they were added.
 ///
 /// ```
 /// use downbeat_msgs::dynamic::{Definitions, Schemas};
@@ -31,19 +31,19 @@ pub use schemas::Schemas;
 /// assert_eq!(
 ///     definitions.find("legs/msg/Knee").unwrap_err().to_string(),
 ///     "found no definition of legs/msg/Knee. Looked in walk.mcap: it has legs/msg/Leg of that package; in the \
-///      interfaces carried: they have nothing of that package"
+///      built-in interfaces: they have nothing of that package"
 /// );
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
-/// What a definition refers to is looked up in the same order, but for sources that have definitions with all that they
-/// refer to, as a bag has: there all comes from one place, whatever the others say.
+/// References are resolved in the same order, except in sources whose definitions are complete, such as bags:
+/// then all referenced definitions come from that source.
 #[derive(Default)]
 pub struct Definitions {
     sources: Vec<Box<dyn DefinitionSource>>,
 }
 
-/// A type, and what is kept of it beside messages.
+/// A type, with the definition text and hash that bags store.
 #[derive(Clone, Debug)]
 pub struct TypeDefinition {
     /// The type.
@@ -54,26 +54,26 @@ pub struct TypeDefinition {
     pub hash: String,
 }
 
-/// Where definitions can be found.
+/// A source of definitions.
 pub trait DefinitionSource: Send + Sync {
-    /// What to call it in an error: `walk.mcap`.
+    /// Its name in errors: `walk.mcap`.
     fn description(&self) -> String;
 
     /// Looks up one type.
     ///
     /// # Errors
-    /// If there is a definition but it cannot be read. Then no other source is asked.
+    /// If there is a definition but it cannot be read. Then no other source is searched.
     fn find(&self, name: &TypeName) -> Result<Found<'_>, DefinitionError>;
 }
 
-/// What a [`DefinitionSource`] has.
+/// The result of searching a [`DefinitionSource`].
 #[derive(Debug)]
 pub enum Found<'a> {
-    /// The definition and all that it refers to.
+    /// The definition and all definitions it refers to.
     Complete(&'a Catalog),
     /// The definition alone, or the service or action the message belongs to.
     Alone(Box<Catalog>),
-    /// None, and what there is instead, as the end of a sentence.
+    /// Nothing; the text describes what the source has instead, as the end of a sentence.
     Nothing(String),
 }
 
@@ -86,9 +86,9 @@ pub enum LookupError {
     NotFound {
         /// The type that was not found.
         name: Box<TypeName>,
-        /// The message that has a field of it, if it is not the type that was asked for.
+        /// The message with a field of this type, if it is not the requested type.
         owner: Option<Box<TypeName>>,
-        /// Where it was looked for, and what is there.
+        /// The searched sources and what they contain.
         looked: Vec<String>,
     },
     /// A source has it, but it cannot be used.
@@ -96,53 +96,55 @@ pub enum LookupError {
     Unusable {
         /// The type.
         name: Box<TypeName>,
-        /// Where it is.
+        /// The source.
         place: String,
-        /// Why not.
+        /// The reason.
         problem: Box<TypeError>,
     },
-    /// The name is none.
+    /// The name is invalid.
     #[error(transparent)]
     Name(Box<DefinitionError>),
 }
 
 impl Definitions {
-    /// No places yet.
+    /// Starts without sources.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// The interfaces this crate carries, then those installed below the prefixes in `AMENT_PREFIX_PATH`.
+    /// Searches the interfaces built into this crate, then those installed below the prefixes in
+    /// `AMENT_PREFIX_PATH`.
     #[must_use]
     pub fn from_environment() -> Self {
         Self::new().with_carried().with(AmentPrefixPath::from_environment())
     }
 
-    /// Adds a place, to be asked when those before it do not have a type.
+    /// Adds a source, which is searched if those before it do not have a type.
     #[must_use]
     pub fn with(mut self, source: impl DefinitionSource + 'static) -> Self {
         self.sources.push(Box::new(source));
         self
     }
 
-    /// Adds the interfaces this crate carries.
+    /// Adds the interfaces built into this crate.
     #[must_use]
     pub fn with_carried(self) -> Self {
         self.with(Carried)
     }
 
-    /// The type of that name: a message, be it one that belongs to a service or an action. Keep it: looking up again
-    /// compiles again.
+    /// Returns the type of that name: a message, possibly one of a service or an action. Keep it: each lookup
+    /// compiles the type again.
     ///
     /// # Errors
-    /// If no place has it or something it refers to; the error says what was found where. Or if it cannot be used.
+    /// If no source has it or a type it refers to; the error lists what was found where. Also if it cannot be
+    /// used.
     pub fn find(&self, name: &str) -> Result<DynamicType, LookupError> {
         let (name, place, catalog) = self.gather(name)?;
         DynamicType::new(&catalog, &name).map_err(|problem| unusable(&name, &place, problem))
     }
 
-    /// The definition text of the type of that name, as a bag holds it, and its RIHS01 hash.
+    /// The definition text of the type of that name, as stored in bags, and its RIHS01 hash.
     ///
     /// ```
     /// use downbeat_msgs::Message;
@@ -155,7 +157,7 @@ impl Definitions {
     /// ```
     ///
     /// # Errors
-    /// As those of [`Definitions::find`].
+    /// See [`Definitions::find`].
     pub fn find_text(&self, name: &str) -> Result<(String, String), LookupError> {
         let (name, place, catalog) = self.gather(name)?;
         let unusable = |problem: DefinitionError| unusable(&name, &place, problem.into());
@@ -163,17 +165,17 @@ impl Definitions {
         Ok((text, catalog.type_description(&name).map_err(unusable)?.hash()))
     }
 
-    /// The type of that name with the text that a bag has of it and its hash.
+    /// The type of that name with its definition text as stored in bags and its hash.
     ///
     /// # Errors
-    /// As those of [`Definitions::find`].
+    /// See [`Definitions::find`].
     pub fn describe(&self, name: &str) -> Result<TypeDefinition, LookupError> {
         let message_type = self.find(name)?;
         let (text, hash) = self.find_text(name)?;
         Ok(TypeDefinition { message_type, text, hash })
     }
 
-    /// A catalog that has the type and all it refers to, and where the type was found.
+    /// Returns a catalog with the type and all types it refers to, and the source of the type.
     fn gather(&self, name: &str) -> Result<(TypeName, String, Cow<'_, Catalog>), LookupError> {
         let name: TypeName = name.parse().map_err(|error| LookupError::Name(Box::new(error)))?;
         let mut gathered = Catalog::new();
@@ -216,7 +218,7 @@ impl Definitions {
         Ok((name, first_place, Cow::Owned(gathered)))
     }
 
-    /// What the first source that has the type has, and what the source is called.
+    /// Returns the result of the first source that has the type, and the name of the source.
     fn ask(&self, name: &TypeName, owner: Option<TypeName>) -> Result<(String, Found<'_>), LookupError> {
         let mut looked = Vec::new();
         for source in &self.sources {
@@ -231,7 +233,7 @@ impl Definitions {
             }
         }
         if looked.is_empty() {
-            looked.push("nowhere: no place to look in was given".into());
+            looked.push("nowhere: there are no sources".into());
         }
         Err(LookupError::NotFound { name: Box::new(name.clone()), owner: owner.map(Box::new), looked })
     }
@@ -243,12 +245,12 @@ impl fmt::Debug for Definitions {
     }
 }
 
-/// The interfaces this crate carries.
+/// The interfaces built into this crate.
 struct Carried;
 
 impl DefinitionSource for Carried {
     fn description(&self) -> String {
-        "the interfaces carried".into()
+        "the built-in interfaces".into()
     }
 
     fn find(&self, name: &TypeName) -> Result<Found<'_>, DefinitionError> {
@@ -259,7 +261,7 @@ impl DefinitionSource for Carried {
     }
 }
 
-/// What a source finds that has definitions with all that they refer to: its own of that name, or one that refers to it.
+/// Searches complete definitions: the one of that name, or one that refers to it.
 fn find_complete<'a>(catalogs: &'a BTreeMap<TypeName, Catalog>, name: &TypeName, subject: &str) -> Found<'a> {
     let own = catalogs.get(name).into_iter();
     match own.chain(catalogs.values()).find(|catalog| catalog.message(name).is_ok()) {
@@ -268,7 +270,7 @@ fn find_complete<'a>(catalogs: &'a BTreeMap<TypeName, Catalog>, name: &TypeName,
     }
 }
 
-/// What there is of the package of a type that is not there.
+/// Describes what is known of the package of a missing type.
 fn instead<'a>(subject: &str, catalogs: impl Iterator<Item = &'a Catalog>, name: &TypeName) -> String {
     let names: BTreeSet<&TypeName> = catalogs
         .flat_map(Catalog::messages)
@@ -290,5 +292,5 @@ fn unusable(name: &TypeName, place: &str, problem: TypeError) -> LookupError {
 }
 
 fn needed_by(owner: Option<&TypeName>) -> String {
-    owner.map_or_else(String::new, |owner| format!(", which {owner} has a field of"))
+    owner.map_or_else(String::new, |owner| format!(", the type of a field of {owner}"))
 }

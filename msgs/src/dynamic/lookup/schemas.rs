@@ -7,9 +7,10 @@ use downbeat_msgs_definitions::{Catalog, Error, TypeName};
 use super::{DefinitionSource, Found, find_complete};
 use crate::dynamic::layout::catalog_of;
 
-/// The schemas of a bag, or of another place that has definition texts with all that they refer to.
+/// The schemas of a bag, or of another source of complete definition texts.
 ///
-/// Each schema stands for itself: a bag may have been merged from bags in which the same message was defined differently.
+/// Schemas are independent of each other: a bag may have been merged from bags with different definitions of
+/// the same message.
 #[derive(Clone, Debug, Default)]
 pub struct Schemas {
     description: String,
@@ -17,17 +18,17 @@ pub struct Schemas {
 }
 
 impl Schemas {
-    /// No schemas yet; `description` names their place in errors.
+    /// Starts without schemas; `description` names their source in errors.
     #[must_use]
     pub fn new(description: &str) -> Self {
         Self { description: description.into(), catalogs: BTreeMap::new() }
     }
 
-    /// Adds the definition text of a type; `encoding` is `ros2msg` or `ros2idl`, or what the schema of a service's events has:
-    /// `unknown`. It takes the place of one there was.
+    /// Adds the definition text of a type; `encoding` is `ros2msg` or `ros2idl`, or `unknown` for the schema
+    /// of a service's events. It replaces an existing one.
     ///
     /// # Errors
-    /// If the name, the encoding or the text is none.
+    /// If the name, the encoding or the text is invalid.
     pub fn add(&mut self, name: &str, encoding: &str, text: &str) -> Result<(), Error> {
         let name: TypeName = name.parse()?;
         let catalog = catalog_of(&name, encoding, text, &format!("{}, {name}", self.description))?;

@@ -1,7 +1,8 @@
-//! Filling a message from a serde format that describes itself: JSON, YAML, CBOR.
+//! Fills a message from a self-describing serde format: JSON, YAML, CBOR.
 //!
 //! # References
-//! `ros2/rosidl_runtime_py` branch jazzy, `rosidl_runtime_py/set_message.py`: what is taken for which field.
+//! `ros2/rosidl_runtime_py` branch jazzy, `rosidl_runtime_py/set_message.py`: which values are accepted for
+//! which field.
 
 use std::cell::{Cell, RefCell};
 use std::fmt;
@@ -17,27 +18,28 @@ use crate::dynamic::message::field_of;
 use crate::dynamic::value::Messages;
 use crate::dynamic::{Array, FieldError, FieldProblem, Value, ValueRef};
 
-/// Bytes of memory of the messages in sequences, at most: a few characters can stand for a message with long fixed arrays.
+/// Maximum memory in bytes of the messages in sequences: a few characters can represent a message with long
+/// fixed arrays.
 const MOST_MEMORY: u64 = 256 << 20;
 
-/// What goes on while a message is filled.
+/// State while a message is filled.
 pub(super) struct State<'a> {
     pub type_name: &'a TypeName,
-    /// The paths of the times that are to be set when the message is sent.
+    /// The paths of the times to set when the message is sent.
     pub stamps: RefCell<Vec<String>>,
-    /// What is wrong, where the error of the format has only its text.
+    /// The structured error, if the format's error only has its text.
     pub error: RefCell<Option<FieldError>>,
     pub memory: Cell<u64>,
 }
 
-/// What is to be filled.
+/// The value to fill.
 pub(super) struct Fill<'a> {
     pub place: Place<'a>,
     pub trail: &'a Trail<'a>,
     pub state: &'a State<'a>,
 }
 
-/// The way from the message to a field in it.
+/// The path from the message to a field in it.
 pub(super) enum Trail<'a> {
     Root,
     Field(&'a Trail<'a>, &'a str),
@@ -60,7 +62,7 @@ impl<'de> DeserializeSeed<'de> for Fill<'_> {
 
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
         match self.text_wanted() {
-            // In YAML also what looks like a number, as it is written.
+            // In YAML this includes text that looks like a number, unchanged.
             true => deserializer.deserialize_str(self),
             false => deserializer.deserialize_any(self),
         }
@@ -107,7 +109,7 @@ impl<'de> Visitor<'de> for Fill<'_> {
         self.scalar(Value::String(text.into()))
     }
 
-    /// JSON has no NaN: serde writes nothing instead.
+    /// JSON has no NaN: serde writes null instead.
     fn visit_unit<E: Error>(self) -> Result<(), E> {
         if let Some(Element::Primitive(Primitive::Float32 | Primitive::Float64)) = self.element() {
             return self.scalar(Value::Float64(f64::NAN));
@@ -156,7 +158,7 @@ impl<'de> Visitor<'de> for Fill<'_> {
         loop {
             let trail = Trail::Element(trail, count);
             if count == most {
-                // No place for another one; there may be none.
+                // The array is full; check that no element follows.
                 if elements.next_element::<IgnoredAny>()?.is_some() {
                     let problem = fit::check_count(field.field_type.shape, count + 1);
                     return Err(fail(
@@ -205,7 +207,7 @@ impl Fill<'_> {
         place.set(value).map_err(|problem| fail(state, trail, problem))
     }
 
-    /// The type of the one value that is wanted; `None` for messages and arrays.
+    /// The type of a single value; `None` for messages and arrays.
     fn element(&self) -> Option<&Element> {
         match &self.place {
             Place::Slot { field, .. } if field.field_type.shape == Shape::Single => {
@@ -244,7 +246,7 @@ fn fail<E: Error>(state: &State<'_>, trail: &Trail<'_>, problem: FieldProblem) -
     shown
 }
 
-/// Texts for numbers and truth values, as YAML 1.1 and Python read them.
+/// Parses strings as numbers and booleans like YAML 1.1 and Python.
 fn lenient(element: &Element, value: Value) -> Value {
     let Element::Primitive(primitive) = element else { return value };
     let is_float = matches!(primitive, Primitive::Float32 | Primitive::Float64);
@@ -254,7 +256,7 @@ fn lenient(element: &Element, value: Value) -> Value {
             Some(number @ (0 | 1)) => Some(Value::Bool(number == 1)),
             _ => None,
         },
-        // As `ros2 topic echo` shows it.
+        // The format of `ros2 topic echo`.
         (Primitive::Byte, Value::String(text)) => {
             let mut characters = text.chars();
             match (characters.next().map(u8::try_from), characters.next()) {

@@ -1,16 +1,16 @@
-//! Plain scalars that YAML 1.1 reads as other than a string.
+//! Plain scalars that YAML 1.1 does not read as strings.
 //!
 //! # References
 //! PyYAML 6.0.3, `yaml/resolver.py`.
 
-/// Whether a plain scalar is read as a truth value, a number, nothing, a date, a merge key or a value key.
+/// Whether a plain scalar is read as a boolean, a number, null, a date, a merge key or a value key.
 pub(super) fn is_read_as_other(text: &str) -> bool {
     let is_word =
         matches!(text, "" | "~" | "null" | "Null" | "NULL" | "<<" | "=") || truth_value(text).is_some();
     is_word || is_float(text) || is_integer(text) || is_timestamp(text)
 }
 
-/// The truth value that a word stands for.
+/// Parses a boolean.
 pub(super) fn truth_value(text: &str) -> Option<bool> {
     match text {
         "yes" | "Yes" | "YES" | "true" | "True" | "TRUE" | "on" | "On" | "ON" => Some(true),
@@ -19,8 +19,8 @@ pub(super) fn truth_value(text: &str) -> Option<bool> {
     }
 }
 
-/// The integer that a text stands for: decimal, `0x`, `0b`, octal with a leading zero, all with `_` anywhere behind the
-/// first digit. Base 60 (`1:30`) is left out.
+/// Parses an integer: decimal, `0x`, `0b`, octal with a leading zero, with `_` anywhere after the first
+/// digit. Base 60 (`1:30`) is not supported.
 pub(super) fn integer(text: &str) -> Option<i128> {
     if !is_integer(text) {
         return None;
@@ -86,13 +86,13 @@ fn is_float(text: &str) -> bool {
     }
 }
 
-/// Nothing, or `e+5` and the like, with its sign.
+/// Empty, or an exponent such as `e+5`, with its sign.
 fn is_exponent(text: &str) -> bool {
     let Some(rest) = text.strip_prefix(['e', 'E']) else { return text.is_empty() };
     rest.strip_prefix(['+', '-']).is_some_and(is_digits)
 }
 
-/// Any number of `:59`.
+/// Any number of parts such as `:59`.
 fn are_sixtieths(text: &str) -> bool {
     match text.strip_prefix(':') {
         None => text.is_empty(),
@@ -134,7 +134,7 @@ fn is_timestamp(text: &str) -> bool {
     is_short(day) && is_clock && is_zone(rest)
 }
 
-/// Nothing, or ` Z`, `+1`, `-05:30`.
+/// Empty, or ` Z`, `+1`, `-05:30`.
 fn is_zone(text: &str) -> bool {
     if text.is_empty() {
         return true;
@@ -163,7 +163,7 @@ mod tests {
     use super::{integer, is_read_as_other};
 
     #[test]
-    fn what_is_read_as_other_is_known() {
+    fn scalars_that_are_not_strings_are_recognised() {
         for text in [
             "yes",
             "OFF",

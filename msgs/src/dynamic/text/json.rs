@@ -4,29 +4,30 @@ use super::{Stamps, TextError, without_stamps};
 use crate::dynamic::{DynamicMessage, DynamicType};
 
 impl DynamicMessage {
-    /// The message as JSON, on one line, with the names and values that serde gives the struct of the same definition.
-    /// What is not finite becomes `null`.
+    /// The message as JSON, on one line, with the names and values with which serde writes the struct of the
+    /// same definition. Numbers that are not finite become `null`.
     #[must_use]
     pub fn to_json(&self) -> String {
-        // Keys are strings and nothing else can fail.
+        // Keys are strings, so this cannot fail.
         serde_json::to_string(self).unwrap_or_default()
     }
 
-    /// A message from JSON: fields that are not named keep their defaults.
+    /// Parses a message from JSON: missing fields keep their defaults.
     ///
     /// # Errors
-    /// As [`DynamicMessage::fill_json`]. Also if the text leaves times to the sender: there is no time to give them here.
+    /// See [`DynamicMessage::fill_json`]. Also if the text asks for the time of sending, which is not known
+    /// here.
     pub fn from_json(of: &DynamicType, json: &str) -> Result<Self, TextError> {
         let mut message = Self::new(of);
         let stamps = message.fill_json(json)?;
         without_stamps(&stamps, "JSON").map(|()| message)
     }
 
-    /// Changes the fields that the JSON names. `null` is NaN where a number is wanted. Else as
+    /// Sets the fields in the JSON text. `null` is NaN for a number. Otherwise like
     /// [`DynamicMessage::fill_yaml`].
     ///
     /// # Errors
-    /// As [`DynamicMessage::fill_yaml`].
+    /// See [`DynamicMessage::fill_yaml`].
     pub fn fill_json(&mut self, json: &str) -> Result<Stamps, TextError> {
         let mut filled = self.clone();
         let mut deserializer = serde_json::Deserializer::from_str(json);

@@ -1,4 +1,4 @@
-//! Messages as text: YAML as the command line of ROS 2 has it, JSON, and any other format of serde.
+//! Messages as text: YAML as on the command line of ROS 2, JSON, and other serde formats.
 
 mod fill;
 mod implicit;
@@ -24,58 +24,61 @@ pub use scalar::{Context as YamlContext, write_float as write_yaml_float, write_
 pub use stamps::Stamps;
 pub use yaml::YamlStyle;
 
-/// A text is not the message it was read as.
+/// A text is not a message of the expected type.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("cannot read this {format}{}: {problem}", at(*line, *column))]
 pub struct TextError {
     /// YAML or JSON.
     pub format: &'static str,
-    /// Counted from 1; 0 where it is not known.
+    /// Counted from 1; 0 if unknown.
     pub line: usize,
-    /// Counted from 1; 0 where it is not known.
+    /// Counted from 1; 0 if unknown.
     pub column: usize,
-    /// What is wrong.
+    /// The problem.
     pub problem: TextProblem,
 }
 
-/// What is wrong with a text.
+/// The problem with a text.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TextProblem {
-    /// A field is not there, or cannot have that value.
+    /// There is no such field, or it cannot have that value.
     #[error("{0}")]
     Field(Box<FieldError>),
-    /// It is not of that format, or not of the form of a message.
+    /// The text has invalid syntax, or not the structure of a message.
     #[error("{0}")]
     Form(String),
 }
 
 impl DynamicMessage {
-    /// The message as `ros2 topic echo` prints it, without the line `---` behind it: the same bytes.
+    /// Formats the message like `ros2 topic echo`, byte for byte, without the final line `---`.
     #[must_use]
     pub fn to_yaml(&self, style: &YamlStyle) -> String {
         self.as_message().to_yaml(style)
     }
 
-    /// A message from YAML, as `ros2 topic pub` takes it: fields that are not named keep their defaults.
+    /// Parses a message from YAML, like `ros2 topic pub`: missing fields keep their defaults.
     ///
     /// # Errors
-    /// As [`DynamicMessage::fill_yaml`]. Also if the text leaves times to the sender: there is no time to give them here.
+    /// See [`DynamicMessage::fill_yaml`]. Also if the text asks for the time of sending, which is not known
+    /// here.
     pub fn from_yaml(of: &DynamicType, yaml: &str) -> Result<Self, TextError> {
         let mut message = Self::new(of);
         let stamps = message.fill_yaml(yaml)?;
         without_stamps(&stamps, "YAML").map(|()| message)
     }
 
-    /// Changes the fields that the YAML names, as `ros2 topic pub` does. Gives the times that the text leaves to the
-    /// sender by `header: auto` or `stamp: now`.
+    /// Sets the fields in the YAML text, like `ros2 topic pub`. Returns the times that the text asks the
+    /// sender to set, with `header: auto` or `stamp: now`.
     ///
-    /// A string takes what is written, quoted or not: `data: 010` is `010`, where `ros2 topic pub` reads a number first
-    /// and takes its digits, `8`. Numbers and truth values are read as in YAML 1.1 (`yes`, `0b11`, `1_000`). A `byte` is
-    /// a number, or a character as `ros2 topic echo` shows it. An integer does not take `1.5`, which rclpy would cut off.
+    /// A string is the text as written, quoted or not: `data: 010` is `010`, where `ros2 topic pub` parses a
+    /// number first and uses its digits, `8`. Numbers and booleans are read as in YAML 1.1 (`yes`, `0b11`,
+    /// `1_000`). A `byte` is a number, or a character as printed by `ros2 topic echo`. An integer does not
+    /// accept `1.5`, which rclpy truncates.
     ///
     /// # Errors
-    /// If the text is no YAML mapping, or a field is not there or cannot have its value. The message is unchanged then.
+    /// If the text is not a YAML mapping, or there is no such field or it cannot have the value. The message
+    /// is then unchanged.
     pub fn fill_yaml(&mut self, yaml: &str) -> Result<Stamps, TextError> {
         let told = |error: &serde_norway::Error, field| {
             let (line, column) = error.location().map_or((0, 0), |place| (place.line(), place.column()));
@@ -85,10 +88,11 @@ impl DynamicMessage {
         self.fill_from(yaml).map_err(|(error, field)| told(&error, field))
     }
 
-    /// Changes the fields that the input names, in any format of serde that describes itself.
+    /// Sets the fields in the input, in any self-describing serde format.
     ///
     /// # Errors
-    /// If the input is no map, or a field is not there or cannot have its value. The message is unchanged then.
+    /// If the input is not a map, or there is no such field or it cannot have the value. The message is then
+    /// unchanged.
     pub fn fill<'de, D: Deserializer<'de>>(&mut self, deserializer: D) -> Result<Stamps, D::Error> {
         self.fill_from(deserializer).map_err(|(error, _)| error)
     }
@@ -118,7 +122,7 @@ impl DynamicMessage {
 }
 
 impl TextError {
-    /// `field` says more than the error of the format, if it is there.
+    /// `field`, if present, has more detail than the error of the format.
     fn new(
         format: &'static str,
         line: usize,
@@ -135,7 +139,7 @@ impl TextError {
 }
 
 impl MessageRef<'_> {
-    /// As [`DynamicMessage::to_yaml`].
+    /// See [`DynamicMessage::to_yaml`].
     #[must_use]
     pub fn to_yaml(self, style: &YamlStyle) -> String {
         yaml::to_yaml(self, style)
@@ -146,13 +150,13 @@ fn without_stamps(stamps: &Stamps, format: &'static str) -> Result<(), TextError
     match stamps.paths().next() {
         None => Ok(()),
         Some(path) => {
-            let problem = TextProblem::Form(format!("`{path}` is left to the sender, give it a time"));
+            let problem = TextProblem::Form(format!("`{path}` is to be set by the sender: give it a time"));
             Err(TextError { format, line: 0, column: 0, problem })
         }
     }
 }
 
-/// The text of an error of a format, whose place is told apart from it.
+/// Removes the position from the text of an error, since it is reported separately.
 fn without_place(text: &str) -> String {
     text.rfind(" at line ").map_or(text, |place| &text[..place]).to_owned()
 }

@@ -1,4 +1,4 @@
-//! Arrays of numbers as NumPy prints them, which rclpy holds fixed arrays in.
+//! Arrays of numbers as printed by NumPy, in which rclpy stores fixed arrays.
 //!
 //! # References
 //! `numpy/_core/arrayprint.py` of NumPy 2 (`FloatingFormat`, `IntegerFormat`, `_formatArray`, `_array_repr_implementation`), with
@@ -14,7 +14,7 @@ const EDGE_ITEMS: usize = 3;
 /// `repr(array)`
 pub(super) fn to_repr(array: &Array) -> String {
     const PREFIX: &str = "array(";
-    // The name of a type that literals do not have.
+    // The dtype, unless it is the default of literals.
     let of_type = match array {
         Array::Float64(_) | Array::Int64(_) if !array.is_empty() => None,
         Array::Float64(_) => Some("float64"),
@@ -73,7 +73,7 @@ fn listed(array: &Array, separator: &str, indentation: usize, columns: usize) ->
     format!("[{}]", &text[hanging.len()..])
 }
 
-/// The numbers, all of one width.
+/// The numbers, padded to the same width.
 fn words(values: &[ValueRef<'_>]) -> Vec<String> {
     let is_float = matches!(values.first(), Some(ValueRef::Float32(_) | ValueRef::Float64(_)));
     if is_float {
@@ -120,10 +120,10 @@ fn right_aligned(texts: Vec<String>) -> Vec<String> {
 
 /// The characters of a number.
 struct Number {
-    /// With the sign; of what is not finite the whole word.
+    /// With the sign; the whole word if not finite.
     whole: String,
     fraction: String,
-    /// With its sign, empty where there is none.
+    /// With its sign, or empty.
     exponent: String,
     is_finite: bool,
 }
@@ -185,7 +185,7 @@ mod tests {
 
     /// What NumPy 2.4.6 prints.
     #[test]
-    fn arrays_are_printed_as_by_numpy() {
+    fn arrays_are_printed_as_in_numpy() {
         let cases: [(Array, &str, &str); 10] = [
             (vec![0.0; 3].into(), "array([0., 0., 0.])", "[0. 0. 0.]"),
             (vec![0.0, 9.81, 0.1].into(), "array([0.  , 9.81, 0.1 ])", "[0.   9.81 0.1 ]"),

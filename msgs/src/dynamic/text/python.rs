@@ -1,8 +1,9 @@
 //! Messages as rclpy shows them: `repr(message)`, `str(value)` and the lines of `ros2 topic echo --csv`.
 //!
 //! # References
-//! `rosidl_generator_py/resource/_msg.py.em` (`__repr__`) and `rosidl_runtime_py/convert.py` (`message_to_csv`), branch
-//! jazzy; `Objects/unicodeobject.c` and `Objects/bytesobject.c` of CPython (how texts are quoted).
+//! `rosidl_generator_py/resource/_msg.py.em` (`__repr__`) and `rosidl_runtime_py/convert.py`
+//! (`message_to_csv`), branch jazzy; `Objects/unicodeobject.c` and `Objects/bytesobject.c` of CPython (how
+//! strings are quoted).
 
 use std::fmt::Write;
 
@@ -13,7 +14,7 @@ use super::yaml::{YamlStyle, abbreviation};
 use crate::dynamic::{Array, MessageRef, ValueRef};
 
 impl MessageRef<'_> {
-    /// The message as `repr` shows it in Python, and with it `ros2 topic pub` and `ros2 service call`.
+    /// The message as formatted by `repr` in Python, and so by `ros2 topic pub` and `ros2 service call`.
     ///
     /// ```
     /// use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
@@ -34,9 +35,9 @@ impl MessageRef<'_> {
         out
     }
 
-    /// The message as a line of `ros2 topic echo --csv`, without its line break. `flow_style` has no meaning here.
+    /// The message as a line of `ros2 topic echo --csv`, without its line break. `flow_style` is ignored.
     ///
-    /// Strings are neither quoted nor is a comma in them marked, as there.
+    /// As there, strings are not quoted, and commas in them are not escaped.
     #[must_use]
     pub fn to_csv(self, style: &YamlStyle) -> String {
         let mut cells = Vec::new();
@@ -46,8 +47,8 @@ impl MessageRef<'_> {
 }
 
 impl ValueRef<'_> {
-    /// The value of a field of that type as `print` shows it in Python: what `ros2 topic echo --field` prints of a field that
-    /// is no message.
+    /// The value of a field of that type as printed by Python: the output of `ros2 topic echo --field` for a
+    /// field that is not a message.
     #[must_use]
     pub fn to_python_str(self, field_type: &FieldType) -> String {
         let mut out = String::new();
@@ -71,10 +72,10 @@ impl ValueRef<'_> {
     }
 }
 
-/// What rclpy holds an array in.
+/// The Python type in which rclpy stores an array.
 #[derive(Clone, Copy, PartialEq)]
 enum ArrayKind {
-    /// Numbers of a fixed count.
+    /// A fixed number of numbers.
     Numpy,
     /// A sequence of numbers.
     Typed,
@@ -121,7 +122,7 @@ fn write_message(out: &mut String, message: MessageRef<'_>) {
     out.push(')');
 }
 
-/// As `repr` has it, except for a sequence of numbers, whose `array('d', …)` the generated code strips.
+/// As in `repr`, except that the generated code strips the `array('d', …)` of a sequence of numbers.
 fn write_value(out: &mut String, field_type: &FieldType, value: ValueRef<'_>) {
     match value {
         ValueRef::Bool(value) => out.push_str(if value { "True" } else { "False" }),
@@ -152,7 +153,7 @@ fn is_byte(field_type: &FieldType) -> bool {
     field_type.element == Element::Primitive(Primitive::Byte)
 }
 
-/// Appends a floating-point number as `repr` shows it.
+/// Appends a floating-point number as in `repr`.
 pub fn write_float(out: &mut String, value: f64) {
     if value.is_nan() {
         return out.push_str("nan");
@@ -160,7 +161,7 @@ pub fn write_float(out: &mut String, value: f64) {
     if value.is_infinite() {
         return out.push_str(if value > 0.0 { "inf" } else { "-inf" });
     }
-    // The shortest digits that are read as the same number: `-1.5e-7`.
+    // The shortest digits that round-trip: `-1.5e-7`.
     let scientific = format!("{value:e}");
     let (mantissa, exponent) = scientific.split_once('e').unwrap_or((&scientific, "0"));
     let exponent: i32 = exponent.parse().unwrap_or(0);
@@ -172,7 +173,7 @@ pub fn write_float(out: &mut String, value: f64) {
     }
 }
 
-/// Appends a string as `repr` shows it.
+/// Appends a string as in `repr`.
 pub fn write_text(out: &mut String, text: &str) {
     let quote = if text.contains('\'') && !text.contains('"') { '"' } else { '\'' };
     out.push(quote);
@@ -187,7 +188,7 @@ pub fn write_text(out: &mut String, text: &str) {
     out.push(quote);
 }
 
-/// Appends bytes as `repr` shows them.
+/// Appends bytes as in `repr`.
 pub fn write_bytes(out: &mut String, bytes: &[u8]) {
     let quote = if bytes.contains(&b'\'') && !bytes.contains(&b'"') { '"' } else { '\'' };
     out.push('b');
@@ -216,7 +217,7 @@ fn write_escaped(out: &mut String, character: char) {
         '\t' => out.push_str("\\t"),
         '\n' => out.push_str("\\n"),
         '\r' => out.push_str("\\r"),
-        // Of what Python does not print: control characters, and what changes the direction or ends a line.
+        // Characters that Python escapes: control characters, direction marks and line separators.
         _ if character.is_control() || code == 0xad => {
             let _ = write!(out, "\\x{code:02x}");
         }
@@ -260,7 +261,7 @@ fn csv_of_value(cells: &mut Vec<String>, field_type: &FieldType, value: ValueRef
                 cell.push_str("...");
             }
         }
-        // Of a 32-bit number NumPy has the shortest digits, Python those of 64 bits.
+        // NumPy prints the shortest digits of a 32-bit number, Python those of the 64-bit value.
         ValueRef::Float32(value) if array_kind(field_type) == ArrayKind::Numpy => {
             let _ = write!(cell, "{value:?}");
         }
@@ -288,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_is_shown_as_by_the_generated_python() {
+    fn a_message_is_formatted_as_by_the_generated_python() {
         assert_eq!(
             message().as_message().to_python_repr(),
             r#"my_msgs.msg.All(on=True, level=b'\x07', name="a'b\x1b[31m", gains=[0.5, 1e-05], pair=array([1, 2], dtype=uint8), raw=[b'A', b'\x00'], words=['x', 'y,z'], times=[builtin_interfaces.msg.Time(sec=1, nanosec=0)])"#
@@ -317,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_is_printed_as_by_python() {
+    fn a_value_is_printed_as_in_python() {
         let message = message();
         let shown: Vec<_> = message
             .as_message()

@@ -1,16 +1,17 @@
-//! Scalars as PyYAML writes them: plain where they would be read as what they are, else in single quotes, else double.
+//! Scalars as written by PyYAML: plain if that is unambiguous, else in single quotes, else in double quotes.
 //!
 //! # References
 //! PyYAML 6.0.3: `yaml/emitter.py` (`analyze_scalar`, `choose_scalar_style`, `write_single_quoted`,
-//! `write_double_quoted`), `yaml/resolver.py` (what is read as other than a string), `yaml/representer.py` (floats).
+//! `write_double_quoted`), `yaml/resolver.py` (plain scalars that are not strings), `yaml/representer.py`
+//! (floats).
 
 use super::implicit::is_read_as_other;
 use super::python;
 
-/// Where a scalar stands.
+/// The context of a scalar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Context {
-    /// Behind a key or a dash.
+    /// After a key or a dash.
     Block,
     /// Between brackets.
     Flow,
@@ -32,7 +33,7 @@ pub fn write_text(out: &mut String, text: &str, context: Context, indentation: u
     }
 }
 
-/// Appends a floating-point number, as Python's `repr` has it and YAML reads it as one.
+/// Appends a floating-point number as in Python's `repr`, such that YAML reads it as a number.
 pub fn write_float(out: &mut String, value: f64) {
     if value.is_nan() {
         return out.push_str(".nan");
@@ -43,13 +44,13 @@ pub fn write_float(out: &mut String, value: f64) {
     let start = out.len();
     python::write_float(out, value);
     let text = &out[start..];
-    // Without a point YAML 1.1 would read a string.
+    // Without a decimal point, YAML 1.1 reads a string.
     if let Some(exponent) = text.find('e').filter(|_| !text.contains('.')) {
         out.insert_str(start + exponent, ".0");
     }
 }
 
-/// The forms a string can have.
+/// The permitted forms of a string.
 struct Analysis {
     allows_block_plain: bool,
     allows_flow_plain: bool,
@@ -107,7 +108,7 @@ impl Analysis {
     }
 }
 
-/// A line break is written twice, since one alone is read as a space.
+/// A line break is written twice, since a single one is read as a space.
 fn write_single_quoted(out: &mut String, text: &str, indentation: usize) {
     out.push('\'');
     let mut rest = text;
@@ -195,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn floats_are_those_of_python() {
+    fn floats_are_written_as_in_python() {
         for (value, expected) in [
             (0.0, "0.0"),
             (-0.0, "-0.0"),

@@ -1,4 +1,4 @@
-//! Dynamic messages through serde: maps of field names, as the generated structs are written.
+//! Serialises dynamic messages with serde: maps of field names, like the generated structs.
 
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
@@ -44,7 +44,7 @@ impl Serialize for ValueRef<'_> {
 impl Serialize for Array {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
-            // As `byte_list` does it for the structs.
+            // Like `byte_list` for the structs.
             Self::UInt8(bytes) if !serializer.is_human_readable() => serializer.serialize_bytes(bytes),
             array => each_array!(array, values => values.serialize(serializer)),
         }

@@ -5,7 +5,8 @@ use downbeat_msgs_definitions::TypeName;
 use crate::builtin_interfaces::msg::Time;
 use crate::dynamic::{DynamicMessage, FieldError};
 
-/// The times of a message that its text left to the sender: `header: auto` and `stamp: now`, as `ros2 topic pub` has it.
+/// The times of a message that its text asks the sender to set: `header: auto` and `stamp: now`, as in `ros2
+/// topic pub`.
 ///
 /// ```
 /// use downbeat_msgs::builtin_interfaces::msg::Time;
@@ -35,10 +36,10 @@ impl Stamps {
         self.paths.iter().map(String::as_str)
     }
 
-    /// Gives all of them this value.
+    /// Sets all of them to this value.
     ///
     /// # Errors
-    /// If the message has another type than the one that was filled.
+    /// If the message has a different type than the filled one.
     pub fn set(&self, message: &mut DynamicMessage, time: Time) -> Result<(), FieldError> {
         for path in &self.paths {
             message.set(&format!("{path}.sec"), time.sec)?;

@@ -1,14 +1,15 @@
-//! Messages as `ros2 topic echo` prints them.
+//! Messages as printed by `ros2 topic echo`.
 //!
 //! # References
-//! `ros2/rosidl_runtime_py` branch jazzy, `rosidl_runtime_py/convert.py` (what is shown), and PyYAML (how).
+//! `ros2/rosidl_runtime_py` branch jazzy, `rosidl_runtime_py/convert.py` (the content), and PyYAML (the
+//! format).
 
 use downbeat_msgs_definitions::{Element, FieldType, Primitive, Shape};
 
 use super::scalar::{Context, write_float, write_text};
 use crate::dynamic::{Array, MessageRef, ValueRef};
 
-/// How a message is shown as YAML. The names are those of the options of `ros2 topic echo`.
+/// How a message is formatted as YAML. The fields are named after the options of `ros2 topic echo`.
 ///
 /// ```
 /// use downbeat_msgs::dynamic::{DynamicMessage, DynamicType, YamlStyle};
@@ -23,13 +24,13 @@ use crate::dynamic::{Array, MessageRef, ValueRef};
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct YamlStyle {
-    /// Of longer arrays and strings only so much is shown, then `...`; `ros2 topic echo` has 128 here.
+    /// Truncates arrays and strings to this length, followed by `...`; 128 in `ros2 topic echo`.
     pub truncate_length: Option<usize>,
-    /// Arrays are shown by type and length only.
+    /// Prints only type and length of arrays.
     pub no_arr: bool,
-    /// Strings are shown by length only.
+    /// Prints only the length of strings.
     pub no_str: bool,
-    /// Arrays are shown on one line.
+    /// Prints arrays on one line.
     pub flow_style: bool,
 }
 
@@ -49,7 +50,7 @@ struct Emitter<'a> {
     out: String,
 }
 
-/// Where the first key of a mapping is written.
+/// The position of the first key of a mapping.
 #[derive(Clone, Copy, PartialEq)]
 enum Start {
     Line,
@@ -103,14 +104,15 @@ impl Emitter<'_> {
         }
     }
 
-    /// A value that is written without line breaks but those in its strings; `indentation` is that of its surroundings.
+    /// Writes a value without line breaks except those in its strings; `indentation` is that of its
+    /// surroundings.
     fn inline(&mut self, field_type: &FieldType, value: ValueRef<'_>, context: Context, indentation: usize) {
         match value {
             ValueRef::Bool(value) => self.out.push_str(if value { "true" } else { "false" }),
             ValueRef::Float32(value) => write_float(&mut self.out, value.into()),
             ValueRef::Float64(value) => write_float(&mut self.out, value),
             ValueRef::String(text) | ValueRef::WString(text) => self.text(text, context, indentation),
-            // Python has a byte as a string of one character, and shows that.
+            // In Python a byte is a string of one character, and is printed as such.
             ValueRef::UInt8(value) if field_type.element == Element::Primitive(Primitive::Byte) => {
                 let text = char::from(value).to_string();
                 let text = if self.style.truncate_length == Some(0) { "..." } else { &text };
@@ -166,12 +168,12 @@ impl Emitter<'_> {
         }
     }
 
-    /// Whether the array is written with a line for each element.
+    /// Whether the array is written with one line per element.
     fn is_block(&self, array: &Array) -> bool {
         !self.style.flow_style && !self.style.no_arr && !array.is_empty()
     }
 
-    /// How many elements are shown, and whether there are more.
+    /// The number of printed elements, and whether there are more.
     fn shown(&self, array: &Array) -> (usize, bool) {
         match self.style.truncate_length {
             Some(length) if array.len() > length => (length, true),
@@ -184,7 +186,7 @@ impl Emitter<'_> {
     }
 }
 
-/// An array by type and length.
+/// Type and length of an array.
 pub(super) fn abbreviation(field_type: &FieldType, length: usize) -> String {
     let element = match &field_type.element {
         Element::Primitive(primitive) => idl_name(*primitive).to_owned(),
@@ -199,7 +201,7 @@ pub(super) fn abbreviation(field_type: &FieldType, length: usize) -> String {
     }
 }
 
-/// The name of a primitive in IDL, which Python has kept.
+/// The name of a primitive in IDL, which Python uses.
 fn idl_name(primitive: Primitive) -> &'static str {
     match primitive {
         Primitive::Bool => "boolean",
