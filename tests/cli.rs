@@ -75,7 +75,7 @@ fn what_cannot_be_is_refused_with_a_reason() {
         (&["emulate", "darwin_op", "--link", "/tmp/x", "--fault", "fire"], "unknown fault \"fire\""),
         (
             &["bag", "play", "bags/recordings/darwin_op_emulated", "--start-offset", "1h"],
-            "cannot begin 3600s into the bag",
+            "cannot start 3600s into the bag",
         ),
         (
             &["run", "robots/darwin_op.toml", "--params-file", "no/such.yaml"],

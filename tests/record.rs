@@ -81,8 +81,11 @@ fn said(bag: &Path) -> Vec<u32> {
 }
 
 /// Of sqlite3, where it is written, or else of the build.
-const NO_ZSTD: &str =
-    if cfg!(feature = "sqlite") { "sqlite3 compresses nothing" } else { "build with `--features sqlite`" };
+const NO_ZSTD: &str = if cfg!(feature = "sqlite") {
+    "sqlite3 does not support compression"
+} else {
+    "build with `--features sqlite`"
+};
 
 #[test]
 fn without_a_selection_it_says_what_ros2_bag_record_says() {

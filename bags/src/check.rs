@@ -1,4 +1,4 @@
-//! Whether a bag is as it should be.
+//! Checks the integrity of a bag.
 
 use std::fmt;
 
@@ -8,66 +8,67 @@ use crate::reader::{Reader, ReaderError, RecordedTopic, Selection, Truncation};
 use crate::topic::TopicId;
 use downbeat_msgs::printable;
 
-/// Something in a bag that is not as it should be.
+/// A problem found in a bag.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Problem {
-    /// A file is not whole.
+    /// A file is incomplete.
     Truncated(Truncation),
     /// A part of it cannot be read.
     Unreadable(String),
-    /// metadata.yaml, or the record in the file, tells another number of messages.
+    /// metadata.yaml, or the record in the file, declares a different number of messages.
     Count {
-        /// The topic; nothing for the whole bag.
+        /// The topic; `None` for the whole bag.
         topic: Option<String>,
-        /// What it tells.
+        /// The declared number.
         told: u64,
-        /// How many there are.
+        /// The actual number.
         found: u64,
     },
     /// There is no metadata.yaml.
     NoMetadata,
-    /// A topic has no definition of its type, so that others cannot read its messages.
+    /// A topic has no definition of its type, so that other programs cannot read its messages.
     NoDefinition {
         /// The topic.
         topic: String,
         /// Its type.
         type_name: String,
     },
-    /// The definition of a type cannot be read.
+    /// The definition of a type is invalid.
     Definition {
         /// The topic.
         topic: String,
-        /// What is wrong.
+        /// The problem.
         found: String,
     },
-    /// A message is none of its type.
+    /// Messages cannot be decoded as their type.
     Message {
         /// The topic.
         topic: String,
-        /// How many such messages the topic has.
+        /// The number of such messages.
         count: u64,
-        /// What is wrong with the first one.
+        /// The problem with the first one.
         first: String,
     },
-    /// Messages were lost when the bag was recorded, as the recorder noted.
+    /// The recorder noted that messages were lost.
     Lost(String),
 }
 
-/// What was looked at.
+/// The result of a check.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Check {
-    /// Messages that were read.
+    /// The number of messages read.
     pub messages: u64,
-    /// Messages of them that were decoded by the definition of their type.
+    /// The number of messages decoded by the definition of their type.
     pub decoded: u64,
-    /// What is not as it should be.
+    /// The problems found.
     pub problems: Vec<Problem>,
 }
 
-/// Reads a whole bag: checksums, counts, definitions and every message. `progress` is told how many messages have been read.
+/// Reads a whole bag: checksums, counts, definitions and every message. `progress` is called with the number
+/// of messages read.
 ///
 /// # Errors
-/// If a file cannot be opened any more.
+/// If a file can no longer be opened.
 pub fn check(reader: &Reader, mut progress: impl FnMut(u64)) -> Result<Check, ReaderError> {
     let mut check = Check { messages: 0, decoded: 0, problems: Vec::new() };
     check.problems.extend(reader.truncation().cloned().map(Problem::Truncated));
@@ -123,7 +124,7 @@ impl Check {
             return None;
         }
         if schema.encoding.is_empty() {
-            // rosbag2 has no definitions of the events of services either.
+            // rosbag2 has no definitions of service events either.
             if topic.message_count > 0 && !info.type_name.contains("/srv/") {
                 let (topic, type_name) = (info.name.clone(), info.type_name.clone());
                 self.problems.push(Problem::NoDefinition { topic, type_name });
@@ -171,13 +172,13 @@ impl fmt::Display for Problem {
             Self::Truncated(truncation) => truncation.fmt(f),
             Self::Unreadable(found) => f.write_str(&printable(found)),
             Self::Count { topic: None, told, found } => {
-                write!(f, "the metadata tells {told} messages, there are {found}")
+                write!(f, "the metadata declares {told} messages, found {found}")
             }
             Self::Count { topic: Some(topic), told, found } => {
                 let topic = printable(topic);
-                write!(f, "{topic}: the metadata tells {told} messages, there are {found}")
+                write!(f, "{topic}: the metadata declares {told} messages, found {found}")
             }
-            Self::NoMetadata => f.write_str("there is no metadata.yaml; `downbeat bag reindex` makes it"),
+            Self::NoMetadata => f.write_str("there is no metadata.yaml; `downbeat bag reindex` creates it"),
             Self::NoDefinition { topic, type_name } => {
                 let (topic, type_name) = (printable(topic), printable(type_name));
                 write!(f, "{topic}: the bag has no definition of {type_name}")

@@ -1,4 +1,4 @@
-//! Where two bags differ.
+//! Compares two bags.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
@@ -7,27 +7,27 @@ use crate::compare::{Comparer, FieldDifference, FieldRule};
 use crate::reader::{BagMessage, Reader, ReaderError, Selection};
 use downbeat_msgs::printable;
 
-/// How two bags compare, topic by topic.
+/// The comparison of two bags, topic by topic.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BagDiff {
     /// Every topic of either bag, by name.
     pub topics: Vec<TopicDiff>,
-    /// What could not be read in either of them.
+    /// The parts of either bag that could not be read.
     pub unreadable: Vec<String>,
 }
 
-/// How a topic compares: the first message of the one bag with the first one of the other, and so on.
+/// The comparison of a topic: the n-th message of one bag with the n-th message of the other.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TopicDiff {
     /// The topic.
     pub topic: String,
-    /// Its type and messages in the first bag, if it is there.
+    /// Its type and number of messages in the first bag, if present.
     pub first: Option<(String, u64)>,
-    /// Its type and messages in the second bag, if it is there.
+    /// Its type and number of messages in the second bag, if present.
     pub second: Option<(String, u64)>,
-    /// Pairs of messages that were compared.
+    /// The number of compared pairs of messages.
     pub compared: u64,
-    /// Pairs that differ.
+    /// The number of pairs that differ.
     pub different: u64,
     /// The first pair that differs.
     pub difference: Option<MessageDiff>,
@@ -36,9 +36,9 @@ pub struct TopicDiff {
 /// Two messages that differ.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MessageDiff {
-    /// Which message of the topic, from 0.
+    /// The index of the message in its topic, from 0.
     pub number: u64,
-    /// When it was received in the first bag, in nanoseconds since the epoch.
+    /// The receive time in the first bag, in nanoseconds since the epoch.
     pub time: i64,
     /// How they differ.
     pub what: MessageDiffKind,
@@ -49,16 +49,16 @@ pub struct MessageDiff {
 pub enum MessageDiffKind {
     /// In a field.
     Field(FieldDifference),
-    /// In the time at which they were received: that of the second bag, in nanoseconds since the epoch.
+    /// In the receive time: that of the second bag, in nanoseconds since the epoch.
     Time(i64),
 }
 
 /// How to compare two bags.
 #[derive(Clone, Debug, Default)]
 pub struct DiffOptions {
-    /// How exactly fields are compared: bit for bit where no rule says otherwise.
+    /// How exactly fields are compared: bit for bit unless a rule applies.
     pub rules: Vec<FieldRule>,
-    /// Whether the times at which messages were received must be equal, too.
+    /// Whether the receive times of messages must also be equal.
     pub compares_times: bool,
 }
 
@@ -68,10 +68,10 @@ struct Side {
     waiting: [VecDeque<BagMessage>; 2],
 }
 
-/// Compares two bags. `progress` is told how many messages of both have been read.
+/// Compares two bags. `progress` is called with the number of messages read from both.
 ///
 /// # Errors
-/// If a file of them cannot be opened any more.
+/// If a file can no longer be opened.
 pub fn diff(
     first: &Reader,
     second: &Reader,
@@ -100,7 +100,7 @@ pub fn diff(
     let mut streams = [first.messages(Selection::all())?, second.messages(Selection::all())?];
     let mut is_open = [true, true];
     while is_open.contains(&true) {
-        // In turns, so that little waits for its partner.
+        // Alternates, so that few messages wait for their counterpart.
         for (index, reader) in [first, second].into_iter().enumerate() {
             match streams[index].next() {
                 None => is_open[index] = false,
@@ -150,7 +150,7 @@ impl TopicDiff {
         }
     }
 
-    /// Whether both bags have it with the same messages.
+    /// Whether both bags contain it with the same messages.
     #[must_use]
     pub fn is_same(&self) -> bool {
         self.first == self.second && self.different == 0

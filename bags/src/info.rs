@@ -1,4 +1,4 @@
-//! What a bag holds, told as `ros2 bag info` tells it.
+//! The contents of a bag, printed like `ros2 bag info`.
 //!
 //! The layout is that of `rosbag2_py/format_bag_metadata.cpp`, branch jazzy.
 
@@ -15,8 +15,8 @@ use crate::reader::{Reader, RecordedTopic, Truncation};
 use crate::sizes::{ServiceCalls, TopicSizes};
 use crate::topic::{SERVICE_EVENT_TOPIC, SERVICE_EVENT_TYPE, is_service_event};
 
-/// What a bag holds. Its [`Display`](fmt::Display) equals the text of `ros2 bag info`, except that times of day are
-/// UTC (the real one prints local time); for an interrupted recording it also says what is missing.
+/// The contents of a bag. Its [`Display`](fmt::Display) output equals that of `ros2 bag info`, except that
+/// times of day are UTC (not local time); for an interrupted recording it also lists what is missing.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BagInfo {
     /// The bag files, relative to the directory.
@@ -29,9 +29,9 @@ pub struct BagInfo {
     pub ros_distro: String,
     /// From the first to the last message.
     pub duration: Duration,
-    /// When the first message was received, in nanoseconds since the epoch; [`NEVER`] without messages.
+    /// The receive time of the first message, in nanoseconds since the epoch; [`NEVER`] without messages.
     pub starting_time: i64,
-    /// Messages of the topics: service events do not count.
+    /// The number of messages, without service events.
     pub message_count: u64,
     /// The topics, without those of service events.
     pub topics: Vec<RecordedTopic>,
@@ -39,8 +39,8 @@ pub struct BagInfo {
     pub services: Vec<ServiceEvents>,
     /// What is missing.
     pub truncation: Vec<Truncation>,
-    /// What only reading all messages tells; nothing unless it was read. If it is there, it is printed as
-    /// `ros2 bag info --verbose` does.
+    /// Sizes that require reading all messages, if they were computed. If present, they are printed like
+    /// `ros2 bag info --verbose`.
     pub sizes: Option<TopicSizes>,
 }
 
@@ -57,14 +57,14 @@ pub struct ServiceEvents {
     pub serialization_format: String,
 }
 
-/// Where the values begin.
+/// The column of the values.
 const INDENT: usize = 19;
 
 impl BagInfo {
-    /// What that bag holds.
+    /// Collects the contents of a bag.
     ///
     /// # Errors
-    /// If the bag's files cannot be looked at any more.
+    /// If the bag's files are no longer accessible.
     pub fn of(reader: &Reader) -> io::Result<Self> {
         let is_event = |topic: &&RecordedTopic| is_service_event(&topic.info.name, &topic.info.type_name);
         let topics: Vec<RecordedTopic> =
@@ -98,7 +98,7 @@ impl BagInfo {
 }
 
 impl BagInfo {
-    /// A column, if it is known.
+    /// The size column, if known.
     fn size_of(&self, topic: &str) -> String {
         let size = self.sizes.as_ref().map(|sizes| Size(sizes.bytes_of(topic)));
         size.map_or_else(String::new, |size| format!("Size Contribution: {size} | "))
@@ -106,7 +106,7 @@ impl BagInfo {
 }
 
 impl ServiceEvents {
-    /// The topic on which it tells of them.
+    /// The topic of its events.
     #[must_use]
     pub fn event_topic(&self) -> String {
         format!("{}{SERVICE_EVENT_TOPIC}", self.name)
@@ -171,7 +171,7 @@ impl fmt::Display for BagInfo {
             )
         });
         let services: Vec<String> = services.collect();
-        // The real one ends without a line break here when there are no services.
+        // The original prints no line break here if there are no services.
         if !services.is_empty() {
             lines(f, INDENT + 2, &services)?;
         }
@@ -187,7 +187,7 @@ impl fmt::Display for BagInfo {
     }
 }
 
-/// One per line, the first one behind what is on the line already.
+/// Prints one item per line, the first one on the current line.
 fn lines(f: &mut fmt::Formatter<'_>, indent: usize, lines: &[String]) -> fmt::Result {
     if lines.is_empty() {
         return writeln!(f);
@@ -199,7 +199,7 @@ fn lines(f: &mut fmt::Formatter<'_>, indent: usize, lines: &[String]) -> fmt::Re
     Ok(())
 }
 
-/// The size of the directory, metadata.yaml included, or of the single file.
+/// The size of the directory including metadata.yaml, or of the single file.
 fn size(reader: &Reader) -> io::Result<u64> {
     if !reader.path().is_dir() {
         return Ok(reader.files_length());

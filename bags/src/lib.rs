@@ -8,7 +8,7 @@
 //! let folder = tempfile::tempdir()?;
 //! let bag = folder.path().join("morning_run");
 //!
-//! // Record: the writer on a thread of its own, messages as CDR bytes.
+//! // Record: the writer runs on its own thread, messages are CDR bytes.
 //! let recording = Recording::start(WriterOptions::new().create(&bag)?, Recording::DEFAULT_QUEUE_BYTES)?;
 //! let sender = recording.sender();
 //! let chatter = sender.add_topic(TopicInfo {
@@ -23,7 +23,7 @@
 //! sender.record(chatter, 1_000_000_500, 1_000_000_000, hi.clone())?;
 //! assert_eq!(recording.finish()?.message_count(), 1);
 //!
-//! // Read it back, and tell what it holds as `ros2 bag info` does.
+//! // Read it back, and print its contents like `ros2 bag info`.
 //! let reader = Reader::open(&bag)?;
 //! for message in reader.messages(Selection::all())? {
 //!     assert_eq!(message?.data, hi);
@@ -33,8 +33,8 @@
 //! # }
 //! ```
 //!
-//! This crate knows neither DDS nor message types: topics are described by text ([`TopicInfo`]), messages are bytes.
-//! Times are nanoseconds since the epoch, as in ROS.
+//! This crate depends on neither DDS nor message types: topics are described by text ([`TopicInfo`]),
+//! messages are bytes. Times are nanoseconds since the epoch, as in ROS.
 //!
 //! The formats are those of ROS 2 Jazzy: metadata version 9 (`rosbag2_storage`), MCAP with profile `ros2`
 //! (`rosbag2_storage_mcap`), and with the feature `sqlite` SQLite with schema version 4 (`rosbag2_storage_sqlite3`).

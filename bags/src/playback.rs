@@ -1,6 +1,7 @@
-//! When the messages of a bag are due.
+//! Determines when the messages of a bag are due.
 //!
-//! Nothing here reads a clock or waits: the caller gives readings of a steady clock and is told what to do.
+//! Nothing here reads a clock or waits: the caller passes readings of a steady clock and receives the next
+//! step.
 
 use std::time::Duration;
 
@@ -8,12 +9,12 @@ use crate::edit::TypeConflict;
 use crate::reader::{BagMessage, Messages, Reader, ReaderError, Selection};
 use crate::topic::TopicId;
 
-/// How fast to play: bag time per real time. A value that exists is finite and above 0.
+/// The playback rate: bag time per real time. Always finite and above 0.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct Rate(f64);
 
 impl Rate {
-    /// As it was recorded.
+    /// The recorded rate.
     pub const ORIGINAL: Self = Self(1.0);
 
     /// Bag time per real time.
@@ -50,7 +51,7 @@ impl Rate {
 pub struct PlaybackOptions {
     /// How fast.
     pub rate: Rate,
-    /// How far into the bag to begin.
+    /// The offset into the bag at which to start.
     pub start_offset: Duration,
     /// Names of the topics to play; `None` for all.
     pub topics: Option<Vec<String>>,
@@ -65,27 +66,27 @@ impl Default for PlaybackOptions {
 /// Why a bag cannot be played.
 #[derive(Debug, thiserror::Error)]
 pub enum PlaybackError {
-    /// The rate makes no sense.
+    /// The rate is invalid.
     #[error("cannot play at rate {rate}: a rate is a number above 0")]
     Rate {
-        /// What was asked for.
+        /// The requested value.
         rate: f64,
     },
     /// The bag has no such topic.
     #[error("cannot play topic {topic}: the bag has {}", known.join(", "))]
     UnknownTopic {
-        /// What was asked for.
+        /// The requested value.
         topic: String,
-        /// What the bag has.
+        /// The topics of the bag.
         known: Vec<String>,
     },
     /// The bags have a topic with different types.
     #[error(transparent)]
     Conflict(#[from] TypeConflict),
-    /// The bag ends before playing would begin.
-    #[error("cannot begin {offset:?} into the bag: it is {length:?} long")]
+    /// The bag ends before the start.
+    #[error("cannot start {offset:?} into the bag: it is {length:?} long")]
     StartOffset {
-        /// What was asked for.
+        /// The requested value.
         offset: Duration,
         /// From the first message to the last.
         length: Duration,
@@ -93,37 +94,38 @@ pub enum PlaybackError {
     /// The bag cannot be read.
     #[error(transparent)]
     Read(#[from] ReaderError),
-    /// The system has no thread left that reads ahead.
+    /// The thread that reads ahead cannot be started.
     #[error("cannot start the thread that reads a bag: {0}")]
     Thread(#[source] std::io::Error),
 }
 
-/// What is to be done now.
+/// The next action of the caller.
 #[derive(Debug)]
 pub enum Step {
-    /// This message is due: publish it and ask again.
+    /// This message is due: publish it and call again.
     Due(BagMessage),
-    /// Nothing is due before that much real time has passed.
+    /// Nothing is due until this much real time has passed.
     Wait(Duration),
     /// Nothing is due until [`Playback::resume`].
     Paused,
-    /// A part of the bag cannot be read; asking again goes on behind it.
+    /// A part of the bag cannot be read; the next call continues after it.
     Failed(ReaderError),
-    /// All messages were given, and it begins again: of a [`Player`](crate::Player) that repeats.
+    /// All messages were returned, and playback starts again: only with a repeating
+    /// [`Player`](crate::Player).
     Repeats,
-    /// All messages were given.
+    /// All messages were returned.
     Finished,
 }
 
-/// Tells when each message of a bag is due.
+/// Computes when each message of a bag is due.
 ///
-/// `now` is a reading of any steady clock, as the time since some origin. The first reading is the moment playing
-/// begins. At that moment the first instant of the bag plus the start offset is due.
+/// `now` is a reading of any steady clock, as the time since some origin. Playing starts at the first
+/// reading. At that moment, the start of the bag plus the start offset is due.
 pub struct Playback<M = Messages> {
     messages: M,
     next: Option<BagMessage>,
     rate: Rate,
-    /// Bag time at which playing begins, in nanoseconds since the epoch.
+    /// Bag time at which playing starts, in nanoseconds since the epoch.
     from: i64,
     clock: Clock,
 }
@@ -131,17 +133,17 @@ pub struct Playback<M = Messages> {
 #[derive(Clone, Copy)]
 enum Clock {
     NotStarted,
-    /// Holds the reading at which playing would have begun had it never been paused.
+    /// The reading at which playing would have started without pauses.
     Running(Duration),
-    /// Holds how much real time had been played.
+    /// The real time played so far.
     Paused(Duration),
 }
 
 impl Playback {
-    /// Prepares to play that bag.
+    /// Prepares to play a bag.
     ///
     /// # Errors
-    /// If the bag lacks a topic that was asked for, ends before the start offset, or cannot be read.
+    /// If the bag lacks a requested topic, ends before the start offset, or cannot be read.
     pub fn open(reader: &Reader, options: &PlaybackOptions) -> Result<Self, PlaybackError> {
         let start = reader.start_time().unwrap_or(0);
         let offset = i64::try_from(options.start_offset.as_nanos()).unwrap_or(i64::MAX);
@@ -160,12 +162,12 @@ impl Playback {
 }
 
 impl<M: Iterator<Item = Result<BagMessage, ReaderError>>> Playback<M> {
-    /// Plays messages that come in log time order, beginning at bag time `from` (nanoseconds since the epoch).
+    /// Plays messages sorted by log time, starting at bag time `from` (nanoseconds since the epoch).
     pub fn new(messages: M, from: i64, rate: Rate) -> Self {
         Self { messages, next: None, rate, from, clock: Clock::NotStarted }
     }
 
-    /// What is to be done at `now`.
+    /// Returns the action at `now`.
     pub fn step(&mut self, now: Duration) -> Step {
         let started = match self.clock {
             Clock::Running(started) => started,
@@ -202,20 +204,20 @@ impl<M: Iterator<Item = Result<BagMessage, ReaderError>>> Playback<M> {
         }
     }
 
-    /// Lets the bag's time go on where it was stopped.
+    /// Resumes the bag's time where it was stopped.
     pub fn resume(&mut self, now: Duration) {
         if let Clock::Paused(played) = self.clock {
             self.clock = Clock::Running(now.saturating_sub(played));
         }
     }
 
-    /// Plays on from here at another rate.
+    /// Continues at another rate.
     pub fn set_rate(&mut self, now: Duration, rate: Rate) {
         self.jump(now, self.bag_time(now));
         self.rate = rate;
     }
 
-    /// Sets the bag's time, in nanoseconds since the epoch. The messages stay where they are.
+    /// Sets the bag's time, in nanoseconds since the epoch. The position in the messages does not change.
     pub(crate) fn jump(&mut self, now: Duration, bag_time: i64) {
         self.from = bag_time;
         self.clock = match self.clock {
@@ -225,12 +227,12 @@ impl<M: Iterator<Item = Result<BagMessage, ReaderError>>> Playback<M> {
         };
     }
 
-    /// Goes on with other messages.
+    /// Continues with other messages.
     pub(crate) fn replace(&mut self, messages: M) {
         (self.messages, self.next) = (messages, None);
     }
 
-    /// The next message, whenever it is due.
+    /// Returns the next message, due or not.
     pub(crate) fn take_next(&mut self) -> Option<Result<BagMessage, ReaderError>> {
         self.next.take().map(Ok).or_else(|| self.messages.next())
     }
@@ -241,7 +243,7 @@ impl<M: Iterator<Item = Result<BagMessage, ReaderError>>> Playback<M> {
         matches!(self.clock, Clock::Paused(_))
     }
 
-    /// How fast it plays.
+    /// The playback rate.
     #[must_use]
     pub fn rate(&self) -> Rate {
         self.rate
@@ -337,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_that_make_no_sense_are_refused() {
+    fn invalid_rates_are_refused() {
         for rate in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             assert!(Rate::new(rate).is_err(), "{rate}");
         }

@@ -1,4 +1,4 @@
-//! Playing of bags with all that `ros2 bag play` can be told meanwhile.
+//! Plays bags with all runtime controls of `ros2 bag play`.
 //!
 //! Nothing here reads a clock or waits; see [`Playback`].
 
@@ -16,26 +16,26 @@ use crate::topic::TopicInfo;
 pub struct PlayerOptions {
     /// How fast.
     pub rate: Rate,
-    /// How far into the bags to begin.
+    /// The offset into the bags at which to start.
     pub start_offset: Duration,
     /// The last time to play, in nanoseconds since the epoch.
     pub until: Option<i64>,
-    /// How long to play, in the time of the bags, from where it begins. With `until` the later of both ends it, as in
+    /// How long to play from the start, in bag time. With `until`, the later of both ends playback, as in
     /// rosbag2.
     pub duration: Option<Duration>,
-    /// Whether to begin again at the end.
+    /// Whether to start again at the end.
     pub repeats: bool,
     /// Whether to wait for [`Player::resume`] first.
     pub starts_paused: bool,
-    /// Whether what latched topics (transient local) had last sent before the beginning comes first, as a subscriber would
-    /// have received it then.
+    /// Whether to first play the last messages of latched (transient local) topics before the start, which a
+    /// subscriber joining then would have received.
     pub plays_latched: bool,
     /// How many messages are read before they are due.
     pub read_ahead: usize,
 }
 
 impl PlayerOptions {
-    /// As many as `ros2 bag play` reads ahead.
+    /// The default of `ros2 bag play`.
     pub const DEFAULT_READ_AHEAD: usize = 1000;
 }
 
@@ -57,7 +57,8 @@ impl Default for PlayerOptions {
 /// Plays one bag, or several merged by time.
 pub struct Player<'a> {
     bags: MergedBags<'a>,
-    /// The first and the last message of the bags, where playing begins, and the last time that is played.
+    /// The times of the first and the last message of the bags, the start of playback, and the last time to
+    /// play.
     start: i64,
     last: i64,
     begin: i64,
@@ -65,19 +66,19 @@ pub struct Player<'a> {
     repeats: bool,
     plays_latched: bool,
     latched: VecDeque<BagMessage>,
-    /// All messages of latched topics, by time, once they were looked for.
+    /// All messages of latched topics, sorted by time, once they were read.
     all_latched: Option<Vec<BagMessage>>,
     playback: Playback<AheadOf>,
     read_ahead: ReadAhead,
-    /// Messages given since the last beginning: bags without any do not repeat for ever.
+    /// The number of messages returned since the last start: bags without messages do not repeat forever.
     given: u64,
 }
 
 impl<'a> Player<'a> {
-    /// Prepares to play the topics that are wanted.
+    /// Prepares to play the selected topics.
     ///
     /// # Errors
-    /// If the bags have a topic with different types, end before the beginning, or cannot be read.
+    /// If the bags contain a topic with different types, end before the start, or cannot be read.
     pub fn open(
         bags: &'a [Reader],
         options: &PlayerOptions,
@@ -115,25 +116,25 @@ impl<'a> Player<'a> {
         Ok(player)
     }
 
-    /// The topics of all bags that are played; messages name them by position.
+    /// The topics of all played bags; messages refer to them by position.
     #[must_use]
     pub fn topics(&self) -> &[RecordedTopic] {
         self.bags.topics()
     }
 
-    /// When the first message of the bags was received, in nanoseconds since the epoch.
+    /// The receive time of the first message of the bags, in nanoseconds since the epoch.
     #[must_use]
     pub fn start_time(&self) -> i64 {
         self.start
     }
 
-    /// When the last message that is played was received.
+    /// The receive time of the last message to play.
     #[must_use]
     pub fn end_time(&self) -> i64 {
         self.last.min(self.end)
     }
 
-    /// What is to be done at `now`, a reading of any steady clock.
+    /// Returns the action at `now`, a reading of any steady clock.
     pub fn step(&mut self, now: Duration) -> Step {
         if !self.playback.is_paused()
             && let Some(message) = self.latched.pop_front()
@@ -156,7 +157,7 @@ impl<'a> Player<'a> {
         }
     }
 
-    /// The next message, whenever it is due; the time of the bags goes to it. For stepping while paused.
+    /// Returns the next message, due or not, and sets the bag time to it. For stepping while paused.
     pub fn play_next(&mut self, now: Duration) -> Option<Result<BagMessage, ReaderError>> {
         if let Some(message) = self.latched.pop_front() {
             return Some(Ok(message));
@@ -169,24 +170,24 @@ impl<'a> Player<'a> {
         Some(next)
     }
 
-    /// Plays on from that time of the bags, in nanoseconds since the epoch; one before the beginning is the beginning.
+    /// Continues from that bag time, in nanoseconds since the epoch; a time before the start means the start.
     ///
     /// # Errors
-    /// If a bag cannot be opened any more.
+    /// If a bag can no longer be opened.
     pub fn seek(&mut self, now: Duration, time: i64) -> Result<(), ReaderError> {
         let time = time.max(self.begin);
         self.go_to(time)?;
         self.playback.jump(now, time);
-        // Behind the end there is nothing to give; it repeats all the same.
+        // After the end there is nothing to return, but playback repeats anyway.
         self.given = 1;
         Ok(())
     }
 
-    /// As [`Player::seek`], and ends where [`PlayerOptions::duration`], from that time on, and [`PlayerOptions::until`] say
-    /// instead of where it was to end.
+    /// Like [`Player::seek`], but with a new end, given by [`PlayerOptions::duration`] from that time and
+    /// [`PlayerOptions::until`].
     ///
     /// # Errors
-    /// If a bag cannot be opened any more.
+    /// If a bag can no longer be opened.
     pub fn play_part(
         &mut self,
         now: Duration,
@@ -203,7 +204,7 @@ impl<'a> Player<'a> {
         self.playback.set_rate(now, rate);
     }
 
-    /// How fast it plays.
+    /// The playback rate.
     #[must_use]
     pub fn rate(&self) -> Rate {
         self.playback.rate()
@@ -214,7 +215,7 @@ impl<'a> Player<'a> {
         self.playback.pause(now);
     }
 
-    /// Lets it go on where it was stopped.
+    /// Resumes the time where it was stopped.
     pub fn resume(&mut self, now: Duration) {
         self.playback.resume(now);
     }
@@ -247,7 +248,7 @@ impl<'a> Player<'a> {
         }
         let all = match self.all_latched.take() {
             Some(all) => all,
-            // What cannot be read is told when the messages are played.
+            // Unreadable parts are reported when the messages are played.
             None => self.bags.messages(&Selection::all(), is_latched)?.flatten().collect(),
         };
         let before = all.iter().take_while(|message| message.log_time < time).cloned();
@@ -303,7 +304,7 @@ mod tests {
         Duration::from_millis(ms)
     }
 
-    /// What is played from `now` on without waiting: topic and time in ms.
+    /// The messages due at `now`: topic and time in ms.
     fn due(player: &mut Player<'_>, now: Duration) -> Vec<(String, i64)> {
         let mut played = Vec::new();
         while let Step::Due(message) = player.step(now) {
@@ -324,7 +325,7 @@ mod tests {
         let options =
             PlayerOptions { start_offset: ms(150), duration: Some(ms(200)), ..PlayerOptions::default() };
         let mut player = Player::open(&bags, &options, |_| true).unwrap();
-        assert_eq!(due(&mut player, ms(0)), of(&[("/map", 50)]), "which was latched before");
+        assert_eq!(due(&mut player, ms(0)), of(&[("/map", 50)]), "latched before the start");
         assert!(matches!(player.step(ms(0)), Step::Wait(wait) if wait == ms(50)));
         assert_eq!(due(&mut player, ms(1000)), of(&[("/a", 200), ("/b", 250), ("/a", 300)]));
         assert!(matches!(player.step(ms(1000)), Step::Finished));
@@ -337,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn a_player_that_is_paused_steps_seeks_and_changes_its_rate() {
+    fn a_paused_player_steps_seeks_and_changes_its_rate() {
         let folder = tempfile::tempdir().unwrap();
         let bags = bags(folder.path());
         let options = PlayerOptions { starts_paused: true, ..PlayerOptions::default() };
@@ -355,11 +356,11 @@ mod tests {
         player.set_rate(ms(1025), Rate::new(0.5).unwrap());
         assert!(matches!(player.step(ms(1025)), Step::Wait(wait) if wait == ms(200)));
         player.seek(ms(1025), -5).unwrap();
-        assert_eq!(due(&mut player, ms(1025)), of(&[("/a", 0)]), "a time before the bag is its beginning");
+        assert_eq!(due(&mut player, ms(1025)), of(&[("/a", 0)]), "a time before the bag is its start");
     }
 
     #[test]
-    fn a_player_that_repeats_begins_again() {
+    fn a_repeating_player_starts_again() {
         let folder = tempfile::tempdir().unwrap();
         let bags = bags(folder.path());
         let options = PlayerOptions { repeats: true, start_offset: ms(800), ..PlayerOptions::default() };

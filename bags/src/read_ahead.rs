@@ -1,4 +1,4 @@
-//! Reading of messages before they are wanted, so that a slow disk does not delay them.
+//! Reads messages in advance, so that a slow disk does not delay them.
 
 use std::io;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
@@ -8,13 +8,14 @@ use crate::reader::{BagMessage, ReaderError};
 
 type Item = Result<BagMessage, ReaderError>;
 
-/// A thread that reads, so many messages ahead. It ends when this and what it gave are dropped.
+/// A thread that reads a number of messages ahead. It ends when this handle and the returned messages are
+/// dropped.
 pub(crate) struct ReadAhead {
     jobs: Sender<(Merged, SyncSender<Item>)>,
     messages_ahead: usize,
 }
 
-/// The messages that it reads.
+/// The messages read by the thread.
 pub(crate) struct AheadOf(Receiver<Item>);
 
 impl ReadAhead {
@@ -23,7 +24,7 @@ impl ReadAhead {
         std::thread::Builder::new().name("bag-read-ahead".to_owned()).spawn(move || {
             for (messages, wanted) in given {
                 for message in messages {
-                    // Fails when others are wanted in their place.
+                    // Fails if the receiver was replaced.
                     if wanted.send(message).is_err() {
                         break;
                     }
@@ -33,10 +34,10 @@ impl ReadAhead {
         Ok(Self { jobs, messages_ahead: messages_ahead.max(1) })
     }
 
-    /// Reads these, as soon as what it gave before is dropped.
+    /// Reads these messages, as soon as the previously returned ones are dropped.
     pub(crate) fn read(&self, messages: Merged) -> AheadOf {
         let (sender, receiver) = sync_channel(self.messages_ahead);
-        // The thread is there as long as this is.
+        // The thread lives as long as this handle.
         let _ = self.jobs.send((messages, sender));
         AheadOf(receiver)
     }

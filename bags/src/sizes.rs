@@ -1,4 +1,4 @@
-//! What each topic of a bag takes, and what the events of services tell: all that only reading every message tells.
+//! The sizes of topics and the counts of service calls, which require reading every message.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,25 +15,26 @@ pub struct TopicSizes {
     calls: BTreeMap<String, ServiceCalls>,
 }
 
-/// What was heard of a service.
+/// The calls of a service.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ServiceCalls {
-    /// Different requests, whether their client or their server told of them.
+    /// The number of distinct requests, recorded by client or server.
     pub requests: u64,
-    /// Different responses.
+    /// The number of distinct responses.
     pub responses: u64,
 }
 
-/// In CDR, the first field of an event: header, type, stamp, id of the client, sequence number.
+/// The size of an event's first field in CDR: header, type, stamp, id of the client, sequence number.
 const EVENT_INFO: usize = 4 + 32 + 8;
 
 impl TopicSizes {
-    /// Reads all messages of a bag; what cannot be read is left out. `progress` is told how many have been read.
+    /// Reads all messages of a bag, skipping unreadable parts. `progress` is called with the number of
+    /// messages read.
     ///
     /// # Errors
-    /// If a file cannot be opened any more.
+    /// If a file can no longer be opened.
     pub fn read(reader: &Reader, mut progress: impl FnMut(u64)) -> Result<Self, ReaderError> {
-        // As rosbag2 counts them (`rosbag2_cpp/info.cpp`): by client and sequence number.
+        // Counted by client and sequence number, as in rosbag2 (`rosbag2_cpp/info.cpp`).
         type Seen = BTreeSet<([u8; 16], i64)>;
         let mut seen: BTreeMap<String, (Seen, Seen)> = BTreeMap::new();
         let mut bytes = vec![0_u64; reader.topics().len()];
@@ -69,13 +70,13 @@ impl TopicSizes {
         Ok(Self { bytes: names.zip(bytes).collect(), calls: calls.collect() })
     }
 
-    /// The bytes of a topic's messages.
+    /// The total size of a topic's messages in bytes.
     #[must_use]
     pub fn bytes_of(&self, topic: &str) -> u64 {
         self.bytes.get(topic).copied().unwrap_or(0)
     }
 
-    /// What was heard of a service.
+    /// The calls of a service.
     #[must_use]
     pub fn calls_of(&self, service: &str) -> ServiceCalls {
         self.calls.get(service).copied().unwrap_or_default()

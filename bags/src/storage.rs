@@ -5,18 +5,19 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// What kind of files a bag has: `--storage` of `ros2 bag record`, `storage_identifier` of metadata.yaml.
+/// The kind of files of a bag: `--storage` of `ros2 bag record`, `storage_identifier` of metadata.yaml.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Storage {
-    /// `.mcap`, what Jazzy records unless told otherwise.
+    /// `.mcap`, the default of Jazzy.
     #[default]
     Mcap,
-    /// `.db3`, SQLite; only with the feature `sqlite`, which compiles it. It keeps one time of a message: when it was received.
+    /// `.db3`, SQLite; only with the feature `sqlite`, which compiles it. It only stores the receive time of
+    /// messages.
     Sqlite3,
 }
 
 impl Storage {
-    /// All, by their names in rosbag2.
+    /// All storages with their names in rosbag2.
     pub const ALL: [(&'static str, Self); 2] = [("mcap", Self::Mcap), ("sqlite3", Self::Sqlite3)];
 
     /// Its name in rosbag2.
@@ -28,7 +29,7 @@ impl Storage {
         }
     }
 
-    /// What the names of its files end with.
+    /// The extension of its files.
     pub(crate) fn extension(self) -> &'static str {
         match self {
             Self::Mcap => "mcap",
@@ -36,7 +37,7 @@ impl Storage {
         }
     }
 
-    /// Files that may stand beside one that was not ended.
+    /// Files that may accompany an unfinished one.
     pub(crate) fn companions(self, file: &Path) -> Vec<PathBuf> {
         match self {
             Self::Mcap => Vec::new(),
@@ -44,7 +45,7 @@ impl Storage {
         }
     }
 
-    /// Whether a message has the time at which it was published besides that at which it was received.
+    /// Whether it stores the publish time of messages in addition to the receive time.
     pub(crate) fn keeps_publish_time(self) -> bool {
         match self {
             Self::Mcap => true,
@@ -67,11 +68,11 @@ impl FromStr for Storage {
             .iter()
             .find(|(name, _)| *name == text)
             .map(|&(_, storage)| storage)
-            .ok_or_else(|| format!("there is no storage \"{text}\"; there are mcap, sqlite3"))
+            .ok_or_else(|| format!("unknown storage \"{text}\"; available are mcap, sqlite3"))
     }
 }
 
-/// Where SQLite keeps what it has not yet moved into the file.
+/// SQLite's write-ahead log of a file.
 pub(crate) fn write_ahead_log(file: &Path) -> PathBuf {
     with_suffix(file, "-wal")
 }

@@ -1,4 +1,4 @@
-//! What a bag knows of a topic.
+//! The description of a topic in a bag.
 
 use downbeat_msgs::definitions::{Catalog, TypeName};
 use downbeat_msgs::encoding::Schema;
@@ -6,29 +6,31 @@ use downbeat_msgs::qos::{Durability, History, QosProfile};
 
 use crate::metadata::RecordedQos;
 
-/// A topic as a bag describes it. The strings come from whoever made the type; this crate knows no message types.
+/// The description of a topic in a bag. This crate does not know message types; they are described by
+/// strings.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TopicInfo {
     /// Absolute topic name, `/joint_states`.
     pub name: String,
     /// ROS type name, `sensor_msgs/msg/JointState`.
     pub type_name: String,
-    /// The text of the type, its dependencies included, as rosbag2 writes it: that of a message, or, where the topic carries
-    /// the events of a service, that of the service, which begins with a line `SRV: package/srv/Name` below a rule.
+    /// The definition text of the type, including its dependencies, as in rosbag2: that of a message or, for
+    /// service events, that of the service, which starts with a line `SRV: package/srv/Name` below a rule.
     ///
-    /// Empty when it is not known. A reader also leaves it empty when the bag holds something other than `ros2msg`, and a
-    /// writer does not write it where [`TopicInfo::format`] has a schema.
+    /// Empty if unknown. A reader also leaves it empty if the bag contains a format other than `ros2msg`, and
+    /// a writer does not write it if [`TopicInfo::format`] has a schema.
     pub definition: String,
-    /// Type hash as in REP-2016, `RIHS01_…`; empty when it is not known.
+    /// Type hash as in REP-2016, `RIHS01_…`; empty if unknown.
     pub type_hash: String,
-    /// What each publisher of the topic offered, as far as it is known: what is heard in discovery has no history.
+    /// The QoS offered by each publisher of the topic, as far as known: discovery does not include the
+    /// history.
     pub offered_qos: Vec<RecordedQos>,
-    /// How its messages are serialised, where that is not CDR described by a `ros2msg` text.
+    /// The serialisation of its messages, if it is not CDR described by a `ros2msg` text.
     pub format: Option<MessageFormat>,
 }
 
 impl TopicInfo {
-    /// How many of the last messages a publisher holds for subscribers to come (transient local); 0 if it holds none.
+    /// The number of latest messages that a publisher keeps for late subscribers (transient local), or 0.
     #[must_use]
     pub fn latched_depth(&self) -> usize {
         let depth = |qos: QosProfile| match (qos.durability, qos.history) {
@@ -39,12 +41,12 @@ impl TopicInfo {
         self.offered_qos.iter().map(RecordedQos::to_profile).map(depth).max().unwrap_or(0)
     }
 
-    /// What a channel and the metadata of a bag say of the serialisation.
+    /// The name of the serialisation in a channel and in the metadata of a bag.
     pub(crate) fn message_encoding(&self) -> &str {
         self.format.as_ref().map_or("cdr", |format| &format.message_encoding)
     }
 
-    /// What the messages are to be read by.
+    /// The schema for reading the messages.
     pub(crate) fn schema(&self) -> Schema {
         self.format.as_ref().map_or_else(
             || Schema {
@@ -57,8 +59,8 @@ impl TopicInfo {
         )
     }
 
-    /// Whether the definition is known and empty, as that of `std_msgs/msg/Empty` is: its hash tells it from one that is not
-    /// known.
+    /// Whether the definition is known and empty, as for `std_msgs/msg/Empty`: the hash distinguishes it from
+    /// an unknown one.
     fn has_no_fields(&self) -> bool {
         let hash = || {
             let name: TypeName = self.type_name.parse().ok()?;
@@ -73,12 +75,13 @@ impl TopicInfo {
 /// A serialisation other than CDR, or CDR whose type is described by something other than a `ros2msg` text (`ros2idl`), as
 /// an MCAP file describes it.
 ///
-/// The type of the topic is that of ROS 2 all the same; a channel notes it as `topic_type` beside the `topic_type_hash`.
+/// The type of the topic is still that of ROS 2; a channel stores it as `topic_type` with the
+/// `topic_type_hash`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MessageFormat {
     /// `json`, `protobuf`, …
     pub message_encoding: String,
-    /// By what the messages are to be read; its name may be none of ROS 2.
+    /// The schema for reading the messages; its name need not be a ROS 2 type.
     pub schema: Schema,
 }
 
@@ -92,7 +95,7 @@ impl TopicId {
         u16::try_from(index).ok().map(Self)
     }
 
-    /// The topic at that position, which no more than 65 535 are before.
+    /// The topic at that position, if it is at most 65 535.
     #[must_use]
     pub fn at(position: usize) -> Option<Self> {
         Self::from_index(position)
@@ -105,15 +108,15 @@ impl TopicId {
     }
 }
 
-/// What rosbag2 calls the encoding of a definition text (`local_message_definition_source.cpp`).
+/// The encoding of a definition text, named as in rosbag2 (`local_message_definition_source.cpp`).
 fn encoding_of(definition: &str) -> &'static str {
     let headed = definition.strip_prefix(RULE).and_then(|rest| rest.strip_prefix('\n'));
     match headed {
-        // The format asks for an empty encoding where there is no text.
+        // The format requires an empty encoding if there is no text.
         None if definition.is_empty() => "",
         None => "ros2msg",
         Some(headed) if headed.starts_with("IDL: ") => "ros2idl",
-        // A service that refers to no message: the form is decided by what it refers to.
+        // A service without references: rosbag2 decides the encoding by the references.
         Some(headed) if headed.starts_with("SRV: ") && !headed.contains(RULE) => "unknown",
         Some(_) => "ros2msg",
     }
@@ -122,7 +125,8 @@ fn encoding_of(definition: &str) -> &'static str {
 /// The line between definitions.
 const RULE: &str = "================================================================================";
 
-/// Whether a topic carries the events of a service (service introspection), which `ros2 bag info` lists apart.
+/// Whether a topic carries the events of a service (service introspection), which `ros2 bag info` lists
+/// separately.
 ///
 /// The rule is that of `rosbag2_cpp/service_utils.cpp`.
 pub(crate) fn is_service_event(name: &str, type_name: &str) -> bool {

@@ -12,11 +12,11 @@ use ruzstd::decoding::errors::{FrameDecoderError, ReadFrameHeaderError};
 use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
-/// How far back a frame may refer: what the reference implementation accepts unless told otherwise.
+/// The maximum window of a frame: the default limit of the reference implementation.
 const LARGEST_WINDOW: u64 = 128 * 1024 * 1024;
 
-/// The most that compressed content may come to, whatever a header tells: a guard against small files that are made to fill the
-/// memory. Content of robots is compressed to a tenth or so, empty pictures to less.
+/// The maximum decompressed size, whatever a header declares, against small files designed to exhaust memory.
+/// Typical data compresses to about a tenth, empty images to less.
 pub(crate) fn most_from(compressed: u64) -> u64 {
     const LARGEST_RATIO: u64 = 100;
     const ALWAYS: u64 = 64 * 1024 * 1024;
@@ -24,7 +24,7 @@ pub(crate) fn most_from(compressed: u64) -> u64 {
     compressed.saturating_mul(LARGEST_RATIO).saturating_add(ALWAYS).min(EVER)
 }
 
-/// Compresses to one frame without a checksum, as fast as can be.
+/// Compresses to one frame without a checksum, optimised for speed.
 pub(crate) fn compress_fast(content: &[u8]) -> Vec<u8> {
     if u32::try_from(content.len()).is_err() {
         return compress(content);
@@ -32,47 +32,47 @@ pub(crate) fn compress_fast(content: &[u8]) -> Vec<u8> {
     fast::compress(content)
 }
 
-/// Compresses to one frame with a checksum, at the only level that `ruzstd` has.
+/// Compresses to one frame with a checksum, at the only level of `ruzstd`.
 pub(crate) fn compress(content: &[u8]) -> Vec<u8> {
     compress_to_vec(content, CompressionLevel::Fastest)
 }
 
-/// Decompresses all frames in `compressed`, which must come to `expected` bytes.
+/// Decompresses all frames in `compressed`, which must contain `expected` bytes.
 ///
-/// Neither that length nor those in the frames are trusted: memory grows with what has been decompressed, and by no more
-/// than a block (128 KiB) and a window beyond `expected`.
+/// Neither that length nor those in the frames are trusted: memory grows with the decompressed data, and
+/// exceeds `expected` by at most a block (128 KiB) and a window.
 ///
 /// # Errors
-/// What is wrong, as the end of a sentence about the chunk.
+/// The problem, as the end of a sentence about the chunk.
 pub(crate) fn decompress(compressed: &[u8], expected: u64) -> Result<Vec<u8>, String> {
     let mut content = Vec::new();
     let mut rest = compressed;
-    let too_many = || format!("its header tells {expected} bytes of uncompressed content, more came out");
+    let too_many = || format!("its header declares {expected} bytes of uncompressed content, found more");
     unpack(&mut rest, &mut content, expected, too_many)?;
     if content.len() as u64 != expected {
         return Err(format!(
-            "its header tells {expected} bytes of uncompressed content, {} came out",
+            "its header declares {expected} bytes of uncompressed content, found {}",
             content.len()
         ));
     }
     Ok(content)
 }
 
-/// Decompresses all frames in `compressed`, which must not come to more than `limit` bytes.
+/// Decompresses all frames in `compressed`, which must not contain more than `limit` bytes.
 ///
 /// # Errors
-/// As [`decompress`].
+/// See [`decompress`].
 pub(crate) fn decompress_within(compressed: &[u8], limit: u64) -> Result<Vec<u8>, String> {
     let mut content = Vec::new();
     let mut rest = compressed;
-    unpack(&mut rest, &mut content, limit, || format!("more than {limit} bytes came out of it"))?;
+    unpack(&mut rest, &mut content, limit, || format!("it decompresses to more than {limit} bytes"))?;
     Ok(content)
 }
 
 /// Decompresses all frames of `source` into `content`, in bounded memory.
 ///
 /// # Errors
-/// As [`decompress`]. What came out before is in `content`.
+/// See [`decompress`]. Data decompressed before the error is in `content`.
 pub(crate) fn unpack(
     source: &mut impl BufRead,
     content: &mut impl Write,
@@ -91,7 +91,7 @@ pub(crate) fn unpack(
                 let length = u64::from(length);
                 let skipped = io::copy(&mut source.by_ref().take(length), &mut io::sink());
                 if skipped.map_err(|error| error.to_string())? < length {
-                    return Err("it ends within a frame that is to be skipped".to_owned());
+                    return Err("it ends within a skippable frame".to_owned());
                 }
             }
             Err(error) => return Err(damaged(&error)),
@@ -100,7 +100,7 @@ pub(crate) fn unpack(
     Ok(written)
 }
 
-/// Returns how much was written so far.
+/// Returns the number of bytes written so far.
 fn decode_frame(
     decoder: &mut FrameDecoder,
     source: &mut impl BufRead,
@@ -128,7 +128,7 @@ fn decode_frame(
 }
 
 fn damaged(error: &FrameDecoderError) -> String {
-    format!("its Zstandard data is not as it should be ({error})")
+    format!("its Zstandard data is invalid ({error})")
 }
 
 #[cfg(test)]
@@ -149,7 +149,7 @@ mod tests {
         frame
     }
 
-    /// Bytes that neither repeat nor are random: like the fields of messages.
+    /// Bytes that are neither repetitive nor random, like the fields of messages.
     fn mixed(length: usize) -> Vec<u8> {
         let mut state = 1_u32;
         let mut byte = |n: usize| {
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn content_of_any_length_comes_back() {
+    fn content_of_any_length_round_trips() {
         for length in (0..300).chain([4095, 131_071, 131_072, 131_073, 400_000]) {
             for content in [mixed(length), vec![7; length]] {
                 for compressed in [compress(&content), compress_fast(&content)] {
@@ -172,7 +172,7 @@ mod tests {
         assert!(compress(&mixed(400_000)).len() < 200_000);
     }
 
-    /// Long and short matches, near and far, runs, and what does not repeat, in an order that a seed decides.
+    /// Long and short matches, near and far, runs, and unique bytes, in a pseudo-random order.
     fn patchwork(seed: u32, length: usize) -> Vec<u8> {
         let mut state = seed;
         let mut random = |below: usize| {
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_is_compressed_fast_comes_back() {
+    fn content_compressed_fast_round_trips() {
         for seed in 0..300 {
             let content = patchwork(seed, 1 << (seed % 22));
             let compressed = compress_fast(&content);
@@ -217,11 +217,11 @@ mod tests {
         compressed.extend_from_slice(&compress(b"two"));
         assert_eq!(decompress(&compressed, 7).unwrap(), b"one two");
         compressed.extend_from_slice(&[0x50, 0x2a, 0x4d, 0x18, 0xff, 0xff, 0xff, 0xff]);
-        assert!(decompress(&compressed, 7).unwrap_err().contains("to be skipped"));
+        assert!(decompress(&compressed, 7).unwrap_err().contains("within a skippable frame"));
     }
 
     #[test]
-    fn a_decompression_bomb_is_stopped_where_it_exceeds_what_was_told() {
+    fn a_decompression_bomb_is_stopped_where_it_exceeds_the_declared_size() {
         let whole = frame_of_runs(3);
         assert_eq!(decompress(&whole, 3 * 128 * 1024).unwrap(), vec![0; 3 * 128 * 1024]);
         // 131 GB if it were decompressed, and no last block.
@@ -231,20 +231,20 @@ mod tests {
         let blocks = bomb[6..].repeat(1000);
         bomb.extend_from_slice(&blocks);
         let error = decompress(&bomb, 1_000_000).unwrap_err();
-        assert!(error.contains("tells 1000000 bytes of uncompressed content, more came out"), "{error}");
+        assert!(error.contains("declares 1000000 bytes of uncompressed content, found more"), "{error}");
     }
 
     #[test]
-    fn a_wrong_length_is_told_however_large_it_is() {
+    fn a_wrong_length_is_reported_however_large_it_is() {
         let compressed = compress(&mixed(1000));
         for wrong in [0, 999, 1001, 1 << 30, u64::MAX] {
             let error = decompress(&compressed, wrong).unwrap_err();
-            assert!(error.contains(&format!("tells {wrong} bytes")), "{error}");
+            assert!(error.contains(&format!("declares {wrong} bytes")), "{error}");
         }
     }
 
     #[test]
-    fn a_window_larger_than_the_limit_is_refused_before_memory_is_taken() {
+    fn a_window_larger_than_the_limit_is_refused_before_memory_is_allocated() {
         // Window exponent 31: 2 TiB.
         let error = decompress(&[0x28, 0xb5, 0x2f, 0xfd, 0x00, 31 << 3, 1, 0, 0], 0).unwrap_err();
         assert!(error.contains("window"), "{error}");
@@ -261,13 +261,13 @@ mod tests {
                 if let Ok(read) = decompress(&altered, 3000) {
                     assert_eq!(
                         read, content,
-                        "byte {position}: the checksum catches what the format does not"
+                        "byte {position}: the checksum detects what the format does not"
                     );
                 }
             }
         }
         for length in 1..compressed.len() {
-            assert!(decompress(&compressed[..length], 3000).is_err(), "cut to {length}");
+            assert!(decompress(&compressed[..length], 3000).is_err(), "truncated to {length}");
         }
     }
 }

@@ -1,3 +1,3 @@
-//! What the fuzzer and the tests run.
+//! The code that the fuzzer and the tests run.
 
 pub mod reader;

@@ -1,12 +1,12 @@
-//! A bag file of any bytes is read to its end: there may be errors, but no panic and no end
-//! of memory.
+//! Reads arbitrary bytes as a bag file to the end: errors are permitted, but no panics and no unbounded
+//! memory.
 
 use std::path::Path;
 
 use downbeat_bags::metadata::{Metadata, qos_from_yaml};
 use downbeat_bags::{BagInfo, Reader, Selection, TopicSizes, check};
 
-/// One run; tells whether the bytes could be opened.
+/// Runs once and returns whether the bytes could be opened.
 pub fn run(bytes: &[u8]) -> bool {
     let is_bag = read(bytes);
     if let Ok(text) = std::str::from_utf8(bytes) {
@@ -24,11 +24,11 @@ pub fn run(bytes: &[u8]) -> bool {
 
 fn read(bytes: &[u8]) -> bool {
     let Ok(reader) = Reader::from_bytes("any.mcap", bytes.to_vec()) else { return false };
-    // All messages, each with a topic that there is.
+    // All messages, each with an existing topic.
     let sizes = TopicSizes::read(&reader, |_| {});
     let middle = reader.start_time().unwrap_or(0) / 2 + reader.end_time().unwrap_or(0) / 2;
     if let Ok(messages) = reader.messages(Selection::all().from(middle)) {
-        // By time, whatever the file tells of its chunks.
+        // Sorted by time, whatever the file declares about its chunks.
         assert!(messages.flatten().all(|message| message.log_time >= middle));
     }
     if let Ok(mut info) = BagInfo::of(&reader) {

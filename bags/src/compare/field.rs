@@ -5,7 +5,7 @@ use downbeat_msgs::dynamic::{MessageRef, ValueRef};
 use super::FieldDifference;
 use super::rule::{Allowed, FieldRule};
 
-/// Texts are told up to here.
+/// Longer strings are truncated in reports.
 const LONGEST_TEXT: usize = 80;
 
 pub(super) fn first_difference(
@@ -74,7 +74,7 @@ impl Walk<'_> {
         }
     }
 
-    /// What the last rule that means this field allows.
+    /// The tolerance of the last rule that applies to this field.
     fn allowed(&self) -> Option<Allowed> {
         self.rules.iter().rev().find(|rule| rule.means_field(&self.path)).map(FieldRule::allowed)
     }
@@ -84,7 +84,7 @@ impl Walk<'_> {
     }
 }
 
-/// Floating-point numbers by their bits: a NaN equals itself, and zeros have a sign.
+/// Compares floating-point numbers by their bits: a NaN equals itself, and zeros have a sign.
 fn is_same(first: ValueRef<'_>, second: ValueRef<'_>) -> bool {
     match (first, second) {
         (ValueRef::Float32(first), ValueRef::Float32(second)) => first.to_bits() == second.to_bits(),
@@ -101,7 +101,7 @@ fn is_near(first: ValueRef<'_>, second: ValueRef<'_>, allowed: Allowed) -> bool 
         Allowed::Absolute(most) => distance <= most,
         Allowed::Relative(part) => distance <= part * first.abs().max(second.abs()),
     };
-    // Infinities of one sign are no number apart; NaN is near NaN only.
+    // Equal infinities have no finite distance; NaN only matches NaN.
     is_within || first == second || (first.is_nan() && second.is_nan())
 }
 

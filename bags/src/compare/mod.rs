@@ -1,4 +1,4 @@
-//! Comparing messages field by field: bit for bit, or as exactly as rules ask for.
+//! Compares messages field by field: bit for bit, or with the tolerances of rules.
 //!
 //! ```
 //! use downbeat_bags::{Comparer, FieldRule, TopicInfo};
@@ -32,7 +32,7 @@ pub use rule::{FieldRule, FieldRuleError};
 /// Compares messages of one topic, given as CDR.
 #[derive(Debug)]
 pub struct Comparer {
-    /// Nothing where the definition is not known: then bytes are compared.
+    /// `None` if the definition is unknown: then bytes are compared.
     message_type: Option<DynamicType>,
     rules: Vec<FieldRule>,
 }
@@ -40,11 +40,11 @@ pub struct Comparer {
 /// The first field in which two messages differ.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FieldDifference {
-    /// The path of the field, `position[3]`; `byte 17` where the fields are not known.
+    /// The path of the field, `position[3]`; `byte 17` if the fields are unknown.
     pub path: String,
-    /// What the first message has there.
+    /// The value in the first message.
     pub first: String,
-    /// What the second message has there.
+    /// The value in the second message.
     pub second: String,
 }
 
@@ -55,14 +55,15 @@ impl fmt::Display for FieldDifference {
 }
 
 impl Comparer {
-    /// For messages of that topic. Of the rules those that mean the topic count; where several mean a field, the last.
+    /// Creates a comparer for messages of a topic. It uses the rules that apply to the topic; if several
+    /// apply to a field, the last one is used.
     #[must_use]
     pub fn new(topic: &TopicInfo, rules: &[FieldRule]) -> Self {
         let rules = rules.iter().filter(|rule| rule.means_topic(&topic.name)).cloned().collect();
         Self { message_type: message_type(topic), rules }
     }
 
-    /// Whether a rule says that nothing of the topic is compared.
+    /// Whether a rule excludes the topic.
     #[must_use]
     pub fn ignores_all(&self) -> bool {
         self.rules.last().is_some_and(FieldRule::ignores_everything)
@@ -70,8 +71,8 @@ impl Comparer {
 
     /// The first field in which the messages differ by more than the rules allow.
     ///
-    /// Numbers are equal if their bits are, but where a rule gives a tolerance. Where fields cannot be read, bytes are
-    /// compared.
+    /// Numbers are equal if their bits are equal, unless a rule sets a tolerance. If fields cannot be read,
+    /// bytes are compared.
     #[must_use]
     pub fn compare(&self, first: &[u8], second: &[u8]) -> Option<FieldDifference> {
         if first == second || self.ignores_all() {
@@ -88,7 +89,7 @@ impl Comparer {
     }
 }
 
-/// The definition of the topic's type: that of the bag, or else the one that is carried.
+/// The definition of the topic's type: that of the bag, or else the built-in one.
 fn message_type(topic: &TopicInfo) -> Option<DynamicType> {
     DynamicType::from_definition_text(&topic.type_name, "ros2msg", &topic.definition)
         .ok()
@@ -146,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_field_that_differs_is_told_with_its_path_and_both_values() {
+    fn the_first_difference_is_reported_with_path_and_both_values() {
         assert_eq!(difference(&[], |_| {}), None, "a NaN equals itself");
         type Change = fn(&mut DynamicMessage);
         let cases: [(&str, Change); 5] = [
@@ -162,14 +163,14 @@ mod tests {
     }
 
     #[test]
-    fn another_nan_is_told_by_its_bits() {
+    fn a_different_nan_is_reported_by_its_bits() {
         let other = f64::from_bits(f64::NAN.to_bits() ^ 1);
         let found = difference(&[], |legs| legs.set("angles[1]", other).unwrap()).unwrap();
         assert_eq!(found, "angles[1]: NaN (0x7ff8000000000000) and NaN (0x7ff8000000000001)");
     }
 
     #[test]
-    fn a_tolerance_counts_for_the_fields_and_topics_that_it_names() {
+    fn a_tolerance_applies_to_the_fields_and_topics_that_it_names() {
         let change = |legs: &mut DynamicMessage| legs.set("parts[1].mass", 0.26_f32).unwrap();
         for allowed in [
             "robot/legs:parts.mass=0.02",
@@ -185,11 +186,11 @@ mod tests {
         {
             assert!(difference(&[refused], change).is_some(), "{refused}");
         }
-        assert!(difference(&["=1", ":parts=0"], change).is_some(), "the last rule counts");
+        assert!(difference(&["=1", ":parts=0"], change).is_some(), "the last rule applies");
     }
 
     #[test]
-    fn what_is_ignored_may_be_anything_and_of_any_length() {
+    fn ignored_fields_may_have_any_value_and_length() {
         let change = |legs: &mut DynamicMessage| {
             legs.set("name", "right").unwrap();
             legs.resize("parts", 9).unwrap();
@@ -200,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn of_types_that_are_not_known_bytes_are_compared() {
+    fn messages_of_unknown_types_are_compared_as_bytes() {
         let unknown = TopicInfo { type_name: "no_msgs/msg/Thing".to_owned(), ..TopicInfo::default() };
         let comparer = Comparer::new(&unknown, &[]);
         assert_eq!(comparer.compare(&[1, 2, 3], &[1, 9, 3]).unwrap().to_string(), "byte 1: 0x02 and 0x09");

@@ -1,8 +1,8 @@
-//! Rules that say how exactly fields are compared.
+//! Rules for how exactly fields are compared.
 
 use std::fmt;
 
-/// How exactly the fields are compared that it means.
+/// How exactly certain fields are compared.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FieldRule {
     topic: String,
@@ -13,30 +13,30 @@ pub struct FieldRule {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Allowed {
     Anything,
-    /// So far apart.
+    /// Maximum absolute difference.
     Absolute(f64),
-    /// So far apart, as a part of the larger one.
+    /// Maximum difference relative to the larger value.
     Relative(f64),
 }
 
-/// A text that is no rule.
+/// A text is not a valid rule.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("\"{text}\" is no rule: {expected}")]
+#[error("\"{text}\" is not a rule: {expected}")]
 pub struct FieldRuleError {
     text: String,
     expected: &'static str,
 }
 
 impl FieldRule {
-    /// A tolerance for numbers: `TOPIC:FIELD=AMOUNT`, where the amount is a number or, as a part of the larger of both
-    /// values, a percentage: `joint_states:position=1e-6`, `imu/*:linear_acceleration.x=0.1%`.
+    /// A tolerance for numbers: `TOPIC:FIELD=AMOUNT`, where the amount is a number or a percentage of the
+    /// larger value: `joint_states:position=1e-6`, `imu/*:linear_acceleration.x=0.1%`.
     ///
-    /// In the topic `*` stands for any characters of one part of a name, `**` for any number of parts; without a topic all
-    /// are meant. The field means all that is below it, of arrays each element unless one is given (`position[3]`);
-    /// without a field all numbers are meant.
+    /// In the topic, `*` matches any characters of one part of a name, `**` any number of parts; without a
+    /// topic the rule applies to all topics. A field includes everything below it, and all elements of an
+    /// array unless one is given (`position[3]`); without a field the rule applies to all numbers.
     ///
     /// # Errors
-    /// If the text has no such form.
+    /// If the text does not have this form.
     pub fn tolerance(text: &str) -> Result<Self, FieldRuleError> {
         let error = || FieldRuleError {
             text: text.to_owned(),
@@ -73,7 +73,7 @@ impl FieldRule {
         self.topic.is_empty() || matches(&parts(&self.topic), &parts(topic))
     }
 
-    /// Whether it means the field at that path, or one that holds it.
+    /// Whether it applies to the field at that path, or to one that contains it.
     pub(super) fn means_field(&self, path: &str) -> bool {
         is_at_or_below(path, &self.field) || is_at_or_below(&without_indices(path), &self.field)
     }
@@ -152,7 +152,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rules_are_read_and_told() {
+    fn rules_are_parsed_and_printed() {
         let text = |rule: FieldRule| rule.to_string();
         assert_eq!(text(FieldRule::tolerance("/a/b:c.d=1e-6").unwrap()), "a/b:c.d ± 1e-6");
         assert_eq!(text(FieldRule::tolerance("=5%").unwrap()), "** ± 5.0 %");

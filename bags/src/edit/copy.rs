@@ -1,4 +1,4 @@
-//! Bags made of bags: merged, filtered, cut, repaired, or written anew in another form.
+//! Creates bags from bags: merged, filtered, cut, repaired, or converted.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,7 @@ use crate::summary::RecordingSummary;
 use crate::topic::TopicInfo;
 use crate::writer::{Writer, WriterError};
 
-/// What of some bags goes into another one.
+/// The part of some bags that is copied into another one.
 ///
 /// ```no_run
 /// use downbeat_bags::{Copy, Reader, WriterOptions};
@@ -27,22 +27,22 @@ pub struct Copy<'a> {
     keeps_latched: bool,
 }
 
-/// What was copied.
+/// The result of copying.
 #[derive(Debug)]
 pub struct Copied {
-    /// What is in the new bag.
+    /// The contents of the new bag.
     pub summary: RecordingSummary,
-    /// What could not be read, and is not in it.
+    /// The parts that could not be read and are missing in the new bag.
     pub unreadable: Vec<ReaderError>,
-    /// Messages that were published at another time than they were received, which the storage of the new bag has no place
-    /// for: they have the time at which they were received alone.
+    /// The number of messages whose publish time was dropped, because the storage of the new bag only has the
+    /// receive time.
     pub without_publish_time: u64,
 }
 
 /// Why a bag could not be copied.
 #[derive(Debug, thiserror::Error)]
 pub enum CopyError {
-    /// The bags do not go together.
+    /// The bags are incompatible.
     #[error(transparent)]
     Conflict(#[from] TypeConflict),
     /// A bag cannot be read at all.
@@ -56,7 +56,7 @@ pub enum CopyError {
     File {
         /// The file.
         path: PathBuf,
-        /// What went wrong.
+        /// The problem.
         found: String,
     },
     /// The metadata cannot be read back.
@@ -65,42 +65,42 @@ pub enum CopyError {
 }
 
 impl<'a> Copy<'a> {
-    /// The topics of these bags that are wanted.
+    /// Selects topics of these bags.
     ///
     /// # Errors
-    /// If they have one of them with different types.
+    /// If they contain a topic with different types.
     pub fn of(bags: &'a [Reader], is_wanted: impl Fn(&TopicInfo) -> bool) -> Result<Self, TypeConflict> {
         let bags = MergedBags::new(bags, is_wanted)?;
         Ok(Self { bags, from: i64::MIN, until: i64::MAX, keeps_latched: false })
     }
 
-    /// Only messages received from `from` to `until`, both included, in nanoseconds since the epoch.
+    /// Only copies messages received from `from` to `until`, inclusive, in nanoseconds since the epoch.
     #[must_use]
     pub fn times(mut self, from: i64, until: i64) -> Self {
         (self.from, self.until) = (from, until);
         self
     }
 
-    /// Of topics that are latched (transient local) also the last messages before the first time: what a subscriber that
-    /// came then would have received. They are moved to that time.
+    /// Also copies the last messages of latched (transient local) topics before the first time, which a
+    /// subscriber joining then would have received. They are moved to that time.
     #[must_use]
     pub fn keep_latched(mut self) -> Self {
         self.keeps_latched = true;
         self
     }
 
-    /// How many messages there are, those outside of the times included.
+    /// The number of messages, including those outside of the time range.
     #[must_use]
     pub fn message_count(&self) -> u64 {
         self.bags.topics().iter().map(|topic| topic.message_count).sum()
     }
 
-    /// Writes them, and tells `progress` how many have been written, now and then.
+    /// Writes the messages, and calls `progress` from time to time with the number of messages written.
     ///
-    /// What cannot be read is left out and told.
+    /// Unreadable parts are left out and reported.
     ///
     /// # Errors
-    /// If a bag cannot be opened any more, or the new one not be written.
+    /// If a bag can no longer be opened, or the new one cannot be written.
     pub fn into_writer(self, mut writer: Writer, mut progress: impl FnMut(u64)) -> Result<Copied, CopyError> {
         let mut unreadable = Vec::new();
         let add = |topic: &RecordedTopic| writer.add_topic(topic.info.clone());
@@ -113,7 +113,7 @@ impl<'a> Copy<'a> {
             match message {
                 Err(error) => unreadable.push(error),
                 Ok(message) => {
-                    // Writers refuse times before 1970, which only damaged files have.
+                    // Writers reject times before 1970, which occur only in damaged files.
                     let times = (message.log_time.max(0), message.publish_time.max(0));
                     writer.write(targets[message.topic.index()], times.0, times.1, &message.data)?;
                     written += 1;

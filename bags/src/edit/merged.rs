@@ -5,37 +5,37 @@ use std::collections::VecDeque;
 use crate::reader::{BagMessage, Messages, Reader, ReaderError, RecordedTopic, Selection};
 use crate::topic::{TopicId, TopicInfo};
 
-/// The messages of several bags by time; where times are equal, in the order of the bags. Made by
+/// The messages of several bags sorted by time, or by bag if times are equal. Created by
 /// [`MergedBags::messages`].
 pub struct Merged {
     streams: Vec<Stream>,
-    /// Told before further messages.
+    /// Returned before further messages.
     errors: VecDeque<ReaderError>,
 }
 
-/// What each topic of one bag, by position, is among those of several.
+/// Maps the position of each topic in one bag to its id in the merged bags.
 type TopicMap = Vec<Option<TopicId>>;
 
 struct Stream {
     messages: Messages,
     next: Option<BagMessage>,
-    /// From the bag's topics to those of all.
+    /// From the bag's topics to the merged topics.
     topics: TopicMap,
 }
 
-/// Two bags have a topic of one name that is not the same.
+/// Two bags contain different topics with the same name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("topic {topic} is of type {first} in one bag and {second} in another; leave it out")]
 pub struct TypeConflict {
     /// The topic.
     pub topic: String,
-    /// Its type, and how it is serialised.
+    /// Its type and serialisation in one bag.
     pub first: String,
-    /// The other.
+    /// Its type and serialisation in the other bag.
     pub second: String,
 }
 
-/// Several bags as one: some of their topics, each name once.
+/// Several bags as one: a selection of their topics, each name once.
 pub struct MergedBags<'a> {
     bags: &'a [Reader],
     topics: Vec<RecordedTopic>,
@@ -43,10 +43,10 @@ pub struct MergedBags<'a> {
 }
 
 impl<'a> MergedBags<'a> {
-    /// Merges the topics that are wanted; the others are no conflict.
+    /// Merges the selected topics; other topics cannot conflict.
     ///
     /// # Errors
-    /// If one name has several types or serialisations.
+    /// If a topic has several types or serialisations.
     pub fn new(bags: &'a [Reader], is_wanted: impl Fn(&TopicInfo) -> bool) -> Result<Self, TypeConflict> {
         let mut merged = Self { bags, topics: Vec::new(), maps: Vec::new() };
         for bag in bags {
@@ -58,16 +58,16 @@ impl<'a> MergedBags<'a> {
         Ok(merged)
     }
 
-    /// The topics, with the counts of all bags; messages name them by position.
+    /// The topics, with the counts of all bags; messages refer to them by position.
     #[must_use]
     pub fn topics(&self) -> &[RecordedTopic] {
         &self.topics
     }
 
-    /// The messages of all bags by time, of those topics for which `is_meant` is true.
+    /// The messages of all bags sorted by time, for topics for which `is_meant` returns true.
     ///
     /// # Errors
-    /// If a bag cannot be opened any more.
+    /// If a bag can no longer be opened.
     pub fn messages(
         &self,
         selection: &Selection,
@@ -84,8 +84,8 @@ impl<'a> MergedBags<'a> {
         Ok(Merged { streams, errors: VecDeque::new() })
     }
 
-    /// Of latched topics (transient local) among these messages, which come by time, those that a subscriber would still
-    /// receive after them, by time.
+    /// Returns the messages of latched (transient local) topics that a subscriber would receive after
+    /// `messages`, sorted by time like these.
     pub(crate) fn last_latched(&self, messages: impl Iterator<Item = BagMessage>) -> Vec<BagMessage> {
         let mut last: Vec<VecDeque<BagMessage>> = vec![VecDeque::new(); self.topics.len()];
         for message in messages {

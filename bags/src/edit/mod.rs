@@ -1,4 +1,4 @@
-//! Bags made of bags.
+//! Creates bags from bags.
 
 mod copy;
 mod merged;

@@ -1,4 +1,4 @@
-//! metadata.yaml made again from the files of a bag.
+//! Recreates metadata.yaml from the files of a bag.
 
 use std::path::Path;
 
@@ -6,8 +6,8 @@ use super::CopyError;
 use crate::metadata::{self, FORMAT_VERSION, FileMetadata, Metadata, RecordedQos, TopicMetadata};
 use crate::reader::{Reader, RecordedTopic};
 
-/// Makes the metadata.yaml of a bag directory again from its files, as `ros2 bag reindex` does; whether there is one, and what
-/// it says, does not matter, but for what files do not tell: `custom_data` is kept where it can be read.
+/// Recreates the metadata.yaml of a bag directory from its files, like `ros2 bag reindex`. An existing one is
+/// only used for what the files do not contain: `custom_data` is kept if it is readable.
 ///
 /// # Errors
 /// If there are no files, or they cannot be read, or metadata.yaml cannot be written.
@@ -54,7 +54,7 @@ pub fn reindex(directory: &Path) -> Result<Metadata, CopyError> {
     Ok(Metadata::read(&path)?)
 }
 
-/// As they were told, which is more than a profile can say, or else as they are in the file.
+/// The profiles in the old metadata, which can contain more than one in the file, or else those in the file.
 fn offered_qos(topic: &RecordedTopic, told: Option<&Metadata>) -> Vec<RecordedQos> {
     let topics = told.map(|told| told.topics.as_slice()).unwrap_or_default();
     let told = topics.iter().find(|told| told.name == topic.info.name && !told.offered_qos.is_empty());

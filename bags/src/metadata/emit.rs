@@ -1,13 +1,13 @@
-//! The YAML text of rosbag2 metadata, byte for byte as rosbag2 (through yaml-cpp) writes it.
+//! The YAML text of rosbag2 metadata, byte for byte as written by rosbag2 (with yaml-cpp).
 //!
-//! Written by hand since the form is fixed and serde's YAML writers indent sequences differently.
+//! Not written with serde, whose YAML writers indent sequences differently.
 
 use std::fmt::Write;
 use std::time::Duration;
 
 use super::{FORMAT_VERSION, Metadata, RecordedQos};
 
-/// What rosbag2 writes for an infinite duration: `RMW_DURATION_INFINITE`, 2^63 - 1 ns.
+/// rosbag2's value for an infinite duration: `RMW_DURATION_INFINITE`, 2^63 - 1 ns.
 pub(super) const INFINITE: (u64, u64) = (9_223_372_036, 854_775_807);
 
 /// The text of metadata.yaml.
@@ -137,7 +137,7 @@ fn nanoseconds(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// Plain where every YAML reader takes it for a string, else in double quotes.
+/// Plain if every YAML reader reads it as a string, else in double quotes.
 fn scalar(text: &str) -> String {
     if is_plain(text) {
         return text.to_owned();
@@ -162,7 +162,7 @@ fn scalar(text: &str) -> String {
 }
 
 fn is_plain(text: &str) -> bool {
-    // YAML 1.1 readers (PyYAML, yaml-cpp) take these for booleans or null.
+    // YAML 1.1 readers (PyYAML, yaml-cpp) read these as booleans or null.
     const RESERVED: [&str; 9] = ["true", "false", "yes", "no", "on", "off", "null", "y", "n"];
     let starts_like_a_name = text.starts_with(|c: char| c.is_ascii_alphabetic() || c == '/' || c == '_');
     starts_like_a_name
@@ -175,7 +175,7 @@ mod tests {
     use super::scalar;
 
     #[test]
-    fn text_that_yaml_would_take_for_something_else_is_quoted() {
+    fn text_that_yaml_would_read_as_another_type_is_quoted() {
         for text in
             ["true", "No", "~", "", "1.0", "- a", "a: b", "a #b", "line\nbreak", "\"", "\u{7}", "null"]
         {

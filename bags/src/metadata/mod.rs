@@ -1,6 +1,7 @@
 //! rosbag2 metadata: the file metadata.yaml and the metadata record inside an MCAP file.
 //!
-//! Source of the form: `rosbag2_storage/bag_metadata.hpp`, `yaml.hpp` and `qos.cpp` of branch jazzy (version 9).
+//! Source of the format: `rosbag2_storage/bag_metadata.hpp`, `yaml.hpp` and `qos.cpp` of branch jazzy
+//! (version 9).
 
 mod emit;
 mod parse;
@@ -20,29 +21,29 @@ pub use qos::{RecordedDurability, RecordedHistory, RecordedLiveliness, RecordedQ
 /// The version of the metadata that is written.
 pub const FORMAT_VERSION: u32 = 9;
 
-/// The distribution of ROS 2 whose form is written.
+/// The distribution of ROS 2 whose format is written.
 pub(crate) const ROS_DISTRO: &str = "jazzy";
 
 /// The name of the metadata file in a bag directory.
 pub const FILE_NAME: &str = "metadata.yaml";
 
-/// Start time of a bag without messages, as rosbag2 writes it.
+/// Start time of a bag without messages, as in rosbag2.
 pub const NEVER: i64 = i64::MAX;
 
-/// What metadata.yaml tells of a bag. Times are nanoseconds since the epoch.
+/// The contents of metadata.yaml. Times are nanoseconds since the epoch.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Metadata {
-    /// The version it was read with; [`FORMAT_VERSION`] is what gets written.
+    /// The version when it was read; [`FORMAT_VERSION`] is written.
     pub version: u32,
     /// `mcap` or `sqlite3`.
     pub storage_identifier: String,
     /// From the first to the last message.
     pub duration: Duration,
-    /// When the first message was received, [`NEVER`] if there is none.
+    /// The receive time of the first message, [`NEVER`] if there is none.
     pub starting_time: i64,
     /// Messages of all topics.
     pub message_count: u64,
-    /// The topics, those without messages too.
+    /// The topics, including those without messages.
     pub topics: Vec<TopicMetadata>,
     /// `zstd` when whole files or messages are compressed; empty for compressed MCAP chunks.
     pub compression_format: String,
@@ -52,13 +53,13 @@ pub struct Metadata {
     pub relative_file_paths: Vec<String>,
     /// More about each file (since version 5).
     pub files: Vec<FileMetadata>,
-    /// What the user wanted noted.
+    /// Custom data of the user.
     pub custom_data: BTreeMap<String, String>,
     /// `jazzy`; empty before version 8.
     pub ros_distro: String,
 }
 
-/// What metadata.yaml tells of a topic.
+/// The entry of a topic in metadata.yaml.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TopicMetadata {
     /// Topic name.
@@ -75,16 +76,16 @@ pub struct TopicMetadata {
     pub message_count: u64,
 }
 
-/// What metadata.yaml tells of a bag file.
+/// The entry of a bag file in metadata.yaml.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FileMetadata {
     /// Relative to the directory.
     pub path: String,
-    /// When its first message was received, [`NEVER`] if it has none.
+    /// The receive time of its first message, [`NEVER`] if it has none.
     pub starting_time: i64,
     /// From its first to its last message.
     pub duration: Duration,
-    /// Its messages.
+    /// The number of messages in it.
     pub message_count: u64,
 }
 
@@ -96,7 +97,7 @@ pub enum MetadataError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The text is not rosbag2 metadata.
@@ -104,9 +105,9 @@ pub enum MetadataError {
     Form {
         /// The file.
         path: PathBuf,
-        /// Where, counted from 1; 0 when the place is not known.
+        /// The line, counted from 1; 0 if unknown.
         line: usize,
-        /// What is wrong there.
+        /// The problem.
         found: String,
     },
 }
@@ -152,10 +153,11 @@ impl Metadata {
         emit::record_text(self)
     }
 
-    /// Replaces the metadata.yaml of `directory` at once: whoever reads it sees the old or the new text, whole.
+    /// Replaces the metadata.yaml of `directory` atomically: readers see either the complete old or the
+    /// complete new text.
     ///
     /// # Errors
-    /// What the operating system said.
+    /// The error of the operating system.
     pub fn replace_in(&self, directory: &Path) -> io::Result<()> {
         let temporary = directory.join(".metadata.yaml.new");
         let write = || fs::File::create(&temporary)?.write_all(self.to_yaml().as_bytes());
@@ -167,8 +169,8 @@ impl Metadata {
 }
 
 impl Metadata {
-    /// Writes over the metadata.yaml of `directory` where it stands, if it fits into the room that the file has: on a full disk
-    /// nothing else can be written. Who reads it just then may see half of it.
+    /// Overwrites the metadata.yaml of `directory` in place, if it fits into the blocks of the file: on a
+    /// full disk nothing else can be written. A concurrent reader may see a partial file.
     #[cfg(unix)]
     pub(crate) fn overwrite_in(&self, directory: &Path) -> io::Result<()> {
         use std::os::unix::fs::MetadataExt;
@@ -182,7 +184,7 @@ impl Metadata {
         file.set_len(text.len() as u64)
     }
 
-    /// Not known to work elsewhere.
+    /// Not implemented on other systems.
     #[cfg(not(unix))]
     pub(crate) fn overwrite_in(&self, _: &Path) -> io::Result<()> {
         Err(io::ErrorKind::StorageFull.into())
@@ -196,7 +198,7 @@ pub fn qos_to_yaml(profiles: &[QosProfile]) -> String {
     recorded_qos_to_yaml(&recorded)
 }
 
-/// The YAML text of the MCAP channel metadata `offered_qos_profiles`, of profiles as a bag has them.
+/// The YAML text of the MCAP channel metadata `offered_qos_profiles`, of profiles as stored in a bag.
 #[must_use]
 pub fn recorded_qos_to_yaml(profiles: &[RecordedQos]) -> String {
     emit::qos_text(profiles)
@@ -205,7 +207,7 @@ pub fn recorded_qos_to_yaml(profiles: &[RecordedQos]) -> String {
 /// Reads the YAML text of the MCAP channel metadata `offered_qos_profiles`; `path` is for error messages.
 ///
 /// # Errors
-/// If the text is no list of profiles; the line is that within the text.
+/// If the text is not a list of profiles; the line is that within the text.
 pub fn qos_from_yaml(text: &str, path: &Path) -> Result<Vec<RecordedQos>, MetadataError> {
     if text.trim().is_empty() {
         return Ok(Vec::new());

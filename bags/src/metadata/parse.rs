@@ -1,4 +1,4 @@
-//! Reading of metadata.yaml: version 9 and the older forms.
+//! Reads metadata.yaml: version 9 and older ones.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -23,7 +23,7 @@ pub(super) struct Root {
     rosbag2_bagfile_information: Information,
 }
 
-/// What is below the root key, and what the metadata record of an MCAP file is.
+/// The content below the root key, which is also that of the metadata record in an MCAP file.
 #[derive(Deserialize)]
 pub(super) struct Information {
     version: u32,
@@ -129,7 +129,7 @@ impl From<Time> for Option<Duration> {
     }
 }
 
-/// The quality of service list: a sequence (version 9), or a text that holds the sequence (before).
+/// The list of QoS profiles: a sequence (version 9), or a text that contains the sequence (older versions).
 #[derive(Default)]
 pub(super) struct QosList(pub(super) Vec<RecordedQos>);
 

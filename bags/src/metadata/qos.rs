@@ -1,4 +1,4 @@
-//! Quality of service as rosbag2 stores it, which can say less (`unknown`) or more than [`QosProfile`] does.
+//! Quality of service as stored by rosbag2, which can express less (`unknown`) or more than [`QosProfile`].
 
 use std::time::Duration;
 
@@ -33,7 +33,7 @@ macro_rules! policy {
                         formatter.write_str(concat!("a ", $what, " policy, as a name or as a number"))
                     }
 
-                    // rosbag2 takes what it does not know for `unknown`, so that newer bags still open.
+                    // Like rosbag2, reads unknown values as `unknown`, so that newer bags can be opened.
                     fn visit_str<E>(self, text: &str) -> Result<$name, E> {
                         Ok(match text { $($text => $name::$variant,)+ _ => $name::Unknown })
                     }
@@ -49,7 +49,7 @@ macro_rules! policy {
 }
 
 policy! {
-    /// How many samples a publisher held.
+    /// How many samples a publisher kept.
     RecordedHistory, "history":
     /// The middleware's own choice.
     SystemDefault = 0 "system_default",
@@ -57,8 +57,8 @@ policy! {
     KeepLast = 1 "keep_last",
     /// All.
     KeepAll = 2 "keep_all",
-    /// Not discoverable: DDS discovery does not tell the history of a remote publisher, so this is what the real
-    /// recorder usually writes.
+    /// Not discoverable: DDS discovery does not include the history of a remote publisher, so the real
+    /// recorder usually writes this.
     Unknown = 3 "unknown",
 }
 policy! {
@@ -106,12 +106,12 @@ policy! {
     BestAvailable = 5 "best_available",
 }
 
-/// An offered quality of service, exactly as a bag tells it. `None` means *infinite* for every duration.
+/// An offered quality of service, exactly as in a bag. `None` means *infinite* for every duration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RecordedQos {
     /// See [`RecordedHistory`].
     pub history: RecordedHistory,
-    /// Samples held with [`RecordedHistory::KeepLast`], else 0.
+    /// The number of samples with [`RecordedHistory::KeepLast`], else 0.
     pub depth: u32,
     /// See [`RecordedReliability`].
     pub reliability: RecordedReliability,
@@ -119,19 +119,19 @@ pub struct RecordedQos {
     pub durability: RecordedDurability,
     /// The longest time between two samples.
     pub deadline: Option<Duration>,
-    /// How long a sample was worth delivering.
+    /// How long a sample was valid.
     pub lifespan: Option<Duration>,
     /// See [`RecordedLiveliness`].
     pub liveliness: RecordedLiveliness,
-    /// How long the publisher could be silent before it counted as gone.
+    /// How long the publisher could be silent before it was considered lost.
     pub liveliness_lease_duration: Option<Duration>,
     /// Whether the DDS topic name was the plain name, without the prefix `rt/`.
     pub avoid_ros_namespace_conventions: bool,
 }
 
 impl RecordedQos {
-    /// The profile to publish with when the topic is played: what the bag leaves open becomes the default
-    /// (keep last 10, reliable, volatile, automatic).
+    /// The profile for playing the topic: policies that the bag leaves open are the default (keep last 10,
+    /// reliable, volatile, automatic).
     #[must_use]
     pub fn to_profile(&self) -> QosProfile {
         QosProfile {
@@ -160,7 +160,7 @@ impl RecordedQos {
 }
 
 impl RecordedQos {
-    /// What discovery tells of a publisher that offers this: its history is not among it.
+    /// The part of this profile that discovery transmits: everything except the history.
     #[must_use]
     pub fn without_history(self) -> Self {
         Self { history: RecordedHistory::Unknown, depth: 0, ..self }

@@ -1,4 +1,4 @@
-//! Why a bag cannot be read, and what is missing in one that can.
+//! Errors of reading bags, and descriptions of missing parts.
 
 use std::fmt;
 use std::io;
@@ -9,42 +9,43 @@ use crate::metadata::MetadataError;
 /// Why a bag, or a part of it, could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReaderError {
-    /// The path leads to no bag.
-    #[error("{} is no bag: {found}", path.display())]
+    /// The path is not a bag.
+    #[error("{} is not a bag: {found}", path.display())]
     NotABag {
-        /// What was to be opened.
+        /// The path to open.
         path: PathBuf,
-        /// What is there instead, and what would be a bag.
+        /// What was found, and what is expected.
         found: String,
     },
-    /// The file is no MCAP file.
-    #[error("{} is not an MCAP file: it begins with {found:02x?}, an MCAP file with {:02x?}", path.display(), mcap::MAGIC)]
+    /// The file is not an MCAP file.
+    #[error("{} is not an MCAP file: it starts with {found:02x?}, an MCAP file with {:02x?}", path.display(), mcap::MAGIC)]
     NotMcap {
         /// The file.
         path: PathBuf,
         /// Its first bytes, at most 8.
         found: Vec<u8>,
     },
-    /// A file of a bag is a directory, a pipe or a device, which is not opened: it could wait for ever.
-    #[error("{} is no regular file", path.display())]
+    /// A file of a bag is a directory, a pipe or a device, which is not opened since reading could block
+    /// forever.
+    #[error("{} is not a regular file", path.display())]
     NotAFile {
-        /// What is not opened.
+        /// The path of the file.
         path: PathBuf,
     },
-    /// metadata.yaml names a file that is not in the bag, or a link that leads out of it.
+    /// metadata.yaml names a file outside of the bag, or a link to one.
     #[error("{} is not in the bag {}, whose metadata.yaml names it", path.display(), bag.display())]
     Outside {
-        /// The file that is named, which is not opened.
+        /// The named file, which is not opened.
         path: PathBuf,
         /// The directory.
         bag: PathBuf,
     },
-    /// The bag is of a kind that this crate does not read.
+    /// The kind of the bag is not supported.
     #[error("cannot read the bag {}: {found}", path.display())]
     Unsupported {
         /// The bag.
         path: PathBuf,
-        /// What it is.
+        /// The kind of the bag.
         found: String,
     },
     /// metadata.yaml cannot be read.
@@ -55,58 +56,58 @@ pub enum ReaderError {
     Read {
         /// The file or directory.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// A part of the file is not as it was written. The parts behind it can still be read.
+    /// A part of the file is damaged. The following parts can still be read.
     #[error("{}: the part at byte {offset} cannot be read and is skipped: {found}", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
-        /// Where the part begins.
+        /// The offset of the part.
         offset: u64,
-        /// What is wrong with it.
+        /// The problem.
         found: String,
     },
 }
 
-/// Something that a bag file should have and has not, because recording was interrupted or the file was damaged.
+/// A missing part of a bag file, because recording was interrupted or the file was damaged.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Truncation {
     /// The file.
     pub path: PathBuf,
-    /// Where the missing or unreadable part begins.
+    /// The offset of the missing or unreadable part.
     pub offset: u64,
     /// Bytes of the file that cannot be used; 0 when only the end mark is missing.
     pub lost_bytes: u64,
-    /// What happened, as far as the file tells.
+    /// The cause, as far as it can be inferred from the file.
     pub cause: TruncationCause,
 }
 
-/// What happened to a file, as far as it tells.
+/// Why a file is incomplete, as far as it can be inferred.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum TruncationCause {
-    /// The file ends after a whole chunk, without the end mark: recording was interrupted. What was in the open chunk
-    /// never came into the file.
+    /// The file ends after a complete chunk, without the end mark: recording was interrupted. The open chunk
+    /// was never written.
     NoEnd,
-    /// From here on the file holds no whole record: recording or copying was interrupted.
+    /// From here the file contains no complete record: recording or copying was interrupted.
     TornRecord,
-    /// All messages are there, but the summary behind them is missing or damaged.
+    /// All messages are present, but the summary after them is missing or damaged.
     NoSummary,
-    /// A chunk is not as it was written; later ones are read.
+    /// A chunk is damaged; later ones are read.
     DamagedChunk(String),
-    /// A compressed file does not decompress to its end; what came out before is read.
+    /// A compressed file cannot be decompressed completely; the part before the error is read.
     Packed(String),
-    /// An SQLite file has a write-ahead log beside it, which is read with it: recording was interrupted, or goes on. What was
-    /// in the open transaction never came into the file.
+    /// An SQLite file has a write-ahead log, which is read with it: recording was interrupted, or is in
+    /// progress. The open transaction was never written.
     NotEnded,
     /// Some rows of an SQLite file cannot be read; the others are.
     DamagedRows(String),
 }
 
 impl Truncation {
-    /// Whether the file holds bytes of messages that cannot be read. An interrupted recording may lack messages that never came
-    /// into the file; those of an incomplete summary are all there.
+    /// Whether the file contains bytes of messages that cannot be read. An interrupted recording may lack
+    /// messages that were never written; with an incomplete summary, all messages are present.
     #[must_use]
     pub fn loses_messages(&self) -> bool {
         match self.cause {
@@ -131,22 +132,22 @@ impl fmt::Display for Truncation {
             TruncationCause::TornRecord => write!(
                 f,
                 "{path}: recording or copying was interrupted; readable up to byte {offset}, the last {lost_bytes} bytes \
-                 are no whole chunk and lost"
+                 are an incomplete chunk and lost"
             ),
             TruncationCause::NoSummary => {
                 write!(f, "{path}: the summary at byte {offset} is incomplete; all messages are readable")
             }
             TruncationCause::Packed(found) => write!(
                 f,
-                "{path}: the compressed file cannot be decompressed to its end: {found}; the first {offset} bytes of its \
+                "{path}: the compressed file cannot be decompressed completely: {found}; the first {offset} bytes of its \
                  content are read"
             ),
             TruncationCause::NotEnded => write!(
                 f,
-                "{path}: recording was interrupted, or goes on; its log (-wal) is read with it, and messages are missing without"
+                "{path}: recording was interrupted, or is in progress; its log (-wal) is read with it, and messages are missing without it"
             ),
             TruncationCause::DamagedRows(found) => {
-                write!(f, "{path}: rows of the messages cannot be read from number {offset} on: {found}")
+                write!(f, "{path}: message rows cannot be read, starting at number {offset}: {found}")
             }
             TruncationCause::DamagedChunk(found) => {
                 write!(

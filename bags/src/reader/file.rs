@@ -1,4 +1,4 @@
-//! What one MCAP file holds and where: from its summary, or from a walk through the whole file where there is none.
+//! The contents of one MCAP file: from its summary, or from scanning the whole file if there is none.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io;
@@ -19,21 +19,21 @@ use crate::storage::Storage;
 /// A footer record and the end mark: 9 + 20 + 8 bytes.
 const ENDING: u64 = RECORD_HEADER + 20 + 8;
 
-/// What schemas and channels of a file may come to when its chunks are decompressed: a guard against files that are made to
-/// fill the memory.
+/// The maximum size of schemas and channels of a file in decompressed chunks, against files designed to
+/// exhaust memory.
 pub(super) const MOST_DESCRIBED: usize = 64 * 1024 * 1024;
 
-/// What one file holds.
+/// The contents of one file.
 #[derive(Debug)]
 pub(super) struct BagFile {
     pub(super) path: PathBuf,
     pub(super) storage: Storage,
-    /// Where its content is; of a file that is compressed as a whole what came out of it.
+    /// The source of its content; the decompressed data if the file is compressed as a whole.
     pub(super) source: Source,
     pub(super) length: u64,
     pub(super) schemas: HashMap<u16, Schema>,
     pub(super) channels: BTreeMap<u16, records::Channel>,
-    /// Bytes of schemas and channels that came out of chunks.
+    /// Bytes of schemas and channels found in chunks.
     described: usize,
     /// Messages of each channel.
     pub(super) counts: BTreeMap<u16, u64>,
@@ -52,8 +52,8 @@ pub(super) struct Schema {
 }
 
 impl BagFile {
-    /// Opens a file by what it begins with: MCAP, SQLite, or either compressed as a whole. `path` is for errors; the bytes
-    /// are those of `source`.
+    /// Opens a file by its first bytes: MCAP, SQLite, or either compressed as a whole. `path` is for errors;
+    /// the bytes are those of `source`.
     pub(super) fn open(path: &Path, source: Source) -> Result<Self, ReaderError> {
         let read = |source| ReaderError::Read { path: path.to_owned(), source };
         let start = source.start(16).map_err(read)?;
@@ -75,7 +75,7 @@ impl BagFile {
         }
         let read = |source| ReaderError::Read { path: path.to_owned(), source };
         let start = &start[..start.len().min(MAGIC.len())];
-        // A file that ends within the first mark is one whose recording was interrupted at once.
+        // A file that ends within the first mark: recording was interrupted at once.
         if !MAGIC.starts_with(start) {
             return Err(ReaderError::NotMcap { path: path.to_owned(), found: start.to_vec() });
         }
@@ -146,7 +146,7 @@ impl BagFile {
         self.counts = statistics.channel_message_counts;
         self.segments = chunks
             .iter()
-            // A chunk that holds only topics has no messages to index, and times of 0.
+            // A chunk with topics only has no messages to index, and times of 0.
             .filter(|chunk| chunk.message_end_time != 0 || !chunk.message_index_offsets.is_empty())
             .map(|chunk| {
                 let channels = &chunk.message_index_offsets;
@@ -155,7 +155,7 @@ impl BagFile {
                     length: chunk.chunk_length,
                     first: chunk.message_start_time,
                     last: chunk.message_end_time,
-                    // None stand for a chunk whose messages have no index.
+                    // `None` means a chunk whose messages have no index.
                     channels: (!channels.is_empty()).then(|| channels.keys().copied().collect()),
                 }
             })
@@ -168,13 +168,13 @@ impl BagFile {
         Ok(SummaryState::Used)
     }
 
-    /// Whether a channel and its schema, unless it has none, are known: a summary need not repeat them.
+    /// Whether a channel and its schema, if it has one, are known: a summary need not repeat them.
     fn describes(&self, channel: u16) -> bool {
         let schema = self.channels.get(&channel).map(|channel| channel.schema_id);
         schema.is_some_and(|schema| schema == 0 || self.schemas.contains_key(&schema))
     }
 
-    /// `false` if the record is not as it should be.
+    /// Returns `false` if the record is invalid.
     fn add_summary_record(
         &mut self,
         input: &mut RecordFile,
@@ -194,7 +194,7 @@ impl BagFile {
         Ok(true)
     }
 
-    /// Takes over what a segment holds, if it can be read as a whole; returns the first and last log time.
+    /// Adds the contents of a segment, if it can be read completely; returns the first and last log time.
     pub(super) fn look_into(&mut self, bytes: &[u8]) -> Result<Option<(u64, u64)>, String> {
         let mut found = Self::empty(&self.path, self.source.clone(), 0);
         let mut times: Option<(u64, u64)> = None;
@@ -221,7 +221,7 @@ impl BagFile {
             }
         })?;
         if described > MOST_DESCRIBED {
-            return Err(format!("schemas and channels come to more than {MOST_DESCRIBED} bytes with it"));
+            return Err(format!("it brings schemas and channels to more than {MOST_DESCRIBED} bytes"));
         }
         self.described = described;
         self.schemas.extend(found.schemas);
@@ -244,7 +244,7 @@ impl BagFile {
         self.channels.entry(channel.id).or_insert(channel);
     }
 
-    /// Keeps the text if the record is that of rosbag2: the last one in the file is the one that was written at the end.
+    /// Keeps the text if the record is that of rosbag2: the last one in the file was written at the end.
     pub(super) fn add_metadata(&mut self, record: &[u8]) {
         let Some(body) = record.get(RECORD_HEADER as usize..) else { return };
         if let Ok(Record::Metadata(mut metadata)) = parse(op::METADATA, body)
@@ -260,7 +260,7 @@ impl BagFile {
     }
 }
 
-/// What an SQLite file begins with.
+/// The first bytes of an SQLite file.
 const SQLITE_MAGIC: &[u8] = b"SQLite format 3\0";
 
 #[cfg(feature = "sqlite")]
@@ -276,14 +276,14 @@ fn open_sqlite(path: &Path, _source: Source) -> Result<BagFile, ReaderError> {
     Err(ReaderError::Unsupported { path: path.to_owned(), found })
 }
 
-/// What the summary of a file is good for.
+/// The state of the summary of a file.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum SummaryState {
-    /// It told everything.
+    /// The summary is complete.
     Used,
-    /// The file has none, or one without an index of its messages, and is whole nevertheless.
+    /// The file has none, or one without a message index, and is complete nevertheless.
     Absent,
-    /// It should be there and is not, or contradicts itself.
+    /// It is missing or inconsistent.
     Damaged,
 }
 
@@ -294,7 +294,7 @@ struct Summary {
     metadata: Option<MetadataIndex>,
 }
 
-/// Whether the chunks lie before `end`, none over another.
+/// Whether the chunks are before `end` and do not overlap.
 fn lie_apart(chunks: &[ChunkIndex], end: u64) -> bool {
     let mut places: Vec<_> =
         chunks.iter().map(|chunk| (chunk.chunk_start_offset, chunk.chunk_length)).collect();
@@ -304,13 +304,13 @@ fn lie_apart(chunks: &[ChunkIndex], end: u64) -> bool {
     ends.zip(limits).all(|(end, limit)| end.is_some_and(|end| end <= limit))
 }
 
-/// What a channel takes in memory, about.
+/// The approximate memory of a channel.
 fn length_of(channel: &records::Channel) -> usize {
     let entry = |(key, value): (&String, &String)| key.len() + value.len() + 64;
     channel.topic.len() + channel.message_encoding.len() + channel.metadata.iter().map(entry).sum::<usize>()
 }
 
-/// The footer, if the file ends as it should.
+/// The footer, if the file ends correctly.
 fn footer(input: &mut RecordFile) -> io::Result<Option<Footer>> {
     let length = input.length();
     if length < MAGIC.len() as u64 + ENDING {

@@ -1,7 +1,7 @@
-//! The messages of a bag in the order in which they were received.
+//! The messages of a bag, sorted by receive time.
 //!
-//! Segments are loaded when the time of the next message reaches their first one, so memory holds the segments that
-//! overlap in time (usually one per file), not the bag.
+//! Segments are loaded when the time of the next message reaches their first one, so only segments that
+//! overlap in time are in memory (usually one per file).
 
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap, HashMap, VecDeque};
@@ -25,11 +25,11 @@ use crate::zstd;
 pub struct BagMessage {
     /// Its topic in [`Reader::topics`].
     pub topic: TopicId,
-    /// When it was received, in nanoseconds since the epoch.
+    /// The receive time, in nanoseconds since the epoch.
     pub log_time: i64,
-    /// When it was sent, in nanoseconds since the epoch.
+    /// The send time, in nanoseconds since the epoch.
     pub publish_time: i64,
-    /// The message as it was recorded: CDR bytes with their encapsulation header.
+    /// The recorded message: CDR bytes with their encapsulation header.
     pub data: Bytes,
 }
 
@@ -66,7 +66,7 @@ impl Selection {
         Self { until, ..self }
     }
 
-    /// Whether such messages may be in a segment.
+    /// Whether a segment may contain selected messages.
     fn concerns(&self, segment: &Segment, topics_of_channels: &HashMap<u16, TopicId>) -> bool {
         let is_in_time = signed(segment.last) >= self.from && signed(segment.first) <= self.until;
         let is_wanted = |channel: &u16| {
@@ -88,9 +88,10 @@ impl Default for Selection {
     }
 }
 
-/// The messages of a bag in log time order; messages with the same time in file order. Made by [`Reader::messages`].
+/// The messages of a bag sorted by log time; messages with the same time in file order. Created by
+/// [`Reader::messages`].
 ///
-/// A part that cannot be read gives one error; the messages behind it follow.
+/// A part that cannot be read yields one error; the messages after it follow.
 pub struct Messages {
     files: Vec<OpenFile>,
     selection: Selection,
@@ -100,7 +101,7 @@ pub struct Messages {
     room: Room,
 }
 
-/// The memory for loaded messages.
+/// Reusable memory for loaded messages.
 #[derive(Clone, Copy)]
 struct Room {
     most: u64,
@@ -113,7 +114,7 @@ struct OpenFile {
     topics: HashMap<u16, TopicId>,
     /// Whether rosbag2 compressed each message (`--compression-mode message`).
     has_packed_messages: bool,
-    /// The last segment that was read; kept for its room.
+    /// The last segment that was read; kept to reuse its memory.
     segment: Vec<u8>,
 }
 
@@ -123,12 +124,12 @@ enum Input {
     Sqlite(SqliteFile),
 }
 
-/// What segments that overlap in time may take beyond [`LARGEST_GROWTH`] times the length of the files: a guard against small
-/// files that decompress to more than there is memory.
+/// The memory for segments that overlap in time, in addition to [`LARGEST_GROWTH`] times the length of the
+/// files: protects against small files that decompress to more than the available memory.
 const MOST_OVERLAPPING: u64 = 256 * 1024 * 1024;
 const LARGEST_GROWTH: u64 = 100;
 
-/// A loaded message; sorted by log time, then by its place in the bag.
+/// A loaded message; sorted by log time, then by its position in the bag.
 struct Pending {
     /// Log time, file, segment, number in the segment.
     order: (u64, usize, u64, usize),
@@ -206,7 +207,7 @@ impl Messages {
             #[cfg(feature = "sqlite")]
             Input::Sqlite(input) => {
                 let each = |message: SqliteMessage<'_>| {
-                    // The table has one time only.
+                    // The table has only one time.
                     take(message.channel, message.time, message.time, message.data);
                 };
                 if let Err(found) = input.read(segment, each) {
@@ -233,7 +234,7 @@ impl Room {
         if pending.size() > self.left() {
             let most = self.most;
             return Err(format!(
-                "with those that overlap it in time its messages come to more than {most} bytes"
+                "with those that overlap it in time, its messages take more than {most} bytes"
             ));
         }
         self.taken += pending.size();
@@ -308,7 +309,7 @@ impl Ord for Pending {
     }
 }
 
-/// ROS times are signed; what lies beyond (the year 2262) is the last one.
+/// Converts to ROS times, which are signed; times after the year 2262 saturate.
 pub(super) fn signed(time: u64) -> i64 {
     i64::try_from(time).unwrap_or(i64::MAX)
 }

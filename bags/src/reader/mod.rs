@@ -1,4 +1,4 @@
-//! Reading of a bag: a directory, a bare file, and what an interrupted recording left of either.
+//! Reads bags: a directory or a single file, including those of interrupted recordings.
 
 mod error;
 mod file;
@@ -29,36 +29,37 @@ use file::BagFile;
 pub use messages::{BagMessage, Messages, Selection};
 use source::Source;
 
-/// An opened bag: its topics, what it counts, and access to its messages.
+/// An opened bag: its topics, counts, and access to its messages.
 #[derive(Debug)]
 pub struct Reader {
     path: PathBuf,
     metadata: Option<Metadata>,
     files: Vec<BagFile>,
     topics: Vec<RecordedTopic>,
-    /// For each file, which topic a channel belongs to.
+    /// For each file, the topics of its channels.
     topics_of_channels: Vec<HashMap<u16, TopicId>>,
 }
 
 /// A topic of a bag.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordedTopic {
-    /// Name, type and the rest.
+    /// Name, type and other properties.
     pub info: TopicInfo,
-    /// `cdr`, or what else the bag holds.
+    /// `cdr`, or another format.
     pub serialization_format: String,
-    /// Messages in the bag.
+    /// The number of messages in the bag.
     pub message_count: u64,
 }
 
 impl Reader {
-    /// Opens a bag directory, with or without metadata.yaml, or a single file: MCAP, with the feature `sqlite` also SQLite
-    /// (`.db3`), and either compressed as a whole (`.mcap.zstd`), which is decompressed into a temporary file.
+    /// Opens a bag directory, with or without metadata.yaml, or a single file: MCAP, with the feature
+    /// `sqlite` also SQLite (`.db3`), either of them optionally compressed as a whole (`.mcap.zstd`), which
+    /// is decompressed into a temporary file.
     ///
-    /// A bag whose recording was interrupted opens too: see [`Reader::truncation`].
+    /// A bag whose recording was interrupted can also be opened: see [`Reader::truncation`].
     ///
     /// # Errors
-    /// If it is no bag, of a kind that is not read, or cannot be read.
+    /// If it is not a bag, is of an unsupported kind, or cannot be read.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, ReaderError> {
         let path = path.as_ref();
         let read = |source| ReaderError::Read { path: path.to_owned(), source };
@@ -70,8 +71,9 @@ impl Reader {
         Self::open_files(path, metadata, &paths)
     }
 
-    /// Opens a bag file that is in memory: one that came over a network, or is part of a program. It may be all that
-    /// [`Reader::open`] takes for a single file. `name` stands for its path, in errors and in [`Reader::files`].
+    /// Opens a bag file in memory, for example one that was received over a network or is part of a program.
+    /// Supports the same files as [`Reader::open`]. `name` replaces its path in errors and in
+    /// [`Reader::files`].
     ///
     /// ```
     /// # use downbeat_bags::{Reader, WriterOptions};
@@ -86,14 +88,14 @@ impl Reader {
     /// ```
     ///
     /// # Errors
-    /// If they are none of a bag file, or of a kind that is not read.
+    /// If the bytes are not a bag file, or of an unsupported kind.
     pub fn from_bytes(name: impl AsRef<Path>, bytes: impl Into<Bytes>) -> Result<Self, ReaderError> {
         let name = name.as_ref();
         let file = BagFile::open(name, Source::Memory(bytes.into()))?;
         Ok(Self::of_files(name, None, vec![file]))
     }
 
-    /// Opens the files of a bag directory, whatever its metadata.yaml says.
+    /// Opens the files of a bag directory, ignoring its metadata.yaml.
     pub(crate) fn open_files_of(directory: &Path) -> Result<Self, ReaderError> {
         Self::open_files(directory, None, &files_without_metadata(directory)?)
     }
@@ -110,20 +112,20 @@ impl Reader {
         if metadata.is_none()
             && let Some(text) = files.last().and_then(|file| file.metadata.as_deref())
         {
-            // Only a help: a bag without metadata.yaml opens whatever is in this record.
+            // Optional: a bag without metadata.yaml can be opened even if this record is invalid.
             metadata = Metadata::parse_record(text, path).ok();
         }
         let (topics, topics_of_channels) = topics::collect(&files, metadata.as_ref());
         Self { path: path.to_owned(), metadata, files, topics, topics_of_channels }
     }
 
-    /// What was opened.
+    /// The opened path.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The topics, those without messages too: [`TopicId`] is the position.
+    /// The topics, including those without messages: [`TopicId`] is the position.
     #[must_use]
     pub fn topics(&self) -> &[RecordedTopic] {
         &self.topics
@@ -135,8 +137,9 @@ impl Reader {
         TopicId::from_index(self.topics.iter().position(|topic| topic.info.name == name)?)
     }
 
-    /// What metadata.yaml tells, or else the metadata record in the bag's last file. After an interrupted recording
-    /// its counts may be behind those of [`Reader::topics`], which are those of the files.
+    /// The contents of metadata.yaml, or else of the metadata record in the bag's last file. After an
+    /// interrupted recording its counts may be lower than those of [`Reader::topics`], which come from the
+    /// files.
     #[must_use]
     pub fn metadata(&self) -> Option<&Metadata> {
         self.metadata.as_ref()
@@ -147,7 +150,7 @@ impl Reader {
         self.files.iter().map(|file| file.path.as_path())
     }
 
-    /// What each file holds, as metadata.yaml tells it.
+    /// The contents of each file, as for metadata.yaml.
     pub(crate) fn file_metadata(&self) -> impl Iterator<Item = FileMetadata> {
         self.files.iter().map(|file| {
             let name = file.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -162,19 +165,19 @@ impl Reader {
         })
     }
 
-    /// Messages that can be read.
+    /// The number of readable messages.
     #[must_use]
     pub fn message_count(&self) -> u64 {
         self.topics.iter().map(|topic| topic.message_count).sum()
     }
 
-    /// When the first message was received, in nanoseconds since the epoch; `None` without messages.
+    /// The receive time of the first message, in nanoseconds since the epoch; `None` without messages.
     #[must_use]
     pub fn start_time(&self) -> Option<i64> {
         self.segments().map(|segment| segment.first).min().map(messages::signed)
     }
 
-    /// When the last message was received, in nanoseconds since the epoch; `None` without messages.
+    /// The receive time of the last message, in nanoseconds since the epoch; `None` without messages.
     #[must_use]
     pub fn end_time(&self) -> Option<i64> {
         self.segments().map(|segment| segment.last).max().map(messages::signed)
@@ -189,20 +192,21 @@ impl Reader {
         }
     }
 
-    /// What is missing in the files because recording was interrupted or a file was damaged; empty for a whole bag.
+    /// The missing parts of the files because recording was interrupted or a file was damaged; empty for a
+    /// complete bag.
     pub fn truncation(&self) -> impl Iterator<Item = &Truncation> {
         self.files.iter().flat_map(|file| &file.truncations)
     }
 
-    /// The messages in the order in which they were received, read from the files as they are asked for.
+    /// The messages sorted by receive time, read from the files on demand.
     ///
     /// # Errors
-    /// If a file cannot be opened any more.
+    /// If a file can no longer be opened.
     pub fn messages(&self, selection: Selection) -> Result<Messages, ReaderError> {
         Messages::open(self, selection)
     }
 
-    /// What kind of files it has.
+    /// The storage of its files.
     #[must_use]
     pub fn storage(&self) -> Storage {
         self.files.first().map_or(Storage::Mcap, |file| file.storage)
@@ -214,14 +218,14 @@ impl Reader {
         self.storage().identifier()
     }
 
-    /// Whether rosbag2 compressed each message by itself; they are given decompressed.
+    /// Whether rosbag2 compressed messages individually; they are returned decompressed.
     pub(crate) fn has_packed_messages(&self) -> bool {
         self.metadata
             .as_ref()
             .is_some_and(|metadata| metadata.compression_mode.eq_ignore_ascii_case("message"))
     }
 
-    /// Bytes of the bag files.
+    /// The total size of the bag files in bytes.
     pub(crate) fn files_length(&self) -> u64 {
         self.files.iter().map(|file| file.length).sum()
     }
@@ -241,21 +245,21 @@ fn files_of_directory(directory: &Path) -> Result<(Option<Metadata>, Vec<PathBuf
     let unsupported = |found: String| ReaderError::Unsupported { path: directory.to_owned(), found };
     if !["mcap", "sqlite3"].contains(&metadata.storage_identifier.as_str()) {
         return Err(unsupported(format!(
-            "its storage is {}; mcap and sqlite3 can be read",
+            "its storage is {}; supported are mcap and sqlite3",
             metadata.storage_identifier
         )));
     }
     let is_packed = !["", "none"].contains(&metadata.compression_mode.to_ascii_lowercase().as_str());
     if is_packed && !metadata.compression_format.eq_ignore_ascii_case("zstd") {
         return Err(unsupported(format!(
-            "it is compressed with {:?}, and only zstd can be read",
+            "it is compressed with {:?}, but only zstd is supported",
             metadata.compression_format
         )));
     }
     let mut paths = Vec::new();
     for relative in &metadata.relative_file_paths {
         let path = directory.join(relative);
-        // Before version 4 the paths began with the name of the directory.
+        // Before version 4, the paths started with the name of the directory.
         let beside = Path::new(relative).file_name().map(|name| directory.join(name));
         let path = beside.filter(|beside| !path.exists() && beside.exists()).unwrap_or(path);
         in_bag(directory, &path)?;
@@ -264,7 +268,7 @@ fn files_of_directory(directory: &Path) -> Result<(Option<Metadata>, Vec<PathBuf
     Ok((Some(metadata), paths))
 }
 
-/// Refuses what is no regular file: to open a pipe could take for ever.
+/// Rejects non-regular files: opening a pipe could block forever.
 fn regular(path: &Path) -> Result<(), ReaderError> {
     let read = |source| ReaderError::Read { path: path.to_owned(), source };
     if fs::metadata(path).map_err(read)?.is_file() {
@@ -274,13 +278,13 @@ fn regular(path: &Path) -> Result<(), ReaderError> {
     }
 }
 
-/// Refuses a path that leads out of the bag, with `..`, from the root, or by a link: a bag that somebody made must not be a way
-/// to other files.
+/// Rejects paths outside of the bag, through `..`, an absolute path or a link: an untrusted bag must not give
+/// access to other files.
 fn in_bag(directory: &Path, path: &Path) -> Result<(), ReaderError> {
     let read = |source| ReaderError::Read { path: path.to_owned(), source };
     let bag = fs::canonicalize(directory).map_err(read)?;
     let is_inside = |path: &Path| fs::canonicalize(path).map(|path| path.starts_with(&bag));
-    // A file that is not there leads nowhere; but no path is asked for that begins outside.
+    // A missing file cannot be resolved; but paths that start outside are never opened.
     let leaves = path.strip_prefix(directory).map_or(true, |relative| {
         relative.components().any(|part| !matches!(part, Component::Normal(_) | Component::CurDir))
     });
@@ -290,7 +294,7 @@ fn in_bag(directory: &Path, path: &Path) -> Result<(), ReaderError> {
     Ok(())
 }
 
-/// Endings of bag files; of a directory those with the first one that is there are read.
+/// Extensions of bag files; in a directory, files with the first extension that exists are read.
 const ENDINGS: [&str; 4] = [".mcap", ".mcap.zstd", ".db3", ".db3.zstd"];
 
 fn files_without_metadata(directory: &Path) -> Result<Vec<PathBuf>, ReaderError> {

@@ -1,15 +1,15 @@
-//! Parsing of records whose lengths may be wrong.
+//! Parses records whose lengths may be invalid.
 //!
-//! The parser of `mcap` takes memory for a text before it looks whether the text is there, up to 4 GiB, and takes the least
-//! length of some records for granted. So lengths are looked at here first.
+//! The parser of `mcap` allocates up to 4 GiB for a string before checking that it exists, and assumes a
+//! minimum length of some records. So lengths are checked here first.
 
 use mcap::McapError;
 use mcap::records::{Record, op};
 
-/// Parses the body of a record. What is borrowed is of `body`.
+/// Parses the body of a record, borrowing from `body`.
 ///
 /// # Errors
-/// What is wrong, as the end of a sentence about where the record is.
+/// The problem, as the end of a sentence about the record's location.
 pub(super) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
     let mut rest = body;
     if layout(opcode).iter().any(|part| part.skip(&mut rest).is_none()) {
@@ -20,7 +20,7 @@ pub(super) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
     }
     mcap::parse_record(opcode, body).map_err(|error| match error {
         McapError::Io(source) => source.to_string(),
-        McapError::Parse(source) => format!("a record is not as it should be ({source})"),
+        McapError::Parse(source) => format!("a record is invalid ({source})"),
         other => other.to_string(),
     })
 }
@@ -28,15 +28,15 @@ pub(super) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
 /// A part of a record.
 enum Part {
     Bytes(usize),
-    /// A length in 4 bytes, and so many bytes.
+    /// A length in 4 bytes, and that many bytes.
     Text,
-    /// A length in 4 bytes, and pairs of texts until at least so many bytes are used up.
+    /// A length in 4 bytes, and pairs of strings until at least that many bytes are consumed.
     TextPairs,
-    /// The same with items of so many bytes.
+    /// A length in 4 bytes, and items of a fixed size.
     Items(usize),
 }
 
-/// The parts of a record, up to the last that the parser trusts.
+/// The parts of a record, up to the last one whose length the parser trusts.
 fn layout(opcode: u8) -> &'static [Part] {
     use Part::{Bytes, Items, Text, TextPairs};
     match opcode {
@@ -60,7 +60,7 @@ fn layout(opcode: u8) -> &'static [Part] {
 }
 
 impl Part {
-    /// `None` if there is less than that.
+    /// `None` if the input is too short.
     fn skip(&self, rest: &mut &[u8]) -> Option<()> {
         match self {
             Self::Bytes(count) => skip(rest, *count),

@@ -1,7 +1,7 @@
-//! The framing of an MCAP file: which record lies where.
+//! The framing of an MCAP file: the positions of its records.
 //!
-//! Every length in a file is checked against what is there before anything is allocated, so a damaged file costs no
-//! more than a whole one.
+//! Every length is checked against the size of the file before anything is allocated, so a damaged file costs
+//! no more than an intact one.
 
 use std::io::{self, Read, Seek, SeekFrom};
 
@@ -10,13 +10,13 @@ use super::source::{Input, Source};
 /// Opcode and length.
 pub(super) const RECORD_HEADER: u64 = 1 + 8;
 
-/// Where a record lies.
+/// The position of a record.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place {
     pub(super) opcode: u8,
-    /// Of its opcode.
+    /// The offset of its opcode.
     pub(super) offset: u64,
-    /// Of what follows opcode and length.
+    /// The length of its body, after opcode and length.
     pub(super) body_length: u64,
 }
 
@@ -26,12 +26,12 @@ impl Place {
     }
 }
 
-/// What comes next in a file.
+/// The next item in a file.
 pub(super) enum Next {
     Record(Place),
-    /// The range ends after a whole record.
+    /// The range ends after a complete record.
     End,
-    /// Here begins something that is no whole record.
+    /// An incomplete record starts here.
     Torn {
         offset: u64,
     },
@@ -54,7 +54,7 @@ impl RecordFile {
     }
 
     pub(super) fn seek(&mut self, offset: u64) -> io::Result<()> {
-        // Relative, since an absolute seek would throw the buffer away.
+        // Relative, since an absolute seek would discard the buffer.
         match i64::try_from(i128::from(offset) - i128::from(self.position)) {
             Ok(distance) => self.input.seek_relative(distance)?,
             Err(_) => {
@@ -72,7 +72,7 @@ impl RecordFile {
         Ok(bytes)
     }
 
-    /// The same into memory that is used again.
+    /// Like `read`, into reused memory.
     pub(super) fn read_into(&mut self, bytes: &mut Vec<u8>, length: u64) -> io::Result<()> {
         bytes.clear();
         let available = self.length.saturating_sub(self.position);
@@ -82,14 +82,14 @@ impl RecordFile {
         bytes.reserve(usize::try_from(length).map_err(io::Error::other)?);
         let read = self.input.by_ref().take(length).read_to_end(bytes)? as u64;
         if read < length {
-            // It was cut off meanwhile.
+            // The file was truncated meanwhile.
             return Err(too_short(length, self.position, read));
         }
         self.position += length;
         Ok(())
     }
 
-    /// Reads a record, opcode and length included.
+    /// Reads a record, including opcode and length.
     pub(super) fn read_record(&mut self, place: &Place) -> io::Result<Vec<u8>> {
         self.seek(place.offset)?;
         self.read(RECORD_HEADER + place.body_length)
@@ -109,7 +109,7 @@ impl RecordFile {
         let mut length = [0; 8];
         length.copy_from_slice(&header[1..]);
         let place = Place { opcode: header[0], offset, body_length: u64::from_le_bytes(length) };
-        // 0 is no opcode: it is what a file system leaves where a power failure kept the data from arriving.
+        // 0 is not an opcode: file systems leave zeros if a power failure prevented writing the data.
         if place.opcode == 0 || place.body_length > left - RECORD_HEADER {
             return Ok(Next::Torn { offset });
         }
@@ -118,6 +118,6 @@ impl RecordFile {
 }
 
 fn too_short(expected: u64, at: u64, there: u64) -> io::Error {
-    let found = format!("{expected} bytes expected at byte {at}, {there} are there");
+    let found = format!("expected {expected} bytes at byte {at}, found {there}");
     io::Error::new(io::ErrorKind::UnexpectedEof, found)
 }

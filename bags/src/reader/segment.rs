@@ -1,4 +1,4 @@
-//! A stretch of a file that holds messages: a chunk, or a run of messages outside of chunks.
+//! A segment of a file with messages: a chunk, or a run of messages outside of chunks.
 
 use std::borrow::Cow::{self, Borrowed};
 use std::sync::Arc;
@@ -9,16 +9,16 @@ use super::parse::parse;
 use super::records::RECORD_HEADER;
 use crate::{lz4, zstd};
 
-/// Where messages are, and when they were received.
+/// The position of messages in the file, and their receive times.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Segment {
     pub(super) offset: u64,
-    /// With the headers of its records.
+    /// Including the headers of its records.
     pub(super) length: u64,
-    /// Earliest and latest log time in it.
+    /// The earliest and latest log time.
     pub(super) first: u64,
     pub(super) last: u64,
-    /// The channels that have messages in it, where the file tells.
+    /// The channels with messages in it, if known from the file.
     pub(super) channels: Option<Arc<[u16]>>,
 }
 
@@ -29,8 +29,8 @@ pub(super) enum Content<'a> {
     Message { header: MessageHeader, data: &'a [u8] },
 }
 
-/// Gives every schema, channel and message in the bytes of a segment, in file order, to `each`. Checksums of chunks are
-/// checked before anything of them is given.
+/// Calls `each` with every schema, channel and message in the bytes of a segment, in file order. Checksums of
+/// chunks are verified first.
 pub(super) fn decode(bytes: &[u8], mut each: impl FnMut(Content<'_>)) -> Result<(), String> {
     let bytes = unpack(bytes)?;
     let mut rest = &*bytes;
@@ -48,26 +48,26 @@ pub(super) fn decode(bytes: &[u8], mut each: impl FnMut(Content<'_>)) -> Result<
     Ok(())
 }
 
-/// The records in a segment: of a chunk those that it holds, decompressed and checked.
+/// The records in a segment: those in a chunk are decompressed and verified.
 fn unpack(bytes: &[u8]) -> Result<Cow<'_, [u8]>, String> {
     if bytes.first() != Some(&op::CHUNK) {
         return Ok(Borrowed(bytes));
     }
     let body = bytes.get(RECORD_HEADER as usize..).unwrap_or_default();
     let Record::Chunk { header, data: Borrowed(data) } = parse(op::CHUNK, body)? else {
-        return Err("it is no chunk".to_owned());
+        return Err("it is not a chunk".to_owned());
     };
     let content_length = body.len() - (40 + header.compression.len());
     if data.len() != content_length {
         return Err(format!(
-            "its header tells {} bytes of content, {content_length} are there",
+            "its header declares {} bytes of content, found {content_length}",
             header.compressed_size
         ));
     }
     let most = zstd::most_from(data.len() as u64);
     if !header.compression.is_empty() && header.uncompressed_size > most {
         return Err(format!(
-            "its header tells {} bytes of content, which never came out of {}: at most {most} are decompressed",
+            "its header declares {} bytes of content, too many for {} compressed bytes: at most {most} are decompressed",
             header.uncompressed_size,
             data.len()
         ));
@@ -76,16 +76,16 @@ fn unpack(bytes: &[u8]) -> Result<Cow<'_, [u8]>, String> {
         "" if header.uncompressed_size == data.len() as u64 => Borrowed(data),
         "" => {
             return Err(format!(
-                "its header tells {} bytes of uncompressed content, {} are there",
+                "its header declares {} bytes of uncompressed content, found {}",
                 header.uncompressed_size,
                 data.len()
             ));
         }
         "zstd" => Cow::Owned(zstd::decompress(data, header.uncompressed_size)?),
         "lz4" => Cow::Owned(lz4::decompress(data, header.uncompressed_size)?),
-        other => return Err(format!("it is compressed with {other:?}; lz4, zstd and none can be read")),
+        other => return Err(format!("it is compressed with {other:?}; supported are lz4, zstd and none")),
     };
-    // 0 stands for no checksum, which is what the real recorder writes.
+    // 0 means no checksum, as written by the real recorder.
     if header.uncompressed_crc != 0 && crc32fast::hash(&content) != header.uncompressed_crc {
         return Err("its content does not match its checksum".to_owned());
     }
@@ -106,7 +106,7 @@ fn content(opcode: u8, body: &[u8]) -> Result<Option<Content<'_>>, String> {
     }
 }
 
-/// Of all records these are the most: they are taken apart without the general parser.
+/// Parses a message without the general parser, since most records are messages.
 fn message(body: &[u8]) -> Option<Content<'_>> {
     let (channel_id, rest) = body.split_first_chunk()?;
     let (sequence, rest) = rest.split_first_chunk()?;

@@ -1,4 +1,4 @@
-//! Where the bytes of a bag file are: on a disk, or in memory.
+//! The source of a bag file's bytes: on disk, or in memory.
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Cursor, Read, Seek, Write};
@@ -8,16 +8,16 @@ use std::sync::Arc;
 use bytes::Bytes;
 use tempfile::{NamedTempFile, TempPath};
 
-/// Bytes that are read as often as they are wanted.
+/// Bytes that can be read repeatedly.
 #[derive(Clone, Debug)]
 pub(super) enum Source {
     File(PathBuf),
-    /// Deleted with the last that knows of it.
+    /// Deleted when the last reference is dropped.
     Temporary(Arc<TempPath>),
     Memory(Bytes),
 }
 
-/// What is read of it.
+/// A reader of a source.
 pub(super) trait Input: Read + Seek + Send {}
 
 impl<T: Read + Seek + Send> Input for T {}
@@ -47,7 +47,7 @@ impl Source {
         Ok(start)
     }
 
-    /// Where it is on a disk, in a temporary file if need be.
+    /// Returns it as a file, in a temporary file if necessary.
     #[cfg(feature = "sqlite")]
     pub(super) fn into_file(self) -> io::Result<Self> {
         let Self::Memory(bytes) = &self else { return Ok(self) };
@@ -66,13 +66,13 @@ impl Source {
     }
 }
 
-/// Takes bytes that are to be read later: into memory as long as they are few, else into a temporary file.
+/// Stores bytes to be read later: in memory while they are few, else in a temporary file.
 pub(super) enum Spool {
     Memory(Vec<u8>),
     File(BufWriter<NamedTempFile>),
 }
 
-/// What a [`Spool`] has in memory.
+/// The maximum size of a [`Spool`] in memory.
 const MOST_IN_MEMORY: usize = 1024 * 1024;
 
 impl Spool {

@@ -1,7 +1,8 @@
-//! Reading of bag files of rosbag2's storage `sqlite3`.
+//! Reads bag files of rosbag2's storage `sqlite3`.
 //!
-//! The tables are those of `rosbag2_storage_sqlite3/src/rosbag2_storage_sqlite3/sqlite_storage.cpp`, branch jazzy; older ones
-//! have fewer columns. Rows are read in the order in which they were written, a run of them at a time.
+//! The tables are those of `rosbag2_storage_sqlite3/src/rosbag2_storage_sqlite3/sqlite_storage.cpp`, branch
+//! jazzy; older ones have fewer columns. Rows are read in the order in which they were written, several at a
+//! time.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -16,7 +17,7 @@ use super::segment::Segment;
 use super::source::Source;
 use crate::storage::{Storage, write_ahead_log};
 
-/// A run of rows is cut here, so that reading it takes bounded memory.
+/// The maximum number of rows read at a time, which bounds memory.
 const MOST_ROWS: u64 = 512;
 const MOST_BYTES: u64 = 8 * 1024 * 1024;
 
@@ -46,7 +47,7 @@ pub(super) fn open(path: &Path, source: Source) -> Result<BagFile, ReaderError> 
     input.read_definitions(&mut file);
     input.read_metadata(&mut file);
     input.find_segments(&mut file);
-    // Who ends a file leaves no log beside it.
+    // A finished file has no log.
     let log = file.source.path().map(write_ahead_log);
     if log.and_then(|log| std::fs::metadata(log).ok()).is_some_and(|log| log.len() > 0) {
         file.miss(0, 0, TruncationCause::NotEnded);
@@ -71,7 +72,7 @@ impl SqliteFile {
         Ok(Self { connection, channels })
     }
 
-    /// Gives each message of a run of rows.
+    /// Calls `each` with every message of a run of rows.
     pub(super) fn read(
         &self,
         segment: &Segment,
@@ -85,7 +86,7 @@ impl SqliteFile {
             let mut rows = statement.query([first, last])?;
             while let Some(row) = rows.next()? {
                 let Some(&channel) = self.channels.get(&row.get::<_, i64>(0)?) else { continue };
-                // Anything but bytes is no message.
+                // Values other than bytes are not messages.
                 if let ValueRef::Blob(data) = row.get_ref(2)? {
                     each(SqliteMessage { channel, time: time(row.get(1)?), data });
                 }
@@ -100,7 +101,7 @@ impl SqliteFile {
         let mut rows = statement.query([])?;
         while let Some(row) = rows.next()? {
             let Some(&channel) = self.channels.get(&row.get::<_, i64>("id")?) else { continue };
-            // Schemas are numbered from 1; 0 is none.
+            // Schemas are numbered from 1; 0 means none.
             let schema_id = channel.saturating_add(1);
             let name = text(row, "type");
             let metadata = [
@@ -143,7 +144,7 @@ impl SqliteFile {
         file.metadata = self.connection.query_row(query, [], |row| row.get(0)).ok();
     }
 
-    /// Looks at all rows but not at the data in them. Where rows are damaged, goes on behind them.
+    /// Reads all rows without their data. Skips damaged rows.
     fn find_segments(&self, file: &mut BagFile) {
         let mut next = i64::MIN;
         let mut step = 1_i64;
@@ -157,7 +158,7 @@ impl SqliteFile {
                         file.miss(offset, 0, TruncationCause::DamagedRows(error.to_string()));
                         step = 1;
                     }
-                    // Twice as far each time, so that it ends soon.
+                    // Doubles the step each time, so that it ends soon.
                     let Some(behind) = next.max(0).checked_add(step) else { return };
                     (next, step) = (behind, step.saturating_mul(2));
                 }
@@ -180,7 +181,7 @@ impl SqliteFile {
             let length = row.get::<_, Option<i64>>(3)?.and_then(|length| u64::try_from(length).ok());
             *next = id.saturating_add(1);
             let (Some(length), Some(channel)) = (length, self.channels.get(&topic)) else { continue };
-            // Rows that SQLite numbers begin at 1.
+            // SQLite numbers rows from 1.
             let Ok(place) = u64::try_from(id) else { continue };
             *file.counts.entry(*channel).or_default() += 1;
             let time = time(timestamp);
@@ -213,7 +214,7 @@ fn time(timestamp: i64) -> u64 {
     u64::try_from(timestamp).unwrap_or(0)
 }
 
-/// Empty where there is no such column.
+/// Empty if there is no such column.
 fn text(row: &Row<'_>, column: &str) -> String {
     row.get(column).unwrap_or_default()
 }

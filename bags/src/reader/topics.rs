@@ -1,4 +1,4 @@
-//! The topics of a bag, put together from its files and its metadata.
+//! Collects the topics of a bag from its files and its metadata.
 
 use std::collections::HashMap;
 
@@ -10,13 +10,14 @@ use super::file::{BagFile, MOST_DESCRIBED, Schema as FileSchema};
 use crate::metadata::{Metadata, TopicMetadata, qos_from_yaml};
 use crate::topic::{MessageFormat, TopicId, TopicInfo};
 
-/// What definitions of topics may come to, each having its own: a guard against files in which thousands of channels share
-/// a huge schema. Topics beyond are left without.
+/// The maximum total size of the definitions of topics, against files in which thousands of channels share a
+/// huge schema. Further topics have no definition.
 const MOST_DEFINED: usize = 4 * MOST_DESCRIBED;
 
-/// Returns the topics, in the order of the metadata where it names them, and for each file the topic of each channel.
+/// Returns the topics, in the order of the metadata if it contains them, and for each file the topic of each
+/// channel.
 ///
-/// Counts are those of the files: metadata.yaml may be older than they are.
+/// Counts are those of the files, since metadata.yaml may be older.
 pub(super) fn collect(
     files: &[BagFile],
     metadata: Option<&Metadata>,
@@ -71,7 +72,7 @@ fn from_metadata(topic: &TopicMetadata) -> RecordedTopic {
 
 fn from_channel(file: &BagFile, channel: &Channel, schema: Option<&FileSchema>) -> RecordedTopic {
     let text = |key: &str| channel.metadata.get(key).map_or("", String::as_str);
-    // A profile that cannot be read is like one that was not recorded: it is needed for playing only.
+    // An invalid profile is treated like a missing one: it is only needed for playing.
     let offered_qos = qos_from_yaml(text("offered_qos_profiles"), &file.path).unwrap_or_default();
     RecordedTopic {
         info: TopicInfo {
@@ -105,7 +106,7 @@ fn definition_length(info: &TopicInfo) -> usize {
     info.definition.len() + info.format.as_ref().map_or(0, |format| format.schema.data.len())
 }
 
-/// Fills what is not known yet.
+/// Fills in fields that are still unknown.
 fn complete(info: &mut TopicInfo, seen: TopicInfo) {
     if info.definition.is_empty() {
         info.definition = seen.definition;

@@ -1,4 +1,4 @@
-//! A walk through a whole file whose summary is missing, which finds out what it holds and where it ends.
+//! Scans a whole file whose summary is missing, to find its contents and its end.
 
 use std::io;
 
@@ -10,10 +10,10 @@ use super::file::{BagFile, SummaryState};
 use super::records::{Next, Place, RECORD_HEADER, RecordFile};
 use super::segment::Segment;
 
-/// A run of messages outside of chunks is cut here, so that reading it takes bounded memory.
+/// The maximum size of a run of messages outside of chunks, which bounds memory.
 const LONGEST_RUN: u64 = 1024 * 1024;
 
-/// Fills `file` with what can be read, and notes what cannot.
+/// Adds the readable contents to `file`, and notes unreadable parts.
 pub(super) fn walk(file: &mut BagFile, input: &mut RecordFile, summary: SummaryState) -> io::Result<()> {
     let length = input.length();
     let mut offset = MAGIC.len() as u64;
@@ -66,7 +66,7 @@ pub(super) fn walk(file: &mut BagFile, input: &mut RecordFile, summary: SummaryS
     }
 }
 
-/// Adds a segment, or makes the last one longer if that is a run of messages that goes on here.
+/// Adds a segment, or extends the last one if it is a run of messages that continues here.
 fn add_segment(segments: &mut Vec<Segment>, place: &Place, (first, last): (u64, u64), continues_run: bool) {
     let length = RECORD_HEADER + place.body_length;
     match segments.last_mut() {

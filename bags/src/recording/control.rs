@@ -1,4 +1,4 @@
-//! A recording from outside: pause, split, snapshot, stop.
+//! Control of a recording: pause, split, snapshot, stop.
 
 use std::sync::Arc;
 
@@ -12,13 +12,13 @@ pub struct RecordingControl {
     shared: Arc<Shared>,
 }
 
-/// Why a recording does not do what it was asked for.
+/// Why a request to a recording failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ControlError {
     /// It keeps no messages for snapshots.
     #[error("cannot take a snapshot: recording is not in snapshot mode")]
     NoSnapshots,
-    /// It has ended, or ended before it came to it.
+    /// It has ended, possibly before handling the request.
     #[error("recording has ended")]
     Ended,
 }
@@ -28,7 +28,7 @@ impl RecordingControl {
         Self { shared }
     }
 
-    /// From now on what comes in is passed over, and not counted as lost. False if it was so already.
+    /// Ignores messages from now on, without counting them as lost. Returns false if it was already paused.
     pub fn pause(&self) -> bool {
         let mut was_paused = false;
         self.shared.queue.set_paused(|paused| {
@@ -38,7 +38,7 @@ impl RecordingControl {
         !was_paused
     }
 
-    /// From now on what comes in is recorded again. False if it was so already.
+    /// Records messages again from now on. Returns false if it was not paused.
     pub fn resume(&self) -> bool {
         let mut was_paused = false;
         self.shared.queue.set_paused(|paused| {
@@ -48,26 +48,26 @@ impl RecordingControl {
         was_paused
     }
 
-    /// Pauses or resumes. Returns whether it is paused now.
+    /// Pauses or resumes. Returns whether it is now paused.
     pub fn toggle_paused(&self) -> bool {
         self.shared.queue.set_paused(|paused| !paused)
     }
 
-    /// Whether what comes in is passed over.
+    /// Whether messages are ignored.
     #[must_use]
     pub fn is_paused(&self) -> bool {
         self.shared.queue.lock().is_paused
     }
 
-    /// Goes on in a new file, behind all that came in until now. `on_done` is called when that is done, on the thread that
-    /// writes; it must hand over and return.
+    /// Continues in a new file, after all messages received so far. `on_done` is called on the writing thread
+    /// when that is done; it must return quickly.
     pub fn split(&self, on_done: impl FnOnce(Result<FileSplit, ControlError>) + Send + 'static) {
-        // Dropped unanswered, a request answers itself.
+        // A request that is dropped reports that recording has ended.
         let _ = self.shared.queue.ask(Item::Split(Done::new(on_done)));
     }
 
-    /// Writes the messages that are kept for that. `on_done` is called when the operating system has them, as that of
-    /// [`RecordingControl::split`].
+    /// Writes the messages kept for snapshots. `on_done` is called when they are passed to the operating
+    /// system, as in [`RecordingControl::split`].
     pub fn snapshot(&self, on_done: impl FnOnce(Result<(), ControlError>) + Send + 'static) {
         if !self.shared.queue.keeps_snapshots() {
             return on_done(Err(ControlError::NoSnapshots));
@@ -75,18 +75,19 @@ impl RecordingControl {
         let _ = self.shared.queue.snapshot(Item::Flush(Done::new(on_done)));
     }
 
-    /// Hands all that came in until now to the operating system. `on_done` is called as that of [`RecordingControl::split`].
+    /// Passes all messages received so far to the operating system. `on_done` is called as in
+    /// [`RecordingControl::split`].
     pub fn flush(&self, on_done: impl FnOnce(Result<(), ControlError>) + Send + 'static) {
         let _ = self.shared.queue.ask(Item::Flush(Done::new(on_done)));
     }
 
-    /// Writes what came in until now and ends the bag; what comes in from now on is refused. Returns at once:
-    /// [`Recording::finish`](super::Recording::finish) waits.
+    /// Writes the messages received so far and finishes the bag; later messages are rejected. Returns at
+    /// once: [`Recording::finish`](super::Recording::finish) waits.
     pub fn stop(&self) {
         self.shared.queue.close();
     }
 
-    /// Whether it was stopped, or stopped by itself.
+    /// Whether it was stopped, or stopped because of an error.
     #[must_use]
     pub fn is_stopped(&self) -> bool {
         self.shared.queue.is_closed()
@@ -95,7 +96,7 @@ impl RecordingControl {
 
 type Answer<T> = Box<dyn FnOnce(Result<T, ControlError>) + Send>;
 
-/// Answers a request once: with what came of it, or, dropped before, that recording has ended.
+/// Completes a request once: with its result or, if dropped before, with the error that recording has ended.
 pub(super) struct Done<T> {
     answer: Option<Answer<T>>,
 }

@@ -1,4 +1,4 @@
-//! Recording on a thread of its own, for producers that must not wait for a disk.
+//! Recording on a separate thread, for producers that must not wait for a disk.
 
 mod control;
 mod options;
@@ -20,55 +20,55 @@ pub use options::{RecordingOptions, WhenSlow};
 use queue::{Item, Queue, QueuedTopic, Work};
 pub use ring::SnapshotLimits;
 
-/// A [`Writer`] on a thread of its own.
+/// A [`Writer`] on its own thread.
 ///
-/// Producers hold a [`RecordingSender`]. Nothing is dropped silently: a message that finds the queue full is refused
-/// with an error, counted for its topic, told in the [`RecordingSummary`] and noted in the bag (`custom_data`, key
-/// `lost_messages`). Dropping a recording finishes it and logs what fails then.
+/// Producers hold a [`RecordingSender`]. Nothing is dropped silently: if the queue is full, a message is
+/// rejected with an error, counted for its topic, and reported in the [`RecordingSummary`] and in the bag
+/// (`custom_data`, key `lost_messages`). Dropping a recording finishes it and logs errors.
 pub struct Recording {
     sender: RecordingSender,
     thread: Option<JoinHandle<Result<RecordingSummary, RecordingFailed>>>,
 }
 
-/// Gives messages to a [`Recording`], from any thread.
+/// Sends messages to a [`Recording`], from any thread.
 #[derive(Clone)]
 pub struct RecordingSender {
     shared: Arc<Shared>,
 }
 
-/// How a recording is doing.
+/// Statistics of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordingStatistics {
-    /// What has been handed to the operating system, and what was lost.
+    /// The messages passed to the operating system, and those lost.
     pub summary: RecordingSummary,
-    /// Bytes that wait to be written, or for a snapshot.
+    /// Bytes waiting to be written or for a snapshot.
     pub queued_bytes: usize,
     /// Whether what comes in is passed over.
     pub is_paused: bool,
-    /// Whether the last chunk found no room on the disk and was given up.
+    /// Whether the last chunk was dropped because the disk was full.
     pub is_disk_full: bool,
-    /// Why recording has stopped by itself, if it has.
+    /// Why recording stopped, if it failed.
     pub failure: Option<String>,
 }
 
-/// Why a message or a topic was not taken.
+/// Why a message or a topic was rejected.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum RecordError {
     /// The disk is slower than the producers; the message is counted as lost.
     #[error(
-        "a message of {topic} is not recorded ({lost} so far): the recording queue is full, writing is slower than what comes in"
+        "a message of {topic} is not recorded ({lost} so far): the recording queue is full: messages arrive faster than they can be written"
     )]
     QueueFull {
         /// The topic.
         topic: String,
-        /// Messages of it that were lost so far.
+        /// The number of its messages lost so far.
         lost: u64,
     },
     /// Recording has ended, or stopped after a failed write; the message is counted as lost.
     #[error("a message is not recorded: recording has ended")]
     Stopped,
-    /// The topic id is not of this recording.
-    #[error("a message is not recorded: its topic is not of this recording")]
+    /// The topic id does not belong to this recording.
+    #[error("a message is not recorded: its topic does not belong to this recording")]
     UnknownTopic,
     /// A topic has one type.
     #[error("cannot record topic {topic} with type {second}: this bag has it with type {first}")]
@@ -77,13 +77,13 @@ pub enum RecordError {
         topic: String,
         /// The type it was added with.
         first: String,
-        /// The type it was to be added with again.
+        /// The type of the second attempt.
         second: String,
     },
     /// MCAP times are unsigned.
-    #[error("a message is not recorded: times before 1970 ({time} ns) have no place in a bag")]
+    #[error("a message is not recorded: bags cannot represent times before 1970 ({time} ns)")]
     NegativeTime {
-        /// The time that was given, in nanoseconds since the epoch.
+        /// The given time, in nanoseconds since the epoch.
         time: i64,
     },
     /// MCAP numbers channels with 16 bits.
@@ -91,14 +91,14 @@ pub enum RecordError {
     TooManyTopics,
 }
 
-/// Recording stopped before it was told to.
+/// Recording stopped before it was requested.
 #[derive(Debug, thiserror::Error)]
 #[error("{error}")]
 pub struct RecordingFailed {
     /// Why.
     #[source]
     pub error: WriterError,
-    /// What is in the bag and what is not.
+    /// What was recorded and what was lost.
     pub summary: Box<RecordingSummary>,
 }
 
@@ -118,10 +118,10 @@ impl Recording {
     /// 64 MiB.
     pub const DEFAULT_QUEUE_BYTES: usize = 64 * 1024 * 1024;
 
-    /// Starts the thread. At most `queue_bytes` wait to be written.
+    /// Starts the thread. At most `queue_bytes` are queued for writing.
     ///
     /// # Errors
-    /// If the operating system gives no thread.
+    /// If the thread cannot be started.
     pub fn start(writer: Writer, queue_bytes: usize) -> io::Result<Self> {
         Self::start_with(writer, &RecordingOptions::new().cache_bytes(queue_bytes))
     }
@@ -129,7 +129,7 @@ impl Recording {
     /// Starts the thread.
     ///
     /// # Errors
-    /// If the operating system gives no thread.
+    /// If the thread cannot be started.
     pub fn start_with(writer: Writer, options: &RecordingOptions) -> io::Result<Self> {
         let topics = writer.topics().map(|info| QueuedTopic {
             name: info.name.clone(),
@@ -147,28 +147,28 @@ impl Recording {
         Ok(Self { sender: RecordingSender { shared }, thread: Some(thread) })
     }
 
-    /// Something to record with; can be cloned and sent to other threads.
+    /// A handle for recording messages; can be cloned and sent to other threads.
     #[must_use]
     pub fn sender(&self) -> RecordingSender {
         self.sender.clone()
     }
 
-    /// Something to pause, split, take snapshots and stop with; can be cloned and sent to other threads.
+    /// A handle to pause, split, take snapshots and stop; can be cloned and sent to other threads.
     #[must_use]
     pub fn control(&self) -> RecordingControl {
         RecordingControl::new(Arc::clone(&self.sender.shared))
     }
 
-    /// How the recording is doing.
+    /// The statistics of the recording.
     #[must_use]
     pub fn statistics(&self) -> RecordingStatistics {
         self.sender.statistics()
     }
 
-    /// Writes what is queued and ends the bag. What is given to a sender from now on is refused.
+    /// Writes queued messages and finishes the bag. Senders reject further messages.
     ///
     /// # Errors
-    /// If writing failed, now or earlier; the error holds what was kept.
+    /// If writing failed, now or earlier; the error contains the summary of what was recorded.
     pub fn finish(mut self) -> Result<RecordingSummary, RecordingFailed> {
         self.end().unwrap_or_else(|| Ok(self.statistics().summary))
     }
@@ -176,7 +176,7 @@ impl Recording {
     fn end(&mut self) -> Option<Result<RecordingSummary, RecordingFailed>> {
         let shared = &self.sender.shared;
         shared.queue.close();
-        // A panic of the thread has dropped its writer, which finished the bag; what it counted is in the statistics.
+        // If the thread panicked, dropping its writer finished the bag; the counts are in the statistics.
         let outcome = self.thread.take()?.join().ok()?;
         Some(with_losses(shared, outcome))
     }
@@ -191,7 +191,7 @@ impl Drop for Recording {
 }
 
 impl RecordingSender {
-    /// How the recording is doing.
+    /// The statistics of the recording.
     #[must_use]
     pub fn statistics(&self) -> RecordingStatistics {
         let mut statistics = {
@@ -207,10 +207,10 @@ impl RecordingSender {
         statistics
     }
 
-    /// Adds a topic, at any time. Adding it again with the same type returns the id it has.
+    /// Adds a topic, at any time. Adding it again with the same type returns the existing id.
     ///
     /// # Errors
-    /// If the bag has the topic with another type, or recording has ended.
+    /// If the bag contains the topic with another type, or recording has ended.
     pub fn add_topic(&self, info: TopicInfo) -> Result<TopicId, RecordError> {
         self.shared.queue.add_topic(info)
     }
@@ -244,7 +244,7 @@ impl RecordingSender {
     }
 }
 
-/// Refuses at the door what the writer would refuse.
+/// Rejects what the writer would reject.
 fn message(topic: TopicId, log_time: i64, publish_time: i64, data: Bytes) -> Result<Item, RecordError> {
     let time = log_time.min(publish_time);
     if time < 0 {
@@ -259,7 +259,7 @@ impl Progress {
     }
 }
 
-/// Writes until the queue is closed or writing fails; what it returns lacks the losses of the queue.
+/// Writes until the queue is closed or writing fails; the result does not include the losses of the queue.
 fn run(shared: &Shared, mut writer: Writer) -> Result<RecordingSummary, RecordingFailed> {
     let outcome = write_all(shared, &mut writer).and_then(|()| refuse_overrun(shared, &writer));
     if let Err(error) = &outcome {
@@ -267,7 +267,7 @@ fn run(shared: &Shared, mut writer: Writer) -> Result<RecordingSummary, Recordin
     }
     note_losses(shared, &mut writer, &mut 0);
     let before = writer.summary();
-    // After a failed write this returns what was kept.
+    // After a failed write this returns the summary of what was recorded.
     let finished = writer.finish();
     let kept = finished.as_ref().map_or(before, Clone::clone);
     shared.progress.lock().unwrap_or_else(PoisonError::into_inner).summary = kept.clone();
@@ -277,7 +277,7 @@ fn run(shared: &Shared, mut writer: Writer) -> Result<RecordingSummary, Recordin
     }
 }
 
-/// Adds what the queue has refused until now, also after the thread had ended.
+/// Adds the losses of the queue so far, including those after the thread ended.
 fn with_losses(
     shared: &Shared,
     mut outcome: Result<RecordingSummary, RecordingFailed>,
@@ -290,7 +290,8 @@ fn with_losses(
     outcome
 }
 
-/// Adds what the queue refused to what the writer lost. Topics that never reached the writer have nothing written.
+/// Adds the losses of the queue to those of the writer. Topics that never reached the writer have no written
+/// messages.
 fn add_losses(summary: &mut RecordingSummary, queued: &[QueuedTopic]) {
     for (index, queued) in queued.iter().enumerate() {
         if let Some(topic) = summary.topics.get_mut(index) {
@@ -330,7 +331,7 @@ fn write_all(shared: &Shared, writer: &mut Writer) -> Result<(), WriterError> {
     }
 }
 
-/// A recording that was to stop rather than lose messages has lost one.
+/// Fails if a recording that must stop rather than lose messages has lost one.
 fn refuse_overrun(shared: &Shared, writer: &Writer) -> Result<(), WriterError> {
     if !shared.queue.lock().is_overrun {
         return Ok(());
@@ -349,7 +350,7 @@ fn write(writer: &mut Writer, item: Item) -> Result<(), WriterError> {
     }
 }
 
-/// Has the bag tell what the queue refused, if that is more than was noted.
+/// Notes the losses of the queue in the bag, if they have increased.
 fn note_losses(shared: &Shared, writer: &mut Writer, noted: &mut u64) {
     let state = shared.queue.lock();
     if state.lost == *noted {
@@ -358,7 +359,7 @@ fn note_losses(shared: &Shared, writer: &mut Writer, noted: &mut u64) {
     let mut has_all = true;
     for (index, topic) in state.topics.iter().enumerate().filter(|(_, topic)| topic.lost > 0) {
         let id = TopicId::from_index(index);
-        // A topic may still be on its way to the writer.
+        // A topic may still be queued for the writer.
         has_all &= id.is_some_and(|id| writer.set_refused(id, topic.lost));
     }
     if has_all {

@@ -1,20 +1,20 @@
-//! How a recording treats what comes in.
+//! Options of a recording.
 
 #[cfg(doc)]
 use super::RecordingSender;
 use super::SnapshotLimits;
 
-/// What to do with a message that comes in while the cache is full: [`RecordingSender::record`].
+/// What to do with a message if the cache is full: [`RecordingSender::record`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WhenSlow {
-    /// It is lost, and counted.
+    /// Drop and count the message.
     #[default]
     Drop,
-    /// Recording stops: a bag without gaps, if a short one.
+    /// Stop recording: the bag has no gaps, but ends early.
     Stop,
 }
 
-/// How a [`Recording`](super::Recording) treats what comes in.
+/// Options of a [`Recording`](super::Recording).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordingOptions {
     pub(super) cache_bytes: usize,
@@ -35,32 +35,33 @@ impl RecordingOptions {
         }
     }
 
-    /// How many bytes of messages may wait to be written; `--max-cache-size`. A message larger than that passes alone.
+    /// How many bytes of messages may be queued; `--max-cache-size`. A larger message is accepted if the
+    /// queue is empty.
     #[must_use]
     pub fn cache_bytes(self, cache_bytes: usize) -> Self {
         Self { cache_bytes, ..self }
     }
 
-    /// Keeps the latest messages in memory and writes them when [`RecordingControl::snapshot`](super::RecordingControl::snapshot)
-    /// asks for it, and never otherwise; `--snapshot-mode`.
+    /// Keeps the latest messages in memory and writes them only on
+    /// [`RecordingControl::snapshot`](super::RecordingControl::snapshot); `--snapshot-mode`.
     #[must_use]
     pub fn snapshot(self, limits: SnapshotLimits) -> Self {
         Self { snapshot: Some(limits), ..self }
     }
 
-    /// Whether messages wait for a snapshot.
+    /// Whether messages are kept for snapshots.
     #[must_use]
     pub fn takes_snapshots(&self) -> bool {
         self.snapshot.is_some()
     }
 
-    /// Begins paused; `--start-paused`.
+    /// Starts paused; `--start-paused`.
     #[must_use]
     pub fn start_paused(self) -> Self {
         Self { is_paused: true, ..self }
     }
 
-    /// What to do with a message that finds the cache full.
+    /// What to do with a message if the cache is full.
     #[must_use]
     pub fn when_slow(self, when_slow: WhenSlow) -> Self {
         Self { when_slow, ..self }

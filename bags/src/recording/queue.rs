@@ -1,7 +1,7 @@
-//! The queue between producers that must not wait for a disk and the thread that writes to it.
+//! The queue between producers, which must not wait for a disk, and the writing thread.
 //!
-//! Bounded in bytes, since one camera image weighs as much as ten thousand joint states. What a producer holds the
-//! lock for is a push.
+//! Bounded in bytes, since one camera image is as large as ten thousand joint states. Producers hold the lock
+//! only for a push.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -14,17 +14,17 @@ use super::{Done, RecordError, RecordingOptions, WhenSlow};
 use crate::topic::{TopicId, TopicInfo};
 use crate::writer::FileSplit;
 
-/// What a queued message costs besides its data.
+/// The memory of a queued message besides its data.
 const OVERHEAD: usize = size_of::<Item>();
 
 /// How many items the writing thread takes at a time.
 const BATCH: usize = 256;
 
-/// How long the writing thread lets a batch fill up once it has begun: waking for each message costs more than writing it.
+/// How long the writing thread waits for a batch to fill: waking for each message costs more than writing it.
 const LINGER: Duration = Duration::from_millis(5);
 
 pub(super) enum Item {
-    /// Boxed, since every message takes as much room in the queue as the largest item.
+    /// Boxed, since every message takes as much memory in the queue as the largest item.
     Topic(Box<TopicInfo>),
     Message {
         topic: TopicId,
@@ -32,9 +32,9 @@ pub(super) enum Item {
         publish_time: i64,
         data: Bytes,
     },
-    /// Go on in a new file.
+    /// Continue in a new file.
     Split(Done<FileSplit>),
-    /// Hand all before to the operating system.
+    /// Pass all earlier messages to the operating system.
     Flush(Done<()>),
 }
 
@@ -51,7 +51,7 @@ impl Item {
         !matches!(self, Self::Message { .. })
     }
 
-    /// When a message was received.
+    /// The receive time of a message.
     pub(super) fn log_time(&self) -> Option<i64> {
         match self {
             Self::Message { log_time, .. } => Some(*log_time),
@@ -62,7 +62,7 @@ impl Item {
 
 pub(super) struct Queue {
     state: Mutex<State>,
-    /// Something came in, or the queue was closed.
+    /// An item was added, or the queue was closed.
     filled: Condvar,
     /// Something was written, or the queue was closed.
     drained: Condvar,
@@ -73,28 +73,28 @@ pub(super) struct Queue {
 #[derive(Default)]
 pub(super) struct State {
     items: VecDeque<Item>,
-    /// Cost of what is queued and of what the thread has taken and not yet written.
+    /// Bytes of queued items, including those taken by the thread but not yet written.
     pub(super) queued_bytes: usize,
     /// Names and types of the topics, in the order of their ids, and their lost messages.
     pub(super) topics: Vec<QueuedTopic>,
-    /// Messages of all topics that were lost.
+    /// The number of lost messages of all topics.
     pub(super) lost: u64,
-    /// Where messages wait for a snapshot instead of being written.
+    /// Keeps messages for snapshots instead of writing them.
     ring: Option<Ring>,
     pub(super) is_paused: bool,
-    /// Closed since a message found no room.
+    /// Whether it was closed because a message did not fit.
     pub(super) is_overrun: bool,
     is_closed: bool,
-    /// How many items wake the writing thread, nothing while it does not wait.
+    /// The number of items that wakes the writing thread; `None` while it is not waiting.
     wakes_at: Option<usize>,
-    /// Producers that wait for room.
+    /// The number of producers waiting for room.
     blocked: usize,
-    /// Topics, splits and flushes in the queue: somebody may wait for them.
+    /// The number of topics, splits and flushes in the queue, for which somebody may wait.
     urgent: usize,
 }
 
 impl State {
-    /// Cost of what is held, for a snapshot or to be written.
+    /// Bytes of items kept for a snapshot or to be written.
     pub(super) fn held_bytes(&self) -> usize {
         self.queued_bytes + self.ring.as_ref().map_or(0, Ring::bytes)
     }
@@ -106,10 +106,10 @@ pub(super) struct QueuedTopic {
     pub(super) lost: u64,
 }
 
-/// What the writing thread is to do.
+/// The next task of the writing thread.
 pub(super) enum Work {
     Write,
-    /// Nothing came in for that long.
+    /// The time-out expired without items.
     TimedOut,
     /// The queue is closed and empty.
     End,
@@ -127,7 +127,7 @@ impl Queue {
         self.limit
     }
 
-    /// A panic elsewhere leaves the counts usable.
+    /// Ignores poisoning: a panic elsewhere leaves the counts usable.
     pub(super) fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -186,7 +186,7 @@ impl Queue {
         let mut state = self.lock();
         if state.ring.is_some() {
             drop(state);
-            // The oldest makes room at once.
+            // The ring drops the oldest messages instead of waiting.
             return self.try_add(topic, item);
         }
         let waiting =
@@ -210,7 +210,7 @@ impl Queue {
         Ok(())
     }
 
-    /// Queues what is no message; there is always room. Gives it back if the queue is closed.
+    /// Queues an item that is not a message, regardless of the limit. Returns it if the queue is closed.
     pub(super) fn ask(&self, item: Item) -> Result<(), Item> {
         let mut state = self.lock();
         if state.is_closed {
@@ -220,8 +220,8 @@ impl Queue {
         Ok(())
     }
 
-    /// Queues what waits for a snapshot, and the request that tells when it is written. Gives it back where there are no
-    /// snapshots, or the queue is closed.
+    /// Queues the messages kept for snapshots, followed by the request, which reports completion. Returns the
+    /// request if there are no snapshots, or the queue is closed.
     pub(super) fn snapshot(&self, request: Item) -> Result<(), Item> {
         let mut state = self.lock();
         let State { ring: Some(ring), items, queued_bytes, is_closed: false, .. } = &mut *state else {
@@ -241,7 +241,7 @@ impl Queue {
         self.lock().is_closed
     }
 
-    /// Who waits for room is let go: its message is not recorded.
+    /// Releases producers that wait for room: their messages are not recorded.
     pub(super) fn set_paused(&self, change: impl FnOnce(bool) -> bool) -> bool {
         let mut state = self.lock();
         state.is_paused = change(state.is_paused);
@@ -249,14 +249,14 @@ impl Queue {
         state.is_paused
     }
 
-    /// Nothing comes in any more; what is queued can still be taken.
+    /// Rejects new items; queued items can still be taken.
     pub(super) fn close(&self) {
         self.close_locked(&mut self.lock());
     }
 
-    /// Closes the queue and counts what is in it, and the rest of a batch, as lost.
+    /// Closes the queue and counts its items, and the rest of a batch, as lost.
     pub(super) fn abandon(&self, rest: impl IntoIterator<Item = Item>) {
-        // Dropped after the lock is free: a request answers then.
+        // Dropped after releasing the lock, since dropping a request completes it.
         let mut items: Vec<Item> = rest.into_iter().collect();
         let mut state = self.lock();
         items.extend(state.items.drain(..));
@@ -267,11 +267,12 @@ impl Queue {
         }
         state.queued_bytes = 0;
         state.urgent = 0;
-        // Under the same lock, else a message could come in between and never be counted.
+        // Under the same lock, otherwise a message could be added in between and never be counted.
         self.close_locked(&mut state);
     }
 
-    /// Waits for items, at most `timeout`, and moves some into `batch`. The room of the batch before becomes free.
+    /// Waits for items, at most `timeout`, and moves some into `batch`. Releases the room of the previous
+    /// batch.
     pub(super) fn take(&self, batch: &mut Vec<Item>, written: usize, timeout: Option<Duration>) -> Work {
         let mut state = self.lock();
         state.queued_bytes = state.queued_bytes.saturating_sub(written);
@@ -293,7 +294,7 @@ impl Queue {
         }
     }
 
-    /// Waits until there are so many items, one that is urgent, or little room for more.
+    /// Waits until there are enough items, an urgent one, or little room for more.
     fn wait_for<'a>(
         &self,
         count: usize,
@@ -319,7 +320,7 @@ impl Queue {
         batch.iter().map(Item::cost).sum()
     }
 
-    /// A message larger than the limit may pass alone, else it could never.
+    /// A message larger than the limit is accepted if the queue is empty.
     fn has_room(&self, state: &State, item: &Item) -> bool {
         if let Some(ring) = &state.ring {
             return ring.fits(item);
@@ -354,7 +355,8 @@ impl Queue {
         });
     }
 
-    /// Wakes the writing thread if it waits and should not: telling costs a system call even where nobody waits.
+    /// Wakes the writing thread if it is waiting and work is due: notifying costs a system call even if
+    /// nobody waits.
     fn wake_if(&self, state: &mut State, is_due: impl FnOnce(&State) -> bool) {
         if state.wakes_at.is_some() && is_due(state) {
             state.wakes_at = None;
@@ -363,7 +365,7 @@ impl Queue {
     }
 }
 
-/// Counts a message as lost; returns the name of its topic, and how many of it are.
+/// Counts a message as lost; returns the name of its topic and the number of its losses.
 fn lose(state: &mut State, topic: TopicId) -> (String, u64) {
     let Some(entry) = state.topics.get_mut(topic.index()) else { return (String::new(), 0) };
     entry.lost += 1;

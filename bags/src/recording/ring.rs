@@ -5,21 +5,21 @@ use std::time::Duration;
 
 use super::queue::Item;
 
-/// How much a snapshot holds: the latest messages within both limits.
+/// The limits of a snapshot: the latest messages within both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SnapshotLimits {
     /// Memory for messages, in bytes.
     pub max_bytes: usize,
-    /// From the oldest to the latest, by the times at which they were received.
+    /// From the oldest to the latest message, by receive time.
     pub max_duration: Option<Duration>,
 }
 
-/// Messages within the limits; the oldest make room for the newest.
+/// Messages within the limits; the oldest are dropped first.
 pub(super) struct Ring {
     limits: SnapshotLimits,
     items: VecDeque<Item>,
     bytes: usize,
-    /// The latest time of all messages.
+    /// The latest receive time.
     latest: i64,
 }
 
@@ -48,7 +48,7 @@ impl Ring {
         }
     }
 
-    /// Takes all out.
+    /// Removes all messages.
     pub(super) fn drain(&mut self) -> impl Iterator<Item = Item> + '_ {
         self.bytes = 0;
         self.items.drain(..)

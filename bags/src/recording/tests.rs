@@ -15,7 +15,7 @@ fn topic(name: &str) -> TopicInfo {
     TopicInfo { name: name.to_owned(), type_name: "std_msgs/msg/Empty".to_owned(), ..TopicInfo::default() }
 }
 
-/// What [`Recording::start`] makes, without the thread: nothing is written until the test says so.
+/// A [`Recording`] without its thread: nothing is written until the test runs it.
 fn without_thread(writer: &Writer, queue_bytes: usize) -> RecordingSender {
     let topics = writer.topics().map(|info| QueuedTopic {
         name: info.name.clone(),
@@ -28,7 +28,7 @@ fn without_thread(writer: &Writer, queue_bytes: usize) -> RecordingSender {
 }
 
 #[test]
-fn what_a_full_queue_refuses_is_counted_told_and_noted_in_the_bag() {
+fn messages_refused_by_a_full_queue_are_counted_reported_and_noted_in_the_bag() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let mut writer = WriterOptions::new().create(&bag).unwrap();
@@ -76,7 +76,7 @@ fn the_blocking_variant_waits_for_room_and_loses_nothing() {
 }
 
 #[test]
-fn a_message_larger_than_the_queue_passes_alone() {
+fn a_message_larger_than_the_queue_is_accepted_alone() {
     let folder = tempfile::tempdir().unwrap();
     let mut writer = WriterOptions::new().create(folder.path().join("bag")).unwrap();
     let id = writer.add_topic(topic("/a")).unwrap();
@@ -106,7 +106,7 @@ fn topics_can_be_added_while_recording_and_messages_keep_their_order() {
 }
 
 #[test]
-fn what_comes_after_the_end_is_refused_and_counted() {
+fn messages_after_the_end_are_refused_and_counted() {
     let folder = tempfile::tempdir().unwrap();
     let mut writer = WriterOptions::new().create(folder.path().join("bag")).unwrap();
     let id = writer.add_topic(topic("/a")).unwrap();
@@ -119,7 +119,7 @@ fn what_comes_after_the_end_is_refused_and_counted() {
 }
 
 #[test]
-fn a_time_before_the_epoch_is_refused_at_the_door() {
+fn a_time_before_the_epoch_is_refused_when_queued() {
     let folder = tempfile::tempdir().unwrap();
     let mut writer = WriterOptions::new().create(folder.path().join("bag")).unwrap();
     let id = writer.add_topic(topic("/a")).unwrap();

@@ -1,4 +1,4 @@
-//! The file of a bag that is being written, of either storage.
+//! The bag file being written, in either storage.
 
 use std::io;
 use std::path::Path;
@@ -9,14 +9,14 @@ use super::sqlite::SqliteFile;
 use super::{StorageOptions, SyncPolicy};
 use crate::topic::TopicInfo;
 
-/// An enum and no trait object: what it costs a message is one branch, and none where there is MCAP alone.
+/// An enum rather than a trait object: it costs one branch per message, and none with MCAP only.
 pub(super) enum BagFile {
     Mcap(ChunkedFile),
     #[cfg(feature = "sqlite")]
     Sqlite(SqliteFile),
 }
 
-/// The same of whichever file it is.
+/// Forwards a call to the file of either storage.
 macro_rules! of {
     ($bag_file:expr, $file:ident => $result:expr) => {
         match $bag_file {
@@ -40,7 +40,7 @@ impl BagFile {
         of!(self, file => file.path())
     }
 
-    /// Bytes that are in the file and readable.
+    /// The readable bytes in the file.
     pub(super) fn kept(&self) -> u64 {
         of!(self, file => file.kept())
     }
@@ -50,7 +50,7 @@ impl BagFile {
         of!(self, file => file.open_bytes())
     }
 
-    /// Why the file cannot tell of that topic what has to be told, if it cannot.
+    /// Why the file cannot represent the topic, if so.
     #[cfg_attr(not(feature = "sqlite"), expect(unused_variables, reason = "MCAP can tell all of it"))]
     pub(super) fn refusal(&self, topic: &TopicInfo) -> Option<String> {
         match self {
@@ -65,7 +65,7 @@ impl BagFile {
         of!(self, file => file.add_topic(topic))
     }
 
-    /// Adds a message to the open chunk. Returns the size of that, before compression.
+    /// Adds a message to the open chunk. Returns the size of the chunk, before compression.
     pub(super) fn write(
         &mut self,
         channel: u16,
@@ -86,27 +86,27 @@ impl BagFile {
         }
     }
 
-    /// Ends the open chunk and hands it to the operating system. If that fails the chunk is still open.
+    /// Ends the open chunk and passes it to the operating system. If that fails, the chunk is still open.
     pub(super) fn flush(&mut self) -> io::Result<()> {
         of!(self, file => file.flush())
     }
 
-    /// After a flush that failed: gives the open chunk up.
+    /// Drops the open chunk after a failed flush.
     pub(super) fn drop_chunk(&mut self) -> io::Result<()> {
         of!(self, file => file.drop_chunk())
     }
 
-    /// Writes what rosbag2 keeps of its metadata in the file, after the open chunk.
+    /// Writes rosbag2's metadata record, after the open chunk.
     pub(super) fn write_metadata(&mut self, text: String) -> io::Result<()> {
         of!(self, file => file.write_metadata(text))
     }
 
-    /// Ends the file, and waits until the medium has it unless the policy is not to.
+    /// Finishes the file and syncs it to disk, unless the policy is not to.
     pub(super) fn finish(&mut self) -> io::Result<()> {
         of!(self, file => file.finish())
     }
 
-    /// After a failed write: ends the file after its last chunk, with what room there is.
+    /// After a failed write: finishes the file after its last chunk, in the remaining room.
     pub(super) fn give_up(&mut self) -> io::Result<()> {
         of!(self, file => file.give_up())
     }

@@ -1,6 +1,6 @@
-//! The schemas and channels of a file: told before the first message of each, and again in the summary.
+//! The schemas and channels of a file: written before the first message of each, and again in the summary.
 //!
-//! As the MCAP C++ library does it, so that a topic without messages costs a file nothing but its place in the summary.
+//! Like the MCAP C++ library, so that a topic without messages takes space only in the summary.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -17,7 +17,7 @@ pub(super) struct Channels {
     channels: Vec<Channel>,
 }
 
-/// A record, and how far into the file it has come.
+/// A record, and whether it is already in the file.
 struct Described {
     schema: Schema,
     record: Vec<u8>,
@@ -25,13 +25,13 @@ struct Described {
 }
 
 struct Channel {
-    /// Position of its schema.
+    /// The index of its schema.
     schema: usize,
     record: Vec<u8>,
     told: Told,
 }
 
-/// Where a record is.
+/// Where a record has been written.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Told {
     No,
@@ -41,17 +41,17 @@ enum Told {
 }
 
 impl Channels {
-    /// Returns the channel of the topic: numbers count from 1, as those of the C++ library.
+    /// Returns the channel of the topic, numbered from 1 like in the C++ library.
     pub(super) fn add(&mut self, topic: &TopicInfo) -> io::Result<u16> {
         let mut metadata = BTreeMap::from([
             ("offered_qos_profiles".to_owned(), recorded_qos_to_yaml(&topic.offered_qos)),
             ("topic_type_hash".to_owned(), topic.type_hash.clone()),
         ]);
         if topic.format.is_some() {
-            // The schema may have another name.
+            // The name of the schema may differ.
             metadata.insert("topic_type".to_owned(), topic.type_name.clone());
         }
-        let too_many = |_| io::Error::other("MCAP has no place for more types and topics");
+        let too_many = |_| io::Error::other("MCAP does not support more types and topics");
         let schema = topic.schema();
         let known = self.schemas.iter().position(|described| described.schema == schema);
         let schema_index = known.unwrap_or(self.schemas.len());
@@ -68,7 +68,7 @@ impl Channels {
         Ok(id)
     }
 
-    /// Appends to the open chunk what it must tell before a message of that channel.
+    /// Appends the schema and channel records that must precede a message of that channel to the open chunk.
     pub(super) fn tell(&mut self, channel: u16, out: &mut Vec<u8>) {
         let Some(channel) = usize::from(channel).checked_sub(1).and_then(|at| self.channels.get_mut(at))
         else {
@@ -85,12 +85,12 @@ impl Channels {
         channel.told = Told::InChunk;
     }
 
-    /// The open chunk is in the file.
+    /// Called when the open chunk has been written.
     pub(super) fn keep(&mut self) {
         self.settle(Told::InFile);
     }
 
-    /// The open chunk will not be written.
+    /// Called when the open chunk is dropped.
     pub(super) fn forget(&mut self) {
         self.settle(Told::No);
     }
@@ -103,12 +103,12 @@ impl Channels {
         }
     }
 
-    /// The schemas in the file.
+    /// The number of schemas in the file.
     pub(super) fn schema_count(&self) -> usize {
         self.schemas.iter().filter(|schema| schema.told == Told::InFile).count()
     }
 
-    /// The channels in the file.
+    /// The number of channels in the file.
     pub(super) fn channel_count(&self) -> usize {
         self.channels.iter().filter(|channel| channel.told == Told::InFile).count()
     }

@@ -1,4 +1,4 @@
-//! The open chunk: records that are collected in memory until they are written as one.
+//! The open chunk: records collected in memory and written together.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -13,7 +13,7 @@ use super::{McapOptions, records};
 #[derive(Default)]
 pub(super) struct Chunk {
     content: Vec<u8>,
-    /// Where the messages of each channel are in `content`; of a channel that had some before perhaps none.
+    /// The positions of each channel's messages in `content`; may be empty for channels of earlier chunks.
     messages: BTreeMap<u16, Vec<MessageIndexEntry>>,
     /// Earliest and latest log time.
     times: Option<(u64, u64)>,
@@ -44,7 +44,7 @@ impl Chunk {
         self.times
     }
 
-    /// Where schema and channel records go.
+    /// The buffer for schema and channel records.
     pub(super) fn records(&mut self) -> &mut Vec<u8> {
         &mut self.content
     }
@@ -59,19 +59,20 @@ impl Chunk {
         Ok(())
     }
 
-    /// Makes it empty and keeps its room.
+    /// Clears it and keeps its memory.
     pub(super) fn clear(&mut self) {
         self.content.clear();
         self.messages.values_mut().for_each(Vec::clear);
         self.times = None;
     }
 
-    /// The records as they are: all of a file without chunks.
+    /// The raw records, for files without chunks.
     pub(super) fn content(&self) -> &[u8] {
         &self.content
     }
 
-    /// Makes what goes into the file, where it will begin at `position`. `frame` gets what stands around the content.
+    /// Builds the record for the file, which will start at `position`. The bytes around the content are
+    /// written to `frame`.
     pub(super) fn emit(
         &self,
         frame: &mut Vec<u8>,
@@ -87,7 +88,7 @@ impl Chunk {
             message_start_time: first,
             message_end_time: last,
             uncompressed_size: self.content.len() as u64,
-            // 0 stands for none.
+            // 0 means none.
             uncompressed_crc: crc.unwrap_or(0),
             compression: compression.to_owned(),
             compressed_size: content.len() as u64,
@@ -118,11 +119,11 @@ impl Chunk {
     }
 }
 
-/// A chunk on its way to the file, apart from the bytes around its content.
+/// A chunk ready for the file, with its content separate from the bytes around it.
 pub(super) struct Emitted<'a> {
     content: Cow<'a, [u8]>,
     content_crc: Option<u32>,
-    /// Where in the frame the content belongs.
+    /// The offset of the content in the frame.
     pub(super) content_at: usize,
     pub(super) index: ChunkIndex,
 }

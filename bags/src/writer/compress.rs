@@ -1,4 +1,4 @@
-//! The content of a chunk, compressed if that gains something.
+//! Compresses the content of a chunk if that reduces its size.
 
 use std::io::{self, Write};
 
@@ -7,12 +7,12 @@ use lz4_flex::frame::{BlockSize, FrameEncoder, FrameInfo};
 use super::{Compression, CompressionLevel, McapOptions};
 use crate::zstd;
 
-/// What is smaller is not worth the work, and what shrinks by less is kept as it is: the limits of the MCAP C++ library
+/// Smaller content is not compressed, nor content that shrinks by less: the limits of the MCAP C++ library
 /// (`McapWriter::writeChunk`).
 const SMALLEST: usize = 1024;
 const LEAST_RATIO: f64 = 1.02;
 
-/// The name of the compression, empty for none, and what is to be stored if that is not the content itself.
+/// Returns the name of the compression, empty for none, and the compressed content, if any.
 pub(super) fn compress(content: &[u8], options: &McapOptions) -> io::Result<(&'static str, Option<Vec<u8>>)> {
     if content.len() < SMALLEST && !options.is_compression_forced {
         return Ok(("", None));
@@ -40,7 +40,7 @@ fn zstd(content: &[u8], level: CompressionLevel) -> Vec<u8> {
     match level {
         CompressionLevel::Fastest | CompressionLevel::Fast => zstd::compress_fast(content),
         CompressionLevel::Default => zstd::compress(content),
-        // One codes better and the other looks back further: which of them gains more depends on the content.
+        // One has better coding and the other a larger window: which is better depends on the content.
         CompressionLevel::Slow | CompressionLevel::Slowest => {
             let (coded, repeated) = (zstd::compress(content), zstd::compress_fast(content));
             if repeated.len() < coded.len() { repeated } else { coded }

@@ -1,4 +1,4 @@
-//! What a writer tells of its bag: metadata and summary.
+//! The description of the bag being written: metadata and summary.
 
 use std::collections::BTreeMap;
 
@@ -8,13 +8,13 @@ use super::{Topic, Writer};
 use crate::metadata::{self, FileMetadata, Metadata, TopicMetadata};
 use crate::summary::{RecordingSummary, TopicCount};
 
-/// The key of `custom_data` under which a bag tells what it lacks: `/camera: 12, /imu: 1`.
+/// The key of `custom_data` for the numbers of lost messages: `/camera: 12, /imu: 1`.
 const LOST_MESSAGES: &str = "lost_messages";
-/// The key of `custom_data` under which a bag tells how many messages were in files that were deleted.
+/// The key of `custom_data` for the number of messages in deleted files.
 const DELETED_MESSAGES: &str = "deleted_messages";
 
 impl Writer {
-    /// What has been handed to the operating system so far: the open chunk does not count.
+    /// The messages passed to the operating system so far, without the open chunk.
     #[must_use]
     pub fn summary(&self) -> RecordingSummary {
         let times = self.times();
@@ -38,7 +38,7 @@ impl Writer {
         }
     }
 
-    /// How often what [`summary`](Self::summary) tells has changed.
+    /// The number of changes of [`summary`](Self::summary).
     pub(crate) fn changes(&self) -> u64 {
         self.changes
     }

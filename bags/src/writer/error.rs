@@ -1,4 +1,4 @@
-//! Why recording failed.
+//! Errors of recording.
 
 use std::io;
 use std::path::PathBuf;
@@ -6,27 +6,27 @@ use std::path::PathBuf;
 /// Why a bag could not be created, or why recording stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum WriterError {
-    /// Nothing is ever overwritten.
+    /// The path exists already.
     #[error("cannot record into {}: it exists already; choose another name, or remove it first", path.display())]
     AlreadyExists {
-        /// The directory that was to be created.
+        /// The directory to create.
         path: PathBuf,
     },
     /// The path has no last component to name the bag after.
     #[error("cannot record into {}: the path does not end in a name for the bag", path.display())]
     Unnamed {
-        /// The path that was given.
+        /// The given path.
         path: PathBuf,
     },
-    /// Files are to be smaller than a file can be.
-    #[error("cannot split a bag into files of {bytes} bytes: the least is {least}")]
+    /// The maximum file size is too small.
+    #[error("cannot split a bag into files of {bytes} bytes: the minimum is {least}")]
     SplitSize {
-        /// The size that was asked for.
+        /// The requested size.
         bytes: u64,
-        /// The least of the storage.
+        /// The minimum of the storage.
         least: u64,
     },
-    /// The storage is not written as it was asked for.
+    /// The storage options are not supported.
     #[error(transparent)]
     Storage(#[from] super::StorageError),
     /// The directory or a first file in it could not be created.
@@ -34,10 +34,11 @@ pub enum WriterError {
     Create {
         /// The directory or file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// Writing failed (disk full, medium gone). Recording has stopped; what was written before is kept and readable.
+    /// Writing failed (disk full, disk removed). Recording has stopped; the messages written before are
+    /// readable.
     #[error(
         "cannot write to {}: {source}; recording has stopped, the {kept} messages written before are kept",
         path.display()
@@ -45,24 +46,24 @@ pub enum WriterError {
     Write {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: io::Error,
-        /// Messages that can be read from the bag.
+        /// The number of readable messages in the bag.
         kept: u64,
     },
-    /// Messages came faster than they could be written, and recording was to stop then
-    /// ([`WhenSlow::Stop`](crate::WhenSlow::Stop)). All before is kept.
+    /// Messages arrived faster than they could be written, and recording stops in this case
+    /// ([`WhenSlow::Stop`](crate::WhenSlow::Stop)). Earlier messages are kept.
     #[error(
-        "cannot keep up with recording into {}: {cache_bytes} bytes wait to be written; recording has stopped, what came before is kept",
+        "cannot keep up with recording into {}: {cache_bytes} bytes are queued; recording has stopped, earlier messages are kept",
         path.display()
     )]
     TooSlow {
         /// The bag directory.
         path: PathBuf,
-        /// How much may wait.
+        /// The capacity of the queue.
         cache_bytes: usize,
     },
-    /// Recording has stopped after an earlier [`WriterError::Write`], which told why.
+    /// Recording has stopped after an earlier [`WriterError::Write`], which contains the reason.
     #[error("cannot record into {}: recording has stopped after a failed write", path.display())]
     Stopped {
         /// The bag directory.
@@ -75,41 +76,41 @@ pub enum WriterError {
         topic: String,
         /// The type it was added with.
         first: String,
-        /// The type it was to be added with again.
+        /// The type of the second attempt.
         second: String,
     },
-    /// The tables of `sqlite3` have no place for all that a channel of MCAP can tell.
+    /// The tables of `sqlite3` cannot represent everything in an MCAP channel.
     #[error("cannot record topic {topic} in the storage {storage}: {found}; record it in the storage mcap")]
     NoPlace {
-        /// The topic that was to be added.
+        /// The topic to add.
         topic: String,
         /// The storage.
         storage: crate::storage::Storage,
-        /// What there is no place for.
+        /// The unsupported property.
         found: String,
     },
     /// MCAP numbers channels with 16 bits.
     #[error("cannot record topic {topic}: a bag holds at most 65534 topics")]
     TooManyTopics {
-        /// The topic that was to be added.
+        /// The topic to add.
         topic: String,
     },
-    /// The topic id is not of this writer.
+    /// The topic id does not belong to this writer.
     #[error("cannot record a message of topic number {index}: the writer has {topics} topics")]
     UnknownTopic {
         /// The topic's position.
         index: usize,
-        /// How many there are.
+        /// The number of topics.
         topics: usize,
     },
     /// MCAP times are unsigned.
     #[error(
-        "cannot record a message of {topic} with time {time} ns: times before 1970 have no place in a bag"
+        "cannot record a message of {topic} with time {time} ns: bags cannot represent times before 1970"
     )]
     NegativeTime {
         /// The topic.
         topic: String,
-        /// The time that was given, in nanoseconds since the epoch.
+        /// The given time, in nanoseconds since the epoch.
         time: i64,
     },
 }

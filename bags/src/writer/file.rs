@@ -1,7 +1,7 @@
-//! One MCAP file that is written in whole chunks.
+//! One MCAP file, written in complete chunks.
 //!
-//! A chunk is collected in memory and reaches the operating system in one piece, exactly when [`ChunkedFile::flush`]
-//! says. Whatever happens to the process, the file is a sequence of complete chunks and at most one torn one.
+//! A chunk is collected in memory and passed to the operating system in one piece by [`ChunkedFile::flush`].
+//! If the process is killed, the file consists of complete chunks and at most one incomplete one.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -23,7 +23,7 @@ pub(super) struct ChunkedFile {
     channels: Channels,
     chunk: Chunk,
     summary: Summary,
-    /// What goes into the file around a chunk's content; kept for its room.
+    /// The bytes around a chunk's content; kept to reuse the memory.
     frame: Vec<u8>,
 }
 
@@ -48,7 +48,7 @@ impl ChunkedFile {
         &self.path
     }
 
-    /// Bytes that are in the file and readable.
+    /// The readable bytes in the file.
     pub(super) fn kept(&self) -> u64 {
         self.output.kept()
     }
@@ -75,8 +75,8 @@ impl ChunkedFile {
         self.chunk.add_message(&MessageHeader { channel_id, sequence: 0, log_time, publish_time }, data)
     }
 
-    /// Ends the open chunk and hands it to the operating system. If that fails the chunk is still open, and the file may
-    /// have a part of it behind its end.
+    /// Ends the open chunk and passes it to the operating system. If that fails, the chunk is still open, and
+    /// the file may contain a part of it after its end.
     pub(super) fn flush(&mut self) -> io::Result<()> {
         if self.chunk.is_empty() {
             return Ok(());
@@ -97,14 +97,14 @@ impl ChunkedFile {
         Ok(())
     }
 
-    /// After a flush that failed: cuts the file back to its end, and gives the open chunk up.
+    /// After a failed flush: truncates the file to its end, and drops the open chunk.
     pub(super) fn drop_chunk(&mut self) -> io::Result<()> {
         self.channels.forget();
         self.chunk.clear();
         self.output.rewind()
     }
 
-    /// Writes the record in which rosbag2 keeps its metadata, after the open chunk.
+    /// Writes rosbag2's metadata record, after the open chunk.
     pub(super) fn write_metadata(&mut self, text: String) -> io::Result<()> {
         self.flush()?;
         let name = "rosbag2";
@@ -117,7 +117,7 @@ impl ChunkedFile {
         Ok(())
     }
 
-    /// Writes summary and footer, and waits until the medium has them unless the policy is not to.
+    /// Writes summary and footer, and syncs the file to disk unless the policy is not to.
     pub(super) fn finish(&mut self) -> io::Result<()> {
         self.flush()?;
         let mut ending = Vec::new();
@@ -127,9 +127,9 @@ impl ChunkedFile {
         self.output.finish()
     }
 
-    /// After a failed write: cuts the file back to its last complete chunk and ends it there without a summary. That
-    /// takes 50 bytes, usually fewer than what was cut off, so it succeeds on a full disk; if not, readers miss only
-    /// the end mark.
+    /// After a failed write: truncates the file to its last complete chunk and finishes it without a summary.
+    /// That takes 50 bytes, usually fewer than were removed, so it succeeds on a full disk; if not, only the
+    /// end mark is missing.
     pub(super) fn give_up(&mut self) -> io::Result<()> {
         self.output.rewind()?;
         let mut ending = Vec::new();

@@ -1,4 +1,4 @@
-//! The open chunk on its way to the disk: counted as written, or given up and counted as lost.
+//! Writes the open chunk: its messages are counted as written, or dropped and counted as lost.
 
 use std::io;
 use std::time::Instant;
@@ -7,7 +7,7 @@ use super::times::Times;
 use super::{Topic, WhenDiskFull, Writer, WriterError};
 
 impl Writer {
-    /// Gives the open chunk to the operating system, or gives it up if there is no room and that was chosen.
+    /// Passes the open chunk to the operating system, or drops it if the disk is full and the options say so.
     pub(super) fn hand_over(&mut self) -> Result<(), WriterError> {
         if self.open_since.is_none() {
             return Ok(());
@@ -17,18 +17,18 @@ impl Writer {
             Ok(()) => {
                 self.count_open_chunk();
                 if std::mem::take(&mut self.is_disk_full) {
-                    tracing::info!("{}: there is room again, recording goes on", self.directory.display());
+                    tracing::info!("{}: there is room again, recording continues", self.directory.display());
                 }
                 Ok(())
             }
             Err(source) if self.goes_on_after(&source) => {
                 self.file.drop_chunk().map_err(|source| self.fail(source))?;
                 let lost = self.lose_open_chunk();
-                // Once, and not with each of many chunks: the counts tell the rest.
+                // Logged once rather than for each chunk: the counts show the rest.
                 if !std::mem::replace(&mut self.is_disk_full, true) {
                     let path = self.file.path().display();
                     tracing::error!(
-                        "cannot write to {path}: {source}; {lost} messages are lost, and so are all until there is room"
+                        "cannot write to {path}: {source}; {lost} messages are lost, as are all further ones until there is room"
                     );
                 }
                 Ok(())
@@ -40,7 +40,7 @@ impl Writer {
     pub(super) fn replace_metadata(&mut self, now: Instant) -> Result<(), WriterError> {
         match self.metadata().replace_in(&self.directory) {
             Ok(()) => self.metadata_has_all_topics = true,
-            // The old one is still there, and the next flush tries again.
+            // The old one still exists, and the next flush tries again.
             Err(source) if self.goes_on_after(&source) => {}
             Err(source) => return Err(self.fail(source)),
         }
@@ -67,7 +67,7 @@ impl Writer {
         }
     }
 
-    /// Returns how many messages it had.
+    /// Returns the number of its messages.
     pub(super) fn lose_open_chunk(&mut self) -> u64 {
         self.open_since = None;
         self.open = Times::default();

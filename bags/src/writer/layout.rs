@@ -1,4 +1,4 @@
-//! How the files of a bag are laid out, whichever storage they have.
+//! The layout of the files of a bag, for either storage.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use super::sqlite::{SqliteOptions, SqlitePreset};
 use super::storage::{McapOptions, StorageConfigError, StoragePreset};
 use crate::storage::Storage;
 
-/// How the files of a bag are laid out.
+/// The layout of the files of a bag.
 ///
 /// ```
 /// use downbeat_bags::{Storage, StorageOptions, StoragePreset};
@@ -18,7 +18,7 @@ use crate::storage::Storage;
 /// let error = StorageOptions::preset(Storage::Mcap, "resilient").unwrap_err();
 /// assert_eq!(
 ///     error.to_string(),
-///     "there is no preset profile \"resilient\" of the storage mcap; there are none, fastwrite, zstd_fast, zstd_small"
+///     "unknown preset profile \"resilient\" of the storage mcap; available are none, fastwrite, zstd_fast, zstd_small"
 /// );
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -31,7 +31,7 @@ pub enum StorageOptions {
     Sqlite(SqliteOptions),
 }
 
-/// Why a storage is not written as it was asked for.
+/// Why storage options are not supported.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StorageError {
     /// The feature `sqlite` is missing.
@@ -40,15 +40,15 @@ pub enum StorageError {
     )]
     NotBuilt,
     /// The storage has no such preset.
-    #[error("there is no preset profile \"{preset}\" of the storage {storage}; there are {}", storage.presets().join(", "))]
+    #[error("unknown preset profile \"{preset}\" of the storage {storage}; available are {}", storage.presets().join(", "))]
     Preset {
         /// The storage.
         storage: Storage,
-        /// What it does not know.
+        /// The unknown preset.
         preset: String,
     },
-    /// Chunks are those of MCAP.
-    #[error("the storage sqlite3 compresses nothing: leave the compression away, or write the storage mcap")]
+    /// Only MCAP compresses chunks.
+    #[error("the storage sqlite3 does not support compression: omit it, or use the storage mcap")]
     Compression,
 }
 
@@ -64,10 +64,10 @@ impl Storage {
 }
 
 impl StorageOptions {
-    /// What is written of a storage unless more is said.
+    /// The default options of a storage.
     ///
     /// # Errors
-    /// If the build does not have it.
+    /// If the build does not support it.
     pub fn of(storage: Storage) -> Result<Self, StorageError> {
         match storage {
             Storage::Mcap => Ok(McapOptions::default().into()),
@@ -78,10 +78,10 @@ impl StorageOptions {
         }
     }
 
-    /// What a preset profile of a storage stands for.
+    /// The options of a preset profile.
     ///
     /// # Errors
-    /// If the storage has no such preset, or the build does not have the storage.
+    /// If the storage has no such preset, or the build does not support the storage.
     pub fn preset(storage: Storage, name: &str) -> Result<Self, StorageError> {
         let found: Option<Self> = match storage {
             Storage::Mcap => named(&StoragePreset::ALL, name).map(|preset| preset.options().into()),
@@ -93,10 +93,10 @@ impl StorageOptions {
         found.ok_or_else(|| StorageError::Preset { storage, preset: name.to_owned() })
     }
 
-    /// These options with what a storage config file of that storage says in their place: `--storage-config-file`.
+    /// Overrides these options with those of a storage config file: `--storage-config-file`.
     ///
     /// # Errors
-    /// If the file cannot be read, or is not what rosbag2 takes.
+    /// If the file cannot be read, or rosbag2 would not accept it.
     pub fn with_config_file(self, path: &Path) -> Result<Self, StorageConfigError> {
         match self {
             Self::Mcap(options) => options.with_config_file(path).map(Self::Mcap),
@@ -105,7 +105,7 @@ impl StorageOptions {
         }
     }
 
-    /// Which storage it is.
+    /// The storage.
     #[must_use]
     pub fn storage(&self) -> Storage {
         match self {
@@ -115,10 +115,10 @@ impl StorageOptions {
         }
     }
 
-    /// The options of MCAP files, among them those of compression.
+    /// The options of MCAP files, including compression.
     ///
     /// # Errors
-    /// If the storage is one that compresses nothing.
+    /// If the storage does not support compression.
     pub fn mcap_mut(&mut self) -> Result<&mut McapOptions, StorageError> {
         match self {
             Self::Mcap(options) => Ok(options),
@@ -175,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn presets_are_told_by_the_names_by_which_they_are_found() {
+    fn presets_are_listed_by_the_names_by_which_they_are_found() {
         assert_eq!(StoragePreset::ALL.map(|(name, _)| name), Storage::Mcap.presets());
         #[cfg(feature = "sqlite")]
         assert_eq!(SqlitePreset::ALL.map(|(name, _)| name), Storage::Sqlite3.presets());

@@ -1,4 +1,4 @@
-//! Writing of a bag: the recorder without its thread.
+//! Writes a bag: the recorder without its thread.
 
 mod bag_file;
 mod channels;
@@ -43,43 +43,43 @@ use times::Times;
 
 /// Writes one bag directory.
 ///
-/// Messages are collected in a chunk, which is handed to the operating system when it is full or
-/// [`WriterOptions::flush_interval`] old. A process that is killed loses the open chunk and nothing else; a reader
-/// says so. metadata.yaml is kept up to date on the way, so that a killed bag opens in other programs too.
+/// Messages are collected in a chunk, which is passed to the operating system when it is full or
+/// [`WriterOptions::flush_interval`] old. A killed process loses only the open chunk, which readers report.
+/// metadata.yaml is updated during recording, so that other programs can open the bag as well.
 ///
-/// With the storage `sqlite3` a chunk is a transaction. What a killed process has committed is partly in a log beside the file
-/// (`-wal`), with which SQLite reads it; only the preset `none` of rosbag2, which has no log, may leave a damaged file. A message has
-/// one time there: its publish time is not kept.
+/// With the storage `sqlite3`, a chunk is a transaction. After a kill, committed transactions are partly in a
+/// log beside the file (`-wal`), which SQLite reads with it; only rosbag2's preset `none`, which has no log,
+/// may leave a damaged file. Messages have only one time there: publish times are not stored.
 ///
-/// After a failed write ([`WriterError::Write`], reported once) the file is ended after its last complete chunk, and
-/// everything but [`Writer::finish`] returns [`WriterError::Stopped`]. Dropping a writer finishes it and logs what
-/// fails then.
+/// After a failed write ([`WriterError::Write`], reported once), the file is finished after its last complete
+/// chunk, and all methods except [`Writer::finish`] return [`WriterError::Stopped`]. Dropping a writer
+/// finishes it and logs errors.
 pub struct Writer {
     directory: PathBuf,
-    /// What the names of the files begin with.
+    /// The prefix of the file names.
     name: OsString,
     options: WriterOptions,
-    /// That of the storage, at hand for each message.
+    /// The chunk size of the storage, cached.
     chunk_size: u64,
     file: BagFile,
-    /// The files of the bag; the last is the one that is written.
+    /// The files of the bag; the last one is being written.
     files: VecDeque<WrittenFile>,
     /// The number of the next file.
     next_number: u64,
     topics: Vec<Topic>,
-    /// Of the messages in the open chunk.
+    /// The times of the messages in the open chunk.
     open: Times,
-    /// When the first message came into the open chunk.
+    /// When the first message was added to the open chunk.
     open_since: Option<Instant>,
-    /// When metadata.yaml was last written, and whether it knows all topics.
+    /// When metadata.yaml was last written, and whether it contains all topics.
     metadata_written: Instant,
     metadata_has_all_topics: bool,
-    /// Messages in files that were deleted.
+    /// The number of messages in deleted files.
     deleted: u64,
-    /// Whether the last chunk found no room.
+    /// Whether the last chunk was dropped because the disk was full.
     is_disk_full: bool,
     on_split: Option<SplitHandler>,
-    /// How often what [`Writer::summary`] tells has changed.
+    /// The number of changes of [`Writer::summary`].
     changes: u64,
     state: State,
 }
@@ -100,7 +100,7 @@ struct Topic {
     open: u64,
     /// Messages in chunks that could not be written.
     lost: u64,
-    /// Messages that were refused before they reached the writer.
+    /// Messages rejected before they reached the writer.
     refused: u64,
 }
 
@@ -114,7 +114,7 @@ impl Writer {
         &self.directory
     }
 
-    /// The storage that is written.
+    /// The storage.
     #[must_use]
     pub fn storage(&self) -> Storage {
         self.options.storage.storage()
@@ -125,10 +125,11 @@ impl Writer {
         self.topics.iter().map(|topic| &topic.info)
     }
 
-    /// Adds a topic. Adding it again with the same type returns the id it has.
+    /// Adds a topic. Adding it again with the same type returns the existing id.
     ///
     /// # Errors
-    /// If the bag has the topic with another type, its storage no place for what describes the topic, or recording has stopped.
+    /// If the bag contains the topic with another type, the storage cannot represent the topic, or recording
+    /// has stopped.
     pub fn add_topic(&mut self, info: TopicInfo) -> Result<TopicId, WriterError> {
         self.check_recording()?;
         if let Some(index) = self.topics.iter().position(|topic| topic.info.name == info.name) {
@@ -156,11 +157,13 @@ impl Writer {
         Ok(id)
     }
 
-    /// Writes a message: its data is the CDR bytes with their encapsulation header; `log_time` is when it was
-    /// received, `publish_time` when it was sent, both in nanoseconds since the epoch. `sqlite3` keeps `log_time` only.
+    /// Writes a message: its data is the CDR bytes with their encapsulation header; `log_time` is the receive
+    /// time, `publish_time` the send time, both in nanoseconds since the epoch. `sqlite3` stores `log_time`
+    /// only.
     ///
     /// # Errors
-    /// If the topic is not of this writer, a time is negative, writing fails, or recording has stopped.
+    /// If the topic does not belong to this writer, a time is negative, writing fails, or recording has
+    /// stopped.
     pub fn write(
         &mut self,
         topic: TopicId,
@@ -171,7 +174,7 @@ impl Writer {
         self.write_at(Instant::now(), topic, log_time, publish_time, data)
     }
 
-    /// Hands the open chunk to the operating system now.
+    /// Passes the open chunk to the operating system now.
     ///
     /// # Errors
     /// If writing fails, or recording has stopped.
@@ -179,8 +182,8 @@ impl Writer {
         self.flush_at(Instant::now())
     }
 
-    /// Hands the open chunk to the operating system if it is older than the flush interval. Returns how long the open
-    /// chunk may still wait, `None` if there is none: for a thread that waits for messages.
+    /// Passes the open chunk to the operating system if it is older than the flush interval. Returns how long
+    /// the open chunk may still wait, `None` if there is none, as a time-out for waiting threads.
     ///
     /// # Errors
     /// If writing fails, or recording has stopped.
@@ -195,7 +198,7 @@ impl Writer {
         Ok(Some(left))
     }
 
-    /// Goes on in a new file.
+    /// Continues in a new file.
     ///
     /// # Errors
     /// If the new file cannot be created, writing fails, or recording has stopped.
@@ -203,34 +206,35 @@ impl Writer {
         self.split_at(Instant::now())
     }
 
-    /// Has `handler` called after each file that was ended, the last one too. It replaces the one before.
+    /// Registers a handler that is called after each finished file, including the last one. Replaces the
+    /// previous handler.
     pub fn on_split(&mut self, handler: impl FnMut(&FileSplit) + Send + 'static) {
         self.on_split = Some(Box::new(handler));
     }
 
-    /// Notes something in the `custom_data` of the metadata. It is in the bag from the next flush on.
+    /// Sets an entry in the `custom_data` of the metadata. It is written with the next flush.
     pub fn set_custom_data(&mut self, key: impl Into<String>, value: impl Into<String>) {
         self.options.custom_data.insert(key.into(), value.into());
     }
 
-    /// Notes how many messages of a topic were refused in all before they reached this writer: they are told in
-    /// `custom_data` with those that it lost itself. False where it has no such topic.
+    /// Sets the total number of messages of a topic that were rejected before they reached this writer;
+    /// `custom_data` lists them with those lost by the writer. Returns false if there is no such topic.
     pub fn set_refused(&mut self, topic: TopicId, messages: u64) -> bool {
         let found = self.topics.get_mut(topic.index());
         found.map(|topic| topic.refused = messages).is_some()
     }
 
-    /// Whether there was no room for the last chunk, and it was given up ([`WhenDiskFull::Drop`]).
+    /// Whether the last chunk was dropped because the disk was full ([`WhenDiskFull::Drop`]).
     #[must_use]
     pub fn is_disk_full(&self) -> bool {
         self.is_disk_full
     }
 
-    /// Ends the bag and waits until the medium has it. After a failed write, which was reported then, returns what
-    /// was kept.
+    /// Finishes the bag and syncs it to disk. After a failed write, which was already reported, returns the
+    /// summary of what was recorded.
     ///
     /// # Errors
-    /// If writing the end fails; what was written before is kept.
+    /// If writing the end fails; messages written before are kept.
     pub fn finish(mut self) -> Result<RecordingSummary, WriterError> {
         self.close()?;
         Ok(self.summary())
@@ -335,11 +339,11 @@ impl Writer {
         Ok(())
     }
 
-    /// Keeps what is complete, and makes the error to report.
+    /// Keeps complete chunks, and creates the error to report.
     fn fail(&mut self, source: io::Error) -> WriterError {
         self.state = State::Stopped;
         self.lose_open_chunk();
-        // These fail for the reason that is being reported; the bag is readable without them.
+        // These fail for the same reason; the bag is readable without them.
         let _ = self.file.give_up();
         let metadata = self.metadata();
         let _ = metadata.replace_in(&self.directory).or_else(|_| metadata.overwrite_in(&self.directory));

@@ -1,4 +1,4 @@
-//! How to record.
+//! Options of writing a bag.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -13,7 +13,7 @@ use super::storage::{Compression, DEFAULT_CHUNK_SIZE};
 use super::{StorageOptions, Writer, WriterError};
 use crate::storage::Storage;
 
-/// How to record a bag.
+/// Options of writing a bag.
 ///
 /// ```
 /// use std::time::Duration;
@@ -34,7 +34,7 @@ use crate::storage::Storage;
 #[derive(Clone, Debug)]
 pub struct WriterOptions {
     pub(super) storage: StorageOptions,
-    /// Stands over that of the storage.
+    /// Overrides that of the storage.
     compression: Option<Compression>,
     pub(super) flush_interval: Duration,
     pub(super) split: SplitLimits,
@@ -45,7 +45,7 @@ pub struct WriterOptions {
     pub(super) counted_data: BTreeMap<String, CountedData>,
 }
 
-/// What the metadata says that is known only when it is written.
+/// A metadata entry computed when the metadata is written.
 #[derive(Clone)]
 pub(super) struct CountedData(pub(super) Arc<dyn Fn() -> String + Send + Sync>);
 
@@ -55,20 +55,20 @@ impl fmt::Debug for CountedData {
     }
 }
 
-/// When a bag goes on in a new file: at the first of these limits that a file reaches.
+/// When a bag continues in a new file: when a file reaches one of these limits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SplitLimits {
-    /// Bytes of a file, those of its open chunk before compression included; `--max-bag-size`. A file is larger by its last
-    /// message and its summary, an SQLite file by its index of those.
+    /// Size of a file, including its uncompressed open chunk; `--max-bag-size`. The file is larger by its
+    /// last message and its summary, or its index in SQLite.
     pub max_bytes: Option<u64>,
-    /// From the first message of a file to its last, by the times at which they were received; `--max-bag-duration`.
+    /// From the first message of a file to its last, by receive time; `--max-bag-duration`.
     pub max_duration: Option<Duration>,
 }
 
 impl SplitLimits {
-    /// One file.
+    /// A single file.
     pub const NONE: Self = Self { max_bytes: None, max_duration: None };
-    /// The least that rosbag2 takes for `max_bytes` (`get_minimum_split_file_size` of its storages).
+    /// rosbag2's minimum of `max_bytes` (`get_minimum_split_file_size` of its storages).
     #[must_use]
     pub fn least_bytes(storage: Storage) -> u64 {
         match storage {
@@ -78,28 +78,29 @@ impl SplitLimits {
     }
 }
 
-/// When to wait until the medium has what was written. A process that is killed loses nothing either way; a machine that loses
-/// power loses what its operating system had not written yet.
+/// When to sync written data to disk. A killed process loses nothing either way; a power failure loses what
+/// the operating system has not written yet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SyncPolicy {
-    /// Never: when is up to the operating system, as with rosbag2. An SQLite file may then be damaged as a whole.
+    /// Never: the operating system decides, as with rosbag2. A power failure may then damage an SQLite file
+    /// completely.
     Never,
-    /// At the end of each file: robots are switched off after a recording. An SQLite file besides when its log is moved into it,
-    /// unless its preset is `none`.
+    /// At the end of each file, since robots are switched off after recordings. SQLite files also when the
+    /// log is moved into them, unless the preset is `none`.
     #[default]
     Files,
-    /// After each chunk too: no more than that of the open one is lost, and writing is as slow as the medium.
+    /// Also after each chunk: only the open chunk can be lost, and writing is as slow as the disk.
     Chunks,
 }
 
-/// What to do when there is no room for a chunk.
+/// What to do if the disk is full.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WhenDiskFull {
-    /// End the file after its last chunk and record no more.
+    /// Finish the file after its last chunk and stop recording.
     #[default]
     Stop,
-    /// Give the chunk up, count its messages as lost, and go on: there may be room again, where something else deletes or
-    /// [`WriterOptions::max_bag_files`] does.
+    /// Drop the chunk, count its messages as lost, and continue: there may be room again if files are
+    /// deleted, for example by [`WriterOptions::max_bag_files`].
     Drop,
 }
 
@@ -125,52 +126,52 @@ impl WriterOptions {
         }
     }
 
-    /// Which storage is written, and how its files are laid out: [`McapOptions`](super::McapOptions) or, with the feature
+    /// The storage, and the layout of its files: [`McapOptions`](super::McapOptions) or, with the feature
     /// `sqlite`, `SqliteOptions`.
     #[must_use]
     pub fn storage(self, storage: impl Into<StorageOptions>) -> Self {
         Self { storage: storage.into(), ..self }
     }
 
-    /// How chunks are compressed, whatever the storage says. `sqlite3` compresses nothing.
+    /// How chunks are compressed, overriding the storage options. `sqlite3` does not support compression.
     #[must_use]
     pub fn compression(self, compression: Compression) -> Self {
         Self { compression: Some(compression), ..self }
     }
 
-    /// The size in bytes, before compression, from which on a chunk is closed.
+    /// The size in bytes, before compression, at which a chunk is closed.
     #[must_use]
     pub fn chunk_size(mut self, chunk_size: u64) -> Self {
         self.storage.set_chunk_size(chunk_size);
         self
     }
 
-    /// The age at which a chunk is closed though it is not full: what a killed process loses at most.
+    /// The age at which a chunk is closed even if it is not full: the most that a killed process loses.
     #[must_use]
     pub fn flush_interval(self, flush_interval: Duration) -> Self {
         Self { flush_interval, ..self }
     }
 
-    /// When the bag goes on in a new file.
+    /// When the bag continues in a new file.
     #[must_use]
     pub fn split(self, split: SplitLimits) -> Self {
         Self { split, ..self }
     }
 
-    /// How many files the bag has at the most: when there would be one more, the oldest is deleted. Its messages are then
-    /// no longer counted, and `custom_data` says how many were (`deleted_messages`).
+    /// The maximum number of files: when it is exceeded, the oldest file is deleted. Its messages are no
+    /// longer counted, but `custom_data` contains their number (`deleted_messages`).
     #[must_use]
     pub fn max_bag_files(self, max_bag_files: NonZeroUsize) -> Self {
         Self { max_bag_files: Some(max_bag_files), ..self }
     }
 
-    /// When to wait until the medium has what was written.
+    /// When to sync written data to disk.
     #[must_use]
     pub fn sync(self, sync: SyncPolicy) -> Self {
         Self { sync, ..self }
     }
 
-    /// What to do when there is no room for a chunk.
+    /// What to do if the disk is full.
     #[must_use]
     pub fn when_disk_full(self, disk_full: WhenDiskFull) -> Self {
         Self { disk_full, ..self }
@@ -183,7 +184,7 @@ impl WriterOptions {
         self
     }
 
-    /// Notes what `value` returns at the time when the metadata is written: for what is counted while the recording goes on.
+    /// Adds an entry whose value is computed whenever the metadata is written, for example a count.
     #[must_use]
     pub fn counted_data(
         mut self,
@@ -194,11 +195,11 @@ impl WriterOptions {
         self
     }
 
-    /// Creates the bag directory, the folders above it where they are missing, and the files in it.
+    /// Creates the bag directory, missing parent directories, and the files in it.
     ///
     /// # Errors
-    /// If it exists already or cannot be created, files are to be smaller than [`SplitLimits::least_bytes`], or compressed
-    /// where the storage does not.
+    /// If it exists already or cannot be created, the maximum file size is below
+    /// [`SplitLimits::least_bytes`], or the storage does not support the compression.
     pub fn create(mut self, directory: impl AsRef<Path>) -> Result<Writer, WriterError> {
         let least = SplitLimits::least_bytes(self.storage.storage());
         if let Some(bytes) = self.split.max_bytes.filter(|bytes| *bytes < least) {
@@ -224,7 +225,7 @@ pub(super) fn create_directory(directory: &Path) -> Result<(), WriterError> {
         if let Some(parent) = directory.parent() {
             fs::create_dir_all(parent)?;
         }
-        // Not create_dir_all: creating must fail if the directory is there, whoever was faster.
+        // Not create_dir_all: this must fail if the directory exists, even in a race.
         fs::create_dir(directory)
     };
     create().map_err(|source| {

@@ -1,4 +1,4 @@
-//! The bytes of a file that only grows, and their checksum.
+//! An append-only file and its checksum.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, IoSlice, Seek, SeekFrom, Write};
@@ -9,13 +9,13 @@ use super::SyncPolicy;
 pub(super) struct OutputFile {
     file: File,
     sync: SyncPolicy,
-    /// Length up to the end of what was appended as a whole.
+    /// The length of completely appended data.
     kept: u64,
-    /// Checksum of everything up to there, if one is wanted.
+    /// The checksum of that data, if enabled.
     crc: Option<crc32fast::Hasher>,
 }
 
-/// Bytes to append, and their checksum where it is known already.
+/// Bytes to append, and their checksum if already known.
 pub(super) struct Part<'a> {
     pub(super) bytes: &'a [u8],
     pub(super) crc: Option<u32>,
@@ -37,12 +37,12 @@ impl OutputFile {
         self.kept
     }
 
-    /// The checksum of what is kept; 0 stands for none.
+    /// The checksum of appended data; 0 means none.
     pub(super) fn crc(&self) -> u32 {
         self.crc.clone().map_or(0, crc32fast::Hasher::finalize)
     }
 
-    /// Hands the parts to the operating system, one behind the other. If that fails some of them may be in the file.
+    /// Passes the parts to the operating system, one after another. If that fails, some may be in the file.
     pub(super) fn append(&mut self, parts: &[Part<'_>]) -> io::Result<()> {
         self.write(parts)?;
         if self.sync == SyncPolicy::Chunks {
@@ -62,18 +62,18 @@ impl OutputFile {
         Ok(())
     }
 
-    /// Writes what is not kept: the next thing that is appended comes behind it all the same.
+    /// Writes bytes without counting them as kept; further data is appended after them.
     pub(super) fn write_unkept(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.file.write_all(bytes)
     }
 
-    /// Cuts off what came behind what is kept.
+    /// Truncates the file to the kept data.
     pub(super) fn rewind(&mut self) -> io::Result<()> {
         self.file.set_len(self.kept)?;
         self.file.seek(SeekFrom::Start(self.kept)).map(drop)
     }
 
-    /// Waits until the medium has everything, unless the policy is not to.
+    /// Syncs the file to disk, unless the policy is not to.
     pub(super) fn finish(&mut self) -> io::Result<()> {
         match self.sync {
             SyncPolicy::Never => Ok(()),
@@ -81,7 +81,7 @@ impl OutputFile {
         }
     }
 
-    /// In one call of the operating system, if it takes all at once.
+    /// Writes all parts, with one system call if possible.
     fn write(&mut self, parts: &[Part<'_>]) -> io::Result<()> {
         let slices: Vec<IoSlice<'_>> = parts.iter().map(|part| IoSlice::new(part.bytes)).collect();
         let mut written = match self.file.write_vectored(&slices) {

@@ -1,5 +1,5 @@
-//! MCAP records as bytes. The `mcap` crate writes compressed chunks only with a compressor in C, so the records are
-//! written here; the types are that crate's.
+//! MCAP records as bytes. The `mcap` crate can only write compressed chunks with a compressor in C, so the
+//! records are written here, with the types of that crate.
 //!
 //! # References
 //! <https://mcap.dev/spec>: little-endian, each record an opcode, a length of 8 bytes, and a body.
@@ -14,7 +14,7 @@ use mcap::records::{
 
 use crate::topic::TopicInfo;
 
-/// Appends a record whose body `write` appends.
+/// Appends a record; `write` appends its body.
 fn record(
     out: &mut Vec<u8>,
     opcode: u8,
@@ -23,7 +23,7 @@ fn record(
     record_before(out, opcode, 0, write)
 }
 
-/// Appends a record of whose body the last `missing` bytes are written elsewhere.
+/// Appends a record without the last `missing` bytes of its body, which are written separately.
 fn record_before(
     out: &mut Vec<u8>,
     opcode: u8,
@@ -85,7 +85,7 @@ pub(super) fn message(out: &mut Vec<u8>, header: &MessageHeader, data: &[u8]) ->
     })
 }
 
-/// What comes before the content of a chunk.
+/// The part of a chunk record before its content.
 pub(super) fn chunk_without_content(out: &mut Vec<u8>, header: &ChunkHeader) -> io::Result<()> {
     record_before(out, op::CHUNK, header.compressed_size, |out| {
         out.extend_from_slice(&header.message_start_time.to_le_bytes());
@@ -198,13 +198,13 @@ fn by_channel(out: &mut Vec<u8>, entries: &BTreeMap<u16, u64>) -> io::Result<()>
     })
 }
 
-/// Appends what `write` appends, with its length in 4 bytes before it.
+/// Appends the output of `write`, preceded by its length in 4 bytes.
 fn with_length(out: &mut Vec<u8>, write: impl FnOnce(&mut Vec<u8>) -> io::Result<()>) -> io::Result<()> {
     let start = out.len() + 4;
     out.extend_from_slice(&[0; 4]);
     write(out)?;
     let length = u32::try_from(out.len() - start)
-        .map_err(|_| io::Error::other("MCAP has no place for texts and indexes of 4 GiB and more"))?;
+        .map_err(|_| io::Error::other("MCAP does not support strings and indexes of 4 GiB and more"))?;
     out[start - 4..start].copy_from_slice(&length.to_le_bytes());
     Ok(())
 }

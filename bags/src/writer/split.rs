@@ -1,4 +1,4 @@
-//! Bags of several files: when one ends, and which are kept.
+//! Bags of several files: when a new file starts, and which are kept.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -9,12 +9,12 @@ use super::times::Times;
 use super::{Writer, WriterError};
 use crate::storage::Storage;
 
-/// A file of a bag was ended.
+/// A file of a bag was finished.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FileSplit {
-    /// The file that is complete.
+    /// The finished file.
     pub closed: PathBuf,
-    /// The file in which the bag goes on; none at its end.
+    /// The next file of the bag; `None` at its end.
     pub opened: Option<PathBuf>,
 }
 
@@ -24,11 +24,11 @@ pub(super) type SplitHandler = Box<dyn FnMut(&FileSplit) + Send>;
 pub(super) struct WrittenFile {
     /// Relative to the bag directory.
     pub(super) name: String,
-    /// Of its messages in finished chunks.
+    /// The times of its messages in finished chunks.
     pub(super) times: Times,
-    /// Those messages by topic; topics that came later may be missing.
+    /// The number of these messages by topic; topics added later may be missing.
     pub(super) counts: Vec<u64>,
-    /// Its size once it is ended.
+    /// Its size once it is finished.
     pub(super) bytes: u64,
 }
 
@@ -51,7 +51,7 @@ pub(super) fn path(directory: &Path, name: &OsStr, number: u64, storage: Storage
 }
 
 impl Writer {
-    /// Whether a message with that time belongs into a new file. A file has a message at least.
+    /// Whether a message with that time starts a new file. Every file has at least one message.
     pub(super) fn is_split_due(&self, log_time: i64) -> bool {
         let limits = &self.options.split;
         let Some(file) = self.files.back() else { return false };
@@ -67,7 +67,7 @@ impl Writer {
         self.check_recording()?;
         self.changes += 1;
         self.hand_over()?;
-        // Before the file is ended: on a full disk this makes the room for its end.
+        // Before finishing the file: on a full disk this makes room for its end.
         let most = self.options.max_bag_files.map_or(usize::MAX, std::num::NonZeroUsize::get);
         self.delete_oldest(most.max(2) - 1, now)?;
 
@@ -76,7 +76,7 @@ impl Writer {
         let ended = self.file.write_metadata(metadata).and_then(|()| self.file.finish());
         match ended {
             Ok(()) => {}
-            // What is in it stays readable, and there may be room for the next.
+            // Its contents stay readable, and there may be room for the next file.
             Err(source) if self.goes_on_after(&source) => {
                 self.file.give_up().map_err(|source| self.fail(source))?;
             }
@@ -104,7 +104,7 @@ impl Writer {
         }
     }
 
-    /// A file that knows the topics of the bag.
+    /// Creates a file with the topics of the bag.
     fn next_file(&mut self, path: &Path) -> std::io::Result<BagFile> {
         let mut file = BagFile::create(path, &self.options.storage, self.options.sync)?;
         for topic in &mut self.topics {
@@ -113,26 +113,26 @@ impl Writer {
         Ok(file)
     }
 
-    /// The file before is ended already: only what was begun is taken back.
+    /// The previous file is already finished: only removes the new one.
     fn fail_to_open(&mut self, path: &Path, source: std::io::Error) -> WriterError {
         self.state = super::State::Stopped;
-        // It may not be there; if it is, a bag with it would be damaged.
+        // It may not exist; if it does, the bag would be damaged by it.
         let _ = self.remove_file(path);
         let _ = self.metadata().replace_in(&self.directory);
         let kept = self.topics.iter().map(|topic| topic.written).sum();
         WriterError::Write { path: path.to_owned(), source, kept }
     }
 
-    /// Removes a file, and what it may have left beside it.
+    /// Removes a file and its companions.
     fn remove_file(&self, path: &Path) -> std::io::Result<()> {
         for companion in self.storage().companions(path) {
-            // A file that was ended has none.
+            // A finished file has none.
             let _ = std::fs::remove_file(companion);
         }
         std::fs::remove_file(path)
     }
 
-    /// Deletes the oldest files until there are no more than that many.
+    /// Deletes the oldest files until at most that many are left.
     fn delete_oldest(&mut self, most: usize, now: Instant) -> Result<(), WriterError> {
         while self.files.len() > most {
             let Some(oldest) = self.files.pop_front() else { return Ok(()) };
@@ -140,12 +140,12 @@ impl Writer {
                 topic.written = topic.written.saturating_sub(*count);
             }
             self.deleted += oldest.message_count();
-            // First, so that metadata.yaml never names a file that is not there.
+            // First, so that metadata.yaml never names a missing file.
             self.replace_metadata(now)?;
             let path = self.directory.join(&oldest.name);
             if let Err(error) = self.remove_file(&path) {
                 tracing::warn!(
-                    "cannot delete {}, which is no part of the bag any more: {error}",
+                    "cannot delete {}, which is no longer part of the bag: {error}",
                     path.display()
                 );
             }

@@ -1,4 +1,4 @@
-//! How an MCAP file is laid out: what `rosbag2_storage_mcap` takes from a preset profile and a storage config file.
+//! Options of MCAP files, as in preset profiles and storage config files of `rosbag2_storage_mcap`.
 //!
 //! # References
 //! `rosbag2_storage_mcap/src/mcap_storage.cpp` and `README.md`, branch jazzy.
@@ -14,27 +14,28 @@ use crate::storage::Storage;
 /// How chunks are compressed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Compression {
-    /// They are not: least work while recording. What rosbag2 does unless told otherwise.
+    /// No compression: the least work while recording. The default of rosbag2.
     #[default]
     None,
-    /// With LZ4, at one level: there is no encoder without C that has more.
+    /// LZ4, with a single level, since no pure Rust encoder has more.
     Lz4,
-    /// With Zstandard; see [`CompressionLevel`]. The compressors are slower than the one in C (see README.md) and work when a
-    /// chunk is handed over: record with [`Recording`](crate::Recording) where the thread must not wait for a full chunk.
+    /// Zstandard; see [`CompressionLevel`]. The compressors are slower than the one in C (see README.md) and
+    /// run when a chunk is written: use [`Recording`](crate::Recording) if the thread must not wait for that.
     Zstd,
 }
 
 impl Compression {
-    /// All, by their names in robot files and on the command line.
+    /// All compressions with their names in robot files and on the command line.
     pub const ALL: [(&'static str, Self); 3] =
         [("none", Self::None), ("lz4", Self::Lz4), ("zstd", Self::Zstd)];
 }
 
-/// How much work the compressor does, by the names of the MCAP C++ library.
+/// The effort of the compressor, with the names of the MCAP C++ library.
 ///
-/// There is no Zstandard encoder without C that has all levels. `Fastest` and `Fast` are one here, made for speed, as the
-/// negative levels of the library in C are; `Default` is another, near the C library's level 1, which codes literals too but
-/// looks back less far; `Slow` and `Slowest` do both and keep what is smaller.
+/// No pure Rust Zstandard encoder has all levels. `Fastest` and `Fast` use one compressor optimised for
+/// speed, like the negative levels of the C library. `Default` uses another one, close to the C library's
+/// level 1, which also codes literals but has a smaller window. `Slow` and `Slowest` run both and keep the
+/// smaller result.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CompressionLevel {
     /// Zstandard -5 in C.
@@ -53,7 +54,7 @@ pub enum CompressionLevel {
 /// A preset profile of rosbag2 for the storage `mcap`: `--storage-preset-profile`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum StoragePreset {
-    /// What rosbag2 does unless told otherwise: chunks without compression and checksums.
+    /// The default of rosbag2: chunks without compression and checksums.
     #[default]
     None,
     /// No chunks and no checksums: the least work, and a file without an index of its messages.
@@ -65,7 +66,7 @@ pub enum StoragePreset {
 }
 
 impl StoragePreset {
-    /// All, by their names in rosbag2.
+    /// All presets with their names in rosbag2.
     pub const ALL: [(&'static str, Self); 4] = [
         ("none", Self::None),
         ("fastwrite", Self::FastWrite),
@@ -73,10 +74,10 @@ impl StoragePreset {
         ("zstd_small", Self::ZstdSmall),
     ];
 
-    /// What the preset stands for.
+    /// The options of the preset.
     #[must_use]
     pub fn options(self) -> McapOptions {
-        // rosbag2 sets these two before it looks at the preset.
+        // rosbag2 sets these two before applying the preset.
         let rosbag2 = McapOptions { has_chunk_crc: false, has_data_crc: false, ..McapOptions::default() };
         let zstd = |level| McapOptions { compression: Compression::Zstd, level, ..rosbag2 };
         match self {
@@ -101,34 +102,35 @@ impl FromStr for StoragePreset {
     fn from_str(text: &str) -> Result<Self, String> {
         Self::ALL.iter().find(|(name, _)| *name == text).map(|&(_, preset)| preset).ok_or_else(|| {
             format!(
-                "there is no preset profile \"{text}\"; there are {}",
+                "unknown preset profile \"{text}\"; available are {}",
                 Self::ALL.map(|(name, _)| name).join(", ")
             )
         })
     }
 }
 
-/// How an MCAP file is laid out. The default is that of rosbag2, and checksums of chunks and of the file besides.
+/// The layout of an MCAP file. The default is that of rosbag2 with additional checksums of chunks and of the
+/// file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct McapOptions {
     /// How chunks are compressed.
     pub compression: Compression,
     /// How much work the compressor does.
     pub level: CompressionLevel,
-    /// The size in bytes, before compression, at which a chunk is closed; without chunks, at which what was collected is
-    /// handed to the operating system.
+    /// The size in bytes, before compression, at which a chunk is closed; without chunks, at which collected
+    /// records are passed to the operating system.
     pub chunk_size: u64,
-    /// Whether a chunk is stored compressed though that saves less than 2 %, or it is smaller than 1 KiB.
+    /// Whether a chunk is compressed even if that saves less than 2 %, or it is smaller than 1 KiB.
     pub is_compression_forced: bool,
-    /// Whether there are chunks at all, or records of messages one after another.
+    /// Whether messages are stored in chunks.
     pub is_chunked: bool,
     /// Whether a chunk has a checksum.
     pub has_chunk_crc: bool,
-    /// Whether all before the summary has a checksum.
+    /// Whether the data before the summary has a checksum.
     pub has_data_crc: bool,
     /// Whether the summary has a checksum.
     pub has_summary_crc: bool,
-    /// Whether an index says where in a chunk each message is.
+    /// Whether chunks have an index of their messages.
     pub has_message_index: bool,
     /// Whether the file ends with a summary.
     pub has_summary: bool,
@@ -136,13 +138,13 @@ pub struct McapOptions {
     pub repeats_schemas: bool,
     /// Whether the summary has all channels.
     pub repeats_channels: bool,
-    /// Whether the summary counts.
+    /// Whether the summary has statistics.
     pub has_statistics: bool,
-    /// Whether the summary says where chunks are.
+    /// Whether the summary has an index of chunks.
     pub has_chunk_index: bool,
-    /// Whether the summary says where metadata is.
+    /// Whether the summary has an index of metadata.
     pub has_metadata_index: bool,
-    /// Whether the summary says where its parts are.
+    /// Whether the summary has an index of its parts.
     pub has_summary_offsets: bool,
 }
 
@@ -180,25 +182,25 @@ pub enum StorageConfigError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// It is not what `rosbag2_storage_mcap`, or `_sqlite3`, takes.
-    #[error("{}:{line}: not as a storage config file of rosbag2_storage_{storage} should be: {found}", path.display())]
+    /// `rosbag2_storage_mcap`, or `_sqlite3`, would not accept it.
+    #[error("{}:{line}: invalid storage config file of rosbag2_storage_{storage}: {found}", path.display())]
     Form {
         /// The file.
         path: PathBuf,
-        /// Where, counted from 1; 0 when the place is not known.
+        /// The line, counted from 1; 0 if unknown.
         line: usize,
-        /// Whose form it should have.
+        /// The storage whose format it should have.
         storage: Storage,
-        /// What is wrong there.
+        /// The problem.
         found: String,
     },
 }
 
 impl McapOptions {
-    /// These options with what a storage config file says in their place: `--storage-config-file`.
+    /// Overrides these options with those of a storage config file: `--storage-config-file`.
     ///
     /// ```
     /// use downbeat_bags::{Compression, CompressionLevel, StoragePreset};
@@ -210,10 +212,10 @@ impl McapOptions {
     /// # Ok::<(), downbeat_bags::StorageConfigError>(())
     /// ```
     ///
-    /// Keys that rosbag2 does not know are passed over, as it does, but with a warning in the log; `path` is for messages.
+    /// Keys that rosbag2 does not know are ignored like there, but with a warning; `path` is for messages.
     ///
     /// # Errors
-    /// If the text is not what rosbag2 takes.
+    /// If rosbag2 would not accept the text.
     pub fn with_config(self, text: &str, path: &Path) -> Result<Self, StorageConfigError> {
         let form = |error: &serde_norway::Error| StorageConfigError::Form {
             path: path.to_owned(),
@@ -221,11 +223,11 @@ impl McapOptions {
             storage: Storage::Mcap,
             found: error.to_string(),
         };
-        // An empty file says nothing.
+        // An empty file has no settings.
         let config: Option<Config> = downbeat_msgs::yaml::from_str(text).map_err(|error| form(&error))?;
         let config = config.unwrap_or_default();
         for key in config.unknown.keys().filter(|key| !WITHOUT_EFFECT.contains(&key.as_str())) {
-            tracing::warn!("{}: there is no key \"{key}\", it is passed over", path.display());
+            tracing::warn!("{}: unknown key \"{key}\" is ignored", path.display());
         }
         let unless = |no: Option<Flag>, otherwise: bool| no.map_or(otherwise, |no| !no.0);
         Ok(Self {
@@ -251,14 +253,14 @@ impl McapOptions {
     /// [`McapOptions::with_config`] with the text of a file.
     ///
     /// # Errors
-    /// If the file cannot be read, or is not what rosbag2 takes.
+    /// If the file cannot be read, or rosbag2 would not accept it.
     pub fn with_config_file(self, path: &Path) -> Result<Self, StorageConfigError> {
         let read = |source| StorageConfigError::Read { path: path.to_owned(), source };
         self.with_config(&std::fs::read_to_string(path).map_err(read)?, path)
     }
 }
 
-/// Keys that rosbag2 knows and that change nothing: a bag has no attachments.
+/// Keys of rosbag2 without effect: bags have no attachments.
 const WITHOUT_EFFECT: [&str; 2] = ["noAttachmentCRC", "noAttachmentIndex"];
 
 /// The keys are those of `mcap::McapWriterOptions`.
@@ -288,7 +290,7 @@ struct Config {
     unknown: std::collections::BTreeMap<String, serde_norway::Value>,
 }
 
-/// A truth value of YAML 1.1, which yaml-cpp reads.
+/// A boolean of YAML 1.1, which yaml-cpp reads.
 #[derive(Clone, Copy)]
 struct Flag(bool);
 
@@ -355,7 +357,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_config_file_stands_over_the_preset_key_by_key() {
+    fn a_config_file_overrides_the_preset_key_by_key() {
         // The example of rosbag2_storage_mcap/README.md.
         let text = "# mcap_writer_options.yml\nnoChunkCRC: false\nnoChunking: false\nnoMessageIndex: false\n\
                     noSummary: false\nchunkSize: 786432\ncompression: \"Zstd\"\ncompressionLevel: \"Fast\"\n\
@@ -373,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn truth_has_the_words_of_yaml_1_1_and_what_is_wrong_is_told_with_its_line() {
+    fn booleans_are_those_of_yaml_1_1_and_errors_have_their_line() {
         let read = |text: &str| McapOptions::default().with_config(text, Path::new("m.yml"));
         assert!(!read("noSummary: yes\n").unwrap().has_summary);
         assert!(read("noSummary: Off\nnoAttachmentCRC: true\n").unwrap().has_summary);

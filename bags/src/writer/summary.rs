@@ -1,4 +1,4 @@
-//! The end of an MCAP file: what it holds and where.
+//! The summary at the end of an MCAP file.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -11,9 +11,9 @@ use super::{McapOptions, records};
 
 #[derive(Default)]
 pub(super) struct Summary {
-    /// Messages in what is written.
+    /// The number of written messages by channel.
     counts: BTreeMap<u16, u64>,
-    /// Earliest and latest log time of them.
+    /// Their earliest and latest log time.
     times: Option<(u64, u64)>,
     chunks: Vec<ChunkIndex>,
     metadata: Vec<MetadataIndex>,
@@ -21,7 +21,7 @@ pub(super) struct Summary {
 }
 
 impl Summary {
-    /// Counts what was written.
+    /// Adds a written chunk.
     pub(super) fn add(&mut self, chunk: &Chunk, index: Option<ChunkIndex>) {
         self.chunks.extend(index);
         for (channel, count) in chunk.counts() {
@@ -88,7 +88,7 @@ impl Summary {
                 records::summary_offset(out, opcode, start, length)?;
             }
         }
-        // A summary of nothing is none.
+        // An empty summary is omitted.
         let summary_start = if out.len() > begin { position + begin as u64 } else { 0 };
         // The checksum covers the summary and the footer up to the checksum.
         let checksum = |out: &[u8]| {
@@ -99,7 +99,7 @@ impl Summary {
         Ok(())
     }
 
-    /// Ends a file that has no summary.
+    /// Appends the end of a file without a summary.
     pub(super) fn emit_none(out: &mut Vec<u8>) {
         footer(out, 0, 0, |_| 0);
     }

@@ -15,7 +15,7 @@ fn written(writer: &Writer) -> u64 {
 }
 
 #[test]
-fn a_chunk_is_handed_over_when_it_is_as_old_as_the_flush_interval() {
+fn a_chunk_is_written_when_it_is_as_old_as_the_flush_interval() {
     let folder = tempfile::tempdir().unwrap();
     let options = WriterOptions::new().flush_interval(Duration::from_secs(1));
     let mut writer = options.create(folder.path().join("bag")).unwrap();
@@ -29,7 +29,7 @@ fn a_chunk_is_handed_over_when_it_is_as_old_as_the_flush_interval() {
     assert_eq!((written(&writer), length()), (0, empty));
     writer.write_at(start + Duration::from_secs(1), id, 3, 3, &[0; 8]).unwrap();
     assert_eq!(written(&writer), 3);
-    assert!(length() > empty, "handed to the operating system at once");
+    assert!(length() > empty, "passed to the operating system at once");
     assert_eq!(writer.summary().bytes, length());
 
     writer.write_at(start + Duration::from_millis(1500), id, 4, 4, &[0; 8]).unwrap();
@@ -37,7 +37,7 @@ fn a_chunk_is_handed_over_when_it_is_as_old_as_the_flush_interval() {
 }
 
 #[test]
-fn a_chunk_is_handed_over_when_it_is_full() {
+fn a_chunk_is_written_when_it_is_full() {
     let folder = tempfile::tempdir().unwrap();
     let options = WriterOptions::new().chunk_size(1000).flush_interval(Duration::MAX);
     let mut writer = options.create(folder.path().join("bag")).unwrap();
@@ -49,7 +49,7 @@ fn a_chunk_is_handed_over_when_it_is_full() {
 }
 
 #[test]
-fn metadata_yaml_is_there_from_the_start_and_follows_the_recording() {
+fn metadata_yaml_exists_from_the_start_and_is_updated() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let mut writer = WriterOptions::new().create(&bag).unwrap();
@@ -59,7 +59,7 @@ fn metadata_yaml_is_there_from_the_start_and_follows_the_recording() {
     let id = writer.add_topic(topic("/a", "std_msgs/msg/Empty")).unwrap();
     writer.write(id, 100, 90, &[0; 8]).unwrap();
     writer.flush().unwrap();
-    assert_eq!(read().topics.len(), 1, "a new topic is told with the next flush");
+    assert_eq!(read().topics.len(), 1, "a new topic is listed with the next flush");
     let later = Instant::now() + super::METADATA_INTERVAL;
     writer.write_at(later, id, 300, 290, &[0; 8]).unwrap();
     writer.flush_at(later + super::METADATA_INTERVAL).unwrap();
@@ -68,7 +68,7 @@ fn metadata_yaml_is_there_from_the_start_and_follows_the_recording() {
 }
 
 #[test]
-fn an_existing_directory_is_refused_and_left_as_it_is() {
+fn an_existing_directory_is_refused_and_not_changed() {
     let folder = tempfile::tempdir().unwrap();
     let error = WriterOptions::new().create(folder.path()).err().unwrap();
     assert!(matches!(&error, WriterError::AlreadyExists { path } if path == folder.path()), "{error}");
@@ -86,7 +86,7 @@ fn a_topic_has_one_type() {
 }
 
 #[test]
-fn a_time_before_the_epoch_is_refused_and_recording_goes_on() {
+fn a_time_before_the_epoch_is_refused_and_recording_continues() {
     let folder = tempfile::tempdir().unwrap();
     let mut writer = WriterOptions::new().create(folder.path().join("bag")).unwrap();
     let id = writer.add_topic(topic("/a", "std_msgs/msg/Empty")).unwrap();
@@ -97,7 +97,7 @@ fn a_time_before_the_epoch_is_refused_and_recording_goes_on() {
 }
 
 #[test]
-fn a_writer_that_is_dropped_finishes_its_bag() {
+fn dropping_a_writer_finishes_its_bag() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let mut writer = WriterOptions::new().create(&bag).unwrap();

@@ -1,8 +1,8 @@
-//! The span of some messages.
+//! The time span of messages.
 
 use std::time::Duration;
 
-/// The first and the last of some times, in nanoseconds since the epoch.
+/// The earliest and the latest time, in nanoseconds since the epoch.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Times(Option<(i64, i64)>);
 

@@ -1,12 +1,13 @@
-//! The entropy coder of Zstandard, for the three distributions that every decoder knows.
+//! The entropy coder of Zstandard, for the three predefined distributions.
 //!
 //! # References
-//! RFC 8878, section 4.1 (finite state entropy) and 3.1.1.3.2.2 (the default distributions). The encoding tables are those of
-//! Duda's asymmetric numeral systems as `FSE_buildCTable` of the reference implementation lays them out.
+//! RFC 8878, section 4.1 (finite state entropy) and 3.1.1.3.2.2 (the default distributions). The encoding
+//! tables are those of Duda's asymmetric numeral systems, laid out as in `FSE_buildCTable` of the reference
+//! implementation.
 
 use std::sync::LazyLock;
 
-/// Bits from the first to the last, which a decoder reads from the last to the first.
+/// Writes bits from first to last; a decoder reads them from last to first.
 #[derive(Default)]
 pub(super) struct BitWriter {
     pending: u64,
@@ -14,7 +15,7 @@ pub(super) struct BitWriter {
 }
 
 impl BitWriter {
-    /// Appends the low `bits` of `value`, 32 at the most.
+    /// Appends the low `bits` of `value`, at most 32.
     pub(super) fn add(&mut self, out: &mut Vec<u8>, value: u32, bits: u32) {
         let mask = (1_u64 << bits) - 1;
         self.pending |= (u64::from(value) & mask) << self.bits;
@@ -26,7 +27,7 @@ impl BitWriter {
         }
     }
 
-    /// Appends the bit that marks the end, and what is left.
+    /// Appends the end mark and the remaining bits.
     pub(super) fn finish(mut self, out: &mut Vec<u8>) {
         self.add(out, 1, 1);
         let bytes = self.bits.div_ceil(8) as usize;
@@ -36,7 +37,7 @@ impl BitWriter {
 
 /// The encoder of one kind of symbols.
 pub(super) struct Table {
-    /// Bits of a state.
+    /// The number of bits of a state.
     log: u32,
     states: Vec<u16>,
     symbols: Vec<Transform>,
@@ -49,7 +50,7 @@ struct Transform {
     delta_state: i32,
 }
 
-/// The state of an encoder. It is made from the symbol that comes last.
+/// The state of an encoder, initialised with the last symbol.
 #[derive(Clone, Copy)]
 pub(super) struct State(u32);
 
@@ -102,11 +103,11 @@ impl Table {
     }
 }
 
-/// Which symbol each state stands for.
+/// The symbol of each state.
 fn spread(size: usize, distribution: &[i8]) -> Vec<usize> {
     let mut table = vec![usize::MAX; size];
     let mut end = size;
-    // Symbols of a probability below one have one state each, at the end.
+    // Symbols with a probability below one have one state each, at the end.
     for (symbol, _) in distribution.iter().enumerate().filter(|(_, count)| **count < 0) {
         end -= 1;
         table[end] = symbol;
@@ -141,7 +142,7 @@ fn transform(log: u32, count: i8, begin: usize) -> Transform {
     }
 }
 
-/// Of lengths of literals.
+/// The table of literal lengths.
 pub(super) static LITERALS: LazyLock<Table> = LazyLock::new(|| {
     let distribution = [
         4, 3, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 1, 1, 1, 2, 2, 2, 2, 2, 2, 2, 2, 2, 3, 2, 1, 1, 1, 1, 1, -1,
@@ -150,7 +151,7 @@ pub(super) static LITERALS: LazyLock<Table> = LazyLock::new(|| {
     Table::new(6, &distribution)
 });
 
-/// Of lengths of matches.
+/// The table of match lengths.
 pub(super) static MATCHES: LazyLock<Table> = LazyLock::new(|| {
     let distribution = [
         1, 4, 3, 2, 2, 2, 2, 2, 2, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1,
@@ -159,14 +160,14 @@ pub(super) static MATCHES: LazyLock<Table> = LazyLock::new(|| {
     Table::new(6, &distribution)
 });
 
-/// Of offsets.
+/// The table of offsets.
 pub(super) static OFFSETS: LazyLock<Table> = LazyLock::new(|| {
     let distribution =
         [1, 1, 1, 1, 1, 1, 2, 2, 2, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, -1, -1, -1, -1, -1];
     Table::new(5, &distribution)
 });
 
-/// A number as a symbol and the bits that say which of the numbers of that symbol it is.
+/// A number as a symbol and extra bits.
 #[derive(Clone, Copy)]
 pub(super) struct Code {
     pub(super) symbol: usize,
@@ -174,17 +175,17 @@ pub(super) struct Code {
     pub(super) bits: u32,
 }
 
-/// The code of a length of literals (RFC 8878, table 14).
+/// The code of a literal length (RFC 8878, table 14).
 pub(super) fn literals_code(length: u32) -> Code {
     length_code(length, 16, &LITERALS_BASES)
 }
 
-/// The code of a length of a match, 3 at the least (table 15).
+/// The code of a match length, at least 3 (table 15).
 pub(super) fn match_code(length: u32) -> Code {
     length_code(length.saturating_sub(3), 32, &MATCH_BASES)
 }
 
-/// The code of an offset as it is stored: 1 to 3 for those before, then the offset and 3.
+/// The code of a stored offset: 1 to 3 for repeated offsets, otherwise the offset plus 3.
 pub(super) fn offset_code(value: u32) -> Code {
     let bits = value.max(1).ilog2();
     Code { symbol: bits as usize, extra: value - (1 << bits), bits }
@@ -199,7 +200,7 @@ fn length_code(length: u32, direct: u32, bases: &[(u32, u32)]) -> Code {
     Code { symbol: direct as usize + above.saturating_sub(1), extra: length - base, bits }
 }
 
-/// From 16 on: the first length of a symbol, and its bits.
+/// From 16: the base length of a symbol, and its extra bits.
 const LITERALS_BASES: [(u32, u32); 20] = [
     (16, 1),
     (18, 1),
@@ -223,7 +224,7 @@ const LITERALS_BASES: [(u32, u32); 20] = [
     (65536, 16),
 ];
 
-/// From 35 on, less the 3 that each match has.
+/// From 35, minus the minimum match length of 3.
 const MATCH_BASES: [(u32, u32); 21] = [
     (32, 1),
     (34, 1),

@@ -1,25 +1,25 @@
-//! Zstandard for those who cannot wait: what the negative levels of the reference implementation do.
+//! Fast Zstandard compression, like the negative levels of the reference implementation.
 //!
-//! Repeated bytes are found with one table of hashes and without trying twice; literals are stored as they are, and what
-//! describes the matches is coded with the distributions that every decoder knows, so that nothing has to be counted.
+//! Matches are found with a single hash table and one attempt per position; literals are stored raw, and
+//! sequences are coded with the predefined distributions, so that no statistics are needed.
 //!
 //! # References
-//! RFC 8878. The search is that of LZ4 (Collet): where nothing is found, the steps become longer.
+//! RFC 8878. The search is that of LZ4 (Collet): the step grows while no match is found.
 
 use super::entropy::{BitWriter, LITERALS, MATCHES, OFFSETS, literals_code, match_code, offset_code};
 
-/// The most a block may hold.
+/// The maximum size of a block.
 const BLOCK: usize = 128 * 1024;
-/// How far back a match may be, as a power of two; told in the frame.
+/// The window size as a power of two; stored in the frame.
 const WINDOW_LOG: u32 = 20;
 const WINDOW: usize = 1 << WINDOW_LOG;
 const HASH_LOG: u32 = 15;
-/// How many bytes a match has at the least: as many as are hashed.
+/// The minimum match length: the number of hashed bytes.
 const LEAST_MATCH: usize = 5;
-/// After so many bytes without a match, as a power of two, the steps grow by one.
+/// After this many bytes without a match, as a power of two, the step grows by one.
 const PATIENCE_LOG: usize = 5;
 
-/// Compresses to one frame without a checksum. The content has to be smaller than 4 GiB.
+/// Compresses to one frame without a checksum. The content must be smaller than 4 GiB.
 pub(super) fn compress(content: &[u8]) -> Vec<u8> {
     let mut out = Vec::with_capacity(content.len() / 2 + 64);
     out.extend_from_slice(&0xFD2F_B528_u32.to_le_bytes());
@@ -62,7 +62,7 @@ fn block_header(out: &mut Vec<u8>, kind: Kind, size: usize, is_last: bool) {
 
 struct Compressor<'a> {
     content: &'a [u8],
-    /// Where bytes with a hash were seen last.
+    /// The last position of each hash.
     hashes: Vec<u32>,
     /// The offset of the last match, 0 before the first.
     last_offset: u32,
@@ -122,21 +122,21 @@ impl Compressor<'_> {
                 position += 1 + ((position - anchor) >> PATIENCE_LOG);
                 continue;
             }
-            // Backwards over literals that match too: the steps may have been long.
+            // Extends the match backwards, since steps may have been long.
             let (mut from, mut to, mut length) = (candidate, position, length);
             while to > anchor && from > 0 && content.get(from - 1) == content.get(to - 1) {
                 (from, to, length) = (from - 1, to - 1, length + 1);
             }
             self.literals.extend_from_slice(content.get(anchor..to).unwrap_or_default());
             let (literals, offset) = ((to - anchor) as u32, (to - from) as u32);
-            // 1 stands for the last offset only where there are literals before.
+            // 1 means the last offset only if there are literals before.
             let is_repeated = offset == self.last_offset && literals > 0;
             self.last_offset = offset;
             let offset = if is_repeated { 1 } else { offset + 3 };
             self.sequences.push(Sequence { literals, length: length as u32, offset });
             position = to + length;
             anchor = position;
-            // What the match passed over is likely to come again.
+            // Bytes within the match are likely to repeat.
             if let Some(passed) = position.checked_sub(2)
                 && let Some(bytes) = eight_bytes(content, passed, end)
                 && let Some(slot) = self.hashes.get_mut(self::hash(bytes))
@@ -156,13 +156,13 @@ fn eight_bytes(content: &[u8], at: usize, end: usize) -> Option<u64> {
     Some(u64::from_le_bytes(bytes.try_into().ok()?))
 }
 
-/// Of the first five bytes.
+/// Hashes the first five bytes.
 fn hash(bytes: u64) -> usize {
     const PRIME: u64 = 889_523_592_379;
     ((bytes << 24).wrapping_mul(PRIME) >> (64 - HASH_LOG)) as usize
 }
 
-/// How many bytes are the same at both places, up to `end`.
+/// The number of equal bytes at both positions, up to `end`.
 fn common(content: &[u8], earlier: usize, later: usize, end: usize) -> usize {
     let (Some(a), Some(b)) = (content.get(earlier..), content.get(later..end)) else { return 0 };
     let mut length = 0;

@@ -1,4 +1,5 @@
-//! Our recorder beside the real one: the same topics and messages, written with our own definitions, give the same records.
+//! Compares our recorder with the real one: the same topics and messages, with our own definitions, result in
+//! the same records.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -18,7 +19,7 @@ struct Taken {
     /// The opcodes, without those of the indexes of messages.
     layout: Vec<u8>,
     chunks: Vec<(ChunkHeader, Vec<u8>)>,
-    /// How many indexes follow the chunks.
+    /// The number of indexes after the chunks.
     indexes: usize,
     schemas: Vec<(SchemaHeader, Vec<u8>)>,
     channels: Vec<Channel>,
@@ -61,8 +62,8 @@ fn take_apart(bytes: &[u8]) -> Taken {
     taken
 }
 
-/// Where definitions come from: the interfaces that are installed with real ROS 2, as with the real recorder, where there is
-/// Python to find them; else those that this project carries, which have no comments.
+/// The source of definitions: the interfaces installed with ROS 2, as for the real recorder, if Python is
+/// available; else the built-in ones, which have no comments.
 fn definitions() -> (Definitions, bool) {
     let prefix = std::env::var_os("DOWNBEAT_PYTHON")
         .and_then(|python| Some(Path::new(&python).parent()?.parent()?.to_owned()))
@@ -73,7 +74,7 @@ fn definitions() -> (Definitions, bool) {
     }
 }
 
-/// The topics of the real file in the order in which it got them, told by definitions that are not from the file.
+/// The topics of the real file in their original order, with definitions that are not from the file.
 fn our_topics(real: &Taken, metadata: &Metadata) -> Vec<TopicInfo> {
     let (definitions, has_comments) = definitions();
     let topic = |channel: &Channel| {
@@ -81,7 +82,7 @@ fn our_topics(real: &Taken, metadata: &Metadata) -> Vec<TopicInfo> {
         let (mut definition, type_hash) = definitions.find_text(&told.type_name).unwrap();
         let schema = real.schemas.iter().find(|(header, _)| header.name == told.type_name);
         let real_text = schema.map(|(_, text)| String::from_utf8_lossy(text).into_owned()).unwrap();
-        // Not installed with rclpy: these come from what this project carries, which has no comments.
+        // Not installed with rclpy: uses the built-in definitions, which have no comments.
         let package = told.type_name.split('/').next().unwrap();
         if has_comments && ["rosbag2_interfaces", "tf2_msgs"].contains(&package) {
             assert_eq!(without_comments(&definition), without_comments(&real_text));
@@ -99,7 +100,7 @@ fn our_topics(real: &Taken, metadata: &Metadata) -> Vec<TopicInfo> {
     real.channels.iter().map(topic).collect()
 }
 
-/// Without comments and empty lines, if the definitions at hand have none.
+/// Removes comments and empty lines, if the available definitions have none.
 fn comparable(text: &[u8]) -> String {
     let text = String::from_utf8_lossy(text).into_owned();
     if definitions().1 { text } else { without_comments(&text) }
@@ -111,7 +112,7 @@ fn without_comments(text: &str) -> String {
     words.filter(|line| !line.is_empty()).collect::<Vec<_>>().join("\n")
 }
 
-/// What a chunk of the real recorder holds, without its compression.
+/// The decompressed content of a chunk of the real recorder.
 fn content(chunk: &(ChunkHeader, Vec<u8>)) -> Vec<u8> {
     let (header, data) = chunk;
     if header.compression.is_empty() {
@@ -126,7 +127,7 @@ fn content(chunk: &(ChunkHeader, Vec<u8>)) -> Vec<u8> {
     out
 }
 
-/// Ours and the real one, of the same messages.
+/// Our file and the real one, with the same messages.
 fn beside(name: &str, preset: StoragePreset, folder: &Path) -> (Taken, Taken) {
     let metadata = Metadata::read(&fixture(name).join(FILE_NAME)).unwrap();
     let mut real = take_apart(&fs::read(fixture(name).join(format!("{name}_0.mcap"))).unwrap());
@@ -137,7 +138,7 @@ fn beside(name: &str, preset: StoragePreset, folder: &Path) -> (Taken, Taken) {
         .flush_interval(std::time::Duration::MAX)
         .create(&bag)
         .unwrap();
-    // The real one knows its topics before the first message.
+    // The real recorder knows its topics before the first message.
     let ids: Vec<_> =
         our_topics(&real, &metadata).into_iter().map(|topic| writer.add_topic(topic).unwrap()).collect();
     for chunk in &real.chunks {
@@ -151,7 +152,7 @@ fn beside(name: &str, preset: StoragePreset, folder: &Path) -> (Taken, Taken) {
     writer.finish().unwrap();
     let ours = take_apart(&fs::read(bag.join(format!("{name}_0.mcap"))).unwrap());
     let mut written = Metadata::read(&bag.join(FILE_NAME)).unwrap();
-    // The real one keeps its topics in a hash table.
+    // The real recorder stores its topics in a hash table.
     let order: BTreeMap<&str, usize> =
         metadata.topics.iter().enumerate().map(|(index, topic)| (topic.name.as_str(), index)).collect();
     written.topics.sort_by_key(|topic| order[topic.name.as_str()]);
@@ -189,7 +190,7 @@ fn the_records_of_the_file_are_those_of_the_real_recorder() {
         assert_eq!(ours.data_crc, real.data_crc, "{name}");
         assert_eq!(ours.chunks.len(), real.chunks.len(), "{name}");
         for (our_chunk, chunk) in ours.chunks.iter().zip(&real.chunks) {
-            // Schema, channel and message records in their order; compressed they are other bytes.
+            // Schema, channel and message records in order; the compressed bytes differ.
             let (our_content, content) = (content(our_chunk), content(chunk));
             let kinds = |content: &[u8]| records(content).map(|(opcode, _)| opcode).collect::<Vec<_>>();
             assert_eq!(kinds(&our_content), kinds(&content), "{name}");

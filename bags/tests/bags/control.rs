@@ -1,4 +1,4 @@
-//! A recording that is paused, split, stopped, and asked for snapshots.
+//! Pausing, splitting, stopping, and taking snapshots of a recording.
 
 use std::fs;
 use std::path::Path;
@@ -41,7 +41,7 @@ fn answer<T: Send + 'static>(ask: impl FnOnce(Box<dyn FnOnce(T) + Send>)) -> T {
 }
 
 #[test]
-fn what_comes_while_paused_is_passed_over_and_not_lost() {
+fn messages_while_paused_are_ignored_and_not_counted_as_lost() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let (recording, sender, id) = start(&bag, RecordingOptions::new().start_paused());
@@ -61,7 +61,7 @@ fn what_comes_while_paused_is_passed_over_and_not_lost() {
 }
 
 #[test]
-fn a_split_comes_behind_what_was_recorded_before() {
+fn a_split_follows_earlier_messages() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let (recording, sender, id) = start(&bag, RecordingOptions::new());
@@ -83,10 +83,10 @@ fn a_snapshot_holds_the_latest_messages_and_nothing_is_written_without_one() {
     record(&sender, id, 0..200);
     assert!(recording.statistics().queued_bytes > 0);
     answer(|done| recording.control().snapshot(done)).unwrap();
-    assert_eq!(read(&bag), (150..200).collect::<Vec<_>>(), "written when the answer comes");
+    assert_eq!(read(&bag), (150..200).collect::<Vec<_>>(), "written before completion is reported");
     record(&sender, id, 200..300);
     assert_eq!(recording.finish().unwrap().lost_count(), 0);
-    assert_eq!(read(&bag), (150..200).collect::<Vec<_>>(), "no second snapshot was asked for");
+    assert_eq!(read(&bag), (150..200).collect::<Vec<_>>(), "no second snapshot was requested");
 
     let by_size = SnapshotLimits { max_bytes: 10_000, max_duration: None };
     let bag = folder.path().join("by_size");
@@ -104,7 +104,7 @@ fn a_snapshot_holds_the_latest_messages_and_nothing_is_written_without_one() {
 }
 
 #[test]
-fn what_cannot_be_done_is_answered_too() {
+fn impossible_requests_are_completed_with_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let (recording, ..) = start(&folder.path().join("bag"), RecordingOptions::new());
     let control = recording.control();
@@ -117,13 +117,13 @@ fn what_cannot_be_done_is_answered_too() {
 }
 
 #[test]
-fn a_recording_that_may_not_have_gaps_stops_when_it_cannot_keep_up() {
+fn a_recording_without_gaps_stops_when_it_cannot_keep_up() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let options = RecordingOptions::new().cache_bytes(1).when_slow(WhenSlow::Stop);
     let (recording, sender, id) = start(&bag, options);
     let mut kept = 0;
-    // The thread that writes is sometimes fast enough for a cache of one message.
+    // The writing thread is sometimes fast enough for a cache of one message.
     while sender.record(id, kept, kept, Bytes::from(number(kept))).is_ok() {
         kept += 1;
     }
@@ -136,7 +136,7 @@ fn a_recording_that_may_not_have_gaps_stops_when_it_cannot_keep_up() {
 }
 
 #[test]
-fn losses_are_in_metadata_yaml_while_recording_goes_on() {
+fn losses_are_in_metadata_yaml_during_recording() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let (recording, sender, id) = start(&bag, RecordingOptions::new().cache_bytes(1));
@@ -144,7 +144,7 @@ fn losses_are_in_metadata_yaml_while_recording_goes_on() {
     while sender.record(id, n, n, Bytes::from(number(n))).is_ok() {
         n += 1;
     }
-    // metadata.yaml follows with the next new topic at the latest.
+    // metadata.yaml is updated with the next new topic at the latest.
     let mut told = String::new();
     for number in 0..1000 {
         sender.add_topic(topic(&format!("/later_{number}"))).unwrap();

@@ -1,4 +1,4 @@
-//! Files that are cut off, altered, or not bags at all.
+//! Files that are truncated, altered, or not bags.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,12 +11,12 @@ use crate::support::{fixture, messages, value, write_numbers};
 
 const COUNT: i64 = 80;
 
-/// Small chunks, which are compressed all the same.
+/// Small chunks, which are compressed anyway.
 fn storage(compression: Compression) -> McapOptions {
     McapOptions { compression, is_compression_forced: true, chunk_size: 200, ..McapOptions::default() }
 }
 
-/// The bytes of a bag file with many chunks, and for each chunk where it ends and how many messages the file has until
+/// The bytes of a bag file with many chunks, and for each chunk its end and the number of messages up to
 /// there.
 fn many_chunks(folder: &Path, compression: Compression) -> (Vec<u8>, Vec<(usize, usize)>) {
     let bag = folder.join("whole");
@@ -49,7 +49,7 @@ fn many_chunks(folder: &Path, compression: Compression) -> (Vec<u8>, Vec<(usize,
 }
 
 #[test]
-fn a_file_cut_anywhere_never_loses_a_whole_chunk() {
+fn a_file_truncated_anywhere_never_loses_a_complete_chunk() {
     for compression in [Compression::None, Compression::Zstd] {
         let folder = tempfile::tempdir().unwrap();
         let (bytes, chunks) = many_chunks(folder.path(), compression);
@@ -61,20 +61,20 @@ fn a_file_cut_anywhere_never_loses_a_whole_chunk() {
         };
         for length in (0..bytes.len()).filter(near_end) {
             fs::write(&path, &bytes[..length]).unwrap();
-            let reader = Reader::open(&path).unwrap_or_else(|error| panic!("cut to {length}: {error}"));
+            let reader = Reader::open(&path).unwrap_or_else(|error| panic!("truncated to {length}: {error}"));
             let expected = chunks.iter().rev().find(|(end, _)| *end <= length).map_or(0, |(_, count)| *count);
             let read: Vec<i64> = messages(&reader).iter().map(value).collect();
             assert_eq!(read, (0..expected as i64).collect::<Vec<_>>(), "cut to {length} of {}", bytes.len());
             assert_eq!(reader.message_count(), expected as u64, "cut to {length}");
             let truncation: Vec<_> = reader.truncation().collect();
-            assert_eq!(truncation.len(), 1, "cut to {length}: what is missing is told");
+            assert_eq!(truncation.len(), 1, "truncated to {length}: the missing part is reported");
             assert_eq!(truncation[0].offset + truncation[0].lost_bytes, length as u64);
         }
     }
 }
 
 #[test]
-fn what_is_missing_is_told_in_words_and_in_info() {
+fn missing_parts_are_reported_and_listed_in_info() {
     let folder = tempfile::tempdir().unwrap();
     let (bytes, chunks) = many_chunks(folder.path(), Compression::None);
     let path = folder.path().join("cut.mcap");
@@ -88,7 +88,7 @@ fn what_is_missing_is_told_in_words_and_in_info() {
 }
 
 #[test]
-fn a_damaged_chunk_is_told_once_and_later_chunks_are_read() {
+fn a_damaged_chunk_is_reported_once_and_later_chunks_are_read() {
     for compression in [Compression::None, Compression::Zstd] {
         let folder = tempfile::tempdir().unwrap();
         let (mut bytes, chunks) = many_chunks(folder.path(), compression);
@@ -104,7 +104,7 @@ fn a_damaged_chunk_is_told_once_and_later_chunks_are_read() {
             let lost = chunks[1].1 as i64..chunks[2].1 as i64;
             assert_eq!(read, (0..upto).filter(|n| !lost.contains(n)).collect::<Vec<_>>());
             if is_whole {
-                // The summary spares the walk through the file, so the damage shows when it is read.
+                // With the summary the file is not scanned, so the damage is found when reading.
                 assert_eq!(errors.len(), 1);
                 assert!(matches!(errors[0], ReaderError::Damaged { .. }), "{}", errors[0]);
             } else {
@@ -116,12 +116,12 @@ fn a_damaged_chunk_is_told_once_and_later_chunks_are_read() {
 }
 
 #[test]
-fn a_chunk_of_another_size_than_it_tells_is_told_and_later_chunks_are_read() {
+fn a_chunk_with_a_wrong_declared_size_is_reported_and_later_chunks_are_read() {
     let folder = tempfile::tempdir().unwrap();
     let (bytes, chunks) = many_chunks(folder.path(), Compression::Zstd);
-    // The first is the chunk of which too much comes out, as of a decompression bomb.
+    // The first chunk decompresses to more than declared, like a decompression bomb.
     for (told, expected) in
-        [(10, "more came out"), (1 << 29, "came out"), (u64::MAX, "18446744073709551615 bytes of content")]
+        [(10, "found more"), (1 << 29, "too many for"), (u64::MAX, "18446744073709551615 bytes of content")]
     {
         let mut altered = bytes.clone();
         let start = chunk_start(&bytes, 2);
@@ -139,7 +139,7 @@ fn a_chunk_of_another_size_than_it_tells_is_told_and_later_chunks_are_read() {
     }
 }
 
-/// Where the chunk with that position among the chunks begins.
+/// The offset of the chunk with that index.
 fn chunk_start(bytes: &[u8], index: usize) -> usize {
     let mut offset = 8;
     let mut left = index;
@@ -158,7 +158,7 @@ fn no_altered_byte_makes_the_reader_panic() {
     let inputs = [
         (own(Compression::None), 19),
         (own(Compression::Zstd), 19),
-        // The real recorder writes no chunk checksums, so an altered length is found where it is used.
+        // The real recorder writes no chunk checksums, so an altered length is found when it is used.
         (real("jazzy_mcap"), 3511),
         (real("jazzy_mcap_zstd"), 2011),
     ];
@@ -177,7 +177,7 @@ fn no_altered_byte_makes_the_reader_panic() {
             }
         }
     }
-    assert!(opened > 300, "damage within a file does not keep it from opening");
+    assert!(opened > 300, "a file with damage inside can be opened");
 }
 
 #[test]
@@ -198,7 +198,7 @@ fn altered_files_without_a_summary_do_not_panic_either() {
 }
 
 #[test]
-fn what_is_no_bag_is_refused_with_what_it_is() {
+fn other_files_are_refused_with_a_description() {
     let folder = tempfile::tempdir().unwrap();
     let error = |path: &Path| Reader::open(path).unwrap_err().to_string();
 
@@ -209,7 +209,7 @@ fn what_is_no_bag_is_refused_with_what_it_is() {
     let picture = folder.path().join("picture.mcap");
     fs::write(&picture, b"\x89PNG\r\n\x1a\n and so on").unwrap();
     assert!(
-        error(&picture).contains("is not an MCAP file: it begins with [89, 50, 4e, 47"),
+        error(&picture).contains("is not an MCAP file: it starts with [89, 50, 4e, 47"),
         "{}",
         error(&picture)
     );
@@ -255,7 +255,7 @@ fn a_link_out_of_the_bag_is_not_followed() {
     std::os::unix::fs::symlink("../other.mcap", bag.join("link.mcap")).unwrap();
     let error = Reader::open(&bag).unwrap_err().to_string();
     assert!(error.contains("link.mcap is not in the bag"), "{error}");
-    // A link within the bag is as good as a file, and a bag may be reached by a link.
+    // A link within the bag is permitted, and the bag itself may be a link.
     fs::rename(folder.path().join("other.mcap"), bag.join("here.mcap")).unwrap();
     fs::remove_file(bag.join("link.mcap")).unwrap();
     std::os::unix::fs::symlink("here.mcap", bag.join("link.mcap")).unwrap();
@@ -265,7 +265,7 @@ fn a_link_out_of_the_bag_is_not_followed() {
 
 #[cfg(unix)]
 #[test]
-fn a_pipe_in_the_place_of_a_file_is_refused_and_not_waited_for() {
+fn a_pipe_in_place_of_a_file_is_refused_without_blocking() {
     for name in ["bag_0.mcap", "metadata.yaml"] {
         let folder = tempfile::tempdir().unwrap();
         let bag = bag_that_names(folder.path(), "bag_0.mcap");

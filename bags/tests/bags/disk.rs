@@ -1,4 +1,4 @@
-//! A disk that is full: a small one in memory, where a test may mount it.
+//! Full disks: a small in-memory file system, if the test may mount one.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,14 +12,14 @@ use downbeat_bags::{
 
 use crate::support::{messages, number, topic};
 
-/// A file system of that many KiB in memory, unmounted when dropped.
+/// An in-memory file system of that many KiB, unmounted when dropped.
 struct SmallDisk {
     path: PathBuf,
     _folder: tempfile::TempDir,
 }
 
 impl SmallDisk {
-    /// None where that is not allowed, with a line that says so.
+    /// Returns `None` and prints a note if mounting is not permitted.
     fn mount(kibibytes: u32) -> Option<Self> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("disk");
@@ -31,8 +31,8 @@ impl SmallDisk {
                 .status()
                 .is_ok_and(|status| status.success());
         if !mounted {
-            // Past the capture of test output, which shows nothing of a test that passes.
-            let line = "skipped: a small disk can be mounted by root alone\n";
+            // Bypasses the capture of test output, which hides the output of passing tests.
+            let line = "skipped: only root can mount a small disk\n";
             let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
             return None;
         }
@@ -51,7 +51,7 @@ fn read(bag: &Path) -> Vec<i64> {
     messages(&Reader::open(bag).unwrap()).iter().map(|message| value(&message.data)).collect()
 }
 
-/// A message of 1 KiB that begins as a number does.
+/// A message of 1 KiB that starts like a number.
 fn large(n: i64) -> Bytes {
     let mut data = number(n);
     data.resize(1024, 0);
@@ -70,7 +70,7 @@ fn recording_stops_on_a_full_disk_and_everything_before_is_kept() {
     while sender.record_blocking(id, offered, offered, large(offered)).is_ok() {
         offered += 1;
     }
-    // The robot runs on: what it publishes now is refused at once, and counted.
+    // The robot continues: further messages are refused at once, and counted.
     for _ in 0..100 {
         offered += 1;
         assert!(sender.record(id, offered, offered, large(offered)).is_err());
@@ -80,7 +80,7 @@ fn recording_stops_on_a_full_disk_and_everything_before_is_kept() {
         if let Some(told) = sender.statistics().failure {
             break told;
         }
-        assert!(start.elapsed() < std::time::Duration::from_secs(60), "the failure is not told");
+        assert!(start.elapsed() < std::time::Duration::from_secs(60), "the failure is not reported");
         std::thread::yield_now();
     };
     assert!(told.contains("recording has stopped"), "{told}");
@@ -90,12 +90,12 @@ fn recording_stops_on_a_full_disk_and_everything_before_is_kept() {
     assert!(kept > 200, "{kept}");
     assert_eq!(kept + failed.summary.lost_count() as i64, offered + 1, "written or counted");
     assert_eq!(read(&bag), (0..kept).collect::<Vec<_>>());
-    assert_eq!(Reader::open(&bag).unwrap().truncation().count(), 0, "the file was ended");
+    assert_eq!(Reader::open(&bag).unwrap().truncation().count(), 0, "the file was finished");
     assert_eq!(Metadata::read(&bag.join(FILE_NAME)).unwrap().message_count as i64, kept);
 }
 
 #[test]
-fn recording_that_is_to_drop_goes_on_when_there_is_room_again() {
+fn recording_that_drops_continues_when_there_is_room_again() {
     let Some(disk) = SmallDisk::mount(300) else { return };
     let (bag, ballast) = (disk.path.join("bag"), disk.path.join("ballast"));
     fs::write(&ballast, vec![0; 200_000]).unwrap();
@@ -136,7 +136,7 @@ fn a_bag_that_deletes_its_oldest_files_records_on_a_disk_of_any_size() {
     assert_keeps_the_newest(&bag, options);
 }
 
-/// Records more than there is room for into three files at the most.
+/// Records more than fits on the disk, into at most three files.
 fn assert_keeps_the_newest(bag: &Path, options: WriterOptions) {
     let options = options.max_bag_files(std::num::NonZeroUsize::new(3).unwrap());
     let mut writer = options.create(bag).unwrap();
@@ -150,7 +150,7 @@ fn assert_keeps_the_newest(bag: &Path, options: WriterOptions) {
 }
 
 #[test]
-fn what_a_full_disk_leaves_of_a_killed_recording_is_read() {
+fn a_recording_killed_on_a_full_disk_is_readable() {
     let Some(disk) = SmallDisk::mount(300) else { return };
     let bag = disk.path.join("bag");
     let mut writer =
@@ -160,7 +160,7 @@ fn what_a_full_disk_leaves_of_a_killed_recording_is_read() {
         writer.write(id, n, n, &large(n)).unwrap();
     }
     let kept = writer.summary().message_count() as i64;
-    // As a kill does it: nothing is ended.
+    // Like a kill: nothing is finished.
     std::mem::forget(writer);
     assert_eq!(read(&bag), (0..kept).collect::<Vec<_>>());
     let causes: Vec<_> = Reader::open(&bag).unwrap().truncation().map(|t| t.cause.clone()).collect();
@@ -188,7 +188,7 @@ fn a_recording_in_sqlite_stops_on_a_full_disk_and_everything_before_is_kept() {
         let summary = writer.finish().unwrap();
         assert_eq!(summary.message_count(), *kept);
         assert_eq!(summary.message_count() + summary.lost_count(), next as u64 + 1, "written or counted");
-        // A log has some pages more than once.
+        // A log contains some pages several times.
         assert!(*kept > 100, "{preset:?}: {kept}");
         assert_eq!(read(&bag), (0..*kept as i64).collect::<Vec<_>>(), "{preset:?}");
         assert_eq!(Metadata::read(&bag.join(FILE_NAME)).unwrap().message_count, *kept);
@@ -197,7 +197,7 @@ fn a_recording_in_sqlite_stops_on_a_full_disk_and_everything_before_is_kept() {
 
 #[cfg(feature = "sqlite")]
 #[test]
-fn a_recording_in_sqlite_that_is_to_drop_goes_on_when_there_is_room_again() {
+fn a_recording_in_sqlite_that_drops_continues_when_there_is_room_again() {
     let Some(disk) = SmallDisk::mount(1500) else { return };
     let (bag, ballast) = (disk.path.join("bag"), disk.path.join("ballast"));
     fs::write(&ballast, vec![0; 1_200_000]).unwrap();
@@ -218,7 +218,7 @@ fn a_recording_in_sqlite_that_is_to_drop_goes_on_when_there_is_room_again() {
     assert!(summary.lost_count() > 20, "{}", summary.lost_count());
     let found = read(&bag);
     assert_eq!((found.len() as u64, found.last()), (summary.message_count(), Some(&299)));
-    assert_eq!(Reader::open(&bag).unwrap().truncation().count(), 0, "the file was ended");
+    assert_eq!(Reader::open(&bag).unwrap().truncation().count(), 0, "the file was finished");
 }
 
 #[cfg(feature = "sqlite")]

@@ -18,7 +18,7 @@ fn every_message_of_a_real_bag_is_read_by_the_bags_own_schema_and_written_again_
             let text = str::from_utf8(&schema.data).unwrap();
             schemas.add(&schema.name, &schema.encoding, text).unwrap();
         }
-        // Nothing but the bag is asked.
+        // Uses only definitions in the bag.
         let definitions = Definitions::new().with(schemas);
         let types: Vec<_> =
             reader.topics().iter().map(|topic| definitions.find(&topic.info.type_name).unwrap()).collect();
@@ -28,7 +28,7 @@ fn every_message_of_a_real_bag_is_read_by_the_bags_own_schema_and_written_again_
             let of = &types[message.topic.index()];
             let dynamic = DynamicMessage::from_cdr(of, &message.data).unwrap();
             let again = dynamic.to_cdr();
-            // The real recorder may have more behind the value, which says nothing.
+            // In the real recorder's bags, padding may follow the value.
             assert_eq!(again, message.data[..again.len()], "{name} {}", of.name());
             let view = DynamicView::new(of, &message.data).unwrap();
             for (field, value) in dynamic.fields() {

@@ -1,4 +1,4 @@
-//! Bags made of bags, checks of bags, and what differs between two.
+//! Creating bags from bags, checking bags, and comparing two bags.
 
 use std::fs;
 
@@ -42,7 +42,7 @@ fn bags_are_merged_by_time_and_filtered_by_topic() {
 }
 
 #[test]
-fn bags_with_one_topic_of_two_types_are_not_merged() {
+fn bags_with_different_types_of_a_topic_are_not_merged() {
     let folder = tempfile::tempdir().unwrap();
     let mut bags = Vec::new();
     for (name, type_name) in [("one", "std_msgs/msg/Int64"), ("two", "std_msgs/msg/Int32")] {
@@ -55,11 +55,11 @@ fn bags_with_one_topic_of_two_types_are_not_merged() {
     }
     let error = Copy::of(&bags, |_| true).err().unwrap().to_string();
     assert!(error.starts_with("topic /numbers is of type std_msgs/msg/Int64 as cdr in one bag"), "{error}");
-    assert!(Copy::of(&bags, |topic| topic.name != "/numbers").is_ok(), "what is left out is no conflict");
+    assert!(Copy::of(&bags, |topic| topic.name != "/numbers").is_ok(), "an excluded topic cannot conflict");
 }
 
 #[test]
-fn a_part_of_a_bag_begins_with_what_latched_topics_had_last_sent() {
+fn a_part_of_a_bag_starts_with_the_last_messages_of_latched_topics() {
     let folder = tempfile::tempdir().unwrap();
     let mut writer = WriterOptions::new().create(folder.path().join("whole")).unwrap();
     let numbers = writer.add_topic(topic("/numbers")).unwrap();
@@ -90,17 +90,17 @@ fn a_part_of_a_bag_begins_with_what_latched_topics_had_last_sent() {
 }
 
 #[test]
-fn what_is_readable_of_a_damaged_bag_becomes_a_whole_one() {
+fn the_readable_part_of_a_damaged_bag_becomes_a_complete_one() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("killed");
     let mut writer = WriterOptions::new().chunk_size(2000).create(&bag).unwrap();
     write_numbers(&mut writer, 500);
     writer.flush().unwrap();
-    // As after a kill: no summary, and a torn record at the end.
+    // Like after a kill: no summary, and an incomplete record at the end.
     std::mem::forget(writer);
     let file = bag.join("killed_0.mcap");
     let mut bytes = fs::read(&file).unwrap();
-    // Into the last chunk, whose index takes less than that.
+    // Truncates the last chunk, whose index is smaller than that.
     bytes.truncate(bytes.len() - 1000);
     fs::write(&file, bytes).unwrap();
     let bags = [Reader::open(&bag).unwrap()];
@@ -117,7 +117,7 @@ fn what_is_readable_of_a_damaged_bag_becomes_a_whole_one() {
 }
 
 #[test]
-fn a_real_bag_is_as_it_should_be_and_its_metadata_can_be_made_again() {
+fn a_real_bag_passes_the_check_and_its_metadata_can_be_recreated() {
     for name in ["jazzy_mcap", "jazzy_mcap_zstd"] {
         let folder = tempfile::tempdir().unwrap();
         let file = format!("{name}_0.mcap");
@@ -157,7 +157,7 @@ fn reindexing_a_split_bag_finds_its_files_in_their_order() {
 }
 
 #[test]
-fn two_bags_are_the_same_or_the_first_difference_is_told() {
+fn two_bags_are_equal_or_the_first_difference_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, count: i64, change: i64| {
         let mut writer = WriterOptions::new().create(folder.path().join(name)).unwrap();
@@ -186,7 +186,7 @@ fn two_bags_are_the_same_or_the_first_difference_is_told() {
 }
 
 #[test]
-fn verbose_info_tells_bytes_requests_and_responses() {
+fn verbose_info_lists_bytes_requests_and_responses() {
     let reader = Reader::open(fixture("jazzy_mcap")).unwrap();
     let mut info = BagInfo::of(&reader).unwrap();
     let sizes = TopicSizes::read(&reader, |_| {}).unwrap();

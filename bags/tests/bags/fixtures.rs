@@ -1,4 +1,4 @@
-//! Bags of the real recorder, and what its own tools say of them.
+//! Bags of the real recorder, compared with the output of its own tools.
 
 use std::fs;
 use std::path::Path;
@@ -46,7 +46,7 @@ fn real_topics_have_definition_hash_and_quality_of_service() {
 }
 
 #[test]
-fn metadata_yaml_is_written_byte_for_byte_as_the_real_recorder_writes_it() {
+fn metadata_yaml_is_written_byte_for_byte_like_the_real_recorder() {
     let _check = noted("metadata.yaml to the byte", With::Rosbag2, Way::Both);
     for name in FIXTURES {
         let path = fixture(name).join(FILE_NAME);
@@ -76,7 +76,7 @@ fn a_real_bag_written_again_has_the_same_metadata_and_messages() {
     assert_eq!(metadata(&copy), metadata(&fixture("jazzy_mcap")));
     let again = Reader::open(&copy).unwrap();
     assert_eq!(messages(&again), messages(&reader));
-    // The type of the service's events is no message, so the real recorder has no ros2msg text for it.
+    // The type of the service's events is not a message, so the real recorder has no ros2msg text for it.
     let definitions = |reader: &Reader| -> Vec<String> {
         reader.topics().iter().map(|topic| topic.info.definition.clone()).collect()
     };
@@ -84,7 +84,7 @@ fn a_real_bag_written_again_has_the_same_metadata_and_messages() {
 }
 
 #[test]
-fn info_equals_what_ros2_bag_info_prints() {
+fn info_equals_the_output_of_ros2_bag_info() {
     let _check = noted("`bag info` prints the same", With::Rosbag2, Way::In);
     // From `ros2 bag info jazzy_mcap` of Jazzy; see tests/data/README.md. The program adds the last line break.
     let expected = fs::read_to_string(fixture("jazzy_mcap_info.txt")).unwrap();

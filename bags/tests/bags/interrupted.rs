@@ -1,6 +1,6 @@
 //! Recordings that are killed, or run into a full disk.
 //!
-//! The recorder runs in a child process: this test program again, told by an environment variable what to do.
+//! The recorder runs in a child process: this test program, controlled by an environment variable.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
@@ -29,21 +29,21 @@ pub fn child(test: &str, bag: &Path, launcher: Option<&str>) -> Command {
     command
 }
 
-/// Reads what the child prints until a line holds `mark`.
+/// Reads the child's output until a line contains `mark`.
 pub fn wait_for(child: &mut Child, mark: &str) {
     let output = BufReader::new(child.stdout.as_mut().unwrap());
     let found = output.lines().any(|line| line.unwrap().contains(mark));
     assert!(found, "the child ended before it printed {mark}");
 }
 
-/// In the child: says how far it is, to whoever reads.
+/// In the child: prints a progress mark for the parent.
 pub fn say(mark: &str) {
     let mut output = std::io::stdout().lock();
     writeln!(output, "{mark}").unwrap();
     output.flush().unwrap();
 }
 
-/// In the child: goes on existing until it is killed, or its parent has ended.
+/// In the child: waits until it is killed, or its parent has exited.
 pub fn stay() {
     let _ = std::io::stdin().read_to_end(&mut Vec::new());
 }
@@ -60,7 +60,7 @@ fn child_records_flushes_and_goes_on() {
     write_flush_and_go_on(WriterOptions::new(), bag.as_ref());
 }
 
-/// Writes 1000 messages that are flushed and 100 that are not, says so, and waits for its end.
+/// Writes 1000 flushed messages and 100 that are not, prints a mark, and waits to be killed.
 pub fn write_flush_and_go_on(options: WriterOptions, bag: &Path) {
     let mut writer = options.flush_interval(std::time::Duration::MAX).create(bag).unwrap();
     write_numbers(&mut writer, 1000);
@@ -99,7 +99,7 @@ fn child_records_without_end() {
     let id = sender.add_topic(topic("/numbers")).unwrap();
     for n in 0.. {
         sender.record_blocking(id, n, n, Bytes::from(number(n))).unwrap();
-        // What is in the queue and in the open chunk is not in the file yet.
+        // Queued messages and the open chunk are not in the file yet.
         if n % 1000 == 0 && recording.statistics().summary.message_count() >= 5000 {
             say("5000 in the file");
         }
@@ -107,7 +107,7 @@ fn child_records_without_end() {
 }
 
 #[test]
-fn a_recording_killed_while_it_writes_keeps_every_whole_chunk() {
+fn a_recording_killed_while_writing_keeps_every_complete_chunk() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let mut child = child("interrupted::child_records_without_end", &bag, None).spawn().unwrap();
@@ -136,16 +136,16 @@ fn child_fills_the_disk() {
     assert!(matches!(failed.error, WriterError::Write { .. }), "{failed}");
     let text = failed.to_string();
     assert!(text.contains("bag_0.mcap") && text.contains("messages written before are kept"), "{text}");
-    // The one that was refused at last was offered too.
+    // The last message, which was refused, was offered too.
     let total = failed.summary.message_count() + failed.summary.lost_count();
     assert_eq!(total, offered as u64 + 1, "every message is either written or counted as lost");
     say(&format!("kept {}", failed.summary.message_count()));
 }
 
-/// A limit on the file size stands for a full disk: the write fails in the operating system.
+/// A limit on the file size simulates a full disk: the write fails in the operating system.
 #[cfg(unix)]
 #[test]
-fn a_full_disk_is_reported_once_and_what_was_written_is_kept() {
+fn a_full_disk_is_reported_once_and_written_messages_are_kept() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let limit = "trap '' XFSZ; ulimit -f 100;"; // 100 blocks of 512 bytes
@@ -159,6 +159,6 @@ fn a_full_disk_is_reported_once_and_what_was_written_is_kept() {
     let reader = Reader::open(&bag).unwrap();
     let read: Vec<i64> = messages(&reader).iter().map(value).collect();
     assert_eq!(read, (0..kept).collect::<Vec<_>>());
-    assert_eq!(reader.truncation().count(), 0, "the file was ended after its last whole chunk");
+    assert_eq!(reader.truncation().count(), 0, "the file was finished after its last complete chunk");
     assert_eq!(Metadata::read(&bag.join(FILE_NAME)).unwrap().message_count, kept as u64);
 }

@@ -1,4 +1,4 @@
-//! Recordings that are killed at any moment: what a reader finds, and what it cannot.
+//! Recordings killed at random moments: what readers find and what is lost.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Write};
@@ -12,12 +12,12 @@ use downbeat_bags::{
 use crate::interrupted::{BAG, child};
 use crate::support::{messages, number, topic, value};
 
-/// How the child writes: another way for each seed.
+/// The seed, which determines how the child writes.
 const SEED: &str = "DOWNBEAT_TEST_SEED";
 
 const FLUSH_INTERVAL: Duration = Duration::from_millis(40);
 
-/// From this seed on recordings are in SQLite.
+/// Recordings use SQLite from this seed.
 const SQLITE: u64 = 100;
 
 fn options(seed: u64) -> WriterOptions {
@@ -39,7 +39,7 @@ fn options(seed: u64) -> WriterOptions {
     WriterOptions::new().storage(storage).chunk_size(chunk_size).split(split).flush_interval(FLUSH_INTERVAL)
 }
 
-/// Says of each message its number and, on the clock of the writer, a time before it was written and one after.
+/// Prints for each message its number and, by the writer's clock, times before and after it was written.
 #[test]
 fn child_records_and_says_when() {
     let (Some(bag), Ok(seed)) = (std::env::var_os(BAG), std::env::var(SEED)) else { return };
@@ -51,7 +51,7 @@ fn child_records_and_says_when() {
         let before = start.elapsed().as_nanos();
         writer.write(id, n, n, &number(n)).unwrap();
         let after = start.elapsed().as_nanos();
-        // It ends when nobody reads.
+        // Ends when nobody reads the output.
         if writeln!(output, "wrote {n} {before} {after}").and_then(|()| output.flush()).is_err() {
             return;
         }
@@ -59,13 +59,13 @@ fn child_records_and_says_when() {
 }
 
 struct Killed {
-    /// What can be read.
+    /// The readable messages.
     read: Vec<i64>,
-    /// Before and after of the messages of which the child said that they were written.
+    /// The times before and after each message that the child reported as written.
     said: BTreeMap<i64, (u64, u64)>,
 }
 
-/// Kills a recording after the child has said so many messages, wherever it is then.
+/// Kills a recording after the child has reported `count` messages.
 fn kill_after(seed: u64, count: usize, bag: &Path) -> Killed {
     let mut command = child("killed::child_records_and_says_when", bag, None);
     let mut child = command.env(SEED, seed.to_string()).spawn().unwrap();
@@ -84,7 +84,7 @@ fn kill_after(seed: u64, count: usize, bag: &Path) -> Killed {
         note(&line.unwrap());
     }
     child.kill().unwrap(); // SIGKILL
-    // What is left in the pipe; the last line may be torn.
+    // The rest of the pipe; the last line may be incomplete.
     lines.map_while(Result::ok).for_each(|line| note(&line));
     child.wait().unwrap();
     let read = messages(&Reader::open(bag).unwrap()).iter().map(value).collect();
@@ -111,16 +111,12 @@ fn kill_each(seeds: std::ops::Range<u64>) {
         let bag = folder.path().join("bag");
         let Killed { read, said } = kill_after(seed, count, &bag);
         let kept = read.len() as i64;
-        assert_eq!(
-            read,
-            (0..kept).collect::<Vec<_>>(),
-            "seed {seed}: nothing within is missing or out of order"
-        );
+        assert_eq!(read, (0..kept).collect::<Vec<_>>(), "seed {seed}: nothing is missing or out of order");
         let Some((last, (before_last, _))) = said.last_key_value() else {
-            panic!("seed {seed}: nothing said")
+            panic!("seed {seed}: nothing reported")
         };
-        // The first that is lost opened the chunk that was not written: it was younger than the interval when the last
-        // message came, or it would have been written with it.
+        // The first lost message opened the chunk that was not written: when the last message arrived, the
+        // chunk was younger than the interval, otherwise it would have been written.
         if let Some((_, after_first)) = said.get(&kept) {
             let age = Duration::from_nanos(before_last.saturating_sub(*after_first));
             assert!(age < FLUSH_INTERVAL, "seed {seed}: {kept} read of {last}, {age:?} lost");

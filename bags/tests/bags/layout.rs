@@ -1,4 +1,4 @@
-//! The records of a file we wrote, as the `mcap` crate and its checksums see them.
+//! The records of our files, read with the `mcap` crate and checked by checksums.
 
 use std::fs;
 use std::path::Path;
@@ -25,7 +25,7 @@ fn write(folder: &Path, compression: Compression) -> Vec<u8> {
 }
 
 #[test]
-fn the_summary_tells_what_the_file_holds() {
+fn the_summary_describes_the_contents_of_the_file() {
     let folder = tempfile::tempdir().unwrap();
     let summary = Summary::read(&write(folder.path(), Compression::Zstd)).unwrap().unwrap();
     let statistics = summary.stats.unwrap();
@@ -41,7 +41,7 @@ fn the_summary_tells_what_the_file_holds() {
 }
 
 #[test]
-fn every_message_is_found_where_the_indexes_say() {
+fn every_message_is_found_through_the_indexes() {
     let folder = tempfile::tempdir().unwrap();
     let bytes = write(folder.path(), Compression::None);
     let summary = Summary::read(&bytes).unwrap().unwrap();
@@ -67,7 +67,7 @@ fn every_message_is_found_where_the_indexes_say() {
 }
 
 #[test]
-fn summary_offsets_lead_to_records_of_their_kind_and_checksums_are_right() {
+fn summary_offsets_point_to_records_of_their_kind_and_checksums_are_correct() {
     let folder = tempfile::tempdir().unwrap();
     for compression in [Compression::None, Compression::Zstd] {
         let folder = folder.path().join(format!("{compression:?}"));

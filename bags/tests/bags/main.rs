@@ -1,4 +1,4 @@
-//! What this crate promises, tried on bags of the real recorder and on bags of its own.
+//! Tests the guarantees of this crate on bags of the real recorder and its own.
 
 #![allow(clippy::unwrap_used)]
 

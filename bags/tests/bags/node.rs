@@ -1,4 +1,5 @@
-//! Bags of ours, read by `@mcap/core`, which Foxglove and others read bags with in JavaScript: by its index and as a stream.
+//! Our bags, read by `@mcap/core`, the JavaScript library of Foxglove and others: by its index and as a
+//! stream.
 
 use std::fs;
 use std::path::Path;
@@ -13,10 +14,10 @@ use crate::matrix::{Way, With};
 use crate::python::topic;
 use crate::support::noted;
 
-/// What `read_bag.mjs` prints of a bag file; `None` where there is no Node.js.
+/// The output of `read_bag.mjs` for a bag file; `None` without Node.js.
 pub(crate) fn read_with_node(file: &Path) -> Option<Value> {
     let Some(modules) = std::env::var_os("DOWNBEAT_NODE_MODULES") else {
-        // Past the capture of test output, which shows nothing of a test that passes.
+        // Bypasses the capture of test output, which hides the output of passing tests.
         let line =
             "skipped: DOWNBEAT_NODE_MODULES is not set (cargo xtask test sets it where there is Node.js)\n";
         let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
@@ -33,13 +34,13 @@ pub(crate) fn read_with_node(file: &Path) -> Option<Value> {
     Some(serde_json::from_slice(&output.stdout).unwrap())
 }
 
-/// A message as `read_bag.mjs` tells it.
+/// A message in the format of `read_bag.mjs`.
 pub(crate) fn told(topic: &str, log_time: i64, publish_time: i64, data: &[u8]) -> Value {
     let hex: String = data.iter().map(|byte| format!("{byte:02x}")).collect();
     json!([topic, log_time.to_string(), publish_time.to_string(), hex])
 }
 
-/// A bag with many chunks, what its writer reported, and its messages as the readers tell them.
+/// Writes a bag with many chunks; returns the writer's summary and the messages in the readers' format.
 fn write(bag: &Path, compression: Compression) -> (RecordingSummary, Vec<TopicInfo>, Vec<Value>) {
     let storage = McapOptions { compression, is_compression_forced: true, ..McapOptions::default() };
     let mut writer = WriterOptions::new().storage(storage).chunk_size(3_000).create(bag).unwrap();
@@ -86,18 +87,18 @@ fn mcap_core_reads_every_message_of_our_bags() {
         for by in ["indexed", "streamed"] {
             let read = &read[by];
             assert_eq!(read["error"], Value::Null, "{name}, {by}");
-            // As many by topic as the writer reported, in the order in which they were received.
+            // Counts by topic match the writer's report, in the order in which messages were received.
             let found = read["messages"].as_array().unwrap();
             for topic in &summary.topics {
                 let count = found.iter().filter(|message| message[0] == topic.name.as_str()).count();
                 assert_eq!(count as u64, topic.written, "{name}, {by}: {}", topic.name);
             }
-            assert!(*found == messages, "{name}, {by}: the messages are others");
+            assert!(*found == messages, "{name}, {by}: the messages differ");
             for topic in &topics {
                 let channel = &read["channels"][&topic.name];
                 let schema = &channel["schema"];
                 assert_eq!(schema["name"], topic.type_name.as_str(), "{name}, {by}");
-                // As rosbag2 has it: see `encoding_of` in `src/topic.rs`.
+                // As in rosbag2: see `encoding_of` in `src/topic.rs`.
                 let encoding = if topic.type_name.ends_with("_Event") { "unknown" } else { "ros2msg" };
                 assert_eq!(schema["encoding"], encoding, "{name}, {by}");
                 assert_eq!(schema["text"], topic.definition.as_str(), "{name}, {by}");
@@ -122,7 +123,7 @@ fn mcap_core_reads_every_message_of_our_bags() {
     }
 }
 
-/// That it looks at the checksums we write: otherwise reading every message would show less.
+/// Shows that it verifies our checksums; otherwise reading every message would prove less.
 #[test]
 fn mcap_core_finds_a_changed_byte_by_our_checksums() {
     let folder = tempfile::tempdir().unwrap();

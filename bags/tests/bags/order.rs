@@ -11,7 +11,7 @@ use downbeat_bags::{
 use crate::support::{messages, number, topic, value, write_numbers};
 
 #[test]
-fn messages_come_in_log_time_order_and_equal_times_in_file_order() {
+fn messages_are_sorted_by_log_time_and_equal_times_by_file_order() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let mut writer = WriterOptions::new().chunk_size(200).create(&bag).unwrap();
@@ -38,7 +38,7 @@ fn the_files_of_a_split_bag_are_read_as_one_in_the_order_of_their_numbers() {
         let bag = folder.path().join(format!("part{part}"));
         let mut writer = WriterOptions::new().create(&bag).unwrap();
         let id = writer.add_topic(topic("/a")).unwrap();
-        // All at the same time: only the order of the files tells which is first.
+        // All at the same time: only the order of the files decides which is first.
         writer.write(id, 7, 7, &number(part)).unwrap();
         writer.finish().unwrap();
         let file = format!("part{part}_0.mcap");
@@ -63,7 +63,7 @@ fn chunks_without_messages_of_the_selected_topics_are_not_read() {
     writer.finish().unwrap();
     let file = bag.join("bag_0.mcap");
     let mut bytes = fs::read(&file).unwrap();
-    // Within the data of the first and the last message: the checksums of their chunks are wrong then.
+    // Within the data of the first and the last message, which invalidates the checksums of their chunks.
     for value in [1, 3] {
         let at = bytes.windows(12).position(|bytes| bytes == number(value)).unwrap();
         bytes[at + 6] ^= 1;
@@ -77,7 +77,7 @@ fn chunks_without_messages_of_the_selected_topics_are_not_read() {
 }
 
 #[test]
-fn a_selection_gives_only_its_topics_from_its_time_on() {
+fn a_selection_returns_only_its_topics_from_its_time() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let mut writer =
@@ -94,7 +94,7 @@ fn a_selection_gives_only_its_topics_from_its_time_on() {
 }
 
 #[test]
-fn a_file_without_chunks_is_read_as_the_preset_fastwrite_makes_it() {
+fn a_file_without_chunks_as_of_the_preset_fastwrite_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("fastwrite_0.mcap");
     write_without_chunks(&path, 5000);
@@ -140,7 +140,7 @@ fn an_empty_bag_is_a_bag() {
 }
 
 #[test]
-fn playback_begins_at_its_offset_with_the_chosen_topics() {
+fn playback_starts_at_its_offset_with_the_chosen_topics() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let mut writer = WriterOptions::new().create(&bag).unwrap();
@@ -156,7 +156,7 @@ fn playback_begins_at_its_offset_with_the_chosen_topics() {
         ..PlaybackOptions::default()
     };
     let mut playback = Playback::open(&reader, &options).unwrap();
-    // The clock jumps to whatever the pacer asks for.
+    // The clock jumps to the time requested by the pacer.
     let mut now = std::time::Duration::from_secs(77);
     let mut played = Vec::new();
     loop {
@@ -171,7 +171,7 @@ fn playback_begins_at_its_offset_with_the_chosen_topics() {
 
     let late = PlaybackOptions { start_offset: std::time::Duration::from_millis(10), ..options.clone() };
     let error = Playback::open(&reader, &late).err().unwrap();
-    assert_eq!(error.to_string(), "cannot begin 10ms into the bag: it is 9ms long");
+    assert_eq!(error.to_string(), "cannot start 10ms into the bag: it is 9ms long");
     let wrong = PlaybackOptions { topics: Some(vec!["/nubmers".to_owned()]), ..options };
     let error = Playback::open(&reader, &wrong).err().unwrap();
     assert!(matches!(error, PlaybackError::UnknownTopic { .. }), "{error}");

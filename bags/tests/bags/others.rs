@@ -1,4 +1,5 @@
-//! Bags of others: what `rosbags`, `mcap-ros2-support` and the `mcap` crate write, other storages, compressed files, older metadata.
+//! Bags of other writers: `rosbags`, `mcap-ros2-support` and the `mcap` crate, other storages, compressed
+//! files, older metadata.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,7 +16,7 @@ use crate::support::{fixture, messages, noted, number, value};
 #[test]
 fn bags_of_other_writers_are_read_message_by_message() {
     let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
-        // Past the capture of test output, which shows nothing of a test that passes.
+        // Bypasses the capture of test output, which hides the output of passing tests.
         let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
         let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
         return;
@@ -67,14 +68,14 @@ fn test_bags_of_rosbags_rs_are_read_message_by_message() {
         let found = check(&reader, |_| {}).unwrap();
         assert_eq!(found.messages, 188, "{bag}");
         if reader.storage_identifier() == "mcap" {
-            // It has no definition of std_msgs/msg/Empty, of which there is none to have.
+            // It has no definition of std_msgs/msg/Empty, which is empty.
             assert_eq!(found.decoded, 186, "{bag}: {:?}", found.problems);
         }
     }
 }
 
 #[test]
-fn files_of_the_mcap_crate_are_read_however_it_lays_them_out() {
+fn files_of_the_mcap_crate_are_read_in_any_layout() {
     let whole = || mcap::WriteOptions::new().compression(None).profile("ros2").chunk_size(Some(2000));
     let layouts = [
         whole(),
@@ -116,7 +117,7 @@ fn files_of_the_mcap_crate_are_read_however_it_lays_them_out() {
     }
 }
 
-/// Of a name as `write_bags.py` gives them.
+/// The note for a bag name of `write_bags.py`.
 fn note(bag: &str) -> Check {
     match bag.split('_').collect::<Vec<_>>().as_slice() {
         ["rosbags", _, storage, mode] => {
@@ -172,7 +173,7 @@ fn a_bag_of_the_real_recorder_in_sqlite_is_read() {
 
 #[cfg(feature = "sqlite")]
 #[test]
-fn what_is_whole_in_a_damaged_sqlite_file_is_read_and_the_rest_is_told() {
+fn intact_parts_of_a_damaged_sqlite_file_are_read_and_the_rest_is_reported() {
     let file = fixture("jazzy_sqlite3").join("jazzy_sqlite3_0.db3");
     let whole = fs::read(&file).unwrap();
     let count = messages(&Reader::open(&file).unwrap()).len();
@@ -204,7 +205,7 @@ fn what_is_whole_in_a_damaged_sqlite_file_is_read_and_the_rest_is_told() {
     }
 }
 
-/// Of a compressed file that was cut off, or changed, everything before that is read.
+/// Everything before the damage in a truncated or altered compressed file is read.
 #[test]
 fn a_damaged_compressed_file_is_read_as_far_as_it_decompresses() {
     let folder = tempfile::tempdir().unwrap();
@@ -220,13 +221,13 @@ fn a_damaged_compressed_file_is_read_as_far_as_it_decompresses() {
     }
     fs::write(&path, &packed[..packed.len() - 100]).unwrap();
     let reader = Reader::open(&path).unwrap();
-    assert!(reader.truncation().any(|lost| lost.to_string().contains("cannot be decompressed to its end")));
+    assert!(reader.truncation().any(|lost| lost.to_string().contains("cannot be decompressed completely")));
     fs::write(&path, &packed[..20]).unwrap();
     drop(Reader::open(&path));
 }
 
 #[test]
-fn a_bag_file_in_memory_is_read_as_one_on_a_disk() {
+fn a_bag_file_in_memory_is_read_like_one_on_disk() {
     let mut files = vec![fixture("jazzy_mcap").join("jazzy_mcap_0.mcap")];
     if cfg!(feature = "sqlite") {
         files.push(fixture("jazzy_sqlite3").join("jazzy_sqlite3_0.db3"));
@@ -234,7 +235,7 @@ fn a_bag_file_in_memory_is_read_as_one_on_a_disk() {
     for file in files {
         let on_disk = Reader::open(&file).unwrap();
         let bytes = fs::read(&file).unwrap();
-        // Compressed as a whole it comes to less than what is kept in memory, and then to more.
+        // Decompresses to less than the in-memory limit, then to more.
         let packed = ruzstd::encoding::compress_to_vec(&*bytes, ruzstd::encoding::CompressionLevel::Fastest);
         let mut long = bytes.clone();
         long.resize(3 * 1024 * 1024, 0);
@@ -309,13 +310,13 @@ fn metadata_of_every_version_is_read() {
 }
 
 #[test]
-fn a_bag_that_is_not_read_says_why() {
+fn an_unsupported_bag_is_refused_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
     let yaml = folder.path().join("metadata.yaml");
     let whole = OLD.replace("VERSION", "9").replace("TOPIC", "").replace("PATH", "run_0.mcap");
     fs::write(&yaml, whole.replace("storage_identifier: mcap", "storage_identifier: rocks")).unwrap();
     let error = Reader::open(folder.path()).unwrap_err().to_string();
-    assert!(error.contains("its storage is rocks; mcap and sqlite3 can be read"), "{error}");
+    assert!(error.contains("its storage is rocks; supported are mcap and sqlite3"), "{error}");
     fs::write(&yaml, format!("{whole}  compression_format: lz77\n  compression_mode: FILE\n")).unwrap();
     let error = Reader::open(folder.path()).unwrap_err().to_string();
     assert!(error.contains("compressed with \"lz77\""), "{error}");

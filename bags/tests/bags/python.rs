@@ -1,4 +1,4 @@
-//! Bags of ours, read by software that is not: `mcap`, `mcap-ros2-support` and `rosbags` from PyPI.
+//! Our bags, read by other software: `mcap`, `mcap-ros2-support` and `rosbags` from PyPI.
 
 use std::path::Path;
 use std::process::Command;
@@ -24,10 +24,10 @@ pub fn topic<M: Message>(name: &str, qos: QosProfile) -> TopicInfo {
     }
 }
 
-/// What a program in `tests/python` prints of a bag; `None` when there is no Python.
+/// The output of a program in `tests/python` for a bag; `None` without Python.
 pub fn read_with_python(program: &str, bag: &Path) -> Option<Value> {
     let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
-        // Past the capture of test output, which shows nothing of a test that passes.
+        // Bypasses the capture of test output, which hides the output of passing tests.
         let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
         let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
         return None;
@@ -119,9 +119,9 @@ fn other_software_opens_a_bag_without_messages() {
     assert_eq!(read, json!({ "mcap": 0, "rosbag2": 0, "topics": ["/silent"] }));
 }
 
-/// The state in which a killed recorder leaves a bag: no end mark, metadata.yaml from the last flush.
+/// The state of a bag after killing the recorder: no end mark, metadata.yaml from the last flush.
 #[test]
-fn other_software_finds_topics_and_counts_of_a_bag_that_is_still_open() {
+fn other_software_finds_topics_and_counts_of_an_unfinished_bag() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let mut writer = WriterOptions::new().create(&bag).unwrap();

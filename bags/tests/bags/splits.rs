@@ -54,7 +54,7 @@ fn a_bag_split_by_size_has_files_of_that_size_and_all_messages() {
 }
 
 #[test]
-fn a_bag_split_by_duration_begins_a_file_with_the_first_message_that_is_later() {
+fn a_bag_split_by_duration_starts_a_file_with_the_first_later_message() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let limits = SplitLimits { max_duration: Some(Duration::from_millis(100)), ..SplitLimits::NONE };
@@ -62,14 +62,15 @@ fn a_bag_split_by_duration_begins_a_file_with_the_first_message_that_is_later() 
     write_numbers(&mut writer, 303);
     writer.finish().unwrap();
     let metadata = Metadata::read(&bag.join(FILE_NAME)).unwrap();
-    // rosbag2 splits when a message is more than that later than the first of its file: 0 to 100 are one file.
+    // rosbag2 splits when a message is later than the first of its file by more than the limit: 0 to 100 are
+    // one file.
     let counts: Vec<_> = metadata.files.iter().map(|file| file.message_count).collect();
     assert_eq!(counts, [101, 101, 101]);
     assert_eq!(read(&bag), (0..303).collect::<Vec<_>>());
 }
 
 #[test]
-fn a_bag_split_on_request_tells_which_file_was_closed_and_which_opened() {
+fn a_bag_split_on_request_reports_the_closed_and_the_opened_file() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let mut writer = WriterOptions::new().create(&bag).unwrap();
@@ -89,7 +90,7 @@ fn a_bag_split_on_request_tells_which_file_was_closed_and_which_opened() {
 }
 
 #[test]
-fn every_file_has_the_topics_it_needs_and_none_that_was_told_elsewhere_is_missing() {
+fn every_file_has_the_topics_it_needs_even_if_added_in_an_earlier_file() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let mut writer = WriterOptions::new().create(&bag).unwrap();
@@ -140,13 +141,13 @@ fn the_oldest_file_is_deleted_when_there_would_be_too_many() {
 }
 
 #[test]
-fn files_smaller_than_rosbag2_takes_are_refused() {
+fn file_sizes_below_rosbag2s_minimum_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let error = by_size(1023).create(&bag).err().unwrap();
     assert!(matches!(error, WriterError::SplitSize { bytes: 1023, least: 1024 }), "{error}");
     assert!(!bag.exists());
-    // A message that is larger than a file may be has one of its own.
+    // A message larger than the limit has its own file.
     let mut writer = by_size(1024).create(&bag).unwrap();
     let id = writer.add_topic(topic("/large")).unwrap();
     for time in 0..3 {

@@ -1,4 +1,4 @@
-//! Bags written in SQLite: compared with that of the real recorder, read by others, killed, split, copied.
+//! Bags written in SQLite: compared with the real recorder, read by others, killed, split, copied.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -47,7 +47,7 @@ fn file_names(bag: &Path) -> Vec<String> {
     names
 }
 
-/// The real recorder's bag recorded again by our writer, topics and messages in the order in which they came to it.
+/// Records the real recorder's bag again with our writer, with topics and messages in the same order.
 fn record_again(directory: &Path, preset: SqlitePreset) {
     let real = fixture("jazzy_sqlite3");
     let reader = Reader::open(&real).unwrap();
@@ -75,7 +75,7 @@ fn the_database_equals_that_of_the_real_recorder() {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("jazzy_sqlite3");
         record_again(&bag, preset);
-        assert_eq!(file_names(&bag), ["jazzy_sqlite3_0.db3", FILE_NAME], "nothing is beside the file");
+        assert_eq!(file_names(&bag), ["jazzy_sqlite3_0.db3", FILE_NAME], "there is no other file");
         let ours = open(&bag.join("jazzy_sqlite3_0.db3"));
         for query in [
             "SELECT type, name, tbl_name, rootpage, sql FROM sqlite_master",
@@ -208,7 +208,7 @@ fn a_killed_recording_is_readable_up_to_the_last_transaction() {
     assert_eq!(Metadata::read(&bag.join(FILE_NAME)).unwrap().topics[0].name, "/numbers");
     drop(reader);
 
-    // Made whole again by a copy, and by whoever opens the database to write.
+    // Copying the bag, or opening the database for writing, completes it.
     let bags = [Reader::open(&bag).unwrap()];
     let target = options().create(folder.path().join("repaired")).unwrap();
     Copy::of(&bags, |_| true).unwrap().into_writer(target, |_| {}).unwrap();
@@ -230,7 +230,7 @@ fn child_commits_without_end() {
     let id = sender.add_topic(topic("/numbers")).unwrap();
     for n in 0.. {
         sender.record_blocking(id, n, n, number(n).into()).unwrap();
-        // What is in the queue and in the open transaction is not in the file yet.
+        // Queued messages and the open transaction are not in the file yet.
         if n % 1000 == 0 && recording.statistics().summary.message_count() >= 20_000 {
             say("20000 in the file");
         }
@@ -238,7 +238,7 @@ fn child_commits_without_end() {
 }
 
 #[test]
-fn a_recording_killed_while_it_commits_is_whole_for_every_reader() {
+fn a_recording_killed_during_a_commit_is_intact_for_every_reader() {
     for _ in 0..5 {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("bag");
@@ -248,7 +248,7 @@ fn a_recording_killed_while_it_commits_is_whole_for_every_reader() {
         let found = read(&bag);
         assert!(found.len() >= 20_000, "{}", found.len());
         assert_eq!(found, (0..found.len() as i64).collect::<Vec<_>>(), "without gaps");
-        // As a program that knows nothing of bags opens it.
+        // Opened like any SQLite database.
         let database = Connection::open(bag.join("bag_0.db3")).unwrap();
         assert_eq!(rows(&database, "PRAGMA integrity_check"), [[Value::Text("ok".to_owned())]]);
         let count = Value::Integer(found.len() as i64);
@@ -256,9 +256,9 @@ fn a_recording_killed_while_it_commits_is_whole_for_every_reader() {
     }
 }
 
-/// `rosbags` looks at the file alone, as at one that cannot change.
+/// `rosbags` opens only the file, as immutable.
 #[test]
-fn the_file_without_its_log_has_the_tables_from_the_start_and_messages_a_second_later() {
+fn the_file_without_its_log_has_the_tables_at_once_and_messages_a_second_later() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let mut writer = options().create(&bag).unwrap();
@@ -277,12 +277,12 @@ fn the_file_without_its_log_has_the_tables_from_the_start_and_messages_a_second_
         writer.flush().unwrap();
         n += 1;
     }
-    assert_eq!(count(), n as u64, "all that was written then");
+    assert_eq!(count(), n as u64, "everything written so far");
     writer.finish().unwrap();
 }
 
 #[test]
-fn a_bag_is_read_while_it_is_written_and_who_reads_does_not_stop_its_end() {
+fn a_bag_can_be_read_while_it_is_written_and_readers_do_not_prevent_its_end() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let mut writer = options().create(&bag).unwrap();
@@ -332,7 +332,7 @@ fn nothing_but_publish_times_is_lost_from_mcap_to_sqlite_and_back() {
 }
 
 #[test]
-fn what_has_no_place_in_the_tables_is_refused_and_what_has_is_kept() {
+fn unsupported_schemas_are_refused_and_supported_ones_are_kept() {
     let folder = tempfile::tempdir().unwrap();
     let mut writer = options().create(folder.path().join("bag")).unwrap();
     let with = |name: &str, message_encoding: &str, encoding: &str, schema: &str, data: &[u8]| {
@@ -348,7 +348,7 @@ fn what_has_no_place_in_the_tables_is_refused_and_what_has_is_kept() {
     assert!(matches!(&error, WriterError::NoPlace { storage: Storage::Sqlite3, .. }), "{error}");
     assert!(error.to_string().contains("record it in the storage mcap"), "{error}");
     let binary = with("/a", "flatbuffer", "flatbuffer", "std_msgs/msg/Int64", &[0xff, 0xfe]);
-    assert!(writer.add_topic(binary).unwrap_err().to_string().contains("is no text"));
+    assert!(writer.add_topic(binary).unwrap_err().to_string().contains("is not text"));
 
     let mut kept = [
         with("/json", "json", "jsonschema", "std_msgs/msg/Int64", b"{}"),
@@ -366,11 +366,11 @@ fn what_has_no_place_in_the_tables_is_refused_and_what_has_is_kept() {
 }
 
 #[test]
-fn what_the_storage_does_not_do_is_refused_before_anything_is_created() {
+fn unsupported_options_are_refused_before_anything_is_created() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let error = options().compression(Compression::Zstd).create(&bag).err().unwrap().to_string();
-    assert!(error.starts_with("the storage sqlite3 compresses nothing"), "{error}");
+    assert!(error.starts_with("the storage sqlite3 does not support compression"), "{error}");
     let limits = SplitLimits { max_bytes: Some(86_015), ..SplitLimits::NONE };
     let error = options().split(limits).create(&bag).err().unwrap();
     assert!(matches!(error, WriterError::SplitSize { bytes: 86_015, least: 86_016 }), "{error}");

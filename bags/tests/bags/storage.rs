@@ -21,7 +21,7 @@ const LEVELS: [CompressionLevel; 5] = [
     CompressionLevel::Slowest,
 ];
 
-/// Each preset, each compression at each level, and what else a config file can leave out.
+/// Each preset, each compression at each level, and layouts without optional parts.
 fn layouts() -> Vec<(String, McapOptions)> {
     let mut layouts: Vec<_> =
         StoragePreset::ALL.iter().map(|(name, preset)| ((*name).to_owned(), preset.options())).collect();
@@ -39,7 +39,7 @@ fn layouts() -> Vec<(String, McapOptions)> {
     layouts
 }
 
-/// Lines of prose, which compress, and now and then bytes that do not.
+/// Text, which compresses well, and occasional bytes that do not.
 fn write_texts(bag: &std::path::Path, options: McapOptions) -> u64 {
     let options = McapOptions { chunk_size: 30_000, ..options };
     let mut writer = WriterOptions::new().storage(options).create(bag).unwrap();
@@ -81,7 +81,7 @@ fn others_decode_every_message_of_every_layout() {
     for (number, (name, _)) in layouts().into_iter().enumerate() {
         let found = &found[format!("bag_{number:02}")];
         for reader in ["mcap", "mcap_ros2", "rosbags"] {
-            // rosbags finds messages by their indexes alone.
+            // rosbags finds messages through indexes only.
             if reader == "rosbags" && name.starts_with("no ") {
                 continue;
             }
@@ -136,7 +136,7 @@ fn presets_are_those_of_rosbag2() {
 }
 
 #[test]
-fn what_does_not_shrink_is_stored_as_it_is() {
+fn incompressible_content_is_stored_uncompressed() {
     let folder = tempfile::tempdir().unwrap();
     let noise: Vec<u8> = (0..20_000_u64)
         .map(|n| (n.wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(23).wrapping_mul(n | 1) >> 40) as u8)
@@ -159,14 +159,14 @@ fn mcap_and_sqlite_and_their_presets_are_chosen_by_name() {
     assert_eq!(preset("mcap", "fastwrite"), Ok(StoragePreset::FastWrite.options().into()));
     assert_eq!(
         "rocks".parse::<Storage>().unwrap_err(),
-        "there is no storage \"rocks\"; there are mcap, sqlite3"
+        "unknown storage \"rocks\"; available are mcap, sqlite3"
     );
     assert!(preset("mcap", "resilient").unwrap_err().to_string().ends_with("zstd_fast, zstd_small"));
     if cfg!(feature = "sqlite") {
         assert_eq!(preset("sqlite3", "resilient"), StorageOptions::of(Storage::Sqlite3));
         assert_eq!(
             preset("sqlite3", "zstd_fast").unwrap_err().to_string(),
-            "there is no preset profile \"zstd_fast\" of the storage sqlite3; there are none, resilient"
+            "unknown preset profile \"zstd_fast\" of the storage sqlite3; available are none, resilient"
         );
         let mut options = StorageOptions::of(Storage::Sqlite3).unwrap();
         assert_eq!(options.mcap_mut(), Err(StorageError::Compression));

@@ -1,4 +1,4 @@
-//! What several tests need.
+//! Helpers shared by several tests.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use downbeat_msgs::qos::QosProfile;
 
 use crate::matrix::{self, Check, Way, With};
 
-/// Notes that bags go from downbeat to another, or the other way, as the test goes on to show.
+/// Notes which direction of exchanging bags the test proves.
 pub fn noted(feature: &str, with: With, way: Way) -> Check {
     matrix::check("Bag files", feature, with, way)
 }

@@ -1,4 +1,4 @@
-//! A bag with messages of every type that downbeat carries, read by software that is not ours: values, definitions, hashes.
+//! A bag with messages of every built-in type, read by other software: values, definitions, hashes.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -16,7 +16,7 @@ use crate::node::{read_with_node, told};
 use crate::python::read_with_python;
 use crate::support::noted;
 
-// Values in which each bit counts, as the tests of messages have them.
+// Exact values, shared with the tests of messages.
 #[path = "../../../msgs/tests/interop/exact.rs"]
 mod exact;
 #[path = "../../../msgs/tests/interop/random.rs"]
@@ -24,11 +24,11 @@ mod random;
 
 const SEED: u64 = 0xba65;
 const VALUES_PER_TYPE: usize = 4;
-/// When messages were received, in nanoseconds.
+/// The receive time of the first message, in nanoseconds.
 const START: i64 = 1_700_000_000_000_000_000;
 const PERIOD: i64 = 1_000_000;
 
-/// A carried type.
+/// A built-in type.
 struct Type {
     name: &'static str,
     hash: &'static str,
@@ -54,7 +54,7 @@ impl Type {
         self.name.ends_with("_Event")
     }
 
-    /// Types that a reader reads or not as one.
+    /// The group of types that a reader supports or not as a whole.
     fn kind(&self) -> &'static str {
         match self.is_message() {
             _ if self.is_event() => "events of services",
@@ -68,7 +68,7 @@ impl Type {
         self.name.contains("/msg/")
     }
 
-    /// Whether there is a field of that type in it, or in what it is made of.
+    /// Whether it contains a field of that type, directly or nested.
     fn has_a(&self, word: &str) -> bool {
         let is_constant = |line: &str| line.replace("<=", "").contains('=');
         let begins =
@@ -77,7 +77,7 @@ impl Type {
     }
 }
 
-/// Every type that topics have: requests, responses, goals and results are no messages of topics.
+/// Every type that topics can have: requests, responses, goals and results are not sent on topics.
 fn every_type() -> Vec<Type> {
     macro_rules! table {
         ($($message:ty),* $(,)?) => { vec![$(Type::of::<$message>()),*] };
@@ -120,11 +120,11 @@ const READERS: [Peer; 3] = [
             false => of.has_a("wstring").then_some("it has no wide strings"),
         },
     },
-    // The types of packages that are not among the wheels are left out below.
+    // Types of packages without wheels are excluded below.
     Peer { name: "rclpy", with: With::Rclpy, exception: |_| None },
 ];
 
-/// Writes the bags `messages` and `events`; gives the values by topic.
+/// Writes the bags `messages` and `events`; returns the values by topic.
 fn write_bags(folder: &Path, types: &[Type]) -> BTreeMap<String, Vec<Value>> {
     let (events, messages): (Vec<&Type>, Vec<_>) = types.iter().partition(|of| of.is_event());
     let mut values = write(&folder.join("messages"), &messages);
@@ -163,7 +163,7 @@ fn others_decode_values_of_every_carried_type() {
     assert!(types.len() > 200, "{}", types.len());
     let folder = tempfile::tempdir().unwrap();
     let values = write_bags(folder.path(), &types);
-    // Some readers give numbers without telling what they are.
+    // Some readers return numbers without their types.
     fs::write(folder.path().join("values.json"), json!(values).to_string()).unwrap();
     let Some(read) = read_with_python("decode_types.py", folder.path()) else { return };
     let packages: BTreeSet<&str> =
@@ -184,7 +184,7 @@ fn others_decode_values_of_every_carried_type() {
                 continue;
             }
             if let Some(reason) = (reader.exception)(of) {
-                // If that has changed, it is no exception any more.
+                // Fails if the exception is no longer needed.
                 assert!(!found[of.topic()].is_array(), "{} reads {}, though {reason}", reader.name, of.name);
                 continue;
             }
@@ -203,7 +203,7 @@ fn others_decode_values_of_every_carried_type() {
     }
 }
 
-/// What a viewer decodes by, and the bytes that it decodes.
+/// Compares the schemas and the bytes of messages.
 #[test]
 fn mcap_core_reads_every_message_of_every_carried_type() {
     let types = every_type();
@@ -225,10 +225,7 @@ fn mcap_core_reads_every_message_of_every_carried_type() {
         for by in ["indexed", "streamed"] {
             let read = &read[by];
             assert_eq!(read["error"], Value::Null, "{bag}, {by}");
-            assert!(
-                *read["messages"].as_array().unwrap() == messages,
-                "{bag}, {by}: the messages are others"
-            );
+            assert!(*read["messages"].as_array().unwrap() == messages, "{bag}, {by}: the messages differ");
             for of in &types {
                 let channel = &read["channels"][of.topic()];
                 assert_eq!(channel["schema"]["name"], of.name, "{bag}, {by}");
@@ -239,8 +236,9 @@ fn mcap_core_reads_every_message_of_every_carried_type() {
     }
 }
 
-/// `rosbags` makes the hashes of the definitions in a bag again, and opens no bag (`AnyReader`) where one differs from the
-/// recorded one. The hashes in bags of ours are those that the packages of ROS 2 publish (`share/*/msg/*.json`).
+/// `rosbags` computes the hashes of the definitions in a bag, and rejects a bag (`AnyReader`) if one differs
+/// from the recorded hash. The hashes in our bags are those published by the ROS 2 packages
+/// (`share/*/msg/*.json`).
 #[test]
 fn hashes_in_bags_are_those_that_ros_2_publishes_and_rosbags_computes() {
     let types = every_type();
@@ -261,14 +259,14 @@ fn hashes_in_bags_are_those_that_ros_2_publishes_and_rosbags_computes() {
         assert!(published > 150, "{published} of {}", types.len());
     }
     let _check = noted("type hashes", With::Rosbags, Way::Out);
-    // It takes parts of actions for messages, by whose names it computes others.
+    // It treats parts of actions as messages, and computes different hashes from their names.
     for of in types.iter().filter(|of| of.is_message() && !of.has_a("wstring")) {
         let theirs = read["computed"][of.topic()].as_str();
         let theirs = theirs.unwrap_or_else(|| panic!("rosbags has no hash of {}", of.name));
         if of.has_a("char") {
-            // It hashes `char` as a character. In a definition of ROS 2 it is another word for uint8 (rosidl_adapter, `msg2idl`),
-            // and so it is in the hashes that ROS 2 publishes.
-            assert_ne!(theirs, of.hash, "{}: it is no exception any more", of.name);
+            // It hashes `char` as a character. In ROS 2 definitions it is an alias of uint8 (rosidl_adapter,
+            // `msg2idl`), also in the hashes that ROS 2 publishes.
+            assert_ne!(theirs, of.hash, "{}: the exception is no longer needed", of.name);
             assert!(read["published"].get(of.name).is_none_or(|hash| hash == of.hash), "{}", of.name);
         } else {
             assert_eq!(theirs, of.hash, "{}", of.name);

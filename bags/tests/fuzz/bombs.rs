@@ -1,4 +1,4 @@
-//! Small files that are made to fill the memory.
+//! Small files designed to exhaust memory.
 
 use downbeat_bags::{BagInfo, Check, Problem, Reader, check};
 use fuzzing::most_in;
@@ -8,7 +8,7 @@ use crate::parts::{Chunk, Content, Part, Parts, add, records, text, zstd_with_ze
 
 const MIB: usize = 1024 * 1024;
 
-/// A chunk that is one record, whose body ends with so many zeros.
+/// A chunk with one record, whose body ends with `zeros` zeros.
 fn chunk_of(opcode: u8, body: &[u8], zeros: usize, times: (u64, u64)) -> Part {
     let mut record = vec![opcode];
     record.extend_from_slice(&((body.len() + zeros) as u64).to_le_bytes());
@@ -26,7 +26,7 @@ fn channel(id: u16, schema: u16) -> Vec<u8> {
     [ids, text(&format!("/topic_{id}")), text("cdr"), vec![0; 4]].concat()
 }
 
-/// A schema whose text is still to come.
+/// A schema without its text.
 fn schema(id: u16, length: usize) -> Vec<u8> {
     let name = format!("demo_msgs/msg/Type{id}");
     [&id.to_le_bytes()[..], &text(&name), &text("ros2msg"), &(length as u32).to_le_bytes()].concat()
@@ -36,7 +36,7 @@ fn file_of(data: Vec<Part>) -> Vec<u8> {
     Parts { data, summary: Vec::new(), has_summary: false }.to_file()
 }
 
-/// Opens and checks it; tells how much memory that took.
+/// Opens and checks a file; returns the memory used.
 fn read(file: Vec<u8>) -> (usize, Check) {
     most_in(|| check(&Reader::from_bytes("bomb.mcap", file).unwrap(), |_| {}).unwrap())
 }
@@ -46,9 +46,9 @@ fn is_told(check: &Check, words: &str) -> bool {
 }
 
 #[test]
-fn chunks_that_overlap_in_time_are_not_all_in_memory_whatever_they_decompress_to() {
+fn chunks_that_overlap_in_time_use_bounded_memory() {
     let mut data = vec![Part::Record(op::CHANNEL, channel(1, 0))];
-    // Each lasts until all have begun: a second, small message in a chunk of its own would come last.
+    // Each chunk lasts until all have started: a second, small message in a separate chunk would be last.
     data.extend((0..30).map(|_| chunk_of(op::MESSAGE, &message(5), 16 * MIB, (5, 5))));
     let file = file_of(data);
     assert!(file.len() < 30 * 1024, "{}", file.len());
@@ -56,14 +56,14 @@ fn chunks_that_overlap_in_time_are_not_all_in_memory_whatever_they_decompress_to
     assert!(memory < 256 * MIB + 3 * 17 * MIB, "{} MiB", memory / MIB);
     assert!((10..18).contains(&check.messages), "{}", check.messages);
     assert!(
-        is_told(&check, "with those that overlap it in time its messages come to more than"),
+        is_told(&check, "with those that overlap it in time, its messages take more than"),
         "{:?}",
         check.problems
     );
 }
 
 #[test]
-fn what_came_out_of_chunks_is_given_back_as_it_is_read() {
+fn memory_of_chunks_is_released_as_they_are_read() {
     let mut data = vec![Part::Record(op::CHANNEL, channel(1, 0))];
     data.extend((1..30).map(|time| chunk_of(op::MESSAGE, &message(time), 16 * MIB, (time, time))));
     let (memory, check) = read(file_of(data));
@@ -72,7 +72,7 @@ fn what_came_out_of_chunks_is_given_back_as_it_is_read() {
 }
 
 #[test]
-fn a_message_that_is_compressed_by_itself_is_bounded_too() {
+fn the_size_of_an_individually_compressed_message_is_bounded() {
     let record = "version: 9\nstorage_identifier: mcap\nduration:\n  nanoseconds: 0\nstarting_time:\n  nanoseconds_since_epoch: 0\n\
                   message_count: 30\ntopics_with_message_count: []\ncompression_format: zstd\ncompression_mode: MESSAGE\n\
                   relative_file_paths: []\nfiles: []\ncustom_data: ~\nros_distro: jazzy\n";
@@ -88,19 +88,19 @@ fn a_message_that_is_compressed_by_itself_is_bounded_too() {
         read(file_of(vec![channel, Part::Record(op::METADATA, metadata), Part::Chunk(chunk)]));
     assert!(memory < 256 * MIB + 3 * 17 * MIB, "{} MiB", memory / MIB);
     assert!((10..18).contains(&check.messages), "{} {:?}", check.messages, check.problems);
-    assert!(is_told(&check, "a compressed message: more than"), "{:?}", check.problems);
+    assert!(is_told(&check, "a compressed message: it decompresses to more than"), "{:?}", check.problems);
 }
 
 #[test]
-fn schemas_that_decompress_to_more_than_any_are_left_out() {
+fn schemas_that_decompress_to_too_much_are_left_out() {
     let schemas = (1..=20).map(|id| chunk_of(op::SCHEMA, &schema(id, 8 * MIB), 8 * MIB, (0, 0)));
     let (memory, check) = read(file_of(schemas.collect()));
     assert!(memory < 64 * MIB + 4 * 9 * MIB, "{} MiB", memory / MIB);
-    assert!(is_told(&check, "schemas and channels come to more than"), "{:?}", check.problems);
+    assert!(is_told(&check, "it brings schemas and channels to more than"), "{:?}", check.problems);
 }
 
 #[test]
-fn a_large_schema_of_thousands_of_topics_is_not_as_often_in_memory() {
+fn a_large_schema_of_thousands_of_topics_is_not_copied_for_each() {
     let text = vec![b'#'; MIB];
     let mut data = vec![Part::Record(op::SCHEMA, [schema(1, MIB), text].concat())];
     data.extend((1..=4000).map(|id| Part::Record(op::CHANNEL, channel(id, 1))));
@@ -142,17 +142,17 @@ fn a_chunk_that_a_summary_lists_many_times_is_read_once() {
 }
 
 #[test]
-fn a_file_that_is_compressed_as_a_whole_is_given_up_where_it_comes_to_too_much() {
+fn a_file_compressed_as_a_whole_is_abandoned_if_it_decompresses_to_too_much() {
     let packed = zstd_with_zeros(mcap::MAGIC, 64 * MIB);
     let (memory, check) = read(packed);
-    // What is more than 1 MiB is in a file.
+    // Data above 1 MiB is stored in a file.
     assert!(memory < 6 * MIB, "{} KiB", memory / 1024);
     assert!(is_told(&check, "more than 10000 times its length"), "{:?}", check.problems);
 }
 
-/// The parser of `mcap` would take that memory before it looks.
+/// The parser of `mcap` would allocate that memory before checking the length.
 #[test]
-fn texts_as_long_as_can_be_told_take_no_memory() {
+fn texts_with_the_maximum_declared_length_take_no_memory() {
     let huge = (1_u32 << 31).to_le_bytes();
     let header = [0; 28];
     let records = [
@@ -182,7 +182,7 @@ fn texts_as_long_as_can_be_told_take_no_memory() {
 
 /// A definition in which each type has two of the next: with 30 of them a message has 2^30 numbers.
 #[test]
-fn a_definition_that_doubles_thirty_times_is_refused_in_no_time() {
+fn a_definition_that_doubles_thirty_times_is_refused_quickly() {
     let rule = "=".repeat(80);
     let mut definition = "Part1 one\nPart1 other\n".to_owned();
     for n in 1..30 {
@@ -206,7 +206,7 @@ fn a_definition_that_doubles_thirty_times_is_refused_in_no_time() {
 }
 
 #[test]
-fn an_array_as_long_as_can_be_told_is_no_array() {
+fn an_array_with_the_maximum_declared_length_is_refused() {
     let definition = "uint8[] data\n";
     let mut data = vec![Part::Record(op::SCHEMA, [schema(1, definition.len()), definition.into()].concat())];
     data.push(Part::Record(op::CHANNEL, channel(1, 1)));
@@ -241,10 +241,10 @@ fn a_chunk_that_decompresses_to_thousands_of_times_the_file_is_left_out() {
 fn a_message_that_decompresses_to_thousands_of_times_the_file_is_left_out() {
     let (memory, result) = most_in(|| read_packed(800 * MIB));
     assert!(memory < 256 * MIB, "{} MiB", memory / MIB);
-    assert!(is_told(&result, "a compressed message: more than"), "{:?}", result.problems);
+    assert!(is_told(&result, "a compressed message: it decompresses to more than"), "{:?}", result.problems);
 }
 
-/// A bag with one message, compressed by itself, of so many zeros.
+/// A bag with one individually compressed message of `zeros` zeros.
 fn read_packed(zeros: usize) -> Check {
     let record = "version: 9\nstorage_identifier: mcap\nduration:\n  nanoseconds: 0\nstarting_time:\n  nanoseconds_since_epoch: 0\n\
                   message_count: 1\ntopics_with_message_count: []\ncompression_format: zstd\ncompression_mode: MESSAGE\n\

@@ -1,11 +1,11 @@
-//! Changes of bag files: of any bytes, and of parts in a file that is right otherwise.
+//! Mutations of bag files: of arbitrary bytes, and of single parts in otherwise valid files.
 
 use fuzzing::Random;
 use mcap::records::op;
 
 use crate::parts::{self, Part, Parts};
 
-/// Changes some bytes, lengths and stretches.
+/// Changes some bytes, lengths and ranges.
 pub fn bytes(bytes: &mut Vec<u8>, random: &mut Random) {
     for _ in 0..=random.below(4) {
         let at = random.below(bytes.len());
@@ -38,7 +38,7 @@ pub fn bytes(bytes: &mut Vec<u8>, random: &mut Random) {
     }
 }
 
-/// Changes some parts; what tells of them is right.
+/// Changes some parts; their declared sizes and checksums are correct.
 pub fn parts(parts: &mut Parts, random: &mut Random) {
     for _ in 0..=random.below(3) {
         let at = random.below(parts.data.len());
@@ -81,7 +81,7 @@ fn part(part: &mut Part, random: &mut Random) {
     }
 }
 
-/// Changes the body of one record among them and makes its length right.
+/// Changes the body of one of the records and corrects its length.
 fn record_within(content: &mut Vec<u8>, random: &mut Random) {
     let mut records = parts::records(content);
     if records.is_empty() {

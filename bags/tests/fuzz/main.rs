@@ -1,7 +1,7 @@
-//! The fuzz target of `fuzz/` on bags that are changed at random, and on files that are made to fill the memory.
+//! Runs the fuzz target of `fuzz/` on randomly mutated bags, and on files designed to exhaust memory.
 //!
-//! Each round is made from its number alone. `DOWNBEAT_FUZZ_ROUNDS=10000000` makes as many, `DOWNBEAT_FUZZ_FIRST=1234567` begins
-//! with that one.
+//! Each round depends only on its number. `DOWNBEAT_FUZZ_ROUNDS=10000000` sets the number of rounds,
+//! `DOWNBEAT_FUZZ_FIRST=1234567` the first one.
 
 #![allow(clippy::unwrap_used)]
 
@@ -19,16 +19,16 @@ use fuzzing::{Random, most_in, rounds};
 use parts::Parts;
 use seeds::Seed;
 
-/// What reading may have beyond what a bag file is long: two windows of Zstandard, each of 128 MiB, are taken at once where a
-/// frame tells that it needs them.
+/// The memory that reading may use in addition to the length of a bag file: two Zstandard windows of 128 MiB
+/// each are allocated at once if a frame declares them.
 const MOST_MEMORY: usize = 320 * 1024 * 1024;
-/// A round takes some hundred microseconds, on a busy machine too.
+/// A round takes a few hundred microseconds, even on a busy machine.
 const LONGEST: Duration = Duration::from_secs(20);
-/// Real bags take a hundred times as long as ours: one round in so many is of them.
+/// Real bags take a hundred times as long as ours: this many rounds use one of them.
 const RECORDED_ONE_IN: usize = 2000;
 
 #[test]
-fn whatever_is_changed_in_a_bag_the_reader_comes_to_an_end_in_bounded_memory() {
+fn the_reader_of_any_mutated_bag_terminates_in_bounded_memory() {
     let numbers = rounds(1_000);
     let (first, rounds) = (numbers.start, numbers.end - numbers.start);
     let (small, recorded) = (seeds::small(), seeds::recorded());
@@ -55,7 +55,7 @@ fn whatever_is_changed_in_a_bag_the_reader_comes_to_an_end_in_bounded_memory() {
             );
         }
     }
-    // Most changes leave something to be read.
+    // Most mutations leave something readable.
     assert!(opened > rounds / 2, "{opened} of {rounds} were opened");
 }
 
@@ -76,7 +76,7 @@ fn with_changed_bytes(bytes: &[u8], random: &mut Random) -> Vec<u8> {
     bytes
 }
 
-/// Sometimes a file with changed parts is cut off or changed otherwise.
+/// Sometimes also truncates or changes bytes of a file with changed parts.
 fn with_changed_parts(file: &[u8], random: &mut Random) -> Vec<u8> {
     let mut parts = Parts::of(file);
     corrupt::parts(&mut parts, random);

@@ -1,5 +1,5 @@
-//! A bag file in parts: they are changed one by one and put together again with lengths, places and checksums that are right,
-//! so that what reads them comes as far as the change.
+//! A bag file in parts, which are changed individually and assembled again with correct lengths, offsets and
+//! checksums, so that readers get as far as the change.
 //!
 //! # References
 //! The records are those of <https://mcap.dev/spec>.
@@ -12,7 +12,7 @@ use mcap::MAGIC;
 use mcap::records::{Record, op};
 use ruzstd::decoding::StreamingDecoder;
 
-/// What comes before the summary, and what the summary has besides the indexes, which are made anew.
+/// The parts before the summary, and those of the summary except the indexes, which are recreated.
 #[derive(Clone)]
 pub struct Parts {
     pub data: Vec<Part>,
@@ -32,16 +32,16 @@ pub struct Chunk {
     pub last: u64,
     pub compression: String,
     pub content: Content,
-    /// 0 stands for none.
+    /// 0 means none.
     pub checksum: u32,
-    /// What it tells of its length, where that is not right.
+    /// Its declared length, if that is wrong.
     pub told_length: Option<u64>,
 }
 
 #[derive(Clone)]
 pub enum Content {
     Plain(Vec<u8>),
-    /// As it was compressed, and its length before.
+    /// The compressed content, and its uncompressed length.
     Compressed(Vec<u8>, u64),
 }
 
@@ -104,14 +104,14 @@ impl Parts {
 }
 
 impl Chunk {
-    /// Of plain records.
+    /// A chunk of uncompressed records.
     pub fn new(compression: &str, (first, last): (u64, u64), content: Content) -> Self {
         Self { first, last, compression: compression.to_owned(), content, checksum: 0, told_length: None }
     }
 
     fn of(body: &[u8]) -> Self {
         let Ok(Record::Chunk { header, data }) = mcap::parse_record(op::CHUNK, body) else {
-            panic!("a seed has a chunk that is none")
+            panic!("a seed has an invalid chunk")
         };
         Self {
             first: header.message_start_time,
@@ -123,7 +123,7 @@ impl Chunk {
         }
     }
 
-    /// Its records, which can be changed: they are compressed anew, and the checksum is made right.
+    /// Its records for mutation: they are compressed again, and the checksum is updated.
     pub fn plain(&mut self) -> &mut Vec<u8> {
         if let Content::Compressed(data, _) = &self.content {
             let mut plain = Vec::new();
@@ -136,7 +136,7 @@ impl Chunk {
                     Ok(0)
                 }
             };
-            // What was damaged before gives what comes out of it.
+            // An already damaged chunk yields what can be decompressed.
             drop(read);
             self.content = Content::Plain(plain);
         }
@@ -169,7 +169,7 @@ impl Chunk {
                 encoder.write_all(plain).unwrap();
                 encoder.finish().unwrap().into()
             }
-            // Its decoder is reached by what was compressed before; here it is the content that counts.
+            // Compressed seeds exercise the decoder; only the content matters here.
             "zstd" => zstd(plain).into(),
             _ => plain.into(),
         }
@@ -180,17 +180,18 @@ impl Chunk {
         body.extend_from_slice(place);
         body.extend_from_slice(&[0; 4 + 8]); // no indexes of messages
         body.extend_from_slice(&text(&self.compression));
-        body.extend_from_slice(&[0; 8 + 8]); // sizes, which the chunk tells itself
+        body.extend_from_slice(&[0; 8 + 8]); // sizes, which are also in the chunk
         body
     }
 }
 
-/// A Zstandard frame that is quickly made: that of `ruzstd` takes and clears memory for much more.
+/// A quickly created Zstandard frame: `ruzstd` allocates and clears much more memory.
 pub fn zstd(plain: &[u8]) -> Vec<u8> {
     zstd_with_zeros(plain, 0)
 }
 
-/// A Zstandard frame of those bytes and so many zeros, which take 4 bytes for each 128 KiB (RFC 8878 section 3.1.1).
+/// A Zstandard frame of those bytes and `zeros` zeros, which take 4 bytes per 128 KiB (RFC 8878 section
+/// 3.1.1).
 pub fn zstd_with_zeros(plain: &[u8], zeros: usize) -> Vec<u8> {
     const BLOCK: usize = 128 * 1024;
     const RAW: u32 = 0;
@@ -208,7 +209,7 @@ pub fn zstd_with_zeros(plain: &[u8], zeros: usize) -> Vec<u8> {
     frame
 }
 
-/// The whole records in `bytes`: opcodes and bodies.
+/// The complete records in `bytes`: opcodes and bodies.
 pub fn records(bytes: &[u8]) -> Vec<(u8, Vec<u8>)> {
     let mut found = Vec::new();
     let mut rest = bytes;
@@ -232,7 +233,7 @@ pub fn add(file: &mut Vec<u8>, opcode: u8, body: &[u8]) {
     file.extend_from_slice(body);
 }
 
-/// A text as records have it.
+/// A string as in records.
 pub fn text(text: &str) -> Vec<u8> {
     [&(text.len() as u32).to_le_bytes(), text.as_bytes()].concat()
 }

@@ -1,4 +1,4 @@
-//! Small bag files that have all there is in bag files: what is changed in them is near to something that is looked at.
+//! Small bag files with every kind of content, so that most mutations affect something that is read.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,14 +13,14 @@ use mcap::records::op;
 use crate::parts::{Content, Part, Parts, add, records, text, zstd};
 
 pub enum Seed {
-    /// Of an MCAP file.
+    /// An MCAP file.
     File(Vec<u8>),
-    /// A file compressed as a whole, and what is in it.
+    /// A file compressed as a whole, and its content.
     Packed(Vec<u8>, Vec<u8>),
     Text(Vec<u8>),
 }
 
-/// Files of ours by how they are laid out, and metadata.yaml.
+/// Our files in different layouts, and metadata.yaml.
 pub fn small() -> Vec<Seed> {
     let folder = tempfile::tempdir().unwrap();
     let plain = McapOptions { chunk_size: 300, is_compression_forced: true, ..McapOptions::default() };
@@ -41,7 +41,7 @@ pub fn small() -> Vec<Seed> {
     let mut attached = Parts::of(&files[0]);
     attached.data.insert(1, Part::Record(op::ATTACHMENT, attachment()));
     let packed_messages = with_packed_messages(&files[0]);
-    // To parse YAML takes longer than all else: these two have it, and the first.
+    // Parsing YAML takes longer than everything else: only these two and the first have it.
     files.iter_mut().skip(1).for_each(|file| *file = without_metadata(file));
     let packed = Seed::Packed(zstd(&files[1]), files[1].clone());
     let yaml = Seed::Text(fs::read(bag(0).join(FILE_NAME)).unwrap());
@@ -49,7 +49,7 @@ pub fn small() -> Vec<Seed> {
     files.into_iter().map(Seed::File).chain([packed, yaml]).collect()
 }
 
-/// What the real recorder made.
+/// Bags of the real recorder.
 pub fn recorded() -> Vec<Seed> {
     let of = |name: &str, file: &str| {
         let data = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data");
@@ -62,7 +62,7 @@ pub fn recorded() -> Vec<Seed> {
     ]
 }
 
-/// Messages that are described as messages, as events of a service, by IDL, and not at all.
+/// Messages described as messages, as events of a service, by IDL, and not at all.
 fn write(bag: &Path, storage: McapOptions) {
     let mut writer = WriterOptions::new().storage(storage).create(bag).unwrap();
     let joints = TopicInfo {
@@ -132,7 +132,7 @@ fn without_metadata(file: &[u8]) -> Vec<u8> {
     parts.to_file()
 }
 
-/// The same as rosbag2 makes it with `--compression-mode message`.
+/// The same as created by rosbag2 with `--compression-mode message`.
 fn with_packed_messages(file: &[u8]) -> Vec<u8> {
     let mut parts = Parts::of(file);
     for part in &mut parts.data {

@@ -361,7 +361,7 @@ fn values_that_foxglove_cannot_represent_are_refused_with_a_reason() {
     let image = Image { encoding: "mono16".into(), is_bigendian: 1, ..Image::default() };
     assert_eq!(
         error(&cdr::to_vec(&image), Image::TYPE_NAME, Encoding::FoxgloveProtobuf),
-        "sensor_msgs/msg/Image: cannot write foxglove-protobuf, field `is_bigendian`: pixels of encoding mono16 are \
+        "sensor_msgs/msg/Image: cannot write foxglove-protobuf, field `is_bigendian`: pixels of encoding mono16 must be \
          little-endian for Foxglove"
     );
     let state = JointState { name: vec!["a".into()], velocity: vec![0.0; 2], ..JointState::default() };

@@ -35,7 +35,7 @@ pub(crate) fn check(arguments: &CheckBagArguments) -> anyhow::Result<()> {
         println!("read {messages} messages, decoded {decoded} of them, found {} problems", problems.len());
     }
     if !problems.is_empty() {
-        bail!("{} is not as it should be", arguments.bag.display());
+        bail!("{} has problems", arguments.bag.display());
     }
     Ok(())
 }

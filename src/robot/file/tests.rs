@@ -67,7 +67,7 @@ fn a_recording_is_mcap_unless_the_file_names_another_storage() {
         let storage = parse(&record("storage = \"sqlite3\"\npreset = \"none\"")).unwrap().record.storage;
         assert_eq!(storage, StorageOptions::preset(Storage::Sqlite3, "none").unwrap());
         (
-            ":7: the storage sqlite3 compresses nothing",
+            ":7: the storage sqlite3 does not support compression",
             ":7: the storage sqlite3 has no place for the encoding json",
         )
     } else {

@@ -12,7 +12,7 @@ use crate::writer::StorageConfigError;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Pragma {
     pub(super) name: String,
-    /// What stands behind `PRAGMA`.
+    /// The text after `PRAGMA`.
     pub(super) statement: String,
 }
 
@@ -30,19 +30,19 @@ pub(super) fn read(text: &str, path: &Path) -> Result<Vec<Pragma>, StorageConfig
         storage: Storage::Sqlite3,
         found,
     };
-    // An empty file says nothing.
+    // An empty file has no settings.
     let config: Option<Config> = downbeat_msgs::yaml::from_str(text)
         .map_err(|error| wrong(error.location().map_or(0, |location| location.line()), error.to_string()))?;
     let config = config.unwrap_or_default();
     for key in config.unknown.keys() {
-        tracing::warn!("{}: there is no key \"{key}\", it is passed over", path.display());
+        tracing::warn!("{}: unknown key \"{key}\" is ignored", path.display());
     }
     let entries = config.write.unwrap_or_default().pragmas;
     let entries = entries.iter().filter(|entry| !entry.is_empty());
     entries.map(|entry| pragma(entry).map_err(|found| wrong(0, found))).collect()
 }
 
-/// The same entries are refused as in rosbag2 (`parse_pragmas`).
+/// Rejects the same entries as rosbag2 (`parse_pragmas`).
 fn pragma(entry: &str) -> Result<Pragma, String> {
     if let Some(character) = entry.chars().find(|character| "';\"".contains(*character)) {
         return Err(format!("the pragma {entry:?} must not have the character {character}"));
@@ -57,7 +57,7 @@ fn pragma(entry: &str) -> Result<Pragma, String> {
 
 #[derive(Default, Deserialize)]
 struct Config {
-    /// What reading takes.
+    /// The settings for reading, which are ignored.
     #[serde(rename = "read")]
     _read: Option<serde_norway::Value>,
     write: Option<Pragmas>,
@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn pragmas_of_a_config_file_win_over_the_preset_and_the_policy() {
+    fn pragmas_of_a_config_file_override_the_preset_and_the_policy() {
         // As in rosbag2_storage_sqlite3/README.md.
         let text = "read:\n  pragmas: [\"cache_size = 10\"]\nwrite:\n  pragmas: [\"journal_mode = MEMORY\", \"\", \
                     \"cache_size(1000)\"]\n";
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn presets_are_those_of_rosbag2_and_the_policy_decides_when_to_wait_for_the_medium() {
+    fn presets_are_those_of_rosbag2_and_the_policy_decides_when_to_sync() {
         let none = SqlitePreset::None.options();
         assert_eq!(statements(&none, SyncPolicy::Files), ["journal_mode=MEMORY", "synchronous=OFF"]);
         let resilient = SqlitePreset::Resilient.options();
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn what_rosbag2_refuses_is_refused_with_the_name_of_the_file() {
+    fn entries_that_rosbag2_refuses_are_refused_with_the_name_of_the_file() {
         for wrong in [
             "write:\n  pragmas: [\"cache_size = 1; DROP TABLE messages\"]\n",
             "write:\n  pragmas: [\"= 1\"]\n",

@@ -1,9 +1,9 @@
-//! One SQLite file that is written in whole transactions.
+//! One SQLite file, written in complete transactions.
 //!
-//! A transaction is collected in memory and written at once, exactly when [`SqliteFile::flush`] says. With the preset
-//! `resilient` SQLite appends it to a write-ahead log beside the file (`-wal`), from which it moves what is there into the file
-//! about once a second: whoever opens the file by SQLite sees both, others what has been moved. A file that is ended has
-//! everything in itself, in the form in which rosbag2 leaves it, and nothing beside it.
+//! A transaction is collected in memory and written at once by [`SqliteFile::flush`]. With the preset
+//! `resilient`, SQLite appends it to a write-ahead log beside the file (`-wal`), and moves the log into the
+//! file about once a second: programs that open the file through SQLite see both, others only what has been
+//! moved. A finished file contains everything, in the same form as with rosbag2, and has no log.
 
 use std::fs::OpenOptions;
 use std::io;
@@ -21,13 +21,13 @@ use crate::writer::SyncPolicy;
 
 pub(in crate::writer) struct SqliteFile {
     path: PathBuf,
-    /// None once it is ended.
+    /// `None` once it is finished.
     connection: Option<Connection>,
     sync: SyncPolicy,
     page_size: u64,
-    /// Size of the database, what is still in the log included.
+    /// Size of the database, including the log.
     kept: u64,
-    /// Those with a number lower than `topics_in_file` are in the file.
+    /// Those before `topics_in_file` are in the file.
     topics: Vec<TopicRows>,
     topics_in_file: usize,
     transaction: OpenTransaction,
@@ -35,9 +35,9 @@ pub(in crate::writer) struct SqliteFile {
     moved: Instant,
 }
 
-/// The shortest time after which the log is moved into the file.
+/// The minimum time between moving the log into the file.
 const MOVE_INTERVAL: Duration = Duration::from_secs(1);
-/// How long the end of a file waits for others who read it.
+/// How long finishing a file waits for readers.
 const READER_PATIENCE: Duration = Duration::from_millis(500);
 
 impl SqliteFile {
@@ -75,7 +75,7 @@ impl SqliteFile {
         &self.path
     }
 
-    /// Bytes of the database.
+    /// Size of the database in bytes.
     pub(in crate::writer) fn kept(&self) -> u64 {
         self.kept
     }
@@ -85,24 +85,25 @@ impl SqliteFile {
         self.transaction.bytes()
     }
 
-    /// Why there is no place for what describes the messages of a topic, if there is none.
+    /// Why the tables cannot represent a topic, if so.
     pub(in crate::writer) fn refusal(topic: &TopicInfo) -> Option<String> {
         tables::refusal(topic)
     }
 
-    /// Returns the number of the topic, counted from 1. It is in the file with the next transaction.
+    /// Returns the number of the topic, counted from 1. It is written with the next transaction.
     pub(in crate::writer) fn add_topic(&mut self, topic: &TopicInfo) -> io::Result<u16> {
         self.topics.push(TopicRows::of(topic));
-        u16::try_from(self.topics.len()).map_err(|_| io::Error::other("there is no place for more topics"))
+        u16::try_from(self.topics.len()).map_err(|_| io::Error::other("too many topics"))
     }
 
     pub(in crate::writer) fn write(&mut self, topic: u16, log_time: u64, data: &[u8]) {
-        // Times come from signed ones.
+        // Times were converted from signed ones.
         let time = i64::try_from(log_time).unwrap_or(i64::MAX);
         self.transaction.add(Message { topic, time, data });
     }
 
-    /// Commits the open transaction, and topics that are not in the file yet. If that fails it is rolled back, and still open.
+    /// Commits the open transaction, and topics that are not in the file yet. If that fails, it is rolled
+    /// back and still open.
     pub(in crate::writer) fn flush(&mut self) -> io::Result<()> {
         if self.transaction.is_empty() && self.topics_in_file == self.topics.len() {
             return Ok(());
@@ -115,22 +116,23 @@ impl SqliteFile {
         Ok(())
     }
 
-    /// After a flush that failed: gives the open transaction up.
+    /// Drops the open transaction after a failed flush.
     pub(in crate::writer) fn drop_chunk(&mut self) -> io::Result<()> {
         self.transaction.clear();
         Ok(())
     }
 
-    /// Adds a row of metadata, as rosbag2 does when it opens a file and when it ends it, and what is open with it.
+    /// Adds a row of metadata, like rosbag2 when it opens and finishes a file, and commits the open
+    /// transaction.
     pub(in crate::writer) fn write_metadata(&mut self, text: String) -> io::Result<()> {
         self.commit(Some(&text))?;
         self.transaction.clear();
-        // So that also who does not look into the log finds the tables.
+        // So that programs that do not read the log find the tables.
         self.move_log();
         Ok(())
     }
 
-    /// Ends the file, and waits until the medium has it unless the policy is not to.
+    /// Finishes the file and syncs it to disk, unless the policy is not to.
     pub(in crate::writer) fn finish(&mut self) -> io::Result<()> {
         self.flush()?;
         self.end()?;
@@ -142,11 +144,11 @@ impl SqliteFile {
         }
     }
 
-    /// After a failed write: closes the file after its last transaction. Without the room to move the log into the file, it
-    /// stays beside it, and the file is read with it.
+    /// After a failed write: closes the file after its last transaction. If there is no room to move the log
+    /// into the file, the log is kept and read with it.
     pub(in crate::writer) fn give_up(&mut self) -> io::Result<()> {
         self.transaction.clear();
-        // It fails for the reason that is being reported.
+        // Fails for the same reason, which is being reported.
         let _ = self.end();
         Ok(())
     }
@@ -154,10 +156,10 @@ impl SqliteFile {
     fn commit(&mut self, metadata: Option<&str>) -> io::Result<()> {
         let connection = open(&mut self.connection)?;
         let mut insert_all = || -> Result<(), Error> {
-            // Rolled back where something fails.
+            // Rolled back if something fails.
             let transaction = connection.transaction()?;
             for (index, topic) in self.topics.iter().enumerate().skip(self.topics_in_file) {
-                // `add_topic` has seen that there are not more.
+                // `add_topic` has checked the number.
                 tables::insert_topic(&transaction, u16::try_from(index + 1).unwrap_or(u16::MAX), topic)?;
             }
             if !self.transaction.is_empty() {
@@ -181,16 +183,16 @@ impl SqliteFile {
         Ok(())
     }
 
-    /// Moves what is in the log into the file, as far as others read it already. Without a log it does nothing.
+    /// Moves the log into the file, as far as readers permit. Does nothing without a log.
     fn move_log(&mut self) {
         self.moved = Instant::now();
         if let Some(connection) = &self.connection {
-            // What is not moved stays in the log, which is as good.
+            // The rest stays in the log.
             let _ = connection.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(()));
         }
     }
 
-    /// Moves all of the log into the file, marks the file as one without, and closes it.
+    /// Moves the log into the file, disables it, and closes the file.
     fn end(&mut self) -> io::Result<()> {
         self.move_log();
         let Some(connection) = self.connection.take() else { return Ok(()) };
@@ -199,7 +201,7 @@ impl SqliteFile {
             .and_then(|()| connection.query_row("PRAGMA journal_mode=DELETE", [], |_| Ok(())));
         let closed = connection.close().map_err(|(_, error)| error);
         match without_log.and(closed) {
-            // Who reads it needs the log; it stays beside the file.
+            // Readers need the log, so it is kept.
             Err(error) if is_busy(&error) => Ok(()),
             ended => ended.map_err(failure),
         }
@@ -207,10 +209,10 @@ impl SqliteFile {
 }
 
 fn open(connection: &mut Option<Connection>) -> io::Result<&mut Connection> {
-    connection.as_mut().ok_or_else(|| io::Error::other("the file is ended"))
+    connection.as_mut().ok_or_else(|| io::Error::other("the file is finished"))
 }
 
-/// Makes a setting, and sees whether SQLite knows it, as rosbag2 does.
+/// Applies a setting, and checks that SQLite knows it, like rosbag2.
 fn set(connection: &Connection, pragma: &Pragma) -> io::Result<()> {
     let Pragma { name, statement } = pragma;
     let wrong =
@@ -223,7 +225,7 @@ fn set(connection: &Connection, pragma: &Pragma) -> io::Result<()> {
     run(statement).map_err(|error| wrong(error.to_string()))?;
     match run(name) {
         Ok(true) => Ok(()),
-        Ok(false) => Err(wrong(format!("SQLite has no {name}"))),
+        Ok(false) => Err(wrong(format!("SQLite does not know {name}"))),
         Err(error) => Err(wrong(error.to_string())),
     }
 }
@@ -237,7 +239,7 @@ fn is_busy(error: &Error) -> bool {
 }
 
 fn failure(error: Error) -> io::Error {
-    // The index of the log is mapped into memory, and has an error of its own where there is no room for it.
+    // The index of the log is memory-mapped, and has a separate error if the disk is full.
     let has_no_room = match error.sqlite_error() {
         Some(error) => error.code == ErrorCode::DiskFull || error.extended_code == ffi::SQLITE_IOERR_SHMSIZE,
         None => false,

@@ -1,4 +1,4 @@
-//! How an SQLite file is written: what `rosbag2_storage_sqlite3` takes from a preset profile and a storage config file.
+//! Options of SQLite files, as in preset profiles and storage config files of `rosbag2_storage_sqlite3`.
 
 use std::path::Path;
 
@@ -9,34 +9,34 @@ use crate::writer::{StorageConfigError, SyncPolicy};
 /// A preset profile of rosbag2 for the storage `sqlite3`: `--storage-preset-profile`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SqlitePreset {
-    /// What rosbag2 does unless told otherwise (`journal_mode=MEMORY`, `synchronous=OFF`): the least work. A process that is
-    /// killed while it commits may leave a file that is damaged.
+    /// The default of rosbag2 (`journal_mode=MEMORY`, `synchronous=OFF`): the least work. A process killed
+    /// during a commit may leave a damaged file.
     None,
-    /// What this crate does unless told otherwise (`journal_mode=WAL`, `synchronous=NORMAL`): whatever happens to the process
-    /// or the machine, the file has every transaction up to some of the last ones, whole.
+    /// The default of this crate (`journal_mode=WAL`, `synchronous=NORMAL`): after a crash of the process or
+    /// the machine, the file contains complete transactions, without some of the last ones.
     #[default]
     Resilient,
 }
 
 impl SqlitePreset {
-    /// All, by their names in rosbag2.
+    /// All presets with their names in rosbag2.
     pub const ALL: [(&'static str, Self); 2] = [("none", Self::None), ("resilient", Self::Resilient)];
 
-    /// What the preset stands for.
+    /// The options of the preset.
     #[must_use]
     pub fn options(self) -> SqliteOptions {
         SqliteOptions { preset: self, ..SqliteOptions::default() }
     }
 }
 
-/// How an SQLite file is written.
+/// Options of SQLite files.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SqliteOptions {
-    /// What is not lost when a process or a machine ends.
+    /// Determines what is lost in a crash.
     pub preset: SqlitePreset,
     /// The size of messages in bytes at which a transaction is closed.
     pub chunk_size: u64,
-    /// What a config file sets besides, or in place of the preset.
+    /// Settings of a config file, which override the preset.
     pragmas: Vec<Pragma>,
 }
 
@@ -47,13 +47,13 @@ impl Default for SqliteOptions {
 }
 
 impl SqliteOptions {
-    /// These options with what a storage config file says in their place: `--storage-config-file`. Of the file the `pragmas` of
-    /// `write` are heeded; they win over the preset and over the [`SyncPolicy`].
+    /// Overrides these options with those of a storage config file: `--storage-config-file`. Uses the
+    /// `pragmas` of `write`, which override the preset and the [`SyncPolicy`].
     ///
-    /// Keys that rosbag2 does not know are passed over, with a warning in the log; `path` is for messages.
+    /// Keys that rosbag2 does not know are ignored with a warning; `path` is for messages.
     ///
     /// # Errors
-    /// If the text is not what rosbag2 takes.
+    /// If rosbag2 would not accept the text.
     pub fn with_config(self, text: &str, path: &Path) -> Result<Self, StorageConfigError> {
         Ok(Self { pragmas: config::read(text, path)?, ..self })
     }
@@ -61,14 +61,14 @@ impl SqliteOptions {
     /// [`SqliteOptions::with_config`] with the text of a file.
     ///
     /// # Errors
-    /// If the file cannot be read, or is not what rosbag2 takes.
+    /// If the file cannot be read, or rosbag2 would not accept it.
     pub fn with_config_file(self, path: &Path) -> Result<Self, StorageConfigError> {
         let read = |source| StorageConfigError::Read { path: path.to_owned(), source };
         self.with_config(&std::fs::read_to_string(path).map_err(read)?, path)
     }
 
-    /// The settings of a connection, in the order in which they are made: those of the config file first, since the size of a
-    /// page cannot change any more once there is a write-ahead log.
+    /// The settings of a connection, in the order in which they are applied: those of the config file first,
+    /// since the page size cannot change once there is a write-ahead log.
     pub(super) fn pragmas(&self, sync: SyncPolicy) -> Vec<Pragma> {
         let (journal_mode, synchronous) = match self.preset {
             SqlitePreset::None => ("MEMORY", "OFF"),

@@ -1,4 +1,4 @@
-//! The tables, of schema version 4: the texts are those of rosbag2, which SQLite keeps as they are.
+//! The tables of schema version 4: the SQL is that of rosbag2, since SQLite stores it literally.
 
 use rusqlite::{CachedStatement, Connection, Result};
 
@@ -39,20 +39,22 @@ impl TopicRows {
             offered_qos: metadata::recorded_qos_to_yaml(&topic.offered_qos),
             type_hash: topic.type_hash.clone(),
             encoding: schema.encoding,
-            // What is no text was refused.
+            // Schemas that are not text were rejected.
             definition: String::from_utf8_lossy(&schema.data).into_owned(),
         }
     }
 }
 
-/// Why there is no place for what describes the messages of a topic, if there is none.
+/// Why the tables cannot represent a topic, if so.
 pub(super) fn refusal(topic: &TopicInfo) -> Option<String> {
     let schema = topic.schema();
     if schema.name != topic.type_name {
         let (name, type_name) = (&schema.name, &topic.type_name);
-        return Some(format!("its schema \"{name}\" is not named as its type {type_name} is"));
+        return Some(format!("the name of its schema, \"{name}\", is not that of its type {type_name}"));
     }
-    std::str::from_utf8(&schema.data).is_err().then(|| format!("its schema, {}, is no text", schema.encoding))
+    std::str::from_utf8(&schema.data)
+        .is_err()
+        .then(|| format!("its schema, {}, is not text", schema.encoding))
 }
 
 pub(super) fn create(connection: &Connection) -> Result<()> {
@@ -61,7 +63,7 @@ pub(super) fn create(connection: &Connection) -> Result<()> {
     connection.execute(insert, (SCHEMA_VERSION, metadata::ROS_DISTRO)).map(drop)
 }
 
-/// The number of the topic is that which it would have if SQLite numbered it. A type is described once.
+/// The topic's number is the one that SQLite would assign. Each type is described once.
 pub(super) fn insert_topic(connection: &Connection, id: u16, topic: &TopicRows) -> Result<()> {
     let insert = "INSERT INTO topics (id, name, type, serialization_format, offered_qos_profiles, type_description_hash) \
                   VALUES (?, ?, ?, ?, ?, ?)";
@@ -88,7 +90,7 @@ pub(super) fn insert_metadata(connection: &Connection, text: &str) -> Result<()>
     connection.execute(insert, (metadata::FORMAT_VERSION, text)).map(drop)
 }
 
-/// What inserts messages.
+/// The statement that inserts messages.
 pub(super) struct InsertMessage<'a>(CachedStatement<'a>);
 
 impl<'a> InsertMessage<'a> {

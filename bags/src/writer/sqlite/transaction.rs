@@ -7,15 +7,16 @@ pub(super) struct Message<'a> {
     pub(super) data: &'a [u8],
 }
 
-/// Collected in memory, so that the database is locked, and a failure told, at one moment: when they are handed over.
+/// Messages are collected in memory, so that the database is locked, and errors occur, only when they are
+/// written.
 #[derive(Default)]
 pub(super) struct OpenTransaction {
-    /// Topic, time, and where the data ends.
+    /// Topic, time, and end of the data.
     entries: Vec<(u16, i64, usize)>,
     data: Vec<u8>,
 }
 
-/// What a row takes besides its data, as rosbag2 estimates it: three numbers.
+/// The size of a row besides its data, as estimated by rosbag2: three numbers.
 const ROW_BYTES: usize = 3 * size_of::<i64>();
 
 impl OpenTransaction {
@@ -23,7 +24,7 @@ impl OpenTransaction {
         self.entries.is_empty()
     }
 
-    /// About the size of its rows.
+    /// The approximate size of its rows.
     pub(super) fn bytes(&self) -> u64 {
         (self.data.len() + self.entries.len() * ROW_BYTES) as u64
     }
@@ -42,7 +43,7 @@ impl OpenTransaction {
         })
     }
 
-    /// Makes it empty and keeps its room.
+    /// Clears it and keeps its memory.
     pub(super) fn clear(&mut self) {
         self.entries.clear();
         self.data.clear();
