@@ -20,7 +20,7 @@
 //!     const TOPIC: &'static str = "sonar/exchanges";
 //!
 //!     fn exchange(&mut self, request: &Self::Request, _now: Time) -> Line {
-//!         Line { data: format!("{request} 1.25") } // here it would write to the port and read from it
+//!         Line { data: format!("{request} 1.25") } // a real device writes to the port and reads from it
 //!     }
 //!
 //!     fn answers(exchange: &Line, request: &Self::Request) -> bool {

@@ -1,16 +1,15 @@
-//! Ready robot modules.
+//! Ready-made robot modules.
 //!
 //! - [`darwin_op`]: the hardware of the humanoid Darwin OP;
 //! - [`darwin_op_emulator`]: an emulated one behind a pseudo terminal;
-//! - [`device`]: no module, but what modules use: devices whose answers are recorded and replayed;
-//! - [`joint_command_mux`]: who may command which joint;
+//! - [`device`]: for use in modules: devices whose answers are recorded and replayed;
+//! - [`joint_command_mux`]: merges joint commands;
 //! - [`stand_nod_wave`]: a small motion;
-//! - [`transform_server`]: an action that answers where frames are in each other.
+//! - [`transform_server`]: an action that answers transform lookups.
 //!
-//! What modules use has packages of its own, without the serial port: [`actions`] that they serve and use, and [`transforms`],
-//! where frames are in each other over time.
+//! Building blocks for modules are separate packages without the serial port: [`actions`] and [`transforms`].
 //!
-//! What each publishes, takes and can be set to is on its page, and all together in `README.md`.
+//! The page of each module lists its topics and settings; `README.md` has an overview.
 
 pub mod darwin_op;
 pub mod darwin_op_emulator;

@@ -1,4 +1,4 @@
-//! What the tests of several modules need.
+//! Helpers for the tests of several modules.
 #![allow(clippy::unwrap_used)]
 
 use downbeat_executor::{Core, Inbox, ManualClock, Received, Time};
@@ -16,7 +16,7 @@ pub(crate) struct Collector<T> {
 }
 
 impl<T: Clone + Send + Sync + 'static> Collector<T> {
-    /// Begins to collect.
+    /// Starts to collect.
     pub(crate) fn add(core: &mut Core, topic: &str) -> Self {
         let messages = Arc::<Mutex<Vec<T>>>::default();
         let collected = Arc::clone(&messages);
@@ -25,7 +25,7 @@ impl<T: Clone + Send + Sync + 'static> Collector<T> {
         Self { messages }
     }
 
-    /// What came since the last time.
+    /// The messages since the last call.
     pub(crate) fn take(&self) -> Vec<T> {
         std::mem::take(&mut *self.messages.lock().unwrap())
     }

@@ -81,7 +81,7 @@ impl Force {
         Ok(())
     }
 
-    /// As [`Force::check`], and removes what is there. `inputs` are what the output is made of: they are not replaced.
+    /// Like [`Force::check`], and removes what is there. `inputs` are what the output is made of: they are not replaced.
     pub(crate) fn make_way<'a>(
         self,
         output: Output,

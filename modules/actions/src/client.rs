@@ -1,4 +1,4 @@
-//! The goals that a module has sent.
+//! The client side of an action: goals that a module has sent.
 
 use super::{
     GetResultRequest, GetResultResponse, GoalId, GoalStatus, SendGoalRequest, SendGoalResponse, part, stamp,
@@ -13,7 +13,7 @@ use downbeat_msgs::unique_identifier_msgs::msg::UUID;
 use std::time::Duration;
 use thiserror::Error;
 
-/// The goals of one action that a module has sent and that have not ended; see the [module page](super).
+/// The active goals of one action that a module has sent; see the [module page](super).
 pub struct ActionClient<A: Action> {
     action: String,
     keys: Option<ClientKeys<A>>,
@@ -26,63 +26,63 @@ pub struct ActionClient<A: Action> {
 struct SentGoal {
     id: GoalId,
     status: GoalStatus,
-    /// The call that is to be answered next: of `send_goal`, then of `get_result`.
+    /// The pending call: of `send_goal`, then of `get_result`.
     call: CallId,
     is_accepted: bool,
 }
 
-/// A goal that was sent is not pursued.
+/// The server does not pursue a goal.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum GoalRefused {
-    /// The server does not take it.
+    /// The server rejected it.
     #[error("goal {0} was rejected")]
     Rejected(GoalId),
-    /// There is no answer.
+    /// The server did not answer.
     #[error("goal {goal} was not answered: {error}")]
     Call {
         /// The goal.
         goal: GoalId,
-        /// Why not.
+        /// The reason.
         error: CallError,
     },
 }
 
 /// How a goal ended.
 pub struct GoalResult<A: Action> {
-    /// Succeeded, canceled or aborted; unknown if the server had forgotten it.
+    /// Succeeded, canceled or aborted; unknown if the server no longer knows the goal.
     pub status: GoalStatus,
-    /// What the server said at the end.
+    /// The result from the server.
     pub result: A::Result,
 }
 
-/// What has come of a request for a result.
+/// The outcome of a request for a result.
 struct Ended<A: Action> {
     id: GoalId,
     result: Result<GoalResult<A>, CallError>,
 }
 
 impl<A: Action> Default for ActionClient<A> {
-    /// One that can send nothing until it is declared.
+    /// Creates a client that cannot send goals until it is declared.
     fn default() -> Self {
         Self { action: String::new(), keys: None, next: 0, goals: Vec::new() }
     }
 }
 
 impl<A: Action> ActionClient<A> {
-    /// How long a server may take to say whether it takes a goal or cancels one, unless said otherwise.
+    /// The default time-out for accepting or canceling a goal.
     pub const TIMEOUT: Duration = Duration::from_secs(10);
 
-    /// Begins a declaration; `access` tells where in the module its client is.
+    /// Starts a declaration; `access` returns the client in the module.
     pub fn builder<M: Module>(access: fn(&mut M) -> &mut Self) -> ClientBuilder<A, M> {
         ClientBuilder::new(access)
     }
 
-    /// For a module that was set up before, the counter goes on: the ids stay different.
+    /// If the module was set up before, the counter continues, so that ids stay unique.
     fn declare(&mut self, action: &str, keys: ClientKeys<A>) {
         *self = Self { action: action.to_owned(), keys: Some(keys), next: self.next, goals: Vec::new() };
     }
 
-    /// Sends a goal. What becomes of it is told to the callbacks of the declaration.
+    /// Sends a goal. The callbacks of the declaration report its progress.
     ///
     /// # Panics
     /// If the client was not declared in the module's setup, which stops the module.
@@ -95,37 +95,38 @@ impl<A: Action> ActionClient<A> {
         id
     }
 
-    /// Asks that a goal be canceled.
+    /// Requests to cancel a goal.
     ///
     /// # Panics
-    /// As [`send`](Self::send).
+    /// See [`send`](Self::send).
     pub fn cancel<P>(&self, ctx: &mut Context<'_, P>, id: GoalId) {
         self.ask_to_cancel(ctx, GoalInfo { goal_id: id.into(), ..GoalInfo::default() });
     }
 
-    /// Asks that all goals of the server be canceled, those of others too.
+    /// Requests to cancel all goals of the server, including those of other clients.
     ///
     /// # Panics
-    /// As [`send`](Self::send).
+    /// See [`send`](Self::send).
     pub fn cancel_all<P>(&self, ctx: &mut Context<'_, P>) {
         self.ask_to_cancel(ctx, GoalInfo::default());
     }
 
-    /// Asks that all goals that the server accepted at that time or before be canceled, those of others too.
+    /// Requests to cancel all goals that the server accepted at or before that time, including those of other
+    /// clients.
     ///
     /// # Panics
-    /// As [`send`](Self::send).
+    /// See [`send`](Self::send).
     pub fn cancel_before<P>(&self, ctx: &mut Context<'_, P>, time: Time) {
         self.ask_to_cancel(ctx, GoalInfo { goal_id: UUID::default(), stamp: stamp(time) });
     }
 
-    /// The goals that were sent and have not ended, in the order in which they were sent, with what the server last said
-    /// of them; unknown until it has said something.
+    /// The active goals in the order in which they were sent, with their last reported status; unknown until
+    /// the server reports one.
     pub fn goals(&self) -> impl Iterator<Item = (GoalId, GoalStatus)> {
         self.goals.iter().map(|goal| (goal.id, goal.status))
     }
 
-    /// What the server last said of a goal; nothing if it was not sent from here or has ended.
+    /// The last reported status of a goal; `None` if it was not sent by this client or has ended.
     #[must_use]
     pub fn status(&self, id: GoalId) -> Option<GoalStatus> {
         self.goals().find(|(known, _)| *known == id).map(|(_, status)| status)
@@ -145,9 +146,9 @@ impl<A: Action> ActionClient<A> {
     }
 }
 
-/// What answers and messages do.
+/// Handling of answers and messages.
 impl<A: Action> ActionClient<A> {
-    /// Takes the answer to a goal that was sent, and asks for the result of one that was accepted.
+    /// Handles the answer to a goal, and requests the result if it was accepted.
     fn answered<P>(
         &mut self,
         ctx: &mut Context<'_, P>,
@@ -162,7 +163,7 @@ impl<A: Action> ActionClient<A> {
             Ok((true, stamp)) => {
                 goal.is_accepted = true;
                 goal.call = ctx.call(get_result, A::get_result_request(id.into()));
-                // A status that came before may say more.
+                // An earlier status message may be more recent.
                 if goal.status == GoalStatus::Unknown {
                     goal.status = GoalStatus::Accepted;
                 }
@@ -212,7 +213,7 @@ type OnResult<A, M> = dyn FnMut(&mut M, GoalId, Result<GoalResult<A>, CallError>
 type OnCancel<M> =
     dyn FnMut(&mut M, Result<CancelGoalResponse, CallError>, &mut Context<'_, <M as Module>::Ports>) + Send;
 
-/// A declaration that a module uses an action; from [`ActionClient::builder`].
+/// The declaration that a module uses an action; created by [`ActionClient::builder`].
 #[must_use = "an action can be used when this is declared"]
 pub struct ClientBuilder<A: Action, M: Module> {
     access: fn(&mut M) -> &mut ActionClient<A>,
@@ -237,7 +238,8 @@ impl<A: Action, M: Module> ClientBuilder<A, M> {
         }
     }
 
-    /// Is called once for each goal: with the time at which it was accepted, or with why it is not pursued.
+    /// Sets the callback that is called once for each goal, with the time of acceptance or the reason why it
+    /// is not pursued.
     pub fn on_response(
         mut self,
         take: impl FnMut(&mut M, GoalId, Result<Time, GoalRefused>, &mut Context<'_, M::Ports>) + Send + 'static,
@@ -246,7 +248,7 @@ impl<A: Action, M: Module> ClientBuilder<A, M> {
         self
     }
 
-    /// Is called with the feedback to goals that this client has sent.
+    /// Sets the callback for feedback to goals of this client.
     pub fn on_feedback(
         mut self,
         take: impl FnMut(&mut M, GoalId, &A::Feedback, &mut Context<'_, M::Ports>) + Send + 'static,
@@ -255,7 +257,8 @@ impl<A: Action, M: Module> ClientBuilder<A, M> {
         self
     }
 
-    /// Is called once for each goal that was accepted: with its end, or with why that is not known.
+    /// Sets the callback that is called once for each accepted goal, with its result or the reason why that
+    /// is unknown.
     pub fn on_result(
         mut self,
         take: impl FnMut(&mut M, GoalId, Result<GoalResult<A>, CallError>, &mut Context<'_, M::Ports>)
@@ -266,7 +269,7 @@ impl<A: Action, M: Module> ClientBuilder<A, M> {
         self
     }
 
-    /// Is called with the answer to each request to cancel.
+    /// Sets the callback for the answers to cancel requests.
     pub fn on_cancel(
         mut self,
         take: impl FnMut(&mut M, Result<CancelGoalResponse, CallError>, &mut Context<'_, M::Ports>)
@@ -277,25 +280,27 @@ impl<A: Action, M: Module> ClientBuilder<A, M> {
         self
     }
 
-    /// How long the server may take to say whether it takes a goal or cancels one; [`ActionClient::TIMEOUT`] unless given.
+    /// How long the server may take to accept or cancel a goal; by default [`ActionClient::TIMEOUT`].
     pub fn timeout(mut self, timeout: Duration) -> Self {
         self.timeout = timeout;
         self
     }
 
-    /// How long a goal may take from its acceptance to its end, after which its client gives it up; for ever unless given.
+    /// How long a goal may take from its acceptance to its end before the client gives up; by default
+    /// forever.
     pub fn result_timeout(mut self, timeout: Duration) -> Self {
         self.result_timeout = timeout;
         self
     }
 
-    /// Declares that the module calls the three services of the action and hears its two topics, in the module's setup;
-    /// `client` is what `access` leads to. A module has one client of an action: two would make the same ids.
+    /// Declares the calls of the action's three services and the subscriptions to its two topics, in the
+    /// module's setup; `client` must be the one returned by `access`. A module may have only one client of an
+    /// action: two would create the same ids.
     ///
-    /// A name that the module was given for the action holds for all of them.
+    /// Remapping the action applies to all of them.
     ///
     /// # Errors
-    /// A name that is not valid, or an action of another type.
+    /// If the name is invalid, or the action has another type.
     pub fn declare(
         self,
         setup: &mut Setup<'_, M>,
@@ -324,7 +329,7 @@ impl<A: Action, M: Module> ClientBuilder<A, M> {
             timeout,
             move |module, reply: Reply<CancelGoalResponse>, ctx| on_cancel(module, reply.result, ctx),
         )?;
-        // Before the results, which come to the callbacks after them.
+        // Before the results, so that callbacks receive results after feedback.
         setup.subscribe(
             &part(&action, "status"),
             move |module, statuses: Received<'_, GoalStatusArray>, _| access(module).take_status(&statuses),

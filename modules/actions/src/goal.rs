@@ -1,4 +1,4 @@
-//! Goals: their ids, and the states they go through.
+//! Goals: their ids and states.
 
 use downbeat_executor::Time;
 use downbeat_msgs::action_msgs::msg::GoalStatus as StatusMessage;
@@ -6,22 +6,23 @@ use downbeat_msgs::unique_identifier_msgs::msg::UUID;
 use std::fmt;
 use thiserror::Error;
 
-/// Tells the goals of an action apart. Whoever sends a goal makes its id.
+/// The id of a goal of an action, chosen by the client that sends it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct GoalId(pub [u8; 16]);
 
 impl GoalId {
-    /// The id of a goal that a module sends: different for each, since the time is in it, and the same again in a replay.
+    /// The id of a goal that a module sends: unique, since it depends on the time and a counter, and the same
+    /// in a replay.
     pub(super) fn new(module: &str, action: &str, time: Time, number: u64) -> Self {
         let (time, number) = (time.as_nanos().to_le_bytes(), number.to_le_bytes());
-        // No name has a zero byte, so it parts them.
+        // Names contain no zero byte, so it separates them.
         let bytes = module.bytes().chain([0]).chain(action.bytes()).chain([0]).chain(time).chain(number);
         // FNV-1a with 128 bits (draft-eastlake-fnv).
         let hash = bytes.fold(0x6c62_272e_07bb_0142_62b8_2175_6295_c58d_u128, |hash, byte| {
             (hash ^ u128::from(byte)).wrapping_mul(0x0100_0000_0000_0000_0000_013b)
         });
         let mut id = hash.to_be_bytes();
-        // Version 8 and the variant of RFC 9562: an id made as its maker likes.
+        // Version 8 and the variant of RFC 9562: a custom id.
         id[6] = (id[6] & 0x0f) | 0x80;
         id[8] = (id[8] & 0x3f) | 0x80;
         Self(id)
@@ -47,23 +48,23 @@ impl fmt::Display for GoalId {
     }
 }
 
-/// What has become of a goal.
+/// The status of a goal.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum GoalStatus {
-    /// The server does not know the goal (any more).
+    /// The server does not know the goal, or no longer knows it.
     #[default]
     Unknown,
-    /// It was accepted and waits.
+    /// Accepted, waiting for execution.
     Accepted,
-    /// The server works on it.
+    /// Being executed.
     Executing,
-    /// It is to be canceled, and the server is about to.
+    /// Being canceled.
     Canceling,
-    /// It was reached.
+    /// Reached.
     Succeeded,
-    /// It was canceled.
+    /// Canceled.
     Canceled,
-    /// The server gave it up.
+    /// Aborted by the server.
     Aborted,
 }
 
@@ -88,7 +89,7 @@ impl GoalStatus {
         }
     }
 
-    /// What a number in a message means; one that means nothing is unknown.
+    /// The status with that number; unknown numbers become [`Unknown`](Self::Unknown).
     #[must_use]
     pub fn from_message(status: i8) -> Self {
         let all = [
@@ -102,7 +103,8 @@ impl GoalStatus {
         all.into_iter().find(|known| known.to_message() == status).unwrap_or_default()
     }
 
-    /// The state after an event, where it can happen in this one (`rcl_action/src/rcl_action/goal_state_machine.c`).
+    /// The state after an event, if it is permitted in this state
+    /// (`rcl_action/src/rcl_action/goal_state_machine.c`).
     pub(super) fn after(self, event: GoalEvent) -> Option<Self> {
         match (self, event) {
             (Self::Accepted, GoalEvent::Execute) => Some(Self::Executing),
@@ -129,7 +131,7 @@ impl fmt::Display for GoalStatus {
     }
 }
 
-/// What happens to a goal.
+/// An event of a goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum GoalEvent {
     Execute,
@@ -151,7 +153,7 @@ impl fmt::Display for GoalEvent {
     }
 }
 
-/// Something cannot be done with a goal.
+/// An operation on a goal failed.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum GoalError {
     /// It was never accepted, or its result has expired.
@@ -169,9 +171,9 @@ pub enum GoalError {
         action: String,
         /// The goal.
         goal: GoalId,
-        /// What was asked.
+        /// The requested operation.
         asked: String,
-        /// What it is.
+        /// Its status.
         status: GoalStatus,
     },
 }
@@ -181,7 +183,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ids_differ_by_all_they_are_made_of_and_are_the_same_again() {
+    fn ids_depend_on_all_their_inputs_and_are_reproducible() {
         let id = |module: &str, action: &str, time, number| {
             GoalId::new(module, action, Time::from_nanos(time), number)
         };
@@ -202,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn a_goal_goes_the_ways_of_rcl_action_and_no_others() {
+    fn a_goal_makes_the_transitions_of_rcl_action_and_no_others() {
         use GoalEvent::{Abort, Cancel, Canceled, Execute, Succeed};
         use GoalStatus as Status;
         let ways = [

@@ -1,9 +1,10 @@
-//! Actions: goals that take time, with feedback on the way and a result at the end, and that can be canceled.
+//! Actions: goals that take time, with feedback, a result, and cancellation.
 //!
-//! A module serves an action with an [`ActionServer`] and uses one with an [`ActionClient`], both of them fields of the module.
-//! On both sides an action is what it is in ROS 2: the services `<action>/_action/send_goal`, `cancel_goal` and `get_result`,
-//! and the topics `feedback` and `status` beside them. So modules use each other's actions, and the bridge shows them to ROS 2
-//! and lets modules use those of ROS 2, with nothing else in between.
+//! A module serves an action with an [`ActionServer`] and uses one with an [`ActionClient`], both of them
+//! fields of the module. As in ROS 2, an action consists of the services `<action>/_action/send_goal`,
+//! `cancel_goal` and `get_result`, and the topics `feedback` and `status`. Modules can use each other's
+//! actions, and the bridge exposes them to ROS 2 and gives modules access to those of ROS 2 without further
+//! code.
 //!
 //! ```
 //! use downbeat_executor::{Context, Core, ManualClock, Module, Setup, SetupError, Time};
@@ -73,12 +74,14 @@
 //! ```
 //!
 //! # Time and order
-//! Like all that modules ask of each other, goals, answers and results take a cycle each, and the same input gives the same
-//! again under every launcher. The ids of goals come from the names of module and action, the time, and a counter.
+//! Like all calls between modules, goals, answers and results take one cycle each, and the same input gives
+//! the same result under every launcher. Ids of goals are derived from the names of module and action, the
+//! time, and a counter.
 //!
 //! # References
-//! - `rcl_action` and `rclcpp_action` (branch jazzy) for states, requests to cancel, status messages and expiry. Other than in
-//!   `rcl_action` 9.2.0 the result is kept for its time from the goal's end, not from its acceptance.
+//! - `rcl_action` and `rclcpp_action` (branch jazzy) for states, requests to cancel, status messages and
+//!   expiry. Unlike in `rcl_action` 9.2.0, the time for which a result is kept starts at the goal's end, not
+//!   at its acceptance.
 
 mod client;
 mod goal;

@@ -1,4 +1,4 @@
-//! The goals that a module was given.
+//! The server side of an action: goals that a module has accepted.
 
 use super::goal::GoalEvent;
 use super::{
@@ -22,7 +22,7 @@ pub struct ActionServer<A: Action> {
     result_timeout: Duration,
 }
 
-/// A goal that was accepted.
+/// An accepted goal.
 pub struct Goal<A: Action> {
     id: GoalId,
     goal: A::Goal,
@@ -30,7 +30,7 @@ pub struct Goal<A: Action> {
     status: GoalStatus,
     /// When it ended, and how.
     end: Option<(Time, A::Result)>,
-    /// Those that asked for its result.
+    /// Pending requests for its result.
     waiting: Vec<ResultResponder<A>>,
 }
 
@@ -41,21 +41,21 @@ struct Keys<A: Action> {
 }
 
 impl<A: Action> Default for ActionServer<A> {
-    /// One that serves nothing until it is declared.
+    /// Creates a server that serves nothing until it is declared.
     fn default() -> Self {
         Self { action: String::new(), keys: None, goals: Vec::new(), result_timeout: Self::RESULT_TIMEOUT }
     }
 }
 
 impl<A: Action> ActionServer<A> {
-    /// How long the result of a goal that has ended is kept, unless said otherwise: that of `rcl_action`
+    /// How long the result of a finished goal is kept by default, as in `rcl_action`
     /// (`rcl_action_server_get_default_options`, branch jazzy).
     pub const RESULT_TIMEOUT: Duration = Duration::from_secs(10);
 
-    /// As many goals are kept, those that have ended among them. What is above it is rejected.
+    /// The maximum number of goals, including finished ones. Further goals are rejected.
     pub const MAX_GOALS: usize = 1024;
 
-    /// Begins a declaration; `access` tells where in the module its server is.
+    /// Starts a declaration; `access` returns the server in the module.
     pub fn builder<M: Module>(access: fn(&mut M) -> &mut Self) -> ServerBuilder<A, M> {
         ServerBuilder::new(access)
     }
@@ -75,17 +75,17 @@ impl<A: Action> ActionServer<A> {
         self.goals.iter().find(|goal| goal.id == id)
     }
 
-    /// Begins to execute a goal that was accepted for later.
+    /// Starts a goal that was accepted with deferred execution.
     ///
     /// # Errors
-    /// If there is no such goal, or it does not wait.
+    /// If there is no such goal, or it is not waiting.
     pub fn execute<P>(&mut self, ctx: &mut Context<'_, P>, id: GoalId) -> Result<(), GoalError> {
         self.change(id, GoalEvent::Execute)?;
         self.publish_status(ctx);
         Ok(())
     }
 
-    /// Tells those that listen how far a goal is.
+    /// Publishes feedback on a goal.
     ///
     /// # Errors
     /// If there is no such goal, or it has ended.
@@ -103,10 +103,10 @@ impl<A: Action> ActionServer<A> {
         Ok(())
     }
 
-    /// Ends a goal that was reached.
+    /// Finishes a goal that was reached.
     ///
     /// # Errors
-    /// If there is no such goal, or it is neither executed nor to be canceled.
+    /// If there is no such goal, or it is neither executing nor canceling.
     pub fn succeed<P>(
         &mut self,
         ctx: &mut Context<'_, P>,
@@ -116,10 +116,10 @@ impl<A: Action> ActionServer<A> {
         self.end(ctx, id, GoalEvent::Succeed, result)
     }
 
-    /// Ends a goal that cannot be reached.
+    /// Finishes a goal that cannot be reached.
     ///
     /// # Errors
-    /// If there is no such goal, or it is neither executed nor to be canceled.
+    /// If there is no such goal, or it is neither executing nor canceling.
     pub fn abort<P>(
         &mut self,
         ctx: &mut Context<'_, P>,
@@ -129,10 +129,10 @@ impl<A: Action> ActionServer<A> {
         self.end(ctx, id, GoalEvent::Abort, result)
     }
 
-    /// Ends a goal that is to be canceled.
+    /// Finishes a goal that is being canceled.
     ///
     /// # Errors
-    /// If there is no such goal, or nobody canceled it.
+    /// If there is no such goal, or it is not being canceled.
     pub fn canceled<P>(
         &mut self,
         ctx: &mut Context<'_, P>,
@@ -170,7 +170,7 @@ impl<A: Action> ActionServer<A> {
         Ok(&mut self.goals[position])
     }
 
-    /// Only a server that was declared has goals.
+    /// The keys of a declared server; only declared servers have goals.
     fn keys(&self) -> &Keys<A> {
         match &self.keys {
             Some(keys) => keys,
@@ -190,23 +190,23 @@ impl<A: Action> ActionServer<A> {
     }
 }
 
-/// What requests do.
+/// Handling of requests.
 impl<A: Action> ActionServer<A> {
-    /// Why a goal cannot be taken, whatever the module thinks of it.
+    /// Why a goal must be rejected without asking the module.
     fn refusal(&self, id: GoalId) -> Option<String> {
         if self.goal(id).is_some() {
-            return Some("there is one of that id already".to_owned());
+            return Some("there already is a goal with that id".to_owned());
         }
         let is_full = self.goals.len() >= Self::MAX_GOALS;
-        is_full.then(|| format!("there are {} goals already", Self::MAX_GOALS))
+        is_full.then(|| format!("there already are {} goals", Self::MAX_GOALS))
     }
 
     fn accept(&mut self, id: GoalId, goal: A::Goal, status: GoalStatus, accepted_at: Time) {
         self.goals.push(Goal { id, goal, accepted_at, status, end: None, waiting: Vec::new() });
     }
 
-    /// The goals that a request means to cancel, and the answer where it is none, as `rcl_action_process_cancel_request`
-    /// has it: by id; or all that were accepted at a time or before; or all.
+    /// The goals that a cancel request selects, and the return code if there are none, as in
+    /// `rcl_action_process_cancel_request`: by id, all accepted at or before a time, or all.
     fn meant_by(&self, request: &CancelGoalRequest) -> (i8, Vec<GoalId>) {
         let GoalInfo { goal_id, stamp: time } = request.goal_info;
         let is_cancelable = |goal: &&Goal<A>| goal.status.after(GoalEvent::Cancel).is_some();
@@ -224,12 +224,12 @@ impl<A: Action> ActionServer<A> {
         (CancelGoalResponse::ERROR_NONE, goals.collect())
     }
 
-    /// Marks a goal as to be canceled; nothing if it has ended by now.
+    /// Marks a goal as canceling; returns `None` if it has already ended.
     fn cancel(&mut self, id: GoalId) -> Option<GoalInfo> {
         self.change(id, GoalEvent::Cancel).ok().map(|goal| goal.info())
     }
 
-    /// Answers a request for a result, now or when there is one.
+    /// Answers a request for a result, now or when it is available.
     fn tell_result<P>(&mut self, ctx: &mut Context<'_, P>, id: GoalId, responder: ResultResponder<A>) {
         let answer: GetResultResponse<A> = match self.goals.iter_mut().find(|goal| goal.id == id) {
             None => A::get_result_response(GoalStatus::Unknown.to_message(), A::Result::default()),
@@ -241,7 +241,7 @@ impl<A: Action> ActionServer<A> {
         ctx.reply(responder, Ok(answer));
     }
 
-    /// Forgets goals that ended long enough ago.
+    /// Removes finished goals whose result has expired.
     fn expire(&mut self, now: Time) {
         let timeout = self.result_timeout;
         let is_over = |goal: &Goal<A>| goal.end.as_ref().is_some_and(|(end, _)| *end + timeout <= now);
@@ -265,7 +265,7 @@ impl<A: Action> Goal<A> {
         self.id
     }
 
-    /// What is wanted.
+    /// The goal message.
     #[must_use]
     pub fn goal(&self) -> &A::Goal {
         &self.goal
@@ -277,7 +277,7 @@ impl<A: Action> Goal<A> {
         self.accepted_at
     }
 
-    /// What has become of it.
+    /// Its status.
     #[must_use]
     pub fn status(&self) -> GoalStatus {
         self.status
@@ -289,7 +289,7 @@ impl<A: Action> Goal<A> {
         self.status.is_active()
     }
 
-    /// True if it is to be canceled.
+    /// True while it is being canceled.
     #[must_use]
     pub fn is_canceling(&self) -> bool {
         self.status == GoalStatus::Canceling
@@ -300,23 +300,23 @@ impl<A: Action> Goal<A> {
     }
 }
 
-/// What a module thinks of a goal; named as in rclcpp.
+/// A module's decision about a goal; named as in rclcpp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GoalResponse {
-    /// It is not taken.
+    /// The goal is rejected.
     Reject,
-    /// It is taken, and work on it begins.
+    /// The goal is accepted, and execution starts.
     AcceptAndExecute,
-    /// It is taken, and waits until [`ActionServer::execute`].
+    /// The goal is accepted, and waits until [`ActionServer::execute`].
     AcceptAndDefer,
 }
 
-/// What a module thinks of canceling a goal; named as in rclcpp.
+/// A module's decision about canceling a goal; named as in rclcpp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CancelResponse {
-    /// It goes on.
+    /// The goal continues.
     Reject,
-    /// The module will end it, with [`ActionServer::canceled`] or as it likes.
+    /// The module will finish it, usually with [`ActionServer::canceled`].
     Accept,
 }
 
@@ -327,7 +327,7 @@ type OnGoal<A, M> = dyn FnMut(&mut M, GoalId, &<A as Action>::Goal, &mut Context
 type OnCancel<M> = dyn FnMut(&mut M, GoalId, &mut Context<'_, <M as Module>::Ports>) -> CancelResponse + Send;
 type OnEvent<M> = dyn FnMut(&mut M, GoalId, &mut Context<'_, <M as Module>::Ports>) + Send;
 
-/// A declaration that a module serves an action; from [`ActionServer::builder`].
+/// The declaration that a module serves an action; created by [`ActionServer::builder`].
 #[must_use = "an action is served when this is declared"]
 pub struct ServerBuilder<A: Action, M: Module> {
     access: fn(&mut M) -> &mut ActionServer<A>,
@@ -350,7 +350,7 @@ impl<A: Action, M: Module> ServerBuilder<A, M> {
         }
     }
 
-    /// Decides about goals that are sent; unless given, all are accepted and executed.
+    /// Sets the callback that decides about goals; by default all are accepted and executed.
     pub fn on_goal(
         mut self,
         decide: impl FnMut(&mut M, GoalId, &A::Goal, &mut Context<'_, M::Ports>) -> GoalResponse + Send + 'static,
@@ -359,7 +359,7 @@ impl<A: Action, M: Module> ServerBuilder<A, M> {
         self
     }
 
-    /// Is called when a goal was accepted: the server has it now.
+    /// Sets the callback that is called after a goal was accepted and added to the server.
     pub fn on_accepted(
         mut self,
         begin: impl FnMut(&mut M, GoalId, &mut Context<'_, M::Ports>) + Send + 'static,
@@ -368,7 +368,7 @@ impl<A: Action, M: Module> ServerBuilder<A, M> {
         self
     }
 
-    /// Decides whether an active goal may be canceled; unless given, none may.
+    /// Sets the callback that decides whether an active goal may be canceled; by default none may.
     pub fn on_cancel(
         mut self,
         decide: impl FnMut(&mut M, GoalId, &mut Context<'_, M::Ports>) -> CancelResponse + Send + 'static,
@@ -377,7 +377,8 @@ impl<A: Action, M: Module> ServerBuilder<A, M> {
         self
     }
 
-    /// Is called when a goal is [canceling](super::Goal::is_canceling), since [`on_cancel`](Self::on_cancel) accepted that.
+    /// Sets the callback that is called when a goal starts [canceling](super::Goal::is_canceling) after
+    /// [`on_cancel`](Self::on_cancel) accepted it.
     pub fn on_canceling(
         mut self,
         begin: impl FnMut(&mut M, GoalId, &mut Context<'_, M::Ports>) + Send + 'static,
@@ -386,19 +387,20 @@ impl<A: Action, M: Module> ServerBuilder<A, M> {
         self
     }
 
-    /// How long the result of a goal that has ended is kept, [`ActionServer::RESULT_TIMEOUT`] unless given;
-    /// [`Duration::MAX`] for ever, up to [`ActionServer::MAX_GOALS`] of them.
+    /// How long the result of a finished goal is kept; by default [`ActionServer::RESULT_TIMEOUT`].
+    /// [`Duration::MAX`] means forever, up to [`ActionServer::MAX_GOALS`] goals.
     pub fn result_timeout(mut self, timeout: Duration) -> Self {
         self.result_timeout = timeout;
         self
     }
 
-    /// Declares the three services and two topics of the action, in a module's setup; `server` is what `access` leads to.
+    /// Declares the three services and two topics of the action, in a module's setup; `server` must be the
+    /// one returned by `access`.
     ///
-    /// A name that the module was given for the action holds for all of them.
+    /// Remapping the action applies to all of them.
     ///
     /// # Errors
-    /// A name that is not valid, an action of another type, or one that is served already.
+    /// If the name is invalid, the action has another type, or it is already served.
     pub fn declare(
         self,
         setup: &mut Setup<'_, M>,
@@ -476,11 +478,11 @@ fn serve_cancels<A: Action, M: Module>(
             let mut goals_canceling = Vec::new();
             for id in &meant {
                 if on_cancel(module, *id, ctx) == CancelResponse::Accept {
-                    // The module may have ended it just now.
+                    // The module may have just finished it.
                     goals_canceling.extend(access(module).cancel(*id));
                 }
             }
-            // As in rclcpp_action: where all refuse, the request as a whole is rejected.
+            // As in rclcpp_action: if all are refused, the request as a whole is rejected.
             if !meant.is_empty() && goals_canceling.is_empty() {
                 return_code = CancelGoalResponse::ERROR_REJECTED;
             }

@@ -1,17 +1,17 @@
-//! Things that go wrong again and again: logged once, then counted.
+//! Repeated faults: logged with decreasing frequency and counted.
 
-/// Counts something that goes wrong, and says when it is worth a line in the log.
+/// Counts a fault, and decides when to log it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Counted(u64);
 
 impl Counted {
-    /// Counts once more. True the 1st, 10th, 100th, … time.
+    /// Counts one occurrence. Returns true the 1st, 10th, 100th, … time.
     pub(super) fn is_worth_a_line(&mut self) -> bool {
         self.0 += 1;
         10_u64.pow(self.0.ilog10()) == self.0
     }
 
-    /// How often it went wrong so far.
+    /// The number of occurrences.
     pub(super) fn count(self) -> u64 {
         self.0
     }
@@ -22,7 +22,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_log_hears_of_powers_of_ten() {
+    fn powers_of_ten_are_logged() {
         let mut counted = Counted::default();
         let lines: Vec<u64> = (1..=250).filter(|_| counted.is_worth_a_line()).collect();
         assert_eq!(lines, [1, 10, 100]);

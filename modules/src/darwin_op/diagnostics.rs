@@ -1,4 +1,4 @@
-//! What is wrong with the robot, as `diagnostics` says it (REP-107).
+//! The robot's faults in the form of `diagnostics` (REP-107).
 
 use super::driver::{Driver, Phase};
 use super::messages::header;
@@ -11,15 +11,15 @@ use downbeat_executor::Time;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use std::time::Duration;
 
-/// Below this the battery wants charging: 3.5 V for each of its three cells, as everybody's LiPo.
+/// Below this the battery needs charging: 3.5 V for each of its three LiPo cells.
 const LOW_BATTERY_TENTHS: u16 = 105;
-/// How long the bus is called bad after an answer was missing or corrupt.
+/// How long the bus is reported as bad after a missing or corrupt answer.
 const BAD_BUS: Duration = Duration::from_secs(2);
 
-/// How bad each part is: bus, board, servos. Diagnostics go out when one of these changes.
+/// The level of each part: bus, board, servos. Diagnostics are published when one of them changes.
 pub(super) type Levels = [u8; COUNT + 2];
 
-/// How bad each part is now.
+/// The current level of each part.
 pub(super) fn levels(now: Time, driver: &Driver) -> Levels {
     std::array::from_fn(|part| match part {
         0 => bus_level(now, driver),
@@ -28,7 +28,7 @@ pub(super) fn levels(now: Time, driver: &Driver) -> Levels {
     })
 }
 
-/// All there is to say.
+/// The complete report.
 pub(super) fn report(now: Time, driver: &Driver, unknown_names: u64, settings: &Settings) -> DiagnosticArray {
     let mut status = vec![bus(now, driver, unknown_names, settings), board(driver)];
     status.extend(driver.servos.iter().zip(&JOINTS).map(|(one, joint)| servo(driver, one, joint)));
@@ -77,7 +77,7 @@ fn servo_level(driver: &Driver, servo: &Servo) -> u8 {
 fn bus(now: Time, driver: &Driver, unknown_names: u64, settings: &Settings) -> DiagnosticStatus {
     let message = match driver.phase {
         Phase::Running if is_lossy(now, driver) && is_late(now, driver) => {
-            "running, but this machine is too busy: answers come after they were given up"
+            "running, but this machine is too busy: answers arrive after their time-out"
         }
         Phase::Running if is_lossy(now, driver) => "running, but answers are missing or corrupt",
         Phase::Running => "running",
@@ -112,12 +112,12 @@ fn board(driver: &Driver) -> DiagnosticStatus {
 
 fn servo(driver: &Driver, servo: &Servo, joint: &Joint) -> DiagnosticStatus {
     let message = match (&servo.service, servo.alarms()) {
-        (Service::Active, _) if driver.phase != Phase::Running => "waits for the bus".to_owned(),
+        (Service::Active, _) if driver.phase != Phase::Running => "waiting for the bus".to_owned(),
         (Service::Active, StatusError::NONE) => "OK".to_owned(),
         (Service::Active, alarms) => format!("the servo reports: {alarms}"),
         (Service::Silent { .. }, _) => "no answer; its joint is stale".to_owned(),
         (Service::Unsuitable { reason, .. }, _) => reason.clone(),
-        (Service::Unknown, _) => "not asked yet".to_owned(),
+        (Service::Unknown, _) => "not polled yet".to_owned(),
     };
     let mut values =
         vec![value("answers missed", servo.missed), value("times out of service", servo.outages.count())];

@@ -1,7 +1,8 @@
-//! The cycle of the hardware: opens the port, takes the servos into service, then writes goals and reads all back.
+//! The cycle of the hardware: opens the port, brings the servos into service, then writes goals and reads all
+//! devices.
 //!
-//! It does one step when it is told to and never waits but for answers. What it does depends only on the time it is
-//! given, its settings, where the joints are wanted, and what the bus answers.
+//! It does one step per call and only waits for answers. Its behaviour depends only on the given time, its
+//! settings, the wanted joint positions, and the answers from the bus.
 
 use super::bus::{Bus, Exchange, LATE, Outcome};
 use super::counted::Counted;
@@ -15,47 +16,49 @@ use super::tables::{cm730, mx28};
 use downbeat_executor::Time;
 use std::time::Duration;
 
-/// How often a servo is asked before the cycle begins, until it is left out.
+/// The number of attempts to reach a servo before the cycle starts.
 const ATTEMPTS_TO_PREPARE: u32 = 3;
 
-/// What servos need from power on until they answer.
+/// The time from power on until servos answer.
 const POWER_ON: Duration = Duration::from_millis(300);
-/// How long a servo out of service is left alone. Asking a silent one costs 5 ms, more than a cycle has to spare.
+/// The time between attempts to reach a servo out of service. Polling a silent one takes 5 ms, more than the
+/// idle time of a cycle.
 const RETRY_SERVO: Duration = Duration::from_secs(1);
-/// At most one servo out of service is asked in this time, however many there are.
+/// At most one servo out of service is polled in this time, however many there are.
 const RETRY_ANY: Duration = Duration::from_millis(250);
-/// How long a board that does not answer is left alone.
+/// The time between attempts to reach a silent board.
 const RETRY_BOARD: Duration = Duration::from_millis(500);
-/// How long a port that does not work is left alone: at first, and at most.
+/// The first and the longest time between attempts to open a failed port.
 const RETRY_PORT: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(2)];
-/// So many answers in a row may be missing before a servo is taken out of service.
+/// The number of consecutive missing answers before a servo is taken out of service.
 const MISSES_OF_A_SERVO: u32 = 2;
-/// So many may be corrupt: then its connection is bad, but the others do not suffer.
+/// The same for corrupt answers: the connection is bad, but other servos are not affected.
 const CORRUPT_OF_A_SERVO: u32 = 10;
-/// So many cycles may bring nothing from the board before the port is opened anew.
+/// The number of cycles without answers from the board before the port is reopened.
 const MISSES_OF_THE_BOARD: u32 = 10;
 
-/// How far it has come.
+/// The phase of the driver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Phase {
-    /// The port is closed. Is opened then.
+    /// The port is closed and will be opened at `retry_at`.
     Closed { retry_at: Time },
-    /// The port is open, the servos have no power. The board is told to give it then.
+    /// The port is open, the servos have no power. The board will be instructed to switch them on at
+    /// `retry_at`.
     Open { retry_at: Time },
-    /// The servos have power, and wake up until then.
+    /// The servos have power and are starting up.
     PowerOn { until: Time },
-    /// The servos are taken into service; this one is next.
+    /// The servos are being brought into service; `next` is the next one.
     Preparing { next: usize },
-    /// All that answer are in service.
+    /// All servos that answer are in service.
     Running,
 }
 
-/// What went wrong so far.
+/// Counts of faults.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Troubles {
-    /// Exchanges to which an answer was missing or corrupt.
+    /// Exchanges with a missing or corrupt answer.
     pub(super) timeouts: Counted,
-    /// Answers that came after they were given up.
+    /// Answers that arrived after their time-out.
     pub(super) late: Counted,
     /// How often the port was lost.
     pub(super) lost_ports: Counted,
@@ -71,16 +74,16 @@ pub(super) struct Driver {
     pub(super) servos: [Servo; COUNT],
     pub(super) board: Option<BoardReading>,
     pub(super) troubles: Troubles,
-    /// How many exchanges there were.
+    /// The number of exchanges.
     pub(super) exchanges: u64,
     /// When an answer was last missing or corrupt.
     pub(super) last_timeout_at: Option<Time>,
-    /// When an answer last came too late.
+    /// When an answer was last late.
     pub(super) last_late_at: Option<Time>,
     board_misses: u32,
     port_wait: Duration,
     retry_any_at: Time,
-    /// Gains that the servos in service have.
+    /// The gains of the servos in service.
     gains: [u8; 3],
 }
 
@@ -101,7 +104,7 @@ impl Driver {
         }
     }
 
-    /// Does one step. Gives back what was read, if the robot runs.
+    /// Does one step. Returns the reading if the robot is running.
     pub(super) fn step(
         &mut self,
         now: Time,
@@ -133,16 +136,16 @@ impl Driver {
         reading
     }
 
-    /// Lets go of the port. The servos hold where they are: without torque the robot would collapse.
+    /// Closes the port. The servos hold their position: without torque the robot would collapse.
     ///
-    /// The light on the head turns green, as the framework of the manufacturer leaves it.
+    /// The head light turns green, as in the manufacturer's framework.
     pub(super) fn stop(&mut self, now: Time, bus: &mut dyn Bus, exchanges: &mut Vec<Exchange>) {
         if matches!(self.phase, Phase::Closed { .. }) {
             return;
         }
         bus.begin_step(now);
         let mut line = Line { bus, exchanges };
-        // Whether the light obeys changes nothing.
+        // Ignores whether the light changes.
         let _ = line.write(Id::CM730, cm730::LED_HEAD.address, &GREEN.to_le_bytes());
         line.close();
         self.phase = Phase::Closed { retry_at: Time::MAX };
@@ -155,7 +158,7 @@ impl Driver {
         if self.troubles.refused_ports.is_worth_a_line() {
             let count = self.troubles.refused_ports.count();
             let error = line.exchanges.last().map_or("", |exchange| &exchange.error);
-            tracing::warn!("{error} (failed {count} times so far, trying on)");
+            tracing::warn!("{error} (failed {count} times so far, retrying)");
         }
         self.wait_for_port(now);
         Ok(())
@@ -196,7 +199,7 @@ impl Driver {
         let was_out = servo.retry_at().is_some();
         let mut prepared = prepare(line, joint.id, self.gains);
         if matches!(self.phase, Phase::Preparing { .. }) {
-            // No cycle waits yet, and a servo left out now joins a second late.
+            // No cycle is waiting yet, and a servo left out now joins a second later.
             for _ in 1..ATTEMPTS_TO_PREPARE {
                 if prepared != Err(PrepareError::Trouble(Trouble::Silent)) {
                     break;
@@ -241,10 +244,11 @@ impl Driver {
         Ok(reading)
     }
 
-    /// Writes to all servos in service at once. Nobody says whether it came, so goals are written in every cycle.
+    /// Writes to all servos in service at once. Devices do not acknowledge, so goals are written in every
+    /// cycle.
     ///
-    /// Goals alone take 68 bytes for 20 servos. That fits the 143 bytes a servo can buffer, and leaves the cycle
-    /// 0.8 ms more than writing the gains along with them would.
+    /// Goals alone take 68 bytes for 20 servos. That fits into the 143 byte buffer of a servo, and leaves the
+    /// cycle 0.8 ms more than writing the gains along with them would.
     fn write_all<const N: usize>(
         &mut self,
         line: &mut Line<'_>,
@@ -277,15 +281,15 @@ impl Driver {
         if self.board_misses > MISSES_OF_THE_BOARD {
             if self.troubles.silent_board.is_worth_a_line() {
                 let count = self.troubles.silent_board.count();
-                tracing::warn!("the CM-730 has gone silent ({count} times so far), opening the port anew");
+                tracing::warn!("the CM-730 does not answer ({count} times so far), reopening the port");
             }
             return Err(PortFailed);
         }
         Ok(reading)
     }
 
-    /// Finds out whose fault it is that answers are missing. Behind a silent device nobody answers a bulk read, so
-    /// only the first that is missing is to blame; if others answered after it, its answer was corrupt.
+    /// Determines which device caused missing answers. After a silent device no other answers a bulk read, so
+    /// only the first missing one is at fault; if others answered after it, its answer was corrupt.
     fn blame(&mut self, reading: &Reading, joints: &[usize], now: Time) {
         let is_silent = reading.first_missing.is_some() && !reading.chain_went_on;
         self.board_misses = if reading.board.is_none() && is_silent { self.board_misses + 1 } else { 0 };
@@ -296,7 +300,7 @@ impl Driver {
                 continue;
             }
             servo.missed += 1;
-            // The board comes first.
+            // The board is first.
             let is_first = reading.first_missing == Some(position + 1);
             if is_first || reading.chain_went_on {
                 servo.misses += 1;
@@ -322,7 +326,7 @@ impl Driver {
         }
     }
 
-    /// Asks one of the servos out of service whether it is back.
+    /// Polls one of the servos out of service.
     fn retry_one(&mut self, now: Time, line: &mut Line<'_>) -> Result<(), PortFailed> {
         if now < self.retry_any_at || self.phase != Phase::Running {
             return Ok(());
@@ -368,7 +372,7 @@ impl Driver {
             if self.troubles.late.is_worth_a_line() {
                 let count = self.troubles.late.count();
                 tracing::warn!(
-                    "this machine is too busy: an answer on the bus came after it was given up ({count} times so far)"
+                    "this machine is too busy: an answer on the bus arrived after its time-out ({count} times so far)"
                 );
             }
         }
@@ -385,14 +389,14 @@ impl Driver {
 /// LED colour.
 const GREEN: u16 = 0x1F << 5;
 
-/// The port does not work; the bus has said why.
+/// The port does not work; the exchange contains the reason.
 struct PortFailed;
 
 fn silence(servo: &mut Servo, index: usize, now: Time) {
     if servo.retry_at().is_none() && servo.outages.is_worth_a_line() {
         let (joint, count) = (&JOINTS[index], servo.outages.count());
         tracing::warn!(
-            "servo {} ({}) does not answer ({count} times so far), others go on",
+            "servo {} ({}) does not answer ({count} times so far), others continue",
             joint.id,
             joint.name
         );

@@ -4,29 +4,29 @@ use super::bus::{Bus, Exchange, ExpectedStatus, Outcome};
 use super::protocol::{Id, Instruction, StatusError};
 use super::reading::for_each_status;
 
-/// The bus during one step, and what was exchanged in it.
+/// The bus during one step, and the exchanges of the step.
 pub(super) struct Line<'a> {
     pub(super) bus: &'a mut dyn Bus,
     pub(super) exchanges: &'a mut Vec<Exchange>,
 }
 
-/// Why a device did not do as told.
+/// Why a device did not execute an instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Trouble {
     /// The port does not work.
     PortFailed,
     /// No answer, or a corrupt one.
     Silent,
-    /// It answers that it cannot.
+    /// It answered with an error.
     Refused(StatusError),
 }
 
-/// Error bits that say that an instruction was not obeyed. The others are about the device's state.
+/// Error bits that mean an instruction was not executed. The others concern the device's state.
 const REFUSALS: [StatusError; 4] =
     [StatusError::ANGLE_LIMIT, StatusError::RANGE, StatusError::CHECKSUM, StatusError::INSTRUCTION];
 
 impl Line<'_> {
-    /// Opens the port. True if it works.
+    /// Opens the port. Returns true if it works.
     pub(super) fn open(&mut self, port: &str) -> bool {
         let exchange = self.bus.open(port);
         let is_open = exchange.outcome == Outcome::Ok;
@@ -40,19 +40,19 @@ impl Line<'_> {
         self.exchanges.push(exchange);
     }
 
-    /// Sends an instruction and notes what came of it.
+    /// Sends an instruction and records the exchange.
     pub(super) fn exchange(&mut self, instruction: &[u8], expected: &[ExpectedStatus]) -> &Exchange {
         let exchange = self.bus.exchange(instruction, expected);
         self.exchanges.push(exchange);
         &self.exchanges[self.exchanges.len() - 1]
     }
 
-    /// Reads a piece of a device's control table.
+    /// Reads part of a device's control table.
     pub(super) fn read(&mut self, id: Id, address: u8, length: u8) -> Result<Vec<u8>, Trouble> {
         self.ask(Instruction::Read { id, address, length }, length)
     }
 
-    /// Writes to a device's control table, and waits until it says that it has.
+    /// Writes to a device's control table, and waits for the acknowledgement.
     pub(super) fn write(&mut self, id: Id, address: u8, data: &[u8]) -> Result<(), Trouble> {
         self.ask(Instruction::Write { id, address, data }, 0).map(|_| ())
     }

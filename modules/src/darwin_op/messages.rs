@@ -1,4 +1,4 @@
-//! From readings to ROS messages.
+//! Converts readings to ROS messages.
 
 use super::reading::{BoardReading, Reading};
 use super::servo::Servo;
@@ -13,17 +13,17 @@ use downbeat_msgs::geometry_msgs::msg::Vector3;
 use downbeat_msgs::sensor_msgs::msg::{BatteryState, Imu, JointState, Joy};
 use downbeat_msgs::std_msgs::msg::Header;
 
-/// Of the battery, in Ah.
+/// The capacity of the battery, in Ah.
 const DESIGN_CAPACITY_AH: f32 = 1.0;
 
-/// A header for something measured then.
+/// A header with that stamp.
 pub(super) fn header(stamp: Time, frame_id: &str) -> Header {
     let stamp = builtin_interfaces::msg::Time::from_nanos(stamp.as_nanos());
     Header { stamp, frame_id: frame_id.to_owned() }
 }
 
-/// All joints. A stale one keeps its last position, and has NaN for what is not known: velocity and effort, and the
-/// position too if it was never read.
+/// All joints. A stale one keeps its last position and has NaN as velocity and effort, and as position if it
+/// was never read.
 pub(super) fn joint_state(reading: &Reading, servos: &[Servo; COUNT], settings: &Settings) -> JointState {
     let mut message = JointState {
         header: header(reading.sent, &settings.joint_frame),
@@ -42,7 +42,7 @@ pub(super) fn joint_state(reading: &Reading, servos: &[Servo; COUNT], settings: 
     message
 }
 
-/// Angular rate and specific force. The orientation is not measured, which -1 says.
+/// Angular rate and specific force. The orientation is not measured, as marked by -1.
 ///
 /// The covariances take one step of the 10-bit numbers as standard deviation.
 pub(super) fn imu(sent: Time, board: &BoardReading, settings: &Settings) -> Imu {

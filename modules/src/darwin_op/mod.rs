@@ -1,10 +1,11 @@
 //! The Darwin OP humanoid: its bus, its devices, its joints, and the module that drives it.
 //!
-//! - [`protocol`] and [`tables`] are data and its meaning, without input or output;
-//! - [`bus`] is the way to the devices: a serial port, or the recording of one;
+//! - [`protocol`] and [`tables`] define data and its meaning, without input or output;
+//! - [`bus`] accesses the devices: a serial port, or a recording of one;
 //! - [`DarwinOp`] is the module.
 //!
-//! It was never run on a real robot, only on the emulated one of [`darwin_op_emulator`](crate::darwin_op_emulator).
+//! It has never been run on a real robot, only on the emulated one of
+//! [`darwin_op_emulator`](crate::darwin_op_emulator).
 
 pub mod bus;
 pub mod protocol;

@@ -16,25 +16,25 @@ use std::time::Duration;
 
 /// The cycle of the hardware.
 pub const CYCLE: Duration = Duration::from_millis(8);
-/// How often what changes slowly is published.
+/// The period of slowly changing data.
 const SLOW: Duration = Duration::from_secs(1);
 
 /// The hardware of a Darwin OP as a module: goals out, joints, IMU, battery and buttons in, every 8 ms.
 ///
-/// It waits for the bus, so it is to run detached.
+/// It waits for the bus, so run it detached.
 ///
 /// | topic | type | |
 /// | --- | --- | --- |
-/// | `joint_commands` (in) | `sensor_msgs/JointState` | positions by name, rad; unknown names and numbers that are none are ignored, others are brought inside the limits |
+/// | `joint_commands` (in) | `sensor_msgs/JointState` | positions by name, rad; unknown names and NaN are ignored, other values are clamped to the limits |
 /// | `joint_states` | `sensor_msgs/JointState` | 20 joints in the order of the ids: rad, rad/s, load as a fraction of the drive; stale joints have velocity and effort NaN |
 /// | `imu/data_raw` | `sensor_msgs/Imu` | forward, left, up: rad/s, m/s^2 |
 /// | `battery_state` | `sensor_msgs/BatteryState` | V, once a second |
 /// | `buttons` | `sensor_msgs/Joy` | mode, start; once a second and when they change |
-/// | `diagnostics` | `diagnostic_msgs/DiagnosticArray` | once a second and when something gets better or worse |
-/// | `bus/exchanges` | `downbeat_interfaces/BusExchange` | all that went over the bus |
+/// | `diagnostics` | `diagnostic_msgs/DiagnosticArray` | once a second and when a level changes |
+/// | `bus/exchanges` | `downbeat_interfaces/BusExchange` | all traffic on the bus |
 ///
-/// A joint does not move before it is commanded; then it first goes slowly (about 2 rad/s) until it has caught up with
-/// its command, and so after each time it was out of service. At the end the servos keep their torque.
+/// A joint does not move before it is commanded. It then approaches the command slowly (about 2 rad/s), as
+/// after each time it was out of service. On shutdown the servos keep their torque.
 pub struct DarwinOp {
     bus: Box<dyn Bus>,
     driver: Driver,
@@ -56,7 +56,7 @@ pub struct Ports {
     exchanges: Publication<BusExchange>,
 }
 
-/// What was published when, of what is not published in every cycle.
+/// When topics that are not published in every cycle were last published.
 #[derive(Default)]
 struct LastPublished {
     battery_at: Option<Time>,
@@ -65,7 +65,7 @@ struct LastPublished {
 }
 
 impl DarwinOp {
-    /// The robot on the serial port that the setting `port` names.
+    /// The robot on the serial port in the setting `port`.
     #[must_use]
     pub fn serial() -> Self {
         Self::new(Box::new(SerialBus::new()))
@@ -87,7 +87,7 @@ impl DarwinOp {
     fn read_settings(&mut self, ctx: &mut Context<'_, Ports>) {
         match ctx.ports.settings.values(ctx) {
             Ok(settings) => self.settings = Some(settings),
-            Err(refusal) => tracing::warn!("{refusal}; the settings stay as they were"),
+            Err(refusal) => tracing::warn!("{refusal}; the settings are unchanged"),
         }
     }
 
@@ -98,7 +98,7 @@ impl DarwinOp {
                 if self.unknown_names.is_worth_a_line() {
                     let count = self.unknown_names.count();
                     tracing::warn!(
-                        "joint_commands names \"{name}\", which is no joint ({count} times so far)"
+                        "joint_commands contains \"{name}\", which is not a joint ({count} times so far)"
                     );
                 }
                 continue;

@@ -1,4 +1,4 @@
-//! What one bulk read brings.
+//! The data of one bulk read.
 
 use super::bus::{Exchange, ExpectedStatus};
 use super::protocol::{BulkReadBlock, BulkReadEntry, Id, Instruction, Receiver, Status, StatusError};
@@ -13,7 +13,7 @@ const BOARD_LENGTH: u8 = cm730::VOLTAGE.end() - BOARD_FIRST;
 const SERVO_FIRST: u8 = mx28::PRESENT_POSITION.address;
 const SERVO_LENGTH: u8 = mx28::PRESENT_TEMPERATURE.end() - SERVO_FIRST;
 
-/// What the board says, raw.
+/// The raw data of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct BoardReading {
     pub(super) gives_power: bool,
@@ -27,7 +27,7 @@ pub(super) struct BoardReading {
     pub(super) voltage: u16,
 }
 
-/// What a servo says, raw.
+/// The raw data of a servo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct ServoReading {
     pub(super) position: u16,
@@ -39,21 +39,21 @@ pub(super) struct ServoReading {
     pub(super) error: StatusError,
 }
 
-/// What came of one bulk read.
+/// The result of one bulk read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Reading {
-    /// When it was asked for.
+    /// When it was requested.
     pub(super) sent: Time,
     pub(super) board: Option<BoardReading>,
-    /// By joint; `None` for those that were not asked or did not answer.
+    /// By joint; `None` for those that were not polled or did not answer.
     pub(super) servos: [Option<ServoReading>; COUNT],
-    /// Of those asked, the position of the first that did not answer in the order of the request.
+    /// The position in the request of the first device that did not answer.
     pub(super) first_missing: Option<usize>,
-    /// Whether anyone answered who was asked after that one.
+    /// Whether any device after that one answered.
     pub(super) chain_went_on: bool,
 }
 
-/// The instruction that reads the board and the servos of these joints, and what is to come.
+/// The instruction that reads the board and the servos of these joints, and the expected answers.
 pub(super) fn request(joints: &[usize]) -> (Vec<u8>, Vec<ExpectedStatus>) {
     let board = BulkReadEntry { length: BOARD_LENGTH, id: Id::CM730, address: BOARD_FIRST };
     let servos = joints.iter().map(|joint| {
@@ -63,12 +63,12 @@ pub(super) fn request(joints: &[usize]) -> (Vec<u8>, Vec<ExpectedStatus>) {
     let entries: Vec<BulkReadEntry> = std::iter::once(board).chain(servos).collect();
     let bytes = entries.iter().map(|entry| entry.to_bytes()).collect::<Vec<_>>().concat();
     let expected = entries.iter().map(|entry| ExpectedStatus { id: entry.id, parameters: entry.length });
-    // Made of whole entries with valid ids, so it is a block.
+    // Consists of complete entries with valid ids, so it is a block.
     let instruction = BulkReadBlock::new(&bytes).map(|block| Instruction::BulkRead { block }.to_bytes());
     (instruction.unwrap_or_default(), expected.collect())
 }
 
-/// Understands the answers to [`request`].
+/// Parses the answers to [`request`].
 pub(super) fn understand(exchange: &Exchange, joints: &[usize]) -> Reading {
     let mut reading = Reading {
         sent: exchange.sent,
@@ -91,7 +91,7 @@ pub(super) fn understand(exchange: &Exchange, joints: &[usize]) -> Reading {
     reading
 }
 
-/// Visits all sound answers in these bytes.
+/// Visits all valid answers in these bytes.
 pub(super) fn for_each_status(bytes: &[u8], mut visit: impl FnMut(Status<'_>)) {
     let mut receiver = Receiver::new();
     receiver.push(bytes);
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn the_board_is_asked_first_and_all_fits_one_packet() {
+    fn the_board_is_read_first_and_the_request_fits_into_one_packet() {
         let (instruction, expected) = request(&(0..COUNT).collect::<Vec<_>>());
         assert_eq!(&instruction[..9], [0xFF, 0xFF, 0xFE, 66, 0x92, 0, 27, 200, 24]);
         assert_eq!((instruction.len(), expected.len()), (70, 21));
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_chain_and_a_corrupt_answer_are_told_apart() {
+    fn a_broken_chain_and_a_corrupt_answer_are_distinguished() {
         let board = answer(Id::CM730, &[0; 27]);
         let broken = understood([board.clone(), servo(0)].concat());
         assert_eq!((broken.first_missing, broken.chain_went_on), (Some(2), false));
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_of_another_length_is_no_answer() {
+    fn an_answer_of_another_length_is_ignored() {
         let reading = understood(answer(JOINTS[0].id, &[1, 2]));
         assert_eq!(reading.servos[0], None);
     }

@@ -1,4 +1,4 @@
-//! What the module knows of one servo, and how it takes it into service.
+//! The state of one servo, and how it is brought into service.
 
 use super::counted::Counted;
 use super::line::{Line, Trouble};
@@ -7,19 +7,20 @@ use super::reading::ServoReading;
 use super::tables::mx28;
 use downbeat_executor::Time;
 
-/// How fast a servo that has just come into service goes to where it is wanted, in ticks per cycle: about 2 rad/s.
+/// How fast a servo that was just brought into service approaches its command, in ticks per cycle: about 2
+/// rad/s.
 const CATCH_UP_TICKS: u16 = 10;
 
 /// Whether a servo is in service.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Service {
-    /// Not asked yet.
+    /// Not polled yet.
     Unknown,
-    /// Is read and driven in every cycle.
+    /// Read and driven in every cycle.
     Active,
-    /// Does not answer. Is asked again then.
+    /// Does not answer. Polled again at `retry_at`.
     Silent { retry_at: Time },
-    /// Answers, but cannot be used. Is asked again then.
+    /// Answers, but cannot be used. Polled again at `retry_at`.
     Unsuitable { reason: String, retry_at: Time },
 }
 
@@ -27,19 +28,19 @@ pub(super) enum Service {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Servo {
     pub(super) service: Service,
-    /// The last that it said.
+    /// Its last reading.
     pub(super) last: Option<ServoReading>,
-    /// How many times in a row it was asked and did not answer.
+    /// The number of consecutive missing answers.
     pub(super) misses: u32,
-    /// How many times it fell silent.
+    /// How many times it stopped answering.
     pub(super) outages: Counted,
-    /// How many answers did not come, in all.
+    /// The total number of missing answers.
     pub(super) missed: u64,
-    /// Where it is told to go.
+    /// The goal that is written to it.
     goal: u16,
-    /// Where it is wanted, once somebody said so.
+    /// The commanded position, if any.
     wanted: Option<u16>,
-    /// Whether it has caught up with where it is wanted since it came into service.
+    /// Whether it has reached its command since it came into service.
     has_caught_up: bool,
 }
 
@@ -61,12 +62,12 @@ impl Servo {
         self.service == Service::Active
     }
 
-    /// Whether what is known of it is old: it is not in service, or missed its last answers.
+    /// Whether its reading is stale: it is not in service, or missed its last answers.
     pub(super) fn is_stale(&self) -> bool {
         !self.is_active() || self.misses >= 2
     }
 
-    /// When to ask again, if it is out of service.
+    /// When to poll it again, if it is out of service.
     pub(super) fn retry_at(&self) -> Option<Time> {
         match self.service {
             Service::Unknown | Service::Active => None,
@@ -74,12 +75,12 @@ impl Servo {
         }
     }
 
-    /// Says where it is wanted.
+    /// Sets the commanded position.
     pub(super) fn want(&mut self, ticks: u16) {
         self.wanted = Some(ticks);
     }
 
-    /// Takes it into service at this position, from where it does not jump.
+    /// Brings it into service at this position, without a jump.
     pub(super) fn join(&mut self, position: u16) {
         self.service = Service::Active;
         self.misses = 0;
@@ -97,7 +98,7 @@ impl Servo {
         self.goal
     }
 
-    /// What is wrong with it by its own account.
+    /// The errors that it reports.
     pub(super) fn alarms(&self) -> StatusError {
         self.last.map_or(StatusError::NONE, |last| last.error)
     }
@@ -113,16 +114,16 @@ pub(super) enum PrepareError {
 impl From<Trouble> for PrepareError {
     fn from(trouble: Trouble) -> Self {
         match trouble {
-            Trouble::Refused(error) => Self::Unsuitable(format!("it refuses its settings: {error}")),
+            Trouble::Refused(error) => Self::Unsuitable(format!("it rejects its settings: {error}")),
             trouble => Self::Trouble(trouble),
         }
     }
 }
 
-/// Checks a servo and gives it what the cycle needs: no return delay, an answer to everything, these gains, no speed
-/// limit, torque, and its present position as goal. Says where it is.
+/// Checks a servo and configures it for the cycle: no return delay, answers to all instructions, these gains,
+/// no speed limit, torque enabled, and its present position as goal. Returns its position.
 ///
-/// What outlives the power is written only where it differs: that memory wears out.
+/// Persistent settings are written only if they differ, since that memory wears out.
 pub(super) fn prepare(line: &mut Line<'_>, id: Id, gains: [u8; 3]) -> Result<u16, PrepareError> {
     let end = mx28::STATUS_RETURN_LEVEL.end();
     let settings = line.read(id, 0, end)?;
@@ -147,7 +148,7 @@ pub(super) fn prepare(line: &mut Line<'_>, id: Id, gains: [u8; 3]) -> Result<u16
     let position = mx28::PRESENT_POSITION.value_in(&position, mx28::PRESENT_POSITION.address).unwrap_or(0);
     let goal = position.min(mx28::GOAL_POSITION.max).to_le_bytes();
     let [d, i, p] = gains;
-    // D, I, P, one byte that means nothing, goal, no speed limit.
+    // D, I, P, an unused byte, goal, no speed limit.
     line.write(id, mx28::D_GAIN.address, &[d, i, p, 0, goal[0], goal[1], 0, 0])?;
     line.write(id, mx28::TORQUE_ENABLE.address, &[1])?;
     Ok(u16::from_le_bytes(goal))
@@ -158,14 +159,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_servo_stays_where_it_joins_until_it_is_wanted_elsewhere() {
+    fn a_servo_stays_at_its_position_until_it_is_commanded() {
         let mut servo = Servo::new();
         servo.join(2000);
         assert_eq!([servo.next_goal(), servo.next_goal()], [2000, 2000]);
     }
 
     #[test]
-    fn a_servo_that_comes_back_goes_slowly_to_where_it_is_wanted_and_then_follows_at_once() {
+    fn a_servo_that_comes_back_approaches_its_command_slowly_and_then_follows_at_once() {
         let mut servo = Servo::new();
         servo.want(2025);
         servo.join(2000);

@@ -1,4 +1,4 @@
-//! What can be set on the hardware module.
+//! The settings of the hardware module.
 
 use super::tables::joints::{COUNT, JOINTS};
 use super::tables::units::ImuScale;
@@ -31,7 +31,7 @@ pub(super) struct Settings {
     pub(super) joint_frame: String,
 }
 
-/// Half a turn: more is not how a robot was built but a mistake.
+/// Half a turn: a larger offset is a mistake.
 const MAX_OFFSET_TICKS: i64 = 2048;
 
 impl SettingKeys {
@@ -67,7 +67,7 @@ impl SettingKeys {
         Ok(keys)
     }
 
-    /// Calls `changed` whenever one of the settings has another value.
+    /// Calls `changed` whenever one of the settings changes.
     pub(super) fn on_change<M: Module>(
         self,
         setup: &mut Setup<'_, M>,
@@ -83,12 +83,12 @@ impl SettingKeys {
         setup.on_change(self.offset_ticks, changed);
     }
 
-    /// The values now.
+    /// The current values.
     ///
     /// # Errors
-    /// If the offsets are not what they have to be.
+    /// If the offsets are invalid.
     pub(super) fn values<P>(&self, ctx: &Context<'_, P>) -> Result<Settings, String> {
-        // Inside 0 to 254 by their range.
+        // Between 0 and 254 by their range.
         let gain = |key| u8::try_from(*ctx.get(key)).unwrap_or(u8::MAX);
         Ok(Settings {
             port: ctx.get(self.port).clone(),

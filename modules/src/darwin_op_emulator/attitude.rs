@@ -1,19 +1,19 @@
-//! How the body leans, and what the IMU feels of it.
+//! The attitude of the body, and its effect on the IMU.
 //!
-//! Both feet are taken to stand flat, so turning a leg's joints turns the body instead of the foot. With the axes of
-//! the joints (forward, left, up), the right foot is turned against the body by
+//! Both feet are assumed to stand flat, so turning a leg's joints turns the body instead of the foot. With
+//! the axes of the joints (forward, left, up), the right foot is rotated relative to the body by
 //!
 //! - pitch: hip pitch + knee - ankle pitch (the left leg mirrored),
 //! - roll: ankle roll - hip roll, yaw: - hip yaw (both legs alike),
 //!
-//! the body against the floor by the opposite, mean of both legs. It takes that on with a lag.
+//! and the body relative to the floor by the opposite, averaged over both legs. The body follows with a lag.
 
 use crate::darwin_op::tables::joints::COUNT;
 use crate::darwin_op::tables::units::STANDARD_GRAVITY;
 
 const LAG_S: f64 = 0.08;
 
-/// Roll, pitch and yaw of the body against the floor, in rad, and their rates, in rad/s.
+/// Roll, pitch and yaw of the body relative to the floor, in rad, and their rates, in rad/s.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Attitude {
     angles: [f64; 3],
@@ -26,7 +26,7 @@ impl Attitude {
         Self { angles: lean(joints), rates: [0.0; 3] }
     }
 
-    /// Lets `dt` seconds pass.
+    /// Advances by `dt` seconds.
     pub(super) fn advance(&mut self, dt: f64, joints: &[f64; COUNT]) {
         let target = lean(joints);
         self.rates = std::array::from_fn(|axis| (target[axis] - self.angles[axis]) / LAG_S);
@@ -50,7 +50,7 @@ impl Attitude {
 }
 
 fn lean(joints: &[f64; COUNT]) -> [f64; 3] {
-    // By servo id, which counts from 1.
+    // By servo id, counted from 1.
     let joint = |id: usize| joints[id - 1];
     let right_pitch = -(joint(11) + joint(13) - joint(15));
     let left_pitch = joint(12) + joint(14) - joint(16);

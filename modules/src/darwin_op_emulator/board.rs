@@ -7,12 +7,12 @@ use crate::darwin_op::protocol::StatusError;
 use crate::darwin_op::tables::units::{ACCELERATION_PER_LSB, IMU_CENTRE, ImuScale};
 use crate::darwin_op::tables::{Field, cm730};
 
-/// Of the CM-730's gyroscope.
+/// The range of the CM-730's gyroscope.
 const GYRO_FULL_SCALE_DPS: f64 = 1600.0;
 /// Standard deviations, in steps.
 const GYRO_NOISE_LSB: f64 = 0.7;
 const ACCELERATION_NOISE_LSB: f64 = 0.7;
-/// The voltage of a charged battery without load, and what it loses per Ah and per A.
+/// The voltage of a charged battery without load, and its drop per Ah and per A.
 const CHARGED_V: f64 = 12.4;
 const VOLTS_PER_AMPERE_HOUR: f64 = 1.2;
 const RESISTANCE_OHM: f64 = 0.12;
@@ -31,7 +31,7 @@ pub enum Button {
 pub(super) struct Board {
     pub(super) table: ControlTable,
     pub(super) registered: Option<(u8, Vec<u8>)>,
-    /// How long each button is still held down.
+    /// The remaining time for which each button is held down.
     held_s: [f64; 2],
     bias: [f64; 6],
     used_ah: f64,
@@ -66,7 +66,7 @@ impl Board {
         self.held_s[button as usize] = seconds;
     }
 
-    /// Lets `dt` seconds pass while the servos draw this current.
+    /// Advances by `dt` seconds while the servos draw this current.
     pub(super) fn advance(
         &mut self,
         dt: f64,
@@ -86,7 +86,7 @@ impl Board {
         self.feel(attitude, random);
     }
 
-    /// The inverse of what the hardware module does with the axes.
+    /// The inverse of the hardware module's conversion of axes.
     fn feel(&mut self, attitude: &Attitude, random: &mut Random) {
         let gyro_step = ImuScale::new(GYRO_FULL_SCALE_DPS).radians_per_lsb();
         let [roll, pitch, yaw] = attitude.angular_velocity().map(|rate| rate / gyro_step);

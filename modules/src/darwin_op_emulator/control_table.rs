@@ -4,7 +4,7 @@ use crate::darwin_op::protocol::StatusError;
 use crate::darwin_op::tables::{Access, Field};
 use std::ops::Range;
 
-/// The memory of a device, with the rules about who may write what.
+/// The memory of a device, with its access rules.
 #[derive(Clone, Debug)]
 pub(super) struct ControlTable {
     bytes: Vec<u8>,
@@ -18,7 +18,7 @@ impl ControlTable {
         table
     }
 
-    /// Puts initial values into the fields that `which` chooses.
+    /// Resets the fields selected by `which` to their initial values.
     pub(super) fn reset(&mut self, which: impl Fn(&Field) -> bool) {
         for field in self.fields.iter().filter(|field| which(field)) {
             self.set(field, field.initial);
@@ -29,22 +29,22 @@ impl ControlTable {
         field.value_in(&self.bytes, 0).unwrap_or(0)
     }
 
-    /// Sets a field from the inside, where all may be written.
+    /// Sets a field internally, without access rules.
     pub(super) fn set(&mut self, field: &Field, value: u16) {
         let bytes = value.to_le_bytes();
         let size = usize::from(field.size);
         self.bytes[span(field)].copy_from_slice(&bytes[..size]);
     }
 
-    /// What is there, or the error of asking for something beyond the end.
+    /// Reads bytes, or returns the error for a range beyond the end.
     pub(super) fn read(&self, address: u8, length: u8) -> Result<&[u8], StatusError> {
         let begin = usize::from(address);
         self.bytes.get(begin..begin + usize::from(length)).ok_or(StatusError::RANGE)
     }
 
-    /// Writes from the outside: all of it, or nothing and the error.
+    /// Writes from outside: either everything, or nothing with an error.
     ///
-    /// `is_locked` says that fields that outlive the power may not be written. Bytes between fields are ignored.
+    /// With `is_locked`, persistent fields may not be written. Bytes between fields are ignored.
     pub(super) fn write(&mut self, address: u8, data: &[u8], is_locked: bool) -> Result<(), StatusError> {
         let written = usize::from(address)..usize::from(address) + data.len();
         if written.is_empty() || written.end > self.bytes.len() {
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_can_be_read() {
+    fn written_values_can_be_read() {
         let mut table = servo();
         assert_eq!(table.write(26, &[1, 2, 3, 0, 0x34, 0x02], false), Ok(()));
         assert_eq!(table.read(26, 6), Ok(&[1, 2, 3, 0, 0x34, 0x02][..]));
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn locked_fields_that_outlive_the_power_cannot_be_written() {
+    fn locked_persistent_fields_cannot_be_written() {
         let mut table = servo();
         assert_eq!(table.write(5, &[0], true), Err(StatusError::RANGE));
         assert_eq!(table.write(5, &[0], false), Ok(()));

@@ -1,4 +1,4 @@
-//! The devices without a port between: for tests of what is said on the bus, which a busy machine cannot disturb.
+//! Direct access to the devices without a port, for tests of bus traffic that a busy machine cannot disturb.
 
 use super::server::Shared;
 use crate::darwin_op::bus::{Awaited, Bus, Exchange, ExchangeKind, ExpectedStatus, Outcome};
@@ -7,13 +7,13 @@ use downbeat_executor::Time;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A bus whose time is that of the emulated wire: the same instructions give the same exchanges, to the nanosecond.
-/// What is silent is known to be at once.
+/// A bus with the time of the emulated wire: the same instructions result in the same exchanges, to the
+/// nanosecond. Silent devices are known at once.
 pub(crate) struct DirectBus {
     shared: Arc<Shared>,
     is_open: bool,
     sequence: u64,
-    /// What time it is, and what the emulator's time was when that was said.
+    /// The time of the step, and the emulator's time when it was set.
     step: (Time, Duration),
 }
 

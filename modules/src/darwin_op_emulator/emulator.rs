@@ -1,4 +1,4 @@
-//! The emulator as others hold it.
+//! The handle of a running emulator.
 
 use super::board::Button;
 #[cfg(test)]
@@ -14,65 +14,65 @@ use std::sync::atomic::Ordering;
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-/// How to emulate.
+/// Options of the emulator.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct EmulatorOptions {
-    /// A symbolic link that is made to the port and stays the same when the port changes.
+    /// A symbolic link to the port, whose path stays the same when the port changes.
     pub link: Option<PathBuf>,
     /// The same seed gives the same starting pose, noise and faults.
     pub seed: u64,
-    /// Whether the bus takes its time.
+    /// Whether the timing of the bus is emulated.
     pub timing: Timing,
-    /// What goes wrong and when, counted from the start.
+    /// Faults, with times relative to the start.
     pub faults: Vec<Fault>,
 }
 
-/// Why there is no emulator.
+/// Why the emulator could not be started.
 #[derive(Debug, thiserror::Error)]
 pub enum EmulatorError {
-    /// The operating system gives no pseudo terminal.
-    #[error("the emulator needs a pseudo terminal and got none: {source}; is /dev/pts mounted?")]
+    /// No pseudo terminal is available.
+    #[error("the emulator cannot open a pseudo terminal: {source}; is /dev/pts mounted?")]
     PseudoTerminal {
-        /// What it says.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// The link cannot be made.
-    #[error("linking {} to the emulator's port: {source}; choose a path that is free", link.display())]
+    /// The link cannot be created.
+    #[error("linking {} to the emulator's port: {source}; choose an unused path", link.display())]
     Link {
-        /// Where it was to be.
+        /// The path of the link.
         link: PathBuf,
-        /// What the operating system says.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// The link is not that of an emulator.
-    #[error("{} is a link to {}, which no emulator made, and stays; choose a path that is free", link.display(), target.display())]
+    /// An existing link was not created by an emulator.
+    #[error("{} is a link to {} that was not created by an emulator; choose an unused path", link.display(), target.display())]
     OtherLink {
-        /// Where it was to be.
+        /// The path of the link.
         link: PathBuf,
-        /// Where it leads.
+        /// Its target.
         target: PathBuf,
     },
-    /// Another emulator has the link.
+    /// Another emulator uses the link.
     #[error(
-        "{} leads to {}, which is in use: another emulator runs there; stop it, choose another link, or remove this one",
+        "{} links to {}, which is in use by another emulator; stop it, choose another link, or remove this one",
         link.display(),
         target.display()
     )]
     LinkInUse {
-        /// Where it was to be.
+        /// The path of the link.
         link: PathBuf,
         /// The port of the other one.
         target: PathBuf,
     },
-    /// The operating system gives no thread.
-    #[error("the emulator needs a thread and got none: {source}")]
+    /// The thread cannot be started.
+    #[error("the emulator cannot start a thread: {source}")]
     Thread {
-        /// What it says.
+        /// The error of the operating system.
         source: io::Error,
     },
 }
 
-/// A running emulator. It ends when it is dropped.
+/// A running emulator. It stops when it is dropped.
 pub struct Emulator {
     shared: Arc<Shared>,
     link: Option<PathBuf>,
@@ -80,10 +80,10 @@ pub struct Emulator {
 }
 
 impl Emulator {
-    /// Opens the port and begins to serve it.
+    /// Opens the port and starts to serve it.
     ///
     /// # Errors
-    /// If there is no pseudo terminal, or the link cannot be made.
+    /// If there is no pseudo terminal, or the link cannot be created.
     pub fn start(options: EmulatorOptions) -> Result<Self, EmulatorError> {
         let terminal = PseudoTerminal::open(options.link.as_deref())?;
         let shared = Arc::new(Shared::new(&options, &terminal));
@@ -96,19 +96,20 @@ impl Emulator {
         Ok(Self { shared, link, thread: Some(thread) })
     }
 
-    /// What to open: the link, or the device file, which changes with every new port and is empty while it is closed.
+    /// The path to open: the link, or the device file, which changes with every new port and is empty while
+    /// the port is closed.
     #[must_use]
     pub fn port_path(&self) -> PathBuf {
         self.link.clone().unwrap_or_else(|| self.shared.world().device.clone())
     }
 
-    /// Whether the port is there. A fault may have closed it.
+    /// Whether the port is open. A fault may have closed it.
     #[must_use]
     pub fn is_port_open(&self) -> bool {
         !self.shared.world().device.as_os_str().is_empty()
     }
 
-    /// A way to the devices past the port.
+    /// Direct access to the devices, without the port.
     #[cfg(test)]
     pub(crate) fn bus(&self) -> DirectBus {
         DirectBus::new(Arc::clone(&self.shared))
@@ -120,7 +121,7 @@ impl Emulator {
         self.shared.world().now()
     }
 
-    /// Makes something go wrong. Its times count from now.
+    /// Injects a fault, with times relative to now.
     pub fn inject(&self, fault: Fault) {
         let mut world = self.shared.world();
         let now = world.now();
@@ -132,7 +133,7 @@ impl Emulator {
         self.shared.world().robot.press(button, held);
     }
 
-    /// Ends: the port is closed and the link removed when this returns.
+    /// Stops the emulator: the port is closed and the link removed when this returns.
     pub fn stop(mut self) {
         self.end();
     }

@@ -1,4 +1,4 @@
-//! Faults, and how to write them down.
+//! Faults and their textual form.
 
 use crate::darwin_op::protocol::Id;
 use crate::darwin_op::tables::joints::JOINTS;
@@ -8,32 +8,33 @@ use std::time::Duration;
 
 /// Something that goes wrong for a while.
 ///
-/// Written as its kind, `@`, and the time it lasts, from the start of the emulator or from when it was injected:
+/// Written as its kind, `@`, and its time span, relative to the start of the emulator or to the injection:
 ///
 /// | text | meaning |
 /// | --- | --- |
 /// | `dead-servo:5@3s..6s` | servo 5 has no power from second 3 to second 6 |
-/// | `drop:0.01` | each answer is lost with a probability of 1 %, always |
+/// | `drop:0.01` | each answer is lost with a probability of 1 %, all the time |
 /// | `drop:3x@500ms..` | the first three answers after half a second are lost |
 /// | `flip:0.001@10s..20s` | in each byte of an answer a bit is flipped with a probability of 0.1 % |
 /// | `flip:1x` | in the next answer one bit is flipped |
 /// | `close-port@8s..9s` | the port is closed, and another one opened a second later |
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fault {
-    /// What goes wrong.
+    /// The kind of fault.
     pub kind: FaultKind,
-    /// When it begins.
+    /// When it starts.
     pub from: Duration,
     /// When it ends; `None` if never.
     pub to: Option<Duration>,
 }
 
-/// What can go wrong.
+/// The kinds of faults.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FaultKind {
-    /// A servo without power, as if its cable came off. It forgets its settings and needs them again afterwards.
+    /// A servo without power, as if its cable were disconnected. It loses its settings and must be configured
+    /// again.
     DeadServo(Id),
-    /// Answers are lost. In a bulk read those behind a lost one do not come either.
+    /// Answers are lost. In a bulk read, those after a lost one are missing as well.
     Drop(Rate),
     /// Bits of answers are flipped: with a probability for each byte, or one bit in each of some answers.
     Flip(Rate),
@@ -46,57 +47,59 @@ pub enum FaultKind {
 pub enum Rate {
     /// Each time with this probability.
     Probability(f64),
-    /// The next so many times.
+    /// This many times.
     Next(u32),
 }
 
 impl Fault {
-    /// A fault that begins at once and does not end.
+    /// A fault that starts at once and does not end.
     #[must_use]
     pub const fn always(kind: FaultKind) -> Self {
         Self { kind, from: Duration::ZERO, to: None }
     }
 
-    /// A fault that begins at once and ends after this time.
+    /// A fault that starts at once and ends after this time.
     #[must_use]
     pub const fn lasting(kind: FaultKind, time: Duration) -> Self {
         Self { kind, from: Duration::ZERO, to: Some(time) }
     }
 }
 
-/// Why a text is no fault.
+/// Why a text is not a fault.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FaultParseError {
     /// No fault has this name.
     #[error(
-        "unknown fault {found:?}; there are dead-servo:ID, drop:RATE, flip:RATE and close-port, each with @FROM..TO"
+        "unknown fault {found:?}; available are dead-servo:ID, drop:RATE, flip:RATE and close-port, each with @FROM..TO"
     )]
     Kind {
-        /// What was written.
+        /// The given text.
         found: String,
     },
     /// Not a servo.
     #[error("no servo has the id {found:?}; ids are 1 to 20, as in dead-servo:5@3s..6s")]
     Servo {
-        /// What was written.
+        /// The given text.
         found: String,
     },
     /// Not a rate.
-    #[error("{found:?} is no rate; a rate is a probability from 0 to 1 such as 0.01, or a count such as 3x")]
+    #[error(
+        "{found:?} is not a rate; a rate is a probability from 0 to 1 such as 0.01, or a count such as 3x"
+    )]
     Rate {
-        /// What was written.
+        /// The given text.
         found: String,
     },
     /// Not a time.
-    #[error("{found:?} is no time; a time is written 3s, 1.5s or 500ms, a span of it 3s..6s or 3s..")]
+    #[error("{found:?} is not a time; a time is written 3s, 1.5s or 500ms, a span of it 3s..6s or 3s..")]
     Time {
-        /// What was written.
+        /// The given text.
         found: String,
     },
-    /// It would end before it begins.
-    #[error("the fault {found:?} ends before it begins")]
+    /// It would end before it starts.
+    #[error("the fault {found:?} ends before it starts")]
     Empty {
-        /// What was written.
+        /// The given text.
         found: String,
     },
 }
@@ -187,7 +190,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn faults_are_read_as_they_are_documented() {
+    fn faults_are_parsed_as_documented() {
         let (ms, id) = (Duration::from_millis, Id::new(5).unwrap());
         let read = |text: &str| text.parse::<Fault>().unwrap();
         let dead = FaultKind::DeadServo(id);
@@ -203,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_is_written_as_it_is_read() {
+    fn a_fault_round_trips_as_text() {
         for text in
             ["dead-servo:5@3s..6s", "drop:0.01", "drop:3x@0.5s..", "flip:0.001@10s..20s", "close-port@8s..9s"]
         {
@@ -212,15 +215,15 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_with_a_fault_is_told() {
+    fn invalid_faults_are_reported_with_the_reason() {
         let error = |text: &str| text.parse::<Fault>().unwrap_err().to_string();
         assert!(error("dead-serve:5").contains("unknown fault \"dead-serve:5\""));
         assert!(error("close-port:3").contains("unknown fault"));
         assert!(error("dead-servo:21").contains("ids are 1 to 20"));
-        assert!(error("drop:1.5").contains("\"1.5\" is no rate"));
-        assert!(error("flip:-1x").contains("is no rate"));
-        assert!(error("drop:0.1@3").contains("\"3\" is no time"));
-        assert!(error("drop:0.1@-3s").contains("is no time"));
-        assert!(error("close-port@9s..8s").contains("ends before it begins"));
+        assert!(error("drop:1.5").contains("\"1.5\" is not a rate"));
+        assert!(error("flip:-1x").contains("is not a rate"));
+        assert!(error("drop:0.1@3").contains("\"3\" is not a time"));
+        assert!(error("drop:0.1@-3s").contains("is not a time"));
+        assert!(error("close-port@9s..8s").contains("ends before it starts"));
     }
 }

@@ -1,4 +1,4 @@
-//! Which faults are on at a time.
+//! Determines which faults are active at a time.
 
 use super::fault::{Fault, FaultKind, Rate};
 use super::random::Random;
@@ -16,7 +16,7 @@ impl FaultSchedule {
         Self { faults, random: Random::new(seed, 4) }
     }
 
-    /// Adds a fault whose times count from `now`, and forgets those that are over.
+    /// Adds a fault with times relative to `now`, and removes those that are over.
     pub(super) fn inject(&mut self, fault: Fault, now: Duration) {
         self.faults.retain(|fault| fault.to.is_none_or(|to| now < to) && !is_used_up(fault));
         self.faults.push(Fault { from: now + fault.from, to: fault.to.map(|to| now + to), ..fault });
@@ -42,7 +42,7 @@ impl FaultSchedule {
         is_lost
     }
 
-    /// Flips bits of an answer. Says how many.
+    /// Flips bits of an answer. Returns their number.
     pub(super) fn flip(&mut self, packet: &mut [u8], now: Duration) -> u64 {
         let random = &mut self.random;
         let mut flipped = 0;
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_is_on_in_its_time_only() {
+    fn a_fault_is_active_in_its_time_only() {
         let schedule = schedule(&["dead-servo:5@3s..6s", "close-port@8s.."]);
         let dead = |ms| schedule.is_dead(Id::new(5).unwrap(), Duration::from_millis(ms));
         assert_eq!([2999, 3000, 5999, 6000].map(dead), [false, true, true, false]);
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn an_injected_fault_counts_its_time_from_then() {
+    fn the_times_of_an_injected_fault_are_relative_to_the_injection() {
         let mut schedule = schedule(&[]);
         schedule.inject("close-port@1s..2s".parse().unwrap(), Duration::from_secs(10));
         let closed = |s| schedule.is_port_closed(Duration::from_secs(s));
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn a_probability_is_about_kept() {
+    fn a_probability_is_approximately_met() {
         let mut schedule = schedule(&["drop:0.25"]);
         let lost = (0..10_000).filter(|_| schedule.loses_answer(Duration::ZERO)).count();
         assert!((2300..2700).contains(&lost), "{lost} of 10000");

@@ -1,7 +1,7 @@
 //! An emulated Darwin OP: a CM-730 and twenty MX-28 behind a pseudo terminal.
 //!
-//! Who opens its port sees the bytes a robot would send, at the pace of its bus. Everything that comes out of it
-//! is *emulated*: no value was measured on a robot, though the constants stay near published ones.
+//! Its port carries the bytes that a robot would send, with the timing of its bus. All of its data is
+//! *emulated*: no value was measured on a robot, though the constants are close to published ones.
 //!
 //! ```
 //! use downbeat_modules::darwin_op::bus::{Bus, ExpectedStatus, Outcome, SerialBus};
@@ -18,20 +18,22 @@
 //! ```
 //!
 //! # What is emulated
-//! - **Protocol**: the instructions of protocol 1.0; status return level, return delay, registered writes; nobody
-//!   answers a broadcast except a bulk read, in which a silent device silences all behind it.
-//! - **Power**: servos are silent until `DXL_POWER` is 1, and lose what is in their RAM with the power.
-//! - **Servos**: motion with speed limit, P gain, torque limit, friction, a little gravity; positions of whole ticks;
-//!   load, temperature, supply voltage; errors of voltage, temperature and overload, with shutdown.
+//! - **Protocol**: the instructions of protocol 1.0; status return level, return delay, registered writes; no
+//!   device answers a broadcast except a bulk read, in which a silent device blocks all after it.
+//! - **Power**: servos are silent until `DXL_POWER` is 1, and lose their RAM without power.
+//! - **Servos**: motion with speed limit, P gain, torque limit, friction, a little gravity; positions in
+//!   whole ticks; load, temperature, supply voltage; errors of voltage, temperature and overload, with
+//!   shutdown.
 //! - **Board**: battery voltage that sags with the load, buttons, a 10-bit IMU with noise that follows the attitude of
 //!   the body.
-//! - **Attitude**: the feet are taken to stand flat on the floor, so the angles of hips, knees and ankles give the
-//!   lean of the body, which it takes on with a short lag.
+//! - **Attitude**: the feet are assumed to stand flat on the floor, so the angles of hips, knees and ankles
+//!   determine the lean of the body, which follows with a short lag.
 //!
-//! # What is not
-//! Factory reset (answered as an unknown instruction); falling, walking, contact; I and D gains, punch, goal acceleration, multi-turn; the answer to an instruction with a
-//! wrong checksum (it is ignored); foot pressure sensors, microphones and analogue inputs. A SYNC_WRITE longer than the
-//! servo's buffer of 143 bytes works, as it does on robots, where each servo needs only its own part.
+//! # What is not emulated
+//! Factory reset (answered as an unknown instruction); falling, walking, contact; I and D gains, punch, goal
+//! acceleration, multi-turn; the answer to an instruction with a wrong checksum (it is ignored); foot
+//! pressure sensors, microphones and analogue inputs. A SYNC_WRITE longer than the servo's buffer of 143
+//! bytes works, as on robots, where each servo needs only its own part.
 
 mod attitude;
 mod board;

@@ -1,4 +1,4 @@
-//! The emulator as a module of the robot it emulates the hardware of.
+//! The emulator as a module of the robot whose hardware it emulates.
 
 use super::emulator::{Emulator, EmulatorOptions};
 use super::fault::Fault;
@@ -8,8 +8,8 @@ use std::path::PathBuf;
 
 /// Runs an [`Emulator`] as long as the robot runs, so that the hardware module finds a port.
 ///
-/// Settings: `link`, the path of the port; `seed`; `faults`, each as [`Fault`] is written. It has no topics: all goes
-/// through the port. Leave it out of a replay.
+/// Settings: `link`, the path of the port; `seed`; `faults`, each in the textual form of [`Fault`]. It has no
+/// topics: everything goes through the port. Leave it out of replays.
 #[derive(Default)]
 pub struct DarwinOpEmulator {
     options: EmulatorOptions,
@@ -35,7 +35,7 @@ impl Module for DarwinOpEmulator {
         let parsed: Result<Vec<Fault>, _> = texts.iter().map(|text| text.parse::<Fault>()).collect();
         self.options = EmulatorOptions {
             link: setup.value(link).map(PathBuf::from),
-            // Negative seeds are seeds too.
+            // Negative seeds are valid.
             seed: setup.value(seed).map_or(0, |seed| seed.cast_unsigned()),
             timing: Timing::Measured,
             faults: parsed.map_err(|error| setup.refuse_value(faults, error.to_string()))?,
@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn the_port_is_there_while_the_robot_runs() {
+    fn the_port_exists_while_the_robot_runs() {
         let folder = tempfile::tempdir().unwrap();
         let link = folder.path().join("port");
         let (mut core, _clock) = core_at_zero();
@@ -85,10 +85,10 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_that_is_none_is_refused_at_once() {
+    fn an_invalid_fault_is_refused_at_once() {
         let (mut core, _clock) = core_at_zero();
         let options = with(&[("faults", vec!["drop:2".to_owned()].into())]);
         let error = core.add_with("emulator", DarwinOpEmulator::default(), options).err().unwrap();
-        assert!(error.to_string().contains("\"2\" is no rate"), "{error}");
+        assert!(error.to_string().contains("\"2\" is not a rate"), "{error}");
     }
 }

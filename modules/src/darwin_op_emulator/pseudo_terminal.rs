@@ -1,4 +1,4 @@
-//! The port behind which the emulator sits.
+//! The port of the emulator.
 
 use super::EmulatorError;
 use serialport::{SerialPort, TTYPort};
@@ -8,13 +8,13 @@ use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// How long the operating system may take to accept bytes; if nobody reads them they are lost, as on a wire.
+/// How long the operating system may take to accept bytes; if nobody reads them, they are lost, as on a wire.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 
-/// A pseudo terminal, and the link to it. Both go when it is dropped.
+/// A pseudo terminal, and the link to it. Both are removed when it is dropped.
 pub(super) struct PseudoTerminal {
     ours: TTYPort,
-    // Held open: without anybody on the other side, reading would fail instead of wait.
+    // Kept open: without a peer, reading would fail instead of wait.
     _theirs: TTYPort,
     path: PathBuf,
     link: Option<PathBuf>,
@@ -31,7 +31,7 @@ impl PseudoTerminal {
         Ok(Self { ours, _theirs: theirs, path, link: link.map(Path::to_owned) })
     }
 
-    /// The device file for the other side.
+    /// The device file for the peer.
     pub(super) fn path(&self) -> &Path {
         &self.path
     }
@@ -60,19 +60,19 @@ impl PseudoTerminal {
 impl Drop for PseudoTerminal {
     fn drop(&mut self) {
         let Some(link) = &self.link else { return };
-        // Another emulator may have taken the link over.
+        // Another emulator may have replaced the link.
         if fs::read_link(link).is_ok_and(|target| target == self.path) {
-            // If it cannot be removed, it points to nothing, which is what opening it will say.
+            // If it cannot be removed, it is dangling, and opening it reports that.
             let _ = fs::remove_file(link);
         }
     }
 }
 
-/// Where pseudo terminals are.
+/// The directory of pseudo terminals.
 const TERMINALS: &str = "/dev/pts";
 
-/// Makes a link, in place of one that an emulator which was killed left behind: a link to a pseudo terminal that is gone, or whose
-/// number `target` has got. Other links are somebody's.
+/// Creates a link. Replaces one left by a killed emulator: a link to a pseudo terminal that no longer exists,
+/// or whose number is now that of `target`. Other links are not touched.
 fn make_link(target: &Path, link: &Path) -> Result<(), EmulatorError> {
     let failed = |source| EmulatorError::Link { link: link.to_owned(), source };
     if let Ok(old) = fs::read_link(link) {

@@ -7,7 +7,7 @@ pub(super) struct Random {
 }
 
 impl Random {
-    /// A sequence for this seed; another `stream` of the same seed is independent of it.
+    /// The sequence for a seed; different `stream`s of the same seed are independent.
     pub(super) fn new(seed: u64, stream: u64) -> Self {
         let mut random = Self { state: seed ^ stream.wrapping_mul(0xD1B5_4A32_D192_ED03) };
         random.next_u64();
@@ -22,17 +22,17 @@ impl Random {
         mixed ^ (mixed >> 31)
     }
 
-    /// At least 0 and below 1, all equally likely.
+    /// Uniformly distributed from 0 to 1, exclusive.
     pub(super) fn unit(&mut self) -> f64 {
         (self.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// Between `-limit` and `limit`, all equally likely.
+    /// Uniformly distributed between `-limit` and `limit`.
     pub(super) fn within(&mut self, limit: f64) -> f64 {
         (self.unit() * 2.0 - 1.0) * limit
     }
 
-    /// About normally distributed with this standard deviation, and never beyond 3.5 of it (sum of four).
+    /// Approximately normally distributed with this standard deviation, at most 3.5 times it (sum of four).
     pub(super) fn normal(&mut self, deviation: f64) -> f64 {
         let sum = self.unit() + self.unit() + self.unit() + self.unit();
         (sum - 2.0) * 3.0_f64.sqrt() * deviation
@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn normal_numbers_have_the_deviation_asked_for() {
+    fn normal_numbers_have_the_requested_deviation() {
         let mut random = Random::new(1, 1);
         let numbers: Vec<f64> = (0..20_000).map(|_| random.normal(2.0)).collect();
         let mean = numbers.iter().sum::<f64>() / 20_000.0;

@@ -1,4 +1,4 @@
-//! All devices together, and what they answer.
+//! All devices, and their answers to instructions.
 
 use super::attitude::Attitude;
 use super::board::{Board, Button};
@@ -10,15 +10,15 @@ use crate::darwin_op::tables::joints::COUNT;
 use crate::darwin_op::tables::{Field, cm730, mx28};
 use std::time::Duration;
 
-/// Physics goes in steps of this.
+/// The step of the physics.
 const STEP: Duration = Duration::from_millis(1);
 
-/// What a device sends.
+/// An answer of a device.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Answer {
     /// The status packet.
     pub(super) packet: Vec<u8>,
-    /// What the device's setting makes it wait before.
+    /// The delay before it, from the device's setting.
     pub(super) return_delay: Duration,
 }
 
@@ -43,7 +43,7 @@ impl Robot {
         Self { time: Duration::ZERO, board, servos, dead, attitude, noise }
     }
 
-    /// Lets time pass until `now`.
+    /// Advances to `now`.
     pub(super) fn advance_to(&mut self, now: Duration) {
         while self.time + STEP <= now {
             self.time += STEP;
@@ -58,7 +58,7 @@ impl Robot {
         }
     }
 
-    /// Says which servos are dead: without power, like one whose cable came off.
+    /// Sets which servos are dead: without power, as if disconnected.
     pub(super) fn set_dead(&mut self, is_dead: impl Fn(Id) -> bool) {
         for (dead, servo) in self.dead.iter_mut().zip(&self.servos) {
             *dead = is_dead(servo.id());
@@ -70,9 +70,10 @@ impl Robot {
         self.board.press(button, held.as_secs_f64());
     }
 
-    /// Carries an instruction out.
+    /// Executes an instruction.
     ///
-    /// `is_lost` is asked before each answer; a lost answer is as good as a silent device, for those behind it too.
+    /// `is_lost` is called before each answer; a lost answer has the same effect as a silent device, also for
+    /// the devices after it.
     pub(super) fn answer(
         &mut self,
         packet: &Packet<&[u8]>,
@@ -82,7 +83,7 @@ impl Robot {
             Ok(Instruction::SyncWrite { address, block }) => {
                 for (id, data) in block.entries() {
                     if let Some(device) = self.device(id) {
-                        // Nobody answers, so nobody hears of an error.
+                        // Nobody answers, so errors are not reported.
                         let _ = device.write(address, data);
                     }
                 }
@@ -112,7 +113,7 @@ impl Robot {
     fn answer_in_turn(&mut self, block: BulkReadBlock<'_>, is_lost: &mut dyn FnMut() -> bool) -> Vec<Answer> {
         let mut answers = Vec::new();
         for entry in block.entries() {
-            // Each waits until it has seen the one before.
+            // Each device waits for the answer of the one before it.
             let Some(device) = self.device(entry.id).filter(|_| !is_lost()) else { break };
             let read = Instruction::Read { id: entry.id, address: entry.address, length: entry.length };
             let Some(answer) = obey(device, &read) else { break };
@@ -128,7 +129,7 @@ impl Robot {
         }
     }
 
-    /// The device with this id, if it can hear.
+    /// The device with this id, if it has power.
     fn device(&mut self, id: Id) -> Option<&mut dyn Device> {
         self.devices().find(|device| device.id() == id.raw())
     }
@@ -144,14 +145,14 @@ fn angles(servos: &[Servo]) -> [f64; COUNT] {
     std::array::from_fn(|index| servos[index].angle_rad())
 }
 
-/// What board and servos have in common.
+/// The common interface of board and servos.
 trait Device {
     fn table(&self) -> &ControlTable;
     fn error(&self) -> StatusError;
     fn write(&mut self, address: u8, data: &[u8]) -> Result<(), StatusError>;
     fn registered(&mut self) -> &mut Option<(u8, Vec<u8>)>;
 
-    /// The board has id, return delay and status return level where the servos have them.
+    /// Id, return delay and status return level have the same addresses in board and servos.
     fn id(&self) -> u8 {
         self.table().get(&mx28::ID).to_le_bytes()[0]
     }
@@ -195,11 +196,11 @@ impl Device for Servo {
     }
 }
 
-/// What a status return level answers at least.
+/// The lowest status return level that answers reads.
 const READS: u16 = 1;
 const ALL: u16 = 2;
 
-/// Carries out an instruction that goes to one device; `None` if its settings tell it not to answer.
+/// Executes an instruction for one device; `None` if its settings say not to answer.
 fn obey(device: &mut dyn Device, instruction: &Instruction<'_>) -> Option<Answer> {
     let level = device.table().get(&mx28::STATUS_RETURN_LEVEL);
     let result = match *instruction {

@@ -13,16 +13,16 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How often the thread looks whether it is to stop or a fault begins, when nothing comes.
+/// How often the idle thread checks whether to stop or whether a fault starts.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// What the thread shares with those who hold the emulator.
+/// State shared between the thread and the handles of the emulator.
 pub(super) struct Shared {
     pub(super) is_stopping: AtomicBool,
     world: Mutex<World>,
 }
 
-/// All that changes.
+/// The mutable state.
 pub(super) struct World {
     pub(super) robot: Robot,
     pub(super) faults: FaultSchedule,
@@ -31,7 +31,7 @@ pub(super) struct World {
     wire: Wire,
     timing: Timing,
     started: Instant,
-    /// Time that passed while nothing could be on the wire.
+    /// The total time during which the port was closed.
     closed_for: Duration,
 }
 
@@ -81,14 +81,14 @@ impl World {
     }
 }
 
-/// Serves until told to stop. The first port is open already, so that whoever started this knows its name.
+/// Serves the port until stopped. The first port is already open, so that its name is known after the start.
 pub(super) fn serve(shared: &Shared, options: &EmulatorOptions, terminal: PseudoTerminal) {
     let mut terminal = Some(terminal);
     let mut receiver = Receiver::new();
     let mut buffer = [0; 1024];
     while !shared.is_stopping.load(Ordering::Acquire) {
         if let Err(error) = plug(shared, options, &mut terminal) {
-            tracing::warn!("the emulator cannot open its port again, trying on: {error}");
+            tracing::warn!("the emulator cannot reopen its port, retrying: {error}");
         }
         let Some(open) = &mut terminal else {
             wait_closed(shared);
@@ -110,7 +110,7 @@ pub(super) fn serve(shared: &Shared, options: &EmulatorOptions, terminal: Pseudo
     }
 }
 
-/// Opens or closes the port as the faults want it.
+/// Opens or closes the port according to the faults.
 fn plug(
     shared: &Shared,
     options: &EmulatorOptions,

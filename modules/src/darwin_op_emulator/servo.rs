@@ -1,8 +1,8 @@
 //! One MX-28.
 //!
-//! The drive is proportional to the distance to the goal; the motor turns, after a short lag, as fast as the drive
-//! that friction and gravity leave over makes it. Gravity is a share of the drive per joint, proportional to the sine
-//! of its angle.
+//! The drive is proportional to the distance to the goal; after a short lag, the speed of the motor is
+//! proportional to the drive minus friction and gravity. Gravity is a share of the drive per joint,
+//! proportional to the sine of its angle.
 
 use super::control_table::ControlTable;
 use super::random::Random;
@@ -16,7 +16,7 @@ const NO_LOAD_SPEED: f64 = 5.76 / units::RADIANS_PER_TICK;
 const SPEED_STEP: f64 = units::PRESENT_SPEED_UNIT / units::RADIANS_PER_TICK;
 /// One step of the moving speed, in ticks/s.
 const MOVING_SPEED_STEP: f64 = units::MOVING_SPEED_UNIT / units::RADIANS_PER_TICK;
-/// The share of the full drive below which a servo at rest stays at rest.
+/// The share of the full drive below which a servo at rest does not move.
 const STATIC_FRICTION: f64 = 0.006;
 const MOTOR_LAG_S: f64 = 0.02;
 /// With full drive, before cooling.
@@ -34,12 +34,12 @@ pub(super) struct Servo {
     pub(super) registered: Option<(u8, Vec<u8>)>,
     joint: &'static Joint,
     gravity: f64,
-    /// How long it has had power, or `None` without.
+    /// The time since power on, or `None` without power.
     powered_s: Option<f64>,
     boot_s: f64,
     position: f64,
     velocity: f64,
-    /// Where the speed limit lets the goal be by now.
+    /// The goal as limited by the speed limit.
     reached_goal: f64,
     drive: f64,
     celsius: f64,
@@ -102,7 +102,7 @@ impl Servo {
         }
     }
 
-    /// Whether it hears and answers.
+    /// Whether it receives and answers.
     pub(super) fn is_awake(&self) -> bool {
         self.powered_s.is_some_and(|powered_s| powered_s >= self.boot_s)
     }
@@ -120,7 +120,7 @@ impl Servo {
         self.drive.abs() * STALL_CURRENT_A
     }
 
-    /// Writes from the outside. A goal beyond the angle limits is an error of its own.
+    /// Writes from outside. A goal beyond the angle limits is a separate error.
     pub(super) fn write(&mut self, address: u8, data: &[u8]) -> Result<(), StatusError> {
         let mut after = self.table.clone();
         after.write(address, data, self.table.get(&mx28::LOCK) == 1)?;
@@ -139,7 +139,7 @@ impl Servo {
         Ok(())
     }
 
-    /// Lets `dt` seconds pass with this voltage on the bus.
+    /// Advances by `dt` seconds with this voltage on the bus.
     pub(super) fn advance(&mut self, dt: f64, volts: f64) {
         let Some(powered_s) = &mut self.powered_s else {
             self.velocity = 0.0;
@@ -168,7 +168,7 @@ impl Servo {
     }
 
     fn turn(&mut self, dt: f64, volts: f64) {
-        // Without torque the gear holds the joint: 193:1 is hard to turn from behind.
+        // Without torque the gear holds the joint: 193:1 is hard to turn from outside.
         let holds_itself = self.drive == 0.0;
         let net = if holds_itself { 0.0 } else { self.drive + self.gravity * self.angle_rad().sin() };
         let sticks = net.abs() < STATIC_FRICTION && self.velocity.abs() < SPEED_STEP;
@@ -200,7 +200,7 @@ impl Servo {
             error |= StatusError::OVERHEATING;
         }
         let is_straining = self.drive.abs() > OVERLOAD_DRIVE && self.velocity.abs() < SPEED_STEP;
-        // Once overloaded it says so until the torque is switched on again.
+        // Once overloaded, it reports that until the torque is enabled again.
         if self.overloaded_s < OVERLOAD_AFTER_S {
             self.overloaded_s = if is_straining { self.overloaded_s + dt } else { 0.0 };
         }
@@ -213,7 +213,7 @@ impl Servo {
         self.error = error;
     }
 
-    /// Puts into the table what can be read from it.
+    /// Updates the readable entries of the table.
     fn show(&mut self, volts: f64) {
         let ticks = self.ticks();
         let speed = units::magnitude_from_signed((self.velocity / SPEED_STEP).round() as i32);
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn power_makes_it_forget_its_ram_but_not_its_eeprom() {
+    fn a_power_cycle_clears_its_ram_but_not_its_eeprom() {
         let mut servo = powered(HEAD_PAN);
         for (field, value) in [(&mx28::RETURN_DELAY, 0), (&mx28::P_GAIN, 8), (&mx28::TORQUE_ENABLE, 1)] {
             assert_eq!(write(&mut servo, field, value), Ok(()));

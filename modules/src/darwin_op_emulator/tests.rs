@@ -1,4 +1,4 @@
-//! The emulator as the hardware module sees it.
+//! The emulator, accessed like by the hardware module.
 #![allow(clippy::unwrap_used)]
 
 use super::{Button, Emulator, EmulatorOptions, Fault, FaultKind, Rate, Timing};
@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 const HEAD_PAN: u8 = 19;
 
-/// Enough for a machine that runs many tests at once.
+/// Enough for a machine that runs many tests in parallel.
 const SLACK: Duration = Duration::from_secs(2);
 
 fn id(raw: u8) -> Id {
@@ -23,7 +23,7 @@ fn options() -> EmulatorOptions {
     EmulatorOptions { timing: Timing::Immediate, seed: 1, ..EmulatorOptions::default() }
 }
 
-/// The emulator and who talks to it.
+/// The emulator and a bus connected to it.
 struct Robot {
     emulator: Emulator,
     bus: Box<dyn Bus>,
@@ -61,7 +61,7 @@ impl Robot {
         self.bus.exchange(&instruction.to_bytes(), expected)
     }
 
-    /// The one answer that is expected.
+    /// Sends an instruction and returns the single answer.
     fn ask(&mut self, instruction: Instruction<'_>, parameters: u8) -> (StatusError, Vec<u8>) {
         let expected = [ExpectedStatus { id: instruction.id(), parameters }];
         let exchange = self.send(instruction, &expected);
@@ -88,7 +88,7 @@ impl Robot {
         self.send(Instruction::Ping { id }, &expected).outcome == Outcome::Ok
     }
 
-    /// Reads positions of these devices at once; who answered.
+    /// Reads the positions of these devices at once; returns which ones answered.
     fn bulk_read(&mut self, ids: &[u8]) -> (Exchange, Vec<u8>) {
         let bytes: Vec<u8> = ids.iter().flat_map(|id| [2, *id, 36]).collect();
         let expected: Vec<_> = ids.iter().map(|raw| ExpectedStatus { id: id(*raw), parameters: 2 }).collect();
@@ -105,7 +105,7 @@ impl Robot {
     }
 }
 
-/// Tries until it is so.
+/// Repeats until the condition holds.
 fn eventually(what: &str, mut is_so: impl FnMut() -> bool) {
     let watchdog = Instant::now() + Duration::from_secs(20);
     while !is_so() {
@@ -115,7 +115,7 @@ fn eventually(what: &str, mut is_so: impl FnMut() -> bool) {
 }
 
 #[test]
-fn a_ping_is_answered_by_who_is_pinged() {
+fn a_ping_is_answered_by_its_device() {
     let mut robot = Robot::start(options());
     assert_eq!(robot.ask(Instruction::Ping { id: Id::CM730 }, 0), (StatusError::NONE, Vec::new()));
 }
@@ -131,7 +131,7 @@ fn servos_are_silent_until_the_board_gives_them_power() {
 }
 
 #[test]
-fn what_is_written_is_read_again() {
+fn written_values_are_read_again() {
     let mut robot = Robot::powered(options());
     assert_eq!(robot.read(id(3), &mx28::MODEL_NUMBER), mx28::MODEL);
     assert_eq!(robot.read(Id::CM730, &cm730::MODEL_NUMBER), cm730::MODEL);
@@ -140,7 +140,7 @@ fn what_is_written_is_read_again() {
 }
 
 #[test]
-fn what_may_not_be_written_is_answered_with_an_error_bit() {
+fn forbidden_writes_are_answered_with_an_error_bit() {
     let mut robot = Robot::powered(options());
     assert_eq!(robot.write(id(3), mx28::PRESENT_POSITION.address, &[0, 0]), StatusError::RANGE);
     assert_eq!(robot.write(id(3), mx28::TORQUE_ENABLE.address, &[7]), StatusError::RANGE);
@@ -161,17 +161,17 @@ fn a_registered_write_waits_for_the_action() {
 }
 
 #[test]
-fn the_status_return_level_says_what_is_answered() {
+fn the_status_return_level_decides_what_is_answered() {
     let mut robot = Robot::powered(options());
     robot.write(id(2), mx28::STATUS_RETURN_LEVEL.address, &[1]);
     let expected = [ExpectedStatus { id: id(2), parameters: 0 }];
     let write = Instruction::Write { id: id(2), address: mx28::LED.address, data: &[1] };
     assert_eq!(robot.send(write, &expected).outcome, Outcome::Timeout);
-    assert_eq!(robot.read(id(2), &mx28::LED), 1, "it was obeyed all the same");
+    assert_eq!(robot.read(id(2), &mx28::LED), 1, "it was executed anyway");
 }
 
 #[test]
-fn nobody_answers_a_broadcast_but_all_obey_it() {
+fn all_devices_execute_a_broadcast_without_answers() {
     let mut robot = Robot::powered(options());
     let write = Instruction::Write { id: Id::BROADCAST, address: mx28::P_GAIN.address, data: &[16] };
     let expected = [ExpectedStatus { id: id(1), parameters: 0 }];
@@ -203,7 +203,7 @@ fn a_bulk_read_is_answered_in_the_order_of_the_request() {
 }
 
 #[test]
-fn a_dead_servo_silences_those_behind_it_and_forgets_its_settings() {
+fn a_dead_servo_blocks_those_after_it_and_loses_its_settings() {
     let mut robot = Robot::powered(options());
     robot.write(id(3), mx28::TORQUE_ENABLE.address, &[1]);
     let time = Duration::from_millis(400);
@@ -211,7 +211,7 @@ fn a_dead_servo_silences_those_behind_it_and_forgets_its_settings() {
     let (exchange, answered) = robot.bulk_read(&[200, 1, 2, 3, 4]);
     assert_eq!((exchange.outcome, answered), (Outcome::Timeout, vec![200, 1, 2]));
     assert_eq!(robot.bulk_read(&[200, 1, 2, 4]).1, [200, 1, 2, 4]);
-    // Time passes only with instructions.
+    // Time advances only with instructions.
     eventually("the time of the fault is over", || robot.hears(id(1)) && robot.emulator.elapsed() > time * 2);
     assert_eq!(robot.bulk_read(&[200, 1, 2, 3, 4]).1, [200, 1, 2, 3, 4]);
     assert_eq!(robot.read(id(3), &mx28::TORQUE_ENABLE), 0);
@@ -235,7 +235,7 @@ fn a_flipped_bit_spoils_one_answer_only() {
 }
 
 #[test]
-fn a_closed_port_fails_and_another_one_comes_behind_the_same_link() {
+fn a_closed_port_fails_and_another_one_appears_under_the_same_link() {
     let folder = tempfile::tempdir().unwrap();
     let link = folder.path().join("port");
     let mut robot = Robot::powered_behind_its_port(EmulatorOptions { link: Some(link.clone()), ..options() });
@@ -248,33 +248,33 @@ fn a_closed_port_fails_and_another_one_comes_behind_the_same_link() {
     assert_eq!(failed.outcome, Outcome::Failed, "{failed:?}");
     assert_eq!(robot.bus.open(&link.to_string_lossy()).outcome, Outcome::Failed);
     eventually("the port is back", || robot.bus.open(&link.to_string_lossy()).outcome == Outcome::Ok);
-    assert!(robot.hears(Id::CM730) && robot.hears(id(1)), "only the cable was out, not the power");
+    assert!(robot.hears(Id::CM730) && robot.hears(id(1)), "only the cable was unplugged, not the power");
     robot.emulator.stop();
-    assert!(std::fs::symlink_metadata(&link).is_err(), "the link is gone");
+    assert!(std::fs::symlink_metadata(&link).is_err(), "the link is removed");
 }
 
 #[test]
 fn a_link_left_behind_is_replaced_but_a_file_is_not() {
     let folder = tempfile::tempdir().unwrap();
     let link = folder.path().join("port");
-    // No system has so many.
+    // No system has that many.
     std::os::unix::fs::symlink("/dev/pts/4000000000", &link).unwrap();
     Emulator::start(EmulatorOptions { link: Some(link.clone()), ..options() }).unwrap().stop();
     std::fs::write(&link, "precious").unwrap();
     let refused = Emulator::start(EmulatorOptions { link: Some(link.clone()), ..options() });
-    assert!(refused.err().unwrap().to_string().contains("choose a path that is free"));
+    assert!(refused.err().unwrap().to_string().contains("choose an unused path"));
     assert_eq!(std::fs::read_to_string(&link).unwrap(), "precious");
 }
 
 #[test]
-fn a_link_that_no_emulator_made_stays() {
+fn a_link_not_created_by_an_emulator_is_kept() {
     let folder = tempfile::tempdir().unwrap();
     let (link, precious) = (folder.path().join("port"), folder.path().join("precious"));
     for target in [&precious, Path::new("/nowhere"), Path::new("/dev/null")] {
         std::os::unix::fs::symlink(target, &link).unwrap();
         let refused = Emulator::start(EmulatorOptions { link: Some(link.clone()), ..options() });
         let error = refused.err().unwrap().to_string();
-        assert!(error.contains("choose a path that is free"), "{error}");
+        assert!(error.contains("choose an unused path"), "{error}");
         assert_eq!(std::fs::read_link(&link).unwrap(), target);
         std::fs::remove_file(&link).unwrap();
     }
@@ -288,7 +288,7 @@ fn the_link_of_a_running_emulator_is_not_taken_over() {
     let first = start().unwrap();
     let target = std::fs::read_link(&link).unwrap();
     let error = start().err().unwrap().to_string();
-    assert!(error.contains("another emulator runs there"), "{error}");
+    assert!(error.contains("in use by another emulator"), "{error}");
     assert_eq!(std::fs::read_link(&link).unwrap(), target);
     first.stop();
     start().unwrap().stop();

@@ -1,8 +1,8 @@
-//! When bytes are where on the bus.
+//! The timing of bytes on the bus.
 //!
-//! On a real Darwin OP the sync write and bulk read of one cycle take 6.87 ms with a deviation of 0.02 to 0.1 ms, and
-//! sometimes 1 ms more. At ten bit times per byte the bytes alone take 5.39 ms; the rest is put down to the devices,
-//! each of which waits before it answers.
+//! On a real Darwin OP the sync write and bulk read of one cycle take 6.87 ms with a deviation of 0.02 to 0.1
+//! ms, and sometimes 1 ms more. At ten bit times per byte, the bytes alone take 5.39 ms; the rest is
+//! attributed to the devices, each of which waits before it answers.
 //!
 //! # References
 //! klowrey/darwin, `notes.txt` (measurements of 2015).
@@ -13,24 +13,24 @@ use std::time::Duration;
 
 /// Ten bit times at 1 Mbit/s.
 const PER_BYTE: Duration = Duration::from_micros(10);
-/// From the last byte of what is before to the first of the answer.
+/// From the last preceding byte to the first byte of the answer.
 const TURNAROUND: Duration = Duration::from_micros(70);
 const JITTER_US: f64 = 40.0;
-/// One instruction in so many is late by [`LATE`].
+/// One of this many instructions is late by [`LATE`].
 const LATE_ONE_IN: u64 = 1000;
 const LATE: Duration = Duration::from_millis(1);
-/// The serial chip hands bytes on in bundles, this often.
+/// The serial chip passes on bytes in bundles at this interval.
 const BUNDLE: Duration = Duration::from_millis(1);
 
-/// Whether the emulated bus takes its time.
+/// Whether the timing of the bus is emulated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Timing {
-    /// As on a robot: bytes take their time, devices wait before they answer.
+    /// As on a robot: bytes take time, devices wait before they answer.
     #[default]
     Measured,
-    /// Answers come at once, and time inside the emulator is the time that the bus would have taken, so that it
-    /// passes only while instructions come. The same instructions then get the same answers. Servos answer as soon
-    /// as they have power.
+    /// Answers arrive at once, and the emulator's time is the time that the bus would have taken, so that it
+    /// advances only with instructions. The same instructions then get the same answers. Servos answer as
+    /// soon as they have power.
     Immediate,
 }
 
@@ -51,12 +51,12 @@ impl Wire {
         Self { free_at: Duration::ZERO, jitter: Random::new(seed, 3) }
     }
 
-    /// When all that was said so far is over.
+    /// When all bytes so far have been transmitted.
     pub(super) fn free_at(&self) -> Duration {
         self.free_at
     }
 
-    /// When the answers to an instruction that was sent `now` reach the computer.
+    /// When the answers to an instruction sent at `now` reach the computer.
     pub(super) fn carry(
         &mut self,
         now: Duration,
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn sync_write_and_bulk_read_take_what_was_measured() {
+    fn sync_write_and_bulk_read_take_the_measured_time() {
         let mut wire = Wire::new(1);
         let answers: Vec<Answer> = std::iter::once(answer(33)).chain((0..20).map(|_| answer(14))).collect();
         let mut times: Vec<f64> = (0..500)
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_of_the_answers_is_lost_or_early() {
+    fn no_part_of_the_answers_is_lost_or_early() {
         let mut wire = Wire::new(1);
         let bundles = wire.carry(Duration::ZERO, 70, &[answer(33), answer(14), answer(200), answer(14)]);
         assert_eq!(bundles.iter().map(|bundle| bundle.bytes.len()).sum::<usize>(), 261);

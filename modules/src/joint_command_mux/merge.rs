@@ -1,11 +1,11 @@
-//! Who may command which joint.
+//! Decides which joints are commanded from outside.
 
 use downbeat_executor::Time;
 use downbeat_msgs::sensor_msgs::msg::JointState;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// Remembers which joints are commanded from outside.
+/// Tracks which joints are commanded from outside.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Merge {
     /// When each joint was last commanded from outside.
@@ -13,21 +13,21 @@ pub(super) struct Merge {
 }
 
 impl Merge {
-    /// A command from outside holds, whatever it names.
+    /// Notes a command from outside for the joints it names.
     pub(super) fn note_outside(&mut self, command: &JointState, now: Time) {
         for (name, position) in command.name.iter().zip(&command.position) {
-            // NaN is no command.
+            // NaN is not a command.
             if !position.is_nan() {
                 self.outside.insert(name.clone(), now);
             }
         }
-        // Whoever makes names up does not fill the memory.
+        // Bounds memory if names are invented.
         if self.outside.len() > MANY {
             self.outside.retain(|_, at| *at == now);
         }
     }
 
-    /// What holds of a command of the robot's own motion; `None` if nothing does.
+    /// The part of a command of the robot's own motion that applies; `None` if there is none.
     pub(super) fn filter_motion(
         &mut self,
         command: &JointState,
@@ -74,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn motion_holds_for_joints_that_outside_does_not_name() {
+    fn motion_commands_joints_that_outside_does_not_name() {
         let mut merge = Merge::default();
         let motion = command(&["pan", "tilt"], &[1.0, 2.0]);
         assert_eq!(merge.filter_motion(&motion, at(0), HOLD), Some(motion.clone()));
@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn outside_holds_until_some_time_after_its_last_command() {
+    fn outside_takes_precedence_until_some_time_after_its_last_command() {
         let mut merge = Merge::default();
         let motion = command(&["pan"], &[1.0]);
         merge.note_outside(&command(&["pan"], &[0.5]), at(0));
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_position_that_is_no_number_claims_nothing() {
+    fn a_nan_position_claims_no_joint() {
         let mut merge = Merge::default();
         merge.note_outside(&command(&["pan", "tilt"], &[f64::NAN]), at(0));
         assert_eq!(merge, Merge::default());
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn made_up_names_do_not_fill_the_memory() {
+    fn invented_names_do_not_fill_the_memory() {
         let mut merge = Merge::default();
         for number in 0..10_000 {
             merge.note_outside(&command(&[&format!("joint{number}")], &[0.0]), at(number));

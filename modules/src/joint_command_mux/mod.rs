@@ -1,14 +1,15 @@
-//! Merges what is commanded to the joints from outside with what the robot's own motion commands.
+//! Merges joint commands from outside with those of the robot's own motion.
 //!
-//! Outside wins for the joints it names, until some time after its last word about them, as `twist_mux` does it.
+//! Outside commands take precedence for the joints they name, until some time after the last one, as in
+//! `twist_mux`.
 //!
 //! | topic | type | |
 //! | --- | --- | --- |
 //! | `joint_commands` (in) | `sensor_msgs/JointState` | from outside |
 //! | `motion/joint_commands` (in) | `sensor_msgs/JointState` | from the robot's own motion |
-//! | `joint_goals` | `sensor_msgs/JointState` | what holds, in the order in which it came |
+//! | `joint_goals` | `sensor_msgs/JointState` | the merged commands, in order of arrival |
 //!
-//! The setting `hold_s` is the time in s, 2 at first.
+//! The setting `hold_s` is this time in s, by default 2.
 
 mod merge;
 mod module;

@@ -57,7 +57,7 @@ mod tests {
     }
 
     #[test]
-    fn outside_wins_in_the_executor_until_it_has_been_silent_for_two_seconds() {
+    fn outside_takes_precedence_in_the_executor_until_silent_for_two_seconds() {
         let (mut core, clock) = core_at_zero();
         core.add("mux", JointCommandMux::default()).unwrap();
         let goals = Collector::<JointState>::add(&mut core, "joint_goals");

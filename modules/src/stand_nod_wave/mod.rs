@@ -1,13 +1,13 @@
-//! A small motion of the Darwin OP: it stands up from wherever it is, then nods and waves, again and again.
+//! A small motion of the Darwin OP: it stands up from any position, then nods and waves repeatedly.
 //!
 //! | topic | type | |
 //! | --- | --- | --- |
-//! | `joint_states` (in) | `sensor_msgs/JointState` | where the motion begins: the first message counts |
+//! | `joint_states` (in) | `sensor_msgs/JointState` | the start of the motion: only the first message is used |
 //! | `motion/joint_commands` | `sensor_msgs/JointState` | positions of all 20 joints, rad, at 125 Hz |
 //!
-//! The setting `stand_s` is the time in s that standing up takes.
+//! The setting `stand_s` is the duration of standing up in s.
 //!
-//! Never tried on a real robot: nothing checks whether the arm keeps clear of the body, or the robot its balance.
+//! Never tested on a real robot: nothing checks for collisions of the arm with the body, or for balance.
 
 mod module;
 mod motion;

@@ -12,7 +12,7 @@ use std::time::Duration;
 /// Stands up, then nods and waves; see the [module page](super).
 #[derive(Default)]
 pub struct StandNodWave {
-    /// When and where the motion began.
+    /// The start time and pose of the motion.
     begun: Option<(Time, Pose)>,
 }
 
@@ -55,7 +55,7 @@ impl Module for StandNodWave {
     }
 }
 
-/// A joint that is not in the message, or not known, is taken to be where it is to go.
+/// The start pose; joints that are missing or NaN start at their goal.
 fn start_of(state: &JointState) -> Pose {
     let mut start = stand();
     for (name, position) in state.name.iter().zip(&state.position) {
@@ -94,12 +94,12 @@ mod tests {
         assert_eq!(sent.len(), 1000);
         assert!(sent.iter().all(|command| command.name.len() == 20 && command.position.len() == 20));
         let tilt: Vec<f64> = sent.iter().map(|command| command.position[19]).collect();
-        assert!((tilt[0] - 0.5).abs() < 0.01, "it begins where the head is, not at {}", tilt[0]);
+        assert!((tilt[0] - 0.5).abs() < 0.01, "it starts where the head is, not at {}", tilt[0]);
         assert!(tilt.iter().any(|angle| *angle < -0.2), "it nods");
     }
 
     #[test]
-    fn a_joint_that_is_not_known_is_not_sent_on_a_journey() {
+    fn an_unknown_joint_does_not_move() {
         let state =
             JointState { name: vec!["r_el".into()], position: vec![f64::NAN], ..JointState::default() };
         assert_eq!(start_of(&state), stand());

@@ -1,10 +1,11 @@
-//! The motion: poses, and the way from one to the next.
+//! The motion: poses, and the path from one to the next.
 //!
-//! The way is that of minimum jerk: with s from 0 to 1 over the time of a step, the share of the way is
+//! The path has minimum jerk: with s from 0 to 1 over the time of a step, the fraction of the path is
 //!
 //! (1)  10 s^3 - 15 s^4 + 6 s^5
 //!
-//! It begins and ends at rest. Only additions and multiplications, so it is the same on every machine.
+//! It starts and ends at rest. It uses only additions and multiplications, so it is the same on every
+//! machine.
 //!
 //! # References
 //! T. Flash, N. Hogan, "The coordination of arm movements", Journal of Neuroscience 5 (1985), for (1).
@@ -17,14 +18,13 @@ use std::time::Duration;
 /// Angles of all joints in the order of their ids, in rad.
 pub(super) type Pose = [f64; COUNT];
 
-/// Servo ids of what moves.
+/// Servo ids of the moving joints.
 const R_SHO_PITCH: usize = 1;
 const R_SHO_ROLL: usize = 3;
 const R_ELBOW: usize = 5;
 const HEAD_TILT: usize = 20;
 
-/// What is done after standing up, over and over: for how long, and the joints that are not as in the stand, in
-/// degrees.
+/// The repeated steps after standing up: duration, and the joints that differ from the stand, in degrees.
 const STEPS: [(Duration, &[(usize, f64)]); 12] = [
     // Nod.
     (Duration::from_millis(500), &[(HEAD_TILT, -15.0)]),
@@ -47,7 +47,7 @@ pub(super) fn stand() -> Pose {
     JOINTS.map(|joint| radians_from_ticks(joint.walking_ready_ticks, 0))
 }
 
-/// Where the joints are to be so long after the motion began at `start`.
+/// The pose at `elapsed` after the motion started at `start`.
 pub(super) fn pose(start: &Pose, standing_up: Duration, elapsed: Duration) -> Pose {
     if elapsed < standing_up {
         return between(start, &stand(), elapsed, standing_up);
@@ -90,14 +90,14 @@ mod tests {
     const CYCLE: Duration = Duration::from_millis(8);
 
     #[test]
-    fn it_begins_where_the_robot_is_and_comes_to_the_stand() {
+    fn it_starts_at_the_robots_pose_and_reaches_the_stand() {
         let start = [0.3; COUNT];
         assert_eq!(pose(&start, STANDING_UP, Duration::ZERO), start);
         assert_eq!(pose(&start, STANDING_UP, STANDING_UP), stand());
     }
 
     #[test]
-    fn no_joint_goes_faster_than_the_servos_can_or_beyond_its_limits() {
+    fn no_joint_exceeds_the_servo_speed_or_its_limits() {
         let start = [0.0; COUNT];
         let mut last = start;
         for cycle in 1..2500 {
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn it_nods_and_waves_forever_and_leaves_the_legs_alone() {
+    fn it_nods_and_waves_forever_without_moving_the_legs() {
         let at = |seconds: u64| pose(&stand(), STANDING_UP, Duration::from_secs(seconds));
         let round: Duration = STEPS.iter().map(|(time, _)| *time).sum();
         let late = Duration::from_secs(4) + round * 1000;

@@ -16,7 +16,7 @@ pub struct TransformServer {
 
 /// The keys of [`TransformServer`].
 pub struct Ports {
-    /// Due when the time of a goal is up.
+    /// Due when the time-out of a goal expires.
     give_up: Task,
 }
 
@@ -27,7 +27,7 @@ impl TransformServer {
         }
     }
 
-    /// Ends the goals whose transform is known, or whose time is up.
+    /// Finishes goals whose transform is known or whose time-out has expired.
     fn answer(&mut self, ctx: &mut Context<'_, Ports>) {
         let now = ctx.now();
         let ends: Vec<_> = self
@@ -64,7 +64,7 @@ impl Module for TransformServer {
             .on_cancel(|_, _, _| CancelResponse::Accept)
             .on_canceling(Self::stop)
             .declare(setup, "tf2_buffer_server", &mut self.server)?;
-        // It has the module run, and at the end of each run, as when transforms came, goals are answered.
+        // The task only makes the module run; goals are answered at the end of each run.
         let give_up = setup.task(|_, _| ());
         setup.each_run(Self::answer);
         Ok(Ports { give_up })
@@ -131,7 +131,7 @@ mod tests {
         answer
     }
 
-    /// Asks where `camera` is in `map`, and for the result.
+    /// Requests the transform of `camera` in `map`, and its result.
     fn ask(core: &mut Core, timeout_s: i32) -> Receiver<LookupTransformGetResultResponse> {
         let goal = LookupTransformGoal {
             target_frame: "map".into(),
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lookup_whose_time_is_up_is_told_why() {
+    fn a_lookup_that_times_out_returns_the_reason() {
         let (mut core, clock) = core_at_zero();
         core.add("server", TransformServer::default()).unwrap();
         let result = ask(&mut core, 5);

@@ -13,7 +13,7 @@ use std::time::Duration;
 const MOST_FRAMES: usize = 4096;
 const LONGEST_NAME: usize = 255;
 
-/// Where frames were in their parents over the last seconds.
+/// The transforms of frames to their parents over the last seconds.
 #[derive(Clone, Debug)]
 pub struct TransformBuffer {
     kept: Duration,
@@ -22,50 +22,51 @@ pub struct TransformBuffer {
     pub(super) histories: Vec<History>,
 }
 
-/// What became of a transform.
+/// The result of inserting a transform.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Taken {
     /// It is new.
     New,
     /// It was known already.
     Known,
-    /// Another one of that frame and that time was known, and is forgotten: somebody publishes it twice.
+    /// It replaced a different one of the same frame and time: two publishers may conflict.
     Replaced,
 }
 
-/// What is known of a frame.
+/// Information about a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FrameInfo {
     /// Its name.
     pub name: Arc<str>,
-    /// Its parent according to the latest transform; nothing for the root of a tree.
+    /// Its parent according to the latest transform; `None` for the root of a tree.
     pub parent: Option<Arc<str>>,
     /// True if it does not move in its parent.
     pub is_static: bool,
-    /// The first and the last time at which it is known, if it moves.
+    /// The first and the last known time, if it moves.
     pub span: Option<(Time, Time)>,
 }
 
 impl TransformBuffer {
-    /// How much is kept unless told otherwise (`tf2::BUFFER_CORE_DEFAULT_CACHE_TIME`).
+    /// The default duration of history (`tf2::BUFFER_CORE_DEFAULT_CACHE_TIME`).
     pub const KEPT: Duration = Duration::from_secs(10);
 
-    /// An empty buffer that keeps 10 s.
+    /// An empty buffer that keeps 10 s of history.
     #[must_use]
     pub fn new() -> Self {
         Self::keeping(Self::KEPT)
     }
 
-    /// An empty buffer that keeps of each frame what is so much older than its latest transform, up to 16384 of them.
+    /// An empty buffer that keeps this much history before the latest transform of each frame, up to 16384
+    /// transforms.
     #[must_use]
     pub fn keeping(kept: Duration) -> Self {
         Self { kept, by_name: HashMap::new(), names: Vec::new(), histories: Vec::new() }
     }
 
-    /// Takes a transform of `/tf`. It may come in any order; a frame that was static moves from now on.
+    /// Inserts a transform from `/tf`, in any order. A static frame becomes a moving one.
     ///
     /// # Errors
-    /// [`TransformRefused`]; nothing is changed then.
+    /// [`TransformRefused`]; then nothing is changed.
     pub fn insert(&mut self, transform: &TransformStamped) -> Result<Taken, TransformRefused> {
         let (frame, sample) = self.check(transform)?;
         let kept = self.kept;
@@ -79,10 +80,10 @@ impl TransformBuffer {
         }
     }
 
-    /// Takes a transform of `/tf_static`: it holds at all times, until another one comes.
+    /// Inserts a transform from `/tf_static`, which is valid at all times until it is replaced.
     ///
     /// # Errors
-    /// [`TransformRefused`]; nothing is changed then.
+    /// [`TransformRefused`]; then nothing is changed.
     pub fn insert_static(&mut self, transform: &TransformStamped) -> Result<Taken, TransformRefused> {
         let (frame, sample) = self.check(transform)?;
         Ok(match self.histories[frame].fix(sample) {
@@ -102,7 +103,7 @@ impl TransformBuffer {
         })
     }
 
-    /// Forgets all, for example when time was set back.
+    /// Removes everything, for example after time went back.
     pub fn clear(&mut self) {
         *self = Self::keeping(self.kept);
     }
@@ -112,7 +113,7 @@ impl TransformBuffer {
         self.by_name.get(name.strip_prefix('/').unwrap_or(name)).copied()
     }
 
-    /// What a transform says, in numbers. The frames it names are known from then on.
+    /// Validates a transform and converts it to numbers. Adds the frames it names.
     fn check(&mut self, transform: &TransformStamped) -> Result<(usize, Sample), TransformRefused> {
         let parent = transform.header.frame_id.strip_prefix('/').unwrap_or(&transform.header.frame_id);
         let child = transform.child_frame_id.strip_prefix('/').unwrap_or(&transform.child_frame_id);
@@ -150,7 +151,7 @@ impl TransformBuffer {
         Ok((frame, Sample { time, parent, parent_from_frame }))
     }
 
-    /// Walks up from the new parent: it must not come to the child.
+    /// Walks up from the new parent, which must not lead to the child.
     fn refuse_loop(&self, parent: &str, child: &str, time: Time) -> Result<(), TransformRefused> {
         let (Some(first), Some(last)) = (self.find(parent), self.find(child)) else { return Ok(()) };
         let up = |frame: &usize| self.histories[*frame].parent_near(time);
@@ -181,10 +182,10 @@ impl Default for TransformBuffer {
     }
 }
 
-/// More samples than come in 10 s at 1 kHz; beyond it the oldest go earlier.
+/// More samples than arrive in 10 s at 1 kHz; if exceeded, the oldest are dropped earlier.
 const MOST_SAMPLES: usize = 16_384;
 
-/// Where a frame was at one time.
+/// The transform of a frame at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Sample {
     pub(super) time: Time,
@@ -192,19 +193,19 @@ pub(super) struct Sample {
     pub(super) parent_from_frame: Isometry,
 }
 
-/// Where a frame was over time.
+/// The transforms of a frame over time.
 #[derive(Clone, Debug, Default)]
 pub(super) enum History {
-    /// Nobody said: the root of a tree.
+    /// Unknown: the root of a tree.
     #[default]
     Nothing,
-    /// Always there.
+    /// The same at all times.
     Static(Sample),
-    /// By time, without two of one time. Never empty.
+    /// Sorted by time, which is unique. Never empty.
     Moving(VecDeque<Sample>),
 }
 
-/// A time at which a frame is not known.
+/// A time outside of the known range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Gap {
     pub(super) oldest: Time,
@@ -213,7 +214,7 @@ pub(super) struct Gap {
     pub(super) by: Duration,
 }
 
-/// What became of a sample.
+/// The result of inserting a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Insertion {
     New,
@@ -223,7 +224,8 @@ enum Insertion {
 }
 
 impl History {
-    /// Takes a sample of a moving frame, and forgets what is older than `kept`. A frame that was static moves from now on.
+    /// Inserts a sample of a moving frame, and drops samples older than `kept`. A static frame becomes a
+    /// moving one.
     fn insert(&mut self, sample: Sample, kept: Duration) -> Insertion {
         let Self::Moving(samples) = self else {
             *self = Self::Moving(VecDeque::from([sample]));
@@ -250,7 +252,7 @@ impl History {
         Insertion::New
     }
 
-    /// Where the frame is at all times from now on.
+    /// Makes the frame static.
     fn fix(&mut self, sample: Sample) -> Insertion {
         let insertion = match self {
             Self::Static(known) if *known == sample => Insertion::Same,
@@ -261,7 +263,7 @@ impl History {
         insertion
     }
 
-    /// Where the frame was, interpolated between two samples of the same parent; nothing for a root.
+    /// The transform at a time, interpolated between two samples with the same parent; `None` for a root.
     pub(super) fn at(&self, time: Time) -> Result<Option<Sample>, Gap> {
         let samples = match self {
             Self::Nothing => return Ok(None),
@@ -289,7 +291,7 @@ impl History {
         Ok(Some(Sample { time, parent: older.parent, parent_from_frame }))
     }
 
-    /// The parent at a time, or at the nearest that is known.
+    /// The parent at a time, or at the nearest known time.
     fn parent_near(&self, time: Time) -> Option<usize> {
         match self {
             Self::Nothing => None,
@@ -301,7 +303,7 @@ impl History {
         }
     }
 
-    /// The last sample; of a static frame the only one.
+    /// The last sample; for a static frame the only one.
     pub(super) fn latest(&self) -> Option<&Sample> {
         match self {
             Self::Nothing => None,
@@ -310,7 +312,7 @@ impl History {
         }
     }
 
-    /// The first and the last time at which a moving frame is known.
+    /// The first and the last known time of a moving frame.
     pub(super) fn span(&self) -> Option<(Time, Time)> {
         let Self::Moving(samples) = self else { return None };
         Some((samples.front()?.time, samples.back()?.time))
@@ -338,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_older_than_is_kept_goes_and_does_not_come_back() {
+    fn samples_older_than_the_history_are_dropped_and_refused() {
         let mut history = History::default();
         for nanos in [0, 500_000_000, 1_000_000_000, 1_000_000_001] {
             assert_eq!(history.insert(sample(nanos), SECOND), Insertion::New);
@@ -349,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_without_end_in_no_time_do_not_fill_the_memory() {
+    fn endless_samples_do_not_fill_the_memory() {
         let mut history = History::default();
         for nanos in 0..2 * MOST_SAMPLES as i64 {
             history.insert(sample(nanos), SECOND);
@@ -358,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn the_latest_of_two_samples_of_one_time_holds() {
+    fn the_later_of_two_samples_with_the_same_time_is_used() {
         let mut history = History::default();
         assert_eq!(history.insert(sample(7), SECOND), Insertion::New);
         assert_eq!(history.insert(sample(7), SECOND), Insertion::Same);
@@ -368,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn between_two_parents_the_older_one_holds() {
+    fn between_two_parents_the_older_one_is_used() {
         let mut history = History::default();
         history.insert(sample(0), SECOND);
         history.insert(Sample { parent: 1, ..sample(10) }, SECOND);

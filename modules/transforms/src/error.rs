@@ -1,25 +1,25 @@
-//! Why there is no transform, and why one was not taken.
+//! Errors of lookups and of inserting transforms.
 
 use downbeat_executor::Time;
 use std::time::Duration;
 use thiserror::Error;
 
-/// A frame cannot be found in another one at a time.
+/// A lookup failed.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum LookupError {
-    /// Nobody has told of a frame of that name.
+    /// There is no frame with that name.
     #[error("cannot look up \"{source_frame}\" in \"{target_frame}\": there is no frame \"{frame}\"{hint}")]
     UnknownFrame {
         /// The frame to express in.
         target_frame: String,
         /// The frame to be expressed.
         source_frame: String,
-        /// The one that is not known.
+        /// The unknown frame.
         frame: String,
         /// The known frame whose name is most like it, or the known frames, as the end of a sentence.
         hint: String,
     },
-    /// A link on the way is known, but not at that time.
+    /// A transform on the path is known, but not at that time.
     #[error(
         "cannot look up \"{source_frame}\" in \"{target_frame}\" at {requested}: it would require extrapolation {}.{:09} s \
          into the {direction} of \"{frame}\", which is known from {oldest} to {latest}",
@@ -30,9 +30,9 @@ pub enum LookupError {
         target_frame: String,
         /// The frame to be expressed.
         source_frame: String,
-        /// The frame whose transform to its parent is not known then.
+        /// The frame whose transform to its parent is not known at that time.
         frame: String,
-        /// The time asked for.
+        /// The requested time.
         requested: Time,
         /// The first time at which it is known.
         oldest: Time,
@@ -40,7 +40,7 @@ pub enum LookupError {
         latest: Time,
         /// Before the first or after the last.
         direction: Direction,
-        /// By how much.
+        /// The distance to the known range.
         by: Duration,
     },
     /// The frames belong to different trees.
@@ -53,12 +53,12 @@ pub enum LookupError {
         target_frame: String,
         /// The frame to be expressed.
         source_frame: String,
-        /// Where the way up from the target ends.
+        /// The root of the target's tree.
         target_root: String,
-        /// Where the way up from the source ends.
+        /// The root of the source's tree.
         source_root: String,
     },
-    /// Parents led back to a frame: transforms of different times contradict each other.
+    /// The parents of a frame lead back to it: transforms of different times contradict each other.
     #[error(
         "cannot look up \"{source_frame}\" in \"{target_frame}\": the parents of \"{frame}\" lead back to it"
     )]
@@ -72,7 +72,7 @@ pub enum LookupError {
     },
 }
 
-/// On which side of what is known a time lies.
+/// On which side of the known range a time is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
     /// Before all of it.
@@ -90,7 +90,7 @@ impl std::fmt::Display for Direction {
     }
 }
 
-/// A transform that a buffer does not take; the buffer is as it was.
+/// A transform was rejected; the buffer is unchanged.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum TransformRefused {
     /// It names no frame.
@@ -100,10 +100,10 @@ pub enum TransformRefused {
         parent: String,
         /// `child_frame_id`.
         child: String,
-        /// Which of the two.
+        /// The missing name.
         missing: &'static str,
     },
-    /// It says where a frame is in itself.
+    /// Parent and child are the same frame.
     #[error("frame \"{frame}\" is its own parent")]
     OwnParent {
         /// The frame.
@@ -117,8 +117,8 @@ pub enum TransformRefused {
         /// `child_frame_id`.
         child: String,
     },
-    /// Its rotation is none.
-    #[error("the rotation of \"{child}\" in \"{parent}\" is no unit quaternion: its norm is {norm}")]
+    /// Its rotation is not a unit quaternion.
+    #[error("the rotation of \"{child}\" in \"{parent}\" is not a unit quaternion: its norm is {norm}")]
     NotNormalized {
         /// `header.frame_id`.
         parent: String,
@@ -127,17 +127,17 @@ pub enum TransformRefused {
         /// The norm of the quaternion.
         norm: f64,
     },
-    /// It is older than what is kept.
-    #[error("the transform of \"{frame}\" is {} s older than its latest one, and {} s are kept", age.as_secs_f64(), kept.as_secs_f64())]
+    /// It is older than the kept history.
+    #[error("the transform of \"{frame}\" is {} s older than its latest one, but only {} s are kept", age.as_secs_f64(), kept.as_secs_f64())]
     TooOld {
         /// `child_frame_id`.
         frame: String,
         /// How much older than the latest of that frame.
         age: Duration,
-        /// How much is kept.
+        /// The kept history.
         kept: Duration,
     },
-    /// With it the parents of a frame would lead back to that frame.
+    /// It would create a loop.
     #[error("\"{parent}\" cannot be the parent of \"{child}\", which is an ancestor of it: {}", way.join(" is in "))]
     Loop {
         /// `header.frame_id`.
@@ -148,19 +148,19 @@ pub enum TransformRefused {
         way: Vec<String>,
     },
     /// There are more frames than any robot has.
-    #[error("frame \"{frame}\" is not taken: {limit} frames are known already")]
+    #[error("frame \"{frame}\" is rejected: {limit} frames are already known")]
     TooManyFrames {
         /// The frame.
         frame: String,
-        /// How many there may be.
+        /// The maximum number.
         limit: usize,
     },
-    /// A name is longer than any that a person reads.
-    #[error("the name of a frame that begins with \"{beginning}\" is longer than {limit} bytes")]
+    /// A name is unreasonably long.
+    #[error("the name of a frame that starts with \"{beginning}\" is longer than {limit} bytes")]
     NameTooLong {
         /// Its first characters.
         beginning: String,
-        /// How long it may be.
+        /// The maximum length.
         limit: usize,
     },
 }

@@ -9,28 +9,28 @@ use downbeat_msgs::std_msgs::msg::Header;
 use glam::{DMat3, DQuat, DVec3, DVec4};
 use std::ops::Mul;
 
-/// A rotation, and then a translation: takes coordinates in one frame to coordinates in another one.
+/// A rotation followed by a translation: maps coordinates of one frame to another one.
 ///
 /// Named `target_from_source`, so that a chain reads `world_from_body * body_from_foot`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Isometry {
-    /// Where the source's origin is in the target, in metres.
+    /// The origin of the source in the target, in metres.
     pub translation: DVec3,
-    /// How the source is turned in the target; of norm 1.
+    /// The orientation of the source in the target; has norm 1.
     pub rotation: DQuat,
 }
 
 impl Isometry {
-    /// Takes everything to itself.
+    /// The identity.
     pub const IDENTITY: Self = Self { translation: DVec3::ZERO, rotation: DQuat::IDENTITY };
 
-    /// Moves and does not turn; metres.
+    /// A pure translation, in metres.
     #[must_use]
     pub const fn from_translation(x: f64, y: f64, z: f64) -> Self {
         Self { translation: DVec3::new(x, y, z), rotation: DQuat::IDENTITY }
     }
 
-    /// The way back.
+    /// The inverse transform.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.conjugate();
@@ -53,7 +53,7 @@ impl Default for Isometry {
 impl Mul for Isometry {
     type Output = Self;
 
-    /// First `rhs`, then `self`. Rounding does not take the rotation away from norm 1, however long the chain.
+    /// First `rhs`, then `self`. The rotation keeps norm 1 in spite of rounding, however long the chain.
     fn mul(self, rhs: Self) -> Self {
         Self {
             translation: self.transform_point(rhs.translation),
@@ -68,7 +68,7 @@ const NORM_TOLERANCE: f64 = 10e-3;
 /// The rigid transform of a message, its rotation normalised.
 ///
 /// # Errors
-/// The norm of the quaternion where it is not about 1; not a number where any number of the message is not finite.
+/// The norm of the quaternion if it is not approximately 1; NaN if any number of the message is not finite.
 pub fn isometry(transform: &Transform) -> Result<Isometry, f64> {
     let Transform { translation: Vector3 { x, y, z }, rotation } = transform;
     let translation = DVec3::new(*x, *y, *z);
@@ -92,8 +92,8 @@ pub fn transform_message(isometry: &Isometry) -> Transform {
     }
 }
 
-/// Between two transforms, 0 for the first and 1 for the second: the translation along a line, the rotation at constant speed
-/// about one axis the shorter way round.
+/// Interpolates between two transforms, 0 for the first and 1 for the second: the translation linearly, the
+/// rotation at constant speed about one axis in the shorter direction.
 pub(super) fn interpolate(from: &Isometry, to: &Isometry, ratio: f64) -> Isometry {
     Isometry {
         translation: from.translation.lerp(to.translation, ratio),
@@ -101,13 +101,14 @@ pub(super) fn interpolate(from: &Isometry, to: &Isometry, ratio: f64) -> Isometr
     }
 }
 
-/// Shoemake's spherical linear interpolation, with the angle by Kahan's formula, which is exact for small angles too.
+/// Shoemake's spherical linear interpolation, with the angle by Kahan's formula, which is also exact for
+/// small angles.
 ///
 /// # References
 /// K. Shoemake, Animating rotation with quaternion curves, SIGGRAPH 1985.
 fn slerp(from: DQuat, to: DQuat, ratio: f64) -> DQuat {
     let (from, to) = (DVec4::from(from), DVec4::from(to));
-    // Both signs of a quaternion are one rotation; the nearer one is the shorter way.
+    // Both signs of a quaternion are the same rotation; the nearer one is the shorter direction.
     let to = if from.dot(to) < 0.0 { -to } else { to };
     let angle = 2.0 * (from - to).length().atan2((from + to).length());
     if angle < f64::EPSILON {
@@ -117,9 +118,9 @@ fn slerp(from: DQuat, to: DQuat, ratio: f64) -> DQuat {
     DQuat::from_vec4(between).normalize()
 }
 
-/// A value that has another look in another frame.
+/// A value that can be expressed in another frame.
 pub trait Transformable: Sized {
-    /// The same value in the target.
+    /// The value in the target frame.
     #[must_use]
     fn transformed(&self, target_from_source: &Isometry) -> Self;
 }
@@ -128,7 +129,7 @@ pub trait Transformable: Sized {
 pub trait Stamped {
     /// The frame and the time.
     fn header(&self) -> &Header;
-    /// The frame and the time, to change them.
+    /// The frame and the time, mutable.
     fn header_mut(&mut self) -> &mut Header;
 }
 
@@ -149,14 +150,14 @@ impl Transformable for Point32 {
 }
 
 impl Transformable for Vector3 {
-    /// A direction: rotated, not moved.
+    /// A direction: rotated, not translated.
     fn transformed(&self, target_from_source: &Isometry) -> Self {
         from_vector(target_from_source.rotation * to_vector(self))
     }
 }
 
 impl Transformable for Quaternion {
-    /// An orientation. One that is not normalised stays so.
+    /// An orientation. It is not normalised.
     fn transformed(&self, target_from_source: &Isometry) -> Self {
         let rotated = target_from_source.rotation * DQuat::from_xyzw(self.x, self.y, self.z, self.w);
         Self { x: rotated.x, y: rotated.y, z: rotated.z, w: rotated.w }
@@ -173,8 +174,8 @@ impl Transformable for Pose {
 }
 
 impl Transformable for PoseWithCovariance {
-    /// The covariance is rotated, of the position and of the rotations about fixed axes each by itself, as
-    /// `transformCovariance` of tf2_geometry_msgs does.
+    /// The covariances of position and of rotations about fixed axes are each rotated, as in
+    /// `transformCovariance` of tf2_geometry_msgs.
     fn transformed(&self, target_from_source: &Isometry) -> Self {
         let map = Blocks { rotation: DMat3::from_quat(target_from_source.rotation), lever: DMat3::ZERO };
         Self { pose: self.pose.transformed(target_from_source), covariance: map.covariance(&self.covariance) }
@@ -182,14 +183,14 @@ impl Transformable for PoseWithCovariance {
 }
 
 impl Transformable for Twist {
-    /// The velocity of a rigid body, given for the point of it that is at the origin of the source, in the axes of the source;
-    /// then for the point that is at the origin of the target, in the axes of the target:
+    /// The velocity of a rigid body, converted from its point at the origin of the source, in the axes of the
+    /// source, to its point at the origin of the target, in the axes of the target:
     ///
     /// - (1) ω' = R ω
     /// - (2) v' = R v + p × ω'
     ///
-    /// with the rotation R and the translation p of `target_from_source`; as `doTransform` of tf2_geometry_msgs does for
-    /// velocities. The two frames are taken not to move in each other.
+    /// with the rotation R and the translation p of `target_from_source`; as in `doTransform` of
+    /// tf2_geometry_msgs for velocities. The two frames are assumed not to move relative to each other.
     ///
     /// # References
     /// K. M. Lynch and F. C. Park, Modern Robotics, 2017, section 3.3.2.
@@ -217,7 +218,7 @@ impl Transformable for TwistWithCovariance {
 }
 
 impl Transformable for Wrench {
-    /// A force and the torque about the origin of the source; then about the origin of the target:
+    /// A force and the torque, converted from the origin of the source to the origin of the target:
     ///
     /// - (3) f' = R f
     /// - (4) τ' = R τ + p × f'
@@ -242,7 +243,8 @@ macro_rules! stamped {
         }
 
         impl Transformable for $message {
-            /// The header stays; [`TransformBuffer::transform`](super::TransformBuffer::transform) changes it too.
+            /// Keeps the header; [`TransformBuffer::transform`](super::TransformBuffer::transform) also
+            /// updates it.
             fn transformed(&self, target_from_source: &Isometry) -> Self {
                 Self { $value: self.$value.transformed(target_from_source), ..self.clone() }
             }
@@ -276,7 +278,7 @@ struct Blocks {
 }
 
 impl Blocks {
-    /// The covariance of what is mapped; messages have the rows one after the other.
+    /// Maps a covariance, which messages store row by row.
     fn covariance(&self, covariance: &[f64; 36]) -> [f64; 36] {
         let block = |row: usize, column: usize| {
             DMat3::from_cols_array(&std::array::from_fn(|index| {
@@ -307,7 +309,7 @@ mod tests {
     use std::f64::consts::{FRAC_PI_2, PI};
 
     #[test]
-    fn rotations_go_the_shorter_way_round_at_constant_speed() {
+    fn rotations_take_the_shorter_direction_at_constant_speed() {
         let (from, to) = (DQuat::from_rotation_z(0.9 * PI), DQuat::from_rotation_z(-0.9 * PI));
         for ratio in [0.0, 0.25, 0.5, 1.0] {
             let expected = DQuat::from_rotation_z(0.9 * PI + ratio * 0.2 * PI);
@@ -328,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quaternion_that_is_nearly_one_is_normalised_and_another_is_refused() {
+    fn a_nearly_unit_quaternion_is_normalised_and_others_are_refused() {
         let with_w =
             |w| Transform { rotation: Quaternion { x: 0.0, y: 0.0, z: 0.0, w }, ..Transform::default() };
         assert_eq!(isometry(&with_w(1.004)).unwrap(), Isometry::IDENTITY);

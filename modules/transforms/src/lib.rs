@@ -1,7 +1,8 @@
 //! Transforms between coordinate frames over time, with the rules of tf2.
 //!
-//! [`TransformBuffer`] keeps what comes on `/tf` and `/tf_static` and answers where a frame is in another one at a time. It is
-//! plain data: no thread, no lock, no clock. [`listen`] fills the buffer of a module, [`TransformBroadcaster`] publishes.
+//! [`TransformBuffer`] stores the transforms from `/tf` and `/tf_static` and looks up the transform between
+//! two frames at a time. It is plain data: no thread, no lock, no clock. [`listen`] fills the buffer of a
+//! module, [`TransformBroadcaster`] publishes.
 //!
 //! ```
 //! use downbeat_executor::Time;
@@ -35,11 +36,13 @@
 //! ```
 //!
 //! # Frames and units
-//! A transform message with `header.frame_id` *p* and `child_frame_id` *c* is `p_from_c`: it takes coordinates in *c* to
-//! coordinates in *p* (metres, unit quaternions). Frames form a tree; the parent of a frame may change over time.
+//! A transform message with `header.frame_id` *p* and `child_frame_id` *c* is `p_from_c`: it maps coordinates
+//! in *c* to coordinates in *p* (metres, unit quaternions). Frames form a tree; the parent of a frame may
+//! change over time.
 //!
 //! # References
-//! - `tf2/src/buffer_core.cpp`, `tf2/src/cache.cpp` and `tf2_geometry_msgs` of `ros2/geometry2`, for what is looked up how.
+//! - `tf2/src/buffer_core.cpp`, `tf2/src/cache.cpp` and `tf2_geometry_msgs` of `ros2/geometry2`, for the
+//!   rules of lookups.
 //! - REP-105 for names of frames.
 
 mod buffer;

@@ -1,4 +1,4 @@
-//! Where a frame is in another one.
+//! Lookup of transforms between frames.
 
 use super::buffer::{Gap, Sample, TransformBuffer};
 use super::error::LookupError;
@@ -13,9 +13,9 @@ use downbeat_msgs::std_msgs::msg::Header;
 /// The time of a lookup.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum At {
-    /// The latest at which all of the way is known (what time 0 means to tf2).
+    /// The latest time at which the whole path is known (time 0 in tf2).
     Latest,
-    /// This one.
+    /// This time.
     Time(Time),
 }
 
@@ -26,28 +26,28 @@ impl From<Time> for At {
 }
 
 impl From<Stamp> for At {
-    /// As tf2 reads a stamp: 0 is the latest.
+    /// As in tf2, stamp 0 means the latest.
     fn from(stamp: Stamp) -> Self {
         if stamp == Stamp::default() { Self::Latest } else { Self::Time(Time::from_nanos(stamp.as_nanos())) }
     }
 }
 
-/// Where the source was in the target.
+/// The transform between two frames.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundTransform {
     /// The frame to express in.
     pub target: String,
     /// The frame that is expressed.
     pub source: String,
-    /// At this time: the one asked for, or the latest that all of the way is known. The epoch where the latest was asked for
-    /// and nothing moves.
+    /// The requested time, or the latest at which the whole path is known. The epoch if the latest was
+    /// requested and nothing moves.
     pub time: Time,
-    /// Takes coordinates in the source to coordinates in the target.
+    /// Maps coordinates in the source to coordinates in the target.
     pub target_from_source: Isometry,
 }
 
 impl FoundTransform {
-    /// The message of it.
+    /// The transform as a message.
     #[must_use]
     pub fn to_message(&self) -> TransformStamped {
         TransformStamped {
@@ -65,18 +65,19 @@ struct Query<'a> {
     source: &'a str,
 }
 
-/// The way up from a frame: frames, with the transform that takes coordinates in the first to each.
+/// The path up from a frame: frames, each with the transform from the first frame.
 struct Climb {
     frames: Vec<(usize, Isometry)>,
-    /// Why it ended, if not at a root or where it was to end.
+    /// The gap at which it ended, if any.
     gap: Option<(usize, Gap)>,
 }
 
 impl TransformBuffer {
-    /// Where `source` is in `target`: takes coordinates in the source to coordinates in the target.
+    /// Looks up `source` in `target`: the transform that maps coordinates in the source to coordinates in the
+    /// target.
     ///
     /// # Errors
-    /// [`LookupError`]: which frame is not known, or not then and by how much.
+    /// [`LookupError`]: a frame is unknown, or not known at that time.
     pub fn lookup(
         &self,
         target: &str,
@@ -93,11 +94,12 @@ impl TransformBuffer {
         Ok(FoundTransform { target: target.to_owned(), source: source.to_owned(), time, target_from_source })
     }
 
-    /// Where `source` was at `source_time`, in `target` as it was at `target_time`, for what did not move in `fixed` meanwhile:
-    /// where was the ball that was seen a second ago, in the robot that has walked on since?
+    /// Looks up `source` at `source_time` in `target` at `target_time`, for objects that are at rest in
+    /// `fixed`: for example the position of a ball seen a second ago, relative to the robot that has moved
+    /// since.
     ///
     /// # Errors
-    /// Those of [`lookup`](Self::lookup), of the two halves of the way.
+    /// Those of [`lookup`](Self::lookup), for both halves of the path.
     pub fn lookup_through(
         &self,
         target: &str,
@@ -112,16 +114,16 @@ impl TransformBuffer {
         Ok(FoundTransform { source: source.to_owned(), target_from_source, ..found })
     }
 
-    /// The latest time at which all of the way between two frames is known; nothing where no part of it moves.
+    /// The latest time at which the whole path between two frames is known; `None` if no part of it moves.
     ///
     /// # Errors
-    /// [`LookupError`] where a frame is not known, or the two are not connected.
+    /// [`LookupError`] if a frame is unknown, or the two are not connected.
     pub fn latest_common_time(&self, target: &str, source: &str) -> Result<Option<Time>, LookupError> {
         let query = Query { target, source };
         self.common_time(query, self.frame(query, target)?, self.frame(query, source)?)
     }
 
-    /// A stamped value in another frame, at the time of its stamp; the latest where that is 0.
+    /// Expresses a stamped value in another frame, at the time of its stamp, or the latest if that is 0.
     ///
     /// # Errors
     /// Those of [`lookup`](Self::lookup).
@@ -161,7 +163,7 @@ impl TransformBuffer {
             let (_, there_from_source) = met(*frame)?;
             Some(there_from_target.inverse() * *there_from_source)
         });
-        // The way from the target ends in a gap only where the two have not met before.
+        // The path from the target ends in a gap only if the two have not met before.
         match (meeting, from_target.gap.or(from_source.gap)) {
             (Some(target_from_source), _) => Ok(target_from_source),
             (None, Some((frame, gap))) => Err(self.extrapolation(query, frame, gap, time)),
@@ -190,7 +192,7 @@ impl TransformBuffer {
         Ok(links.filter_map(|&(frame, _)| self.histories[frame].span()).map(|(_, latest)| latest).min())
     }
 
-    /// Goes up from a frame to a root, to a gap, or to where `is_end` says.
+    /// Walks up from a frame to a root, a gap, or the frame selected by `is_end`.
     fn climb(
         &self,
         query: Query<'_>,

@@ -1,4 +1,4 @@
-//! What modules use: a buffer filled from `tf` and `tf_static`, and a broadcaster that publishes there.
+//! For use in modules: a buffer filled from `tf` and `tf_static`, and a broadcaster that publishes on them.
 
 use super::{Taken, TransformBuffer, TransformRefused};
 use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError};
@@ -10,13 +10,13 @@ use std::collections::BTreeSet;
 /// The topic of transforms that change.
 pub const TF: &str = "tf";
 
-/// The topic of transforms that do not.
+/// The topic of static transforms.
 pub const TF_STATIC: &str = "tf_static";
 
-/// As many frames are told of; what is wrong with more is wrong with all.
+/// The maximum number of frames that are logged.
 const MOST_TOLD: usize = 64;
 
-/// Has a module's buffer take what comes on [`TF`] and [`TF_STATIC`]. What is not taken is told in the log once for each frame.
+/// Fills a module's buffer from [`TF`] and [`TF_STATIC`]. Rejected transforms are logged once for each frame.
 ///
 /// ```
 /// use downbeat_executor::{Core, Module, Setup, SetupError};
@@ -61,14 +61,14 @@ where
     let mut told = Told::default();
     setup.subscribe(TF_STATIC, move |module, message: Received<'_, TFMessage>, _| {
         for transform in &message.transforms {
-            // What is fixed may be told again, and otherwise.
+            // Static transforms may be repeated and replaced.
             let taken = buffer(module).insert_static(transform).map(|_| Taken::New);
             told.tell(transform, taken);
         }
     })
 }
 
-/// The frames whose transforms were told of.
+/// The frames that were logged.
 #[derive(Default)]
 struct Told {
     frames: BTreeSet<String>,
@@ -82,7 +82,7 @@ impl Told {
             Ok(Taken::Replaced) => {
                 let stamp = &transform.header.stamp;
                 format!(
-                    "two transforms of \"{frame}\" at {}.{:09}; the later one holds. Do two publish it?",
+                    "two transforms of \"{frame}\" at {}.{:09}; the later one is used. Are there two publishers?",
                     stamp.sec, stamp.nanosec
                 )
             }
@@ -96,8 +96,8 @@ impl Told {
 
 /// Publishes a module's transforms on `tf` and `tf_static`.
 ///
-/// Each message on `tf_static` holds all static transforms that this broadcaster was given, the latest of each frame, as those
-/// of tf2 do: who has the last message has all.
+/// As in tf2, each message on `tf_static` contains all static transforms of this broadcaster, the latest of
+/// each frame, so that the last message is sufficient.
 ///
 /// ```
 /// use downbeat_executor::{Context, Core, Module, Setup, SetupError, TransitionError};
@@ -128,7 +128,7 @@ impl Told {
 pub struct TransformBroadcaster {
     tf: Publication<TFMessage>,
     tf_static: Publication<TFMessage>,
-    /// Changed through the shared reference that callbacks have to their ports.
+    /// Interior mutability, since callbacks have a shared reference to their ports.
     fixed: RefCell<Vec<TransformStamped>>,
 }
 
@@ -146,7 +146,7 @@ impl TransformBroadcaster {
         ctx.publish(self.tf, TFMessage { transforms: transforms.into_iter().collect() });
     }
 
-    /// Publishes transforms that do not change, with those that were sent before.
+    /// Publishes static transforms, together with all earlier ones.
     pub fn send_static<P>(
         &self,
         ctx: &mut Context<'_, P>,

@@ -48,7 +48,7 @@ fn x_of(found: &FoundTransform) -> f64 {
 }
 
 #[test]
-fn a_way_up_down_and_over_the_common_ancestor_is_found() {
+fn a_path_up_down_and_over_the_common_ancestor_is_found() {
     let buffer = robot();
     let lookup = |target, source| x_of(&buffer.lookup(target, source, at(3000)).unwrap());
     let near = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-12, "{found} {expected}");
@@ -62,7 +62,7 @@ fn a_way_up_down_and_over_the_common_ancestor_is_found() {
 }
 
 #[test]
-fn a_time_that_is_not_known_is_told_with_the_frame_and_by_how_much() {
+fn an_unknown_time_is_reported_with_the_frame_and_the_distance() {
     let buffer = robot();
     let error = buffer.lookup("odom", "camera", at(4623)).unwrap_err();
     let LookupError::Extrapolation { frame, direction, by, oldest, latest, .. } = &error else {
@@ -77,12 +77,12 @@ fn a_time_that_is_not_known_is_told_with_the_frame_and_by_how_much() {
     );
     let error = buffer.lookup("map", "base", at(1999)).unwrap_err().to_string();
     assert!(error.contains("0.001000000 s into the past of \"odom\""), "{error}");
-    // What is not on the way does not matter.
+    // Frames outside of the path do not matter.
     buffer.lookup("base", "odom", at(4800)).unwrap();
 }
 
 #[test]
-fn the_latest_is_the_latest_time_at_which_all_of_the_way_is_known() {
+fn latest_is_the_latest_time_at_which_the_whole_path_is_known() {
     let buffer = robot();
     let latest = |target, source| buffer.lookup(target, source, At::Latest).unwrap().time;
     assert_eq!(latest("odom", "camera"), at(4500));
@@ -94,7 +94,7 @@ fn the_latest_is_the_latest_time_at_which_all_of_the_way_is_known() {
 }
 
 #[test]
-fn through_a_fixed_frame_the_two_ends_have_times_of_their_own() {
+fn through_a_fixed_frame_both_ends_have_separate_times() {
     let buffer = robot();
     // The base has moved 2 m in odom since.
     let found = buffer.lookup_through("base", at(4000), "base", at(2000), "odom").unwrap();
@@ -105,7 +105,7 @@ fn through_a_fixed_frame_the_two_ends_have_times_of_their_own() {
 }
 
 #[test]
-fn what_is_not_there_or_not_connected_is_told_with_what_is() {
+fn unknown_and_unconnected_frames_are_reported_with_suggestions() {
     let mut buffer = TransformBuffer::new();
     let empty = buffer.lookup("odom", "base", At::Latest).unwrap_err().to_string();
     assert!(empty.contains("no frame \"odom\"; no frames are known yet"), "{empty}");
@@ -120,7 +120,7 @@ fn what_is_not_there_or_not_connected_is_told_with_what_is() {
 }
 
 #[test]
-fn what_is_no_transform_is_refused_and_changes_nothing() {
+fn invalid_transforms_are_refused_and_change_nothing() {
     let mut buffer = robot();
     let before = buffer.frames().count();
     let mut refuse = |transform: &TransformStamped, expected: &str| {
@@ -143,7 +143,7 @@ fn what_is_no_transform_is_refused_and_changes_nothing() {
 }
 
 #[test]
-fn names_without_end_do_not_fill_the_memory() {
+fn endless_names_do_not_fill_the_memory() {
     let mut buffer = TransformBuffer::new();
     let fill = (0..5000).try_for_each(|number| {
         buffer.insert(&stamped("root", &format!("frame {number}"), 0, &along_x(1.0))).map(drop)
@@ -228,7 +228,7 @@ prop_compose! {
 }
 
 prop_compose! {
-    /// Each frame but the first below one that was named before; samples at 0, 100, … ms.
+    /// A tree in which each frame is below an earlier one; samples at 0, 100, … ms.
     fn any_tree()(links in prop::collection::vec((any::<prop::sample::Index>(), prop::collection::vec(any_isometry(), 2..6)), 1..12))
         -> Vec<TransformStamped>
     {
@@ -256,14 +256,14 @@ fn difference(one: &Isometry, other: &Isometry) -> f64 {
     between.translation.length() + angle(between.rotation)
 }
 
-/// Of a rotation, also of the smallest.
+/// The angle of a rotation, accurate for small ones too.
 fn angle(rotation: DQuat) -> f64 {
     2.0 * rotation.xyz().length().atan2(rotation.w.abs())
 }
 
 proptest! {
     #[test]
-    fn there_and_back_is_nowhere(tree in any_tree(), milliseconds in 0..=100_i64, ends in any::<[prop::sample::Index; 3]>()) {
+    fn there_and_back_is_the_identity(tree in any_tree(), milliseconds in 0..=100_i64, ends in any::<[prop::sample::Index; 3]>()) {
         let buffer = filled(&tree);
         let count = buffer.frames().count();
         let [a, b, c] = ends.map(|end| format!("f{}", end.index(count)));
@@ -275,7 +275,7 @@ proptest! {
     }
 
     #[test]
-    fn the_order_in_which_transforms_come_does_not_matter(tree in any_tree(), seed in any::<u64>()) {
+    fn the_order_of_insertion_does_not_matter(tree in any_tree(), seed in any::<u64>()) {
         let mut shuffled = tree.clone();
         let key = |transform: &TransformStamped| {
             use std::hash::{DefaultHasher, Hash, Hasher};
@@ -293,7 +293,7 @@ proptest! {
     }
 
     #[test]
-    fn between_two_samples_the_way_is_shared_in_proportion(from in any_isometry(), to in any_isometry(), ratio in 0..=100_i64) {
+    fn interpolation_between_two_samples_is_proportional(from in any_isometry(), to in any_isometry(), ratio in 0..=100_i64) {
         let transforms = [stamped("a", "b", 0, &from), stamped("a", "b", 100, &to)];
         let found = filled(&transforms).lookup("a", "b", at(ratio)).unwrap().target_from_source;
         let share = ratio as f64 / 100.0;

@@ -1,15 +1,15 @@
-//! What was probably meant by a name that is not known, for error messages.
+//! Suggestions for unknown names in error messages.
 
 use std::fmt::Display;
 
-/// The most names a [`suggestion`] lists.
+/// The maximum number of names in a [`suggestion`].
 const MOST_LISTED: usize = 16;
 
 /// Longer names are not compared: the time grows with the square of the length.
 const LONGEST_COMPARED: usize = 128;
 
-/// The candidate most like `name`, or `None` if none is like it. The part behind the last slash counts as much as the
-/// whole; upper and lower case are the same.
+/// Returns the candidate most similar to `name`, or `None` if none is similar. The part after the last slash
+/// counts as much as the whole; case is ignored.
 pub fn nearest<T: Display>(name: &str, candidates: impl IntoIterator<Item = T>) -> Option<T> {
     if name.len() > LONGEST_COMPARED {
         return None;
@@ -20,13 +20,13 @@ pub fn nearest<T: Display>(name: &str, candidates: impl IntoIterator<Item = T>) 
         (text.len() <= LONGEST_COMPARED).then(|| (likeness(&name, &text), candidate))
     };
     let scored = candidates.into_iter().filter_map(likeness);
-    // Of equals the first.
+    // The first of equally similar ones.
     let (likeness, candidate) = scored.reduce(|best, other| if other.0 > best.0 { other } else { best })?;
     (likeness > 0.45).then_some(candidate)
 }
 
-/// The end of an error message: `, did you mean "..."?` with the [`nearest`] candidate; `; there is ...` with all
-/// candidates if none is like `name` and they are few; or nothing.
+/// The end of an error message: `, did you mean "..."?` with the [`nearest`] candidate; `; there is ...` with
+/// all candidates if none is like `name` and they are few; or an empty string.
 pub fn suggestion<T: Display>(name: &str, candidates: impl IntoIterator<Item = T>) -> String {
     let candidates: Vec<T> = candidates.into_iter().collect();
     match nearest(name, &candidates) {
@@ -39,7 +39,7 @@ pub fn suggestion<T: Display>(name: &str, candidates: impl IntoIterator<Item = T
     }
 }
 
-/// From 0, nothing alike, to 1, the same.
+/// The similarity, from 0 to 1 (equal).
 fn likeness(name: &str, candidate: &str) -> f64 {
     let last = |name| str::rsplit_once(name, '/').map_or(name, |(_, last)| last);
     let whole = strsim::normalized_damerau_levenshtein(name, candidate);

@@ -187,7 +187,7 @@ impl<'a> Value<'a> {
     }
 }
 
-/// The values as one list; nothing if they are not all numbers, all texts, or all truth values.
+/// The values as one list; nothing if they are not all numbers, all texts, or all booleans.
 pub(crate) fn list_of(values: Vec<SettingValue>) -> Option<SettingValue> {
     let all = |matches: fn(&SettingValue) -> bool| values.iter().all(matches);
     if all(|value| matches!(value, SettingValue::Integer(_))) {

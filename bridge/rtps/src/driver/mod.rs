@@ -262,7 +262,7 @@ impl Reader {
         self.state.peers()
     }
 
-    /// As [`Writer::on_event`].
+    /// See [`Writer::on_event`].
     pub fn on_event(&self, handler: EventHandler) {
         self.state.on_event(handler);
     }

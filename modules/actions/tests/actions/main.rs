@@ -1,4 +1,4 @@
-//! Actions between modules of a core, and with what calls their services from outside.
+//! Actions between modules of a core, and with callers from outside.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod modules;
@@ -18,7 +18,7 @@ use std::time::Duration;
 
 const SECOND: Duration = Duration::from_secs(1);
 
-/// A core with a counter; time is moved by hand, a number is computed each second.
+/// A core with a counter and a manual clock; one number is computed each second.
 struct World {
     core: Core,
     clock: ManualClock,
@@ -36,7 +36,7 @@ impl World {
         Self { core, clock }
     }
 
-    /// Runs until nothing is under way any more.
+    /// Runs until nothing is in progress.
     fn settle(&mut self) {
         (0..8).try_for_each(|_| self.core.cycle()).unwrap();
     }
@@ -79,7 +79,7 @@ fn uuid(id: u8) -> UUID {
     UUID { uuid: [id; 16] }
 }
 
-/// A world with a module that asks for what is published to it, and tells what it hears.
+/// A world with a module that sends the published goals and reports what it receives.
 fn with_caller() -> (World, Inlet<Asked>, Receiver<String>) {
     let mut world = World::new();
     let (told, heard) = channel();
@@ -94,7 +94,7 @@ fn ended(answer: &Receiver<FibonacciGetResultResponse>) -> Option<(GoalStatus, V
 }
 
 #[test]
-fn a_goal_of_another_module_is_accepted_tells_how_far_it_is_and_ends_with_a_result() {
+fn a_goal_of_another_module_is_accepted_publishes_feedback_and_ends_with_a_result() {
     let (mut world, ask, heard) = with_caller();
     ask.publish(Asked::Count(4)).unwrap();
     world.settle();
@@ -111,7 +111,7 @@ fn a_goal_of_another_module_is_accepted_tells_how_far_it_is_and_ends_with_a_resu
 }
 
 #[test]
-fn several_goals_are_under_way_at_once_and_a_client_hears_of_its_own() {
+fn several_goals_run_at_once_and_a_client_receives_only_its_own() {
     let mut world = World::new();
     let (told, heard) = channel();
     let (other_told, other_heard) = channel();
@@ -134,7 +134,7 @@ fn several_goals_are_under_way_at_once_and_a_client_hears_of_its_own() {
 }
 
 #[test]
-fn a_client_cancels_its_goal_and_is_told() {
+fn a_client_cancels_its_goal_and_receives_the_answer() {
     let (mut world, ask, heard) = with_caller();
     ask.publish(Asked::Count(9)).unwrap();
     world.settle();
@@ -148,7 +148,7 @@ fn a_client_cancels_its_goal_and_is_told() {
 }
 
 #[test]
-fn a_client_is_told_when_there_is_no_server_or_it_goes() {
+fn a_client_gets_an_error_if_there_is_no_server_or_it_stops() {
     let (mut world, ask, heard) = with_caller();
     ask.publish(Asked::Count(9)).unwrap();
     world.settle();
@@ -163,7 +163,7 @@ fn a_client_is_told_when_there_is_no_server_or_it_goes() {
 }
 
 #[test]
-fn an_id_is_taken_once() {
+fn an_id_is_accepted_once() {
     let mut world = World::new();
     assert!(world.send(1, 3));
     assert!(!world.send(1, 3));
@@ -190,7 +190,7 @@ fn more_goals_than_are_kept_are_rejected() {
 }
 
 #[test]
-fn requests_to_cancel_mean_one_goal_or_those_up_to_a_time_or_all() {
+fn cancel_requests_select_one_goal_or_those_up_to_a_time_or_all() {
     let mut world = World::new();
     let seconds = |sec| Stamp { sec, nanosec: 0 };
     for id in 1..=4 {
@@ -216,7 +216,7 @@ fn a_module_may_refuse_to_cancel() {
 }
 
 #[test]
-fn a_result_is_told_before_and_after_the_end_until_it_expires() {
+fn a_result_can_be_requested_before_and_after_the_end_until_it_expires() {
     let mut world = World::new();
     assert!(world.send(1, 2));
     let early = world.ask_for_result(1);
@@ -230,7 +230,7 @@ fn a_result_is_told_before_and_after_the_end_until_it_expires() {
     world.pass(1);
     let too_late = world.ask_for_result(1);
     assert_eq!(ended(&too_late), Some((GoalStatus::Unknown, vec![])));
-    assert_eq!(ended(&world.ask_for_result(7)), Some((GoalStatus::Unknown, vec![])), "it never was");
+    assert_eq!(ended(&world.ask_for_result(7)), Some((GoalStatus::Unknown, vec![])), "it never existed");
     assert!(world.send(1, 2), "its id is free again");
 }
 
@@ -257,7 +257,7 @@ fn a_status_is_published_at_each_change_with_all_goals() {
 }
 
 #[test]
-fn another_name_for_an_action_holds_for_all_its_parts() {
+fn remapping_an_action_applies_to_all_its_parts() {
     let mut core = Core::new();
     let remaps = [("count".to_owned(), "/numbers/fibonacci".to_owned())].into();
     core.add_with("counter", Counter::default(), ModuleOptions { remaps, ..ModuleOptions::default() })
@@ -285,7 +285,7 @@ fn goals_ids_and_results_are_the_same_under_every_launcher() {
             ask.publish(Asked::CancelLast).unwrap();
         }
         world.pass(9);
-        // The callers run beside each other, so what each heard is put in an order of its own.
+        // The callers run in parallel, so their lines are sorted.
         let mut lines: Vec<_> = heard.try_iter().collect();
         lines.sort();
         lines
@@ -296,6 +296,6 @@ fn goals_ids_and_results_are_the_same_under_every_launcher() {
     assert_eq!(run(Core::new().with_launcher(Pool::new(3).unwrap())), expected);
     assert_eq!(run(Core::new().with_launcher(Threads::new())), expected);
     let ids: std::collections::BTreeSet<_> = expected.iter().map(|line| &line[..32]).collect();
-    assert_eq!(ids.len(), 15, "each goal has an id of its own");
+    assert_eq!(ids.len(), 15, "each goal has a unique id");
     assert_eq!(GoalId::default().to_string(), "0".repeat(32));
 }

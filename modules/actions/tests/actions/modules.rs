@@ -7,7 +7,7 @@ use downbeat_msgs::test_msgs::action::{Fibonacci, FibonacciFeedback, FibonacciGo
 use std::sync::mpsc::Sender;
 use std::time::Duration;
 
-/// Counts as Fibonacci did, a number a second; the action is `count`.
+/// Computes Fibonacci numbers, one per second; the action is `count`.
 #[derive(Default)]
 pub struct Counter {
     server: ActionServer<Fibonacci>,
@@ -15,9 +15,9 @@ pub struct Counter {
 }
 
 impl Counter {
-    /// An order of which it does not let go.
+    /// An order that it refuses to cancel.
     pub const STUBBORN: i32 = 13;
-    /// An order with which it begins a second later.
+    /// An order that it starts a second later.
     pub const LATER: i32 = 14;
 
     fn tick(&mut self, ctx: &mut Context<'_>) {
@@ -73,14 +73,14 @@ impl Module for Counter {
     }
 }
 
-/// What a [`Caller`] is asked to do.
+/// A request to a [`Caller`].
 #[derive(Clone, Copy)]
 pub enum Asked {
     Count(i32),
     CancelLast,
 }
 
-/// Sends a goal or cancels the last on each message on `ask`, and tells what comes of it.
+/// Sends a goal or cancels the last one on each message on `ask`, and reports the outcome.
 pub struct Caller {
     client: ActionClient<Fibonacci>,
     told: Sender<String>,
@@ -93,7 +93,7 @@ impl Caller {
         Self { client: ActionClient::default(), told, last: GoalId::default(), has_ids: false }
     }
 
-    /// Begins each line with the id of the goal.
+    /// Starts each line with the id of the goal.
     pub fn with_ids(self) -> Self {
         Self { has_ids: true, ..self }
     }
@@ -145,7 +145,7 @@ impl Module for Caller {
     }
 }
 
-/// Tells each message on the topic of statuses.
+/// Reports each message on the topic of statuses.
 pub struct Statuses(pub Sender<Vec<GoalStatus>>);
 
 impl Module for Statuses {

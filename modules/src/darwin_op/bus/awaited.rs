@@ -1,4 +1,4 @@
-//! Which answers have come.
+//! Tracks which answers have arrived.
 
 use super::super::protocol::Receiver;
 use super::{ExpectedStatus, Outcome};
@@ -20,11 +20,11 @@ impl End {
     }
 }
 
-/// Watches which of the expected answers have come.
+/// Tracks which of the expected answers have arrived.
 pub(crate) struct Awaited<'a> {
     expected: &'a [ExpectedStatus],
     receiver: Receiver,
-    /// Devices answer in order: those before this have answered or will not.
+    /// Devices answer in order: those before this index have answered or will not answer.
     passed: usize,
     came: usize,
 }
@@ -55,7 +55,7 @@ impl<'a> Awaited<'a> {
         if missing == 0 {
             return End { reply, ..End::ok() };
         }
-        let error = format!("{missing} of {} answers did not come, or came corrupt", self.expected.len());
+        let error = format!("{missing} of {} answers are missing or corrupt", self.expected.len());
         End { outcome: Outcome::Timeout, reply, error }
     }
 }

@@ -4,46 +4,47 @@ use super::super::protocol::Id;
 use downbeat_executor::Time;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 
-/// What was done.
+/// The kind of an exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExchangeKind {
     /// The port was opened.
     Open,
-    /// An instruction was sent, and its answers were awaited.
+    /// An instruction was sent, and its answers were received.
     Transfer,
     /// The port was closed.
     Close,
 }
 
-/// How it ended.
+/// The outcome of an exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// All that was expected came, whole and sound.
+    /// All expected answers arrived and are valid.
     Ok,
-    /// The port works, but at least one answer did not come, or came corrupt.
+    /// The port works, but at least one answer is missing or corrupt.
     Timeout,
     /// The port does not work: it cannot be opened, was unplugged or closed.
     Failed,
 }
 
-/// A status packet that is to come.
+/// An expected status packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ExpectedStatus {
-    /// From whom.
+    /// The device that sends it.
     pub id: Id,
-    /// With how many bytes of parameters.
+    /// The number of parameter bytes.
     pub parameters: u8,
 }
 
 impl ExpectedStatus {
-    /// How long the packet is, header and checksum included.
+    /// The length of the packet, including header and checksum.
     #[must_use]
     pub const fn packet_length(&self) -> usize {
         self.parameters as usize + 6
     }
 }
 
-/// In [`Exchange::error`]: an answer came that had been given up. The devices are well, the machine was too slow for them.
+/// In [`Exchange::error`]: an answer arrived after its time-out. The devices work, but the machine was too
+/// slow.
 pub const LATE: &str = "an earlier answer came after it was given up";
 
 /// One exchange on the bus.
@@ -51,39 +52,39 @@ pub const LATE: &str = "an earlier answer came after it was given up";
 pub struct Exchange {
     /// Counts all exchanges of this bus, from 0.
     pub sequence: u64,
-    /// What was done.
+    /// The kind of the exchange.
     pub kind: ExchangeKind,
     /// When the instruction was sent.
     pub sent: Time,
-    /// From sending to the last byte, or to giving up, in microseconds.
+    /// From sending to the last byte or the time-out, in microseconds.
     pub duration_us: u32,
     /// The instruction packet; empty unless it is a transfer.
     pub instruction: Vec<u8>,
-    /// All bytes that came, as they came.
+    /// All received bytes, unprocessed.
     pub reply: Vec<u8>,
-    /// How it ended.
+    /// The outcome.
     pub outcome: Outcome,
-    /// What went wrong, for people; empty if all went well.
+    /// A description of the error; empty on success.
     pub error: String,
 }
 
-/// Why a recorded message is no exchange.
+/// Why a recorded message is not a valid exchange.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ExchangeMessageError {
-    /// The kind is none of those defined.
+    /// The kind is undefined.
     #[error("exchange {sequence} of the recording is of kind {found}, which does not exist")]
     Kind {
-        /// Which exchange.
+        /// The sequence number of the exchange.
         sequence: u64,
-        /// The kind it has.
+        /// The kind in the message.
         found: u8,
     },
-    /// The outcome is none of those defined.
+    /// The outcome is undefined.
     #[error("exchange {sequence} of the recording ended in outcome {found}, which does not exist")]
     Outcome {
-        /// Which exchange.
+        /// The sequence number of the exchange.
         sequence: u64,
-        /// The outcome it has.
+        /// The outcome in the message.
         found: u8,
     },
 }
@@ -155,7 +156,7 @@ mod tests {
             instruction: vec![1, 2],
             reply: vec![3],
             outcome: Outcome::Timeout,
-            error: "1 of 2 answers did not come".to_owned(),
+            error: "1 of 2 answers are missing".to_owned(),
         };
         assert_eq!(Exchange::try_from(BusExchange::from(&exchange)), Ok(exchange));
     }

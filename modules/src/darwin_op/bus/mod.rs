@@ -1,7 +1,8 @@
-//! The way to the devices: a serial port, or the recording of one.
+//! Access to the devices: a serial port, or a recording of one.
 //!
-//! All that the hardware module learns from outside comes through [`Bus`], time and errors included. So a
-//! [`RecordedBus`] that plays back what a [`SerialBus`] saw makes the module do the same again, bit for bit.
+//! All external input of the hardware module goes through [`Bus`], including time and errors. So a
+//! [`RecordedBus`] that plays back the exchanges of a [`SerialBus`] reproduces the module's behaviour bit for
+//! bit.
 
 mod awaited;
 mod exchange;
@@ -18,21 +19,21 @@ pub use timeout::{STATUS_SLACK, status_timeout};
 
 use downbeat_executor::Time;
 
-/// The way to the devices.
+/// Access to the devices.
 ///
-/// No operation fails otherwise than by what the [`Exchange`] says: whatever happened can be recorded.
+/// All errors are reported in the [`Exchange`], so that they can be recorded.
 pub trait Bus: Send {
-    /// Says what time it is. Exchanges until the next call are stamped with this time and what has passed since.
+    /// Sets the time. Exchanges until the next call are stamped with this time plus the time elapsed since.
     fn begin_step(&mut self, now: Time);
 
-    /// Opens the way, after closing it if it was open.
+    /// Opens the port, after closing it if it was open.
     fn open(&mut self, port: &str) -> Exchange;
 
     /// Sends one instruction packet and waits for the answers.
     ///
-    /// It returns as soon as the last answer that is expected has come, or when they are overdue.
+    /// It returns as soon as the last expected answer has arrived, or after a time-out.
     fn exchange(&mut self, instruction: &[u8], expected: &[ExpectedStatus]) -> Exchange;
 
-    /// Closes the way. Does nothing to the devices.
+    /// Closes the port. Does not affect the devices.
     fn close(&mut self) -> Exchange;
 }

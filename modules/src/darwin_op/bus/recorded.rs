@@ -1,40 +1,40 @@
-//! A recording of the bus in place of the bus.
+//! A recording that replaces the bus.
 
 use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, Outcome};
 use downbeat_executor::Time;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Plays back what a bus answered, and checks that it is asked the same.
+/// Plays back the recorded answers of a bus, and checks that the requests are the same.
 ///
-/// The answers, their times and their errors come from the recording, whatever was asked.
+/// The answers, their times and their errors come from the recording, whatever the request.
 pub struct RecordedBus {
     recording: Box<dyn Iterator<Item = Exchange> + Send>,
     now: Time,
     report: Arc<Mutex<ReplayReport>>,
 }
 
-/// What a replay found so far.
+/// The result of a replay so far.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ReplayReport {
-    /// How many exchanges of the recording were asked for.
+    /// The number of replayed exchanges.
     pub replayed: u64,
-    /// Where the module did something else than in the recording, or more.
+    /// Where the module's behaviour differs from the recording.
     pub differences: Vec<Difference>,
 }
 
-/// A place where the module did something else than in the recording.
+/// A difference between the module's behaviour and the recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Difference {
-    /// Which exchange of the recording; behind its end, the number it would have.
+    /// The sequence number of the exchange; after the end of the recording, the number it would have.
     pub sequence: u64,
-    /// What the recording has; `None` behind its end.
+    /// The recorded request; `None` after the end.
     pub recorded: Option<(ExchangeKind, Vec<u8>)>,
-    /// What the module did.
+    /// The module's request.
     pub done: (ExchangeKind, Vec<u8>),
 }
 
 impl RecordedBus {
-    /// A bus that plays back these exchanges, and the report that is filled in meanwhile.
+    /// Creates a bus that plays back these exchanges, and the report that it updates.
     pub fn new<I>(recording: I) -> (Self, Arc<Mutex<ReplayReport>>)
     where
         I: IntoIterator<Item = Exchange>,
@@ -141,7 +141,7 @@ mod tests {
         bus.open("anywhere");
         let changed = bus.exchange(&[1, 7], &[]);
         assert_eq!(changed.outcome, Outcome::Failed);
-        assert_eq!(bus.exchange(&[3], &[]).reply, [8], "the replay goes on behind a difference");
+        assert_eq!(bus.exchange(&[3], &[]).reply, [8], "the replay continues after a difference");
         let difference = Difference {
             sequence: 5,
             recorded: Some((ExchangeKind::Transfer, vec![1, 2])),
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn asking_behind_the_end_of_the_recording_fails_and_is_reported() {
+    fn requests_after_the_end_of_the_recording_fail_and_are_reported() {
         let (mut bus, report) = RecordedBus::new(Vec::new());
         assert_eq!(bus.close().outcome, Outcome::Failed);
         assert_eq!(report.lock().unwrap().differences[0].recorded, None);

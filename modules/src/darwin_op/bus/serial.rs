@@ -20,14 +20,14 @@ pub struct SerialBus {
     port: Option<Box<dyn SerialPort>>,
     slack: Duration,
     sequence: u64,
-    /// What time it is, and when that was said.
+    /// The time of the step, and the instant at which it was set.
     step: (Time, Instant),
-    /// In how many more exchanges an answer that was given up may still come.
+    /// The number of further exchanges during which a late answer may still arrive.
     late_answers_for: u8,
 }
 
-/// How many exchanges are looked at for an answer that was given up: one that comes during the next exchange may be taken for
-/// its answer, whose own one is late then.
+/// The number of exchanges to check for a late answer: one that arrives during the next exchange may be
+/// mistaken for its answer, whose own answer is then late.
 const LATE_FOR: u8 = 4;
 
 impl Default for SerialBus {
@@ -37,16 +37,16 @@ impl Default for SerialBus {
 }
 
 impl SerialBus {
-    /// A bus that is not open.
+    /// A closed bus.
     #[must_use]
     pub fn new() -> Self {
         Self::with_slack(STATUS_SLACK)
     }
 
-    /// A bus that is not open and gives devices and operating system this much time to answer, see [`status_timeout`].
+    /// A closed bus that gives devices and operating system this much time to answer, see [`status_timeout`].
     ///
-    /// More than the usual [`STATUS_SLACK`] helps on a machine that has more to do than it can, at the price of a
-    /// longer wait for devices that are silent.
+    /// More than the usual [`STATUS_SLACK`] helps on an overloaded machine, at the cost of a longer wait for
+    /// silent devices.
     #[must_use]
     pub fn with_slack(slack: Duration) -> Self {
         Self { port: None, slack, sequence: 0, step: (Time::ZERO, Instant::now()), late_answers_for: 0 }
@@ -68,7 +68,7 @@ impl SerialBus {
         }
     }
 
-    /// Whether the answer to an earlier instruction came after it was given up: nobody sends without being asked.
+    /// Whether the answer to an earlier instruction arrived after its time-out: devices only send on request.
     fn has_late_answer(&mut self) -> bool {
         let Some(port) = self.port.as_deref().filter(|_| self.late_answers_for > 0) else { return false };
         self.late_answers_for -= 1;
@@ -157,7 +157,7 @@ impl Bus for SerialBus {
     }
 }
 
-/// Drops what came late for an earlier instruction, then sends.
+/// Drops late answers to earlier instructions, then sends.
 fn send(port: &mut dyn SerialPort, instruction: &[u8]) -> io::Result<()> {
     port.clear(ClearBuffer::Input)?;
     port.set_timeout(WRITE_TIMEOUT)?;
@@ -171,9 +171,9 @@ mod tests {
     use super::*;
     use serialport::TTYPort;
 
-    /// Waits for an answer for so short a time that none can come.
+    /// The time-out is too short for any answer.
     #[test]
-    fn an_answer_that_comes_after_its_time_is_called_late_and_one_that_never_comes_is_not() {
+    fn an_answer_after_its_time_out_is_late_and_one_that_never_arrives_is_not() {
         let (mut device, port) = TTYPort::pair().unwrap();
         let mut bus = SerialBus::with_slack(Duration::ZERO);
         assert_eq!(bus.open(&port.name().unwrap()).outcome, Outcome::Ok);
@@ -185,7 +185,7 @@ mod tests {
         io::Write::write_all(&mut device, &[0xFF, 0xFF, 0xC8, 0x02, 0x00, 0x35]).unwrap();
         let watchdog = Instant::now() + Duration::from_secs(60);
         while port.bytes_to_read().unwrap() < 6 {
-            assert!(Instant::now() < watchdog, "the answer does not come through the terminal");
+            assert!(Instant::now() < watchdog, "the answer does not arrive through the terminal");
             std::thread::yield_now();
         }
         let late = exchange();

@@ -7,13 +7,13 @@ use std::time::Duration;
 /// 12 bit times at 1 Mbit/s for each byte: ten bits and some slack.
 const NANOSECONDS_PER_BYTE: u64 = 12_000;
 
-/// For the devices to think and for the operating system to hand the bytes on, as the DARwIn-OP framework has it.
+/// Time for processing in the devices and in the operating system, as in the DARwIn-OP framework.
 pub const STATUS_SLACK: Duration = Duration::from_millis(5);
 
-/// How long after sending `instruction` its answers are overdue.
+/// The time-out for the answers after sending `instruction`.
 ///
-/// As the DARwIn-OP framework has it: `slack`, and 12 microseconds for each byte sent; for a bulk read, for one and a
-/// half times the bytes that are to come.
+/// As in the DARwIn-OP framework: `slack`, plus 12 microseconds for each byte sent or, for a bulk read, for
+/// one and a half times the expected bytes.
 #[must_use]
 pub fn status_timeout(instruction: &[u8], expected: &[ExpectedStatus], slack: Duration) -> Duration {
     let packet = Packet::new_checked(instruction);
@@ -36,14 +36,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_ping_is_given_five_milliseconds_and_what_its_own_bytes_take() {
+    fn a_ping_has_five_milliseconds_and_the_time_of_its_own_bytes() {
         let ping = Instruction::Ping { id: Id::CM730 }.to_bytes();
         let expected = [ExpectedStatus { id: Id::CM730, parameters: 0 }];
         assert_eq!(status_timeout(&ping, &expected, STATUS_SLACK), Duration::from_micros(5_072));
     }
 
     #[test]
-    fn a_bulk_read_is_given_one_and_a_half_times_what_its_answers_take() {
+    fn a_bulk_read_has_one_and_a_half_times_the_time_of_its_answers() {
         let block = [30, 200, 24, 8, 1, 36];
         let read = Instruction::BulkRead { block: BulkReadBlock::new(&block).unwrap() }.to_bytes();
         let expected = [

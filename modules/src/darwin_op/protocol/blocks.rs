@@ -2,7 +2,7 @@
 
 use super::Id;
 
-/// What SYNC_WRITE carries: for each device its id and the same number of bytes.
+/// The data of SYNC_WRITE: for each device its id and the same number of bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SyncWriteBlock<'a> {
     data_length: u8,
@@ -10,9 +10,9 @@ pub struct SyncWriteBlock<'a> {
 }
 
 impl<'a> SyncWriteBlock<'a> {
-    /// A block as it goes over the wire: `id, data_length bytes` for each device.
+    /// Creates a block from the bytes on the wire: `id, data_length bytes` for each device.
     ///
-    /// `None` if the bytes are no whole number of entries, or an id is 0xFF.
+    /// `None` if the bytes are not a whole number of entries, or an id is 0xFF.
     #[must_use]
     pub fn new(data_length: u8, bytes: &'a [u8]) -> Option<Self> {
         let mut entries = bytes.chunks_exact(usize::from(data_length) + 1);
@@ -20,19 +20,19 @@ impl<'a> SyncWriteBlock<'a> {
         sound.then_some(Self { data_length, bytes })
     }
 
-    /// How many bytes each device is given.
+    /// The number of bytes for each device.
     #[must_use]
     pub fn data_length(&self) -> u8 {
         self.data_length
     }
 
-    /// The block as it goes over the wire.
+    /// The bytes on the wire.
     #[must_use]
     pub fn as_bytes(&self) -> &'a [u8] {
         self.bytes
     }
 
-    /// Each device and the bytes it is given.
+    /// Each device and its bytes.
     pub fn entries(&self) -> impl Iterator<Item = (Id, &'a [u8])> + use<'a> {
         let chunks = self.bytes.chunks_exact(usize::from(self.data_length) + 1);
         chunks.filter_map(|entry| Some((Id::new(entry[0])?, &entry[1..])))
@@ -42,32 +42,32 @@ impl<'a> SyncWriteBlock<'a> {
 /// One entry of a BULK_READ: what to read from whom.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BulkReadEntry {
-    /// How many bytes.
+    /// The number of bytes.
     pub length: u8,
-    /// From which device.
+    /// The device.
     pub id: Id,
-    /// From which address of its control table.
+    /// The address in its control table.
     pub address: u8,
 }
 
 impl BulkReadEntry {
-    /// The entry as it goes over the wire.
+    /// The bytes on the wire.
     #[must_use]
     pub fn to_bytes(self) -> [u8; 3] {
         [self.length, self.id.raw(), self.address]
     }
 }
 
-/// What BULK_READ carries: who answers what, in the order of the answers.
+/// The data of BULK_READ: what each device answers, in the order of the answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BulkReadBlock<'a> {
     bytes: &'a [u8],
 }
 
 impl<'a> BulkReadBlock<'a> {
-    /// A block as it goes over the wire: `length, id, address` for each device.
+    /// Creates a block from the bytes on the wire: `length, id, address` for each device.
     ///
-    /// `None` if the bytes are no whole number of entries, or an id is 0xFF.
+    /// `None` if the bytes are not a whole number of entries, or an id is 0xFF.
     #[must_use]
     pub fn new(bytes: &'a [u8]) -> Option<Self> {
         let mut entries = bytes.chunks_exact(3);
@@ -75,7 +75,7 @@ impl<'a> BulkReadBlock<'a> {
         sound.then_some(Self { bytes })
     }
 
-    /// The block as it goes over the wire.
+    /// The bytes on the wire.
     #[must_use]
     pub fn as_bytes(&self) -> &'a [u8] {
         self.bytes

@@ -4,12 +4,12 @@ use std::fmt;
 
 /// The address of a device on the bus, or of all of them.
 ///
-/// 0xFF is no address: it would be mistaken for a header byte.
+/// 0xFF is not an address: it would be mistaken for a header byte.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Id(u8);
 
 impl Id {
-    /// All devices. They carry the instruction out and do not answer, except to a bulk read.
+    /// All devices. They execute the instruction and do not answer, except to a bulk read.
     pub const BROADCAST: Self = Self(254);
     /// The sub controller, which sits between the computer and the servo bus.
     pub const CM730: Self = Self(200);

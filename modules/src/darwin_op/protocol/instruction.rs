@@ -1,4 +1,4 @@
-//! What the computer says to the devices.
+//! Instructions from the computer to the devices.
 
 use super::{BulkReadBlock, Id, Packet, SyncWriteBlock, emit_packet};
 
@@ -11,66 +11,66 @@ const FACTORY_RESET: u8 = 0x06;
 const SYNC_WRITE: u8 = 0x83;
 const BULK_READ: u8 = 0x92;
 
-/// An instruction, its bytes borrowed from the packet or from who sends it.
+/// An instruction, with bytes borrowed from the packet or the sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Instruction<'a> {
-    /// Are you there?
+    /// Requests an answer without data.
     Ping {
-        /// Whom it concerns.
+        /// The device.
         id: Id,
     },
-    /// Say what is in your control table.
+    /// Reads from the control table.
     Read {
-        /// Whom it concerns.
+        /// The device.
         id: Id,
         /// First address.
         address: u8,
-        /// How many bytes.
+        /// The number of bytes.
         length: u8,
     },
-    /// Put these bytes into your control table.
+    /// Writes to the control table.
     Write {
-        /// Whom it concerns.
+        /// The device.
         id: Id,
         /// First address.
         address: u8,
         /// The bytes.
         data: &'a [u8],
     },
-    /// Keep these bytes for your control table until ACTION.
+    /// Registers a write that is executed by ACTION.
     RegWrite {
-        /// Whom it concerns.
+        /// The device.
         id: Id,
         /// First address.
         address: u8,
         /// The bytes.
         data: &'a [u8],
     },
-    /// Do what REG_WRITE told you to.
+    /// Executes a registered write.
     Action {
-        /// Whom it concerns.
+        /// The device.
         id: Id,
     },
-    /// Forget all settings, the id among them.
+    /// Resets all settings, including the id.
     FactoryReset {
-        /// Whom it concerns.
+        /// The device.
         id: Id,
     },
-    /// Put bytes into the control tables of many devices at once. Goes to all, nobody answers.
+    /// Writes to the control tables of several devices at once. Sent to all devices, without answers.
     SyncWrite {
         /// First address, the same for all devices.
         address: u8,
         /// The devices and their bytes.
         block: SyncWriteBlock<'a>,
     },
-    /// Read from many devices, which answer one behind the other.
+    /// Reads from several devices, which answer one after another.
     BulkRead {
-        /// The devices and what each is to answer.
+        /// The devices and the requested ranges.
         block: BulkReadBlock<'a>,
     },
 }
 
-/// Why a sound packet is no instruction.
+/// Why a valid packet is not an instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InstructionError {
     /// No instruction has this code.
@@ -84,7 +84,7 @@ pub enum InstructionError {
     Parameters {
         /// The code on the wire.
         code: u8,
-        /// How many bytes of parameters there are.
+        /// The number of parameter bytes.
         count: usize,
     },
     /// The instruction exists only for all devices at once.
@@ -98,7 +98,7 @@ pub enum InstructionError {
 }
 
 impl<'a> Instruction<'a> {
-    /// The meaning of a packet that goes to the devices.
+    /// Parses a packet sent to the devices.
     ///
     /// # Errors
     /// If no instruction has this code, or its parameters do not fit.
@@ -151,10 +151,10 @@ impl<'a> Instruction<'a> {
         }
     }
 
-    /// The packet by itself.
+    /// The packet as a separate buffer.
     ///
     /// # Panics
-    /// As [`emit`](Self::emit).
+    /// See [`emit`](Self::emit).
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut out = Vec::new();
@@ -162,7 +162,7 @@ impl<'a> Instruction<'a> {
         out
     }
 
-    /// Whom it concerns.
+    /// The device.
     #[must_use]
     pub fn id(&self) -> Id {
         match *self {

@@ -10,7 +10,7 @@ fn id(raw: u8) -> Id {
 }
 
 fn parsed(bytes: &[u8]) -> Vec<u8> {
-    // Parsed and written again: a golden packet must survive both.
+    // Parsed and written again: golden packets must round-trip.
     Instruction::parse(&Packet::new_checked(bytes).unwrap()).unwrap().to_bytes()
 }
 
@@ -22,12 +22,12 @@ fn is_golden(instruction: Instruction<'_>, golden: &[u8]) {
 }
 
 #[test]
-fn ping_is_as_the_framework_sends_it() {
+fn ping_matches_the_framework() {
     is_golden(Instruction::Ping { id: Id::CM730 }, &[0xFF, 0xFF, 0xC8, 0x02, 0x01, 0x34]);
 }
 
 #[test]
-fn write_is_as_the_framework_and_the_manual_have_it() {
+fn write_matches_the_framework_and_the_manual() {
     let power_on = Instruction::Write { id: Id::CM730, address: 24, data: &[1] };
     is_golden(power_on, &[0xFF, 0xFF, 0xC8, 0x04, 0x03, 0x18, 0x01, 0x17]);
     let limits = Instruction::Write { id: id(1), address: 12, data: &[0x64, 0xAA] };
@@ -37,13 +37,13 @@ fn write_is_as_the_framework_and_the_manual_have_it() {
 }
 
 #[test]
-fn read_is_as_the_manual_has_it() {
+fn read_matches_the_manual() {
     let temperature = Instruction::Read { id: id(1), address: 43, length: 1 };
     is_golden(temperature, &[0xFF, 0xFF, 0x01, 0x04, 0x02, 0x2B, 0x01, 0xCC]);
 }
 
 #[test]
-fn sync_write_is_as_the_manual_has_it() {
+fn sync_write_matches_the_manual() {
     let bytes = [0, 0x10, 0, 0x50, 0x01, 0x01, 0x20, 0x02, 0x60, 0x03];
     let block = SyncWriteBlock::new(4, &bytes).unwrap();
     let golden = [0xFF, 0xFF, 0xFE, 0x0E, 0x83, 0x1E, 0x04, 0, 0x10, 0, 0x50, 1, 1, 0x20, 2, 0x60, 3, 0x67];
@@ -53,7 +53,7 @@ fn sync_write_is_as_the_manual_has_it() {
 }
 
 #[test]
-fn bulk_read_is_as_the_manual_and_the_framework_have_it() {
+fn bulk_read_matches_the_manual_and_the_framework() {
     let bytes = [2, 1, 30, 2, 2, 36];
     let block = BulkReadBlock::new(&bytes).unwrap();
     let golden = [0xFF, 0xFF, 0xFE, 0x09, 0x92, 0, 2, 1, 0x1E, 2, 2, 0x24, 0x1D];
@@ -64,7 +64,7 @@ fn bulk_read_is_as_the_manual_and_the_framework_have_it() {
 }
 
 #[test]
-fn an_unknown_instruction_and_parameters_that_do_not_fit_are_told_apart() {
+fn unknown_instructions_and_invalid_parameters_are_distinguished() {
     let parse = |id, code, parameters: &[u8]| {
         let mut bytes = Vec::new();
         emit_packet(id, code, parameters, &mut bytes);

@@ -4,7 +4,7 @@
 //!
 //! - [`Packet`]: a checked view of the bytes of one packet, the framing that both directions share;
 //! - [`Instruction`] and [`Status`]: the meaning of a packet, with `parse` and `emit`;
-//! - [`Receiver`]: finds packets in a stream of bytes that comes in pieces and may hold garbage.
+//! - [`Receiver`]: finds packets in a fragmented stream of bytes that may contain garbage.
 //!
 //! ```
 //! use downbeat_modules::darwin_op::protocol::{Id, Instruction, Packet, Status};

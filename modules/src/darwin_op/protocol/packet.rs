@@ -1,11 +1,11 @@
-//! The framing that instructions and answers share.
+//! The common framing of instructions and answers.
 //!
-//! `FF FF | id | length | code | parameters | checksum`, where length counts everything behind itself, code is
-//! the instruction or, in an answer, the error bits.
+//! `FF FF | id | length | code | parameters | checksum`, where length counts everything after itself, and
+//! code is the instruction or, in an answer, the error bits.
 
 use super::Id;
 
-/// The two bytes every packet begins with.
+/// The first two bytes of every packet.
 pub const HEADER: [u8; 2] = [0xFF, 0xFF];
 
 /// Header, id, length, code and checksum.
@@ -15,15 +15,15 @@ const OVERHEAD: usize = 6;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PacketError {
     /// The bytes end before the packet does.
-    #[error("the packet is cut short: it needs {needed} bytes and {found} are there")]
+    #[error("the packet is truncated: it needs {needed} bytes, found {found}")]
     Truncated {
-        /// How many bytes the packet needs, as far as can be told.
+        /// The required number of bytes, as far as known.
         needed: usize,
-        /// How many bytes there are.
+        /// The available number of bytes.
         found: usize,
     },
-    /// The bytes do not begin with FF FF.
-    #[error("a packet begins with FF FF, this begins with {found:02X?}")]
+    /// The bytes do not start with FF FF.
+    #[error("a packet starts with FF FF, found {found:02X?}")]
     Header {
         /// The first two bytes.
         found: [u8; 2],
@@ -32,22 +32,22 @@ pub enum PacketError {
     #[error("the id of the packet is FF, which no device can have")]
     Id,
     /// The length is too small to hold a code and a checksum.
-    #[error("the length of a packet is at least 2, this says {found}")]
+    #[error("the length of a packet is at least 2, found {found}")]
     Length {
         /// The length on the wire.
         found: u8,
     },
     /// The checksum does not fit the bytes.
-    #[error("the checksum of the packet should be {expected:02X} and is {found:02X}")]
+    #[error("the checksum of the packet should be {expected:02X}, found {found:02X}")]
     Checksum {
-        /// What the bytes add up to.
+        /// The computed checksum.
         expected: u8,
-        /// What the packet says.
+        /// The checksum in the packet.
         found: u8,
     },
 }
 
-/// A view of the bytes of one packet, checked when it was made.
+/// A view of the bytes of one packet, checked on creation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Packet<T: AsRef<[u8]>> {
     buffer: T,
@@ -55,10 +55,10 @@ pub struct Packet<T: AsRef<[u8]>> {
 }
 
 impl<T: AsRef<[u8]>> Packet<T> {
-    /// Looks at bytes as a packet. Bytes behind its end are ignored.
+    /// Views bytes as a packet. Bytes after its end are ignored.
     ///
     /// # Errors
-    /// If the bytes do not begin with a whole, sound packet.
+    /// If the bytes do not start with a complete, valid packet.
     pub fn new_checked(buffer: T) -> Result<Self, PacketError> {
         let bytes = buffer.as_ref();
         let truncated = |needed| PacketError::Truncated { needed, found: bytes.len() };
@@ -93,14 +93,14 @@ impl<T: AsRef<[u8]>> Packet<T> {
         self.buffer.as_ref()[4]
     }
 
-    /// What follows the code.
+    /// The bytes after the code.
     #[must_use]
     pub fn parameters(&self) -> &[u8] {
         let bytes = self.as_bytes();
         &bytes[5..bytes.len() - 1]
     }
 
-    /// The whole packet, header and checksum included.
+    /// The whole packet, including header and checksum.
     #[must_use]
     pub fn as_bytes(&self) -> &[u8] {
         let bytes = self.buffer.as_ref();
@@ -117,7 +117,7 @@ pub fn checksum(covered: &[u8]) -> u8 {
 /// Appends a packet to `out`.
 ///
 /// # Panics
-/// If there are more than 253 bytes of parameters, which the length byte cannot say.
+/// If there are more than 253 bytes of parameters, which the length byte cannot represent.
 pub fn emit_packet(id: Id, code: u8, parameters: &[u8], out: &mut Vec<u8>) {
     let length = u8::try_from(parameters.len() + 2).unwrap_or_else(|_| {
         panic!("a packet holds at most 253 bytes of parameters, not {}", parameters.len())
@@ -137,21 +137,21 @@ mod tests {
     const TEMPERATURE: [u8; 7] = [0xFF, 0xFF, 0x01, 0x03, 0x00, 0x20, 0xDB];
 
     #[test]
-    fn a_sound_packet_is_taken_apart() {
+    fn a_valid_packet_is_parsed() {
         let packet =
             Packet::new_checked(TEMPERATURE).map(|p| (p.id().raw(), p.code(), p.parameters().to_vec()));
         assert_eq!(packet, Ok((1, 0, vec![0x20])));
     }
 
     #[test]
-    fn bytes_behind_the_packet_are_ignored() {
+    fn bytes_after_the_packet_are_ignored() {
         let mut bytes = TEMPERATURE.to_vec();
         bytes.extend_from_slice(&[1, 2, 3]);
         assert_eq!(Packet::new_checked(&bytes).map(|p| p.as_bytes().to_vec()), Ok(TEMPERATURE.to_vec()));
     }
 
     #[test]
-    fn what_is_wrong_with_bytes_is_told() {
+    fn invalid_bytes_are_reported_with_the_reason() {
         assert_eq!(
             Packet::new_checked(&TEMPERATURE[..5]),
             Err(PacketError::Truncated { needed: 7, found: 5 })

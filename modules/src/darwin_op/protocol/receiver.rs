@@ -2,15 +2,15 @@
 
 use super::packet::{HEADER, Packet, PacketError};
 
-/// Finds packets in bytes that come in pieces of any size and may hold garbage.
+/// Finds packets in bytes that arrive in pieces of any size and may contain garbage.
 ///
-/// Bytes before a header are dropped. Where a header leads to a wrong checksum or an impossible length, its two
-/// bytes are dropped and the search goes on behind them, so that a sound packet hidden in what the bad one
-/// claimed is found. A packet whose end has not come yet is kept.
+/// Bytes before a header are dropped. If a header is followed by a wrong checksum or an impossible length,
+/// its two bytes are dropped and the search continues after them, so that a valid packet within the range of
+/// the invalid one is found. Incomplete packets are kept.
 #[derive(Clone, Debug)]
 pub struct Receiver {
     buffer: Vec<u8>,
-    /// Everything before this has been given out or dropped.
+    /// Everything before this has been returned or dropped.
     start: usize,
     longest: usize,
     ended: bool,
@@ -25,52 +25,52 @@ impl Default for Receiver {
 }
 
 impl Receiver {
-    /// A receiver that has seen nothing.
+    /// An empty receiver.
     #[must_use]
     pub fn new() -> Self {
         Self::with_longest(usize::MAX)
     }
 
-    /// A receiver that takes a packet of more than `longest` bytes, header included, for a corrupt one.
+    /// A receiver that treats packets of more than `longest` bytes, including the header, as corrupt.
     ///
-    /// Who knows what answers to expect need not wait for the bytes that a corrupt length asks for.
+    /// If the expected answers are known, this avoids waiting for the bytes of a corrupt length.
     #[must_use]
     pub fn with_longest(longest: usize) -> Self {
         Self { buffer: Vec::new(), start: 0, longest, ended: false, dropped: 0, corrupt: 0 }
     }
 
-    /// Takes the next bytes.
+    /// Adds received bytes.
     pub fn push(&mut self, bytes: &[u8]) {
         self.buffer.drain(..self.start);
         self.start = 0;
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// Says that no more bytes come, so that a packet without an end is garbage and not worth keeping.
+    /// Marks the end of the stream, so that an incomplete packet is garbage.
     pub fn end(&mut self) {
         self.ended = true;
     }
 
-    /// The next whole and sound packet, or `None` until more bytes come.
+    /// The next complete and valid packet, or `None` until more bytes arrive.
     pub fn next_packet(&mut self) -> Option<Packet<&[u8]>> {
         let found = self.find()?;
-        // Found by the same check, so it is sound.
+        // Found by the same check, so it is valid.
         Packet::new_checked(&self.buffer[found]).ok()
     }
 
-    /// The bytes that may be the beginning of a packet.
+    /// The bytes that may be the start of a packet.
     #[must_use]
     pub fn pending(&self) -> &[u8] {
         &self.buffer[self.start..]
     }
 
-    /// How many bytes were dropped since they were part of no packet.
+    /// The number of dropped bytes that were not part of a packet.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.dropped
     }
 
-    /// How many headers led to no sound packet.
+    /// The number of headers without a valid packet.
     #[must_use]
     pub fn corrupt(&self) -> u64 {
         self.corrupt
@@ -93,7 +93,7 @@ impl Receiver {
                     return None;
                 }
                 Err(_) if rest.is_empty() => return None,
-                // FF FF FF: the header may begin one byte later.
+                // FF FF FF: the header may start one byte later.
                 Err(PacketError::Id) => self.drop_bytes(1),
                 Ok(_) | Err(_) => {
                     self.corrupt += 1;
@@ -107,7 +107,7 @@ impl Receiver {
         let rest = &self.buffer[self.start..];
         let header = rest.windows(2).position(|pair| pair == HEADER);
         let skip = header.unwrap_or_else(|| {
-            // A last FF may be the first half of a header.
+            // A final FF may be the first half of a header.
             let keep = usize::from(!self.ended && rest.last() == Some(&0xFF));
             rest.len() - keep
         });

@@ -19,7 +19,7 @@ fn all(receiver: &mut Receiver) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn a_packet_is_found_however_it_is_cut() {
+fn a_packet_is_found_however_it_is_fragmented() {
     let bytes = [status(1, &[0xFF, 0xFF]), status(2, &[0xFF]), status(3, &[])].concat();
     for cut in 0..=bytes.len() {
         let mut receiver = Receiver::new();
@@ -33,7 +33,7 @@ fn a_packet_is_found_however_it_is_cut() {
 }
 
 #[test]
-fn a_partial_packet_is_kept_until_its_end_comes() {
+fn a_partial_packet_is_kept_until_its_end_arrives() {
     let bytes = status(7, &[1, 2, 3]);
     let mut receiver = Receiver::new();
     receiver.push(&bytes[..6]);
@@ -66,7 +66,7 @@ fn a_corrupt_length_does_not_swallow_what_follows_once_the_stream_has_ended() {
 }
 
 #[test]
-fn a_length_that_no_answer_can_have_is_not_waited_for() {
+fn an_impossible_length_is_not_waited_for() {
     let mut bytes = [status(1, &[1, 2]), status(2, &[3, 4])].concat();
     bytes[3] = 200;
     let mut receiver = Receiver::with_longest(8);
@@ -84,7 +84,7 @@ fn a_header_byte_too_many_is_dropped() {
 
 proptest! {
     #[test]
-    fn any_garbage_in_any_pieces_is_survived(
+    fn any_garbage_in_any_pieces_is_handled(
         pieces in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..40), 0..12),
     ) {
         let mut receiver = Receiver::new();
@@ -102,8 +102,8 @@ proptest! {
     }
 
     #[test]
-    fn a_sound_packet_behind_garbage_is_found(
-        // Without FF, so that the garbage cannot itself begin a packet.
+    fn a_valid_packet_after_garbage_is_found(
+        // Without FF, so that the garbage cannot start a packet.
         garbage in proptest::collection::vec(0..0xFF_u8, 0..60),
         id in 0..=253_u8,
         parameters in proptest::collection::vec(any::<u8>(), 0..60),
@@ -120,12 +120,12 @@ proptest! {
     }
 
     #[test]
-    fn a_sound_packet_behind_anything_is_found_once_the_stream_has_ended(
+    fn a_valid_packet_after_anything_is_found_once_the_stream_has_ended(
         garbage in proptest::collection::vec(prop_oneof![Just(0xFF_u8), any::<u8>()], 0..60),
         id in 0..=253_u8,
     ) {
-        // The garbage may end in a header whose packet would take the first bytes of ours; that is then a
-        // packet whose checksum holds, which nobody can tell from a sound one. It is rare enough to skip.
+        // The garbage may end in a header whose packet includes the first bytes of ours and has a matching
+        // checksum, which is indistinguishable from a valid one. It is rare enough to skip.
         let packet = status(id, &[1, 2, 3]);
         let mut receiver = Receiver::new();
         receiver.push(&[garbage, packet.clone()].concat());

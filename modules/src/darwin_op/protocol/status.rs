@@ -1,4 +1,4 @@
-//! What the devices answer.
+//! Answers from the devices.
 
 use super::{Id, Packet, emit_packet};
 use std::fmt;
@@ -11,19 +11,19 @@ pub struct StatusError(u8);
 impl StatusError {
     /// No error.
     pub const NONE: Self = Self(0);
-    /// The supply voltage is outside the limits set.
+    /// The supply voltage is outside its limits.
     pub const INPUT_VOLTAGE: Self = Self(1);
-    /// A goal position outside the angle limits.
+    /// The goal position is outside the angle limits.
     pub const ANGLE_LIMIT: Self = Self(1 << 1);
-    /// The temperature is above the limit set.
+    /// The temperature is above its limit.
     pub const OVERHEATING: Self = Self(1 << 2);
-    /// A value or an address outside its range.
+    /// A value or an address is out of range.
     pub const RANGE: Self = Self(1 << 3);
-    /// The instruction came with a wrong checksum.
+    /// The instruction had a wrong checksum.
     pub const CHECKSUM: Self = Self(1 << 4);
-    /// The load cannot be held with the torque allowed.
+    /// The permitted torque cannot hold the load.
     pub const OVERLOAD: Self = Self(1 << 5);
-    /// An instruction that does not exist, or ACTION without REG_WRITE.
+    /// The instruction does not exist, or ACTION without REG_WRITE.
     pub const INSTRUCTION: Self = Self(1 << 6);
 
     const NAMES: [(Self, &str); 7] = [
@@ -36,13 +36,13 @@ impl StatusError {
         (Self::INSTRUCTION, "instruction"),
     ];
 
-    /// The bits as they are on the wire. The eighth has no meaning.
+    /// The bits as on the wire. The eighth has no meaning.
     #[must_use]
     pub const fn from_bits(bits: u8) -> Self {
         Self(bits)
     }
 
-    /// The bits as they are on the wire.
+    /// The bits as on the wire.
     #[must_use]
     pub const fn bits(self) -> u8 {
         self.0
@@ -93,27 +93,27 @@ impl fmt::Debug for StatusError {
     }
 }
 
-/// An answer, its bytes borrowed from the packet or from who sends it.
+/// An answer, with bytes borrowed from the packet or the sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Status<'a> {
-    /// Who answers.
+    /// The device that answers.
     pub id: Id,
-    /// What is wrong with it.
+    /// Its error bits.
     pub error: StatusError,
-    /// What was asked for.
+    /// The requested data.
     pub parameters: &'a [u8],
 }
 
-/// Why a sound packet is no answer.
+/// Why a valid packet is not an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("an answer cannot come from id 254, which stands for all devices")]
+#[error("an answer cannot come from id 254, the broadcast address")]
 pub struct StatusParseError;
 
 impl<'a> Status<'a> {
-    /// The meaning of a packet that comes from a device.
+    /// Parses a packet from a device.
     ///
     /// # Errors
-    /// If it claims to come from all devices.
+    /// If its id is the broadcast address.
     pub fn parse<T: AsRef<[u8]>>(packet: &'a Packet<T>) -> Result<Self, StatusParseError> {
         if packet.id().is_broadcast() {
             return Err(StatusParseError);
@@ -138,7 +138,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn error_bits_are_read_as_the_manual_has_them() {
+    fn error_bits_match_the_manual() {
         let packet = Packet::new_checked([0xFF, 0xFF, 0x01, 0x02, 0x24, 0xD8]).unwrap();
         let status = Status::parse(&packet).unwrap();
         assert_eq!(status.error, StatusError::OVERLOAD | StatusError::OVERHEATING);
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_from_everybody_is_refused() {
+    fn an_answer_from_the_broadcast_address_is_refused() {
         let packet = Packet::new_checked([0xFF, 0xFF, 0xFE, 0x02, 0x00, 0xFF]).unwrap();
         assert_eq!(Status::parse(&packet), Err(StatusParseError));
     }

@@ -5,12 +5,12 @@
 
 use super::field::{Field, checked};
 
-/// How many bytes the table has.
+/// The size of the table in bytes.
 pub const LENGTH: u8 = 81;
-/// What [`MODEL_NUMBER`] says.
+/// The value of [`MODEL_NUMBER`].
 pub const MODEL: u16 = 0x7300;
 
-/// Which device this is.
+/// The model of the device.
 pub const MODEL_NUMBER: Field = Field::read("model number", 0, 2, MODEL).means("which device this is");
 /// Its firmware.
 pub const FIRMWARE_VERSION: Field =
@@ -19,10 +19,10 @@ pub const FIRMWARE_VERSION: Field =
 pub const ID: Field = Field::eeprom("id", 3, 1, 200, 253).means("address on the bus");
 /// The speed of the bus.
 pub const BAUD_RATE: Field = Field::eeprom("baud rate", 4, 1, 1, 254).means("2 000 000 / (value + 1) bit/s");
-/// How long it waits before it answers.
+/// The delay before it answers.
 pub const RETURN_DELAY: Field =
     Field::eeprom("return delay time", 5, 1, 0, 254).means("wait before an answer, 2 us");
-/// What it answers.
+/// Which instructions it answers.
 pub const STATUS_RETURN_LEVEL: Field =
     Field::eeprom("status return level", 16, 1, 2, 2).means("0 answers pings, 1 also reads, 2 all");
 /// The switch of the servos' power.

@@ -1,11 +1,11 @@
 //! One entry of a control table.
 
-/// Who may change an entry, and whether it outlives the power.
+/// Who may change an entry, and whether it is persistent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
     /// Only the device itself.
     Read,
-    /// Anyone; forgotten when the power goes.
+    /// Anyone; lost without power.
     Ram,
     /// Anyone; kept without power.
     Eeprom,
@@ -14,15 +14,15 @@ pub enum Access {
 /// One entry of a control table: one byte, or two with the low byte first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Field {
-    /// What the manual calls it, in lower case.
+    /// Its name in the manual, in lower case.
     pub name: &'static str,
-    /// Where it begins.
+    /// Its address.
     pub address: u8,
-    /// How many bytes it takes, 1 or 2.
+    /// Its size in bytes, 1 or 2.
     pub size: u8,
     /// Who may change it.
     pub access: Access,
-    /// What is there when the device comes from the factory or is switched on.
+    /// The factory default, or the value after switching on.
     pub initial: u16,
     /// The smallest value that may be written.
     pub min: u16,
@@ -56,13 +56,14 @@ impl Field {
         self
     }
 
-    /// The address behind it.
+    /// The address after it.
     #[must_use]
     pub const fn end(&self) -> u8 {
         self.address + self.size
     }
 
-    /// Its value in a piece of the control table that begins at `first_address`; `None` if it is not in there.
+    /// Its value in a part of the control table that starts at `first_address`; `None` if it is not in that
+    /// part.
     #[must_use]
     pub fn value_in(&self, piece: &[u8], first_address: u8) -> Option<u16> {
         let offset = usize::from(self.address.checked_sub(first_address)?);
@@ -74,7 +75,7 @@ impl Field {
     }
 }
 
-/// Refuses, at compile time, a table whose fields overlap, are out of order, or reach behind its end.
+/// Rejects, at compile time, a table whose fields overlap, are out of order, or exceed its end.
 pub(super) const fn checked<const N: usize>(table: [Field; N], length: u8) -> [Field; N] {
     let mut index = 0;
     let mut end = 0;
@@ -95,7 +96,7 @@ mod tests {
     use super::super::{cm730, mx28};
 
     #[test]
-    fn a_value_is_found_in_the_piece_that_holds_it() {
+    fn a_value_is_found_in_the_part_that_contains_it() {
         let piece = [0x34, 0x12, 0xCD, 0xAB];
         assert_eq!(mx28::PRESENT_POSITION.value_in(&piece, 36), Some(0x1234));
         assert_eq!(mx28::PRESENT_SPEED.value_in(&piece, 36), Some(0xABCD));

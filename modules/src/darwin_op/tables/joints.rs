@@ -3,15 +3,15 @@
 //! The joint angle is 0 at tick 2048, legs straight, upper arms 45 degrees out, forearms bent 90 degrees forward.
 //!
 //! # References
-//! Ids and names: DARwIn-OP framework (the names are those ROBOTIS uses for the OP2 and OP3 in ROS). Limits and
+//! Ids and names: DARwIn-OP framework (the names are those of ROBOTIS for the OP2 and OP3 in ROS). Limits and
 //! axes: drewnoakes/bold-humanoid, `configuration-team.json` and `DarwinBodyModel`, turned to REP-103.
-//! Walking-ready pose: page 9 of the factory's motion file.
-//! The OP3 turns hip pitch, knee and ankle pitch the other way round.
+//! Walking-ready pose: page 9 of the factory's motion file. The OP3 turns hip pitch, knee and ankle pitch the
+//! other way round.
 
 use super::super::protocol::Id;
 use super::units::ticks_from_radians;
 
-/// How many joints there are. Their ids are 1 to 20.
+/// The number of joints. Their ids are 1 to 20.
 pub const COUNT: usize = 20;
 
 /// One joint and the servo that moves it.
@@ -27,7 +27,7 @@ pub struct Joint {
     pub min_deg: f64,
     /// The largest angle, in degrees.
     pub max_deg: f64,
-    /// Where it is when the robot stands ready to walk, in ticks.
+    /// Its position in the walking-ready stand, in ticks.
     pub walking_ready_ticks: u16,
 }
 
@@ -44,7 +44,7 @@ impl Joint {
         self.max_deg * (std::f64::consts::PI / 180.0)
     }
 
-    /// The goal, in ticks, for an angle in rad, which is brought inside the limits first.
+    /// The goal in ticks for an angle in rad, which is clamped to the limits.
     ///
     /// `None` if the angle is not a number.
     #[must_use]
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn a_goal_outside_the_limits_is_brought_inside_and_one_that_is_no_number_is_refused() {
+    fn a_goal_outside_the_limits_is_clamped_and_nan_is_refused() {
         let tilt = &JOINTS[index_of("head_tilt").unwrap()];
         assert_eq!(tilt.goal_ticks(10.0, 0), tilt.goal_ticks(tilt.max_rad(), 0));
         assert_eq!(tilt.goal_ticks(f64::NEG_INFINITY, 0), tilt.goal_ticks(tilt.min_rad(), 0));
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_no_joint_has_is_not_found() {
+    fn an_unknown_name_is_not_found() {
         assert_eq!(index_of("head_pan"), Some(18));
         assert_eq!(index_of("head-pan"), None);
     }

@@ -1,4 +1,4 @@
-//! From what the devices say to SI units in the frames of REP-103 (x forward, y left, z up), and back.
+//! Conversion between the devices' units and SI units in the frames of REP-103 (x forward, y left, z up).
 //!
 //! Only additions, multiplications and roundings, so that the same bytes give the same bits on every machine.
 
@@ -16,14 +16,14 @@ pub const MOVING_SPEED_UNIT: f64 = 0.114 * TAU / 60.0;
 pub const STANDARD_GRAVITY: f64 = 9.806_65;
 /// One step of the accelerometer, in m/s^2: 4 g over 512 steps.
 pub const ACCELERATION_PER_LSB: f64 = 4.0 * STANDARD_GRAVITY / 512.0;
-/// What the gyroscope and the accelerometer say at rest.
+/// The raw value of gyroscope and accelerometer at rest.
 pub const IMU_CENTRE: i32 = 512;
 
 /// The bit that turns a magnitude negative.
 const CLOCKWISE: u16 = 1 << 10;
 const MAGNITUDE: u16 = CLOCKWISE - 1;
 
-/// The angle of a joint, in rad. `offset_ticks` is what is added to a goal to make up for how the unit was built.
+/// The angle of a joint, in rad. `offset_ticks` is added to goals to compensate for assembly tolerances.
 #[must_use]
 pub fn radians_from_ticks(ticks: u16, offset_ticks: i16) -> f64 {
     f64::from(i32::from(ticks) - i32::from(offset_ticks) - CENTRE_TICKS) * RADIANS_PER_TICK
@@ -33,11 +33,11 @@ pub fn radians_from_ticks(ticks: u16, offset_ticks: i16) -> f64 {
 #[must_use]
 pub fn ticks_from_radians(angle_rad: f64, offset_ticks: i16) -> u16 {
     let ticks = (angle_rad / RADIANS_PER_TICK).round() + f64::from(CENTRE_TICKS + i32::from(offset_ticks));
-    // Inside u16 after the clamp.
+    // In range after the clamp.
     ticks.clamp(0.0, 4095.0) as u16
 }
 
-/// A speed or load, which have their sign in bit 10.
+/// A speed or load, with its sign in bit 10.
 #[must_use]
 pub fn signed_from_magnitude(raw: u16) -> i16 {
     // Ten bits fit.
@@ -45,7 +45,7 @@ pub fn signed_from_magnitude(raw: u16) -> i16 {
     if raw & CLOCKWISE == 0 { magnitude } else { -magnitude }
 }
 
-/// The inverse of [`signed_from_magnitude`]; what does not fit ten bits is brought to the largest that does.
+/// The inverse of [`signed_from_magnitude`]; saturates at ten bits.
 #[must_use]
 pub fn magnitude_from_signed(value: i32) -> u16 {
     // Ten bits fit.
@@ -59,9 +59,9 @@ pub fn speed_from_raw(raw: u16) -> f64 {
     f64::from(signed_from_magnitude(raw)) * PRESENT_SPEED_UNIT
 }
 
-/// The present load: the drive as a fraction of what the servo can do, positive towards larger angles.
+/// The present load: the drive as a fraction of its maximum, positive towards larger angles.
 ///
-/// It is inferred from the drive by the servo, not measured; it is no torque.
+/// The servo infers it from the drive; it is not a measured torque.
 #[must_use]
 pub fn load_from_raw(raw: u16) -> f64 {
     f64::from(signed_from_magnitude(raw)) / 1000.0
@@ -73,7 +73,7 @@ pub fn volts_from_raw(raw: u16) -> f64 {
     f64::from(raw) / 10.0
 }
 
-/// How the IMU's numbers become SI units.
+/// Converts the IMU's numbers to SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuScale {
     /// One step of the gyroscope, in rad/s.
@@ -81,7 +81,7 @@ pub struct ImuScale {
 }
 
 impl ImuScale {
-    /// For a gyroscope whose 512 steps stand for `gyro_full_scale_dps` degrees/s.
+    /// For a gyroscope whose 512 steps correspond to `gyro_full_scale_dps` degrees/s.
     ///
     /// 1600 for the CM-730 (3.125 degrees/s per step), 500.5 for the CM-740 (0.9775); other boards differ.
     #[must_use]
@@ -165,7 +165,7 @@ mod tests {
     #[test]
     fn imu_axes_are_turned_to_forward_left_up() {
         let scale = ImuScale::new(1600.0);
-        // Fallen forward: the framework sees ACC_Y below 390, gravity pulls along the forward axis.
+        // Fallen forward: the framework reads ACC_Y below 390, gravity pulls along the forward axis.
         assert!(scale.linear_acceleration([512, 390, 512])[0] < -0.9 * STANDARD_GRAVITY);
         // The board's x is to the right.
         assert!(scale.linear_acceleration([640, 512, 512])[1] < 0.0);

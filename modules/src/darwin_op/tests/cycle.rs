@@ -1,4 +1,4 @@
-//! What the module does when all is well.
+//! The module without faults.
 
 use super::*;
 use crate::darwin_op::tables::{cm730, mx28};
@@ -6,7 +6,7 @@ use crate::darwin_op_emulator::Button;
 use downbeat_executor::{Inbox, Synchrony};
 
 #[test]
-fn a_robot_that_runs_publishes_all_there_is_in_every_cycle() {
+fn a_running_robot_publishes_everything_in_every_cycle() {
     let emulator = emulator();
     let mut run = Run::on(&emulator);
     run.until_running();
@@ -77,8 +77,8 @@ fn a_first_command_is_approached_slowly() {
     run.until_running();
     run.command(&[("head_pan", 1.5)]);
     let fastest = run.cycles(80).iter().map(|state| state.velocity[18]).fold(0.0, f64::max);
-    // 10 ticks in each cycle, of which this emulator lets only the 6 ms pass that the bus is busy: 2.6 rad/s. Without
-    // the approach it would be twice as much.
+    // 10 ticks per cycle, of which this emulator lets only the 6 ms elapse during which the bus is busy: 2.6
+    // rad/s. Without the approach it would be twice as much.
     assert!((2.0..3.0).contains(&fastest), "{fastest} rad/s");
 }
 
@@ -118,7 +118,7 @@ fn buttons_are_published_when_they_change() {
 }
 
 #[test]
-fn lasting_settings_are_written_only_where_they_differ() {
+fn persistent_settings_are_written_only_if_they_differ() {
     let emulator = emulator();
     let writes_delay = |exchange: &BusExchange| {
         exchange.instruction.get(4..6) == Some(&[0x03, mx28::RETURN_DELAY.address][..])
@@ -151,7 +151,7 @@ fn new_gains_are_written_once() {
 }
 
 #[test]
-fn at_the_end_the_port_is_closed_and_the_torque_is_left_alone() {
+fn on_shutdown_the_port_is_closed_and_the_torque_is_kept() {
     let emulator = emulator();
     let mut run = Run::on(&emulator);
     run.until_running();

@@ -1,11 +1,11 @@
-//! What the module does when something goes wrong.
+//! The module with faults.
 
 use super::*;
 use crate::darwin_op::bus::{Bus, Exchange, ExpectedStatus, LATE, Outcome};
 use crate::darwin_op_emulator::{Fault, Rate};
 use downbeat_executor::Time;
 
-/// The bus of a machine that gives up too early once: the answer comes when the next instruction is sent.
+/// A bus on which one answer is late: it arrives when the next instruction is sent.
 struct Late<B> {
     bus: B,
     /// Counts down with the exchanges.
@@ -42,20 +42,20 @@ impl<B: Bus> Bus for Late<B> {
 }
 
 #[test]
-fn a_machine_that_is_too_busy_is_told_from_a_bus_that_loses_answers() {
+fn a_busy_machine_is_distinguished_from_a_bus_that_loses_answers() {
     let emulator = emulator();
-    // Some of the exchanges that are made every cycle.
+    // Some of the exchanges of a cycle.
     let bus = Late { bus: emulator.bus(), until: 600 };
     let mut run = Run::new(DarwinOp::new(Box::new(bus)), &[]);
     run.until_running();
-    let busy = "running, but this machine is too busy: answers come after they were given up";
+    let busy = "running, but this machine is too busy: answers arrive after their time-out";
     run.until("the machine is called busy", |run, _| run.health_of("bus").1 == busy);
     assert_eq!(run.health_of("bus").0, DiagnosticStatus::WARN);
     run.until("all is well again", |run, _| run.is_healthy());
 }
 
 #[test]
-fn a_dead_servo_is_stale_while_the_others_go_on_and_comes_back_by_itself() {
+fn a_dead_servo_is_stale_while_the_others_continue_and_recovers() {
     let emulator = emulator();
     let mut run = Run::on(&emulator);
     run.until_running();
@@ -113,7 +113,7 @@ fn an_unplugged_port_is_opened_again() {
 }
 
 #[test]
-fn a_port_that_is_not_there_is_tried_less_and_less_often() {
+fn opening_a_missing_port_is_retried_less_and_less_often() {
     let mut run = Run::new(DarwinOp::serial(), &[("port", "/dev/no-such-port".to_owned().into())]);
     run.cycles(1250);
     let opened = run.exchanges.take().len();

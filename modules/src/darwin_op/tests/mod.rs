@@ -1,4 +1,4 @@
-//! The module against the emulated robot; and against a recording of that.
+//! The module with the emulated robot, and with a recording of it.
 #![allow(clippy::unwrap_used)]
 
 mod cycle;
@@ -16,7 +16,7 @@ use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::sensor_msgs::msg::{BatteryState, Imu, JointState, Joy};
 use std::time::{Duration, Instant};
 
-/// A hardware module in a core whose time this test moves, and all it publishes.
+/// A hardware module in a core with a manual clock, and everything it publishes.
 struct Run {
     core: Core,
     clock: ManualClock,
@@ -48,7 +48,7 @@ impl Run {
         Self { core, clock, commands, exchanges, joint_states, imu, battery, buttons, diagnostics, health }
     }
 
-    /// On the emulated robot, whose answers take no time.
+    /// Uses the emulated robot, whose answers take no time.
     fn on(emulator: &Emulator) -> Self {
         Self::on_with(emulator, &[])
     }
@@ -57,14 +57,14 @@ impl Run {
         Self::new(DarwinOp::new(Box::new(emulator.bus())), settings)
     }
 
-    /// On the emulated robot, through its port. What a busy machine delays counts as lost.
+    /// Uses the emulated robot through its port. On a busy machine, delayed answers count as lost.
     fn on_port_of(emulator: &Emulator) -> Self {
         let port = emulator.port_path().to_string_lossy().into_owned();
         let bus = SerialBus::with_slack(Duration::from_millis(100));
         Self::new(DarwinOp::new(Box::new(bus)), &[("port", port.into())])
     }
 
-    /// Runs some cycles; what `joint_states` said.
+    /// Runs some cycles; returns the messages on `joint_states`.
     fn cycles(&mut self, count: usize) -> Vec<JointState> {
         for _ in 0..count {
             self.clock.advance(CYCLE);
@@ -76,7 +76,7 @@ impl Run {
         self.joint_states.take()
     }
 
-    /// Runs until it is so.
+    /// Runs until the condition holds.
     fn until(&mut self, what: &str, mut is_so: impl FnMut(&mut Self, &[JointState]) -> bool) {
         let watchdog = Instant::now() + Duration::from_secs(60);
         loop {
@@ -98,7 +98,7 @@ impl Run {
         self.commands.publish(JointState { name, position, ..JointState::default() }).unwrap();
     }
 
-    /// The level and the message of the part whose name ends so.
+    /// The level and the message of the part whose name ends with `part`.
     fn health_of(&self, part: &str) -> (u8, String) {
         let status = self.health.status.iter().find(|status| status.name.ends_with(part));
         status.map(|status| (status.level, status.message.clone())).unwrap_or_default()

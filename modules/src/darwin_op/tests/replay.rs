@@ -1,11 +1,11 @@
-//! The module on a recording.
+//! The module with a recording.
 
 use super::*;
 use crate::darwin_op::bus::{Exchange, Outcome, RecordedBus};
 use crate::darwin_op_emulator::{Button, Fault, Rate};
 use downbeat_msgs::{Message, cdr};
 
-/// What a run published, as bytes: bit for bit, and NaN equals NaN.
+/// The messages of a run as bytes, so that they compare bit for bit, and NaN equals NaN.
 #[derive(Debug, PartialEq)]
 struct Published {
     exchanges: Vec<Vec<u8>>,
@@ -16,7 +16,7 @@ struct Published {
     diagnostics: Vec<Vec<u8>>,
 }
 
-/// Three seconds with commands in the same cycles; `before` is told of each cycle.
+/// Three seconds with commands in the same cycles; `before` is called before each cycle.
 fn perform(run: &mut Run, mut before: impl FnMut(usize)) -> Published {
     for cycle in 0..375 {
         before(cycle);

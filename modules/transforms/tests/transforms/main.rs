@@ -1,4 +1,4 @@
-//! The buffer of transforms against the numbers of scipy, and in modules of a core.
+//! The transform buffer compared with scipy, and in modules of a core.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use downbeat_executor::{Context, Core, ManualClock, Module, Setup, SetupError, Time};
@@ -12,7 +12,7 @@ use std::process::{Command, Stdio};
 use std::sync::mpsc::{Sender, channel};
 use std::time::Duration;
 
-/// Numbers that are the same each time (splitmix64).
+/// Reproducible numbers (splitmix64).
 struct Numbers(u64);
 
 impl Numbers {
@@ -43,10 +43,10 @@ impl Numbers {
     }
 }
 
-/// What scipy answers; nothing where there is no Python.
+/// The results of scipy; `None` without Python.
 fn scipy(asked: &Value) -> Option<Vec<[f64; 7]>> {
     let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
-        // Past the capture of test output, which shows nothing of a test that passes.
+        // Bypasses the capture of test output, which hides the output of passing tests.
         let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
         let _ = std::io::stderr().write_all(line.as_bytes());
         return None;
@@ -54,7 +54,7 @@ fn scipy(asked: &Value) -> Option<Vec<[f64; 7]>> {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/transforms/scipy_lookup.py");
     let mut child =
         Command::new(python).arg(script).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
-    // Fails where Python has ended, which is told then.
+    // Fails if Python has exited, which is reported below.
     let _ = child.stdin.take().unwrap().write_all(asked.to_string().as_bytes());
     let output = child.wait_with_output().unwrap();
     assert!(output.status.success(), "Python failed; has it scipy? `cargo xtask test` installs it");
@@ -97,7 +97,7 @@ fn every_lookup_agrees_with_scipy() {
         let found = buffer.lookup(&target.to_string(), &source.to_string(), Time::from_nanos(time)).unwrap();
         let (translation, rotation) =
             (found.target_from_source.translation, found.target_from_source.rotation);
-        // Both signs of a quaternion are one rotation.
+        // Both signs of a quaternion are the same rotation.
         let dot: f64 = rotation.to_array().iter().zip(&theirs[3..]).map(|(one, other)| one * other).sum();
         let theirs_rotation = theirs[3..].iter().map(|number| number * dot.signum());
         let ours = translation.to_array().into_iter().chain(rotation.to_array());
@@ -116,7 +116,7 @@ fn random_transform(numbers: &mut Numbers, parent: i64, child: i64, time: i64) -
     stamped
 }
 
-/// Walks at 1 m/s, and fixes its sensors one after the other.
+/// Walks at 1 m/s, and publishes static transforms of its sensors one after another.
 struct Walker {
     sensors: Vec<&'static str>,
 }
@@ -148,7 +148,7 @@ impl Walker {
     }
 }
 
-/// Tells where the camera was 50 ms before.
+/// Reports where the camera was 50 ms ago.
 struct Looker {
     transforms: TransformBuffer,
     found: Sender<Result<f64, LookupError>>,
@@ -166,7 +166,7 @@ impl Module for Looker {
     }
 }
 
-/// Passes on what is fixed.
+/// Passes on static transforms.
 struct Fixed(Sender<Vec<String>>);
 
 impl Module for Fixed {
@@ -208,7 +208,7 @@ fn a_module_looks_up_what_another_one_publishes() {
 }
 
 #[test]
-fn what_is_refused_changes_nothing_and_is_no_reason_to_stop() {
+fn refused_transforms_change_nothing_and_do_not_stop_the_module() {
     let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
     let (found, _finds) = channel();
     core.add("looker", Looker { transforms: TransformBuffer::new(), found }).unwrap();

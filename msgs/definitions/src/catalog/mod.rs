@@ -203,7 +203,7 @@ impl Catalog {
         let hint = if self.messages.contains_key(name) {
             ": it is a message, no service or action".into()
         } else if self.services.contains_key(name) {
-            ": it is a service, no message".into()
+            ": it is a service, not a message".into()
         } else if self.actions.contains_key(name) {
             ": it is an action, no message or service".into()
         } else {
@@ -216,7 +216,7 @@ impl Catalog {
         Error::NotInCatalog { name: Box::new(name.clone()), hint }
     }
 
-    /// For a field of that type.
+    /// The hint for a field of that type.
     fn hint_for_field(&self, wanted: &TypeName) -> String {
         match nearest_type(wanted, self.messages.keys().filter(|name| name.kind == Kind::Message)) {
             Some(other) => format!(", did you mean `{}`?", other.short()),

@@ -80,7 +80,7 @@ fn list<T>(values: &[T], write: impl Fn(&mut String, &T)) -> String {
 pub(super) fn value_in(text: &str) -> Result<SettingValue, String> {
     match yaml::from_str::<Value>(text) {
         Err(_) | Ok(Value::Null) => Ok(SettingValue::Text(text.to_owned())),
-        // Words that are truth values in YAML 1.1, which ROS 2 reads.
+        // Words that are booleans in YAML 1.1, which ROS 2 reads.
         Ok(Value::String(word)) if word == text => Ok(match &*word.to_ascii_lowercase() {
             "yes" | "on" => SettingValue::Bool(true),
             "no" | "off" => SettingValue::Bool(false),
