@@ -158,7 +158,7 @@ fn an_output_that_exists_is_kept_unless_it_is_to_be_replaced() {
     }
     let output = output_of(&["bag", "convert", &made, "-o", &made, "--force"]);
     let error = String::from_utf8(output.stderr).unwrap();
-    assert!(!output.status.success() && error.contains("is what is read"), "{error}");
+    assert!(!output.status.success() && error.contains("is the input"), "{error}");
     assert!(Reader::open(&made).is_ok());
 }
 

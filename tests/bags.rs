@@ -161,7 +161,7 @@ fn what_rclpy_publishes_is_recorded_and_what_is_played_reaches_rclpy() {
     });
     recorder.interrupt();
     assert!(recorder.output().contains("recorded 20 messages, lost 0"), "{}", recorder.output());
-    assert!(recorder.output().contains("nothing is recorded of /silent"), "{}", recorder.output());
+    assert!(recorder.output().contains("nothing is recorded on /silent"), "{}", recorder.output());
     peer.leave();
 
     let Some(mut listener) = Peer::start(71, "LOCALHOST") else { return };

@@ -313,7 +313,7 @@ fn what_ros_args_say_wrong_is_told_with_the_argument() {
             vec!["check", robot, "--ros-args", "--params-file", "nowhere.yaml"],
             "cannot read the parameter file nowhere.yaml",
         ),
-        (vec!["top", "--ros-args", "-r", "a:=b"], "--ros-args goes with commands that make a ROS 2 node"),
+        (vec!["top", "--ros-args", "-r", "a:=b"], "--ros-args is only for commands that create a ROS 2 node"),
     ] {
         let output = common::output_of(&arguments);
         let text = String::from_utf8(output.stderr).unwrap();

@@ -202,7 +202,7 @@ fn the_first_place_that_has_a_package_gives_all_of_it() {
     let (is_success, output, error) =
         output_of(interface(&["show", "std_msgs/msg/String"]).env("AMENT_PREFIX_PATH", &prefix));
     assert!(
-        is_success && error.contains("left out the package") && error.contains("Wrong.msg:1:5"),
+        is_success && error.contains("skipped the package") && error.contains("Wrong.msg:1:5"),
         "{output}{error}"
     );
     assert!(refused(&["list", "--from", prefix.to_str().unwrap()]).contains("Wrong.msg:1:5"));
@@ -217,7 +217,7 @@ fn what_is_not_there_is_told_with_the_nearest_name() {
         ),
         (["hash", "JointState"], "did you mean \"sensor_msgs/msg/JointState\"?"),
         (["description", "sensor_msgs/Imu"], "did you mean \"sensor_msgs/msg/Imu\"?"),
-        (["show", "my_msgs/msg/Xyzzy"], "name its place with --from"),
+        (["show", "my_msgs/msg/Xyzzy"], "set its location with --from"),
         (["list", "std_msg"], "no package \"std_msg\" with interfaces is known, did you mean \"std_msgs\"?"),
         (["list", "--from=no/such/folder"], "cannot read no/such/folder"),
         (["list", "--from=src"], "src has no interfaces"),

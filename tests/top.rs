@@ -109,7 +109,7 @@ fn where_no_robot_runs_that_is_told_and_the_socket_of_a_dead_one_goes() {
     let sockets = || std::fs::read_dir(folder.path().join("downbeat")).unwrap().count();
     assert_eq!(sockets(), 1);
     let (is_found, text) = output(folder.path(), &["top", "--once"]);
-    assert!(!is_found && text.contains("no robot of this user runs"), "{text}");
+    assert!(!is_found && text.contains("no robot of this user is running"), "{text}");
     assert_eq!(sockets(), 0);
 }
 

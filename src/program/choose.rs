@@ -1,16 +1,16 @@
-//! Which running robot is meant.
+//! Selection of a running robot.
 
 use crate::inspect::{RunningRobot, SocketDirectory};
 use anyhow::bail;
 
-/// The running robot of that name or number of process; where nothing is wanted, the only one there is.
+/// The running robot with that name or process id; without one, the only running robot.
 pub(crate) fn choose(wanted: Option<&str>) -> anyhow::Result<RunningRobot> {
     choose_among(wanted, SocketDirectory::open()?.running()?)
 }
 
 fn choose_among(wanted: Option<&str>, robots: Vec<RunningRobot>) -> anyhow::Result<RunningRobot> {
     if robots.is_empty() {
-        bail!("no robot of this user runs on this machine; start one with `downbeat run ROBOT.toml`");
+        bail!("no robot of this user is running on this machine; start one with `downbeat run ROBOT.toml`");
     }
     let is_wanted = |robot: &RunningRobot| {
         wanted.is_none_or(|wanted| robot.name == wanted || robot.pid.to_string() == wanted)
@@ -19,10 +19,10 @@ fn choose_among(wanted: Option<&str>, robots: Vec<RunningRobot>) -> anyhow::Resu
     match (<[RunningRobot; 1]>::try_from(matching), wanted) {
         (Ok([robot]), _) => Ok(robot),
         (Err(none), Some(wanted)) if none.is_empty() => {
-            bail!("no robot \"{wanted}\" runs on this machine; there is {}", list(&others))
+            bail!("no robot \"{wanted}\" is running on this machine; running: {}", list(&others))
         }
         (Err(several), _) => {
-            bail!("which robot? There is {}; give a name, or the number of the process", list(&several))
+            bail!("several robots are running: {}; give a name or a process id", list(&several))
         }
     }
 }
@@ -42,14 +42,14 @@ mod tests {
     }
 
     #[test]
-    fn the_only_robot_is_meant_unless_another_is_named() {
+    fn the_only_robot_is_chosen_unless_another_is_named() {
         assert_eq!(of(None, &[("nao", 7)]), Ok(7));
         assert_eq!(of(Some("nao"), &[("darwin", 5), ("nao", 7)]), Ok(7));
         assert_eq!(of(Some("5"), &[("darwin", 5), ("darwin", 6)]), Ok(5));
     }
 
     #[test]
-    fn where_none_or_several_can_be_meant_they_are_listed() {
+    fn candidates_are_listed_if_the_choice_is_ambiguous() {
         assert!(of(None, &[]).is_err_and(|error| error.contains("downbeat run")));
         let error = of(Some("nao"), &[("darwin", 5)]);
         assert!(error.is_err_and(|error| error.contains("\"nao\"") && error.contains("darwin (process 5)")));

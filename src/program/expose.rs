@@ -25,7 +25,7 @@ fn print(what: &str, endpoints: &[ExposedEndpoint]) {
     }
 }
 
-/// The arguments as a robot file would say them, so that one reader understands both.
+/// The arguments in the syntax of robot files, so that the same parser handles both.
 fn entries(arguments: &ExposeAddArguments) -> String {
     let list = |names: &[String]| names.iter().map(|name| text(name)).collect::<Vec<_>>().join(", ");
     let mut keys = String::new();
@@ -60,7 +60,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn arguments_become_what_a_robot_file_says() {
+    fn arguments_become_an_entry_of_a_robot_file() {
         let arguments = ExposeAddArguments {
             direction: ExposeDirection::Out,
             topics: vec!["camera/*".into(), "a\"b".into()],

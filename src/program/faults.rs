@@ -1,4 +1,4 @@
-//! What modules report on `diagnostics`, for the status block.
+//! Faults that modules report on `diagnostics`, for the status block.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,7 +9,7 @@ use crate::msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 /// The topic of REP-107.
 const TOPIC: &str = "diagnostics";
 
-/// The components that are not well, by name.
+/// Components with faults, by name.
 #[derive(Clone, Default)]
 pub(crate) struct Faults {
     by_component: Arc<Mutex<BTreeMap<String, Fault>>>,
@@ -21,7 +21,7 @@ struct Fault {
 }
 
 impl Faults {
-    /// Takes note of what `diagnostics` tells, until the core stops.
+    /// Tracks the messages on `diagnostics` until the core stops.
     pub(crate) fn watch(core: &mut Core) -> Result<Self, SetupError> {
         let faults = Self::default();
         let (inbox, told) = (OutletInbox::new("faults", Inbox::KeepAll), faults.clone());
@@ -32,7 +32,7 @@ impl Faults {
         Ok(faults)
     }
 
-    /// A line for each component that is not well: errors, warnings, then what is only stale.
+    /// A line for each component with a fault: errors, warnings, then stale ones.
     pub(crate) fn worst_first(&self) -> Vec<String> {
         let faults = self.lock();
         let lines = |wanted: u8, name: &'static str| {
@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn faults_are_shown_worst_first_until_their_component_is_well() {
+    fn faults_are_shown_worst_first_until_their_component_recovers() {
         let faults = Faults::default();
         let status = |name: &str, level, message: &str| DiagnosticStatus {
             level,

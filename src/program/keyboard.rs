@@ -1,4 +1,4 @@
-//! Keys that are pressed while a command runs.
+//! Keyboard input while a command runs.
 
 use std::io::{self, Read};
 use std::sync::mpsc::{self, Receiver};
@@ -7,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 use rustix::process::getpgrp;
 use rustix::termios::{LocalModes, OptionalActions, Termios, tcgetattr, tcgetpgrp, tcsetattr};
 
-/// A key that means something to some command.
+/// A key with a function in some command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Key {
     Space,
@@ -16,24 +16,24 @@ pub(crate) enum Key {
     Down,
 }
 
-/// Gives each key as it is pressed, until it is dropped. The terminal still ends the program with Ctrl-C.
+/// Reads single keys until it is dropped. Ctrl-C still interrupts the program.
 pub(crate) struct Keyboard {
     keys: Receiver<Key>,
 }
 
-/// How the terminal was while a [`Keyboard`] is open.
+/// The original state of the terminal while a [`Keyboard`] is open.
 static BEFORE: Mutex<Option<Termios>> = Mutex::new(None);
 
-/// Makes the terminal as it was: also for an end of the process that drops nothing.
+/// Restores the terminal; also called when the process exits without dropping.
 pub(crate) fn restore_terminal() {
     if let Some(before) = BEFORE.lock().unwrap_or_else(PoisonError::into_inner).take() {
-        // A terminal that is gone needs no repair.
+        // A terminal that no longer exists need not be restored.
         let _ = tcsetattr(io::stdin(), OptionalActions::Now, &before);
     }
 }
 
 impl Keyboard {
-    /// Nothing where standard input is no terminal, or one that another process has in the foreground.
+    /// `None` if standard input is not a terminal, or another process is in its foreground.
     pub(crate) fn open() -> Option<Self> {
         let is_in_foreground = tcgetpgrp(io::stdin()).is_ok_and(|group| group == getpgrp());
         let before = is_in_foreground.then(|| tcgetattr(io::stdin()).ok()).flatten()?;
@@ -44,12 +44,12 @@ impl Keyboard {
         let keyboard = Self { keys };
         tcsetattr(io::stdin(), OptionalActions::Now, &by_key).ok()?;
         let read = move || forward(io::stdin(), |key| sender.send(key).is_ok());
-        // It waits for keys until the process ends.
+        // It waits for keys until the process exits.
         let started = std::thread::Builder::new().name("keyboard".to_owned()).spawn(read);
         started.is_ok().then_some(keyboard)
     }
 
-    /// A key that was pressed since the last look.
+    /// Returns a key pressed since the last call.
     pub(crate) fn pressed(&self) -> Option<Key> {
         self.keys.try_recv().ok()
     }
@@ -66,7 +66,7 @@ fn forward(mut input: impl Read, mut send: impl FnMut(Key) -> bool) {
     while input.read_exact(&mut byte).is_ok() {
         sequence.extend(byte);
         let key = match *sequence {
-            // The beginning of what a cursor key sends (ECMA-48, CSI).
+            // The start of the sequence of a cursor key (ECMA-48, CSI).
             [0x1b] | [0x1b, b'['] => continue,
             [0x1b, b'[', b'A'] => Some(Key::Up),
             [0x1b, b'[', b'B'] => Some(Key::Down),
@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cursor_keys_are_told_from_others() {
+    fn cursor_keys_are_distinguished_from_others() {
         let mut keys = Vec::new();
         forward(&b"x \x1b[A\x1b[D\x1b[B\x1b \x1b[C[A"[..], |key| {
             keys.push(key);

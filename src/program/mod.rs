@@ -37,7 +37,7 @@ use screen::Screen;
 use crate::App;
 use crate::failure::in_one_line;
 
-/// Does what the command line says. An error is printed on standard error and gives exit code 1.
+/// Runs the command line. Errors are printed on standard error and exit with code 1.
 pub(crate) fn main(app: &App) -> ExitCode {
     let cli = Cli::parse_with_ros_args(std::env::args_os());
     let screen = Screen::new();

@@ -1,7 +1,7 @@
-//! What a command writes: one rule for all of them.
+//! The rule for output of all commands.
 //!
-//! What is there already is kept, unless `--force` is given. A directory is replaced only if it holds nothing but what such a
-//! command writes: a wrong path must not cost a home directory.
+//! Existing output is kept, unless `--force` is given. A directory is replaced only if it contains nothing
+//! but output of such a command, so that a wrong path does not delete a home directory.
 
 use std::fs;
 use std::path::Path;
@@ -16,7 +16,7 @@ pub(crate) struct Force {
     pub(crate) force: bool,
 }
 
-/// What is to be written.
+/// The kind of output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Output {
     /// A rosbag2 directory.
@@ -35,7 +35,7 @@ impl Output {
         }
     }
 
-    /// Whether it may hold a file of that name.
+    /// Whether it may contain a file of that name.
     fn holds(self, name: &str) -> bool {
         const BAG: [&str; 6] = [".mcap", ".mcap.zstd", ".db3", ".db3.zstd", ".db3-wal", ".db3-shm"];
         const TABLES: [&str; 3] = [".csv", ".jsonl", ".parquet"];
@@ -49,12 +49,12 @@ impl Output {
 }
 
 impl Force {
-    /// Checks that `path` can be written: before anything is begun that takes long.
+    /// Checks that `path` can be written, before a long operation starts.
     pub(crate) fn check(self, output: Output, path: &Path) -> anyhow::Result<()> {
         let Ok(metadata) = fs::metadata(path) else { return Ok(()) };
         let shown = path.display();
         let is_directory = metadata.is_dir();
-        // A pipe or a terminal has nothing to lose.
+        // A pipe or a terminal has no contents to lose.
         if output == Output::File && !is_directory && !metadata.is_file() {
             return Ok(());
         }
@@ -71,7 +71,7 @@ impl Force {
                 let name = entry.file_name();
                 if !output.holds(&name.to_string_lossy()) || entry.path().is_dir() {
                     bail!(
-                        "{shown} is not replaced: it holds {}, which is part of no {}",
+                        "{shown} is not replaced: it contains {}, which is not part of a {}",
                         name.display(),
                         output.name()
                     );
@@ -81,7 +81,7 @@ impl Force {
         Ok(())
     }
 
-    /// Like [`Force::check`], and removes what is there. `inputs` are what the output is made of: they are not replaced.
+    /// Like [`Force::check`], and removes existing output. `inputs` are never replaced.
     pub(crate) fn make_way<'a>(
         self,
         output: Output,
@@ -92,10 +92,10 @@ impl Force {
         let Ok(place) = fs::canonicalize(path) else { return Ok(()) };
         for input in inputs {
             if fs::canonicalize(input).is_ok_and(|input| input.starts_with(&place)) {
-                bail!("{} is what is read; choose another path for the {}", path.display(), output.name());
+                bail!("{} is the input; choose another path for the {}", path.display(), output.name());
             }
         }
-        // A file is written over.
+        // Files are overwritten.
         if output != Output::File {
             fs::remove_dir_all(&place).with_context(|| format!("cannot replace {}", path.display()))?;
         }
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn what_exists_is_replaced_only_when_asked_for() {
+    fn existing_output_is_replaced_only_on_request() {
         let folder = tempfile::tempdir().unwrap();
         let (bag, file) = (folder.path().join("bag"), folder.path().join("trace.json"));
         for output in [Output::Bag, Output::Tables] {
@@ -134,19 +134,19 @@ mod tests {
     }
 
     #[test]
-    fn a_directory_with_anything_else_in_it_stays() {
+    fn a_directory_with_other_contents_is_kept() {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join("bag_0.mcap"), "").unwrap();
         fs::write(folder.path().join("thesis.tex"), "").unwrap();
         let error = refused(true, Output::Bag, folder.path());
         assert!(error.contains("thesis.tex"), "{error}");
-        assert!(refused(true, Output::Tables, folder.path()).contains("part of no directory of tables"));
+        assert!(refused(true, Output::Tables, folder.path()).contains("not part of a directory of tables"));
         assert!(refused(true, Output::File, folder.path()).contains("is a directory"));
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
     }
 
     #[test]
-    fn what_is_read_is_not_replaced() {
+    fn the_input_is_not_replaced() {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("bag");
         fs::create_dir(&bag).unwrap();
@@ -154,7 +154,7 @@ mod tests {
         for input in [bag.clone(), bag.join("bag_0.mcap"), bag.join("../bag")] {
             let error =
                 Force { force: true }.make_way(Output::Bag, &bag, [input.as_path()]).unwrap_err().to_string();
-            assert!(error.contains("is what is read"), "{error}");
+            assert!(error.contains("is the input"), "{error}");
         }
         assert!(bag.join("bag_0.mcap").exists());
     }

@@ -1,6 +1,7 @@
-//! Standard output and standard error, whose other end may be closed at any time: `downbeat check robot.toml | head -3`.
+//! Standard output and standard error, which may be closed at any time: `downbeat check robot.toml | head
+//! -3`.
 //!
-//! The macros take the place of those of the standard library in the whole program, which panic then.
+//! The macros replace those of the standard library, which panic in that case, in the whole program.
 
 use std::fmt;
 use std::io::{self, ErrorKind, Write};
@@ -20,10 +21,10 @@ macro_rules! eprintln {
     ($($text:tt)*) => { $crate::program::output::print_error(format_args!("{}\n", format_args!($($text)*))) };
 }
 
-/// Writes to standard output. Where nobody reads it any more, the process ends quietly, as it has nothing else to do;
-/// where it cannot be written for another reason, the process ends with an error.
+/// Writes to standard output. If it is closed, the process exits quietly, since it has nothing else to do; on
+/// other errors the process exits with an error.
 ///
-/// Control characters are escaped, as names in it may come from anybody.
+/// Control characters are escaped, since names may come from untrusted sources.
 pub(crate) fn print(text: fmt::Arguments<'_>) {
     match write_printable(io::stdout().lock(), text) {
         Ok(()) => {}
@@ -35,7 +36,7 @@ pub(crate) fn print(text: fmt::Arguments<'_>) {
     }
 }
 
-/// Writes to standard error, if anybody reads it.
+/// Writes to standard error, unless it is closed.
 pub(crate) fn print_error(text: fmt::Arguments<'_>) {
     let _ = write_printable(io::stderr().lock(), text);
 }
@@ -48,7 +49,7 @@ fn write_printable(to: impl Write, text: fmt::Arguments<'_>) -> io::Result<()> {
     }
 }
 
-/// Escapes what is written on the way.
+/// Escapes written text.
 struct Printable<W> {
     to: W,
     error: Option<io::Error>,

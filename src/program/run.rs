@@ -61,7 +61,7 @@ impl WatchedRobot {
         Ok(Self { prepared, statistics, faults })
     }
 
-    /// Runs the robot until `stop`, then stops it and reports how it went.
+    /// Runs the robot until `stop`, then stops it and prints a report.
     pub(crate) fn run(mut self, stop: &Stop, screen: &Screen) -> anyhow::Result<()> {
         let topics = self.prepared.core().topics().cloned().collect();
         let Self { prepared, statistics, faults } = self;
@@ -88,7 +88,7 @@ impl WatchedRobot {
             let failure =
                 robot.recording().map(Recording::statistics).and_then(|recording| recording.failure);
             if let Some(failure) = failure.filter(|_| !recording_fails) {
-                tracing::error!("the recording has stopped, the robot goes on: {failure}");
+                tracing::error!("the recording has stopped, the robot continues: {failure}");
                 recording_fails = true;
             }
             stop.sleep(REFRESH);
@@ -122,7 +122,7 @@ fn tell(statistics: &Statistics, summary: Option<&RecordingSummary>) {
     }
 }
 
-/// A node of a command that has one of its own.
+/// Creates the node of a command.
 pub(crate) fn node(
     name: &str,
     domain: Option<u16>,
@@ -137,14 +137,14 @@ pub(crate) fn node(
     Ok((participant, node))
 }
 
-/// What the environment says, with the domain of the command line if there is one.
+/// The options from the environment, with the domain of the command line if given.
 pub(crate) fn participant_options(domain: Option<u16>) -> anyhow::Result<ParticipantOptions> {
     let mut options = ParticipantOptions::from_env()?;
     if let Some(domain) = domain {
         let is_valid = domain <= MAX_DOMAIN_ID;
         is_valid
             .then_some(())
-            .with_context(|| format!("--domain {domain}: there are domains 0 to {MAX_DOMAIN_ID}"))?;
+            .with_context(|| format!("--domain {domain}: domains are 0 to {MAX_DOMAIN_ID}"))?;
         options.domain_id = domain;
     }
     Ok(options)

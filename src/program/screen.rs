@@ -1,4 +1,4 @@
-//! The terminal: log lines above, a block that is drawn anew below.
+//! The terminal: log lines above, a continuously updated block below.
 
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,7 +9,7 @@ use crate::msgs::printable;
 
 use super::logging::Stream;
 
-/// Standard error, shared by the log and the status block. Where it is no terminal, the block is not drawn.
+/// Standard error, shared by the log and the status block. The block is only drawn on terminals.
 #[derive(Clone)]
 pub(crate) struct Screen {
     shared: Arc<Mutex<Shared>>,
@@ -30,18 +30,18 @@ impl Screen {
         self.lock().terminal.is_term()
     }
 
-    /// How many lines of how many characters a block may have.
+    /// The maximum size of a block: lines, and characters per line.
     pub(crate) fn block_size(&self) -> (usize, usize) {
         self.lock().block_size()
     }
 
-    /// Draws the block in the place of the last one; no lines remove it.
+    /// Draws the block, replacing the last one; an empty block removes it.
     pub(crate) fn show(&self, mut block: Vec<String>) {
         let mut shared = self.lock();
         if !shared.terminal.is_term() {
             return;
         }
-        // A terminal that is gone is no reason to stop a robot.
+        // A closed terminal is no reason to stop a robot.
         let _ = shared.erase();
         block.truncate(shared.block_size().0);
         shared.block = block;
@@ -67,7 +67,7 @@ impl Screen {
 impl Shared {
     fn block_size(&self) -> (usize, usize) {
         let (height, width) = self.terminal.size();
-        // What has scrolled off the top cannot be erased, and a line that wraps would take two.
+        // Lines that scrolled off the top cannot be erased, and wrapped lines would take two.
         (usize::from(height).saturating_sub(1), usize::from(width).max(20) - 1)
     }
 

@@ -1,4 +1,4 @@
-//! How long cycles take and how regular they are.
+//! Statistics of the duration and regularity of cycles.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -8,10 +8,10 @@ use std::time::Duration;
 use downbeat_executor::{CycleReport, Probe, StepReport, Time};
 use hdrhistogram::Histogram;
 
-/// Collects what a core reports.
+/// Collects the reports of a core.
 #[derive(Default)]
 pub(crate) struct Statistics {
-    /// Whose loops are told: those of the robot, and none of those that only look at it.
+    /// The modules whose loops are reported: those of the robot, without observers.
     modules: BTreeSet<String>,
     collected: Mutex<Collected>,
 }
@@ -37,7 +37,7 @@ pub(crate) struct Loop {
 }
 
 impl Statistics {
-    /// Of cycles, and of the loops of these modules.
+    /// Collects the times of cycles, and of the loops of these modules.
     pub(crate) fn of(modules: impl IntoIterator<Item = String>) -> Self {
         Self { modules: modules.into_iter().collect(), ..Self::default() }
     }

@@ -11,7 +11,7 @@ use super::faults::Faults;
 use super::statistics::Statistics;
 use super::wrap::{Line, shorten, wrap};
 
-/// What the status block shows.
+/// The data of the status block.
 pub(crate) struct Sources<'a> {
     pub(crate) title: String,
     pub(crate) topics: Vec<TopicInfo>,
@@ -21,7 +21,7 @@ pub(crate) struct Sources<'a> {
     pub(crate) faults: &'a Faults,
 }
 
-/// Makes the lines of the block.
+/// Creates the lines of the block.
 pub(crate) struct StatusBlock<'a> {
     sources: Sources<'a>,
     started: Instant,
@@ -38,8 +38,8 @@ impl<'a> StatusBlock<'a> {
         Self { sources, started: now, cycles: Rates::new(now), topics: Rates::new(now) }
     }
 
-    /// At most so many lines of so many characters, in which entries are whole: topics and endpoints for which there is no
-    /// room are counted.
+    /// The block in at most this many lines and characters. Entries are not truncated: those that do not fit
+    /// are counted.
     pub(crate) fn lines(&mut self, (height, width): (usize, usize)) -> Vec<String> {
         let now = Instant::now();
         let running = (now - self.started).as_secs();
@@ -64,7 +64,7 @@ impl<'a> StatusBlock<'a> {
         head
     }
 
-    /// The most important of it in one line, for a log.
+    /// The most important data in one line, for the log.
     pub(crate) fn line(&mut self) -> String {
         let now = Instant::now();
         let mut parts = vec![format!("{} s", (now - self.started).as_secs())];
@@ -75,7 +75,7 @@ impl<'a> StatusBlock<'a> {
         parts.push(exposed.map(|(name, rate)| format!("{name} {rate:.0}/s")).collect::<Vec<_>>().join("  "));
         if !endpoints.is_empty() {
             let peers: usize = endpoints.iter().map(|endpoint| endpoint.matched).sum();
-            parts.push(format!("{peers} endpoints of others matched"));
+            parts.push(format!("{peers} remote endpoints matched"));
         }
         parts.extend(self.sources.recording.map(|recording| bag(&recording.statistics()).join(SEPARATOR)));
         parts.extend(self.sources.faults.worst_first().into_iter().next());
@@ -152,7 +152,7 @@ fn endpoint(report: &EndpointReport) -> Vec<String> {
     entries
 }
 
-/// How a recording is doing, in entries of a line.
+/// The state of a recording, as entries of a line.
 pub(crate) fn bag(statistics: &RecordingStatistics) -> Vec<String> {
     let summary = &statistics.summary;
     let mebibytes = summary.bytes as f64 / (1024.0 * 1024.0);
@@ -166,7 +166,7 @@ pub(crate) fn bag(statistics: &RecordingStatistics) -> Vec<String> {
     if summary.files > 1 {
         entries.push(format!("{} files", summary.files));
     }
-    // The worst alone: it is a line.
+    // Only the worst topic, since it is a single line.
     let worst = summary.topics.iter().filter(|topic| topic.lost > 0).max_by_key(|topic| topic.lost);
     if let Some(topic) = worst {
         entries.push(format!("most of {} ({})", topic.name, topic.lost));
@@ -183,7 +183,7 @@ pub(crate) fn bag(statistics: &RecordingStatistics) -> Vec<String> {
     entries
 }
 
-/// What some counters gain per second, over at least a second.
+/// The rates of counters, over at least a second.
 struct Rates {
     since: Instant,
     counts: Vec<u64>,
@@ -208,14 +208,14 @@ impl Rates {
     }
 }
 
-/// What stands before the text of a line: its label.
+/// The width of the label before a line.
 const INDENT: usize = 13;
 
 fn labelled(label: &str, text: &str) -> String {
     format!("  {label:<10} {text}")
 }
 
-/// The label stands before the first line.
+/// Adds the label to the first line.
 fn labelled_lines(label: &str, lines: Vec<String>) -> impl Iterator<Item = String> {
     lines.into_iter().enumerate().map(move |(row, line)| labelled(if row == 0 { label } else { "" }, &line))
 }
@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn the_block_cuts_no_topic_and_counts_those_without_room() {
+    fn the_block_truncates_no_topic_and_counts_those_without_room() {
         let faults = Faults::default();
         let statistics = Statistics::default();
         let names: Vec<_> =
@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_are_of_the_last_second_or_more() {
+    fn rates_cover_at_least_the_last_second() {
         let start = Instant::now();
         let mut rates = Rates::new(start);
         let at = |milliseconds| start + Duration::from_millis(milliseconds);

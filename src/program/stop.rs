@@ -1,4 +1,4 @@
-//! When a command that goes on by itself ends: Ctrl-C, SIGTERM, or its time is over.
+//! The end of long-running commands: Ctrl-C, SIGTERM, or a time limit.
 
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread;
@@ -10,7 +10,7 @@ use signal_hook::iterator::Signals;
 
 use super::keyboard;
 
-/// Asks for the end. A second signal ends the process at once.
+/// A request to stop. A second signal ends the process at once.
 pub(crate) struct Stop {
     signalled: Arc<Signalled>,
     end: Option<Instant>,
@@ -23,7 +23,7 @@ struct Signalled {
 }
 
 impl Stop {
-    /// Takes over SIGINT and SIGTERM: to be done before others can see what has to be left in order.
+    /// Handles SIGINT and SIGTERM. Must be called before anything that requires cleanup.
     pub(crate) fn new() -> anyhow::Result<Self> {
         let problem = "cannot handle SIGINT and SIGTERM";
         let mut signals = Signals::new([SIGINT, SIGTERM]).context(problem)?;
@@ -41,7 +41,7 @@ impl Stop {
         Ok(Self { signalled, end: None })
     }
 
-    /// Ends after this time as well, counted from now.
+    /// Also stops after this time, counted from now.
     pub(crate) fn after(self, duration: Option<Duration>) -> Self {
         Self { end: duration.map(|duration| Instant::now() + duration), ..self }
     }
@@ -50,7 +50,7 @@ impl Stop {
         self.signalled.get() || self.end.is_some_and(|end| Instant::now() >= end)
     }
 
-    /// Sleeps for `time`, or until the end if that comes first.
+    /// Sleeps for `time`, or until the stop request if that is earlier.
     pub(crate) fn sleep(&self, time: Duration) {
         let until = Instant::now() + time;
         self.signalled.wait_until(self.end.map_or(until, |end| end.min(until)));

@@ -1,14 +1,14 @@
-//! Text for a terminal of some width: entries stay whole.
+//! Wraps text to the width of a terminal without splitting entries.
 
 /// A line of the terminal.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Line {
     pub(crate) text: String,
-    /// How many entries end in this line.
+    /// The number of entries that end in this line.
     pub(crate) entries: usize,
 }
 
-/// Lays `entries` out in lines of at most `width` characters, with `separator` between those of one line.
+/// Arranges `entries` in lines of at most `width` characters, separated by `separator`.
 ///
 /// An entry that is longer than a line has a line of its own.
 pub(crate) fn wrap<T: AsRef<str>>(
@@ -31,7 +31,7 @@ pub(crate) fn wrap<T: AsRef<str>>(
     lines
 }
 
-/// The texts of at most `most` lines; the last one says how many entries the lines that are left out hold.
+/// The text of at most `most` lines; the last one contains the number of omitted entries.
 pub(crate) fn shorten(lines: Vec<Line>, most: usize) -> Vec<String> {
     let kept = if lines.len() > most { most.saturating_sub(1) } else { lines.len() };
     let more: usize = lines[kept..].iter().map(|line| line.entries).sum();
@@ -42,7 +42,7 @@ pub(crate) fn shorten(lines: Vec<Line>, most: usize) -> Vec<String> {
     texts
 }
 
-/// Characters, each of which is taken to fill one cell.
+/// The number of characters, each assumed to fill one cell.
 pub(crate) fn length(text: &str) -> usize {
     text.chars().count()
 }
@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn entries_that_are_left_out_are_counted() {
+    fn omitted_entries_are_counted() {
         assert_eq!(shorten(wrapped(28), 1), ["+3 more"]);
         assert_eq!(shorten(wrapped(3), 2), ["imu 100/s", "+2 more"]);
         assert_eq!(shorten(wrapped(3), 0), ["+3 more"]);

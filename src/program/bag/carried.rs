@@ -1,11 +1,11 @@
-//! Whether all of a bag came through a command.
+//! Checks whether a command processed a bag completely.
 
 use anyhow::bail;
 
 use crate::bags::Reader;
 
-/// Fails if something of the bags did not come through: what the files lack or hold damaged, and `unreadable` parts and messages
-/// that were met on the way. What could be carried over is written by then.
+/// Fails if parts of the bags were lost: missing or damaged parts of the files, and `unreadable` parts and
+/// messages found by the command. Readable parts have been written before.
 pub(super) fn carried_over(bags: &[Reader], unreadable: usize) -> anyhow::Result<()> {
     let is_lost = |bag: &&Reader| bag.truncation().any(|truncation| truncation.loses_messages());
     let damaged: Vec<_> = bags.iter().filter(is_lost).collect();
@@ -16,8 +16,8 @@ pub(super) fn carried_over(bags: &[Reader], unreadable: usize) -> anyhow::Result
     }
     let shown = damaged.first().copied().or(bags.first()).map(|bag| bag.path().display().to_string());
     bail!(
-        "not all was carried over: {parts} {} cannot be read; see above, and `downbeat bag check {1}`; `downbeat bag repair \
-         {1}` makes a whole bag of what can be read",
+        "incomplete: {parts} {} cannot be read; see above, and `downbeat bag check {1}`; `downbeat bag repair \
+         {1}` creates a complete bag from what can be read",
         if parts == 1 { "part" } else { "parts" },
         shown.unwrap_or_default()
     )

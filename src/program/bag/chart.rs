@@ -12,10 +12,10 @@ use plotters::prelude::*;
 use plotters::style::register_font;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-/// The family of what is written: in SVG the viewer's own, in PNG the font below.
+/// The font family: in SVG the viewer's own, in PNG the font below.
 const FONT: &str = "sans-serif";
 
-/// What is drawn.
+/// A chart of curves.
 pub(crate) struct Chart {
     pub(crate) title: String,
     /// Width and height in pixels.
@@ -23,14 +23,14 @@ pub(crate) struct Chart {
     pub(crate) curves: Vec<Curve>,
 }
 
-/// A curve: seconds, and values.
+/// A curve of times in seconds and values.
 pub(crate) struct Curve {
     pub(crate) name: String,
     pub(crate) points: Vec<(f64, f64)>,
 }
 
 impl Chart {
-    /// Draws it into a file, by whose ending it becomes SVG or PNG.
+    /// Draws it into an SVG or PNG file, depending on the extension.
     pub(crate) fn write(&self, path: &Path) -> anyhow::Result<()> {
         register_font(FONT, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT)
             .map_err(|_| anyhow!("the font of this build is broken"))?;
@@ -74,10 +74,10 @@ impl Chart {
             .x_label_area_size(40)
             .y_label_area_size(80)
             .build_cartesian_2d(times.clone(), values)?;
-        chart.configure_mesh().x_desc("seconds since the beginning of the bag").draw()?;
+        chart.configure_mesh().x_desc("seconds since the start of the bag").draw()?;
         for (curve, stroke) in self.curves.iter().zip(Stroke::all()) {
             for part in drawn_parts(&curve.points, &times, area.dim_in_pixel().0) {
-                // A line of one point would not be seen.
+                // A line of one point would not be visible.
                 match (&part[..], stroke.dash) {
                     ([point], _) => {
                         chart.draw_series([Circle::new(*point, 2, stroke.style().filled())])?;
@@ -96,7 +96,7 @@ impl Chart {
         Ok(())
     }
 
-    /// Beside the data, in as many columns as it takes.
+    /// Draws the legend beside the data, in as many columns as needed.
     fn draw_legend<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> anyhow::Result<()>
     where
         B::ErrorType: 'static,
@@ -125,7 +125,7 @@ impl Chart {
         usize::try_from(room / i64::from(LEGEND_LINE)).unwrap_or(0).max(1)
     }
 
-    /// At most half of the picture.
+    /// The width of the legend, at most half of the image.
     fn legend_width<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> anyhow::Result<u32>
     where
         B::ErrorType: 'static,
@@ -140,7 +140,7 @@ impl Chart {
     }
 }
 
-/// Pixels of the legend: above its first line, from one line to the next, of a line that is shown, beside it.
+/// Layout of the legend in pixels: space above, line height, length of the line sample, and space beside it.
 const LEGEND_TOP: i32 = 24;
 const LEGEND_LINE: i32 = 18;
 const LEGEND_SAMPLE: i32 = 30;
@@ -155,7 +155,7 @@ where
     Ok(area.estimate_text_size(text, &style)?.0)
 }
 
-/// The text, or its two ends where it is wider than `room`: they tell more of a field than its middle.
+/// The text, or its two ends if it is wider than `room`: they describe a field better than its middle.
 fn fitting(text: &str, room: u32, width: impl Fn(&str) -> anyhow::Result<u32>) -> anyhow::Result<String> {
     let characters: Vec<_> = text.chars().collect();
     let mut kept = characters.len();
@@ -169,16 +169,16 @@ fn fitting(text: &str, room: u32, width: impl Fn(&str) -> anyhow::Result<u32>) -
     Ok(fitting)
 }
 
-/// How a curve is drawn.
+/// The style of a curve.
 #[derive(Clone, Copy)]
 struct Stroke {
     color: RGBColor,
-    /// Pixels of a dash and of the gap behind it.
+    /// Length of a dash and of the gap after it, in pixels.
     dash: Option<(u32, u32)>,
 }
 
 impl Stroke {
-    /// As many as can be told apart: the colours that Okabe and Ito chose for all kinds of eyes, without the yellow, which is pale
+    /// Distinguishable styles: the colour-blind-safe palette of Okabe and Ito without yellow, which is pale
     /// on white; solid, then dashed.
     fn all() -> impl Iterator<Item = Self> {
         const COLORS: [RGBColor; 7] = [
@@ -201,12 +201,12 @@ impl Stroke {
     }
 }
 
-/// Numbers that are none, and those that stand for none, are gaps.
+/// NaN, and numbers that represent missing values, are gaps.
 fn is_drawn(value: f64) -> bool {
     value.abs() < 1e300
 }
 
-/// From the least to the greatest, and by so much of their distance further at both ends.
+/// From the smallest to the largest value, extended by a fraction of the range on both ends.
 fn range(values: impl Iterator<Item = f64>, margin: f64) -> Range<f64> {
     let (low, high) =
         values.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
@@ -217,8 +217,8 @@ fn range(values: impl Iterator<Item = f64>, margin: f64) -> Range<f64> {
     if width > 0.0 { low - margin * width..high + margin * width } else { low - 0.5..low + 0.5 }
 }
 
-/// The parts of a curve between values that are no numbers, with at most two points for each pixel of the width: the
-/// least and the greatest value there.
+/// The parts of a curve between gaps, with at most two points for each pixel of the width: the smallest and
+/// the largest value.
 fn drawn_parts(points: &[(f64, f64)], times: &Range<f64>, width: u32) -> Vec<Vec<(f64, f64)>> {
     let pixel = (times.end - times.start) / f64::from(width);
     let parts = points.split(|(_, y)| !is_drawn(*y)).filter(|part| !part.is_empty());
@@ -231,7 +231,7 @@ fn drawn_parts(points: &[(f64, f64)], times: &Range<f64>, width: u32) -> Vec<Vec
         .collect()
 }
 
-/// The least and the greatest value, in the order of their times; one point if there is one.
+/// The smallest and the largest value, sorted by time; one point if they are the same.
 fn extremes(points: &[(f64, f64)]) -> impl Iterator<Item = (f64, f64)> + use<> {
     let by_value = |(_, one): &&(f64, f64), (_, other): &&(f64, f64)| one.total_cmp(other);
     let mut ends: Vec<_> = [points.iter().min_by(by_value), points.iter().max_by(by_value)]

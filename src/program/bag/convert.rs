@@ -12,7 +12,7 @@ use super::select::TopicArguments;
 
 #[derive(Args)]
 pub(crate) struct ConvertArguments {
-    /// Bags to merge into one, by the time at which messages were received: rosbag2 directories or single files.
+    /// Bags to merge into one by receive time: rosbag2 directories or single files.
     #[arg(required = true)]
     pub(crate) bags: Vec<PathBuf>,
     #[command(flatten)]

@@ -17,14 +17,14 @@ use super::select::TopicArguments;
 pub(crate) struct CutArguments {
     /// A rosbag2 directory or a single file.
     pub(crate) bag: PathBuf,
-    /// Where the part begins: so far into the bag (10s, 1.5m), or seconds since the epoch (1795230923.877).
+    /// Start of the part: an offset into the bag (10s, 1.5m), or seconds since the epoch (1795230923.877).
     #[arg(long, value_parser = place, value_name = "TIME")]
     pub(crate) from: Option<Place>,
-    /// Where it ends, as --from.
+    /// End of the part, in the same form as --from.
     #[arg(long, value_parser = place, value_name = "TIME")]
     pub(crate) until: Option<Place>,
-    /// Leave out what latched topics (transient local) had last sent before the part: without this it is kept, at the
-    /// time of the beginning, as whoever subscribes then would receive it.
+    /// Leave out the last messages of latched (transient local) topics before the part: by default they are
+    /// kept at the time of the start, as a subscriber joining then would receive them.
     #[arg(long)]
     pub(crate) no_latched: bool,
     #[command(flatten)]
@@ -61,7 +61,7 @@ pub(crate) fn place(text: &str) -> Result<Place, String> {
     let (seconds, fraction) = text.split_once('.').unwrap_or((text, "0"));
     let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     let wrong =
-        || format!("\"{text}\" is no time; write 10s or 1.5m from the beginning, or seconds since the epoch");
+        || format!("\"{text}\" is not a time; write 10s or 1.5m from the start, or seconds since the epoch");
     if !is_number(seconds) || !is_number(fraction) || fraction.len() > 9 {
         return Err(wrong());
     }

@@ -20,14 +20,14 @@ pub(crate) struct DiffArguments {
     pub(crate) first: PathBuf,
     /// The one to compare it with, topic by topic, message by message.
     pub(crate) second: PathBuf,
-    /// Let numbers be so far apart: "joint_states:position=1e-6", "imu/*=0.1%"; without a topic everywhere. May be given
-    /// more than once; the last one that means a field counts.
+    /// Tolerance for numbers: "joint_states:position=1e-6", "imu/*=0.1%"; without a topic it applies
+    /// everywhere. May be given more than once; the last one that matches a field applies.
     #[arg(long, value_name = "[TOPIC][:FIELD]=AMOUNT", value_parser = FieldRule::tolerance)]
     pub(crate) tolerance: Vec<FieldRule>,
     /// Do not compare this: "diagnostics", "imu/data_raw:header.stamp", ":header.stamp". May be given more than once.
     #[arg(long, value_name = "[TOPIC][:FIELD]", value_parser = FieldRule::ignore)]
     pub(crate) ignore: Vec<FieldRule>,
-    /// Compare the times at which messages were received, too.
+    /// Also compare the receive times of messages.
     #[arg(long)]
     pub(crate) times: bool,
     /// Print what was found as JSON.
@@ -70,7 +70,7 @@ fn print_text(found: &BagDiff, first: &Reader) {
             }
             MessageDiffKind::Time(other) => {
                 let (first, second) = (Time::from_nanos(*time), Time::from_nanos(*other));
-                println!("  the time at which it was received\n    first  {first}\n    second {second}");
+                println!("  receive time\n    first  {first}\n    second {second}");
             }
         }
     }

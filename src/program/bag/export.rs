@@ -25,12 +25,12 @@ use crate::program::not_built;
 pub(crate) struct ExportArguments {
     /// A rosbag2 directory or a single file.
     pub(crate) bag: PathBuf,
-    /// The new directory, in which each topic gets a file.
+    /// The new directory, with one file per topic.
     #[arg(long, short, value_name = "DIR")]
     pub(crate) output: PathBuf,
     #[command(flatten)]
     pub(crate) force: Force,
-    /// What the files are.
+    /// The format of the files.
     #[arg(long, short, value_enum, default_value_t = Format::Csv)]
     pub(crate) format: Format,
     #[command(flatten)]
@@ -39,11 +39,12 @@ pub(crate) struct ExportArguments {
 
 #[derive(Clone, Copy, ValueEnum)]
 pub(crate) enum Format {
-    /// A column for each field, bytes in Base64.
+    /// A column per field, bytes in Base64.
     Csv,
-    /// One JSON object for each message.
+    /// One JSON object per message.
     Jsonl,
-    /// Apache Parquet: typed columns, for pandas, Polars and DuckDB; where the program is built with the feature `tables`.
+    /// Apache Parquet: typed columns, for pandas, Polars and DuckDB; if the program is built with the feature
+    /// `tables`.
     Parquet,
 }
 
@@ -63,11 +64,12 @@ pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::
     let filter = arguments.topics.filter()?;
     arguments.topics.check(bag.topics().iter().map(|topic| &topic.info))?;
     if cfg!(not(feature = "tables")) && matches!(arguments.format, Format::Parquet) {
-        return not_built("tables", "without it there are csv and jsonl");
+        return not_built("tables", "available are csv and jsonl");
     }
     let output = &arguments.output;
     arguments.force.make_way(Output::Tables, output, [bag.path()])?;
-    std::fs::create_dir(output).with_context(|| format!("cannot make the directory {}", output.display()))?;
+    std::fs::create_dir(output)
+        .with_context(|| format!("cannot create the directory {}", output.display()))?;
     let topics = bag.topics().iter().enumerate();
     let wanted: Vec<_> = topics.filter(|(_, topic)| filter.is_wanted(&topic.info)).collect();
     let mut taken = BTreeSet::new();
@@ -87,11 +89,11 @@ pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::
                 unreadable += done.unreadable;
                 println!("{name}: {} messages in {}", done.messages, printable(&file.to_string_lossy()));
             }
-            // The others are of use all the same.
+            // The other topics are still useful.
             Err(error) => {
                 left_out += 1;
                 tracing::warn!("{name} is left out: {error:#}");
-                // It may not have come to be.
+                // It may not exist.
                 let _ = std::fs::remove_file(&file);
             }
         }
@@ -102,14 +104,14 @@ pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::
     carried_over(&[bag], unreadable)?;
     if left_out > 0 {
         bail!(
-            "not all was carried over: {left_out} topics are left out, see above; --exclude-topics leaves them out without an error"
+            "incomplete: {left_out} topics are left out, see above; --exclude-topics leaves them out without an error"
         );
     }
     Ok(())
 }
 
-/// `/imu/data_raw` becomes `imu.data_raw`. Where another topic has that already, as one of a bag of others may, a number is
-/// added.
+/// `/imu/data_raw` becomes `imu.data_raw`. If another topic already has that name, which can happen in bags
+/// of other recorders, a number is added.
 fn file_stem(topic: &str, taken: &mut BTreeSet<String>) -> String {
     let plain = topic.trim_start_matches('/').replace('/', ".");
     let numbered = (2..).map(|number| format!("{plain}-{number}"));
@@ -117,7 +119,7 @@ fn file_stem(topic: &str, taken: &mut BTreeSet<String>) -> String {
     candidates.find(|stem| taken.insert(stem.clone())).unwrap_or_default()
 }
 
-/// When a message was received and when published, in nanoseconds since the epoch: the first columns.
+/// Receive and publish time of a message, in nanoseconds since the epoch: the first columns.
 const TIMES: [&str; 2] = ["log_time", "publish_time"];
 
 fn write_csv(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyhow::Result<Done> {

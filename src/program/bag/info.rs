@@ -12,18 +12,19 @@ use super::progress::Progress;
 pub(crate) struct InfoArguments {
     /// A rosbag2 directory or a single file.
     pub(crate) bag: PathBuf,
-    /// Only print the names of the topics.
+    /// Print only the names of the topics.
     #[arg(long, short, conflicts_with_all = ["verbose", "json"])]
     pub(crate) topic_name: bool,
-    /// Also print the bytes that each topic takes, and requests and responses of services apart. Reads the whole bag.
+    /// Also print the size of each topic, and the numbers of requests and responses of services. Reads the
+    /// whole bag.
     #[arg(long, short)]
     pub(crate) verbose: bool,
-    /// Print it as JSON.
+    /// Print JSON.
     #[arg(long)]
     pub(crate) json: bool,
 }
 
-/// Prints what a bag holds, and on standard error what of it is lost.
+/// Prints the contents of a bag, and losses on standard error.
 pub(crate) fn info(arguments: &InfoArguments) -> anyhow::Result<()> {
     let reader = Reader::open(&arguments.bag)?;
     let mut info = BagInfo::of(&reader)?;

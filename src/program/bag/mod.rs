@@ -25,7 +25,7 @@ use std::path::Path;
 
 use crate::bags::Reader;
 
-/// Opens a bag, and tells what of it is lost.
+/// Opens a bag, and prints what is lost.
 fn open(bag: &Path) -> anyhow::Result<Reader> {
     let reader = Reader::open(bag)?;
     for truncation in reader.truncation() {
@@ -34,7 +34,7 @@ fn open(bag: &Path) -> anyhow::Result<Reader> {
     Ok(reader)
 }
 
-/// What some bags noted of themselves; where two say different things, the first.
+/// The custom data of several bags; the first value of each key.
 fn custom_data(bags: &[Reader]) -> impl Iterator<Item = (String, String)> {
     let noted = bags.iter().rev().filter_map(Reader::metadata);
     noted.flat_map(|metadata| metadata.custom_data.clone())

@@ -1,4 +1,4 @@
-//! The bag that a command makes.
+//! Options for the bag that a command creates.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -22,32 +22,32 @@ pub(crate) struct OutputArguments {
     pub(crate) layout: LayoutArguments,
 }
 
-/// How its files are laid out, and whether they may replace others.
+/// The layout of its files, and whether they may replace others.
 #[derive(Args)]
 pub(crate) struct LayoutArguments {
     #[command(flatten)]
     force: Force,
-    /// The storage: mcap or, where built with --features sqlite, sqlite3, which has no place for publish times.
+    /// The storage: mcap or, if built with --features sqlite, sqlite3, which does not store publish times.
     #[arg(short, long, default_value_t = Storage::Mcap, value_name = "STORAGE")]
     storage: Storage,
-    /// How chunks are compressed; sqlite3 compresses nothing.
+    /// How chunks are compressed; sqlite3 does not support compression.
     #[arg(long, value_enum, default_value_t = CompressionChoice::None)]
     compression: CompressionChoice,
-    /// How files are laid out, as ros2 bag record has it: none, fastwrite, zstd_fast or zstd_small; of sqlite3 none or
+    /// Preset profile, as in ros2 bag record: none, fastwrite, zstd_fast or zstd_small; for sqlite3 none or
     /// resilient.
     #[arg(long, value_name = "PRESET", conflicts_with = "compression")]
     storage_preset_profile: Option<String>,
-    /// Bytes after which the bag goes on in a new file; 0 for never.
+    /// Bytes after which the bag continues in a new file; 0 for never.
     #[arg(short = 'b', long, default_value_t = 0, value_name = "BYTES")]
     max_bag_size: u64,
-    /// Seconds after which the bag goes on in a new file; 0 for never.
+    /// Seconds after which the bag continues in a new file; 0 for never.
     #[arg(short = 'd', long, default_value_t = 0, value_name = "SECONDS")]
     max_bag_duration: u64,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 enum CompressionChoice {
-    /// Not at all.
+    /// No compression.
     None,
     /// With LZ4.
     Lz4,
@@ -79,7 +79,7 @@ impl From<CompressionChoice> for Compression {
     }
 }
 
-/// Writes the copy of `bags` into a new bag, with what they noted of themselves, and tells what is in it.
+/// Writes the copy of `bags` into a new bag, with their custom data, and prints its summary.
 pub(crate) fn write(
     copy: Copy<'_>,
     bags: &[Reader],
@@ -97,7 +97,7 @@ pub(crate) fn write(
     }
     if copied.without_publish_time > 0 {
         tracing::warn!(
-            "{} messages have lost the time at which they were published: {} keeps the time at which they were received alone",
+            "the publish times of {} messages are lost: {} only stores receive times",
             copied.without_publish_time,
             layout.storage
         );

@@ -16,15 +16,16 @@ use super::select::absolute;
 use super::source::Source;
 use crate::program::new_output::{Force, Output};
 
-/// More than can be told apart.
+/// More curves are not distinguishable.
 const MOST_CURVES: usize = 40;
 
 #[derive(Args)]
 pub(crate) struct PlotArguments {
     /// A rosbag2 directory or a single file.
     pub(crate) bag: PathBuf,
-    /// What to plot over time: "joint_states:position[3]", or by the name beside it "joint_states:position[head_tilt]"; of an
-    /// array or a message all numbers in it: "joint_states:position", "imu/data_raw:angular_velocity".
+    /// Fields to plot over time: "joint_states:position[3]", or by element name
+    /// "joint_states:position[head_tilt]"; for an array or a message, all numbers in it:
+    /// "joint_states:position", "imu/data_raw:angular_velocity".
     #[arg(required = true, value_name = "TOPIC:FIELD", value_parser = Wanted::parse)]
     pub(crate) fields: Vec<Wanted>,
     /// The new file: .svg or .png.
@@ -35,7 +36,7 @@ pub(crate) struct PlotArguments {
     /// Width and height in pixels.
     #[arg(long, default_value = "1200x600", value_name = "WxH", value_parser = size)]
     pub(crate) size: (u32, u32),
-    /// What stands above it; the name of the bag unless given.
+    /// The title; default is the name of the bag.
     #[arg(long, value_name = "TEXT")]
     pub(crate) title: Option<String>,
 }
@@ -57,7 +58,7 @@ impl Wanted {
         }
     }
 
-    /// Whether the path is the field, or in it.
+    /// Whether the path is the field or inside it.
     fn holds(&self, path: &str) -> bool {
         let below = path.strip_prefix(&self.path);
         below.is_some_and(|below| below.is_empty() || below.starts_with(['.', '[']))
@@ -73,7 +74,7 @@ pub(crate) fn plot(arguments: &PlotArguments, catalog: &Catalog) -> anyhow::Resu
     }
     if curves.len() > MOST_CURVES {
         bail!(
-            "these are {} curves; name at most {MOST_CURVES}, as in joint_states:position[3]",
+            "these are {} curves; select at most {MOST_CURVES}, as in joint_states:position[3]",
             curves.len()
         );
     }
@@ -100,12 +101,12 @@ fn curves_of(bag: &Reader, wanted: &Wanted, interfaces: &Interfaces) -> anyhow::
     let numbers = all.iter().enumerate().filter(|(_, column)| is_number(column.kind));
     let mut chosen: Vec<_> = numbers
         .map(|(index, column)| Chosen { index, element: Named::of(&column.name, &all), curve: None })
-        // By the name of an element it is known only when a message is read.
+        // Element names are only known once a message is read.
         .filter(|chosen| wanted.holds(&all[chosen.index].name) || (!is_by_number && chosen.element.is_some()))
         .collect();
     let start = bag.start_time().unwrap_or(0);
     let mut curves: Vec<Curve> = Vec::new();
-    // Only numbers are kept: images are large.
+    // Only keeps numbers, since images are large.
     let rows = |data| Ok(columns.row(&decoder.decode(data)?));
     source.each("reading", rows, |[time, _], row| {
         let seconds = time.saturating_sub(start) as f64 / 1e9;
@@ -115,7 +116,7 @@ fn curves_of(bag: &Reader, wanted: &Wanted, interfaces: &Interfaces) -> anyhow::
             let is_known = chosen.curve.as_ref().is_some_and(|(of, _)| of.as_deref() == element);
             if !is_known {
                 let path = match (&chosen.element, element) {
-                    // A curve chosen by number shows its number beside its name.
+                    // A curve selected by index shows the index with its name.
                     (Some(named), Some(element))
                         if wanted.path.len() > named.before.len() && is_by_number =>
                     {
@@ -152,13 +153,13 @@ fn curves_of(bag: &Reader, wanted: &Wanted, interfaces: &Interfaces) -> anyhow::
 struct Chosen<'a> {
     index: usize,
     element: Option<Named<'a>>,
-    /// The curve that its numbers belong to, and the name of the element for which that was found out.
+    /// The curve of its numbers, and the element name for which it was determined.
     curve: Option<(Option<String>, usize)>,
 }
 
-/// An element of an array beside which another one has its name, as in `JointState`.
+/// An element of an array with a parallel array of names, as in `JointState`.
 struct Named<'a> {
-    /// What stands before and behind its number: `position`, and nothing.
+    /// The path before and after the index: `position` and an empty string.
     before: &'a str,
     behind: &'a str,
     /// The column with its name.
@@ -166,7 +167,7 @@ struct Named<'a> {
 }
 
 impl<'a> Named<'a> {
-    /// Arrays of names: of `JointState`, and of `JointTrajectory`, `MultiDOFJointState` and others.
+    /// Arrays of names: in `JointState`, and in `JointTrajectory`, `MultiDOFJointState` and others.
     const NAMES: [&'static str; 2] = ["name", "joint_names"];
 
     fn of(column: &'a str, all: &[&Column]) -> Option<Self> {
@@ -190,7 +191,7 @@ impl<'a> Named<'a> {
         })
     }
 
-    /// What a message calls it.
+    /// Its name in a message.
     fn name_in<'r>(&self, row: &'r [Cell]) -> Option<&'r str> {
         match &row[self.name] {
             Cell::Text(name) if !name.is_empty() => Some(name),

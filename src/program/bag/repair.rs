@@ -9,9 +9,9 @@ use super::output::{LayoutArguments, write};
 
 #[derive(Args)]
 pub(crate) struct RepairArguments {
-    /// A rosbag2 directory or a single file; it stays as it is.
+    /// A rosbag2 directory or a single file; it is not changed.
     pub(crate) bag: PathBuf,
-    /// The new rosbag2 directory; the name of the bag with `_repaired` unless given.
+    /// The new rosbag2 directory; default is the name of the bag with `_repaired`.
     #[arg(long, short, value_name = "DIR")]
     pub(crate) output: Option<PathBuf>,
     #[command(flatten)]
@@ -25,7 +25,7 @@ pub(crate) fn repair(arguments: &RepairArguments) -> anyhow::Result<()> {
         println!("{truncation}");
     }
     if truncations.is_empty() {
-        println!("no file is cut off");
+        println!("no file is truncated");
     }
     let output = arguments.output.clone().unwrap_or_else(|| beside(&arguments.bag));
     write(Copy::of(&bags, |_| true)?, &bags, &output, &arguments.layout)?;

@@ -18,30 +18,30 @@ use crate::program::logging::Log;
 
 #[derive(Args)]
 pub(crate) struct ReplayArguments {
-    /// The robot file, as it was when the bag was recorded but for what is to be tested.
+    /// The robot file of the recording, except for the changes under test.
     #[arg(value_name = "ROBOT.toml")]
     pub(crate) robot: PathBuf,
     /// A rosbag2 directory or an MCAP file.
     pub(crate) bag: PathBuf,
-    /// Run only these modules; what others published is input.
+    /// Run only these modules; messages of others are input.
     #[arg(long, num_args = 1.., value_name = "MODULE")]
     pub(crate) modules: Vec<String>,
-    /// Let numbers be so far apart: "joint_states:position=1e-6", "imu/*=0.1%"; without a topic everywhere. May be given
-    /// more than once; the last one that means a field counts.
+    /// Tolerance for numbers: "joint_states:position=1e-6", "imu/*=0.1%"; without a topic it applies
+    /// everywhere. May be given more than once; the last one that matches a field applies.
     #[arg(long, value_name = "[TOPIC][:FIELD]=AMOUNT", value_parser = FieldRule::tolerance)]
     pub(crate) tolerance: Vec<FieldRule>,
     /// Do not compare this: "diagnostics", "imu/data_raw:header.stamp", ":header.stamp". May be given more than once.
     #[arg(long, value_name = "[TOPIC][:FIELD]", value_parser = FieldRule::ignore)]
     pub(crate) ignore: Vec<FieldRule>,
-    /// Leave these topics out of the comparison: names, or patterns as "camera/*".
+    /// Exclude these topics from the comparison: names, or patterns such as "camera/*".
     #[arg(long, num_args = 1.., value_name = "TOPIC", value_parser = TopicPattern::new)]
     pub(crate) except: Vec<TopicPattern>,
-    /// Fail when a topic that the chosen modules publish was not compared. Topics of --except and topics of plain Rust types,
-    /// which no bag holds, are listed only.
+    /// Fail if a topic of the chosen modules was not compared. Topics of --except and topics of plain Rust
+    /// types, which no bag contains, are only listed.
     #[arg(long)]
     pub(crate) strict: bool,
-    /// Run the modules on one thread (linear), on n (pool:4) or each on its own (threads), instead of as the robot file
-    /// says. The result is the same.
+    /// Run the modules on one thread (linear), on n threads (pool:4) or each on its own (threads), instead of
+    /// the robot file's launcher. The result is the same.
     #[arg(long)]
     pub(crate) launcher: Option<LauncherChoice>,
     /// Print the report as JSON.
@@ -79,11 +79,12 @@ pub(crate) fn replay(
     report.check(strictness).map_err(|not_same| anyhow!("{}", not_same.problem()))
 }
 
-/// What the recorder noted: a robot that is replayed without what it received may differ for that reason alone.
+/// Warns of lost messages noted by the recorder: a robot replayed without some of its input may differ for
+/// that reason.
 fn warn_of_lost_messages(reader: &Reader) {
     let lost = reader.metadata().and_then(|metadata| metadata.custom_data.get("lost_messages"));
     if let Some(lost) = lost {
-        tracing::warn!("when the bag was recorded messages were lost, so the replay may differ: {lost}");
+        tracing::warn!("messages were lost during the recording, so the replay may differ: {lost}");
     }
 }
 

@@ -1,4 +1,4 @@
-//! Which topics of a bag are meant: the options of `ros2 bag play`.
+//! Selection of a bag's topics: the options of `ros2 bag play`.
 
 use crate::bags::TopicInfo;
 use crate::msgs::printable;
@@ -14,27 +14,27 @@ pub(crate) struct TopicArguments {
     /// Only topics of these types: sensor_msgs/msg/Imu.
     #[arg(long, num_args = 1.., value_name = "TYPE")]
     pub(crate) topic_types: Vec<String>,
-    /// Only these services, of which a bag has events.
+    /// Only the events of these services.
     #[arg(long, num_args = 1.., value_name = "SERVICE")]
     pub(crate) services: Vec<String>,
-    /// Only topics whose whole name matches this regular expression, besides those that are named.
+    /// Only topics whose whole name matches this regular expression, in addition to named ones.
     #[arg(long, short = 'e', value_name = "REGEX")]
     pub(crate) regex: Option<String>,
-    /// Not the topics whose whole name matches this regular expression.
+    /// Exclude topics whose whole name matches this regular expression.
     #[arg(long, short = 'x', value_name = "REGEX")]
     pub(crate) exclude_regex: Option<String>,
-    /// Not these topics.
+    /// Exclude these topics.
     #[arg(long, num_args = 1.., value_name = "TOPIC")]
     pub(crate) exclude_topics: Vec<String>,
-    /// Not the topics of these types.
+    /// Exclude topics of these types.
     #[arg(long, num_args = 1.., value_name = "TYPE")]
     pub(crate) exclude_topic_types: Vec<String>,
-    /// Not these services.
+    /// Exclude these services.
     #[arg(long, num_args = 1.., value_name = "SERVICE")]
     pub(crate) exclude_services: Vec<String>,
 }
 
-/// [`TopicArguments`], understood.
+/// Parsed [`TopicArguments`].
 pub(crate) struct TopicFilter {
     names: Vec<String>,
     types: Vec<String>,
@@ -56,7 +56,7 @@ impl TopicArguments {
         })
     }
 
-    /// Checks that every topic that is named is there: a wrong name would silently mean nothing.
+    /// Checks that every named topic exists: a wrong name would silently have no effect.
     pub(crate) fn check<'a>(
         &self,
         topics: impl Iterator<Item = &'a TopicInfo> + Clone,
@@ -85,19 +85,19 @@ impl TopicFilter {
     }
 }
 
-/// Absolute names of the topics, and of the topics on which services tell their events.
+/// Absolute names of the topics, and of the event topics of services.
 fn names(topics: &[String], services: &[String]) -> Vec<String> {
     let events = services.iter().map(|service| format!("{}/_service_event", absolute(service)));
     topics.iter().map(|topic| absolute(topic)).chain(events).collect()
 }
 
-/// As a bag has it: the slash in front may be left out on the command line.
+/// The absolute name: the leading slash may be omitted on the command line.
 pub(super) fn absolute(name: &str) -> String {
     format!("/{}", name.trim_start_matches('/'))
 }
 
 fn whole(regex: &str) -> anyhow::Result<Regex> {
-    Regex::new(&format!("^(?:{regex})$")).with_context(|| format!("\"{regex}\" is no regular expression"))
+    Regex::new(&format!("^(?:{regex})$")).with_context(|| format!("\"{regex}\" is not a regular expression"))
 }
 
 #[cfg(test)]
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn topics_are_selected_as_ros2_bag_play_selects_them() {
+    fn topics_are_selected_like_in_ros2_bag_play() {
         let all = TopicArguments::default();
         assert_eq!(wanted(&all).len(), 4);
         let named = TopicArguments { topics: texts(&["imu/data"]), ..all.clone() };
@@ -136,7 +136,7 @@ mod tests {
         let also = TopicArguments { regex: Some("/cam.*".into()), ..named.clone() };
         assert_eq!(wanted(&also), ["/imu/data", "/camera/image"]);
         let part = TopicArguments { regex: Some("cam".into()), ..all.clone() };
-        assert!(wanted(&part).is_empty(), "the whole name has to match");
+        assert!(wanted(&part).is_empty(), "the whole name must match");
         let types = TopicArguments {
             topic_types: texts(&["sensor_msgs/msg/Imu"]),
             exclude_topics: texts(&["/imu/raw"]),

@@ -1,4 +1,4 @@
-//! The messages of one topic of a bag, one after the other.
+//! The messages of one topic of a bag.
 
 use crate::bags::{Reader, RecordedTopic, Selection, TopicId};
 use crate::table::{Columns, DecodeError, Decoder, Survey};
@@ -13,10 +13,10 @@ pub(super) struct Source<'a> {
     pub(super) topic: &'a RecordedTopic,
 }
 
-/// What became of the messages.
+/// The result of processing messages.
 pub(super) struct Done {
     pub(super) messages: u64,
-    /// Messages, and parts of the bag.
+    /// Unreadable messages and parts of the bag.
     pub(super) unreadable: usize,
 }
 
@@ -36,7 +36,8 @@ impl<'a> Source<'a> {
         Ok(survey.columns())
     }
 
-    /// Does something with the times and the content of each message. What cannot be read is told, left out, and counted.
+    /// Calls a function with the times and the content of each message. Unreadable messages are logged,
+    /// skipped, and counted.
     pub(super) fn each<T>(
         &self,
         doing: &'static str,

@@ -31,7 +31,7 @@ fn check_robot(
 ) -> anyhow::Result<()> {
     let file = arguments.parameters.read_robot(path, catalog, ros)?;
     for problem in file.thread_problems() {
-        tracing::warn!("on this machine the robot does not run: {problem}");
+        tracing::warn!("the robot cannot run on this machine: {problem}");
     }
     let mut core = Core::new();
     add_diagnostics(&mut core, &file)?;

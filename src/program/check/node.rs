@@ -1,4 +1,4 @@
-//! What the ROS 2 node of a robot will have beside topics.
+//! The interfaces of a robot's ROS 2 node other than topics.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use crate::bridge::{robot_description, rosout};
 use crate::robot::{ClockChoice, NodeFeatures, Robot};
 use serde::Serialize;
 
-/// All of it, with names as remapping rules have them.
+/// The report, with names after remapping.
 #[derive(Serialize)]
 pub(super) struct NodeReport {
     pub(super) features: Features,
@@ -27,7 +27,7 @@ pub(super) struct Features {
     expose_service: bool,
     diagnostics: bool,
     network: bool,
-    /// `own`, `publish` or `follow`, as the robot file says it.
+    /// `own`, `publish` or `follow`, as in the robot file.
     clock: &'static str,
     /// How often the time is published.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -47,7 +47,7 @@ pub(super) struct ServiceReport {
 #[derive(Serialize)]
 pub(super) struct ParameterReport {
     name: String,
-    /// As a robot file would write it.
+    /// In the syntax of robot files.
     value: String,
     is_read_only: bool,
 }

@@ -40,7 +40,7 @@ pub(crate) fn graph(arguments: &GraphArguments, catalog: &Catalog, ros: &RosArgs
 fn of_robot(path: &Path, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<Graph> {
     let core = RobotFile::read_with(path, catalog, ros)?.on_any_machine().build(Core::new())?.core;
     let mut graph = core.graph();
-    // Under the names that ROS gives them, where it does.
+    // With their ROS names, if they have one.
     for topic in core.topics() {
         let shown = graph.topics.iter_mut().find(|shown| *shown.name == *topic.name);
         if let (Some(shown), Some(known)) = (shown, catalog.interfaces.message_of(topic.message_type_id)) {

@@ -8,19 +8,19 @@ use serde_json::{Value, json};
 use crate::program::cli::GraphArguments;
 use crate::program::look::{Environment, Look, Patience};
 
-/// Joins the domain under a hidden name and looks until all that was found has a node, or the time is up.
+/// Joins the domain under a hidden name and waits until the node of every endpoint is known, or a time-out.
 pub(super) fn look(
     arguments: &GraphArguments,
     catalog: &Catalog,
     ros: &RosArgs,
 ) -> anyhow::Result<NetworkGraph> {
-    // As the tools of ROS 2 hide theirs.
+    // Hidden like the nodes of ROS 2 tools.
     let name = format!("_downbeat_graph_{}", std::process::id());
     let look = Look::join_as(&name, arguments.domain, arguments.wait, &Environment { catalog, ros })?;
     Ok(look.all(Patience::Nodes).into())
 }
 
-/// A word for each kind of endpoint.
+/// The name of a kind of endpoint.
 pub(super) fn kind(endpoint: &NetworkEndpoint) -> &'static str {
     match endpoint.kind {
         NetworkEndpoint::PUBLISHER => "publisher",
@@ -62,7 +62,7 @@ pub(super) fn as_json(network: &NetworkGraph) -> Value {
     json!({ "nodes": nodes, "endpoints": network.endpoints.iter().map(endpoint).collect::<Vec<_>>() })
 }
 
-/// As the executor draws modules: nodes in their place, and one for endpoints without.
+/// Converts it to the executor's graph: nodes instead of modules, and one node for endpoints without a node.
 pub(super) fn as_graph(network: &NetworkGraph) -> Graph {
     let mut graph = Graph::default();
     for endpoint in &network.endpoints {
@@ -102,7 +102,7 @@ pub(super) fn as_graph(network: &NetworkGraph) -> Graph {
     graph
 }
 
-/// Where it is in the list, at whose end it is put where it is not there yet.
+/// The position in the list, to which it is appended if missing.
 fn position<T>(list: &mut Vec<T>, is_it: impl Fn(&T) -> bool, make: impl FnOnce() -> T) -> usize {
     list.iter().position(is_it).unwrap_or_else(|| {
         list.push(make());

@@ -7,9 +7,9 @@ use crate::msgs::downbeat_interfaces::msg::{NetworkEndpoint, NetworkGraph};
 
 use super::network::{is_of_topic, kind};
 
-/// A network: its nodes, then topics and services with who has an endpoint of them.
+/// A network: its nodes, then topics and services with their endpoints.
 pub(super) fn of_network(network: &NetworkGraph) -> String {
-    // Writing to a String does not fail.
+    // Writing to a String cannot fail.
     let mut text = String::new();
     let _ = writeln!(text, "nodes");
     for node in &network.nodes {
@@ -51,7 +51,7 @@ fn offer(endpoint: &NetworkEndpoint) -> String {
     offer
 }
 
-/// A robot: its modules with what each has to do with.
+/// A robot: its modules with their topics and services.
 pub(super) fn of_robot(graph: &Graph) -> String {
     let mut text = String::new();
     let mut edges = graph.edges.clone();

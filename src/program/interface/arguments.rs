@@ -6,26 +6,26 @@ use clap::{Args, Subcommand};
 
 #[derive(Subcommand)]
 pub(crate) enum InterfaceCommand {
-    /// List the interfaces there are, as `ros2 interface list` does.
+    /// List interfaces, like `ros2 interface list`.
     List(ListArguments),
-    /// Print the definition of a type with those of the types in it, as `ros2 interface show` does.
+    /// Print the definition of a type with nested types, like `ros2 interface show`.
     Show(ShowArguments),
-    /// Print the RIHS01 hash of a type, by which both ends of a connection know that they mean the same.
+    /// Print the RIHS01 hash of a type, which both ends of a connection compare.
     Hash(HashArguments),
-    /// Print the type description of a type in JSON, as the `.json` files of ROS 2 packages have it.
+    /// Print the type description of a type in JSON, as in the `.json` files of ROS 2 packages.
     Description(DescriptionArguments),
-    /// Read a message from its bytes and print it in YAML, as `ros2 topic echo` does.
+    /// Decode a message and print it in YAML, like `ros2 topic echo`.
     ///
-    /// The bytes are those of a message in a bag or on the wire: CDR with its header of four bytes. What is wrong with them
-    /// is told with the byte and the field.
+    /// The input is a message as in a bag or on the wire: CDR with its four-byte header. Errors name the byte
+    /// and the field.
     Decode(DecodeArguments),
 }
 
-/// Where definitions come from.
+/// The source of definitions.
 #[derive(Args)]
 pub(crate) struct SourceArguments {
-    /// Take definitions from here before all others: an ament prefix, a folder of packages, or a package. May be
-    /// given more than once: earlier ones win.
+    /// Search definitions here first: an ament prefix, a folder of packages, or a package. May be given more
+    /// than once: earlier ones take precedence.
     #[arg(long, value_name = "PATH")]
     pub(crate) from: Vec<PathBuf>,
 }
@@ -35,19 +35,19 @@ pub(crate) struct ListArguments {
     /// Only these packages.
     #[arg(value_name = "PACKAGE")]
     pub(crate) packages: Vec<String>,
-    /// Messages; with --only-srvs or --only-actions those too.
+    /// Only messages; may be combined with --only-srvs and --only-actions.
     #[arg(short = 'm', long)]
     pub(crate) only_msgs: bool,
-    /// Services.
+    /// Only services.
     #[arg(short = 's', long)]
     pub(crate) only_srvs: bool,
-    /// Actions.
+    /// Only actions.
     #[arg(short = 'a', long)]
     pub(crate) only_actions: bool,
-    /// Also what services and actions are made of: requests, responses, events, goals, results, feedback.
+    /// Include the parts of services and actions: requests, responses, events, goals, results, feedback.
     #[arg(long)]
     pub(crate) all: bool,
-    /// Print JSON: for each type its name, and the file its definition is from.
+    /// Print JSON: for each type its name, and the file of its definition.
     #[arg(long)]
     pub(crate) json: bool,
     #[command(flatten)]
@@ -60,7 +60,7 @@ pub(crate) struct TypeArguments {
     /// The type, for example sensor_msgs/msg/JointState; `-` reads its name from standard input.
     #[arg(value_name = "TYPE", required_unless_present = "all", conflicts_with = "all")]
     pub(crate) name: Option<String>,
-    /// All types, and what services and actions are made of.
+    /// All types, including the parts of services and actions.
     #[arg(long)]
     pub(crate) all: bool,
     #[command(flatten)]
@@ -71,13 +71,13 @@ pub(crate) struct TypeArguments {
 pub(crate) struct ShowArguments {
     #[command(flatten)]
     pub(crate) types: TypeArguments,
-    /// Show the comments of the types in it, too.
+    /// Also show the comments of nested types.
     #[arg(long, conflicts_with = "no_comments")]
     pub(crate) all_comments: bool,
     /// Show no comments and no empty lines.
     #[arg(long)]
     pub(crate) no_comments: bool,
-    /// Print JSON: for the type and each type in it the fields and constants.
+    /// Print JSON: the fields and constants of the type and each nested type.
     #[arg(long, conflicts_with_all = ["all_comments", "no_comments"])]
     pub(crate) json: bool,
 }
@@ -86,7 +86,7 @@ pub(crate) struct ShowArguments {
 pub(crate) struct HashArguments {
     #[command(flatten)]
     pub(crate) types: TypeArguments,
-    /// Print JSON, as the `.json` files of ROS 2 packages have the hashes.
+    /// Print JSON, as in the `.json` files of ROS 2 packages.
     #[arg(long)]
     pub(crate) json: bool,
 }
@@ -95,15 +95,15 @@ pub(crate) struct HashArguments {
 pub(crate) struct DescriptionArguments {
     #[command(flatten)]
     pub(crate) types: TypeArguments,
-    /// Changes nothing: a description is always printed in JSON.
+    /// Has no effect: a description is always printed in JSON.
     #[arg(long)]
     pub(crate) json: bool,
 }
 
 #[derive(Args)]
 pub(crate) struct DecodeArguments {
-    /// The type, for example sensor_msgs/msg/JointState; of a service or an action one of its messages, for example
-    /// std_srvs/srv/SetBool_Request.
+    /// The type, for example sensor_msgs/msg/JointState; for a service or an action one of its messages, for
+    /// example std_srvs/srv/SetBool_Request.
     #[arg(value_name = "TYPE")]
     pub(crate) name: String,
     /// Read the bytes from this file instead of standard input.

@@ -12,7 +12,7 @@ use super::Registered;
 use super::arguments::DecodeArguments;
 use super::interfaces::{Definition, Interfaces};
 
-/// More than DDS and bags let through for one message.
+/// More than DDS and bags permit for one message.
 const MOST_BYTES: u64 = 1 << 30;
 
 pub(super) fn decode(arguments: &DecodeArguments, registered: &Registered) -> anyhow::Result<()> {
@@ -25,7 +25,7 @@ pub(super) fn decode(arguments: &DecodeArguments, registered: &Registered) -> an
         None => (read_standard_input()?, "standard input".to_owned()),
     };
     let message =
-        DynamicMessage::from_cdr(&of, &bytes).with_context(|| format!("{origin} is no {name} in CDR"))?;
+        DynamicMessage::from_cdr(&of, &bytes).with_context(|| format!("{origin} is not a {name} in CDR"))?;
     if arguments.json {
         println!("{}", message.to_json());
     } else {
@@ -34,7 +34,7 @@ pub(super) fn decode(arguments: &DecodeArguments, registered: &Registered) -> an
     Ok(())
 }
 
-/// Services and actions have no bytes, only their parts do.
+/// Services and actions cannot be serialised, only their parts can.
 fn check_is_message(interfaces: &Interfaces, name: &TypeName) -> anyhow::Result<()> {
     let (what, parts): (_, &[&str]) = match interfaces.find(name)? {
         Definition::Message(_) => return Ok(()),
@@ -42,7 +42,7 @@ fn check_is_message(interfaces: &Interfaces, name: &TypeName) -> anyhow::Result<
         Definition::Action(_) => ("an action", &["_Goal", "_Result", "_Feedback", "_FeedbackMessage"]),
     };
     let parts: Vec<String> = parts.iter().map(|suffix| name.with_suffix(suffix).to_string()).collect();
-    bail!("{name} is {what}, of which only the messages are sent: name one of {}", parts.join(", "))
+    bail!("{name} is {what}, of which only the messages can be decoded: use one of {}", parts.join(", "))
 }
 
 fn read_file(path: &Path) -> anyhow::Result<Vec<u8>> {
@@ -53,7 +53,7 @@ fn read_file(path: &Path) -> anyhow::Result<Vec<u8>> {
 fn read_standard_input() -> anyhow::Result<Vec<u8>> {
     let input = std::io::stdin();
     if input.is_terminal() {
-        bail!("the bytes of the message come from a pipe or from --file, and standard input is a terminal");
+        bail!("provide the bytes of the message through a pipe or --file: standard input is a terminal");
     }
     read(input.lock()).context("cannot read standard input")
 }
@@ -62,7 +62,7 @@ fn read(from: impl Read) -> anyhow::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     from.take(MOST_BYTES + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > MOST_BYTES {
-        bail!("more than {MOST_BYTES} bytes, which no message has");
+        bail!("the input exceeds {MOST_BYTES} bytes, the maximum size of a message");
     }
     Ok(bytes)
 }

@@ -1,4 +1,4 @@
-//! The interfaces that a command can name.
+//! The interfaces that commands can use.
 
 use std::collections::BTreeSet;
 use std::fmt::Display;
@@ -15,13 +15,13 @@ use super::Registered;
 use super::arguments::{SourceArguments, TypeArguments};
 use super::packages::{ament_packages, packages_at};
 
-/// Definitions from --from, AMENT_PREFIX_PATH and this program (what it carries and what it registers), in this order: the first place that has a package gives
-/// all of it, as ament overlays do.
+/// Definitions from --from, AMENT_PREFIX_PATH and this program (built-in and registered), in this order: as
+/// with ament overlays, a package is taken completely from the first source that has it.
 pub(in crate::program) struct Interfaces {
     pub(in crate::program) catalog: Catalog,
 }
 
-/// The definition behind a name.
+/// The definition of a name.
 #[derive(Clone, Copy)]
 pub(in crate::program) enum Definition<'a> {
     Message(&'a MessageDefinition),
@@ -31,8 +31,8 @@ pub(in crate::program) enum Definition<'a> {
 
 impl Interfaces {
     /// # Errors
-    /// If a place of --from has no packages or a definition there is wrong. A wrong package of AMENT_PREFIX_PATH is left
-    /// out with a warning, since it may have nothing to do with what is asked for.
+    /// If a source of --from has no packages or an invalid definition. An invalid package in
+    /// AMENT_PREFIX_PATH is skipped with a warning, since it may be unrelated to the request.
     pub(in crate::program) fn load(
         source: &SourceArguments,
         registered: &Registered,
@@ -50,13 +50,13 @@ impl Interfaces {
             if taken.contains(&package_name(&folder)) {
                 continue;
             }
-            // Alone first: what is wrong must leave nothing behind.
+            // Parsed separately first, so that an invalid package leaves nothing behind.
             match Catalog::new().add_package(&folder) {
                 Ok(_) => {
                     catalog.add_package(&folder)?;
                     taken.insert(package_name(&folder));
                 }
-                Err(error) => tracing::warn!("left out the package {}: {error}", folder.display()),
+                Err(error) => tracing::warn!("skipped the package {}: {error}", folder.display()),
             }
         }
         add(&mut catalog, crate::msgs::carried(), &taken, CARRIED)?;
@@ -76,7 +76,7 @@ impl Interfaces {
     /// The definition of that name.
     ///
     /// # Errors
-    /// If there is none; with the nearest name.
+    /// If there is none; suggests the nearest name.
     pub(in crate::program) fn find(&self, name: &TypeName) -> anyhow::Result<Definition<'_>> {
         let catalog = &self.catalog;
         let message = || catalog.message(name).map(Definition::Message);
@@ -92,10 +92,10 @@ impl Interfaces {
         found.map_err(|_| self.unknown(&name.to_string()))
     }
 
-    /// The types that arguments name, each of which is here.
+    /// The types selected by the arguments.
     ///
     /// # Errors
-    /// If one is not; with the nearest name.
+    /// If one does not exist; suggests the nearest name.
     pub(super) fn chosen(&self, arguments: &TypeArguments) -> anyhow::Result<Vec<TypeName>> {
         match arguments.name.as_deref() {
             None => Ok(self.names()),
@@ -104,7 +104,7 @@ impl Interfaces {
         }
     }
 
-    /// Every name there is a definition for, in order, parts of services and actions included.
+    /// The sorted names of all definitions, including parts of services and actions.
     pub(super) fn names(&self) -> Vec<TypeName> {
         let mut names: Vec<TypeName> = self.catalog.messages().map(|message| message.name.clone()).collect();
         names.extend(self.catalog.services().map(|service| service.name.clone()));
@@ -113,7 +113,7 @@ impl Interfaces {
         names
     }
 
-    /// Whether a name is that of a file, and not of a part of a service or action.
+    /// Whether a name is that of a file rather than a part of a service or action.
     pub(super) fn is_whole(&self, name: &TypeName) -> bool {
         match name.kind {
             Kind::Message => true,
@@ -123,7 +123,7 @@ impl Interfaces {
     }
 
     /// # Errors
-    /// If no package of that name has interfaces; with the nearest name.
+    /// If no package of that name has interfaces; suggests the nearest name.
     pub(super) fn check_package(&self, package: &str) -> anyhow::Result<()> {
         let packages = self.catalog.packages();
         if packages.contains(&package) {
@@ -133,10 +133,10 @@ impl Interfaces {
         bail!("no package \"{package}\" with interfaces is known{hint}")
     }
 
-    /// The name in a text, if there is a definition for it.
+    /// Parses a name, if there is a definition for it.
     ///
     /// # Errors
-    /// If there is none; with the nearest name.
+    /// If there is none; suggests the nearest name.
     pub(super) fn named(&self, text: &str) -> anyhow::Result<TypeName> {
         let name: TypeName = text.parse().map_err(|_| self.unknown(text))?;
         self.find(&name).map(|_| name)
@@ -147,7 +147,7 @@ impl Interfaces {
         let is_known = |package: &str| names.iter().any(|name| name.package == package);
         let place = match text.split_once('/') {
             Some((package, _)) if !is_known(package) => {
-                format!(" (nor another one of the package \"{package}\": name its place with --from)")
+                format!(" (nor any other of the package \"{package}\": set its location with --from)")
             }
             _ => String::new(),
         };
@@ -166,7 +166,7 @@ impl<'a> Definition<'a> {
         }
     }
 
-    /// What the file has between its lines `---`.
+    /// The parts of the file between its lines `---`.
     pub(super) fn parts(self) -> Vec<&'a MessageDefinition> {
         match self {
             Self::Message(message) => vec![message],
@@ -175,7 +175,7 @@ impl<'a> Definition<'a> {
         }
     }
 
-    /// What names the file.
+    /// The name of the file.
     pub(super) fn origin(self) -> &'a str {
         match self {
             Self::Message(message) => &message.origin,
@@ -185,13 +185,13 @@ impl<'a> Definition<'a> {
     }
 }
 
-/// What stands for the file of a definition that downbeat carries.
+/// The origin of built-in definitions.
 const CARRIED: &str = "downbeat";
 
-/// What stands for the file of a definition that this program registers.
+/// The origin of definitions registered by this program.
 const REGISTERED: &str = "this program";
 
-/// Adds definitions that are not there yet, of packages that are not taken from elsewhere.
+/// Adds missing definitions, of packages that are not taken from another source.
 fn add(
     catalog: &mut Catalog,
     definitions: &Catalog,
@@ -226,11 +226,11 @@ fn hint(nearest: Option<impl Display>) -> String {
     nearest.map(|nearest| format!(", did you mean \"{nearest}\"?")).unwrap_or_default()
 }
 
-/// As `ros2 topic type /chatter | ros2 interface show -` does.
+/// Reads a name, as in `ros2 topic type /chatter | ros2 interface show -`.
 fn name_from_standard_input() -> anyhow::Result<String> {
     let input = std::io::stdin();
     if input.is_terminal() {
-        bail!("`-` reads the name of the type from a pipe, and standard input is a terminal");
+        bail!("`-` reads the name of the type from a pipe, but standard input is a terminal");
     }
     let mut line = String::new();
     input.read_line(&mut line).context("cannot read the name of the type from standard input")?;

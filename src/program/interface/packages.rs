@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 use crate::msgs::definitions::Kind;
 use anyhow::{Context, bail};
 
-/// The folders of packages at a path, in the order of their names: the path itself if it is a package, those below
-/// its `share` if it is an ament prefix, those directly in it otherwise.
+/// The folders of packages at a path, sorted by name: the path itself if it is a package, those below its
+/// `share` if it is an ament prefix, otherwise those directly in it.
 ///
 /// # Errors
 /// If the path cannot be read, or there is no package.
 pub(super) fn packages_at(path: &Path) -> anyhow::Result<Vec<PathBuf>> {
     if is_package(path) {
-        // Its last component is the package's name, which `.` and `..` do not tell.
+        // Its last component is the package's name, so `.` and `..` must be resolved.
         return Ok(vec![path.canonicalize().with_context(|| cannot_read(path))?]);
     }
     let share = path.join("share");
@@ -28,8 +28,8 @@ pub(super) fn packages_at(path: &Path) -> anyhow::Result<Vec<PathBuf>> {
     Ok(packages)
 }
 
-/// The packages with interfaces in each prefix of AMENT_PREFIX_PATH, in its order. Prefixes that are not there have
-/// none, as for ament.
+/// The packages with interfaces in each prefix of AMENT_PREFIX_PATH, in order. Like in ament, missing
+/// prefixes are ignored.
 ///
 /// # Errors
 /// If a prefix cannot be read.
@@ -38,7 +38,7 @@ pub(super) fn ament_packages() -> anyhow::Result<Vec<PathBuf>> {
     let mut packages = Vec::new();
     for prefix in std::env::split_paths(&prefixes) {
         let share = prefix.join("share");
-        // An empty path would be the current folder.
+        // An empty path would mean the current folder.
         if !prefix.as_os_str().is_empty() && share.is_dir() {
             packages.append(&mut packages_in(&share)?);
         }

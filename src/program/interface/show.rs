@@ -1,9 +1,10 @@
 //! `downbeat interface show`
 //!
 //! # References
-//! `ros2interface/ros2interface/verb/show.py` of ros2/ros2cli, branch jazzy: the file line by line; behind each field of
-//! a message type the file of that, one tab further in. With comments taken away the real command leaves a `#` where one
-//! stood behind a field, against what its own tests expect, and keeps indented ones; here nothing of them is left.
+//! `ros2interface/ros2interface/verb/show.py` of ros2/ros2cli, branch jazzy: the file line by line; each
+//! field of a message type is followed by the file of that type, indented by one more tab. When hiding
+//! comments, the real command leaves the `#` after a field, contrary to its own tests, and keeps indented
+//! comments; here they are removed completely.
 
 use crate::msgs::definitions::TypeName;
 use anyhow::bail;
@@ -40,23 +41,23 @@ enum Comments {
     None,
 }
 
-/// A definition on its way to the output.
+/// The state of printing a definition.
 struct Text<'a> {
     interfaces: &'a Interfaces,
     comments: Comments,
-    /// From the type asked for to the one whose lines are printed.
+    /// From the requested type to the one being printed.
     path: Vec<TypeName>,
-    /// How many there were so far, with those that are not shown.
+    /// The number of lines so far, including hidden ones.
     lines: usize,
 }
 
-/// What nobody reads to its end: types that have each other twice double with each step.
+/// Limits output: types with two fields of each next type double with each level.
 const MOST_LINES: usize = 100_000;
 const DEEPEST: usize = 100;
 
 impl Text<'_> {
     fn print(&mut self, name: &TypeName) -> anyhow::Result<()> {
-        // This bounds how deep it goes: by the number of types.
+        // This bounds the depth by the number of types.
         if self.path.contains(name) {
             let path = self.path.iter().map(TypeName::to_string).collect::<Vec<_>>().join(" -> ");
             bail!("{name} contains itself: {path} -> {name}");

@@ -10,12 +10,12 @@ use super::interfaces::Definition;
 pub(super) struct Line {
     /// Without the line's end.
     pub(super) text: String,
-    /// The type of the field on it, if that is a message.
+    /// The type of its field, if that is a message.
     pub(super) message: Option<TypeName>,
 }
 
-/// The lines of the file a definition was read from. Where there is none in this form (the definition is derived from a
-/// service or an action, or comes from IDL), the lines it would have.
+/// The lines of the file of a definition. If there is no such file (the definition is derived from a service
+/// or an action, or comes from IDL), the lines that it would have.
 pub(super) fn lines(definition: Definition<'_>) -> Vec<Line> {
     let parts = definition.parts();
     lines_of_text(definition.text(), &parts).unwrap_or_else(|| written(&parts))

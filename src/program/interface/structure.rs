@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::interfaces::{Definition, Interfaces};
 
-/// Prints each type, followed by those in it, once each.
+/// Prints each type, followed by nested types, once each.
 pub(super) fn show(interfaces: &Interfaces, names: &[TypeName]) -> anyhow::Result<()> {
     let mut shown = Vec::new();
     let mut seen = BTreeSet::new();
@@ -26,7 +26,7 @@ pub(super) fn show(interfaces: &Interfaces, names: &[TypeName]) -> anyhow::Resul
     Ok(())
 }
 
-/// A type with its fields; those of a service or action are its parts.
+/// A type with its fields; the fields of a service or action are its parts.
 #[derive(Serialize)]
 struct Structure {
     type_name: String,
@@ -128,7 +128,7 @@ impl ShownConstant {
     }
 }
 
-/// As a definition spells it, messages with their full name.
+/// The type as in a definition, with full names of messages.
 fn full_type(field_type: &FieldType) -> String {
     let text = field_type.to_string();
     match &field_type.element {
@@ -137,7 +137,7 @@ fn full_type(field_type: &FieldType) -> String {
     }
 }
 
-/// Numbers that JSON has no word for become texts.
+/// Numbers that JSON cannot represent become strings.
 fn json(value: &Value) -> serde_json::Value {
     match value {
         Value::Bool(value) => (*value).into(),

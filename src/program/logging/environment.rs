@@ -1,4 +1,4 @@
-//! What the environment says about the log, in the words of ROS 2.
+//! The environment variables of the log, as in ROS 2.
 
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -7,19 +7,19 @@ use crate::robot::LogArguments;
 
 use super::format::{self, Format};
 
-/// How lines are written.
+/// How and where lines are written.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct LogOptions {
     pub(super) format: Format,
     pub(super) colors: Colors,
     pub(super) stream: Stream,
-    /// The file to write too.
+    /// The log file, if any.
     pub(super) file: Option<PathBuf>,
-    /// What is to be told once the log is there.
+    /// Remarks to log once the log is started.
     pub(super) remarks: Vec<&'static str>,
 }
 
-/// When lines have the color of their severity.
+/// When lines are colored by severity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Colors {
     OnTerminals,
@@ -27,16 +27,16 @@ pub(super) enum Colors {
     Never,
 }
 
-/// Where lines go.
+/// The output stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Stream {
     Error,
     Output,
 }
 
-/// A variable that says nothing that could be done.
+/// A variable has an invalid value.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{variable}={found:?} is not understood: expected 0 ({zero}), 1 ({one}), or nothing")]
+#[error("{variable}={found:?} is invalid: expected 0 ({zero}), 1 ({one}), or nothing")]
 pub(super) struct VariableError {
     variable: &'static str,
     found: String,
@@ -54,7 +54,7 @@ impl LogOptions {
             Some("1") => Ok(Some(true)),
             Some(found) => Err(VariableError { variable, found: found.to_owned(), zero, one }),
         };
-        // Each line is written at once and whole, which is what both ask for.
+        // Each line is written at once and completely, which satisfies both values.
         switch("RCUTILS_LOGGING_BUFFERED_STREAM", "not buffered", "buffered by line")?;
         let mut remarks = Vec::new();
         if lookup("RCUTILS_CONSOLE_STDOUT_LINE_BUFFERED").is_some() {
@@ -81,7 +81,7 @@ impl LogOptions {
         })
     }
 
-    /// The same, with what the command line says.
+    /// Applies the command line.
     pub(super) fn with(mut self, arguments: &LogArguments) -> Self {
         let folder = self.file.as_deref().and_then(Path::parent).filter(|_| !arguments.is_external_disabled);
         self.file = folder.map(|folder| folder.join(file_name(arguments.file_name.as_deref())));
@@ -89,8 +89,8 @@ impl LogOptions {
     }
 }
 
-/// `ROS_LOG_DIR`, or the folder `log` of `ROS_HOME` (`rcl_logging_get_logging_directory`, with `~` for the home folder). Where
-/// neither is set no file is written: a robot's disk is not filled by itself.
+/// `ROS_LOG_DIR`, or the folder `log` of `ROS_HOME` (`rcl_logging_get_logging_directory`, with `~` for the
+/// home folder). If neither is set, no file is written, so that a robot's disk is not filled unintentionally.
 fn log_folder(lookup: impl Fn(&str) -> Option<String>) -> Option<PathBuf> {
     let expanded = |path: String| match (path.strip_prefix('~'), lookup("HOME")) {
         (Some(rest), Some(home)) => PathBuf::from(home + rest),
@@ -99,7 +99,7 @@ fn log_folder(lookup: impl Fn(&str) -> Option<String>) -> Option<PathBuf> {
     lookup("ROS_LOG_DIR").map(expanded).or_else(|| lookup("ROS_HOME").map(|home| expanded(home).join("log")))
 }
 
-/// As `rcl_logging_spdlog` names it: the program, its process, and milliseconds since 1970.
+/// Named as in `rcl_logging_spdlog`: program, process id, and milliseconds since 1970.
 fn file_name(begins_with: Option<&str>) -> String {
     let program =
         std::env::current_exe().ok().and_then(|path| Some(path.file_stem()?.to_string_lossy().into_owned()));
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn switches_are_0_or_1_and_another_value_is_refused_as_rcutils_does() {
+    fn switches_are_0_or_1_and_other_values_are_refused_as_in_rcutils() {
         let color = |value| options(&[("RCUTILS_COLORIZED_OUTPUT", value)]).map(|options| options.colors);
         assert_eq!((color("1"), color("0")), (Ok(Colors::Always), Ok(Colors::Never)));
         let stdout =
@@ -148,14 +148,14 @@ mod tests {
         {
             let refused = options(&[(variable, "yes")]).unwrap_err().to_string();
             assert!(
-                refused.starts_with(&format!("{variable}=\"yes\" is not understood: expected 0 (")),
+                refused.starts_with(&format!("{variable}=\"yes\" is invalid: expected 0 (")),
                 "{refused}"
             );
         }
     }
 
     #[test]
-    fn the_folder_of_the_log_is_found_as_rcl_finds_it() {
+    fn the_folder_of_the_log_is_found_as_in_rcl() {
         let folder = |variables: &[(&str, &str)]| {
             options(variables).unwrap().file.map(|file| file.parent().unwrap().to_owned())
         };
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_variable_that_ros_ignores_is_answered() {
+    fn a_variable_that_ros_ignores_causes_a_remark() {
         let remarks = options(&[("RCUTILS_CONSOLE_STDOUT_LINE_BUFFERED", "1")]).unwrap().remarks;
         assert!(remarks[0].contains("RCUTILS_LOGGING_BUFFERED_STREAM"));
     }

@@ -1,4 +1,4 @@
-//! The log in a file, written on a thread of its own: a slow disk delays nobody who logs.
+//! The log file, written on a separate thread, so that a slow disk does not delay logging.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -8,10 +8,10 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_cha
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
-/// Lines that wait for the disk; more are dropped, which the file then says.
+/// The maximum number of queued lines; further lines are dropped, and counted in the file.
 const WAITING: usize = 4096;
 
-/// Writes lines until it is closed. Clones write into the same file.
+/// Writes lines until it is closed. Clones write to the same file.
 #[derive(Clone)]
 pub(super) struct LogFile {
     shared: Arc<Shared>,
@@ -32,7 +32,7 @@ pub(super) struct LogFileError {
 }
 
 impl LogFile {
-    /// Creates the file, and its folder where there is none.
+    /// Creates the file, and its folder if missing.
     pub(super) fn create(path: &Path) -> Result<Self, LogFileError> {
         let failed = |source| LogFileError { path: path.to_owned(), source };
         path.parent().map_or(Ok(()), std::fs::create_dir_all).map_err(failed)?;
@@ -47,7 +47,7 @@ impl LogFile {
         Ok(Self { shared: Arc::new(Shared { lines: Mutex::new(Some(sender)), dropped, thread }) })
     }
 
-    /// Takes a line; does not wait for the disk.
+    /// Queues a line without waiting for the disk.
     pub(super) fn write(&self, line: String) {
         let lines = self.shared.lines.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(lines) = &*lines
@@ -57,18 +57,18 @@ impl LogFile {
         }
     }
 
-    /// Writes what has come so far, and no more after that.
+    /// Writes queued lines and closes the file.
     pub(super) fn close(&self) {
         drop(self.shared.lines.lock().unwrap_or_else(PoisonError::into_inner).take());
         let thread = self.shared.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(thread) = thread {
-            // It does not panic; and if it did, standard error has said so.
+            // It does not panic; if it did, standard error shows it.
             let _ = thread.join();
         }
     }
 }
 
-/// Until nobody can send lines any more. A disk that fails stops the file, not the program.
+/// Writes until all senders are dropped. A failing disk ends the file, not the program.
 fn write_all(mut file: impl Write, lines: &Receiver<String>, dropped: &AtomicU64) {
     let mut told = 0;
     let mut write = |line: &str, file: &mut dyn Write| -> std::io::Result<()> {
@@ -87,7 +87,7 @@ fn write_all(mut file: impl Write, lines: &Receiver<String>, dropped: &AtomicU64
             }
             next = lines.try_recv();
         }
-        // Nothing waits: what is written may be looked at.
+        // Flushes when the queue is empty, so that the file can be read.
         if file.flush().is_err() || matches!(next, Err(TryRecvError::Disconnected)) {
             return;
         }
@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_written_before_the_close_is_in_the_file() {
+    fn lines_before_the_close_are_in_the_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("new/folder/downbeat.log");
         let file = LogFile::create(&path).unwrap();
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_do_not_fit_are_counted_in_the_file() {
+    fn dropped_lines_are_counted_in_the_file() {
         let dropped = AtomicU64::new(3);
         let (sender, lines) = sync_channel(2);
         sender.send("after\n".to_owned()).unwrap();
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_cannot_be_created_is_told_with_the_variables() {
+    fn a_file_that_cannot_be_created_is_reported_with_the_variables() {
         let folder = tempfile::tempdir().unwrap();
         let blocked = folder.path().join("file");
         std::fs::write(&blocked, "").unwrap();

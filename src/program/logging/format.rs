@@ -6,13 +6,13 @@ use crate::bridge::rosout::LogLine;
 use crate::msgs::{printable, write_printable_lines};
 use chrono::{Local, TimeZone};
 
-/// What ROS 2 uses unless told otherwise.
+/// The default of ROS 2.
 pub(super) const DEFAULT: &str = "[{severity}] [{time}] [{name}]: {message}";
 
-/// As much of a format as rcutils reads.
+/// The maximum length of a format, as in rcutils.
 const LONGEST: usize = 2047;
 
-/// A format, read.
+/// A parsed format.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Format {
     parts: Vec<Part>,
@@ -50,7 +50,7 @@ const TOKENS: [(&str, Token); 9] = [
 ];
 
 impl Format {
-    /// Reads a format. Nothing is wrong: what is no token is text, as in rcutils.
+    /// Parses a format. As in rcutils, there are no errors: anything but tokens is text.
     pub(super) fn read(format: &str) -> Self {
         let end = (0..=format.len().min(LONGEST)).rev().find(|&end| format.is_char_boundary(end));
         let text = unescaped(&format[..end.unwrap_or(0)]);
@@ -73,10 +73,10 @@ impl Format {
         Self { parts }
     }
 
-    /// The line as text, without the end of the line.
+    /// Writes the line without a line break.
     pub(super) fn write(&self, line: &LogLine, logger: &str, text: &mut String) {
         for part in &self.parts {
-            // A `String` takes everything.
+            // Writing to a `String` cannot fail.
             let _ = match part {
                 Part::Text(plain) => text.write_str(plain),
                 Part::Token(token) => token.write(line, logger, text),
@@ -106,8 +106,8 @@ impl Token {
     }
 }
 
-/// What is in a message may come from the network or a bag: control characters are escaped, and further lines indented, so that
-/// none looks like a line of the log.
+/// Messages may contain text from the network or a bag: control characters are escaped, and further lines
+/// indented, so that they do not look like log lines.
 fn write_message(message: &str, text: &mut String) -> std::fmt::Result {
     for (number, line) in message.split('\n').enumerate() {
         if number > 0 {
@@ -118,7 +118,7 @@ fn write_message(message: &str, text: &mut String) -> std::fmt::Result {
     Ok(())
 }
 
-/// `\a`, `\b`, `\n`, `\r`, `\t` and `\x1b` become what they stand for; another character behind a backslash stays, with it.
+/// Resolves `\a`, `\b`, `\n`, `\r`, `\t` and `\x1b`; other characters are kept with their backslash.
 fn unescaped(format: &str) -> String {
     let (mut text, mut rest) = (String::with_capacity(format.len()), format);
     while let Some(position) = rest.find('\\') {
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn every_token_stands_for_something() {
+    fn every_token_is_replaced() {
         let all = "{function_name}|{file_name}:{line_number}|{time_as_nanoseconds}|{message}";
         assert_eq!(written(all), "darwin_op::bus|bus.rs:42|1795239822020566197|servo 5 is silent");
         let date = written("{date_time_with_ms}");
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_token_is_text() {
+    fn anything_but_tokens_is_text() {
         assert_eq!(written("{nmae} {{name}} {name {"), "{nmae} {robot.darwin_op} {name {");
         assert_eq!(written(""), "");
     }
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn a_format_without_end_is_cut() {
+    fn an_overlong_format_is_truncated() {
         assert_eq!(written(&"ä".repeat(3000)).len(), 2046);
     }
 }

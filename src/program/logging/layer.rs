@@ -1,4 +1,4 @@
-//! What becomes of an event: whether it is wanted, and where it goes.
+//! Filters log events and distributes them.
 
 use std::io::IsTerminal;
 
@@ -16,14 +16,14 @@ use super::file::LogFile;
 use super::format::Format;
 use crate::program::screen::Screen;
 
-/// Filters events, and writes those that are wanted to the console, to a file, and to `/rosout`.
+/// Filters events, and writes them to the console, to a file, and to `/rosout`.
 ///
-/// A logger that was given a level has that; for the others what `DOWNBEAT_LOG` says holds.
+/// A logger with its own level uses that; others use `DOWNBEAT_LOG`.
 pub(super) struct LogLayer {
     pub(super) filter: Targets,
     pub(super) levels: LoggerLevels,
     pub(super) names: LoggerNames,
-    /// Nothing where `--disable-stdout-logs` says so.
+    /// `None` with `--disable-stdout-logs`.
     pub(super) console: Option<Console>,
     pub(super) format: Format,
     pub(super) file: Option<LogFile>,
@@ -58,7 +58,7 @@ where
             Severity::Warn => LevelFilter::WARN,
             Severity::Error | Severity::Fatal => LevelFilter::ERROR,
         });
-        // No hint of the filter means that it may want everything.
+        // Without a hint, the filter may accept everything.
         let wanted = Layer::<S>::max_level_hint(&self.filter)?;
         Some(raised.map_or(wanted, |raised| raised.max(wanted)))
     }
@@ -83,7 +83,7 @@ where
 }
 
 impl LogLayer {
-    /// True if some logger has a level at which such an event is wanted.
+    /// Whether some logger has a level that accepts such an event.
     fn may_be_raised(&self, metadata: &Metadata<'_>) -> bool {
         let severity = Severity::of(*metadata.level());
         let is_ours = !metadata.target().starts_with("rustdds");

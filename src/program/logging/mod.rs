@@ -1,4 +1,4 @@
-//! Where log events go: to the console as ROS 2 writes it, to a file where one is asked for, and to `/rosout`.
+//! Logging to the console in the format of ROS 2, optionally to a file, and to `/rosout`.
 
 mod environment;
 mod file;
@@ -18,10 +18,10 @@ pub(crate) use environment::Stream;
 use file::LogFile;
 use layer::{Console, LogLayer};
 
-/// The variable that says what is logged.
+/// The variable that selects what is logged.
 const VARIABLE: &str = "DOWNBEAT_LOG";
 
-/// The DDS engine reports each repair and each refused sample as an error; what matters of it the bridge tells.
+/// rustdds logs each repair and each refused sample as an error; the bridge reports what matters.
 const DEFAULT: &str = "info,rustdds=off";
 
 /// The name of the logger while there is no node.
@@ -30,13 +30,13 @@ const PROGRAM: &str = "downbeat";
 /// The log of the program.
 #[derive(Clone)]
 pub(crate) struct Log {
-    /// What waits for `/rosout`, the levels that loggers are given, and their names.
+    /// The queue for `/rosout`, the levels of loggers, and their names.
     pub(crate) of_node: NodeLog,
     file: Option<LogFile>,
 }
 
 impl Log {
-    /// Sends log events where the environment says, above the status block.
+    /// Starts logging as configured by the environment, above the status block.
     pub(crate) fn start(screen: &Screen, arguments: &LogArguments) -> anyhow::Result<Self> {
         let options = LogOptions::from_variables(|name| std::env::var(name).ok())?.with(arguments);
         let given = filter_of(arguments).or_else(|| std::env::var(VARIABLE).ok());
@@ -68,19 +68,19 @@ impl Log {
         };
         tracing_subscriber::registry().with(layer).try_init().context("cannot start the log")?;
         if let Some(error) = problem {
-            tracing::warn!("{VARIABLE}={} is not understood: {error}", given.unwrap_or_default());
+            tracing::warn!("{VARIABLE}={} is invalid: {error}", given.unwrap_or_default());
         }
         options.remarks.iter().for_each(|remark| tracing::warn!("{remark}"));
         Ok(log)
     }
 
-    /// Names the loggers of modules after a robot that has no node in ROS 2.
+    /// Names the loggers of modules after a robot without a ROS 2 node.
     pub(crate) fn name_after(&self, robot: &RobotFile) -> anyhow::Result<()> {
         self.of_node.names.set_node(&robot.node_name()?);
         Ok(())
     }
 
-    /// Writes what still waits to be written.
+    /// Writes queued lines.
     pub(crate) fn close(&self) {
         if let Some(file) = &self.file {
             file.close();
@@ -88,7 +88,8 @@ impl Log {
     }
 }
 
-/// What `--log-level` says, which wins over the environment. The parts of a logger's name may also be those of a module path.
+/// The filter of `--log-level`, which overrides the environment. The parts of a logger's name may also be
+/// those of a module path.
 fn filter_of(arguments: &LogArguments) -> Option<String> {
     if arguments.level.is_none() && arguments.loggers.is_empty() {
         return None;
@@ -101,11 +102,11 @@ fn filter_of(arguments: &LogArguments) -> Option<String> {
     Some(filter)
 }
 
-/// The severity from which on a filter lets pass what no directive of its names.
+/// The minimum severity of a filter for targets without a directive.
 fn start_of(filter: &str) -> Severity {
     let mut general =
         filter.split(',').filter_map(|directive| directive.trim().parse::<tracing::Level>().ok());
-    // A filter that lets nothing pass in general has no such directive, or `off`.
+    // A filter without a general level has no such directive, or `off`.
     general.next_back().map_or(Severity::Fatal, Severity::of)
 }
 
@@ -125,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_root_logger_has_the_level_of_the_filter_where_it_names_none() {
+    fn the_root_logger_has_the_general_level_of_the_filter() {
         for (filter, expected) in [
             (DEFAULT, Severity::Info),
             ("warn,downbeat_bridge=debug", Severity::Warn),

@@ -40,10 +40,10 @@ pub(crate) enum ActionCommand {
 
 #[derive(Args)]
 pub(crate) struct ListArguments {
-    /// Print the types, too.
+    /// Also print the types.
     #[arg(short = 't', long)]
     show_types: bool,
-    /// Print only how many there are.
+    /// Print only the number.
     #[arg(short, long)]
     count_actions: bool,
     #[command(flatten)]
@@ -54,10 +54,10 @@ pub(crate) struct ListArguments {
 pub(crate) struct InfoArguments {
     /// The action.
     action: String,
-    /// Print the types, too.
+    /// Also print the types.
     #[arg(short = 't', long)]
     show_types: bool,
-    /// Print only how many there are.
+    /// Print only the number.
     #[arg(short, long)]
     count: bool,
     #[command(flatten)]
@@ -81,10 +81,10 @@ pub(crate) struct SendGoalArguments {
     type_name: String,
     #[command(flatten)]
     goal: FieldArguments,
-    /// Print feedback, too.
+    /// Also print feedback.
     #[arg(short, long)]
     feedback: bool,
-    /// Take definitions from here before all others: an ament prefix, a folder of packages, or a package.
+    /// Search definitions here first: an ament prefix, a folder of packages, or a package.
     #[arg(long, value_name = "PATH")]
     from: Vec<PathBuf>,
     #[command(flatten)]
@@ -129,7 +129,7 @@ fn info(arguments: &InfoArguments, environment: &Environment<'_>) -> anyhow::Res
     Ok(())
 }
 
-/// The nodes that serve or use an action, with the types they have it with.
+/// The nodes that serve or use an action, with its types.
 fn nodes_with(found: &Found, action: &str, kind: EndpointKind) -> NamesAndTypes {
     let mut nodes = NamesAndTypes::new();
     for node in &found.nodes {
@@ -147,7 +147,7 @@ fn type_of(arguments: &NameArguments, environment: &Environment<'_>) -> anyhow::
     print_types(&look, types).with_context(|| format!("Unknown action '{name}'"))
 }
 
-/// A number that no other goal has.
+/// A unique id.
 fn new_id() -> [u8; 16] {
     let random = || RandomState::new().build_hasher().finish();
     (u128::from(random()) << 64 | u128::from(random())).to_be_bytes()
@@ -155,13 +155,13 @@ fn new_id() -> [u8; 16] {
 
 const POLL: Duration = Duration::from_millis(50);
 
-/// How long a server gets to answer that a goal is canceled.
+/// How long a server may take to cancel a goal.
 const CANCEL_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Feedback that waits to be printed.
+/// The maximum number of queued feedback messages.
 const MOST_WAITING: usize = 1024;
 
-/// The feedback of an action, of all its goals.
+/// The feedback of all goals of an action.
 struct Feedback {
     of: DynamicType,
     heard: Receiver<Bytes>,
@@ -183,7 +183,7 @@ impl Feedback {
         Ok(Self { of, heard, _subscription: subscription })
     }
 
-    /// Prints what came for a goal.
+    /// Prints the feedback of a goal.
     fn print(&self, goal: &[u8]) {
         while let Ok(cdr) = self.heard.try_recv() {
             let Ok(message) = DynamicMessage::from_cdr(&self.of, &cdr) else { continue };
@@ -241,7 +241,7 @@ fn send_goal(arguments: &SendGoalArguments, environment: &Environment<'_>) -> an
     }
 }
 
-/// The result; `None` if the command was stopped before it came.
+/// Waits for the result; returns `None` if the command is stopped first.
 fn wait_for_result(
     look: &Look,
     call: &Call<'_>,
@@ -261,7 +261,7 @@ fn wait_for_result(
 }
 
 fn print_result(response: MessageRef<'_>) -> anyhow::Result<()> {
-    let result = response.get("result")?.as_message().context("the result is no message")?;
+    let result = response.get("result")?.as_message().context("the result is not a message")?;
     let status = match response.get("status")?.as_i64().and_then(|status| i8::try_from(status).ok()) {
         Some(GoalStatus::STATUS_ACCEPTED) => "ACCEPTED",
         Some(GoalStatus::STATUS_EXECUTING) => "EXECUTING",

@@ -16,11 +16,11 @@ use super::Look;
 #[derive(Clone)]
 pub(super) enum LookClock {
     System,
-    /// Nanoseconds, 0 until they are heard.
+    /// Nanoseconds, 0 until the first message.
     Simulated(Arc<AtomicI64>),
 }
 
-/// Keeps a clock on time.
+/// Updates a clock from `/clock`.
 pub(super) struct ClockFollower {
     _subscription: Option<Subscription>,
 }
@@ -42,7 +42,7 @@ impl LookClock {
         Ok((Self::Simulated(time), ClockFollower { _subscription: Some(subscription) }))
     }
 
-    /// Nanoseconds since the epoch; 0 where no time is known.
+    /// Nanoseconds since the epoch; 0 if the time is unknown.
     pub(super) fn now(&self) -> i64 {
         match self {
             Self::System => {

@@ -1,4 +1,4 @@
-//! What the types of topics, services and actions look like: the one place in which these commands look them up.
+//! Lookup of the types of topics, services and actions.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -12,7 +12,7 @@ use anyhow::Context;
 
 use super::Look;
 
-/// How long a node gets to describe a type.
+/// How long a node may take to describe a type.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Definitions from `--from`, AMENT_PREFIX_PATH, this program, and nodes on the network, in this order.
@@ -26,8 +26,8 @@ impl Types {
         Ok(Self { interfaces: Interfaces::load(&source, &look.interfaces)? })
     }
 
-    /// The type of the messages on a topic. A definition at hand has the hash that the topic announces, if it does; else a node
-    /// that has the topic describes it.
+    /// The type of the messages on a topic. Uses a local definition with the hash that the topic announces,
+    /// if any; otherwise requests a description from a node with the topic.
     pub(super) fn message(&self, look: &Look, topic: &str, type_name: &str) -> anyhow::Result<DynamicType> {
         let name: TypeName = type_name.parse()?;
         let topic = look.node.topic_name(topic)?;
@@ -72,7 +72,7 @@ impl Types {
         Ok(described.map(|described| described.message_type))
     }
 
-    /// A type that is at hand, with that hash if one is given. That of this program stands in for one of another hash.
+    /// A local type, with the given hash if any.
     fn at_hand(&self, name: &TypeName, hash: Option<&str>) -> Option<DynamicType> {
         let has_hash = |catalog: &Catalog| {
             hash.is_none_or(|hash| catalog.type_hash(name).is_ok_and(|known| known == hash))
@@ -84,7 +84,7 @@ impl Types {
 
     fn not_at_hand(&self, name: &TypeName) -> String {
         match self.interfaces.find(name) {
-            Ok(_) => format!("{name} is known here with another hash than the one announced"),
+            Ok(_) => format!("{name} is known here with a different hash than the announced one"),
             Err(error) => error.to_string(),
         }
     }
@@ -100,7 +100,7 @@ fn announced_hash(found: &Found, topic: &str, type_name: &str) -> Option<String>
         .and_then(|endpoint| endpoint.remote.type_hash.clone())
 }
 
-/// A type with its middle, which people leave out: `std_msgs/String` is `std_msgs/msg/String`.
+/// Adds the middle part of a type name, which may be omitted: `std_msgs/String` is `std_msgs/msg/String`.
 pub(super) fn full_name(text: &str, kind: &str) -> String {
     match text.split_once('/') {
         Some((package, name)) if !name.contains('/') => format!("{package}/{kind}/{name}"),
@@ -113,7 +113,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_middle_of_a_name_can_be_left_out() {
+    fn the_middle_of_a_name_can_be_omitted() {
         assert_eq!(full_name("std_msgs/String", "msg"), "std_msgs/msg/String");
         assert_eq!(full_name("std_msgs/msg/String", "msg"), "std_msgs/msg/String");
         assert_eq!(full_name("String", "msg"), "String");

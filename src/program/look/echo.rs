@@ -23,13 +23,13 @@ use super::values::seconds;
 pub(crate) struct EchoArguments {
     /// The topic.
     topic: String,
-    /// The type of its messages, unless it is that of the topic on the network.
+    /// The type of its messages; default is that of the topic on the network.
     #[arg(value_name = "TYPE")]
     type_name: Option<String>,
     /// Print each message as a line of comma-separated values.
     #[arg(long)]
     csv: bool,
-    /// Print this field only: pose.pose.position
+    /// Print only this field: pose.pose.position
     #[arg(long, value_name = "FIELD")]
     field: Option<String>,
     #[command(flatten)]
@@ -40,16 +40,16 @@ pub(crate) struct EchoArguments {
     /// Print the bytes of the message.
     #[arg(long)]
     raw: bool,
-    /// Print the first message and end.
+    /// Print the first message and exit.
     #[arg(long)]
     once: bool,
-    /// End after this time, in seconds.
+    /// Exit after this time, in seconds.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     timeout: Option<Duration>,
     /// Print when a message was sent and received, and its number.
     #[arg(short = 'i', long)]
     include_message_info: bool,
-    /// Take definitions from here before all others: an ament prefix, a folder of packages, or a package.
+    /// Search definitions here first: an ament prefix, a folder of packages, or a package.
     #[arg(long, value_name = "PATH")]
     from: Vec<PathBuf>,
     #[command(flatten)]
@@ -61,10 +61,10 @@ pub(crate) struct EchoArguments {
 /// How messages are printed.
 #[derive(Args)]
 struct StyleArguments {
-    /// Print arrays, bytes and strings in full length.
+    /// Print arrays, bytes and strings completely.
     #[arg(short, long)]
     full_length: bool,
-    /// Print no more of arrays, bytes and strings.
+    /// Truncate arrays, bytes and strings to this length.
     #[arg(short = 'l', long, value_name = "N", default_value_t = 128)]
     truncate_length: usize,
     /// Print type and length of arrays only.
@@ -89,13 +89,13 @@ impl StyleArguments {
     }
 }
 
-/// Messages that wait to be printed; more are dropped, and counted as lost.
+/// The maximum number of queued messages; further ones are dropped and counted as lost.
 const MOST_WAITING: usize = 1024;
 
 /// How soon Ctrl-C is noticed.
 const POLL: Duration = Duration::from_millis(50);
 
-/// What is printed.
+/// An item to print.
 enum Heard {
     Message { sample: Sample, received: i64 },
     Lost { change: u64 },
@@ -135,7 +135,7 @@ pub(super) fn echo(arguments: &EchoArguments, environment: &Environment<'_>) -> 
                 Err(error) => {
                     failed += 1;
                     if failed == 1 {
-                        eprintln!("WARNING: a message on {} is no {type_name}: {error}", arguments.topic);
+                        eprintln!("WARNING: a message on {} is not a {type_name}: {error}", arguments.topic);
                     }
                 }
             },
@@ -148,7 +148,7 @@ pub(super) fn echo(arguments: &EchoArguments, environment: &Environment<'_>) -> 
         }
     }
     if failed > 1 {
-        eprintln!("WARNING: {failed} messages on {} were no {type_name}", arguments.topic);
+        eprintln!("WARNING: {failed} messages on {} were not of type {type_name}", arguments.topic);
     }
     Ok(())
 }
@@ -183,7 +183,7 @@ fn subscribe(
     let (clock, dropped) = (LookClock::System, sender.clone());
     let on_sample = move |sample| {
         let message = Heard::Message { sample, received: clock.now() };
-        // Where nobody reads what is printed there is no end to it.
+        // Drops messages if the output is not read.
         let _ = sender.try_send(message);
     };
     let subscription = look.node.subscribe(&arguments.topic, message_type, qos, Box::new(on_sample))?;
@@ -211,7 +211,7 @@ fn publishers<'a>(
         .map(|endpoint| &endpoint.remote)
 }
 
-/// Asks for what all publishers offer, if there are some.
+/// Requests what all publishers offer, if there are any.
 fn suit(request: &mut QosRequest, found: &Found, topic: &str) {
     use crate::bridge::ros::Policy::Given;
     let count = publishers(found, topic).count();
@@ -241,7 +241,7 @@ fn suit(request: &mut QosRequest, found: &Found, topic: &str) {
 
 struct Printer<'a> {
     arguments: &'a EchoArguments,
-    /// `None` where bytes are printed.
+    /// `None` if bytes are printed.
     of: Option<DynamicType>,
     path: Vec<&'a str>,
     style: YamlStyle,
@@ -294,13 +294,13 @@ impl Printer<'_> {
     }
 }
 
-/// Where a path of fields leads.
+/// The target of a path of fields.
 enum Chosen<'a> {
     Message(MessageRef<'a>),
     Field(&'a FieldType, ValueRef<'a>),
 }
 
-/// The path was checked: it leads somewhere.
+/// Follows a path, which was checked before.
 fn chosen<'a>(mut message: MessageRef<'a>, path: &[&str]) -> Chosen<'a> {
     for name in path {
         let Some((_, field_type, value)) = message.fields_with_types().find(|(field, ..)| field == name)

@@ -20,9 +20,9 @@ use super::network::{Environment, Look, LookArguments, Patience, absolute, is_hi
 pub(crate) enum LifecycleCommand {
     /// Print the state of a managed node, or of all.
     Get(GetArguments),
-    /// Have a managed node make a transition.
+    /// Trigger a transition of a managed node.
     Set(SetArguments),
-    /// List the transitions that a managed node can make now, or all there are.
+    /// List the transitions that are available in a managed node's state, or all of them.
     List(ListArguments),
     /// List managed nodes.
     Nodes(NodesArguments),
@@ -30,9 +30,9 @@ pub(crate) enum LifecycleCommand {
 
 #[derive(Args)]
 pub(crate) struct GetArguments {
-    /// The node; all managed nodes unless given.
+    /// The node; default is all managed nodes.
     node: Option<String>,
-    /// Consider also nodes whose name begins with an underscore.
+    /// Also consider nodes whose name starts with an underscore.
     #[arg(long)]
     include_hidden_nodes: bool,
     #[command(flatten)]
@@ -45,7 +45,7 @@ pub(crate) struct SetArguments {
     node: String,
     /// The transition, by name or number, for example configure.
     transition: String,
-    /// Consider also nodes whose name begins with an underscore.
+    /// Also consider nodes whose name starts with an underscore.
     #[arg(long)]
     include_hidden_nodes: bool,
     #[command(flatten)]
@@ -59,7 +59,7 @@ pub(crate) struct ListArguments {
     /// List all transitions, not only those from the present state.
     #[arg(short, long)]
     all: bool,
-    /// Consider also nodes whose name begins with an underscore.
+    /// Also consider nodes whose name starts with an underscore.
     #[arg(long)]
     include_hidden_nodes: bool,
     #[command(flatten)]
@@ -68,10 +68,10 @@ pub(crate) struct ListArguments {
 
 #[derive(Args)]
 pub(crate) struct NodesArguments {
-    /// Print also nodes whose name begins with an underscore.
+    /// Also print nodes whose name starts with an underscore.
     #[arg(short, long)]
     all: bool,
-    /// Print only how many there are.
+    /// Print only the number.
     #[arg(short, long)]
     count_nodes: bool,
     #[command(flatten)]
@@ -87,10 +87,10 @@ pub(crate) fn lifecycle(command: &LifecycleCommand, environment: &Environment<'_
     }
 }
 
-/// How long a node gets to answer; a transition may take its time.
+/// How long a node may take to answer; transitions can be slow.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Managed nodes: those with the service that tells their state.
+/// Managed nodes: those with the service that returns their state.
 fn managed(found: &Found, with_hidden: bool) -> Vec<String> {
     let servers = found.endpoints.iter().filter(|endpoint| endpoint.kind == EndpointKind::Server);
     let states = servers.filter(|server| server.type_name == GetState::TYPE_NAME);
@@ -102,7 +102,7 @@ fn managed(found: &Found, with_hidden: bool) -> Vec<String> {
 }
 
 /// # Errors
-/// If it is no managed node that is there.
+/// If there is no such managed node.
 fn managed_node(look: &Look, node: &str, with_hidden: bool) -> anyhow::Result<String> {
     let node = absolute(node);
     let found = look.found_with(|found| managed(found, with_hidden).contains(&node));

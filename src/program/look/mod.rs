@@ -1,5 +1,5 @@
-//! Commands that look at the ROS 2 network: what `ros2 topic`, `node`, `service`, `param`, `action` and `lifecycle` do, with
-//! the same options and output, on a machine without ROS.
+//! Commands that inspect the ROS 2 network: `topic`, `node`, `service`, `param`, `action` and `lifecycle`,
+//! with the options and output of `ros2`, on a machine without ROS.
 //!
 //! # References
 //! The packages `ros2topic`, `ros2node`, `ros2service`, `ros2param`, `ros2action` and `ros2lifecycle` of ros2/ros2cli,

@@ -1,4 +1,4 @@
-//! A node that looks at the network, and how long it does.
+//! The node with which commands inspect the network, and how long it waits.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
@@ -12,60 +12,61 @@ use clap::Args;
 
 use super::values::seconds;
 
-/// What a command has from the program it is a command of.
+/// What a command gets from its program.
 #[derive(Clone, Copy)]
 pub(in crate::program) struct Environment<'a> {
-    /// What the program registers, interfaces among it.
+    /// The program's registrations, including interfaces.
     pub(in crate::program) catalog: &'a Catalog,
     pub(in crate::program) ros: &'a RosArgs,
 }
 
-/// What every command takes that looks at the network.
+/// Arguments of every command that inspects the network.
 #[derive(Args)]
 pub(crate) struct LookArguments {
     /// The ROS domain, instead of ROS_DOMAIN_ID.
     #[arg(long, value_name = "N")]
     pub(super) domain: Option<u16>,
-    /// Wait at most so long until what is asked for is found, in seconds.
+    /// The maximum time to wait for discovery, in seconds.
     #[arg(long, value_name = "SECONDS", value_parser = seconds, default_value = "8")]
     pub(super) spin_time: Duration,
     /// Take the time from /clock.
     #[arg(short = 's', long)]
     pub(super) use_sim_time: bool,
-    /// Accepted as by `ros2`: there is no daemon.
+    /// Accepted for compatibility with `ros2`: there is no daemon.
     #[arg(long)]
     no_daemon: bool,
 }
 
-/// A node under a hidden name, as the tools of ROS 2 hide theirs.
+/// A node with a hidden name, like those of ROS 2 tools.
 pub(in crate::program) struct Look {
     pub(super) participant: Participant,
     pub(super) node: Node,
     pub(super) stop: Stop,
-    /// Those of the program.
+    /// The interfaces of the program.
     pub(super) interfaces: Interfaces,
-    /// The longest time to wait for what is asked for.
+    /// The maximum time to wait for discovery.
     longest: Duration,
 }
 
-/// When a list counts as whole.
+/// When a list is considered complete.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(in crate::program) enum Patience {
-    /// When nothing new is found any more.
+    /// When nothing new is discovered.
     Endpoints,
-    /// When also the node of each endpoint is known, which takes some seconds.
+    /// When the node of each endpoint is also known, which takes some seconds.
     Nodes,
 }
 
 const POLL: Duration = Duration::from_millis(20);
 
-/// Whoever is there answers the first announcement within this time; some more is for those that are slow.
+/// Participants answer the first announcement within this time, with some margin for slow ones.
 const AT_LEAST: Duration = Duration::from_secs(2);
 
-/// For how long nothing new has to be found before a list counts as whole.
+/// How long nothing new must be discovered before a list is considered complete.
 const QUIET: Duration = Duration::from_secs(1);
 
-/// The endpoints of one participant are found one after another: this long after the last one the others are there.
+/// The endpoints of one participant are discovered one after another: this long after the last one, all are
+/// known.
 const TOGETHER: Duration = Duration::from_millis(300);
 
 impl Look {
@@ -74,7 +75,7 @@ impl Look {
         arguments: &LookArguments,
         environment: &Environment<'_>,
     ) -> anyhow::Result<Self> {
-        // Read only by clap, which documents it.
+        // Only used by clap.
         let _ = arguments.no_daemon;
         let name = format!("_downbeat_{command}_{}", std::process::id());
         Self::join_as(&name, arguments.domain, arguments.spin_time, environment)
@@ -92,17 +93,17 @@ impl Look {
         Ok(Self { participant, node, stop, interfaces: catalog.interfaces.clone(), longest })
     }
 
-    /// The same with another longest time to wait, if one is given.
+    /// Sets another maximum time to wait, if given.
     pub(super) fn no_longer_than(self, longest: Option<Duration>) -> Self {
         Self { longest: longest.unwrap_or(self.longest), ..self }
     }
 
-    /// All there is, as a list shows it.
+    /// Everything, for lists.
     pub(in crate::program) fn all(&self, patience: Patience) -> Found {
         self.all_with(patience, |_| true)
     }
 
-    /// The same, once it has something; whether it has or not when the time is over.
+    /// The same, but waits until the condition holds or the time-out expires.
     pub(super) fn all_with(&self, patience: Patience, has: impl Fn(&Found) -> bool) -> Found {
         let has_nodes = |found: &Found| found.endpoints.iter().all(|endpoint| endpoint.node.is_some());
         self.watch(AT_LEAST, QUIET, |found| {
@@ -110,13 +111,13 @@ impl Look {
         })
     }
 
-    /// What is there as soon as it has something, with what belongs to it; or when the time is over.
+    /// What is discovered as soon as the condition holds, with related endpoints, or when the time-out
+    /// expires.
     pub(super) fn found_with(&self, has: impl Fn(&Found) -> bool) -> Found {
         self.watch(Duration::ZERO, TOGETHER, has)
     }
 
-    /// Waits until a condition holds, for no longer than `longest` if that is given; whether it holds before the command is
-    /// stopped.
+    /// Waits until a condition holds, at most for `longest` if given; returns whether it holds.
     pub(super) fn wait_for(&self, longest: Option<Duration>, mut holds: impl FnMut() -> bool) -> bool {
         let begin = Instant::now();
         while !self.stop.is_due() {
@@ -149,10 +150,10 @@ impl Look {
     }
 }
 
-/// Names and their types, in the order of the names.
+/// Names and their types, sorted by name.
 pub(super) type NamesAndTypes = BTreeMap<String, BTreeSet<String>>;
 
-/// The names with endpoints of one of the kinds; all of a node if one is named.
+/// The names with endpoints of one of the kinds, optionally of one node only.
 pub(super) fn names_and_types(found: &Found, kinds: &[EndpointKind], node: Option<&str>) -> NamesAndTypes {
     let mut names = NamesAndTypes::new();
     let is_of_node = |of: &Option<String>| node.is_none_or(|node| of.as_deref() == Some(node));
@@ -167,7 +168,7 @@ pub(super) fn names_and_types(found: &Found, kinds: &[EndpointKind], node: Optio
 pub(super) const OF_TOPICS: &[EndpointKind] = &[EndpointKind::Publisher, EndpointKind::Subscription];
 pub(super) const OF_SERVICES: &[EndpointKind] = &[EndpointKind::Server, EndpointKind::Client];
 
-/// Actions, which are known by their topic of feedback: who serves one publishes it.
+/// Actions, which are recognised by their feedback topic, which the server publishes.
 pub(super) fn actions(found: &Found, kinds: &[EndpointKind], node: Option<&str>) -> NamesAndTypes {
     let mut actions = NamesAndTypes::new();
     for (topic, types) in names_and_types(found, kinds, node) {
@@ -181,38 +182,38 @@ pub(super) fn actions(found: &Found, kinds: &[EndpointKind], node: Option<&str>)
     actions
 }
 
-/// How many endpoints of one kind a name has.
+/// The number of endpoints of one kind with a name.
 pub(super) fn count(found: &Found, name: &str, kind: EndpointKind) -> usize {
     found.endpoints.iter().filter(|endpoint| endpoint.kind == kind && endpoint.name == name).count()
 }
 
-/// Whether tools leave out a name unless asked for it: a part of it begins with an underscore.
+/// Whether tools hide a name by default: a part of it starts with an underscore.
 pub(super) fn is_hidden(name: &str) -> bool {
     name.split('/').any(|part| part.starts_with('_'))
 }
 
-/// Whether tools leave out a node unless asked for it, by its name without the namespace.
+/// Whether tools hide a node by default, by its name without the namespace.
 pub(super) fn is_hidden_node(name: &str) -> bool {
     name.rsplit('/').next().is_some_and(|name| name.is_empty() || name.starts_with('_'))
 }
 
-/// The names of nodes in their order, with those that several have as often as they are there.
+/// The sorted names of nodes; names used by several nodes are repeated.
 pub(super) fn node_names(found: &Found, with_hidden: bool) -> Vec<&str> {
     let names = found.nodes.iter().map(|node| node.name.as_str());
     names.filter(|name| with_hidden || !is_hidden_node(name)).collect()
 }
 
-/// A name with the slash that people leave out.
+/// Adds the leading slash, which may be omitted.
 pub(super) fn absolute(name: &str) -> String {
     if name.starts_with('/') { name.to_owned() } else { format!("/{name}") }
 }
 
-/// Types as lists show them behind a name.
+/// Types as shown in lists after a name.
 pub(super) fn joined(types: &BTreeSet<String>) -> String {
     types.iter().map(String::as_str).collect::<Vec<_>>().join(", ")
 }
 
-/// A type, or a list of types as Python shows it.
+/// A type, or a list of types in Python's format.
 pub(super) fn type_or_types(types: &BTreeSet<String>) -> String {
     match types.iter().next() {
         Some(only) if types.len() == 1 => only.clone(),
@@ -220,7 +221,7 @@ pub(super) fn type_or_types(types: &BTreeSet<String>) -> String {
     }
 }
 
-/// Prints names as `list -t` and `list -c` do.
+/// Prints names for `list -t` and `list -c`.
 pub(super) fn print_list(names: &NamesAndTypes, with_types: bool, only_count: bool) {
     if only_count {
         return println!("{}", names.len());
@@ -233,7 +234,7 @@ pub(super) fn print_list(names: &NamesAndTypes, with_types: bool, only_count: bo
     }
 }
 
-/// Prints the types of what is asked for once it is found; `None` if it is not.
+/// Prints the types once they are discovered; `None` if they are not.
 pub(super) fn print_types(look: &Look, types: impl Fn(&Found) -> Option<BTreeSet<String>>) -> Option<()> {
     let found = look.found_with(|found| types(found).is_some());
     types(&found)?.iter().for_each(|name| println!("{name}"));
@@ -258,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn several_types_are_shown_as_a_list_of_python() {
+    fn several_types_are_shown_as_a_python_list() {
         let types = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
         assert_eq!(type_or_types(&types(&["a/msg/A"])), "a/msg/A");
         assert_eq!(type_or_types(&types(&["a/msg/A", "b/msg/B"])), "['a/msg/A', 'b/msg/B']");

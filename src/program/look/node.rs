@@ -13,16 +13,16 @@ use super::network::{
 pub(crate) enum NodeCommand {
     /// List nodes.
     List(ListArguments),
-    /// Print what a node publishes, subscribes to, offers and calls.
+    /// Print the topics, services and actions of a node.
     Info(InfoArguments),
 }
 
 #[derive(Args)]
 pub(crate) struct ListArguments {
-    /// Print also nodes whose name begins with an underscore.
+    /// Also print nodes whose name starts with an underscore.
     #[arg(short, long)]
     all: bool,
-    /// Print only how many there are.
+    /// Print only the number.
     #[arg(short, long)]
     count_nodes: bool,
     #[command(flatten)]
@@ -33,7 +33,7 @@ pub(crate) struct ListArguments {
 pub(crate) struct InfoArguments {
     /// The node.
     node: String,
-    /// Print also what has a name that begins with an underscore, or has a part that does.
+    /// Also print names with a part that starts with an underscore.
     #[arg(long)]
     include_hidden: bool,
     #[command(flatten)]

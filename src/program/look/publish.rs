@@ -25,31 +25,31 @@ pub(crate) struct PublishArguments {
     type_name: String,
     #[command(flatten)]
     fields: FieldArguments,
-    /// Publish so many messages per second.
+    /// Publish this many messages per second.
     #[arg(short, long, value_name = "HZ", default_value = "1", value_parser = positive)]
     rate: f64,
     /// Print only every n-th message; 0 prints none.
     #[arg(short, long, value_name = "N", default_value_t = 1)]
     print: u64,
-    /// Publish one message and end.
+    /// Publish one message and exit.
     #[arg(short = '1', long, conflicts_with = "times")]
     once: bool,
-    /// Publish so many messages and end; 0 goes on until Ctrl-C.
+    /// Publish this many messages and exit; 0 continues until Ctrl-C.
     #[arg(short, long, value_name = "N", default_value_t = 0)]
     times: u64,
-    /// Wait until so many subscriptions match: 1 with --once and --times, else 0, unless given.
+    /// Wait until this many subscriptions match; default is 1 with --once and --times, else 0.
     #[arg(short, long, value_name = "N")]
     wait_matching_subscriptions: Option<usize>,
-    /// Wait for them at most so long, in seconds.
+    /// Wait for them at most this long, in seconds.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     max_wait_time_secs: Option<Duration>,
-    /// Keep the node for so long after the last message, in seconds.
+    /// Keep the node this long after the last message, in seconds.
     #[arg(long, value_name = "SECONDS", default_value = "0.1", value_parser = seconds)]
     keep_alive: Duration,
     /// The name of the node.
     #[arg(short, long, value_name = "NAME")]
     node_name: Option<String>,
-    /// Take definitions from here before all others: an ament prefix, a folder of packages, or a package.
+    /// Search definitions here first: an ament prefix, a folder of packages, or a package.
     #[arg(long, value_name = "PATH")]
     from: Vec<PathBuf>,
     #[command(flatten)]
@@ -100,7 +100,7 @@ pub(super) fn publish(arguments: &PublishArguments, environment: &Environment<'_
         if count == times {
             break;
         }
-        // What could not be published in time is not made up for.
+        // Missed messages are not made up for.
         next = (next + period).max(Instant::now());
         look.stop.sleep(next.saturating_duration_since(Instant::now()));
     }

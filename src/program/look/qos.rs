@@ -10,22 +10,22 @@ use super::values::seconds;
 
 #[derive(Args)]
 pub(crate) struct QosArguments {
-    /// The preset to begin with: sensor_data to subscribe, default to publish unless given.
+    /// The preset to start from; default is sensor_data for subscribing, default for publishing.
     #[arg(long, value_name = "PRESET", value_enum)]
     qos_profile: Option<Preset>,
     /// The depth of the history, instead of the preset's.
     #[arg(long, value_name = "N")]
     qos_depth: Option<u32>,
-    /// Instead of the preset's.
+    /// Overrides the preset.
     #[arg(long, value_name = "HISTORY", value_enum)]
     qos_history: Option<HistoryKind>,
-    /// Instead of the preset's; unless given, a subscription asks for what all publishers offer.
+    /// Overrides the preset; by default, a subscription requests what all publishers offer.
     #[arg(long, value_name = "RELIABILITY", value_enum)]
     qos_reliability: Option<ReliabilityKind>,
-    /// Instead of the preset's; unless given, a subscription asks for what all publishers offer.
+    /// Overrides the preset; by default, a subscription requests what all publishers offer.
     #[arg(long, value_name = "DURABILITY", value_enum)]
     qos_durability: Option<DurabilityKind>,
-    /// Instead of the preset's.
+    /// Overrides the preset.
     #[arg(long, value_name = "LIVELINESS", value_enum)]
     qos_liveliness: Option<LivelinessKind>,
     /// The lease of liveliness, instead of the preset's.
@@ -82,7 +82,7 @@ enum LivelinessKind {
 }
 
 impl QosArguments {
-    /// Whether a policy is given, so that nothing is left to those that are on the topic.
+    /// Whether a policy is given, so that the publishers' QoS is not considered.
     pub(super) fn has_policies(&self) -> bool {
         self.qos_depth.is_some()
             || self.qos_history.is_some()
@@ -106,7 +106,7 @@ impl QosArguments {
                 request.history = History::KeepLast(depth)
             }
         }
-        // As rclpy has it, 0 is as none.
+        // As in rclpy, 0 means none.
         if let (Some(depth @ 1..), History::KeepLast(_)) = (self.qos_depth, request.history) {
             request.history = History::KeepLast(depth);
         }
@@ -152,14 +152,14 @@ impl Preset {
             Self::ServicesDefault => QosProfile::SERVICES,
             Self::Parameters => QosProfile::PARAMETERS,
             Self::ParameterEvents => QosProfile::PARAMETER_EVENTS,
-            // Of rcl_action: latched, depth 1.
+            // As in rcl_action: latched, depth 1.
             Self::ActionStatusDefault => QosProfile::LATCHED,
             Self::BestAvailable => return QosRequest::BEST_AVAILABLE,
         })
     }
 }
 
-/// A request that leaves nothing open.
+/// A fully specified request.
 pub(super) fn given(profile: QosProfile) -> QosRequest {
     QosRequest {
         history: profile.history,
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn options_stand_in_for_the_policies_of_a_preset() {
+    fn options_override_the_policies_of_a_preset() {
         let nothing = read(&[]);
         assert!(!nothing.has_policies());
         assert_eq!(nothing.request(Preset::SensorData), given(QosProfile::SENSOR_DATA));

@@ -22,7 +22,7 @@ use super::topic::{Absent, type_on_network};
 pub(crate) struct HzArguments {
     #[command(flatten)]
     rate: RateArguments,
-    /// Take the time of the machine, whatever --use-sim-time says.
+    /// Use the time of the machine, regardless of --use-sim-time.
     #[arg(long)]
     wall_time: bool,
 }
@@ -31,10 +31,10 @@ pub(crate) struct HzArguments {
 pub(crate) struct RateArguments {
     /// The topic.
     topic: String,
-    /// Of how many messages the figures are; 100 for bw, 10000 for hz and delay unless given.
+    /// The number of messages in the statistics; default 100 for bw, 10000 for hz and delay.
     #[arg(short, long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     window: Option<u32>,
-    /// Take definitions from here before all others: an ament prefix, a folder of packages, or a package.
+    /// Search definitions here first: an ament prefix, a folder of packages, or a package.
     #[arg(long, value_name = "PATH")]
     from: Vec<PathBuf>,
     #[command(flatten)]
@@ -45,11 +45,11 @@ pub(crate) struct RateArguments {
 const POLL: Duration = Duration::from_millis(50);
 const SECOND: Duration = Duration::from_secs(1);
 
-/// Messages that wait to be counted.
+/// The maximum number of queued messages.
 const MOST_WAITING: usize = 1024;
 
 struct Arrived {
-    /// Nanoseconds since the epoch; 0 where no time is known.
+    /// Nanoseconds since the epoch; 0 if the time is unknown.
     time: i64,
     cdr: Bytes,
 }
@@ -65,7 +65,7 @@ struct Arrivals {
 }
 
 impl Arrivals {
-    /// `None` if the command was stopped before there was such a topic.
+    /// Returns `None` if the command is stopped before the topic exists.
     fn of(
         arguments: &RateArguments,
         use_sim_time: bool,
@@ -87,7 +87,7 @@ impl Arrivals {
         Ok(Some(Self { look, type_name, clock, arrived, _subscription: subscription, _follower: follower }))
     }
 
-    /// Gives each message to `take` and calls `tick` once a second, until the command is stopped.
+    /// Calls `take` with each message and `tick` once a second, until the command is stopped.
     fn follow<S>(
         &self,
         state: &mut S,
@@ -140,7 +140,7 @@ impl Window {
         self.values.iter().max().map_or(0.0, |value| *value as f64)
     }
 
-    /// Of times in nanoseconds, behind their mean.
+    /// Formats minimum, maximum and deviation of times in nanoseconds, printed after their mean.
     fn spread(&self) -> String {
         let mean = self.mean();
         let squares: f64 = self.values.iter().map(|value| (*value as f64 - mean).powi(2)).sum();
@@ -168,7 +168,7 @@ impl Periods {
         Self { periods: Window::new(window), first: -1, last: 0, printed: 0 }
     }
 
-    /// Returns what there is to print.
+    /// Returns the text to print.
     fn take(&mut self, time: i64) -> Option<String> {
         if time == 0 {
             let had_some = !self.periods.values.is_empty();
@@ -224,7 +224,7 @@ impl Sizes {
         Self { sizes: Window::new(window), times: Window::new(window) }
     }
 
-    /// Returns what there is to print at that time.
+    /// Returns the text to print at that time.
     fn bandwidth(&mut self, now: i64) -> Option<String> {
         let first = *self.times.values.front()?;
         let count = self.times.values.len();
@@ -285,7 +285,7 @@ impl Delays {
         Self { delays: Window::new(window), first: -1, last: 0, printed: 0 }
     }
 
-    /// Takes a message that was stamped at `stamp`. Returns what there is to print.
+    /// Adds a message that was stamped at `stamp`. Returns the text to print.
     fn take(&mut self, time: i64, stamp: i64) -> Option<String> {
         if time == 0 {
             let had_some = !self.delays.values.is_empty();
@@ -362,7 +362,7 @@ mod tests {
     }
 
     #[test]
-    fn bandwidth_is_of_the_window() {
+    fn bandwidth_is_computed_over_the_window() {
         let mut sizes = Sizes::new(2);
         assert_eq!(sizes.bandwidth(0), None);
         for (time, size) in [(1, 100), (1_000 * MS, 1_000), (1_500 * MS, 3_000)] {
@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn a_delay_is_that_of_the_stamp() {
+    fn a_delay_is_relative_to_the_stamp() {
         let mut delays = Delays::new(10);
         assert_eq!(delays.take(1_000 * MS, 0), None);
         assert_eq!(delays.shown(), None, "the first message only starts the clock");

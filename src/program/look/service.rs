@@ -24,7 +24,7 @@ use super::values::{FieldArguments, period, positive};
 pub(crate) enum ServiceCommand {
     /// List services.
     List(ListArguments),
-    /// Print the type of a service, and how many offer and call it.
+    /// Print the type of a service, and the numbers of servers and clients.
     Info(NameArguments),
     /// Call a service and print the response.
     Call(CallArguments),
@@ -36,7 +36,7 @@ pub(crate) enum ServiceCommand {
 
 #[derive(Args)]
 pub(crate) struct ListArguments {
-    /// Print the types, too.
+    /// Also print the types.
     #[arg(short = 't', long)]
     show_types: bool,
     #[command(flatten)]
@@ -46,10 +46,10 @@ pub(crate) struct ListArguments {
 /// Which services are listed, and how.
 #[derive(Args)]
 struct NamesArguments {
-    /// Print only how many there are.
+    /// Print only the number.
     #[arg(short, long)]
     count_services: bool,
-    /// Print also services with a name that begins with an underscore, or has a part that does.
+    /// Also print services whose name has a part that starts with an underscore.
     #[arg(short = 'a', long)]
     include_hidden_services: bool,
     #[command(flatten)]
@@ -90,10 +90,10 @@ pub(crate) struct CallArguments {
     type_name: String,
     #[command(flatten)]
     fields: FieldArguments,
-    /// Call again and again, so many times per second.
+    /// Call repeatedly, this many times per second.
     #[arg(short, long, value_name = "HZ", value_parser = positive)]
     rate: Option<f64>,
-    /// Take definitions from here before all others: an ament prefix, a folder of packages, or a package.
+    /// Search definitions here first: an ament prefix, a folder of packages, or a package.
     #[arg(long, value_name = "PATH")]
     from: Vec<PathBuf>,
     #[command(flatten)]
@@ -153,13 +153,13 @@ pub(super) struct DynamicClient {
     pub(super) response: DynamicType,
 }
 
-/// How long discovery takes at the most, on a machine that is not busy.
+/// The maximum time of discovery on an idle machine.
 const DISCOVERY: Duration = Duration::from_secs(2);
 
 /// How soon Ctrl-C is noticed.
 const POLL: Duration = Duration::from_millis(50);
 
-/// `ros2` waits for ever.
+/// `ros2` waits forever.
 const NO_END: Duration = Duration::from_secs(365 * 24 * 3600);
 
 impl DynamicClient {
@@ -174,25 +174,25 @@ impl DynamicClient {
         self.client.is_available()
     }
 
-    /// Sends a request; the response comes to the receiver that is returned.
+    /// Sends a request; the response arrives at the returned call.
     pub(super) fn call(&self, request: &DynamicMessage) -> Call<'_> {
         let (sender, answer) = std::sync::mpsc::sync_channel(1);
         self.client.call(request.to_cdr().into(), NO_END, move |result| {
-            // Who does not wait any more has been stopped.
+            // The receiver no longer exists if the command was stopped.
             let _ = sender.try_send(result);
         });
         Call { client: self, answer }
     }
 }
 
-/// A request that was sent.
+/// A pending call.
 pub(super) struct Call<'a> {
     client: &'a DynamicClient,
     answer: std::sync::mpsc::Receiver<Result<Bytes, CallError>>,
 }
 
 impl Call<'_> {
-    /// The response; `None` if the command was stopped before it came.
+    /// Waits for the response; returns `None` if the command is stopped first.
     pub(super) fn wait(&self, look: &Look) -> anyhow::Result<Option<DynamicMessage>> {
         while !look.stop.is_due() {
             if let Some(response) = self.poll(POLL)? {
@@ -202,14 +202,14 @@ impl Call<'_> {
         Ok(None)
     }
 
-    /// The response, if it comes within `time`.
+    /// The response, if it arrives within `time`.
     pub(super) fn poll(&self, time: Duration) -> anyhow::Result<Option<DynamicMessage>> {
         let Ok(answer) = self.answer.recv_timeout(time) else { return Ok(None) };
         let cdr = answer.context("Exception while calling service")?;
         let of = &self.client.response;
         Ok(Some(
             DynamicMessage::from_cdr(of, &cdr)
-                .with_context(|| format!("the response is no {}", of.name()))?,
+                .with_context(|| format!("the response is not a {}", of.name()))?,
         ))
     }
 }
@@ -226,7 +226,7 @@ fn call(arguments: &CallArguments, environment: &Environment<'_>) -> anyhow::Res
     let stamps = request.fill_yaml(&yaml).context("Failed to populate field")?;
     let (clock, _follower) = LookClock::new(&look, arguments.look.use_sim_time)?;
     let is_there = || client.is_available();
-    // A server that is there is matched after a moment, which is not worth a line.
+    // An existing server is matched after a moment, without printing a line.
     if !look.wait_for(Some(DISCOVERY), is_there) {
         println!("waiting for service to become available...");
         if !look.wait_for(None, is_there) {

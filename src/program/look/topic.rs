@@ -20,15 +20,15 @@ use super::rate::{self, HzArguments, RateArguments};
 pub(crate) enum TopicCommand {
     /// List topics.
     List(ListArguments),
-    /// Print the type of a topic, and who publishes and who subscribes to it.
+    /// Print the type of a topic, its publishers and its subscribers.
     Info(InfoArguments),
     /// Print messages of a topic in YAML or CSV.
     Echo(Box<EchoArguments>),
-    /// Print how often messages of a topic arrive.
+    /// Print the rate of a topic's messages.
     Hz(HzArguments),
-    /// Print how many bytes of a topic arrive in a second.
+    /// Print the bandwidth of a topic in bytes per second.
     Bw(RateArguments),
-    /// Print how old messages of a topic are when they arrive, by their header.
+    /// Print the age of a topic's messages on arrival, by their header.
     Delay(RateArguments),
     /// Publish messages on a topic.
     Pub(Box<PublishArguments>),
@@ -40,10 +40,10 @@ pub(crate) enum TopicCommand {
 
 #[derive(Args)]
 pub(crate) struct ListArguments {
-    /// Print the types, too.
+    /// Also print the types.
     #[arg(short = 't', long)]
     show_types: bool,
-    /// Print how many publishers and subscribers each topic has.
+    /// Print the numbers of publishers and subscribers of each topic.
     #[arg(short, long)]
     verbose: bool,
     #[command(flatten)]
@@ -53,10 +53,10 @@ pub(crate) struct ListArguments {
 /// Which topics are listed, and how.
 #[derive(Args)]
 struct NamesArguments {
-    /// Print only how many there are.
+    /// Print only the number.
     #[arg(short, long)]
     count_topics: bool,
-    /// Print also topics with a name that begins with an underscore, or has a part that does.
+    /// Also print topics whose name has a part that starts with an underscore.
     #[arg(short = 'a', long)]
     include_hidden_topics: bool,
     #[command(flatten)]
@@ -136,7 +136,7 @@ fn counted(title: &str, topics: &NamesAndTypes, found: &Found, kind: EndpointKin
         let count = count(found, name, kind);
         if count > 0 {
             let plural = if count > 1 { "s" } else { "" };
-            // Writing to a String does not fail.
+            // Writing to a String cannot fail.
             let _ = writeln!(text, " * {name} [{}] {count} {word}{plural}", joined(types));
         }
     }
@@ -169,7 +169,7 @@ fn info(arguments: &InfoArguments, environment: &Environment<'_>) -> anyhow::Res
     Ok(())
 }
 
-/// As rclpy shows a `TopicEndpointInfo`. Depth is not told on the network.
+/// Formats like a `TopicEndpointInfo` of rclpy. The depth is not transmitted on the network.
 fn details(endpoint: &FoundEndpoint) -> String {
     let remote = &endpoint.remote;
     let (namespace, node) = match endpoint.node.as_deref().and_then(|node| node.rsplit_once('/')) {
@@ -232,19 +232,19 @@ fn find(arguments: &FindArguments, environment: &Environment<'_>) -> anyhow::Res
     Ok(())
 }
 
-/// Whether to wait for a topic that nobody has yet.
+/// What to do if a topic does not exist yet.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Absent {
-    /// Until the command is stopped.
+    /// Wait until the command is stopped.
     Wait,
-    /// For the time that a look takes.
+    /// Fail after the time of discovery.
     Refuse,
 }
 
-/// The type of a topic; `None` if the command was stopped before there was one.
+/// The type of a topic; `None` if the command is stopped before it exists.
 ///
 /// # Errors
-/// If nobody has the topic, or with several types.
+/// If the topic does not exist, or has several types.
 pub(super) fn type_on_network(look: &Look, topic: &str, absent: Absent) -> anyhow::Result<Option<String>> {
     let name = look.node.topic_name(topic)?;
     let types = |found: &Found| names_and_types(found, OF_TOPICS, None).remove(name.as_str());
@@ -278,7 +278,7 @@ mod tests {
     use std::sync::Arc;
 
     #[test]
-    fn an_endpoint_is_shown_as_rclpy_shows_it() {
+    fn an_endpoint_is_formatted_as_in_rclpy() {
         let hub = Hub::new();
         let join = || Participant::on(Arc::new(hub.join())).unwrap();
         let (robot, observer) = (join(), join());

@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use clap::Args;
 
-/// Positive seconds, with a fraction if need be.
+/// Parses positive seconds, optionally with a fraction.
 pub(super) fn seconds(text: &str) -> Result<Duration, String> {
     let seconds = positive(text)?;
     Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
@@ -26,7 +26,7 @@ pub(super) fn period(rate: f64) -> anyhow::Result<Duration> {
 /// The fields of a message in YAML.
 #[derive(Args)]
 pub(crate) struct FieldArguments {
-    /// Fields in YAML, such as "{data: true}"; those that are not named keep their defaults.
+    /// Fields in YAML, such as "{data: true}"; missing fields keep their defaults.
     #[arg(value_name = "VALUES", default_value = "{}", allow_hyphen_values = true)]
     values: String,
     /// Read them from standard input.
@@ -36,7 +36,7 @@ pub(crate) struct FieldArguments {
 
 impl FieldArguments {
     pub(super) fn read(&self) -> anyhow::Result<String> {
-        /// More than a person or a script means.
+        /// The maximum size of standard input.
         const MOST_BYTES: u64 = 64 << 20;
         if !self.stdin {
             return Ok(self.values.clone());

@@ -19,11 +19,11 @@ pub(crate) use template::Template;
 
 #[derive(Args)]
 pub(crate) struct NewArguments {
-    /// The folder to make. Its last part is the name of the project: lower-case letters, digits and underscores, as
-    /// packages of ROS 2 are named.
+    /// The folder to create. Its last part is the name of the project: lower-case letters, digits and
+    /// underscores, like names of ROS 2 packages.
     #[arg(value_name = "NAME")]
     pub(crate) folder: PathBuf,
-    /// What kind of project.
+    /// The kind of project.
     #[arg(long, value_enum, default_value_t = Template::Robot)]
     pub(crate) template: Template,
     /// Depend on downbeat in this git repository, instead of the folder that this program was built from.
@@ -32,7 +32,7 @@ pub(crate) struct NewArguments {
     /// The revision in that repository.
     #[arg(long, value_name = "REV", requires = "git")]
     pub(crate) rev: Option<String>,
-    /// Write into a folder that is not empty: files of the template replace those of the same names, others stay.
+    /// Write into a folder that is not empty: files of the template replace existing ones, others are kept.
     #[arg(long)]
     pub(crate) force: bool,
 }
@@ -73,12 +73,12 @@ fn check_empty(folder: &Path) -> anyhow::Result<()> {
         }
         Ok(None) => Ok(()),
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
-        Err(error) => Err(error).with_context(|| format!("cannot make the folder {shown}")),
+        Err(error) => Err(error).with_context(|| format!("cannot create the folder {shown}")),
     }
 }
 
 fn write(path: &Path, content: &[u8]) -> anyhow::Result<()> {
     let folder = path.parent().unwrap_or(path);
-    fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     fs::write(path, content).with_context(|| format!("cannot write {}", path.display()))
 }

@@ -8,10 +8,10 @@ use anyhow::bail;
 #[derive(Debug)]
 pub(super) struct Name(String);
 
-/// The name that the templates have.
+/// The name in the templates.
 const TEMPLATE: &str = "my_robot";
 
-/// Keywords of Rust, crates that every program can name, and names that cargo refuses.
+/// Keywords of Rust, crates available in every program, and names that cargo rejects.
 const TAKEN: &str = "abstract alloc as async await become box break build const continue core crate deps do downbeat \
     downbeat_actions downbeat_bags downbeat_bridge downbeat_executor downbeat_modules downbeat_msgs downbeat_transforms dyn else enum \
     examples extern false final fn for gen if impl in incremental let loop macro main match mod move mut \
@@ -33,7 +33,7 @@ impl Name {
     fn parse(name: &str) -> anyhow::Result<Self> {
         if TAKEN.split(' ').any(|taken| taken == name) || downbeat_msgs_has(name) {
             bail!(
-                "a project cannot be named \"{name}\", which Rust, ROS 2 or downbeat uses; did you mean \"my_{name}\"?"
+                "a project cannot be named \"{name}\", which is used by Rust, ROS 2 or downbeat; did you mean \"my_{name}\"?"
             );
         }
         let nearest = nearest(name);
@@ -52,14 +52,14 @@ impl Name {
     }
 }
 
-/// A package that downbeat carries: a second one of that name would be another.
+/// Whether downbeat has a built-in package of that name.
 fn downbeat_msgs_has(name: &str) -> bool {
     crate::bridge::edge::Interfaces::carried()
         .messages()
         .any(|message| message.name().split_once('/').is_some_and(|(package, _)| package == name))
 }
 
-/// The name itself if it is valid.
+/// The nearest valid name.
 fn nearest(name: &str) -> String {
     let lower = name.trim().to_lowercase();
     let words = lower.split(|c: char| !c.is_ascii_lowercase() && !c.is_ascii_digit());

@@ -1,11 +1,11 @@
-//! Where a project has downbeat from.
+//! The source from which a project depends on downbeat.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use toml::Value;
 
-/// Where a project has downbeat from, as the crates are not published.
+/// The source of downbeat for a project, since the crates are not published.
 #[derive(Debug)]
 pub(super) enum Origin {
     /// The folder that this program was built from.
@@ -33,8 +33,8 @@ impl Origin {
     fn of_folder(folder: &Path) -> anyhow::Result<Self> {
         if !folder.join("Cargo.toml").is_file() || folder.to_str().is_none() {
             bail!(
-                "a project depends on the source of downbeat, and {}, which this program was built from, is not there \
-                 any more: say where it is with --git URL --rev REV, or build the program again",
+                "a project depends on the source of downbeat, but {}, from which this program was built, no longer exists: \
+                 set another source with --git URL --rev REV, or build the program again",
                 folder.display()
             );
         }
@@ -64,7 +64,7 @@ impl Origin {
         }
     }
 
-    /// What makes a project compile with what a checkout has compiled: the versions in its lock file, and cargo's
+    /// Files that let a project reuse the crates compiled by a checkout: its lock file, and cargo's
     /// configuration.
     pub(super) fn files(&self) -> anyhow::Result<Vec<(&'static str, String)>> {
         let Self::Checkout(folder) = self else {
@@ -79,7 +79,7 @@ impl Origin {
     }
 }
 
-/// As TOML has it.
+/// Quotes a TOML string.
 fn quoted(text: String) -> String {
     Value::String(text).to_string()
 }
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn a_checkout_that_is_gone_is_an_error_that_says_what_to_do() {
+    fn a_missing_checkout_is_an_error_with_instructions() {
         let error =
             Origin::of_folder("/no/such/checkout".as_ref()).map(|_| ()).map_err(|error| error.to_string());
         assert!(error.as_ref().is_err_and(|error| error.contains("--git URL --rev REV")), "{error:?}");

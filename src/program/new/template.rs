@@ -1,4 +1,4 @@
-//! The projects that can be made.
+//! The templates of projects.
 
 use clap::ValueEnum;
 
@@ -12,7 +12,7 @@ pub(crate) enum Template {
     Module,
 }
 
-/// A path within the project, and what is there.
+/// A path within the project, and its content.
 type File = (&'static str, &'static [u8]);
 
 macro_rules! file {
@@ -62,7 +62,7 @@ impl Template {
         }
     }
 
-    /// What to do with the project first.
+    /// The first commands to run in the project.
     pub(super) fn commands(self) -> &'static [&'static str] {
         match self {
             Self::Robot => &["cargo run -- run robot.toml", "cargo test"],

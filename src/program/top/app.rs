@@ -1,4 +1,4 @@
-//! What is on the screen and what keys do to it.
+//! The interactive screen and its keys.
 
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
@@ -20,7 +20,7 @@ const REFRESH: Duration = Duration::from_millis(500);
 /// Shows the robot until a key ends it.
 pub(super) fn show(client: Client, snapshot: Snapshot) -> anyhow::Result<()> {
     if !std::io::stdout().is_terminal() {
-        bail!("standard output is no terminal; --once prints what there is to see, --json all numbers");
+        bail!("standard output is not a terminal; --once prints a snapshot, --json all numbers");
     }
     let app = App::new(client.robot().to_string(), snapshot);
     let mut terminal = ratatui::try_init().context("cannot use this terminal")?;
@@ -44,7 +44,7 @@ fn show_on(terminal: &mut DefaultTerminal, mut client: Client, mut app: App) -> 
                 Some(Action::Pause) => client.pause()?,
                 Some(Action::Resume) => client.resume()?,
                 Some(Action::Step) => client.step()?,
-                // Nothing to ask of the robot: the screen changes, the numbers stay.
+                // No request to the robot: only the display changes.
                 None => continue,
             }
         }
@@ -62,7 +62,7 @@ enum Tab {
     Outlets,
 }
 
-/// What a key asks of the robot, or of the program.
+/// An action triggered by a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Action {
     Quit,
@@ -78,12 +78,12 @@ pub(crate) struct App {
     later: Snapshot,
     tab: Tab,
     sort: Sort,
-    /// Rows above the first that is shown.
+    /// The number of rows above the first visible one.
     scrolled: usize,
 }
 
 impl App {
-    /// Shows rates since the robot's start until there is a second snapshot.
+    /// Shows average rates since the robot's start until there is a second snapshot.
     pub(crate) fn new(robot: String, snapshot: Snapshot) -> Self {
         let earlier = Snapshot::default();
         Self { robot, earlier, later: snapshot, tab: Tab::default(), sort: Sort::default(), scrolled: 0 }
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_change_the_table_the_sort_and_what_is_scrolled() {
+    fn keys_change_the_table_the_sort_order_and_the_scroll_position() {
         let mut app = app();
         press(&mut app, KeyCode::Char('s'));
         assert!(screen(&app, 130, 10)[5].starts_with("vision"));

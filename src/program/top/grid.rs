@@ -20,7 +20,7 @@ pub(crate) struct Grid {
 /// How rows are sorted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Sort {
-    /// As they were registered or declared.
+    /// In the order of registration or declaration.
     #[default]
     Order,
     /// The busiest module, or the topic with the most messages, first.
@@ -148,8 +148,8 @@ impl Grid {
         Self { headings, rows: rows.into_iter().map(cells).collect() }
     }
 
-    /// Columns of numbers in the order in which they are left out on a narrow terminal. The others stay: the busiest module
-    /// and the losses are what one looks for.
+    /// Columns of numbers in the order in which they are omitted on a narrow terminal. The others are always
+    /// shown: the busiest module and losses matter most.
     const DISPENSABLE: [&'static str; 14] = [
         "INBOX",
         "MAX",
@@ -167,7 +167,7 @@ impl Grid {
         "AGE",
     ];
 
-    /// The same rows with as many columns as fit into `width` characters: a number is shown whole or not at all.
+    /// The same rows with the columns that fit into `width` characters: numbers are never truncated.
     pub(crate) fn fitting(mut self, width: usize) -> Self {
         let mut dispensable = Self::DISPENSABLE.into_iter();
         while self.width() > width
@@ -191,7 +191,7 @@ impl Grid {
         self.widths().iter().map(|width| width + Self::SPACING).sum::<usize>().saturating_sub(Self::SPACING)
     }
 
-    /// How wide each column is.
+    /// The width of each column.
     pub(crate) fn widths(&self) -> Vec<usize> {
         let width = |column: usize| {
             let cells = self.rows.iter().map(|row| length(&row[column]));
@@ -200,7 +200,7 @@ impl Grid {
         (0..self.headings.len()).map(width).collect()
     }
 
-    /// True for a column whose cells begin at its left.
+    /// Whether a column is left-aligned.
     pub(crate) fn is_left(&self, column: usize) -> bool {
         Self::LEFT.contains(&self.headings[column])
     }
@@ -218,7 +218,7 @@ impl Grid {
     }
 }
 
-/// What is known of the cycles: three lines, or more where they would be longer than `width` characters.
+/// The summary of cycles: three lines, or more if they would exceed `width` characters.
 pub(crate) fn summary(robot: &str, earlier: &Snapshot, later: &Snapshot, width: usize) -> Vec<String> {
     let seconds = seconds_between(earlier, later);
     let cycles_per_second = rate(later.cycle.saturating_sub(earlier.cycle) as f64 / seconds);
@@ -240,7 +240,7 @@ pub(crate) fn summary(robot: &str, earlier: &Snapshot, later: &Snapshot, width: 
     lines.into_iter().map(|line| line.text).collect()
 }
 
-/// How much of the robot the times stand for, and what they cost.
+/// The share of measured cycles, and the cost of measuring.
 fn measured(snapshot: &Snapshot) -> String {
     let cycles = &snapshot.cycles;
     if cycles.total.count == 0 {
@@ -265,12 +265,12 @@ fn times(times: &TimeStatistics) -> [String; 3] {
     [text(times.p50_ns), text(times.p99_ns), short_maximum(times)]
 }
 
-/// The maximum may be known where the distribution is not.
+/// The maximum may be known even if the distribution is not.
 fn short_maximum(times: &TimeStatistics) -> String {
     if times.max_ns == 0 { "-".into() } else { short(Duration::from_nanos(times.max_ns)) }
 }
 
-/// How much of one core a module took from one snapshot to the next: its measured runs stand for all.
+/// The share of one core that a module used between two snapshots, extrapolated from its measured runs.
 fn core_share(before: &ModuleStatistics, module: &ModuleStatistics, seconds: f64) -> f64 {
     let (now, then) = (&module.run_time, &before.run_time);
     let count = now.count.saturating_sub(then.count);
@@ -282,7 +282,7 @@ fn core_share(before: &ModuleStatistics, module: &ModuleStatistics, seconds: f64
 }
 
 fn seconds_between(earlier: &Snapshot, later: &Snapshot) -> f64 {
-    // Two snapshots of one instant would give rates of infinity.
+    // Two simultaneous snapshots would give infinite rates.
     (later.uptime_ns.saturating_sub(earlier.uptime_ns).max(1_000_000)) as f64 / 1e9
 }
 
@@ -290,7 +290,7 @@ fn descending(a: f64, b: f64) -> Ordering {
     b.total_cmp(&a)
 }
 
-/// Events per second, with three digits or so.
+/// Events per second, with about three digits.
 fn rate(rate: f64) -> String {
     match rate {
         0.0 => "0".into(),
@@ -371,7 +371,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn rates_and_shares_are_of_the_time_between_two_snapshots() {
+    fn rates_and_shares_cover_the_time_between_two_snapshots() {
         let grid = Grid::of_modules(&snapshot(10), &snapshot(12), Sort::Order);
         let expected = [
             "MODULE   STATE            RUNS/S      P50      P99      MAX    CORE  IN/S  OUT/S  INBOX  DROPS  OVERRUNS  PANICS",
@@ -383,7 +383,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn topics_tell_their_rate_and_how_old_their_last_message_is() {
+    fn topics_show_their_rate_and_the_age_of_their_last_message() {
         let grid = Grid::of_topics(&snapshot(10), &snapshot(12), Sort::Order);
         let expected = [
             "TOPIC         MESSAGES/S  MESSAGES  SUBSCRIBERS  DROPS  LAST BATCH  LARGEST      AGE",
@@ -394,7 +394,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn outlets_tell_their_rate_and_what_waits() {
+    fn outlets_show_their_rate_and_queue() {
         let grid = Grid::of_outlets(&snapshot(10), &snapshot(12), Sort::Busiest);
         let expected = [
             "OUTLET    MESSAGES/S  MESSAGES  TOPICS  INBOX  DROPS  PANICS",
@@ -404,7 +404,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn rows_are_sorted_as_asked() {
+    fn rows_are_sorted_as_requested() {
         let names = |sort| {
             let modules = Grid::of_modules(&snapshot(1), &snapshot(2), sort);
             let topics = Grid::of_topics(&snapshot(1), &snapshot(2), sort);
@@ -417,7 +417,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_module_that_came_between_two_snapshots_is_counted_from_nothing() {
+    fn a_module_added_between_two_snapshots_is_counted_from_zero() {
         let mut earlier = snapshot(1);
         earlier.modules.remove(0);
         let grid = Grid::of_modules(&earlier, &snapshot(2), Sort::Order);
@@ -425,7 +425,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_summary_tells_what_the_times_stand_for() {
+    fn the_summary_shows_the_share_of_measured_cycles() {
         let lines = summary("darwin_op (process 7)", &snapshot(10), &snapshot(12), usize::MAX);
         assert_eq!(
             lines,

@@ -2,7 +2,7 @@
 
 #[cfg(feature = "top")]
 mod app;
-// The screen sorts and highlights; without it the grid is only printed.
+// Sorting and highlighting are only used by the screen.
 #[cfg_attr(not(feature = "top"), allow(dead_code))]
 mod grid;
 
@@ -27,10 +27,10 @@ pub(crate) fn top(arguments: &TopArguments) -> anyhow::Result<()> {
     #[cfg(feature = "top")]
     return app::show(client, snapshot);
     #[cfg(not(feature = "top"))]
-    super::not_built("top", "--once prints what there is to see, --json all numbers")
+    super::not_built("top", "--once prints a snapshot, --json all numbers")
 }
 
-/// Rates are those since the robot's start.
+/// Rates are averages since the robot's start.
 fn print_once(client: &Client, snapshot: &Snapshot) {
     let start = Snapshot::default();
     for line in summary(&client.robot().to_string(), &start, snapshot, usize::MAX) {

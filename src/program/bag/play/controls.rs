@@ -1,6 +1,7 @@
-//! What is asked of a player while it plays: the services of rosbag2's.
+//! Requests to a player while it plays: the services of rosbag2's player.
 //!
-//! Names, types and answers are those of `rosbag2_transport/src/rosbag2_transport/player.cpp`, branch jazzy.
+//! Names, types and responses are those of `rosbag2_transport/src/rosbag2_transport/player.cpp`, branch
+//! jazzy.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
@@ -12,24 +13,24 @@ use crate::msgs::rosbag2_interfaces::srv::{
     Burst, GetRate, IsPaused, Pause, Play, PlayNext, PlayRequest, Resume, Seek, SetRate, Stop, TogglePaused,
 };
 
-/// A request, with the way back for its answer.
+/// A request, with the handle for its response.
 pub(super) enum Control {
     Burst(u64, Reply<Burst>),
     GetRate(Reply<GetRate>),
     IsPaused(Reply<IsPaused>),
     Pause(Reply<Pause>),
-    /// Play a part anew.
+    /// Restart with a part.
     Play(Part, Reply<Play>),
     PlayNext(Reply<PlayNext>),
     Resume(Reply<Resume>),
-    /// To this time, in nanoseconds since the epoch.
+    /// Seek to this time, in nanoseconds since the epoch.
     Seek(i64, Reply<Seek>),
     SetRate(f64, Reply<SetRate>),
     Stop(Reply<Stop>),
     TogglePaused(Reply<TogglePaused>),
 }
 
-/// What part of the bag.
+/// A part of the bag.
 pub(super) struct Part {
     pub(super) start_offset: Duration,
     pub(super) duration: Option<Duration>,
@@ -38,7 +39,7 @@ pub(super) struct Part {
 }
 
 impl From<PlayRequest> for Part {
-    /// A duration or time of zero, as of a request that does not mention it, or below is none.
+    /// A duration or time of zero (the default of a request) or less means none.
     fn from(request: PlayRequest) -> Self {
         let positive = |nanos: i64| u64::try_from(nanos).ok().filter(|nanos| *nanos > 0);
         let duration = |nanos| positive(nanos).map(Duration::from_nanos);
@@ -50,7 +51,7 @@ impl From<PlayRequest> for Part {
     }
 }
 
-/// The services, until it is dropped.
+/// The services, which exist until it is dropped.
 pub(super) struct Controls {
     requests: Receiver<Control>,
     _services: Vec<Service>,
@@ -81,7 +82,7 @@ impl Controls {
         Ok(Self { requests, _services: services })
     }
 
-    /// Waits for a request, but no longer than that.
+    /// Waits for a request, at most for `most`.
     pub(super) fn wait(&self, most: Duration) -> Option<Control> {
         self.requests.recv_timeout(most).ok()
     }
@@ -95,12 +96,12 @@ fn serve<S: ServiceType>(
 ) -> Result<Service, NodeError> {
     let sender = sender.clone();
     node.serve_later::<S>(name, QosProfile::SERVICES, move |request, reply| {
-        // Where nobody plays any more, the service is about to go.
+        // If nobody plays any more, the service is about to be removed.
         let _ = sender.send(control(request, reply));
     })
 }
 
-/// Answers; a client that is gone needs none.
+/// Sends a response; errors are ignored, since the client may have disappeared.
 pub(super) fn answer<S: ServiceType>(reply: Reply<S>, response: &S::Response) {
     if let Err(error) = reply.send(response) {
         tracing::debug!("an answer was not sent: {error}");

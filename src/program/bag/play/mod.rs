@@ -31,15 +31,15 @@ pub(crate) struct PlayArguments {
     pub(crate) bags: Vec<PathBuf>,
     #[command(flatten)]
     pub(crate) topics: TopicArguments,
-    /// How many times as fast as it was recorded.
+    /// Playback rate: 2 is twice as fast as recorded.
     #[arg(long, short, default_value_t = 1.0)]
     pub(crate) rate: f64,
-    /// Begin this far into the bag: seconds, or with a unit 500ms, 10s, 5m.
+    /// Start this far into the bag: seconds, or with a unit 500ms, 10s, 5m.
     #[arg(long, value_parser = seconds, value_name = "TIME")]
     pub(crate) start_offset: Option<Duration>,
-    /// Play so much of the bag: seconds, or with a unit.
+    /// Play this much of the bag: seconds, or with a unit.
     ///
-    /// With a time until which to play, the later of both ends it; what is negative means nothing.
+    /// Together with an end time, the later of both ends playback; negative values are ignored.
     #[arg(long, allow_negative_numbers = true, value_parser = seconds_or_endless, value_name = "TIME")]
     pub(crate) playback_duration: Option<Limit>,
     /// Play until this time, in seconds since the epoch.
@@ -53,16 +53,17 @@ pub(crate) struct PlayArguments {
     /// Play until this time, in nanoseconds since the epoch.
     #[arg(long, allow_negative_numbers = true, value_name = "NANOSECONDS")]
     pub(crate) playback_until_nsec: Option<i64>,
-    /// Begin again at the end.
+    /// Start again at the end.
     #[arg(long = "loop", short = 'l')]
     pub(crate) repeats: bool,
-    /// Wait so long before it begins, each time: seconds, or with a unit.
+    /// Wait this long before each start: seconds, or with a unit.
     #[arg(long, short, value_parser = seconds, value_name = "TIME")]
     pub(crate) delay: Option<Duration>,
     /// Publish topics under other names: /old:=/new.
     #[arg(long, short = 'm', num_args = 1.., value_name = "OLD:=NEW", value_parser = remap_rule)]
     pub(crate) remap: Vec<RemapRule>,
-    /// Publish the time of the bag on /clock so many times per second, 40 unless given; /clock of the bag is not played.
+    /// Publish the time of the bag on /clock this many times per second (default 40); /clock of the bag is
+    /// not played.
     #[arg(long, num_args = 0..=1, default_missing_value = "40", value_name = "HZ", conflicts_with_all = ["clock_topics", "clock_topics_all"])]
     pub(crate) clock: Option<f64>,
     /// Publish the time on /clock before each message of these topics.
@@ -71,34 +72,36 @@ pub(crate) struct PlayArguments {
     /// Publish the time on /clock before each message.
     #[arg(long)]
     pub(crate) clock_topics_all: bool,
-    /// Begin paused, and wait for a key, ~/resume or ~/play_next.
+    /// Start paused, and wait for a key, ~/resume or ~/play_next.
     #[arg(long, short = 'p')]
     pub(crate) start_paused: bool,
-    /// Leave out what latched topics (transient local) had last sent before the beginning, as `ros2 bag play` does.
+    /// Leave out the last messages of latched (transient local) topics before the start, as `ros2 bag play`
+    /// does.
     #[arg(long)]
     pub(crate) no_latched: bool,
-    /// Send the requests to services that the bag tells of again, instead of publishing the events of services.
+    /// Send recorded service requests again, instead of publishing the service events.
     #[arg(long)]
     pub(crate) publish_service_requests: bool,
-    /// Whose account of the requests to follow: that of the server, or those of the clients.
+    /// Which recorded requests to use: those of the server, or those of the clients.
     #[arg(long, value_enum, default_value_t, requires = "publish_service_requests", value_name = "SOURCE")]
     pub(crate) service_requests_source: RequestsSource,
     /// How many messages are read before they are due.
     #[arg(long, default_value_t = PlayerOptions::DEFAULT_READ_AHEAD as u32, value_name = "MESSAGES",
           value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub(crate) read_ahead_queue_size: u32,
-    /// A YAML file of QoS profiles to publish topics with, in place of what was recorded.
+    /// A YAML file of QoS profiles for publishing topics, instead of the recorded ones.
     #[arg(long, value_name = "FILE.yaml")]
     pub(crate) qos_profile_overrides_path: Option<PathBuf>,
-    /// At the end, wait up to so many milliseconds until reliable subscribers have everything, 0 for as long as it takes;
-    /// a negative number does not wait.
+    /// At the end, wait up to this many milliseconds until reliable subscribers have received everything; 0
+    /// waits without limit, a negative number does not wait.
     #[arg(long, default_value_t = -1, allow_negative_numbers = true, value_name = "MS")]
     pub(crate) wait_for_all_acked: i64,
-    /// Leave keys to others: space pauses and resumes, right plays the next message of a pause, up and down change the rate.
+    /// Disable the keys: space pauses and resumes, right plays the next message while paused, up and down
+    /// change the rate.
     #[arg(long)]
     pub(crate) disable_keyboard_controls: bool,
-    /// Run the modules of this robot on the bag instead of playing to ROS 2: time from the bag, as fast as the
-    /// machine can, with the same result each time.
+    /// Run the modules of this robot on the bag instead of playing to ROS 2: deterministically, with the time
+    /// of the bag, as fast as possible.
     #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["rate", "start_offset", "domain", "playback_duration",
           "playback_until_sec", "playback_until_nsec", "repeats", "delay", "remap", "clock", "clock_topics",
           "clock_topics_all", "start_paused", "no_latched", "publish_service_requests", "disable_keyboard_controls", "read_ahead_queue_size", "qos_profile_overrides_path", "wait_for_all_acked", "topic_types", "services", "regex", "exclude_regex", "exclude_topics",
@@ -109,8 +112,8 @@ pub(crate) struct PlayArguments {
     pub(crate) record: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) force: Force,
-    /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers, cdr
-    /// unless given.
+    /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers;
+    /// default cdr.
     #[arg(long, value_name = "ENCODING", requires = "record")]
     pub(crate) encoding: Option<Encoding>,
     /// The ROS domain, instead of ROS_DOMAIN_ID.
@@ -128,7 +131,9 @@ pub(crate) fn play(
     let bags = arguments.bags.iter().map(|bag| open(bag)).collect::<anyhow::Result<Vec<Reader>>>()?;
     let unreadable = match (&arguments.into, &bags[..]) {
         (Some(robot), [bag]) => into::play_into(bag, robot, arguments, catalog, ros, log).map(|()| 0)?,
-        (Some(_), _) => bail!("one bag is played into a robot; merge them first: downbeat bag convert"),
+        (Some(_), _) => {
+            bail!("only one bag can be played into a robot; merge them first: downbeat bag convert")
+        }
         (None, bags) => ros::play(bags, arguments, catalog, ros, screen)?,
     };
     carried_over(&bags, unreadable)
@@ -138,7 +143,7 @@ fn remap_rule(text: &str) -> Result<RemapRule, String> {
     text.parse().map_err(|error| format!("{error}"))
 }
 
-/// How long to play; for ever where it is negative.
+/// How long to play; forever if negative.
 #[derive(Clone, Copy)]
 pub(crate) struct Limit(pub(crate) Option<Duration>);
 
@@ -149,7 +154,7 @@ fn seconds_or_endless(text: &str) -> Result<Limit, String> {
     seconds(text).map(|duration| Limit(Some(duration)))
 }
 
-/// As `ros2 bag play` takes it, in seconds, or with a unit.
+/// In seconds as in `ros2 bag play`, or with a unit.
 fn seconds(text: &str) -> Result<Duration, String> {
     const LONGEST: Duration = Duration::from_secs(100 * 365 * 24 * 3600);
     let duration = match text.parse::<f64>() {

@@ -14,14 +14,14 @@ use anyhow::Context;
 use bytes::Bytes;
 use clap::ValueEnum;
 
-/// Whose account of the requests is followed.
+/// Which recorded requests are used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 #[value(rename_all = "snake_case")]
 pub(crate) enum RequestsSource {
-    /// The server's: what it received.
+    /// Those that the server received.
     #[default]
     ServiceIntrospection,
-    /// The clients': what they sent.
+    /// Those that the clients sent.
     ClientIntrospection,
 }
 
@@ -34,33 +34,33 @@ impl RequestsSource {
     }
 }
 
-/// Sends the requests among the events of a service.
+/// Sends the requests in the events of a service.
 pub(super) struct Requests {
     client: RawClient,
     decoder: Decoder,
     event_type: u8,
     unanswered: Arc<AtomicUsize>,
-    /// Of requests that are not sent or not answered.
+    /// Limits messages about requests that are not sent or not answered.
     failures: Arc<Limiter>,
-    /// That events lack the requests is told once.
+    /// Whether the missing requests in events have been reported.
     has_told: AtomicBool,
 }
 
-/// What comes before the name of the topic with a service's events, and after the name of their type.
+/// The suffixes of the event topic and the event type of a service.
 const TOPIC_ENDING: &str = "/_service_event";
 const TYPE_ENDING: &str = "_Event";
 
-/// How long an answer is waited for: at the end, that the last ones do not find the player gone.
+/// How long to wait for responses, so that the last ones arrive before the player exits.
 const TIMEOUT: Duration = Duration::from_secs(5);
 
 impl Requests {
-    /// The name and type of the service whose events a topic tells.
+    /// The name and type of the service whose events a topic carries.
     pub(super) fn service(topic: &TopicInfo) -> Option<(&str, &str)> {
         Some((topic.name.strip_suffix(TOPIC_ENDING)?, topic.type_name.strip_suffix(TYPE_ENDING)?))
     }
 
     pub(super) fn new(topic: &RecordedTopic, source: RequestsSource, node: &Node) -> anyhow::Result<Self> {
-        let (service, type_name) = Self::service(&topic.info).context("it has no events of a service")?;
+        let (service, type_name) = Self::service(&topic.info).context("it has no service events")?;
         let client = node.client_raw(service, &ServiceType::new(type_name)?, QosProfile::SERVICES)?;
         Ok(Self {
             client,
@@ -76,12 +76,13 @@ impl Requests {
         self.client.is_available()
     }
 
-    /// Whether an answer is waited for.
+    /// Whether a response is pending.
     pub(super) fn is_unanswered(&self) -> bool {
         self.unanswered.load(Ordering::Relaxed) > 0
     }
 
-    /// Sends the request of an event; false where it has none of those that are meant, or nobody takes it.
+    /// Sends the request in an event; returns false if the event has none from the selected source, or there
+    /// is no server.
     pub(super) fn send(&self, event: Bytes) -> anyhow::Result<bool> {
         let event = self.decoder.decode(event)?;
         if event.get("info.event_type")?.as_u64() != Some(self.event_type.into()) {
@@ -99,7 +100,7 @@ impl Requests {
         };
         if !self.has_server() {
             if let Some(left_out) = self.failures.allow() {
-                tracing::warn!("{service}: there is no server, a request is not sent{left_out}");
+                tracing::warn!("{service}: there is no server; a request is not sent{left_out}");
             }
             return Ok(false);
         }

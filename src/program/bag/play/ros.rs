@@ -27,21 +27,21 @@ use crate::program::run::node;
 use crate::program::screen::Screen;
 use crate::program::stop::Stop;
 
-/// How long publishers wait to be found at the most: samples written before that reach nobody.
+/// The maximum time to wait for discovery: earlier samples reach nobody.
 const DISCOVERY: Duration = Duration::from_secs(3);
-/// Waiting that needs no word, and how many topics it names.
+/// The wait that is not logged, and the number of topics that the log names.
 const PATIENCE: Duration = Duration::from_millis(200);
 const MOST_NAMED: usize = 3;
-/// How long at the most until a signal or a key is heeded.
+/// The maximum delay until a signal or a key is handled.
 const POLL: Duration = Duration::from_millis(50);
-/// How often the line on the screen is drawn.
+/// How often the line on the screen is updated.
 const REFRESH: Duration = Duration::from_millis(100);
 /// By how much a key changes the rate, as in rosbag2.
 const RATE_STEP: f64 = 0.1;
-/// The node that `ros2 bag play` makes.
+/// The name of the node of `ros2 bag play`.
 const NODE_NAME: &str = "rosbag2_player";
 
-/// Returns how many parts of the bags could not be read.
+/// Returns the number of parts of the bags that could not be read.
 pub(super) fn play(
     bags: &[Reader],
     arguments: &PlayArguments,
@@ -113,7 +113,7 @@ fn options(arguments: &PlayArguments) -> anyhow::Result<PlayerOptions> {
     })
 }
 
-/// Says what it waits for: three seconds of silence look like a fault.
+/// Waits for subscribers, and logs that: three seconds of silence look like a fault.
 fn wait_for_peers(player: &Player<'_>, targets: &[Option<Target>], stop: &Stop) {
     let started = Instant::now();
     let mut is_told = false;
@@ -137,7 +137,7 @@ fn wait_for_peers(player: &Player<'_>, targets: &[Option<Target>], stop: &Stop) 
     }
 }
 
-/// `/clock`, if it is asked for.
+/// `/clock`, if requested.
 struct PublishedClock {
     publisher: Option<Publisher>,
     period: Option<Duration>,
@@ -177,13 +177,13 @@ impl PublishedClock {
         }
     }
 
-    /// Publishes if it is time to, and tells how long until it is again.
+    /// Publishes if due, and returns the time until it is due again.
     fn publish_if_due(&mut self, time: i64) -> Duration {
         let Some(period) = self.period else { return POLL };
         let now = Instant::now();
         if now >= self.next {
             self.publish(time);
-            // What was missed is not made up for.
+            // Missed messages are not made up for.
             self.next = (self.next + period).max(now);
         }
         self.next.saturating_duration_since(now)
@@ -246,12 +246,12 @@ impl Run<'_> {
         }
     }
 
-    /// False when nobody takes it.
+    /// Returns false if it could not be published.
     fn publish(&mut self, BagMessage { topic, log_time, data, .. }: BagMessage) -> bool {
         let Some(target) = self.targets.get(topic.index()).and_then(Option::as_ref) else { return false };
         let name = &self.player.topics()[topic.index()].info.name;
         if self.clock.precedes(name) {
-            // What was latched before the beginning comes at the beginning.
+            // Messages latched before the start have the start time.
             self.clock.publish(log_time.max(self.player.bag_time(self.started.elapsed())));
         }
         match target.take(data) {
@@ -296,7 +296,7 @@ impl Run<'_> {
         }
     }
 
-    /// Where it is in the bags, for the screen.
+    /// The position in the bags, for the screen.
     fn progress(&self, now: Duration) -> String {
         const WIDTH: usize = 30;
         let seconds = |from: i64, to: i64| to.saturating_sub(from).max(0) as f64 / 1e9;
@@ -317,7 +317,7 @@ impl Run<'_> {
         }
     }
 
-    /// As `--wait-for-all-acked` says, which counts milliseconds.
+    /// Implements `--wait-for-all-acked`, in milliseconds.
     fn wait_for_all_acked(&self, timeout: i64, stop: &Stop) {
         let Ok(milliseconds) = u64::try_from(timeout) else { return };
         let limit = (milliseconds > 0).then(|| Instant::now() + Duration::from_millis(milliseconds));
@@ -325,14 +325,14 @@ impl Run<'_> {
             let Target::Topic(publisher, _) = target else { continue };
             while !publisher.wait_for_all_acked(POLL) {
                 if stop.is_due() || limit.is_some_and(|limit| Instant::now() >= limit) {
-                    tracing::warn!("{}: not all was acknowledged in time", publisher.topic());
+                    tracing::warn!("{}: not all messages were acknowledged in time", publisher.topic());
                     return;
                 }
             }
         }
     }
 
-    /// The next message, published; false at the end, and where nobody takes it.
+    /// Publishes the next message; returns false at the end, or if it could not be published.
     fn play_next(&mut self) -> bool {
         loop {
             match self.player.play_next(self.started.elapsed()) {
@@ -347,7 +347,7 @@ impl Run<'_> {
     }
 
     fn seek(&mut self, seek: impl FnOnce(&mut Player<'_>, Duration) -> Result<(), ReaderError>) -> bool {
-        // To look for what was latched may take a while, which is none of the bag's.
+        // Searching for latched messages may take a while, during which the bag's time must not advance.
         let is_paused = self.player.is_paused();
         self.player.pause(self.started.elapsed());
         let sought = seek(&mut self.player, self.started.elapsed());
@@ -363,10 +363,10 @@ impl Run<'_> {
         match control {
             Control::Burst(count, reply) => {
                 if !is_paused {
-                    tracing::warn!("bursts are played while paused only");
+                    tracing::warn!("bursts are only played while paused");
                 }
                 let mut actually_burst = 0;
-                // 0 stands for all that are left.
+                // 0 means all remaining messages.
                 while is_paused
                     && !stop.is_due()
                     && (count == 0 || actually_burst < count)
@@ -408,7 +408,8 @@ impl Run<'_> {
                 }
                 answer(reply, &SetRateResponse { success });
             }
-            // rosbag2's refuses while it plays; here it is nearly always playing, so a pause is what counts.
+            // rosbag2's player refuses while it plays; here it is nearly always playing, so this checks for a
+            // pause.
             Control::Play(part, reply) => {
                 let offset = i64::try_from(part.start_offset.as_nanos()).unwrap_or(i64::MAX);
                 let time = self.player.start_time().saturating_add(offset);

@@ -1,4 +1,4 @@
-//! Where the messages of a topic go.
+//! The destination of a topic's messages.
 
 use std::time::{Duration, Instant};
 
@@ -16,16 +16,18 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use super::requests::{Requests, RequestsSource};
 use crate::program::stop::Stop;
 
-/// How long a message waits for subscribers that lag behind, as in rmw_fastrtps (`max_blocking_time`).
+/// How long a message waits for slow subscribers, as in rmw_fastrtps (`max_blocking_time`).
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// Each takes memory of every node in the network.
+/// Each topic takes memory in every node of the network.
 const MOST_TOPICS: usize = 1000;
-/// Open files that the DDS engine has for each publisher (a little more than two), and those that the program has besides.
+/// Files that the DDS engine opens for each publisher (a little more than two), and other open files of the
+/// program.
 const FILES_OF_PUBLISHER: u64 = 3;
 const OTHER_FILES: u64 = 200;
 
-/// How many topics a process may publish, once it may open as many files as it can be allowed to for `wanted` of them.
+/// The number of topics that a process can publish, after raising the limit of open files for `wanted` of
+/// them.
 fn most_topics(wanted: usize) -> usize {
     let mut limit = getrlimit(Resource::Nofile);
     let needed = OTHER_FILES + FILES_OF_PUBLISHER * wanted.min(MOST_TOPICS) as u64;
@@ -39,17 +41,17 @@ fn most_topics(wanted: usize) -> usize {
     MOST_TOPICS.min(usize::try_from(files / FILES_OF_PUBLISHER).unwrap_or(usize::MAX))
 }
 
-/// Takes the messages of one topic.
+/// The destination of one topic's messages.
 #[expect(clippy::large_enum_variant, reason = "there is one for each topic, not for each message")]
 pub(super) enum Target {
-    /// Publishes them; beside it what makes CDR of them if they are something else.
+    /// Publishes them; the type converts other encodings to CDR.
     Topic(Publisher, Option<RecordedType>),
-    /// Sends the requests that are told in them.
+    /// Sends the requests in the events.
     Service(Requests),
 }
 
-/// One for each topic that is played, at the position of its id; none where that cannot be, which is told. With `requests`
-/// events of services become requests again.
+/// Creates one for each played topic, at the position of its id; `None` if that fails, which is logged. With
+/// `requests`, service events become requests again.
 pub(super) fn targets(
     player: &Player<'_>,
     node: &Node,
@@ -61,7 +63,7 @@ pub(super) fn targets(
     let most = most_topics(count);
     if count > most {
         bail!(
-            "the bag has {count} topics, and at most {most} are played at a time; choose some with --topics, --regex or \
+            "the bag has {count} topics, but at most {most} can be played at a time; choose some with --topics, --regex or \
              --exclude-regex"
         );
     }
@@ -70,7 +72,7 @@ pub(super) fn targets(
         if let (Some(source), Some(_)) = (requests, Requests::service(info)) {
             return Ok(Target::Service(Requests::new(topic, source, node)?));
         }
-        // CDR is passed through, also of types that are not compiled in.
+        // CDR is passed through, also for types that are not compiled in.
         let recorded = info.format.as_ref().map(|_| RecordedType::of(topic, node.participant().interfaces()));
         let recorded = recorded.transpose()?;
         let type_name = recorded.as_ref().map_or(&*info.type_name, |recorded| recorded.message_type().name());
@@ -88,7 +90,7 @@ pub(super) fn targets(
 }
 
 impl Target {
-    /// Whether anybody would take a message now.
+    /// Whether a message would reach anyone now.
     pub(super) fn is_matched(&self) -> bool {
         match self {
             Self::Topic(publisher, _) => publisher.matched_subscriptions() > 0,
@@ -96,7 +98,7 @@ impl Target {
         }
     }
 
-    /// Gives a message away; false where nothing was to be done with it.
+    /// Delivers a message; returns false if there was nothing to do.
     pub(super) fn take(&self, data: Bytes) -> anyhow::Result<bool> {
         match self {
             Self::Topic(publisher, recorded) => {
@@ -109,7 +111,7 @@ impl Target {
     }
 }
 
-/// As all publishers offered it; where they did not agree, what suits most subscribers.
+/// The QoS offered by all publishers; if they differ, one that matches most subscribers.
 fn recorded_qos(info: &TopicInfo) -> QosProfile {
     let mut offered = info.offered_qos.iter().map(RecordedQos::to_profile);
     let first = offered.next().unwrap_or(QosProfile::DEFAULT);
@@ -126,7 +128,7 @@ fn recorded_qos(info: &TopicInfo) -> QosProfile {
     }
 }
 
-/// Publishes, and waits for a moment where subscribers lag behind.
+/// Publishes, waiting briefly for slow subscribers.
 fn publish_soon(publisher: &Publisher, data: &Bytes) -> Result<(), WriteError> {
     let started = Instant::now();
     loop {

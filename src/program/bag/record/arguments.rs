@@ -18,7 +18,7 @@ pub(crate) struct RecordArguments {
     /// Topics to record, as after --topics.
     #[arg(value_name = "TOPIC", conflicts_with = "topics")]
     pub(crate) topics_positional: Vec<String>,
-    /// The new bag directory; a timestamped one in the current directory unless given.
+    /// The new bag directory; default is a timestamped one in the current directory.
     #[arg(short, long, value_name = "DIR")]
     pub(crate) output: Option<PathBuf>,
     #[command(flatten)]
@@ -29,19 +29,19 @@ pub(crate) struct RecordArguments {
     pub(crate) discovery: DiscoveryArguments,
     #[command(flatten)]
     pub(crate) writing: WritingArguments,
-    /// Begin paused.
+    /// Start paused.
     #[arg(long)]
     pub(crate) start_paused: bool,
-    /// Stamp messages with the time of /clock. Until it is heard, nothing is recorded.
+    /// Stamp messages with the time of /clock. Nothing is recorded before the first time is received.
     #[arg(long, conflicts_with = "no_discovery")]
     pub(crate) use_sim_time: bool,
     /// The name of the recorder's node.
     #[arg(long, default_value = "rosbag2_recorder", value_name = "NAME")]
     pub(crate) node_name: String,
-    /// Let no keys pause and resume.
+    /// Disable the key that pauses and resumes.
     #[arg(long)]
     pub(crate) disable_keyboard_controls: bool,
-    /// From which severity on events are logged.
+    /// The minimum severity of logged events.
     #[arg(long, value_enum, value_name = "LEVEL")]
     pub(crate) log_level: Option<Level>,
     /// Run this robot without a bridge and record its topics from the very first message.
@@ -55,7 +55,7 @@ pub(crate) struct RecordArguments {
     pub(crate) domain: Option<u16>,
 }
 
-/// What is recorded.
+/// Which topics are recorded.
 #[derive(Args)]
 pub(crate) struct SelectionArguments {
     /// Topics to record.
@@ -67,10 +67,10 @@ pub(crate) struct SelectionArguments {
     /// Types of topics to record.
     #[arg(long, num_args = 1.., value_name = "TYPE")]
     pub(crate) topic_types: Vec<String>,
-    /// Record all topics and services (but hidden topics).
+    /// Record all topics and services, except hidden topics.
     #[arg(short, long)]
     pub(crate) all: bool,
-    /// Record all topics (but hidden ones).
+    /// Record all topics, except hidden ones.
     #[arg(long)]
     pub(crate) all_topics: bool,
     /// Record the events of all services.
@@ -108,22 +108,22 @@ pub(crate) enum Exposed {
 /// How topics are found.
 #[derive(Args)]
 pub(crate) struct DiscoveryArguments {
-    /// Record topics that nobody publishes too.
+    /// Also record topics without publishers.
     #[arg(long)]
     pub(crate) include_unpublished_topics: bool,
-    /// Record hidden topics too.
+    /// Also record hidden topics.
     #[arg(long)]
     pub(crate) include_hidden_topics: bool,
-    /// Record only topics that are there at the start.
+    /// Record only topics that exist at the start.
     #[arg(long)]
     pub(crate) no_discovery: bool,
-    /// How many milliseconds to wait between looks for new topics.
+    /// How many milliseconds to wait between searches for new topics.
     #[arg(short, long, default_value_t = 100, value_name = "MS", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) polling_interval: u64,
     /// Ignore topics without a subscription.
     #[arg(long)]
     pub(crate) ignore_leaf_topics: bool,
-    /// A YAML file of QoS profiles to request on topics, in place of what their publishers offer.
+    /// A YAML file of QoS profiles to request on topics, instead of those that their publishers offer.
     #[arg(long, value_name = "FILE.yaml")]
     pub(crate) qos_profile_overrides_path: Option<PathBuf>,
 }
@@ -131,61 +131,61 @@ pub(crate) struct DiscoveryArguments {
 /// How the bag is written.
 #[derive(Args)]
 pub(crate) struct WritingArguments {
-    /// The storage: mcap or, where built with --features sqlite, sqlite3, which has no place for publish times and for
-    /// encodings other than cdr; mcap unless given or, with --robot, the robot file's [record] says another.
+    /// The storage: mcap or, if built with --features sqlite, sqlite3, which supports neither publish times
+    /// nor encodings other than cdr; default mcap or, with --robot, that of the robot file's [record].
     #[arg(short, long, value_name = "STORAGE")]
     pub(crate) storage: Option<Storage>,
-    /// The serialization format: cdr, which is what ROS 2 has; see --encoding for others.
+    /// The serialization format: cdr, as in ROS 2; see --encoding for others.
     #[arg(short = 'f', long, value_parser = ["cdr"], value_name = "FORMAT")]
     pub(crate) serialization_format: Option<String>,
-    /// Bytes after which the bag goes on in a new file; 0 for never.
+    /// Bytes after which the bag continues in a new file; 0 for never.
     #[arg(short = 'b', long, value_name = "BYTES")]
     pub(crate) max_bag_size: Option<u64>,
-    /// Seconds after which the bag goes on in a new file; 0 for never.
+    /// Seconds after which the bag continues in a new file; 0 for never.
     #[arg(short = 'd', long, value_name = "SECONDS")]
     pub(crate) max_bag_duration: Option<u64>,
-    /// Keep so many files: the oldest is deleted when there would be more.
+    /// Keep at most this many files: the oldest is deleted.
     #[arg(long, value_name = "N")]
     pub(crate) max_bag_files: Option<NonZeroUsize>,
-    /// Bytes of messages that may wait to be written, 104857600 unless given; with 0 every message waits for the disk.
+    /// Bytes of messages that may be queued, default 104857600; with 0 every message waits for the disk.
     #[arg(long, value_name = "BYTES")]
     pub(crate) max_cache_size: Option<usize>,
-    /// Keep messages in memory, and write those that are kept when the service ~/snapshot is called.
+    /// Keep messages in memory, and write them when the service ~/snapshot is called.
     #[arg(long, conflicts_with = "robot")]
     pub(crate) snapshot_mode: bool,
-    /// With --snapshot-mode: keep the messages of this time, if they fit --max-cache-size.
+    /// With --snapshot-mode: keep the messages of this duration, if they fit into --max-cache-size.
     #[arg(long, value_parser = duration, value_name = "TIME", requires = "snapshot_mode")]
     pub(crate) snapshot_duration: Option<Duration>,
-    /// Note this in the metadata. The last value of a key counts.
+    /// Add this to the metadata. The last value of a key is used.
     #[arg(long, num_args = 1.., value_name = "KEY=VALUE", value_parser = key_and_value)]
     pub(crate) custom_data: Vec<(String, String)>,
-    /// How files are laid out: none, fastwrite, zstd_fast or zstd_small, as none, with checksums, unless given; of sqlite3
-    /// none or resilient, resilient unless given.
+    /// Preset profile: none, fastwrite, zstd_fast or zstd_small, default as none with checksums; for sqlite3
+    /// none or resilient (default).
     #[arg(long, value_name = "PRESET")]
     pub(crate) storage_preset_profile: Option<String>,
-    /// A YAML file of options for the storage, as rosbag2_storage_mcap or rosbag2_storage_sqlite3 takes it.
+    /// A YAML file of storage options for rosbag2_storage_mcap or rosbag2_storage_sqlite3.
     #[arg(long, value_name = "FILE.yaml")]
     pub(crate) storage_config_file: Option<PathBuf>,
-    /// Compress chunks with Zstandard, as --storage-preset-profile zstd_fast.
+    /// Compress chunks with Zstandard, like --storage-preset-profile zstd_fast.
     #[arg(long, conflicts_with = "storage_preset_profile")]
     pub(crate) zstd: bool,
-    /// none: chunks are compressed by the storage, and neither messages nor whole files.
+    /// Only none: the storage compresses chunks, but neither messages nor whole files.
     #[arg(long, value_parser = ["none"], default_value = "none", value_name = "MODE")]
     pub(crate) compression_mode: String,
-    /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers, cdr
-    /// unless given or, with --robot, the robot file's [record] says another.
+    /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers;
+    /// default cdr or, with --robot, that of the robot file's [record].
     #[arg(long, value_name = "ENCODING")]
     pub(crate) encoding: Option<Encoding>,
-    /// When messages come faster than they can be written.
+    /// What to do if messages arrive faster than they can be written.
     #[arg(long, value_enum, value_name = "WHAT")]
     pub(crate) when_slow: Option<OnTrouble>,
-    /// When the disk is full.
+    /// What to do if the disk is full.
     #[arg(long, value_enum, value_name = "WHAT")]
     pub(crate) when_disk_full: Option<OnTrouble>,
-    /// When to wait until the medium has what was written.
+    /// When to sync written data to disk.
     #[arg(long, value_enum, value_name = "WHEN")]
     pub(crate) sync: Option<SyncWhen>,
-    /// What a killed recording loses at the most: 1s unless given.
+    /// The most that a killed recording loses, default 1s.
     #[arg(long, value_parser = duration, value_name = "TIME")]
     pub(crate) flush_interval: Option<Duration>,
 }
@@ -213,9 +213,9 @@ impl From<Level> for LogLevel {
 
 #[derive(Clone, Copy, ValueEnum)]
 pub(crate) enum OnTrouble {
-    /// Lose messages, count them, and go on.
+    /// Drop and count messages, and continue.
     Drop,
-    /// Stop recording; all before is kept.
+    /// Stop recording; earlier messages are kept.
     Stop,
 }
 
@@ -230,7 +230,7 @@ pub(crate) enum SyncWhen {
 }
 
 impl SelectionArguments {
-    /// Whether anything is asked for.
+    /// Whether anything is selected.
     pub(crate) fn is_given(&self) -> bool {
         self.all
             || self.all_topics

@@ -53,7 +53,7 @@ fn record_robot(
 ) -> anyhow::Result<()> {
     let mut file = RobotFile::read_with(robot, catalog, ros)?;
     log.name_after(&file)?;
-    // There is no node to hear `/clock` with.
+    // There is no node that could receive `/clock`.
     file.expose.features.clock = ClockChoice::Own;
     writing::apply(&arguments.writing, &mut file.record)?;
     if !arguments.selection.modules.is_empty() {
@@ -66,7 +66,7 @@ fn record_robot(
     if arguments.topics().next().is_some() || arguments.selection.is_given() {
         file.record.topics = None;
     } else {
-        // What the robot file says; the command line excludes.
+        // The robot file selects topics; the command line excludes some.
         filter.all_topics = true;
         filter.includes_hidden = true;
     }
@@ -92,12 +92,12 @@ fn record_robot(
 }
 
 impl RecordArguments {
-    /// The topics that are asked for by name.
+    /// The topics selected by name.
     fn topics(&self) -> impl Iterator<Item = &String> {
         self.topics_positional.iter().chain(&self.selection.topics)
     }
 
-    /// What `ros2bag/verb/record.py` refuses, in its words.
+    /// Rejects the same combinations as `ros2bag/verb/record.py`, with the same messages.
     fn check(&self) -> anyhow::Result<()> {
         let selection = &self.selection;
         let is_open = selection.all || selection.regex.is_some();
@@ -136,7 +136,7 @@ impl RecordArguments {
     }
 }
 
-/// What is asked for, by absolute names.
+/// The selection, with absolute names.
 fn filter(
     arguments: &RecordArguments,
     absolute: impl Fn(&str) -> anyhow::Result<String>,
@@ -210,7 +210,7 @@ fn record_from_ros(
     drop(keyboard);
     screen.show(Vec::new());
     for topic in recorder.missing() {
-        tracing::warn!("nothing is recorded of {topic}: nobody published it");
+        tracing::warn!("nothing is recorded on {topic}: it has no publisher");
     }
     drop(recorder);
     let outcome = recording.finish();
@@ -225,11 +225,11 @@ fn record_from_ros(
     outcome.map(drop).context("the recording is not complete")
 }
 
-/// How long topics that are there get to be found when no later ones are looked for.
+/// How long existing topics are searched if later ones are not.
 const FIRST_LOOK: Duration = Duration::from_secs(2);
-/// How often the block on the screen is drawn.
+/// How often the block on the screen is updated.
 const REFRESH: Duration = Duration::from_millis(250);
-/// How often keys and signals are looked at.
+/// How often keys and signals are checked.
 const STEP: Duration = Duration::from_millis(20);
 
 fn look_and_record(
@@ -293,6 +293,6 @@ fn tell(summary: &RecordingSummary) {
         println!("  {}: {} lost", topic.name, topic.lost);
     }
     if summary.deleted > 0 {
-        println!("  {} more were in files that were deleted, the oldest first", summary.deleted);
+        println!("  {} more were in deleted files", summary.deleted);
     }
 }

@@ -1,4 +1,4 @@
-//! From the command line, and a robot file's `[record]`, to the options of a recording.
+//! Converts the command line and a robot file's `[record]` to the options of a recording.
 
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ use super::arguments::{OnTrouble, SyncWhen, WritingArguments};
 /// The cache of rosbag2 (each of its two buffers): 100 MiB.
 pub(super) const DEFAULT_CACHE_BYTES: usize = 100 * 1024 * 1024;
 
-/// Puts in place of what is there what the command line says.
+/// Overrides the entry with the command line.
 pub(super) fn apply(arguments: &WritingArguments, entry: &mut RecordEntry) -> anyhow::Result<()> {
     let storage = arguments.storage.unwrap_or(entry.storage.storage());
     if let Some(preset) = &arguments.storage_preset_profile {
@@ -63,7 +63,7 @@ pub(super) fn apply(arguments: &WritingArguments, entry: &mut RecordEntry) -> an
     Ok(())
 }
 
-/// How the bag is written.
+/// The options of the writer.
 pub(super) fn writer_options(arguments: &WritingArguments, entry: &RecordEntry) -> WriterOptions {
     let options = arguments
         .custom_data
@@ -75,7 +75,7 @@ pub(super) fn writer_options(arguments: &WritingArguments, entry: &RecordEntry) 
     }
 }
 
-/// What becomes of messages until they are written.
+/// The options of the recording thread.
 pub(super) fn recording_options(
     arguments: &WritingArguments,
     entry: &RecordEntry,

@@ -1,4 +1,4 @@
-//! Default values as the `.json` files of ROS 2 packages spell them: as Python prints them.
+//! Default values as in the `.json` files of ROS 2 packages, which use Python's syntax.
 //!
 //! # References
 //! `to_idl_literal` in `rosidl_adapter/rosidl_adapter/msg/__init__.py` and `serialize_field` in
@@ -6,7 +6,7 @@
 
 use crate::msgs::definitions::Value;
 
-/// What Python's `str` gives; for a list, that of a tuple.
+/// The result of Python's `str`; lists are printed as tuples.
 pub(super) fn default_value(value: &Value) -> String {
     match value {
         Value::Text(text) => text.clone(),
@@ -14,7 +14,7 @@ pub(super) fn default_value(value: &Value) -> String {
     }
 }
 
-/// What Python's `repr` gives.
+/// The result of Python's `repr`.
 fn literal(value: &Value) -> String {
     match value {
         Value::Bool(true) => "True".into(),
@@ -29,7 +29,7 @@ fn literal(value: &Value) -> String {
     }
 }
 
-/// Both languages print the fewest digits that say which number it is, and switch to exponents at the same sizes, but
+/// Both languages print the shortest digits that round-trip, and switch to exponents at the same sizes, but
 /// Python's exponents have a sign and two digits.
 fn float_literal(float: f64) -> String {
     if float.is_nan() {
@@ -45,7 +45,7 @@ fn float_literal(float: f64) -> String {
     }
 }
 
-/// In single quotes, unless that takes an escape and double quotes do not.
+/// In single quotes, unless only double quotes avoid an escape.
 fn text_literal(text: &str) -> String {
     let quote = if text.contains('\'') && !text.contains('"') { '"' } else { '\'' };
     let mut literal = String::from(quote);
@@ -64,7 +64,7 @@ mod tests {
     use super::{Value, default_value};
 
     #[test]
-    fn values_are_spelled_as_python_prints_them() {
+    fn values_are_written_as_in_python() {
         let text = |text: &str| Value::Text(text.into());
         for (value, expected) in [
             (Value::Bool(true), "True"),

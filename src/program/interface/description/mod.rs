@@ -41,7 +41,7 @@ pub(super) fn description(arguments: &DescriptionArguments, registered: &Registe
     Ok(())
 }
 
-/// What `rosidl_generator_type_description` writes into the `.json` file of an interface.
+/// The `.json` file of an interface, as written by `rosidl_generator_type_description`.
 #[derive(Serialize)]
 struct Described {
     type_description_msg: Description,
@@ -105,7 +105,7 @@ impl Described {
 impl Individual {
     fn of(catalog: &Catalog, described: IndividualTypeDescription) -> anyhow::Result<Self> {
         let name: TypeName = described.type_name.parse()?;
-        // That of a service or action has no defaults, nor has the byte that stands for no field at all.
+        // Services and actions have no defaults, nor has the placeholder byte of empty messages.
         let defined = catalog.message(&name).map(|message| message.fields.as_slice()).unwrap_or_default();
         let fields = described.fields.into_iter().map(|(name, of)| {
             let field = defined.iter().find(|field| field.name == name);
@@ -133,7 +133,7 @@ impl TypeHash {
     }
 }
 
-/// JSON as Python writes it: what is not ASCII, in texts only, becomes an escape.
+/// Escapes non-ASCII characters, as in Python's JSON.
 fn in_ascii(json: &str) -> String {
     let mut ascii = String::with_capacity(json.len());
     for character in json.chars() {
@@ -153,7 +153,7 @@ mod tests {
     use super::in_ascii;
 
     #[test]
-    fn what_is_not_ascii_is_escaped_in_utf_16() {
+    fn non_ascii_characters_are_escaped_in_utf_16() {
         assert_eq!(in_ascii("{\n  \"ö\": \"😀\"\n}"), "{\n  \"\\u00f6\": \"\\ud83d\\ude00\"\n}");
     }
 }

@@ -1,4 +1,4 @@
-//! Parameter files: what `param dump` prints and `param load` reads.
+//! Parameter files, printed by `param dump` and read by `param load`.
 
 use std::collections::BTreeMap;
 use std::fmt::{Display, Write};
@@ -12,24 +12,24 @@ use downbeat_executor::SettingValue;
 use crate::msgs::dynamic::{YamlContext, write_yaml_float, write_yaml_text};
 use crate::robot::{NodeParameter, Source, parameters_of_nodes};
 
-/// Parameters by the parts of their names between points.
+/// Parameters by the parts of their names, separated by dots.
 #[derive(Default)]
 pub(super) struct Tree(BTreeMap<String, Branch>);
 
 enum Branch {
-    /// `None` for a parameter that is declared and not set.
+    /// `None` for a parameter that is declared but not set.
     Value(Option<SettingValue>),
     Tree(Tree),
 }
 
-/// No parameter of sense has so many parts; a deeper one stands under what is left of its name.
+/// No sensible parameter has more parts; deeper ones keep the rest of their name unsplit.
 const DEEPEST: usize = 64;
 
 impl Tree {
     pub(super) fn insert(&mut self, name: &str, value: Option<SettingValue>) {
         let (mut tree, mut rest) = (self, name);
         for _ in 0..DEEPEST {
-            // A name that stands for a value cannot hold others: these keep their points.
+            // A name with a value cannot contain others, so these keep their dots.
             let Some((first, behind)) = rest.split_once('.') else { break };
             if matches!(tree.0.get(first), Some(Branch::Value(_))) {
                 break;
@@ -43,7 +43,7 @@ impl Tree {
         tree.0.insert(rest.to_owned(), Branch::Value(value));
     }
 
-    /// As the parameter file of a node, as PyYAML writes it.
+    /// The parameter file of a node, as written by PyYAML.
     pub(super) fn to_file(&self, node: &str) -> String {
         let mut out = String::new();
         write_yaml_text(&mut out, node, YamlContext::Block, 0);
@@ -90,7 +90,7 @@ fn write_value(out: &mut String, value: &SettingValue, indentation: usize) {
 }
 
 fn write_plain(out: &mut String, value: &impl Display) {
-    // Writing to a String does not fail.
+    // Writing to a String cannot fail.
     let _ = write!(out, "{value}");
 }
 
@@ -112,7 +112,7 @@ fn write_list<T>(out: &mut String, values: &[T], indentation: usize, write: impl
     }
 }
 
-/// The parameters of a parameter file, of whatever node; those for all nodes come first and are overridden.
+/// The parameters in a parameter file, for any node; those for all nodes come first and are overridden.
 pub(super) fn values_in(
     source: &Arc<Source>,
     with_wildcard: bool,
@@ -151,7 +151,7 @@ mod tests {
         values_in(&Arc::new(Source::new(Path::new("robot.yaml"), text.to_owned())), with_wildcard)
     }
 
-    /// What PyYAML writes.
+    /// Expected output of PyYAML.
     #[test]
     fn a_dump_is_a_parameter_file() {
         let texts = [
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_for_a_node_overrides_what_is_for_all() {
+    fn values_for_a_node_override_those_for_all() {
         let file = "/robot:\n  ros__parameters: {a: 2}\n/**:\n  ros__parameters: {a: 1, b: 3}\n";
         let shown = |with_wildcard| -> Vec<_> {
             let values = read(file, with_wildcard).unwrap();

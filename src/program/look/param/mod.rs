@@ -36,27 +36,27 @@ pub(crate) enum ParamCommand {
     List(ListArguments),
     /// Print the value of a parameter.
     Get(GetArguments),
-    /// Give a parameter another value.
+    /// Set a parameter.
     Set(SetArguments),
     /// Print type, description and constraints of parameters.
     Describe(DescribeArguments),
     /// Print all parameters of a node with their values, as a parameter file.
     Dump(DumpArguments),
-    /// Give the parameters of a node the values in a parameter file.
+    /// Set the parameters of a node to the values in a parameter file.
     Load(LoadArguments),
     /// Delete a parameter.
     Delete(DeleteArguments),
 }
 
-/// The node whose parameters are meant.
+/// Selects the node.
 #[derive(Args)]
 struct NodeArguments {
     /// The node.
     node: String,
-    /// Consider also nodes whose name begins with an underscore.
+    /// Also consider nodes whose name starts with an underscore.
     #[arg(long)]
     include_hidden_nodes: bool,
-    /// Wait at most so long until the node is there, in seconds; as long as --spin-time says unless given.
+    /// Wait at most this long for the node, in seconds; default is --spin-time.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     timeout: Option<Duration>,
     #[command(flatten)]
@@ -65,18 +65,18 @@ struct NodeArguments {
 
 #[derive(Args)]
 pub(crate) struct ListArguments {
-    /// The node; all nodes unless given.
+    /// The node; default is all nodes.
     node: Option<String>,
-    /// Print only parameters whose name begins with what this regular expression matches.
+    /// Print only parameters whose name matches this regular expression at its start.
     #[arg(long, value_name = "REGEX")]
     filter: Option<String>,
-    /// Consider also nodes whose name begins with an underscore.
+    /// Also consider nodes whose name starts with an underscore.
     #[arg(long)]
     include_hidden_nodes: bool,
     /// Print only parameters below these prefixes.
     #[arg(long, value_name = "PREFIX", num_args = 1..)]
     param_prefixes: Vec<String>,
-    /// Print the types, too.
+    /// Also print the types.
     #[arg(long)]
     param_type: bool,
     #[command(flatten)]
@@ -89,7 +89,7 @@ pub(crate) struct GetArguments {
     node: NodeArguments,
     /// The parameter.
     parameter: String,
-    /// Print the value alone.
+    /// Print only the value.
     #[arg(long)]
     hide_type: bool,
 }
@@ -124,9 +124,9 @@ pub(crate) struct DumpArguments {
 pub(crate) struct LoadArguments {
     #[command(flatten)]
     node: NodeArguments,
-    /// The parameter file: what it has for any node is taken, as `ros2` does.
+    /// The parameter file: values for any node are used, as in `ros2`.
     file: PathBuf,
-    /// Leave out what the file has for all nodes, under /**.
+    /// Ignore values for all nodes, under /**.
     #[arg(long)]
     no_use_wildcard: bool,
 }
@@ -151,10 +151,10 @@ pub(crate) fn param(command: &ParamCommand, environment: &Environment<'_>) -> an
     }
 }
 
-/// How long a service of a node that is there gets to be matched, and to answer.
+/// How long a service of an existing node may take to be matched, and to answer.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// A node that has parameters.
+/// The parameters of a node.
 struct Parameters {
     look: Look,
     node: String,
@@ -192,7 +192,7 @@ impl Parameters {
         values.into_iter().map(value).collect()
     }
 
-    /// The result for each of the parameters. An empty list has the type of the parameter.
+    /// Sets parameters and returns the result for each. An empty list gets the type of the parameter.
     fn set(&self, values: &[(String, SettingValue)]) -> anyhow::Result<Vec<SetParametersResult>> {
         let message = |(name, value): &(String, SettingValue)| Parameter {
             name: name.clone(),
@@ -237,9 +237,9 @@ fn has_parameters(found: &Found, node: &str) -> bool {
 }
 
 fn list(arguments: &ListArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
-    // As `re.match` of Python: from the beginning of the name on.
+    // Like Python's `re.match`: anchored at the start of the name.
     let filter = arguments.filter.as_deref().map(|filter| Regex::new(&format!("^(?:{filter})")));
-    let filter = filter.transpose().context("--filter is no regular expression")?;
+    let filter = filter.transpose().context("--filter is not a regular expression")?;
     let look = Look::join("param", &arguments.look, environment)?;
     let only = arguments.node.as_deref().map(absolute);
     let found = match &only {
@@ -254,7 +254,7 @@ fn list(arguments: &ListArguments, environment: &Environment<'_>) -> anyhow::Res
         ensure!(is_there && (arguments.include_hidden_nodes || !is_hidden_node(node)), "Node not found");
         nodes = vec![node.clone()];
     }
-    // All at once: each takes a moment to be matched.
+    // All in parallel, since matching takes a moment.
     let clients = nodes.iter().map(|node| client::<ListParameters>(&look, node, "list_parameters"));
     let clients = clients.collect::<anyhow::Result<Vec<_>>>()?;
     let with_service: Vec<_> =
@@ -320,7 +320,7 @@ fn set(arguments: &SetArguments, environment: &Environment<'_>) -> anyhow::Resul
 
 fn delete(arguments: &DeleteArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
     let parameters = Parameters::of(&arguments.node, environment)?;
-    // Its value is of the type "not set".
+    // A value of the type "not set" deletes it.
     let parameter = Parameter { name: arguments.parameter.clone(), ..Parameter::default() };
     let results = parameters.send(vec![parameter])?;
     print_result(&results[0], "Deleted parameter successfully", "Deleting parameter failed")
@@ -346,7 +346,7 @@ fn describe(arguments: &DescribeArguments, environment: &Environment<'_>) -> any
 
 fn described(descriptor: &ParameterDescriptor) -> String {
     let mut text = format!("Parameter name: {}\n  Type: {}\n", descriptor.name, type_name(descriptor.r#type));
-    // Writing to a String does not fail.
+    // Writing to a String cannot fail.
     if !descriptor.description.is_empty() {
         let _ = writeln!(text, "  Description: {}", descriptor.description);
     }
@@ -407,7 +407,7 @@ fn load(arguments: &LoadArguments, environment: &Environment<'_>) -> anyhow::Res
             failed += 1;
         }
     }
-    // What a node dumps has parameters that are read-only, so that some are refused as a rule.
+    // Dumps contain read-only parameters, so some are usually rejected.
     ensure!(failed == 0 || failed < results.len(), "no parameter was set");
     Ok(())
 }

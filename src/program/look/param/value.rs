@@ -8,7 +8,7 @@ use crate::msgs::rcl_interfaces::msg::ParameterType;
 use crate::msgs::yaml;
 use crate::robot::setting_value;
 
-/// The name of a type of parameters in what tools print.
+/// The name of a parameter type in the output of tools.
 pub(super) fn type_name(kind: u8) -> &'static str {
     match kind {
         ParameterType::PARAMETER_BOOL => "boolean",
@@ -24,7 +24,7 @@ pub(super) fn type_name(kind: u8) -> &'static str {
     }
 }
 
-/// What `param get` prints before a value.
+/// The label that `param get` prints before a value.
 pub(super) fn label(value: &SettingValue) -> &'static str {
     match value {
         SettingValue::Bool(_) => "Boolean value is: ",
@@ -39,7 +39,7 @@ pub(super) fn label(value: &SettingValue) -> &'static str {
     }
 }
 
-/// The value as `print` of Python shows it.
+/// The value as printed by Python.
 pub(super) fn python_value(value: &SettingValue) -> String {
     match value {
         SettingValue::Bool(value) => truth(*value).to_owned(),
@@ -73,10 +73,10 @@ fn list<T>(values: &[T], write: impl Fn(&mut String, &T)) -> String {
     out + "]"
 }
 
-/// The value that a text stands for, of the type that YAML gives it. A text that is no YAML stands for itself.
+/// Parses a value with its YAML type. Text that is not YAML is a string.
 ///
 /// # Errors
-/// If it is YAML that no parameter holds, such as a map.
+/// If it is YAML that is not a parameter value, such as a map.
 pub(super) fn value_in(text: &str) -> Result<SettingValue, String> {
     match yaml::from_str::<Value>(text) {
         Err(_) | Ok(Value::Null) => Ok(SettingValue::Text(text.to_owned())),
@@ -90,7 +90,7 @@ pub(super) fn value_in(text: &str) -> Result<SettingValue, String> {
     }
 }
 
-/// Whether it is a list without elements, whose type YAML does not tell.
+/// Whether it is an empty list, whose type YAML does not determine.
 pub(super) fn is_empty_list(value: &SettingValue) -> bool {
     matches!(value, SettingValue::Integers(values) if values.is_empty())
 }
@@ -102,7 +102,7 @@ mod tests {
     use crate::bridge::expose::parameter_value;
 
     #[test]
-    fn a_value_has_the_type_that_yaml_gives_it() {
+    fn a_value_has_its_yaml_type() {
         let shown = |text: &str| {
             let value = value_in(text).unwrap();
             format!("{} {}", type_name(parameter_value(&value).r#type), python_value(&value))

@@ -1,4 +1,4 @@
-//! Makes Rust types of the interface files.
+//! Generates Rust types from the interface files.
 
 fn main() {
     downbeat_msgs_generator::compile("my_robot");

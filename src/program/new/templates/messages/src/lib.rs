@@ -9,7 +9,7 @@ mod tests {
     use crate::my_robot::msg::HeadTilt;
 
     #[test]
-    fn a_message_is_read_as_it_was_written() -> Result<(), cdr::Error> {
+    fn a_message_round_trips() -> Result<(), cdr::Error> {
         let tilt = HeadTilt { angle: 0.25, ..HeadTilt::default() };
         assert_eq!(cdr::from_slice::<HeadTilt>(&cdr::to_vec(&tilt))?, tilt);
         assert_eq!(HeadTilt::TYPE_NAME, "my_robot/msg/HeadTilt");

@@ -2,9 +2,9 @@
 //!
 //! | topic | type | |
 //! | --- | --- | --- |
-//! | `imu/data_raw` (in) | `sensor_msgs/msg/Imu` | how fast the body turns |
-//! | `joint_commands` | `sensor_msgs/msg/JointState` | where the joint `head_tilt` is to go, at 50 Hz |
-//! | `head_tilt` | `level_head_msgs/msg/HeadTilt` | what the module does, for each message of the IMU |
+//! | `imu/data_raw` (in) | `sensor_msgs/msg/Imu` | angular velocity of the body |
+//! | `joint_commands` | `sensor_msgs/msg/JointState` | goal of the joint `head_tilt`, at 50 Hz |
+//! | `head_tilt` | `level_head_msgs/msg/HeadTilt` | the module's state, for each message of the IMU |
 
 use std::time::Duration;
 
@@ -17,11 +17,11 @@ use downbeat::msgs::std_msgs::msg::Header;
 #[derive(Clone, Debug, Default, PartialEq, Message)]
 #[message(name = "level_head_msgs/msg/HeadTilt", crate = "downbeat::msgs")]
 pub struct HeadTilt {
-    /// That of the IMU.
+    /// The header of the IMU's message.
     pub header: Header,
-    /// Up is positive [rad].
+    /// Positive is up [rad].
     pub angle: f64,
-    /// True if the joint turns no further.
+    /// True if the joint is at a limit.
     pub is_at_limit: bool,
 }
 
@@ -37,7 +37,7 @@ pub struct LevelHead {
     measured: Option<Time>,
 }
 
-/// What the module publishes, and its settings.
+/// The publications and settings of the module.
 pub struct Ports {
     commands: Publication<JointState>,
     tilt: Publication<HeadTilt>,
@@ -88,7 +88,7 @@ mod tests {
 
     use super::*;
 
-    /// Passes on what the module publishes.
+    /// Forwards the messages of the module.
     struct Ear(Sender<HeadTilt>);
 
     impl Module for Ear {
@@ -99,7 +99,7 @@ mod tests {
         }
     }
 
-    /// Time stands still until the test moves it, so the result is always the same.
+    /// The test advances the clock, so the result is always the same.
     #[test]
     fn the_head_turns_against_the_body_as_far_as_the_joint_allows() -> TestResult {
         let clock = ManualClock::new(Time::ZERO);
@@ -114,7 +114,7 @@ mod tests {
         for _ in 0..3 {
             imu.publish(turning.clone())?;
             for _ in 0..3 {
-                core.cycle()?; // The message joins, the module receives it, the ear hears the module.
+                core.cycle()?; // The message joins, the module receives it, the ear receives the module's message.
             }
             clock.advance(Duration::from_secs(1));
         }

@@ -1,4 +1,4 @@
-//! The robot my_robot: what its robot files can name, with every command of downbeat.
+//! The program of the robot my_robot: its kinds of modules, with every command of downbeat.
 
 mod level_head;
 mod simulated_imu;

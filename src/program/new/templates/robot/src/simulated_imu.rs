@@ -1,4 +1,4 @@
-//! An IMU that is simulated, so that the robot runs without hardware.
+//! A simulated IMU, so that the robot runs without hardware.
 
 use std::time::Duration;
 
@@ -6,7 +6,7 @@ use downbeat::executor::{Context, Module, Publication, Setup, SetupError};
 use downbeat::msgs::builtin_interfaces::msg::Time;
 use downbeat::msgs::sensor_msgs::msg::Imu;
 
-/// The body sways about y, to and fro within two seconds.
+/// The body sways about y with a period of two seconds.
 #[derive(Default)]
 pub struct SimulatedImu {
     step: u32,
