@@ -178,7 +178,7 @@ impl App {
     /// # Errors
     /// If the file does not describe a robot, or something of it cannot start.
     pub fn start(&self, path: impl AsRef<Path>) -> Result<RunningRobot, AppError> {
-        let mut robot = PreparedRobot::new(self.robot_file(path)?, None)?;
+        let mut robot = PreparedRobot::new(self.robot_file(path)?)?;
         let options = ParticipantOptions::from_env().map_err(StartError::from)?;
         robot.expose(&options, None)?;
         Ok(robot.start()?)

@@ -277,7 +277,7 @@ fn a_robot_with_them_replays() {
         &format!("{}[record]\ntopics = \"all\"\n", &ROBOT[..ROBOT.find("[expose]").unwrap()]),
     );
     let bag = folder.path().join("bag");
-    let mut robot = PreparedRobot::new(app().robot_file(&path).unwrap(), None).unwrap();
+    let mut robot = PreparedRobot::new(app().robot_file(&path).unwrap()).unwrap();
     let plan = RecordPlan::of_robot(&bag, robot.file(), None);
     robot.record(plan).unwrap();
     let inlet = robot.core().inlet::<Tilt>("wanted").unwrap();

@@ -509,7 +509,7 @@ fn recorded_in_domain(domain: u16, command: impl FnOnce()) -> Recorded {
     let (robot, bag) = (folder.path().join("robot.toml"), folder.path().join("bag"));
     std::fs::write(&robot, format!("{ROBOT}{EXPOSED}")).unwrap();
     let app = app(&gates(0));
-    let mut prepared = PreparedRobot::new(app.robot_file(&robot).unwrap(), None).unwrap();
+    let mut prepared = PreparedRobot::new(app.robot_file(&robot).unwrap()).unwrap();
     prepared.expose(&on_loopback(domain), None).unwrap();
     let plan = RecordPlan::of_robot(&bag, prepared.file(), None);
     prepared.record(plan).unwrap();

@@ -157,75 +157,36 @@
 //! Cycles follow each other without pause while there is something to do, so this is latency, and a short one, not a
 //! share of the time of a timer.
 
-mod agenda;
-mod asked;
-mod behaviour;
-mod cell;
-mod clock;
-mod context;
-mod core;
-mod detached;
-mod error;
-mod event;
-mod guard;
-mod inlet;
-mod inspect;
-mod job;
-mod join;
-mod launcher;
-mod lifecycle;
-mod listeners;
-mod management;
-mod mechanism;
-mod messaging;
+mod api;
+mod cycle;
+mod exchange;
+mod launchers;
 mod module;
-mod module_io;
-mod options;
-mod outlet;
-mod probe;
+mod observe;
 pub mod queue;
-mod receipt;
-mod schedule;
-mod service;
-mod setting;
-mod setup;
-mod stage;
-mod thread;
+mod threads;
 mod time;
 pub mod tutorial;
-mod watchdog;
 
-pub use crate::core::{Core, CoreHandle, Idle, ModuleInfo, RunError, SyncPhase};
-pub use clock::{Clock, ManualClock, SystemClock};
-pub use context::Context;
-pub use error::SetupError;
-pub use event::{CallOrigin, ModuleCommand, ModuleEvent, ModuleEventKind};
-pub use inlet::{Inlet, InletError};
-pub use inspect::{
+pub use cycle::{
+    Core, CoreHandle, Idle, Launcher, Mechanism, MechanismKey, ModuleInfo, RunError, Stage, Step, SyncPhase,
+};
+pub use exchange::{
+    AnyMessage, AnyReceived, CallError, CallId, CallOrigin, Caller, Client, Completion, DetachedStep, Inlet,
+    InletError, Job, JobError, Kept, MessageType, ModuleCommand, ModuleEvent, ModuleEventKind, Outlet,
+    OutletInbox, Publication, Received, Reply, Responder, ServiceInfo, Setting, SettingInfo, SettingRefused,
+    SettingsChange, StandIn, StepInput, Task, TopicCounter, TopicInfo, UnknownModule,
+};
+pub use launchers::{Linear, Pool, PoolError, Scheduled, Threads};
+pub use module::{
+    Context, Inbox, LifeEvent, LifeStep, LifecycleState, Listening, Module, ModuleChange, ModuleId,
+    ModuleOptions, Port, Restart, Role, SettingType, SettingValue, Setup, SetupError, Synchrony, Transition,
+    TransitionError, TransitionRefused, Version,
+};
+pub use observe::{
     CycleStatistics, CycleTrace, Graph, GraphEdge, GraphModule, GraphOutlet, GraphService, GraphTopic,
-    ModuleState, ModuleStatistics, OutletStatistics, Snapshot, TimeStatistics, TopicStatistics, TraceEvent,
-    TraceEventKind, running_module,
+    LoopTiming, ModuleState, ModuleStatistics, OutletStatistics, Snapshot, TimeStatistics, Timing,
+    TopicStatistics, TraceEvent, TraceEventKind, running_module,
 };
-pub use job::{Completion, Job, JobError};
-pub use join::{DetachedStep, StepInput};
-pub use launcher::{Launcher, Linear, Pool, PoolError, Scheduled, Spin, Threads};
-pub use lifecycle::{LifecycleState, Transition, TransitionError, TransitionRefused};
-pub use listeners::{LifeEvent, LifeStep, Listening};
-pub use management::{ModuleId, SettingRefused, UnknownModule};
-pub use mechanism::{Mechanism, MechanismKey, Version};
-pub use messaging::{
-    AnyMessage, AnyReceived, Kept, MessageType, Publication, Received, TopicCounter, TopicInfo,
-};
-pub use module::Module;
-pub use options::{Inbox, ModuleOptions, Restart, Role, Synchrony};
-pub use outlet::{Outlet, OutletInbox};
-pub use probe::{CycleReport, Probe, StepReport};
-pub use receipt::Receipt;
-pub use schedule::Task;
-pub use service::{CallError, CallId, Caller, Client, Reply, Responder, ServiceInfo, StandIn};
-pub use setting::{Setting, SettingInfo, SettingType, SettingValue, SettingsChange};
-pub use setup::Setup;
-pub use stage::Stage;
-pub use thread::{ThreadError, ThreadOptions};
-pub use time::Time;
-pub use watchdog::Overrun;
+pub use threads::{Overrun, Receipt, Spin, ThreadError, ThreadOptions};
+pub use time::{Clock, ManualClock, SystemClock, Time};

@@ -2,13 +2,17 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 // The file itself, on threads and atomics that loom drives.
-#[path = "../src/launcher/gate.rs"]
+#[path = "../src/threads/gate.rs"]
 mod gate;
 
 mod sync {
     pub(super) use loom::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
     pub(super) use loom::sync::{Arc, Mutex};
     pub(super) use loom::thread::{Thread, current, park};
+
+    pub(super) fn unpoisoned<T>(locked: std::sync::LockResult<T>) -> T {
+        locked.unwrap()
+    }
 }
 
 use gate::{Gate, Patience, Seat};

@@ -14,7 +14,7 @@ struct Ledger {
 
 impl Mechanism for Ledger {
     type View = Vec<String>;
-    type Request = u32;
+    type Port = Vec<u32>;
 
     const NAME: &'static str = "ledger";
     const VERSION: Version = Version::new(1, 2);
@@ -24,7 +24,9 @@ impl Mechanism for Ledger {
     }
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
-        phase.take_requests::<Self>(&mut self.requests);
+        let requests = &mut self.requests;
+        phase
+            .each_port::<Self>(|module, port| requests.extend(port.drain(..).map(|number| (module, number))));
         for (module, number) in self.requests.drain(..) {
             let name = phase.module_name(module).unwrap_or("nobody").to_owned();
             let entry = format!("{} {name} {number}", phase.cycle());
@@ -39,7 +41,7 @@ struct OtherLedger;
 
 impl Mechanism for OtherLedger {
     type View = ();
-    type Request = ();
+    type Port = Vec<()>;
 
     const NAME: &'static str = "ledger";
     const VERSION: Version = Version::new(1, 2);

@@ -125,7 +125,7 @@ struct Guestbook(Sender<ModuleId>);
 
 impl Mechanism for Guestbook {
     type View = ();
-    type Request = ();
+    type Port = Vec<()>;
 
     const NAME: &'static str = "guestbook";
     const VERSION: Version = Version::new(1, 0);

@@ -1,6 +1,5 @@
 //! `downbeat run`
 
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::bags::{Recording, RecordingSummary};
@@ -15,7 +14,7 @@ use super::faults::Faults;
 use super::logging::Log;
 use super::new_output::Output;
 use super::screen::Screen;
-use super::statistics::Statistics;
+use super::statistics::{Statistics, Times};
 use super::status::{Sources, StatusBlock};
 use super::stop::Stop;
 
@@ -46,7 +45,7 @@ pub(crate) fn run(
 /// A robot whose state is shown on the screen while it runs.
 pub(crate) struct WatchedRobot {
     pub(crate) prepared: PreparedRobot,
-    statistics: Arc<Statistics>,
+    statistics: Statistics,
     faults: Faults,
 }
 
@@ -55,8 +54,9 @@ const LOG_INTERVAL: Duration = Duration::from_secs(10);
 
 impl WatchedRobot {
     pub(crate) fn new(file: RobotFile) -> anyhow::Result<Self> {
-        let statistics = Arc::new(Statistics::of(file.modules.iter().map(|module| module.name.clone())));
-        let mut prepared = PreparedRobot::new(file, Some(Arc::clone(&statistics) as _))?;
+        let modules: Vec<_> = file.modules.iter().map(|module| module.name.clone()).collect();
+        let mut prepared = PreparedRobot::new(file)?;
+        let statistics = Statistics::of(prepared.core().handle(), modules);
         let faults = Faults::watch(prepared.core())?;
         Ok(Self { prepared, statistics, faults })
     }
@@ -110,9 +110,9 @@ impl WatchedRobot {
 
 fn tell(statistics: &Statistics, summary: Option<&RecordingSummary>) {
     let collected = statistics.collected();
-    tracing::info!("{} cycles: {}", collected.cycles, collected.cycle);
-    for (module, times) in &collected.detached {
-        tracing::info!("{module}: period {}; busy {}", times.period, times.busy);
+    tracing::info!("{} cycles: {}", collected.cycles, Times(collected.cycle));
+    for known in &collected.loops {
+        tracing::info!("{}: period {}; busy {}", known.module, Times(known.period), Times(known.busy));
     }
     let Some(summary) = summary else { return };
     let (messages, lost) = (summary.message_count(), summary.lost_count());

@@ -8,7 +8,7 @@ use crate::bridge::middleware::Direction;
 use crate::executor::TopicInfo;
 
 use super::faults::Faults;
-use super::statistics::Statistics;
+use super::statistics::{Statistics, Times};
 use super::wrap::{Line, shorten, wrap};
 
 /// The data of the status block.
@@ -85,10 +85,10 @@ impl<'a> StatusBlock<'a> {
     fn cycles(&mut self, now: Instant) -> Vec<String> {
         let collected = self.sources.statistics.collected();
         let rate = self.cycles.update(now, vec![collected.cycles])[0];
-        let mut lines = vec![labelled("cycle", &format!("{}   {rate:.0}/s", collected.cycle))];
-        for (module, times) in &collected.detached {
-            lines.push(labelled(module, &format!("period {}", times.period)));
-            lines.push(labelled("", &format!("busy   {}", times.busy)));
+        let mut lines = vec![labelled("cycle", &format!("{}   {rate:.0}/s", Times(collected.cycle)))];
+        for known in &collected.loops {
+            lines.push(labelled(&known.module, &format!("period {}", Times(known.period))));
+            lines.push(labelled("", &format!("busy   {}", Times(known.busy))));
         }
         lines
     }

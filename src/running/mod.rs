@@ -32,7 +32,7 @@ use downbeat_bridge::network::NetworkError;
 use downbeat_bridge::robot_description::RobotDescriptionError;
 use downbeat_bridge::ros::NodeError;
 use downbeat_bridge::rosout::RosoutError;
-use downbeat_executor::{Core, CoreHandle, Probe, RunError, SetupError};
+use downbeat_executor::{Core, CoreHandle, RunError, SetupError};
 
 pub use node::{NodeLog, RobotNode};
 pub use recording::RecordPlan;
@@ -127,16 +127,13 @@ pub struct PreparedRobot {
 }
 
 impl PreparedRobot {
-    /// Builds a core with the modules of the file. The core reports its cycles to the probe, if there is one.
+    /// Builds a core with the modules of the file.
     ///
     /// # Errors
     /// If a module cannot be set up as the file says.
-    pub fn new(file: RobotFile, probe: Option<Arc<dyn Probe>>) -> Result<Self, StartError> {
+    pub fn new(file: RobotFile) -> Result<Self, StartError> {
         let clock = NodeClock::default();
         let mut core = Core::new().with_clock(clock.clone());
-        if let Some(probe) = probe {
-            core = core.with_probe(probe);
-        }
         let diagnostics = add_diagnostics(&mut core, &file)?;
         Ok(Self { robot: file.build(core)?, clock, diagnostics, node: None, recording: None })
     }

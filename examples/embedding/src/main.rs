@@ -47,7 +47,7 @@ fn main() -> Result<(), Failure> {
     let follower = app.start("follower.toml")?;
 
     // Step by step: here without a node, and with an inlet, an outlet, and a recording.
-    let mut leader = PreparedRobot::new(app.robot_file("leader.toml")?, None)?;
+    let mut leader = PreparedRobot::new(app.robot_file("leader.toml")?)?;
     let leader_goal = leader.core().inlet("goal")?;
     let (sender, leader_positions) = channel();
     let leader_outlet = leader.core().outlet("position", Inbox::KeepAll, pass_to(sender))?;

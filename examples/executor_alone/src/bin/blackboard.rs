@@ -18,11 +18,8 @@ use downbeat_executor::{
     SetupError, SyncPhase, Threads, Time, Version,
 };
 
-/// The mechanism: keeps who wrote what.
-#[derive(Default)]
-struct Blackboard {
-    requests: Vec<(ModuleId, Entry)>,
-}
+/// The mechanism.
+struct Blackboard;
 
 /// What a module asks to have written.
 struct Entry {
@@ -30,7 +27,7 @@ struct Entry {
     value: f64,
 }
 
-/// What modules see of it.
+/// What modules see of it, with who wrote it.
 #[derive(Default)]
 struct Board(BTreeMap<&'static str, (f64, ModuleId)>);
 
@@ -42,7 +39,7 @@ impl Board {
 
 impl Mechanism for Blackboard {
     type View = Board;
-    type Request = Entry;
+    type Port = Vec<Entry>;
 
     const NAME: &'static str = "blackboard";
     const VERSION: Version = Version::new(1, 0);
@@ -52,10 +49,13 @@ impl Mechanism for Blackboard {
     }
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
-        phase.take_requests::<Self>(&mut self.requests);
-        for (module, Entry { name, value }) in self.requests.drain(..) {
-            phase.view::<Self>().0.insert(name, (value, module));
-        }
+        let mut board = std::mem::take(phase.view::<Self>());
+        phase.each_port::<Self>(|module, entries| {
+            for Entry { name, value } in entries.drain(..) {
+                board.0.insert(name, (value, module));
+            }
+        });
+        *phase.view::<Self>() = board;
     }
 
     fn module_left(&mut self, module: ModuleId, phase: &mut SyncPhase<'_>) {
@@ -112,8 +112,7 @@ impl Module for Fan {
 /// What the fan has seen and done in seven periods, and at the end.
 fn run(launcher: impl Launcher + 'static) -> Result<Vec<String>, Box<dyn Error>> {
     let clock = ManualClock::new(Time::ZERO);
-    let mut core =
-        Core::new().with_launcher(launcher).with_clock(clock.clone()).with_mechanism(Blackboard::default());
+    let mut core = Core::new().with_launcher(launcher).with_clock(clock.clone()).with_mechanism(Blackboard);
     let (heard, log) = channel();
     core.add("motor", Motor { temperature: 20.0 })?;
     core.add("fan", Fan { heard })?;

@@ -1,0 +1,448 @@
+//! The core: owns the modules and the mechanisms, and runs the cycles.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::time::Duration;
+
+use crossbeam::sync::Parker;
+
+use super::agenda::Asker;
+use super::detached::DetachedModule;
+use super::mechanism::Mechanisms;
+use super::phase::{CoreLife, CoreState, Pause, SyncPhase};
+use super::stage::{Launcher, StageHolder};
+use crate::module::{Input, Link, Place};
+use crate::observe::{CycleInfo, Measuring, spans_are_on};
+use crate::threads::{Watch, end_of, reason};
+use crate::{Role, ThreadError, Time};
+
+/// Why a core cannot run.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The clock has to be moved by hand.
+    #[error("this clock does not go on by itself; set it and call `cycle`, or use a clock that does")]
+    ClockStandsStill,
+    /// The core was stopped.
+    #[error("this core has stopped, and a stopped core does not start again; make a new one")]
+    Stopped,
+    /// The core's own thread, or one of its launcher, cannot run as configured.
+    #[error(transparent)]
+    Launcher(#[from] ThreadError),
+    /// The thread of a detached module cannot start, or not run as configured.
+    #[error("detached module \"{module}\": {source}")]
+    Thread {
+        /// The module.
+        module: String,
+        /// What the system said.
+        source: ThreadError,
+    },
+}
+
+/// What [`Core::run`] does while nothing is due.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Idle {
+    /// Its thread sleeps until something is.
+    #[default]
+    Park,
+    /// Its thread looks again and again: it reacts a few microseconds sooner and keeps a processor busy.
+    Spin,
+}
+
+/// Owns the modules of a robot and runs them in cycles: a process phase, in which modules run, and a sync
+/// phase, in which what they asked for takes effect.
+pub struct Core {
+    pub(crate) stage: StageHolder,
+    pub(crate) state: CoreState,
+    pub(crate) mechanisms: Mechanisms,
+    pub(crate) launcher: Box<dyn Launcher>,
+    pub(crate) idle: Idle,
+    /// Of the whole cycle.
+    pub(crate) watch: Option<Watch>,
+    /// What is called when the core has stopped.
+    pub(crate) at_end: Vec<Box<dyn FnOnce() + Send>>,
+    parker: Parker,
+    /// The time of the last cycle.
+    last_now: Time,
+    /// True if the core slept before the cycle.
+    has_slept: bool,
+}
+
+impl Core {
+    /// A core without mechanisms.
+    pub(crate) fn bare(launcher: impl Launcher + 'static, clock: impl crate::Clock + 'static) -> Self {
+        let parker = Parker::new();
+        let link = Arc::new(Link::new(parker.unparker().clone()));
+        Self {
+            stage: StageHolder::Own(Box::default()),
+            state: CoreState::new(Arc::new(clock), link),
+            mechanisms: Mechanisms::default(),
+            launcher: Box::new(launcher),
+            idle: Idle::default(),
+            watch: None,
+            at_end: Vec::new(),
+            parker,
+            last_now: Time::from_nanos(i64::MIN),
+            has_slept: false,
+        }
+    }
+
+    /// The core as mechanisms see it, between two cycles.
+    pub(crate) fn between_cycles(&mut self) -> SyncPhase<'_> {
+        SyncPhase::new(self.stage.exclusive(), &mut self.state, &mut self.mechanisms, self.last_now)
+    }
+
+    /// Runs cycles until [`CoreHandle::stop`](crate::CoreHandle::stop) is called, then stops the modules. Sleeps while
+    /// nothing is due, unless it is to spin.
+    ///
+    /// # Errors
+    /// If the clock does not go on by itself, a thread cannot be started, or the core was stopped before.
+    pub fn run(&mut self) -> Result<(), RunError> {
+        if !self.state.clock.runs_by_itself() {
+            return Err(RunError::ClockStandsStill);
+        }
+        while !self.state.link.stop_is_requested() {
+            match &mut self.state.pause {
+                Pause::Paused { steps: 0 } => self.attend(),
+                Pause::Paused { steps } => {
+                    *steps -= 1;
+                    self.cycle()?;
+                }
+                Pause::Running => {
+                    self.cycle()?;
+                    self.wait();
+                }
+            }
+        }
+        self.stop();
+        Ok(())
+    }
+
+    /// Runs one cycle at the time the clock shows. The first one starts the modules.
+    ///
+    /// # Errors
+    /// If a thread of a detached module cannot be started, or the core was stopped.
+    pub fn cycle(&mut self) -> Result<(), RunError> {
+        if self.state.life != CoreLife::Running {
+            self.start()?;
+        }
+        if self.state.link.take_clock_announcement() {
+            self.state.detached.iter().flatten().for_each(DetachedModule::wake);
+        }
+        let now = self.state.clock.now();
+        if now < self.last_now {
+            self.go_back(now);
+        }
+        self.last_now = now;
+        let measuring = self.state.inspector.begin();
+        if measuring.is_on() || self.watch.is_some() || spans_are_on() {
+            self.observed_cycle(now, measuring);
+        } else {
+            self.process_and_sync(now);
+        }
+        self.has_slept = false;
+        Ok(())
+    }
+
+    #[cold]
+    fn observed_cycle(&mut self, now: Time, measuring: Measuring) {
+        let cycle = self.state.cycle;
+        let _span = tracing::trace_span!("cycle", number = cycle, time = %now).entered();
+        if let Some(watch) = &self.watch {
+            watch.begin();
+        }
+        self.stage.exclusive().measuring = measuring;
+        let due = if measuring.is_on() { self.earliest_due() } else { Time::MAX };
+        self.process_and_sync(now);
+        if let Some(watch) = &self.watch {
+            watch.end();
+        }
+        if measuring.is_on() {
+            let lateness = (due <= now).then(|| now.saturating_since(due));
+            self.take_readings(CycleInfo { cycle, lateness, has_slept: self.has_slept });
+        }
+    }
+
+    /// When the core has something to do next: now, at a timer's time, or never by itself.
+    #[must_use]
+    pub fn next_event(&mut self) -> Option<Time> {
+        let has_to_start = self.state.life == CoreLife::New && !self.state.members.is_empty();
+        if self.state.life == CoreLife::Stopped {
+            return None;
+        }
+        if self.has_work() || has_to_start {
+            return Some(self.state.clock.now());
+        }
+        Some(self.earliest_due()).filter(|&due| due < Time::MAX)
+    }
+
+    #[cold]
+    fn start(&mut self) -> Result<(), RunError> {
+        if self.state.life == CoreLife::Stopped {
+            return Err(RunError::Stopped);
+        }
+        // A core that cannot start as a whole does not start later with what is left of it.
+        let started = self.start_threads();
+        self.state.life = if started.is_ok() { CoreLife::Running } else { CoreLife::Stopped };
+        started
+    }
+
+    fn start_threads(&mut self) -> Result<(), RunError> {
+        self.launcher.attach()?;
+        self.between_cycles().each_mechanism(|mechanism, phase| mechanism.started(phase));
+        let CoreState { detached, clock, link, pause, .. } = &mut self.state;
+        detached.iter_mut().flatten().try_for_each(|module| {
+            let started = module.start(clock, link, *pause != Pause::Running);
+            started.map_err(|source| RunError::Thread { module: module.name.to_string(), source })
+        })
+    }
+
+    /// The clock is that of somebody else, and has gone back. Detached modules notice it themselves.
+    #[cold]
+    fn go_back(&mut self, now: Time) {
+        let by = self.last_now.saturating_since(now).as_secs_f64();
+        tracing::warn!("the clock went back by {by} s to {now}: timers start again from there");
+        let stage = self.stage.exclusive();
+        for slot in 0..stage.cells.slots() {
+            if let Some(cell) = stage.cells.get(slot) {
+                cell.go_back(now);
+                self.state.agenda.wake_at(slot, cell.next_due());
+            }
+        }
+    }
+
+    fn take_readings(&mut self, info: CycleInfo) {
+        let stage = self.stage.exclusive();
+        stage.measuring = Measuring::Nothing;
+        self.state.inspector.synced();
+        for nth in 0..stage.runnable.len() {
+            // A module that was removed in this cycle is not there any more.
+            if let Some(cell) = stage.cells.get(stage.runnable[nth].slot)
+                && let Some(span) = cell.span.take()
+            {
+                self.state.inspector.ran(&mut cell.meter, &cell.io.name, info.cycle, &span);
+            }
+        }
+        self.state.inspector.end(info);
+    }
+
+    fn process_and_sync(&mut self, now: Time) {
+        if !self.mechanisms.begin.is_empty() {
+            self.process_begins();
+        }
+        let stage = if self.launcher.is_linear() {
+            let stage = self.stage.exclusive();
+            stage.begin(now);
+            self.state.agenda.take(now, &mut stage.runnable);
+            stage.run_all();
+            stage
+        } else {
+            self.process(now);
+            self.stage.exclusive()
+        };
+        SyncPhase::new(stage, &mut self.state, &mut self.mechanisms, now).run();
+        if !self.state.freed_slots.is_empty() {
+            self.free_slots();
+        }
+    }
+
+    fn process(&mut self, now: Time) {
+        if !self.mechanisms.begin.is_empty() {
+            self.process_begins();
+        }
+        let stage = self.stage.exclusive();
+        stage.begin(now);
+        self.state.agenda.take(now, &mut stage.runnable);
+        if !stage.runnable.is_empty() {
+            self.launcher.process(self.stage.shared());
+        }
+    }
+
+    fn sync(&mut self, now: Time) {
+        SyncPhase::new(self.stage.exclusive(), &mut self.state, &mut self.mechanisms, now).run();
+        self.free_slots();
+    }
+
+    #[cold]
+    fn process_begins(&mut self) {
+        let begin = std::mem::take(&mut self.mechanisms.begin);
+        for number in 0..self.mechanisms.len() {
+            if begin.has(crate::module::Asked::of(number))
+                && let Some(mut mechanism) = self.mechanisms.take(number)
+            {
+                mechanism.process_begins();
+                self.mechanisms.put_back(number, mechanism);
+            }
+        }
+    }
+
+    #[cold]
+    fn free_slots(&mut self) {
+        self.state.freed_slots.drain(..).for_each(|slot| self.launcher.slot_freed(slot));
+    }
+
+    /// While the core is paused: lets others look at it, and waits.
+    fn attend(&mut self) {
+        let is_paused = self.state.pause;
+        self.between_cycles().attend();
+        if self.state.pause == is_paused && !self.state.link.stop_is_requested() {
+            self.parker.park();
+        }
+    }
+
+    fn wait(&mut self) {
+        if self.has_work() || self.state.link.stop_is_requested() {
+            return;
+        }
+        if self.idle == Idle::Spin {
+            return std::hint::spin_loop();
+        }
+        match self.earliest_due() {
+            Time::MAX => {
+                self.has_slept = true;
+                self.parker.park();
+            }
+            due => {
+                let remaining = due.saturating_since(self.state.clock.now());
+                if remaining > Duration::ZERO {
+                    self.has_slept = true;
+                    self.parker.park_timeout(remaining);
+                }
+            }
+        }
+    }
+
+    /// True if the next cycle has something to do whatever the time is.
+    fn has_work(&self) -> bool {
+        self.state.agenda.has_ready() || self.mechanisms.has_work() || !self.state.link.is_empty()
+    }
+
+    /// The earliest time for which somebody asked.
+    fn earliest_due(&mut self) -> Time {
+        self.mechanisms.earliest_due().min(self.state.agenda.earliest_due())
+    }
+
+    /// Runs the modules' last callbacks: parts in the reverse order of registration, then observers in the
+    /// order of registration. What each publishes last is delivered before the next one stops; what had come
+    /// before is delivered before the first one does.
+    ///
+    /// Outlets come after all of them: their sinks take what waits, and are dropped.
+    ///
+    /// It waits for sinks, and for detached modules that are in a callback, and logs which. A stopped core does not start
+    /// again.
+    pub fn stop(&mut self) {
+        if self.state.life != CoreLife::Running {
+            self.state.life = CoreLife::Stopped;
+            return self.end();
+        }
+        // Nobody would take what came from now on.
+        self.state.link.close();
+        self.state.link.request_stop();
+        self.settle();
+        let members = &self.state.members;
+        let parts = members.iter().rev().filter(|member| member.role() == Role::Part);
+        let observers = members.iter().filter(|member| member.role() == Role::Observer);
+        let order: Vec<_> = parts.chain(observers).map(|member| member.id).collect();
+        for id in order {
+            match id.place {
+                Place::Attached(slot) => self.shut_down(id.order, slot),
+                Place::Detached(slot) => {
+                    if let Some(module) = &mut self.state.detached[slot] {
+                        module.stop();
+                    }
+                }
+            }
+            self.settle();
+        }
+        self.state.life = CoreLife::Stopped;
+        // Mechanisms answer those outside who still wait.
+        self.between_cycles().ask_all();
+        self.sync(self.state.clock.now());
+        self.end();
+    }
+
+    /// Ends what modules outlive: outlets take what waits for them.
+    fn end(&mut self) {
+        self.mechanisms.each().for_each(|mechanism| mechanism.stopped());
+        self.state.link.end();
+        for then in std::mem::take(&mut self.at_end) {
+            if let Err(panic) = catch_unwind(AssertUnwindSafe(then)) {
+                tracing::error!("panicked when the core had stopped: {}", end_of(panic));
+            }
+        }
+    }
+
+    /// A cycle at whose end the module runs its last callback. It and the others receive what was on its way before:
+    /// a sync phase alone would make that stale.
+    fn shut_down(&mut self, order: u64, slot: usize) {
+        let now = self.state.clock.now();
+        self.process(now);
+        let stage = self.stage.exclusive();
+        if let Some(cell) = stage.cells.get(slot) {
+            cell.shutdown(Input::Views(&stage.views), now);
+            let asked = cell.take_asked();
+            if let Some(panic) = cell.take_panic() {
+                tracing::error!(module = &**cell.name(), "panicked in its shutdown: {panic}");
+            }
+            stage.note_asker(Asker { order, slot, asked });
+        }
+        self.sync(now);
+    }
+
+    /// One cycle takes the last messages over, the next delivers them.
+    fn settle(&mut self) {
+        for _ in 0..2 {
+            let now = self.state.clock.now();
+            self.process_and_sync(now);
+        }
+    }
+}
+
+impl Drop for Core {
+    /// Stops a core that still runs.
+    fn drop(&mut self) {
+        if self.state.life == CoreLife::Running
+            && let Err(panic) = catch_unwind(AssertUnwindSafe(|| self.stop()))
+        {
+            tracing::error!("panicked while it was stopped: {}", reason(&*panic));
+        }
+        self.state.link.request_stop();
+        self.state.link.end();
+    }
+}
+
+/// Asks a running core for something from any thread; from [`Core::handle`](crate::Core::handle).
+///
+/// What it asks for takes effect in the next sync phase. The receipt reports the result; it may be dropped by
+/// callers who do not need that.
+///
+/// ```
+/// use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+///
+/// struct Walker;
+///
+/// impl Module for Walker {
+///     type Ports = ();
+///
+///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+///         setup.setting_in("step_length", 0.04, 0.0..=0.08, "in x of base_footprint, m")?;
+///         Ok(())
+///     }
+/// }
+///
+/// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+/// core.add("walker", Walker)?;
+/// let handle = core.handle();
+/// let set = handle.set("walker", "step_length", 0.06);
+/// let paused = handle.pause_module("walker");
+/// let mistaken = handle.pause_module("walkre");
+/// core.cycle()?; // Answers them all in its sync phase.
+/// assert!(set.try_take().unwrap().is_ok());
+/// assert!(paused.try_take().unwrap().is_ok());
+/// assert!(mistaken.try_take().unwrap().unwrap_err().to_string().contains("walker"));
+/// assert!(core.modules()[0].is_paused);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone)]
+pub struct CoreHandle {
+    pub(crate) link: Arc<Link>,
+}

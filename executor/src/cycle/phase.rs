@@ -1,0 +1,447 @@
+//! The sync phase, and the core as mechanisms see it.
+
+use std::any::Any;
+use std::sync::Arc;
+
+use super::agenda::{Agenda, Asker};
+use super::detached::{DetachedModule, Parcel};
+use super::mechanism::{AnyMechanism, CoreHost, Mechanism, Mechanisms, Step};
+use super::members::{Member, Members, ModuleInfo};
+use super::stage::Stage;
+use crate::module::{Asked, Causes, Link, ModuleCell, Place, Post, StepOutcome, Use, UseEnds};
+use crate::observe::{Inspector, ModuleMeter};
+use crate::threads::Watchdog;
+use crate::{Clock, ModuleChange, ModuleId, Role, Time};
+
+/// What the core knows beside its stage and its mechanisms.
+pub(crate) struct CoreState {
+    pub(crate) clock: Arc<dyn Clock>,
+    pub(crate) link: Arc<Link>,
+    pub(crate) members: Members,
+    pub(crate) agenda: Agenda,
+    /// By slot.
+    pub(crate) detached: Vec<Option<DetachedModule>>,
+    /// The modules that asked for something in this cycle, in the order of registration.
+    pub(crate) askers: Vec<Asker>,
+    /// The runs of detached modules that joined in this sync phase, in the order in which they ended.
+    pub(crate) steps: Vec<StepOutcome>,
+    /// Modules whose last callback has run, by their place in the order of registration.
+    pub(crate) leaving: Vec<u64>,
+    /// When modules start again after a panic, by their place in the order of registration.
+    pub(crate) restarts: Vec<(Time, u64)>,
+    /// Modules that are gone and of which the mechanisms do not know yet.
+    pub(crate) gone: Vec<ModuleId>,
+    /// Slots of the stage that were freed in this sync phase.
+    pub(crate) freed_slots: Vec<usize>,
+    pub(crate) inspector: Inspector,
+    pub(crate) watchdog: Watchdog,
+    /// Counts the cycles from 0.
+    pub(crate) cycle: u64,
+    pub(crate) life: CoreLife,
+    pub(crate) pause: Pause,
+    /// True if what modules ask of themselves is dropped, but for their removal.
+    pub(crate) drops_commands_to_self: bool,
+}
+
+/// Where a core is in its life.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum CoreLife {
+    New,
+    Running,
+    Stopped,
+}
+
+/// Whether the whole core is held.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Pause {
+    #[default]
+    Running,
+    /// Runs so many more cycles.
+    Paused { steps: u32 },
+}
+
+impl CoreState {
+    pub(crate) fn new(clock: Arc<dyn Clock>, link: Arc<Link>) -> Self {
+        Self {
+            clock,
+            inspector: Inspector::new(Arc::clone(&link.timing)),
+            link,
+            members: Members::default(),
+            agenda: Agenda::default(),
+            detached: Vec::new(),
+            askers: Vec::new(),
+            steps: Vec::new(),
+            leaving: Vec::new(),
+            restarts: Vec::new(),
+            gone: Vec::new(),
+            freed_slots: Vec::new(),
+            watchdog: Watchdog::new(),
+            cycle: 0,
+            life: CoreLife::New,
+            pause: Pause::default(),
+            drops_commands_to_self: false,
+        }
+    }
+
+    pub(crate) fn free_detached_slot(&mut self) -> usize {
+        self.detached.iter().position(Option::is_none).unwrap_or_else(|| {
+            self.detached.push(None);
+            self.detached.len() - 1
+        })
+    }
+
+    /// The detached module, unless it is gone.
+    pub(crate) fn detached(&mut self, module: ModuleId) -> Option<&mut DetachedModule> {
+        let Place::Detached(slot) = module.place else { return None };
+        self.detached.get_mut(slot)?.as_mut().filter(|known| known.id == module)
+    }
+
+    /// What is known of the modules, in the order of registration.
+    pub(crate) fn modules(&self, stage: &Stage) -> Vec<ModuleInfo> {
+        let describe = |member: &Member| {
+            let (state, is_paused) = match member.id.place {
+                Place::Attached(slot) => stage.cells.look(slot, |cell| (cell.state(), cell.is_paused()))?,
+                Place::Detached(slot) => {
+                    self.detached[slot].as_ref().map(|module| (module.state, module.is_paused))?
+                }
+            };
+            let is_detached = matches!(member.id.place, Place::Detached(_));
+            let (name, role, restarts) = (Arc::clone(&member.name), member.role(), member.restarts);
+            Some(ModuleInfo { name, state, role, is_detached, is_paused, restarts })
+        };
+        self.members.iter().filter_map(describe).collect()
+    }
+}
+
+/// The core between two process phases: what a [`Mechanism`] works on. No module runs while it is there.
+pub struct SyncPhase<'a> {
+    pub(crate) stage: &'a mut Stage,
+    pub(crate) state: &'a mut CoreState,
+    pub(crate) mechanisms: &'a mut Mechanisms,
+    pub(crate) now: Time,
+    /// The mechanisms that take part.
+    asked: Asked,
+    /// Those of them of which other threads said that something waits in queues of theirs.
+    announced: Asked,
+}
+
+impl<'a> SyncPhase<'a> {
+    pub(crate) fn new(
+        stage: &'a mut Stage,
+        state: &'a mut CoreState,
+        mechanisms: &'a mut Mechanisms,
+        now: Time,
+    ) -> Self {
+        Self { stage, state, mechanisms, now, asked: Asked::default(), announced: Asked::default() }
+    }
+
+    /// What was asked for in the process phase takes effect.
+    pub(crate) fn run(&mut self) {
+        self.state.inspector.processed();
+        self.stage.take_askers(&mut self.state.askers);
+        self.asked = self.mechanisms.begin_phase(self.now);
+        for asker in &self.state.askers {
+            self.asked.add(asker.asked);
+        }
+        self.announced = self.state.link.take_announcements();
+        self.asked.add(self.announced);
+        if self.state.link.has_posts() {
+            self.join(None);
+        }
+        self.asked.add(self.mechanisms.posted);
+        let mut from = 0;
+        while let Some(number) = self.asked.next(from) {
+            self.run_mechanism(number);
+            from = number + 1;
+        }
+        if from > 63 {
+            (64..self.mechanisms.len()).for_each(|number| self.run_mechanism(number));
+        }
+        if !(self.state.leaving.is_empty() && self.state.gone.is_empty() && self.state.steps.is_empty()) {
+            self.finish();
+        }
+        self.state.cycle += 1;
+        self.state.inspector.count_cycles(self.state.cycle);
+    }
+
+    #[inline]
+    fn run_mechanism(&mut self, number: usize) {
+        self.mechanisms.posted.remove(Asked::of(number));
+        if let Some(mut mechanism) = self.mechanisms.take(number) {
+            mechanism.sync(self);
+            self.mechanisms.put_back(number, mechanism);
+        }
+    }
+
+    /// Gives mechanisms what other threads have posted. What comes while this runs waits for the next cycle, so that a
+    /// busy thread cannot hold this one.
+    #[cold]
+    fn join(&mut self, mut running: Option<(usize, &mut dyn Any)>) {
+        for _ in 0..self.state.link.len() {
+            match self.state.link.pop() {
+                Some(Post::To(number, change)) => {
+                    self.mechanisms.posted.add(Asked::of(number));
+                    match &mut running {
+                        Some((known, mechanism)) if *known == number => change(*mechanism),
+                        _ => {
+                            if let Some(mechanism) = self.mechanisms.any(number) {
+                                change(mechanism);
+                            }
+                        }
+                    }
+                }
+                Some(Post::Step(mut outcome)) => {
+                    let StepOutcome { module, number, time, .. } = *outcome;
+                    for (mechanism, part) in std::mem::take(&mut outcome.parts) {
+                        self.mechanisms.join(mechanism, Step { module, number, time }, part);
+                    }
+                    (0..self.mechanisms.len())
+                        .for_each(|number| self.mechanisms.posted.add(Asked::of(number)));
+                    self.state.steps.push(*outcome);
+                }
+                None => break,
+            }
+        }
+        self.asked.add(self.mechanisms.posted);
+    }
+
+    /// Gives mechanisms what other threads have posted since the phase began; the one that runs is that of the number.
+    pub(crate) fn join_again(&mut self, number: usize, running: &mut dyn Any) {
+        self.join(Some((number, running)));
+    }
+
+    /// Gives mechanisms what other threads have posted while the core is paused, and lets them look at it.
+    pub(crate) fn attend(&mut self) {
+        if self.state.link.has_posts() {
+            self.join(None);
+        }
+        self.each_mechanism(|mechanism, phase| mechanism.paused(phase));
+    }
+
+    pub(crate) fn each_mechanism(&mut self, mut visit: impl FnMut(&mut dyn AnyMechanism, &mut Self)) {
+        for number in 0..self.mechanisms.len() {
+            if let Some(mut mechanism) = self.mechanisms.take(number) {
+                visit(&mut *mechanism, self);
+                self.mechanisms.put_back(number, mechanism);
+            }
+        }
+    }
+
+    /// Frees what the modules held that were removed: at the end of the sync phase, when their last messages are on
+    /// their way.
+    #[cold]
+    fn finish(&mut self) {
+        self.state.steps.clear();
+        for order in std::mem::take(&mut self.state.leaving) {
+            let Some(mut member) = self.state.members.take(order) else { continue };
+            self.give_back(&mut member, None);
+            drop(self.vacate(member.id));
+            if let Place::Attached(slot) = member.id.place {
+                self.state.freed_slots.push(slot);
+            }
+            self.state.gone.push(member.id);
+        }
+        for module in std::mem::take(&mut self.state.gone) {
+            self.each_mechanism(|mechanism, phase| mechanism.module_left(module, phase));
+        }
+    }
+
+    /// Ends what the module uses by name: all of it, or what ends at its removal.
+    pub(crate) fn give_back(&mut self, member: &mut Member, ends: Option<UseEnds>) {
+        let host = &mut CoreHost { views: &mut self.stage.views, mechanisms: self.mechanisms };
+        let ended = member.uses.extract_if(.., |used| ends.is_none_or(|ends| used.ends == ends));
+        for used in ended.collect::<Vec<Use>>() {
+            (used.give_back)(host, member.id, used);
+        }
+    }
+
+    /// Drops the module in the place. Returns what it counted.
+    pub(crate) fn vacate(&mut self, id: ModuleId) -> Option<ModuleMeter> {
+        match id.place {
+            Place::Attached(slot) => {
+                self.state.agenda.leave(slot);
+                let mut cell = self.stage.cells.take(slot)?;
+                // Those who wait for an answer of it receive an error.
+                let module = Arc::clone(cell.name());
+                cell.io.asked = Asked::default();
+                cell.io.changed(ModuleChange::Inactive { module: &module });
+                for (number, part) in cell.io.split_off() {
+                    self.mechanisms.join(number, Step { module: id, number: 0, time: self.now }, part);
+                    self.ask(number);
+                }
+                Some(std::mem::take(&mut cell.meter))
+            }
+            Place::Detached(slot) => {
+                self.state.detached[slot].take().map(|mut module| std::mem::take(&mut module.meter))
+            }
+        }
+    }
+
+    /// The time of the cycle.
+    #[must_use]
+    pub fn now(&self) -> Time {
+        self.now
+    }
+
+    /// Counts the cycles from 0.
+    #[must_use]
+    pub fn cycle(&self) -> u64 {
+        self.state.cycle
+    }
+
+    /// What modules see of the mechanism from the next process phase on.
+    ///
+    /// # Panics
+    /// If the mechanism was not added to this core.
+    pub fn view<M: Mechanism>(&mut self) -> &mut M::View {
+        let number = self.mechanisms.number_of::<M>();
+        match number.and_then(|number| self.stage.views.get_mut(number)) {
+            Some(view) => view,
+            None => panic!("the mechanism \"{}\" was not added to this core", M::NAME),
+        }
+    }
+
+    /// Visits the ports of the modules that asked something of the mechanism in this cycle, in the order of registration
+    /// of the modules.
+    pub fn each_port<M: Mechanism>(&mut self, mut visit: impl FnMut(ModuleId, &mut M::Port)) {
+        if let Some(number) = self.mechanisms.number_of::<M>() {
+            self.each_asker(number, |cell, _| {
+                let id = cell.io.id;
+                if let Some(port) = cell.port(number) {
+                    visit(id, port);
+                }
+            });
+        }
+    }
+
+    /// The port of a module; `None` if it has none, is detached or gone.
+    pub fn port<M: Mechanism>(&mut self, module: ModuleId) -> Option<&mut M::Port> {
+        let number = self.mechanisms.number_of::<M>()?;
+        self.attached(module)?.port(number)
+    }
+
+    /// The name of a module; nothing if it is gone.
+    #[must_use]
+    pub fn module_name(&self, module: ModuleId) -> Option<&str> {
+        self.state.members.get(module.order).map(|member| &*member.name)
+    }
+
+    /// Has a module run in the next cycle, as it would for a message. Nothing happens for a detached one.
+    pub fn wake(&mut self, module: ModuleId) {
+        self.wake_for(module, Causes::WOKEN);
+    }
+
+    /// Has [`Mechanism::process_begins`] called before the next process phase, which does not wait for anything else.
+    pub fn call_before_next<M: Mechanism>(&mut self) {
+        if let Some(number) = self.mechanisms.number_of::<M>() {
+            self.mechanisms.begin.add(Asked::of(number));
+        }
+    }
+
+    /// Has the module run in the next cycle for that cause, unless it is detached or gone.
+    pub(crate) fn wake_for(&mut self, module: ModuleId, causes: Causes) {
+        if let Place::Attached(slot) = module.place
+            && self.stage.cells.get(slot).is_some_and(|cell| cell.io.id == module)
+        {
+            self.state.agenda.wake(slot, causes);
+        }
+    }
+
+    /// Has the mechanism with that number take part in this sync phase, or in the next if it already has.
+    pub(crate) fn ask(&mut self, number: usize) {
+        self.mechanisms.posted.add(Asked::of(number));
+        self.asked.add(Asked::of(number));
+    }
+
+    /// Has the mechanism with that number take part in this sync phase, unless it already has.
+    pub(crate) fn take_part(&mut self, number: usize) {
+        self.asked.add(Asked::of(number));
+    }
+
+    /// Has all mechanisms take part in the next sync phase.
+    pub(crate) fn ask_all(&mut self) {
+        (0..self.mechanisms.len()).for_each(|number| self.ask(number));
+    }
+
+    /// True if another thread announced something to the mechanism with that number before this phase began.
+    #[inline]
+    pub(crate) fn is_announced(&self, number: usize) -> bool {
+        self.announced.has(Asked::of(number))
+    }
+
+    /// Visits the modules that asked something of the mechanism with that number, in the order of registration.
+    #[inline]
+    pub(crate) fn each_asker(
+        &mut self,
+        number: usize,
+        mut visit: impl FnMut(&mut ModuleCell, &mut CoreState),
+    ) {
+        let asked = Asked::of(number);
+        let askers = std::mem::take(&mut self.state.askers);
+        for asker in askers.iter().filter(|asker| asker.asked.has(asked)) {
+            if let Some(cell) = self.stage.cells.get(asker.slot) {
+                visit(cell, self.state);
+            }
+        }
+        self.state.askers = askers;
+    }
+
+    /// Has the mechanisms look at what a module asked for outside of the process phase.
+    pub(crate) fn note_asker(&mut self, asker: Asker) {
+        self.asked.add(asker.asked);
+        let askers = &mut self.state.askers;
+        match askers.binary_search_by_key(&asker.order, |known| known.order) {
+            Ok(position) => askers[position].asked.add(asker.asked),
+            Err(position) => askers.insert(position, asker),
+        }
+    }
+
+    /// The module, unless it is detached or gone.
+    pub(crate) fn attached(&mut self, module: ModuleId) -> Option<&mut ModuleCell> {
+        let Place::Attached(slot) = module.place else { return None };
+        self.stage.cells.get(slot).filter(|cell| cell.io.id == module)
+    }
+
+    /// Changes a module where it runs, and has it run for that cause: here, or on its own thread. `events` is the number
+    /// of events that the change stands for.
+    pub(crate) fn change(
+        &mut self,
+        module: ModuleId,
+        causes: Causes,
+        events: u32,
+        apply: impl FnOnce(&mut ModuleCell) + Send + 'static,
+    ) {
+        self.change_with(module, causes, events, apply, |cell, apply| apply(cell), |apply| Box::new(apply));
+    }
+
+    /// The same with a value that has to be made fit for another thread by `there`.
+    #[inline]
+    pub(crate) fn change_with<T>(
+        &mut self,
+        module: ModuleId,
+        causes: Causes,
+        events: u32,
+        value: T,
+        here: impl FnOnce(&mut ModuleCell, T),
+        there: impl FnOnce(T) -> Box<dyn FnOnce(&mut ModuleCell) + Send>,
+    ) {
+        match module.place {
+            Place::Attached(slot) => {
+                if let Some(cell) = self.stage.cells.get(slot).filter(|cell| cell.io.id == module) {
+                    here(cell, value);
+                    self.state.agenda.wake(slot, causes);
+                }
+            }
+            Place::Detached(_) => {
+                if let Some(detached) = self.state.detached(module) {
+                    detached.send(Parcel { causes, events, apply: there(value) });
+                }
+            }
+        }
+    }
+
+    /// True if the module is a part of the robot and not an observer.
+    pub(crate) fn is_part(&self, module: ModuleId) -> bool {
+        self.state.members.get(module.order).is_some_and(|member| member.role() == Role::Part)
+    }
+}

@@ -1,0 +1,280 @@
+//! The process phase as a launcher sees it.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+
+use super::agenda::{Asker, Ready};
+use crate::module::{ModuleCell, Views};
+use crate::observe::{Measuring, Stopwatch};
+use crate::threads::unpoisoned;
+use crate::{ThreadError, Time};
+
+/// Runs the modules of a cycle. Which launcher it is never changes what the modules compute.
+///
+/// [`Linear`](crate::Linear) runs them on the core's thread, [`Pool`](crate::Pool) on a fixed number of threads,
+/// [`Threads`](crate::Threads) each on its own, and a program can have its own way;
+/// `examples/executor_alone/src/bin/launcher.rs` has one with threads. This one shows that not even the order matters:
+///
+/// ```
+/// use std::sync::Arc;
+/// use downbeat_executor::{Core, Launcher, Stage};
+///
+/// struct Backwards;
+///
+/// impl Launcher for Backwards {
+///     fn process(&mut self, stage: &mut Arc<Stage>) {
+///         (0..stage.runnable()).rev().for_each(|nth| stage.run_nth(nth));
+///     }
+/// }
+///
+/// let core = Core::new().with_launcher(Backwards);
+/// ```
+pub trait Launcher: Send {
+    /// Called on the core's thread when the core starts, before the first cycle.
+    ///
+    /// # Errors
+    /// If the core's thread cannot run as the launcher was configured; then the core does not start.
+    fn attach(&mut self) -> Result<(), ThreadError> {
+        Ok(())
+    }
+
+    /// Runs every runnable module of the stage once: with [`Stage::run_all`], or with [`Stage::run_next`] on as
+    /// many threads as there are, or with [`Stage::run_nth`] where it matters which runs where.
+    ///
+    /// When it returns, no clone of `stage` may be left: the sync phase changes what it holds.
+    fn process(&mut self, stage: &mut Arc<Stage>);
+
+    /// True if [`process`](Self::process) does no more than [`Stage::run_all`]; the core then calls that itself.
+    fn is_linear(&self) -> bool {
+        false
+    }
+
+    /// The module in this [slot](Stage::slot) was removed: what was kept for it can go. Another module may have
+    /// the slot in a later cycle.
+    fn slot_freed(&mut self, slot: usize) {
+        let _ = slot;
+    }
+}
+
+impl<L: Launcher + ?Sized> Launcher for Box<L> {
+    fn attach(&mut self) -> Result<(), ThreadError> {
+        (**self).attach()
+    }
+
+    fn process(&mut self, stage: &mut Arc<Stage>) {
+        (**self).process(stage);
+    }
+
+    fn is_linear(&self) -> bool {
+        (**self).is_linear()
+    }
+
+    fn slot_freed(&mut self, slot: usize) {
+        (**self).slot_freed(slot);
+    }
+}
+
+/// The modules that run in this cycle, and the messages they read.
+///
+/// During the process phase the messages are only read, and each module is touched by the one thread that
+/// runs it. That is why every way to divide the modules among threads gives the same result.
+#[derive(Default)]
+pub struct Stage {
+    pub(crate) now: Time,
+    pub(crate) measuring: Measuring,
+    pub(crate) views: Views,
+    pub(crate) cells: Cells,
+    /// Those that run in this cycle, in the order of registration.
+    pub(crate) runnable: Vec<Ready>,
+    /// Those of them that asked for something.
+    askers: Mutex<Vec<Asker>>,
+    next: AtomicUsize,
+}
+
+impl Stage {
+    /// How many modules run in this cycle.
+    #[must_use]
+    pub fn runnable(&self) -> usize {
+        self.runnable.len()
+    }
+
+    /// The number under which the `nth` module of this cycle is kept: the same in every cycle, and given to another
+    /// module only after this one was removed.
+    ///
+    /// # Panics
+    /// If `nth` is not less than [`runnable`](Self::runnable).
+    #[must_use]
+    pub fn slot(&self, nth: usize) -> usize {
+        self.runnable[nth].slot
+    }
+
+    /// Runs all modules of this cycle on this thread.
+    pub fn run_all(&mut self) {
+        match self.measuring {
+            Measuring::Nothing => self.run_each(|_| ()),
+            measuring => self.run_each_measured(measuring),
+        }
+    }
+
+    #[cold]
+    fn run_each_measured(&mut self, measuring: Measuring) {
+        let mut stopwatch = Stopwatch::start(measuring);
+        self.run_each(|cell| cell.span = stopwatch.lap());
+    }
+
+    #[inline]
+    fn run_each(&mut self, mut has_run: impl FnMut(&mut ModuleCell)) {
+        let Self { now, views, cells, runnable, askers, next, .. } = self;
+        let askers = unpoisoned(askers.get_mut());
+        for &Ready { order, slot, causes } in &*runnable {
+            let Some(cell) = cells.get(slot) else { continue };
+            let asked = cell.run(causes, views, *now);
+            if !asked.is_empty() {
+                askers.push(Asker { order, slot, asked });
+            }
+            has_run(cell);
+        }
+        *next.get_mut() = runnable.len();
+    }
+
+    /// Runs the next module of this cycle that no thread has taken yet; false if there is none.
+    pub fn run_next(&self) -> bool {
+        let nth = self.next.fetch_add(1, Ordering::Relaxed);
+        let is_one = nth < self.runnable.len();
+        if is_one {
+            self.run_nth(nth);
+        }
+        is_one
+    }
+
+    /// Runs the `nth` module of this cycle, for launchers that divide the modules themselves: each runs once, and
+    /// none through [`run_next`](Self::run_next).
+    ///
+    /// # Panics
+    /// If `nth` is not less than [`runnable`](Self::runnable).
+    pub fn run_nth(&self, nth: usize) {
+        let Ready { order, slot, causes } = self.runnable[nth];
+        let mut cell = unpoisoned(self.cells.0[slot].lock());
+        let Some(cell) = &mut *cell else { return };
+        let mut stopwatch = Stopwatch::start(self.measuring);
+        let asked = cell.run(causes, &self.views, self.now);
+        if self.measuring.is_on() {
+            cell.span = stopwatch.lap();
+        }
+        if !asked.is_empty() {
+            unpoisoned(self.askers.lock()).push(Asker { order, slot, asked });
+        }
+    }
+
+    #[inline]
+    pub(crate) fn begin(&mut self, now: Time) {
+        self.now = now;
+        *self.next.get_mut() = 0;
+    }
+
+    /// Moves the modules that asked for something in the process phase to `askers`, in the order of registration.
+    #[inline]
+    pub(crate) fn take_askers(&mut self, askers: &mut Vec<Asker>) {
+        askers.clear();
+        std::mem::swap(unpoisoned(self.askers.get_mut()), askers);
+        // On one thread they come in order.
+        if askers.len() > 1 && !askers.is_sorted_by_key(|asker| asker.order) {
+            askers.sort_unstable_by_key(|asker| asker.order);
+        }
+    }
+
+    pub(crate) fn note_asker(&mut self, asker: Asker) {
+        let askers = unpoisoned(self.askers.get_mut());
+        match askers.iter_mut().find(|known| known.order == asker.order) {
+            Some(known) => known.asked.add(asker.asked),
+            None => askers.push(asker),
+        }
+    }
+}
+
+/// The modules that run inside cycles, by slot. A lock is taken only where threads share them.
+#[derive(Default)]
+pub(crate) struct Cells(Vec<Mutex<Option<ModuleCell>>>);
+
+impl Cells {
+    pub(crate) fn free_slot(&mut self) -> usize {
+        let is_free = |cell: &mut Mutex<Option<ModuleCell>>| unpoisoned(cell.get_mut()).is_none();
+        self.0.iter_mut().position(is_free).unwrap_or_else(|| {
+            self.0.push(Mutex::new(None));
+            self.0.len() - 1
+        })
+    }
+
+    pub(crate) fn put(&mut self, slot: usize, cell: ModuleCell) {
+        self.0[slot] = Mutex::new(Some(cell));
+    }
+
+    /// One more than the greatest slot there was.
+    pub(crate) fn slots(&self) -> usize {
+        self.0.len()
+    }
+
+    #[inline]
+    pub(crate) fn get(&mut self, slot: usize) -> Option<&mut ModuleCell> {
+        unpoisoned(self.0[slot].get_mut()).as_mut()
+    }
+
+    pub(crate) fn take(&mut self, slot: usize) -> Option<ModuleCell> {
+        unpoisoned(self.0[slot].get_mut()).take()
+    }
+
+    /// Looks at a module while nobody runs it.
+    pub(crate) fn look<T>(&self, slot: usize, look: impl FnOnce(&ModuleCell) -> T) -> Option<T> {
+        unpoisoned(self.0.get(slot)?.lock()).as_ref().map(look)
+    }
+}
+
+/// The stage, shared with the threads of the launcher where there are some. One that the core has for itself costs
+/// nothing to reach, which counts: it is reached in every cycle.
+pub(crate) enum StageHolder {
+    Own(Box<Stage>),
+    Shared(Arc<Stage>),
+}
+
+impl StageHolder {
+    /// The stage between process phases, when nobody else holds it.
+    ///
+    /// # Panics
+    /// If a launcher has kept a clone of the stage, which its contract forbids.
+    #[inline]
+    pub(crate) fn exclusive(&mut self) -> &mut Stage {
+        #[expect(clippy::expect_used, reason = "a broken launcher leaves nothing that could go on")]
+        self.get_mut().expect("the launcher kept the stage beyond the process phase")
+    }
+
+    /// The stage, unless somebody else holds it.
+    #[inline]
+    pub(crate) fn get_mut(&mut self) -> Option<&mut Stage> {
+        match self {
+            Self::Own(stage) => Some(stage),
+            Self::Shared(stage) => Arc::get_mut(stage),
+        }
+    }
+
+    /// The stage as launchers take it.
+    pub(crate) fn shared(&mut self) -> &mut Arc<Stage> {
+        if let Self::Own(stage) = self {
+            *self = Self::Shared(Arc::new(std::mem::take(&mut **stage)));
+        }
+        match self {
+            Self::Shared(stage) => stage,
+            Self::Own(_) => unreachable!("it was made shared above"),
+        }
+    }
+}
+
+impl std::ops::Deref for StageHolder {
+    type Target = Stage;
+
+    fn deref(&self) -> &Stage {
+        match self {
+            Self::Own(stage) => stage,
+            Self::Shared(stage) => stage,
+        }
+    }
+}

@@ -1,0 +1,239 @@
+//! What a subscriber receives: all messages of a topic from one cycle, stored once and shared.
+
+use std::ops::Deref;
+use std::sync::Arc;
+
+use crate::Time;
+
+/// The messages that were published on one topic in one cycle, one segment per publisher.
+///
+/// Segments are taken over from outboxes whole, so no message is moved; they keep their capacity when the
+/// batch is used again.
+pub(crate) struct Batch<T> {
+    time: Time,
+    segments: Vec<Vec<T>>,
+    used: usize,
+    messages: usize,
+}
+
+impl<T> Default for Batch<T> {
+    fn default() -> Self {
+        Self { time: Time::ZERO, segments: Vec::new(), used: 0, messages: 0 }
+    }
+}
+
+impl<T> Batch<T> {
+    pub(crate) fn clear(&mut self) {
+        for segment in &mut self.segments[..self.used] {
+            segment.clear();
+        }
+        self.used = 0;
+        self.messages = 0;
+    }
+
+    /// Takes over the messages and leaves an empty vector, with capacity where there is some to reuse.
+    pub(crate) fn take_over(&mut self, messages: &mut Vec<T>) {
+        if self.used == self.segments.len() {
+            self.segments.push(Vec::new());
+        }
+        self.messages += messages.len();
+        std::mem::swap(&mut self.segments[self.used], messages);
+        self.used += 1;
+    }
+
+    pub(crate) fn stamp(&mut self, time: Time) {
+        self.time = time;
+    }
+
+    pub(crate) fn time(&self) -> Time {
+        self.time
+    }
+
+    pub(crate) fn segments(&self) -> &[Vec<T>] {
+        &self.segments[..self.used]
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.messages
+    }
+
+    fn is_last(&self, position: Position) -> bool {
+        let mut rest = self.segments().iter().skip(position.segment as usize);
+        rest.next().is_none_or(|segment| position.index as usize + 1 >= segment.len())
+            && rest.all(Vec::is_empty)
+    }
+
+    fn get(&self, position: Position) -> &T {
+        &self.segments[position.segment as usize][position.index as usize]
+    }
+}
+
+#[derive(Clone, Copy)]
+pub(crate) struct Position {
+    pub(crate) segment: u32,
+    pub(crate) index: u32,
+}
+
+/// A message as a callback receives it. It dereferences to the message, so `clone` copies that; see
+/// [`keep`](Self::keep) for keeping it without.
+pub struct Received<'a, T> {
+    message: &'a T,
+    batch: &'a Arc<Batch<T>>,
+    position: Position,
+    missed: u32,
+}
+
+impl<'a, T> Received<'a, T> {
+    pub(crate) fn new(message: &'a T, batch: &'a Arc<Batch<T>>, position: Position, missed: u32) -> Self {
+        Self { message, batch, position, missed }
+    }
+
+    /// How many messages of the topic the bounded [`Inbox`](crate::Inbox) of an outlet or a detached module dropped right
+    /// before this one.
+    #[must_use]
+    pub fn missed(&self) -> u32 {
+        self.missed
+    }
+
+    /// The time of the cycle in which the message was published.
+    #[must_use]
+    pub fn time(&self) -> Time {
+        self.batch.time
+    }
+
+    /// True if the topic carried no message after this one in the same cycle: for who wants only the latest.
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+    /// struct Display;
+    ///
+    /// impl Module for Display {
+    ///     type Ports = ();
+    ///
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         let shown = setup.publish::<u32>("shown")?;
+    ///         setup.subscribe::<u32, _>("speed", move |_, speed, ctx| {
+    ///             if speed.is_last() {
+    ///                 ctx.publish(shown, *speed);
+    ///             }
+    ///         })
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add("display", Display)?;
+    /// let (left, right) = (core.inlet("speed")?, core.inlet("speed")?);
+    /// left.publish(1_u32)?;
+    /// right.publish(2_u32)?;
+    /// left.publish(3_u32)?;
+    /// (0..2).try_for_each(|_| core.cycle())?;
+    /// assert_eq!(core.topics().find(|topic| &*topic.name == "shown").unwrap().counter.messages(), 1);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[must_use]
+    pub fn is_last(&self) -> bool {
+        self.batch.is_last(self.position)
+    }
+
+    /// The message, for as long as the callback runs.
+    #[must_use]
+    pub fn get(&self) -> &'a T {
+        self.message
+    }
+
+    /// Keeps the message beyond the callback without copying it. The messages that the topic carried in
+    /// the same cycle stay in memory with it.
+    #[must_use]
+    pub fn keep(&self) -> Kept<T> {
+        Kept { batch: Arc::clone(self.batch), position: self.position }
+    }
+}
+
+impl<T> Deref for Received<'_, T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        self.message
+    }
+}
+
+/// A message kept beyond its cycle, see [`Received::keep`].
+///
+/// ```
+/// use downbeat_executor::{Core, Kept, ManualClock, Module, Setup, SetupError, Time};
+///
+/// struct Image(Vec<u8>);
+///
+/// /// Counts the pixels that are not as in the image before.
+/// #[derive(Default)]
+/// struct Motion {
+///     last: Option<Kept<Image>>,
+/// }
+///
+/// impl Module for Motion {
+///     type Ports = ();
+///
+///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+///         let changed = setup.publish::<usize>("changed_pixels")?;
+///         setup.subscribe::<Image, _>("image", move |motion, image, ctx| {
+///             if let Some(last) = &motion.last {
+///                 ctx.publish(changed, last.0.iter().zip(&image.0).filter(|(old, new)| old != new).count());
+///             }
+///             motion.last = Some(image.keep()); // No pixel is copied.
+///         })
+///     }
+/// }
+///
+/// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+/// core.add("motion", Motion::default())?;
+/// let image = core.inlet("image")?;
+/// image.publish(Image(vec![1, 2, 3]))?;
+/// image.publish(Image(vec![1, 9, 9]))?;
+/// core.cycle()?;
+/// core.cycle()?;
+/// let changed = core.topics().find(|topic| &*topic.name == "changed_pixels").unwrap();
+/// assert_eq!(changed.counter.messages(), 1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct Kept<T> {
+    batch: Arc<Batch<T>>,
+    position: Position,
+}
+
+impl<T> Clone for Kept<T> {
+    fn clone(&self) -> Self {
+        Self { batch: Arc::clone(&self.batch), position: self.position }
+    }
+}
+
+impl<T> Kept<T> {
+    /// The time of the cycle in which the message was published.
+    #[must_use]
+    pub fn time(&self) -> Time {
+        self.batch.time
+    }
+}
+
+impl<T> Deref for Kept<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        self.batch.get(self.position)
+    }
+}
+
+/// Calls `consume` with each message of the batch. The first one says how many were missed before it.
+#[inline]
+pub(crate) fn for_each_message<T>(
+    batch: &Arc<Batch<T>>,
+    missed: u32,
+    mut consume: impl FnMut(Received<'_, T>),
+) {
+    let mut missed = missed;
+    for (segment, messages) in (0_u32..).zip(batch.segments()) {
+        for (index, message) in (0_u32..).zip(messages) {
+            let missed = std::mem::take(&mut missed);
+            consume(Received::new(message, batch, Position { segment, index }, missed));
+        }
+    }
+}

@@ -1,0 +1,444 @@
+//! The mechanism "messaging": topics, the outboxes of publishers, the batches of subscribers.
+
+mod batch;
+mod inlet;
+mod message_type;
+mod outbox;
+mod outlet;
+mod topic;
+
+use std::any::Any;
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use batch::{Batch, for_each_message};
+pub use batch::{Kept, Received};
+use inlet::AnyInlet;
+pub use inlet::{Inlet, InletError};
+use message_type::VisitBatch;
+pub use message_type::{AnyMessage, AnyReceived, MessageType};
+pub use outbox::Publication;
+use outbox::{AnyOutbox, Outbox, Outboxes};
+use outlet::Outlets;
+pub use outlet::{Outlet, OutletInbox};
+use topic::Subscriber;
+pub(crate) use topic::{Report, Topics};
+pub use topic::{TopicCounter, TopicInfo};
+
+use crate::cycle::{CoreState, DetachedModule};
+use crate::module::{Causes, Delivery, Direction, Host, Input, Place, StepOutcome, Use, UseEnds};
+use crate::{
+    Context, Core, CoreHandle, Mechanism, Module, ModuleId, OutletStatistics, Receipt, Role, Setup,
+    SetupError, Step, SyncPhase, Time, Version,
+};
+
+/// The number of this mechanism.
+pub(crate) const MESSAGES: usize = 3;
+
+/// Messages from outside the cycle come first: those of inlets in the order in which the inlets were made, those of
+/// detached modules in the order in which these ran; then those of the modules, in the order of registration.
+#[derive(Default)]
+pub(crate) struct Messages {
+    inlets: Vec<Box<dyn AnyInlet>>,
+    outlets: Outlets,
+    /// What detached modules have published since the last sync phase.
+    joined: VecDeque<(Step, Vec<Box<dyn AnyOutbox>>)>,
+}
+
+impl Mechanism for Messages {
+    type View = Topics;
+    type Port = Outboxes;
+
+    const NAME: &'static str = "messaging";
+    const VERSION: Version = Version::new(1, 0);
+
+    fn view(&self) -> Topics {
+        Topics::default()
+    }
+
+    fn sync(&mut self, phase: &mut SyncPhase<'_>) {
+        let are_inlets_announced = phase.is_announced(MESSAGES);
+        let SyncPhase { stage, state, now, .. } = &mut *phase;
+        let Some(topics) = stage.views.get_mut::<Topics>(MESSAGES) else { return };
+        topics.begin();
+        if are_inlets_announced {
+            self.take_inlets(topics, *now);
+        }
+        if topics.has_reports() {
+            topics.take_reports(*now);
+        }
+        if !state.steps.is_empty() {
+            self.join_steps(topics, state, *now);
+        }
+        let asked = crate::module::Asked::of(MESSAGES);
+        for asker in state.askers.iter().filter(|asker| asker.asked.has(asked)) {
+            if let Some(cell) = stage.cells.get(asker.slot) {
+                let mut messages = 0;
+                if let Some(outboxes) = cell.port::<Outboxes>(MESSAGES) {
+                    outboxes.drain(|outbox| messages += topics.absorb(outbox, *now));
+                }
+                cell.meter.published(messages);
+            }
+        }
+        topics.finish();
+        if topics.fresh().is_empty() {
+            return;
+        }
+        let is_waiting = self.distribute(topics, state);
+        // What is fresh now is stale then.
+        phase.mechanisms.next.add(asked);
+        if is_waiting {
+            phase.mechanisms.begin.add(asked);
+        }
+    }
+
+    fn join(&mut self, step: Step, part: Box<dyn Any + Send>) {
+        if let Ok(outboxes) = part.downcast() {
+            self.joined.push_back((step, *outboxes));
+        }
+    }
+
+    fn process_begins(&mut self) {
+        self.outlets.run_waiting();
+    }
+
+    fn stopped(&mut self) {
+        self.outlets.stop();
+    }
+}
+
+impl Messages {
+    #[inline(never)] // Together with the rest it makes every sync phase slower.
+    fn take_inlets(&mut self, topics: &mut Topics, now: Time) {
+        for inlet in &mut self.inlets {
+            inlet.drain(topics, now);
+        }
+        self.inlets.retain(|inlet| {
+            let is_orphaned = inlet.is_orphaned();
+            if is_orphaned {
+                topics.release_publisher(inlet.topic());
+            }
+            !is_orphaned
+        });
+    }
+
+    /// Brings the batches of this cycle to their subscribers. Returns true if sinks have to run in the next cycle.
+    #[inline]
+    fn distribute(&mut self, topics: &mut Topics, state: &mut CoreState) -> bool {
+        let (mut is_any_detached, mut is_any_outlet) = (false, false);
+        for &topic in topics.fresh() {
+            for subscriber in topics.subscribers(topic) {
+                match *subscriber {
+                    Subscriber::Attached(slot) => state.agenda.wake(slot, Causes::MESSAGES),
+                    Subscriber::Detached(slot) => {
+                        is_any_detached = true;
+                        deliver(topics, topic, state.detached[slot].as_mut());
+                    }
+                    Subscriber::Outlet(slot) => {
+                        is_any_outlet = true;
+                        self.outlets.deliver(topics, slot);
+                    }
+                }
+            }
+        }
+        if is_any_detached {
+            state.detached.iter_mut().flatten().for_each(DetachedModule::dispatch);
+        }
+        is_any_outlet && self.outlets.dispatch(topics)
+    }
+
+    #[inline(never)]
+    fn join_steps(&mut self, topics: &mut Topics, state: &mut CoreState, now: Time) {
+        let steps = std::mem::take(&mut state.steps);
+        for outcome in &steps {
+            self.join_step(topics, state, outcome, now);
+        }
+        state.steps = steps;
+    }
+
+    fn join_step(&mut self, topics: &mut Topics, state: &mut CoreState, outcome: &StepOutcome, now: Time) {
+        let mut outboxes = Vec::new();
+        let is_its = |step: &Step| (step.module, step.number) == (outcome.module, outcome.number);
+        if self.joined.front().is_some_and(|(step, _)| is_its(step)) {
+            outboxes = self.joined.pop_front().map(|(_, published)| published).unwrap_or_default();
+        }
+        let Some(member) = state.members.get(outcome.module.order) else { return };
+        let (role, module) = (member.role(), Arc::clone(&member.name));
+        let cycle = state.cycle;
+        let published = outboxes.iter_mut().map(|outbox| topics.absorb(&mut **outbox, now)).sum();
+        let mut received = 0;
+        for input in &outcome.inputs {
+            received += input.received as usize;
+            topics.meter_mut(input.topic).dropped(u64::from(input.skipped));
+        }
+        if let Place::Detached(slot) = outcome.module.place
+            && let Some(detached) = state.detached[slot].as_mut()
+        {
+            let meter = &mut detached.meter;
+            meter.ran(received);
+            meter.published(published);
+            meter.dropped(outcome.inputs.iter().map(|input| u64::from(input.skipped)).sum());
+            if let Some(span) = &outcome.span {
+                let due = outcome.was_due.then_some(outcome.time);
+                state.inspector.stepped(meter, &module, cycle, span, due);
+            }
+        }
+        // An observer's steps are no input of the robot; and one that records steps would cause its next.
+        if role != Role::Part || !topics.hears::<DetachedStep>() {
+            return;
+        }
+        let inputs = outcome.inputs.iter().map(|input| StepInput {
+            topic: Arc::clone(topics.name(input.topic)),
+            skipped: input.skipped,
+            received: input.received,
+        });
+        let step = DetachedStep {
+            time: outcome.time,
+            module,
+            step: outcome.number,
+            cycle,
+            is_stop: outcome.is_stop,
+            inputs: inputs.collect(),
+        };
+        topics.report(step);
+        topics.take_reports(now);
+    }
+
+    /// The inboxes of outlets with the topics that leave through them.
+    pub(crate) fn connections(&self) -> impl Iterator<Item = (&Arc<str>, impl Iterator<Item = usize>)> {
+        self.outlets.connections()
+    }
+
+    pub(crate) fn outlet_statistics(&self) -> Vec<OutletStatistics> {
+        self.outlets.statistics()
+    }
+
+    pub(crate) fn has_outlets(&self) -> bool {
+        !self.outlets.is_empty()
+    }
+}
+
+#[inline(never)]
+fn deliver(topics: &Topics, topic: usize, module: Option<&mut DetachedModule>) {
+    if let Some(module) = module {
+        let (batch, messages) = topics.share(topic);
+        module.deliver(Delivery { topic, batch, messages, missed: 0 });
+    }
+}
+
+/// One run of a detached module, as published on [`DetachedStep::TOPIC`] when somebody subscribes to it:
+/// what replay needs to run the module again on the same inputs at the same times.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DetachedStep {
+    /// The time the module was given.
+    pub time: Time,
+    /// The module's name.
+    pub module: Arc<str>,
+    /// Counts the module's runs from 0.
+    pub step: u64,
+    /// The cycle in which its messages joined.
+    pub cycle: u64,
+    /// True for the module's last callback. The first run is its first callback; neither receives messages.
+    pub is_stop: bool,
+    /// What it was given, by topic; topics without messages are left out.
+    pub inputs: Vec<StepInput>,
+}
+
+/// What a detached module was given of one topic.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepInput {
+    /// The topic.
+    pub topic: Arc<str>,
+    /// Messages that its inbox had dropped before, because there were too many.
+    pub skipped: u32,
+    /// Messages that its callback received, after the skipped ones.
+    pub received: u32,
+}
+
+impl DetachedStep {
+    /// The topic on which steps are published.
+    pub const TOPIC: &'static str = "executor/steps";
+}
+
+impl Report for DetachedStep {
+    const TOPIC: &'static str = Self::TOPIC;
+    const NUMBER: usize = 0;
+}
+
+impl SyncPhase<'_> {
+    /// The mechanism, unless it is running.
+    fn messages(&mut self) -> Option<&mut Messages> {
+        self.mechanisms.get_mut(MESSAGES)
+    }
+
+    pub(crate) fn topics(&mut self) -> &mut Topics {
+        match self.stage.views.get_mut(MESSAGES) {
+            Some(topics) => topics,
+            None => unreachable!("every core has topics"),
+        }
+    }
+
+    /// Publishes a report of the executor with the messages of this cycle, or of the next if those are on their way.
+    pub(crate) fn report<R: Report>(&mut self, report: R) {
+        self.topics().report(report);
+        self.mechanisms.next.add(crate::module::Asked::of(MESSAGES));
+        self.take_part(MESSAGES);
+    }
+}
+
+fn topics_of(host: &mut dyn Host) -> &mut Topics {
+    match host.view(MESSAGES).and_then(|view| view.downcast_mut()) {
+        Some(topics) => topics,
+        None => unreachable!("every core has topics"),
+    }
+}
+
+fn subscriber(module: ModuleId) -> Subscriber {
+    match module.place {
+        Place::Attached(slot) => Subscriber::Attached(slot),
+        Place::Detached(slot) => Subscriber::Detached(slot),
+    }
+}
+
+impl<M: Module> Setup<'_, M> {
+    /// The topics that modules have declared so far.
+    pub fn topics(&self) -> impl Iterator<Item = &TopicInfo> {
+        let topics = self.host.look(MESSAGES).and_then(|view| view.downcast_ref::<Topics>());
+        topics.into_iter().flat_map(Topics::infos)
+    }
+
+    /// Declares that the module publishes messages of type `T` on a topic; the key is for
+    /// [`Context::publish`].
+    ///
+    /// # Errors
+    /// A name that is not valid, or a topic that carries another type.
+    pub fn publish<T: Send + Sync + 'static>(&mut self, topic: &str) -> Result<Publication<T>, SetupError> {
+        let index = self.open_topic::<T>(topic)?;
+        topics_of(self.host).add_publisher(index);
+        self.uses.push(Use {
+            of: MESSAGES,
+            direction: Direction::Out,
+            index,
+            ends: UseEnds::AtEnd,
+            give_back: |host, _, used| topics_of(host).release_publisher(used.index),
+        });
+        match self.io.open::<Outboxes>(MESSAGES) {
+            Some(outboxes) => Ok(outboxes.open(index)),
+            None => unreachable!("the port of messaging is its outboxes"),
+        }
+    }
+
+    /// Calls `callback` with each message of a topic, in the cycle after it was published.
+    ///
+    /// # Errors
+    /// A name that is not valid, or a topic that carries another type.
+    pub fn subscribe<T, F>(&mut self, topic: &str, mut callback: F) -> Result<(), SetupError>
+    where
+        T: Send + Sync + 'static,
+        F: FnMut(&mut M, Received<'_, T>, &mut Context<'_, M::Ports>) + Send + 'static,
+    {
+        let index = self.open_topic::<T>(topic)?;
+        let topics = topics_of(self.host);
+        topics.add_user(index);
+        topics.subscribe(index, subscriber(self.io.id));
+        self.uses.push(Use {
+            of: MESSAGES,
+            direction: Direction::In,
+            index,
+            ends: UseEnds::AtEnd,
+            give_back: |host, module, used| {
+                topics_of(host).unsubscribe(used.index, subscriber(module));
+                topics_of(host).release(used.index);
+            },
+        });
+        self.steps.add(Causes::MESSAGES, move |module, ctx| match ctx.input() {
+            Input::Views(views) => {
+                let batch = views.get::<Topics>(MESSAGES).and_then(|topics| topics.batch::<T>(index));
+                if let Some(batch) = batch {
+                    ctx.io().received += batch.len();
+                    for_each_message(batch, 0, |message| callback(module, message, ctx));
+                }
+            }
+            Input::Batches(deliveries) => {
+                for delivery in deliveries.iter().filter(|delivery| delivery.topic == index) {
+                    if let Ok(batch) = Arc::clone(&delivery.batch).downcast::<Batch<T>>() {
+                        for_each_message(&batch, delivery.missed, |message| callback(module, message, ctx));
+                    }
+                }
+            }
+        });
+        Ok(())
+    }
+
+    fn open_topic<T: Send + Sync + 'static>(&mut self, name: &str) -> Result<usize, SetupError> {
+        let name = self.remapped(name);
+        topics_of(self.host).open::<T>(&name, &self.io.name)
+    }
+}
+
+impl<P> Context<'_, P> {
+    /// Publishes a message: subscribers receive it in the next cycle.
+    #[inline]
+    pub fn publish<T: Send + Sync + 'static>(&mut self, publication: Publication<T>, message: T) {
+        self.publish_with(publication, |outbox| outbox.push(message));
+    }
+
+    /// Publishes messages, as many calls of [`publish`](Self::publish) would, but cheaper.
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+    /// # struct Lidar;
+    /// # impl Module for Lidar {
+    /// #     type Ports = ();
+    /// #     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    /// let ranges = setup.publish::<f32>("ranges")?;
+    /// setup.subscribe::<Vec<u16>, _>("millimetres", move |_, scan, ctx| {
+    ///     ctx.publish_all(ranges, scan.iter().map(|&range| f32::from(range) / 1000.0));
+    /// })
+    /// #     }
+    /// # }
+    /// # let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// # core.add("lidar", Lidar)?;
+    /// # core.inlet("millimetres")?.publish(vec![100_u16, 200, 300])?;
+    /// # (0..2).try_for_each(|_| core.cycle())?;
+    /// # assert_eq!(core.topics().find(|topic| &*topic.name == "ranges").unwrap().counter.messages(), 3);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[inline]
+    pub fn publish_all<T: Send + Sync + 'static>(
+        &mut self,
+        publication: Publication<T>,
+        messages: impl IntoIterator<Item = T>,
+    ) {
+        self.publish_with(publication, |outbox| outbox.extend(messages));
+    }
+
+    #[inline]
+    fn publish_with<T: Send + Sync + 'static>(
+        &mut self,
+        publication: Publication<T>,
+        add: impl FnOnce(&mut Vec<T>),
+    ) {
+        let io = self.io();
+        let is_own = io.port::<Outboxes>(MESSAGES).is_some_and(|outboxes| outboxes.add(publication, add));
+        io.ask(MESSAGES);
+        if !is_own {
+            self.foreign("published with")
+        }
+    }
+}
+
+impl Core {
+    /// The topics, in the order in which they were first declared.
+    pub fn topics(&self) -> impl Iterator<Item = &TopicInfo> {
+        self.stage.views.get::<Topics>(MESSAGES).into_iter().flat_map(Topics::infos)
+    }
+}
+
+impl CoreHandle {
+    /// The topics, in the order in which they were first declared.
+    #[must_use = "the answer is in the receipt"]
+    pub fn topics(&self) -> Receipt<Vec<TopicInfo>> {
+        self.ask(|phase| phase.topics().infos().cloned().collect())
+    }
+}

@@ -1,0 +1,238 @@
+//! The outlets of a core, as its sync phase sees them.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use crossbeam::channel::{Receiver, RecvTimeoutError, bounded};
+
+use super::mailbox::{Addressed, Mailbox};
+use super::{Delivery, Identity, OutletInbox, OutletShared};
+use crate::exchange::messages::topic::{Subscriber, Topics};
+use crate::{OutletStatistics, SetupError, ThreadOptions};
+
+/// After how long, and how often then, the log names the inbox that the end of the core waits for.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+#[derive(Default)]
+pub(crate) struct Outlets {
+    /// By slot, which the topics know them by.
+    ports: Vec<Option<Port>>,
+    /// In the order in which they were first used.
+    inboxes: Vec<InboxPort>,
+}
+
+/// An outlet.
+struct Port {
+    topic: usize,
+    identity: Arc<Identity>,
+    shared: Arc<OutletShared>,
+}
+
+/// The inbox of one or more outlets.
+struct InboxPort {
+    identity: Arc<Identity>,
+    name: Arc<str>,
+    mailbox: Arc<Mailbox>,
+    /// `None` where sinks run inside the cycle.
+    thread: Option<Thread>,
+    /// What this sync phase has for it so far; without a thread, until the next process phase.
+    outgoing: Vec<Addressed>,
+    /// What outlets counted that are closed.
+    closed: Counts,
+}
+
+#[derive(Default)]
+struct Counts {
+    received: u64,
+    dropped: u64,
+}
+
+struct Thread {
+    handle: JoinHandle<()>,
+    /// Disconnected when the thread is about to end.
+    ended: Receiver<()>,
+}
+
+impl Outlets {
+    pub(super) fn open(
+        &mut self,
+        topics: &mut Topics,
+        topic: usize,
+        inbox: &OutletInbox,
+        shared: &Arc<OutletShared>,
+        has_thread: bool,
+    ) -> Result<(), SetupError> {
+        self.prune(topics);
+        let identity = &inbox.identity;
+        if !self.inboxes.iter().any(|known| Arc::ptr_eq(&known.identity, identity)) {
+            let name = identity.name.as_ref().unwrap_or(&shared.topic);
+            self.inboxes.push(InboxPort::new(identity, name, has_thread)?);
+        }
+        let slot = self.ports.iter().position(Option::is_none).unwrap_or_else(|| {
+            self.ports.push(None);
+            self.ports.len() - 1
+        });
+        let (identity, shared) = (Arc::clone(identity), Arc::clone(shared));
+        self.ports[slot] = Some(Port { topic, identity, shared });
+        topics.subscribe(topic, Subscriber::Outlet(slot));
+        Ok(())
+    }
+
+    /// Forgets the outlets that are closed, and the inboxes that nobody uses any more.
+    pub(crate) fn prune(&mut self, topics: &mut Topics) {
+        for (slot, place) in self.ports.iter_mut().enumerate() {
+            let Some(port) = place.take_if(|port| port.shared.is_closed()) else { continue };
+            topics.unsubscribe(port.topic, Subscriber::Outlet(slot));
+            topics.release(port.topic);
+            let inbox = self.inboxes.iter_mut().find(|inbox| Arc::ptr_eq(&inbox.identity, &port.identity));
+            if let Some(InboxPort { closed, .. }) = inbox {
+                closed.received += port.shared.received.load(Ordering::Relaxed);
+                closed.dropped += port.shared.dropped.load(Ordering::Relaxed);
+            }
+        }
+        let ports = &self.ports;
+        self.inboxes.retain_mut(|inbox| {
+            let is_used = ports.iter().flatten().any(|port| Arc::ptr_eq(&port.identity, &inbox.identity));
+            if !is_used {
+                inbox.retire();
+            }
+            is_used
+        });
+    }
+
+    /// Has the topic's batch delivered with the next [`dispatch`](Self::dispatch).
+    #[inline(never)]
+    pub(crate) fn deliver(&mut self, topics: &Topics, slot: usize) {
+        let Some(port) = self.ports.get(slot).and_then(Option::as_ref) else { return };
+        let inbox = self.inboxes.iter_mut().find(|inbox| Arc::ptr_eq(&inbox.identity, &port.identity));
+        if let Some(inbox) = inbox
+            && !port.shared.is_closed()
+        {
+            let (batch, messages) = topics.share(port.topic);
+            let delivery = Delivery { batch, messages, missed: 0 };
+            let outlet = Arc::clone(&port.shared);
+            inbox.outgoing.push(Addressed { outlet, topic: port.topic, delivery });
+        }
+    }
+
+    /// Runs sinks that have no thread.
+    #[cold]
+    pub(crate) fn run_waiting(&mut self) {
+        for inbox in self.inboxes.iter_mut().filter(|inbox| inbox.thread.is_none()) {
+            inbox.outgoing.drain(..).for_each(Addressed::hand_over);
+        }
+    }
+
+    /// Delivers all batches of a sync phase at once: a thread wakes once for all of them. Returns true if something waits
+    /// for sinks without a thread.
+    #[inline(never)]
+    pub(crate) fn dispatch(&mut self, topics: &mut Topics) -> bool {
+        let mut is_waiting = false;
+        for inbox in self.inboxes.iter_mut().filter(|inbox| !inbox.outgoing.is_empty()) {
+            if inbox.thread.is_none() {
+                is_waiting = true;
+                continue;
+            }
+            let dropped = |topic, messages| topics.meter_mut(topic).dropped(u64::from(messages));
+            inbox.mailbox.deliver(&mut inbox.outgoing, inbox.identity.capacity, dropped);
+        }
+        is_waiting
+    }
+
+    /// Waits until the sinks have taken what waits for them, however long that takes, and drops them.
+    pub(crate) fn stop(&mut self) {
+        self.run_waiting();
+        for inbox in &mut self.inboxes {
+            inbox.stop();
+        }
+        self.ports.iter().flatten().for_each(|port| port.shared.close());
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.inboxes.is_empty()
+    }
+
+    /// The inboxes with the topics of their outlets.
+    pub(crate) fn connections(&self) -> impl Iterator<Item = (&Arc<str>, impl Iterator<Item = usize>)> {
+        self.inboxes.iter().map(|inbox| (&inbox.name, self.ports_of(inbox).map(|port| port.topic)))
+    }
+
+    pub(crate) fn statistics(&self) -> Vec<OutletStatistics> {
+        let statistics = |inbox: &InboxPort| {
+            let sum = |count: fn(&OutletShared) -> u64| {
+                self.ports_of(inbox).map(|port| count(&port.shared)).sum::<u64>()
+            };
+            OutletStatistics {
+                name: inbox.name.to_string(),
+                topics: sum(|_| 1),
+                received: inbox.closed.received + sum(|shared| shared.received.load(Ordering::Relaxed)),
+                inbox: inbox.mailbox.waiting() + inbox.outgoing.iter().map(Addressed::messages).sum::<u64>(),
+                dropped: inbox.closed.dropped + sum(|shared| shared.dropped.load(Ordering::Relaxed)),
+                failed: sum(|shared| u64::from(shared.has_failed.load(Ordering::Relaxed))),
+            }
+        };
+        self.inboxes.iter().map(statistics).collect()
+    }
+
+    fn ports_of(&self, inbox: &InboxPort) -> impl Iterator<Item = &Port> {
+        let is_its = |port: &&Port| Arc::ptr_eq(&port.identity, &inbox.identity) && !port.shared.is_closed();
+        self.ports.iter().flatten().filter(is_its)
+    }
+}
+
+impl InboxPort {
+    fn new(identity: &Arc<Identity>, name: &Arc<str>, has_thread: bool) -> Result<Self, SetupError> {
+        let mailbox = Arc::<Mailbox>::default();
+        let start = || {
+            let (alive, ended) = bounded::<()>(0);
+            let mailbox = Arc::clone(&mailbox);
+            let run = move || {
+                mailbox.run();
+                drop(alive);
+            };
+            let handle = ThreadOptions::default().spawn(&**name, run)?;
+            Ok(Thread { handle, ended })
+        };
+        let thread = has_thread.then(start).transpose().map_err(|error: crate::ThreadError| {
+            SetupError::Thread { module: format!("outlet {name}"), reason: error.to_string() }
+        })?;
+        Ok(Self {
+            identity: Arc::clone(identity),
+            name: Arc::clone(name),
+            mailbox,
+            thread,
+            outgoing: Vec::new(),
+            closed: Counts::default(),
+        })
+    }
+
+    /// Ends the thread, whose sinks are all closed, without waiting for it.
+    fn retire(&mut self) {
+        self.mailbox.stop();
+        self.thread = None;
+    }
+
+    fn stop(&mut self) {
+        self.mailbox.stop();
+        let Some(Thread { handle, ended }) = self.thread.take() else { return };
+        let begin = Instant::now();
+        while ended.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
+            let seconds = begin.elapsed().as_secs();
+            tracing::warn!(
+                outlet = &*self.name,
+                "a sink has not returned for {seconds} s, shutdown is waiting for it"
+            );
+        }
+        if handle.join().is_err() {
+            tracing::error!(outlet = &*self.name, "the thread of an outlet ended by a panic");
+        }
+    }
+}
+
+impl Drop for Outlets {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}

@@ -1,0 +1,449 @@
+//! Topics: a name, a message type, the batch of the last cycle, and who receives it.
+
+use std::any::{Any, TypeId, type_name};
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::{AnyOutbox, Batch, Outbox};
+use crate::module::canonical_name;
+use crate::observe::TopicMeter;
+use crate::threads::drop_guarded;
+use crate::{SetupError, Time, TopicStatistics};
+
+/// What is known of a topic, see [`Core::topics`](crate::Core::topics).
+#[derive(Clone, Debug)]
+pub struct TopicInfo {
+    /// The name, without a leading slash.
+    pub name: Arc<str>,
+    /// The Rust path of the message type.
+    pub message_type: &'static str,
+    /// The identity of the message type.
+    pub message_type_id: TypeId,
+    /// True if a module publishes on the topic.
+    pub is_published: bool,
+    /// Counts the messages of the topic while the core runs.
+    pub counter: TopicCounter,
+}
+
+/// Counts the messages of a topic; clones show the same count.
+#[derive(Clone, Debug, Default)]
+pub struct TopicCounter(Arc<AtomicU64>);
+
+impl TopicCounter {
+    /// How many messages the topic has carried.
+    #[must_use]
+    pub fn messages(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// Who is given a topic's batches.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Subscriber {
+    /// A module that runs inside the cycle, by its slot: it looks at the topic itself.
+    Attached(usize),
+    /// A detached module, which gets a batch once for all its callbacks.
+    Detached(usize),
+    /// An outlet, by its slot.
+    Outlet(usize),
+}
+
+pub(crate) struct Topic<T> {
+    batch: Arc<Batch<T>>,
+    counter: TopicCounter,
+}
+
+/// A [`Topic`] whose message type is known to its publishers and subscribers only.
+pub(crate) trait AnyTopic: Any + Send + Sync {
+    /// Forgets the messages of the last cycle, unless somebody keeps them.
+    fn retire(&mut self);
+    /// Forgets the messages of the last cycle, and takes those out of an outbox of this topic.
+    /// Returns how many there are.
+    fn begin(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize;
+    /// Takes the messages out of one more outbox. Returns how many there are.
+    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize;
+    /// The batch, to be taken to another thread, and the number of messages in it.
+    fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32);
+}
+
+/// The batch, empty: the one there is, unless somebody keeps it.
+fn renewed<T>(batch: &mut Arc<Batch<T>>) -> Option<&mut Batch<T>> {
+    if Arc::strong_count(batch) > 1 {
+        *batch = Arc::default();
+    }
+    let batch = Arc::get_mut(batch)?;
+    if !std::mem::needs_drop::<T>() {
+        batch.clear();
+    } else if !drop_guarded("a message", || batch.clear()) {
+        // What is left of it is not touched again: it could panic again.
+        std::mem::forget(std::mem::take(batch));
+    }
+    Some(batch)
+}
+
+/// Moves the messages from an outbox to a batch.
+fn take_over<T: Send + 'static>(
+    counter: &TopicCounter,
+    batch: Option<&mut Batch<T>>,
+    outbox: &mut dyn AnyOutbox,
+    now: Time,
+) -> usize {
+    let outbox = (outbox as &mut dyn Any).downcast_mut::<Outbox<T>>();
+    // Both hold by construction: outboxes are opened through the topic's type check, and nobody shares a batch
+    // before the sync phase has filled it.
+    let (Some(outbox), Some(batch)) = (outbox, batch) else {
+        debug_assert!(false, "an outbox reached a topic of another type, or a batch in use");
+        return 0;
+    };
+    // Only this thread writes it: no need to add atomically.
+    let messages = outbox.messages.len();
+    let count = counter.0.load(Ordering::Relaxed) + messages as u64;
+    counter.0.store(count, Ordering::Relaxed);
+    batch.stamp(now);
+    batch.take_over(&mut outbox.messages);
+    messages
+}
+
+impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
+    fn retire(&mut self) {
+        // What holds nothing can wait until the topic carries messages again.
+        if std::mem::needs_drop::<T>() {
+            renewed(&mut self.batch);
+        }
+    }
+
+    fn begin(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize {
+        take_over(&self.counter, renewed(&mut self.batch), outbox, now)
+    }
+
+    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize {
+        take_over(&self.counter, Arc::get_mut(&mut self.batch), outbox, now)
+    }
+
+    fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32) {
+        let messages = u32::try_from(self.batch.len()).unwrap_or(u32::MAX);
+        (Arc::clone(&self.batch) as Arc<dyn Any + Send + Sync>, messages)
+    }
+}
+
+/// All topics of a core.
+#[derive(Default)]
+pub(crate) struct Topics {
+    entries: Vec<Entry>,
+    by_name: HashMap<Arc<str>, usize>,
+    /// Those with messages of the last cycle, in the order in which these came.
+    fresh: Vec<usize>,
+    /// Those with messages of the cycle before, while the sync phase goes on.
+    stale: Vec<usize>,
+    /// The topics of the executor itself, by [`Report::NUMBER`].
+    reports: Vec<ReportTopic>,
+    has_reports: bool,
+}
+
+/// A message that the executor itself publishes, if somebody subscribes to it.
+pub(crate) trait Report: Send + Sync + 'static {
+    const TOPIC: &'static str;
+    /// Tells these topics apart.
+    const NUMBER: usize;
+}
+
+struct ReportTopic {
+    /// `None` if another type has taken the topic.
+    topic: Option<usize>,
+    outbox: Box<dyn AnyOutbox + Sync>,
+}
+
+struct Entry {
+    topic: Box<dyn AnyTopic>,
+    /// True if it has messages of the last cycle.
+    is_fresh: bool,
+    meter: TopicMeter,
+    info: TopicInfo,
+    subscribers: Vec<Subscriber>,
+    publishers: u32,
+    /// Publications, subscriptions and inlets. A topic that nobody uses is forgotten.
+    users: u32,
+}
+
+/// Stands where a topic was that is forgotten.
+struct Forgotten;
+
+impl AnyTopic for Forgotten {
+    fn retire(&mut self) {}
+
+    fn begin(&mut self, outbox: &mut dyn AnyOutbox, _now: Time) -> usize {
+        outbox.discard();
+        0
+    }
+
+    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, _now: Time) -> usize {
+        outbox.discard();
+        0
+    }
+
+    fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32) {
+        (Arc::new(()), 0)
+    }
+}
+
+impl Topics {
+    /// The index of the topic, which is made where there is none of that name.
+    pub(crate) fn open<T: Send + Sync + 'static>(
+        &mut self,
+        name: &str,
+        module: &str,
+    ) -> Result<usize, SetupError> {
+        let make = |counter: TopicCounter| {
+            Box::new(Topic::<T> { batch: Arc::default(), counter }) as Box<dyn AnyTopic>
+        };
+        self.open_of((TypeId::of::<T>(), type_name::<T>()), make, name, module)
+    }
+
+    /// The same for a type of that identity and name: compiled once, for however many types of messages there are.
+    fn open_of(
+        &mut self,
+        (message_type_id, message_type): (TypeId, &'static str),
+        make: fn(TopicCounter) -> Box<dyn AnyTopic>,
+        name: &str,
+        module: &str,
+    ) -> Result<usize, SetupError> {
+        let name = canonical_name(name)
+            .ok_or_else(|| SetupError::InvalidTopicName { module: module.into(), topic: name.into() })?;
+        if let Some(&index) = self.by_name.get(name) {
+            let known = &self.entries[index].info;
+            if known.message_type_id != message_type_id {
+                return Err(SetupError::TopicType {
+                    module: module.into(),
+                    topic: name.into(),
+                    asked: message_type,
+                    known: known.message_type,
+                });
+            }
+            return Ok(index);
+        }
+        let (name, counter) = (Arc::<str>::from(name), TopicCounter::default());
+        let topic = make(counter.clone());
+        let info = TopicInfo {
+            name: Arc::clone(&name),
+            message_type,
+            message_type_id,
+            is_published: false,
+            counter,
+        };
+        let (is_fresh, meter) = (false, TopicMeter::default());
+        let entry = Entry { topic, is_fresh, meter, info, subscribers: Vec::new(), publishers: 0, users: 0 };
+        let index = match self.entries.iter().position(|entry| entry.users == 0) {
+            Some(free) => {
+                // It may carry its predecessor's messages as fresh until the next sync phase.
+                let is_fresh = self.entries[free].is_fresh;
+                self.entries[free] = Entry { is_fresh, ..entry };
+                free
+            }
+            None => {
+                self.entries.push(entry);
+                self.entries.len() - 1
+            }
+        };
+        self.by_name.insert(name, index);
+        Ok(index)
+    }
+
+    pub(crate) fn subscribe(&mut self, topic: usize, subscriber: Subscriber) {
+        let subscribers = &mut self.entries[topic].subscribers;
+        if !subscribers.contains(&subscriber) {
+            subscribers.push(subscriber);
+        }
+    }
+
+    pub(crate) fn unsubscribe(&mut self, topic: usize, subscriber: Subscriber) {
+        self.entries[topic].subscribers.retain(|known| *known != subscriber);
+    }
+
+    pub(crate) fn add_user(&mut self, topic: usize) {
+        self.entries[topic].users += 1;
+    }
+
+    pub(crate) fn add_publisher(&mut self, topic: usize) {
+        let entry = &mut self.entries[topic];
+        entry.users += 1;
+        entry.publishers += 1;
+        entry.info.is_published = true;
+    }
+
+    pub(crate) fn release_publisher(&mut self, topic: usize) {
+        let entry = &mut self.entries[topic];
+        entry.publishers -= 1;
+        entry.info.is_published = entry.publishers > 0;
+        self.release(topic);
+    }
+
+    /// Ends one use of the topic. What one that nobody uses holds is dropped.
+    pub(crate) fn release(&mut self, topic: usize) {
+        let entry = &mut self.entries[topic];
+        entry.users -= 1;
+        if entry.users == 0 {
+            self.by_name.remove(&entry.info.name);
+            let forgotten = std::mem::replace(&mut entry.topic, Box::new(Forgotten));
+            drop_guarded("a message", || drop(forgotten));
+        }
+    }
+
+    /// Opens the next topic of the executor itself. Others of the same name are of the same type, for its module made
+    /// them; should one not be, nothing is published.
+    pub(crate) fn open_report<R: Report>(&mut self) {
+        debug_assert_eq!(self.reports.len(), R::NUMBER);
+        let topic = self.open::<R>(R::TOPIC, "executor").ok();
+        topic.iter().for_each(|&topic| self.add_user(topic));
+        let outbox = Outbox::<R> { topic: topic.unwrap_or_default(), messages: Vec::new() };
+        self.reports.push(ReportTopic { topic, outbox: Box::new(outbox) });
+    }
+
+    /// True if somebody receives these reports.
+    #[inline]
+    pub(crate) fn hears<R: Report>(&self) -> bool {
+        let topic = self.reports.get(R::NUMBER).and_then(|report| report.topic);
+        topic.is_some_and(|topic| !self.entries[topic].subscribers.is_empty())
+    }
+
+    /// Publishes a report in the next sync step of messages.
+    pub(crate) fn report<R: Report>(&mut self, report: R) {
+        let topic = self.reports.get_mut(R::NUMBER).map(|known| &mut *known.outbox as &mut dyn Any);
+        if let Some(outbox) = topic.and_then(|outbox| outbox.downcast_mut::<Outbox<R>>()) {
+            outbox.messages.push(report);
+            self.has_reports = true;
+        }
+    }
+
+    #[inline]
+    pub(crate) fn has_reports(&self) -> bool {
+        self.has_reports
+    }
+
+    /// Makes the reports messages of this cycle.
+    #[cold]
+    pub(crate) fn take_reports(&mut self, now: Time) {
+        self.has_reports = false;
+        let mut reports = std::mem::take(&mut self.reports);
+        for report in reports.iter_mut().filter(|report| !report.outbox.is_empty()) {
+            self.absorb(&mut *report.outbox, now);
+        }
+        self.reports = reports;
+    }
+
+    pub(crate) fn infos(&self) -> impl Iterator<Item = &TopicInfo> {
+        self.entries.iter().filter(|entry| entry.users > 0).map(|entry| &entry.info)
+    }
+
+    #[inline]
+    pub(crate) fn meter_mut(&mut self, topic: usize) -> &mut TopicMeter {
+        &mut self.entries[topic].meter
+    }
+
+    /// What the topics in use have carried.
+    pub(crate) fn statistics(&self) -> impl Iterator<Item = TopicStatistics> {
+        self.entries.iter().filter(|entry| entry.users > 0).map(
+            |Entry { info, meter, subscribers, .. }| {
+                meter.statistics(&info.name, info.message_type, subscribers.len())
+            },
+        )
+    }
+
+    pub(crate) fn name(&self, topic: usize) -> &Arc<str> {
+        &self.entries[topic].info.name
+    }
+
+    pub(crate) fn subscribers(&self, topic: usize) -> &[Subscriber] {
+        &self.entries[topic].subscribers
+    }
+
+    /// The messages that the topic carries in this cycle.
+    #[inline]
+    pub(crate) fn batch<T: Send + Sync + 'static>(&self, topic: usize) -> Option<&Arc<Batch<T>>> {
+        let entry = &self.entries[topic];
+        if !entry.is_fresh {
+            return None;
+        }
+        (&*entry.topic as &dyn Any).downcast_ref::<Topic<T>>().map(|topic| &topic.batch)
+    }
+
+    pub(crate) fn share(&self, topic: usize) -> (Arc<dyn Any + Send + Sync>, u32) {
+        self.entries[topic].topic.share()
+    }
+
+    /// First step of the messages' part of the sync phase: the messages of the last cycle are stale.
+    pub(crate) fn begin(&mut self) {
+        std::mem::swap(&mut self.fresh, &mut self.stale);
+        for &index in &self.stale {
+            self.entries[index].is_fresh = false;
+        }
+    }
+
+    /// Returns how many messages there are in the outbox.
+    pub(crate) fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize {
+        let index = outbox.topic();
+        let Entry { topic, is_fresh, meter, .. } = &mut self.entries[index];
+        let messages = if *is_fresh {
+            topic.absorb(outbox, now)
+        } else {
+            *is_fresh = true;
+            self.fresh.push(index);
+            meter.begin_batch(now);
+            topic.begin(outbox, now)
+        };
+        meter.carried(messages);
+        messages
+    }
+
+    /// Last step: drops what is still stale.
+    pub(crate) fn finish(&mut self) {
+        for &index in &self.stale {
+            let Entry { topic, is_fresh: false, .. } = &mut self.entries[index] else { continue };
+            topic.retire();
+        }
+        self.stale.clear();
+    }
+
+    /// The topics that carry messages after the last sync phase, in the order in which these came.
+    pub(crate) fn fresh(&self) -> &[usize] {
+        &self.fresh
+    }
+}
+
+impl Drop for Topics {
+    /// Drops all messages there are, so that a panic in one of them stays here.
+    fn drop(&mut self) {
+        self.begin();
+        self.finish();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_topic_that_nobody_uses_is_forgotten_and_its_place_used_again() {
+        let mut topics = Topics::default();
+        let speed = topics.open::<u8>("speed", "first").unwrap();
+        topics.add_publisher(speed);
+        topics.add_user(speed);
+        topics.release_publisher(speed);
+        assert_eq!(topics.infos().map(|info| info.is_published).collect::<Vec<_>>(), [false]);
+        topics.release(speed);
+        assert_eq!(topics.infos().count(), 0);
+        let other = topics.open::<f32>("speed", "second").unwrap();
+        assert_eq!(other, speed);
+    }
+
+    #[test]
+    fn one_topic_cannot_have_two_types() {
+        let mut topics = Topics::default();
+        let index = topics.open::<u8>("speed", "first").unwrap();
+        topics.add_user(index);
+        assert_eq!(topics.open::<u8>("/speed", "second").unwrap(), index);
+        let error = topics.open::<f32>("speed", "third").unwrap_err().to_string();
+        assert!(error.contains("third") && error.contains("speed") && error.contains("u8"), "{error}");
+    }
+}

@@ -1,0 +1,111 @@
+//! How a module joins a core, before the start or while it runs.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+use crate::cycle::{CoreHost, CoreLife, DetachedModule, Member, Pause, Source};
+use crate::module::{Behaviour, Given, ModuleCell, ModuleIo, Place};
+use crate::threads::{drop_guarded, end_of};
+use crate::{ModuleId, ModuleOptions, Restart, SetupError, SyncPhase, Synchrony};
+
+/// A module that is to join.
+pub(super) struct Candidate {
+    pub(super) name: String,
+    pub(super) source: Source,
+    pub(super) options: ModuleOptions,
+}
+
+/// Adds a module. What it declared is undone where its setup fails.
+pub(super) fn admit(phase: &mut SyncPhase<'_>, candidate: Candidate) -> Result<(), SetupError> {
+    if let Some(error) = objection(phase, &candidate) {
+        drop_guarded("a module that was refused", || drop(candidate));
+        return Err(error);
+    }
+    let Candidate { name, source, options } = candidate;
+    let SyncPhase { stage, state, .. } = &mut *phase;
+    let order = state.members.next_order();
+    // Under a clock that does not go on by itself detached modules run inside the cycle.
+    let is_detached = matches!(options.synchrony, Synchrony::Detached(_)) && state.clock.runs_by_itself();
+    let place = match is_detached {
+        true => Place::Detached(state.free_detached_slot()),
+        false => Place::Attached(stage.cells.free_slot()),
+    };
+    let (id, name, started) = (ModuleId { order, life: 0, place }, Arc::from(name), state.clock.now());
+    let uses = Vec::new();
+    let mut member =
+        Member { id, name, options, source, uses, restarts: 0, panics_in_a_row: 0, started, meter: None };
+    instate(phase, &mut member)?;
+    phase.state.members.insert(member);
+    Ok(())
+}
+
+/// What speaks against a module before it is set up.
+fn objection(phase: &SyncPhase<'_>, candidate: &Candidate) -> Option<SetupError> {
+    let Candidate { name, source, options } = candidate;
+    if phase.state.life == CoreLife::Stopped {
+        return Some(SetupError::Stopped(name.clone()));
+    }
+    if phase.state.members.find(name).is_some() {
+        return Some(SetupError::DuplicateModule(name.clone()));
+    }
+    let is_restartable = matches!(source, Source::Factory(_));
+    (options.restart != Restart::Never && !is_restartable).then(|| SetupError::NotRestartable(name.clone()))
+}
+
+/// Makes the module of a member, anew where it is a restart, and puts it in its place.
+pub(super) fn instate(phase: &mut SyncPhase<'_>, member: &mut Member) -> Result<(), SetupError> {
+    let result = set_up(phase, member).and_then(|cell| put(phase, member, cell));
+    if result.is_err() {
+        phase.give_back(member, None);
+    }
+    result
+}
+
+fn set_up(phase: &mut SyncPhase<'_>, member: &mut Member) -> Result<ModuleCell, SetupError> {
+    let SyncPhase { stage, state, mechanisms, .. } = phase;
+    let mut io = ModuleIo::new(Arc::clone(&member.name), member.id, Arc::clone(&state.link));
+    let mut host = CoreHost { views: &mut stage.views, mechanisms };
+    let Member { source, uses, options, .. } = &mut *member;
+    let given = Given { settings: options.settings.clone(), remaps: options.remaps.clone() };
+    let is_detached = matches!(options.synchrony, Synchrony::Detached(_));
+    let set_up = AssertUnwindSafe(|| match source.make() {
+        Some(module) => module.set_up(&mut io, &mut host, uses, is_detached, given),
+        None => Err(SetupError::NotRestartable(io.name.to_string())),
+    });
+    let behaviour: Box<dyn Behaviour> = catch_unwind(set_up).unwrap_or_else(|panic| {
+        Err(SetupError::Panicked { module: member.name.to_string(), reason: end_of(panic) })
+    })?;
+    let meter = member.meter.take().unwrap_or_else(|| state.inspector.module_meter());
+    let watch =
+        member.options.deadline.map(|deadline| state.watchdog.watch(Arc::clone(&member.name), deadline));
+    let watch = watch.transpose().map_err(|error| SetupError::Thread {
+        module: member.name.to_string(),
+        reason: format!("that of its watchdog: {error}"),
+    })?;
+    Ok(ModuleCell::new(io, behaviour, member.options.initial_state, watch, meter))
+}
+
+fn put(phase: &mut SyncPhase<'_>, member: &Member, cell: ModuleCell) -> Result<(), SetupError> {
+    let SyncPhase { stage, state, .. } = phase;
+    match member.id.place {
+        Place::Attached(slot) => {
+            stage.cells.put(slot, cell);
+            state.agenda.enter(slot, member.id.order);
+            if member.options.synchrony == Synchrony::EveryCycle {
+                state.agenda.run_in_every_cycle(slot);
+            }
+        }
+        Place::Detached(slot) => {
+            let mut module = DetachedModule::new(cell, &member.options);
+            if state.life == CoreLife::Running {
+                let is_held = state.pause != Pause::Running;
+                module.start(&state.clock, &state.link, is_held).map_err(|error| SetupError::Thread {
+                    module: member.name.to_string(),
+                    reason: error.to_string(),
+                })?;
+            }
+            state.detached[slot] = Some(module);
+        }
+    }
+    Ok(())
+}

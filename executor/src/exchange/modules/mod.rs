@@ -1,0 +1,629 @@
+//! The mechanism "modules": adds, removes, pauses and restarts modules, and has them make transitions.
+
+mod admission;
+
+use std::any::Any;
+use std::sync::Arc;
+use std::time::Duration;
+
+use admission::{Candidate, admit, instate};
+
+use super::events::{ModuleCommand, ModuleEventKind, note_event_of};
+use super::messages::DetachedStep;
+use crate::cycle::{Asker, Source};
+use crate::module::{Asked, Causes, Hold, Input, MODULES, Place, StepOutcome, UseEnds};
+use crate::threads::{ReceiptSender, receipt};
+use crate::{
+    Context, Core, CoreHandle, LifecycleState, Mechanism, Module, ModuleChange, ModuleId, ModuleInfo,
+    ModuleOptions, Port, Receipt, Restart, SetupError, Step, SyncPhase, Time, Transition, TransitionRefused,
+    Version,
+};
+
+/// Modules whose back-off is over start again first; then panics are noticed; then modules are removed, and then the
+/// other commands follow: those of other threads before those of modules.
+#[derive(Default)]
+pub(crate) struct Modules {
+    /// What other threads ask for, each with the module that asked.
+    commands: Vec<(Option<ModuleId>, Command)>,
+}
+
+/// What is asked for. Takes effect in the next sync phase.
+enum Command {
+    Add {
+        candidate: Box<Candidate>,
+        receipt: Option<ReceiptSender<Result<(), SetupError>>>,
+    },
+    /// To be paused, resumed, stepped or removed.
+    Change {
+        module: String,
+        change: Change,
+        receipt: Option<ReceiptSender<Result<(), UnknownModule>>>,
+    },
+    Transition {
+        module: String,
+        transition: Transition,
+        receipt: Option<ReceiptSender<Result<LifecycleState, TransitionRefused>>>,
+    },
+    /// Looks at the core between two cycles.
+    Look(Look),
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Change {
+    Remove,
+    Hold(Hold),
+}
+
+type Look = Box<dyn FnOnce(&mut SyncPhase<'_>) + Send>;
+
+/// There is no such module.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("there is no module \"{module}\"; there is {known}")]
+pub struct UnknownModule {
+    /// The name that was given.
+    pub module: Arc<str>,
+    /// The names there are.
+    pub known: String,
+}
+
+impl Command {
+    /// The module that has to do something, unless it is to join or to leave.
+    fn target(&self) -> Option<&str> {
+        match self {
+            Self::Change { module, change: Change::Hold(_), .. } | Self::Transition { module, .. } => {
+                Some(module)
+            }
+            Self::Add { .. } | Self::Change { .. } | Self::Look(_) => None,
+        }
+    }
+
+    fn is_removal(&self) -> bool {
+        matches!(self, Self::Change { change: Change::Remove, .. })
+    }
+}
+
+impl Change {
+    /// As events tell it.
+    fn event(self) -> ModuleCommand {
+        match self {
+            Self::Remove => ModuleCommand::Remove,
+            Self::Hold(Hold::Held) => ModuleCommand::Pause,
+            Self::Hold(Hold::Free) => ModuleCommand::Resume,
+            Self::Hold(Hold::Step) => ModuleCommand::Step,
+        }
+    }
+
+    /// What is logged if there is no such module.
+    fn failure(self) -> &'static str {
+        match self {
+            Self::Remove => "not removed",
+            Self::Hold(Hold::Held) => "not paused",
+            Self::Hold(Hold::Free) => "not resumed",
+            Self::Hold(Hold::Step) => "not stepped",
+        }
+    }
+}
+
+/// A module's part of the mechanism: what it asks for.
+#[derive(Default)]
+pub(crate) struct ModulesPort(Vec<Command>);
+
+impl Port for ModulesPort {
+    fn changed(&mut self, change: ModuleChange<'_>) -> bool {
+        if let ModuleChange::Panicked = change {
+            self.0.clear();
+        }
+        false
+    }
+
+    fn split_off(&mut self) -> Option<Box<dyn Any + Send>> {
+        Some(Box::new(std::mem::take(&mut self.0)))
+    }
+}
+
+impl Mechanism for Modules {
+    type View = ();
+    type Port = ModulesPort;
+
+    const NAME: &'static str = "modules";
+    const VERSION: Version = Version::new(1, 0);
+
+    fn view(&self) {}
+
+    fn sync(&mut self, phase: &mut SyncPhase<'_>) {
+        // Before panics are noticed, for a restart clears what the module asked for: what it published before its panic
+        // has yet to join, in this sync phase.
+        if !phase.state.restarts.is_empty() && !phase.state.link.is_closed() {
+            self.restart_due(phase);
+        }
+        self.notice_panics(phase);
+        let steps = std::mem::take(&mut phase.state.steps);
+        steps.iter().for_each(|step| self.notice_step(phase, step));
+        phase.state.steps = steps;
+        phase.each_asker(MODULES, |cell, _| {
+            let by = Some(cell.io.id);
+            if let Some(ModulesPort(commands)) = cell.port(MODULES) {
+                self.commands.extend(commands.drain(..).map(|command| (by, command)));
+            }
+        });
+        if !self.commands.is_empty() {
+            let commands = std::mem::take(&mut self.commands);
+            let (removals, others): (Vec<_>, Vec<_>) =
+                commands.into_iter().partition(|(_, command)| command.is_removal());
+            removals.into_iter().chain(others).for_each(|(by, command)| self.apply(phase, by, command));
+        }
+        let due = phase.state.restarts.iter().map(|&(due, _)| due).min();
+        phase.mechanisms.set_due(MODULES, due.unwrap_or(Time::MAX));
+    }
+
+    fn join(&mut self, step: Step, part: Box<dyn Any + Send>) {
+        if let Ok(commands) = part.downcast::<Vec<Command>>() {
+            self.commands.extend(commands.into_iter().map(|command| (Some(step.module), command)));
+        }
+    }
+
+    fn paused(&mut self, phase: &mut SyncPhase<'_>) {
+        for (by, command) in std::mem::take(&mut self.commands) {
+            match command {
+                Command::Look(look) => look(phase),
+                other => self.commands.push((by, other)),
+            }
+        }
+    }
+
+    fn started(&mut self, phase: &mut SyncPhase<'_>) {
+        phase.topics().open_report::<DetachedStep>();
+    }
+}
+
+impl Modules {
+    fn notice_panics(&mut self, phase: &mut SyncPhase<'_>) {
+        let mut panics = Vec::new();
+        phase.each_asker(MODULES, |cell, _| {
+            panics.extend(cell.take_panic().map(|panic| (cell.io.id.order, panic)));
+        });
+        panics.into_iter().for_each(|(order, panic)| self.notice_panic(phase, order, &panic));
+    }
+
+    /// Takes over what the run of a detached module changed.
+    fn notice_step(&mut self, phase: &mut SyncPhase<'_>, step: &StepOutcome) {
+        let id = step.module;
+        if let Some(module) = phase.state.detached(id) {
+            module.state = step.state;
+            module.meter.overran(step.overruns);
+            if step.panic.is_some() {
+                module.meter.panicked();
+            }
+        }
+        if step.taken > 0 {
+            let (step, count) = (step.number, step.taken);
+            note_event_of(phase, id, |module| ModuleEventKind::Taken { module, step, count });
+        }
+        if let Some(panic) = &step.panic {
+            self.notice_panic(phase, id.order, panic);
+        }
+        // Those that stay: all, where it is the core that stops, and who was put in its place by a restart.
+        let members = &phase.state.members;
+        let is_member = members.get(id.order).is_some_and(|member| member.id == id);
+        if step.is_stop && is_member && members.is_leaving(id.order) {
+            phase.state.leaving.push(id.order);
+        }
+    }
+
+    fn notice_panic(&mut self, phase: &mut SyncPhase<'_>, order: u64, reason: &str) {
+        // A module that was removed does not come back, nor does any while the core stops.
+        let is_final = phase.state.link.is_closed() || phase.state.members.is_leaving(order);
+        let now = phase.now();
+        let Some(member) = phase.state.members.get_mut(order) else { return };
+        let module = &*member.name;
+        let backoff = match member.options.restart {
+            _ if is_final => {
+                tracing::error!(module, "panicked at its end: {reason}");
+                return;
+            }
+            Restart::Times { limit, backoff } if member.restarts < limit => backoff,
+            Restart::Always { backoff } => backoff,
+            Restart::Never | Restart::Times { .. } => {
+                tracing::error!(module, "panicked and is stopped, the others go on: {reason}");
+                return;
+            }
+        };
+        if now.saturating_since(member.started) > Restart::LONGEST_BACKOFF {
+            member.panics_in_a_row = 0;
+        }
+        let pause = lengthened(backoff, member.panics_in_a_row);
+        member.panics_in_a_row += 1;
+        tracing::error!(
+            module,
+            "panicked and is stopped, to start again in {pause:?}; the others go on: {reason}"
+        );
+        phase.state.restarts.push((now + pause, order));
+    }
+
+    fn restart_due(&mut self, phase: &mut SyncPhase<'_>) {
+        let now = phase.now();
+        let (due, later): (Vec<_>, Vec<_>) =
+            phase.state.restarts.drain(..).partition(|&(time, _)| time <= now);
+        phase.state.restarts = later;
+        due.into_iter().for_each(|(_, order)| restart(phase, order));
+    }
+
+    fn apply(&mut self, phase: &mut SyncPhase<'_>, by: Option<ModuleId>, command: Command) {
+        if phase.state.drops_commands_to_self
+            && let Some(by) = by
+            && command.target().is_some_and(|target| phase.module_name(by) == Some(target))
+        {
+            return;
+        }
+        match command {
+            Command::Add { candidate, receipt } => {
+                let result = admit(phase, *candidate);
+                if let (Err(error), None) = (&result, &receipt) {
+                    tracing::error!("not added: {error}");
+                }
+                answer(receipt, result);
+            }
+            Command::Change { module, change, receipt } => {
+                let result = find(phase, &module).map(|id| {
+                    note(phase, id, by, change.event());
+                    match change {
+                        Change::Remove => self.remove(phase, id),
+                        Change::Hold(hold) => set_hold(phase, id, hold),
+                    }
+                });
+                if let (Err(unknown), None) = (&result, &receipt) {
+                    tracing::warn!("{}: {unknown}", change.failure());
+                }
+                answer(receipt, result);
+            }
+            Command::Transition { module, transition, receipt } => match find(phase, &module) {
+                Ok(id) => {
+                    note(phase, id, by, ModuleCommand::Transition(transition));
+                    phase
+                        .change(id, Causes::WOKEN, 1, move |cell| cell.transition_later(transition, receipt));
+                }
+                Err(unknown) => {
+                    tracing::warn!("{transition} not made: {unknown}");
+                    answer(receipt, Err(TransitionRefused::UnknownModule { module: unknown.module }));
+                }
+            },
+            Command::Look(look) => look(phase),
+        }
+    }
+
+    fn remove(&mut self, phase: &mut SyncPhase<'_>, id: ModuleId) {
+        phase.state.restarts.retain(|&(_, order)| order != id.order);
+        let Some(mut member) = phase.state.members.take(id.order) else { return };
+        match id.place {
+            Place::Attached(slot) => {
+                if let Some(cell) = phase.stage.cells.get(slot) {
+                    cell.shutdown(Input::Views(&phase.stage.views), phase.now);
+                    if let Some(ModulesPort(commands)) = cell.port(MODULES) {
+                        // In the next cycle: this one's are under way.
+                        let commands = std::mem::take(commands);
+                        self.commands.extend(commands.into_iter().map(|command| (Some(id), command)));
+                    }
+                    let mut asked = cell.take_asked();
+                    asked.remove(Asked::of(MODULES));
+                    if let Some(panic) = cell.take_panic() {
+                        tracing::error!(module = &*member.name, "panicked in its shutdown: {panic}");
+                    }
+                    phase.note_asker(Asker { order: id.order, slot, asked });
+                    if !self.commands.is_empty() {
+                        phase.mechanisms.posted.add(Asked::of(MODULES));
+                    }
+                }
+                phase.state.leaving.push(id.order);
+            }
+            Place::Detached(_) => {
+                if let Some(module) = phase.state.detached(id) {
+                    module.request_stop();
+                }
+            }
+        }
+        phase.give_back(&mut member, Some(UseEnds::AtRemoval));
+        phase.state.members.insert_nameless(member);
+    }
+}
+
+fn lengthened(backoff: Duration, doublings: u32) -> Duration {
+    let longest = Restart::LONGEST_BACKOFF.max(backoff);
+    backoff.saturating_mul(1_u32.checked_shl(doublings).unwrap_or(u32::MAX)).min(longest)
+}
+
+fn restart(phase: &mut SyncPhase<'_>, order: u64) {
+    let Some(mut member) = phase.state.members.take(order) else { return };
+    phase.give_back(&mut member, None);
+    member.meter = phase.vacate(member.id);
+    if let Some(meter) = &mut member.meter {
+        meter.restarted();
+    }
+    phase.state.gone.push(member.id);
+    member.restarts += 1;
+    member.id.life += 1;
+    member.started = phase.now();
+    let (module, restarts) = (Arc::clone(&member.name), member.restarts);
+    match instate(phase, &mut member) {
+        Ok(()) => {
+            phase.state.members.insert(member);
+            tracing::info!(module = &*module, restarts, "starts again after its panic");
+        }
+        Err(error) => {
+            tracing::error!("not started again after its panic: {error}");
+            if let Place::Attached(slot) = member.id.place {
+                phase.state.freed_slots.push(slot);
+            }
+        }
+    }
+}
+
+/// Publishes a command that a module is given as an event.
+fn note(phase: &mut SyncPhase<'_>, id: ModuleId, by: Option<ModuleId>, command: ModuleCommand) {
+    let asker = by.and_then(|by| phase.state.members.get(by.order));
+    let by = asker.map(|member| Arc::clone(&member.name));
+    note_event_of(phase, id, |module| ModuleEventKind::Command { module, command, by });
+}
+
+pub(crate) fn find(phase: &SyncPhase<'_>, module: &str) -> Result<ModuleId, UnknownModule> {
+    phase.state.members.find(module).map(|member| member.id).ok_or_else(|| {
+        let known: Vec<_> = phase.state.members.names().map(|name| format!("\"{name}\"")).collect();
+        let known = if known.is_empty() { "none".into() } else { known.join(", ") };
+        UnknownModule { module: Arc::from(module), known }
+    })
+}
+
+fn set_hold(phase: &mut SyncPhase<'_>, id: ModuleId, hold: Hold) {
+    if let Some(detached) = phase.state.detached(id) {
+        detached.is_paused = hold != Hold::Free;
+    }
+    phase.change(id, Causes::WOKEN, 1, move |cell| cell.hold(hold));
+    if let Place::Attached(slot) = id.place
+        && let Some(cell) = phase.attached(id)
+    {
+        // What fell due while it was held was forgotten.
+        let due = cell.next_due();
+        phase.state.agenda.wake_at(slot, due);
+    }
+}
+
+fn answer<T: Send + 'static>(receipt: Option<ReceiptSender<T>>, answer: T) {
+    if let Some(receipt) = receipt {
+        receipt.send(answer);
+    }
+}
+
+impl<P> Context<'_, P> {
+    /// Adds a module, which runs for the first time in the next cycle. What is wrong with it is logged.
+    pub fn add<M: Module>(&mut self, name: &str, module: M, options: ModuleOptions) {
+        let candidate = Candidate { name: name.to_owned(), source: Source::once(module), options };
+        self.command(Command::Add { candidate: Box::new(candidate), receipt: None });
+    }
+
+    /// Removes a module, this one or another: its last callback runs in this cycle's sync phase, and everything it
+    /// held is freed.
+    pub fn remove(&mut self, module: &str) {
+        self.change(module, Change::Remove);
+    }
+
+    /// Removes this module, see [`remove`](Self::remove).
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+    /// /// Done as soon as it has run.
+    /// struct Calibration;
+    ///
+    /// impl Module for Calibration {
+    ///     type Ports = ();
+    ///
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         setup.each_run(|_, ctx| ctx.remove_self());
+    ///         Ok(())
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add("calibration", Calibration)?;
+    /// core.cycle()?;
+    /// assert!(core.modules().is_empty());
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn remove_self(&mut self) {
+        let name = self.module_name().to_owned();
+        self.remove(&name);
+    }
+
+    /// Has a module make a transition in the next cycle; one that does not begin in its state is logged.
+    pub fn transition(&mut self, module: &str, transition: Transition) {
+        self.command(Command::Transition { module: module.to_owned(), transition, receipt: None });
+    }
+
+    /// Holds a module: no callback of it runs until it is resumed. Messages pass it by, requests wait.
+    pub fn pause(&mut self, module: &str) {
+        self.change(module, Change::Hold(Hold::Held));
+    }
+
+    /// Lets a module go on that was paused.
+    pub fn resume(&mut self, module: &str) {
+        self.change(module, Change::Hold(Hold::Free));
+    }
+
+    fn change(&mut self, module: &str, change: Change) {
+        self.command(Command::Change { module: module.to_owned(), change, receipt: None });
+    }
+
+    fn command(&mut self, command: Command) {
+        self.io().ask(MODULES);
+        if let Some(ModulesPort(commands)) = self.io().open(MODULES) {
+            commands.push(command);
+        }
+    }
+}
+
+impl Core {
+    /// Adds a module that runs when it has something to do.
+    ///
+    /// # Errors
+    /// If the name is taken, or the module's setup fails.
+    pub fn add<M: Module>(&mut self, name: &str, module: M) -> Result<(), SetupError> {
+        self.add_with(name, module, ModuleOptions::default())
+    }
+
+    /// Adds a module with its settings, remaps and synchrony.
+    ///
+    /// Under a clock that does not go on by itself, detached modules run inside the cycle.
+    ///
+    /// # Errors
+    /// If the name is taken, the module's setup fails, or the options name what the module does not have.
+    pub fn add_with<M: Module>(
+        &mut self,
+        name: &str,
+        module: M,
+        options: ModuleOptions,
+    ) -> Result<(), SetupError> {
+        self.admit(name, Source::once(module), options)
+    }
+
+    /// Adds a module that can be made again after a panic, as its options say; see
+    /// [`Restart`](crate::Restart).
+    ///
+    /// # Errors
+    /// Those of [`add_with`](Self::add_with).
+    pub fn add_restartable<M: Module>(
+        &mut self,
+        name: &str,
+        make: impl FnMut() -> M + Send + 'static,
+        options: ModuleOptions,
+    ) -> Result<(), SetupError> {
+        self.admit(name, Source::factory(make), options)
+    }
+
+    /// Drops what modules ask of themselves but to leave: transitions, pauses and settings. For a replay of a detached module,
+    /// which is given them in the run in which it took them over when it was recorded.
+    pub fn drop_commands_to_self(&mut self) {
+        self.state.drops_commands_to_self = true;
+    }
+
+    /// The modules, in the order of registration.
+    #[must_use]
+    pub fn modules(&self) -> Vec<ModuleInfo> {
+        self.state.modules(&self.stage)
+    }
+
+    fn admit(&mut self, name: &str, source: Source, options: ModuleOptions) -> Result<(), SetupError> {
+        admit(&mut self.between_cycles(), Candidate { name: name.to_owned(), source, options })
+    }
+}
+
+impl CoreHandle {
+    /// Adds a module, which runs for the first time in the next cycle.
+    pub fn add<M: Module>(
+        &self,
+        name: &str,
+        module: M,
+        options: ModuleOptions,
+    ) -> Receipt<Result<(), SetupError>> {
+        self.add_from(name, Source::once(module), options)
+    }
+
+    /// Adds a module that can be made again after a panic, see [`Restart`](crate::Restart).
+    pub fn add_restartable<M: Module>(
+        &self,
+        name: &str,
+        make: impl FnMut() -> M + Send + 'static,
+        options: ModuleOptions,
+    ) -> Receipt<Result<(), SetupError>> {
+        self.add_from(name, Source::factory(make), options)
+    }
+
+    /// Removes a module: its last callback runs, and everything it held is freed.
+    pub fn remove(&self, module: &str) -> Receipt<Result<(), UnknownModule>> {
+        self.change(module, Change::Remove)
+    }
+
+    /// Holds a module: no callback of it runs until it is resumed. Messages pass it by, requests wait.
+    pub fn pause_module(&self, module: &str) -> Receipt<Result<(), UnknownModule>> {
+        self.change(module, Change::Hold(Hold::Held))
+    }
+
+    /// Lets a module go on that was paused.
+    pub fn resume_module(&self, module: &str) -> Receipt<Result<(), UnknownModule>> {
+        self.change(module, Change::Hold(Hold::Free))
+    }
+
+    /// Has a module run once, on what the next cycle has for it, and holds it then.
+    pub fn step_module(&self, module: &str) -> Receipt<Result<(), UnknownModule>> {
+        self.change(module, Change::Hold(Hold::Step))
+    }
+
+    /// Has a module make a transition. The answer comes when it has been made, or refused.
+    pub fn transition(
+        &self,
+        module: &str,
+        transition: Transition,
+    ) -> Receipt<Result<LifecycleState, TransitionRefused>> {
+        let module = module.to_owned();
+        self.command(|receipt| Command::Transition { module, transition, receipt })
+    }
+
+    /// What is known of the modules, in the order of registration.
+    #[must_use = "the answer is in the receipt"]
+    pub fn modules(&self) -> Receipt<Vec<ModuleInfo>> {
+        self.ask(|phase| phase.state.modules(phase.stage))
+    }
+
+    fn add_from(
+        &self,
+        name: &str,
+        source: Source,
+        options: ModuleOptions,
+    ) -> Receipt<Result<(), SetupError>> {
+        let candidate = Box::new(Candidate { name: name.to_owned(), source, options });
+        self.command(|receipt| Command::Add { candidate, receipt })
+    }
+
+    fn change(&self, module: &str, change: Change) -> Receipt<Result<(), UnknownModule>> {
+        let module = module.to_owned();
+        self.command(|receipt| Command::Change { module, change, receipt })
+    }
+
+    fn command<T>(&self, command: impl FnOnce(Option<ReceiptSender<T>>) -> Command) -> Receipt<T> {
+        let (sender, receipt) = receipt();
+        self.post(command(Some(sender)));
+        receipt
+    }
+
+    fn post(&self, command: Command) {
+        if !self.link.is_closed() {
+            self.link.post(MODULES, move |modules: &mut Modules| modules.commands.push((None, command)));
+        }
+    }
+
+    /// Looks at the core in the next sync phase, in the order of the other commands.
+    pub(crate) fn look(&self, look: impl FnOnce(&mut SyncPhase<'_>) + Send + 'static) {
+        self.post(Command::Look(Box::new(look)));
+    }
+
+    /// The same, with an answer.
+    pub(crate) fn ask<T: Send + 'static>(
+        &self,
+        look: impl FnOnce(&mut SyncPhase<'_>) -> T + Send + 'static,
+    ) -> Receipt<T> {
+        let (sender, receipt) = receipt();
+        self.look(move |phase| sender.send(look(phase)));
+        receipt
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_back_off_doubles_up_to_its_longest() {
+        let second = Duration::from_secs(1);
+        let pauses: Vec<_> = (0..7).map(|panics| lengthened(second, panics).as_secs()).collect();
+        assert_eq!(pauses, [1, 2, 4, 8, 16, 30, 30]);
+        assert_eq!(lengthened(2 * Restart::LONGEST_BACKOFF, 3), 2 * Restart::LONGEST_BACKOFF);
+        assert_eq!(lengthened(second, 200), Restart::LONGEST_BACKOFF);
+    }
+}

@@ -1,0 +1,230 @@
+//! The services of a core, by name.
+
+use std::any::{Any, TypeId, type_name};
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use super::ReplyTo;
+use super::server::Incoming;
+use crate::module::canonical_name;
+use crate::{ModuleId, SetupError};
+
+/// What is known of a service, see [`Core::services`](crate::Core::services).
+#[derive(Clone, Debug)]
+pub struct ServiceInfo {
+    /// The name, without a leading slash.
+    pub name: Arc<str>,
+    /// The Rust path of the request type.
+    pub request_type: &'static str,
+    /// The Rust path of the answer's type.
+    pub response_type: &'static str,
+    /// The module that serves it, if there is one.
+    pub server: Option<Arc<str>>,
+}
+
+/// Visits a type-erased `Vec<Incoming<Q>>`.
+type EachStaged = fn(&dyn Any, &mut dyn FnMut(ReplyTo, &dyn Any));
+
+/// The services that modules offer or call.
+#[derive(Default)]
+pub(crate) struct ServiceRegistry {
+    services: Vec<Service>,
+    by_name: HashMap<Arc<str>, usize>,
+}
+
+pub(crate) struct Service {
+    pub(crate) info: ServiceInfo,
+    types: ServiceTypes,
+    pub(crate) server: Option<(ModuleId, u32)>,
+    /// How many modules and callers know its index.
+    users: u32,
+    /// A `Vec<Incoming<Q>>`: requests on their way to the server.
+    pub(crate) staged: Box<dyn Any + Send>,
+    pub(crate) has_staged: bool,
+    /// True if answers come from a [`StandIn`](crate::StandIn) where no module serves it.
+    pub(crate) has_stand_in: bool,
+    pub(crate) encoder: Option<Encoder>,
+}
+
+/// What of a service depends on its types `Q` and `R`.
+#[derive(Clone, Copy)]
+struct ServiceTypes {
+    ids: (TypeId, TypeId),
+    /// The Rust path of `Q`.
+    request: &'static str,
+    /// The Rust path of `R`.
+    response: &'static str,
+    /// Makes an empty `Vec<Incoming<Q>>`.
+    staged: fn() -> Box<dyn Any + Send>,
+    each: EachStaged,
+    split: fn(&mut dyn Any) -> Box<dyn Any + Send>,
+}
+
+impl Service {
+    pub(crate) fn is_served(&self) -> bool {
+        self.server.is_some() || self.has_stand_in
+    }
+
+    /// Calls `visit` with each request on its way.
+    pub(crate) fn each_staged(&self, visit: &mut dyn FnMut(ReplyTo, &dyn Any)) {
+        (self.types.each)(&*self.staged, visit);
+    }
+
+    /// The requests on their way, for another thread.
+    pub(crate) fn take_staged(&mut self) -> Box<dyn Any + Send> {
+        (self.types.split)(&mut *self.staged)
+    }
+}
+
+fn each<Q: Send + 'static>(staged: &dyn Any, visit: &mut dyn FnMut(ReplyTo, &dyn Any)) {
+    for incoming in staged.downcast_ref::<Vec<Incoming<Q>>>().into_iter().flatten() {
+        visit(incoming.to, &incoming.request);
+    }
+}
+
+fn split<Q: Send + 'static>(staged: &mut dyn Any) -> Box<dyn Any + Send> {
+    Box::new(staged.downcast_mut::<Vec<Incoming<Q>>>().map(std::mem::take).unwrap_or_default())
+}
+
+impl ServiceRegistry {
+    /// The index of the service, which is made where there is none of that name. The caller is a user of it.
+    pub(crate) fn open<Q: Send + 'static, R: Send + 'static>(
+        &mut self,
+        name: &str,
+        module: &str,
+    ) -> Result<usize, SetupError> {
+        let types = ServiceTypes {
+            ids: (TypeId::of::<Q>(), TypeId::of::<R>()),
+            request: type_name::<Q>(),
+            response: type_name::<R>(),
+            staged: || Box::new(Vec::<Incoming<Q>>::new()),
+            each: each::<Q>,
+            split: split::<Q>,
+        };
+        self.open_of(types, name, module)
+    }
+
+    /// The same for types that are values: compiled once, for however many services there are.
+    fn open_of(&mut self, types: ServiceTypes, name: &str, module: &str) -> Result<usize, SetupError> {
+        let name = canonical_name(name)
+            .ok_or_else(|| SetupError::InvalidServiceName { module: module.into(), service: name.into() })?;
+        if let Some(&index) = self.by_name.get(name) {
+            let service = &mut self.services[index];
+            if service.types.ids != types.ids {
+                return Err(SetupError::ServiceType {
+                    module: module.into(),
+                    service: name.into(),
+                    asked: format!("{} -> {}", types.request, types.response),
+                    known: format!("{} -> {}", service.types.request, service.types.response),
+                });
+            }
+            service.users += 1;
+            return Ok(index);
+        }
+        let name: Arc<str> = Arc::from(name);
+        let service = Service {
+            info: ServiceInfo {
+                name: Arc::clone(&name),
+                request_type: types.request,
+                response_type: types.response,
+                server: None,
+            },
+            types,
+            server: None,
+            users: 1,
+            staged: (types.staged)(),
+            has_staged: false,
+            has_stand_in: false,
+            encoder: None,
+        };
+        let index = match self.services.iter().position(|service| service.users == 0) {
+            Some(free) => {
+                self.services[free] = service;
+                free
+            }
+            None => {
+                self.services.push(service);
+                self.services.len() - 1
+            }
+        };
+        self.by_name.insert(name, index);
+        Ok(index)
+    }
+
+    /// Makes the module the server of the service.
+    pub(crate) fn serve(
+        &mut self,
+        index: usize,
+        module: &Arc<str>,
+        id: ModuleId,
+        port: u32,
+    ) -> Result<(), SetupError> {
+        let service = &mut self.services[index];
+        if let Some(known) = &service.info.server {
+            return Err(SetupError::DuplicateServer {
+                module: module.to_string(),
+                service: service.info.name.to_string(),
+                known: known.to_string(),
+            });
+        }
+        service.server = Some((id, port));
+        service.info.server = Some(Arc::clone(module));
+        Ok(())
+    }
+
+    /// Ends one use of the service; one that nobody uses is forgotten.
+    pub(crate) fn release(&mut self, index: usize, module: ModuleId) {
+        let service = &mut self.services[index];
+        if service.server.is_some_and(|(server, _)| server == module) {
+            service.server = None;
+            service.info.server = None;
+        }
+        service.users -= 1;
+        if service.users == 0 {
+            self.by_name.remove(&service.info.name);
+            service.staged = Box::new(());
+            service.has_staged = false;
+        }
+    }
+
+    pub(crate) fn get_mut(&mut self, index: usize) -> &mut Service {
+        &mut self.services[index]
+    }
+
+    pub(crate) fn find(&self, name: &str) -> Option<&Service> {
+        self.by_name.get(name).map(|&index| &self.services[index])
+    }
+
+    pub(crate) fn name(&self, index: usize) -> &Arc<str> {
+        &self.services[index].info.name
+    }
+
+    pub(crate) fn infos(&self) -> impl Iterator<Item = &ServiceInfo> {
+        self.services.iter().filter(|service| service.users > 0).map(|service| &service.info)
+    }
+
+    pub(crate) fn staged(&self) -> bool {
+        self.services.iter().any(|service| service.has_staged)
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.services.len()
+    }
+}
+
+/// Makes bytes of the requests and answers of a service.
+pub(crate) struct Encoder {
+    pub(crate) request: Encode,
+    pub(crate) answer: Encode,
+}
+
+type Encode = Box<dyn Fn(&dyn Any) -> Option<Vec<u8>> + Send>;
+
+impl Encoder {
+    pub(crate) fn new<Q: 'static, R: 'static>(request: fn(&Q) -> Vec<u8>, answer: fn(&R) -> Vec<u8>) -> Self {
+        Self {
+            request: Box::new(move |value| value.downcast_ref().map(request)),
+            answer: Box::new(move |value| value.downcast_ref().map(answer)),
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! A module's side of the services it offers.
+
+use std::any::Any;
+use std::sync::Arc;
+
+use super::{CallError, CallId, Reply, ReplyTo};
+
+/// A request on its way to the server.
+pub(crate) struct Incoming<Q> {
+    pub(crate) to: ReplyTo,
+    pub(crate) request: Q,
+}
+
+/// The requests of one service that its module has not seen yet, and its answers.
+pub(crate) struct ServerPort<Q, R> {
+    name: Arc<str>,
+    requests: Vec<Incoming<Q>>,
+    /// Requests the module has seen and not answered.
+    open: Vec<ReplyTo>,
+    answers: Vec<(ReplyTo, Reply<R>)>,
+}
+
+impl<Q, R> ServerPort<Q, R> {
+    pub(crate) fn new(name: Arc<str>) -> Self {
+        Self { name, requests: Vec::new(), open: Vec::new(), answers: Vec::new() }
+    }
+
+    /// The requests that came, in place of `empty`; all of them are open now.
+    pub(crate) fn take_requests(&mut self) -> Vec<Incoming<Q>> {
+        let requests = std::mem::take(&mut self.requests);
+        self.open.extend(requests.iter().map(|request| request.to));
+        requests
+    }
+
+    pub(crate) fn give_back(&mut self, buffer: Vec<Incoming<Q>>) {
+        if self.requests.is_empty() {
+            self.requests = buffer;
+        }
+    }
+
+    pub(crate) fn answer(&mut self, to: ReplyTo, result: Result<R, String>) {
+        let Some(position) = self.open.iter().position(|open| *open == to) else { return };
+        self.open.swap_remove(position);
+        let refused = |reason| CallError::Refused { service: Arc::clone(&self.name), reason };
+        self.answers.push((to, reply(to, result.map_err(refused))));
+    }
+}
+
+fn reply<R>(to: ReplyTo, result: Result<R, CallError>) -> Reply<R> {
+    let (ReplyTo::Module { call, .. } | ReplyTo::External { call }) = to;
+    Reply { call: CallId(call), result }
+}
+
+/// An `Option<Reply<R>>` on its way to the caller, who takes it.
+pub(crate) trait AnyReply: Any + Send {
+    /// The answer, or why there is none.
+    fn look(&self) -> Option<Result<&dyn Any, &CallError>>;
+    /// The same on the heap, for another thread.
+    fn take_boxed(&mut self) -> Box<dyn AnyReply>;
+}
+
+impl<R: Send + 'static> AnyReply for Option<Reply<R>> {
+    fn look(&self) -> Option<Result<&dyn Any, &CallError>> {
+        self.as_ref().map(|reply| reply.result.as_ref().map(|answer| answer as &dyn Any))
+    }
+
+    fn take_boxed(&mut self) -> Box<dyn AnyReply> {
+        Box::new(self.take())
+    }
+}
+
+/// A [`ServerPort`] whose types only the service knows.
+pub(crate) trait AnyServer: Any + Send {
+    /// The name of the service.
+    fn name(&self) -> &Arc<str>;
+    fn has_answers(&self) -> bool;
+    /// Takes the requests out of a `Vec<Incoming<Q>>`.
+    fn accept(&mut self, staged: &mut dyn Any);
+    /// Hands out the answers.
+    fn drain_answers(&mut self, deliver: &mut dyn FnMut(ReplyTo, &mut dyn AnyReply));
+    /// Answers everything that is open with an error.
+    fn abandon(&mut self, module: &Arc<str>);
+    /// Forgets answers: those of a run that panicked.
+    fn discard_answers(&mut self);
+}
+
+impl<Q: Send + 'static, R: Send + 'static> AnyServer for ServerPort<Q, R> {
+    fn name(&self) -> &Arc<str> {
+        &self.name
+    }
+
+    fn has_answers(&self) -> bool {
+        !self.answers.is_empty()
+    }
+
+    fn accept(&mut self, staged: &mut dyn Any) {
+        let Some(staged) = staged.downcast_mut::<Vec<Incoming<Q>>>() else {
+            debug_assert!(false, "a request reached a server of another type");
+            return;
+        };
+        if self.requests.is_empty() {
+            std::mem::swap(&mut self.requests, staged);
+        } else {
+            self.requests.append(staged);
+        }
+    }
+
+    fn drain_answers(&mut self, deliver: &mut dyn FnMut(ReplyTo, &mut dyn AnyReply)) {
+        for (to, reply) in self.answers.drain(..) {
+            deliver(to, &mut Some(reply));
+        }
+    }
+
+    fn abandon(&mut self, module: &Arc<str>) {
+        let Self { name, requests, open, answers, .. } = self;
+        open.extend(requests.drain(..).map(|request| request.to));
+        for to in open.drain(..) {
+            let error = CallError::ServerGone { service: Arc::clone(name), module: Arc::clone(module) };
+            answers.push((to, reply(to, Err(error))));
+        }
+    }
+
+    fn discard_answers(&mut self) {
+        // What was answered and is discarded is open again.
+        let Self { open, answers, .. } = self;
+        open.extend(answers.drain(..).map(|(to, _)| to));
+    }
+}

@@ -1,0 +1,82 @@
+//! Launchers: on which threads the process phase runs.
+
+mod pool;
+mod threads;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+pub use pool::{Pool, PoolError};
+pub use threads::Threads;
+
+use crate::threads::{drop_guarded, reason};
+use crate::{Launcher, Stage, ThreadError, ThreadOptions};
+
+/// Runs the modules one after another on the thread of the core. The fastest where the work of a cycle is
+/// less than the cost of waking a thread. [`Scheduled`](crate::Scheduled) gives that thread CPUs and a priority.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Linear;
+
+impl Launcher for Linear {
+    fn is_linear(&self) -> bool {
+        true
+    }
+
+    fn process(&mut self, stage: &mut Arc<Stage>) {
+        match Arc::get_mut(stage) {
+            Some(stage) => stage.run_all(),
+            None => while stage.run_next() {},
+        }
+    }
+}
+
+/// A launcher whose core has its thread on the CPUs, and at the priority, that options say.
+///
+/// ```
+/// use downbeat_executor::{Core, Linear, Scheduled, ThreadOptions};
+///
+/// let options = ThreadOptions { cpus: vec![0], ..ThreadOptions::default() };
+/// let core = Core::new().with_launcher(Scheduled::new(Linear, options));
+/// ```
+///
+/// The thread that runs the core keeps them when the core has stopped.
+#[derive(Clone, Debug)]
+pub struct Scheduled<L> {
+    launcher: L,
+    options: ThreadOptions,
+}
+
+impl<L: Launcher> Scheduled<L> {
+    /// The launcher, with options for the core's thread alone.
+    pub fn new(launcher: L, options: ThreadOptions) -> Self {
+        Self { launcher, options }
+    }
+}
+
+impl<L: Launcher> Launcher for Scheduled<L> {
+    fn attach(&mut self) -> Result<(), ThreadError> {
+        self.launcher.attach()?;
+        self.options.apply()
+    }
+
+    fn process(&mut self, stage: &mut Arc<Stage>) {
+        self.launcher.process(stage);
+    }
+
+    fn is_linear(&self) -> bool {
+        self.launcher.is_linear()
+    }
+
+    fn slot_freed(&mut self, slot: usize) {
+        self.launcher.slot_freed(slot);
+    }
+}
+
+/// Runs a stage's modules on a worker's thread. Panics of modules do not come here; should there be one all the
+/// same, it neither ends the worker nor holds up the cycle.
+fn run_guarded(run: impl FnOnce()) {
+    if let Err(panic) = catch_unwind(AssertUnwindSafe(run)) {
+        tracing::error!("a thread of the launcher panicked and goes on: {}", reason(&*panic));
+        drop_guarded("what a panic carried", || drop(panic));
+    }
+}

@@ -1,0 +1,240 @@
+//! The launcher with a fixed number of threads.
+
+use std::collections::BTreeSet;
+use std::num::NonZeroUsize;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use super::run_guarded;
+use crate::threads::Spinner;
+use crate::threads::gate::{Gate, Seat};
+use crate::{Launcher, Spin, Stage, ThreadError, ThreadOptions};
+
+/// Why a pool could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum PoolError {
+    /// Not even the core's own thread would be left.
+    #[error(
+        "a pool of 0 threads cannot run modules: give it at least 1, the core's own \
+         (this machine runs {} at once)",
+        available()
+    )]
+    NoThreads,
+    /// Threads that never park would take the CPU from those they wait for.
+    #[error(
+        "the {threads} threads of a pool cannot all spin always: each needs a CPU of its own, and {sharing} of them \
+         have to share {cpus}; use fewer threads, give them more CPUs, or let them spin for a time"
+    )]
+    TooFewCpus {
+        /// How many were asked for.
+        threads: usize,
+        /// How many of them may run on the same CPUs only.
+        sharing: usize,
+        /// The number of these CPUs.
+        cpus: usize,
+    },
+    /// A thread could not be started, or cannot run as its options say.
+    #[error("cannot make a pool of {threads} threads: {source}")]
+    Thread {
+        /// How many were asked for.
+        threads: usize,
+        /// What went wrong with one of them.
+        source: ThreadError,
+    },
+}
+
+/// Divides the modules of a cycle among `n` threads, that of the core among them. Each takes the next
+/// module that none has taken, so a long one does not hold up the rest.
+///
+/// ```
+/// use downbeat_executor::{Core, Pool};
+///
+/// let core = Core::new().with_launcher(Pool::new(2)?);
+/// # Ok::<(), downbeat_executor::PoolError>(())
+/// ```
+///
+/// A cycle wakes no more threads than it has modules beyond the first. What a woken thread has not begun when
+/// the core's thread is through, it never gets: cheap modules do not wait for it.
+pub struct Pool {
+    workers: Vec<Worker>,
+    gate: Arc<Gate>,
+    spinner: Spinner,
+    /// Of the core's thread.
+    core: ThreadOptions,
+}
+
+struct Worker {
+    seat: Arc<Seat<Arc<Stage>>>,
+    /// There until the drop.
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Pool {
+    /// A pool of `threads` threads, the core's included. The others spin for a moment after a cycle, so that
+    /// cycles in quick succession need not wake them.
+    ///
+    /// # Errors
+    /// If there are to be none, or the system refuses one.
+    pub fn new(threads: usize) -> Result<Self, PoolError> {
+        Self::with_options(threads, ThreadOptions::default())
+    }
+
+    /// A pool of `threads` threads, the core's included, that all run as the options say.
+    ///
+    /// # Errors
+    /// If there are to be none, or the system refuses one, or does not allow what the options say.
+    pub fn with_options(threads: usize, options: ThreadOptions) -> Result<Self, PoolError> {
+        Self::with_each(vec![options; threads])
+    }
+
+    /// A pool with a thread for each of the options. The first are for the core's thread.
+    ///
+    /// # Errors
+    /// If there are none, or the system refuses a thread, or does not allow what its options say.
+    pub fn with_each(options: Vec<ThreadOptions>) -> Result<Self, PoolError> {
+        let threads = options.len();
+        // Threads that take CPUs from each other make nothing faster by spinning.
+        let spin = match shared_cpus(&options) {
+            Some((sharing, cpus)) if options.iter().any(|options| options.spin == Spin::Always) => {
+                return Err(PoolError::TooFewCpus { threads, sharing, cpus });
+            }
+            Some(_) => Spin::Never,
+            None => Spin::For(USUAL_SPIN),
+        };
+        let mut options = options.into_iter();
+        let core = options.next().ok_or(PoolError::NoThreads)?;
+        let spinner = Spinner::new(core.spin.or(spin));
+        let mut pool = Self { workers: Vec::new(), gate: Arc::new(Gate::new()), spinner, core };
+        for (index, options) in options.enumerate() {
+            let worker = Worker::start(index + 1, &pool.gate, &options, spin);
+            pool.workers.push(worker.map_err(|source| PoolError::Thread { threads, source })?);
+        }
+        Ok(pool)
+    }
+}
+
+/// More than the pause between two cycles in a row, and of little weight beside a period of milliseconds.
+const USUAL_SPIN: Duration = Duration::from_micros(20);
+
+fn available() -> usize {
+    std::thread::available_parallelism().map_or(1, NonZeroUsize::get)
+}
+
+/// How many threads have to share how many CPUs, if there are not enough for one each.
+fn shared_cpus(options: &[ThreadOptions]) -> Option<(usize, usize)> {
+    let is_within = |inner: &ThreadOptions, outer: &ThreadOptions| {
+        outer.cpus.is_empty()
+            || (!inner.cpus.is_empty() && inner.cpus.iter().all(|cpu| outer.cpus.contains(cpu)))
+    };
+    options.iter().find_map(|outer| {
+        let sharing = options.iter().filter(|inner| is_within(inner, outer)).count();
+        let cpus = if outer.cpus.is_empty() { available() } else { BTreeSet::from_iter(&outer.cpus).len() };
+        (sharing > cpus).then_some((sharing, cpus))
+    })
+}
+
+impl Launcher for Pool {
+    fn attach(&mut self) -> Result<(), ThreadError> {
+        self.core.apply()
+    }
+
+    fn process(&mut self, stage: &mut Arc<Stage>) {
+        // A helper for each module beyond the first: fewer wake-ups in a cycle where little is due.
+        let helpers = stage.runnable().saturating_sub(1).min(self.workers.len());
+        if helpers == 0
+            && let Some(stage) = Arc::get_mut(stage)
+        {
+            return stage.run_all();
+        }
+        let Self { workers, gate, spinner, .. } = self;
+        gate.expect(helpers);
+        let _meeting = Meeting { helpers: &workers[..helpers], gate, spinner };
+        for worker in &workers[..helpers] {
+            worker.give(stage, gate);
+        }
+        while stage.run_next() {}
+    }
+}
+
+impl Worker {
+    fn start(
+        number: usize,
+        gate: &Arc<Gate>,
+        options: &ThreadOptions,
+        spin: Spin,
+    ) -> Result<Self, ThreadError> {
+        let seat = Arc::new(Seat::new(Arc::clone(gate)));
+        let (served, mut spinner) = (Arc::clone(&seat), Spinner::new(options.spin.or(spin)));
+        let run = |stage: Arc<Stage>| run_guarded(|| while stage.run_next() {});
+        let name = format!("{}-{number}", options.prefix("pool"));
+        let thread = options.spawn(name, move || served.serve(&mut spinner, run))?;
+        Ok(Self { seat, thread: Some(thread) })
+    }
+
+    fn give(&self, stage: &Arc<Stage>, gate: &Gate) {
+        let Some(thread) = &self.thread else { return gate.arrive() };
+        if self.seat.give(Arc::clone(stage), thread.thread()).is_err() {
+            gate.arrive();
+        }
+    }
+}
+
+/// The end of a process phase, also of one that panics: no helper has the stage any longer.
+struct Meeting<'a> {
+    helpers: &'a [Worker],
+    gate: &'a Gate,
+    spinner: &'a mut Spinner,
+}
+
+impl Drop for Meeting<'_> {
+    fn drop(&mut self) {
+        for helper in self.helpers {
+            if helper.seat.take_back().is_some() {
+                self.gate.arrive();
+            }
+        }
+        self.gate.wait(self.spinner);
+    }
+}
+
+impl std::fmt::Debug for Pool {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_struct("Pool").field("threads", &(self.workers.len() + 1)).finish_non_exhaustive()
+    }
+}
+
+impl Drop for Pool {
+    fn drop(&mut self) {
+        for worker in &mut self.workers {
+            if let Some(thread) = worker.thread.take() {
+                worker.seat.close(thread.thread());
+                let _ = thread.join();
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn on(cpus: &[usize]) -> ThreadOptions {
+        ThreadOptions { cpus: cpus.to_vec(), spin: Spin::Always, ..ThreadOptions::default() }
+    }
+
+    #[test]
+    fn threads_that_have_to_share_cpus_are_counted() {
+        assert_eq!(shared_cpus(&[on(&[0]), on(&[1]), on(&[2, 3])]), None);
+        assert_eq!(shared_cpus(&[on(&[0]), on(&[1]), on(&[1, 1])]), Some((2, 1)));
+        assert_eq!(shared_cpus(&[on(&[0, 1]), on(&[1]), on(&[0])]), Some((3, 2)));
+        let more = available() + 1;
+        assert_eq!(shared_cpus(&vec![on(&[]); more]), Some((more, more - 1)));
+    }
+
+    #[test]
+    fn threads_that_always_spin_are_refused_where_they_would_wait_for_each_others_cpu() {
+        let refused = Err(PoolError::TooFewCpus { threads: 2, sharing: 2, cpus: 1 }.to_string());
+        assert_eq!(Pool::with_options(2, on(&[0])).map(drop).map_err(|error| error.to_string()), refused);
+    }
+}

@@ -1,0 +1,145 @@
+//! Why a module runs, and of which mechanisms it has asked something: sets of small numbers.
+
+/// The kinds of callbacks for which a module runs, in the order in which a run calls them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Causes(u16);
+
+impl Causes {
+    pub(crate) const NONE: Self = Self(0);
+    pub(crate) const SETTINGS: Self = Self(1);
+    pub(crate) const RESULTS: Self = Self(1 << 1);
+    pub(crate) const MESSAGES: Self = Self(1 << 2);
+    pub(crate) const REQUESTS: Self = Self(1 << 3);
+    pub(crate) const REPLIES: Self = Self(1 << 4);
+    pub(crate) const TASKS: Self = Self(1 << 5);
+    pub(crate) const TIMERS: Self = Self(1 << 6);
+    pub(crate) const EACH_RUN: Self = Self(1 << 7);
+    /// Of no kind: a transition, the end of a pause, or every cycle.
+    pub(crate) const WOKEN: Self = Self(1 << 8);
+    /// Those that the time alone can bring.
+    pub(crate) const DUE: Self = Self::REPLIES.and(Self::TASKS).and(Self::TIMERS);
+    /// Those of a first run, which finds out for itself what there is.
+    pub(crate) const ALL: Self = Self(0x17f);
+
+    /// How many kinds of callbacks there are.
+    pub(crate) const KINDS: usize = 8;
+
+    pub(crate) const fn and(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    #[inline]
+    pub(crate) fn add(&mut self, other: Self) {
+        self.0 |= other.0;
+    }
+
+    #[inline]
+    pub(crate) fn has(self, other: Self) -> bool {
+        self.0 & other.0 != 0
+    }
+
+    pub(crate) fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
+
+    /// Those whose callbacks are called before the ones of `other`.
+    pub(crate) fn before(self, other: Self) -> Self {
+        Self(self.0 & (other.0 - 1))
+    }
+
+    #[inline]
+    pub(crate) fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// The place of the kind in the order of a run.
+    pub(crate) fn kind(self) -> usize {
+        self.0.trailing_zeros() as usize
+    }
+
+    /// Takes out the kind that is called first.
+    #[inline]
+    pub(crate) fn take_kind(&mut self) -> Option<usize> {
+        let kind = self.0.trailing_zeros() as usize;
+        if kind >= Self::KINDS {
+            return None;
+        }
+        self.0 &= self.0 - 1;
+        Some(kind)
+    }
+}
+
+/// Mechanisms, by their numbers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Asked(u64);
+
+impl Asked {
+    /// The mechanism of that number. Those from 63 on share a bit, and so look more often than they have to.
+    #[inline]
+    pub(crate) const fn of(mechanism: usize) -> Self {
+        Self(1 << if mechanism < 63 { mechanism } else { 63 })
+    }
+
+    #[inline]
+    pub(crate) const fn bits(self) -> u64 {
+        self.0
+    }
+
+    #[inline]
+    pub(crate) const fn from_bits(bits: u64) -> Self {
+        Self(bits)
+    }
+
+    #[inline]
+    pub(crate) const fn or(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    #[inline]
+    pub(crate) fn add(&mut self, other: Self) {
+        self.0 |= other.0;
+    }
+
+    #[inline]
+    pub(crate) fn remove(&mut self, other: Self) {
+        self.0 &= !other.0;
+    }
+
+    #[inline]
+    pub(crate) fn has(self, other: Self) -> bool {
+        self.0 & other.0 != 0
+    }
+
+    #[inline]
+    pub(crate) fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// The first mechanism from that number on.
+    #[inline]
+    pub(crate) fn next(self, from: usize) -> Option<usize> {
+        let left = self.0.checked_shr(from as u32).unwrap_or(0);
+        (left != 0).then(|| from + left.trailing_zeros() as usize)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn kinds_come_out_in_the_order_of_a_run() {
+        let mut causes = Causes::TIMERS.and(Causes::WOKEN).and(Causes::SETTINGS);
+        assert_eq!([causes.take_kind(), causes.take_kind(), causes.take_kind()], [Some(0), Some(6), None]);
+        assert!(causes.has(Causes::WOKEN));
+    }
+
+    #[test]
+    fn mechanisms_come_out_in_their_order() {
+        let asked = Asked::of(3).or(Asked::of(5)).or(Asked::of(70));
+        assert_eq!(
+            [asked.next(0), asked.next(4), asked.next(6), asked.next(64)],
+            [Some(3), Some(5), Some(63), None]
+        );
+    }
+}

@@ -1,0 +1,420 @@
+//! A module as the core keeps it: its runs and its life.
+
+use std::any::Any;
+use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+use super::behaviour::Behaviour;
+use super::causes::{Asked, Causes};
+use super::link::Delivery;
+use super::port::{ModuleChange, ModuleIo, Port, Views};
+use crate::observe::{Badge, ModuleMeter, Span, spans_are_on};
+use crate::threads::{ReceiptSender, Watch, end_of};
+use crate::{Context, LifeStep, LifecycleState, Role, SettingValue, Time, Transition, TransitionRefused};
+
+/// The mechanism that keeps the modules and has to know of panics; the core's first.
+pub(crate) const MODULES: usize = 0;
+/// The mechanism that has modules run at a time; the core's last.
+pub(crate) const TIMERS: usize = 5;
+
+pub(crate) struct ModuleCell {
+    pub(crate) io: ModuleIo,
+    /// `Some` until the cell is dropped.
+    behaviour: Option<Box<dyn Behaviour>>,
+    /// True if it is active and nothing has to be done before its callbacks.
+    is_plain: bool,
+    /// The kinds of callbacks that every run calls.
+    always: Causes,
+    /// For what it will run once it is active and not paused.
+    waiting: Causes,
+    state: LifecycleState,
+    hold: Hold,
+    transitions: VecDeque<(Transition, TransitionReceipt)>,
+    watch: Option<Watch>,
+    badge: Badge,
+    panic: Option<String>,
+    pub(crate) meter: ModuleMeter,
+    /// The last run, in a cycle that is measured.
+    pub(crate) span: Option<Span>,
+}
+
+type TransitionReceipt = Option<ReceiptSender<Result<LifecycleState, TransitionRefused>>>;
+
+/// Whether a module is paused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Hold {
+    Free,
+    Held,
+    /// Held after its next run.
+    Step,
+}
+
+/// What a run reads.
+#[derive(Clone, Copy)]
+pub(crate) enum Input<'a> {
+    /// Inside a cycle: what the mechanisms show.
+    Views(&'a Views),
+    /// On a thread of its own: batches of earlier cycles.
+    Batches(&'a [Delivery]),
+}
+
+impl ModuleCell {
+    /// A module on its way to `initial`.
+    pub(crate) fn new(
+        io: ModuleIo,
+        behaviour: Box<dyn Behaviour>,
+        initial: LifecycleState,
+        watch: Option<Watch>,
+        meter: ModuleMeter,
+    ) -> Self {
+        let transitions: &[_] = match initial {
+            LifecycleState::Unconfigured => &[],
+            LifecycleState::Inactive => &[Transition::Configure],
+            LifecycleState::Active => &[Transition::Configure, Transition::Activate],
+            LifecycleState::Finalized => &[Transition::Shutdown],
+        };
+        let badge = Badge::new(Arc::clone(&io.name));
+        Self {
+            io,
+            is_plain: false,
+            always: behaviour.always(),
+            behaviour: Some(behaviour),
+            waiting: Causes::NONE,
+            state: LifecycleState::Unconfigured,
+            hold: Hold::Free,
+            transitions: transitions.iter().map(|&transition| (transition, None)).collect(),
+            watch,
+            badge,
+            panic: None,
+            meter,
+            span: None,
+        }
+    }
+
+    pub(crate) fn name(&self) -> &Arc<str> {
+        &self.io.name
+    }
+
+    #[inline]
+    pub(crate) fn port<P: Port>(&mut self, mechanism: usize) -> Option<&mut P> {
+        self.io.port(mechanism)
+    }
+
+    pub(crate) fn state(&self) -> LifecycleState {
+        self.state
+    }
+
+    /// True after the last callback, or after a panic.
+    pub(crate) fn has_ended(&self) -> bool {
+        self.state == LifecycleState::Finalized
+    }
+
+    /// What the panic said that ended the module; given once.
+    pub(crate) fn take_panic(&mut self) -> Option<String> {
+        self.panic.take()
+    }
+
+    pub(crate) fn hold(&mut self, hold: Hold) {
+        self.hold = hold;
+        self.is_plain = false;
+    }
+
+    pub(crate) fn is_paused(&self) -> bool {
+        self.hold != Hold::Free
+    }
+
+    /// Checks the value that a setting is to have, by the closures of the module.
+    pub(crate) fn accept_setting(&mut self, setting: usize, value: &SettingValue) -> Result<(), String> {
+        let Some(behaviour) = &mut self.behaviour else { return Ok(()) };
+        let check = AssertUnwindSafe(|| behaviour.accept_setting(setting, value));
+        catch_unwind(check)
+            .unwrap_or_else(|panic| Err(format!("the module's check of it panicked: {}", end_of(panic))))
+    }
+
+    /// Keeps what it has to run for. True if it has to run whatever the time is.
+    pub(crate) fn has_work(&mut self, causes: Causes) -> bool {
+        if !causes.is_empty() {
+            self.waiting.add(causes);
+            self.is_plain = false;
+        }
+        match self.hold {
+            Hold::Held => false,
+            Hold::Step => true,
+            Hold::Free => {
+                // A module that is not active answers no requests, but has to refuse them.
+                let is_active = self.state == LifecycleState::Active;
+                let has_cause =
+                    if is_active { !self.waiting.is_empty() } else { self.waiting.has(Causes::REQUESTS) };
+                has_cause || !self.transitions.is_empty()
+            }
+        }
+    }
+
+    /// Time has gone back to `now`.
+    #[cold]
+    pub(crate) fn go_back(&mut self, now: Time) {
+        self.io.changed(ModuleChange::ClockWentBack(now));
+    }
+
+    /// When the next timer fires, the next task is due, or the next call times out.
+    pub(crate) fn next_due(&self) -> Time {
+        if self.state != LifecycleState::Active || self.hold == Hold::Held {
+            return Time::MAX;
+        }
+        self.io.due()
+    }
+
+    /// Runs inside a cycle. Returns the mechanisms of which it asked something.
+    #[inline]
+    pub(crate) fn run(&mut self, causes: Causes, views: &Views, now: Time) -> Asked {
+        if spans_are_on() {
+            self.run_in_span(causes, views, now)
+        } else {
+            self.run_in_cycle(causes, views, now)
+        }
+    }
+
+    #[cold]
+    fn run_in_span(&mut self, causes: Causes, views: &Views, now: Time) -> Asked {
+        let _span = tracing::trace_span!("run", module = &*self.io.name).entered();
+        self.run_in_cycle(causes, views, now)
+    }
+
+    #[inline]
+    fn run_in_cycle(&mut self, causes: Causes, views: &Views, now: Time) -> Asked {
+        self.io.received = 0;
+        self.run_with(causes, Input::Views(views), now, |behaviour, causes, ctx| behaviour.run(causes, ctx));
+        self.meter.ran(self.io.received);
+        self.take_asked()
+    }
+
+    /// What the module asked for since this was called last.
+    #[inline]
+    pub(crate) fn take_asked(&mut self) -> Asked {
+        std::mem::take(&mut self.io.asked)
+    }
+
+    /// Runs outside a cycle, on batches that were shared when it was.
+    ///
+    /// Batches of several cycles may have come together. A part receives them by order of subscription, as
+    /// it would if they had come in one cycle: that is how replay gives them to it again. An observer, which
+    /// is not replayed but may write down what it sees, receives them in the order of the cycles.
+    pub(crate) fn run_detached(&mut self, causes: Causes, deliveries: &[Delivery], role: Role, now: Time) {
+        let _span = tracing::trace_span!("run", module = &*self.io.name).entered();
+        self.run_with(causes, Input::Batches(deliveries), now, |behaviour, causes, ctx| {
+            if role == Role::Part || deliveries.len() < 2 {
+                return behaviour.run(causes, ctx);
+            }
+            let before = causes.before(Causes::MESSAGES);
+            behaviour.run(before, ctx);
+            for delivery in deliveries {
+                let ctx = &mut ctx.with_input(Input::Batches(std::slice::from_ref(delivery)));
+                behaviour.run(Causes::MESSAGES, ctx);
+            }
+            behaviour.run(causes.without(before.and(Causes::MESSAGES)), ctx);
+        });
+    }
+
+    #[inline]
+    fn run_with(
+        &mut self,
+        mut causes: Causes,
+        input: Input<'_>,
+        now: Time,
+        run: impl FnOnce(&mut dyn Behaviour, Causes, &mut Context<'_>),
+    ) {
+        if !self.is_plain {
+            match self.prepare(causes, input, now) {
+                Some(all) => causes = all,
+                None => return,
+            }
+        }
+        causes.add(self.always);
+        let Self { io, behaviour: Some(behaviour), watch, badge, .. } = self else { return };
+        io.run += 1;
+        let _worn = badge.wear();
+        if let Some(watch) = watch {
+            watch.begin();
+        }
+        let outcome = catch_unwind(AssertUnwindSafe(|| {
+            run(&mut **behaviour, causes, &mut Context::new(io, now, input));
+        }));
+        if let Some(watch) = watch
+            && watch.end()
+        {
+            self.meter.overran(1);
+        }
+        if let Err(panic) = outcome {
+            self.end_by_panic(panic, None);
+        }
+    }
+
+    pub(crate) fn transition_later(&mut self, transition: Transition, receipt: TransitionReceipt) {
+        self.transitions.push_back((transition, receipt));
+        self.is_plain = false;
+    }
+
+    /// Runs the module's last callback.
+    pub(crate) fn shutdown(&mut self, input: Input<'_>, now: Time) {
+        if self.has_ended() {
+            return;
+        }
+        let transition = Transition::Shutdown;
+        self.report(LifeStep::Begins { transition, from: self.state });
+        self.guarded(transition, input, now, |behaviour, ctx| {
+            // Has no way to fail.
+            let _ = behaviour.transition(transition, ctx);
+        });
+        if !self.has_ended() {
+            self.end();
+            self.report(LifeStep::Made { transition, to: self.state });
+        }
+    }
+
+    /// What comes before the callbacks of a run, where there is something. `None` if no callback may run.
+    #[cold]
+    fn prepare(&mut self, causes: Causes, input: Input<'_>, now: Time) -> Option<Causes> {
+        // Messages pass a module by that is paused or not active.
+        self.waiting.add(causes.without(Causes::MESSAGES));
+        match self.hold {
+            Hold::Free => {}
+            Hold::Held => return None,
+            Hold::Step => self.hold = Hold::Held,
+        }
+        if !self.transitions.is_empty() {
+            self.make_transitions(input, now);
+        }
+        if self.state != LifecycleState::Active {
+            self.refuse_requests();
+            self.waiting = self.waiting.without(Causes::REQUESTS);
+            return None;
+        }
+        self.is_plain = self.hold == Hold::Free;
+        let mut all = std::mem::take(&mut self.waiting);
+        all.add(causes);
+        Some(all)
+    }
+
+    fn make_transitions(&mut self, input: Input<'_>, now: Time) {
+        self.io.ask(TIMERS);
+        while let Some((transition, receipt)) = self.transitions.pop_front() {
+            let outcome = self.make_transition(transition, input, now);
+            if let Err(refused) = &outcome {
+                tracing::error!("{refused}");
+                // Those that follow cannot be made either; only who waits for an answer has to be told.
+                self.transitions.retain(|(_, receipt)| receipt.is_some());
+            }
+            if let Some(receipt) = receipt {
+                receipt.send(outcome);
+            }
+        }
+    }
+
+    fn make_transition(
+        &mut self,
+        transition: Transition,
+        input: Input<'_>,
+        now: Time,
+    ) -> Result<LifecycleState, TransitionRefused> {
+        let module = Arc::clone(self.name());
+        let Some(target) = transition.from(self.state) else {
+            return Err(TransitionRefused::WrongState { module, transition, state: self.state });
+        };
+        self.report(LifeStep::Begins { transition, from: self.state });
+        let mut result = Ok(());
+        self.guarded(transition, input, now, |behaviour, ctx| result = behaviour.transition(transition, ctx));
+        if self.has_ended() {
+            return Err(TransitionRefused::Panicked { module, transition });
+        }
+        if let Err(reason) = result {
+            self.report(LifeStep::Failed { transition, state: self.state });
+            let (state, reason) = (self.state, reason.to_string());
+            return Err(TransitionRefused::ByModule { module, transition, state, reason });
+        }
+        tracing::debug!(module = &*module, "{transition}: {} to {target}", self.state);
+        match transition {
+            Transition::Activate => self.io.changed(ModuleChange::Activated(now)),
+            Transition::Deactivate => {
+                self.io.changed(ModuleChange::Deactivated);
+                self.refuse_requests();
+            }
+            Transition::Shutdown => self.refuse_requests(),
+            Transition::Configure | Transition::Cleanup => {}
+        }
+        self.state = target;
+        self.report(LifeStep::Made { transition, to: target });
+        Ok(target)
+    }
+
+    /// A panic ends the module, and only it: what it asked for in this run is discarded.
+    fn guarded(
+        &mut self,
+        transition: Transition,
+        input: Input<'_>,
+        now: Time,
+        run: impl FnOnce(&mut dyn Behaviour, &mut Context<'_>),
+    ) {
+        let Self { io, behaviour: Some(behaviour), watch, badge, .. } = self else { return };
+        let _worn = badge.wear();
+        if let Some(watch) = watch {
+            watch.begin();
+        }
+        let outcome =
+            catch_unwind(AssertUnwindSafe(|| run(&mut **behaviour, &mut Context::new(io, now, input))));
+        if let Some(watch) = watch
+            && watch.end()
+        {
+            self.meter.overran(1);
+        }
+        if let Err(panic) = outcome {
+            self.end_by_panic(panic, Some(transition));
+        }
+    }
+
+    #[cold]
+    fn end_by_panic(&mut self, panic: Box<dyn Any + Send>, transition: Option<Transition>) {
+        let from = self.state;
+        self.io.asked = Asked::of(MODULES);
+        self.io.changed(ModuleChange::Panicked);
+        self.meter.panicked();
+        self.panic = Some(end_of(panic));
+        self.end();
+        self.report(LifeStep::Panicked { transition, from });
+    }
+
+    fn report(&self, step: LifeStep) {
+        self.io.link.listeners.report(&self.io.name, step);
+    }
+
+    fn end(&mut self) {
+        self.state = LifecycleState::Finalized;
+        self.is_plain = false;
+        self.io.ask(TIMERS);
+        self.refuse_requests();
+        for (transition, receipt) in self.transitions.drain(..) {
+            if let Some(receipt) = receipt {
+                let (module, state) = (Arc::clone(&self.io.name), LifecycleState::Finalized);
+                receipt.send(Err(TransitionRefused::WrongState { module, transition, state }));
+            }
+        }
+    }
+
+    /// Those who wait for an answer of this module receive an error.
+    fn refuse_requests(&mut self) {
+        let name = Arc::clone(&self.io.name);
+        self.is_plain = false;
+        self.io.changed(ModuleChange::Inactive { module: &name });
+    }
+}
+
+impl Drop for ModuleCell {
+    /// A module that panics while it is dropped takes neither the others nor the core with it.
+    fn drop(&mut self) {
+        let behaviour = self.behaviour.take();
+        if let Err(panic) = catch_unwind(AssertUnwindSafe(|| drop(behaviour))) {
+            tracing::error!(module = &*self.io.name, "panicked while it was dropped: {}", end_of(panic));
+        }
+        self.io.changed(ModuleChange::Panicked);
+    }
+}

@@ -1,0 +1,196 @@
+//! What other threads send to the core: posts to mechanisms, and what detached modules bring back.
+
+use std::any::Any;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering, fence};
+
+use crossbeam::queue::SegQueue;
+use crossbeam::sync::Unparker;
+
+use super::causes::Asked;
+use super::lifecycle::Listeners;
+use crate::observe::{SharedTiming, Span};
+use crate::threads::drop_guarded;
+use crate::{LifecycleState, ModuleId, Time};
+
+/// The way of other threads to the core. The sync phase takes posts in the order in which they came.
+pub(crate) struct Link {
+    posts: SegQueue<Post>,
+    /// The mechanisms in whose own queues something waits.
+    announced: AtomicU64,
+    /// True if the clock was moved.
+    clock: AtomicBool,
+    core: Unparker,
+    pub(crate) timing: Arc<SharedTiming>,
+    pub(crate) listeners: Listeners,
+    stop: AtomicBool,
+    closed: AtomicBool,
+    ended: AtomicBool,
+}
+
+pub(crate) enum Post {
+    /// To the mechanism with this number: a change of its state.
+    To(usize, PostedChange),
+    /// A detached module has run.
+    Step(Box<StepOutcome>),
+}
+
+pub(crate) type PostedChange = Box<dyn FnOnce(&mut dyn Any) + Send>;
+
+/// What a run of a detached module brings to the next sync phase.
+pub(crate) struct StepOutcome {
+    pub(crate) module: ModuleId,
+    pub(crate) time: Time,
+    /// Counts the runs of the module.
+    pub(crate) number: u64,
+    pub(crate) is_stop: bool,
+    pub(crate) inputs: Vec<TopicInput>,
+    /// Requests, answers, results and commands that the run took over.
+    pub(crate) taken: u32,
+    /// What the module asks of mechanisms, by their numbers.
+    pub(crate) parts: Vec<(usize, Box<dyn Any + Send>)>,
+    /// `None` if the module was paused.
+    pub(crate) span: Option<Span>,
+    /// True if the run began because a time was due.
+    pub(crate) was_due: bool,
+    /// Runs that took longer than the deadline.
+    pub(crate) overruns: u64,
+    pub(crate) state: LifecycleState,
+    pub(crate) panic: Option<String>,
+}
+
+/// How many messages of a topic a run was given.
+#[derive(Clone, Copy)]
+pub(crate) struct TopicInput {
+    pub(crate) topic: usize,
+    pub(crate) skipped: u32,
+    pub(crate) received: u32,
+}
+
+/// A batch on its way to a module on another thread, for all its subscriptions of the topic.
+pub(crate) struct Delivery {
+    pub(crate) topic: usize,
+    pub(crate) batch: Arc<dyn Any + Send + Sync>,
+    pub(crate) messages: u32,
+    /// Messages of the topic that the inbox dropped since the delivery before.
+    pub(crate) missed: u32,
+}
+
+impl Link {
+    pub(crate) fn new(core: Unparker) -> Self {
+        Self {
+            posts: SegQueue::new(),
+            announced: AtomicU64::new(0),
+            clock: AtomicBool::new(false),
+            core,
+            timing: Arc::new(SharedTiming::new()),
+            listeners: Listeners::default(),
+            stop: AtomicBool::new(false),
+            closed: AtomicBool::new(false),
+            ended: AtomicBool::new(false),
+        }
+    }
+
+    /// Has the mechanism of type `M` and that number changed in the next sync phase, before mechanisms run.
+    pub(crate) fn post<M: 'static>(&self, mechanism: usize, change: impl FnOnce(&mut M) + Send + 'static) {
+        let change = move |mechanism: &mut dyn Any| {
+            if let Some(mechanism) = mechanism.downcast_mut() {
+                change(mechanism);
+            }
+        };
+        self.push(Post::To(mechanism, Box::new(change)));
+    }
+
+    pub(crate) fn push(&self, post: Post) {
+        self.posts.push(post);
+        self.core.unpark();
+        // Either this sees that the core has ended, or the core's last look sees the post.
+        fence(Ordering::SeqCst);
+        if self.ended.load(Ordering::SeqCst) {
+            self.drop_all();
+        }
+    }
+
+    /// Drops all posts, and from now on those that come: nobody waits in vain for an answer.
+    pub(crate) fn end(&self) {
+        self.close();
+        self.ended.store(true, Ordering::SeqCst);
+        fence(Ordering::SeqCst);
+        self.drop_all();
+    }
+
+    fn drop_all(&self) {
+        while let Some(post) = self.posts.pop() {
+            drop_guarded("a request", || drop(post));
+        }
+    }
+
+    pub(crate) fn pop(&self) -> Option<Post> {
+        self.posts.pop()
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.posts.len()
+    }
+
+    #[inline]
+    pub(crate) fn has_posts(&self) -> bool {
+        !self.posts.is_empty()
+    }
+
+    /// True if nothing waits.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.posts.is_empty()
+            && self.announced.load(Ordering::Acquire) == 0
+            && !self.clock.load(Ordering::Acquire)
+    }
+
+    /// Has the core look at its clock.
+    pub(crate) fn announce_clock(&self) {
+        if !self.clock.swap(true, Ordering::AcqRel) {
+            self.core.unpark();
+        }
+    }
+
+    /// True once after the clock was moved; to be called before it is read.
+    #[inline]
+    pub(crate) fn take_clock_announcement(&self) -> bool {
+        self.clock.load(Ordering::Relaxed) && self.clock.swap(false, Ordering::AcqRel)
+    }
+
+    /// To be called after something was put into a queue that the mechanism with that number empties.
+    pub(crate) fn announce(&self, mechanism: usize) {
+        let bit = Asked::of(mechanism).bits();
+        if self.announced.fetch_or(bit, Ordering::AcqRel) & bit == 0 {
+            self.core.unpark();
+        }
+    }
+
+    /// The mechanisms of which something was announced, each once; to be called before their queues are emptied.
+    #[inline]
+    pub(crate) fn take_announcements(&self) -> Asked {
+        // The load alone is cheaper, and nearly always enough.
+        match self.announced.load(Ordering::Relaxed) {
+            0 => Asked::default(),
+            _ => Asked::from_bits(self.announced.swap(0, Ordering::AcqRel)),
+        }
+    }
+
+    pub(crate) fn stop_is_requested(&self) -> bool {
+        self.stop.load(Ordering::SeqCst)
+    }
+
+    pub(crate) fn request_stop(&self) {
+        self.stop.store(true, Ordering::SeqCst);
+        self.core.unpark();
+    }
+
+    /// From now on nobody takes posts of new requests.
+    pub(crate) fn close(&self) {
+        self.closed.store(true, Ordering::SeqCst);
+    }
+
+    pub(crate) fn is_closed(&self) -> bool {
+        self.closed.load(Ordering::SeqCst)
+    }
+}

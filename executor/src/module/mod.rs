@@ -1,0 +1,132 @@
+//! Modules: what a user writes, what it declares, what its callbacks can do, and how the core keeps it.
+
+mod behaviour;
+mod causes;
+mod cell;
+mod context;
+mod error;
+mod id;
+mod lifecycle;
+mod link;
+mod names;
+mod options;
+mod port;
+mod setting_value;
+mod setup;
+
+pub(crate) use behaviour::{Behaviour, ModuleBehaviour};
+pub(crate) use causes::{Asked, Causes};
+pub(crate) use cell::{Hold, Input, MODULES, ModuleCell, TIMERS};
+pub use context::Context;
+pub use error::{SetupError, Version};
+pub use id::ModuleId;
+pub(crate) use id::{Direction, Place, Use, UseEnds};
+pub use lifecycle::{
+    LifeEvent, LifeStep, LifecycleState, Listening, Transition, TransitionError, TransitionRefused,
+};
+pub(crate) use link::{Delivery, Link, Post, StepOutcome, TopicInput};
+pub(crate) use names::canonical_name;
+pub use options::{Inbox, ModuleOptions, Restart, Role, Synchrony};
+pub use port::{ModuleChange, Port};
+pub(crate) use port::{ModuleIo, Views};
+pub use setting_value::{SettingType, SettingValue};
+pub use setup::Setup;
+pub(crate) use setup::{Given, Host, Offer};
+
+/// A unit of robot software: state, and callbacks that the executor calls with `&mut self`.
+///
+/// A module never runs concurrently with itself and knows no other module, only names of topics and
+/// settings. What its callbacks ask for takes effect when the sync phase comes.
+///
+/// ```
+/// use downbeat_executor::{Context, Module, Publication, Setting, Setup, SetupError};
+///
+/// struct Thermostat;
+///
+/// struct Ports {
+///     target: Setting<f64>,
+///     heater: Publication<bool>,
+/// }
+///
+/// impl Module for Thermostat {
+///     type Ports = Ports;
+///
+///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+///         setup.subscribe::<f64, _>("temperature", |_, celsius, ctx| {
+///             let is_cold = *celsius < *ctx.get(ctx.ports.target);
+///             ctx.publish(ctx.ports.heater, is_cold);
+///         })?;
+///         Ok(Ports {
+///             target: setup.setting("target", 21.0, "room temperature to keep, °C")?,
+///             heater: setup.publish("heater")?,
+///         })
+///     }
+///
+///     fn shutdown(&mut self, ctx: &mut Context<'_, Ports>) {
+///         ctx.publish(ctx.ports.heater, false);
+///     }
+/// }
+/// ```
+///
+/// Callbacks are closures or functions that are given the module and a [`Context`], whose [`ports`](Context::ports) are
+/// what `setup` returned. In a small module the closures may capture the keys instead, and its ports are `()`:
+///
+/// ```
+/// # use downbeat_executor::{Module, Setup, SetupError};
+/// struct Doubler;
+///
+/// impl Module for Doubler {
+///     type Ports = ();
+///
+///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+///         let doubled = setup.publish("doubled")?;
+///         setup.subscribe::<f64, _>("number", move |_, number, ctx| ctx.publish(doubled, 2.0 * *number))
+///     }
+/// }
+/// ```
+pub trait Module: Send + Sized + 'static {
+    /// What callbacks find in [`Context::ports`]: as a rule the keys that the declarations return.
+    type Ports: Send + 'static;
+
+    /// Declares what the module publishes, receives, does periodically and can be set to.
+    ///
+    /// # Errors
+    /// Those of the declarations, and [`Setup::refuse`] for reasons of the module's own.
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError>;
+
+    /// From unconfigured to inactive: gets what the module needs, such as a port or a map.
+    ///
+    /// # Errors
+    /// A reason why it cannot; the module stays unconfigured, and that is logged.
+    fn configure(&mut self, _ctx: &mut Context<'_, Self::Ports>) -> Result<(), TransitionError> {
+        Ok(())
+    }
+
+    /// From inactive to active, before every other callback.
+    ///
+    /// # Errors
+    /// A reason why it cannot; the module stays inactive, and that is logged.
+    fn activate(&mut self, _ctx: &mut Context<'_, Self::Ports>) -> Result<(), TransitionError> {
+        Ok(())
+    }
+
+    /// From active to inactive.
+    ///
+    /// # Errors
+    /// A reason why it cannot; the module stays active, and that is logged.
+    fn deactivate(&mut self, _ctx: &mut Context<'_, Self::Ports>) -> Result<(), TransitionError> {
+        Ok(())
+    }
+
+    /// From inactive to unconfigured: gives back what [`configure`](Self::configure) got.
+    ///
+    /// # Errors
+    /// A reason why it cannot; the module stays inactive, and that is logged.
+    fn cleanup(&mut self, _ctx: &mut Context<'_, Self::Ports>) -> Result<(), TransitionError> {
+        Ok(())
+    }
+
+    /// To finalized, from every state: the last callback, when the module is removed or the core stops. It does
+    /// not run after a panic. What it publishes still reaches observers.
+    fn shutdown(&mut self, _ctx: &mut Context<'_, Self::Ports>) {}
+}

@@ -1,0 +1,134 @@
+//! Values of settings.
+
+use std::fmt;
+
+/// A value of a setting. The kinds are those of ROS 2 parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SettingValue {
+    /// True or false.
+    Bool(bool),
+    /// A whole number.
+    Integer(i64),
+    /// A number; whole numbers are taken too.
+    Double(f64),
+    /// Text.
+    Text(String),
+    /// Truth values.
+    Bools(Vec<bool>),
+    /// Bytes; whole numbers from 0 to 255 are taken too.
+    Bytes(Vec<u8>),
+    /// Whole numbers.
+    Integers(Vec<i64>),
+    /// Numbers.
+    Doubles(Vec<f64>),
+    /// Texts.
+    Texts(Vec<String>),
+}
+
+impl SettingValue {
+    pub(crate) fn kind(&self) -> &'static str {
+        match self {
+            Self::Bool(_) => "bool",
+            Self::Integer(_) => "integer",
+            Self::Double(_) => "double",
+            Self::Text(_) => "text",
+            Self::Bools(_) => "list of bools",
+            Self::Bytes(_) => "list of bytes",
+            Self::Integers(_) => "list of integers",
+            Self::Doubles(_) => "list of doubles",
+            Self::Texts(_) => "list of texts",
+        }
+    }
+
+    /// The numbers in it; none in what holds no numbers.
+    pub(crate) fn numbers(&self) -> Vec<f64> {
+        match self {
+            Self::Integer(value) => vec![*value as f64],
+            Self::Double(value) => vec![*value],
+            Self::Integers(values) => values.iter().map(|&value| value as f64).collect(),
+            Self::Doubles(values) => values.clone(),
+            Self::Bytes(values) => values.iter().map(|&value| value.into()).collect(),
+            Self::Bool(_) | Self::Text(_) | Self::Bools(_) | Self::Texts(_) => Vec::new(),
+        }
+    }
+
+    /// The value as the kind of `pattern`, where nothing is lost by it.
+    pub(crate) fn into_kind_of(self, pattern: &Self) -> Result<Self, String> {
+        Ok(match (self, pattern) {
+            (Self::Integer(value), Self::Double(_)) => Self::Double(value as f64),
+            (Self::Integers(values), Self::Doubles(_)) => {
+                Self::Doubles(values.into_iter().map(|value| value as f64).collect())
+            }
+            (Self::Integers(values), Self::Bytes(_)) => {
+                let byte = |value| u8::try_from(value).map_err(|_| format!("expected bytes, found {value}"));
+                Self::Bytes(values.into_iter().map(byte).collect::<Result<_, _>>()?)
+            }
+            // An empty list in a file has no kind of its own.
+            (Self::Integers(values), Self::Texts(_)) if values.is_empty() => Self::Texts(Vec::new()),
+            (Self::Integers(values), Self::Bools(_)) if values.is_empty() => Self::Bools(Vec::new()),
+            (value, pattern) if value.kind() == pattern.kind() => value,
+            (value, pattern) => {
+                return Err(format!("expected {}, found {} {value}", pattern.kind(), value.kind()));
+            }
+        })
+    }
+}
+
+impl fmt::Display for SettingValue {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Bool(value) => write!(f, "{value}"),
+            Self::Integer(value) => write!(f, "{value}"),
+            Self::Double(value) => write!(f, "{value}"),
+            Self::Text(value) => write!(f, "{value:?}"),
+            Self::Bools(values) => write!(f, "{values:?}"),
+            Self::Bytes(values) => write!(f, "{values:?}"),
+            Self::Integers(values) => write!(f, "{values:?}"),
+            Self::Doubles(values) => write!(f, "{values:?}"),
+            Self::Texts(values) => write!(f, "{values:?}"),
+        }
+    }
+}
+
+/// A Rust type that a setting can have.
+pub trait SettingType: Clone + Send + 'static {
+    /// The value as a setting holds it.
+    fn into_value(self) -> SettingValue;
+    /// The value as the module reads it; nothing if the setting is of another kind.
+    fn from_value(value: &SettingValue) -> Option<&Self>;
+}
+
+macro_rules! setting_types {
+    ($($type:ty => $kind:ident),* $(,)?) => {$(
+        impl SettingType for $type {
+            fn into_value(self) -> SettingValue {
+                SettingValue::$kind(self)
+            }
+
+            fn from_value(value: &SettingValue) -> Option<&Self> {
+                match value {
+                    SettingValue::$kind(value) => Some(value),
+                    _ => None,
+                }
+            }
+        }
+
+        impl From<$type> for SettingValue {
+            fn from(value: $type) -> Self {
+                Self::$kind(value)
+            }
+        }
+    )*};
+}
+
+setting_types! {
+    bool => Bool,
+    i64 => Integer,
+    f64 => Double,
+    String => Text,
+    Vec<bool> => Bools,
+    Vec<u8> => Bytes,
+    Vec<i64> => Integers,
+    Vec<f64> => Doubles,
+    Vec<String> => Texts,
+}

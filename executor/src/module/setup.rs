@@ -1,0 +1,185 @@
+//! What a module declares when it joins a core.
+
+use std::any::{Any, TypeId};
+use std::collections::BTreeMap;
+
+use super::behaviour::Steps;
+use super::causes::Causes;
+use super::id::Use;
+use super::port::ModuleIo;
+use crate::{Context, Module, SettingValue, SetupError, Version};
+
+/// Passed to [`Module::setup`](crate::Module::setup): what the module publishes, receives, serves, calls, does at
+/// a time and can be set to is declared here.
+pub struct Setup<'a, M: Module> {
+    pub(crate) io: &'a mut ModuleIo,
+    pub(crate) host: &'a mut dyn Host,
+    pub(crate) uses: &'a mut Vec<Use>,
+    pub(crate) steps: Steps<M>,
+    is_detached: bool,
+    given: Given,
+    own_names: Vec<String>,
+    setting_names: Vec<String>,
+}
+
+/// The core as a module finds it when it is set up.
+pub(crate) trait Host {
+    /// The mechanism with that number.
+    fn mechanism(&mut self, number: usize) -> Option<&mut dyn Any>;
+    /// What modules see of the mechanism with that number.
+    fn view(&mut self, number: usize) -> Option<&mut dyn Any>;
+    /// The same for somebody who only looks.
+    fn look(&self, number: usize) -> Option<&dyn Any>;
+    /// All mechanisms, by their numbers.
+    fn offers(&self) -> &[Offer];
+}
+
+/// A mechanism that modules can use.
+pub(crate) struct Offer {
+    pub(crate) name: &'static str,
+    pub(crate) version: Version,
+    pub(crate) mechanism: TypeId,
+}
+
+/// What a module is given by name.
+pub(crate) struct Given {
+    pub(crate) settings: BTreeMap<String, SettingValue>,
+    pub(crate) remaps: BTreeMap<String, String>,
+}
+
+impl<'a, M: Module> Setup<'a, M> {
+    pub(crate) fn new(
+        io: &'a mut ModuleIo,
+        host: &'a mut dyn Host,
+        uses: &'a mut Vec<Use>,
+        is_detached: bool,
+        given: Given,
+    ) -> Self {
+        let (own_names, setting_names) = (Vec::new(), Vec::new());
+        Self { io, host, uses, steps: Steps::default(), is_detached, given, own_names, setting_names }
+    }
+
+    /// Checks that nothing was given that the module did not ask for.
+    pub(crate) fn finish(self) -> Result<Steps<M>, SetupError> {
+        let module = self.io.name.to_string();
+        let Given { settings, remaps } = self.given;
+        if let Some((setting, _)) = settings.into_iter().next() {
+            return Err(SetupError::UnknownSetting { module, setting, known: self.setting_names });
+        }
+        if let Some((topic, _)) = remaps.into_iter().find(|(from, _)| !self.own_names.contains(from)) {
+            return Err(SetupError::UnknownTopic { module, topic, known: self.own_names });
+        }
+        Ok(self.steps)
+    }
+
+    /// The name under which the module is being added.
+    #[must_use]
+    pub fn module_name(&self) -> &str {
+        &self.io.name
+    }
+
+    /// What stands for a name of the module's own where it was added, by the [remaps](crate::ModuleOptions::remaps) it was
+    /// given: for code that makes several names of one. Topics and services are remapped by themselves.
+    pub fn remapped(&mut self, name: &str) -> String {
+        let name = name.strip_prefix('/').unwrap_or(name);
+        self.own_names.push(name.to_owned());
+        self.given.remaps.get(name).map_or(name, String::as_str).to_owned()
+    }
+
+    /// An error with a reason of the module's own.
+    #[must_use]
+    pub fn refuse(&self, reason: impl Into<String>) -> SetupError {
+        SetupError::Refused { module: self.io.name.to_string(), reason: reason.into() }
+    }
+
+    /// Asks for one of the core's mechanisms by name ("messaging", "services", "settings", "timers", "modules",
+    /// "jobs"), at a version or a compatible later one.
+    ///
+    /// # Errors
+    /// If the core does not offer it, or only at another version.
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, Module, Setup, SetupError, Version};
+    /// struct Planner;
+    ///
+    /// impl Module for Planner {
+    ///     type Ports = ();
+    ///
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         setup.require("jobs", Version::new(1, 0))?;
+    ///         setup.require("teleportation", Version::new(1, 0))
+    ///     }
+    /// }
+    ///
+    /// let refused = Core::new().add("planner", Planner).unwrap_err();
+    /// assert!(matches!(refused, SetupError::Mechanism { mechanism, .. } if mechanism == "teleportation"));
+    /// ```
+    pub fn require(&self, mechanism: &str, version: Version) -> Result<(), SetupError> {
+        let offers = self.host.offers();
+        let offered = offers.iter().find(|offer| offer.name == mechanism).map(|offer| offer.version);
+        if offered.is_some_and(|offered| offered.offers(version)) {
+            return Ok(());
+        }
+        Err(SetupError::Mechanism {
+            module: self.io.name.to_string(),
+            mechanism: mechanism.into(),
+            asked: version,
+            offered,
+            known: offers.iter().map(|Offer { name, version, .. }| format!("{name} {version}")).collect(),
+        })
+    }
+
+    /// True if the module is to run on a thread of its own where the clock allows it.
+    pub(crate) fn is_detached(&self) -> bool {
+        self.is_detached
+    }
+
+    /// The value that a setting was given, if any. The setting is declared from now on.
+    pub(crate) fn take_given_setting(&mut self, name: &str) -> Option<SettingValue> {
+        self.setting_names.push(name.to_owned());
+        self.given.settings.remove(name)
+    }
+
+    /// Calls `callback` at the end of each run of the module, after its messages, requests, answers and timers: in
+    /// every cycle, if its synchrony is [`Synchrony::EveryCycle`](crate::Synchrony::EveryCycle).
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+    /// /// Publishes one mean for all that came in a cycle.
+    /// #[derive(Default)]
+    /// struct Mean {
+    ///     ranges: Vec<f64>,
+    /// }
+    ///
+    /// impl Module for Mean {
+    ///     type Ports = ();
+    ///
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         let mean = setup.publish::<f64>("mean_range")?;
+    ///         setup.subscribe::<f64, _>("range", |module, range, _| module.ranges.push(*range))?;
+    ///         setup.each_run(move |module, ctx| {
+    ///             if !module.ranges.is_empty() {
+    ///                 ctx.publish(mean, module.ranges.iter().sum::<f64>() / module.ranges.len() as f64);
+    ///                 module.ranges.clear();
+    ///             }
+    ///         });
+    ///         Ok(())
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add("mean", Mean::default())?;
+    /// let range = core.inlet("range")?;
+    /// [1.0, 1.5, 2.0].into_iter().try_for_each(|metres| range.publish(metres))?;
+    /// core.cycle()?;
+    /// core.cycle()?;
+    /// assert_eq!(core.topics().find(|topic| &*topic.name == "mean_range").unwrap().counter.messages(), 1);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn each_run<F>(&mut self, callback: F)
+    where
+        F: FnMut(&mut M, &mut Context<'_, M::Ports>) + Send + 'static,
+    {
+        self.steps.add(Causes::EACH_RUN, callback);
+    }
+}

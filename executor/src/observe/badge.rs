@@ -1,0 +1,127 @@
+//! Whose callback a thread runs, for those who write logs.
+
+use std::cell::Cell;
+use std::sync::{Arc, RwLock};
+
+use crate::threads::unpoisoned;
+
+thread_local! {
+    // A number and no name, so that to set it is one store and nothing has to be dropped.
+    static WORN: Cell<u32> = const { Cell::new(NOBODY) };
+}
+
+const NOBODY: u32 = u32::MAX;
+
+/// The modules there are, by the numbers on their badges.
+static NAMES: RwLock<Names> = RwLock::new(Names { by_number: Vec::new(), free: Vec::new() });
+
+struct Names {
+    by_number: Vec<Option<Arc<str>>>,
+    free: Vec<u32>,
+}
+
+/// The name of the module whose callback runs on this thread; nothing outside of callbacks, in jobs, and on threads that
+/// a module started itself.
+///
+/// For a subscriber of `tracing` that tells which module wrote a line. What a module computes must not depend on it.
+///
+/// ```
+/// use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time, running_module};
+///
+/// struct Walker;
+///
+/// impl Module for Walker {
+///     type Ports = ();
+///
+///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+///         setup.each_run(|_, _| assert_eq!(running_module().as_deref(), Some("walker")));
+///         Ok(())
+///     }
+/// }
+///
+/// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+/// core.add("walker", Walker)?;
+/// core.cycle()?;
+/// assert_eq!(running_module(), None);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[must_use]
+pub fn running_module() -> Option<Arc<str>> {
+    // While a thread ends there may be nothing left to look at.
+    let number = WORN.try_with(Cell::get).unwrap_or(NOBODY);
+    if number == NOBODY {
+        return None;
+    }
+    let names = unpoisoned(NAMES.read());
+    names.by_number.get(number as usize).cloned().flatten()
+}
+
+/// A module's number, until it is dropped.
+pub(crate) struct Badge {
+    number: u32,
+}
+
+impl Badge {
+    pub(crate) fn new(name: Arc<str>) -> Self {
+        let mut names = unpoisoned(NAMES.write());
+        let number = names.free.pop().unwrap_or_else(|| {
+            names.by_number.push(None);
+            u32::try_from(names.by_number.len() - 1).unwrap_or(NOBODY)
+        });
+        if let Some(place) = names.by_number.get_mut(number as usize) {
+            *place = Some(name);
+        }
+        Self { number }
+    }
+
+    /// Tells that the module runs on this thread, until what is returned is dropped.
+    #[inline]
+    pub(crate) fn wear(&self) -> Worn {
+        WORN.set(self.number);
+        Worn
+    }
+}
+
+impl Drop for Badge {
+    fn drop(&mut self) {
+        let mut names = unpoisoned(NAMES.write());
+        if let Some(place) = names.by_number.get_mut(self.number as usize) {
+            *place = None;
+            names.free.push(self.number);
+        }
+    }
+}
+
+/// While this is there, a module runs on the thread.
+pub(crate) struct Worn;
+
+impl Drop for Worn {
+    #[inline]
+    fn drop(&mut self) {
+        WORN.set(NOBODY);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_badge_is_worn_by_one_thread_and_given_back() {
+        let badge = Badge::new("walker".into());
+        {
+            let _worn = badge.wear();
+            assert_eq!(running_module().as_deref(), Some("walker"));
+            let elsewhere = std::thread::spawn(running_module).join();
+            assert_eq!(elsewhere.ok(), Some(None));
+        }
+        assert_eq!(running_module(), None);
+    }
+
+    #[test]
+    fn numbers_of_modules_that_are_gone_are_given_again() {
+        let most = (0..1000).map(|_| Badge::new("passing".into()).number).max();
+        // Others take numbers in the same process meanwhile, but not hundreds.
+        assert!(most < Some(500));
+    }
+}

@@ -1,0 +1,218 @@
+//! What is counted for each module and each topic.
+
+use std::time::Duration;
+
+use super::histogram::TimeHistogram;
+use super::{ModuleState, ModuleStatistics, TimeStatistics, TopicStatistics};
+use crate::Time;
+
+/// Counts what a module does. Belongs to the module's cell, or to the core's side of a detached module, so that
+/// nothing is shared between threads.
+#[derive(Default)]
+pub(crate) struct ModuleMeter {
+    runs: u64,
+    received: u64,
+    published: u64,
+    overruns: u64,
+    panics: u64,
+    restarts: u64,
+    dropped: u64,
+    inbox: u64,
+    run_time: Option<Box<TimeHistogram>>,
+}
+
+impl ModuleMeter {
+    /// A meter that can take times: 15 KiB of memory, where [`default`](Self::default) only counts.
+    pub(crate) fn with_times() -> Self {
+        Self { run_time: Some(Box::new(TimeHistogram::new())), ..Self::default() }
+    }
+
+    /// The module has run, and was given that many messages.
+    #[inline]
+    pub(crate) fn ran(&mut self, received: usize) {
+        self.runs += 1;
+        self.received += received as u64;
+    }
+
+    #[inline]
+    pub(crate) fn published(&mut self, messages: usize) {
+        self.published += messages as u64;
+    }
+
+    /// A run was measured.
+    #[inline]
+    pub(crate) fn took(&mut self, time: Duration) {
+        if let Some(run_time) = &mut self.run_time {
+            run_time.record(time);
+        }
+    }
+
+    pub(crate) fn overran(&mut self, runs: u64) {
+        self.overruns += runs;
+    }
+
+    /// The overruns so far, which are then another meter's.
+    pub(crate) fn take_overruns(&mut self) -> u64 {
+        std::mem::take(&mut self.overruns)
+    }
+
+    /// True if it panicked and was not started again since.
+    pub(crate) fn has_failed(&self) -> bool {
+        self.panics > self.restarts
+    }
+
+    pub(crate) fn panicked(&mut self) {
+        self.panics += 1;
+    }
+
+    pub(crate) fn restarted(&mut self) {
+        self.restarts += 1;
+    }
+
+    /// Messages that were dropped from its inbox since the last time this was told.
+    pub(crate) fn dropped(&mut self, messages: u64) {
+        self.dropped += messages;
+    }
+
+    /// Messages that wait in its inbox now.
+    pub(crate) fn inbox(&mut self, messages: u64) {
+        self.inbox = messages;
+    }
+
+    pub(crate) fn statistics(&self, name: &str, state: ModuleState, is_detached: bool) -> ModuleStatistics {
+        ModuleStatistics {
+            name: name.to_owned(),
+            state,
+            is_detached,
+            runs: self.runs,
+            received: self.received,
+            published: self.published,
+            overruns: self.overruns,
+            panics: self.panics,
+            restarts: self.restarts,
+            inbox: self.inbox,
+            dropped: self.dropped,
+            run_time: self
+                .run_time
+                .as_ref()
+                .map_or_else(TimeStatistics::default, |run_time| run_time.statistics()),
+        }
+    }
+}
+
+/// Counts what a topic carries.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct TopicMeter {
+    messages: u64,
+    dropped: u64,
+    batches: u64,
+    last_batch: u64,
+    largest_batch: u64,
+    last_time: Option<Time>,
+}
+
+impl TopicMeter {
+    /// The first messages of a cycle come at `now`.
+    #[inline]
+    pub(crate) fn begin_batch(&mut self, now: Time) {
+        self.batches += 1;
+        self.last_batch = 0;
+        self.last_time = Some(now);
+    }
+
+    /// Messages are added to the cycle's batch.
+    #[inline]
+    pub(crate) fn carried(&mut self, messages: usize) {
+        self.messages += messages as u64;
+        self.last_batch += messages as u64;
+        self.largest_batch = self.largest_batch.max(self.last_batch);
+    }
+
+    /// Messages that a bounded queue dropped since the last time this was told.
+    pub(crate) fn dropped(&mut self, messages: u64) {
+        self.dropped += messages;
+    }
+
+    pub(crate) fn statistics(&self, name: &str, message_type: &str, subscribers: usize) -> TopicStatistics {
+        TopicStatistics {
+            name: name.to_owned(),
+            message_type: message_type.to_owned(),
+            subscribers: subscribers as u64,
+            messages: self.messages,
+            dropped: self.dropped,
+            batches: self.batches,
+            last_batch: self.last_batch,
+            largest_batch: self.largest_batch,
+            last_time_ns: self.last_time.map(Time::as_nanos),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_module_is_counted_whether_or_not_its_times_are_taken() {
+        let mut meter = ModuleMeter::default();
+        meter.ran(3);
+        meter.ran(0);
+        meter.published(2);
+        meter.took(Duration::from_secs(1));
+        meter.dropped(4);
+        meter.dropped(1);
+        meter.inbox(6);
+        meter.inbox(2);
+        meter.panicked();
+        meter.restarted();
+        meter.overran(1);
+        let statistics = meter.statistics("motion", ModuleState::Active, true);
+        let expected = ModuleStatistics {
+            name: "motion".into(),
+            state: ModuleState::Active,
+            is_detached: true,
+            runs: 2,
+            received: 3,
+            published: 2,
+            overruns: 1,
+            panics: 1,
+            restarts: 1,
+            inbox: 2,
+            dropped: 5,
+            run_time: TimeStatistics::default(),
+        };
+        assert_eq!(statistics, expected);
+    }
+
+    #[test]
+    fn a_module_with_times_tells_how_long_its_measured_runs_took() {
+        let mut meter = ModuleMeter::with_times();
+        meter.took(Duration::from_micros(3));
+        let run_time = meter.statistics("a", ModuleState::Active, false).run_time;
+        assert_eq!((run_time.count, run_time.p50_ns, run_time.max_ns), (1, 3_000, 3_000));
+    }
+
+    #[test]
+    fn a_topic_tells_its_last_and_its_largest_batch() {
+        let mut meter = TopicMeter::default();
+        meter.begin_batch(Time::from_nanos(10));
+        meter.carried(4);
+        meter.carried(1);
+        meter.begin_batch(Time::from_nanos(20));
+        meter.carried(2);
+        assert_eq!(meter.last_batch, 2);
+        meter.dropped(1);
+        let expected = TopicStatistics {
+            name: "imu/data".into(),
+            message_type: "Imu".into(),
+            subscribers: 3,
+            messages: 7,
+            dropped: 1,
+            batches: 2,
+            last_batch: 2,
+            largest_batch: 5,
+            last_time_ns: Some(20),
+        };
+        assert_eq!(meter.statistics("imu/data", "Imu", 3), expected);
+    }
+}

@@ -1,0 +1,309 @@
+//! Measures the cycles of one core.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::histogram::{TimeHistogram, nanoseconds};
+use super::sampler::{Sampler, clock_reading_time};
+use super::trace::TraceEventKind;
+use super::{CycleStatistics, CycleTrace, Measuring, ModuleMeter, SharedTiming, Span};
+use crate::Time;
+use crate::threads::ReceiptSender;
+
+/// What the core knows of a cycle beside its times.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct CycleInfo {
+    /// Counts the cycles from 0.
+    pub(crate) cycle: u64,
+    /// How long it began after the timer it began for; nothing if it began for another reason.
+    pub(crate) lateness: Option<Duration>,
+    /// True if the core slept before it.
+    pub(crate) has_slept: bool,
+}
+
+/// Decides what is measured in a cycle and takes the readings in, in this order: [`begin`](Self::begin), the process
+/// phase, [`processed`](Self::processed), the sync phase, [`synced`](Self::synced), [`ran`](Self::ran) for each run,
+/// [`end`](Self::end).
+pub(crate) struct Inspector {
+    is_on: bool,
+    timing: Arc<SharedTiming>,
+    started: Instant,
+    sampler: Sampler,
+    meter: CycleMeter,
+    clock_reading_time: Duration,
+    measuring: Measuring,
+    current: Reading,
+    trace: Option<Tracing>,
+}
+
+struct CycleMeter {
+    process: TimeHistogram,
+    sync: TimeHistogram,
+    lateness: TimeHistogram,
+    cost: Duration,
+}
+
+#[derive(Clone, Copy)]
+struct Reading {
+    begin: Instant,
+    processed: Instant,
+    synced: Instant,
+    runs: u32,
+}
+
+struct Tracing {
+    cycles_left: u32,
+    trace: CycleTrace,
+    answer: ReceiptSender<CycleTrace>,
+}
+
+impl Inspector {
+    /// One that measures what the sampler chooses.
+    pub(crate) fn new(timing: Arc<SharedTiming>) -> Self {
+        Self { is_on: true, clock_reading_time: clock_reading_time(), ..Self::off(timing) }
+    }
+
+    /// One that measures nothing unless a trace is asked for.
+    pub(crate) fn off(timing: Arc<SharedTiming>) -> Self {
+        let now = Instant::now();
+        Self {
+            is_on: false,
+            timing,
+            started: now,
+            sampler: Sampler::new(),
+            meter: CycleMeter {
+                process: TimeHistogram::new(),
+                sync: TimeHistogram::new(),
+                lateness: TimeHistogram::new(),
+                cost: Duration::ZERO,
+            },
+            clock_reading_time: Duration::ZERO,
+            measuring: Measuring::Nothing,
+            current: Reading { begin: now, processed: now, synced: now, runs: 0 },
+            trace: None,
+        }
+    }
+
+    /// A meter for a new module.
+    pub(crate) fn module_meter(&self) -> ModuleMeter {
+        if self.is_on { ModuleMeter::with_times() } else { ModuleMeter::default() }
+    }
+
+    /// A cycle begins. Says what is to be taken down in it.
+    #[inline]
+    pub(crate) fn begin(&mut self) -> Measuring {
+        self.measuring = match &mut self.trace {
+            Some(tracing) if tracing.cycles_left > 0 => {
+                tracing.cycles_left -= 1;
+                Measuring::Trace
+            }
+            _ if self.is_on && self.sampler.takes_next() => Measuring::Times,
+            _ => Measuring::Nothing,
+        };
+        if self.measuring.is_on() {
+            self.current.runs = 0;
+            self.current.begin = Instant::now();
+        }
+        self.measuring
+    }
+
+    /// The process phase has ended.
+    #[inline]
+    pub(crate) fn processed(&mut self) {
+        if self.measuring.is_on() {
+            self.current.processed = Instant::now();
+        }
+    }
+
+    /// The sync phase has ended.
+    #[inline]
+    pub(crate) fn synced(&mut self) {
+        if self.measuring.is_on() {
+            self.current.synced = Instant::now();
+        }
+    }
+
+    /// A module ran in the cycle. Told after the sync phase, and only where something is measured.
+    pub(crate) fn ran(&mut self, meter: &mut ModuleMeter, module: &Arc<str>, cycle: u64, span: &Span) {
+        self.current.runs += 1;
+        meter.took(span.duration());
+        if self.measuring == Measuring::Trace {
+            self.add_to_trace(TraceEventKind::Run, Some(module), cycle, span);
+        }
+    }
+
+    /// A detached module ran, at `due` if a time was due for it; its outputs joined in `cycle`.
+    pub(crate) fn stepped(
+        &mut self,
+        meter: &mut ModuleMeter,
+        module: &Arc<str>,
+        cycle: u64,
+        span: &Span,
+        due: Option<Time>,
+    ) {
+        meter.took(span.duration());
+        if let Some(time) = due {
+            self.timing.looped(module, time, span.duration());
+        }
+        self.add_to_trace(TraceEventKind::Step, Some(module), cycle, span);
+    }
+
+    /// The cycle has ended.
+    #[inline]
+    pub(crate) fn end(&mut self, info: CycleInfo) {
+        if self.measuring.is_on() {
+            self.take_in(info);
+            self.measuring = Measuring::Nothing;
+        }
+        let is_complete = |tracing: &Tracing| tracing.cycles_left == 0 || tracing.trace.is_full();
+        if self.trace.as_ref().is_some_and(is_complete) {
+            self.finish_trace();
+        }
+    }
+
+    /// Traces the next cycles, at least one, and then answers. Who asked before and still waits gets what there is.
+    pub(crate) fn trace(&mut self, cycles: u32, answer: ReceiptSender<CycleTrace>) {
+        self.finish_trace();
+        let trace = CycleTrace::new(self.started);
+        self.trace = Some(Tracing { cycles_left: cycles.max(1), trace, answer });
+    }
+
+    /// Answers with what there is of a trace: no more cycles will come soon.
+    pub(crate) fn finish_trace(&mut self) {
+        if let Some(Tracing { trace, answer, .. }) = self.trace.take() {
+            answer.send(trace.finish());
+        }
+    }
+
+    /// So many cycles have run.
+    #[inline]
+    pub(crate) fn count_cycles(&self, cycles: u64) {
+        self.timing.count_cycles(cycles);
+    }
+
+    /// The same inspector, which measures nothing unless a trace is asked for.
+    pub(crate) fn turned_off(&self) -> Self {
+        Self::off(Arc::clone(&self.timing))
+    }
+
+    /// Steady time since this was made.
+    pub(crate) fn uptime(&self) -> Duration {
+        self.started.elapsed()
+    }
+
+    pub(crate) fn statistics(&self) -> CycleStatistics {
+        CycleStatistics {
+            process: self.meter.process.statistics(),
+            sync: self.meter.sync.statistics(),
+            total: self.timing.cycle(),
+            lateness: self.meter.lateness.statistics(),
+            measuring_ns: nanoseconds(self.meter.cost),
+        }
+    }
+
+    fn take_in(&mut self, info: CycleInfo) {
+        let Reading { begin, processed, synced, runs } = self.current;
+        self.meter.process.record(processed - begin);
+        self.meter.sync.record(synced - processed);
+        self.timing.cycle_took(synced - begin);
+        if let Some(lateness) = info.lateness {
+            self.meter.lateness.record(lateness);
+        }
+        if self.measuring == Measuring::Trace {
+            let thread = Some(std::thread::current());
+            let process = Span { begin, end: processed, thread: thread.clone() };
+            self.add_to_trace(TraceEventKind::Process, None, info.cycle, &process);
+            let sync = Span { begin: processed, end: synced, thread };
+            self.add_to_trace(TraceEventKind::Sync, None, info.cycle, &sync);
+        }
+        // Inside the cycle the clock was read for each run and for each phase; taking the readings in is measured.
+        let inside = self.clock_reading_time * (runs + 2);
+        let cost = inside + self.clock_reading_time * 2 + synced.elapsed();
+        self.meter.cost += cost;
+        if self.measuring == Measuring::Times {
+            // A cycle cannot have taken less than a tenth of its time, whatever the clock's readings took.
+            let busy = (synced - begin).saturating_sub(inside).max((synced - begin) / 10);
+            self.sampler.measured(busy, cost, info.has_slept);
+        }
+    }
+
+    fn add_to_trace(&mut self, kind: TraceEventKind, module: Option<&Arc<str>>, cycle: u64, span: &Span) {
+        if let Some(tracing) = &mut self.trace {
+            tracing.trace.add(kind, module, cycle, span);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::super::Stopwatch;
+    use super::*;
+    use crate::threads::receipt;
+
+    /// A cycle with one run; tells whether it was measured.
+    fn cycle(inspector: &mut Inspector, meter: &mut ModuleMeter, number: u64) -> bool {
+        let measuring = inspector.begin();
+        let mut stopwatch = Stopwatch::start(measuring);
+        std::hint::black_box(number);
+        let span = stopwatch.lap();
+        inspector.processed();
+        inspector.synced();
+        if let Some(span) = span {
+            inspector.ran(meter, &Arc::from("a"), number, &span);
+        }
+        inspector.end(CycleInfo {
+            cycle: number,
+            lateness: Some(Duration::from_nanos(number)),
+            has_slept: false,
+        });
+        measuring.is_on()
+    }
+
+    #[test]
+    fn every_measured_cycle_is_in_the_statistics() {
+        let mut inspector = Inspector::new(Arc::new(SharedTiming::new()));
+        let mut meter = inspector.module_meter();
+        let measured = (0..10_000).filter(|&number| cycle(&mut inspector, &mut meter, number)).count() as u64;
+        let statistics = inspector.statistics();
+        assert!(measured > 0 && measured < 10_000, "{measured}");
+        assert_eq!([statistics.process.count, statistics.sync.count, statistics.total.count], [measured; 3]);
+        assert_eq!(statistics.lateness.count, measured);
+        assert_eq!(meter.statistics("a", super::super::ModuleState::Active, false).run_time.count, measured);
+        assert!(statistics.measuring_ns > 0);
+    }
+
+    #[test]
+    fn a_trace_holds_the_cycles_that_were_asked_for() {
+        let mut inspector = Inspector::off(Arc::new(SharedTiming::new()));
+        let mut meter = inspector.module_meter();
+        assert!(!cycle(&mut inspector, &mut meter, 0));
+        let (answer, trace) = receipt();
+        inspector.trace(2, answer);
+        assert!(cycle(&mut inspector, &mut meter, 1));
+        assert!(trace.try_take().is_none());
+        assert!(cycle(&mut inspector, &mut meter, 2));
+        assert!(!cycle(&mut inspector, &mut meter, 3));
+        let trace = trace.try_take().unwrap();
+        let kinds: Vec<_> = trace.events().iter().map(|event| (event.cycle, event.kind)).collect();
+        use TraceEventKind::{Process, Run, Sync};
+        assert_eq!(kinds, [(1, Process), (1, Run), (1, Sync), (2, Process), (2, Run), (2, Sync)]);
+    }
+
+    #[test]
+    fn a_trace_that_waits_for_cycles_can_be_ended() {
+        let mut inspector = Inspector::new(Arc::new(SharedTiming::new()));
+        let mut meter = inspector.module_meter();
+        let (answer, trace) = receipt();
+        inspector.trace(100, answer);
+        cycle(&mut inspector, &mut meter, 0);
+        inspector.finish_trace();
+        assert_eq!(trace.try_take().unwrap().events().len(), 3);
+        let (answer, _trace) = receipt();
+        inspector.trace(1, answer);
+        let (other_answer, other_trace) = receipt();
+        inspector.trace(1, other_answer);
+        cycle(&mut inspector, &mut meter, 1);
+        assert_eq!(other_trace.try_take().unwrap().events().len(), 3);
+    }
+}

@@ -1,0 +1,32 @@
+//! Seeing inside a core while it runs: counters, times, a trace of a few cycles, the graph.
+//!
+//! Counters are exact. Times are of *sampled* cycles: reading a clock twice can take longer than a small module's
+//! run, so a [`Sampler`](sampler::Sampler) has as many cycles measured as cost half a hundredth of what they do. A
+//! core whose modules take microseconds is measured in every cycle.
+
+mod badge;
+mod counters;
+mod graph;
+mod histogram;
+mod inspector;
+mod markup;
+mod sampler;
+mod snapshot;
+mod span;
+mod timing;
+mod trace;
+
+pub(crate) use badge::Badge;
+pub use badge::running_module;
+pub(crate) use counters::{ModuleMeter, TopicMeter};
+pub use graph::{Graph, GraphEdge, GraphModule, GraphOutlet, GraphService, GraphTopic};
+pub(crate) use histogram::nanoseconds;
+pub(crate) use inspector::{CycleInfo, Inspector};
+pub use snapshot::{
+    CycleStatistics, ModuleState, ModuleStatistics, OutletStatistics, Snapshot, TimeStatistics,
+    TopicStatistics,
+};
+pub(crate) use span::{Measuring, Span, Stopwatch, spans_are_on};
+pub(crate) use timing::SharedTiming;
+pub use timing::{LoopTiming, Timing};
+pub use trace::{CycleTrace, TraceEvent, TraceEventKind};

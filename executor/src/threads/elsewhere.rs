@@ -1,0 +1,26 @@
+//! Systems on which threads cannot be scheduled as asked.
+
+use crate::ThreadError;
+
+#[derive(Clone, Copy)]
+pub(super) struct Scheduling;
+
+impl Scheduling {
+    pub(super) fn of_this_thread() -> Self {
+        Self
+    }
+
+    pub(super) fn restore(self) {}
+}
+
+pub(super) fn set_cpus(thread: &str, _: &[usize]) -> Result<(), ThreadError> {
+    Err(not_supported(thread, "CPUs"))
+}
+
+pub(super) fn set_fifo_priority(thread: &str, _: u8) -> Result<(), ThreadError> {
+    Err(not_supported(thread, "SCHED_FIFO priority"))
+}
+
+fn not_supported(thread: &str, what: &'static str) -> ThreadError {
+    ThreadError::NotSupported { thread: thread.to_owned(), what, system: std::env::consts::OS }
+}

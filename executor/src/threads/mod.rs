@@ -1,0 +1,20 @@
+//! Threads: where they run, how they wait for each other, and what they may take.
+
+pub(crate) mod gate;
+mod guard;
+mod options;
+mod receipt;
+mod spin;
+mod sync;
+#[cfg_attr(not(target_os = "linux"), path = "elsewhere.rs")]
+mod system;
+mod watchdog;
+
+pub(crate) use guard::{drop_guarded, end_of, reason, unpoisoned};
+pub use options::{ThreadError, ThreadOptions};
+pub use receipt::Receipt;
+pub(crate) use receipt::{ReceiptSender, receipt};
+pub use spin::Spin;
+pub(crate) use spin::Spinner;
+pub use watchdog::Overrun;
+pub(crate) use watchdog::{Watch, Watchdog};

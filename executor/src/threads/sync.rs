@@ -1,0 +1,7 @@
+//! What the gate is built from. The model in `tests/gate_model.rs` replaces it.
+
+pub(super) use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
+pub(super) use std::sync::{Arc, Mutex};
+pub(super) use std::thread::{Thread, current, park};
+
+pub(super) use super::guard::unpoisoned;
