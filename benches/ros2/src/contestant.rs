@@ -125,8 +125,11 @@ impl Drop for Contestant {
     }
 }
 
+/// Without multicast, which rclpy does not receive on this interface.
 pub const CYCLONE_ON_THIS_MACHINE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" \
-    multicast=\"true\"/></Interfaces></General></Domain></CycloneDDS>";
+    multicast=\"false\"/></Interfaces><AllowMulticast>false</AllowMulticast></General><Discovery>\
+    <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>\
+    <Peers><Peer address=\"127.0.0.1\"/></Peers></Discovery></Domain></CycloneDDS>";
 
 /// A program of this package on the interpreter that has rclpy and cyclonedds.
 fn python(program: &str) -> anyhow::Result<Command> {
