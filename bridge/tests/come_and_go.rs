@@ -384,3 +384,20 @@ fn replies_of_100_kb_pass_in_the_words_of_cyclone() {
     let answer = answers.recv_timeout(WATCHDOG).unwrap().unwrap();
     assert!(answer == SetBoolResponse { success: true, message: format!("data is True{long}") });
 }
+
+#[test]
+fn a_participant_that_joins_late_has_the_latched_text_of_rclpy_at_once() {
+    let Some(mut peer) = Peer::start(102, "LOCALHOST") else { return };
+    let _check =
+        check("Topics", "latched messages to a process that joins late, at once", With::Rclpy, Way::In);
+    let latched = QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT };
+    let qos = qos_of(latched, 1);
+    peer.ask(json!({"do": "advertise", "topic": "/theirs", "type": TEXT, "qos": qos}));
+    peer.ask(json!({"do": "publish_texts", "topic": "/theirs", "size": 100, "count": 1}));
+    // Fast DDS repeats its heartbeat after 3 s, later than this accepts.
+    for _ in 0..3 {
+        let (_participant, node) = join(102);
+        let (_theirs, heard) = hear(&node, "/theirs", latched);
+        at_once("the text has arrived", || heard.try_recv() == Ok(Some((0, 100))));
+    }
+}
