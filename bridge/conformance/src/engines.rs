@@ -139,4 +139,11 @@ const RUSTDDS: &[KnownFailure] = &[
         effect: "`ros2 topic info -v` shows INVALID; bags recorded elsewhere lack the hash",
         remedy: "nothing is needed: types are matched by name; `get_type_description` works",
     },
+    KnownFailure {
+        case: "static_peers_are_announced_to",
+        limit: "`ROS_STATIC_PEERS` has no effect",
+        cause: "it announces itself by multicast only",
+        effect: "hosts that multicast does not reach are not found",
+        remedy: "none",
+    },
 ];

@@ -53,6 +53,11 @@ pub(crate) fn next<T>(of: &Receiver<T>) -> T {
     of.recv_timeout(WATCHDOG).unwrap_or_else(|_| panic!("nothing came within the watchdog time"))
 }
 
+/// Receives until `expected` comes.
+pub(crate) fn wait_for<T: PartialEq>(of: &Receiver<T>, expected: T) {
+    while next(of) != expected {}
+}
+
 /// A little-endian payload with `body`.
 pub(crate) fn cdr(body: impl AsRef<[u8]>) -> Bytes {
     [&[0, 1, 0, 0], body.as_ref()].concat().into()

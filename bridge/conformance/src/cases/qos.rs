@@ -4,7 +4,7 @@
 use super::{NO_TIMES, Ran};
 use crate::engine::Domain;
 use crate::peer::chatter;
-use crate::support::{cdr, events, next, subscribe, wait_until};
+use crate::support::{cdr, events, next, subscribe, wait_for, wait_until};
 use downbeat_bridge::middleware::{Aliveness, Endpoint, EndpointEvent, QosPolicyKind, WriteOptions};
 use downbeat_msgs::qos::{Durability, Liveliness, QosProfile, Reliability};
 use std::sync::mpsc::Receiver;
@@ -96,8 +96,8 @@ pub(super) fn missed_deadlines_are_told_on_both_sides(domain: &Domain<'_>) -> Ra
     next(&samples);
     next(&samples);
     let missed = |of: &Receiver<EndpointEvent>| {
-        let is_other = |event: &EndpointEvent| !matches!(event, EndpointEvent::Matched { .. });
-        of.iter().find(is_other).unwrap()
+        let is_match = |event: &EndpointEvent| matches!(event, EndpointEvent::Matched { .. });
+        std::iter::repeat_with(|| next(of)).find(|event| !is_match(event)).unwrap()
     };
     for event in [missed(&of_writer), missed(&of_reader)] {
         assert!(matches!(event, EndpointEvent::DeadlineMissed { count: 1.. }), "{event:?}");
@@ -123,8 +123,7 @@ pub(super) fn a_writer_with_manual_liveliness_lives_as_long_as_it_says_so(domain
         (events(|handler| writer.on_event(handler)), events(|handler| reader.on_event(handler)));
     let peer = writer.gid();
     let until = |now| {
-        let change = EndpointEvent::LivelinessChanged { peer, now };
-        assert!(of_reader.iter().any(|event| event == change));
+        wait_for(&of_reader, EndpointEvent::LivelinessChanged { peer, now });
     };
     // Without a sample, for longer than a lease.
     let start = Instant::now();
@@ -136,7 +135,7 @@ pub(super) fn a_writer_with_manual_liveliness_lives_as_long_as_it_says_so(domain
     until(Aliveness::Alive);
     let told = of_reader.try_iter().collect::<Vec<_>>();
     assert_eq!(told, [], "it did not die");
-    assert!(of_writer.iter().any(|event| event == EndpointEvent::LivelinessLost));
+    wait_for(&of_writer, EndpointEvent::LivelinessLost);
     until(Aliveness::NotAlive);
     writer.assert_liveliness();
     until(Aliveness::Alive);
