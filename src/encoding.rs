@@ -6,7 +6,7 @@
 use bytes::Bytes;
 use downbeat_bags::metadata::RecordedQos;
 use downbeat_bags::{MessageFormat, RecordedTopic, TopicInfo};
-use downbeat_bridge::edge::{Interfaces, KnownType, UnknownType};
+use downbeat_edge::{Interfaces, KnownType, UnknownType};
 use downbeat_msgs::encoding::{self, Codec, Encoding};
 use downbeat_msgs::foxglove;
 

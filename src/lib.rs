@@ -12,7 +12,6 @@ pub mod journal;
 pub mod playback;
 #[cfg(feature = "cli")]
 mod program;
-mod raw_recorder;
 pub mod recorder;
 pub mod replay;
 pub mod robot;
@@ -23,6 +22,7 @@ pub mod table;
 pub use app::{App, AppError};
 pub use downbeat_bags as bags;
 pub use downbeat_bridge as bridge;
+pub use downbeat_edge as edge;
 pub use downbeat_executor as executor;
 pub use downbeat_modules as modules;
 pub use downbeat_modules::device;

@@ -1,18 +1,18 @@
 //! Recording topics of a core into a rosbag2 directory.
 
+use std::any::TypeId;
+
 use bytes::Bytes;
 use downbeat_bags::metadata::Metadata;
-use downbeat_bags::{RecordError, Recording, RecordingSender, TopicId, WriterOptions};
-use downbeat_bridge::edge::{CoreAccess, Interfaces, RawMessage, Sink};
+use downbeat_bags::{self as bags, RecordError, Recording, RecordingSender, TopicId, WriterOptions};
+use downbeat_edge::{CoreAccess, Interfaces, KnownType, RawMessage, Sink};
 use downbeat_executor::{Core, Inbox, OutletInbox, Received, SetupError, Time, TopicInfo};
 use downbeat_msgs::encoding::{self, Codec, Encoding};
 use downbeat_msgs::qos::QosProfile;
+use serde::{Deserialize, Serialize};
 
 use crate::encoding::topic_info;
-use crate::raw_recorder::RawToBag;
 use crate::robot::unregistered;
-use serde::{Deserialize, Serialize};
-use std::any::TypeId;
 
 /// Why a robot cannot be recorded.
 #[derive(Debug, thiserror::Error)]
@@ -28,21 +28,21 @@ pub enum RecorderError {
     Encoding(#[from] encoding::Error),
 }
 
-/// What happens to a message when the disk is slower than the robot.
+/// What happens to a message while the disk is slower than the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WhenFull {
-    /// It is lost and counted: a robot must not wait.
+    /// The message is lost and counted: a robot must not wait.
     Lose,
     /// The recorder waits: for input from a bag, which can wait too.
     Wait,
 }
 
-/// Records these topics of a core until it stops: through outlets that share a thread, so that serialising delays no cycle and
-/// the last messages of every module are recorded.
+/// Records these topics of a core until it stops, through outlets that share a thread: serializing delays no cycle, and the last
+/// messages of every module are recorded.
 ///
-/// Messages are stamped with the time of the cycle that published them. A topic whose messages are not registered is passed
-/// over; [`Unrecorded`] tells which these are. The offered QoS noted in the bag is what `qos_of` says of a topic. A message that has no place
-/// in the encoding (a time before 1970 in FlatBuffers) is logged and left out.
+/// Messages are stamped with the time of the cycle that published them. Topics whose messages are not registered are skipped;
+/// [`Unrecorded`] lists them. `qos_of` returns the offered QoS of a topic for the bag. A message that the encoding cannot represent
+/// (a time before 1970 in FlatBuffers) is logged and skipped.
 ///
 /// # Errors
 /// If the recording has ended, or this build lacks the encoding.
@@ -55,18 +55,18 @@ pub fn record(
     interfaces: &Interfaces,
     qos_of: impl Fn(&str) -> QosProfile,
 ) -> Result<(), RecorderError> {
-    let sender = recording.sender();
+    let bag = Bag { sender: recording.sender(), when_full };
     let inbox = OutletInbox::new("recorder", Inbox::KeepAll);
     for topic in topics {
         let (name, qos) = (format!("/{}", topic.name), qos_of(&topic.name));
         let outlet = if topic.message_type_id == TypeId::of::<RawMessage>() {
-            let mut to_bag = RawToBag::new(sender.clone(), when_full, name, qos);
+            let mut to_bag = RawToBag::new(bag.clone(), name, qos);
             core.outlet(&topic.name, &inbox, move |message: Received<'_, RawMessage>| {
                 to_bag.take(message.time(), &message);
             })?
         } else if let Some(message_type) = interfaces.message_of(topic.message_type_id) {
             let (info, codec) = topic_info(name, message_type, vec![qos.into()], encoding)?;
-            let to_bag = ToBag { sender: sender.clone(), when_full, codec, topic: sender.add_topic(info)? };
+            let to_bag = ToBag { bag: bag.clone(), codec, topic: bag.sender.add_topic(info)? };
             message_type.outlet(&mut CoreAccess::Idle(core), &topic.name, &inbox, to_bag)?
         } else {
             continue;
@@ -76,19 +76,19 @@ pub fn record(
     Ok(())
 }
 
-/// Whether the messages of a topic have a place in a bag.
+/// Whether the messages of a topic can be recorded.
 pub(crate) fn is_recordable(topic: &TopicInfo, interfaces: &Interfaces) -> bool {
     topic.message_type_id == TypeId::of::<RawMessage>()
         || interfaces.message_of(topic.message_type_id).is_some()
 }
 
-/// Topics that a recording passes over, since their Rust types are not registered as messages.
+/// Topics that a recording skips, since their Rust types are not registered as messages.
 #[derive(Clone)]
 pub struct Unrecorded {
     topics: Vec<TopicInfo>,
 }
 
-/// A topic that is not in a bag, as the bag tells it.
+/// A topic that is missing in a bag, as the bag lists it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct UnrecordedTopic {
     /// The name, with a leading slash.
@@ -103,14 +103,13 @@ impl Unrecorded {
     /// The key of a bag's custom data that has these topics, as JSON.
     const KEY: &str = "unrecorded_topics";
 
-    /// Of these topics those that a recording passes over. What the executor and the bridge tell each other is not counted.
+    /// Those of these topics that a recording skips, without the topics between executor and bridge.
     #[must_use]
     pub fn of(topics: &[TopicInfo], interfaces: &Interfaces) -> Self {
         let is_internal =
             |topic: &TopicInfo| topic.name.starts_with("executor/") || topic.name.starts_with("bridge/");
-        let passed_over =
-            topics.iter().filter(|topic| !is_recordable(topic, interfaces) && !is_internal(topic));
-        Self { topics: passed_over.cloned().collect() }
+        let skipped = topics.iter().filter(|topic| !is_recordable(topic, interfaces) && !is_internal(topic));
+        Self { topics: skipped.cloned().collect() }
     }
 
     /// Warns of each topic, with what to do.
@@ -125,7 +124,7 @@ impl Unrecorded {
         self.topics.iter().find(|known| *known.name == *name).map(problem)
     }
 
-    /// Has a bag tell the topics, and how many messages they carried.
+    /// Makes a bag list the topics, and how many messages they carried.
     #[must_use]
     pub fn note(self, writer: WriterOptions) -> WriterOptions {
         if self.topics.is_empty() {
@@ -140,15 +139,15 @@ impl Unrecorded {
     /// The topics, and how many messages they have carried so far.
     #[must_use]
     pub fn topics(&self) -> Vec<UnrecordedTopic> {
-        let told = self.topics.iter().map(|topic| UnrecordedTopic {
+        let topics = self.topics.iter().map(|topic| UnrecordedTopic {
             topic: format!("/{}", topic.name),
             rust_type: topic.message_type.to_owned(),
             messages: topic.counter.messages(),
         });
-        told.collect()
+        topics.collect()
     }
 
-    /// What a bag tells of topics that were not recorded.
+    /// The topics that a bag lists as not recorded.
     #[must_use]
     pub fn in_bag(metadata: &Metadata) -> Vec<UnrecordedTopic> {
         let noted = metadata.custom_data.get(Self::KEY);
@@ -161,29 +160,112 @@ fn problem(TopicInfo { name, message_type, .. }: &TopicInfo) -> String {
     format!("\"{name}\" is not recorded: it carries {message_type}, {problem}")
 }
 
-struct ToBag {
+/// A bag that is being recorded.
+#[derive(Clone)]
+struct Bag {
     sender: RecordingSender,
     when_full: WhenFull,
+}
+
+impl Bag {
+    fn record(&self, topic: TopicId, time: Time, data: Bytes) {
+        let time = time.as_nanos();
+        let recorded = match self.when_full {
+            WhenFull::Lose => self.sender.record(topic, time, time, data),
+            WhenFull::Wait => self.sender.record_blocking(topic, time, time, data),
+        };
+        // The recording counts lost messages and reports them at its end; a warning for each would only add to the load.
+        if let Err(error) = recorded {
+            tracing::debug!("{error}");
+        }
+    }
+}
+
+/// Records the messages of a registered type.
+struct ToBag {
+    bag: Bag,
     codec: Option<Codec>,
     topic: TopicId,
 }
 
 impl Sink for ToBag {
     fn take(&mut self, time: Time, cdr: Bytes) {
-        let time = time.as_nanos();
-        let data = match self.codec.as_ref().map(|codec| codec.encode(&cdr)) {
-            None => cdr,
-            Some(Ok(data)) => data.into(),
-            Some(Err(error)) => return tracing::warn!("a message is not recorded: {error}"),
-        };
-        // A full queue is counted by the recording and told with its numbers; a message in the log for each
-        // lost one would only add to the load.
-        let recorded = match self.when_full {
-            WhenFull::Lose => self.sender.record(self.topic, time, time, data),
-            WhenFull::Wait => self.sender.record_blocking(self.topic, time, time, data),
-        };
-        if let Err(error) = recorded {
-            tracing::debug!("{error}");
+        match self.codec.as_ref().map(|codec| codec.encode(&cdr)) {
+            None => self.bag.record(self.topic, time, cdr),
+            Some(Ok(data)) => self.bag.record(self.topic, time, data.into()),
+            Some(Err(error)) => tracing::warn!("a message is not recorded: {error}"),
         }
+    }
+}
+
+/// How many raw messages wait until the definition of their type is known: a bag has it before the messages.
+const MOST_WAITING: usize = 256;
+
+/// Records a topic of raw messages. The first message decides on the type of the topic.
+struct RawToBag {
+    bag: Bag,
+    name: String,
+    qos: QosProfile,
+    topic: Option<(KnownType, TopicId)>,
+    waiting: Vec<(Time, RawMessage)>,
+}
+
+impl RawToBag {
+    fn new(bag: Bag, name: String, qos: QosProfile) -> Self {
+        Self { bag, name, qos, topic: None, waiting: Vec::new() }
+    }
+
+    fn take(&mut self, time: Time, message: &RawMessage) {
+        let message_type = message.message_type();
+        match self.topic {
+            Some((of_topic, topic)) if of_topic == message_type => {
+                self.bag.record(topic, time, message.cdr().clone());
+            }
+            Some(_) => {}
+            None => {
+                self.waiting.push((time, message.clone()));
+                if !message_type.definition().is_empty() || self.waiting.len() >= MOST_WAITING {
+                    self.write_waiting();
+                }
+            }
+        }
+    }
+
+    /// Writes the messages that wait, whether the definition is known or not.
+    fn write_waiting(&mut self) {
+        let waiting = std::mem::take(&mut self.waiting);
+        let Some((_, first)) = waiting.first() else { return };
+        let message_type = first.message_type();
+        if message_type.definition().is_empty() {
+            tracing::warn!(
+                topic = self.name,
+                "the definition of {message_type} is not known, so the bag will not say how to decode it"
+            );
+        }
+        let info = bags::TopicInfo {
+            name: self.name.clone(),
+            type_name: message_type.name().into(),
+            definition: message_type.definition().into(),
+            type_hash: message_type.hash().into(),
+            offered_qos: vec![self.qos.into()],
+            ..bags::TopicInfo::default()
+        };
+        match self.bag.sender.add_topic(info) {
+            Ok(topic) => {
+                self.topic = Some((message_type, topic));
+                for (time, message) in
+                    waiting.iter().filter(|(_, other)| other.message_type() == message_type)
+                {
+                    self.bag.record(topic, *time, message.cdr().clone());
+                }
+            }
+            Err(error) => tracing::error!(topic = self.name, %error, "a topic is not recorded"),
+        }
+    }
+}
+
+impl Drop for RawToBag {
+    fn drop(&mut self) {
+        self.write_waiting();
     }
 }

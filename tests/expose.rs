@@ -8,7 +8,7 @@ use std::path::Path;
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{Running, downbeat, robot_file, text_of, wait_until};
-use downbeat::robot::ExposedEndpoint;
+use downbeat::robot::EndpointReport;
 use serde_json::{Value, json};
 
 /// The demo with its `[expose]` replaced.
@@ -158,8 +158,8 @@ fn endpoints_come_and_go_in_rclpy_while_the_robot_runs() {
     );
     assert!(!peer.take("/sensors/data_raw", 3).is_empty());
     let (_, listed) = expose(&["list", "--json"], "darwin_op", folder.path());
-    let listed: Vec<ExposedEndpoint> = serde_json::from_str(&listed).unwrap();
-    assert_eq!((listed.len(), listed[1].every, listed[1].traffic.unwrap().matched), (2, 2, 1));
+    let listed: Vec<EndpointReport> = serde_json::from_str(&listed).unwrap();
+    assert_eq!((listed.len(), listed[1].endpoint.limits.every, listed[1].traffic.matched), (2, 2, 1));
 
     let (is_removed, text) = expose(&["remove", "/sensors/**"], "darwin_op", folder.path());
     assert!(is_removed && text.contains("removed imu/data_raw"), "{text}");
@@ -202,34 +202,37 @@ fn rclpy_changes_what_is_exposed_by_a_service_of_the_node() {
     let folder = tempfile::tempdir().unwrap();
     let file = robot(folder.path(), "", "out = [\"joint_states\"]\nexpose_service = true");
     let mut robot = Running::start(&["run", &file, "--domain", "145"]);
-    let (service, kind) = ("/darwin_op/expose", "rcl_interfaces/srv/SetParameters");
+    let (service, kind) = ("/darwin_op/expose", "rcl_interfaces/srv/SetParametersAtomically");
     peer.ask(json!({"do": "client", "service": service, "type": kind}));
     assert_eq!(peer.ask(json!({"do": "wait_for_service", "service": service})), true);
-    let change = |peer: &mut Peer, topic: &str, value: Value| {
-        let request = json!({"parameters": [{"name": topic, "value": value}]});
+    let change = |peer: &mut Peer, parameters: &[(&str, Value)]| {
+        let parameters = parameters.iter().map(|(name, value)| json!({"name": name, "value": value}));
+        let request = json!({"parameters": parameters.collect::<Vec<_>>()});
         let answer = peer.ask(json!({"do": "call", "service": service, "requests": [request]}));
-        let result = &answer[0]["results"][0];
+        let result = &answer[0]["result"];
         (result["successful"] == true, result["reason"].as_str().unwrap().to_owned())
     };
-    let how = json!({"type": 4, "string_value": "out, as = \"/sensors/*\", qos = \"sensor_data\""});
-    let added = change(&mut peer, "imu/*", how.clone());
+    let text = |text: &str| json!({"type": 4, "string_value": text});
+    let how = |topic: &str| [("out", text(topic)), ("as", text("/sensors/*")), ("qos", text("sensor_data"))];
+    let added = change(&mut peer, &how("imu/*"));
     assert_eq!(added, (true, "/sensors/data_raw [sensor_msgs/msg/Imu]".to_owned()));
     let qos = json!({"reliability": "best_effort"});
     peer.ask(
         json!({"do": "subscribe", "topic": "/sensors/data_raw", "type": "sensor_msgs/msg/Imu", "qos": qos}),
     );
     assert!(!peer.take("/sensors/data_raw", 3).is_empty());
-    for (topic, value, problem) in [
-        ("imu/data_raw", how, "has a wildcard"),
-        ("joint_states", json!({"type": 4, "string_value": "out"}), "exposed already"),
-        ("buttons", json!({"type": 4, "string_value": "out, rate = 10"}), "expose:1: "),
-        ("buttons", json!({"type": 3, "double_value": 1.0}), "value of type 3"),
-        ("/nothing", json!({}), "is not exposed; there is"),
+    let (ten, one) = (json!({"type": 2, "integer_value": 10}), json!({"type": 3, "double_value": 1.0}));
+    for (parameters, problem) in [
+        (how("imu/data_raw").to_vec(), "has a wildcard"),
+        (vec![("out", text("joint_states"))], "exposed already"),
+        (vec![("out", text("buttons")), ("rate", ten)], "expose:1: "),
+        (vec![("out", one)], "value of type 3"),
+        (vec![("remove", text("/nothing"))], "is not exposed; there is"),
     ] {
-        let (is_done, reason) = change(&mut peer, topic, value);
-        assert!(!is_done && reason.contains(problem), "{topic}: {reason}");
+        let (is_done, reason) = change(&mut peer, &parameters);
+        assert!(!is_done && reason.contains(problem), "{parameters:?}: {reason}");
     }
-    assert!(change(&mut peer, "/sensors/**", json!({})).0);
+    assert!(change(&mut peer, &[("remove", text("/sensors/**"))]).0);
     wait_until("what was taken back is gone from its node", || {
         let published = peer.ask(json!({"do": "published_by", "node": "darwin_op"}));
         published.get("/sensors/data_raw").is_none() && published.get("/joint_states").is_some()

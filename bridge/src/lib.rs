@@ -5,12 +5,10 @@
 //! - [`expose`] joins the two worlds: topics of a core become topics of a node;
 //! - [`ros`] is ROS 2 on top of raw topics: names, nodes, and the graph that tools show;
 //! - [`middleware`] is raw topics: a narrow trait, and the engines behind it (DDS by rustdds, and one in memory);
-//! - [`edge`] turns messages of the executor into bytes and back, by the name of their type. It knows no ROS node and
-//!   no DDS: a recorder stands on it too.
+//! - [`edge`], a crate of its own, turns messages of the executor into bytes and back, by the name of their type.
 
 pub mod clock;
 pub mod diagnostics;
-pub mod edge;
 pub mod expose;
 pub mod lifecycle;
 pub mod limiter;
@@ -19,3 +17,6 @@ pub mod network;
 pub mod robot_description;
 pub mod ros;
 pub mod rosout;
+pub mod worker;
+
+pub use downbeat_edge as edge;

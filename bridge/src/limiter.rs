@@ -1,7 +1,7 @@
 //! A limit for lines that others can cause: a peer that sends nonsense must not fill the log.
 
+use parking_lot::Mutex;
 use std::fmt;
-use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Lets the first lines through, then one for each interval, which says how many were left out.
@@ -12,7 +12,7 @@ pub struct Limiter {
 
 #[derive(Debug, Default)]
 struct State {
-    told: u32,
+    allowed: u32,
     left_out: u64,
     last: Option<Instant>,
 }
@@ -34,13 +34,13 @@ impl Limiter {
     }
 
     fn allow_at(&self, now: Instant) -> Option<LeftOut> {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.state.lock();
         let is_due = state.last.is_none_or(|last| now.saturating_duration_since(last) >= Self::INTERVAL);
-        if state.told >= Self::FIRST && !is_due {
+        if state.allowed >= Self::FIRST && !is_due {
             state.left_out += 1;
             return None;
         }
-        state.told = state.told.saturating_add(1);
+        state.allowed = state.allowed.saturating_add(1);
         state.last = Some(now);
         Some(LeftOut(std::mem::take(&mut state.left_out)))
     }
@@ -64,8 +64,8 @@ mod tests {
         let limiter = Limiter::default();
         let start = Instant::now();
         let at = |millis: u64| limiter.allow_at(start + Duration::from_millis(millis));
-        let told = (0..1000).filter_map(at).count();
-        assert_eq!(told, 5);
+        let allowed = (0..1000).filter_map(at).count();
+        assert_eq!(allowed, 5);
         assert_eq!(
             at(11_000).map(|left_out| left_out.to_string()).as_deref(),
             Some(" (and 995 more like it)")

@@ -1,4 +1,4 @@
-//! What else is in the ROS 2 domain, for modules: the graph as a message of the core.
+//! The other nodes of the ROS 2 domain, for modules: the graph as a message of the core.
 //!
 //! ```
 //! # use downbeat_bridge::middleware::in_process::Hub;
@@ -28,85 +28,68 @@
 //! ```
 
 use crate::ros::Participant;
-use crossbeam::channel::{RecvTimeoutError, Sender, bounded};
+use crate::worker::WorkerLink;
 use downbeat_executor::{Core, Inlet, InletError, SetupError};
 use downbeat_msgs::downbeat_interfaces::msg::NetworkGraph;
-use std::thread::JoinHandle;
+use std::sync::Arc;
 use std::time::Duration;
-use thiserror::Error;
 
 /// The topic in the core, with a `downbeat_interfaces/msg/NetworkGraph` whenever the graph has changed.
 pub const TOPIC: &str = "network";
 
-/// How often the graph is looked at.
+/// The period in which the graph is compared.
 const LOOK: Duration = Duration::from_millis(500);
 
-/// The graph cannot be watched.
-#[derive(Debug, Error)]
-pub enum NetworkError {
-    /// The core refuses the topic.
-    #[error("watching the network: {0}")]
-    Setup(#[from] SetupError),
-    /// The thread could not be started.
-    #[error("starting the thread that watches the network: {0}")]
-    Thread(#[from] std::io::Error),
-}
-
-/// Has modules told of the network until it is dropped.
+/// Publishes the graph of the network in a core until it is dropped.
 ///
 /// The graph enters the core as a message from outside does: all modules receive it in the same cycle, and a bag that holds
-/// the topic tells it again.
+/// the topic repeats it.
 pub struct NetworkWatch {
-    stop: Sender<()>,
-    thread: Option<JoinHandle<()>>,
+    /// `None` once it is dropped.
+    watched: Option<Arc<Watched>>,
+    worker: WorkerLink,
+}
+
+struct Watched {
+    participant: Participant,
+    inlet: Inlet<NetworkGraph>,
 }
 
 impl NetworkWatch {
     /// Publishes the graph on [`TOPIC`], at first and whenever it has changed.
     ///
     /// # Errors
-    /// [`NetworkError`] when the topic carries another type, or no thread can be had.
-    pub fn start(core: &mut Core, participant: &Participant) -> Result<Self, NetworkError> {
+    /// [`SetupError`] when the topic carries another type.
+    pub fn start(core: &mut Core, participant: &Participant) -> Result<Self, SetupError> {
         let (inlet, participant) = (core.inlet::<NetworkGraph>(TOPIC)?, participant.clone());
-        let (stop, stopped) = bounded(1);
-        let thread = std::thread::Builder::new().name("downbeat-network".into()).spawn(move || {
-            let mut told = None;
-            loop {
-                let network = participant.network();
-                if told.as_ref() != Some(&network) {
-                    if tell(&inlet, &network).is_break() {
-                        return;
+        let worker = participant.worker();
+        let watched = Arc::new(Watched { participant, inlet });
+        let weak = Arc::downgrade(&watched);
+        let sleeper = worker.clone();
+        worker.spawn(async move {
+            let mut last = None;
+            while let Some(watched) = weak.upgrade() {
+                let network = watched.participant.network();
+                if last.as_ref() != Some(&network) {
+                    match watched.inlet.publish(network.clone()) {
+                        Ok(()) => {}
+                        Err(InletError::Stopped) => return,
+                        Err(error) => tracing::warn!(%error, "a change of the network is not published"),
                     }
-                    told = Some(network);
+                    last = Some(network);
                 }
-                if stopped.recv_timeout(LOOK) != Err(RecvTimeoutError::Timeout) {
-                    return;
-                }
+                drop(watched);
+                sleeper.sleep(LOOK).await;
             }
-        })?;
-        Ok(Self { stop, thread: Some(thread) })
-    }
-}
-
-fn tell(inlet: &Inlet<NetworkGraph>, network: &NetworkGraph) -> std::ops::ControlFlow<()> {
-    match inlet.publish(network.clone()) {
-        Ok(()) => std::ops::ControlFlow::Continue(()),
-        Err(InletError::Stopped) => std::ops::ControlFlow::Break(()),
-        Err(error) => {
-            tracing::warn!(%error, "modules are not told of a change of the network");
-            std::ops::ControlFlow::Continue(())
-        }
+        });
+        Ok(Self { watched: Some(watched), worker })
     }
 }
 
 impl Drop for NetworkWatch {
     fn drop(&mut self) {
-        // Fails only when the thread has ended.
-        let _ = self.stop.try_send(());
-        if let Some(thread) = self.thread.take()
-            && thread.join().is_err()
-        {
-            tracing::error!("the thread that watches the network panicked");
-        }
+        self.watched = None;
+        // The worker has none either after this, so that the participant may leave.
+        self.worker.flush();
     }
 }

@@ -115,9 +115,15 @@ fn what_a_module_publishes_goes_out() {
     assert_eq!(words(&samples), ["tick 1", "tick 2"]);
 
     let report = &status.endpoints()[0];
-    assert_eq!((report.topic.as_str(), report.ros_topic.as_str()), ("text", "/robot/text"));
-    assert_eq!((report.type_name, report.direction), ("std_msgs/msg/String", Direction::Out));
-    assert_eq!((report.matched, report.messages, report.skipped, report.errors), (1, 2, 0, 0));
+    assert_eq!((report.endpoint.topic.as_str(), report.endpoint.ros_topic.as_str()), ("text", "/robot/text"));
+    assert_eq!(
+        (report.endpoint.type_name.as_str(), report.endpoint.direction),
+        ("std_msgs/msg/String", Direction::Out)
+    );
+    assert_eq!(
+        (report.traffic.matched, report.traffic.messages, report.traffic.skipped, report.traffic.errors),
+        (1, 2, 0, 0)
+    );
 }
 
 #[test]
@@ -127,7 +133,7 @@ fn what_nobody_hears_is_skipped_and_counted() {
     let status = world.expose(text(Direction::Out));
     world.cycles(4);
     let report = &status.endpoints()[0];
-    assert_eq!((report.matched, report.messages, report.skipped), (0, 0, 2));
+    assert_eq!((report.traffic.matched, report.traffic.messages, report.traffic.skipped), (0, 0, 2));
 }
 
 #[test]
@@ -138,7 +144,7 @@ fn a_latched_topic_goes_out_even_when_nobody_hears_yet() {
     world.cycles(4);
     let (_late, samples) = world.listen("/robot/text", QosProfile::LATCHED);
     assert_eq!(words(&samples), ["tick 2"]);
-    assert_eq!(status.endpoints()[0].messages, 2);
+    assert_eq!(status.endpoints()[0].traffic.messages, 2);
 }
 
 #[test]
@@ -146,7 +152,7 @@ fn a_topic_can_have_another_name_outside() {
     let mut world = world();
     world.core.add("talker", Talker { ticks: 0 }).unwrap();
     let status = world.expose(Exposure { ros_topic: Some("~/speech".into()), ..text(Direction::Out) });
-    assert_eq!(status.endpoints()[0].ros_topic, "/robot/downbeat/speech");
+    assert_eq!(status.endpoints()[0].endpoint.ros_topic, "/robot/downbeat/speech");
     let (_subscription, samples) = world.listen("/robot/downbeat/speech", QosProfile::DEFAULT);
     world.cycles(3);
     assert_eq!(words(&samples), ["tick 1"]);
@@ -165,7 +171,10 @@ fn what_others_publish_comes_in() {
     world.cycles(2);
     assert_eq!(hears.try_iter().collect::<Vec<_>>(), ["one", "two"]);
     let report = &status.endpoints()[0];
-    assert_eq!((report.direction, report.matched, report.messages, report.errors), (Direction::In, 1, 2, 0));
+    assert_eq!(
+        (report.endpoint.direction, report.traffic.matched, report.traffic.messages, report.traffic.errors),
+        (Direction::In, 1, 2, 0)
+    );
 }
 
 #[test]
@@ -180,8 +189,8 @@ fn bytes_that_are_no_message_are_counted_and_do_no_harm() {
     world.cycles(2);
     assert_eq!(hears.try_iter().collect::<Vec<_>>(), ["fine"]);
     let report = &status.endpoints()[0];
-    assert_eq!((report.messages, report.errors), (1, 1));
-    let error = report.last_error.as_deref().unwrap();
+    assert_eq!((report.traffic.messages, report.traffic.errors), (1, 1));
+    let error = report.traffic.last_error.as_deref().unwrap();
     assert!(error.contains("\"text\"") && error.contains("std_msgs/msg/String"), "{error}");
 }
 
@@ -198,7 +207,7 @@ fn stopping_the_core_removes_the_endpoints_and_dropping_the_node_the_node() {
     world.core.stop();
     drop(world.core);
     assert_eq!(subscription.matched_publishers(), 0);
-    assert_eq!(status.endpoints()[0].matched, 0);
+    assert_eq!(status.endpoints()[0].traffic.matched, 0);
     drop(world.node);
     assert_eq!(world.peer.remote_nodes(), []);
 }
@@ -231,7 +240,7 @@ fn what_left_by_the_bridge_does_not_come_back_by_it() {
     world.cycles(5);
     peer.publish(cdr::to_vec(&msg::String { data: "from outside".into() }).into()).unwrap();
     world.cycles(2);
-    let messages: Vec<_> = status.endpoints().iter().map(|report| report.messages).collect();
+    let messages: Vec<_> = status.endpoints().iter().map(|report| report.traffic.messages).collect();
     assert!(messages[0] >= 4, "{messages:?}");
     assert_eq!(messages[1], 1, "of the peer");
 }

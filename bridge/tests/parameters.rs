@@ -70,7 +70,7 @@ fn robot(domain_id: u16) -> Robot {
     let settings: Vec<_> = ["arm.*", "camera.gain"].map(|pattern| TopicPattern::new(pattern).unwrap()).into();
     let handle = core.handle();
     let sim_time = clock.sim_time(&node, &handle);
-    let server = ParameterServer::start(&core, Some(sim_time.clone())).unwrap();
+    let server = ParameterServer::new(&core, Some(sim_time.clone()));
     let of_robot = ParameterExposure { settings: settings.clone(), of_module: None };
     let of_arm = ParameterExposure { settings, of_module: Some("arm".into()) };
     let parameters = [(&node, of_robot), (&arm, of_arm)];

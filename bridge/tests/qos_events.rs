@@ -86,7 +86,7 @@ impl Running {
 
     /// What is counted of the topic that goes out, and of the one that comes in.
     fn counts(&self) -> [QosCounts; 2] {
-        let mut counts = self.status.endpoints().into_iter().map(|report| report.qos_counts);
+        let mut counts = self.status.endpoints().into_iter().map(|report| report.traffic.qos);
         [counts.next().unwrap(), counts.next().unwrap()]
     }
 
@@ -207,9 +207,9 @@ fn what_the_inbox_of_the_bridge_drops_is_counted_by_topic() {
     let published = core.topics().find(|topic| &*topic.name == "text").unwrap().counter.messages();
     wait_until("the bridge has caught up", || {
         let report = &status.endpoints()[0];
-        report.messages + report.dropped == published
+        report.traffic.messages + report.traffic.dropped == published
     });
-    let dropped = status.endpoints()[0].dropped;
+    let dropped = status.endpoints()[0].traffic.dropped;
     assert!((1..published).contains(&dropped), "{dropped} of {published}");
     core.stop();
 }

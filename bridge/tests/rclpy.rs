@@ -288,17 +288,17 @@ fn a_running_core_is_seen_and_driven_from_rclpy_and_leaves_at_once() {
     );
 
     wait_until("the command topic is matched", || {
-        status.endpoints()[1].matched == 1
+        status.endpoints()[1].traffic.matched == 1
             && rclpy.ask(json!({"do": "matched", "topic": "/joint_commands"})) == 1
     });
     rclpy.ask(json!({"do": "publish", "topic": "/joint_commands", "fields": {"name": ["head_pan"]}}));
     assert_eq!(commands.recv_timeout(common::WATCHDOG).unwrap().name, ["head_pan"]);
 
     // A message is counted after it was passed on, on the thread that read it.
-    wait_until("the command is counted", || status.endpoints()[1].messages == 1);
+    wait_until("the command is counted", || status.endpoints()[1].traffic.messages == 1);
     let reports = status.endpoints();
-    assert_eq!((reports[0].matched, reports[0].errors), (1, 0));
-    assert!(reports[0].messages >= 250);
+    assert_eq!((reports[0].traffic.matched, reports[0].traffic.errors), (1, 0));
+    assert!(reports[0].traffic.messages >= 250);
 
     handle.stop();
     running.join().unwrap().unwrap();

@@ -218,7 +218,7 @@ fn parameters_go_both_ways() {
     let mut peer = Peer::start(222);
     let mut core = Core::new();
     core.add("arm", Arm).unwrap();
-    let server = ParameterServer::start(&core, None).unwrap();
+    let server = ParameterServer::new(&core, None);
     let settings = vec![TopicPattern::new("arm.*").unwrap()];
     let _parameters = server.serve(&node, ParameterExposure { settings, of_module: None }).unwrap();
     let handle = core.handle();

@@ -87,7 +87,7 @@ fn a_topic_is_thinned_out_by_the_time_of_the_executor() {
         }
         core.cycle().unwrap();
         let report = &status.endpoints()[0];
-        assert_eq!((report.messages, report.limited, report.skipped), (4, 46, 0));
+        assert_eq!((report.traffic.messages, report.traffic.limited, report.traffic.skipped), (4, 46, 0));
         texts.try_iter().collect::<Vec<_>>()
     };
     assert_eq!(received(), ["0", "13", "25", "38"], "at 0, 104, 200 and 304 ms");
@@ -168,7 +168,7 @@ fn an_endpoint_may_be_of_another_node_of_the_same_participant() {
     core.cycle().unwrap();
     assert_eq!(peer.topics_of("/robot"), ["/text"]);
     assert_eq!(peer.topics_of("/sensors/camera"), ["/sensors/camera/image", "/sensors/info"]);
-    assert_eq!(status.endpoints()[1].node, "/sensors/camera");
+    assert_eq!(status.endpoints()[1].endpoint.node, "/sensors/camera");
     core.stop();
     assert_eq!(peer.topics_of("/sensors/camera"), Vec::<String>::new());
     assert!(peer.participant.remote_nodes().iter().all(|node| node.name != "/sensors/camera"));
@@ -241,7 +241,7 @@ impl Running {
     }
 
     fn remove(&self, topic: &str) -> usize {
-        self.bridge.remove(|report| report.topic == topic).len()
+        self.bridge.remove(|endpoint| endpoint.topic == topic).len()
     }
 }
 

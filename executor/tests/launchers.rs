@@ -363,10 +363,10 @@ fn the_thread_of_a_removed_module_ends_and_the_next_one_gets_its_own() {
     run(&mut robot);
     assert_eq!(alive.load(Ordering::SeqCst), 2);
     let handle = robot.core.handle();
-    let _ = handle.remove("module 0");
+    drop(handle.remove("module 0"));
     run(&mut robot);
     assert_eq!(alive.load(Ordering::SeqCst), 1);
-    let _ = handle.add("another", ticker(), ModuleOptions::default());
+    drop(handle.add("another", ticker(), ModuleOptions::default()));
     run(&mut robot);
     assert_eq!(alive.load(Ordering::SeqCst), 2);
 }

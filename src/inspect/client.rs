@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 
 use super::protocol::Answer;
 use super::{Request, RunningRobot};
-use crate::robot::ExposedEndpoint;
+use crate::robot::EndpointReport;
 
 /// How long an answer may take. A trace waits for its cycles, and the robot gives up on them earlier.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -124,7 +124,7 @@ impl Client {
     ///
     /// # Errors
     /// If the robot is gone or refuses.
-    pub fn exposed(&mut self) -> Result<Vec<ExposedEndpoint>, ClientError> {
+    pub fn exposed(&mut self) -> Result<Vec<EndpointReport>, ClientError> {
         self.value_of(Request::Exposed)
     }
 
@@ -132,7 +132,7 @@ impl Client {
     ///
     /// # Errors
     /// If the robot is gone or refuses.
-    pub fn expose(&mut self, entries: String) -> Result<Vec<ExposedEndpoint>, ClientError> {
+    pub fn expose(&mut self, entries: String) -> Result<Vec<EndpointReport>, ClientError> {
         self.value_of(Request::Expose { entries })
     }
 
@@ -140,7 +140,7 @@ impl Client {
     ///
     /// # Errors
     /// If the robot is gone or refuses.
-    pub fn take_back(&mut self, topics: Vec<String>) -> Result<Vec<ExposedEndpoint>, ClientError> {
+    pub fn take_back(&mut self, topics: Vec<String>) -> Result<Vec<EndpointReport>, ClientError> {
         self.value_of(Request::TakeBack { topics })
     }
 

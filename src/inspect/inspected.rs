@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use downbeat_executor::{CoreHandle, CycleTrace, Graph, Snapshot};
 
-use crate::robot::ExposedEndpoint;
+use crate::robot::EndpointReport;
 
 /// How long a core may take to come to the end of a cycle.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -45,7 +45,7 @@ pub trait Inspected: Send + Sync + 'static {
     ///
     /// # Errors
     /// If it has no ROS 2 node; in words.
-    fn exposed(&self) -> Result<Vec<ExposedEndpoint>, String> {
+    fn exposed(&self) -> Result<Vec<EndpointReport>, String> {
         Err(NO_NODE.to_owned())
     }
 
@@ -53,7 +53,7 @@ pub trait Inspected: Send + Sync + 'static {
     ///
     /// # Errors
     /// If what is asked for cannot be, or the robot has no ROS 2 node; in words.
-    fn expose(&self, _entries: &str) -> Result<Vec<ExposedEndpoint>, String> {
+    fn expose(&self, _entries: &str) -> Result<Vec<EndpointReport>, String> {
         Err(NO_NODE.to_owned())
     }
 
@@ -61,7 +61,7 @@ pub trait Inspected: Send + Sync + 'static {
     ///
     /// # Errors
     /// If one of them is not exposed, or the robot has no ROS 2 node; in words.
-    fn take_back(&self, _topics: &[String]) -> Result<Vec<ExposedEndpoint>, String> {
+    fn take_back(&self, _topics: &[String]) -> Result<Vec<EndpointReport>, String> {
         Err(NO_NODE.to_owned())
     }
 }

@@ -22,7 +22,7 @@ pub enum Request {
     Resume,
     /// Have a held robot run one cycle.
     Step,
-    /// What ROS 2 sees: answered with a list of [`ExposedEndpoint`](crate::robot::ExposedEndpoint)s, as are the next two.
+    /// What ROS 2 sees: answered with a list of [`EndpointReport`](crate::robot::EndpointReport)s, as are the next two.
     Exposed,
     /// Expose more: answered with what was added.
     Expose {

@@ -1,8 +1,8 @@
-//! What takes effect in a cycle besides messages and settings: requests, answers, commands to modules and results of jobs.
+//! Events of a cycle besides messages and settings: requests, answers, commands to modules and results of jobs.
 
 use std::collections::BTreeSet;
 
-use downbeat_bridge::edge::Interfaces;
+use downbeat_edge::Interfaces;
 use downbeat_executor::{
     CallError, CallOrigin, Core, Graph, GraphEdge, ModuleCommand, ModuleEvent as Event,
     ModuleEventKind as Kind, SetupError,
@@ -30,7 +30,7 @@ pub(crate) struct UnrecordedService {
     pub(crate) modules: BTreeSet<String>,
 }
 
-/// Those of a core.
+/// The unrecorded services of a core.
 pub(crate) fn unrecorded_services(core: &Core, interfaces: &Interfaces) -> Vec<UnrecordedService> {
     let Graph { modules, services, edges, .. } = core.graph();
     let infos = core.services().filter(|info| interfaces.service_in(core, &info.name).is_none());

@@ -1,20 +1,21 @@
-//! What happens in a running robot besides its messages, published as ROS messages, so that a bag holds it and a replay repeats it.
+//! Journals: runs, cycles, settings and events of a running robot as ROS messages, so that a bag holds them and a replay repeats
+//! them.
 //!
 //! The executor reports runs of detached modules, changed settings and events on topics of its own, as Rust types. A journal publishes
 //! each report as a ROS message on another topic, which robot files name, and which is recorded, like any topic.
 
-mod cycles;
 pub(crate) mod events;
-mod settings;
-mod steps;
 
-use downbeat_bridge::edge::Interfaces;
+use std::time::Duration;
+
+use downbeat_edge::{Interfaces, parameter_value};
 use downbeat_executor::{
     Context, Core, DetachedStep, Idle, Module, ModuleEvent, ModuleOptions, Publication, Received, Role,
-    SettingsChange, Setup, SetupError,
+    SettingsChange, Setup, SetupError, Synchrony, Time,
 };
-
-pub use cycles::CycleJournal;
+use downbeat_msgs::builtin_interfaces::msg::Time as TimeMessage;
+use downbeat_msgs::downbeat_interfaces::msg::{CycleTimes, ModuleSettings, ModuleStep};
+use downbeat_msgs::rcl_interfaces::msg::Parameter;
 
 /// The topic with the times of cycles.
 pub const CYCLES: &str = "cycle_times";
@@ -43,9 +44,9 @@ pub(crate) const MODULE_NAMES: [&str; 4] = [CYCLE_JOURNAL, STEP_JOURNAL, SETTING
 /// If the core has modules or topics of these names.
 pub fn add(core: &mut Core, interfaces: &Interfaces, idle: Idle) -> Result<(), SetupError> {
     events::encode_services(core, interfaces)?;
-    let steps = Journal { reports: DetachedStep::TOPIC, topic: STEPS, message: steps::message };
+    let steps = Journal { reports: DetachedStep::TOPIC, topic: STEPS, message: step_message };
     steps.add(core, STEP_JOURNAL)?;
-    let settings = Journal { reports: SettingsChange::TOPIC, topic: SETTINGS, message: settings::message };
+    let settings = Journal { reports: SettingsChange::TOPIC, topic: SETTINGS, message: settings_message };
     settings.add(core, SETTINGS_JOURNAL)?;
     let events = Journal { reports: ModuleEvent::TOPIC, topic: EVENTS, message: events::message };
     events.add(core, EVENT_JOURNAL)?;
@@ -81,5 +82,83 @@ impl<R: Send + Sync + 'static, M: Send + Sync + 'static> Module for Journal<R, M
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError> {
         setup.subscribe(self.reports, Self::on_report)?;
         setup.publish(self.topic)
+    }
+}
+
+fn step_message(step: &DetachedStep) -> ModuleStep {
+    ModuleStep {
+        stamp: TimeMessage::from_nanos(step.time.as_nanos()),
+        module: step.module.to_string(),
+        step: step.step,
+        cycle: step.cycle,
+        is_stop: step.is_stop,
+        topics: step.inputs.iter().map(|input| input.topic.to_string()).collect(),
+        skipped: step.inputs.iter().map(|input| input.skipped).collect(),
+        counts: step.inputs.iter().map(|input| input.received).collect(),
+    }
+}
+
+fn settings_message(change: &SettingsChange) -> ModuleSettings {
+    let parameter =
+        |(name, value): &(String, _)| Parameter { name: name.clone(), value: parameter_value(value) };
+    ModuleSettings {
+        stamp: TimeMessage::from_nanos(change.time.as_nanos()),
+        module: change.module.to_string(),
+        step: change.step.unwrap_or(0),
+        settings: change.settings.iter().map(parameter).collect(),
+    }
+}
+
+/// Publishes the times of all cycles on [`CYCLES`], many at once.
+///
+/// It must be the last module that joins a core: then it is the first to stop, and its last message contains the cycles before the
+/// end began.
+#[derive(Default)]
+pub struct CycleJournal {
+    first: u64,
+    times: Vec<i64>,
+}
+
+/// Times are published when there are this many, or the first of them is this old.
+const MOST: usize = 256;
+const OLDEST: Duration = Duration::from_millis(250);
+
+impl CycleJournal {
+    /// Adds the journal to a core.
+    ///
+    /// # Errors
+    /// If another module has the name or the topic.
+    pub fn add(core: &mut Core) -> Result<(), SetupError> {
+        let options = ModuleOptions { synchrony: Synchrony::EveryCycle, ..ModuleOptions::default() };
+        core.add_with(CYCLE_JOURNAL, Self::default(), options)
+    }
+
+    fn on_cycle(&mut self, ctx: &mut Context<'_, Publication<CycleTimes>>) {
+        let now = ctx.now();
+        let since = self.times.first().map_or(now, |&first| Time::from_nanos(first));
+        self.times.push(now.as_nanos());
+        if self.times.len() >= MOST || now.saturating_since(since) >= OLDEST {
+            self.publish(false, ctx);
+        }
+    }
+
+    fn publish(&mut self, is_end: bool, ctx: &mut Context<'_, Publication<CycleTimes>>) {
+        let times = std::mem::replace(&mut self.times, Vec::with_capacity(MOST));
+        let first = self.first;
+        self.first += times.len() as u64;
+        ctx.publish(*ctx.ports, CycleTimes { first, is_end, times });
+    }
+}
+
+impl Module for CycleJournal {
+    type Ports = Publication<CycleTimes>;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError> {
+        setup.each_run(Self::on_cycle);
+        setup.publish(CYCLES)
+    }
+
+    fn shutdown(&mut self, ctx: &mut Context<'_, Publication<CycleTimes>>) {
+        self.publish(true, ctx);
     }
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use downbeat_bags::Reader;
-use downbeat_bridge::edge::{EncodedCaller, EncodedStandIn, Interfaces};
+use downbeat_edge::{EncodedCaller, EncodedStandIn, Interfaces};
 use downbeat_executor::{CallError, Core, SetupError, Transition};
 use downbeat_msgs::cdr;
 use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use bytes::Bytes;
 use downbeat_bags::{Reader, ReaderError, Selection, TopicId};
-use downbeat_bridge::edge::Interfaces;
+use downbeat_edge::Interfaces;
 use downbeat_msgs::encoding;
 
 use crate::encoding::{RecordedType, RecordedTypeError};

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::iter::Peekable;
 
 use downbeat_bags::{Messages, Reader, Selection, TopicId};
-use downbeat_bridge::edge::{EncodedInlet, Interfaces};
+use downbeat_edge::{EncodedInlet, Interfaces};
 use downbeat_executor::Core;
 
 use super::PlaybackError;

@@ -9,7 +9,7 @@ pub(crate) mod settings;
 mod steps;
 
 use downbeat_bags::{Reader, ReaderError};
-use downbeat_bridge::edge::{EncodedInletError, Interfaces};
+use downbeat_edge::{EncodedInletError, Interfaces};
 use downbeat_executor::{Core, ManualClock, RunError, SetupError, Time};
 use downbeat_msgs::{cdr, encoding};
 

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use downbeat_bags::Reader;
-use downbeat_bridge::expose::setting_value;
+use downbeat_edge::setting_value;
 use downbeat_executor::Core;
 use downbeat_msgs::cdr;
 use downbeat_msgs::downbeat_interfaces::msg::ModuleSettings;

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use bytes::Bytes;
 use downbeat_bags::{Reader, ReaderError};
-use downbeat_bridge::edge::{EncodedInlet, EncodedInletError, Interfaces};
+use downbeat_edge::{EncodedInlet, EncodedInletError, Interfaces};
 use downbeat_executor::{Core, ManualClock, RunError, SetupError, Time};
 use downbeat_msgs::cdr;
 use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;

@@ -1,7 +1,7 @@
 //! `downbeat expose`
 
 use crate::inspect::Client;
-use crate::robot::{ExposedEndpoint, toml_string as text};
+use crate::robot::{EndpointReport, toml_string as text};
 
 use super::choose::choose;
 use super::cli::{ExposeAddArguments, ExposeArguments, ExposeCommand, ExposeDirection};
@@ -19,9 +19,9 @@ pub(crate) fn expose(arguments: &ExposeArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn print(what: &str, endpoints: &[ExposedEndpoint]) {
-    for endpoint in endpoints {
-        println!("{what}{endpoint}   of {}", endpoint.node);
+fn print(what: &str, endpoints: &[EndpointReport]) {
+    for report in endpoints {
+        println!("{what}{report}   of {}", report.endpoint.node);
     }
 }
 

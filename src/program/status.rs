@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use crate::bags::{Recording, RecordingStatistics};
-use crate::bridge::expose::{BridgeStatus, EndpointReport};
+use crate::bridge::expose::{BridgeStatus, EndpointReport, EndpointTraffic, ExposedEndpoint};
 use crate::bridge::middleware::Direction;
 use crate::executor::TopicInfo;
 
@@ -70,11 +70,11 @@ impl<'a> StatusBlock<'a> {
         let mut parts = vec![format!("{} s", (now - self.started).as_secs())];
         let endpoints = self.sources.bridge.map(BridgeStatus::endpoints).unwrap_or_default();
         let rates = self.topic_rates(now);
-        let is_exposed = |name: &str| endpoints.iter().any(|endpoint| endpoint.topic == name);
+        let is_exposed = |name: &str| endpoints.iter().any(|report| report.endpoint.topic == name);
         let exposed = rates.iter().filter(|(name, _)| endpoints.is_empty() || is_exposed(name));
         parts.push(exposed.map(|(name, rate)| format!("{name} {rate:.0}/s")).collect::<Vec<_>>().join("  "));
         if !endpoints.is_empty() {
-            let peers: usize = endpoints.iter().map(|endpoint| endpoint.matched).sum();
+            let peers: usize = endpoints.iter().map(|report| report.traffic.matched).sum();
             parts.push(format!("{peers} remote endpoints matched"));
         }
         parts.extend(self.sources.recording.map(|recording| bag(&recording.statistics()).join(SEPARATOR)));
@@ -139,15 +139,16 @@ impl<'a> StatusBlock<'a> {
 pub(crate) const SEPARATOR: &str = "   ";
 
 fn endpoint(report: &EndpointReport) -> Vec<String> {
-    let (arrow, peers) = match report.direction {
+    let (arrow, peers) = match report.endpoint.direction {
         Direction::Out => ("->", "subscriptions"),
         Direction::In => ("<-", "publishers"),
     };
-    let EndpointReport { ros_topic, matched, messages, .. } = report;
+    let EndpointReport { endpoint: ExposedEndpoint { ros_topic, .. }, traffic } = report;
+    let EndpointTraffic { matched, messages, .. } = traffic;
     let mut entries =
         vec![format!("{arrow} {ros_topic}"), format!("{matched} {peers}"), format!("{messages} messages")];
-    if let (1.., Some(last)) = (report.errors, &report.last_error) {
-        entries.push(format!("{} failed: {last}", report.errors));
+    if let (1.., Some(last)) = (traffic.errors, &traffic.last_error) {
+        entries.push(format!("{} failed: {last}", traffic.errors));
     }
     entries
 }

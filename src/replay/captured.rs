@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use bytes::Bytes;
-use downbeat_bridge::edge::{CoreAccess, Interfaces};
+use downbeat_edge::{CoreAccess, Interfaces};
 use downbeat_executor::{self as executor, Core, Inbox, OutletInbox, Received, SetupError, Time};
 use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 

@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 
 use bytes::Bytes;
 use downbeat_bags::{Comparer, FieldRule, Messages, Reader, Selection, TopicId};
-use downbeat_bridge::edge::Interfaces;
+use downbeat_edge::Interfaces;
 
 use super::ReplayError;
 use super::captured::Replayed;

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use downbeat_bags::Reader;
-use downbeat_bridge::edge::Interfaces;
+use downbeat_edge::Interfaces;
 
 use super::plan::{Plan, Wiring};
 use super::{ReplayOptions, TopicReport};

@@ -25,8 +25,8 @@ mod report;
 use std::time::Instant;
 
 use downbeat_bags::{FieldRule, Reader, ReaderError};
-use downbeat_bridge::edge::EncodedInletError;
 use downbeat_bridge::expose::TopicPattern;
+use downbeat_edge::EncodedInletError;
 use downbeat_executor::{RunError, SetupError};
 use downbeat_msgs::encoding;
 

@@ -15,7 +15,7 @@ type Result<T> = std::result::Result<T, RobotFileError>;
 const SEND_GOAL: &str = "/_action/send_goal";
 
 /// All that the bridge is to show of a robot: topics, services and actions taken together.
-pub struct Exposed {
+pub struct Exposures {
     /// Topics, those of actions among them.
     pub topics: Vec<Exposure>,
     /// Services of modules, those of actions among them.
@@ -64,9 +64,9 @@ impl Robot {
     ///
     /// # Errors
     /// Those of its parts.
-    pub fn exposed(&self) -> Result<Exposed> {
+    pub fn exposed(&self) -> Result<Exposures> {
         let (served, used) = (self.action_exposures()?, self.action_call_exposures()?);
-        let mut all = Exposed {
+        let mut all = Exposures {
             topics: self.exposures()?,
             services: self.service_exposures()?,
             calls: self.call_exposures()?,

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use downbeat_bridge::edge::{InterfaceConflict, Interfaces};
+use downbeat_edge::{InterfaceConflict, Interfaces};
 use downbeat_executor::{Core, Launcher, Mechanism, ThreadOptions};
 use downbeat_msgs::InterfaceSet;
 

@@ -1,18 +1,22 @@
-//! From what a robot file exposes to what the bridge is to show of a core.
+//! From the entries of `[expose]` to exposures of topics of a core.
 
 use std::collections::BTreeSet;
+use std::time::Duration;
 
-use downbeat_bridge::edge::{Interfaces, KnownType};
-use downbeat_bridge::expose::{Exposure, QOS_EVENTS_TOPIC, TopicPattern};
-use downbeat_bridge::middleware;
+use downbeat_bridge::expose::{BridgeStatus, ExposedEndpoint, Exposure, QOS_EVENTS_TOPIC, TopicPattern};
+use downbeat_bridge::middleware::Direction;
 use downbeat_bridge::ros::{NameError, NodeName, TopicName};
-use downbeat_executor::TopicInfo;
+use downbeat_edge::{Interfaces, KnownType};
+use downbeat_executor::{CoreHandle, TopicInfo};
 
-use super::file::{Direction, ExposeEntry, RobotFile, RobotFileError, TopicChoice, suggestion};
+use super::file::{ExposeEntry, RobotFile, RobotFileError, TopicChoice, suggestion};
 use super::registration::unregistered;
 use crate::journal;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
+
+/// How long a running core may take to list its topics.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 impl RobotFile {
     /// The robot's node in ROS 2 before remapping rules apply.
@@ -31,7 +35,7 @@ impl RobotFile {
         self.remapped(&self.given_node_name()?)
     }
 
-    /// What the bridge is to show of these topics, where those named `taken` are shown already. Patterns mean the topics
+    /// The exposures of these topics; those named `taken` are exposed already. Patterns match the topics
     /// that carry ROS messages, go their way, and are not named or matched before; never those of the executor.
     ///
     /// # Errors
@@ -45,7 +49,7 @@ impl RobotFile {
     ) -> Result<Vec<Exposure>> {
         let mut selection = Selection { file: self, topics, claimed: claimed(entries), found: Vec::new() };
         for direction in [Direction::Out, Direction::In] {
-            let taken = taken.iter().map(|name| (direction.key(), canonical(name).to_owned()));
+            let taken = taken.iter().map(|name| (direction, canonical(name).to_owned()));
             selection.claimed.extend(taken);
         }
         entries.iter().try_for_each(|entry| selection.select(entry))?;
@@ -79,22 +83,60 @@ impl RobotFile {
             && self.catalog.interfaces.message_of(topic.message_type_id).is_none()
     }
 
+    /// The endpoints of these exposures, with all names as remapping rules make them.
+    ///
+    /// # Errors
+    /// If ROS 2 does not accept a name.
+    pub fn exposed(&self, exposures: &[Exposure]) -> Result<Vec<ExposedEndpoint>> {
+        exposures.iter().map(|exposure| self.exposed_endpoint(exposure, 1)).collect()
+    }
+
+    /// Reads the keys `out` and `in` of `[expose]`, to expose more of a running robot. Patterns do not match what is exposed already.
+    ///
+    /// # Errors
+    /// If the text is not valid, its topics cannot be exposed, or the core does not answer.
+    pub fn exposures_while_running(
+        &self,
+        text: &str,
+        core: &CoreHandle,
+        status: &BridgeStatus,
+    ) -> Result<Vec<Exposure>> {
+        let entries = Self::parse_entries(text, &self.catalog.interfaces)?;
+        let topics = core.topics().wait(PATIENCE).ok_or_else(|| {
+            self.source
+                .error(1, "the core does not answer: it has stopped or is held, or a module does not return")
+        })?;
+        let taken: Vec<_> = status.endpoints().into_iter().map(|report| report.endpoint.topic).collect();
+        // The lines are those of this text, not of the robot file.
+        self.exposures_of(&entries, &topics, &taken).map_err(|error| match error {
+            RobotFileError::Line { line, problem, .. } => {
+                RobotFileError::Line { path: "expose".into(), line, problem }
+            }
+            other => other,
+        })
+    }
+
     fn refuse_the_same_name_twice(&self, found: &[(usize, Exposure)]) -> Result<()> {
-        // Also where nothing is exposed, the node is.
+        // The node is exposed even if no topic is.
         self.node_name()?;
         let mut names = BTreeSet::new();
         for (line, exposure) in found {
-            let refuse = |error: NameError| self.source.error(*line, error.to_string());
-            let given = exposure.node.clone().map_or_else(|| self.given_node_name(), Ok)?;
-            let node = self.remapped(&given)?;
-            let topic = TopicName::expand(exposure.ros_topic(), &node).map_err(refuse)?;
-            let topic = self.remaps.topic(topic, &node).map_err(refuse)?;
-            let is_out = exposure.direction == middleware::Direction::Out;
-            if !names.insert((is_out, topic.clone(), node)) {
-                return Err(self.source.error(*line, format!("{topic} is exposed twice")));
+            let ExposedEndpoint { direction, ros_topic, node, .. } =
+                self.exposed_endpoint(exposure, *line)?;
+            if !names.insert((direction, ros_topic.clone(), node)) {
+                return Err(self.source.error(*line, format!("{ros_topic} is exposed twice")));
             }
         }
         Ok(())
+    }
+
+    fn exposed_endpoint(&self, exposure: &Exposure, line: usize) -> Result<ExposedEndpoint> {
+        let refuse = |error: NameError| self.source.error(line, error.to_string());
+        let given = exposure.node.clone().map_or_else(|| self.given_node_name(), Ok)?;
+        let node = self.remapped(&given)?;
+        let topic = TopicName::expand(exposure.ros_topic(), &node).map_err(refuse)?;
+        let topic = self.remaps.topic(topic, &node).map_err(refuse)?;
+        Ok(ExposedEndpoint::new(exposure, &node, &topic, exposure.qos))
     }
 
     fn remapped(&self, node: &NodeName) -> Result<NodeName> {
@@ -120,9 +162,9 @@ impl RobotFile {
 }
 
 /// The topics that are named, by direction: patterns leave them alone.
-fn claimed(entries: &[ExposeEntry]) -> BTreeSet<(&'static str, String)> {
+fn claimed(entries: &[ExposeEntry]) -> BTreeSet<(Direction, String)> {
     let named = entries.iter().filter_map(|entry| match &entry.topics {
-        TopicChoice::Name(name) => Some((entry.direction.key(), canonical(name).to_owned())),
+        TopicChoice::Name(name) => Some((entry.direction, canonical(name).to_owned())),
         TopicChoice::Pattern { .. } => None,
     });
     named.collect()
@@ -131,7 +173,7 @@ fn claimed(entries: &[ExposeEntry]) -> BTreeSet<(&'static str, String)> {
 struct Selection<'a> {
     file: &'a RobotFile,
     topics: &'a [TopicInfo],
-    claimed: BTreeSet<(&'static str, String)>,
+    claimed: BTreeSet<(Direction, String)>,
     found: Vec<(usize, Exposure)>,
 }
 
@@ -192,7 +234,7 @@ impl<'a> Selection<'a> {
             };
             return Err(refuse(format!("\"{name}\" carries {carried}{problem}")));
         }
-        let comes_in = self.claimed.contains(&(Direction::In.key(), name.to_owned()));
+        let comes_in = self.claimed.contains(&(Direction::In, name.to_owned()));
         if entry.direction == Direction::Out && !comes_in && !topic.is_some_and(|topic| topic.is_published) {
             return Err(refuse(format!("no module publishes \"{name}\", and it is not under \"in\" either")));
         }
@@ -208,7 +250,6 @@ impl<'a> Selection<'a> {
         pattern: &TopicPattern,
         except: &[(usize, TopicPattern)],
     ) -> Result<()> {
-        let key = entry.direction.key();
         let candidates: Vec<_> =
             self.topics.iter().filter_map(|topic| self.candidate(entry, topic)).collect();
         let matching: Vec<_> = candidates.iter().filter(|(topic, _)| pattern.matches(&topic.name)).collect();
@@ -221,7 +262,7 @@ impl<'a> Selection<'a> {
             return refuse(entry.line, format!("\"{pattern}\" matches no topic{of_type} {way}{hint}"));
         }
         for (line, excepted) in except {
-            // Also what is passed over for its type, so that nothing is told of it.
+            // Topics that are skipped for their type too, so that no message is printed for them.
             let is_meant = |topic: &TopicInfo| {
                 excepted.matches(&topic.name) && self.file.is_passed_over(entry, pattern, topic)
             };
@@ -236,7 +277,7 @@ impl<'a> Selection<'a> {
         let is_excepted = |topic: &TopicInfo| except.iter().any(|(_, pattern)| pattern.matches(&topic.name));
         let mut exposures = Vec::new();
         for &&(topic, message_type) in matching.iter().filter(|(topic, _)| !is_excepted(topic)) {
-            if self.claimed.insert((key, topic.name.to_string())) {
+            if self.claimed.insert((entry.direction, topic.name.to_string())) {
                 let renamed = entry.ros_topic.as_ref().and_then(|to| pattern.rename(&topic.name, to));
                 let ros_topic = renamed.unwrap_or_else(|| topic.name.to_string());
                 exposures.push((entry.line, self.exposure(entry, &topic.name, message_type, ros_topic)?));
@@ -258,10 +299,7 @@ impl<'a> Selection<'a> {
             topic: topic.to_owned(),
             ros_topic: Some(ros_topic),
             message_type,
-            direction: match entry.direction {
-                Direction::Out => middleware::Direction::Out,
-                Direction::In => middleware::Direction::In,
-            },
+            direction: entry.direction,
             qos: entry.qos,
             limits: entry.limits,
             node,
@@ -269,7 +307,7 @@ impl<'a> Selection<'a> {
     }
 }
 
-/// Whether a pattern may mean a topic, by its name and direction.
+/// Whether a pattern may match a topic, by its name and direction.
 fn can_be_meant(entry: &ExposeEntry, topic: &TopicInfo) -> bool {
     let is_internal = topic.name.starts_with("executor/")
         || journal::TOPICS.contains(&&*topic.name)

@@ -7,7 +7,6 @@ mod actions;
 mod build;
 mod catalog;
 mod expose;
-mod exposed;
 mod file;
 mod kind;
 mod kinds;
@@ -18,17 +17,17 @@ mod registration;
 mod ros_args;
 mod services;
 
-pub use actions::Exposed;
+pub use actions::Exposures;
 pub use build::Robot;
 pub use catalog::{Catalog, CatalogError};
-pub use exposed::{ExposedEndpoint, ExposedQos, ExposedTraffic};
+pub use downbeat_bridge::expose::{EndpointReport, EndpointTraffic, ExposedEndpoint};
+pub use downbeat_bridge::middleware::Direction;
 #[cfg(feature = "cli")]
 pub(crate) use file::Source;
 pub(crate) use file::toml_string;
 pub use file::{
-    ActionEntry, ClockChoice, Direction, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry,
-    LifecycleEntry, ModuleEntry, NodeFeatures, RecordEntry, ReplaySection, RobotFile, RobotFileError,
-    TopicChoice,
+    ActionEntry, ClockChoice, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry, LifecycleEntry,
+    ModuleEntry, NodeFeatures, RecordEntry, ReplaySection, RobotFile, RobotFileError, TopicChoice,
 };
 pub use kind::Kind;
 #[cfg(feature = "cli")]

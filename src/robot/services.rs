@@ -1,9 +1,9 @@
 //! From the services and parameters that a robot file exposes to those that the bridge is to show of a core.
 
-use downbeat_bridge::edge::KnownService;
 use downbeat_bridge::expose::{
     CallExposure, ParameterExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection,
 };
+use downbeat_edge::KnownService;
 use downbeat_executor::ServiceInfo;
 
 use super::Robot;

@@ -1,25 +1,26 @@
 //! Messages of one topic on their way into the bag.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use bytes::Bytes;
 use downbeat_bags::{RecordingSender, TopicId};
 use downbeat_bridge::middleware::Sample;
 use downbeat_msgs::encoding::Codec;
+use parking_lot::Mutex;
 
-/// How much waits for the definition of a type before it is recorded without: 16 MiB.
+/// How many bytes wait for the definition of a type before they are recorded without it: 16 MiB.
 const MOST_HELD: usize = 16 * 1024 * 1024;
-/// What comes until that is noticed waits too, within bounds.
+/// The bound for bytes that arrive until that is noticed.
 const LIMIT: usize = 8 * MOST_HELD;
 
-/// What time a message is received at.
+/// The clock for times of reception.
 #[derive(Clone, Debug)]
 pub(super) enum RecorderClock {
-    /// That of the machine.
+    /// The clock of the machine.
     System,
-    /// That of `/clock`, 0 until it was heard.
+    /// The time of `/clock`, 0 until one was received.
     Simulated(Arc<AtomicI64>),
 }
 
@@ -76,7 +77,7 @@ impl Channel {
         let Some(received) = self.clock.now() else { return };
         let sent = sample.source_time_ns.unwrap_or(received);
         let held = Held { received, sent, cdr: sample.cdr };
-        match &mut *self.destination.lock().unwrap_or_else(PoisonError::into_inner) {
+        match &mut *self.destination.lock() {
             Destination::Waiting { lost, bytes, .. } if *bytes + held.cdr.len() > LIMIT => *lost += 1,
             Destination::Waiting { held: waiting, bytes, .. } => {
                 *bytes += held.cdr.len();
@@ -88,13 +89,13 @@ impl Channel {
 
     /// Whether so much waits that it can wait no longer.
     pub(super) fn is_full(&self) -> bool {
-        let destination = self.destination.lock().unwrap_or_else(PoisonError::into_inner);
+        let destination = self.destination.lock();
         matches!(&*destination, Destination::Waiting { bytes, .. } if *bytes > MOST_HELD)
     }
 
     /// Lets what waits, and all that comes, into the bag.
     pub(super) fn open(&self, topic: TopicId, codec: Option<Codec>) {
-        let mut destination = self.destination.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut destination = self.destination.lock();
         if let Destination::Waiting { held, lost, .. } = &mut *destination {
             if *lost > 0 {
                 tracing::warn!(
@@ -119,7 +120,7 @@ impl Channel {
         } else {
             self.sender.record(topic, held.received, held.sent, data)
         };
-        // Counted by the recording, which tells.
+        // The recording counts lost messages, and reports them at its end.
         if let Err(error) = recorded {
             tracing::debug!("{error}");
         }

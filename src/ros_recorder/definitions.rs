@@ -1,18 +1,19 @@
-//! What the types of topics look like that this program may never have seen.
+//! Definitions of types that are not compiled in.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::ros::{Client, Node, Participant};
+use downbeat_edge::Interfaces;
 use downbeat_msgs::definitions::{Catalog, TypeDescription, TypeName};
 use downbeat_msgs::dynamic::{AmentPrefixPath, Definitions};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::type_description_interfaces::srv::{
     GetTypeDescription, GetTypeDescriptionRequest, GetTypeDescriptionResponse,
 };
+use parking_lot::Mutex;
 
-/// How long a publisher's node gets to be found and to describe its type.
+/// How long it may take to find the node of a publisher and receive the description.
 const PATIENCE: Duration = Duration::from_secs(10);
 const CALL_TIMEOUT: Duration = Duration::from_secs(5);
 
@@ -29,7 +30,7 @@ pub(crate) struct Definition {
 /// what is registered in this program.
 ///
 /// # Errors
-/// Where it was looked for, and what is there.
+/// In words: where it was looked up, and what was found there.
 pub(crate) fn at_hand(
     interfaces: &Interfaces,
     type_name: &str,
@@ -56,7 +57,7 @@ pub(crate) fn at_hand(
     Err(problems.join("; "))
 }
 
-/// Asks the node of a publisher what its type looks like.
+/// Asks the node of a publisher for the definition of its type.
 pub(super) struct Inquiry {
     type_name: String,
     hash: String,
@@ -87,7 +88,7 @@ impl Inquiry {
         topic: &str,
         now: Instant,
     ) -> Option<Result<Definition, String>> {
-        let answer = self.answer.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let answer = self.answer.lock().take();
         if let Some(answer) = answer {
             return Some(answer.and_then(|answer| self.read(&answer)));
         }
@@ -110,7 +111,7 @@ impl Inquiry {
             let answer = Arc::clone(&self.answer);
             client.call(&request, CALL_TIMEOUT, move |result| {
                 let result = result.map_err(|error| error.to_string());
-                *answer.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
+                *answer.lock() = Some(result);
             });
             self.is_asked = true;
         }
@@ -210,7 +211,7 @@ mod tests {
     fn the_node_of_a_publisher_describes_its_type() {
         let found = ask(Imu::TYPE_NAME, Imu::TYPE_HASH, PATIENCE).unwrap();
         assert_eq!(found.hash, Imu::TYPE_HASH);
-        // The files that a node of ours tells may have an empty line more.
+        // The files that a node of ours sends may have an additional empty line.
         let lines = |text: &str| -> Vec<String> {
             text.lines().filter(|line| !line.is_empty()).map(str::to_owned).collect()
         };

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use regex_lite::Regex;
 
-/// What to record of the topics that there are.
+/// Which topics to record.
 ///
 /// ```
 /// use downbeat::ros_recorder::{SeenTopic, TopicFilter};

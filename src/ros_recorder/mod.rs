@@ -33,12 +33,12 @@ pub use filter::{SeenTopic, TopicFilter};
 pub use qos_overrides::{QosOverrides, QosOverridesError};
 pub use services::{RecorderServices, ServeError, serve, split_events};
 
-/// How to record from ROS 2.
+/// Options of a recording from ROS 2.
 #[derive(Clone, Debug, Default)]
 pub struct RosRecorderOptions {
-    /// What is recorded.
+    /// Which topics are recorded.
     pub filter: TopicFilter,
-    /// What is requested in place of what publishers offer.
+    /// The QoS to request in place of what publishers offer.
     pub qos_overrides: QosOverrides,
     /// How messages are serialised in the bag.
     pub encoding: Encoding,
@@ -62,7 +62,7 @@ pub enum RosRecorderError {
     Encoding(#[from] encoding::Error),
 }
 
-/// Records topics from the network. It looks for them when it is told to: [`RosRecorder::discover`].
+/// Records topics from the network. [`RosRecorder::discover`] looks for new ones.
 pub struct RosRecorder {
     participant: Participant,
     node: Node,
@@ -71,7 +71,7 @@ pub struct RosRecorder {
     clock: RecorderClock,
     _clock_subscription: Option<Subscription>,
     topics: BTreeMap<String, Recorded>,
-    /// What could not be subscribed to, or has several types: told once.
+    /// Topics that could not be subscribed to, or have several types: logged once.
     refused: HashSet<String>,
 }
 
@@ -85,7 +85,7 @@ struct Recorded {
     _subscription: Subscription,
 }
 
-/// What is known of a topic at one moment.
+/// The state of a topic at one moment.
 #[derive(Default)]
 struct Seen<'a> {
     types: BTreeSet<String>,
@@ -204,7 +204,7 @@ impl RosRecorder {
 
     fn subscribe(&self, name: &str, type_name: &str, seen: &Seen<'_>) -> Result<Recorded, RosRecorderError> {
         let requested = self.options.qos_overrides.of(name).unwrap_or_else(|| {
-            // Of what is there: a later publisher that offers less is told of.
+            // A warning is logged for later publishers that offer less.
             offers::request_for(name, &seen.publishers)
         });
         if self.options.qos_overrides.of(name).is_some() {
@@ -273,7 +273,7 @@ fn open(
     match found {
         Ok(Definition { text, hash }) => {
             info.definition = text;
-            // That of an endpoint which does not tell its own.
+            // Of an endpoint that does not announce its own.
             if info.type_hash.is_empty() {
                 info.type_hash = hash;
             }

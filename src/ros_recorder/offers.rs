@@ -1,4 +1,4 @@
-//! What publishers offer: what to request of them, and what to note of them.
+//! The QoS that publishers offer: what to request, and what to write into the bag.
 //!
 //! The rules are those of `rosbag2_storage/qos.cpp` and `rosbag2_transport/recorder.cpp`, branch jazzy.
 
@@ -9,7 +9,7 @@ use downbeat_msgs::qos::{Durability, QosProfile, Reliability};
 /// Samples that wait in the middleware, for bursts.
 const DEPTH: u32 = 1000;
 
-/// What to request so that all publishers match; says so in the log where that is less than some offer.
+/// What to request so that all publishers match. Logs a warning if some publishers offer more.
 pub(super) fn request_for(topic: &str, publishers: &[&RemoteEndpoint]) -> QosProfile {
     let all = |is_so: fn(&RemoteEndpoint) -> bool| publishers.iter().all(|publisher| is_so(publisher));
     let any = |is_so: fn(&RemoteEndpoint) -> bool| publishers.iter().any(|publisher| is_so(publisher));
@@ -48,22 +48,12 @@ pub(super) fn mismatch(requested: &QosProfile, publisher: &RemoteEndpoint) -> Op
     None
 }
 
-/// What the bag notes of a publisher: discovery does not tell its history.
+/// The offered QoS for the bag: discovery does not reveal the history.
 pub(super) fn noted(publisher: &RemoteEndpoint) -> RecordedQos {
-    let RemoteEndpoint { reliability, durability, deadline, liveliness, liveliness_lease_duration, .. } =
-        *publisher;
-    let offered = QosProfile {
-        reliability,
-        durability,
-        deadline,
-        liveliness,
-        liveliness_lease_duration,
-        ..QosProfile::DEFAULT
-    };
-    RecordedQos::from(&offered).without_history()
+    RecordedQos::from(QosProfile { lifespan: None, ..publisher.qos() }).without_history()
 }
 
-/// The hash on which all publishers agree that tell one.
+/// The hash that all publishers agree on that announce one.
 pub(super) fn common_hash<'a>(topic: &str, publishers: &[&'a RemoteEndpoint]) -> Option<&'a str> {
     let mut hashes = publishers.iter().filter_map(|publisher| publisher.type_hash.as_deref());
     let first = hashes.next()?;

@@ -6,10 +6,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use downbeat_msgs::qos::{Durability, History, Liveliness, QosProfile, Reliability};
+use downbeat_msgs::qos::{BEST_AVAILABLE, History, QosProfile, SYSTEM_DEFAULT, Word};
 use serde_norway::{Mapping, Value};
 
-/// What to request on a topic, or to offer.
+/// The QoS to request or offer, by topic.
 ///
 /// ```
 /// use downbeat::ros_recorder::QosOverrides;
@@ -35,7 +35,7 @@ pub enum QosOverridesError {
         /// What the operating system said.
         source: std::io::Error,
     },
-    /// It is no YAML, or no map of topics.
+    /// It is not YAML, or not a map of topics.
     #[error("{}: not a file of QoS overrides: {found}", path.display())]
     Form {
         /// The file.
@@ -43,7 +43,7 @@ pub enum QosOverridesError {
         /// What is wrong.
         found: String,
     },
-    /// The profile of a topic is none.
+    /// The profile of a topic is not valid.
     #[error("{}: the QoS profile of {topic}: {problem}", path.display())]
     Profile {
         /// The file.
@@ -94,7 +94,7 @@ impl QosOverrides {
         Ok(Self { topics })
     }
 
-    /// That of a topic, by its absolute name.
+    /// The profile of a topic, by its absolute name.
     #[must_use]
     pub fn of(&self, topic: &str) -> Option<QosProfile> {
         self.topics.get(topic).copied()
@@ -113,32 +113,12 @@ fn read_profile(policies: &Mapping) -> Result<QosProfile, String> {
         let key = key.as_str().ok_or("the names of policies have to be texts")?;
         match key {
             "history" => {
-                let names = ["keep_last", "keep_all", "system_default"];
-                history = Some(choice(key, value, &names)?);
+                history = Some(choice(key, value, &[History::KEEP_LAST, History::KEEP_ALL, SYSTEM_DEFAULT])?);
             }
             "depth" => depth = Some(number(key, value)?),
-            "reliability" => {
-                // What is left to the middleware, and what suits every peer, is what the default asks for.
-                let names = ["reliable", "best_effort", "system_default", "best_available"];
-                profile.reliability = match choice(key, value, &names)? {
-                    1 => Reliability::BestEffort,
-                    _ => Reliability::Reliable,
-                };
-            }
-            "durability" => {
-                let names = ["volatile", "transient_local", "system_default", "best_available"];
-                profile.durability = match choice(key, value, &names)? {
-                    1 => Durability::TransientLocal,
-                    _ => Durability::Volatile,
-                };
-            }
-            "liveliness" => {
-                let names = ["automatic", "manual_by_topic", "system_default", "best_available"];
-                profile.liveliness = match choice(key, value, &names)? {
-                    1 => Liveliness::ManualByTopic,
-                    _ => Liveliness::Automatic,
-                };
-            }
+            "reliability" => profile.reliability = policy(key, value, profile.reliability)?,
+            "durability" => profile.durability = policy(key, value, profile.durability)?,
+            "liveliness" => profile.liveliness = policy(key, value, profile.liveliness)?,
             "deadline" => profile.deadline = duration(key, value)?,
             "lifespan" => profile.lifespan = duration(key, value)?,
             "liveliness_lease_duration" => profile.liveliness_lease_duration = duration(key, value)?,
@@ -161,7 +141,14 @@ fn read_profile(policies: &Mapping) -> Result<QosProfile, String> {
     Ok(profile)
 }
 
-/// The position of the name among those that there are.
+/// `system_default` and `best_available` give the default.
+fn policy<T: Word>(key: &str, value: &Value, default: T) -> Result<T, String> {
+    let names: Vec<_> =
+        T::ALL.iter().map(|policy| policy.name()).chain([SYSTEM_DEFAULT, BEST_AVAILABLE]).collect();
+    Ok(T::ALL.get(choice(key, value, &names)?).copied().unwrap_or(default))
+}
+
+/// The position of the name among `names`.
 fn choice(key: &str, value: &Value, names: &[&str]) -> Result<usize, String> {
     let name = value.as_str().map(str::to_ascii_lowercase).unwrap_or_default();
     names
@@ -202,6 +189,7 @@ fn duration(key: &str, value: &Value) -> Result<Option<Duration>, String> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use downbeat_msgs::qos::{Durability, Liveliness, Reliability};
 
     fn read(profile: &str) -> Result<QosProfile, String> {
         QosOverrides::parse(&format!("/t: {profile}\n"), Path::new("o.yaml"))

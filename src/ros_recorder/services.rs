@@ -1,4 +1,4 @@
-//! What the recorder of rosbag2 offers to others: services, and an event after each split.
+//! The services of the recorder of rosbag2, and its event after each split.
 //!
 //! # References
 //! `rosbag2_transport/recorder.cpp` and `rosbag2_interfaces`, branch jazzy.
@@ -77,7 +77,7 @@ pub fn serve(
     Ok(RecorderServices { _services: services })
 }
 
-/// What publishes on `events/write_split` that a file was closed: for [`downbeat_bags::Writer::on_split`].
+/// Publishes on `events/write_split` that a file was closed: for [`downbeat_bags::Writer::on_split`].
 ///
 /// # Errors
 /// If the middleware refuses the publisher.
@@ -94,7 +94,7 @@ pub fn split_events(node: &Node) -> Result<impl FnMut(&FileSplit) + Send + use<>
             node_name: node_name.clone(),
         };
         if let Err(error) = publisher.publish(cdr::to_vec(&event).into()) {
-            tracing::warn!("a split is not told on {}: {error}", publisher.topic());
+            tracing::warn!("a split is not published on {}: {error}", publisher.topic());
         }
     })
 }

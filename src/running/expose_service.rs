@@ -1,15 +1,16 @@
 //! `~/expose`: `downbeat expose` for ROS 2.
 //!
-//! Of the service types of a ROS 2 desktop `rcl_interfaces/srv/SetParameters` says what is needed: a list of names with a
-//! value each, and for each whether it was done and why not. So it is called without a package of ours:
+//! The service has the type `rcl_interfaces/srv/SetParametersAtomically`, so that it can be called without a package of ours. A request
+//! is one entry of `[expose]` in a robot file, a parameter for each key:
 //!
 //! ```sh
-//! ros2 service call /darwin_op/expose rcl_interfaces/srv/SetParameters \
-//!   "{parameters: [{name: 'imu/*', value: {type: 4, string_value: 'out, as = \"/sensors/*\", rate_hz = 10.0'}}]}"
+//! ros2 service call /darwin_op/expose rcl_interfaces/srv/SetParametersAtomically "{parameters: [
+//!   {name: out, value: {type: 4, string_value: 'imu/*'}}, {name: as, value: {type: 4, string_value: '/sensors/*'}},
+//!   {name: rate_hz, value: {type: 3, double_value: 10.0}}]}"
 //! ```
 //!
-//! The name is a topic or a pattern; the text is `out` or `in` and behind it the keys of an entry of a robot file. A value of
-//! type 0, which is none, takes back what is exposed under that name.
+//! `out` or `in` has the name of the topic, a pattern, or a list of them; the other keys are those of robot files, with a dot where a
+//! key is of a table, as in `qos.reliability`. `remove` alone takes back what is exposed under its names or patterns.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -18,32 +19,33 @@ use std::thread::JoinHandle;
 use crate::bridge::ros::{Node, Reply, Service};
 use crate::inspect::Inspected;
 use crate::msgs::qos::QosProfile;
-use crate::msgs::rcl_interfaces::msg::{Parameter, ParameterType, SetParametersResult};
-use crate::msgs::rcl_interfaces::srv::{SetParameters, SetParametersRequest, SetParametersResponse};
-use crate::robot::{ExposedEndpoint, toml_string};
+use crate::msgs::rcl_interfaces::msg::{Parameter, ParameterType, ParameterValue, SetParametersResult};
+use crate::msgs::rcl_interfaces::srv::{
+    SetParametersAtomically, SetParametersAtomicallyRequest, SetParametersAtomicallyResponse,
+};
+use crate::robot::{EndpointReport, toml_string};
 
 use super::StartError;
 use super::inspected::InspectedRobot;
 
-/// Requests that wait; what is above it is not answered.
+/// How many requests wait; more are not answered.
 const QUEUE: usize = 16;
 
-/// An entry of a robot file has some dozen characters.
+/// The longest entry, in bytes; one of a robot file has some dozen.
 const LONGEST_ENTRY: usize = 4096;
 
 /// The service, until it is dropped.
 pub(crate) struct ExposeService {
-    // Nothing is asked any more when the thread ends.
+    // Dropped before the thread ends, so that no request comes after it.
     _service: Service,
     jobs: SyncSender<Option<Job>>,
     thread: Option<JoinHandle<()>>,
 }
 
-type Job = (SetParametersRequest, Reply<SetParameters>);
+type Job = (SetParametersAtomicallyRequest, Reply<SetParametersAtomically>);
 
 impl ExposeService {
-    /// Offers the service on a node. Requests are answered on a thread of their own, since what goes out waits for the end of
-    /// a cycle.
+    /// Offers the service on a node. Requests are answered on a thread of their own, since each waits for the end of a cycle.
     pub(crate) fn start(node: &Node, robot: Arc<InspectedRobot>) -> Result<Self, StartError> {
         let (jobs, received) = sync_channel(QUEUE);
         let thread = std::thread::Builder::new()
@@ -51,12 +53,13 @@ impl ExposeService {
             .spawn(move || run(&robot, &received))
             .map_err(|source| StartError::Thread { what: "the expose service", source })?;
         let sender = jobs.clone();
-        let service =
-            node.serve_later::<SetParameters>("~/expose", QosProfile::SERVICES, move |request, reply| {
-                if sender.try_send(Some((request, reply))).is_err() {
-                    tracing::warn!("a request to expose is not answered: too many others wait");
-                }
-            })?;
+        let on_request = move |request, reply| {
+            if sender.try_send(Some((request, reply))).is_err() {
+                tracing::warn!("a request to expose is not answered: too many others wait");
+            }
+        };
+        let qos = QosProfile::SERVICES;
+        let service = node.serve_later::<SetParametersAtomically>("~/expose", qos, on_request)?;
         tracing::info!("exposed service: {}", service.name());
         Ok(Self { _service: service, jobs, thread: Some(thread) })
     }
@@ -76,73 +79,126 @@ impl Drop for ExposeService {
 
 fn run(robot: &InspectedRobot, jobs: &Receiver<Option<Job>>) {
     while let Ok(Some((request, reply))) = jobs.recv() {
-        let results = request.parameters.iter().map(|parameter| answer(change(robot, parameter)));
-        let response = SetParametersResponse { results: results.collect() };
-        if let Err(error) = reply.send(&response) {
+        let result = result(change(robot, &request.parameters));
+        if let Err(error) = reply.send(&SetParametersAtomicallyResponse { result }) {
             tracing::warn!("a request to expose is not answered: {error}");
         }
     }
 }
 
-fn change(robot: &impl Inspected, parameter: &Parameter) -> Result<Vec<ExposedEndpoint>, String> {
-    let Parameter { name, value } = parameter;
-    match value.r#type {
-        ParameterType::PARAMETER_STRING => robot.expose(&entry(name, &value.string_value)?),
-        ParameterType::PARAMETER_NOT_SET => robot.take_back(std::slice::from_ref(name)),
-        other => Err(format!(
-            "\"{name}\" has a value of type {other}; expected text (4), as in 'out, qos = \"sensor_data\"', or none (0) \
-             to take it back"
-        )),
+fn change(robot: &impl Inspected, parameters: &[Parameter]) -> Result<Vec<EndpointReport>, String> {
+    match parameters {
+        [Parameter { name, value }] if name == "remove" => robot.take_back(&topics(name, value)?),
+        parameters => robot.expose(&entries(parameters)?),
     }
 }
 
-/// The entry as a robot file would say it, so that one reader understands both.
-fn entry(topic: &str, how: &str) -> Result<String, String> {
-    let (direction, keys) = how.split_once(',').unwrap_or((how, ""));
-    let direction = direction.trim();
-    if !["out", "in"].contains(&direction) {
-        let found: String = direction.chars().take(40).collect();
-        return Err(format!("expected \"out\" or \"in\", found \"{found}\""));
-    }
-    if topic.len() + how.len() > LONGEST_ENTRY || how.contains(['\n', '\r']) {
-        return Err(format!("expected one line of at most {LONGEST_ENTRY} bytes"));
-    }
-    let separator = if keys.trim().is_empty() { "" } else { "," };
-    Ok(format!("{direction} = [{{ topic = {}{separator}{keys} }}]", toml_string(topic)))
-}
-
-/// What was done, or why not.
-fn answer(result: Result<Vec<ExposedEndpoint>, String>) -> SetParametersResult {
-    let told = |endpoints: &Vec<ExposedEndpoint>| {
-        let endpoints =
-            endpoints.iter().map(|endpoint| format!("{} [{}]", endpoint.ros_topic, endpoint.type_name));
-        endpoints.collect::<Vec<_>>().join(", ")
+/// The entries as a robot file has them, so that one reader understands both.
+fn entries(parameters: &[Parameter]) -> Result<String, String> {
+    let is_direction = |parameter: &&Parameter| ["out", "in"].contains(&&*parameter.name);
+    let (directions, keys): (Vec<_>, Vec<_>) = parameters.iter().partition(is_direction);
+    let [direction] = directions[..] else {
+        return Err("expected \"out\" or \"in\" with the keys of an entry, or \"remove\" alone".to_owned());
     };
-    SetParametersResult {
-        successful: result.is_ok(),
-        reason: result.as_ref().map_or_else(Clone::clone, told),
+    let keys = keys
+        .into_iter()
+        .map(|Parameter { name, value }| Ok(format!(", {} = {}", key(name), toml(name, value)?)));
+    let keys = keys.collect::<Result<String, String>>()?;
+    let topics = topics(&direction.name, &direction.value)?;
+    let entries = topics.iter().map(|topic| format!("{{ topic = {}{keys} }}", toml_string(topic)));
+    let text = format!("{} = [{}]", direction.name, entries.collect::<Vec<_>>().join(", "));
+    if text.len() > LONGEST_ENTRY {
+        return Err(format!("expected an entry of at most {LONGEST_ENTRY} bytes"));
     }
+    Ok(text)
+}
+
+/// The parts of a name, which may be any text.
+fn key(name: &str) -> String {
+    name.split('.').map(toml_string).collect::<Vec<_>>().join(".")
+}
+
+fn topics(name: &str, value: &ParameterValue) -> Result<Vec<String>, String> {
+    match value.r#type {
+        ParameterType::PARAMETER_STRING => Ok(vec![value.string_value.clone()]),
+        ParameterType::PARAMETER_STRING_ARRAY => Ok(value.string_array_value.clone()),
+        other => {
+            Err(format!("\"{name}\" has a value of type {other}; expected text (4) or a list of texts (9)"))
+        }
+    }
+}
+
+fn toml(name: &str, value: &ParameterValue) -> Result<String, String> {
+    Ok(match value.r#type {
+        ParameterType::PARAMETER_BOOL => value.bool_value.to_string(),
+        ParameterType::PARAMETER_INTEGER => value.integer_value.to_string(),
+        ParameterType::PARAMETER_DOUBLE => format!("{:?}", value.double_value).to_lowercase(),
+        ParameterType::PARAMETER_STRING => toml_string(&value.string_value),
+        ParameterType::PARAMETER_STRING_ARRAY => {
+            let texts = value.string_array_value.iter().map(|text| toml_string(text));
+            format!("[{}]", texts.collect::<Vec<_>>().join(", "))
+        }
+        other => return Err(format!("\"{name}\" has a value of type {other}, which no key of an entry has")),
+    })
+}
+
+/// The endpoints, or why the request failed.
+fn result(outcome: Result<Vec<EndpointReport>, String>) -> SetParametersResult {
+    let names = |endpoints: Vec<EndpointReport>| {
+        let names = endpoints.iter().map(|EndpointReport { endpoint, .. }| {
+            format!("{} [{}]", endpoint.ros_topic, endpoint.type_name)
+        });
+        names.collect::<Vec<_>>().join(", ")
+    };
+    let successful = outcome.is_ok();
+    SetParametersResult { successful, reason: outcome.map_or_else(|problem| problem, names) }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bridge::expose::parameter_value;
+    use crate::executor::SettingValue;
+
+    fn parameter(name: &str, value: impl Into<SettingValue>) -> Parameter {
+        Parameter { name: name.to_owned(), value: parameter_value(&value.into()) }
+    }
 
     #[test]
     fn a_request_becomes_what_a_robot_file_says() {
-        for (how, expected) in [
-            ("out", "out = [{ topic = \"imu/*\" }]"),
-            (" in ,", "in = [{ topic = \"imu/*\" }]"),
-            ("out, as = \"/x/*\", every = 2", "out = [{ topic = \"imu/*\", as = \"/x/*\", every = 2 }]"),
+        let text = |text: &str| SettingValue::Text(text.to_owned());
+        let imu = || parameter("out", text("imu/*"));
+        let both = SettingValue::Texts(vec!["a".to_owned(), "b".to_owned()]);
+        for (parameters, expected) in [
+            (vec![imu()], "out = [{ topic = \"imu/*\" }]"),
+            (vec![parameter("in", both)], "in = [{ topic = \"a\" }, { topic = \"b\" }]"),
+            (
+                vec![
+                    parameter("as", text("/x/*")),
+                    imu(),
+                    parameter("every", 2_i64),
+                    parameter("rate_hz", 10.0),
+                ],
+                "out = [{ topic = \"imu/*\", \"as\" = \"/x/*\", \"every\" = 2, \"rate_hz\" = 10.0 }]",
+            ),
+            (
+                vec![imu(), parameter("qos.reliability", text("best_effort"))],
+                "out = [{ topic = \"imu/*\", \"qos\".\"reliability\" = \"best_effort\" }]",
+            ),
+            (
+                vec![imu(), parameter("as = 1 }]\n", text("}"))],
+                "out = [{ topic = \"imu/*\", \"as = 1 }]\\u000a\" = \"}\" }]",
+            ),
         ] {
-            assert_eq!(entry("imu/*", how).as_deref(), Ok(expected));
+            assert_eq!(entries(&parameters).as_deref(), Ok(expected));
         }
-        for (how, problem) in [
-            ("up", "found \"up\""),
-            ("out\n", "one line"),
-            (&*format!("out,{}", " ".repeat(5000)), "at most"),
+        for (parameters, problem) in [
+            (vec![parameter("up", text("a"))], "expected \"out\" or \"in\""),
+            (vec![imu(), parameter("in", text("a"))], "expected \"out\" or \"in\""),
+            (vec![parameter("out", 1.0)], "value of type 3"),
+            (vec![imu(), parameter("as", text(&" ".repeat(5000)))], "at most"),
         ] {
-            let refused = entry("imu/*", how);
+            let refused = entries(&parameters);
             assert!(refused.as_ref().is_err_and(|refusal| refusal.contains(problem)), "{refused:?}");
         }
     }

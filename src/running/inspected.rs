@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use crate::bridge::expose::{Bridge, EndpointReport, TopicPattern};
+use crate::bridge::expose::{Bridge, ExposedEndpoint, TopicPattern};
 use crate::executor::{CoreHandle, CycleTrace, Graph, Snapshot};
 use crate::inspect::{Inspected, Unavailable};
-use crate::robot::{ExposedEndpoint, RobotFile};
+use crate::robot::{EndpointReport, RobotFile};
 
 pub(crate) struct InspectedRobot {
     pub(crate) core: CoreHandle,
@@ -38,39 +38,39 @@ impl Inspected for InspectedRobot {
         self.core.step();
     }
 
-    fn exposed(&self) -> Result<Vec<ExposedEndpoint>, String> {
-        Ok(shown(self.bridge()?.status().endpoints()))
+    fn exposed(&self) -> Result<Vec<EndpointReport>, String> {
+        Ok(self.bridge()?.status().endpoints())
     }
 
-    fn expose(&self, entries: &str) -> Result<Vec<ExposedEndpoint>, String> {
+    fn expose(&self, entries: &str) -> Result<Vec<EndpointReport>, String> {
         let exposures = self.file.exposures_while_running(entries, &self.core, &self.bridge()?.status());
         let exposures = exposures.map_err(|error| error.to_string())?;
         let added = self.bridge()?.add(&exposures).map_err(|error| error.to_string())?;
-        for endpoint in &added {
+        for EndpointReport { endpoint, .. } in &added {
             tracing::info!("exposed while running: {} [{}]", endpoint.ros_topic, endpoint.type_name);
         }
-        Ok(shown(added))
+        Ok(added)
     }
 
-    fn take_back(&self, topics: &[String]) -> Result<Vec<ExposedEndpoint>, String> {
+    fn take_back(&self, topics: &[String]) -> Result<Vec<EndpointReport>, String> {
         let bridge = self.bridge()?;
         let patterns = topics.iter().map(|topic| TopicPattern::new(topic).map_err(|error| error.to_string()));
         let patterns = patterns.collect::<Result<Vec<_>, _>>()?;
-        let is_meant = |report: &EndpointReport, pattern: &TopicPattern| {
-            pattern.matches(&report.ros_topic) || pattern.matches(&report.topic)
+        let is_meant = |endpoint: &ExposedEndpoint, pattern: &TopicPattern| {
+            pattern.matches(&endpoint.ros_topic) || pattern.matches(&endpoint.topic)
         };
         let exposed = bridge.status().endpoints();
         for pattern in &patterns {
-            if !exposed.iter().any(|report| is_meant(report, pattern)) {
-                let names: Vec<_> = exposed.iter().map(|report| report.ros_topic.as_str()).collect();
+            if !exposed.iter().any(|report| is_meant(&report.endpoint, pattern)) {
+                let names: Vec<_> = exposed.iter().map(|report| report.endpoint.ros_topic.as_str()).collect();
                 return Err(format!("\"{pattern}\" is not exposed; there is {}", names.join(", ")));
             }
         }
-        let removed = bridge.remove(|report| patterns.iter().any(|pattern| is_meant(report, pattern)));
-        for endpoint in &removed {
+        let removed = bridge.remove(|endpoint| patterns.iter().any(|pattern| is_meant(endpoint, pattern)));
+        for EndpointReport { endpoint, .. } in &removed {
             tracing::info!("exposed no more: {} [{}]", endpoint.ros_topic, endpoint.type_name);
         }
-        Ok(shown(removed))
+        Ok(removed)
     }
 }
 
@@ -78,8 +78,4 @@ impl InspectedRobot {
     fn bridge(&self) -> Result<&Bridge, String> {
         self.bridge.as_ref().ok_or_else(|| "it runs without a ROS 2 node".into())
     }
-}
-
-fn shown(reports: Vec<EndpointReport>) -> Vec<ExposedEndpoint> {
-    reports.iter().map(ExposedEndpoint::of_report).collect()
 }

@@ -28,7 +28,6 @@ use downbeat_bridge::diagnostics::ProcessDiagnostics;
 use downbeat_bridge::expose::ExposeError;
 use downbeat_bridge::lifecycle::LifecycleError;
 use downbeat_bridge::middleware::{MiddlewareError, OptionsError, ParticipantOptions};
-use downbeat_bridge::network::NetworkError;
 use downbeat_bridge::robot_description::RobotDescriptionError;
 use downbeat_bridge::ros::NodeError;
 use downbeat_bridge::rosout::RosoutError;
@@ -66,7 +65,7 @@ pub enum StartError {
     /// A node, or something of it, cannot be created.
     #[error(transparent)]
     Node(#[from] NodeError),
-    /// What the robot file exposes cannot be.
+    /// An entry of `[expose]` cannot be exposed.
     #[error(transparent)]
     Expose(#[from] ExposeError),
     /// `/rosout` cannot be published.
@@ -75,9 +74,6 @@ pub enum StartError {
     /// The robot description cannot be published.
     #[error(transparent)]
     RobotDescription(#[from] RobotDescriptionError),
-    /// The network cannot be watched.
-    #[error(transparent)]
-    Network(#[from] NetworkError),
     /// `use_sim_time` cannot be set.
     #[error(transparent)]
     SimTime(#[from] SimTimeError),
@@ -96,14 +92,14 @@ pub enum StartError {
     /// A thread cannot be started.
     #[error("cannot start the thread of {what}: {source}")]
     Thread {
-        /// Whose it was to be.
+        /// Its purpose.
         what: &'static str,
         /// Why not.
         source: io::Error,
     },
 }
 
-/// What failed while a robot ran or stopped.
+/// A failure while a robot ran or stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum StopError {
     /// The core could not run.
@@ -138,7 +134,7 @@ impl PreparedRobot {
         Ok(Self { robot: file.build(core)?, clock, diagnostics, node: None, recording: None })
     }
 
-    /// Exposes to ROS 2 what the robot file says. If `log` is given, the log of the program is published on `/rosout`.
+    /// Creates the node with all that the robot file exposes. If `log` is given, the log of the program is published on `/rosout`.
     ///
     /// # Errors
     /// If the domain cannot be joined, or something cannot be exposed as the file says.
@@ -158,7 +154,7 @@ impl PreparedRobot {
         Ok(())
     }
 
-    /// What the robot file says.
+    /// The robot file.
     #[must_use]
     pub fn file(&self) -> &RobotFile {
         &self.robot.file
@@ -233,7 +229,7 @@ impl RunningRobot {
         self.recording.as_ref().map(|robot| &robot.recording)
     }
 
-    /// What the robot file says.
+    /// The robot file.
     #[must_use]
     pub fn file(&self) -> &RobotFile {
         &self.file
@@ -278,8 +274,8 @@ impl Drop for RunningRobot {
     }
 }
 
-/// The process reports on itself, unless the robot file says otherwise. Before the robot's modules, so that its topic is
-/// there when what is exposed is looked up.
+/// Adds the diagnostics of the process, unless the robot file disables them. They come before the robot's modules, so that their
+/// topic can be exposed.
 pub(crate) fn add_diagnostics(
     core: &mut Core,
     file: &RobotFile,
@@ -287,7 +283,7 @@ pub(crate) fn add_diagnostics(
     file.expose.features.diagnostics.then(|| ProcessDiagnostics::add(core, &file.name)).transpose()
 }
 
-/// A robot runs also where nobody can look at it.
+/// A robot runs even if the socket cannot be created.
 fn inspection(name: &str, robot: Arc<InspectedRobot>) -> Option<InspectionServer> {
     let unseen =
         |error: &dyn std::error::Error| tracing::warn!("`downbeat top` will not see this robot: {error}");

@@ -1,10 +1,12 @@
-//! What ROS 2 sees of a running robot.
+//! The node of a running robot.
 
 use std::collections::BTreeMap;
 
 use downbeat_bridge::clock::{self, NodeClock, SimTime};
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
-use downbeat_bridge::expose::{self, Bridge, ParameterExposure, ParameterServer, ParameterServices};
+use downbeat_bridge::expose::{
+    self, Bridge, EndpointReport, ParameterExposure, ParameterServer, ParameterServices,
+};
 use downbeat_bridge::lifecycle::{LifecycleExposure, LifecycleNodes, expose_lifecycle};
 use downbeat_bridge::middleware::{Direction, ParticipantOptions};
 use downbeat_bridge::network::NetworkWatch;
@@ -16,7 +18,7 @@ use super::StartError;
 use crate::inspect::{ClaimError, NodeClaim, SocketDirectory};
 use crate::robot::{ClockChoice, Robot, RobotFile};
 
-/// Where a robot's log comes from: what its node needs of the log of a program.
+/// The log of a program, as the node of a robot needs it.
 #[derive(Clone)]
 pub struct NodeLog {
     /// The lines for `/rosout`.
@@ -29,7 +31,7 @@ pub struct NodeLog {
 
 /// The node of a running robot with all that belongs to it. ROS 2 sees it until it is dropped.
 pub struct RobotNode {
-    // In this order they disappear.
+    // Fields drop in this order.
     bridge: Bridge,
     _sim_time: Option<SimTime>,
     _description: Option<RobotDescription>,
@@ -42,12 +44,12 @@ pub struct RobotNode {
     _furnishing: Furnishing,
     node: Node,
     domain: u16,
-    /// Given up when the node is gone.
+    /// Released after the node.
     _claim: Option<NodeClaim>,
 }
 
 impl RobotNode {
-    /// Shows to ROS 2 what the robot file exposes.
+    /// Creates the node with all that the robot file exposes.
     pub(super) fn start(
         robot: &mut Robot,
         clock: &NodeClock,
@@ -83,8 +85,7 @@ impl RobotNode {
         let network = features.network.then(|| NetworkWatch::start(&mut robot.core, &participant));
         let network = network.transpose()?;
         let sim_time = sim_time(robot, clock, &node)?;
-        let parameters = ParameterServer::start(&robot.core, sim_time.clone())
-            .map_err(|source| StartError::Thread { what: "the parameters", source })?;
+        let parameters = ParameterServer::new(&robot.core, sim_time.clone());
         let of_robot = parameters.serve(&node, robot.parameter_exposure()?)?;
         let furnishing = furnish(robot, &participant, parameters, rosout.cloned())?;
         let managed = robot.lifecycle_exposures()?;
@@ -99,7 +100,7 @@ impl RobotNode {
         if let Some(diagnostics) = diagnostics {
             diagnostics.watch_endpoints(bridge.status());
         }
-        for endpoint in bridge.status().endpoints() {
+        for EndpointReport { endpoint, .. } in bridge.status().endpoints() {
             let arrow = match endpoint.direction {
                 Direction::Out => "to ROS 2",
                 Direction::In => "from ROS 2",
@@ -139,7 +140,7 @@ impl RobotNode {
         &self.node
     }
 
-    /// What is exposed, which can be changed while the robot runs.
+    /// The bridge, which can change what is exposed while the robot runs.
     #[must_use]
     pub fn bridge(&self) -> &Bridge {
         &self.bridge
@@ -152,8 +153,8 @@ impl RobotNode {
     }
 }
 
-/// Gives the other nodes that the robot file names what every node has, parameters and `/rosout`, and to those that stand
-/// for a module its settings and its lines.
+/// Gives the other nodes of the robot file what every node has, parameters and `/rosout`, and those of a module its settings and
+/// its log.
 fn furnish(
     robot: &Robot,
     participant: &Participant,
@@ -181,7 +182,7 @@ fn furnish(
     }))
 }
 
-/// Refuses a second robot of the same name. Where nobody can look, none is known.
+/// Refuses a second robot of the same name, if the directory of robots is readable.
 fn claim(file: &RobotFile, domain: u16) -> Result<Option<NodeClaim>, StartError> {
     let node = file.node_name()?.to_string();
     let directory = SocketDirectory::open().map_err(ClaimError::from);
@@ -195,7 +196,7 @@ fn claim(file: &RobotFile, domain: u16) -> Result<Option<NodeClaim>, StartError>
     }
 }
 
-/// What `use_sim_time` sets, unless others follow the time of this robot.
+/// The switch behind `use_sim_time`; `None` if others follow the time of this robot.
 fn sim_time(robot: &Robot, clock: &NodeClock, node: &Node) -> Result<Option<SimTime>, StartError> {
     let choice = robot.file.expose.features.clock;
     if matches!(choice, ClockChoice::Publish(_)) {

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use downbeat_bags::{Recording, RecordingOptions, RecordingStatistics, WriterOptions};
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
-use downbeat_bridge::edge::KnownType;
 use downbeat_bridge::ros::{Node, NodeName};
+use downbeat_edge::KnownType;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
 use downbeat_msgs::encoding::Encoding;
 use downbeat_msgs::qos::QosProfile;
@@ -15,13 +15,13 @@ use crate::recorder::{self, Unrecorded, WhenFull};
 use crate::robot::{Robot, RobotFile};
 use crate::ros_recorder::{RecorderServices, TopicFilter, serve, split_events};
 
-/// What to record, and how.
+/// Options of a recording.
 pub struct RecordPlan {
     /// The new rosbag2 directory.
     pub directory: PathBuf,
-    /// How its files are written.
+    /// Options of its files.
     pub writer: WriterOptions,
-    /// What happens between the robot and the files.
+    /// Options of the queue between the robot and the files.
     pub recording: RecordingOptions,
     /// How messages are serialized.
     pub encoding: Encoding,

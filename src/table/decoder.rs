@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use bytes::Bytes;
 use downbeat_bags::RecordedTopic;
-use downbeat_bridge::edge::Interfaces;
+use downbeat_edge::Interfaces;
 use downbeat_msgs::cdr;
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType, TypeError};
 use downbeat_msgs::encoding::{self, Codec, Encoding};

@@ -2,13 +2,15 @@
 
 use std::time::Duration;
 
-use downbeat_msgs::qos::{Durability, History, Liveliness, QosProfile, Reliability};
+use downbeat_msgs::qos::{
+    BEST_AVAILABLE, Durability, History, Liveliness, QosProfile, Reliability, SYSTEM_DEFAULT, Word,
+};
 use serde::de::{Deserialize, Deserializer, Visitor};
 
 /// One policy: the names are those of `rmw/qos_string_conversions.h` (metadata version 9), the numbers those of
 /// `rmw/types.h` (older versions).
 macro_rules! policy {
-    ($(#[$doc:meta])* $name:ident, $what:literal: $($(#[$variant_doc:meta])* $variant:ident = $number:literal $text:literal),+ $(,)?) => {
+    ($(#[$doc:meta])* $name:ident, $what:literal: $($(#[$variant_doc:meta])* $variant:ident = $number:literal $text:expr),+ $(,)?) => {
         $(#[$doc])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum $name {
@@ -18,7 +20,7 @@ macro_rules! policy {
         impl $name {
             /// The name in metadata.yaml.
             #[must_use]
-            pub const fn name(self) -> &'static str {
+            pub fn name(self) -> &'static str {
                 match self { $(Self::$variant => $text),+ }
             }
         }
@@ -35,7 +37,8 @@ macro_rules! policy {
 
                     // Like rosbag2, reads unknown values as `unknown`, so that newer bags can be opened.
                     fn visit_str<E>(self, text: &str) -> Result<$name, E> {
-                        Ok(match text { $($text => $name::$variant,)+ _ => $name::Unknown })
+                        let known = [$($name::$variant),+].into_iter().find(|policy| policy.name() == text);
+                        Ok(known.unwrap_or($name::Unknown))
                     }
 
                     fn visit_u64<E>(self, number: u64) -> Result<$name, E> {
@@ -52,11 +55,11 @@ policy! {
     /// How many samples a publisher kept.
     RecordedHistory, "history":
     /// The middleware's own choice.
-    SystemDefault = 0 "system_default",
+    SystemDefault = 0 SYSTEM_DEFAULT,
     /// The latest `depth`.
-    KeepLast = 1 "keep_last",
+    KeepLast = 1 History::KEEP_LAST,
     /// All.
-    KeepAll = 2 "keep_all",
+    KeepAll = 2 History::KEEP_ALL,
     /// Not discoverable: DDS discovery does not include the history of a remote publisher, so the real
     /// recorder usually writes this.
     Unknown = 3 "unknown",
@@ -65,45 +68,45 @@ policy! {
     /// Whether lost samples were sent again.
     RecordedReliability, "reliability":
     /// The middleware's own choice.
-    SystemDefault = 0 "system_default",
+    SystemDefault = 0 SYSTEM_DEFAULT,
     /// Sent again.
-    Reliable = 1 "reliable",
+    Reliable = 1 Reliability::Reliable.name(),
     /// Not sent again.
-    BestEffort = 2 "best_effort",
+    BestEffort = 2 Reliability::BestEffort.name(),
     /// Not discoverable.
     Unknown = 3 "unknown",
     /// The best that matches every peer.
-    BestAvailable = 4 "best_available",
+    BestAvailable = 4 BEST_AVAILABLE,
 }
 policy! {
     /// Whether late subscriptions received older samples.
     RecordedDurability, "durability":
     /// The middleware's own choice.
-    SystemDefault = 0 "system_default",
+    SystemDefault = 0 SYSTEM_DEFAULT,
     /// They did.
-    TransientLocal = 1 "transient_local",
+    TransientLocal = 1 Durability::TransientLocal.name(),
     /// They did not.
-    Volatile = 2 "volatile",
+    Volatile = 2 Durability::Volatile.name(),
     /// Not discoverable.
     Unknown = 3 "unknown",
     /// The best that matches every peer.
-    BestAvailable = 4 "best_available",
+    BestAvailable = 4 BEST_AVAILABLE,
 }
 policy! {
     /// Who asserted that the publisher was alive.
     RecordedLiveliness, "liveliness":
     /// The middleware's own choice.
-    SystemDefault = 0 "system_default",
+    SystemDefault = 0 SYSTEM_DEFAULT,
     /// The middleware.
-    Automatic = 1 "automatic",
+    Automatic = 1 Liveliness::Automatic.name(),
     /// The node (removed from ROS 2; in old bags only).
     ManualByNode = 2 "manual_by_node",
     /// The program, for each topic.
-    ManualByTopic = 3 "manual_by_topic",
+    ManualByTopic = 3 Liveliness::ManualByTopic.name(),
     /// Not discoverable.
     Unknown = 4 "unknown",
     /// The best that matches every peer.
-    BestAvailable = 5 "best_available",
+    BestAvailable = 5 BEST_AVAILABLE,
 }
 
 /// An offered quality of service, exactly as in a bag. `None` means *infinite* for every duration.

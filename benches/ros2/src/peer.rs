@@ -173,7 +173,7 @@ impl Running {
     /// Waits until all topics have a peer.
     pub fn wait_for_peer(&self, patience: Duration) -> anyhow::Result<()> {
         let end = Instant::now() + patience;
-        while self.status.endpoints().iter().any(|endpoint| endpoint.matched == 0) {
+        while self.status.endpoints().iter().any(|report| report.traffic.matched == 0) {
             anyhow::ensure!(Instant::now() < end, "no peer within {patience:?}");
             std::thread::sleep(Duration::from_millis(20));
         }

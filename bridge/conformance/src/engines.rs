@@ -1,8 +1,8 @@
 //! The engines of this repository.
 
+use parking_lot::Mutex;
 use std::collections::HashMap;
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
 
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::middleware::rtps::RtpsParticipant;
@@ -21,7 +21,7 @@ pub fn in_process() -> Engine {
     Engine {
         name: "in_process",
         join: Box::new(move |options| {
-            let mut hubs = hubs.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut hubs = hubs.lock();
             Ok(Box::new(hubs.entry(options.domain_id).or_default().join()))
         }),
         has_network: false,

@@ -87,7 +87,7 @@ impl Clock for FollowedClock {
 }
 
 impl FollowedTime {
-    /// How many publish the time now; there should be one.
+    /// The number of publishers of the time; there should be one.
     #[must_use]
     pub fn matched_publishers(&self) -> usize {
         self.subscription.matched_publishers()

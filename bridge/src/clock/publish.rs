@@ -49,7 +49,7 @@ impl Module for ClockPublisher {
     type Ports = ();
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        setup.every(self.period, Self::tell)
+        setup.every(self.period, Self::publish_time)
     }
 
     fn shutdown(&mut self, _ctx: &mut Context<'_>) {
@@ -58,7 +58,7 @@ impl Module for ClockPublisher {
 }
 
 impl ClockPublisher {
-    fn tell(&mut self, ctx: &mut Context<'_>) {
+    fn publish_time(&mut self, ctx: &mut Context<'_>) {
         let Some(publisher) = &self.publisher else { return };
         // Best effort: there is nobody to keep it for.
         if publisher.matched_subscriptions() == 0 {
@@ -68,7 +68,7 @@ impl ClockPublisher {
         if let Err(error) = publisher.publish(cdr::to_vec(&clock).into())
             && !std::mem::replace(&mut self.has_failed, true)
         {
-            tracing::warn!(%error, "the time was not sent on {TOPIC}; this is told once");
+            tracing::warn!(%error, "the time was not sent on {TOPIC}; further errors are not logged");
         }
     }
 }

@@ -3,8 +3,9 @@
 use super::{FollowedClock, FollowedTime, TOPIC};
 use crate::ros::{Node, NodeError};
 use downbeat_executor::{Clock, CoreHandle, SystemClock, Time};
+use parking_lot::Mutex;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use thiserror::Error;
 
 /// The machine's clock, or that of `/clock`: switched while it runs. Clones show the same.
@@ -22,7 +23,7 @@ use thiserror::Error;
 /// let sim_time = clock.sim_time(&node, &core.handle());
 /// assert!(clock.now() > Time::ZERO);
 /// sim_time.set(true)?;
-/// assert_eq!(clock.now(), Time::ZERO); // Nobody has told a time yet.
+/// assert_eq!(clock.now(), Time::ZERO); // No time was received yet.
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Default)]
@@ -47,7 +48,7 @@ pub struct SimTime {
 pub struct SimTimeError(#[from] NodeError);
 
 impl NodeClock {
-    /// What switches the clock, for a core that has it; its subscription of `/clock` is of that node.
+    /// A switch of the clock of a core; `node` subscribes to `/clock`.
     #[must_use]
     pub fn sim_time(&self, node: &Node, core: &CoreHandle) -> SimTime {
         SimTime { clock: self.clone(), node: node.clone(), core: core.clone(), following: Arc::default() }
@@ -72,33 +73,29 @@ impl SimTime {
         self.clock.is_following.load(Ordering::SeqCst)
     }
 
-    /// Follows `/clock` from now on, or no more. As in rclcpp time is then 0 until somebody has told one. The time of the
+    /// Starts or stops following `/clock`. As in rclcpp time is then 0 until one was received. The time of the
     /// core jumps: see [`Clock::now`] for what timers do.
     ///
     /// # Errors
     /// [`SimTimeError`] when the subscription cannot be created.
     pub fn set(&self, is_on: bool) -> Result<(), SimTimeError> {
-        let mut following = self.lock();
+        let mut following = self.following.lock();
         if is_on && following.is_none() {
             *following = Some(self.clock.followed.follow(&self.node, &self.core)?);
         }
         if self.clock.is_following.swap(is_on, Ordering::SeqCst) != is_on {
             self.core.clock_moved();
         }
-        let gone = if is_on { None } else { following.take() };
+        let ended = if is_on { None } else { following.take() };
         drop(following);
         // Not under the lock, since its going waits for a message that is being taken.
-        drop(gone);
+        drop(ended);
         Ok(())
     }
 
-    /// How many publish the time that is followed; there should be one.
+    /// The number of publishers of the time that is followed; there should be one.
     #[must_use]
     pub fn matched_publishers(&self) -> usize {
-        self.lock().as_ref().map_or(0, FollowedTime::matched_publishers)
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Option<FollowedTime>> {
-        self.following.lock().unwrap_or_else(PoisonError::into_inner)
+        self.following.lock().as_ref().map_or(0, FollowedTime::matched_publishers)
     }
 }

@@ -1,4 +1,4 @@
-//! What a process tells of itself on `diagnostics` (REP-107): its core, its modules, its ROS 2 endpoints, and what else it is
+//! Reports of a process on `diagnostics` (REP-107): its core, its modules, its ROS 2 endpoints, and what else it is
 //! asked to look at.
 //!
 //! ```

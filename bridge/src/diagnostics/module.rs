@@ -1,4 +1,4 @@
-//! The module that looks and tells.
+//! The module that publishes diagnostics.
 
 use super::status;
 use crate::expose::{BridgeStatus, EndpointReport};
@@ -9,9 +9,10 @@ use downbeat_executor::{
 use downbeat_msgs::builtin_interfaces::msg::Time;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::std_msgs::msg::Header;
+use parking_lot::Mutex;
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 /// The name under which it joins a core.
@@ -21,12 +22,12 @@ pub const MODULE_NAME: &str = "process_diagnostics";
 pub const TOPIC: &str = "diagnostics";
 
 const PERIOD: Duration = Duration::from_secs(1);
-/// How long it takes a core that runs to answer; it is asked again as often.
+/// How long a running core may take to answer.
 const PATIENCE: Duration = Duration::from_millis(50);
 /// It has no inputs.
 const INBOX: NonZeroUsize = NonZeroUsize::MIN;
 
-/// Tells once a second how the process is. Clones tell the same.
+/// Reports the state of the process once a second. Clones share one report.
 #[derive(Clone)]
 pub struct ProcessDiagnostics {
     sources: Arc<Mutex<Sources>>,
@@ -48,7 +49,7 @@ impl ProcessDiagnostics {
     /// If the core has such a module, or the topic carries another type.
     pub fn add(core: &mut Core, name: &str) -> Result<Self, SetupError> {
         let sources = Arc::<Mutex<Sources>>::default();
-        let module = Teller {
+        let module = Reporter {
             name: name.to_owned(),
             core: core.handle(),
             sources: Arc::clone(&sources),
@@ -65,27 +66,23 @@ impl ProcessDiagnostics {
         Ok(Self { sources })
     }
 
-    /// Tells of the endpoints of a bridge too.
+    /// Reports the endpoints of a bridge too.
     pub fn watch_endpoints(&self, status: BridgeStatus) {
-        self.sources().endpoints = Some(status);
+        self.sources.lock().endpoints = Some(status);
     }
 
-    /// Tells what `look` returns too. It is called once a second on the thread of the module, and must not wait.
+    /// Reports what `look` returns too. It is called once a second on the thread of the module, and must not block.
     pub fn watch(&self, look: impl FnMut() -> Vec<DiagnosticStatus> + Send + 'static) {
-        self.sources().others.push(Box::new(look));
-    }
-
-    fn sources(&self) -> std::sync::MutexGuard<'_, Sources> {
-        lock(&self.sources)
+        self.sources.lock().others.push(Box::new(look));
     }
 }
 
-struct Teller {
+struct Reporter {
     name: String,
     core: CoreHandle,
     sources: Arc<Mutex<Sources>>,
     asked: Option<Receipt<Snapshot>>,
-    /// What was told of last: what has come since decides on levels.
+    /// The snapshot of the last report: the difference to it decides on levels.
     last: Option<Snapshot>,
     endpoints: BTreeMap<String, EndpointReport>,
 }
@@ -95,7 +92,7 @@ struct Ports {
     take: Task,
 }
 
-impl Module for Teller {
+impl Module for Reporter {
     type Ports = Ports;
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
@@ -104,10 +101,10 @@ impl Module for Teller {
     }
 }
 
-impl Teller {
+impl Reporter {
     fn ask(&mut self, ctx: &mut Context<'_, Ports>) {
         if self.asked.is_some() {
-            self.tell(ctx, None);
+            self.publish_report(ctx, None);
         }
         self.asked = Some(self.core.snapshot());
         ctx.schedule_after(ctx.ports.take, PATIENCE);
@@ -115,25 +112,25 @@ impl Teller {
 
     fn take(&mut self, ctx: &mut Context<'_, Ports>) {
         let Some(asked) = &self.asked else { return };
-        // One that does not answer now is told to be stale when it is asked next.
+        // If the core does not answer now, the next report is stale.
         if let Some(snapshot) = asked.try_take() {
             self.asked = None;
-            self.tell(ctx, Some(snapshot));
+            self.publish_report(ctx, Some(snapshot));
         }
     }
 
-    fn tell(&mut self, ctx: &mut Context<'_, Ports>, snapshot: Option<Snapshot>) {
+    fn publish_report(&mut self, ctx: &mut Context<'_, Ports>, snapshot: Option<Snapshot>) {
         let mut statuses = Vec::new();
         match &snapshot {
             None => statuses.push(status::silent_core(&self.name)),
             Some(snapshot) => statuses.extend(status::core(&self.name, snapshot, self.last.as_ref())),
         }
         {
-            let mut sources = lock(&self.sources);
+            let mut sources = self.sources.lock();
             for report in sources.endpoints.iter().flat_map(BridgeStatus::endpoints) {
-                let last = self.endpoints.get(&report.ros_topic);
+                let last = self.endpoints.get(&report.endpoint.ros_topic);
                 statuses.push(status::endpoint(&self.name, &report, last));
-                self.endpoints.insert(report.ros_topic.clone(), report);
+                self.endpoints.insert(report.endpoint.ros_topic.clone(), report);
             }
             statuses.extend(sources.others.iter_mut().flat_map(|look| look()));
         }
@@ -141,8 +138,4 @@ impl Teller {
         let header = Header { stamp: Time::from_nanos(ctx.now().as_nanos()), frame_id: String::new() };
         ctx.publish(ctx.ports.diagnostics, DiagnosticArray { header, status: statuses });
     }
-}
-
-fn lock(sources: &Mutex<Sources>) -> std::sync::MutexGuard<'_, Sources> {
-    sources.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -51,40 +51,40 @@ pub(super) fn silent_core(node: &str) -> DiagnosticStatus {
 
 /// One endpoint of the bridge.
 pub(super) fn endpoint(node: &str, now: &EndpointReport, last: Option<&EndpointReport>) -> DiagnosticStatus {
-    let peers = match now.direction {
+    let peers = match now.endpoint.direction {
         Direction::Out => "subscriptions",
         Direction::In => "publishers",
     };
     let gained = |count: fn(&EndpointReport) -> u64| count(now).saturating_sub(last.map_or(0, count));
-    let (failed, dropped) = (gained(|report| report.errors), gained(|report| report.dropped));
+    let (failed, dropped) = (gained(|report| report.traffic.errors), gained(|report| report.traffic.dropped));
     let (level, message) = if failed > 0 {
-        let reason = now.last_error.as_deref().unwrap_or("unknown");
+        let reason = now.traffic.last_error.as_deref().unwrap_or("unknown");
         (DiagnosticStatus::WARN, format!("{failed} messages failed: {reason}"))
     } else if dropped > 0 {
         (DiagnosticStatus::WARN, format!("{dropped} messages dropped, the bridge is too slow"))
-    } else if gained(|report| report.qos_counts.problems()) > 0 {
+    } else if gained(|report| report.traffic.qos.problems()) > 0 {
         (DiagnosticStatus::WARN, qos_problems(now, last))
     } else {
-        (DiagnosticStatus::OK, format!("{} {peers}", now.matched))
+        (DiagnosticStatus::OK, format!("{} {peers}", now.traffic.matched))
     };
     let values = vec![
-        value("type", now.type_name),
-        value(peers, now.matched),
-        value("messages", now.messages),
-        value("messages nobody heard", now.skipped),
-        value("messages failed", now.errors),
-        value("messages dropped", now.dropped),
-        value("messages lost", now.qos_counts.lost),
-        value("deadlines missed", now.qos_counts.deadlines_missed),
-        value("liveliness lost", now.qos_counts.liveliness_lost + now.qos_counts.silences),
-        value("incompatible", now.qos_counts.incompatible),
+        value("type", &now.endpoint.type_name),
+        value(peers, now.traffic.matched),
+        value("messages", now.traffic.messages),
+        value("messages nobody heard", now.traffic.skipped),
+        value("messages failed", now.traffic.errors),
+        value("messages dropped", now.traffic.dropped),
+        value("messages lost", now.traffic.qos.lost),
+        value("deadlines missed", now.traffic.qos.deadlines_missed),
+        value("liveliness lost", now.traffic.qos.liveliness_lost + now.traffic.qos.silences),
+        value("incompatible", now.traffic.qos.incompatible),
     ];
-    status(level, format!("{node}: {}", now.ros_topic), message, values)
+    status(level, format!("{node}: {}", now.endpoint.ros_topic), message, values)
 }
 
 fn qos_problems(now: &EndpointReport, last: Option<&EndpointReport>) -> String {
-    let before = last.map(|last| last.qos_counts.clone()).unwrap_or_default();
-    let counts = &now.qos_counts;
+    let before = last.map(|last| last.traffic.qos.clone()).unwrap_or_default();
+    let counts = &now.traffic.qos;
     let policy = counts.last_incompatible.map_or("", QosPolicyKind::name);
     let problems = [
         (
@@ -99,8 +99,9 @@ fn qos_problems(now: &EndpointReport, last: Option<&EndpointReport>) -> String {
         (counts.silences.saturating_sub(before.silences), "publishers not alive".to_owned()),
         (counts.lost.saturating_sub(before.lost), "messages lost".to_owned()),
     ];
-    let told = problems.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
-    told.collect::<Vec<_>>().join("; ")
+    let problems =
+        problems.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
+    problems.collect::<Vec<_>>().join("; ")
 }
 
 fn level_of_module(now: &ModuleStatistics, last: Option<&ModuleStatistics>) -> (u8, String) {

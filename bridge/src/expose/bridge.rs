@@ -1,24 +1,26 @@
-//! The bridge: what of a core is exposed, and changing it while the core runs.
+//! The bridge: exposes topics of a core, and changes which while the core runs.
 
-use super::endpoints::{Endpoints, Exposed, Held};
-use super::learning::learn;
-use super::limit::Limiter;
-use super::outgoing::{ToRos, inbox};
+use super::endpoints::{
+    BridgeStatus, EndpointReport, Endpoints, Exposed, ExposedEndpoint, FromRos, Held, ToRos, Traffic,
+};
+use super::exposure::{ExposeError, Exposure, Limiter, OfACycle};
 use super::qos_events::{EndpointQos, QOS_EVENTS_TOPIC, QosEvents};
-use super::status::{BridgeStatus, EndpointReport, EndpointStatus, Traffic, WeakEndpoint};
-use super::{ExposeError, Exposure, OfACycle};
-use crate::edge::{CoreAccess, EncodedInlet, EncodedInletError, Waiting};
-use crate::middleware::{Direction, Gid, Sample};
-use crate::ros::{MessageType, Node, NodeError, Publisher, Subscription};
-use downbeat_executor::{Clock, Core, CoreHandle, InletError, OutletInbox};
-use downbeat_msgs::qos::QosProfile;
+use crate::edge::{CoreAccess, Waiting};
+use crate::middleware::{Direction, EndpointEvent, Gid, Sample};
+use crate::ros::{MessageType, NameError, Node, NodeError, learn};
+use downbeat_executor::{Clock, Core, CoreHandle, Inbox, OutletInbox};
+use parking_lot::{Mutex, RwLock};
 use std::collections::BTreeSet;
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::num::NonZeroUsize;
+use std::sync::Arc;
+
+/// How many batches of a topic wait while the bridge is busy: 8 s at 125 Hz. Older ones are dropped.
+const CAPACITY: NonZeroUsize = NonZeroUsize::new(1000).unwrap();
 
 /// Creates the endpoints of all exposures on `node`, each fed by an outlet of `core` or feeding an inlet.
 ///
-/// The endpoints go when the core stops; the node when its last handle is dropped after that. [`Bridge::start`] does the
-/// same, for what is exposed to be changed while the core runs.
+/// The endpoints are removed when the core stops; the node when its last handle is dropped after that. [`Bridge::start`] returns a
+/// handle to change what is exposed while the core runs.
 ///
 /// # Errors
 /// [`ExposeError`] when a topic cannot be exposed.
@@ -26,9 +28,8 @@ pub fn expose(core: &mut Core, node: &Node, exposures: &[Exposure]) -> Result<Br
     Ok(Bridge::start(core, node, exposures)?.status())
 }
 
-/// Exposes topics of a core on a node, and changes while the core runs which. Clones change the same.
-///
-/// It keeps its node in the graph until it is dropped.
+/// Exposes topics of a core on a node, and changes while the core runs which. Clones share one bridge, which keeps its node in the
+/// graph.
 #[derive(Clone)]
 pub struct Bridge {
     node: Node,
@@ -37,23 +38,10 @@ pub struct Bridge {
     events: QosEvents,
     endpoints: Arc<Endpoints>,
     inbox: OutletInbox,
-    own: OwnPublishers,
-    /// Held while something is changed, so that one change follows the other.
+    /// The publishers of the bridge. What they send comes from the core, so it does not enter the core again.
+    own: Arc<RwLock<BTreeSet<Gid>>>,
+    /// Held during a change, so that changes do not overlap.
     changes: Arc<Mutex<()>>,
-}
-
-/// The publishers of a bridge. What they send comes from the core, so it does not enter the core again.
-#[derive(Clone, Default)]
-struct OwnPublishers(Arc<RwLock<BTreeSet<Gid>>>);
-
-impl OwnPublishers {
-    fn add(&self, publisher: Gid) {
-        self.0.write().unwrap_or_else(PoisonError::into_inner).insert(publisher);
-    }
-
-    fn contain(&self, writer: Gid) -> bool {
-        self.0.read().unwrap_or_else(PoisonError::into_inner).contains(&writer)
-    }
 }
 
 impl Bridge {
@@ -72,8 +60,8 @@ impl Bridge {
             events: QosEvents::open(&mut CoreAccess::Idle(core), Arc::clone(&clock))?,
             clock,
             endpoints: Arc::default(),
-            inbox: inbox(),
-            own: OwnPublishers::default(),
+            inbox: OutletInbox::new("bridge", Inbox::KeepLast(CAPACITY)),
+            own: Arc::default(),
             changes: Arc::default(),
         };
         bridge.endpoints.extend(bridge.create_all(&mut CoreAccess::Idle(core), exposures)?)?;
@@ -82,35 +70,34 @@ impl Bridge {
         Ok(bridge)
     }
 
-    /// What the bridge is doing.
+    /// Reports the endpoints.
     #[must_use]
     pub fn status(&self) -> BridgeStatus {
         BridgeStatus::new(Arc::clone(&self.endpoints))
     }
 
-    /// The node that has the endpoints for which no other is named.
+    /// The node of the endpoints for which no other is named.
     #[must_use]
     pub fn node(&self) -> &Node {
         &self.node
     }
 
-    /// Exposes more while the core runs, all of it or, where one cannot be, nothing. Waits for the end of a cycle, so not
-    /// from the core's own thread.
+    /// Exposes more while the core runs: all of the exposures or, if one fails, none. Waits for the end of a cycle, so it must not be
+    /// called on the core's own thread.
     ///
     /// # Errors
     /// [`ExposeError`] when a topic cannot be exposed, or the core does not run.
     pub fn add(&self, exposures: &[Exposure]) -> Result<Vec<EndpointReport>, ExposeError> {
-        let _changes = self.changes.lock().unwrap_or_else(PoisonError::into_inner);
+        let _changes = self.changes.lock();
         let exposed = self.create_all(&mut CoreAccess::Running(&self.core), exposures)?;
         let reports = exposed.iter().map(Exposed::report).collect();
         self.endpoints.extend(exposed)?;
         Ok(reports)
     }
 
-    /// Takes back what is exposed where `is_meant` says so: its endpoints are gone from the graph of ROS 2 when this
-    /// returns. Returns what it was.
-    pub fn remove(&self, is_meant: impl Fn(&EndpointReport) -> bool) -> Vec<EndpointReport> {
-        let _changes = self.changes.lock().unwrap_or_else(PoisonError::into_inner);
+    /// Removes the endpoints for which `is_meant` returns true from the graph of ROS 2, and returns their last reports.
+    pub fn remove(&self, is_meant: impl Fn(&ExposedEndpoint) -> bool) -> Vec<EndpointReport> {
+        let _changes = self.changes.lock();
         self.endpoints.remove(is_meant)
     }
 
@@ -119,36 +106,32 @@ impl Bridge {
         core: &mut CoreAccess<'_>,
         exposures: &[Exposure],
     ) -> Result<Vec<Exposed>, ExposeError> {
-        // Each node is created once and kept until its endpoints keep it: peers need not see it come and go.
+        // Each node is created once, and kept until its endpoints keep it: peers do not see it come and go.
         let nodes = exposures.iter().map(|exposure| self.node_of(exposure)).collect::<Result<Vec<_>, _>>()?;
-        // The names that the topics have in ROS 2; nothing where one is not valid, which the creation tells.
+        // The names of the topics in ROS 2; `None` for an invalid name, which `create` reports.
         let names: Vec<_> = exposures
             .iter()
             .zip(&nodes)
             .map(|(exposure, node)| node.topic_name(exposure.ros_topic()).ok().map(|topic| topic.to_string()))
             .collect();
-        let mut all = Vec::with_capacity(exposures.len());
+        let mut all = Vec::<Exposed>::with_capacity(exposures.len());
         for ((exposure, node), name) in exposures.iter().zip(&nodes).zip(&names) {
-            let is_reverse = |report: &EndpointReport| {
-                exposure.is_reverse_of(&report.topic, report.direction)
-                    && !(exposure.message_type.is_raw() && name.as_ref() != Some(&report.ros_topic))
+            let is_reverse = |topic: &str, direction, other_name: Option<&String>| {
+                exposure.is_reverse_of(topic, direction)
+                    && !(exposure.message_type.is_raw() && name.as_ref() != other_name)
             };
-            let others = exposures.iter().zip(&names).any(|(other, name_of_other)| {
-                exposure.is_reverse_of(&other.topic, other.direction)
-                    && !(exposure.message_type.is_raw() && name != name_of_other)
-            });
-            if others || self.endpoints.any(is_reverse) {
+            let mut others = exposures.iter().zip(&names);
+            if others.any(|(other, name)| is_reverse(&other.topic, other.direction, name.as_ref()))
+                || self
+                    .endpoints
+                    .any(|other| is_reverse(&other.topic, other.direction, Some(&other.ros_topic)))
+            {
                 return Err(ExposeError::BothDirections(exposure.topic.clone()));
             }
             let exposed = self.create(core, node, exposure)?;
-            let new = exposed.report();
-            let is_same = |report: &EndpointReport| {
-                report.direction == new.direction
-                    && report.ros_topic == new.ros_topic
-                    && report.node == new.node
-            };
-            if all.iter().map(Exposed::report).any(|report| is_same(&report)) || self.endpoints.any(is_same) {
-                return Err(ExposeError::Twice(new.ros_topic));
+            let is_same = |other: &ExposedEndpoint| exposed.endpoint.is_same_as(other);
+            if all.iter().any(|other| is_same(&other.endpoint)) || self.endpoints.any(is_same) {
+                return Err(ExposeError::Twice(exposed.endpoint.ros_topic));
             }
             all.push(exposed);
         }
@@ -169,109 +152,53 @@ impl Bridge {
         node: &Node,
         exposure: &Exposure,
     ) -> Result<Exposed, ExposeError> {
-        let failed = |error| ExposeError::Endpoint { topic: exposure.topic.clone(), error };
+        let Exposure { direction, message_type, limits, .. } = *exposure;
+        let (topic, ros_topic) = (&exposure.topic, exposure.ros_topic());
+        let failed = |error: NodeError| ExposeError::Endpoint { topic: topic.clone(), error };
+        let failed_name = |error: NameError| failed(error.into());
+        let ros_type = MessageType::new(message_type.name()).map_err(failed_name)?;
+        let qos = node.resolve_qos(ros_topic, direction, &exposure.qos).map_err(failed_name)?;
+        let full_name = node.topic_name(ros_topic).map_err(failed_name)?;
+        let endpoint = ExposedEndpoint::new(exposure, node.name(), &full_name, qos);
         let traffic = Arc::<Traffic>::default();
-        let events = |ros_topic: &str| {
-            let events = self.events.clone();
-            Arc::new(EndpointQos::new(&exposure.topic, ros_topic, exposure.direction, events))
+        let events = Arc::new(EndpointQos::new(&endpoint, self.events.clone()));
+        let on_event = {
+            let events = Arc::clone(&events);
+            Box::new(move |event: &EndpointEvent| events.happened(event))
         };
-        let (held, endpoint, ros_topic, qos, events) = match exposure.direction {
+        let limiter = Limiter::new(limits);
+        let held = match direction {
             Direction::Out => {
-                let publisher = Arc::new(publisher(node, exposure).map_err(failed)?);
-                self.own.add(publisher.gid());
-                let (topic, qos) = (publisher.topic().to_string(), publisher.qos());
-                let events = events(&topic);
-                let told = Arc::clone(&events);
-                publisher.on_event(Box::new(move |event| told.happened(event)));
-                let endpoint = WeakEndpoint::Publisher(Arc::downgrade(&publisher));
-                let sink = ToRos {
-                    publisher,
-                    traffic: Arc::clone(&traffic),
-                    limiter: Limiter::new(exposure.limits),
-                    of_a_cycle: exposure.limits.of_a_cycle,
-                };
-                let outlet = exposure.message_type.outlet(core, &exposure.topic, &self.inbox, sink)?;
-                (Held::Outlet(outlet), endpoint, topic, qos, events)
+                let publisher = Arc::new(node.publish(ros_topic, &ros_type, qos).map_err(failed)?);
+                self.own.write().insert(publisher.gid());
+                publisher.on_event(on_event);
+                let weak = Arc::downgrade(&publisher);
+                let traffic = Arc::clone(&traffic);
+                let sink = ToRos { publisher, traffic, limiter, of_a_cycle: limits.of_a_cycle };
+                Held::Out(weak, message_type.outlet(core, topic, &self.inbox, sink)?)
             }
             Direction::In => {
-                let waiting = match exposure.limits.of_a_cycle {
+                let waiting = match limits.of_a_cycle {
                     OfACycle::All => Waiting::All,
                     OfACycle::Latest => Waiting::Latest,
                 };
-                let inlet = exposure.message_type.inlet_with(core, &exposure.topic, waiting)?;
-                let limiter = Limiter::new(exposure.limits);
-                let take =
-                    from_ros(inlet, self.own.clone(), Arc::clone(&traffic), limiter, Arc::clone(&self.clock));
-                let subscription = Arc::new(subscription(node, exposure, take).map_err(failed)?);
-                if let Err(error) = learn(node, &subscription, exposure.message_type) {
-                    tracing::warn!(topic = exposure.topic, %error, "nobody is asked what the type looks like: no thread");
-                }
-                let (topic, qos) = (subscription.topic().to_string(), subscription.qos());
-                let events = events(&topic);
-                let told = Arc::clone(&events);
-                subscription.on_event(Box::new(move |event| told.happened(event)));
-                let endpoint = WeakEndpoint::Subscription(Arc::downgrade(&subscription));
-                (Held::Subscription(subscription), endpoint, topic, qos, events)
+                let inlet = message_type.inlet_with(core, topic, waiting)?;
+                let (traffic, clock) = (Arc::clone(&traffic), Arc::clone(&self.clock));
+                let mut from_ros = FromRos { inlet, traffic, limiter, clock };
+                let own = Arc::clone(&self.own);
+                let take = move |sample: Sample| {
+                    if !own.read().contains(&sample.writer) {
+                        from_ros.take(&sample);
+                    }
+                };
+                let subscription =
+                    node.subscribe(ros_topic, &ros_type, qos, Box::new(take)).map_err(failed)?;
+                let subscription = Arc::new(subscription);
+                learn(node, &subscription, message_type);
+                subscription.on_event(on_event);
+                Held::In(subscription)
             }
         };
-        let status = EndpointStatus {
-            topic: exposure.topic.clone(),
-            ros_topic,
-            node: node.name().to_string(),
-            message_type: exposure.message_type,
-            direction: exposure.direction,
-            qos,
-            limits: exposure.limits,
-            endpoint,
-            traffic,
-            events,
-        };
-        Ok(Exposed::new(status, held))
-    }
-}
-
-fn publisher(node: &Node, exposure: &Exposure) -> Result<Publisher, NodeError> {
-    let message_type = MessageType::new(exposure.message_type.name())?;
-    node.publish(exposure.ros_topic(), &message_type, qos(node, exposure)?)
-}
-
-fn subscription(
-    node: &Node,
-    exposure: &Exposure,
-    take: impl FnMut(Sample) + Send + 'static,
-) -> Result<Subscription, NodeError> {
-    let message_type = MessageType::new(exposure.message_type.name())?;
-    node.subscribe(exposure.ros_topic(), &message_type, qos(node, exposure)?, Box::new(take))
-}
-
-fn qos(node: &Node, exposure: &Exposure) -> Result<QosProfile, NodeError> {
-    Ok(node.resolve_qos(exposure.ros_topic(), exposure.direction, &exposure.qos)?)
-}
-
-/// Takes the samples of one topic in, but for those that left the core by the same bridge.
-fn from_ros(
-    inlet: EncodedInlet,
-    own: OwnPublishers,
-    traffic: Arc<Traffic>,
-    mut limiter: Limiter,
-    clock: Arc<dyn Clock>,
-) -> impl FnMut(Sample) + Send {
-    move |sample| {
-        if own.contain(sample.writer) {
-            return;
-        }
-        if !limiter.lets_pass(clock.now()) {
-            traffic.count_limited();
-            return;
-        }
-        let result = inlet.publish(&sample.cdr);
-        if matches!(result, Err(EncodedInletError::Inlet { error: InletError::Stopped, .. })) {
-            return;
-        }
-        if traffic.count(&result)
-            && let Err(error) = result
-        {
-            tracing::warn!(writer = %sample.writer, %error, "a message was not taken in; from now on this is only counted");
-        }
+        Ok(Exposed { endpoint, traffic, events, held: Some(held) })
     }
 }

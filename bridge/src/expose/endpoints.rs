@@ -1,12 +1,151 @@
-//! The endpoints there are, shared by who changes them and who shows them.
+//! The endpoints of a bridge: what goes through them, and what they report.
 
-use super::ExposeError;
-use super::status::{EndpointReport, EndpointStatus};
-use crate::ros::Subscription;
-use downbeat_executor::Outlet;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use super::exposure::{ExposeError, Exposure, Limiter, Limits, OfACycle};
+use super::qos_events::{EndpointQos, QosCounts};
+use crate::edge::{EncodedInlet, EncodedInletError, Offered, Sink};
+use crate::middleware::{Direction, Sample};
+use crate::ros::{NodeName, Publisher, Subscription, TopicName};
+use bytes::Bytes;
+use downbeat_executor::{Clock, InletError, Outlet, Time};
+use downbeat_msgs::qos::{Durability, QosRequest};
+use parking_lot::Mutex;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Weak};
 
-/// All endpoints, in the order in which they were exposed.
+/// An endpoint of ROS 2 for a topic of a core, with all names as remapping rules make them.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ExposedEndpoint {
+    /// The topic in the executor.
+    pub topic: String,
+    /// The topic in ROS 2, absolute.
+    pub ros_topic: String,
+    /// The node that has the endpoint, absolute.
+    pub node: String,
+    /// Out of the executor or into it.
+    pub direction: Direction,
+    /// As in `sensor_msgs/msg/Imu`.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// What it offers or requests.
+    pub qos: QosRequest,
+    /// Which messages pass.
+    #[serde(flatten)]
+    pub limits: Limits,
+}
+
+/// An exposed endpoint at one moment.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EndpointReport {
+    /// The endpoint.
+    #[serde(flatten)]
+    pub endpoint: ExposedEndpoint,
+    /// What went through it.
+    pub traffic: EndpointTraffic,
+}
+
+/// What went through an endpoint so far.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EndpointTraffic {
+    /// Matched endpoints of others; 0 after the bridge has stopped.
+    pub matched: usize,
+    /// Messages that went through.
+    pub messages: u64,
+    /// Messages that were not serialized since no endpoint was matched.
+    pub skipped: u64,
+    /// Messages that the limits held back.
+    pub limited: u64,
+    /// Messages that the bounded inbox of the bridge dropped because the bridge was busy.
+    pub dropped: u64,
+    /// Messages that failed to go through.
+    pub errors: u64,
+    /// The last reason for that.
+    pub last_error: Option<String>,
+    /// Events of the quality of service.
+    pub qos: QosCounts,
+}
+
+/// Reports the exposed endpoints. Clones report the same. It keeps no endpoint alive.
+#[derive(Clone, Default)]
+pub struct BridgeStatus {
+    endpoints: Arc<Endpoints>,
+}
+
+impl ExposedEndpoint {
+    /// The endpoint that an exposure gives a node.
+    #[must_use]
+    pub fn new(
+        exposure: &Exposure,
+        node: &NodeName,
+        ros_topic: &TopicName,
+        qos: impl Into<QosRequest>,
+    ) -> Self {
+        Self {
+            topic: exposure.topic.clone(),
+            ros_topic: ros_topic.to_string(),
+            node: node.to_string(),
+            direction: exposure.direction,
+            type_name: exposure.message_type.name().to_owned(),
+            qos: qos.into(),
+            limits: exposure.limits,
+        }
+    }
+
+    /// True if the same node has both, in the same direction.
+    pub(super) fn is_same_as(&self, other: &Self) -> bool {
+        let key = |endpoint: &Self| (endpoint.direction, endpoint.ros_topic.clone(), endpoint.node.clone());
+        key(self) == key(other)
+    }
+}
+
+impl fmt::Display for ExposedEndpoint {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let arrow = match self.direction {
+            Direction::Out => "->",
+            Direction::In => "<-",
+        };
+        let Self { topic, ros_topic, type_name, qos, limits, .. } = self;
+        write!(f, "{topic:<24} {arrow} {ros_topic:<28} {type_name:<32} {qos}")?;
+        if let Some(rate) = limits.rate_hz() {
+            write!(f, ", at most {rate} Hz")?;
+        }
+        if limits.every > 1 {
+            write!(f, ", one of {}", limits.every)?;
+        }
+        if limits.of_a_cycle == OfACycle::Latest {
+            f.write_str(", latest only")?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for EndpointReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let EndpointTraffic { matched, messages, limited, errors, .. } = self.traffic;
+        write!(f, "{}, {matched} matched, {messages} messages", self.endpoint)?;
+        for (count, what) in [(limited, "held back"), (errors, "failed")] {
+            if count > 0 {
+                write!(f, ", {count} {what}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl BridgeStatus {
+    pub(super) fn new(endpoints: Arc<Endpoints>) -> Self {
+        Self { endpoints }
+    }
+
+    /// The endpoints, in the order in which they were exposed.
+    #[must_use]
+    pub fn endpoints(&self) -> Vec<EndpointReport> {
+        self.endpoints.state.lock().exposed.iter().map(Exposed::report).collect()
+    }
+}
+
+/// All endpoints of a bridge, in the order in which they were exposed.
 #[derive(Default)]
 pub(super) struct Endpoints {
     state: Mutex<State>,
@@ -20,38 +159,38 @@ struct State {
 
 /// An endpoint, and what keeps it alive.
 pub(super) struct Exposed {
-    status: EndpointStatus,
+    pub(super) endpoint: ExposedEndpoint,
+    pub(super) traffic: Arc<Traffic>,
+    pub(super) events: Arc<EndpointQos>,
     /// `None` after the core has stopped.
-    held: Option<Held>,
+    pub(super) held: Option<Held>,
 }
 
 pub(super) enum Held {
-    /// Its sink has the publisher.
-    Outlet(#[expect(dead_code, reason = "held until it is dropped")] Outlet),
-    Subscription(#[expect(dead_code, reason = "held until it is dropped")] Arc<Subscription>),
+    /// The sink of the outlet owns the publisher.
+    Out(Weak<Publisher>, #[expect(dead_code, reason = "held until it is dropped")] Outlet),
+    In(Arc<Subscription>),
 }
 
 impl Exposed {
-    pub(super) fn new(status: EndpointStatus, held: Held) -> Self {
-        Self { status, held: Some(held) }
-    }
-
     pub(super) fn report(&self) -> EndpointReport {
-        self.status.report()
+        let matched = match &self.held {
+            Some(Held::Out(publisher, _)) => publisher.upgrade().map_or(0, |p| p.matched_subscriptions()),
+            Some(Held::In(subscription)) => subscription.matched_publishers(),
+            None => 0,
+        };
+        let traffic = EndpointTraffic { matched, qos: self.events.counts(), ..self.traffic.report() };
+        EndpointReport { endpoint: self.endpoint.clone(), traffic }
     }
 }
 
 impl Endpoints {
-    pub(super) fn reports(&self) -> Vec<EndpointReport> {
-        self.lock().exposed.iter().map(Exposed::report).collect()
-    }
-
-    pub(super) fn any(&self, is: impl Fn(&EndpointReport) -> bool) -> bool {
-        self.lock().exposed.iter().any(|exposed| is(&exposed.report()))
+    pub(super) fn any(&self, is: impl Fn(&ExposedEndpoint) -> bool) -> bool {
+        self.state.lock().exposed.iter().any(|exposed| is(&exposed.endpoint))
     }
 
     pub(super) fn extend(&self, exposed: Vec<Exposed>) -> Result<(), ExposeError> {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         if state.has_ended {
             return Err(ExposeError::Stopped);
         }
@@ -59,33 +198,129 @@ impl Endpoints {
         Ok(())
     }
 
-    /// Ends the endpoints that are meant. Returns what they were.
-    pub(super) fn remove(&self, is_meant: impl Fn(&EndpointReport) -> bool) -> Vec<EndpointReport> {
-        let (removed, reports): (Vec<_>, Vec<_>) = {
-            let mut state = self.lock();
-            let (meant, others) = std::mem::take(&mut state.exposed)
-                .into_iter()
-                .map(|exposed| (exposed.report(), exposed))
-                .partition::<Vec<_>, _>(|(report, _)| is_meant(report));
-            state.exposed = others.into_iter().map(|(_, exposed)| exposed).collect();
-            meant.into_iter().map(|(report, exposed)| (exposed, report)).unzip()
-        };
-        // Without the lock: it may take until a message is sent or taken.
-        drop(removed);
-        reports
+    /// Removes endpoints. Returns their last reports.
+    pub(super) fn remove(&self, is_meant: impl Fn(&ExposedEndpoint) -> bool) -> Vec<EndpointReport> {
+        let removed: Vec<_> =
+            self.state.lock().exposed.extract_if(.., |exposed| is_meant(&exposed.endpoint)).collect();
+        // Dropped without the lock: that may take until a message is sent or taken.
+        removed.iter().map(Exposed::report).collect()
     }
 
-    /// Ends all endpoints, since the core has stopped; they are still shown.
+    /// Drops all endpoints when the core stops; they are still reported.
     pub(super) fn close(&self) {
         let held: Vec<_> = {
-            let mut state = self.lock();
+            let mut state = self.state.lock();
             state.has_ended = true;
             state.exposed.iter_mut().map(|exposed| exposed.held.take()).collect()
         };
         drop(held);
     }
+}
 
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+/// Counts what goes through an endpoint. Only errors take a lock.
+#[derive(Default)]
+pub(super) struct Traffic {
+    messages: AtomicU64,
+    skipped: AtomicU64,
+    limited: AtomicU64,
+    dropped: AtomicU64,
+    errors: AtomicU64,
+    last_error: Mutex<Option<String>>,
+}
+
+impl Traffic {
+    /// Messages and errors.
+    pub(super) fn totals(&self) -> (u64, u64) {
+        (self.messages.load(Ordering::Relaxed), self.errors.load(Ordering::Relaxed))
+    }
+
+    /// Counts the message or the error; true for the first error, which is worth a log line.
+    pub(super) fn count<E: fmt::Display>(&self, result: &Result<(), E>) -> bool {
+        match result {
+            Ok(()) => {
+                self.messages.fetch_add(1, Ordering::Relaxed);
+                false
+            }
+            Err(error) => {
+                *self.last_error.lock() = Some(error.to_string());
+                self.errors.fetch_add(1, Ordering::Relaxed) == 0
+            }
+        }
+    }
+
+    fn report(&self) -> EndpointTraffic {
+        EndpointTraffic {
+            messages: self.messages.load(Ordering::Relaxed),
+            skipped: self.skipped.load(Ordering::Relaxed),
+            limited: self.limited.load(Ordering::Relaxed),
+            dropped: self.dropped.load(Ordering::Relaxed),
+            errors: self.errors.load(Ordering::Relaxed),
+            last_error: self.last_error.lock().clone(),
+            ..EndpointTraffic::default()
+        }
+    }
+}
+
+/// Sends to ROS 2 the messages that an outlet takes out of the core.
+pub(super) struct ToRos {
+    pub(super) publisher: Arc<Publisher>,
+    pub(super) traffic: Arc<Traffic>,
+    pub(super) limiter: Limiter,
+    pub(super) of_a_cycle: OfACycle,
+}
+
+impl Sink for ToRos {
+    fn is_wanted(&mut self, message: Offered) -> bool {
+        if message.missed > 0 {
+            self.traffic.dropped.fetch_add(message.missed.into(), Ordering::Relaxed);
+        }
+        let is_too_old = self.of_a_cycle == OfACycle::Latest && !message.is_last_of_cycle;
+        if is_too_old || !self.limiter.lets_pass(message.time) {
+            self.traffic.limited.fetch_add(1, Ordering::Relaxed);
+            return false;
+        }
+        let is_latched = self.publisher.qos().durability == Durability::TransientLocal;
+        let is_wanted = is_latched || self.publisher.matched_subscriptions() > 0;
+        if !is_wanted {
+            self.traffic.skipped.fetch_add(1, Ordering::Relaxed);
+        }
+        is_wanted
+    }
+
+    fn take(&mut self, _time: Time, cdr: Bytes) {
+        let result = self.publisher.publish(cdr);
+        if self.traffic.count(&result)
+            && let Err(error) = result
+        {
+            let topic = self.publisher.topic().as_str();
+            tracing::warn!(topic, %error, "a message was not sent; further errors are only counted");
+        }
+    }
+}
+
+/// Takes samples of ROS 2 into the core.
+pub(super) struct FromRos {
+    pub(super) inlet: EncodedInlet,
+    pub(super) traffic: Arc<Traffic>,
+    pub(super) limiter: Limiter,
+    pub(super) clock: Arc<dyn Clock>,
+}
+
+impl FromRos {
+    pub(super) fn take(&mut self, sample: &Sample) {
+        if !self.limiter.lets_pass(self.clock.now()) {
+            self.traffic.limited.fetch_add(1, Ordering::Relaxed);
+            return;
+        }
+        let result = self.inlet.publish(&sample.cdr);
+        if matches!(result, Err(EncodedInletError::Inlet { error: InletError::Stopped, .. })) {
+            return;
+        }
+        if self.traffic.count(&result)
+            && let Err(error) = result
+        {
+            let writer = sample.writer;
+            tracing::warn!(%writer, %error, "a message was not taken in; further errors are only counted");
+        }
     }
 }

@@ -17,7 +17,7 @@
 //!     ..Exposure::new("joint_states", joint_state, Direction::Out)
 //! };
 //! let status = expose(&mut core, &node, &[states])?;
-//! assert_eq!(status.endpoints()[0].ros_topic, "/joint_states");
+//! assert_eq!(status.endpoints()[0].endpoint.ros_topic, "/joint_states");
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -25,19 +25,15 @@ mod actions;
 mod bridge;
 mod endpoints;
 mod exposure;
-mod learning;
-mod limit;
-mod outgoing;
 mod parameters;
 mod pattern;
 mod qos_events;
 mod services;
-mod status;
 
 pub use actions::ActionExposure;
 pub use bridge::{Bridge, expose};
-pub use exposure::{ExposeError, Exposure};
-pub use limit::{Limits, OfACycle};
+pub use endpoints::{BridgeStatus, EndpointReport, EndpointTraffic, ExposedEndpoint};
+pub use exposure::{ExposeError, Exposure, Limits, OfACycle};
 pub use parameters::{ParameterExposure, ParameterServer, ParameterServices, parameter_value, setting_value};
 pub use pattern::{PatternError, TopicPattern};
 pub use qos_events::{QOS_EVENTS_TOPIC, QosCounts};
@@ -45,4 +41,3 @@ pub use services::{
     CALLS_MODULE_NAME, CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection,
     ServicesStatus, expose_services, expose_services_with,
 };
-pub use status::{BridgeStatus, EndpointReport};

@@ -1,50 +1,53 @@
-//! What happens to the quality of service of exposed endpoints: counted, told in the log, and given to modules.
+//! Events of the quality of service of exposed endpoints: counted, logged, and published for modules.
 
+use super::endpoints::ExposedEndpoint;
 use crate::edge::CoreAccess;
 use crate::middleware::{Aliveness, Direction, EndpointEvent, Gid, QosPolicyKind};
 use downbeat_executor::queue::{Locked, Overflow};
 use downbeat_executor::{Clock, Inlet, SetupError};
 use downbeat_msgs::builtin_interfaces::msg::Time;
 use downbeat_msgs::downbeat_interfaces::msg::QosEvent;
+use parking_lot::Mutex;
+use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::num::NonZeroUsize;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
-/// The topic of a core on which a bridge tells what happens to the quality of service of its endpoints: messages of
+/// The topic of a core on which a bridge publishes events of the quality of service of its endpoints: messages of
 /// `downbeat_interfaces/msg/QosEvent`. They come from outside like all that is taken in, so a bag that holds them repeats them.
 pub const QOS_EVENTS_TOPIC: &str = "bridge/qos_events";
 
-/// Events that wait for the core; older ones are dropped, and counted by the topic.
+/// How many events wait for the core; older ones are dropped, and counted by the topic.
 const WAITING: NonZeroUsize = NonZeroUsize::new(256).unwrap();
 
-/// What happened to the quality of service of one endpoint since it is there.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+/// Events of the quality of service of one endpoint since its creation.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct QosCounts {
     /// Endpoints of others that were matched.
     pub matched: u64,
     /// Endpoints of others that were on the topic and did not match.
     pub incompatible: u64,
-    /// A policy that kept the last of them away.
+    /// The policy of the last of them.
     pub last_incompatible: Option<QosPolicyKind>,
-    /// Times in which no message went through, though one was offered or requested to.
+    /// Missed deadlines, offered or requested.
     pub deadlines_missed: u64,
-    /// How often a publisher did not show in time that it is alive.
+    /// How often a publisher did not assert its liveliness in time.
     pub liveliness_lost: u64,
     /// How often a publisher was silent for longer than its lease.
     pub silences: u64,
-    /// Messages of publishers that did not come.
+    /// Messages of publishers that were lost.
     pub lost: u64,
 }
 
 impl QosCounts {
-    /// What a user should look at: what was not as offered or requested.
+    /// The number of events that a user should look at.
     #[must_use]
     pub fn problems(&self) -> u64 {
         self.incompatible + self.deadlines_missed + self.liveliness_lost + self.silences + self.lost
     }
 }
 
-/// The core's side: where events enter.
+/// Where events enter the core.
 #[derive(Clone)]
 pub(super) struct QosEvents {
     inlet: Inlet<QosEvent>,
@@ -58,7 +61,7 @@ impl QosEvents {
     }
 }
 
-/// One endpoint's.
+/// The events of one endpoint.
 pub(super) struct EndpointQos {
     topic: String,
     ros_topic: String,
@@ -76,27 +79,28 @@ struct State {
 }
 
 impl EndpointQos {
-    pub(super) fn new(topic: &str, ros_topic: &str, direction: Direction, events: QosEvents) -> Self {
-        let (topic, ros_topic) = (topic.to_owned(), ros_topic.to_owned());
-        Self { topic, ros_topic, direction, events, state: Mutex::default() }
+    pub(super) fn new(endpoint: &ExposedEndpoint, events: QosEvents) -> Self {
+        let ExposedEndpoint { topic, ros_topic, direction, .. } = endpoint;
+        let (topic, ros_topic) = (topic.clone(), ros_topic.clone());
+        Self { topic, ros_topic, direction: *direction, events, state: Mutex::default() }
     }
 
     pub(super) fn counts(&self) -> QosCounts {
-        self.lock().counts.clone()
+        self.state.lock().counts.clone()
     }
 
     pub(super) fn happened(&self, event: &EndpointEvent) {
         let (message, warning) = self.note(event);
         if let Some(warning) = warning {
-            tracing::warn!(topic = self.ros_topic, "{warning}; from now on this is only counted");
+            tracing::warn!(topic = self.ros_topic, "{warning}; further events are only counted");
         }
         // Fails only when the core has stopped.
         let _ = self.events.inlet.publish(message);
     }
 
-    /// Counts it. What is worth a line in the log is so the first time. (That an endpoint does not match is told by the node.)
+    /// Counts an event, and returns a warning for the first of its kind. (The node warns of endpoints that do not match.)
     fn note(&self, event: &EndpointEvent) -> (QosEvent, Option<String>) {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         let State { counts, current, alive, silent } = &mut *state;
         let mut message = QosEvent {
             stamp: Time::from_nanos(self.events.clock.now().as_nanos()),
@@ -195,9 +199,5 @@ impl EndpointQos {
                               ask for a longer deadline",
         }
         .to_owned()
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -1,19 +1,18 @@
 //! Services of modules offered to ROS 2, and services of ROS 2 that modules call.
 
 use super::ExposeError;
-use super::status::Traffic;
-use crate::edge::{Callees, EncodedCallError, EncodedCaller, KnownService, RemoteCall};
+use super::endpoints::Traffic;
+use crate::edge::{EncodedCallError, EncodedCaller, KnownService, RemoteCall, RemoteServices};
 use crate::middleware::rpc::IncomingRequest;
 use crate::ros::{Introspection, Node, NodeError, RawClient, Service, ServiceName, ServiceType};
+use crate::worker::WorkerLink;
 use bytes::Bytes;
-use downbeat_executor::{
-    CallError, Clock, Context, Core, Inbox, Module, ModuleOptions, Role, Setting, Setup, SetupError,
-    Synchrony,
-};
+use downbeat_executor::{CallError, Clock, Core, Module, ModuleOptions, Role, Setting, Setup, SetupError};
 use downbeat_msgs::action_msgs::srv::{CancelGoal, CancelGoalResponse};
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolResponse, Trigger, TriggerResponse};
+use parking_lot::Mutex;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
@@ -49,7 +48,7 @@ pub struct CallExposure {
     pub timeout: Duration,
 }
 
-/// What is published of services and calls on `<service>/_service_event`.
+/// How much of services and calls is published on `<service>/_service_event`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ServiceIntrospection {
     /// Of services of modules.
@@ -65,7 +64,7 @@ impl ServiceIntrospection {
     pub const OF_CLIENTS: &str = "client_configure_introspection";
 }
 
-/// What the services are doing, for a status display on another thread. It keeps no endpoint alive.
+/// Reports the services, for a status display on another thread. It keeps no endpoint alive.
 #[derive(Clone, Default)]
 pub struct ServicesStatus {
     services: Arc<[ServiceStatus]>,
@@ -98,14 +97,14 @@ impl ServicesStatus {
     }
 }
 
-/// Offers services of modules on `node`, and adds detached observers to `core`: one serves those that modules call,
+/// Offers services of modules on `node`, and adds observers to `core`: [`CALLS_MODULE_NAME`] serves those that modules call,
 /// [`SERVICES_MODULE_NAME`] has the settings of service introspection.
 ///
-/// ROS 2 has no word for a request that is refused. `std_srvs/srv/SetBool` and `Trigger` are then answered with
+/// ROS 2 has no response for a refused request. `std_srvs/srv/SetBool` and `Trigger` are then answered with
 /// `success: false` and the reason as message, those of actions with a goal that is not accepted, not known or not canceled; a
 /// request of another type is not answered, and the reason is in the log.
 ///
-/// The endpoints go when the core stops.
+/// The endpoints are removed when the core stops.
 ///
 /// # Errors
 /// [`ExposeError`] when a service cannot be exposed.
@@ -130,13 +129,13 @@ pub fn expose_services_with(
     called: &[CallExposure],
     introspection: ServiceIntrospection,
 ) -> Result<ServicesStatus, ExposeError> {
-    let mut module = Services {
+    let mut endpoints = ServiceEndpoints {
+        node: node.clone(),
+        clock: core.clock(),
         offered: Vec::new(),
         clients: Vec::new(),
-        introspection,
-        at: Some((node.clone(), core.clock())),
     };
-    let (mut statuses, mut outlets) = (Vec::new(), Vec::new());
+    let (mut statuses, mut remote) = (Vec::new(), Vec::new());
     for exposure in offered {
         let traffic = Arc::<Traffic>::default();
         let caller = exposure.service_type.caller(core, &exposure.service)?;
@@ -148,34 +147,67 @@ pub fn expose_services_with(
             traffic,
             endpoint: WeakService::Offered(Arc::downgrade(&service)),
         });
-        module.offered.push(service);
+        endpoints.offered.push(service);
     }
     for exposure in called {
         let traffic = Arc::<Traffic>::default();
         let client = client(node, exposure).map_err(|error| failed(&exposure.service, error))?;
         let (name, client) = (client.name().to_string(), Arc::new(client));
         let endpoint = WeakService::Called(Arc::downgrade(&client));
-        module.clients.push(Arc::downgrade(&client));
-        let call = ToRos { client, timeout: exposure.timeout, traffic: Arc::clone(&traffic) };
-        outlets.push(exposure.service_type.outlet(core, &exposure.service, call)?);
+        endpoints.clients.push(Arc::downgrade(&client));
+        let (worker, timeout) = (node.worker(), exposure.timeout);
+        let call = ToRos { client, worker, timeout, traffic: Arc::clone(&traffic) };
+        remote.push(exposure.service_type.remote(core, &exposure.service, call)?);
         statuses.push(ServiceStatus { name, traffic, endpoint });
     }
-    Callees::add_to(core, CALLS_MODULE_NAME, outlets)?;
-    let options = ModuleOptions {
-        synchrony: Synchrony::Detached(Inbox::KeepAll),
-        role: Role::Observer,
-        ..ModuleOptions::default()
-    };
+    RemoteServices::add_to(core, CALLS_MODULE_NAME, remote)?;
+    let endpoints = Arc::new(Mutex::new(Some(endpoints)));
+    let module = Services { endpoints: Arc::clone(&endpoints), worker: node.worker(), introspection };
+    let options = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
     core.add_with(SERVICES_MODULE_NAME, module, options)?;
+    core.on_stop(move || {
+        if let Some(endpoints) = endpoints.lock().take() {
+            endpoints.introspect_clients(Introspection::Off);
+        }
+    });
     Ok(ServicesStatus { services: statuses.into() })
 }
 
-struct Services {
+/// The endpoints of the services of a core, until it stops.
+struct ServiceEndpoints {
+    node: Node,
+    clock: Arc<dyn Clock>,
     offered: Vec<Arc<Service>>,
     clients: Vec<Weak<RawClient>>,
+}
+
+impl ServiceEndpoints {
+    fn introspect_services(&self, introspection: Introspection) {
+        for service in &self.offered {
+            let clock = Arc::clone(&self.clock);
+            log_failure(
+                service.name(),
+                service.configure_introspection(&self.node, introspection, QosProfile::SERVICES, clock),
+            );
+        }
+    }
+
+    fn introspect_clients(&self, introspection: Introspection) {
+        for client in self.clients.iter().filter_map(Weak::upgrade) {
+            let clock = Arc::clone(&self.clock);
+            log_failure(
+                client.name(),
+                client.configure_introspection(&self.node, introspection, QosProfile::SERVICES, clock),
+            );
+        }
+    }
+}
+
+/// The module with the settings of introspection.
+struct Services {
+    endpoints: Arc<Mutex<Option<ServiceEndpoints>>>,
+    worker: WorkerLink,
     introspection: ServiceIntrospection,
-    /// Where events are published, until the core stops.
-    at: Option<(Node, Arc<dyn Clock>)>,
 }
 
 impl Module for Services {
@@ -186,40 +218,32 @@ impl Module for Services {
         let of_services = introspection_setting(setup, ServiceIntrospection::OF_SERVICES, services)?;
         let of_clients = introspection_setting(setup, ServiceIntrospection::OF_CLIENTS, clients)?;
         setup.on_change(of_services, move |module: &mut Self, ctx| {
-            module.introspect_services(chosen(ctx.get(of_services).as_str()));
+            let introspection = chosen(ctx.get(of_services).as_str());
+            module.on_worker(move |endpoints| endpoints.introspect_services(introspection));
         });
         setup.on_change(of_clients, move |module: &mut Self, ctx| {
-            module.introspect_clients(chosen(ctx.get(of_clients).as_str()));
+            let introspection = chosen(ctx.get(of_clients).as_str());
+            module.on_worker(move |endpoints| endpoints.introspect_clients(introspection));
         });
-        self.introspect_services(services);
-        self.introspect_clients(clients);
+        if let Some(endpoints) = &*self.endpoints.lock() {
+            endpoints.introspect_services(services);
+            endpoints.introspect_clients(clients);
+        }
         Ok(())
-    }
-
-    fn shutdown(&mut self, _ctx: &mut Context<'_>) {
-        self.introspect_clients(Introspection::Off);
-        self.offered.clear();
-        self.at = None;
     }
 }
 
 impl Services {
-    fn introspect_services(&self, introspection: Introspection) {
-        let Some((node, clock)) = &self.at else { return };
-        for service in &self.offered {
-            let configured =
-                service.configure_introspection(node, introspection, QosProfile::SERVICES, Arc::clone(clock));
-            tell(service.name(), configured);
-        }
-    }
-
-    fn introspect_clients(&self, introspection: Introspection) {
-        let Some((node, clock)) = &self.at else { return };
-        for client in self.clients.iter().filter_map(Weak::upgrade) {
-            let configured =
-                client.configure_introspection(node, introspection, QosProfile::SERVICES, Arc::clone(clock));
-            tell(client.name(), configured);
-        }
+    /// DDS does not run on the thread of the core.
+    fn on_worker(&self, change: impl FnOnce(&ServiceEndpoints) + Send + 'static) {
+        let endpoints = Arc::downgrade(&self.endpoints);
+        self.worker.run(move || {
+            if let Some(endpoints) = endpoints.upgrade()
+                && let Some(endpoints) = &*endpoints.lock()
+            {
+                change(endpoints);
+            }
+        });
     }
 }
 
@@ -241,7 +265,7 @@ fn chosen(setting: &str) -> Introspection {
     setting.parse().unwrap_or_default()
 }
 
-fn tell(service: &ServiceName, configured: Result<(), NodeError>) {
+fn log_failure(service: &ServiceName, configured: Result<(), NodeError>) {
     if let Err(error) = configured {
         tracing::warn!("events of service {service} are not published: {error}");
     }
@@ -278,7 +302,7 @@ fn offer(
     node.serve_raw(name, &ServiceType::new(service_type.name())?, QosProfile::SERVICES, Box::new(on_request))
 }
 
-/// The answer that says no, where the type has one.
+/// The negative response, if the type has one.
 fn refusal(service_type: KnownService, error: &EncodedCallError) -> Option<Bytes> {
     let message = match error {
         EncodedCallError::Call(CallError::Refused { reason, .. }) => reason.clone(),
@@ -303,21 +327,29 @@ fn client(node: &Node, exposure: &CallExposure) -> Result<RawClient, NodeError> 
     node.client_raw(name, &ServiceType::new(exposure.service_type.name())?, QosProfile::SERVICES)
 }
 
-/// Passes the calls of modules on.
+/// Sends the calls of modules to ROS 2.
 struct ToRos {
     client: Arc<RawClient>,
+    worker: WorkerLink,
     timeout: Duration,
     traffic: Arc<Traffic>,
 }
 
 impl RemoteCall for ToRos {
-    fn call(&mut self, request: Bytes, on_answer: Box<dyn FnOnce(Result<Bytes, String>) + Send>) {
-        let traffic = Arc::clone(&self.traffic);
-        self.client.call(request, self.timeout, move |result| {
-            let result = result.map_err(|error| error.to_string());
-            // The module that called is told; it says what it thinks worth a word.
-            traffic.count(&result.as_ref().map(drop));
-            on_answer(result);
+    fn call(
+        &mut self,
+        request: Box<dyn FnOnce() -> Bytes + Send>,
+        on_answer: Box<dyn FnOnce(Result<Bytes, String>) + Send>,
+    ) {
+        let (client, traffic, timeout) = (Arc::clone(&self.client), Arc::clone(&self.traffic), self.timeout);
+        // The thread of the core neither serializes nor writes.
+        self.worker.run(move || {
+            client.call(request(), timeout, move |result| {
+                let result = result.map_err(|error| error.to_string());
+                // The module that called receives the error, and decides whether to log it.
+                traffic.count(&result.as_ref().map(drop));
+                on_answer(result);
+            });
         });
     }
 }

@@ -160,7 +160,7 @@ impl RosTransition {
     }
 }
 
-/// Where a module is.
+/// The state of a module.
 pub(super) struct Track {
     now: RosState,
 }
@@ -177,7 +177,7 @@ impl Track {
     /// Goes on by a step; returns the transitions of rcl that it takes, from and to.
     ///
     /// A module that says no has failed, and one that panics is in error: what an rclcpp node is that answers `FAILURE` or
-    /// throws. There is no way out of that error but to be started again, which no transition tells.
+    /// throws. Only a restart ends that error, and no transition describes it.
     pub(super) fn follow(&mut self, step: LifeStep) -> Vec<(RosState, RosState)> {
         let path = match step {
             LifeStep::Begins { transition, from } => vec![from.into(), RosState::during(transition)],

@@ -30,14 +30,13 @@
 
 mod machine;
 mod node;
-mod teller;
 
 use crate::ros::{Node, NodeError, NodeName, Participant};
+use crate::worker::WorkerLink;
 use downbeat_executor::{Core, Listening};
 use node::LifecycleNode;
 use std::collections::BTreeMap;
-use std::sync::Arc;
-use teller::Teller;
+use std::sync::Weak;
 use thiserror::Error;
 
 /// A module to show as a managed node.
@@ -63,17 +62,14 @@ pub enum LifecycleError {
         /// Why not.
         error: NodeError,
     },
-    /// A thread could not be started.
-    #[error("starting a thread for the lifecycle of modules: {0}")]
-    Thread(#[from] std::io::Error),
 }
 
 /// Managed nodes, until they are dropped.
 pub struct LifecycleNodes {
-    // Fields drop in this order: nothing is told or asked any more when the last events are sent.
-    _listening: Listening,
+    /// `None` once they are dropped.
+    listening: Option<Listening>,
     nodes: Vec<LifecycleNode>,
-    _teller: Teller,
+    worker: WorkerLink,
 }
 
 /// Shows modules of a core as managed nodes: a node each.
@@ -86,7 +82,7 @@ pub fn expose_lifecycle(
     exposures: &[LifecycleExposure],
 ) -> Result<LifecycleNodes, LifecycleError> {
     let modules = core.modules();
-    let teller = Teller::start()?;
+    let worker = participant.worker();
     let mut nodes = Vec::with_capacity(exposures.len());
     for LifecycleExposure { module, node } in exposures {
         let Some(info) = modules.iter().find(|info| *info.name == **module) else {
@@ -94,17 +90,23 @@ pub fn expose_lifecycle(
         };
         let failed = |error| LifecycleError::Node { module: module.clone(), error };
         let node = participant.create_node(node.clone()).map_err(failed)?;
-        nodes.push(LifecycleNode::new(node, module, info.state, core.handle(), teller.events())?);
+        nodes.push(LifecycleNode::new(node, module, info.state, core.handle()).map_err(failed)?);
     }
     let followed: BTreeMap<_, _> =
         nodes.iter().map(|node| (node.module().to_owned(), node.followed())).collect();
-    let events = teller.events();
+    let publishing = worker.clone();
+    // Called on the threads of modules, which must not write to DDS.
     let listening = core.handle().on_transition(move |event| {
         if let Some(followed) = followed.get(&*event.module) {
-            events.tell(Arc::clone(followed), event.step);
+            let (followed, step) = (Weak::clone(followed), event.step);
+            publishing.run(move || {
+                if let Some(followed) = followed.upgrade() {
+                    followed.follow(step);
+                }
+            });
         }
     });
-    Ok(LifecycleNodes { _listening: listening, nodes, _teller: teller })
+    Ok(LifecycleNodes { listening: Some(listening), nodes, worker })
 }
 
 impl LifecycleNodes {
@@ -112,5 +114,13 @@ impl LifecycleNodes {
     #[must_use]
     pub fn nodes(&self) -> Vec<&Node> {
         self.nodes.iter().map(LifecycleNode::node).collect()
+    }
+}
+
+impl Drop for LifecycleNodes {
+    fn drop(&mut self) {
+        self.listening = None;
+        // The last events are published before the nodes are removed.
+        self.worker.flush();
     }
 }

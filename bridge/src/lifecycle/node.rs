@@ -1,12 +1,10 @@
 //! One module as a managed node.
 
-use super::LifecycleError;
 use super::machine::{RosState, RosTransition, STATES, TRANSITIONS, Track};
-use super::teller::Events;
 use crate::limiter::Limiter;
 use crate::ros::{MessageType, Node, NodeError, Publisher, Reply, Service};
-use crossbeam::channel::{Receiver, Sender, TrySendError, bounded};
-use downbeat_executor::{CoreHandle, LifeStep, LifecycleState};
+use crate::worker::{Mailbox, WorkerLink};
+use downbeat_executor::{CoreHandle, LifeStep, LifecycleState, Transition};
 use downbeat_msgs::lifecycle_msgs::msg::{Transition as TransitionMessage, TransitionEvent};
 use downbeat_msgs::lifecycle_msgs::srv::{
     ChangeState, ChangeStateResponse, GetAvailableStates, GetAvailableStatesResponse,
@@ -14,26 +12,28 @@ use downbeat_msgs::lifecycle_msgs::srv::{
 };
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::{Message, cdr};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread::JoinHandle;
+use parking_lot::Mutex;
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
-/// How long a module may take for a transition until the answer is that it failed; it may be made all the same.
+/// How long a module may take for a transition before the answer is that it failed; it may still be made later.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Requests for transitions that wait; what is above it is answered with a failure.
+/// How many requests for transitions wait; more are answered with a failure.
 const QUEUE: usize = 64;
 
 /// A managed node.
 pub(super) struct LifecycleNode {
-    // Fields drop in this order: nothing is asked any more when the thread ends.
     _services: [Service; 5],
-    _changes: Changes,
+    changes: Mailbox<Change>,
     followed: Arc<Followed>,
     node: Node,
 }
 
-/// Where a module is, and who is told.
+/// A request for a transition.
+type Change = (TransitionMessage, Reply<ChangeState>);
+
+/// The state of a module, and where its changes are published.
 pub(super) struct Followed {
     module: String,
     track: Mutex<Track>,
@@ -48,13 +48,20 @@ impl LifecycleNode {
         module: &str,
         state: LifecycleState,
         core: CoreHandle,
-        events: Events,
-    ) -> Result<Self, LifecycleError> {
-        let failed = |error| LifecycleError::Node { module: module.to_owned(), error };
-        let followed = Arc::new(Followed::new(&node, module, state).map_err(failed)?);
-        let changes = Changes::start(Changer { followed: Arc::clone(&followed), core, events })?;
-        let services = serve(&node, &followed, &changes).map_err(failed)?;
-        Ok(Self { _services: services, _changes: changes, followed, node })
+    ) -> Result<Self, NodeError> {
+        let followed = Arc::new(Followed::new(&node, module, state)?);
+        let changes = Mailbox::new(QUEUE);
+        let services = serve(&node, &followed, &changes)?;
+        let (worker, requests, weak) = (node.worker(), changes.clone(), Arc::downgrade(&followed));
+        // One transition of a module after the other; those of other modules do not wait for it.
+        worker.clone().spawn(async move {
+            while let Some((request, reply)) = requests.next().await {
+                let is_changed = change(&weak, &request, &core, &worker).await;
+                let Some(followed) = weak.upgrade() else { return };
+                followed.answer(reply, is_changed);
+            }
+        });
+        Ok(Self { _services: services, changes, followed, node })
     }
 
     pub(super) fn module(&self) -> &str {
@@ -65,25 +72,33 @@ impl LifecycleNode {
         &self.node
     }
 
-    pub(super) fn followed(&self) -> Arc<Followed> {
-        Arc::clone(&self.followed)
+    pub(super) fn followed(&self) -> Weak<Followed> {
+        Arc::downgrade(&self.followed)
+    }
+}
+
+impl Drop for LifecycleNode {
+    fn drop(&mut self) {
+        self.changes.close();
     }
 }
 
 /// The services of `rcl_lifecycle/src/com_interface.c`.
-fn serve(node: &Node, followed: &Arc<Followed>, changes: &Changes) -> Result<[Service; 5], NodeError> {
+fn serve(
+    node: &Node,
+    followed: &Arc<Followed>,
+    changes: &Mailbox<Change>,
+) -> Result<[Service; 5], NodeError> {
     let [of_changes, of_state, of_transitions] = std::array::from_fn(|_| Arc::clone(followed));
     let qos = QosProfile::SERVICES;
     let transitions = |transitions: &mut dyn Iterator<Item = RosTransition>| {
         let available_transitions = transitions.map(RosTransition::to_message).collect();
         GetAvailableTransitionsResponse { available_transitions }
     };
-    let jobs = changes.jobs.clone();
+    let changes = changes.clone();
     Ok([
         node.serve_later::<ChangeState>("~/change_state", qos, move |request, reply| {
-            if let Err(TrySendError::Full(Some((_, reply))) | TrySendError::Disconnected(Some((_, reply)))) =
-                jobs.try_send(Some((request.transition, reply)))
-            {
+            if let Err((_, reply)) = changes.push((request.transition, reply)) {
                 of_changes.answer(reply, false);
             }
         })?,
@@ -111,12 +126,12 @@ impl Followed {
     }
 
     fn now(&self) -> RosState {
-        self.track.lock().unwrap_or_else(PoisonError::into_inner).now()
+        self.track.lock().now()
     }
 
-    /// Goes on by a step, and tells it as rcl does: the states from and to, and nothing else.
+    /// Follows the module by a step, and publishes it as rcl does: the states from and to, and nothing else.
     pub(super) fn follow(&self, step: LifeStep) {
-        let taken = self.track.lock().unwrap_or_else(PoisonError::into_inner).follow(step);
+        let taken = self.track.lock().follow(step);
         for (start, goal) in taken {
             let event = TransitionEvent {
                 start_state: start.to_message(),
@@ -139,75 +154,42 @@ impl Followed {
     }
 }
 
-type Job = (TransitionMessage, Reply<ChangeState>);
-
-/// A thread of the node for requests: a transition takes as long as the module takes, and others do not wait for it.
-struct Changes {
-    jobs: Sender<Option<Job>>,
-    thread: Option<JoinHandle<()>>,
-}
-
-struct Changer {
-    followed: Arc<Followed>,
-    core: CoreHandle,
-    events: Events,
-}
-
-impl Changes {
-    fn start(changer: Changer) -> Result<Self, std::io::Error> {
-        let (jobs, received) = bounded(QUEUE);
-        let thread = std::thread::Builder::new()
-            .name("downbeat-change".into())
-            .spawn(move || changer.run(&received))?;
-        Ok(Self { jobs, thread: Some(thread) })
-    }
-}
-
-impl Drop for Changes {
-    fn drop(&mut self) {
-        // Fails only when the thread has ended.
-        let _ = self.jobs.send(None);
-        if let Some(thread) = self.thread.take()
-            && thread.join().is_err()
-        {
-            tracing::error!("the thread that changes the state of a module panicked");
+/// Returns true if the transition was made.
+async fn change(
+    followed: &Weak<Followed>,
+    request: &TransitionMessage,
+    core: &CoreHandle,
+    worker: &WorkerLink,
+) -> bool {
+    let Some((module, requested)) = requested(followed, request) else { return false };
+    let outcome = worker.within(PATIENCE, core.transition(&module, requested)).await.flatten();
+    // The steps of the transition are published before its answer.
+    worker.catch_up().await;
+    match outcome {
+        Some(Ok(_)) => true,
+        // The executor has logged why.
+        Some(Err(_)) => false,
+        None => {
+            tracing::error!(module, "{requested} was not made within {PATIENCE:?}; it may be made later");
+            false
         }
     }
 }
 
-impl Changer {
-    fn run(&self, jobs: &Receiver<Option<Job>>) {
-        while let Ok(Some((request, reply))) = jobs.recv() {
-            self.followed.answer(reply, self.change(&request));
-        }
+/// The module, and the transition that a request means in its state.
+fn requested(followed: &Weak<Followed>, request: &TransitionMessage) -> Option<(String, Transition)> {
+    let followed = followed.upgrade()?;
+    let (module, now) = (followed.module.clone(), followed.now());
+    let requested = RosTransition::requested(request, now).and_then(RosTransition::of_module);
+    if requested.is_none()
+        && let Some(left_out) = followed.lines.allow()
+    {
+        let (id, label) = (request.id, &request.label);
+        tracing::error!(
+            module,
+            "Unable to start transition {id} {label:?} from current state {}: Transition is not registered.{left_out}",
+            now.label()
+        );
     }
-
-    /// True if the transition was made.
-    fn change(&self, request: &TransitionMessage) -> bool {
-        let (module, now) = (&*self.followed.module, self.followed.now());
-        let requested = RosTransition::requested(request, now).and_then(RosTransition::of_module);
-        let Some(transition) = requested else {
-            let (id, label) = (request.id, &request.label);
-            if let Some(left_out) = self.followed.lines.allow() {
-                tracing::error!(
-                    module,
-                    "Unable to start transition {id} {label:?} from current state {}: Transition is not registered.{left_out}",
-                    now.label()
-                );
-            }
-            return false;
-        };
-        let outcome = self.core.transition(module, transition).wait(PATIENCE);
-        // So that who is answered and asks for the state is told the new one.
-        self.events.wait();
-        match outcome {
-            Some(Ok(_)) => true,
-            // The executor has told why.
-            Some(Err(_)) => false,
-            None => {
-                tracing::error!(module, "{transition} was not made within {PATIENCE:?}; it may be yet");
-                false
-            }
-        }
-    }
+    requested.map(|transition| (module, transition))
 }

@@ -1,7 +1,8 @@
-//! What an endpoint is, what it carries, and who it is.
+//! Endpoints, their samples and their identities.
 
 use bytes::Bytes;
 use downbeat_msgs::qos::{Durability, Liveliness, QosProfile, Reliability};
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::time::Duration;
 
@@ -37,7 +38,7 @@ impl fmt::Display for Gid {
     }
 }
 
-/// What to create: names as they stand on the wire, and the quality of service.
+/// The description of an endpoint: names on the wire, and quality of service.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Endpoint {
     /// The topic on the wire, such as `rt/joint_states`.
@@ -50,7 +51,7 @@ pub struct Endpoint {
     /// dead or best-effort reader can cost: about this number times the size of a sample. A transient local writer
     /// holds no more than the greater of 64 and its history depth.
     pub send_window: u32,
-    /// The hash of the type, `RIHS01_` and 64 hex digits, for engines that can tell it to others.
+    /// The hash of the type, `RIHS01_` and 64 hex digits, for engines that can announce it.
     pub type_hash: Option<String>,
 }
 
@@ -81,7 +82,7 @@ pub struct Sample {
     pub cdr: Bytes,
     /// When the writer wrote it, in nanoseconds since the Unix epoch, if it said so.
     pub source_time_ns: Option<i64>,
-    /// Who wrote it.
+    /// Its writer.
     pub writer: Gid,
     /// Its number among the samples of its writer, from 1.
     pub sequence_number: i64,
@@ -103,7 +104,7 @@ impl SampleIdentity {
     pub const UNKNOWN_NUMBER: i64 = -(1 << 32);
 }
 
-/// What a sample is written with besides its payload.
+/// Options of one write.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct WriteOptions {
     /// The sample it belongs to.
@@ -113,12 +114,24 @@ pub struct WriteOptions {
 }
 
 /// Which way samples go through an endpoint, seen from its owner.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Direction {
     /// It writes.
     Out,
     /// It reads.
     In,
+}
+
+impl Direction {
+    /// The key in robot files.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Out => "out",
+            Self::In => "in",
+        }
+    }
 }
 
 /// An endpoint of another participant.
@@ -142,8 +155,24 @@ pub struct RemoteEndpoint {
     pub lifespan: Option<Duration>,
     /// Offered or requested liveliness.
     pub liveliness: Liveliness,
-    /// How long a publisher may be silent before it counts as gone.
+    /// How long a publisher may be silent before it counts as not alive.
     pub liveliness_lease_duration: Option<Duration>,
-    /// The hash of the type, `RIHS01_` and 64 hex digits, where the peer tells it.
+    /// The hash of the type, `RIHS01_` and 64 hex digits, if the peer announces it.
     pub type_hash: Option<String>,
+}
+
+impl RemoteEndpoint {
+    /// Its policies as a profile. Discovery does not reveal the history.
+    #[must_use]
+    pub fn qos(&self) -> QosProfile {
+        QosProfile {
+            history: QosProfile::DEFAULT.history,
+            reliability: self.reliability,
+            durability: self.durability,
+            deadline: self.deadline,
+            lifespan: self.lifespan,
+            liveliness: self.liveliness,
+            liveliness_lease_duration: self.liveliness_lease_duration,
+        }
+    }
 }

@@ -1,4 +1,4 @@
-//! What can go wrong at the boundary to the engine.
+//! Errors at the boundary to the engine.
 
 use thiserror::Error;
 

@@ -1,22 +1,23 @@
-//! What endpoints are told of each other's quality of service.
+//! Events of endpoints: matches and quality of service.
 
 use super::Gid;
 use downbeat_msgs::qos::{Durability, Liveliness, QosProfile, Reliability};
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::time::Duration;
 
-/// Is told what happens to an endpoint. It runs on a thread of the middleware, so it must hand over and return.
+/// Handles the events of an endpoint. It runs on a thread of the middleware, so it must not block.
 pub type EventHandler = Box<dyn Fn(&EndpointEvent) + Send + Sync>;
 
 /// What happened to an endpoint: the statuses of DDS (DDS 1.4, 2.2.4.1) that `rmw` has events for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EndpointEvent {
-    /// An endpoint of another participant suits this one: samples go between them.
+    /// An endpoint of another participant was matched: samples go between them.
     Matched {
         /// The other.
         peer: Gid,
     },
-    /// One that did is gone.
+    /// A matched endpoint has disappeared.
     Unmatched {
         /// The other.
         peer: Gid,
@@ -63,7 +64,8 @@ pub enum Aliveness {
 }
 
 /// A policy that can keep a writer and a reader apart.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum QosPolicyKind {
     /// A latched writer is needed.
     Durability,

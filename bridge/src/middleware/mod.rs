@@ -33,8 +33,7 @@ use std::time::Duration;
 /// all readers of the participant share, so it must hand over and return.
 pub type SampleHandler = Box<dyn FnMut(Sample) + Send>;
 
-/// Is told that an endpoint was matched, or is matched no more. It runs on a thread of the middleware, so it must hand
-/// over and return.
+/// Handles changes of the matched endpoints. It runs on a thread of the middleware, so it must not block.
 pub type MatchHandler = Box<dyn Fn() + Send + Sync>;
 
 /// A participant of a domain: creates endpoints, and knows those of others. Its own readers hear its own writers as they
@@ -71,16 +70,16 @@ pub trait Writer: Send + Sync {
     /// The identity of this endpoint.
     fn gid(&self) -> Gid;
 
-    /// How many readers receive what is written now. A reliable reader counts once it has shown that it knows this writer.
+    /// The number of readers that receive what is written now. A reliable reader counts once it has shown that it knows this writer.
     fn matched(&self) -> usize;
 
     /// Which readers receive what is written now.
     fn matched_readers(&self) -> Vec<Gid>;
 
-    /// Has `handler` called whenever the matched readers have changed, from now on. It replaces the one before.
+    /// Registers a handler for changes of the matched readers, in place of the handler before.
     fn on_match(&self, handler: MatchHandler);
 
-    /// Has `handler` told what happens to this endpoint: first what holds already, then what changes. It replaces the one
+    /// Registers a handler for events of this endpoint: first the present state, then its changes. It replaces the handler
     /// before.
     fn on_event(&self, handler: EventHandler);
 
@@ -103,7 +102,7 @@ pub trait Writer: Send + Sync {
     /// sign of life.
     fn assert_liveliness(&self) {}
 
-    /// Waits until every matched reliable reader has acknowledged all samples, or for `timeout`; tells which.
+    /// Waits until every matched reliable reader has acknowledged all samples, at most for `timeout`. Returns true if all have.
     fn flush(&self, timeout: Duration) -> bool;
 }
 
@@ -112,16 +111,16 @@ pub trait Reader: Send + Sync {
     /// The identity of this endpoint.
     fn gid(&self) -> Gid;
 
-    /// How many writers are heard now.
+    /// The number of matched writers.
     fn matched(&self) -> usize;
 
     /// Which writers are heard now.
     fn matched_writers(&self) -> Vec<Gid>;
 
-    /// Has `handler` called whenever the matched writers have changed, from now on. It replaces the one before.
+    /// Registers a handler for changes of the matched writers, in place of the handler before.
     fn on_match(&self, handler: MatchHandler);
 
-    /// Has `handler` told what happens to this endpoint: first what holds already, then what changes. It replaces the one
+    /// Registers a handler for events of this endpoint: first the present state, then its changes. It replaces the handler
     /// before.
     fn on_event(&self, handler: EventHandler);
 }

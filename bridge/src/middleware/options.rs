@@ -8,7 +8,7 @@ use std::time::Duration;
 /// The highest domain whose UDP ports exist: port 7400 + 250 * domain must stay below 65536.
 pub const MAX_DOMAIN_ID: u16 = 232;
 
-/// How far participants look for each other.
+/// The range of discovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum DiscoveryRange {
     /// Nobody is found and nobody finds us.
@@ -67,11 +67,11 @@ impl FromStr for Engine {
 pub struct ParticipantOptions {
     /// The domain, 0 to [`MAX_DOMAIN_ID`].
     pub domain_id: u16,
-    /// How far to look.
+    /// The range of discovery.
     pub discovery_range: DiscoveryRange,
     /// `ROS_STATIC_PEERS`: hosts to announce to besides, by address or name.
     pub static_peers: Vec<String>,
-    /// `ROS_SECURITY_ENABLE`, which the engine cannot honour: told in a warning.
+    /// `ROS_SECURITY_ENABLE`, which the engine cannot honour: it logs a warning.
     pub wants_security: bool,
     /// The engine.
     pub engine: Engine,
@@ -83,7 +83,7 @@ impl ParticipantOptions {
     /// The lease of Fast DDS.
     pub const LEASE: Duration = Duration::from_secs(20);
 
-    /// Domain `domain_id`, and the range that ROS 2 takes unless told otherwise.
+    /// Domain `domain_id`, and the default range of ROS 2.
     #[must_use]
     pub fn new(domain_id: u16) -> Self {
         Self {
@@ -148,7 +148,7 @@ impl ParticipantOptions {
         Ok(Self { discovery_range, static_peers, wants_security, ..Self::new(domain_id) })
     }
 
-    /// What is asked for and cannot be done, each with what to do instead: a sentence for the log.
+    /// Requests of the environment that are not supported, each as a sentence for the log with an alternative.
     #[must_use]
     pub fn not_honoured(&self) -> Vec<String> {
         let mut sentences = Vec::new();
@@ -166,7 +166,7 @@ impl ParticipantOptions {
             )),
             DiscoveryRange::Localhost => sentences.push(format!(
                 "ROS_STATIC_PEERS={peers} cannot answer with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, unless they are on this \
-                 machine: the DDS engine tells them its address on the loopback interface only. Set it to SUBNET"
+                 machine: the DDS engine announces its address on the loopback interface only. Set it to SUBNET"
             )),
         }
         sentences
@@ -235,17 +235,17 @@ mod tests {
 
     #[test]
     fn what_cannot_be_honoured_is_told_with_what_to_do() {
-        let told = |variables: &[_]| options(variables).unwrap().not_honoured().join("\n");
+        let warnings = |variables: &[_]| options(variables).unwrap().not_honoured().join("\n");
         let peers = ("ROS_STATIC_PEERS", "10.0.0.7");
         let range = |value| ("ROS_AUTOMATIC_DISCOVERY_RANGE", value);
-        assert_eq!(told(&[peers]), "");
-        assert_eq!(told(&[peers, range("SUBNET")]), "");
+        assert_eq!(warnings(&[peers]), "");
+        assert_eq!(warnings(&[peers, range("SUBNET")]), "");
         for value in ["OFF", "LOCALHOST"] {
-            let text = told(&[peers, range(value)]);
+            let text = warnings(&[peers, range(value)]);
             assert!(text.contains("10.0.0.7") && text.contains(value) && text.contains("SUBNET"), "{text}");
         }
-        assert!(told(&[("ROS_SECURITY_ENABLE", "true")]).contains("Enforce"));
-        assert_eq!(told(&[peers, ("ROS_LOCALHOST_ONLY", "1")]), "", "as in rcl they are not there then");
+        assert!(warnings(&[("ROS_SECURITY_ENABLE", "true")]).contains("Enforce"));
+        assert_eq!(warnings(&[peers, ("ROS_LOCALHOST_ONLY", "1")]), "", "as in rcl they are not there then");
     }
 
     #[test]

@@ -32,7 +32,7 @@ impl<S: downbeat_msgs::Service> Client<S> {
         self.raw.is_available()
     }
 
-    /// Waits until a server is matched, or for `timeout`; tells which.
+    /// Waits until a server is matched, at most for `timeout`. Returns true if one is.
     #[must_use]
     pub fn wait_for_service(&self, timeout: Duration) -> bool {
         self.raw.wait_for_service(timeout)
@@ -121,7 +121,7 @@ impl RawClient {
         self.client.servers() > 0
     }
 
-    /// Waits until a server is matched, or for `timeout`; tells which.
+    /// Waits until a server is matched, at most for `timeout`. Returns true if one is.
     #[must_use]
     pub fn wait_for_service(&self, timeout: Duration) -> bool {
         self.client.wait_for_server(timeout)
@@ -136,16 +136,16 @@ impl RawClient {
     ) {
         let (_, client) = self.client.gids();
         let events = Arc::clone(&self.events);
-        // Held until the request is told of: its answer is not told before.
-        let telling = self.events.hold();
+        // Held until the event of the request is published: that of its answer follows.
+        let publishing = self.events.hold();
         let number = self.client.call(request.clone(), timeout, move |answer| {
             on_reply(answer.map(|Answer { number, cdr }| {
-                events.tell(Event::ResponseReceived, client, number, &cdr);
+                events.publish_event(Event::ResponseReceived, client, number, &cdr);
                 cdr
             }));
         });
         if let Some(number) = number {
-            telling.tell(Event::RequestSent, client, number, &request);
+            publishing.publish_event(Event::RequestSent, client, number, &request);
         }
     }
 
@@ -191,7 +191,8 @@ impl Node {
     ) -> Result<RawClient, NodeError> {
         let name = self.service_name(service)?;
         let shared = &self.membership.shared;
-        let client = RequestClient::new(&*shared.middleware, &shared.rpc, &name.endpoint(service_type, qos))?;
+        let client =
+            RequestClient::new(&*shared.middleware, &shared.worker, &name.endpoint(service_type, qos))?;
         let (reader, writer) = client.gids();
         let events = ServiceEvents::new(&name, service_type);
         Ok(RawClient {

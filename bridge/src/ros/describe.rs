@@ -1,13 +1,17 @@
-//! What a type looks like that only a node on the network knows: asked of a publisher by `get_type_description`.
+//! The definition of a type that only a node on the network knows: a publisher is asked by `get_type_description`.
 
 use super::node::Membership;
-use super::{MessageType, Node, NodeError, ServiceName, ServiceType, TopicName};
+use super::{Client, MessageType, Node, NodeError, ServiceName, ServiceType, Subscription, TopicName};
+use crate::edge::KnownType;
 use crate::middleware::rpc::CallError;
+use crate::worker::{WorkerLink, oneshot};
 use downbeat_msgs::dynamic::{Definitions, DescribedTypes, LookupError, TypeDefinition, TypeError};
 use downbeat_msgs::qos::QosProfile;
-use downbeat_msgs::type_description_interfaces::srv::{GetTypeDescription, GetTypeDescriptionRequest};
-use std::sync::Weak;
-use std::time::Duration;
+use downbeat_msgs::type_description_interfaces::srv::{
+    GetTypeDescription, GetTypeDescriptionRequest, GetTypeDescriptionResponse,
+};
+use std::sync::{Arc, Weak};
+use std::time::{Duration, Instant};
 use thiserror::Error;
 
 /// A type was not described.
@@ -15,7 +19,7 @@ use thiserror::Error;
 pub enum DescribeError {
     /// There is nobody to ask.
     #[error(
-        "no node is known that has topic {topic} with type {type_name} and tells its hash: it may not have been found yet, or be no node \
+        "no node is known that has topic {topic} with type {type_name} and announces its hash: it may not have been found yet, or be no node \
          of ROS 2"
     )]
     NobodyToAsk {
@@ -42,34 +46,20 @@ pub enum DescribeError {
         node: String,
         /// The type.
         type_name: String,
-        /// What it said.
+        /// Its reason.
         reason: String,
     },
-    /// What it described is not the type.
+    /// The description is not that of the type.
     #[error(transparent)]
     Type(#[from] TypeError),
-    /// What it described is not all of it.
+    /// The description is incomplete.
     #[error(transparent)]
     Lookup(#[from] LookupError),
 }
 
-/// A node that is not kept alive by this.
-pub(crate) struct WeakNode(Weak<Membership>);
-
-impl WeakNode {
-    /// The node, if it is still there.
-    pub(crate) fn upgrade(&self) -> Option<Node> {
-        self.0.upgrade().map(Node::of)
-    }
-}
-
 impl Node {
-    pub(crate) fn weak(&self) -> WeakNode {
-        WeakNode(self.downgrade())
-    }
-
-    /// Asks a node of another participant that has the topic what the type looks like, and waits for the answer. Not for
-    /// handlers of the middleware, which would wait for themselves.
+    /// Asks a node of another participant that has the topic for the definition of the type, and waits for the answer. Handlers of
+    /// the middleware must not call this: they would wait for themselves.
     ///
     /// # Errors
     /// [`DescribeError`] where nobody is known that could be asked, or the answer is none.
@@ -102,7 +92,6 @@ impl Node {
         Ok([describe(&requests, "Request")?, describe(&replies, "Response")?])
     }
 
-    /// `topic` as on the wire; `name` for errors.
     fn describe_endpoint(
         &self,
         topic: &str,
@@ -110,7 +99,16 @@ impl Node {
         message_type: &MessageType,
         timeout: Duration,
     ) -> Result<TypeDefinition, DescribeError> {
-        let (type_name, on_wire) = (message_type.as_str(), message_type.to_wire());
+        let inquiry = self.inquire(topic, name, message_type)?;
+        // If the service is missing the call reports it.
+        let _ = inquiry.client.wait_for_service(timeout);
+        let answer = inquiry.client.call_and_wait(&inquiry.request(), timeout);
+        inquiry.read(answer)
+    }
+
+    /// `topic` as on the wire; `name` for errors.
+    fn inquire(&self, topic: &str, name: &str, message_type: &MessageType) -> Result<Inquiry, DescribeError> {
+        let (type_name, on_wire) = (message_type.as_str().to_owned(), message_type.to_wire());
         let shared = &self.membership.shared;
         let endpoints = shared.middleware.remote_endpoints();
         let owners = shared.graph.remote_owners(&endpoints).owners;
@@ -119,26 +117,109 @@ impl Node {
             .filter(|endpoint| endpoint.topic_name == topic && endpoint.type_name == on_wire)
             .filter_map(|endpoint| Some((owners.get(&endpoint.gid)?.clone(), endpoint.type_hash.clone()?)));
         let Some((node, hash)) = known.next() else {
-            let (topic, type_name) = (name.to_owned(), type_name.to_owned());
-            return Err(DescribeError::NobodyToAsk { topic, type_name });
+            return Err(DescribeError::NobodyToAsk { topic: name.to_owned(), type_name });
         };
         let service = format!("{node}/get_type_description");
         let client = self.client::<GetTypeDescription>(&service, QosProfile::SERVICES)?;
-        // Where it is not there the call says so.
-        let _ = client.wait_for_service(timeout);
-        let request = GetTypeDescriptionRequest {
-            type_name: type_name.to_owned(),
-            type_hash: hash.clone(),
+        Ok(Inquiry { node, type_name, hash, client })
+    }
+}
+
+/// A question for the definition of a type.
+struct Inquiry {
+    /// The node to ask.
+    node: String,
+    type_name: String,
+    hash: String,
+    client: Client<GetTypeDescription>,
+}
+
+impl Inquiry {
+    fn request(&self) -> GetTypeDescriptionRequest {
+        GetTypeDescriptionRequest {
+            type_name: self.type_name.clone(),
+            type_hash: self.hash.clone(),
             include_type_sources: false,
-        };
-        let answer = client.call_and_wait(&request, timeout);
+        }
+    }
+
+    /// Asks, as a task of the worker.
+    async fn ask(self, worker: &WorkerLink) -> Result<TypeDefinition, DescribeError> {
+        let patience = Instant::now() + PATIENCE;
+        while !self.client.is_available() && Instant::now() < patience {
+            worker.sleep(LOOK).await;
+        }
+        let (sender, answer) = oneshot();
+        self.client.call(&self.request(), PATIENCE, move |result| sender.send(result));
+        let service = self.client.name().to_string();
+        let answer = answer.await.unwrap_or(Err(CallError::Closed { service }));
+        self.read(answer)
+    }
+
+    fn read(
+        self,
+        answer: Result<GetTypeDescriptionResponse, CallError>,
+    ) -> Result<TypeDefinition, DescribeError> {
+        let Self { node, type_name, hash, .. } = self;
         let answer = answer.map_err(|error| DescribeError::Call { node: node.clone(), error })?;
         if !answer.successful {
-            let (type_name, reason) = (type_name.to_owned(), answer.failure_reason);
-            return Err(DescribeError::Refused { node, type_name, reason });
+            return Err(DescribeError::Refused { node, type_name, reason: answer.failure_reason });
         }
         let mut described = DescribedTypes::new(&node);
         described.add(&answer.type_description, &hash)?;
-        Ok(Definitions::new().with(described).describe(type_name)?)
+        Ok(Definitions::new().with(described).describe(&type_name)?)
     }
+}
+
+/// Between two attempts: names of nodes that were there before take some seconds to come.
+const PAUSE: Duration = Duration::from_millis(500);
+
+/// How long a node may take to be found, and to answer.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// Between two looks whether a service is available.
+const LOOK: Duration = Duration::from_millis(10);
+
+/// Asks the publishers of a topic for the definition of a raw type that is unknown, until it is known or the subscription is
+/// dropped.
+pub(crate) fn learn(node: &Node, subscription: &Arc<Subscription>, message_type: KnownType) {
+    if !message_type.is_raw() || !message_type.hash().is_empty() {
+        return;
+    }
+    let (worker, node, subscription) = (node.worker(), node.downgrade(), Arc::downgrade(subscription));
+    worker.clone().spawn(async move {
+        let mut is_logged = false;
+        while message_type.hash().is_empty() {
+            worker.sleep(PAUSE).await;
+            let Some(inquiry) = inquire_publisher(&node, &subscription) else { return };
+            let definition = match inquiry {
+                Ok(None) => continue,
+                Ok(Some(inquiry)) => inquiry.ask(&worker).await,
+                Err(error) => Err(error),
+            };
+            match definition {
+                Ok(definition) => message_type.learn(definition),
+                Err(error) if !is_logged => {
+                    is_logged = true;
+                    tracing::debug!("{error}");
+                }
+                Err(_) => {}
+            }
+        }
+    });
+}
+
+/// `None` when the subscription or its node was dropped; no inquiry while there is no publisher.
+fn inquire_publisher(
+    node: &Weak<Membership>,
+    subscription: &Weak<Subscription>,
+) -> Option<Result<Option<Inquiry>, DescribeError>> {
+    let (node, subscription) = (Node::of(node.upgrade()?), subscription.upgrade()?);
+    if subscription.matched_publishers() == 0 {
+        return Some(Ok(None));
+    }
+    let topic = subscription.topic();
+    // The client of an inquiry does not keep the node.
+    let inquiry = node.by_itself().inquire(&topic.to_wire(), topic.as_str(), subscription.message_type());
+    Some(inquiry.map(Some))
 }

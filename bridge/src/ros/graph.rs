@@ -1,4 +1,4 @@
-//! Which node owns which endpoint: told to others, and heard from them, on the topic `ros_discovery_info`.
+//! Which node owns which endpoint: announced to others, and received from them, on the topic `ros_discovery_info`.
 //!
 //! Every participant writes one message with all its nodes and the identities of their endpoints, again whenever
 //! something changes; see `rmw_dds_common` (branch jazzy) and
@@ -6,15 +6,16 @@
 
 use super::network::Owners;
 use super::{MessageType, NodeName, TopicName};
-use crate::middleware::rpc::{RpcLink, TimeLimited};
 use crate::middleware::{
     Direction, Endpoint, Gid, Middleware, MiddlewareError, Reader, RemoteEndpoint, Sample, WriteError, Writer,
 };
+use crate::worker::{TimeLimited, WorkerLink};
 use downbeat_msgs::qos::{Durability, QosProfile};
 use downbeat_msgs::rmw_dds_common::msg::{Gid as GidMessage, NodeEntitiesInfo, ParticipantEntitiesInfo};
 use downbeat_msgs::{cdr, printable};
+use parking_lot::Mutex;
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
 /// At exit the last message gets this long to be sent, and as long to be acknowledged; on one machine it takes some
@@ -35,7 +36,7 @@ pub struct RemoteNode {
     pub endpoints: Vec<RemoteTopic>,
 }
 
-/// What a node of another participant does on a topic.
+/// An endpoint of a node of another participant on a topic.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct RemoteTopic {
     /// The absolute name of the topic.
@@ -46,28 +47,28 @@ pub struct RemoteTopic {
     pub is_published: bool,
 }
 
-/// The graph as one participant tells and hears it. Dropping it tells the others that its nodes are gone.
+/// The graph of one participant: its announcements and those of others. Dropping it announces that it has no nodes.
 pub(super) struct Graph {
     own: Arc<Own>,
     heard: Arc<Mutex<Heard>>,
     _reader: Box<dyn Reader>,
 }
 
-/// What is told to others.
+/// What is announced to others.
 struct Own {
     state: Mutex<OwnState>,
     writer: Box<dyn Writer>,
-    thread: RpcLink,
+    worker: WorkerLink,
 }
 
 struct OwnState {
     participant: Gid,
     nodes: BTreeMap<NodeName, OwnNode>,
-    untold: Option<Untold>,
+    unannounced: Option<Unannounced>,
 }
 
 /// The last message found no room in the send window, as when many endpoints come or go at once.
-struct Untold {
+struct Unannounced {
     again: Instant,
     wait: Duration,
 }
@@ -82,8 +83,8 @@ struct OwnNode {
 type Heard = BTreeMap<[u8; 12], ParticipantEntitiesInfo>;
 
 impl Graph {
-    /// What finds no room is told again on the thread.
-    pub(super) fn join(middleware: &dyn Middleware, thread: RpcLink) -> Result<Self, MiddlewareError> {
+    /// The worker writes messages again that found no room.
+    pub(super) fn join(middleware: &dyn Middleware, worker: WorkerLink) -> Result<Self, MiddlewareError> {
         // As rmw_dds_common does, but for the history of the reader: a message replaces the one before.
         let endpoint = Endpoint::new(
             "ros_discovery_info",
@@ -91,11 +92,11 @@ impl Graph {
             QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT.keep_last(1) },
         );
         let heard = Arc::<Mutex<Heard>>::default();
-        let state = OwnState { participant: middleware.gid(), nodes: BTreeMap::new(), untold: None };
+        let state = OwnState { participant: middleware.gid(), nodes: BTreeMap::new(), unannounced: None };
         let writer = middleware.create_writer(&endpoint)?;
-        let own = Arc::new(Own { state: Mutex::new(state), writer, thread });
-        let retold: Weak<dyn TimeLimited> = Arc::<Own>::downgrade(&own) as _;
-        own.thread.watch(retold);
+        let own = Arc::new(Own { state: Mutex::new(state), writer, worker });
+        let again: Weak<dyn TimeLimited> = Arc::<Own>::downgrade(&own) as _;
+        own.worker.watch(again);
         let hear = {
             // Not by the state, which is locked while its writer waits for this reader too.
             let (heard, own) = (Arc::clone(&heard), middleware.gid().participant());
@@ -108,19 +109,19 @@ impl Graph {
 
     /// Adds a node; false when the participant has one of that name already.
     pub(super) fn add_node(&self, node: &NodeName) -> bool {
-        let mut state = lock(&self.own.state);
+        let mut state = self.own.state.lock();
         if state.nodes.contains_key(node) {
             return false;
         }
         state.nodes.insert(node.clone(), OwnNode::default());
-        self.own.tell_change(&mut state);
+        self.own.announce_change(&mut state);
         true
     }
 
     pub(super) fn remove_node(&self, node: &NodeName) {
-        let mut state = lock(&self.own.state);
+        let mut state = self.own.state.lock();
         state.nodes.remove(node);
-        self.own.tell_change(&mut state);
+        self.own.announce_change(&mut state);
     }
 
     pub(super) fn add_endpoint(&self, node: &NodeName, direction: Direction, endpoint: Gid) {
@@ -132,22 +133,22 @@ impl Graph {
     }
 
     fn change(&self, node: &NodeName, direction: Direction, change: impl FnOnce(&mut BTreeSet<Gid>) -> bool) {
-        let mut state = lock(&self.own.state);
+        let mut state = self.own.state.lock();
         let Some(endpoints) = state.nodes.get_mut(node) else { return };
         let gids = match direction {
             Direction::In => &mut endpoints.readers,
             Direction::Out => &mut endpoints.writers,
         };
         if change(gids) {
-            self.own.tell_change(&mut state);
+            self.own.announce_change(&mut state);
         }
     }
 
-    /// The nodes of others, and whose endpoints are whose, by what they told.
+    /// The nodes of others and the owners of endpoints, as others announce them.
     pub(super) fn remote_owners(&self, endpoints: &[RemoteEndpoint]) -> Owners {
         let alive: BTreeSet<_> = endpoints.iter().map(|endpoint| endpoint.gid.participant()).collect();
         let mut owners = Owners::default();
-        for (_, info) in lock(&self.heard).iter().filter(|(participant, _)| alive.contains(*participant)) {
+        for (_, info) in self.heard.lock().iter().filter(|(participant, _)| alive.contains(*participant)) {
             for node in &info.node_entities_info_seq {
                 let name = full_name(node);
                 let gids = node.reader_gid_seq.iter().chain(&node.writer_gid_seq);
@@ -158,14 +159,15 @@ impl Graph {
         owners
     }
 
-    /// The nodes of others, by what they told and the endpoints that discovery found.
+    /// The nodes of others, as they announce them, with the endpoints that discovery found.
     pub(super) fn remote_nodes(&self, endpoints: &[RemoteEndpoint]) -> Vec<RemoteNode> {
         // A participant that vanished without a last word is known by having no endpoints any more.
         let alive: BTreeSet<_> = endpoints.iter().map(|endpoint| endpoint.gid.participant()).collect();
         let by_gid: BTreeMap<_, _> = endpoints.iter().map(|endpoint| (endpoint.gid, endpoint)).collect();
-        let heard = lock(&self.heard);
-        let told = heard.iter().filter(|(participant, _)| alive.contains(*participant));
-        told.flat_map(|(_, info)| &info.node_entities_info_seq)
+        let heard = self.heard.lock();
+        let announced = heard.iter().filter(|(participant, _)| alive.contains(*participant));
+        announced
+            .flat_map(|(_, info)| &info.node_entities_info_seq)
             .map(|node| {
                 let gids = node.reader_gid_seq.iter().chain(&node.writer_gid_seq);
                 let mut endpoints: Vec<_> =
@@ -178,31 +180,31 @@ impl Graph {
 }
 
 impl Own {
-    /// Tells a change, with those that wait for room, if some do.
-    fn tell_change(&self, state: &mut OwnState) {
-        if state.untold.is_none() {
-            self.tell(state);
+    /// Announces a change, together with changes that wait for room.
+    fn announce_change(&self, state: &mut OwnState) {
+        if state.unannounced.is_none() {
+            self.announce(state);
         }
     }
 
-    /// Tells all there is, now or as soon as there is room for it.
-    fn tell(&self, state: &mut OwnState) {
+    /// Announces all nodes, now or as soon as there is room for it.
+    fn announce(&self, state: &mut OwnState) {
         match self.write(state) {
-            Ok(()) => state.untold = None,
+            Ok(()) => state.unannounced = None,
             Err(WriteError::WindowFull) => {
-                let waited = state.untold.take().map(|untold| untold.wait);
+                let waited = state.unannounced.take().map(|unannounced| unannounced.wait);
                 let wait = waited.map_or(FIRST_WAIT, |waited| (waited * 2).min(LONGEST_WAIT));
                 if wait == LONGEST_WAIT && waited != Some(LONGEST_WAIT) {
                     tracing::warn!(
-                        "others do not acknowledge what we tell of our nodes: node lists may be out of date"
+                        "others do not acknowledge the announcements of our nodes: their node lists may be out of date"
                     );
                 }
-                state.untold = Some(Untold { again: Instant::now() + wait, wait });
-                self.thread.look_again();
+                state.unannounced = Some(Unannounced { again: Instant::now() + wait, wait });
+                self.worker.look_again();
             }
             Err(error) => {
-                state.untold = None;
-                tracing::warn!(%error, "telling others about our nodes failed: node lists may be out of date");
+                state.unannounced = None;
+                tracing::warn!(%error, "announcing our nodes failed: node lists of others may be out of date");
             }
         }
     }
@@ -222,9 +224,9 @@ impl Own {
         self.writer.write(cdr::to_vec(&info).into())
     }
 
-    /// Tells that there are no nodes any more, and waits until the others have heard it.
+    /// Announces that there are no nodes, and waits until others have acknowledged it.
     fn take_leave(&self, participant: Gid) {
-        let nobody = OwnState { participant, nodes: BTreeMap::new(), untold: None };
+        let nobody = OwnState { participant, nodes: BTreeMap::new(), unannounced: None };
         let start = Instant::now();
         while matches!(self.write(&nobody), Err(WriteError::WindowFull)) && start.elapsed() < FAREWELL {
             std::thread::sleep(FIRST_WAIT);
@@ -235,22 +237,22 @@ impl Own {
 
 impl TimeLimited for Own {
     fn due(&self) -> Option<Instant> {
-        lock(&self.state).untold.as_ref().map(|untold| untold.again)
+        self.state.lock().unannounced.as_ref().map(|unannounced| unannounced.again)
     }
 
     fn expire(&self, now: Instant) {
-        let mut state = lock(&self.state);
-        if state.untold.as_ref().is_some_and(|untold| untold.again <= now) {
-            self.tell(&mut state);
+        let mut state = self.state.lock();
+        if state.unannounced.as_ref().is_some_and(|unannounced| unannounced.again <= now) {
+            self.announce(&mut state);
         }
     }
 }
 
 impl Drop for Graph {
     fn drop(&mut self) {
-        let mut state = lock(&self.own.state);
+        let mut state = self.own.state.lock();
         state.nodes.clear();
-        state.untold = None;
+        state.unannounced = None;
         self.own.take_leave(state.participant);
     }
 }
@@ -263,9 +265,9 @@ fn hear(heard: &Mutex<Heard>, own: [u8; 12], sample: &Sample) {
                 return;
             }
             if info.node_entities_info_seq.is_empty() {
-                lock(heard).remove(&participant);
+                heard.lock().remove(&participant);
             } else {
-                lock(heard).insert(participant, info);
+                heard.lock().insert(participant, info);
             }
         }
         Err(error) => {
@@ -286,8 +288,4 @@ fn remote_topic(endpoint: &RemoteEndpoint) -> Option<RemoteTopic> {
         message_type: MessageType::from_wire(&endpoint.type_name)?,
         is_published: endpoint.direction == Direction::Out,
     })
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,11 +1,11 @@
-//! Endpoints of others that are on a topic and with which no messages are exchanged: told as rclcpp tells it.
+//! Endpoints of others on a topic that do not match: logged as rclcpp logs them.
 
 use super::TopicName;
 use crate::middleware::{Direction, EndpointEvent, EventHandler, QosPolicyKind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Whether it was told of one endpoint: that is done once, what comes after is for those who count.
+/// Whether a warning was logged for an endpoint: later events are only counted.
 #[derive(Clone, Default)]
 pub(super) struct Warned(Arc<AtomicBool>);
 
@@ -61,7 +61,7 @@ fn warning(topic: &TopicName, direction: Direction, policy: QosPolicyKind) -> St
             },
         ),
     };
-    format!("{what} Last incompatible policy: {policy}. To do: {remedy}; from now on this is only counted")
+    format!("{what} Last incompatible policy: {policy}. To do: {remedy}; further events are only counted")
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
-//! Service introspection: what services and clients do, published on `<service>/_service_event` for who looks on.
+//! Service introspection: events of services and clients, published on `<service>/_service_event`.
 //!
-//! As `rcl` does it (`rcl/src/rcl/service_event_publisher.c`, `service.c` and `client.c`, branch jazzy): a server tells when it
+//! As `rcl` does it (`rcl/src/rcl/service_event_publisher.c`, `service.c` and `client.c`, branch jazzy): a server publishes an event when it
 //! has received a request and sent a response, a client when it has sent a request and received a response.
 
 use super::{MessageType, Node, NodeError, Publisher, ServiceName, ServiceType};
@@ -11,21 +11,22 @@ use downbeat_msgs::builtin_interfaces::msg::Time;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::service_msgs::msg::ServiceEventInfo;
 use downbeat_msgs::std_srvs::srv::Empty;
+use parking_lot::{Mutex, MutexGuard};
 use std::fmt;
 use std::str::FromStr;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use thiserror::Error;
 
-/// How much of what a service does is published.
+/// How much of the events of a service is published.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Introspection {
     /// Nothing.
     #[default]
     Off,
-    /// Who and when.
+    /// The client and the time.
     Metadata,
-    /// That, and requests and responses.
+    /// The same, with requests and responses.
     Contents,
 }
 
@@ -58,7 +59,7 @@ impl fmt::Display for Introspection {
     }
 }
 
-/// What has happened to a request; the values are those of `service_msgs/msg/ServiceEventInfo`.
+/// A step of a request; the values are those of `service_msgs/msg/ServiceEventInfo`.
 #[derive(Clone, Copy)]
 pub(super) enum Event {
     RequestSent = 0,
@@ -100,7 +101,7 @@ impl ServiceEvents {
         qos: QosProfile,
         clock: Arc<dyn Clock>,
     ) -> Result<(), NodeError> {
-        let mut active = self.lock();
+        let mut active = self.active.lock();
         let before = active.take();
         if introspection == Introspection::Off {
             return Ok(());
@@ -132,28 +133,24 @@ impl ServiceEvents {
         Ok(())
     }
 
-    /// What is held while a request is sent, so that no answer is told before it.
-    pub(super) fn hold(&self) -> Telling<'_> {
-        Telling { events: self, active: self.lock() }
+    /// Locked while a request is sent, so that the event of its answer follows that of the request.
+    pub(super) fn hold(&self) -> Publishing<'_> {
+        Publishing { events: self, active: self.active.lock() }
     }
 
-    pub(super) fn tell(&self, event: Event, client: Gid, number: i64, cdr: &[u8]) {
-        self.hold().tell(event, client, number, cdr);
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Option<Active>> {
-        self.active.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(super) fn publish_event(&self, event: Event, client: Gid, number: i64, cdr: &[u8]) {
+        self.hold().publish_event(event, client, number, cdr);
     }
 }
 
-pub(super) struct Telling<'a> {
+pub(super) struct Publishing<'a> {
     events: &'a ServiceEvents,
     active: MutexGuard<'a, Option<Active>>,
 }
 
-impl Telling<'_> {
+impl Publishing<'_> {
     /// Publishes an event where somebody hears it; `cdr` is the request or the response.
-    pub(super) fn tell(&self, event: Event, client: Gid, number: i64, cdr: &[u8]) {
+    pub(super) fn publish_event(&self, event: Event, client: Gid, number: i64, cdr: &[u8]) {
         let Some(active) = &*self.active else { return };
         if active.publisher.matched_subscriptions() == 0 {
             return;
@@ -169,14 +166,17 @@ impl Telling<'_> {
             Event::RequestSent | Event::RequestReceived => EventContent::Request(cdr),
             Event::ResponseSent | Event::ResponseReceived => EventContent::Response(cdr),
         };
-        let told = (active.encode)(info, content)
+        let published = (active.encode)(info, content)
             .map_err(|error| error.to_string())
             .and_then(|event| active.publisher.publish(event.into()).map_err(|error| error.to_string()));
-        if let Err(error) = told
+        if let Err(error) = published
             && !self.events.has_failed.swap(true, Ordering::Relaxed)
         {
             let topic = &self.events.topic;
-            tracing::warn!(topic, "an event of a service was not published: {error}; told once");
+            tracing::warn!(
+                topic,
+                "an event of a service was not published: {error}; further errors are not logged"
+            );
         }
     }
 }

@@ -10,7 +10,6 @@ mod network;
 mod node;
 mod participant;
 mod publisher;
-mod qos;
 mod remap;
 mod service;
 mod service_name;
@@ -19,6 +18,7 @@ mod type_description;
 
 pub use client::{Client, RawClient};
 pub use describe::DescribeError;
+pub(crate) use describe::learn;
 pub use graph::{RemoteNode, RemoteTopic};
 pub use introspection::{Introspection, UnknownIntrospection};
 pub use names::{MessageType, NameError, NodeName, TopicName};
@@ -26,8 +26,9 @@ pub use network::{EndpointKind, Found, FoundEndpoint, FoundNode};
 pub use node::Node;
 pub use participant::{Furnishing, NodeError, Participant};
 pub use publisher::Publisher;
-pub use qos::{Policy, QosRequest};
 pub use remap::{Named, ParameterRule, Remap, RemapRule, RemapRules, RuleError};
 pub use service::{Reply, Service};
 pub use service_name::{ServiceName, ServiceType};
 pub use subscription::Subscription;
+
+pub use downbeat_msgs::qos::{Policy, QosRequest};

@@ -1,4 +1,4 @@
-//! What a participant has found in its domain: nodes, and what they publish, subscribe to, offer and call.
+//! The nodes and endpoints that a participant has discovered.
 
 use super::{MessageType, Participant, ServiceName, TopicName};
 use crate::middleware::{Direction, Gid, RemoteEndpoint};
@@ -7,7 +7,7 @@ use downbeat_msgs::qos::{Durability, Liveliness, Reliability};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// What a participant has found of others at one moment.
+/// The nodes and endpoints that a participant has discovered at one moment.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Found {
     /// Nodes, in the order of their names. Several may have the same name.
@@ -25,10 +25,10 @@ pub struct FoundNode {
     pub participant: Gid,
 }
 
-/// What a node of another participant does on a topic or with a service.
+/// An endpoint of a node of another participant on a topic or service.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FoundEndpoint {
-    /// What it does.
+    /// Its role.
     pub kind: EndpointKind,
     /// The absolute name of the topic or service.
     pub name: String,
@@ -40,7 +40,7 @@ pub struct FoundEndpoint {
     pub remote: RemoteEndpoint,
 }
 
-/// What a node does with a name.
+/// The role of a node on a topic or service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum EndpointKind {
     /// Publishes a topic.

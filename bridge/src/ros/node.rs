@@ -1,11 +1,13 @@
 //! Nodes: a name in the graph, and the endpoints under it.
 
 use super::participant::Shared;
-use super::{NameError, NodeError, NodeName, Participant, QosRequest, ServiceName, TopicName};
-use crate::middleware::{Direction, Gid};
-use downbeat_msgs::qos::QosProfile;
+use super::{NameError, NodeError, NodeName, Participant, ServiceName, TopicName};
+use crate::middleware::{Direction, Gid, RemoteEndpoint};
+use crate::worker::WorkerLink;
+use downbeat_msgs::qos::{QosProfile, QosRequest};
+use parking_lot::Mutex;
 use std::any::Any;
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 
 /// A ROS 2 node. It is in the graph of the others until it and its publishers and subscriptions are dropped.
 #[derive(Clone)]
@@ -18,14 +20,14 @@ pub struct Node {
 pub(super) struct Membership {
     pub(super) shared: Arc<Shared>,
     pub(super) name: NodeName,
-    /// What goes with the node.
+    /// Dropped with the node.
     attached: Mutex<Vec<Box<dyn Any + Send>>>,
 }
 
 impl Drop for Membership {
     fn drop(&mut self) {
         self.shared.graph.remove_node(&self.name);
-        let attached = std::mem::take(&mut *self.attached.lock().unwrap_or_else(PoisonError::into_inner));
+        let attached = std::mem::take(&mut *self.attached.lock());
         // Before the participant, which may go with this node.
         drop(attached);
     }
@@ -53,7 +55,7 @@ impl Node {
     /// [`NodeError`] when a remapping rule gives it a name that is not valid, or one that another node has.
     pub fn sibling(&self, name: &NodeName) -> Result<Self, NodeError> {
         let shared = &self.membership.shared;
-        let found = shared.nodes().get(name).and_then(Weak::upgrade);
+        let found = shared.nodes.lock().get(name).and_then(Weak::upgrade);
         match found {
             Some(membership) => Ok(Self { membership, is_by_itself: false }),
             None => Participant { shared: Arc::clone(shared) }.create_node(name.clone()),
@@ -90,9 +92,9 @@ impl Node {
         Self { membership: Arc::clone(&self.membership), is_by_itself: true }
     }
 
-    /// Keeps something until the node is gone from the graph. It must not hold the node.
+    /// Keeps something until the node disappears from the graph. It must not hold the node.
     pub fn attach(&self, thing: impl Any + Send) {
-        let mut attached = self.membership.attached.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut attached = self.membership.attached.lock();
         attached.push(Box::new(thing));
     }
 
@@ -112,7 +114,7 @@ impl Node {
         self.membership.shared.remaps.service(ServiceName::expand(service, self.name())?, self.name())
     }
 
-    /// What to offer or request on a topic now, in view of the endpoints of others that are known.
+    /// Resolves what to offer or request on a topic, by the known endpoints of others.
     ///
     /// # Errors
     /// [`NameError`] when ROS 2 does not accept the name of the topic.
@@ -128,7 +130,12 @@ impl Node {
         let topic = self.topic_name(topic)?.to_wire();
         let mut peers = self.membership.shared.middleware.remote_endpoints();
         peers.retain(|peer| peer.topic_name == topic);
-        Ok(request.resolve(direction, &peers))
+        Ok(resolve(request, direction, &peers))
+    }
+
+    /// The worker of the participant.
+    pub(crate) fn worker(&self) -> WorkerLink {
+        self.participant().worker()
     }
 
     pub(super) fn hold(&self) -> Hold {
@@ -143,7 +150,17 @@ impl Node {
     }
 }
 
-/// What an endpoint has of its node.
+/// `peers` of the same direction have no influence.
+fn resolve(request: &QosRequest, direction: Direction, peers: &[RemoteEndpoint]) -> QosProfile {
+    let others = peers.iter().filter(|peer| peer.direction != direction);
+    let others: Vec<_> = others.map(RemoteEndpoint::qos).collect();
+    match direction {
+        Direction::Out => request.offered_to(&others),
+        Direction::In => request.requested_of(&others),
+    }
+}
+
+/// The handle that an endpoint has of its node.
 #[derive(Clone)]
 pub(super) enum Hold {
     /// The node is there as long as the endpoint.
@@ -169,7 +186,7 @@ impl Listed {
 }
 
 impl Hold {
-    /// Nothing if the node is gone from the graph, and with it all its entries.
+    /// `None` if the node has disappeared from the graph, with all its entries.
     fn membership(&self) -> Option<Arc<Membership>> {
         match self {
             Self::Keeps(membership) => Some(Arc::clone(membership)),
@@ -183,5 +200,31 @@ impl Drop for Listed {
         if let Some(membership) = self.hold.membership() {
             membership.shared.graph.remove_endpoint(&membership.name, self.direction, self.endpoint);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use downbeat_msgs::qos::Reliability;
+
+    #[test]
+    fn endpoints_of_the_same_direction_do_not_decide_on_qos() {
+        let qos = QosProfile::SENSOR_DATA;
+        let subscription = RemoteEndpoint {
+            gid: Gid::default(),
+            direction: Direction::In,
+            topic_name: "rt/t".into(),
+            type_name: "T".into(),
+            reliability: qos.reliability,
+            durability: qos.durability,
+            deadline: qos.deadline,
+            lifespan: qos.lifespan,
+            liveliness: qos.liveliness,
+            liveliness_lease_duration: qos.liveliness_lease_duration,
+            type_hash: None,
+        };
+        let best = resolve(&QosRequest::BEST_AVAILABLE, Direction::In, &[subscription]);
+        assert_eq!(best.reliability, Reliability::Reliable, "it is not a publisher");
     }
 }

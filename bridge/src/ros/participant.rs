@@ -4,12 +4,13 @@ use super::graph::{Graph, RemoteNode};
 use super::node::Membership;
 use super::{NameError, Node, NodeName, RemapRules, type_description};
 use crate::edge::Interfaces;
-use crate::middleware::rpc::RpcThread;
 use crate::middleware::{self, Middleware, MiddlewareError, ParticipantOptions, RemoteEndpoint};
+use crate::worker::{Worker, WorkerLink};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::type_description_interfaces::srv::GetTypeDescription;
+use parking_lot::Mutex;
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 use thiserror::Error;
 
 /// A node or one of its endpoints could not be created.
@@ -26,10 +27,10 @@ pub enum NodeError {
     Middleware(#[from] MiddlewareError),
 }
 
-/// What all nodes of a process share: one participant of the domain.
+/// One participant of the domain, which all nodes of a process share.
 ///
-/// When the last node, publisher and subscription made from it is dropped too, it leaves the domain: its nodes are
-/// gone from the graph of the others at once, and its threads have ended when the drop returns.
+/// When the last node, publisher and subscription made from it is dropped too, it leaves the domain: its nodes
+/// disappear from the graph of others at once, and its threads have ended when the drop returns.
 #[derive(Clone)]
 pub struct Participant {
     pub(super) shared: Arc<Shared>,
@@ -38,19 +39,19 @@ pub struct Participant {
 pub(super) struct Shared {
     // Fields drop in this order: the graph takes leave before the participant goes.
     pub(super) graph: Graph,
-    pub(super) rpc: RpcThread,
+    pub(super) worker: Worker,
     pub(super) middleware: Arc<dyn Middleware>,
     pub(super) remaps: RemapRules,
     pub(super) interfaces: Interfaces,
     /// The nodes there are, by the names they were asked for.
-    nodes: Mutex<BTreeMap<NodeName, Weak<Membership>>>,
-    /// What gives each new node the endpoints that all nodes have.
+    pub(super) nodes: Mutex<BTreeMap<NodeName, Weak<Membership>>>,
+    /// Functions that give each new node the endpoints that all nodes have.
     furnishers: Mutex<Vec<Weak<Furnisher>>>,
 }
 
 type Furnisher = dyn Fn(&Node) -> Result<(), NodeError> + Send + Sync;
 
-/// Has new nodes furnished until it is dropped, see [`Participant::furnish`].
+/// Keeps the registration of [`Participant::furnish`] until it is dropped.
 pub struct Furnishing {
     _furnisher: Arc<Furnisher>,
 }
@@ -64,8 +65,8 @@ impl Participant {
         Self::on(middleware::join(options)?)
     }
 
-    /// Joins the domain that the options name; the rules apply to all names of its nodes. What its endpoints tell of their types,
-    /// and what its nodes answer about types, comes from `interfaces`.
+    /// Joins the domain that the options name; the rules apply to all names of its nodes. `interfaces` has the types that its endpoints
+    /// announce and its nodes describe.
     ///
     /// # Errors
     /// [`MiddlewareError`] when the domain cannot be joined.
@@ -94,10 +95,10 @@ impl Participant {
         remaps: RemapRules,
         interfaces: Interfaces,
     ) -> Result<Self, MiddlewareError> {
-        let rpc = RpcThread::start().map_err(MiddlewareError::ServiceThread)?;
-        let graph = Graph::join(&*middleware, rpc.link())?;
+        let worker = Worker::start().map_err(MiddlewareError::ServiceThread)?;
+        let graph = Graph::join(&*middleware, worker.link())?;
         let (nodes, furnishers) = (Mutex::default(), Mutex::default());
-        let shared = Shared { graph, rpc, middleware, remaps, interfaces, nodes, furnishers };
+        let shared = Shared { graph, worker, middleware, remaps, interfaces, nodes, furnishers };
         Ok(Self { shared: Arc::new(shared) })
     }
 
@@ -120,13 +121,17 @@ impl Participant {
             move |request| type_description::answer(&interfaces, &request),
         )?;
         node.attach(service);
-        let furnishers: Vec<_> = self.shared.furnishers().iter().filter_map(Weak::upgrade).collect();
+        let furnishers: Vec<_> = self.shared.furnishers.lock().iter().filter_map(Weak::upgrade).collect();
         furnishers.iter().try_for_each(|furnish| furnish(&node.by_itself()))?;
-        self.shared.nodes().insert(given, node.downgrade());
+        self.shared.nodes.lock().insert(given, node.downgrade());
         Ok(node)
     }
 
-    /// Has `furnish` called with each node that is created from now on, until the value returned is dropped: for the
+    pub(crate) fn worker(&self) -> WorkerLink {
+        self.shared.worker.link()
+    }
+
+    /// Calls `furnish` with each node that is created from now on, until the returned value is dropped: for the
     /// endpoints that all nodes of a program have. Those that are made from the node it is given go when the node goes,
     /// and are given to [`Node::attach`] for that.
     #[must_use = "it ends when it is dropped"]
@@ -135,7 +140,7 @@ impl Participant {
         furnish: impl Fn(&Node) -> Result<(), NodeError> + Send + Sync + 'static,
     ) -> Furnishing {
         let furnisher: Arc<Furnisher> = Arc::new(furnish);
-        let mut furnishers = self.shared.furnishers();
+        let mut furnishers = self.shared.furnishers.lock();
         furnishers.retain(|furnisher| furnisher.strong_count() > 0);
         furnishers.push(Arc::downgrade(&furnisher));
         Furnishing { _furnisher: furnisher }
@@ -157,15 +162,5 @@ impl Participant {
     #[must_use]
     pub fn remote_nodes(&self) -> Vec<RemoteNode> {
         self.shared.graph.remote_nodes(&self.shared.middleware.remote_endpoints())
-    }
-}
-
-impl Shared {
-    pub(super) fn nodes(&self) -> MutexGuard<'_, BTreeMap<NodeName, Weak<Membership>>> {
-        self.nodes.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn furnishers(&self) -> MutexGuard<'_, Vec<Weak<Furnisher>>> {
-        self.furnishers.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -1,4 +1,4 @@
-//! What a node publishes.
+//! Publishers of nodes.
 
 use super::incompatible::Warned;
 use super::node::{Hold, Listed};
@@ -47,8 +47,8 @@ impl Publisher {
         self.writer.matched()
     }
 
-    /// Has `handler` told what happens to the quality of service of this publisher: what holds already, then what changes.
-    /// It runs on a thread of the middleware, so it must hand over and return. It replaces the one before.
+    /// Registers a handler for events of the quality of service of this publisher: first the present state, then its changes. It runs on a
+    /// thread of the middleware, so it must not block, and replaces the handler before.
     pub fn on_event(&self, handler: EventHandler) {
         self.writer.on_event(self.warned.and(&self.topic, Direction::Out, handler));
     }

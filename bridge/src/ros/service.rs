@@ -126,14 +126,14 @@ fn typed<S: downbeat_msgs::Service>(
     })
 }
 
-/// Tells of each request and its response.
+/// Publishes events of each request and its response.
 fn observed(events: Arc<ServiceEvents>, mut on_request: RequestHandler) -> RequestHandler {
     Box::new(move |mut request: IncomingRequest| {
         let (client, number, events) = (request.request_client, request.number, Arc::clone(&events));
-        events.tell(Event::RequestReceived, client, number, &request.cdr);
+        events.publish_event(Event::RequestReceived, client, number, &request.cdr);
         request.responder = request
             .responder
-            .when_sent(move |response| events.tell(Event::ResponseSent, client, number, response));
+            .when_sent(move |response| events.publish_event(Event::ResponseSent, client, number, response));
         on_request(request);
     })
 }
@@ -188,7 +188,7 @@ impl Node {
         let endpoint = name.endpoint(service_type, qos);
         let events = ServiceEvents::new(&name, service_type);
         let on_request = observed(Arc::clone(&events), on_request);
-        let server = RequestServer::new(&*shared.middleware, &shared.rpc, &endpoint, on_request)?;
+        let server = RequestServer::new(&*shared.middleware, &shared.worker, &endpoint, on_request)?;
         let (reader, writer) = server.gids();
         Ok(Service {
             name,

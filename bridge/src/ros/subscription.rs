@@ -1,4 +1,4 @@
-//! What a node hears.
+//! Subscriptions of nodes.
 
 use super::incompatible::Warned;
 use super::node::{Hold, Listed};
@@ -44,8 +44,8 @@ impl Subscription {
         self.reader.matched()
     }
 
-    /// Has `handler` told what happens to the quality of service of this subscription: what holds already, then what
-    /// changes. It runs on a thread of the middleware, so it must hand over and return. It replaces the one before.
+    /// Registers a handler for events of the quality of service of this subscription: first the present state, then its changes. It runs on a
+    /// thread of the middleware, so it must not block, and replaces the handler before.
     pub fn on_event(&self, handler: EventHandler) {
         self.reader.on_event(self.warned.and(&self.topic, Direction::In, handler));
     }

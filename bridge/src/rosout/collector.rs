@@ -1,17 +1,18 @@
-//! From the threads that log to the one that publishes.
+//! The queue between the threads that log and the thread that publishes.
 
 use super::LogLine;
 use super::of_node::OfModules;
 use crossbeam::queue::ArrayQueue;
 use crossbeam::sync::{Parker, Unparker};
+use parking_lot::Mutex;
 use std::cell::Cell;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use tracing::{Event, Subscriber};
 use tracing_subscriber::Layer;
 use tracing_subscriber::layer::Context;
 
-/// Lines that wait, for a node or for the thread that publishes; as many as `/rosout` keeps for those that come late.
+/// How many lines wait for a node or for the thread that publishes; as many as `/rosout` keeps for late subscriptions.
 const WAITING: usize = 1000;
 
 thread_local! {
@@ -20,26 +21,25 @@ thread_local! {
 
 /// Collects lines from all threads for `/rosout`. Clones share the lines.
 ///
-/// From the start it keeps the first 1000 lines, so that those from before there is a node are published too. What does
-/// not fit is dropped and counted; who reads `/rosout` is told how many lines are missing.
+/// It keeps the first 1000 lines until there is a node, which then publishes them. Lines that do not fit are dropped and counted; a line on `/rosout` reports how many are missing.
 #[derive(Clone)]
 pub struct Rosout {
     pub(super) shared: Arc<Shared>,
 }
 
-/// What has become of the lines so far.
+/// Counts of lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RosoutStatus {
     /// Lines that were published.
     pub published: u64,
     /// Lines that were dropped since too many waited.
     pub dropped: u64,
-    /// Lines that the middleware did not take.
+    /// Lines that the middleware refused.
     pub failed: u64,
 }
 
-/// Gives the events of `tracing` to a [`Rosout`]. What the thread that publishes logs itself is left out: a line about a
-/// line that could not be sent would be the next that cannot be sent.
+/// Passes the events of `tracing` to a [`Rosout`], but for those of the thread that publishes: a line about a failed line would
+/// fail, too.
 pub struct RosoutLayer {
     rosout: Rosout,
 }
@@ -52,7 +52,7 @@ pub(super) struct Shared {
     pub(super) dropped: AtomicU64,
     pub(super) failed: AtomicU64,
     pub(super) unparker: Unparker,
-    /// Here while no thread publishes.
+    /// `None` while a thread publishes.
     pub(super) parker: Mutex<Option<Parker>>,
 }
 
@@ -82,7 +82,7 @@ impl Rosout {
         RosoutLayer { rosout: self.clone() }
     }
 
-    /// Takes a line to publish. Never waits.
+    /// Queues a line to publish. Never blocks.
     pub fn log(&self, line: LogLine) {
         let shared = &*self.shared;
         if shared.is_off.load(Ordering::Relaxed) || PUBLISHES.get() {
@@ -94,13 +94,13 @@ impl Rosout {
         shared.unparker.unpark();
     }
 
-    /// Forgets what was collected and collects no more: for a program that has no `/rosout`.
+    /// Drops all lines and collects no more: for a program without `/rosout`.
     pub fn turn_off(&self) {
         self.shared.is_off.store(true, Ordering::Relaxed);
         while self.take().is_some() {}
     }
 
-    /// What has become of the lines so far.
+    /// Counts of lines so far.
     #[must_use]
     pub fn status(&self) -> RosoutStatus {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
@@ -110,10 +110,6 @@ impl Rosout {
 
     pub(super) fn take(&self) -> Option<LogLine> {
         self.shared.queue.pop()
-    }
-
-    pub(super) fn parker(&self) -> std::sync::MutexGuard<'_, Option<Parker>> {
-        self.shared.parker.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -125,14 +121,14 @@ impl Default for Rosout {
 
 impl<S: Subscriber> Layer<S> for RosoutLayer {
     fn on_event(&self, event: &Event<'_>, _ctx: Context<'_, S>) {
-        // Looked at before the line is made.
+        // Checked before the line is formatted.
         if !PUBLISHES.get() && !self.rosout.shared.is_off.load(Ordering::Relaxed) {
             self.rosout.log(LogLine::of(event));
         }
     }
 }
 
-/// Says that this thread publishes: nothing that it logs is collected from now on.
+/// Marks this thread as the one that publishes: its events are not collected.
 pub(super) fn mark_this_thread() {
     PUBLISHES.set(true);
 }

@@ -1,8 +1,9 @@
 //! The levels of loggers, as ROS 2 tools read and set them while a program runs.
 
 use super::Severity;
+use parking_lot::RwLock;
 use std::collections::BTreeMap;
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::Arc;
 use thiserror::Error;
 
 /// Names come from outside.
@@ -30,7 +31,7 @@ const ROOT: &str = "";
 #[derive(Clone, Debug, Default)]
 pub struct LoggerLevels {
     by_name: Arc<RwLock<BTreeMap<String, Severity>>>,
-    /// What the program was started with, nothing for info.
+    /// The level at the start of the program; `None` for info.
     start: Option<Severity>,
 }
 
@@ -43,7 +44,7 @@ pub struct TooManyLoggers {
 }
 
 impl LoggerLevels {
-    /// The levels of a program that writes from this severity on; it is what is told of the root logger.
+    /// The levels of a program that writes from this severity on; it is reported for the root logger.
     #[must_use]
     pub fn starting_at(level: Severity) -> Self {
         Self { start: Some(level), ..Self::default() }
@@ -55,7 +56,7 @@ impl LoggerLevels {
     /// [`TooManyLoggers`] where 1024 loggers have one.
     pub fn set(&self, logger: &str, level: Option<Severity>) -> Result<(), TooManyLoggers> {
         {
-            let mut by_name = self.by_name.write().unwrap_or_else(PoisonError::into_inner);
+            let mut by_name = self.by_name.write();
             match level {
                 None => drop(by_name.remove(logger)),
                 Some(_) if by_name.len() >= MOST_LOGGERS && !by_name.contains_key(logger) => {
@@ -72,14 +73,14 @@ impl LoggerLevels {
     /// The level a logger was given, if it was. The root always has one.
     #[must_use]
     pub fn own(&self, logger: &str) -> Option<Severity> {
-        let given = self.by_name.read().unwrap_or_else(PoisonError::into_inner).get(logger).copied();
+        let given = self.by_name.read().get(logger).copied();
         given.or_else(|| logger.is_empty().then(|| self.start.unwrap_or(Severity::Info)))
     }
 
     /// The level a logger was given, or the nearest of its ancestors.
     #[must_use]
     pub fn effective(&self, logger: &str) -> Option<Severity> {
-        let by_name = self.by_name.read().unwrap_or_else(PoisonError::into_inner);
+        let by_name = self.by_name.read();
         if by_name.is_empty() {
             return None;
         }
@@ -90,7 +91,7 @@ impl LoggerLevels {
     /// The least severity that some logger was given: what a filter before the loggers has to let pass.
     #[must_use]
     pub fn least(&self) -> Option<Severity> {
-        self.by_name.read().unwrap_or_else(PoisonError::into_inner).values().min().copied()
+        self.by_name.read().values().min().copied()
     }
 }
 

@@ -13,12 +13,12 @@ use tracing::field::{Field, Visit};
 /// Longer messages are cut: they may hold what came from outside.
 const LONGEST_MESSAGE: usize = 16 * 1024;
 
-/// One event of `tracing`, as ROS 2 tells it.
+/// One event of `tracing` as a line of ROS 2.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogLine {
     /// When it was logged, by the system's clock, in nanoseconds since the Unix epoch.
     pub time_ns: i64,
-    /// How bad it is.
+    /// Its severity.
     pub severity: Severity,
     /// The module that logged it or that it is about; nothing where it is about the node as a whole.
     pub module: Option<String>,
@@ -33,7 +33,7 @@ pub struct LogLine {
 }
 
 impl LogLine {
-    /// The line that tells an event, logged now on this thread.
+    /// The line for an event that is logged now on this thread.
     #[must_use]
     pub fn of(event: &Event<'_>) -> Self {
         let metadata = event.metadata();
@@ -93,7 +93,7 @@ pub fn logger_name(node: &NodeName) -> String {
     node.to_string().trim_start_matches('/').replace('/', ".")
 }
 
-/// What the fields of an event say.
+/// The fields of an event.
 #[derive(Default)]
 struct Fields {
     module: Option<String>,

@@ -2,8 +2,9 @@
 
 use super::{LogLine, logger_name};
 use crate::ros::NodeName;
+use parking_lot::RwLock;
 use std::collections::BTreeMap;
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::Arc;
 
 /// The names of the loggers of a program: that of its node, those of modules below it, and those of modules that have a node of
 /// their own. Clones share them.
@@ -41,19 +42,19 @@ impl LoggerNames {
 
     /// Lines are from now on those of a node.
     pub fn set_node(&self, node: &NodeName) {
-        self.names.write().unwrap_or_else(PoisonError::into_inner).node = logger_name(node);
+        self.names.write().node = logger_name(node);
     }
 
     /// Lines of a module are from now on those of a node of its own.
     pub fn set_module(&self, module: &str, node: &NodeName) {
-        let mut names = self.names.write().unwrap_or_else(PoisonError::into_inner);
+        let mut names = self.names.write();
         names.of_modules.insert(module.to_owned(), logger_name(node));
     }
 
     /// The logger of a module, or that of the node.
     #[must_use]
     pub fn of_module(&self, module: Option<&str>) -> String {
-        let names = self.names.read().unwrap_or_else(PoisonError::into_inner);
+        let names = self.names.read();
         match module {
             None => names.node.clone(),
             Some(module) => {

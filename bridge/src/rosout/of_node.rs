@@ -6,8 +6,9 @@ use crate::ros::{MessageType, Node, NodeError, Publisher};
 use downbeat_msgs::Message;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::rcl_interfaces::msg::Log;
+use parking_lot::Mutex;
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 
 /// The publisher of a node, until it is dropped.
 pub struct RosoutOfNode {
@@ -37,7 +38,7 @@ impl Rosout {
         if let Some(module) = module {
             let of_module =
                 OfModule { publisher: Arc::downgrade(&publisher), logger: logger_name(node.name()) };
-            self.shared.of_modules.lock().insert(module.to_owned(), of_module);
+            self.shared.of_modules.by_module.lock().insert(module.to_owned(), of_module);
         }
         Ok(RosoutOfNode { _publisher: publisher })
     }
@@ -46,12 +47,8 @@ impl Rosout {
 impl OfModules {
     /// The publisher for a line and the message that it is, where its module has a node that is still there.
     pub(super) fn find(&self, line: &LogLine) -> Option<(Arc<Publisher>, Log)> {
-        let by_module = self.lock();
+        let by_module = self.by_module.lock();
         let OfModule { publisher, logger } = by_module.get(line.module.as_ref()?)?;
         Some((publisher.upgrade()?, Log { name: logger.clone(), ..line.to_message("") }))
-    }
-
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<String, OfModule>> {
-        self.by_module.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -46,7 +46,7 @@ impl Rosout {
     pub fn publish(&self, node: &Node) -> Result<RosoutPublisher, RosoutError> {
         let message_type = MessageType::new(Log::TYPE_NAME).map_err(NodeError::from)?;
         let publisher = node.publish(TOPIC, &message_type, QosProfile::ROSOUT)?;
-        let Some(parker) = self.parker().take() else { return Err(RosoutError::Published) };
+        let Some(parker) = self.shared.parker.lock().take() else { return Err(RosoutError::Published) };
         let is_ending = Arc::new(AtomicBool::new(false));
         let logger = logger_name(node.name());
         let sender = Sender { rosout: self.clone(), publisher, logger, missing: 0 };
@@ -74,7 +74,7 @@ struct Sender {
     rosout: Rosout,
     publisher: Publisher,
     logger: String,
-    /// Lines that were dropped, as far as it was told.
+    /// Dropped lines that were reported.
     missing: u64,
 }
 
@@ -87,7 +87,7 @@ impl Sender {
             while let Some(line) = self.rosout.take() {
                 self.send(&line);
             }
-            self.tell_what_is_missing();
+            self.report_missing();
             if is_last {
                 break;
             }
@@ -95,7 +95,7 @@ impl Sender {
         }
         let Self { rosout, publisher, .. } = self;
         drop(publisher);
-        *rosout.parker() = Some(parker);
+        *rosout.shared.parker.lock() = Some(parker);
     }
 
     fn send(&self, line: &LogLine) {
@@ -105,7 +105,7 @@ impl Sender {
             Ok(()) => drop(counters.published.fetch_add(1, Ordering::Relaxed)),
             Err(error) => {
                 if counters.failed.fetch_add(1, Ordering::Relaxed) == 0 {
-                    tracing::warn!(%error, "a line was not sent on {TOPIC}; from now on this is only counted");
+                    tracing::warn!(%error, "a line was not sent on {TOPIC}; further errors are only counted");
                 }
             }
         }
@@ -118,7 +118,7 @@ impl Sender {
         }
     }
 
-    fn tell_what_is_missing(&mut self) {
+    fn report_missing(&mut self) {
         let dropped = self.rosout.status().dropped;
         let missing = dropped.saturating_sub(self.missing);
         if missing > 0 {

@@ -33,11 +33,11 @@ impl LoggerLevels {
     /// # Errors
     /// [`NodeError`] when a service cannot be created.
     pub fn serve(&self, node: &Node) -> Result<LoggerServices, NodeError> {
-        let (told, set) = (self.clone(), self.clone());
+        let (get, set) = (self.clone(), self.clone());
         let get =
             node.serve::<GetLoggerLevels>("~/get_logger_levels", QosProfile::SERVICES, move |request| {
                 let level = |name: String| LoggerLevel {
-                    level: told.own(&name).map_or(UNSET, |level| level.number().into()),
+                    level: get.own(&name).map_or(UNSET, |level| level.number().into()),
                     name,
                 };
                 GetLoggerLevelsResponse { levels: request.names.into_iter().map(level).collect() }
@@ -99,8 +99,8 @@ mod tests {
         let _services = levels.serve(&robot).unwrap();
         let get = tool.client::<GetLoggerLevels>("/robot/get_logger_levels", QosProfile::SERVICES).unwrap();
         let names = ["", "robot", "robot.walker"].map(str::to_owned).to_vec();
-        let told = get.call_and_wait(&GetLoggerLevelsRequest { names }, PATIENCE).unwrap();
-        assert_eq!(told.levels.iter().map(|level| level.level).collect::<Vec<_>>(), [30, 40, 0]);
+        let answer = get.call_and_wait(&GetLoggerLevelsRequest { names }, PATIENCE).unwrap();
+        assert_eq!(answer.levels.iter().map(|level| level.level).collect::<Vec<_>>(), [30, 40, 0]);
 
         let set = tool.client::<SetLoggerLevels>("/robot/set_logger_levels", QosProfile::SERVICES).unwrap();
         let wanted = [("robot", 0), ("robot.walker", 10), ("x", 15), ("x", 60)];

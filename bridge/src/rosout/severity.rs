@@ -1,4 +1,4 @@
-//! How bad what a line tells is.
+//! The severity of a line.
 
 use std::fmt;
 use tracing::Level;
@@ -7,9 +7,9 @@ use tracing::Level;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
 pub enum Severity {
-    /// For whoever looks for a fault. `tracing` has a level below it, which ROS 2 has not and which is told as this.
+    /// For finding faults. The level `trace` of `tracing`, which ROS 2 does not have, counts as this.
     Debug = 10,
-    /// What happens, once.
+    /// An event.
     Info = 20,
     /// Something is not as it should be; it goes on.
     Warn = 30,

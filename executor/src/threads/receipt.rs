@@ -3,11 +3,15 @@
 use std::any::Any;
 use std::fmt;
 use std::marker::PhantomData;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
-use crossbeam::channel::{Receiver, Sender, bounded};
+use crossbeam::channel::{Receiver, Sender, TryRecvError, bounded};
 
-/// The answer to a request that the next sync phase applies. It may be dropped by whom it does not interest.
+/// The answer to a request that the next sync phase applies. It is also a future of the answer, which is `None` if the core ends
+/// first. Whoever does not need the answer may drop it.
 ///
 /// ```
 /// use std::time::Duration;
@@ -29,8 +33,12 @@ use crossbeam::channel::{Receiver, Sender, bounded};
 /// ```
 pub struct Receipt<T> {
     answer: Receiver<Answer>,
+    waiting: Waiting,
     of: PhantomData<fn() -> T>,
 }
+
+/// Who is polling the receipt.
+type Waiting = Arc<Mutex<Option<Waker>>>;
 
 /// Without its type: a channel is much code, and there are answers of as many types as there are messages.
 type Answer = Box<dyn Any + Send>;
@@ -49,6 +57,23 @@ impl<T: 'static> Receipt<T> {
     }
 }
 
+impl<T: 'static> Future for Receipt<T> {
+    type Output = Option<T>;
+
+    fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<T>> {
+        // Locked before the look: an answer after the look finds the waker.
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        match self.answer.try_recv() {
+            Ok(answer) => Poll::Ready(typed(Some(answer))),
+            Err(TryRecvError::Disconnected) => Poll::Ready(None),
+            Err(TryRecvError::Empty) => {
+                *waiting = Some(cx.waker().clone());
+                Poll::Pending
+            }
+        }
+    }
+}
+
 impl<T> fmt::Debug for Receipt<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Receipt").field("is_there", &!self.answer.is_empty()).finish_non_exhaustive()
@@ -57,20 +82,34 @@ impl<T> fmt::Debug for Receipt<T> {
 
 /// The core's side of a [`Receipt`].
 pub(crate) struct ReceiptSender<T> {
-    answer: Sender<Answer>,
+    /// `None` when it was sent or dropped.
+    answer: Option<Sender<Answer>>,
+    waiting: Waiting,
     of: PhantomData<fn(T)>,
 }
 
 impl<T: Send + 'static> ReceiptSender<T> {
-    pub(crate) fn send(self, answer: T) {
-        // Who asked may have lost interest.
-        let _ = self.answer.try_send(Box::new(answer));
+    pub(crate) fn send(mut self, answer: T) {
+        if let Some(sender) = self.answer.take() {
+            // Fails if the receipt was dropped.
+            let _ = sender.try_send(Box::new(answer));
+        }
+    }
+}
+
+impl<T> Drop for ReceiptSender<T> {
+    fn drop(&mut self) {
+        drop(self.answer.take());
+        let waker = self.waiting.lock().unwrap_or_else(PoisonError::into_inner).take();
+        waker.into_iter().for_each(Waker::wake);
     }
 }
 
 pub(crate) fn receipt<T>() -> (ReceiptSender<T>, Receipt<T>) {
     let (sender, receiver) = bounded(1);
-    (ReceiptSender { answer: sender, of: PhantomData }, Receipt { answer: receiver, of: PhantomData })
+    let waiting = Waiting::default();
+    let sender = ReceiptSender { answer: Some(sender), waiting: Arc::clone(&waiting), of: PhantomData };
+    (sender, Receipt { answer: receiver, waiting, of: PhantomData })
 }
 
 fn typed<T: 'static>(answer: Option<Answer>) -> Option<T> {

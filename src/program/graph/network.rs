@@ -2,6 +2,7 @@
 
 use crate::executor::{Graph, GraphEdge, GraphModule, GraphService, GraphTopic};
 use crate::msgs::downbeat_interfaces::msg::{NetworkEndpoint, NetworkGraph};
+use crate::msgs::qos::{Durability, Liveliness, Reliability};
 use crate::robot::{Catalog, RosArgs};
 use serde_json::{Value, json};
 
@@ -18,6 +19,15 @@ pub(super) fn look(
     let name = format!("_downbeat_graph_{}", std::process::id());
     let look = Look::join_as(&name, arguments.domain, arguments.wait, &Environment { catalog, ros })?;
     Ok(look.all(Patience::Nodes).into())
+}
+
+/// What an endpoint offers or requests.
+pub(super) fn policies(endpoint: &NetworkEndpoint) -> (Reliability, Durability, Liveliness) {
+    (
+        if endpoint.is_reliable { Reliability::Reliable } else { Reliability::BestEffort },
+        if endpoint.is_transient_local { Durability::TransientLocal } else { Durability::Volatile },
+        if endpoint.is_manual_by_topic { Liveliness::ManualByTopic } else { Liveliness::Automatic },
+    )
 }
 
 /// The name of a kind of endpoint.
@@ -45,6 +55,7 @@ pub(super) fn as_json(network: &NetworkGraph) -> Value {
         .collect();
     let endpoint = |endpoint: &NetworkEndpoint| {
         let told = |text: &String| (!text.is_empty()).then(|| text.clone());
+        let (reliability, durability, liveliness) = policies(endpoint);
         let limit = |nanoseconds: i64| (nanoseconds > 0).then_some(nanoseconds);
         json!({
             "kind": kind(endpoint),
@@ -52,10 +63,10 @@ pub(super) fn as_json(network: &NetworkGraph) -> Value {
             "type": endpoint.r#type,
             "type_hash": told(&endpoint.type_hash),
             "node": told(&endpoint.node),
-            "reliability": if endpoint.is_reliable { "reliable" } else { "best_effort" },
-            "durability": if endpoint.is_transient_local { "transient_local" } else { "volatile" },
+            "reliability": reliability,
+            "durability": durability,
             "deadline_ns": limit(endpoint.deadline_ns),
-            "liveliness": if endpoint.is_manual_by_topic { "manual_by_topic" } else { "automatic" },
+            "liveliness": liveliness,
             "liveliness_lease_ns": limit(endpoint.liveliness_lease_ns),
         })
     };

@@ -4,8 +4,9 @@ use std::fmt::Write;
 
 use crate::executor::{Graph, GraphEdge};
 use crate::msgs::downbeat_interfaces::msg::{NetworkEndpoint, NetworkGraph};
+use crate::msgs::qos::Liveliness;
 
-use super::network::{is_of_topic, kind};
+use super::network::{is_of_topic, kind, policies};
 
 /// A network: its nodes, then topics and services with their endpoints.
 pub(super) fn of_network(network: &NetworkGraph) -> String {
@@ -34,16 +35,15 @@ pub(super) fn of_network(network: &NetworkGraph) -> String {
 }
 
 fn offer(endpoint: &NetworkEndpoint) -> String {
-    let reliability = if endpoint.is_reliable { "reliable" } else { "best_effort" };
-    let durability = if endpoint.is_transient_local { "transient_local" } else { "volatile" };
+    let (reliability, durability, liveliness) = policies(endpoint);
     let mut offer = format!("{reliability} {durability}");
     for (name, nanoseconds) in [("deadline", endpoint.deadline_ns), ("lease", endpoint.liveliness_lease_ns)] {
         if let Some(nanoseconds) = u64::try_from(nanoseconds).ok().filter(|&nanoseconds| nanoseconds > 0) {
             let _ = write!(offer, " {name} {:?}", std::time::Duration::from_nanos(nanoseconds));
         }
     }
-    if endpoint.is_manual_by_topic {
-        offer.push_str(" manual_by_topic");
+    if liveliness == Liveliness::ManualByTopic {
+        let _ = write!(offer, " {liveliness}");
     }
     if !endpoint.type_hash.is_empty() {
         let _ = write!(offer, " {}", endpoint.type_hash);

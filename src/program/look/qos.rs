@@ -2,8 +2,11 @@
 
 use std::time::Duration;
 
-use crate::bridge::ros::{Policy, QosRequest};
-use crate::msgs::qos::{Durability, History, Liveliness, QosProfile, Reliability};
+use crate::msgs::qos::{
+    BEST_AVAILABLE, Durability, History, Liveliness, Policy, QosProfile, QosRequest, Reliability,
+    SYSTEM_DEFAULT, Word,
+};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 
 use super::values::seconds;
@@ -17,17 +20,17 @@ pub(crate) struct QosArguments {
     #[arg(long, value_name = "N")]
     qos_depth: Option<u32>,
     /// Overrides the preset.
-    #[arg(long, value_name = "HISTORY", value_enum)]
-    qos_history: Option<HistoryKind>,
+    #[arg(long, value_name = "HISTORY", value_parser = [SYSTEM_DEFAULT, History::KEEP_LAST, History::KEEP_ALL])]
+    qos_history: Option<String>,
     /// Overrides the preset; by default, a subscription requests what all publishers offer.
-    #[arg(long, value_name = "RELIABILITY", value_enum)]
-    qos_reliability: Option<ReliabilityKind>,
+    #[arg(long, value_name = "RELIABILITY", value_parser = policy::<Reliability>())]
+    qos_reliability: Option<Policy<Reliability>>,
     /// Overrides the preset; by default, a subscription requests what all publishers offer.
-    #[arg(long, value_name = "DURABILITY", value_enum)]
-    qos_durability: Option<DurabilityKind>,
+    #[arg(long, value_name = "DURABILITY", value_parser = policy::<Durability>())]
+    qos_durability: Option<Policy<Durability>>,
     /// Overrides the preset.
-    #[arg(long, value_name = "LIVELINESS", value_enum)]
-    qos_liveliness: Option<LivelinessKind>,
+    #[arg(long, value_name = "LIVELINESS", value_parser = policy::<Liveliness>())]
+    qos_liveliness: Option<Policy<Liveliness>>,
     /// The lease of liveliness, instead of the preset's.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     qos_liveliness_lease_duration_seconds: Option<Duration>,
@@ -46,39 +49,14 @@ pub(super) enum Preset {
     BestAvailable,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-#[value(rename_all = "snake_case")]
-enum HistoryKind {
-    SystemDefault,
-    KeepLast,
-    KeepAll,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-#[value(rename_all = "snake_case")]
-enum ReliabilityKind {
-    SystemDefault,
-    Reliable,
-    BestEffort,
-    BestAvailable,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-#[value(rename_all = "snake_case")]
-enum DurabilityKind {
-    SystemDefault,
-    TransientLocal,
-    Volatile,
-    BestAvailable,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-#[value(rename_all = "snake_case")]
-enum LivelinessKind {
-    SystemDefault,
-    Automatic,
-    ManualByTopic,
-    BestAvailable,
+/// A policy by its word, or one of the words for a choice that is left open.
+fn policy<T: Word + Send + Sync>() -> impl TypedValueParser<Value = Policy<T>> {
+    let words = T::ALL.iter().map(|policy| policy.name()).chain([SYSTEM_DEFAULT, BEST_AVAILABLE]);
+    PossibleValuesParser::new(words.collect::<Vec<_>>()).map(|word| match &*word {
+        BEST_AVAILABLE => Policy::BestAvailable,
+        // The first word is the default of ROS 2.
+        word => Policy::Given(T::of_name(word).unwrap_or(T::ALL[0])),
+    })
 }
 
 impl QosArguments {
@@ -99,44 +77,18 @@ impl QosArguments {
             History::KeepLast(depth) => depth,
             History::KeepAll => 10,
         };
-        match self.qos_history {
+        match self.qos_history.as_deref() {
             None => {}
-            Some(HistoryKind::KeepAll) => request.history = History::KeepAll,
-            Some(HistoryKind::KeepLast | HistoryKind::SystemDefault) => {
-                request.history = History::KeepLast(depth)
-            }
+            Some(History::KEEP_ALL) => request.history = History::KeepAll,
+            Some(_) => request.history = History::KeepLast(depth),
         }
         // As in rclpy, 0 means none.
         if let (Some(depth @ 1..), History::KeepLast(_)) = (self.qos_depth, request.history) {
             request.history = History::KeepLast(depth);
         }
-        if let Some(kind) = self.qos_reliability {
-            request.reliability = match kind {
-                ReliabilityKind::SystemDefault | ReliabilityKind::Reliable => {
-                    Policy::Given(Reliability::Reliable)
-                }
-                ReliabilityKind::BestEffort => Policy::Given(Reliability::BestEffort),
-                ReliabilityKind::BestAvailable => Policy::BestAvailable,
-            };
-        }
-        if let Some(kind) = self.qos_durability {
-            request.durability = match kind {
-                DurabilityKind::SystemDefault | DurabilityKind::Volatile => {
-                    Policy::Given(Durability::Volatile)
-                }
-                DurabilityKind::TransientLocal => Policy::Given(Durability::TransientLocal),
-                DurabilityKind::BestAvailable => Policy::BestAvailable,
-            };
-        }
-        if let Some(kind) = self.qos_liveliness {
-            request.liveliness = match kind {
-                LivelinessKind::SystemDefault | LivelinessKind::Automatic => {
-                    Policy::Given(Liveliness::Automatic)
-                }
-                LivelinessKind::ManualByTopic => Policy::Given(Liveliness::ManualByTopic),
-                LivelinessKind::BestAvailable => Policy::BestAvailable,
-            };
-        }
+        request.reliability = self.qos_reliability.unwrap_or(request.reliability);
+        request.durability = self.qos_durability.unwrap_or(request.durability);
+        request.liveliness = self.qos_liveliness.unwrap_or(request.liveliness);
         if let Some(lease) = self.qos_liveliness_lease_duration_seconds {
             request.liveliness_lease_duration = Policy::Given(Some(lease));
         }
@@ -146,7 +98,7 @@ impl QosArguments {
 
 impl Preset {
     fn request(self) -> QosRequest {
-        given(match self {
+        match self {
             Self::Default | Self::SystemDefault => QosProfile::DEFAULT,
             Self::SensorData => QosProfile::SENSOR_DATA,
             Self::ServicesDefault => QosProfile::SERVICES,
@@ -155,20 +107,8 @@ impl Preset {
             // As in rcl_action: latched, depth 1.
             Self::ActionStatusDefault => QosProfile::LATCHED,
             Self::BestAvailable => return QosRequest::BEST_AVAILABLE,
-        })
-    }
-}
-
-/// A fully specified request.
-pub(super) fn given(profile: QosProfile) -> QosRequest {
-    QosRequest {
-        history: profile.history,
-        reliability: Policy::Given(profile.reliability),
-        durability: Policy::Given(profile.durability),
-        deadline: Policy::Given(profile.deadline),
-        lifespan: profile.lifespan,
-        liveliness: Policy::Given(profile.liveliness),
-        liveliness_lease_duration: Policy::Given(profile.liveliness_lease_duration),
+        }
+        .into()
     }
 }
 
@@ -192,13 +132,13 @@ mod tests {
     fn options_override_the_policies_of_a_preset() {
         let nothing = read(&[]);
         assert!(!nothing.has_policies());
-        assert_eq!(nothing.request(Preset::SensorData), given(QosProfile::SENSOR_DATA));
+        assert_eq!(nothing.request(Preset::SensorData), QosProfile::SENSOR_DATA.into());
         let some =
             read(&["--qos-profile", "parameters", "--qos-depth", "3", "--qos-durability", "transient_local"]);
         assert!(some.has_policies());
         let expected =
             QosProfile { durability: Durability::TransientLocal, ..QosProfile::PARAMETERS.keep_last(3) };
-        assert_eq!(some.request(Preset::Default), given(expected));
+        assert_eq!(some.request(Preset::Default), expected.into());
         let best = read(&["--qos-reliability", "best_available"]);
         assert_eq!(best.request(Preset::Default).reliability, Policy::BestAvailable);
     }

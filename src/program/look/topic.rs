@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::time::Duration;
 
 use crate::bridge::ros::{EndpointKind, Found, FoundEndpoint};
-use crate::msgs::qos::{Durability, Liveliness, Reliability};
+use crate::msgs::qos::Word;
 use anyhow::{Context, bail};
 use clap::{Args, Subcommand};
 
@@ -178,18 +178,9 @@ fn details(endpoint: &FoundEndpoint) -> String {
         None => ("_NODE_NAMESPACE_UNKNOWN_", "_NODE_NAME_UNKNOWN_"),
     };
     let gid = remote.gid.0.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(".");
-    let reliability = match remote.reliability {
-        Reliability::Reliable => "RELIABLE",
-        Reliability::BestEffort => "BEST_EFFORT",
-    };
-    let durability = match remote.durability {
-        Durability::Volatile => "VOLATILE",
-        Durability::TransientLocal => "TRANSIENT_LOCAL",
-    };
-    let liveliness = match remote.liveliness {
-        Liveliness::Automatic => "AUTOMATIC",
-        Liveliness::ManualByTopic => "MANUAL_BY_TOPIC",
-    };
+    let [reliability, durability, liveliness] =
+        [remote.reliability.name(), remote.durability.name(), remote.liveliness.name()]
+            .map(str::to_uppercase);
     let time = |time: Option<Duration>| match time {
         Some(time) => format!("{} nanoseconds", time.as_nanos()),
         None => "Infinite".to_owned(),

@@ -223,9 +223,9 @@ fn bytes_of_a_type_that_is_not_compiled_in_need_no_module() {
                  out = [{ topic = \"legs\", as = \"/far/legs\", type = \"legs/msg/Leg\" }]";
     let endpoints = exposed_with(relay, "");
     let told = |endpoint: &crate::robot::ExposedEndpoint| {
-        (endpoint.direction.clone(), endpoint.ros_topic.clone(), endpoint.type_name.clone())
+        (endpoint.direction.name(), endpoint.ros_topic.clone(), endpoint.type_name.clone())
     };
-    let expected = |direction: &str, topic: &str| (direction.into(), topic.into(), "legs/msg/Leg".into());
+    let expected = |direction: &'static str, topic: &str| (direction, topic.into(), "legs/msg/Leg".into());
     assert_eq!(
         endpoints.iter().map(told).collect::<Vec<_>>(),
         [expected("out", "/far/legs"), expected("in", "/legs")]

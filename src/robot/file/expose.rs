@@ -7,10 +7,10 @@ mod topic;
 
 pub use lifecycle::LifecycleEntry;
 pub use service::{ActionEntry, ServiceEntry};
-pub use topic::{Direction, ExposeEntry, TopicChoice};
+pub use topic::{ExposeEntry, TopicChoice};
 
-use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{ServiceIntrospection, TopicPattern};
+use downbeat_edge::Interfaces;
 
 use super::table::{Table, Value};
 use super::{Located, NodeFeatures, RobotFileError};

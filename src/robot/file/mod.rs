@@ -12,14 +12,12 @@ mod table;
 
 use std::path::Path;
 
-use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::ros::{RemapRule, RemapRules};
+use downbeat_edge::Interfaces;
 use toml::de::DeTable;
 
 pub(crate) use crate::msgs::definitions::suggestion;
-pub use expose::{
-    ActionEntry, Direction, ExposeEntry, ExposeSection, LifecycleEntry, ServiceEntry, TopicChoice,
-};
+pub use expose::{ActionEntry, ExposeEntry, ExposeSection, LifecycleEntry, ServiceEntry, TopicChoice};
 pub use features::{ClockChoice, NodeFeatures};
 pub use launcher::{LauncherChoice, LauncherEntry};
 pub use module::ModuleEntry;

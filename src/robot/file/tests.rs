@@ -3,6 +3,7 @@ use super::*;
 use std::time::Duration;
 
 use downbeat_bags::{Storage, StorageOptions, StoragePreset};
+use downbeat_bridge::middleware::Direction;
 use downbeat_executor::{Idle, Inbox, LifecycleState, Restart, Spin, Synchrony};
 use downbeat_msgs::encoding::Encoding;
 use downbeat_msgs::qos::QosProfile;

@@ -5,10 +5,10 @@ use crate::engine::Domain;
 use crate::support::{WATCHDOG, cdr, next, subscribe, wait_until};
 use bytes::Bytes;
 use downbeat_bridge::middleware::rpc::{
-    CallError, IncomingRequest, MAX_IN_FLIGHT, RequestClient, RequestServer, Responder, RpcThread,
-    ServiceEndpoint,
+    CallError, IncomingRequest, MAX_IN_FLIGHT, RequestClient, RequestServer, Responder, ServiceEndpoint,
 };
 use downbeat_bridge::middleware::{Endpoint, Middleware, SampleIdentity};
+use downbeat_bridge::worker::Worker;
 use downbeat_msgs::qos::QosProfile;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
@@ -26,17 +26,17 @@ fn reset() -> ServiceEndpoint {
 
 /// A participant with the thread for its handlers.
 struct Peer {
-    thread: RpcThread,
+    worker: Worker,
     middleware: Box<dyn Middleware>,
 }
 
 impl Peer {
     fn join(domain: &Domain<'_>) -> Self {
-        Self { thread: RpcThread::start().unwrap(), middleware: domain.join() }
+        Self { worker: Worker::start().unwrap(), middleware: domain.join() }
     }
 
     fn serve(&self, on_request: impl FnMut(IncomingRequest) + Send + 'static) -> RequestServer {
-        RequestServer::new(&*self.middleware, &self.thread, &reset(), Box::new(on_request)).unwrap()
+        RequestServer::new(&*self.middleware, &self.worker, &reset(), Box::new(on_request)).unwrap()
     }
 
     /// A server whose requests go into a channel.
@@ -50,7 +50,7 @@ impl Peer {
     }
 
     fn client(&self) -> RequestClient {
-        RequestClient::new(&*self.middleware, &self.thread, &reset()).unwrap()
+        RequestClient::new(&*self.middleware, &self.worker, &reset()).unwrap()
     }
 }
 

@@ -3,29 +3,30 @@
 //!
 //! Answers are those of rclcpp (`rclcpp/src/rclcpp/parameter_service.cpp` and `node_interfaces/node_parameters.cpp`, branch
 //! jazzy), but for three things: a whole number is accepted for a double, atomic changes of several modules are taken back
-//! when one is refused rather than made at once, and a value that changes otherwise than through these services is told within a second.
+//! when one is refused rather than made at once, and a value that changes otherwise than through these services is published within a second.
 
 mod own;
 mod store;
-mod thread;
-mod value;
 
-pub use value::{parameter_value, setting_value};
+pub use crate::edge::{parameter_value, setting_value};
 
 use super::TopicPattern;
 use crate::clock::SimTime;
 use crate::limiter::Limiter;
-use crate::ros::{Node, NodeError, Service};
+use crate::ros::{MessageType, Node, NodeError, Publisher, Reply, Service};
+use crate::worker::{Mailbox, WorkerLink};
 use downbeat_executor::{Core, CoreHandle, SettingInfo};
+use downbeat_msgs::Message;
 use downbeat_msgs::qos::QosProfile;
+use downbeat_msgs::rcl_interfaces::msg::ParameterEvent;
 use downbeat_msgs::rcl_interfaces::srv::{
-    DescribeParameters, GetParameterTypes, GetParameters, ListParameters, SetParameters,
-    SetParametersAtomically,
+    DescribeParameters, DescribeParametersRequest, GetParameterTypes, GetParameterTypesRequest,
+    GetParameters, GetParametersRequest, ListParameters, ListParametersRequest, SetParameters,
+    SetParametersAtomically, SetParametersAtomicallyRequest, SetParametersRequest,
 };
-use std::io;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
+use std::time::Duration;
 use store::Parameters;
-use thread::{Jobs, ParameterThread, lock};
 
 /// Which settings of modules are parameters of a node.
 #[derive(Clone, Debug, Default)]
@@ -36,11 +37,10 @@ pub struct ParameterExposure {
     pub of_module: Option<String>,
 }
 
-/// Gives the nodes of a core their parameters. Clones share the thread that answers, which ends with the last of them and
-/// of their services.
+/// Gives the nodes of a core their parameters.
 ///
-/// Requests are answered on a thread of their own, since the core takes until its next sync phase to say whether a value
-/// is accepted. While it does not answer, the values last known are given.
+/// The core takes until its next sync phase to say whether a value is accepted. While it does not answer, the values last known are
+/// returned.
 ///
 /// ```
 /// use downbeat_bridge::expose::{ParameterExposure, ParameterServer};
@@ -50,7 +50,7 @@ pub struct ParameterExposure {
 ///
 /// let participant = Participant::on(std::sync::Arc::new(Hub::new().join()))?;
 /// let node = participant.create_node(NodeName::new("/", "robot")?)?;
-/// let server = ParameterServer::start(&Core::new(), None)?;
+/// let server = ParameterServer::new(&Core::new(), None);
 /// let _services = server.serve(&node, ParameterExposure::default())?; // use_sim_time and what else every node has.
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -62,29 +62,57 @@ pub struct ParameterServer {
 struct Shared {
     core: CoreHandle,
     sim_time: Option<SimTime>,
-    /// The settings of all modules when the server was started.
+    /// The settings of all modules when the server was created.
     settings: Vec<(String, Vec<SettingInfo>)>,
-    thread: ParameterThread,
 }
 
 /// The parameters of a node. Dropping it removes them.
 pub struct ParameterServices {
-    // Fields drop in this order: nothing is asked any more when the thread ends.
     _services: [Service; 6],
-    _parameters: Arc<Mutex<Parameters>>,
-    _server: ParameterServer,
+    requests: Mailbox<Request>,
+    /// `None` once it is dropped.
+    node: Option<Arc<NodeSide>>,
+    worker: WorkerLink,
+}
+
+impl Drop for ParameterServices {
+    fn drop(&mut self) {
+        self.requests.close();
+        self.node = None;
+        // The worker has none either after this, so that the node may disappear.
+        self.worker.flush();
+    }
+}
+
+/// What the parameters use of their node. The task that answers holds it only while it does not wait.
+struct NodeSide {
+    events: Publisher,
+    sim_time: Option<SimTime>,
+}
+
+/// How many requests wait; more are not answered.
+const QUEUE: usize = 256;
+
+/// How often values are compared that others may have changed.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// A request of a parameter client.
+enum Request {
+    Get(GetParametersRequest, Reply<GetParameters>),
+    Types(GetParameterTypesRequest, Reply<GetParameterTypes>),
+    Set(SetParametersRequest, Reply<SetParameters>),
+    SetAtomically(SetParametersAtomicallyRequest, Reply<SetParametersAtomically>),
+    Describe(DescribeParametersRequest, Reply<DescribeParameters>),
+    List(ListParametersRequest, Reply<ListParameters>),
 }
 
 impl ParameterServer {
-    /// Starts the thread that answers. Without a `sim_time` the parameter `use_sim_time` stays false.
-    ///
-    /// # Errors
-    /// When the thread cannot be started.
-    pub fn start(core: &Core, sim_time: Option<SimTime>) -> io::Result<Self> {
+    /// Gives nodes the settings of this core. Without a `sim_time` the parameter `use_sim_time` stays false.
+    #[must_use]
+    pub fn new(core: &Core, sim_time: Option<SimTime>) -> Self {
         let modules = core.modules().into_iter().map(|module| module.name.to_string());
         let settings = modules.filter_map(|name| core.settings(&name).map(|infos| (name, infos))).collect();
-        let (core, thread) = (core.handle(), ParameterThread::start()?);
-        Ok(Self { shared: Arc::new(Shared { core, sim_time, settings, thread }) })
+        Self { shared: Arc::new(Shared { core: core.handle(), sim_time, settings }) }
     }
 
     /// Offers the parameters of a node: those that every node has, and settings of modules, also of modules that are added
@@ -93,52 +121,53 @@ impl ParameterServer {
     /// # Errors
     /// [`NodeError`] when a service or the publisher of events cannot be created.
     pub fn serve(&self, node: &Node, exposure: ParameterExposure) -> Result<ParameterServices, NodeError> {
-        let Shared { core, sim_time, settings, thread } = &*self.shared;
-        let parameters = Parameters::new(core.clone(), sim_time.clone(), node, exposure, settings)?;
-        let parameters = Arc::new(Mutex::new(parameters));
-        let server = Server { node, parameters: &parameters, jobs: thread.jobs() };
+        let Shared { core, sim_time, settings } = &*self.shared;
+        let event_type = MessageType::new(ParameterEvent::TYPE_NAME)?;
+        let events = node.publish("/parameter_events", &event_type, QosProfile::PARAMETER_EVENTS)?;
+        let side = Arc::new(NodeSide { events, sim_time: sim_time.clone() });
+        let worker = node.worker();
+        let name = node.name().to_string();
+        let mut parameters =
+            Parameters::new(core.clone(), worker.clone(), name, Arc::downgrade(&side), exposure, settings);
+        let requests = Mailbox::new(QUEUE);
+        let served = Served { node, requests: requests.clone() };
         let services = [
-            server.serve::<GetParameters>("~/get_parameters", Parameters::get)?,
-            server.serve::<GetParameterTypes>("~/get_parameter_types", Parameters::types)?,
-            server.serve::<SetParameters>("~/set_parameters", Parameters::set)?,
-            server.serve::<SetParametersAtomically>(
-                "~/set_parameters_atomically",
-                Parameters::set_atomically,
-            )?,
-            server.serve::<DescribeParameters>("~/describe_parameters", Parameters::describe)?,
-            server.serve::<ListParameters>("~/list_parameters", Parameters::list)?,
+            served.serve("~/get_parameters", Request::Get)?,
+            served.serve("~/get_parameter_types", Request::Types)?,
+            served.serve("~/set_parameters", Request::Set)?,
+            served.serve("~/set_parameters_atomically", Request::SetAtomically)?,
+            served.serve("~/describe_parameters", Request::Describe)?,
+            served.serve("~/list_parameters", Request::List)?,
         ];
-        thread.watch(&parameters);
-        Ok(ParameterServices { _services: services, _parameters: parameters, _server: self.clone() })
+        let (incoming, sleeper) = (requests.clone(), worker.clone());
+        worker.spawn(async move {
+            parameters.announce();
+            loop {
+                match sleeper.within(LOOK, incoming.next()).await {
+                    Some(Some(request)) => parameters.answer(request).await,
+                    Some(None) => return,
+                    None => parameters.look_for_listeners().await,
+                }
+            }
+        });
+        Ok(ParameterServices { _services: services, requests, node: Some(side), worker })
     }
 }
 
-struct Server<'a> {
+struct Served<'a> {
     node: &'a Node,
-    parameters: &'a Arc<Mutex<Parameters>>,
-    jobs: Jobs,
+    requests: Mailbox<Request>,
 }
 
-impl Server<'_> {
+impl Served<'_> {
     fn serve<S: downbeat_msgs::Service>(
         &self,
         service: &'static str,
-        answer: fn(&mut Parameters, S::Request) -> S::Response,
+        request: fn(S::Request, Reply<S>) -> Request,
     ) -> Result<Service, NodeError> {
-        let (parameters, jobs) = (Arc::downgrade(self.parameters), self.jobs.clone());
-        let unanswered = Arc::new(Limiter::default());
-        self.node.serve_later::<S>(service, QosProfile::PARAMETERS, move |request, reply| {
-            let (parameters, limiter) = (parameters.clone(), Arc::clone(&unanswered));
-            let job = move || {
-                let Some(parameters) = parameters.upgrade() else { return };
-                let answer = answer(&mut lock(&parameters), request);
-                if let Err(error) = reply.send(&answer)
-                    && let Some(left_out) = limiter.allow()
-                {
-                    tracing::warn!(service, "a request is not answered: {error}{left_out}");
-                }
-            };
-            if !jobs.push(Box::new(job))
+        let (requests, unanswered) = (self.requests.clone(), Limiter::default());
+        self.node.serve_later::<S>(service, QosProfile::PARAMETERS, move |body, reply| {
+            if requests.push(request(body, reply)).is_err()
                 && let Some(left_out) = unanswered.allow()
             {
                 tracing::warn!(service, "a request is not answered: too many others wait{left_out}");

@@ -1,12 +1,12 @@
 //! The parameters that every node of rclcpp declares by itself.
 
 use downbeat_executor::{SettingInfo, SettingValue};
-use downbeat_msgs::qos::{Durability, History, QosProfile, Reliability};
+use downbeat_msgs::qos::{QosProfile, Word};
 
 /// Whether time is that of `/clock`.
 pub(super) const USE_SIM_TIME: &str = "use_sim_time";
 
-/// Those of a node; `has_followed` if it has subscribed `/clock` at some time.
+/// The parameters of a node; `has_followed` if it has subscribed to `/clock` at some time.
 pub(super) fn parameters(is_following: bool, has_followed: bool) -> Vec<SettingInfo> {
     let service = "Start the ~/get_type_description service for this node.";
     let mut parameters = vec![
@@ -22,24 +22,12 @@ pub(super) fn parameters(is_following: bool, has_followed: bool) -> Vec<SettingI
 
 /// As `rclcpp/detail/qos_parameters.hpp` declares them (branch jazzy), and `rmw/src/qos_string_conversions.c` writes them.
 fn of_qos<'a>(topic: &'a str, entity: &'a str, qos: &QosProfile) -> impl Iterator<Item = SettingInfo> + 'a {
-    let (history, depth) = match qos.history {
-        History::KeepLast(depth) => ("keep_last", i64::from(depth)),
-        History::KeepAll => ("keep_all", 0),
-    };
-    let durability = match qos.durability {
-        Durability::Volatile => "volatile",
-        Durability::TransientLocal => "transient_local",
-    };
-    let reliability = match qos.reliability {
-        Reliability::Reliable => "reliable",
-        Reliability::BestEffort => "best_effort",
-    };
     let word = |word: &str| SettingValue::Text(word.to_owned());
     let policies = [
-        ("depth", depth.into()),
-        ("durability", word(durability)),
-        ("history", word(history)),
-        ("reliability", word(reliability)),
+        ("depth", i64::from(qos.history.depth().unwrap_or(0)).into()),
+        ("durability", word(qos.durability.name())),
+        ("history", word(qos.history.name())),
+        ("reliability", word(qos.reliability.name())),
     ];
     policies.into_iter().map(move |(policy, value)| {
         let description = format!("qos policy {{{policy}}} for {entity} {{{topic}}}");

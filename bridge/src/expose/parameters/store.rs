@@ -1,15 +1,16 @@
-//! What the parameters are, and what is answered.
+//! The parameters of a node, and the answers to requests.
 
-use super::value::{descriptor, parameter_value, setting_value, type_of};
-use super::{ParameterExposure, own};
+use super::{NodeSide, ParameterExposure, Request, own};
 use crate::clock::SimTime;
+use crate::edge::{parameter_type, parameter_value, setting_value};
 use crate::limiter::Limiter;
-use crate::ros::{MessageType, Node, NodeError, Publisher};
-use downbeat_executor::{CoreHandle, SettingInfo, SettingRefused, SettingValue};
+use crate::ros::Reply;
+use crate::worker::WorkerLink;
+use downbeat_executor::{CoreHandle, Receipt, SettingInfo, SettingRefused, SettingValue};
 use downbeat_msgs::builtin_interfaces::msg::Time;
-use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::rcl_interfaces::msg::{
-    ListParametersResult, Parameter as ParameterMessage, ParameterEvent, SetParametersResult,
+    FloatingPointRange, IntegerRange, ListParametersResult, Parameter as ParameterMessage,
+    ParameterDescriptor, ParameterEvent, SetParametersResult,
 };
 use downbeat_msgs::rcl_interfaces::srv::{
     DescribeParametersRequest, DescribeParametersResponse, GetParameterTypesRequest,
@@ -17,32 +18,35 @@ use downbeat_msgs::rcl_interfaces::srv::{
     ListParametersResponse, SetParametersAtomicallyRequest, SetParametersAtomicallyResponse,
     SetParametersRequest, SetParametersResponse,
 };
-use downbeat_msgs::{Message, cdr};
+use downbeat_msgs::{Service, cdr};
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Weak;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// How long the core may take to tell values; it may be paused.
+/// How long the core may take to report values; it may be paused.
 const TELL: Duration = Duration::from_secs(1);
 /// How long a module may take to accept a value: a detached one does between two of its runs.
 const ACCEPT: Duration = Duration::from_secs(5);
 
-/// See the module.
+/// The parameters of one node.
 pub(super) struct Parameters {
     core: CoreHandle,
-    sim_time: Option<SimTime>,
-    node: String,
+    worker: WorkerLink,
+    /// The name of the node.
+    node_name: String,
+    node: Weak<NodeSide>,
     exposure: ParameterExposure,
-    events: Publisher,
     has_followed: bool,
     shown: Shown,
     too_long: Limiter,
+    unanswered: Limiter,
 }
 
 type Shown = BTreeMap<String, Parameter>;
 
 #[derive(Clone, PartialEq)]
 struct Parameter {
-    /// Whose setting it is; nothing for a parameter of the node itself.
+    /// The module whose setting it is; `None` for a parameter of the node itself.
     module: Option<String>,
     info: SettingInfo,
 }
@@ -50,40 +54,70 @@ struct Parameter {
 impl Parameters {
     pub(super) fn new(
         core: CoreHandle,
-        sim_time: Option<SimTime>,
-        node: &Node,
+        worker: WorkerLink,
+        node_name: String,
+        node: Weak<NodeSide>,
         exposure: ParameterExposure,
         settings: &[(String, Vec<SettingInfo>)],
-    ) -> Result<Self, NodeError> {
-        let event_type = MessageType::new(ParameterEvent::TYPE_NAME)?;
+    ) -> Self {
+        let (too_long, unanswered, shown) = (Limiter::default(), Limiter::default(), Shown::new());
         let mut parameters = Self {
             core,
-            has_followed: sim_time.as_ref().is_some_and(SimTime::is_on),
-            sim_time,
-            node: node.name().to_string(),
+            worker,
+            node_name,
+            node,
             exposure,
-            events: node.publish("/parameter_events", &event_type, QosProfile::PARAMETER_EVENTS)?,
-            shown: Shown::new(),
-            too_long: Limiter::default(),
+            has_followed: false,
+            shown,
+            too_long,
+            unanswered,
         };
+        parameters.has_followed = parameters.is_following();
         parameters.shown = parameters.select(settings.to_vec());
-        Ok(parameters)
+        parameters
     }
 
-    /// Tells listeners of the parameters there are.
+    /// Publishes an event with all parameters.
     pub(super) fn announce(&mut self) {
-        self.tell(&Shown::new());
+        self.publish_changes(&Shown::new());
     }
 
-    /// Tells listeners, where there are some, what somebody else has changed.
-    pub(super) fn look_for_listeners(&mut self) {
-        if self.events.matched_subscriptions() > 0 {
-            self.refresh();
+    /// Publishes what others have changed, if there are subscriptions.
+    pub(super) async fn look_for_listeners(&mut self) {
+        if self.node.upgrade().is_some_and(|node| node.events.matched_subscriptions() > 0) {
+            self.refresh().await;
         }
     }
 
-    pub(super) fn get(&mut self, request: GetParametersRequest) -> GetParametersResponse {
-        self.refresh();
+    pub(super) async fn answer(&mut self, request: Request) {
+        self.refresh().await;
+        match request {
+            Request::Get(request, reply) => self.send(reply, &self.get(&request)),
+            Request::Types(request, reply) => self.send(reply, &self.types(&request)),
+            Request::Describe(request, reply) => self.send(reply, &self.describe(&request)),
+            Request::List(request, reply) => self.send(reply, &self.list(&request)),
+            Request::Set(request, reply) => {
+                let response = self.set(request).await;
+                self.refresh().await;
+                self.send(reply, &response);
+            }
+            Request::SetAtomically(request, reply) => {
+                let response = self.set_atomically(request).await;
+                self.refresh().await;
+                self.send(reply, &response);
+            }
+        }
+    }
+
+    fn send<S: Service>(&self, reply: Reply<S>, response: &S::Response) {
+        if let Err(error) = reply.send(response)
+            && let Some(left_out) = self.unanswered.allow()
+        {
+            tracing::warn!(service = S::TYPE_NAME, "a request is not answered: {error}{left_out}");
+        }
+    }
+
+    fn get(&self, request: &GetParametersRequest) -> GetParametersResponse {
         let mut length = 0;
         let value = |name| {
             let value = parameter_value(&self.shown.get(name)?.info.value);
@@ -102,23 +136,20 @@ impl Parameters {
         GetParametersResponse { values: values.unwrap_or_default() }
     }
 
-    pub(super) fn types(&mut self, request: GetParameterTypesRequest) -> GetParameterTypesResponse {
-        self.refresh();
-        let types = request.names.iter().map(|name| Some(type_of(&self.shown.get(name)?.info.value)));
+    fn types(&self, request: &GetParameterTypesRequest) -> GetParameterTypesResponse {
+        let types = request.names.iter().map(|name| Some(parameter_type(&self.shown.get(name)?.info.value)));
         GetParameterTypesResponse { types: types.collect::<Option<_>>().unwrap_or_default() }
     }
 
-    pub(super) fn describe(&mut self, request: DescribeParametersRequest) -> DescribeParametersResponse {
-        self.refresh();
+    fn describe(&self, request: &DescribeParametersRequest) -> DescribeParametersResponse {
         let descriptors =
             request.names.iter().map(|name| Some(descriptor(name, &self.shown.get(name)?.info)));
         DescribeParametersResponse { descriptors: descriptors.collect::<Option<_>>().unwrap_or_default() }
     }
 
-    pub(super) fn list(&mut self, request: ListParametersRequest) -> ListParametersResponse {
-        self.refresh();
+    fn list(&self, request: &ListParametersRequest) -> ListParametersResponse {
         let ListParametersRequest { prefixes, depth } = request;
-        let names = self.shown.keys().filter(|name| is_listed(name, &prefixes, depth));
+        let names = self.shown.keys().filter(|name| is_listed(name, prefixes, *depth));
         let mut result = ListParametersResult { names: names.cloned().collect(), prefixes: Vec::new() };
         for name in &result.names {
             if let Some((prefix, _)) = name.rsplit_once('.')
@@ -130,52 +161,47 @@ impl Parameters {
         ListParametersResponse { result }
     }
 
-    pub(super) fn set(&mut self, request: SetParametersRequest) -> SetParametersResponse {
-        self.refresh();
+    async fn set(&self, request: SetParametersRequest) -> SetParametersResponse {
         let mut room = LONGEST_REASONS;
-        let results = request.parameters.into_iter().map(|parameter| {
-            let result = answer(self.set_one(parameter), room);
+        let mut response = SetParametersResponse::default();
+        for parameter in request.parameters {
+            let result = result(self.set_one(parameter).await, room);
             room -= result.reason.len();
-            result
-        });
-        let response = SetParametersResponse { results: results.collect() };
-        self.refresh();
+            response.results.push(result);
+        }
         response
     }
 
-    pub(super) fn set_atomically(
-        &mut self,
+    async fn set_atomically(
+        &self,
         request: SetParametersAtomicallyRequest,
     ) -> SetParametersAtomicallyResponse {
-        self.refresh();
-        let before = self.shown.clone();
         let mut names: Vec<String> = Vec::new();
-        let mut result = Ok(());
+        let mut outcome = Ok(());
         for parameter in request.parameters {
             let name = parameter.name.clone();
-            result = self.set_one(parameter);
-            if result.is_err() {
+            outcome = self.set_one(parameter).await;
+            if outcome.is_err() {
                 break;
             }
             names.push(name);
         }
-        if result.is_err() {
-            // In the reverse order, so that a value that was set twice ends as it began.
+        if outcome.is_err() {
+            // In reverse order, so that a value that was set twice ends as it began.
             for name in names.iter().rev() {
-                if let Some(parameter) = before.get(name)
-                    && let Err(reason) = self.put(name, parameter, parameter.info.value.clone())
+                if let Some(parameter) = self.shown.get(name)
+                    && let Err(reason) = self.put(name, parameter, parameter.info.value.clone()).await
                 {
                     tracing::warn!("parameter {name} could not be set back: {reason}");
                 }
             }
         }
-        self.refresh();
-        SetParametersAtomicallyResponse { result: answer(result, LONGEST_REASONS) }
+        SetParametersAtomicallyResponse { result: result(outcome, LONGEST_REASONS) }
     }
 
     /// # Errors
     /// Why the value is not accepted.
-    fn set_one(&self, message: ParameterMessage) -> Result<(), String> {
+    async fn set_one(&self, message: ParameterMessage) -> Result<(), String> {
         let ParameterMessage { name, value } = message;
         let Some(parameter) = self.shown.get(&name) else {
             return Err(format!("parameter '{name}' cannot be set because it was not declared"));
@@ -189,12 +215,12 @@ impl Parameters {
                 "the value has {length} bytes, and parameters have at most {LONGEST_VALUES}: more could not be given to those who ask"
             ));
         }
-        self.put(&name, parameter, setting_value(value)?)
+        self.put(&name, parameter, setting_value(value)?).await
     }
 
-    fn put(&self, name: &str, parameter: &Parameter, value: SettingValue) -> Result<(), String> {
+    async fn put(&self, name: &str, parameter: &Parameter, value: SettingValue) -> Result<(), String> {
         match (&parameter.module, value) {
-            (Some(module), value) => self.ask(module, &parameter.info.name, value),
+            (Some(module), value) => self.set_setting(module, &parameter.info.name, value).await,
             // Of a node's own parameters this one can be set.
             (None, SettingValue::Bool(is_on)) if name == own::USE_SIM_TIME => self.use_sim_time(is_on),
             (None, value) => Err(format!(
@@ -205,7 +231,8 @@ impl Parameters {
     }
 
     fn use_sim_time(&self, is_on: bool) -> Result<(), String> {
-        match &self.sim_time {
+        let Some(node) = self.node.upgrade() else { return Err("the node was removed".to_owned()) };
+        match &node.sim_time {
             Some(sim_time) => sim_time.set(is_on).map_err(|error| error.to_string()),
             None if !is_on => Ok(()),
             None => {
@@ -214,8 +241,8 @@ impl Parameters {
         }
     }
 
-    fn ask(&self, module: &str, setting: &str, value: SettingValue) -> Result<(), String> {
-        match self.core.set(module, setting, value).wait(ACCEPT) {
+    async fn set_setting(&self, module: &str, setting: &str, value: SettingValue) -> Result<(), String> {
+        match self.receive(ACCEPT, self.core.set(module, setting, value)).await {
             Some(Ok(())) => Ok(()),
             Some(Err(SettingRefused::Refused { reason, .. })) => Err(reason),
             Some(Err(error)) => Err(error.to_string()),
@@ -223,36 +250,43 @@ impl Parameters {
         }
     }
 
-    /// Asks the core for all values, and tells listeners what has changed. Where it does not answer, what was known stays.
-    fn refresh(&mut self) {
+    /// What the core answers in time.
+    async fn receive<T: 'static>(&self, time: Duration, receipt: Receipt<T>) -> Option<T> {
+        self.worker.within(time, receipt).await.flatten()
+    }
+
+    /// Asks the core for all values, and publishes what has changed. If it does not answer, the known values stay.
+    async fn refresh(&mut self) {
         self.has_followed |= self.is_following();
-        let told = self.ask_for_settings();
-        let shown = self.select(told);
+        let settings = self.ask_for_settings().await;
+        let shown = self.select(settings);
         let before = std::mem::replace(&mut self.shown, shown);
-        self.tell(&before);
+        self.publish_changes(&before);
     }
 
     fn is_following(&self) -> bool {
-        self.sim_time.as_ref().is_some_and(SimTime::is_on)
+        let node = self.node.upgrade();
+        node.is_some_and(|node| node.sim_time.as_ref().is_some_and(SimTime::is_on))
     }
 
-    fn ask_for_settings(&self) -> Vec<(String, Vec<SettingInfo>)> {
+    async fn ask_for_settings(&self) -> Vec<(String, Vec<SettingInfo>)> {
         if self.exposure.settings.is_empty() {
             return Vec::new();
         }
-        let Some(modules) = self.core.modules().wait(TELL) else {
+        let Some(modules) = self.receive(TELL, self.core.modules()).await else {
             return self.known_settings();
         };
         let asked: Vec<_> = modules
             .iter()
             .map(|module| (module.name.to_string(), self.core.settings(&module.name)))
             .collect();
-        let told = asked.into_iter().map(|(name, receipt)| {
-            let infos =
-                receipt.wait(TELL).map_or_else(|| self.known_settings_of(&name), Option::unwrap_or_default);
-            (name, infos)
-        });
-        told.collect()
+        let mut settings = Vec::with_capacity(asked.len());
+        for (name, receipt) in asked {
+            let infos = self.receive(TELL, receipt).await;
+            let infos = infos.map_or_else(|| self.known_settings_of(&name), Option::unwrap_or_default);
+            settings.push((name, infos));
+        }
+        settings
     }
 
     fn known_settings(&self) -> Vec<(String, Vec<SettingInfo>)> {
@@ -287,8 +321,8 @@ impl Parameters {
         shown
     }
 
-    /// Tells listeners how the parameters differ from what they were.
-    fn tell(&self, before: &Shown) {
+    /// Publishes how the parameters differ from what they were.
+    fn publish_changes(&self, before: &Shown) {
         let message = |(name, parameter): (&String, &Parameter)| ParameterMessage {
             name: name.clone(),
             value: parameter_value(&parameter.info.value),
@@ -300,7 +334,7 @@ impl Parameters {
         let is_gone = |(name, _): &(&String, &Parameter)| !self.shown.contains_key(*name);
         let event = ParameterEvent {
             stamp: now(),
-            node: self.node.clone(),
+            node: self.node_name.clone(),
             new_parameters: self.shown.iter().filter(is_new).map(message).collect(),
             changed_parameters: self.shown.iter().filter(is_changed).map(message).collect(),
             deleted_parameters: before.iter().filter(is_gone).map(message).collect(),
@@ -308,8 +342,11 @@ impl Parameters {
         let is_empty = event.new_parameters.is_empty()
             && event.changed_parameters.is_empty()
             && event.deleted_parameters.is_empty();
-        if !is_empty && let Err(error) = self.events.publish(cdr::to_vec(&event).into()) {
-            tracing::warn!(%error, "a change of parameters was not told");
+        if !is_empty
+            && let Some(node) = self.node.upgrade()
+            && let Err(error) = node.events.publish(cdr::to_vec(&event).into())
+        {
+            tracing::warn!(%error, "a change of parameters was not published");
         }
     }
 }
@@ -324,9 +361,9 @@ const LONGEST_REASON: usize = 500;
 const LONGEST_REASONS: usize = 50_000;
 
 /// With a reason of at most `room` bytes.
-fn answer(result: Result<(), String>, room: usize) -> SetParametersResult {
-    let is_successful = result.is_ok();
-    let mut reason = result.err().unwrap_or_default();
+fn result(outcome: Result<(), String>, room: usize) -> SetParametersResult {
+    let is_successful = outcome.is_ok();
+    let mut reason = outcome.err().unwrap_or_default();
     let room = room.min(LONGEST_REASON);
     if reason.len() > room {
         const CUT: &str = "…";
@@ -337,6 +374,32 @@ fn answer(result: Result<(), String>, room: usize) -> SetParametersResult {
         }
     }
     SetParametersResult { successful: is_successful, reason }
+}
+
+fn descriptor(name: &str, info: &SettingInfo) -> ParameterDescriptor {
+    let mut descriptor = ParameterDescriptor {
+        name: name.to_owned(),
+        r#type: parameter_type(&info.value),
+        description: info.description.clone(),
+        read_only: info.is_read_only,
+        ..ParameterDescriptor::default()
+    };
+    if let Some(range) = &info.range {
+        let (from, to) = (*range.start(), *range.end());
+        match info.value {
+            // A step of 0 means that there is none.
+            SettingValue::Integer(_) | SettingValue::Integers(_) => {
+                let (from_value, to_value) = (from.ceil() as i64, to.floor() as i64);
+                descriptor.integer_range = vec![IntegerRange { from_value, to_value, step: 0 }];
+            }
+            _ => {
+                let (from_value, to_value) = (from, to);
+                descriptor.floating_point_range =
+                    vec![FloatingPointRange { from_value, to_value, step: 0.0 }];
+            }
+        }
+    }
+    descriptor
 }
 
 /// The rule of `NodeParameters::list_parameters`.

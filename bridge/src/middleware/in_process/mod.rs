@@ -12,11 +12,12 @@ use super::{
 };
 use bytes::Bytes;
 use downbeat_msgs::qos::Durability;
-use state::{Handlers, HubReader, HubWriter, SharedHandler, State, WriterHistory, tell};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use parking_lot::Mutex;
+use state::{Handlers, HubReader, HubWriter, SharedHandler, State, WriterHistory, deliver};
+use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// What participants in memory have instead of a network.
+/// The network of participants in memory.
 #[derive(Clone, Default)]
 pub struct Hub {
     state: Arc<Mutex<State>>,
@@ -32,7 +33,7 @@ impl Hub {
     /// A new participant.
     #[must_use]
     pub fn join(&self) -> InProcessParticipant {
-        let mut state = lock(&self.state);
+        let mut state = self.state.lock();
         state.participants += 1;
         let mut gid = [0; 16];
         gid[..8].copy_from_slice(b"downbeat");
@@ -53,7 +54,7 @@ impl Middleware for InProcessParticipant {
     }
 
     fn create_writer(&self, endpoint: &Endpoint) -> Result<Box<dyn Writer>, MiddlewareError> {
-        let mut state = lock(&self.hub.state);
+        let mut state = self.hub.state.lock();
         let gid = state.next_gid(self.gid);
         let (history, handlers) = (Arc::<Mutex<WriterHistory>>::default(), Handlers::default());
         let writer = HubWriter {
@@ -63,7 +64,7 @@ impl Middleware for InProcessParticipant {
         };
         let news = state.add_writer(gid, writer);
         drop(state);
-        tell(news);
+        deliver(news);
         let (hub, endpoint) = (self.hub.clone(), endpoint.clone());
         Ok(Box::new(InProcessWriter { gid, hub, endpoint, history, handlers }))
     }
@@ -73,11 +74,11 @@ impl Middleware for InProcessParticipant {
         endpoint: &Endpoint,
         mut on_sample: SampleHandler,
     ) -> Result<Box<dyn Reader>, MiddlewareError> {
-        let mut state = lock(&self.hub.state);
+        let mut state = self.hub.state.lock();
         let gid = state.next_gid(self.gid);
         if endpoint.qos.durability == Durability::TransientLocal {
             for (_, writer) in state.writers_to(endpoint) {
-                lock(&writer.history).samples.iter().for_each(|sample| on_sample(sample.clone()));
+                writer.history.lock().samples.iter().for_each(|sample| on_sample(sample.clone()));
             }
         }
         let (on_sample, handlers) = (Arc::new(Mutex::new(Some(on_sample))), Handlers::default());
@@ -88,13 +89,13 @@ impl Middleware for InProcessParticipant {
         };
         let news = state.add_reader(gid, reader);
         drop(state);
-        tell(news);
+        deliver(news);
         let (hub, endpoint) = (self.hub.clone(), endpoint.clone());
         Ok(Box::new(InProcessReader { gid, hub, endpoint, on_sample, handlers }))
     }
 
     fn remote_endpoints(&self) -> Vec<RemoteEndpoint> {
-        let state = lock(&self.hub.state);
+        let state = self.hub.state.lock();
         let writers = state.writers.iter().map(|(gid, writer)| (*gid, &writer.endpoint, Direction::Out));
         let readers = state.readers.iter().map(|(gid, reader)| (*gid, &reader.endpoint, Direction::In));
         writers
@@ -135,18 +136,18 @@ impl Writer for InProcessWriter {
     }
 
     fn matched_readers(&self) -> Vec<Gid> {
-        lock(&self.hub.state).readers_of(&self.endpoint).map(|(to, _)| to).collect()
+        self.hub.state.lock().readers_of(&self.endpoint).map(|(to, _)| to).collect()
     }
 
     fn on_match(&self, handler: MatchHandler) {
-        *lock(&self.handlers.on_match) = Some(Arc::new(handler));
+        *self.handlers.on_match.lock() = Some(Arc::new(handler));
     }
 
     fn on_event(&self, handler: EventHandler) {
         let handler = Arc::new(handler);
-        let state = lock(&self.hub.state);
+        let state = self.hub.state.lock();
         let events = state.events_of_writer(&self.endpoint);
-        *lock(&self.handlers.on_event) = Some(Arc::clone(&handler));
+        *self.handlers.on_event.lock() = Some(Arc::clone(&handler));
         drop(state);
         events.iter().for_each(|event| handler(event));
     }
@@ -156,16 +157,16 @@ impl Writer for InProcessWriter {
             return Err(WriteError::Encapsulation { found: cdr[..cdr.len().min(4)].to_vec() });
         }
         let handlers: Vec<SharedHandler> = {
-            let state = lock(&self.hub.state);
+            let state = self.hub.state.lock();
             let is_meant = |to: &Gid| options.only_to.is_none_or(|only| only == *to);
             let readers = state.readers_of(&self.endpoint).filter(|(to, _)| is_meant(to));
             readers.map(|(_, reader)| Arc::clone(&reader.on_sample)).collect()
         };
         // Held while the handlers run, so that samples of one writer stay in order.
-        let mut history = lock(&self.history);
+        let mut history = self.history.lock();
         let sample = history.next(self.gid, &self.endpoint, cdr, options);
         for handler in handlers {
-            if let Some(on_sample) = lock(&handler).as_mut() {
+            if let Some(on_sample) = handler.lock().as_mut() {
                 on_sample(sample.clone());
             }
         }
@@ -179,8 +180,8 @@ impl Writer for InProcessWriter {
 
 impl Drop for InProcessWriter {
     fn drop(&mut self) {
-        let news = lock(&self.hub.state).remove_writer(self.gid);
-        tell(news);
+        let news = self.hub.state.lock().remove_writer(self.gid);
+        deliver(news);
     }
 }
 
@@ -202,18 +203,18 @@ impl Reader for InProcessReader {
     }
 
     fn matched_writers(&self) -> Vec<Gid> {
-        lock(&self.hub.state).writers_to(&self.endpoint).map(|(from, _)| from).collect()
+        self.hub.state.lock().writers_to(&self.endpoint).map(|(from, _)| from).collect()
     }
 
     fn on_match(&self, handler: MatchHandler) {
-        *lock(&self.handlers.on_match) = Some(Arc::new(handler));
+        *self.handlers.on_match.lock() = Some(Arc::new(handler));
     }
 
     fn on_event(&self, handler: EventHandler) {
         let handler = Arc::new(handler);
-        let state = lock(&self.hub.state);
+        let state = self.hub.state.lock();
         let events = state.events_of_reader(&self.endpoint);
-        *lock(&self.handlers.on_event) = Some(Arc::clone(&handler));
+        *self.handlers.on_event.lock() = Some(Arc::clone(&handler));
         drop(state);
         events.iter().for_each(|event| handler(event));
     }
@@ -221,16 +222,12 @@ impl Reader for InProcessReader {
 
 impl Drop for InProcessReader {
     fn drop(&mut self) {
-        let news = lock(&self.hub.state).remove_reader(self.gid);
-        tell(news);
-        lock(&self.on_sample).take();
+        let news = self.hub.state.lock().remove_reader(self.gid);
+        deliver(news);
+        self.on_sample.lock().take();
     }
 }
 
 fn now_ns() -> Option<i64> {
     SystemTime::now().duration_since(UNIX_EPOCH).ok().and_then(|time| i64::try_from(time.as_nanos()).ok())
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,14 +1,15 @@
-//! What a hub knows: the endpoints of all participants, and who suits whom.
+//! The state of a hub: the endpoints of all participants, and their matches.
 
-use super::{lock, now_ns};
+use super::now_ns;
 use crate::middleware::{
     Endpoint, EndpointEvent, EventHandler, Gid, MatchHandler, QosPolicyKind, Sample, SampleHandler,
     WriteOptions,
 };
 use bytes::Bytes;
 use downbeat_msgs::qos::{Durability, History};
+use parking_lot::Mutex;
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 #[derive(Default)]
 pub(super) struct State {
@@ -33,7 +34,7 @@ pub(super) struct HubReader {
 /// Empty once the reader is dropped.
 pub(super) type SharedHandler = Arc<Mutex<Option<SampleHandler>>>;
 
-/// Those of one endpoint; clones are the same.
+/// The handlers of one endpoint; clones share them.
 #[derive(Clone, Default)]
 pub(super) struct Handlers {
     pub(super) on_match: Arc<Mutex<Option<Arc<MatchHandler>>>>,
@@ -47,10 +48,10 @@ pub(super) struct WriterHistory {
     pub(super) samples: VecDeque<Sample>,
 }
 
-/// What endpoints are to be told when the state is no longer locked, since their handlers ask it.
+/// Events for endpoints, which are delivered without the lock on the state, since handlers may take it.
 pub(super) type News = Vec<(Handlers, EndpointEvent)>;
 
-/// How a writer and a reader of one topic stand to each other.
+/// The relation of a writer and a reader of one topic.
 enum Suits {
     Yes,
     No(QosPolicyKind),
@@ -101,25 +102,25 @@ impl State {
     pub(super) fn remove_writer(&mut self, from: Gid) -> News {
         let Some(writer) = self.writers.remove(&from) else { return News::new() };
         let readers = self.readers_of(&writer.endpoint);
-        let gone = EndpointEvent::Unmatched { peer: from };
-        readers.map(|(_, reader)| (reader.handlers.clone(), gone)).collect()
+        let unmatched = EndpointEvent::Unmatched { peer: from };
+        readers.map(|(_, reader)| (reader.handlers.clone(), unmatched)).collect()
     }
 
     pub(super) fn remove_reader(&mut self, to: Gid) -> News {
         let Some(reader) = self.readers.remove(&to) else { return News::new() };
         let writers = self.writers_to(&reader.endpoint);
-        let gone = EndpointEvent::Unmatched { peer: to };
-        writers.map(|(_, writer)| (writer.handlers.clone(), gone)).collect()
+        let unmatched = EndpointEvent::Unmatched { peer: to };
+        writers.map(|(_, writer)| (writer.handlers.clone(), unmatched)).collect()
     }
 
-    /// What holds for a writer.
+    /// The present state of a writer, as events.
     pub(super) fn events_of_writer(&self, writer: &Endpoint) -> Vec<EndpointEvent> {
         let readers = self.readers.iter();
         let events = readers.filter_map(|(to, reader)| Some(event_of(suits(writer, &reader.endpoint)?, *to)));
         events.collect()
     }
 
-    /// What holds for a reader.
+    /// The present state of a reader, as events.
     pub(super) fn events_of_reader(&self, reader: &Endpoint) -> Vec<EndpointEvent> {
         let writers = self.writers.iter();
         let events =
@@ -158,15 +159,15 @@ impl WriterHistory {
 }
 
 /// Calls the handlers that the news is for.
-pub(super) fn tell(news: News) {
+pub(super) fn deliver(news: News) {
     for (handlers, event) in news {
         if matches!(event, EndpointEvent::Matched { .. } | EndpointEvent::Unmatched { .. }) {
-            let on_match = lock(&handlers.on_match).clone();
+            let on_match = handlers.on_match.lock().clone();
             if let Some(handler) = on_match {
                 handler();
             }
         }
-        let on_event = lock(&handlers.on_event).clone();
+        let on_event = handlers.on_event.lock().clone();
         if let Some(handler) = on_event {
             handler(&event);
         }

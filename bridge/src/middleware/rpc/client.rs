@@ -1,21 +1,22 @@
-//! The side that asks.
+//! The client side.
 
 use super::mapping::{Mapping, PayloadHeader};
-use super::thread::{RpcLink, RpcThread, TimeLimited};
-use super::{MAX_IN_FLIGHT, ServiceEndpoint, lock, of_participant, reading};
+use super::{MAX_IN_FLIGHT, ServiceEndpoint, of_participant, reading};
 use crate::middleware::{
     Gid, Middleware, MiddlewareError, Reader, Sample, SampleIdentity, WriteError, WriteOptions, Writer,
 };
+use crate::worker::{TimeLimited, Worker, WorkerLink};
 use bytes::Bytes;
+use parking_lot::{Condvar, Mutex};
 use std::collections::{BTreeSet, HashMap};
-use std::sync::{Arc, Condvar, Mutex, OnceLock, PoisonError, Weak};
+use std::sync::{Arc, OnceLock, Weak};
 use std::time::{Duration, Instant};
 use thiserror::Error;
 
 /// Tells the calls of one client apart.
 pub type CallNumber = i64;
 
-/// A call has no answer.
+/// A call failed.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum CallError {
     /// No server is matched in both directions, and knows it.
@@ -24,7 +25,7 @@ pub enum CallError {
         /// The service.
         service: String,
     },
-    /// The time was up before an answer came.
+    /// No answer came in time.
     #[error("service {service}: no answer in {timeout:?}")]
     TimedOut {
         /// The service.
@@ -64,7 +65,7 @@ pub enum CallError {
 
 type ReplyHandler = Box<dyn FnOnce(Result<Answer, CallError>) + Send>;
 
-/// What came back for a call.
+/// The answer to a call.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Answer {
     /// The number of the call.
@@ -82,14 +83,14 @@ pub struct RequestClient {
 struct Shared {
     service: String,
     writer: Box<dyn Writer>,
-    link: RpcLink,
+    worker: WorkerLink,
     /// The number of the last request. Held while one is numbered and written: the number of the call must be known before
     /// its answer comes.
     last: Mutex<CallNumber>,
     /// The identity of the reader of replies, by which servers name it.
     reader: Gid,
     calls: Mutex<Calls>,
-    /// Beside `changed`, which tells that matches have changed.
+    /// For `changed`, which is notified when matches change.
     waiting: Mutex<()>,
     changed: Condvar,
 }
@@ -115,13 +116,13 @@ impl Calls {
 }
 
 impl RequestClient {
-    /// Creates the two endpoints of a client, whose handlers run on `thread`.
+    /// Creates the two endpoints of a client, whose handlers run on `worker`.
     ///
     /// # Errors
     /// [`MiddlewareError`] when the engine refuses an endpoint.
     pub fn new(
         middleware: &dyn Middleware,
-        thread: &RpcThread,
+        worker: &Worker,
         service: &ServiceEndpoint,
     ) -> Result<Self, MiddlewareError> {
         // The reader first: a server that knows the writer then knows where to answer, too.
@@ -138,7 +139,7 @@ impl RequestClient {
         let writer = middleware.create_writer(&service.requests())?;
         let shared = Arc::new(Shared {
             service: service.name.clone(),
-            link: thread.link(),
+            worker: worker.link(),
             last: Mutex::default(),
             reader: reader.gid(),
             writer,
@@ -148,10 +149,10 @@ impl RequestClient {
         });
         let weak = Arc::downgrade(&shared);
         receiver.get_or_init(|| weak.clone());
-        shared.link.watch(weak.clone() as _);
+        shared.worker.watch(weak.clone() as _);
         let on_match = move || {
             if let Some(shared) = weak.upgrade() {
-                drop(lock(&shared.waiting));
+                drop(shared.waiting.lock());
                 shared.changed.notify_all();
             }
         };
@@ -172,11 +173,11 @@ impl RequestClient {
         self.request_readers().len()
     }
 
-    /// Waits until a server is there, or for `timeout`; tells which.
+    /// Waits until a server is available, at most for `timeout`. Returns true if one is.
     #[must_use]
     pub fn wait_for_server(&self, timeout: Duration) -> bool {
         let deadline = Instant::now() + timeout;
-        let mut waiting = lock(&self.shared.waiting);
+        let mut waiting = self.shared.waiting.lock();
         loop {
             if self.servers() > 0 {
                 return true;
@@ -185,8 +186,7 @@ impl RequestClient {
             if rest.is_zero() {
                 return false;
             }
-            let woken = self.shared.changed.wait_timeout(waiting, rest);
-            waiting = woken.unwrap_or_else(PoisonError::into_inner).0;
+            self.shared.changed.wait_for(&mut waiting, rest);
         }
     }
 
@@ -204,7 +204,7 @@ impl RequestClient {
         match self.send(cdr, timeout, on_reply) {
             Ok(number) => Some(number),
             Err((on_reply, error)) => {
-                self.shared.link.run(move || on_reply(Err(error)));
+                self.shared.worker.run(move || on_reply(Err(error)));
                 None
             }
         }
@@ -218,7 +218,7 @@ impl RequestClient {
     ) -> Result<CallNumber, (ReplyHandler, CallError)> {
         let shared = &self.shared;
         let service = || shared.service.clone();
-        let mut last = lock(&shared.last);
+        let mut last = shared.last.lock();
         let servers = self.request_readers();
         let Some(server) = preferred(&servers) else {
             return Err((on_reply, CallError::NoServer { service: service() }));
@@ -235,7 +235,7 @@ impl RequestClient {
         };
         let deadline = Instant::now() + timeout;
         let is_first = {
-            let mut calls = lock(&shared.calls);
+            let mut calls = shared.calls.lock();
             if calls.by_number.len() >= MAX_IN_FLIGHT {
                 return Err((on_reply, CallError::TooManyCalls { service: service() }));
             }
@@ -248,13 +248,13 @@ impl RequestClient {
             Ok(written) => {
                 *last = written;
                 if is_first {
-                    shared.link.look_again();
+                    shared.worker.look_again();
                 }
                 Ok(number)
             }
-            Err(error) => match lock(&shared.calls).take(number) {
+            Err(error) => match shared.calls.lock().take(number) {
                 Some(call) => Err((call.on_reply, CallError::Write { service: service(), error })),
-                // Its time was up already, and it was told so.
+                // It has timed out already.
                 None => Ok(number),
             },
         }
@@ -278,10 +278,10 @@ impl Drop for RequestClient {
 impl Shared {
     /// Answers all calls that wait with an error.
     fn end_calls(&self, error: impl Fn(String) -> CallError) {
-        let calls = std::mem::take(&mut *lock(&self.calls));
+        let calls = std::mem::take(&mut *self.calls.lock());
         for (_, call) in calls.by_number {
             let error = error(self.service.clone());
-            self.link.run(move || (call.on_reply)(Err(error)));
+            self.worker.run(move || (call.on_reply)(Err(error)));
         }
     }
 
@@ -302,21 +302,21 @@ impl Shared {
             },
             Some(_) => return,
         };
-        if let Some(call) = lock(&self.calls).take(number) {
-            self.link.run(move || (call.on_reply)(Ok(Answer { number, cdr })));
+        if let Some(call) = self.calls.lock().take(number) {
+            self.worker.run(move || (call.on_reply)(Ok(Answer { number, cdr })));
         }
     }
 }
 
 impl TimeLimited for Shared {
     fn due(&self) -> Option<Instant> {
-        lock(&self.calls).by_deadline.first().map(|&(deadline, _)| deadline)
+        self.calls.lock().by_deadline.first().map(|&(deadline, _)| deadline)
     }
 
     fn expire(&self, now: Instant) {
         loop {
             let call = {
-                let mut calls = lock(&self.calls);
+                let mut calls = self.calls.lock();
                 let Some(&(_, number)) = calls.by_deadline.first().filter(|(deadline, _)| *deadline <= now)
                 else {
                     return;

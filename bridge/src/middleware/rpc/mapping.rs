@@ -27,7 +27,7 @@ impl Mapping {
     }
 }
 
-/// What stands in front of a payload of `rmw_cyclonedds`.
+/// The header of a payload of `rmw_cyclonedds`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PayloadHeader {
     pub(super) client: u64,
@@ -71,10 +71,10 @@ impl PayloadHeader {
     }
 }
 
-/// Where the reply to a request goes, and what it says there.
+/// The destination and the label of the reply to a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct ReturnAddress {
-    /// Who asked.
+    /// The writer of the request.
     pub(super) client: Gid,
     /// The number of the request there.
     pub(super) number: i64,
@@ -83,7 +83,7 @@ pub(super) struct ReturnAddress {
     pub(super) label: Label,
 }
 
-/// What a reply says of its request.
+/// How a reply names its request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Label {
     Related(SampleIdentity),

@@ -1,7 +1,7 @@
 //! Raw requests and replies, made of two topics: clients write requests, servers write replies, and every client reads all
 //! replies and keeps its own.
 //!
-//! How a reply says to which request it belongs is not the same everywhere. `rmw_fastrtps` puts it beside the payload
+//! Implementations differ in how a reply names its request. `rmw_fastrtps` puts it beside the payload
 //! (the *related sample identity* of DDS-RPC, as inline quality of service), `rmw_cyclonedds` into the first 16 bytes of
 //! the payload. A server answers each request the way its client speaks, and a client asks the way the server that is
 //! matched speaks; which one that is follows from the vendor in the identity of the peer.
@@ -10,35 +10,31 @@
 //! a new client may have found one half of it only, and its first reply would be lost. And a client counts those servers
 //! only that have found it too, so that its first request is not lost either.
 //!
-//! Handlers run on the thread of an [`RpcThread`], one after the other: never on a thread of the engine, so that they may
+//! Handlers run on a [`Worker`](crate::worker::Worker), one after the other: never on a thread of the engine, so that they may
 //! call and answer whatever they like.
 
 mod client;
 mod mapping;
 mod server;
-mod thread;
 
 pub use client::{Answer, CallError, CallNumber, RequestClient};
 pub use server::{IncomingRequest, ReplyError, RequestHandler, RequestServer, Responder};
-pub use thread::RpcThread;
-pub(crate) use thread::{RpcLink, TimeLimited};
 
 use super::{Endpoint, Gid};
 use downbeat_msgs::qos::{History, QosProfile};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// How long a reply waits for the reader of the client that asked.
 pub const REPLY_HOLD: Duration = Duration::from_secs(1);
 
-/// Requests that a server may have accepted and not answered, and calls that a client may have made and not received an
-/// answer to. What is above it is refused.
+/// The most requests that a server has accepted and not answered, and the most calls of a client without an answer. More are
+/// refused.
 pub const MAX_IN_FLIGHT: usize = 1024;
 
 /// The two topics of a service, with names as they stand on the wire.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServiceEndpoint {
-    /// What errors and warnings call it.
+    /// The name in errors and warnings.
     pub name: String,
     /// The topic of requests, such as `rq/resetRequest`.
     pub request_topic: String,
@@ -74,8 +70,4 @@ fn reading(endpoint: Endpoint) -> Endpoint {
 
 fn of_participant(gids: &[Gid], participant: [u8; 12]) -> Option<Gid> {
     gids.iter().copied().find(|gid| gid.participant() == participant)
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

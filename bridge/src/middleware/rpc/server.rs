@@ -1,14 +1,15 @@
-//! The side that answers.
+//! The server side.
 
 use super::mapping::{Label, ReturnAddress, request};
-use super::thread::{RpcLink, RpcThread, TimeLimited};
-use super::{MAX_IN_FLIGHT, REPLY_HOLD, ServiceEndpoint, lock, of_participant, reading};
+use super::{MAX_IN_FLIGHT, REPLY_HOLD, ServiceEndpoint, of_participant, reading};
 use crate::limiter::Limiter;
 use crate::middleware::{Gid, Middleware, MiddlewareError, Reader, Sample, WriteError, WriteOptions, Writer};
+use crate::worker::{TimeLimited, Worker, WorkerLink};
 use bytes::Bytes;
+use parking_lot::Mutex;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, Weak};
+use std::sync::{Arc, Weak};
 use std::time::Instant;
 use thiserror::Error;
 
@@ -19,14 +20,14 @@ pub type RequestHandler = Box<dyn FnMut(IncomingRequest) + Send>;
 pub struct IncomingRequest {
     /// The payload: encapsulation header and body.
     pub cdr: Bytes,
-    /// Who asks: the writer of the request.
+    /// The writer of the request.
     pub client: Gid,
     /// The number of the request at its client.
     pub number: i64,
-    /// By which its client is known in ROS 2: the reader that waits for the reply where the request names it, as it does for
-    /// `rmw_fastrtps`, and the writer of the request otherwise.
+    /// The identity of the client in ROS 2: the reader that waits for the reply if the request names it, as that of
+    /// `rmw_fastrtps` does, and the writer of the request otherwise.
     pub request_client: Gid,
-    /// Takes the answer.
+    /// Sends the reply.
     pub responder: Responder,
 }
 
@@ -34,7 +35,7 @@ pub struct IncomingRequest {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ReplyError {
     /// The server was dropped before its answer.
-    #[error("the server is gone, its reply was not sent")]
+    #[error("the server was closed, its reply was not sent")]
     Closed,
     /// The sample was not written.
     #[error(transparent)]
@@ -50,7 +51,7 @@ pub struct RequestServer {
 struct Shared {
     service: String,
     writer: Box<dyn Writer>,
-    link: RpcLink,
+    worker: WorkerLink,
     is_closed: AtomicBool,
     open: Arc<AtomicUsize>,
     held: Mutex<VecDeque<Held>>,
@@ -68,13 +69,13 @@ struct Held {
 }
 
 impl RequestServer {
-    /// Creates the two endpoints of a server. `on_request` runs on `thread`.
+    /// Creates the two endpoints of a server. `on_request` runs on `worker`.
     ///
     /// # Errors
     /// [`MiddlewareError`] when the engine refuses an endpoint.
     pub fn new(
         middleware: &dyn Middleware,
-        thread: &RpcThread,
+        worker: &Worker,
         service: &ServiceEndpoint,
         on_request: RequestHandler,
     ) -> Result<Self, MiddlewareError> {
@@ -82,7 +83,7 @@ impl RequestServer {
         let shared = Arc::new(Shared {
             service: service.name.clone(),
             writer: middleware.create_writer(&service.replies())?,
-            link: thread.link(),
+            worker: worker.link(),
             is_closed: AtomicBool::new(false),
             open: Arc::default(),
             held: Mutex::default(),
@@ -91,7 +92,7 @@ impl RequestServer {
             unanswered: Limiter::default(),
         });
         let limited: Weak<dyn TimeLimited> = Arc::<Shared>::downgrade(&shared) as _;
-        shared.link.watch(limited);
+        shared.worker.watch(limited);
         let matched = Arc::downgrade(&shared);
         shared.writer.on_match(Box::new(move || {
             if let Some(shared) = matched.upgrade() {
@@ -156,17 +157,16 @@ pub struct Responder {
 }
 
 impl Responder {
-    /// Has `on_sent` called with the reply when it was sent, or waits for its client.
+    /// Registers a function that is called with the reply when it was sent or waits for its client.
     pub fn when_sent(mut self, on_sent: impl FnOnce(&Bytes) + Send + 'static) -> Self {
         self.on_sent = Some(Box::new(on_sent));
         self
     }
 
-    /// Has `encode` run and its result sent as the reply, on the thread of the handlers: for those whose own thread must
-    /// neither serialise nor write.
+    /// Runs `encode` and sends its result as the reply, on the worker: for threads that must neither serialize nor write.
     pub fn reply_later(self, encode: impl FnOnce() -> Bytes + Send + 'static) {
         let Some(server) = self.server.upgrade() else { return };
-        server.link.run(move || {
+        server.worker.run(move || {
             let server = self.server.clone();
             let Err(error) = self.reply(encode()) else { return };
             if let Some(server) = server.upgrade()
@@ -189,12 +189,12 @@ impl Responder {
         let Some(server) = server else { return Err(ReplyError::Closed) };
         {
             // Held while looking: a client that is matched after the look finds its reply among those that wait.
-            let mut held = lock(&server.held);
+            let mut held = server.held.lock();
             if !server.reaches(&address) {
                 let until = Instant::now() + REPLY_HOLD;
                 held.push_back(Held { until, address, cdr: cdr.clone(), _open: open });
                 drop(held);
-                server.link.look_again();
+                server.worker.look_again();
                 on_sent.into_iter().for_each(|on_sent| on_sent(&cdr));
                 return Ok(());
             }
@@ -236,9 +236,9 @@ fn accept(shared: &Arc<Shared>, on_request: &Arc<Mutex<RequestHandler>>, sample:
     let responder = Responder { server: Arc::downgrade(shared), address, open, on_sent: None };
     let request = IncomingRequest { cdr, client, number, request_client, responder };
     let (server, on_request) = (Arc::downgrade(shared), Arc::clone(on_request));
-    shared.link.run(move || {
+    shared.worker.run(move || {
         if server.upgrade().is_some_and(|server| !server.is_closed.load(Ordering::Acquire)) {
-            lock(&on_request)(request);
+            on_request.lock()(request);
         }
     });
 }
@@ -272,7 +272,7 @@ impl Shared {
 
     fn send_held(&self) {
         let reached: VecDeque<Held> = {
-            let mut held = lock(&self.held);
+            let mut held = self.held.lock();
             let (reached, waiting) = held.drain(..).partition(|held| self.reaches(&held.address));
             *held = waiting;
             reached
@@ -287,11 +287,11 @@ impl Shared {
 
 impl TimeLimited for Shared {
     fn due(&self) -> Option<Instant> {
-        lock(&self.held).front().map(|held| held.until)
+        self.held.lock().front().map(|held| held.until)
     }
 
     fn expire(&self, now: Instant) {
-        let mut held = lock(&self.held);
+        let mut held = self.held.lock();
         while held.front().is_some_and(|held| held.until <= now) {
             held.pop_front();
             if self.unreachable.fetch_add(1, Ordering::Relaxed) == 0 {

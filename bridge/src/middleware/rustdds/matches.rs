@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// The number of endpoints that one of ours is matched with, shared with its handle.
 pub(super) type MatchedCount = Arc<AtomicUsize>;
 
-/// What the handlers of endpoints are to be told when the lock is free again.
+/// Events for the handlers of endpoints, which are delivered without the lock.
 #[derive(Default)]
 pub(super) struct News {
     on_change: Vec<Arc<MatchHandler>>,
@@ -24,7 +24,7 @@ pub(super) struct News {
 }
 
 impl News {
-    pub(super) fn tell(&self) {
+    pub(super) fn deliver(&self) {
         self.on_change.iter().for_each(|on_change| on_change());
         self.events.iter().for_each(|(handler, event)| handler(event));
     }
@@ -37,7 +37,7 @@ struct Matched {
     liveliness: Option<(Direction, Liveliness)>,
     count: MatchedCount,
     peers: HashSet<Gid>,
-    /// Those that are on the topic and do not suit. An announcement is repeated, what it says is told once.
+    /// Endpoints on the topic that do not match. Announcements are repeated; each is reported once.
     unsuited: HashMap<Gid, QosPolicyKind>,
     on_change: Option<Arc<MatchHandler>>,
     on_event: Option<Arc<EventHandler>>,
@@ -126,7 +126,7 @@ impl Matches {
         self.local.entry(local).or_default().on_change = Some(Arc::new(handler));
     }
 
-    /// Has `handler` told of a local endpoint: what holds now is returned. Called on the thread that applies events, so that
+    /// Registers a handler for events of a local endpoint and returns the present state. Called on the thread that applies events, so that
     /// nothing comes in between.
     #[must_use]
     pub(super) fn listen(&mut self, local: Gid, handler: EventHandler) -> News {

@@ -18,13 +18,14 @@ use super::{
 };
 use downbeat_msgs::qos::Durability;
 use matches::{MatchedCount, Matches};
+use parking_lot::Mutex;
 use payload::{OutgoingBody, ReceiveAny, ReceivedCdr, SendLittleEndian};
 use reader_thread::{DdsDataReader, ReaderThread};
 use rustdds::{DomainParticipant, DomainParticipantBuilder, QosPolicies, RTPSEntity, TopicKind};
 use std::net::Ipv4Addr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, PoisonError};
 
 /// The target under which rustdds logs.
 pub const LOG_TARGET: &str = "rustdds";
@@ -79,7 +80,7 @@ impl RustddsParticipant {
     }
 
     fn watch(&self, local: Gid, direction: Direction, endpoint: &Endpoint) -> MatchedCount {
-        lock(&self.matches).watch(local, direction, endpoint.qos.liveliness)
+        self.matches.lock().watch(local, direction, endpoint.qos.liveliness)
     }
 }
 
@@ -123,7 +124,7 @@ impl Middleware for RustddsParticipant {
     }
 
     fn remote_endpoints(&self) -> Vec<RemoteEndpoint> {
-        lock(&self.matches).remote_endpoints()
+        self.matches.lock().remote_endpoints()
     }
 }
 
@@ -145,11 +146,11 @@ impl Reader for DdsReader {
     }
 
     fn matched_writers(&self) -> Vec<Gid> {
-        lock(&self.matches).peers(self.gid)
+        self.matches.lock().peers(self.gid)
     }
 
     fn on_match(&self, handler: MatchHandler) {
-        lock(&self.matches).on_change(self.gid, handler);
+        self.matches.lock().on_change(self.gid, handler);
     }
 
     fn on_event(&self, handler: EventHandler) {
@@ -159,11 +160,11 @@ impl Reader for DdsReader {
 
 impl Drop for DdsReader {
     fn drop(&mut self) {
-        lock(&self.matches).forget(self.gid);
+        self.matches.lock().forget(self.gid);
     }
 }
 
-/// rustdds keeps the samples of a topic after its last reader is gone, and would give them to the next.
+/// rustdds keeps the samples of a topic after its last reader was dropped, and would deliver them to the next.
 fn discard_what_an_earlier_reader_left(reader: &DdsDataReader) {
     // Bounded by what a topic can hold; a sample that cannot be read counts as taken.
     for _ in 0..qos::KEEP_ALL_SAMPLES {
@@ -188,8 +189,4 @@ fn guarded<T>(
     action: impl FnOnce() -> Result<T, MiddlewareError>,
 ) -> Result<T, MiddlewareError> {
     catch_unwind(AssertUnwindSafe(action)).unwrap_or(Err(MiddlewareError::Panicked { doing }))
-}
-
-fn lock(matches: &SharedMatches) -> std::sync::MutexGuard<'_, Matches> {
-    matches.lock().unwrap_or_else(PoisonError::into_inner)
 }

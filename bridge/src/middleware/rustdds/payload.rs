@@ -8,7 +8,7 @@ use std::convert::Infallible;
 
 /// Identifier (2 bytes) and options (2 bytes) before the body.
 const HEADER_LENGTH: usize = 4;
-/// The header of little-endian CDR without options, the one rustdds is told to send.
+/// The header of little-endian CDR without options, which rustdds is configured to send.
 const CDR_LE_HEADER: [u8; HEADER_LENGTH] = [0x00, 0x01, 0x00, 0x00];
 
 /// Every encapsulation a ROS 2 peer may send: CDR and its extensible versions 1 and 2.

@@ -84,7 +84,7 @@ pub(super) fn policies(endpoint: &Endpoint, direction: Direction) -> Result<QosP
     Ok(builder.build())
 }
 
-/// Reliability and durability of an endpoint of another participant; what it does not tell is the default of DDS.
+/// Reliability and durability of an endpoint of another participant; what it does not announce is the default of DDS.
 pub(super) fn reliability_and_durability(
     qos: &QosPolicies,
     direction: Direction,

@@ -2,9 +2,9 @@
 //!
 //! Readers are owned by the thread: rustdds registers a reader for polling through `&mut`. Handles send commands.
 
+use super::SharedMatches;
 use super::matches::gid;
 use super::payload::{ReceiveAny, ReceivedCdr};
-use super::{SharedMatches, lock};
 use crate::limiter::Limiter;
 use crate::middleware::{EventHandler, Gid, Sample, SampleHandler, SampleIdentity};
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
@@ -76,7 +76,7 @@ impl Drop for ReaderThread {
         if let Some(thread) = self.thread.take()
             && std::thread::current().id() != self.link.thread
         {
-            // The thread catches panics; there is nothing to tell about a join that fails.
+            // The thread catches panics, so joining does not fail.
             let _ = thread.join();
         }
     }
@@ -108,7 +108,7 @@ pub(super) struct Link {
 }
 
 impl Link {
-    /// Has `handler` told what happens to an endpoint of ours, on the thread.
+    /// Registers a handler for events of a local endpoint, which runs on the thread.
     pub(super) fn listen(&self, local: Gid, handler: EventHandler) {
         self.send(Command::Listen(local, handler));
     }
@@ -123,7 +123,7 @@ impl Link {
 
 enum Command {
     Add(Token, Box<ServedReader>),
-    /// The sender is dropped when the reader is gone.
+    /// The sender is dropped with the reader.
     Remove(Token, Sender<()>),
     Listen(Gid, EventHandler),
     Stop,
@@ -151,7 +151,7 @@ impl Served {
         let mut ready = Vec::new();
         self.hear_discovery();
         loop {
-            // Readers that used up their turn are still ready, and polling would not tell again.
+            // Readers that used up their turn are still ready, and polling would not report them again.
             let timeout = if ready.is_empty() { None } else { Some(Duration::ZERO) };
             match self.poll.poll(&mut events, timeout) {
                 Ok(()) => {}
@@ -196,8 +196,8 @@ impl Served {
                 }
                 Command::Remove(token, _done) => self.remove(token),
                 Command::Listen(local, handler) => {
-                    let news = lock(&self.matches).listen(local, handler);
-                    if catch_unwind(AssertUnwindSafe(|| news.tell())).is_err() {
+                    let news = self.matches.lock().listen(local, handler);
+                    if catch_unwind(AssertUnwindSafe(|| news.deliver())).is_err() {
                         tracing::error!("a handler of QoS events panicked");
                     }
                 }
@@ -245,8 +245,8 @@ impl Served {
         let hear = || {
             while let Some(event) = self.discovery.try_recv_status() {
                 // Not under the lock: the handlers ask who is matched.
-                let news = lock(&self.matches).apply(event);
-                news.tell();
+                let news = self.matches.lock().apply(event);
+                news.deliver();
             }
         };
         if catch_unwind(AssertUnwindSafe(hear)).is_err() {

@@ -3,7 +3,7 @@
 use super::matches::{MatchedCount, gid};
 use super::payload::{OutgoingBody, SendLittleEndian};
 use super::reader_thread::Link;
-use super::{RustddsParticipant, SharedMatches, lock};
+use super::{RustddsParticipant, SharedMatches};
 use crate::middleware::{
     Direction, Endpoint, EventHandler, Gid, MatchHandler, WriteError, WriteOptions, Writer,
 };
@@ -52,11 +52,11 @@ impl Writer for DdsWriter {
     }
 
     fn matched_readers(&self) -> Vec<Gid> {
-        lock(&self.matches).peers(self.gid)
+        self.matches.lock().peers(self.gid)
     }
 
     fn on_match(&self, handler: MatchHandler) {
-        lock(&self.matches).on_change(self.gid, handler);
+        self.matches.lock().on_change(self.gid, handler);
     }
 
     fn on_event(&self, handler: EventHandler) {
@@ -97,6 +97,6 @@ impl Writer for DdsWriter {
 
 impl Drop for DdsWriter {
     fn drop(&mut self) {
-        lock(&self.matches).forget(self.gid);
+        self.matches.lock().forget(self.gid);
     }
 }

@@ -2,30 +2,26 @@
 
 use std::time::Duration;
 
-use downbeat_bridge::ros::{Policy, QosRequest};
-use downbeat_msgs::qos::{Durability, History, Liveliness, QosProfile, Reliability};
+use downbeat_bridge::middleware::Direction;
+use downbeat_msgs::qos::{
+    BEST_AVAILABLE, History, Policy, QosProfile, QosRequest, Reliability, SYSTEM_DEFAULT, Word,
+};
 
-use super::{Direction, Result};
+use super::Result;
 use crate::robot::file::table::{Table, Value};
 use crate::robot::file::{choice, suggestion};
-
-/// What is decided when the endpoint is created.
-const BEST_AVAILABLE: &str = "best_available";
 
 /// A preset by name, or a table that says how it differs from one.
 pub(super) fn request(value: Value<'_>, direction: Direction) -> Result<QosRequest> {
     let Some(mut table) = value.as_table("qos") else { return preset(value, direction) };
     let base = table.take("preset").map_or(Ok(QosRequest::default()), |value| preset(value, direction))?;
-    let reliabilities = [("reliable", Reliability::Reliable), ("best_effort", Reliability::BestEffort)];
-    let durabilities = [("volatile", Durability::Volatile), ("transient_local", Durability::TransientLocal)];
-    let livelinesses = [("automatic", Liveliness::Automatic), ("manual_by_topic", Liveliness::ManualByTopic)];
     let request = QosRequest {
         history: history(&mut table, base.history)?,
-        reliability: policy(table.take("reliability"), &reliabilities, base.reliability)?,
-        durability: policy(table.take("durability"), &durabilities, base.durability)?,
+        reliability: policy(table.take("reliability"), base.reliability)?,
+        durability: policy(table.take("durability"), base.durability)?,
         deadline: duration(table.take("deadline"), base.deadline)?,
         lifespan: table.take("lifespan").map_or(Ok(base.lifespan), finite)?,
-        liveliness: policy(table.take("liveliness"), &livelinesses, base.liveliness)?,
+        liveliness: policy(table.take("liveliness"), base.liveliness)?,
         liveliness_lease_duration: duration(
             table.take("liveliness_lease_duration"),
             base.liveliness_lease_duration,
@@ -36,15 +32,16 @@ pub(super) fn request(value: Value<'_>, direction: Direction) -> Result<QosReque
 }
 
 fn preset(value: Value<'_>, direction: Direction) -> Result<QosRequest> {
-    const MORE: [&str; 3] = ["services", "system_default", BEST_AVAILABLE];
+    const MORE: [&str; 3] = ["services", SYSTEM_DEFAULT, BEST_AVAILABLE];
     let name = value.text()?;
     Ok(match name {
         BEST_AVAILABLE => QosRequest::BEST_AVAILABLE,
         "services" => QosProfile::SERVICES.into(),
-        "system_default" => system_default(direction).into(),
+        SYSTEM_DEFAULT => system_default(direction).into(),
         _ => QosProfile::preset(name)
             .ok_or_else(|| {
-                let hint = suggestion(name, QosProfile::PRESETS.into_iter().chain(MORE));
+                let hint =
+                    suggestion(name, QosProfile::PRESETS.map(|(known, _)| known).into_iter().chain(MORE));
                 value.error(format!("unknown QoS preset \"{name}\"{hint}"))
             })?
             .into(),
@@ -64,7 +61,8 @@ fn system_default(direction: Direction) -> QosProfile {
 fn history(table: &mut Table<'_>, base: History) -> Result<History> {
     let depth = table.take("depth").map(|value| value.count()).transpose()?;
     let history = table.take("history");
-    let keeps_all = history.map(|value| choice(value, &[("keep_last", false), ("keep_all", true)]));
+    let keeps_all =
+        history.map(|value| choice(value, &[(History::KEEP_LAST, false), (History::KEEP_ALL, true)]));
     match (history, keeps_all.transpose()?, depth) {
         (Some(value), Some(true), Some(_)) => Err(value.error("\"depth\" goes with history = \"keep_last\"")),
         (_, Some(true), None) => Ok(History::KeepAll),
@@ -74,9 +72,9 @@ fn history(table: &mut Table<'_>, base: History) -> Result<History> {
     }
 }
 
-fn policy<T: Copy>(value: Option<Value<'_>>, choices: &[(&str, T)], base: Policy<T>) -> Result<Policy<T>> {
+fn policy<T: Word>(value: Option<Value<'_>>, base: Policy<T>) -> Result<Policy<T>> {
     let Some(value) = value else { return Ok(base) };
-    let given = choices.iter().map(|&(name, policy)| (name, Policy::Given(policy)));
+    let given = T::ALL.iter().map(|policy| (policy.name(), Policy::Given(*policy)));
     choice(value, &given.chain([(BEST_AVAILABLE, Policy::BestAvailable)]).collect::<Vec<_>>())
 }
 

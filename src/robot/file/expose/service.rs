@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use downbeat_bridge::edge::{Interfaces, KnownAction, KnownService};
 use downbeat_bridge::expose::{ServiceIntrospection, TopicPattern};
 use downbeat_bridge::ros::{Introspection, UnknownIntrospection};
+use downbeat_edge::{Interfaces, KnownAction, KnownService};
 
 use super::Result;
 use crate::robot::file::Located;

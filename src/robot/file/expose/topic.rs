@@ -3,34 +3,15 @@
 use std::fmt;
 use std::time::Duration;
 
-use downbeat_bridge::edge::{Interfaces, KnownType};
 use downbeat_bridge::expose::{Limits, OfACycle, TopicPattern};
-use downbeat_bridge::ros::QosRequest;
+use downbeat_bridge::middleware::Direction;
+use downbeat_edge::{Interfaces, KnownType};
 use downbeat_msgs::definitions::{Kind, TypeName};
+use downbeat_msgs::qos::QosRequest;
 
 use super::{Result, qos};
 use crate::robot::file::suggestion;
 use crate::robot::file::table::{Table, Value};
-
-/// Whether ROS 2 receives a topic or sends it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Direction {
-    /// The robot publishes, ROS 2 subscribes.
-    Out,
-    /// ROS 2 publishes, the robot subscribes.
-    In,
-}
-
-impl Direction {
-    /// The key under `[expose]`.
-    #[must_use]
-    pub fn key(self) -> &'static str {
-        match self {
-            Self::Out => "out",
-            Self::In => "in",
-        }
-    }
-}
 
 /// Topics that ROS 2 sees.
 #[derive(Clone)]
@@ -80,7 +61,7 @@ impl fmt::Display for TopicChoice {
 pub(super) fn topics(table: &mut Table<'_>, interfaces: &Interfaces) -> Result<Vec<ExposeEntry>> {
     let mut topics = Vec::new();
     for direction in [Direction::Out, Direction::In] {
-        for value in table.take(direction.key()).map_or(Ok(Vec::new()), |value| value.list())? {
+        for value in table.take(direction.name()).map_or(Ok(Vec::new()), |value| value.list())? {
             topics.push(entry(value, direction, interfaces)?);
         }
     }
@@ -204,8 +185,6 @@ fn limits_of(table: &mut Table<'_>) -> Result<Limits> {
 /// From a rate in messages per second.
 fn period(value: Value<'_>) -> Result<Duration> {
     let rate = value.number()?;
-    let period =
-        Duration::try_from_secs_f64(1.0 / rate).ok().filter(|period| !period.is_zero() && rate > 0.0);
-    period
+    Limits::period_of(rate)
         .ok_or_else(|| value.error(format!("{rate} is no rate; expected messages per second, such as 10.0")))
 }

@@ -1,7 +1,7 @@
 //! Every message type goes out of a core as bytes, and comes in from bytes.
 #![allow(clippy::unwrap_used)]
 
-use downbeat_bridge::edge::{CoreAccess, Interfaces};
+use downbeat_edge::{CoreAccess, Interfaces};
 use downbeat_executor::{Core, Inbox, ManualClock, OutletInbox, Time};
 use std::sync::mpsc::channel;
 use std::time::Duration;

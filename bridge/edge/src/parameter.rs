@@ -1,14 +1,12 @@
-//! Values and kinds of settings as those of parameters.
+//! Values of settings as values of parameters.
 
-use downbeat_executor::{SettingInfo, SettingValue};
-use downbeat_msgs::rcl_interfaces::msg::{
-    FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType, ParameterValue,
-};
+use downbeat_executor::SettingValue;
+use downbeat_msgs::rcl_interfaces::msg::{ParameterType, ParameterValue};
 
-/// The value of a setting as that of a parameter.
+/// The value of the parameter for a setting.
 #[must_use]
 pub fn parameter_value(value: &SettingValue) -> ParameterValue {
-    let mut message = ParameterValue { r#type: type_of(value), ..ParameterValue::default() };
+    let mut message = ParameterValue { r#type: parameter_type(value), ..ParameterValue::default() };
     match value.clone() {
         SettingValue::Bool(value) => message.bool_value = value,
         SettingValue::Integer(value) => message.integer_value = value,
@@ -23,7 +21,9 @@ pub fn parameter_value(value: &SettingValue) -> ParameterValue {
     message
 }
 
-pub(super) fn type_of(value: &SettingValue) -> u8 {
+/// The type of the parameter for a setting, one of [`ParameterType`].
+#[must_use]
+pub fn parameter_type(value: &SettingValue) -> u8 {
     match value {
         SettingValue::Bool(_) => ParameterType::PARAMETER_BOOL,
         SettingValue::Integer(_) => ParameterType::PARAMETER_INTEGER,
@@ -37,10 +37,10 @@ pub(super) fn type_of(value: &SettingValue) -> u8 {
     }
 }
 
-/// The value of a parameter for a setting.
+/// The value of a setting for a parameter.
 ///
 /// # Errors
-/// What is wrong with it: settings always have a value.
+/// If the parameter has no value or an unknown type; in words.
 pub fn setting_value(message: ParameterValue) -> Result<SettingValue, String> {
     Ok(match message.r#type {
         ParameterType::PARAMETER_NOT_SET => return Err("a setting of a module cannot be removed".to_owned()),
@@ -55,32 +55,6 @@ pub fn setting_value(message: ParameterValue) -> Result<SettingValue, String> {
         ParameterType::PARAMETER_BOOL_ARRAY => SettingValue::Bools(message.bool_array_value),
         unknown => return Err(format!("{unknown} is no type of a parameter")),
     })
-}
-
-pub(super) fn descriptor(name: &str, info: &SettingInfo) -> ParameterDescriptor {
-    let mut descriptor = ParameterDescriptor {
-        name: name.to_owned(),
-        r#type: type_of(&info.value),
-        description: info.description.clone(),
-        read_only: info.is_read_only,
-        ..ParameterDescriptor::default()
-    };
-    if let Some(range) = &info.range {
-        let (from, to) = (*range.start(), *range.end());
-        match info.value {
-            // A step of 0 means that there is none.
-            SettingValue::Integer(_) | SettingValue::Integers(_) => {
-                let (from_value, to_value) = (from.ceil() as i64, to.floor() as i64);
-                descriptor.integer_range = vec![IntegerRange { from_value, to_value, step: 0 }];
-            }
-            _ => {
-                let (from_value, to_value) = (from, to);
-                descriptor.floating_point_range =
-                    vec![FloatingPointRange { from_value, to_value, step: 0.0 }];
-            }
-        }
-    }
-    descriptor
 }
 
 #[cfg(test)]

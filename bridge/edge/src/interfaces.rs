@@ -1,7 +1,6 @@
 //! The registry of messages, services and actions.
 
-use super::known_type::UnknownType;
-use super::{EncodedInlet, KnownAction, KnownService, KnownType, UnknownAction, UnknownService};
+use crate::{EncodedInlet, KnownAction, KnownService, KnownType, UnknownAction, UnknownService, UnknownType};
 use downbeat_executor::{Core, ServiceInfo, SetupError};
 use downbeat_msgs::definitions::nearest;
 use downbeat_msgs::description::Description;
@@ -17,7 +16,7 @@ use thiserror::Error;
 /// those that the program registers. Clones share one table.
 ///
 /// ```
-/// use downbeat_bridge::edge::Interfaces;
+/// use downbeat_edge::Interfaces;
 /// use downbeat_msgs::Message;
 ///
 /// #[derive(Clone, Debug, Default, PartialEq, Message)]
@@ -200,7 +199,7 @@ impl Interfaces {
         registered.into_iter()
     }
 
-    /// The definitions of what the program registered.
+    /// The definitions of the interfaces that the program registered.
     #[must_use]
     pub fn registered_definitions(&self) -> Schemas {
         let mut registered = Schemas::new("the interfaces registered");
@@ -213,8 +212,8 @@ impl Interfaces {
         registered
     }
 
-    /// Where definitions are looked up at run time: what was registered, what `downbeat-msgs` carries, and the ament prefixes of
-    /// the environment.
+    /// The places where definitions are looked up at run time: the registered interfaces, those that `downbeat-msgs` carries, and the
+    /// ament prefixes of the environment.
     #[must_use]
     pub fn definitions(&self) -> Definitions {
         let registered = Definitions::new().with(self.registered_definitions());
@@ -228,7 +227,7 @@ impl Interfaces {
     }
 }
 
-/// Those carried.
+/// The carried interfaces.
 impl Default for Interfaces {
     fn default() -> Self {
         Self::carried()
@@ -254,14 +253,14 @@ impl Tables {
     }
 }
 
-/// What a set goes through.
+/// Registers the interfaces of a set.
 struct Registration {
     tables: Tables,
     conflict: Option<InterfaceConflict>,
 }
 
 impl Registration {
-    /// True if that is a new name, or one of the same definition.
+    /// Returns true if the name is new, or has the same definition.
     fn admits(&mut self, hash: &'static str, known: Option<&'static str>, of: &'static Description) -> bool {
         match known.filter(|known| *known != hash) {
             Some(known) => {

@@ -1,6 +1,6 @@
 //! Types of actions.
 
-use super::{KnownService, KnownType};
+use crate::{KnownService, KnownType};
 use downbeat_msgs::Action;
 use downbeat_msgs::action_msgs::msg::GoalStatusArray;
 use downbeat_msgs::action_msgs::srv::CancelGoal;
@@ -8,7 +8,7 @@ use std::fmt;
 use std::marker::PhantomData;
 use thiserror::Error;
 
-/// An action type of ROS 2, found through [`Interfaces`](super::Interfaces) or named ([`KnownAction::of`]): the types of its
+/// An action type of ROS 2, found through [`Interfaces`](crate::Interfaces) or by its Rust type ([`KnownAction::of`]): the types of its
 /// three services and two topics.
 #[derive(Clone, Copy)]
 pub struct KnownAction {
@@ -19,14 +19,14 @@ pub struct KnownAction {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("unknown action type {name:?}{}", nearest.map(|name| format!(", did you mean {name:?}?")).unwrap_or_default())]
 pub struct UnknownAction {
-    /// The name that was looked for.
+    /// The unknown name.
     pub name: String,
-    /// The name most like it, if one is like it.
+    /// The most similar known name, if one is similar.
     pub nearest: Option<&'static str>,
 }
 
 impl KnownAction {
-    /// The type of an action that is known here. Whether it is registered anywhere makes no difference.
+    /// The action type of a Rust type, which need not be registered.
     #[must_use]
     pub fn of<A: Action>() -> Self {
         Self { entry: Of::<A>::ENTRY }
@@ -103,7 +103,7 @@ struct Entry {
     feedback: fn() -> KnownType,
 }
 
-/// Where the entry of a type is: a constant, so that a handle is a reference to it.
+/// Holds the entry of a type as a constant, so that a handle is a reference to it.
 struct Of<A>(PhantomData<A>);
 
 impl<A: Action> Of<A> {

@@ -1,4 +1,4 @@
-//! A core before it runs, and while it does.
+//! A core that is idle or running.
 
 use downbeat_executor::queue::Queue;
 use downbeat_executor::{
@@ -10,11 +10,11 @@ use std::time::Duration;
 /// How long a running core may take to come to the end of a cycle.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// A core that is given inlets and outlets, whether it runs already or not.
+/// A core that may be running, for opening inlets and outlets.
 pub enum CoreAccess<'a> {
-    /// It does not run: changes are made at once.
+    /// It does not run: changes take effect at once.
     Idle(&'a mut Core),
-    /// It runs on another thread: changes are made in its next sync phase, which is waited for.
+    /// It runs on another thread: each change waits for its next sync phase.
     Running(&'a CoreHandle),
 }
 
@@ -22,7 +22,7 @@ impl CoreAccess<'_> {
     /// Takes the messages of a topic out of the core.
     ///
     /// # Errors
-    /// Those of [`Core::outlet`], and one where the core does not answer.
+    /// Those of [`Core::outlet`], and one if the core does not answer.
     pub fn outlet<T: Send + Sync + 'static>(
         &mut self,
         topic: &str,
@@ -35,10 +35,10 @@ impl CoreAccess<'_> {
         }
     }
 
-    /// A way to publish on a topic from any thread.
+    /// Opens an inlet, which publishes on a topic from any thread.
     ///
     /// # Errors
-    /// Those of [`Core::inlet_with`], and one where the core does not answer.
+    /// Those of [`Core::inlet_with`], and one if the core does not answer.
     pub fn inlet<T: Send + Sync + 'static>(
         &mut self,
         topic: &str,
@@ -51,7 +51,7 @@ impl CoreAccess<'_> {
     }
 
     /// As [`outlet`](Self::outlet), for messages of a type that is a value.
-    pub(super) fn outlet_of(
+    pub(crate) fn outlet_of(
         &mut self,
         message_type: MessageType,
         topic: &str,
@@ -65,7 +65,7 @@ impl CoreAccess<'_> {
     }
 
     /// As [`inlet`](Self::inlet), for messages of a type that is a value.
-    pub(super) fn inlet_of(
+    pub(crate) fn inlet_of(
         &mut self,
         message_type: MessageType,
         topic: &str,

@@ -1,0 +1,449 @@
+//! Types of services, and how requests and responses enter a core as bytes and leave it as bytes.
+
+use bytes::Bytes;
+use downbeat_executor::{
+    CallError, Caller, Context, Core, Inlet, Module, ModuleOptions, Received, Responder, Role, Setup,
+    SetupError, StandIn,
+};
+use downbeat_msgs::service_msgs::msg::ServiceEventInfo;
+use downbeat_msgs::{Service, cdr};
+use parking_lot::Mutex;
+use std::any::{Any, type_name};
+use std::collections::HashMap;
+use std::fmt;
+use std::marker::PhantomData;
+use std::sync::Arc;
+use std::time::Duration;
+use thiserror::Error;
+
+/// A service type of ROS 2, found through [`Interfaces`](crate::Interfaces) or by its Rust type ([`KnownService::of`]).
+#[derive(Clone, Copy)]
+pub struct KnownService {
+    entry: &'static Entry,
+}
+
+/// A type name that no service has.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("unknown service type {name:?}{}", nearest.map(|name| format!(", did you mean {name:?}?")).unwrap_or_default())]
+pub struct UnknownService {
+    /// The unknown name.
+    pub name: String,
+    /// The most similar known name, if one is similar.
+    pub nearest: Option<&'static str>,
+}
+
+/// Calls a service of modules with serialized requests, from any thread. Clones call the same service.
+#[derive(Clone)]
+pub struct EncodedCaller {
+    service: Arc<str>,
+    call: Arc<CallEncoded>,
+}
+
+/// A call with a serialized request failed.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum EncodedCallError {
+    /// The bytes are no request of the service.
+    #[error("service \"{service}\": the bytes are no {type_name}: {reason}")]
+    Decode {
+        /// The service.
+        service: Arc<str>,
+        /// The type of its requests.
+        type_name: &'static str,
+        /// What is wrong with the bytes.
+        reason: String,
+    },
+    /// The core has no response.
+    #[error(transparent)]
+    Call(#[from] CallError),
+}
+
+/// The response of a module, which any thread may serialize.
+pub struct EncodedAnswer(Box<dyn FnOnce() -> Vec<u8> + Send>);
+
+/// Answers calls of modules with serialized responses, in place of a server that is not in the core.
+pub struct EncodedStandIn(Box<AnswerEncoded>);
+
+/// A server outside the core.
+pub trait RemoteCall: Send + 'static {
+    /// Takes a request, which any thread may serialize. The implementation calls `on_answer` once, from any thread, with the
+    /// serialized response or with the reason why there is none. It runs on the thread of the core, which it must not block.
+    fn call(
+        &mut self,
+        request: Box<dyn FnOnce() -> Bytes + Send>,
+        on_answer: Box<dyn FnOnce(Result<Bytes, String>) + Send>,
+    );
+}
+
+/// A service that modules call and that a [`RemoteCall`] serves, once it is part of [`RemoteServices`].
+pub struct RemoteService {
+    service: String,
+    service_type: KnownService,
+    answers_topic: String,
+    answers: Answers,
+    call: Box<dyn RemoteCall>,
+}
+
+/// The observer that serves services whose servers are outside the core.
+pub struct RemoteServices {
+    services: Vec<RemoteService>,
+}
+
+/// What a service event holds besides its [`ServiceEventInfo`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EventContent<'a> {
+    /// Nothing.
+    Nothing,
+    /// The serialized request.
+    Request(&'a [u8]),
+    /// The serialized response.
+    Response(&'a [u8]),
+}
+
+/// Serializes an event of one service type.
+pub type EncodeEvent = fn(ServiceEventInfo, EventContent<'_>) -> Result<Vec<u8>, cdr::Error>;
+
+/// Serializes an event of the service type `S`: encapsulation header (little-endian) and body.
+///
+/// # Errors
+/// When the content is no request or response of the type.
+pub fn encode_event<S: Service>(
+    info: ServiceEventInfo,
+    content: EventContent<'_>,
+) -> Result<Vec<u8>, cdr::Error> {
+    let event = match content {
+        EventContent::Nothing => S::event(info, None, None),
+        // Decoded and encoded again: the alignment in the middle of a message differs.
+        EventContent::Request(request) => S::event(info, Some(cdr::from_slice(request)?), None),
+        EventContent::Response(response) => S::event(info, None, Some(cdr::from_slice(response)?)),
+    };
+    Ok(cdr::to_vec(&event))
+}
+
+impl KnownService {
+    /// The service type of a Rust type, which need not be registered.
+    #[must_use]
+    pub fn of<S: Service>() -> Self {
+        Self { entry: Of::<S>::ENTRY }
+    }
+
+    /// As in `std_srvs/srv/SetBool`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        self.entry.name
+    }
+
+    /// `RIHS01_` and 64 hexadecimal digits.
+    #[must_use]
+    pub fn hash(self) -> &'static str {
+        self.entry.hash
+    }
+
+    /// A serialized response in which all fields have their defaults.
+    #[must_use]
+    pub fn default_response(self) -> Vec<u8> {
+        (self.entry.default_response)()
+    }
+
+    /// Serializes events of the service.
+    #[must_use]
+    pub fn encode_event(self) -> EncodeEvent {
+        self.entry.encode_event
+    }
+
+    /// Opens a caller of a service of modules, which any thread may use.
+    ///
+    /// # Errors
+    /// [`SetupError`] when the name is not valid or the service has other types.
+    pub fn caller(self, core: &mut Core, service: &str) -> Result<EncodedCaller, SetupError> {
+        Ok(EncodedCaller { service: service.into(), call: (self.entry.caller)(core, service)?.into() })
+    }
+
+    /// Prepares a service that modules call and whose requests `call` takes. [`RemoteServices::add_to`] completes it.
+    ///
+    /// # Errors
+    /// [`SetupError`] when the name is not valid.
+    pub fn remote(
+        self,
+        core: &mut Core,
+        service: &str,
+        call: impl RemoteCall,
+    ) -> Result<RemoteService, SetupError> {
+        let answers_topic = format!("bridge/answers/{}", service.trim_start_matches('/'));
+        let answers = (self.entry.answers)(core, &answers_topic)?;
+        Ok(RemoteService {
+            service: service.to_owned(),
+            service_type: self,
+            answers_topic,
+            answers,
+            call: Box::new(call),
+        })
+    }
+
+    /// Makes each [`ModuleEvent`](downbeat_executor::ModuleEvent) of a service of modules carry its request or response as CDR.
+    ///
+    /// # Errors
+    /// [`SetupError`] when the name is not valid or the service has other types.
+    pub fn encode(self, core: &mut Core, service: &str) -> Result<(), SetupError> {
+        (self.entry.encode)(core, service)
+    }
+
+    /// Opens a stand-in, which answers calls of modules with serialized responses in place of a server.
+    ///
+    /// # Errors
+    /// [`SetupError`] when the name is not valid or the service has other types.
+    pub fn stand_in(self, core: &mut Core, service: &str) -> Result<EncodedStandIn, SetupError> {
+        Ok(EncodedStandIn((self.entry.stand_in)(core, service)?))
+    }
+
+    /// The names of the Rust types of request and response.
+    pub(crate) fn rust_types(self) -> (&'static str, &'static str) {
+        (self.entry.rust_types)()
+    }
+}
+
+impl fmt::Debug for KnownService {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("KnownService").field(&self.name()).finish()
+    }
+}
+
+impl fmt::Display for KnownService {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl PartialEq for KnownService {
+    fn eq(&self, other: &Self) -> bool {
+        self.name() == other.name()
+    }
+}
+
+impl Eq for KnownService {}
+
+impl EncodedCaller {
+    /// The service.
+    #[must_use]
+    pub fn service(&self) -> &str {
+        &self.service
+    }
+
+    /// Calls the service with a request of either byte order. `on_answer` is called once: on the thread of the core, which it must
+    /// not block, or on this thread if the call fails at once. Never blocks.
+    pub fn call(
+        &self,
+        cdr: &[u8],
+        timeout: Duration,
+        on_answer: impl FnOnce(Result<EncodedAnswer, EncodedCallError>) + Send + 'static,
+    ) {
+        (self.call)(cdr, timeout, Box::new(on_answer));
+    }
+}
+
+impl EncodedAnswer {
+    /// Encapsulation header (little-endian) and body.
+    #[must_use]
+    pub fn into_cdr(self) -> Vec<u8> {
+        (self.0)()
+    }
+}
+
+impl EncodedStandIn {
+    /// See [`StandIn::answer`].
+    ///
+    /// # Errors
+    /// If the bytes are no response of the service.
+    pub fn answer(
+        &self,
+        client: &str,
+        port: u32,
+        number: u64,
+        result: Result<&[u8], CallError>,
+    ) -> Result<(), cdr::Error> {
+        (self.0)(client, port, number, result)
+    }
+}
+
+impl RemoteServices {
+    /// Adds the module to a core, unless there are no services.
+    ///
+    /// # Errors
+    /// [`SetupError`] when a service has other types or a server, or another module has the name.
+    pub fn add_to(core: &mut Core, name: &str, services: Vec<RemoteService>) -> Result<(), SetupError> {
+        if services.is_empty() {
+            return Ok(());
+        }
+        let options = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
+        core.add_with(name, Self { services }, options)
+    }
+}
+
+impl Module for RemoteServices {
+    type Ports = ();
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        self.services.drain(..).try_for_each(|service| (service.service_type.entry.serve)(setup, service))
+    }
+}
+
+type OnAnswer = Box<dyn FnOnce(Result<EncodedAnswer, EncodedCallError>) + Send>;
+type CallEncoded = dyn Fn(&[u8], Duration, OnAnswer) + Send + Sync;
+type AnswerEncoded = dyn Fn(&str, u32, u64, Result<&[u8], CallError>) -> Result<(), cdr::Error> + Send + Sync;
+
+/// An `Inlet<Answer<R>>` whose type only the service knows.
+type Answers = Box<dyn Any + Send>;
+
+/// The outcome of one request.
+struct Answer<R> {
+    number: u64,
+    result: Result<R, String>,
+}
+
+/// Requests without an answer so far.
+type Open<Q, R> = Arc<Mutex<HashMap<u64, Responder<Q, R>>>>;
+
+struct Entry {
+    name: &'static str,
+    hash: &'static str,
+    rust_types: fn() -> (&'static str, &'static str),
+    caller: fn(&mut Core, &str) -> Result<Box<CallEncoded>, SetupError>,
+    answers: fn(&mut Core, &str) -> Result<Answers, SetupError>,
+    serve: fn(&mut Setup<'_, RemoteServices>, RemoteService) -> Result<(), SetupError>,
+    encode: fn(&mut Core, &str) -> Result<(), SetupError>,
+    stand_in: fn(&mut Core, &str) -> Result<Box<AnswerEncoded>, SetupError>,
+    default_response: fn() -> Vec<u8>,
+    encode_event: EncodeEvent,
+}
+
+/// Holds the entry of a type as a constant, so that a handle is a reference to it.
+struct Of<S>(PhantomData<S>);
+
+impl<S: Service> Of<S> {
+    const ENTRY: &'static Entry = &Entry {
+        name: S::TYPE_NAME,
+        hash: S::TYPE_HASH,
+        rust_types: || (type_name::<S::Request>(), type_name::<S::Response>()),
+        caller: caller::<S>,
+        answers: |core, topic| Ok(Box::new(core.inlet::<Answer<S::Response>>(topic)?)),
+        serve: serve::<S>,
+        encode: |core, service| {
+            core.encode_service::<S::Request, S::Response>(service, cdr::to_vec, cdr::to_vec)
+        },
+        stand_in: stand_in::<S>,
+        default_response: || cdr::to_vec(&S::Response::default()),
+        encode_event: encode_event::<S>,
+    };
+}
+
+fn caller<S: Service>(core: &mut Core, service: &str) -> Result<Box<CallEncoded>, SetupError> {
+    let caller: Caller<S::Request, S::Response> = core.caller(service)?;
+    let service: Arc<str> = service.into();
+    Ok(Box::new(move |bytes, timeout, on_answer| {
+        let request = match cdr::from_slice(bytes) {
+            Ok(request) => request,
+            Err(error) => {
+                let (service, reason) = (Arc::clone(&service), error.to_string());
+                return on_answer(Err(EncodedCallError::Decode { service, type_name: S::TYPE_NAME, reason }));
+            }
+        };
+        // Whichever of the two outcomes comes first takes it.
+        let on_answer = Arc::new(Mutex::new(Some(on_answer)));
+        let finish = |on_answer: &Mutex<Option<OnAnswer>>, result| {
+            let on_answer = on_answer.lock().take();
+            if let Some(on_answer) = on_answer {
+                on_answer(result);
+            }
+        };
+        let answered = Arc::clone(&on_answer);
+        let called = caller.call(request, timeout, move |result| {
+            let answer = |response: S::Response| EncodedAnswer(Box::new(move || cdr::to_vec(&response)));
+            finish(&answered, result.map(answer).map_err(EncodedCallError::from));
+        });
+        if let Err(error) = called {
+            finish(&on_answer, Err(error.into()));
+        }
+    }))
+}
+
+fn stand_in<S: Service>(core: &mut Core, service: &str) -> Result<Box<AnswerEncoded>, SetupError> {
+    let stand_in: StandIn<S::Response> = core.stand_in::<S::Request, S::Response>(service)?;
+    Ok(Box::new(move |client, port, number, result| {
+        let result = match result {
+            Ok(cdr) => Ok(cdr::from_slice::<S::Response>(cdr)?),
+            Err(error) => Err(error),
+        };
+        stand_in.answer(client, port, number, result);
+        Ok(())
+    }))
+}
+
+fn serve<S: Service>(setup: &mut Setup<'_, RemoteServices>, remote: RemoteService) -> Result<(), SetupError> {
+    let RemoteService { service, answers_topic, answers, mut call, .. } = remote;
+    let answers = match answers.downcast::<Inlet<Answer<S::Response>>>() {
+        Ok(answers) => *answers,
+        Err(_) => return Err(setup.refuse(format!("service {service:?} was prepared for another type"))),
+    };
+    let open = Open::<S::Request, S::Response>::default();
+    let mut next = 0;
+    let asked = Arc::clone(&open);
+    setup.serve_later(
+        &service,
+        move |_: &mut RemoteServices, request: S::Request, responder, _: &mut Context<'_>| {
+            let number = next;
+            next += 1;
+            asked.lock().insert(number, responder);
+            let answers = answers.clone();
+            let on_answer = move |result: Result<Bytes, String>| {
+                let result = result.and_then(|cdr| {
+                    cdr::from_slice(&cdr)
+                        .map_err(|error| format!("the answer is no {}: {error}", S::TYPE_NAME))
+                });
+                // Fails only if the core has stopped or is flooded; the call then times out.
+                if let Err(error) = answers.publish(Answer { number, result }) {
+                    tracing::debug!(%error, "an answer did not enter the core");
+                }
+            };
+            call.call(Box::new(move || cdr::to_vec(&request).into()), Box::new(on_answer));
+        },
+    )?;
+    setup.subscribe(
+        &answers_topic,
+        move |_: &mut RemoteServices, answer: Received<'_, Answer<S::Response>>, ctx: &mut Context<'_>| {
+            let responder = open.lock().remove(&answer.number);
+            if let Some(responder) = responder {
+                ctx.reply(responder, answer.result.clone());
+            }
+        },
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use downbeat_msgs::std_srvs::srv::{Empty, SetBool, SetBoolEvent, SetBoolRequest};
+
+    fn info() -> ServiceEventInfo {
+        ServiceEventInfo {
+            event_type: 1,
+            client_gid: [7; 16],
+            sequence_number: 9,
+            ..ServiceEventInfo::default()
+        }
+    }
+
+    #[test]
+    fn an_event_has_the_request_or_the_response_or_neither() {
+        let request = SetBoolRequest { data: true };
+        let bytes = encode_event::<SetBool>(info(), EventContent::Request(&cdr::to_vec(&request))).unwrap();
+        let event: SetBoolEvent = cdr::from_slice(&bytes).unwrap();
+        assert_eq!((event.info, event.request, event.response), (info(), vec![request], vec![]));
+        assert!(encode_event::<SetBool>(info(), EventContent::Response(&[0, 1])).is_err());
+    }
+
+    #[test]
+    fn an_event_without_content_is_the_same_whatever_the_type() {
+        let of_empty = encode_event::<Empty>(info(), EventContent::Nothing).unwrap();
+        assert_eq!(encode_event::<SetBool>(info(), EventContent::Nothing).unwrap(), of_empty);
+    }
+}
