@@ -64,12 +64,6 @@ struct Check {
     /// This machine does not allow what the check needs.
     #[serde(default)]
     is_skipped: bool,
-    /// The name of the test.
-    #[serde(default)]
-    test: String,
-    /// A test that failed may be tried again.
-    #[serde(default)]
-    attempt: u32,
 }
 
 /// Where tests note their checks.
@@ -124,19 +118,8 @@ impl Notes {
                     .push(serde_json::from_str(line).with_context(|| format!("{}: {line}", path.display()))?);
             }
         }
-        Ok(last_attempts(checks))
+        Ok(checks)
     }
-}
-
-/// Without what a test noted before it was tried again.
-fn last_attempts(mut checks: Vec<Check>) -> Vec<Check> {
-    let mut last = BTreeMap::new();
-    for check in &checks {
-        let attempt: &mut u32 = last.entry(check.test.clone()).or_default();
-        *attempt = check.attempt.max(*attempt);
-    }
-    checks.retain(|check| last.get(&check.test) == Some(&check.attempt));
-    checks
 }
 
 /// A feature's row: what became of it by peer and way.

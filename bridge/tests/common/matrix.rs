@@ -75,9 +75,6 @@ impl Drop for Check {
     fn drop(&mut self) {
         let Some(folder) = std::env::var_os("DOWNBEAT_MATRIX").map(PathBuf::from) else { return };
         self.0["passed"] = (!std::thread::panicking()).into();
-        self.0["test"] = std::thread::current().name().into();
-        let attempt = std::env::var("NEXTEST_ATTEMPT").ok().and_then(|attempt| attempt.parse().ok());
-        self.0["attempt"] = attempt.unwrap_or(1_u32).into();
         // A file for each process, since tests run side by side.
         let file = folder.join(format!("{}.jsonl", std::process::id()));
         let noted = OpenOptions::new()
