@@ -8,21 +8,16 @@ const MOST_LISTED: usize = 16;
 /// Longer names are not compared: the time grows with the square of the length.
 const LONGEST_COMPARED: usize = 128;
 
-/// Returns the candidate most similar to `name`, or `None` if none is similar. The part after the last slash
-/// counts as much as the whole; case is ignored.
+/// Returns the candidate most similar to `name`, or `None` if none is similar. The part after the last slash decides
+/// whether one is; case is ignored.
 pub fn nearest<T: Display>(name: &str, candidates: impl IntoIterator<Item = T>) -> Option<T> {
-    if name.len() > LONGEST_COMPARED {
-        return None;
-    }
     let name = name.to_lowercase();
-    let likeness = |candidate: T| {
-        let text = candidate.to_string().to_lowercase();
-        (text.len() <= LONGEST_COMPARED).then(|| (likeness(&name, &text), candidate))
-    };
-    let scored = candidates.into_iter().filter_map(likeness);
+    let scored = candidates.into_iter().filter_map(|candidate| {
+        let likeness = likeness(&name, &candidate.to_string().to_lowercase())?;
+        Some((likeness, candidate))
+    });
     // The first of equally similar ones.
-    let (likeness, candidate) = scored.reduce(|best, other| if other.0 > best.0 { other } else { best })?;
-    (likeness > 0.45).then_some(candidate)
+    scored.reduce(|best, other| if other.0 > best.0 { other } else { best }).map(|(_, candidate)| candidate)
 }
 
 /// The end of an error message: `, did you mean "..."?` with the [`nearest`] candidate; `; there is ...` with
@@ -39,11 +34,17 @@ pub fn suggestion<T: Display>(name: &str, candidates: impl IntoIterator<Item = T
     }
 }
 
-/// The similarity, from 0 to 1 (equal).
-fn likeness(name: &str, candidate: &str) -> f64 {
+/// The similarity, up to 1 (equal); `None` if the parts after the last slash differ by more than a letter and by more
+/// than about half.
+fn likeness(name: &str, candidate: &str) -> Option<f64> {
+    if name.len().max(candidate.len()) > LONGEST_COMPARED {
+        return None;
+    }
     let last = |name| str::rsplit_once(name, '/').map_or(name, |(_, last)| last);
-    let whole = strsim::normalized_damerau_levenshtein(name, candidate);
-    (whole + strsim::normalized_damerau_levenshtein(last(name), last(candidate))) / 2.0
+    let (name_end, candidate_end) = (last(name), last(candidate));
+    let of_ends = strsim::normalized_damerau_levenshtein(name_end, candidate_end);
+    let is_similar = of_ends > 0.45 || strsim::damerau_levenshtein(name_end, candidate_end) <= 1;
+    is_similar.then(|| (strsim::normalized_damerau_levenshtein(name, candidate) + of_ends) / 2.0)
 }
 
 #[cfg(test)]

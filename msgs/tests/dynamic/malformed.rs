@@ -32,7 +32,7 @@ fn levels(count: usize, field: impl Fn(&str) -> String) -> Result<DynamicType, T
 
 #[test]
 fn missing_and_recursive_types_are_reported() {
-    assert_eq!(error(&[("A", "B b\n")]), "a/msg/B is not in the catalog");
+    assert_eq!(error(&[("A", "B b\n")]), "a/msg/B is not in the catalog, did you mean a/msg/A?");
     assert_eq!(
         error(&[("A", "B b\n"), ("B", "int8 x\nC[] c\n"), ("C", "B b\n")]),
         "C:1:1: a/msg/B contains itself: a/msg/B -> a/msg/C -> a/msg/B"
