@@ -11,7 +11,7 @@ use downbeat::bags::{Reader, Selection};
 use downbeat::bridge::edge::{CoreAccess, Interfaces};
 use downbeat::executor::{Core, Inbox, Launcher, Linear, ManualClock, OutletInbox, Pool, Time};
 use downbeat::modules::darwin_op::DarwinOp;
-use downbeat::modules::darwin_op::bus::{Exchange, RecordedBus, ReplayReport};
+use downbeat::modules::darwin_op::bus::{BusReport, Exchange, RecordedBus};
 use downbeat::msgs::cdr;
 use downbeat::msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat::msgs::downbeat_interfaces::msg::{BusExchange, ModuleStep};
@@ -46,7 +46,7 @@ fn replay(
     reader: &Reader,
     launcher: impl Launcher + 'static,
     exchanges: Vec<Exchange>,
-) -> (BTreeMap<&'static str, Messages>, ReplayReport) {
+) -> (BTreeMap<&'static str, Messages>, BusReport) {
     let clock = ManualClock::new(Time::ZERO);
     let mut core = Core::new().with_launcher(launcher).with_clock(clock.clone());
     let (bus, report) = RecordedBus::new(exchanges);
@@ -64,7 +64,7 @@ fn replay(
         message_type.outlet(&mut CoreAccess::Idle(&mut core), topic, &inbox, sink).unwrap().keep();
     }
     replay_module(&mut core, &clock, reader, "hardware", &Interfaces::carried()).unwrap();
-    let report = report.lock().unwrap().clone();
+    let report = report.lock().clone();
     let captured = captured.into_iter().map(|(topic, messages)| (topic, messages.lock().unwrap().clone()));
     (captured.collect(), report)
 }

@@ -1,7 +1,7 @@
 //! The robot's faults in the form of `diagnostics` (REP-107).
 
 use super::driver::{Driver, Phase};
-use super::messages::header;
+use super::module::header;
 use super::protocol::StatusError;
 use super::servo::{Service, Servo};
 use super::settings::Settings;

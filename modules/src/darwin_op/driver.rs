@@ -5,11 +5,9 @@
 //! settings, the wanted joint positions, and the answers from the bus.
 
 use super::bus::{Bus, Exchange, LATE, Outcome};
-use super::counted::Counted;
-use super::line::{Line, Trouble};
 use super::protocol::{Id, Instruction, SyncWriteBlock};
 use super::reading::{BoardReading, Reading, request, understand};
-use super::servo::{PrepareError, Service, Servo, prepare};
+use super::servo::{Line, PrepareError, Service, Servo, Trouble, prepare};
 use super::settings::Settings;
 use super::tables::joints::{COUNT, JOINTS};
 use super::tables::{cm730, mx28};
@@ -402,4 +400,34 @@ fn silence(servo: &mut Servo, index: usize, now: Time) {
         );
     }
     servo.service = Service::Silent { retry_at: now + RETRY_SERVO };
+}
+
+/// Counts a fault, and decides when to log it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Counted(u64);
+
+impl Counted {
+    /// Counts one occurrence. Returns true the 1st, 10th, 100th, … time.
+    pub(super) fn is_worth_a_line(&mut self) -> bool {
+        self.0 += 1;
+        10_u64.pow(self.0.ilog10()) == self.0
+    }
+
+    /// The number of occurrences.
+    pub(super) fn count(self) -> u64 {
+        self.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn powers_of_ten_are_logged() {
+        let mut counted = Counted::default();
+        let lines: Vec<u64> = (1..=250).filter(|_| counted.is_worth_a_line()).collect();
+        assert_eq!(lines, [1, 10, 100]);
+        assert_eq!(counted.count(), 250);
+    }
 }

@@ -11,11 +11,8 @@ pub mod bus;
 pub mod protocol;
 pub mod tables;
 
-mod counted;
 mod diagnostics;
 mod driver;
-mod line;
-mod messages;
 mod module;
 mod reading;
 mod servo;

@@ -1,8 +1,8 @@
 //! The CM-730: power switch, buttons, IMU, battery.
 
-use super::attitude::Attitude;
 use super::control_table::ControlTable;
 use super::random::Random;
+use super::robot::Attitude;
 use crate::darwin_op::protocol::StatusError;
 use crate::darwin_op::tables::units::{ACCELERATION_PER_LSB, IMU_CENTRE, ImuScale};
 use crate::darwin_op::tables::{Field, cm730};

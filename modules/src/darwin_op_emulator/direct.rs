@@ -1,6 +1,6 @@
 //! Direct access to the devices without a port, for tests of bus traffic that a busy machine cannot disturb.
 
-use super::server::Shared;
+use super::emulator::Shared;
 use crate::darwin_op::bus::{Awaited, Bus, Exchange, ExchangeKind, ExpectedStatus, Outcome};
 use crate::darwin_op::protocol::Packet;
 use downbeat_executor::Time;

@@ -35,19 +35,16 @@
 //! pressure sensors, microphones and analogue inputs. A SYNC_WRITE longer than the servo's buffer of 143
 //! bytes works, as on robots, where each servo needs only its own part.
 
-mod attitude;
 mod board;
 mod control_table;
 #[cfg(test)]
 mod direct;
 mod emulator;
 mod fault;
-mod fault_schedule;
 mod module;
 mod pseudo_terminal;
 mod random;
 mod robot;
-mod server;
 mod servo;
 mod wire;
 

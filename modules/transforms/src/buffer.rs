@@ -1,7 +1,7 @@
 //! The known frames, and where each was in its parent.
 
 use super::Isometry;
-use super::error::{Direction, TransformRefused};
+use super::error::{TimeDirection, TransformRefused};
 use super::geometry::{interpolate, isometry};
 use downbeat_executor::Time;
 use downbeat_msgs::geometry_msgs::msg::TransformStamped;
@@ -210,7 +210,7 @@ pub(super) enum History {
 pub(super) struct Gap {
     pub(super) oldest: Time,
     pub(super) latest: Time,
-    pub(super) direction: Direction,
+    pub(super) direction: TimeDirection,
     pub(super) by: Duration,
 }
 
@@ -274,13 +274,13 @@ impl History {
         let gap = |direction, by| Gap { oldest: first.time, latest: last.time, direction, by };
         let after = samples.partition_point(|sample| sample.time <= time);
         let Some(older) = after.checked_sub(1).and_then(|before| samples.get(before)) else {
-            return Err(gap(Direction::Past, first.time.saturating_since(time)));
+            return Err(gap(TimeDirection::Past, first.time.saturating_since(time)));
         };
         if older.time == time {
             return Ok(Some(*older));
         }
         let Some(newer) = samples.get(after) else {
-            return Err(gap(Direction::Future, time.saturating_since(last.time)));
+            return Err(gap(TimeDirection::Future, time.saturating_since(last.time)));
         };
         if older.parent != newer.parent {
             return Ok(Some(*older));

@@ -39,7 +39,7 @@ pub enum LookupError {
         /// The last time at which it is known.
         latest: Time,
         /// Before the first or after the last.
-        direction: Direction,
+        direction: TimeDirection,
         /// The distance to the known range.
         by: Duration,
     },
@@ -74,14 +74,14 @@ pub enum LookupError {
 
 /// On which side of the known range a time is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Direction {
+pub enum TimeDirection {
     /// Before all of it.
     Past,
     /// After all of it.
     Future,
 }
 
-impl std::fmt::Display for Direction {
+impl std::fmt::Display for TimeDirection {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Self::Past => "past",

@@ -52,7 +52,7 @@ mod lookup;
 mod modules;
 
 pub use buffer::{FrameInfo, Taken, TransformBuffer};
-pub use error::{Direction, LookupError, TransformRefused};
+pub use error::{LookupError, TimeDirection, TransformRefused};
 pub use geometry::{Isometry, Stamped, Transformable, isometry, transform_message};
 pub use lookup::{At, FoundTransform};
 pub use modules::{TF, TF_STATIC, TransformBroadcaster, listen};

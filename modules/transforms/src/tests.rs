@@ -1,5 +1,5 @@
 #![allow(clippy::unwrap_used)]
-use super::error::Direction;
+use super::error::TimeDirection;
 use super::*;
 use downbeat_executor::Time;
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
@@ -68,7 +68,10 @@ fn an_unknown_time_is_reported_with_the_frame_and_the_distance() {
     let LookupError::Extrapolation { frame, direction, by, oldest, latest, .. } = &error else {
         panic!("{error}")
     };
-    assert_eq!((frame.as_str(), *direction, *by), ("head", Direction::Future, Duration::from_millis(123)));
+    assert_eq!(
+        (frame.as_str(), *direction, *by),
+        ("head", TimeDirection::Future, Duration::from_millis(123))
+    );
     assert_eq!((*oldest, *latest), (at(900), at(4500)));
     assert_eq!(
         error.to_string(),

@@ -2,7 +2,8 @@
 
 use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, Outcome};
 use downbeat_executor::Time;
-use std::sync::{Arc, Mutex, PoisonError};
+use parking_lot::Mutex;
+use std::sync::Arc;
 
 /// Plays back the recorded answers of a bus, and checks that the requests are the same.
 ///
@@ -10,21 +11,21 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub struct RecordedBus {
     recording: Box<dyn Iterator<Item = Exchange> + Send>,
     now: Time,
-    report: Arc<Mutex<ReplayReport>>,
+    report: Arc<Mutex<BusReport>>,
 }
 
 /// The result of a replay so far.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct ReplayReport {
+pub struct BusReport {
     /// The number of replayed exchanges.
     pub replayed: u64,
     /// Where the module's behaviour differs from the recording.
-    pub differences: Vec<Difference>,
+    pub differences: Vec<BusDifference>,
 }
 
 /// A difference between the module's behaviour and the recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Difference {
+pub struct BusDifference {
     /// The sequence number of the exchange; after the end of the recording, the number it would have.
     pub sequence: u64,
     /// The recorded request; `None` after the end.
@@ -35,7 +36,7 @@ pub struct Difference {
 
 impl RecordedBus {
     /// Creates a bus that plays back these exchanges, and the report that it updates.
-    pub fn new<I>(recording: I) -> (Self, Arc<Mutex<ReplayReport>>)
+    pub fn new<I>(recording: I) -> (Self, Arc<Mutex<BusReport>>)
     where
         I: IntoIterator<Item = Exchange>,
         I::IntoIter: Send + 'static,
@@ -47,7 +48,7 @@ impl RecordedBus {
 
     fn replay(&mut self, kind: ExchangeKind, instruction: &[u8]) -> Exchange {
         let recorded = self.recording.next();
-        let mut report = self.report.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut report = self.report.lock();
         let done = || (kind, instruction.to_vec());
         match recorded {
             Some(recorded) => {
@@ -55,7 +56,7 @@ impl RecordedBus {
                 if recorded.kind == kind && recorded.instruction == instruction {
                     return recorded;
                 }
-                report.differences.push(Difference {
+                report.differences.push(BusDifference {
                     sequence: recorded.sequence,
                     recorded: Some((recorded.kind, recorded.instruction)),
                     done: done(),
@@ -65,7 +66,7 @@ impl RecordedBus {
             }
             None => {
                 let sequence = report.replayed;
-                report.differences.push(Difference { sequence, recorded: None, done: done() });
+                report.differences.push(BusDifference { sequence, recorded: None, done: done() });
                 let error = "the recording has ended".to_owned();
                 failed(sequence, self.now, kind, instruction, error)
             }
@@ -132,7 +133,7 @@ mod tests {
         let (mut bus, report) = RecordedBus::new(recording());
         let played = vec![bus.open("anywhere"), bus.exchange(&[1, 2], &[]), bus.exchange(&[3], &[])];
         assert_eq!(played, recording());
-        assert_eq!(*report.lock().unwrap(), ReplayReport { replayed: 3, differences: Vec::new() });
+        assert_eq!(*report.lock(), BusReport { replayed: 3, differences: Vec::new() });
     }
 
     #[test]
@@ -142,18 +143,18 @@ mod tests {
         let changed = bus.exchange(&[1, 7], &[]);
         assert_eq!(changed.outcome, Outcome::Failed);
         assert_eq!(bus.exchange(&[3], &[]).reply, [8], "the replay continues after a difference");
-        let difference = Difference {
+        let difference = BusDifference {
             sequence: 5,
             recorded: Some((ExchangeKind::Transfer, vec![1, 2])),
             done: (ExchangeKind::Transfer, vec![1, 7]),
         };
-        assert_eq!(report.lock().unwrap().differences, [difference]);
+        assert_eq!(report.lock().differences, [difference]);
     }
 
     #[test]
     fn requests_after_the_end_of_the_recording_fail_and_are_reported() {
         let (mut bus, report) = RecordedBus::new(Vec::new());
         assert_eq!(bus.close().outcome, Outcome::Failed);
-        assert_eq!(report.lock().unwrap().differences[0].recorded, None);
+        assert_eq!(report.lock().differences[0].recorded, None);
     }
 }

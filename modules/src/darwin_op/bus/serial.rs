@@ -1,7 +1,7 @@
 //! The serial port.
 
-use super::awaited::{Awaited, End};
-use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, LATE, Outcome, STATUS_SLACK, status_timeout};
+use super::super::protocol::{Instruction, Packet, Receiver};
+use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, LATE, Outcome};
 use downbeat_executor::Time;
 use serialport::{ClearBuffer, DataBits, FlowControl, Parity, SerialPort, StopBits};
 use std::io;
@@ -164,10 +164,93 @@ fn send(port: &mut dyn SerialPort, instruction: &[u8]) -> io::Result<()> {
     port.write_all(instruction)
 }
 
+/// How an exchange ended.
+pub(crate) struct End {
+    pub(crate) outcome: Outcome,
+    pub(crate) reply: Vec<u8>,
+    pub(crate) error: String,
+}
+
+impl End {
+    pub(crate) fn ok() -> Self {
+        Self { outcome: Outcome::Ok, reply: Vec::new(), error: String::new() }
+    }
+
+    pub(crate) fn failed(reply: Vec<u8>, error: String) -> Self {
+        Self { outcome: Outcome::Failed, reply, error }
+    }
+}
+
+/// Tracks which of the expected answers have arrived.
+pub(crate) struct Awaited<'a> {
+    expected: &'a [ExpectedStatus],
+    receiver: Receiver,
+    /// Devices answer in order: those before this index have answered or will not answer.
+    passed: usize,
+    came: usize,
+}
+
+impl<'a> Awaited<'a> {
+    pub(crate) fn new(expected: &'a [ExpectedStatus]) -> Self {
+        let longest = expected.iter().map(ExpectedStatus::packet_length).max().unwrap_or(0);
+        Self { expected, receiver: Receiver::with_longest(longest), passed: 0, came: 0 }
+    }
+
+    pub(crate) fn take(&mut self, bytes: &[u8]) {
+        self.receiver.push(bytes);
+        while let Some(packet) = self.receiver.next_packet() {
+            let to_come = &self.expected[self.passed..];
+            if let Some(index) = to_come.iter().position(|expected| expected.id == packet.id()) {
+                self.passed += index + 1;
+                self.came += 1;
+            }
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        self.passed == self.expected.len()
+    }
+
+    pub(crate) fn end(self, reply: Vec<u8>) -> End {
+        let missing = self.expected.len() - self.came;
+        if missing == 0 {
+            return End { reply, ..End::ok() };
+        }
+        let error = format!("{missing} of {} answers are missing or corrupt", self.expected.len());
+        End { outcome: Outcome::Timeout, reply, error }
+    }
+}
+
+/// 12 bit times at 1 Mbit/s for each byte: ten bits and some slack.
+const NANOSECONDS_PER_BYTE: u64 = 12_000;
+
+/// Time for processing in the devices and in the operating system, as in the DARwIn-OP framework.
+pub const STATUS_SLACK: Duration = Duration::from_millis(5);
+
+/// The time-out for the answers after sending `instruction`.
+///
+/// As in the DARwIn-OP framework: `slack`, plus 12 microseconds for each byte sent or, for a bulk read, for
+/// one and a half times the expected bytes.
+#[must_use]
+pub fn status_timeout(instruction: &[u8], expected: &[ExpectedStatus], slack: Duration) -> Duration {
+    let packet = Packet::new_checked(instruction);
+    let is_bulk_read = packet
+        .as_ref()
+        .is_ok_and(|packet| matches!(Instruction::parse(packet), Ok(Instruction::BulkRead { .. })));
+    let nanoseconds = if is_bulk_read {
+        let to_come: usize = expected.iter().map(ExpectedStatus::packet_length).sum();
+        to_come as u64 * NANOSECONDS_PER_BYTE * 3 / 2
+    } else {
+        instruction.len() as u64 * NANOSECONDS_PER_BYTE
+    };
+    slack + Duration::from_nanos(nanoseconds)
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use super::super::super::protocol::{Id, Instruction};
+
+    use super::super::super::protocol::{BulkReadBlock, Id, Instruction};
     use super::*;
     use serialport::TTYPort;
 
@@ -207,5 +290,23 @@ mod tests {
         assert_eq!((first.sequence, first.outcome), (0, Outcome::Failed));
         assert!(first.sent >= Time::from_nanos(5_000_000_000));
         assert_eq!(bus.close().sequence, 1);
+    }
+
+    #[test]
+    fn a_ping_has_five_milliseconds_and_the_time_of_its_own_bytes() {
+        let ping = Instruction::Ping { id: Id::CM730 }.to_bytes();
+        let expected = [ExpectedStatus { id: Id::CM730, parameters: 0 }];
+        assert_eq!(status_timeout(&ping, &expected, STATUS_SLACK), Duration::from_micros(5_072));
+    }
+
+    #[test]
+    fn a_bulk_read_has_one_and_a_half_times_the_time_of_its_answers() {
+        let block = [30, 200, 24, 8, 1, 36];
+        let read = Instruction::BulkRead { block: BulkReadBlock::new(&block).unwrap() }.to_bytes();
+        let expected = [
+            ExpectedStatus { id: Id::CM730, parameters: 30 },
+            ExpectedStatus { id: Id::new(1).unwrap(), parameters: 8 },
+        ];
+        assert_eq!(status_timeout(&read, &expected, STATUS_SLACK), Duration::from_micros(5_900));
     }
 }

@@ -23,16 +23,14 @@
 //! # References
 //! ROBOTIS e-Manual, "DYNAMIXEL Protocol 1.0".
 
-mod blocks;
-mod id;
 mod instruction;
 mod packet;
 mod receiver;
 mod status;
 
-pub use blocks::{BulkReadBlock, BulkReadEntry, SyncWriteBlock};
-pub use id::Id;
+pub use instruction::{BulkReadBlock, BulkReadEntry, SyncWriteBlock};
 pub use instruction::{Instruction, InstructionError};
+pub use packet::Id;
 pub use packet::{HEADER, Packet, PacketError, checksum, emit_packet};
 pub use receiver::Receiver;
 pub use status::{Status, StatusError, StatusParseError};

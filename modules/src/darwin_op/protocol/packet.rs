@@ -3,7 +3,7 @@
 //! `FF FF | id | length | code | parameters | checksum`, where length counts everything after itself, and
 //! code is the instruction or, in an answer, the error bits.
 
-use super::Id;
+use std::fmt;
 
 /// The first two bytes of every packet.
 pub const HEADER: [u8; 2] = [0xFF, 0xFF];
@@ -128,6 +128,49 @@ pub fn emit_packet(id: Id, code: u8, parameters: &[u8], out: &mut Vec<u8>) {
     out.extend_from_slice(&[id.raw(), length, code]);
     out.extend_from_slice(parameters);
     out.push(checksum(&out[start + 2..]));
+}
+
+/// The address of a device on the bus, or of all of them.
+///
+/// 0xFF is not an address: it would be mistaken for a header byte.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Id(u8);
+
+impl Id {
+    /// All devices. They execute the instruction and do not answer, except to a bulk read.
+    pub const BROADCAST: Self = Self(254);
+    /// The sub controller, which sits between the computer and the servo bus.
+    pub const CM730: Self = Self(200);
+
+    /// The address with this number, unless it is 0xFF.
+    #[must_use]
+    pub const fn new(raw: u8) -> Option<Self> {
+        if raw == 0xFF { None } else { Some(Self(raw)) }
+    }
+
+    /// The number on the wire.
+    #[must_use]
+    pub const fn raw(self) -> u8 {
+        self.0
+    }
+
+    /// Whether it stands for all devices.
+    #[must_use]
+    pub const fn is_broadcast(self) -> bool {
+        self.0 == Self::BROADCAST.0
+    }
+}
+
+impl fmt::Debug for Id {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "Id({})", self.0)
+    }
+}
+
+impl fmt::Display for Id {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(formatter)
+    }
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 //! # References
 //! ROBOTIS e-Manual, DARwIn-OP "Control table of the CM-730"; the second generation's CM-740 has the same.
 
-use super::field::{Field, checked};
+use super::{Field, checked};
 
 /// The size of the table in bytes.
 pub const LENGTH: u8 = 81;

@@ -5,7 +5,7 @@
 //! # References
 //! ROBOTIS e-Manual, "MX-28T/R/AT/AR".
 
-use super::field::{Field, checked};
+use super::{Field, checked};
 
 /// The size of the table in bytes.
 pub const LENGTH: u8 = 74;

@@ -76,7 +76,7 @@ fn a_recorded_run_with_faults_replays_bit_for_bit() {
     let mut replay = Run::new(DarwinOp::new(Box::new(bus)), &[("port", port.into())]);
     let replayed = perform(&mut replay, |_| {});
 
-    let report = report.lock().unwrap().clone();
+    let report = report.lock().clone();
     assert_eq!((report.differences, report.replayed), (Vec::new(), length));
     assert_eq!(replayed, performed);
 }
@@ -90,7 +90,7 @@ fn a_replay_with_another_command_is_noticed() {
     let (bus, report) = RecordedBus::new(performed.exchanges.iter().map(decode).collect::<Vec<_>>());
     let mut replay = Run::new(DarwinOp::new(Box::new(bus)), &[("p_gain", SettingValue::Integer(31))]);
     perform(&mut replay, |_| {});
-    let report = report.lock().unwrap();
+    let report = report.lock();
     let first = &report.differences[0];
     let (_, recorded) = first.recorded.as_ref().unwrap();
     assert_eq!(

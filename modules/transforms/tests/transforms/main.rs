@@ -6,69 +6,50 @@ use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::geometry_msgs::msg::{Quaternion, TransformStamped, Vector3};
 use downbeat_msgs::tf2_msgs::msg::TFMessage;
 use downbeat_transforms::{At, LookupError, TransformBroadcaster, TransformBuffer, listen};
+use fuzzing::Random;
+use python_peer::{Python, printed, with_file};
 use serde_json::{Value, json};
-use std::io::Write;
-use std::process::{Command, Stdio};
+use std::fs::File;
 use std::sync::mpsc::{Sender, channel};
 use std::time::Duration;
 
-/// Reproducible numbers (splitmix64).
-struct Numbers(u64);
+/// From -1 to 1.
+fn unit(random: &mut Random) -> f64 {
+    (random.bits() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+}
 
-impl Numbers {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        mixed ^ (mixed >> 31)
-    }
+fn below(random: &mut Random, end: i64) -> i64 {
+    (random.bits() % end.unsigned_abs()).cast_signed()
+}
 
-    /// From -1 to 1.
-    fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-    }
-
-    fn below(&mut self, end: i64) -> i64 {
-        (self.next() % end.unsigned_abs()).cast_signed()
-    }
-
-    fn quaternion(&mut self) -> Quaternion {
-        loop {
-            let [x, y, z, w] = std::array::from_fn(|_| self.unit());
-            let norm = (x * x + y * y + z * z + w * w).sqrt();
-            if (0.1..=1.0).contains(&norm) {
-                return Quaternion { x: x / norm, y: y / norm, z: z / norm, w: w / norm };
-            }
+fn quaternion(random: &mut Random) -> Quaternion {
+    loop {
+        let [x, y, z, w] = std::array::from_fn(|_| unit(random));
+        let norm = (x * x + y * y + z * z + w * w).sqrt();
+        if (0.1..=1.0).contains(&norm) {
+            return Quaternion { x: x / norm, y: y / norm, z: z / norm, w: w / norm };
         }
     }
 }
 
 /// The results of scipy; `None` without Python.
 fn scipy(asked: &Value) -> Option<Vec<[f64; 7]>> {
-    let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
-        // Bypasses the capture of test output, which hides the output of passing tests.
-        let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
-        let _ = std::io::stderr().write_all(line.as_bytes());
-        return None;
-    };
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/transforms/scipy_lookup.py");
-    let mut child =
-        Command::new(python).arg(script).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
-    // Fails if Python has exited, which is reported below.
-    let _ = child.stdin.take().unwrap().write_all(asked.to_string().as_bytes());
-    let output = child.wait_with_output().unwrap();
-    assert!(output.status.success(), "Python failed; has it scipy? `cargo xtask test` installs it");
-    Some(serde_json::from_slice(&output.stdout).unwrap())
+    let answer = with_file(&asked.to_string(), |file| {
+        let input = File::open(file).unwrap();
+        Some(printed(Python::find()?.command(script).stdin(input)))
+    })?;
+    Some(serde_json::from_str(&answer).unwrap())
 }
 
 #[test]
 fn every_lookup_agrees_with_scipy() {
     const SECOND: i64 = 1_000_000_000;
-    let (mut numbers, mut buffer) = (Numbers(1), TransformBuffer::new());
+    let (mut numbers, mut buffer) = (Random::new(1), TransformBuffer::new());
     let start = 1_795_239_822 * SECOND;
     let mut transforms = Vec::new();
     for child in 1..25 {
-        let (parent, is_static) = (numbers.below(child), numbers.below(4) == 0);
+        let (parent, is_static) = (below(&mut numbers, child), below(&mut numbers, 4) == 0);
         let mut time = start;
         while time <= start + 9 * SECOND {
             let stamped = random_transform(&mut numbers, parent, child, time);
@@ -82,11 +63,11 @@ fn every_lookup_agrees_with_scipy() {
                 "parent": parent.to_string(), "child": child.to_string(), "time": time, "is_static": is_static,
                 "translation": [x, y, z], "rotation": [rotation.x, rotation.y, rotation.z, rotation.w],
             }));
-            time += 100_000_000 + numbers.below(900_000_000);
+            time += 100_000_000 + below(&mut numbers, 900_000_000);
         }
     }
     let queries: Vec<_> = (0..1000)
-        .map(|_| (numbers.below(25), numbers.below(25), start + numbers.below(8 * SECOND)))
+        .map(|_| (below(&mut numbers, 25), below(&mut numbers, 25), start + below(&mut numbers, 8 * SECOND)))
         .collect();
     let query = |&(target, source, time): &(i64, i64, i64)| json!({"target": target.to_string(), "source": source.to_string(), "time": time});
     let asked = json!({"transforms": transforms, "queries": queries.iter().map(query).collect::<Vec<_>>()});
@@ -107,12 +88,12 @@ fn every_lookup_agrees_with_scipy() {
     assert!(worst < 1e-12, "the worst difference is {worst}");
 }
 
-fn random_transform(numbers: &mut Numbers, parent: i64, child: i64, time: i64) -> TransformStamped {
+fn random_transform(numbers: &mut Random, parent: i64, child: i64, time: i64) -> TransformStamped {
     let mut stamped = TransformStamped { child_frame_id: child.to_string(), ..TransformStamped::default() };
     stamped.header.frame_id = parent.to_string();
     stamped.header.stamp = Stamp::from_nanos(time);
-    stamped.transform.translation = Vector3 { x: numbers.unit(), y: numbers.unit(), z: numbers.unit() };
-    stamped.transform.rotation = numbers.quaternion();
+    stamped.transform.translation = Vector3 { x: unit(numbers), y: unit(numbers), z: unit(numbers) };
+    stamped.transform.rotation = quaternion(numbers);
     stamped
 }
 

@@ -1,4 +1,15 @@
-//! The module.
+//! Answers transform lookups of nodes without a transform buffer, like the `buffer_server` of tf2_ros.
+//!
+//! | name | type | |
+//! | --- | --- | --- |
+//! | `tf2_buffer_server` | action tf2_msgs/LookupTransform | a goal waits until its transform is known, or for its `timeout` |
+//! | `tf`, `tf_static` (in) | tf2_msgs/TFMessage | the known transforms |
+//!
+//! A goal always succeeds, as in tf2_ros; failures are reported in the result's `error`. A canceled goal ends
+//! at once.
+//!
+//! # References
+//! `tf2_ros/src/buffer_server.cpp` of `ros2/geometry2`, branch jazzy.
 
 use crate::actions::{ActionServer, CancelResponse, GoalId};
 use crate::transforms::{FoundTransform, LookupError, TransformBuffer, listen};
@@ -7,7 +18,7 @@ use downbeat_msgs::tf2_msgs::action::{LookupTransform, LookupTransformGoal, Look
 use downbeat_msgs::tf2_msgs::msg::TF2Error;
 use std::time::Duration;
 
-/// Serves lookups of transforms; see the [module page](super).
+/// Serves lookups of transforms; see the [module page](self).
 #[derive(Default)]
 pub struct TransformServer {
     transforms: TransformBuffer,
@@ -107,6 +118,7 @@ fn result(found: Result<FoundTransform, LookupError>) -> LookupTransformResult {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+
     use super::*;
     use crate::testing::core_at_zero;
     use downbeat_executor::Core;
