@@ -2,9 +2,10 @@
 //!
 //! The presets are those of `rmw/qos_profiles.h` and `rcl/logging_rosout.h` (branch jazzy).
 
-use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
 
 /// A policy of several values with names. It is the one place of these words: robot files, the command line, the metadata of
 /// bags, ROS parameters and the answers of other programs use them.

@@ -3,6 +3,8 @@
 
 use std::path::Path;
 
+use fuzzing::Random;
+
 #[path = "../fuzz/targets/mod.rs"]
 mod targets;
 
@@ -34,43 +36,31 @@ fn check(target: &str, run: fn(&[u8])) {
     let mut files: Vec<_> = std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()).collect();
     files.sort();
     assert!(!files.is_empty(), "{} is empty", folder.display());
-    let mut random = Random(0x9E37_79B9_7F4A_7C15);
+    let mut random = Random::new(0);
     for file in files {
         let seed = std::fs::read(&file).unwrap();
         run(&seed);
         for _ in 0..CHANGES {
-            let changed = random.changed(&seed);
+            let changed = changed(&seed, &mut random);
             let outcome = std::panic::catch_unwind(|| run(&changed));
             assert!(outcome.is_ok(), "a change of {}: {changed:?}", file.display());
         }
     }
 }
 
-/// xorshift (Marsaglia 2003): the same mutations in every run.
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, bound: usize) -> usize {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 11) as usize % bound.max(1)
-    }
-
-    /// A copy with one to four bytes changed, removed, inserted or truncated.
-    fn changed(&mut self, seed: &[u8]) -> Vec<u8> {
-        const TELLING: [u8; 8] = [0, 1, 0x7F, 0x80, 0xFF, b'\n', b'[', b'='];
-        let mut bytes = seed.to_vec();
-        for _ in 0..=self.below(4) {
-            let (place, telling) = (self.below(bytes.len()), TELLING[self.below(TELLING.len())]);
-            match self.below(5) {
-                0 if !bytes.is_empty() => bytes[place] = telling,
-                1 if !bytes.is_empty() => bytes[place] ^= 1 << self.below(8),
-                2 if !bytes.is_empty() => drop(bytes.remove(place)),
-                3 => bytes.insert(place, telling),
-                _ => bytes.truncate(place),
-            }
+/// A copy with one to four bytes changed, removed, inserted or truncated.
+fn changed(seed: &[u8], random: &mut Random) -> Vec<u8> {
+    const TELLING: [u8; 8] = [0, 1, 0x7F, 0x80, 0xFF, b'\n', b'[', b'='];
+    let mut bytes = seed.to_vec();
+    for _ in 0..=random.below(4) {
+        let (place, telling) = (random.below(bytes.len()), *random.choose(&TELLING));
+        match random.below(5) {
+            0 if !bytes.is_empty() => bytes[place] = telling,
+            1 if !bytes.is_empty() => bytes[place] ^= 1 << random.below(8),
+            2 if !bytes.is_empty() => drop(bytes.remove(place)),
+            3 => bytes.insert(place, telling),
+            _ => bytes.truncate(place),
         }
-        bytes
     }
+    bytes
 }

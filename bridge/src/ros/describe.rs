@@ -5,7 +5,7 @@ use super::{Client, MessageType, Node, NodeError, ServiceName, ServiceType, Subs
 use crate::edge::KnownType;
 use crate::middleware::rpc::CallError;
 use crate::worker::{WorkerLink, oneshot};
-use downbeat_msgs::dynamic::{Definitions, DescribedTypes, LookupError, TypeDefinition, TypeError};
+use downbeat_msgs::dynamic::{Definitions, DescribedTypes, TypeDefinition, TypeError, TypeLookupError};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::type_description_interfaces::srv::{
     GetTypeDescription, GetTypeDescriptionRequest, GetTypeDescriptionResponse,
@@ -54,7 +54,7 @@ pub enum DescribeError {
     Type(#[from] TypeError),
     /// The description is incomplete.
     #[error(transparent)]
-    Lookup(#[from] LookupError),
+    Lookup(#[from] TypeLookupError),
 }
 
 impl Node {

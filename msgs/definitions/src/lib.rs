@@ -28,7 +28,6 @@ mod derived;
 mod description;
 mod error;
 mod idl;
-mod message_text;
 mod name;
 mod parse;
 mod suggestion;

@@ -69,7 +69,7 @@ pub enum Problem {
     #[error(
         "the header names the representation {0:#06x}{name}, which ROS 2 does not use; \
          CDR (0x0000, 0x0001), CDR2 (0x0006, 0x0007) and D_CDR2 (0x0008, 0x0009) are supported",
-        name = super::representation::refused_name(*.0)
+        name = super::refused_name(*.0)
     )]
     Representation(u16),
 }

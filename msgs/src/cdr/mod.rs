@@ -40,24 +40,20 @@
 //! - What `rclpy.serialization` does with rmw_fastrtps_cpp 8.4.3, which the tests compare with byte by byte.
 //! - Wide strings in version 2: `src/core/cdr/src/dds_cdrstream.c` of `eclipse-cyclonedds/cyclonedds`.
 
-mod bounds;
-mod collections;
 mod error;
 mod plain;
-mod primitives;
 mod reader;
-mod representation;
-mod text;
+mod values;
 mod view;
 mod writer;
 
-#[doc(hidden)]
-pub use bounds::{check_count, check_field, check_text};
 pub use error::{EncodeError, Error, Problem, Result};
 pub use plain::{Plain, PlainMessage, PlainReader, PlainWriter};
 pub use reader::Reader;
-pub use representation::{Encoding, Endianness};
-pub use text::{Text, WString};
+pub use values::{Text, WString};
+
+#[doc(hidden)]
+pub use values::{check_count, check_field, check_text};
 pub use view::{Count, FromReader, Numbers, Sequence, Viewed};
 pub use writer::Writer;
 
@@ -188,6 +184,65 @@ pub fn encoded_size<T: Cdr>(value: &T) -> usize {
 /// If ROS 2 does not use the representation, or the bytes are not a valid value.
 pub fn from_slice<'a, T: FromReader<'a>>(bytes: &'a [u8]) -> Result<T> {
     T::from_reader(&mut Reader::new(bytes)?)
+}
+
+/// The byte order of a serialised value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Endianness {
+    /// The most significant byte first (`CDR_BE`).
+    Big,
+    /// The least significant byte first (`CDR_LE`).
+    Little,
+}
+
+/// The encoding rules of a value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    /// XCDR version 1, plain: what ROS 2 writes.
+    Plain1,
+    /// XCDR version 2, plain: the maximum alignment is four bytes, and sequences and arrays of non-primitive
+    /// types start with their size.
+    Plain2,
+    /// XCDR version 2, delimited: like plain, but messages also start with their size, so that a sender can
+    /// append fields that we do not know.
+    Delimited2,
+}
+
+impl Encoding {
+    /// The maximum alignment.
+    const fn greatest_alignment(self) -> usize {
+        match self {
+            Self::Plain1 => 8,
+            Self::Plain2 | Self::Delimited2 => 4,
+        }
+    }
+}
+
+/// Splits a serialised value into its representation and its body.
+fn split(bytes: &[u8]) -> Result<(Encoding, Endianness, &[u8])> {
+    let fail = |problem| Error { problem, offset: 0, path: String::new() };
+    let Some((header, body)) = bytes.split_first_chunk::<HEADER_SIZE>() else {
+        return Err(fail(Problem::TooShort { needed: HEADER_SIZE, left: bytes.len() }));
+    };
+    let identifier = u16::from_be_bytes([header[0], header[1]]);
+    let encoding = match identifier {
+        0x0000 | 0x0001 => Encoding::Plain1,
+        0x0006 | 0x0007 => Encoding::Plain2,
+        0x0008 | 0x0009 => Encoding::Delimited2,
+        other => return Err(fail(Problem::Representation(other))),
+    };
+    let endianness = if identifier & 1 == 0 { Endianness::Big } else { Endianness::Little };
+    Ok((encoding, endianness, body))
+}
+
+/// The meaning of identifiers that are not supported.
+fn refused_name(identifier: u16) -> &'static str {
+    match identifier {
+        0x0002 | 0x0003 => " (PL_CDR, a parameter list of XCDR version 1)",
+        0x0004 => " (XML)",
+        0x000a | 0x000b => " (PL_CDR2, a parameter list of XCDR version 2)",
+        _ => "",
+    }
 }
 
 #[cfg(test)]

@@ -1,8 +1,10 @@
 //! Reading CDR from bytes.
 
 use super::plain::PlainReader;
-use super::representation::{Encoding, Endianness, split};
-use super::{Cdr, Count, Error, FromReader, HEADER_SIZE, Plain, Problem, Result, Sequence, Text};
+use super::{
+    Cdr, Count, Encoding, Endianness, Error, FromReader, HEADER_SIZE, Plain, Problem, Result, Sequence, Text,
+    split,
+};
 
 /// Reads the parts of a serialised value one after another. Alignment is relative to the end of the header.
 #[derive(Clone, Debug)]

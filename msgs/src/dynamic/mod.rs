@@ -30,7 +30,6 @@ mod fit;
 mod layout;
 mod lookup;
 mod message;
-mod path;
 mod text;
 mod value;
 mod view;
@@ -39,11 +38,12 @@ mod wire;
 pub use error::{ConvertError, FieldError, FieldProblem, TypeError};
 pub use layout::{DynamicField, DynamicType};
 pub use lookup::{
-    AmentPrefixPath, DefinitionSource, Definitions, DescribedTypes, Found, LookupError, Schemas,
-    TypeDefinition,
+    AmentPrefixPath, DefinitionSource, Definitions, DescribedTypes, Found, Schemas, TypeDefinition,
+    TypeLookupError,
 };
 pub use message::{DynamicMessage, MessageRef};
-pub use text::python;
-pub use text::{Stamps, TextError, TextProblem, YamlContext, YamlStyle, write_yaml_float, write_yaml_text};
+pub use text::{
+    Stamps, TextError, TextProblem, YamlContext, YamlStyle, python, write_yaml_float, write_yaml_text,
+};
 pub use value::{Array, ArrayElement, Messages, Value, ValueRef};
 pub use view::{ArrayView, DynamicView, ViewError, ViewValue};

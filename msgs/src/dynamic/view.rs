@@ -3,8 +3,7 @@
 use downbeat_msgs_definitions::{Element, FieldType, Primitive, Shape};
 
 use super::layout::FieldLayout;
-use super::message::field_of;
-use super::path::{Step, steps};
+use super::message::{Step, field_of, steps};
 use super::wire::{count, decode_message, decode_value};
 use super::{Array, DynamicMessage, DynamicType, FieldError, FieldProblem, Value, ValueRef, fit};
 use crate::WString;

@@ -6,7 +6,7 @@ use super::Encoding;
 use crate::cdr;
 #[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
 use crate::foxglove;
-use crate::interchange::{self, Direction, Error, Problem, Value};
+use crate::interchange::{self, CodecDirection, Error, Problem, Value};
 use crate::message::Message;
 
 /// Converts between the CDR of a message type and an encoding.
@@ -139,13 +139,13 @@ impl Codec {
             return mapping
                 .to_foxglove(&self.definition, value)
                 .and_then(|value| self.put(mapping.schema(), &value))
-                .map_err(|problem| self.error(Direction::Write, problem));
+                .map_err(|problem| self.error(CodecDirection::Write, problem));
         }
         let value = self.read_cdr(cdr)?;
         if self.encoding == Encoding::Cdr {
             return Ok(cdr.to_vec());
         }
-        self.put(&self.definition, &value).map_err(|problem| self.error(Direction::Write, problem))
+        self.put(&self.definition, &value).map_err(|problem| self.error(CodecDirection::Write, problem))
     }
 
     /// Converts to CDR, little-endian with its header. Fields that the encoding does not preserve have their
@@ -160,7 +160,7 @@ impl Codec {
                 .get(mapping.schema(), bytes)
                 .and_then(|value| mapping.to_ros(&self.definition, value))
                 .and_then(|value| interchange::cdr::write(&self.definition, &value))
-                .map_err(|problem| self.error(Direction::Read, problem));
+                .map_err(|problem| self.error(CodecDirection::Read, problem));
         }
         if self.encoding == Encoding::Cdr {
             self.read_cdr(bytes)?;
@@ -168,7 +168,7 @@ impl Codec {
         }
         self.get(&self.definition, bytes)
             .and_then(|value| interchange::cdr::write(&self.definition, &value))
-            .map_err(|problem| self.error(Direction::Read, problem))
+            .map_err(|problem| self.error(CodecDirection::Read, problem))
     }
 
     /// Encodes a message of the codec's type.
@@ -176,7 +176,7 @@ impl Codec {
     /// # Errors
     /// If it is of another type, or the encoding cannot represent a value.
     pub fn to_vec<T: Message>(&self, message: &T) -> Result<Vec<u8>, Error> {
-        self.check_type::<T>(Direction::Write)?;
+        self.check_type::<T>(CodecDirection::Write)?;
         self.encode(&cdr::to_vec(message))
     }
 
@@ -185,11 +185,11 @@ impl Codec {
     /// # Errors
     /// If it is of another type, or the bytes are not a message of the type in the encoding.
     pub fn from_slice<T: Message>(&self, bytes: &[u8]) -> Result<T, Error> {
-        self.check_type::<T>(Direction::Read)?;
+        self.check_type::<T>(CodecDirection::Read)?;
         cdr::from_slice(&self.decode(bytes)?).map_err(|source| self.cdr_error(source))
     }
 
-    fn check_type<T: Message>(&self, direction: Direction) -> Result<(), Error> {
+    fn check_type<T: Message>(&self, direction: CodecDirection) -> Result<(), Error> {
         if T::TYPE_NAME == self.type_name {
             return Ok(());
         }
@@ -233,7 +233,7 @@ impl Codec {
         interchange::cdr::read(&self.definition, cdr).map_err(|source| self.cdr_error(source))
     }
 
-    fn error(&self, direction: Direction, problem: Problem) -> Error {
+    fn error(&self, direction: CodecDirection, problem: Problem) -> Error {
         problem.into_error(&self.type_name, direction, self.encoding.as_str())
     }
 

@@ -29,25 +29,23 @@
 //! # References
 //! - `docs/source/internals.md` (the format) and `reflection/reflection.fbs` (the binary schema) of google/flatbuffers.
 
-mod binary_schema;
 mod decode;
 mod encode;
-mod text;
+mod schema;
 
 use downbeat_msgs_definitions::{Catalog, TypeName};
 
 use crate::interchange::{Error, Kind, Schema};
-
-pub(crate) use binary_schema::binary_schema;
 pub(crate) use decode::decode;
 pub(crate) use encode::encode;
+pub(crate) use schema::binary_schema;
 
 /// The `.fbs` text of a message and its nested messages.
 ///
 /// # Errors
 /// If the catalog lacks a type, or the type is too large.
 pub fn schema_text(catalog: &Catalog, name: &TypeName) -> Result<String, Error> {
-    Ok(text::schema_text(&Schema::of_definition(catalog, name)?))
+    Ok(schema::schema_text(&Schema::of_definition(catalog, name)?))
 }
 
 /// Size and alignment of a field's value within its table.

@@ -2,8 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::path::{Object, resolve};
-use super::rules::{Rule, rule_of};
+use super::rules::{Object, Rule, resolve, rule_of};
 use super::schemas;
 use crate::encoding::Encoding;
 use crate::interchange::{Budget, Count, Field, Kind, Problem, Schema, Value};

@@ -36,8 +36,6 @@
 //!   and ids of fields.
 
 mod convert;
-mod path;
-mod point_cloud;
 mod rules;
 mod schemas;
 mod special;

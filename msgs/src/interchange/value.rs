@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::{Budget, Count, Field, Kind, Problem, Schema};
+use super::{Count, Field, Kind, Problem, Schema};
 
 /// The value of a field or a record. Kind and count of a field determine its variant.
 #[derive(Clone, Debug, PartialEq)]
@@ -141,5 +141,40 @@ impl<'a> Value<'a> {
         }
         // Both casts are exact within the range just checked.
         Some(if least < 0 { Self::Signed(integer as i64) } else { Self::Unsigned(integer as u64) })
+    }
+}
+
+/// Formats that omit defaults, or that share tables, can represent large values with few bytes. The memory of
+/// a value is therefore counted while it is read.
+#[derive(Debug)]
+pub(crate) struct Budget {
+    left: usize,
+    all: usize,
+}
+
+/// The limit for any input: more than any message of defaults.
+const FLOOR: usize = 16 << 20;
+/// Bytes of memory per byte of input, above the floor: a list of numbers in text or varints takes 8, of small
+/// messages 100.
+const FACTOR: usize = 128;
+
+impl Budget {
+    pub(crate) fn for_input(length: usize) -> Self {
+        let all = length.saturating_mul(FACTOR).saturating_add(FLOOR);
+        Self { left: all, all }
+    }
+
+    /// Counts bytes that are about to be allocated.
+    pub(crate) fn spend(&mut self, bytes: usize) -> Result<(), Problem> {
+        match self.left.checked_sub(bytes) {
+            Some(left) => {
+                self.left = left;
+                Ok(())
+            }
+            None => Err(Problem::new(format!(
+                "the value would take more than {} bytes of memory, too many for an input of this size",
+                self.all
+            ))),
+        }
     }
 }

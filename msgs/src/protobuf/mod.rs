@@ -43,18 +43,16 @@
 mod decode;
 mod descriptor;
 mod encode;
-mod text;
 mod wire;
 
 use downbeat_msgs_definitions::{Catalog, TypeName};
 
 use crate::interchange::{Error, Schema};
-
 pub(crate) use decode::decode;
+pub use descriptor::SchemaFile;
 pub(crate) use descriptor::file_descriptor_set;
+pub(crate) use descriptor::schema_files as schema_files_of;
 pub(crate) use encode::encode;
-pub use text::SchemaFile;
-pub(crate) use text::schema_files as schema_files_of;
 
 /// The `.proto` files of a message: its own file first, then its imports.
 ///

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use downbeat_msgs::definitions::TypeName;
 use downbeat_msgs::dynamic::{
-    AmentPrefixPath, Definitions, DescribedTypes, DynamicMessage, DynamicType, LookupError, Schemas,
+    AmentPrefixPath, Definitions, DescribedTypes, DynamicMessage, DynamicType, Schemas, TypeLookupError,
 };
 use downbeat_msgs::type_description_interfaces::msg::TypeDescription;
 use downbeat_msgs::{TYPE_NAMES, carried};
@@ -104,7 +104,7 @@ fn recorded_messages_are_read_by_recorded_schemas() {
     let definitions = Definitions::new().with(schemas);
     let lines = fs::read_to_string(data.join("recorded_messages.txt")).unwrap();
     for (name, bytes) in lines.lines().map(|line| line.split_once('\t').unwrap()) {
-        let bytes = crate::text::unhex(bytes);
+        let bytes = python_peer::unhex(bytes);
         let message = DynamicMessage::from_cdr(&definitions.find(name).unwrap(), &bytes).unwrap();
         let again = message.to_cdr();
         assert_eq!(again, bytes[..again.len()], "{name}");
@@ -154,12 +154,12 @@ fn an_error_lists_the_searched_sources_and_their_problems() {
         )
     );
     let error = definitions.find("legs/msg/Bad").unwrap_err();
-    assert!(matches!(error, LookupError::Unusable { .. }));
+    assert!(matches!(error, TypeLookupError::Unusable { .. }));
     assert!(error.to_string().contains("Bad.msg:2:1: "), "{error}");
     let error = definitions.find("std_msgs/msg/Heder").unwrap_err().to_string();
     assert!(error.contains("they have std_msgs/msg/Header of that package"), "{error}");
     for name in ["", "Leg", "../msg/Leg", "legs/msg/../Leg", "legs/msg/Leg/"] {
-        assert!(matches!(definitions.find(name), Err(LookupError::Name(_))), "{name}");
+        assert!(matches!(definitions.find(name), Err(TypeLookupError::Name(_))), "{name}");
     }
     let error = Definitions::new().find("a/msg/A").unwrap_err().to_string();
     assert!(error.ends_with("Looked nowhere: there are no sources"), "{error}");

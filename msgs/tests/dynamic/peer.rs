@@ -2,38 +2,18 @@
 //!
 //! Needs the Python interpreter named by `DOWNBEAT_PYTHON`; without it the tests print a note and pass.
 
-use std::fmt::Write as _;
-use std::path::Path;
-use std::process::Command;
-
 use downbeat_msgs::carried;
 use downbeat_msgs::definitions::Kind;
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType, MessageRef, ValueRef};
+use python_peer::{Python, hex, unhex};
 use serde_json::Value as Json;
 
 use crate::random::Random;
 
 /// Runs a command of `peer.py` with `input` in a file; returns its lines of output, or `None` without Python.
 fn ask(command: &str, input: &str) -> Option<Vec<String>> {
-    let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
-        // Bypasses the capture of test output, which hides the output of passing tests.
-        let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
-        let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
-        return None;
-    };
-    let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("dynamic_{command}.txt"));
-    std::fs::write(&file, input).unwrap();
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/dynamic/peer.py");
-    let output = Command::new(python).arg(script).arg(command).arg(&file).output().unwrap();
-    assert!(output.status.success(), "peer.py {command}: {}", String::from_utf8_lossy(&output.stderr));
-    Some(String::from_utf8(output.stdout).unwrap().lines().map(String::from).collect())
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().fold(String::new(), |mut text, byte| {
-        write!(text, "{byte:02x}").unwrap();
-        text
-    })
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/dynamic/peer.py");
+    Some(Python::find()?.ask(script, command, input).lines().map(String::from).collect())
 }
 
 /// Gives every number, truth value and text a value that tells its place, and every sequence two elements, by path.
@@ -125,7 +105,7 @@ fn big_endian_bytes_of_rosbags_are_the_same_messages() {
     let Some(answer) = ask("big", &input) else { return };
     assert_eq!(answer.len(), messages.len());
     for (message, big) in messages.iter().zip(&answer) {
-        let bytes = crate::text::unhex(big);
+        let bytes = unhex(big);
         assert_eq!(bytes[..2], [0, 0]);
         assert_eq!(&DynamicMessage::from_cdr(message.message_type(), &bytes).unwrap(), message);
     }

@@ -5,33 +5,20 @@ use std::fmt;
 use serde::de::value::BorrowedStrDeserializer;
 use serde::de::{DeserializeOwned, DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 
-/// A deterministic source of values (xorshift64*, S. Vigna 2016).
-pub struct Random {
-    state: u64,
-}
+/// A deterministic source of values.
+pub struct Random(fuzzing::Random);
 
 impl Random {
     pub fn new(seed: u64) -> Self {
-        Self { state: seed }
+        Self(fuzzing::Random::new(seed))
     }
 
     pub fn value<T: DeserializeOwned>(&mut self) -> T {
         T::deserialize(&mut *self).unwrap_or_else(|error| panic!("{}: {error}", std::any::type_name::<T>()))
     }
 
-    fn bits(&mut self) -> u64 {
-        self.state ^= self.state >> 12;
-        self.state ^= self.state << 25;
-        self.state ^= self.state >> 27;
-        self.state.wrapping_mul(0x2545_f491_4f6c_dd1d)
-    }
-
-    fn below(&mut self, bound: usize) -> usize {
-        (self.bits() % bound as u64) as usize
-    }
-
     fn float(&mut self) -> f64 {
-        match self.below(12) {
+        match self.0.below(12) {
             0 => 0.0,
             1 => -0.0,
             2 => f64::INFINITY,
@@ -39,14 +26,14 @@ impl Random {
             4 => f64::NAN,
             5 => f64::from(f32::MAX),
             6 => f64::MIN_POSITIVE,
-            _ => (self.bits() as i64) as f64 / 1e12,
+            _ => (self.0.bits() as i64) as f64 / 1e12,
         }
     }
 
     fn text(&mut self) -> String {
         // No zero character: C strings end there.
         const CHARACTERS: [char; 8] = ['a', 'Z', ' ', '\n', '"', 'ü', '漢', '\u{1f600}'];
-        (0..self.below(8)).map(|_| CHARACTERS[self.below(8)]).collect()
+        (0..self.0.below(8)).map(|_| CHARACTERS[self.0.below(8)]).collect()
     }
 }
 
@@ -71,7 +58,7 @@ impl Error for Unsupported {
 macro_rules! integers {
     ($($method:ident $visit:ident $integer:ty),*) => {$(
         fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unsupported> {
-            visitor.$visit(self.bits() as $integer)
+            visitor.$visit(self.0.bits() as $integer)
         }
     )*};
 }
@@ -86,7 +73,7 @@ impl<'de> Deserializer<'de> for &mut Random {
     );
 
     fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unsupported> {
-        visitor.visit_bool(self.below(2) == 1)
+        visitor.visit_bool(self.0.below(2) == 1)
     }
 
     fn deserialize_f32<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unsupported> {
@@ -110,7 +97,7 @@ impl<'de> Deserializer<'de> for &mut Random {
     }
 
     fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unsupported> {
-        let left = [0, 1, 1, 2, 3][self.below(5)];
+        let left = [0, 1, 1, 2, 3][self.0.below(5)];
         visitor.visit_seq(Parts { random: self, left, names: &[] })
     }
 

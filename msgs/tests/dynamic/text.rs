@@ -8,6 +8,7 @@ use std::collections::BTreeSet;
 use downbeat_msgs::definitions::Catalog;
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType, Stamps, YamlStyle};
 use downbeat_msgs::{Message, carried, cdr, sensor_msgs, std_msgs};
+use python_peer::unhex;
 use serde_json::Value as Json;
 
 use crate::random::Random;
@@ -19,11 +20,6 @@ fn recorded() -> Vec<Json> {
 
 fn type_of(catalog: &Catalog, line: &Json) -> DynamicType {
     DynamicType::new(catalog, &line["type"].as_str().unwrap().parse().unwrap()).unwrap()
-}
-
-pub fn unhex(text: &str) -> Vec<u8> {
-    let digits = text.as_bytes().as_chunks::<2>().0.iter();
-    digits.map(|pair| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap()).collect()
 }
 
 #[test]

@@ -6,7 +6,7 @@ use super::{FieldTypeDescription, IndividualTypeDescription, TypeDescription, pr
 use crate::name::is_identifier;
 use crate::{
     ActionDefinition, Catalog, Definition, Element, Error, Field, FieldType, Kind, MessageDefinition, Place,
-    ServiceDefinition, Shape, TypeName, message_text,
+    ServiceDefinition, Shape, TypeName, derived,
 };
 
 impl Catalog {
@@ -146,7 +146,7 @@ fn message_of(
         text: String::new(),
         origin: origin.into(),
     };
-    message.text = message_text::of(&message);
+    message.text = derived::of(&message);
     Ok(message)
 }
 

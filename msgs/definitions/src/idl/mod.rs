@@ -15,7 +15,7 @@ mod types;
 
 use std::collections::BTreeMap;
 
-use crate::message_text;
+use crate::derived;
 use crate::{ActionDefinition, Error, Kind, MessageDefinition, Place, ServiceDefinition, TypeName};
 
 /// An interface of any kind.
@@ -73,7 +73,7 @@ pub(crate) fn parse_idl_from(text: &str, origin: &str, first_line: usize) -> Res
     // Services and actions by name: the position of the first part, and the parts.
     let mut wholes: BTreeMap<TypeName, (Place, Vec<MessageDefinition>)> = BTreeMap::new();
     for parser::Struct { mut message, place } in structs {
-        message.text = message_text::of(&message);
+        message.text = derived::of(&message);
         if message.name.kind == Kind::Message {
             definitions.push(Definition::Message(message));
             continue;

@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use super::lexer::{Lexer, Token, TokenKind};
 use super::literal::{Literal, default_value};
-use crate::message_text::without_bound;
+use crate::derived::without_bound;
 use crate::{
     Constant, Element, Error, Field, FieldType, Kind, MessageDefinition, Place, Primitive, Shape, TypeName,
 };

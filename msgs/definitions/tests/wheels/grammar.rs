@@ -1,9 +1,10 @@
 //! Compares our parser with `rosidl_adapter`.
 
 use downbeat_msgs_definitions::{Constant, FieldType, MessageDefinition, Shape, parse_message};
+use python_peer::Python;
 use serde_json::{Value as Json, json};
 
-use crate::peer::Peer;
+use crate::peer;
 
 /// Texts that both accept, or both reject. Each is one file.
 const ALIKE: &[&str] = &[
@@ -225,7 +226,7 @@ const READ_BY_ROSIDL_ALONE: &[&str] = &[
 
 #[test]
 fn rosidl_reads_and_refuses_the_same_texts() {
-    let Some(peer) = Peer::find() else { return };
+    let Some(peer) = Python::find() else { return };
     let differing: Vec<String> = ask(&peer, ALIKE)
         .into_iter()
         .filter(|(text, theirs)| ours(text) != *theirs)
@@ -336,7 +337,7 @@ fn rosidl_reads_every_value_for_every_type_as_we_do() {
         " 1 # c",
         "=1# c",
     ];
-    let Some(peer) = Peer::find() else { return };
+    let Some(peer) = Python::find() else { return };
     let mut texts = Vec::new();
     for field_type in TYPES {
         for value in VALUES {
@@ -352,9 +353,9 @@ fn rosidl_reads_every_value_for_every_type_as_we_do() {
     assert!(differing.is_empty(), "{} of {}: {differing:#?}", differing.len(), texts.len());
 }
 
-fn ask<'a>(peer: &Peer, texts: &[&'a str]) -> Vec<(&'a str, Json)> {
+fn ask<'a>(peer: &Python, texts: &[&'a str]) -> Vec<(&'a str, Json)> {
     let input: String = texts.iter().map(|text| format!("{}\n", json!(text))).collect();
-    let answers = peer.ask("parse", &input);
+    let answers = peer::ask(peer, "parse", &input);
     let answers: Vec<Json> = answers.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(answers.len(), texts.len());
     texts.iter().copied().zip(answers).collect()

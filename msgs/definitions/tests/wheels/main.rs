@@ -12,9 +12,10 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use downbeat_msgs_definitions::{Catalog, DefinitionEncoding, Kind, MessageDefinition, TypeName};
+use python_peer::Python;
 use serde_json::Value;
 
-use peer::Peer;
+use peer::{ask, files_of};
 
 fn carried() -> Catalog {
     let mut catalog = Catalog::new();
@@ -62,10 +63,10 @@ fn names_of(catalog: &Catalog) -> BTreeSet<String> {
 
 #[test]
 fn built_in_packages_have_the_descriptions_and_hashes_of_every_json_file_of_the_wheels() {
-    let Some(peer) = Peer::find() else { return };
+    let Some(peer) = Python::find() else { return };
     let catalog = carried();
     let mut compared = BTreeSet::new();
-    let files = peer.files("json");
+    let files = files_of(&peer, "json");
     for file in &files {
         compared.extend(compare(&catalog, &serde_json::from_str(&file.text).unwrap()));
     }
@@ -79,7 +80,7 @@ fn built_in_packages_have_the_descriptions_and_hashes_of_every_json_file_of_the_
 
 #[test]
 fn an_ament_prefix_is_read_completely_together_with_the_built_in_packages() {
-    let Some(peer) = Peer::find() else { return };
+    let Some(peer) = Python::find() else { return };
     let mut catalog = carried();
     let before = names_of(&catalog);
     let found = catalog.add_ament_prefix(&peer.prefix()).unwrap();
@@ -91,9 +92,9 @@ fn an_ament_prefix_is_read_completely_together_with_the_built_in_packages() {
 
 #[test]
 fn an_ament_prefix_with_idl_files_alone_means_the_same() {
-    let Some(peer) = Peer::find() else { return };
+    let Some(peer) = Python::find() else { return };
     let prefix = Path::new(env!("CARGO_TARGET_TMPDIR")).join("idl_prefix");
-    let files = peer.files("idl");
+    let files = files_of(&peer, "idl");
     for file in &files {
         let copy = prefix.join(file.path.strip_prefix(peer.prefix()).unwrap());
         std::fs::create_dir_all(copy.parent().unwrap()).unwrap();
@@ -105,7 +106,7 @@ fn an_ament_prefix_with_idl_files_alone_means_the_same() {
     catalog.check().unwrap();
 
     // Every hash and description.
-    for file in peer.files("json") {
+    for file in files_of(&peer, "json") {
         compare(&catalog, &serde_json::from_str(&file.text).unwrap());
     }
     // Defaults and constants, on which the hash does not depend.
@@ -124,8 +125,8 @@ fn difference(one: &MessageDefinition, two: &MessageDefinition) -> String {
 
 #[test]
 fn a_schema_of_idl_blocks_as_rosbag2_writes_it_means_the_same() {
-    let Some(peer) = Peer::find() else { return };
-    let files = peer.files("idl");
+    let Some(peer) = Python::find() else { return };
+    let files = files_of(&peer, "idl");
     let text_of = |name: &TypeName| {
         let path = peer.prefix().join("share").join(name.to_string()).with_extension("idl");
         files.iter().find(|file| file.path == path).unwrap().text.as_str()
@@ -153,9 +154,9 @@ fn a_schema_of_idl_blocks_as_rosbag2_writes_it_means_the_same() {
 
 #[test]
 fn rosidl_generates_our_descriptions_of_types_that_no_wheel_has() {
-    let Some(peer) = Peer::find() else { return };
+    let Some(peer) = Python::find() else { return };
     let catalog = carried();
-    let published: BTreeSet<String> = peer.files("json").into_iter().map(|file| file.package).collect();
+    let published: BTreeSet<String> = files_of(&peer, "json").into_iter().map(|file| file.package).collect();
     let mut ours = names_of(&catalog);
     ours.retain(|name| !published.contains(name.split('/').next().unwrap()));
     let packages: BTreeSet<&str> = ours.iter().map(|name| name.split('/').next().unwrap()).collect();
@@ -167,7 +168,7 @@ fn rosidl_generates_our_descriptions_of_types_that_no_wheel_has() {
         .map(|package| format!("{}\n", interfaces.join(package).display()))
         .collect::<String>();
     let mut described = BTreeSet::new();
-    for line in peer.ask("describe", &folders).lines() {
+    for line in ask(&peer, "describe", &folders).lines() {
         let (name, theirs) = line.split_once('\t').unwrap();
         let mut theirs: Value = serde_json::from_str(theirs).unwrap();
         without_defaults(&mut theirs);
@@ -181,10 +182,10 @@ fn rosidl_generates_our_descriptions_of_types_that_no_wheel_has() {
 
 #[test]
 fn rosbags_knows_the_same_messages_and_constants() {
-    let Some(peer) = Peer::find() else { return };
+    let Some(peer) = Python::find() else { return };
     let catalog = carried();
     let mut compared = BTreeSet::new();
-    for line in peer.ask("store", "").lines() {
+    for line in ask(&peer, "store", "").lines() {
         let [name, hash, constants] = line.split('\t').collect::<Vec<_>>()[..] else { panic!("{line}") };
         let name: TypeName = name.parse().unwrap();
         // For types with a `char`, rosbags computes a different hash than ROS 2.

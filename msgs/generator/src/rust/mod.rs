@@ -5,7 +5,6 @@
 //! within it are chosen so that no ROS 2 type name (`String`, `Error`, `Message`) can shadow names that the
 //! code uses.
 
-mod action;
 mod cdr;
 mod description;
 mod docs;
@@ -14,7 +13,6 @@ pub mod generated;
 mod layout;
 mod message;
 mod names;
-mod registry;
 mod service;
 mod values;
 mod view;

@@ -8,6 +8,7 @@ use downbeat_msgs_definitions::{
 
 use super::{DefinitionSource, Found, find_complete};
 use crate::dynamic::TypeError;
+use crate::dynamic::layout::catalog_of;
 use crate::type_description_interfaces::msg;
 
 /// Types that remote nodes have described.
@@ -123,4 +124,44 @@ fn individual_message(description: &IndividualTypeDescription) -> msg::Individua
         default_value: String::new(),
     });
     msg::IndividualTypeDescription { type_name: description.type_name.clone(), fields: fields.collect() }
+}
+
+/// The schemas of a bag, or of another source of complete definition texts.
+///
+/// Schemas are independent of each other: a bag may have been merged from bags with different definitions of
+/// the same message.
+#[derive(Clone, Debug, Default)]
+pub struct Schemas {
+    description: String,
+    catalogs: BTreeMap<TypeName, Catalog>,
+}
+
+impl Schemas {
+    /// Starts without schemas; `description` names their source in errors.
+    #[must_use]
+    pub fn new(description: &str) -> Self {
+        Self { description: description.into(), catalogs: BTreeMap::new() }
+    }
+
+    /// Adds the definition text of a type; `encoding` is `ros2msg` or `ros2idl`, or `unknown` for the schema
+    /// of a service's events. It replaces an existing one.
+    ///
+    /// # Errors
+    /// If the name, the encoding or the text is invalid.
+    pub fn add(&mut self, name: &str, encoding: &str, text: &str) -> Result<(), Error> {
+        let name: TypeName = name.parse()?;
+        let catalog = catalog_of(&name, encoding, text, &format!("{}, {name}", self.description))?;
+        self.catalogs.insert(name, catalog);
+        Ok(())
+    }
+}
+
+impl DefinitionSource for Schemas {
+    fn description(&self) -> String {
+        self.description.clone()
+    }
+
+    fn find(&self, name: &TypeName) -> Result<Found<'_>, Error> {
+        Ok(find_complete(&self.catalogs, name, "it has"))
+    }
 }

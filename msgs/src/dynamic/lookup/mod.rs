@@ -2,7 +2,6 @@
 
 mod ament;
 mod described;
-mod schemas;
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -12,10 +11,8 @@ use downbeat_msgs_definitions::{Catalog, Element, Error as DefinitionError, Type
 
 use super::{DynamicType, TypeError};
 use crate::carried;
-
 pub use ament::AmentPrefixPath;
-pub use described::DescribedTypes;
-pub use schemas::Schemas;
+pub use described::{DescribedTypes, Schemas};
 
 /// Sources of definitions, searched in the order in which they were added.
 ///
@@ -80,7 +77,7 @@ pub enum Found<'a> {
 /// Why a type was not found.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum LookupError {
+pub enum TypeLookupError {
     /// No source has it.
     #[error("found no definition of {name}{}. Looked {}", needed_by(owner.as_deref()), looked.join("; "))]
     NotFound {
@@ -139,7 +136,7 @@ impl Definitions {
     /// # Errors
     /// If no source has it or a type it refers to; the error lists what was found where. Also if it cannot be
     /// used.
-    pub fn find(&self, name: &str) -> Result<DynamicType, LookupError> {
+    pub fn find(&self, name: &str) -> Result<DynamicType, TypeLookupError> {
         let (name, place, catalog) = self.gather(name)?;
         DynamicType::new(&catalog, &name).map_err(|problem| unusable(&name, &place, problem))
     }
@@ -153,12 +150,12 @@ impl Definitions {
     ///
     /// let (text, hash) = Definitions::new().with_carried().find_text("std_msgs/msg/Header")?;
     /// assert_eq!((text.as_str(), hash.as_str()), (Header::DEFINITION, Header::TYPE_HASH));
-    /// # Ok::<(), downbeat_msgs::dynamic::LookupError>(())
+    /// # Ok::<(), downbeat_msgs::dynamic::TypeLookupError>(())
     /// ```
     ///
     /// # Errors
     /// See [`Definitions::find`].
-    pub fn find_text(&self, name: &str) -> Result<(String, String), LookupError> {
+    pub fn find_text(&self, name: &str) -> Result<(String, String), TypeLookupError> {
         let (name, place, catalog) = self.gather(name)?;
         let unusable = |problem: DefinitionError| unusable(&name, &place, problem.into());
         let text = catalog.definition_text(&name).map_err(unusable)?;
@@ -169,15 +166,15 @@ impl Definitions {
     ///
     /// # Errors
     /// See [`Definitions::find`].
-    pub fn describe(&self, name: &str) -> Result<TypeDefinition, LookupError> {
+    pub fn describe(&self, name: &str) -> Result<TypeDefinition, TypeLookupError> {
         let message_type = self.find(name)?;
         let (text, hash) = self.find_text(name)?;
         Ok(TypeDefinition { message_type, text, hash })
     }
 
     /// Returns a catalog with the type and all types it refers to, and the source of the type.
-    fn gather(&self, name: &str) -> Result<(TypeName, String, Cow<'_, Catalog>), LookupError> {
-        let name: TypeName = name.parse().map_err(|error| LookupError::Name(Box::new(error)))?;
+    fn gather(&self, name: &str) -> Result<(TypeName, String, Cow<'_, Catalog>), TypeLookupError> {
+        let name: TypeName = name.parse().map_err(|error| TypeLookupError::Name(Box::new(error)))?;
         let mut gathered = Catalog::new();
         let mut asked = BTreeSet::from([name.clone()]);
         let mut wanted: Vec<(TypeName, Option<TypeName>)> = vec![(name.clone(), None)];
@@ -219,7 +216,7 @@ impl Definitions {
     }
 
     /// Returns the result of the first source that has the type, and the name of the source.
-    fn ask(&self, name: &TypeName, owner: Option<TypeName>) -> Result<(String, Found<'_>), LookupError> {
+    fn ask(&self, name: &TypeName, owner: Option<TypeName>) -> Result<(String, Found<'_>), TypeLookupError> {
         let mut looked = Vec::new();
         for source in &self.sources {
             let place = source.description();
@@ -228,14 +225,14 @@ impl Definitions {
                 Ok(found) => return Ok((place, found)),
                 Err(problem) => {
                     let problem = Box::new(problem.into());
-                    return Err(LookupError::Unusable { name: Box::new(name.clone()), place, problem });
+                    return Err(TypeLookupError::Unusable { name: Box::new(name.clone()), place, problem });
                 }
             }
         }
         if looked.is_empty() {
             looked.push("nowhere: there are no sources".into());
         }
-        Err(LookupError::NotFound { name: Box::new(name.clone()), owner: owner.map(Box::new), looked })
+        Err(TypeLookupError::NotFound { name: Box::new(name.clone()), owner: owner.map(Box::new), looked })
     }
 }
 
@@ -283,8 +280,8 @@ fn instead<'a>(subject: &str, catalogs: impl Iterator<Item = &'a Catalog>, name:
     }
 }
 
-fn unusable(name: &TypeName, place: &str, problem: TypeError) -> LookupError {
-    LookupError::Unusable {
+fn unusable(name: &TypeName, place: &str, problem: TypeError) -> TypeLookupError {
+    TypeLookupError::Unusable {
         name: Box::new(name.clone()),
         place: place.to_owned(),
         problem: Box::new(problem),

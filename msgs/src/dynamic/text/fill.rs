@@ -10,13 +10,12 @@ use std::fmt;
 use downbeat_msgs_definitions::{Element, Primitive, Shape, TypeName};
 use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
-use super::implicit;
-use super::stamps::{is_header, is_time};
+use super::scalar;
+use crate::builtin_interfaces::msg::Time;
 use crate::dynamic::change::{Place, element_place, field_place, resize};
-use crate::dynamic::fit;
 use crate::dynamic::message::field_of;
 use crate::dynamic::value::Messages;
-use crate::dynamic::{Array, FieldError, FieldProblem, Value, ValueRef};
+use crate::dynamic::{Array, DynamicMessage, FieldError, FieldProblem, Value, ValueRef, fit};
 
 /// Maximum memory in bytes of the messages in sequences: a few characters can represent a message with long
 /// fixed arrays.
@@ -251,7 +250,7 @@ fn lenient(element: &Element, value: Value) -> Value {
     let Element::Primitive(primitive) = element else { return value };
     let is_float = matches!(primitive, Primitive::Float32 | Primitive::Float64);
     let read = match (primitive, &value) {
-        (Primitive::Bool, Value::String(text)) => implicit::truth_value(text).map(Value::Bool),
+        (Primitive::Bool, Value::String(text)) => scalar::truth_value(text).map(Value::Bool),
         (Primitive::Bool, number) => match ValueRef::from(number).as_i64() {
             Some(number @ (0 | 1)) => Some(Value::Bool(number == 1)),
             _ => None,
@@ -265,7 +264,7 @@ fn lenient(element: &Element, value: Value) -> Value {
             }
         }
         (_, Value::String(text)) if is_float => text.trim().parse().ok().map(Value::Float64),
-        (_, Value::String(text)) => implicit::integer(text.trim()).and_then(|number| {
+        (_, Value::String(text)) => scalar::integer(text.trim()).and_then(|number| {
             let signed = i64::try_from(number).map(Value::Int64);
             signed.or_else(|_| u64::try_from(number).map(Value::UInt64)).ok()
         }),
@@ -294,4 +293,56 @@ fn empty_like(array: &Array) -> Array {
         Array::String(_) => Array::String(Vec::new()),
         Array::WString(_) => Array::WString(Vec::new()),
     }
+}
+
+/// The times of a message that its text asks the sender to set: `header: auto` and `stamp: now`, as in `ros2
+/// topic pub`.
+///
+/// ```
+/// use downbeat_msgs::builtin_interfaces::msg::Time;
+/// use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
+/// use downbeat_msgs::sensor_msgs::msg::JointState;
+///
+/// let mut joints = DynamicMessage::new(&DynamicType::of::<JointState>()?);
+/// let stamps = joints.fill_yaml("{header: auto, name: [pan], position: [0.25]}")?;
+/// stamps.set(&mut joints, Time { sec: 5, nanosec: 0 })?; // before each time it is sent
+/// assert_eq!(joints.get("header.stamp.sec")?.as_i64(), Some(5));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Stamps {
+    pub(super) paths: Vec<String>,
+}
+
+impl Stamps {
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.paths.is_empty()
+    }
+
+    /// The paths of the times.
+    pub fn paths(&self) -> impl Iterator<Item = &str> {
+        self.paths.iter().map(String::as_str)
+    }
+
+    /// Sets all of them to this value.
+    ///
+    /// # Errors
+    /// If the message has a different type than the filled one.
+    pub fn set(&self, message: &mut DynamicMessage, time: Time) -> Result<(), FieldError> {
+        for path in &self.paths {
+            message.set(&format!("{path}.sec"), time.sec)?;
+            message.set(&format!("{path}.nanosec"), time.nanosec)?;
+        }
+        Ok(())
+    }
+}
+
+fn is_header(name: &TypeName) -> bool {
+    name.package == "std_msgs" && name.kind.as_str() == "msg" && name.name == "Header"
+}
+
+fn is_time(name: &TypeName) -> bool {
+    name.package == "builtin_interfaces" && name.kind.as_str() == "msg" && name.name == "Time"
 }

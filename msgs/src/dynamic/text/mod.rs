@@ -1,14 +1,12 @@
 //! Messages as text: YAML as on the command line of ROS 2, JSON, and other serde formats.
 
 mod fill;
-mod implicit;
 #[cfg(feature = "json")]
 mod json;
 mod numpy;
 pub mod python;
 mod scalar;
 mod serialize;
-mod stamps;
 mod yaml;
 
 use std::cell::{Cell, RefCell};
@@ -19,9 +17,8 @@ use serde::de::{DeserializeSeed, Deserializer};
 use self::fill::{Fill, State, Trail};
 use super::change::Place;
 use super::{DynamicMessage, DynamicType, FieldError, MessageRef};
-
+pub use fill::Stamps;
 pub use scalar::{Context as YamlContext, write_float as write_yaml_float, write_text as write_yaml_text};
-pub use stamps::Stamps;
 pub use yaml::YamlStyle;
 
 /// A text is not a message of the expected type.
