@@ -5,7 +5,7 @@
 
 use bytes::Bytes;
 use downbeat_bags::metadata::RecordedQos;
-use downbeat_bags::{MessageFormat, RecordedTopic, TopicInfo};
+use downbeat_bags::{MessageFormat, RecordedTopic, TopicDescription};
 use downbeat_edge::{Interfaces, KnownType, UnknownType};
 use downbeat_msgs::encoding::{self, Codec, Encoding};
 use downbeat_msgs::foxglove;
@@ -19,8 +19,8 @@ pub fn topic_info(
     message_type: KnownType,
     offered_qos: Vec<RecordedQos>,
     encoding: Encoding,
-) -> Result<(TopicInfo, Option<Codec>), encoding::Error> {
-    let info = TopicInfo {
+) -> Result<(TopicDescription, Option<Codec>), encoding::Error> {
+    let info = TopicDescription {
         name,
         type_name: message_type.name().into(),
         definition: message_type.definition().into(),
@@ -36,9 +36,9 @@ pub fn topic_info(
 /// # Errors
 /// If the type cannot be in the encoding, its definition is none, or this build lacks the encoding.
 pub fn described_topic_info(
-    mut info: TopicInfo,
+    mut info: TopicDescription,
     encoding: Encoding,
-) -> Result<(TopicInfo, Option<Codec>), encoding::Error> {
+) -> Result<(TopicDescription, Option<Codec>), encoding::Error> {
     let codec = match encoding {
         Encoding::Cdr => None,
         other => Some(other.codec_of_text(&info.type_name, &info.definition)?),

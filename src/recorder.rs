@@ -242,13 +242,13 @@ impl RawToBag {
                 "the definition of {message_type} is not known, so the bag will not say how to decode it"
             );
         }
-        let info = bags::TopicInfo {
+        let info = bags::TopicDescription {
             name: self.name.clone(),
             type_name: message_type.name().into(),
             definition: message_type.definition().into(),
             type_hash: message_type.hash().into(),
             offered_qos: vec![self.qos.into()],
-            ..bags::TopicInfo::default()
+            ..bags::TopicDescription::default()
         };
         match self.bag.sender.add_topic(info) {
             Ok(topic) => {

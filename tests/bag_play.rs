@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{Running, WATCHDOG, output_of, text_of};
-use downbeat::bags::{TopicInfo, WriterOptions};
+use downbeat::bags::{TopicDescription, WriterOptions};
 use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions};
 use downbeat::bridge::ros::{Node, NodeName, Participant};
 use downbeat::msgs::builtin_interfaces::msg::{Duration, Time};
@@ -23,8 +23,8 @@ use serde_json::json;
 
 const START: i64 = 1_700_000_000;
 
-fn info(name: &str, qos: QosProfile) -> TopicInfo {
-    TopicInfo {
+fn info(name: &str, qos: QosProfile) -> TopicDescription {
+    TopicDescription {
         name: name.to_owned(),
         type_name: std_msgs::msg::String::TYPE_NAME.to_owned(),
         definition: std_msgs::msg::String::DEFINITION.to_owned(),

@@ -6,7 +6,7 @@ mod common;
 use std::path::{Path, PathBuf};
 
 use common::{QUIET_ROBOT, output_of, text_of};
-use downbeat::bags::{McapOptions, Reader, Selection, TopicInfo, WriterOptions};
+use downbeat::bags::{McapOptions, Reader, Selection, TopicDescription, WriterOptions};
 
 fn text(path: &Path) -> &str {
     path.to_str().unwrap()
@@ -165,11 +165,11 @@ fn an_output_that_exists_is_kept_unless_it_is_to_be_replaced() {
 /// A bag of a hundred messages, ten or so in each chunk.
 fn many_chunks(folder: &Path) -> PathBuf {
     let bag = folder.join("chunks");
-    let info = TopicInfo {
+    let info = TopicDescription {
         name: "/chatter".to_owned(),
         type_name: "std_msgs/msg/String".to_owned(),
         definition: "string data\n".to_owned(),
-        ..TopicInfo::default()
+        ..TopicDescription::default()
     };
     let storage = McapOptions { chunk_size: 500, ..McapOptions::default() };
     let mut writer = WriterOptions::new().storage(storage).create(&bag).unwrap();
@@ -222,10 +222,10 @@ fn what_a_damaged_bag_does_not_give_is_an_error_after_the_rest_was_carried_over(
 fn names_in_a_bag_do_not_reach_the_terminal_as_control_characters() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
-    let info = TopicInfo {
+    let info = TopicDescription {
         name: "/cam\u{1b}[2J\nTopic: /forged\u{9b}".to_owned(),
         type_name: "std_msgs/msg/\u{1b}]0;title\u{7}".to_owned(),
-        ..TopicInfo::default()
+        ..TopicDescription::default()
     };
     let mut writer = WriterOptions::new().create(&bag).unwrap();
     let topic = writer.add_topic(info).unwrap();

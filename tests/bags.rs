@@ -118,10 +118,6 @@ fn a_robot_recorded_from_the_network_gives_the_bytes_that_it_recorded_itself() {
     }
 }
 
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
 #[test]
 fn a_bag_is_not_played_over_what_the_robot_publishes_or_into_a_device() {
     let folder = tempfile::tempdir().unwrap();
@@ -170,7 +166,7 @@ fn what_rclpy_publishes_is_recorded_and_what_is_played_reaches_rclpy() {
     let received = listener.take("/chatter", 20);
     let texts: Vec<_> = received.iter().map(|message| message["fields"]["data"].as_str().unwrap()).collect();
     assert_eq!(texts, (0..20).map(|number| format!("number {number}")).collect::<Vec<_>>());
-    let recorded: Vec<String> = messages(&bag).iter().map(|message| hex(&message.2)).collect();
+    let recorded: Vec<String> = messages(&bag).iter().map(|message| python_peer::hex(&message.2)).collect();
     assert!(recorded.iter().zip(&received).all(|(recorded, received)| received["cdr"] == **recorded));
     listener.leave();
 }

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use common::{QUIET_ROBOT, output_of, python, record_until, robot_file, text_of};
-use downbeat::bags::{Reader, Selection, TopicInfo, WriterOptions};
+use downbeat::bags::{Reader, Selection, TopicDescription, WriterOptions};
 use downbeat::bridge::edge::Interfaces;
 use downbeat::encoding::{RecordedType, topic_info};
 use downbeat::msgs::cdr;
@@ -45,7 +45,7 @@ fn messages(bag: &Path) -> Vec<(String, i64, Vec<u8>)> {
 }
 
 /// The same messages in another encoding.
-fn encoded(bag: &Path, into: &Path, encoding: Encoding, change: impl Fn(&mut TopicInfo)) {
+fn encoded(bag: &Path, into: &Path, encoding: Encoding, change: impl Fn(&mut TopicDescription)) {
     let reader = Reader::open(bag).unwrap();
     let mut writer = WriterOptions::new().create(into).unwrap();
     let topics: Vec<(_, Option<Codec>)> = reader
@@ -132,7 +132,7 @@ fn messages_of_another_definition_or_of_an_unknown_encoding_are_not_guessed_at()
     let bag = recorded(folder.path(), &[], |text| text);
     let robot = folder.path().join("motion_only.toml");
     std::fs::write(&robot, QUIET_ROBOT).unwrap();
-    let refused = |name: &str, change: &dyn Fn(&mut TopicInfo)| {
+    let refused = |name: &str, change: &dyn Fn(&mut TopicDescription)| {
         let other = folder.path().join(name);
         encoded(&bag, &other, Encoding::Protobuf, change);
         let output = output_of(&["bag", "play", text(&other), "--into", text(&robot)]);

@@ -11,6 +11,7 @@ use std::process::{Command, Stdio};
 use common::downbeat;
 use downbeat::msgs::cdr;
 use downbeat::msgs::sensor_msgs::msg::JointState;
+use python_peer::Python;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 
@@ -44,15 +45,7 @@ fn refused(arguments: &[&str]) -> String {
 
 /// The ament prefix of the real ROS 2, if it is here.
 fn wheels() -> Option<PathBuf> {
-    match std::env::var_os("DOWNBEAT_PYTHON") {
-        // <prefix>/bin/python
-        Some(python) => Path::new(&python).parent().and_then(Path::parent).map(Path::to_owned),
-        None => {
-            let _ = std::io::stderr()
-                .write_all(b"skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n");
-            None
-        }
-    }
+    Python::find().map(|python| python.prefix())
 }
 
 #[test]

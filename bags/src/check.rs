@@ -3,10 +3,10 @@
 use std::fmt;
 
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
+use downbeat_msgs::printable;
 
 use crate::reader::{Reader, ReaderError, RecordedTopic, Selection, Truncation};
 use crate::topic::TopicId;
-use downbeat_msgs::printable;
 
 /// A problem found in a bag.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -3,9 +3,10 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
 
+use downbeat_msgs::printable;
+
 use crate::compare::{Comparer, FieldDifference, FieldRule};
 use crate::reader::{BagMessage, Reader, ReaderError, Selection};
-use downbeat_msgs::printable;
 
 /// The comparison of two bags, topic by topic.
 #[derive(Clone, Debug, PartialEq)]

@@ -2,11 +2,9 @@
 //!
 //! The layout is that of `rosbag2_py/format_bag_metadata.cpp`, branch jazzy.
 
-use std::fmt;
-use std::fs;
-use std::io;
 use std::path::Path;
 use std::time::Duration;
+use std::{fmt, fs, io};
 
 use downbeat_msgs::printable;
 

@@ -2,7 +2,7 @@
 //!
 //! ```
 //! use bytes::Bytes;
-//! use downbeat_bags::{BagInfo, Reader, Recording, Selection, TopicInfo, WriterOptions};
+//! use downbeat_bags::{BagInfo, Reader, Recording, Selection, TopicDescription, WriterOptions};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let folder = tempfile::tempdir()?;
@@ -11,7 +11,7 @@
 //! // Record: the writer runs on its own thread, messages are CDR bytes.
 //! let recording = Recording::start(WriterOptions::new().create(&bag)?, Recording::DEFAULT_QUEUE_BYTES)?;
 //! let sender = recording.sender();
-//! let chatter = sender.add_topic(TopicInfo {
+//! let chatter = sender.add_topic(TopicDescription {
 //!     name: "/chatter".to_owned(),
 //!     type_name: "std_msgs/msg/String".to_owned(),
 //!     definition: "string data\n".to_owned(),
@@ -33,7 +33,7 @@
 //! # }
 //! ```
 //!
-//! This crate depends on neither DDS nor message types: topics are described by text ([`TopicInfo`]),
+//! This crate depends on neither DDS nor message types: topics are described by text ([`TopicDescription`]),
 //! messages are bytes. Times are nanoseconds since the epoch, as in ROS.
 //!
 //! The formats are those of ROS 2 Jazzy: metadata version 9 (`rosbag2_storage`), MCAP with profile `ros2`
@@ -53,7 +53,6 @@ mod reader;
 mod recording;
 mod sizes;
 mod storage;
-mod summary;
 mod topic;
 mod writer;
 mod zstd;
@@ -63,7 +62,7 @@ pub use compare::{Comparer, FieldDifference, FieldRule, FieldRuleError};
 pub use diff::{BagDiff, DiffOptions, MessageDiff, MessageDiffKind, TopicDiff, diff};
 pub use edit::{Copied, Copy, CopyError, Merged, MergedBags, TypeConflict, reindex};
 pub use info::{BagInfo, ServiceEvents};
-pub use playback::{Playback, PlaybackError, PlaybackOptions, Rate, Step};
+pub use playback::{Playback, PlaybackOptions, PlayerError, Rate, Step};
 pub use player::{Player, PlayerOptions};
 pub use reader::{
     BagMessage, Messages, Reader, ReaderError, RecordedTopic, Selection, Truncation, TruncationCause,
@@ -74,8 +73,7 @@ pub use recording::{
 };
 pub use sizes::{ServiceCalls, TopicSizes};
 pub use storage::Storage;
-pub use summary::{RecordingSummary, TopicCount};
-pub use topic::{MessageFormat, TopicId, TopicInfo};
+pub use topic::{MessageFormat, RecordingSummary, TopicCount, TopicDescription, TopicId};
 pub use writer::{
     Compression, CompressionLevel, FileSplit, McapOptions, SplitLimits, StorageConfigError, StorageError,
     StorageOptions, StoragePreset, SyncPolicy, WhenDiskFull, Writer, WriterError, WriterOptions,

@@ -27,8 +27,8 @@ impl Rate {
     ///
     /// # Errors
     /// If it is not finite or not above 0.
-    pub fn new(rate: f64) -> Result<Self, PlaybackError> {
-        if rate.is_finite() && rate > 0.0 { Ok(Self(rate)) } else { Err(PlaybackError::Rate { rate }) }
+    pub fn new(rate: f64) -> Result<Self, PlayerError> {
+        if rate.is_finite() && rate > 0.0 { Ok(Self(rate)) } else { Err(PlayerError::Rate { rate }) }
     }
 
     fn real_from_bag(self, bag: Duration) -> Duration {
@@ -65,7 +65,7 @@ impl Default for PlaybackOptions {
 
 /// Why a bag cannot be played.
 #[derive(Debug, thiserror::Error)]
-pub enum PlaybackError {
+pub enum PlayerError {
     /// The rate is invalid.
     #[error("cannot play at rate {rate}: a rate is a number above 0")]
     Rate {
@@ -144,13 +144,13 @@ impl Playback {
     ///
     /// # Errors
     /// If the bag lacks a requested topic, ends before the start offset, or cannot be read.
-    pub fn open(reader: &Reader, options: &PlaybackOptions) -> Result<Self, PlaybackError> {
+    pub fn open(reader: &Reader, options: &PlaybackOptions) -> Result<Self, PlayerError> {
         let start = reader.start_time().unwrap_or(0);
         let offset = i64::try_from(options.start_offset.as_nanos()).unwrap_or(i64::MAX);
         let from = start.saturating_add(offset);
         if let Some(end) = reader.end_time().filter(|&end| end < from) {
             let length = Duration::from_nanos(u64::try_from(end.saturating_sub(start)).unwrap_or(0));
-            return Err(PlaybackError::StartOffset { offset: options.start_offset, length });
+            return Err(PlayerError::StartOffset { offset: options.start_offset, length });
         }
         let mut selection = Selection::all().from(from);
         if let Some(names) = &options.topics {
@@ -262,8 +262,8 @@ impl<M: Iterator<Item = Result<BagMessage, ReaderError>>> Playback<M> {
     }
 }
 
-fn find(reader: &Reader, name: &str) -> Result<TopicId, PlaybackError> {
-    reader.topic(name).ok_or_else(|| PlaybackError::UnknownTopic {
+fn find(reader: &Reader, name: &str) -> Result<TopicId, PlayerError> {
+    reader.topic(name).ok_or_else(|| PlayerError::UnknownTopic {
         topic: name.to_owned(),
         known: reader.topics().iter().map(|topic| topic.info.name.clone()).collect(),
     })

@@ -6,10 +6,10 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use crate::edit::MergedBags;
-use crate::playback::{Playback, PlaybackError, Rate, Step};
+use crate::playback::{Playback, PlayerError, Rate, Step};
 use crate::read_ahead::{AheadOf, ReadAhead};
 use crate::reader::{BagMessage, Reader, ReaderError, RecordedTopic, Selection};
-use crate::topic::TopicInfo;
+use crate::topic::TopicDescription;
 
 /// What to play and how.
 #[derive(Clone, Debug, PartialEq)]
@@ -82,18 +82,18 @@ impl<'a> Player<'a> {
     pub fn open(
         bags: &'a [Reader],
         options: &PlayerOptions,
-        is_wanted: impl Fn(&TopicInfo) -> bool,
-    ) -> Result<Self, PlaybackError> {
+        is_wanted: impl Fn(&TopicDescription) -> bool,
+    ) -> Result<Self, PlayerError> {
         let merged = MergedBags::new(bags, is_wanted)?;
         let start = bags.iter().filter_map(Reader::start_time).min().unwrap_or(0);
         let last = bags.iter().filter_map(Reader::end_time).max().unwrap_or(0);
         let begin = after(start, options.start_offset);
         if last < begin {
             let length = Duration::from_nanos(last.abs_diff(start));
-            return Err(PlaybackError::StartOffset { offset: options.start_offset, length });
+            return Err(PlayerError::StartOffset { offset: options.start_offset, length });
         }
         let end = later_end(begin, options.duration, options.until);
-        let read_ahead = ReadAhead::start(options.read_ahead).map_err(PlaybackError::Thread)?;
+        let read_ahead = ReadAhead::start(options.read_ahead).map_err(PlayerError::Thread)?;
         let messages = merged.messages(&Selection::all().from(begin).until(end), |_| true)?;
         let mut player = Self {
             playback: Playback::new(read_ahead.read(messages), begin, options.rate),
@@ -278,11 +278,11 @@ mod tests {
 
     /// Two bags: `/a` at 0, 100, 200, … ms and the latched `/map` at 50 ms; `/b` at 250 ms.
     fn bags(folder: &std::path::Path) -> Vec<Reader> {
-        let info = |name: &str, qos: QosProfile| TopicInfo {
+        let info = |name: &str, qos: QosProfile| TopicDescription {
             name: name.to_owned(),
             type_name: "std_msgs/msg/String".to_owned(),
             offered_qos: vec![(&qos).into()],
-            ..TopicInfo::default()
+            ..TopicDescription::default()
         };
         let ms = 1_000_000;
         let mut writer = WriterOptions::new().create(folder.join("one")).unwrap();
@@ -334,7 +334,7 @@ mod tests {
         player.step(ms(0));
         assert_eq!(due(&mut player, ms(1000)), of(&[("/a", 200), ("/a", 300)]));
         let late = PlayerOptions { start_offset: ms(901), ..PlayerOptions::default() };
-        assert!(matches!(Player::open(&bags, &late, |_| true), Err(PlaybackError::StartOffset { .. })));
+        assert!(matches!(Player::open(&bags, &late, |_| true), Err(PlayerError::StartOffset { .. })));
     }
 
     #[test]

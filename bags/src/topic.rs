@@ -1,5 +1,8 @@
 //! The description of a topic in a bag.
 
+use std::path::PathBuf;
+use std::time::Duration;
+
 use downbeat_msgs::definitions::{Catalog, TypeName};
 use downbeat_msgs::encoding::Schema;
 use downbeat_msgs::qos::{Durability, History, QosProfile};
@@ -9,7 +12,7 @@ use crate::metadata::RecordedQos;
 /// The description of a topic in a bag. This crate does not know message types; they are described by
 /// strings.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct TopicInfo {
+pub struct TopicDescription {
     /// Absolute topic name, `/joint_states`.
     pub name: String,
     /// ROS type name, `sensor_msgs/msg/JointState`.
@@ -18,7 +21,7 @@ pub struct TopicInfo {
     /// service events, that of the service, which starts with a line `SRV: package/srv/Name` below a rule.
     ///
     /// Empty if unknown. A reader also leaves it empty if the bag contains a format other than `ros2msg`, and
-    /// a writer does not write it if [`TopicInfo::format`] has a schema.
+    /// a writer does not write it if [`TopicDescription::format`] has a schema.
     pub definition: String,
     /// Type hash as in REP-2016, `RIHS01_…`; empty if unknown.
     pub type_hash: String,
@@ -29,7 +32,7 @@ pub struct TopicInfo {
     pub format: Option<MessageFormat>,
 }
 
-impl TopicInfo {
+impl TopicDescription {
     /// The number of latest messages that a publisher keeps for late subscribers (transient local), or 0.
     #[must_use]
     pub fn latched_depth(&self) -> usize {
@@ -137,3 +140,49 @@ pub(crate) fn is_service_event(name: &str, type_name: &str) -> bool {
 
 pub(crate) const SERVICE_EVENT_TOPIC: &str = "/_service_event";
 pub(crate) const SERVICE_EVENT_TYPE: &str = "_Event";
+
+/// The summary of a recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecordingSummary {
+    /// The bag directory.
+    pub path: PathBuf,
+    /// Size of the bag files in bytes.
+    pub bytes: u64,
+    /// The number of files.
+    pub files: usize,
+    /// The number of messages in files that were deleted to keep the maximum number of files.
+    pub deleted: u64,
+    /// The receive time of the first message, in nanoseconds since the epoch; `None` without messages.
+    pub starting_time: Option<i64>,
+    /// From the first to the last message.
+    pub duration: Duration,
+    /// Every topic in the order in which they were added.
+    pub topics: Vec<TopicCount>,
+}
+
+/// The summary of one topic.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TopicCount {
+    /// Topic name.
+    pub name: String,
+    /// ROS type name.
+    pub type_name: String,
+    /// The number of messages in the bag.
+    pub written: u64,
+    /// The number of messages that were not recorded.
+    pub lost: u64,
+}
+
+impl RecordingSummary {
+    /// The number of messages in the bag.
+    #[must_use]
+    pub fn message_count(&self) -> u64 {
+        self.topics.iter().map(|topic| topic.written).sum()
+    }
+
+    /// The number of messages that were not recorded.
+    #[must_use]
+    pub fn lost_count(&self) -> u64 {
+        self.topics.iter().map(|topic| topic.lost).sum()
+    }
+}

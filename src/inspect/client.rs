@@ -7,8 +7,7 @@ use std::time::Duration;
 use downbeat_executor::{Graph, Snapshot};
 use serde::de::DeserializeOwned;
 
-use super::protocol::Answer;
-use super::{Request, RunningRobot};
+use super::{Answer, Request, RunningRobot};
 use crate::robot::EndpointReport;
 
 /// How long an answer may take. A trace waits for its cycles, and the robot gives up on them earlier.

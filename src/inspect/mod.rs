@@ -38,12 +38,189 @@
 
 mod client;
 mod directory;
-mod inspected;
-mod protocol;
 mod server;
 
+use std::time::Duration;
+
+use downbeat_executor::{CoreHandle, CycleTrace, Graph, Snapshot};
+use serde::{Deserialize, Serialize};
+use serde_json::value::RawValue;
+
+use crate::robot::EndpointReport;
 pub use client::{Client, ClientError};
 pub use directory::{ClaimError, DirectoryError, NodeClaim, RunningRobot, SocketDirectory};
-pub use inspected::{Inspected, Unavailable};
-pub use protocol::Request;
 pub use server::{InspectionServer, ServerError};
+
+/// What a client can ask for: `{"request":"snapshot"}`, `{"request":"trace","cycles":10}`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "request", rename_all = "snake_case")]
+pub enum Request {
+    /// The counters: answered with a [`Snapshot`](downbeat_executor::Snapshot).
+    Snapshot,
+    /// What runs in the next cycles: answered with a trace in the Trace Event Format of Chrome.
+    Trace {
+        /// How many cycles, 1 to [`Request::MOST_CYCLES`].
+        cycles: u32,
+    },
+    /// Who is connected to what: answered with a [`Graph`](downbeat_executor::Graph).
+    Graph,
+    /// Hold the robot. Answered with `null`, as are the next two.
+    Pause,
+    /// Let it go on.
+    Resume,
+    /// Have a held robot run one cycle.
+    Step,
+    /// What ROS 2 sees: answered with a list of [`EndpointReport`](crate::robot::EndpointReport)s, as are the next two.
+    Exposed,
+    /// Expose more: answered with what was added.
+    Expose {
+        /// The keys `out` and `in` as under `[expose]` of a robot file.
+        entries: String,
+    },
+    /// Take back what is exposed: answered with what it was.
+    TakeBack {
+        /// Names of topics in ROS 2 or in the robot, or patterns.
+        topics: Vec<String>,
+    },
+}
+
+impl Request {
+    /// The most cycles of one trace.
+    pub const MOST_CYCLES: u32 = 100_000;
+}
+
+/// The longest request: none comes near it.
+const LONGEST_REQUEST: u64 = 4096;
+
+/// The answer to a request: `{"ok": …}` or `{"error": "…"}`.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Answer {
+    Ok(Box<RawValue>),
+    Error(String),
+}
+
+/// How long a core may take to come to the end of a cycle.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// How long the cycles of a trace may take to come. What there is by then is the trace.
+const PATIENCE_WITH_TRACE: Duration = Duration::from_secs(30);
+
+/// A running robot, as the socket shows it. Called from threads of the socket's clients.
+pub trait Inspected: Send + Sync + 'static {
+    /// The robot's counters between two cycles.
+    ///
+    /// # Errors
+    /// If the core does not answer.
+    fn snapshot(&self) -> Result<Snapshot, Unavailable>;
+
+    /// What runs in the next cycles.
+    ///
+    /// # Errors
+    /// If the core does not answer.
+    fn trace(&self, cycles: u32) -> Result<CycleTrace, Unavailable>;
+
+    /// Who publishes, subscribes, serves and calls what.
+    ///
+    /// # Errors
+    /// If the core does not answer.
+    fn graph(&self) -> Result<Graph, Unavailable>;
+
+    /// Holds the robot: no cycle runs until it is resumed.
+    fn pause(&self);
+
+    /// Lets the robot go on.
+    fn resume(&self);
+
+    /// Has a held robot run one cycle.
+    fn step(&self);
+
+    /// What ROS 2 sees of the robot.
+    ///
+    /// # Errors
+    /// If it has no ROS 2 node; in words.
+    fn exposed(&self) -> Result<Vec<EndpointReport>, String> {
+        Err(NO_NODE.to_owned())
+    }
+
+    /// Exposes more, as the keys `out` and `in` of `[expose]` in a robot file say it. Returns what was added.
+    ///
+    /// # Errors
+    /// If what is asked for cannot be, or the robot has no ROS 2 node; in words.
+    fn expose(&self, _entries: &str) -> Result<Vec<EndpointReport>, String> {
+        Err(NO_NODE.to_owned())
+    }
+
+    /// Takes back what is exposed under these names or patterns. Returns what it was.
+    ///
+    /// # Errors
+    /// If one of them is not exposed, or the robot has no ROS 2 node; in words.
+    fn take_back(&self, _topics: &[String]) -> Result<Vec<EndpointReport>, String> {
+        Err(NO_NODE.to_owned())
+    }
+}
+
+const NO_NODE: &str = "it runs without a ROS 2 node";
+
+/// Why there is no answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Unavailable {
+    /// The core has stopped, or is in a cycle that does not end.
+    #[error("the core does not answer: it has stopped, or a module does not return")]
+    NoAnswer,
+}
+
+impl Inspected for CoreHandle {
+    fn snapshot(&self) -> Result<Snapshot, Unavailable> {
+        self.snapshot().wait(PATIENCE).ok_or(Unavailable::NoAnswer)
+    }
+
+    fn trace(&self, cycles: u32) -> Result<CycleTrace, Unavailable> {
+        let trace = self.trace(cycles);
+        let complete = trace.wait(PATIENCE_WITH_TRACE);
+        let cut = || {
+            self.finish_trace();
+            trace.wait(PATIENCE)
+        };
+        complete.or_else(cut).ok_or(Unavailable::NoAnswer)
+    }
+
+    fn graph(&self) -> Result<Graph, Unavailable> {
+        self.graph().wait(PATIENCE).ok_or(Unavailable::NoAnswer)
+    }
+
+    fn pause(&self) {
+        self.pause();
+    }
+
+    fn resume(&self) {
+        self.resume();
+    }
+
+    fn step(&self) {
+        self.step();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn requests_are_what_the_documentation_shows() {
+        let of = |text| serde_json::from_str::<Request>(text).ok();
+        assert_eq!(of(r#"{"request":"snapshot"}"#), Some(Request::Snapshot));
+        assert_eq!(of(r#"{"request":"trace","cycles":10}"#), Some(Request::Trace { cycles: 10 }));
+        assert_eq!(of(r#"{"request":"trace"}"#), None);
+        assert_eq!(of(r#"{"request":"explode"}"#), None);
+    }
+
+    #[test]
+    fn answers_are_what_the_documentation_shows() {
+        let ok =
+            RawValue::from_string("[1]".into()).map(Answer::Ok).and_then(|ok| serde_json::to_string(&ok));
+        assert_eq!(ok.ok().as_deref(), Some(r#"{"ok":[1]}"#));
+        let error = serde_json::to_string(&Answer::Error("why".into()));
+        assert_eq!(error.ok().as_deref(), Some(r#"{"error":"why"}"#));
+    }
+}

@@ -5,16 +5,16 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::Shutdown;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use serde::Serialize;
 use serde_json::value::{RawValue, to_raw_value};
 
-use super::protocol::{Answer, LONGEST_REQUEST};
-use super::{Inspected, Request, SocketDirectory};
+use super::{Answer, Inspected, LONGEST_REQUEST, Request, SocketDirectory};
 
 /// How many clients may be connected at a time.
 const MOST_CLIENTS: usize = 16;
@@ -106,7 +106,7 @@ impl Drop for InspectionServer {
         if let Some(acceptor) = self.acceptor.take().filter(|_| is_awake) {
             let _ = acceptor.join();
         }
-        let clients = std::mem::take(&mut *self.shared.clients());
+        let clients = std::mem::take(&mut *self.shared.clients.lock());
         for client in clients.values() {
             let _ = client.stream.shutdown(Shutdown::Both);
         }
@@ -120,7 +120,7 @@ impl Drop for InspectionServer {
 fn listen(directory: &SocketDirectory, name: &str) -> Result<(PathBuf, UnixListener), ServerError> {
     /// Two robots of this process do not take the same name.
     static NAMING: Mutex<()> = Mutex::new(());
-    let _naming = NAMING.lock().unwrap_or_else(PoisonError::into_inner);
+    let _naming = NAMING.lock();
     let mut number = 1;
     let mut path = directory.socket(name, number);
     // What nobody listens to is of a process of the same number that has ended.
@@ -156,7 +156,7 @@ fn accept(listener: &UnixListener, shared: &Arc<Shared>) {
 /// Starts a thread that answers one client.
 fn attend(number: u64, stream: UnixStream, shared: &Arc<Shared>) -> io::Result<()> {
     stream.set_write_timeout(Some(PATIENCE))?;
-    let mut clients = shared.clients();
+    let mut clients = shared.clients.lock();
     if clients.len() >= MOST_CLIENTS {
         let refusal = format!("there are {MOST_CLIENTS} clients already");
         return write_line(&stream, &Answer::Error(refusal));
@@ -166,7 +166,7 @@ fn attend(number: u64, stream: UnixStream, shared: &Arc<Shared>) -> io::Result<(
     let thread = std::thread::Builder::new().name("inspect".into()).spawn(move || {
         // A client that goes away, or does not read, is no fault of the robot.
         let _ = converse(&stream, &for_thread);
-        for_thread.clients().remove(&number);
+        for_thread.clients.lock().remove(&number);
     });
     match thread {
         // Where it has ended already, nobody will have to wait for it.
@@ -246,8 +246,4 @@ fn write_line(mut stream: &UnixStream, answer: &Answer) -> io::Result<()> {
     stream.write_all(&line)
 }
 
-impl Shared {
-    fn clients(&self) -> std::sync::MutexGuard<'_, BTreeMap<u64, Client>> {
-        self.clients.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
+impl Shared {}

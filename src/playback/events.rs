@@ -3,30 +3,12 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-use downbeat_bags::Reader;
 use downbeat_edge::{EncodedCaller, EncodedStandIn, Interfaces};
 use downbeat_executor::{CallError, Core, SetupError, Transition};
-use downbeat_msgs::cdr;
 use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 
-use super::Extract;
+use super::PlaybackError;
 use crate::journal;
-
-/// The topic of the bag that records them.
-pub(crate) fn topic() -> String {
-    format!("/{}", journal::EVENTS)
-}
-
-/// All events of a bag in their order; `None` if it lacks the topic.
-pub(crate) fn read<E>(reader: &Reader, extract: &mut Extract) -> Result<Option<Vec<ModuleEvent>>, E>
-where
-    E: super::ReadError + From<EventsError>,
-{
-    let Some(id) = reader.topic(&topic()) else { return Ok(None) };
-    let events = extract.of::<E>(reader, id)?.iter();
-    let events = events.map(|message| cdr::from_slice(message).map_err(EventsError::Message));
-    Ok(Some(events.collect::<Result<_, _>>()?))
-}
 
 /// Events for the modules of a core, as far as these do not cause them themselves.
 #[derive(Default)]
@@ -132,7 +114,7 @@ impl Events {
         &mut self,
         core: &Core,
         is_due: impl Fn(&ModuleEvent) -> bool,
-    ) -> Result<(), EventsError> {
+    ) -> Result<(), PlaybackError> {
         while self.waiting.front().is_some_and(&is_due) {
             if let Some(event) = self.waiting.pop_front() {
                 self.make(core, &event)?;
@@ -142,7 +124,7 @@ impl Events {
     }
 
     /// Has those happen that the run of that number took over, which is the next one.
-    pub(crate) fn take(&mut self, core: &Core, run: u64) -> Result<(), EventsError> {
+    pub(crate) fn take(&mut self, core: &Core, run: u64) -> Result<(), PlaybackError> {
         let is_of_run = |event: &ModuleEvent| event.kind == ModuleEvent::TAKEN && event.number == run;
         let first_taken = self.waiting.iter().position(|event| event.kind == ModuleEvent::TAKEN);
         let Some(position) = first_taken.filter(|&position| is_of_run(&self.waiting[position])) else {
@@ -159,10 +141,10 @@ impl Events {
         Ok(())
     }
 
-    fn make(&self, core: &Core, event: &ModuleEvent) -> Result<(), EventsError> {
+    fn make(&self, core: &Core, event: &ModuleEvent) -> Result<(), PlaybackError> {
         let ModuleEvent { module, service, port, number, data, reason, .. } = event;
         let handle = core.handle();
-        let wrong = |problem: String| EventsError::Content { service: service.clone(), problem };
+        let wrong = |problem: String| PlaybackError::account(journal::EVENTS, problem);
         match event.kind {
             ModuleEvent::REQUEST => {
                 if let Some(caller) = self.callers.get(service) {
@@ -180,7 +162,9 @@ impl Events {
                     }
                     _ => Err(CallError::Refused { service: name, reason: reason.clone() }),
                 };
-                stand_in.answer(module, *port, *number, result).map_err(|error| wrong(error.to_string()))?;
+                stand_in
+                    .answer(module, *port, *number, result)
+                    .map_err(|error| wrong(format!("service \"{service}\": {error}")))?;
             }
             ModuleEvent::RESULT => handle.release_result(module, *port, *number),
             ModuleEvent::COMMAND => match event.command.as_str() {
@@ -197,7 +181,8 @@ impl Events {
                         Transition::Shutdown,
                     ];
                     let transition = transitions.into_iter().find(|known| known.to_string() == other);
-                    let transition = transition.ok_or_else(|| EventsError::Command(other.to_owned()))?;
+                    let transition =
+                        transition.ok_or_else(|| wrong(format!("unknown command \"{other}\"")))?;
                     drop(handle.transition(module, transition));
                 }
             },
@@ -205,23 +190,4 @@ impl Events {
         }
         Ok(())
     }
-}
-
-/// Why events cannot be made to happen again.
-#[derive(Debug, thiserror::Error)]
-pub enum EventsError {
-    /// A message is not what its topic says.
-    #[error("a message of /module_events: {0}")]
-    Message(cdr::Error),
-    /// A request or an answer is none of its service.
-    #[error("a message of /module_events: service \"{service}\": {problem}")]
-    Content {
-        /// The service.
-        service: String,
-        /// What is wrong.
-        problem: String,
-    },
-    /// A command is not known.
-    #[error("a message of /module_events: unknown command \"{0}\"")]
-    Command(String),
 }

@@ -1,32 +1,25 @@
 //! Bags as input of a core: the same bag gives the same result each time.
 
-pub(crate) mod cycles;
+pub(crate) mod account;
 pub(crate) mod events;
-mod extract;
 pub(crate) mod follow;
-pub(crate) mod inputs;
-pub(crate) mod settings;
 mod steps;
 
 use downbeat_bags::{Reader, ReaderError};
 use downbeat_edge::{EncodedInletError, Interfaces};
 use downbeat_executor::{Core, ManualClock, RunError, SetupError, Time};
-use downbeat_msgs::{cdr, encoding};
+use downbeat_msgs::encoding;
 
 use crate::encoding::RecordedTypeError;
-use cycles::Cycles;
+use crate::journal;
+use account::{Cycles, Extract, SettingsChanges};
 use events::Events;
-use follow::Follower;
-use inputs::Inputs;
-use settings::SettingsChanges;
+use follow::{Follower, Inputs};
 
-pub use events::EventsError;
-pub(crate) use extract::{Extract, ReadError};
-pub use settings::SettingsError;
 pub(crate) use steps::replay_steps;
-pub use steps::{ReplayError, ReplayedSteps, replay_module};
+pub use steps::{ReplayedSteps, replay_module};
 
-/// Why a bag cannot be played into a core.
+/// Why a bag cannot be played into a core, or a module replayed by its runs in the bag.
 #[derive(Debug, thiserror::Error)]
 pub enum PlaybackError {
     /// The bag cannot be read.
@@ -56,20 +49,28 @@ pub enum PlaybackError {
         /// The first after the gap.
         found: u64,
     },
-    /// A message by which the bag tells how the robot ran is not what its topic says.
-    #[error("a message of \"{topic}\": {source}")]
+    /// A message by which the bag tells how the robot ran is not what its topic says, or cannot be made to happen again.
+    #[error("a message of /{topic}: {problem}")]
     Account {
+        /// The topic, without the leading slash.
+        topic: &'static str,
+        /// What is wrong.
+        problem: String,
+    },
+    /// The bag does not hold the module's runs.
+    #[error("the bag has no runs of a module \"{0}\" on /module_steps; record that topic too")]
+    NoSteps(String),
+    /// The module received what the bag does not hold.
+    #[error("run {step} received a message of \"{topic}\" that is not in the bag; record that topic too")]
+    MissingInput {
+        /// The run.
+        step: u64,
         /// The topic.
         topic: String,
-        /// What is wrong.
-        source: cdr::Error,
     },
-    /// Changes of settings cannot be made again.
-    #[error(transparent)]
-    Settings(#[from] SettingsError),
-    /// Requests, answers or commands cannot be made again.
-    #[error(transparent)]
-    Events(#[from] EventsError),
+    /// The first run received messages, which none can.
+    #[error("the first run of the module in the bag is not its start; record it from the start")]
+    NotFromStart,
     /// The type is not registered, or its messages are in an encoding that is not read here.
     #[error(transparent)]
     Type(#[from] RecordedTypeError),
@@ -88,6 +89,12 @@ pub enum PlaybackError {
     /// Modules answer each other without end, and the bag's time cannot go on.
     #[error("at {0} the modules still had work after {MOST_CYCLES} cycles without time going on")]
     Restless(Time),
+}
+
+impl PlaybackError {
+    fn account(topic: &'static str, problem: impl ToString) -> Self {
+        Self::Account { topic, problem: problem.to_string() }
+    }
 }
 
 /// Cycles at one instant of the bag.
@@ -122,8 +129,8 @@ pub fn play_into(
     if cycles.is_recorded() {
         let modules = core.modules();
         let is_there = |name: &str| modules.iter().any(|module| *module.name == *name);
-        settings = SettingsChanges::read::<PlaybackError>(reader, &mut extract, is_there)?;
-        let recorded = events::read::<PlaybackError>(reader, &mut extract)?;
+        settings = SettingsChanges::read(reader, &mut extract, is_there)?;
+        let recorded = extract.messages(reader, journal::EVENTS)?;
         events = Events::of_core(core, recorded.as_deref(), interfaces)?;
     }
     let has_events = !events.is_empty();

@@ -3,69 +3,16 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use bytes::Bytes;
-use downbeat_bags::{Reader, ReaderError};
-use downbeat_edge::{EncodedInlet, EncodedInletError, Interfaces};
-use downbeat_executor::{Core, ManualClock, RunError, SetupError, Time};
-use downbeat_msgs::cdr;
+use downbeat_bags::Reader;
+use downbeat_edge::{EncodedInlet, Interfaces};
+use downbeat_executor::{Core, ManualClock, Time};
 use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
-use downbeat_msgs::encoding;
 
-use super::Extract;
-use super::events::{self, Events, EventsError};
-use super::settings::{SettingsChanges, SettingsError};
-use crate::encoding::{RecordedType, RecordedTypeError};
+use super::PlaybackError;
+use super::account::{Extract, SettingsChanges};
+use super::events::Events;
+use crate::encoding::RecordedType;
 use crate::journal;
-
-/// Why a module cannot be replayed.
-#[derive(Debug, thiserror::Error)]
-pub enum ReplayError {
-    /// The bag cannot be read.
-    #[error(transparent)]
-    Bag(#[from] ReaderError),
-    /// The bag does not hold the module's runs.
-    #[error("the bag has no runs of a module \"{0}\" on /module_steps; record that topic too")]
-    NoSteps(String),
-    /// A run is not as recorded ones are.
-    #[error("message {number} of /module_steps: {source}")]
-    Step {
-        /// Its position in the bag, from 0.
-        number: usize,
-        /// What is wrong with it.
-        source: cdr::Error,
-    },
-    /// The module received what the bag does not hold.
-    #[error("run {step} received a message of \"{topic}\" that is not in the bag; record that topic too")]
-    MissingInput {
-        /// The run.
-        step: u64,
-        /// The topic.
-        topic: String,
-    },
-    /// The first run received messages, which none can.
-    #[error("the first run of the module in the bag is not its start; record it from the start")]
-    NotFromStart,
-    /// The type is not compiled in, or its messages are in an encoding that is not read here.
-    #[error(transparent)]
-    Type(#[from] RecordedTypeError),
-    /// A message is not what its encoding says.
-    #[error(transparent)]
-    Encoding(#[from] encoding::Error),
-    /// Changes of settings cannot be made again.
-    #[error(transparent)]
-    Settings(#[from] SettingsError),
-    /// Requests, answers or commands cannot be made again.
-    #[error(transparent)]
-    Events(#[from] EventsError),
-    /// The core has the topic with another type.
-    #[error(transparent)]
-    Setup(#[from] SetupError),
-    /// A message is not of its topic's type.
-    #[error(transparent)]
-    Message(#[from] EncodedInletError),
-    /// The core does not run.
-    #[error(transparent)]
-    Run(#[from] RunError),
-}
 
 /// What was replayed of a detached module.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -92,7 +39,7 @@ pub fn replay_module(
     reader: &Reader,
     module: &str,
     interfaces: &Interfaces,
-) -> Result<ReplayedSteps, ReplayError> {
+) -> Result<ReplayedSteps, PlaybackError> {
     replay_steps(core, clock, reader, &mut Extract::new(interfaces), module)
 }
 
@@ -103,11 +50,11 @@ pub(crate) fn replay_steps(
     reader: &Reader,
     extract: &mut Extract,
     module: &str,
-) -> Result<ReplayedSteps, ReplayError> {
+) -> Result<ReplayedSteps, PlaybackError> {
     let steps = steps_of(module, reader, extract)?;
     let mut inputs = Inputs::open(core, reader, extract, &steps)?;
-    let mut settings = SettingsChanges::read::<ReplayError>(reader, extract, |name| name == module)?;
-    let recorded = events::read::<ReplayError>(reader, extract)?;
+    let mut settings = SettingsChanges::read(reader, extract, |name| name == module)?;
+    let recorded = extract.messages(reader, journal::EVENTS)?;
     let mut events = Events::of_detached(core, recorded.as_deref(), extract.interfaces(), module)?;
     // A message or a setting that is given before a cycle joins in its sync phase and is received in the next one.
     for (position, step) in steps.iter().enumerate() {
@@ -133,20 +80,12 @@ pub(crate) fn replay_steps(
     Ok(ReplayedSteps { count: steps.len(), is_whole, last })
 }
 
-fn steps_of(module: &str, reader: &Reader, extract: &mut Extract) -> Result<Vec<ModuleStep>, ReplayError> {
-    let topic = format!("/{}", journal::STEPS);
-    let Some(id) = reader.topic(&topic) else { return Err(ReplayError::NoSteps(module.into())) };
-    let mut steps = Vec::new();
-    for (number, message) in extract.of::<ReplayError>(reader, id)?.iter().enumerate() {
-        let step =
-            cdr::from_slice::<ModuleStep>(message).map_err(|source| ReplayError::Step { number, source })?;
-        if step.module == module {
-            steps.push(step);
-        }
-    }
+fn steps_of(module: &str, reader: &Reader, extract: &mut Extract) -> Result<Vec<ModuleStep>, PlaybackError> {
+    let steps = extract.messages::<ModuleStep>(reader, journal::STEPS)?.unwrap_or_default();
+    let steps: Vec<_> = steps.into_iter().filter(|step| step.module == module).collect();
     match steps.first() {
-        None => Err(ReplayError::NoSteps(module.into())),
-        Some(first) if first.step != 0 || !first.topics.is_empty() => Err(ReplayError::NotFromStart),
+        None => Err(PlaybackError::NoSteps(module.into())),
+        Some(first) if first.step != 0 || !first.topics.is_empty() => Err(PlaybackError::NotFromStart),
         Some(_) => Ok(steps),
     }
 }
@@ -162,26 +101,26 @@ impl Inputs {
         reader: &Reader,
         extract: &mut Extract,
         steps: &[ModuleStep],
-    ) -> Result<Self, ReplayError> {
+    ) -> Result<Self, PlaybackError> {
         let mut topics = BTreeMap::new();
         for (step, name) in steps.iter().flat_map(|step| step.topics.iter().map(move |name| (step, name))) {
             if topics.contains_key(name) {
                 continue;
             }
-            let missing = || ReplayError::MissingInput { step: step.step, topic: name.clone() };
+            let missing = || PlaybackError::MissingInput { step: step.step, topic: name.clone() };
             let id = reader.topic(&format!("/{name}")).ok_or_else(missing)?;
             let recorded = RecordedType::of(&reader.topics()[id.index()], extract.interfaces())?;
             let inlet = extract.interfaces().inlet(core, name, recorded.message_type())?;
-            let messages = extract.of::<ReplayError>(reader, id)?;
+            let messages = extract.of(reader, id)?;
             topics.insert(name.clone(), (inlet, messages.iter().cloned().collect()));
         }
         Ok(Self { topics })
     }
 
-    fn give(&mut self, step: &ModuleStep) -> Result<(), ReplayError> {
+    fn give(&mut self, step: &ModuleStep) -> Result<(), PlaybackError> {
         let counts = step.skipped.iter().zip(&step.counts);
         for (name, (&skipped, &count)) in step.topics.iter().zip(counts) {
-            let missing = || ReplayError::MissingInput { step: step.step, topic: name.clone() };
+            let missing = || PlaybackError::MissingInput { step: step.step, topic: name.clone() };
             let (inlet, messages) = self.topics.get_mut(name).ok_or_else(missing)?;
             for position in 0..skipped + count {
                 let message = messages.pop_front().ok_or_else(missing)?;

@@ -9,10 +9,8 @@ mod choose;
 pub(crate) mod cli;
 mod emulate;
 mod expose;
-mod faults;
 mod graph;
 mod interface;
-mod keyboard;
 mod logging;
 mod look;
 mod new;
@@ -24,18 +22,17 @@ mod status;
 mod stop;
 mod top;
 mod trace;
-mod wrap;
 
 use std::process::ExitCode;
 
 use clap::CommandFactory;
+
+use crate::App;
+use crate::failure::in_one_line;
 use cli::{BagCommand, Cli, Command, EmulateCommand};
 use logging::Log;
 use look::Environment;
 use screen::Screen;
-
-use crate::App;
-use crate::failure::in_one_line;
 
 /// Runs the command line. Errors are printed on standard error and exit with code 1.
 pub(crate) fn main(app: &App) -> ExitCode {

@@ -2,21 +2,20 @@
 
 use std::time::{Duration, Instant};
 
+use anyhow::Context;
+
+use super::cli::RunArguments;
+use super::logging::Log;
+use super::new_output::Output;
+use super::screen::Screen;
+use super::statistics::{Statistics, Times};
+use super::status::{Faults, Sources, StatusBlock};
+use super::stop::Stop;
 use crate::bags::{Recording, RecordingSummary};
 use crate::bridge::middleware::{MAX_DOMAIN_ID, ParticipantOptions};
 use crate::bridge::ros::{Node, NodeName, Participant};
 use crate::robot::{Catalog, RobotFile, RosArgs};
 use crate::running::{PreparedRobot, RecordPlan, RobotNode, StopError};
-use anyhow::Context;
-
-use super::cli::RunArguments;
-use super::faults::Faults;
-use super::logging::Log;
-use super::new_output::Output;
-use super::screen::Screen;
-use super::statistics::{Statistics, Times};
-use super::status::{Sources, StatusBlock};
-use super::stop::Stop;
 
 pub(crate) fn run(
     arguments: &RunArguments,

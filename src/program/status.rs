@@ -1,15 +1,18 @@
 //! The status block of a running robot.
 
+use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use parking_lot::Mutex;
+
+use super::screen::{Line, shorten, wrap};
+use super::statistics::{Statistics, Times};
 use crate::bags::{Recording, RecordingStatistics};
 use crate::bridge::expose::{BridgeStatus, EndpointReport, EndpointTraffic, ExposedEndpoint};
 use crate::bridge::middleware::Direction;
-use crate::executor::TopicInfo;
-
-use super::faults::Faults;
-use super::statistics::{Statistics, Times};
-use super::wrap::{Line, shorten, wrap};
+use crate::executor::{Core, Inbox, OutletInbox, Received, SetupError, TopicInfo};
+use crate::msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 
 /// The data of the status block.
 pub(crate) struct Sources<'a> {
@@ -221,11 +224,60 @@ fn labelled_lines(label: &str, lines: Vec<String>) -> impl Iterator<Item = Strin
     lines.into_iter().enumerate().map(move |(row, line)| labelled(if row == 0 { label } else { "" }, &line))
 }
 
+/// The topic of REP-107.
+const TOPIC: &str = "diagnostics";
+
+/// Components with faults, by name.
+#[derive(Clone, Default)]
+pub(crate) struct Faults {
+    by_component: Arc<Mutex<BTreeMap<String, Fault>>>,
+}
+
+struct Fault {
+    level: u8,
+    message: String,
+}
+
+impl Faults {
+    /// Tracks the messages on `diagnostics` until the core stops.
+    pub(crate) fn watch(core: &mut Core) -> Result<Self, SetupError> {
+        let faults = Self::default();
+        let (inbox, told) = (OutletInbox::new("faults", Inbox::KeepAll), faults.clone());
+        let outlet = core.outlet(TOPIC, &inbox, move |array: Received<'_, DiagnosticArray>| {
+            array.status.iter().for_each(|status| told.update(status));
+        })?;
+        outlet.keep();
+        Ok(faults)
+    }
+
+    /// A line for each component with a fault: errors, warnings, then stale ones.
+    fn worst_first(&self) -> Vec<String> {
+        let faults = self.by_component.lock();
+        let lines = |wanted: u8, name: &'static str| {
+            let of_level = faults.iter().filter(move |(_, fault)| fault.level == wanted);
+            of_level.map(move |(component, fault)| format!("{name}: {component}: {}", fault.message))
+        };
+        lines(DiagnosticStatus::ERROR, "error")
+            .chain(lines(DiagnosticStatus::WARN, "warning"))
+            .chain(lines(DiagnosticStatus::STALE, "stale"))
+            .collect()
+    }
+
+    fn update(&self, status: &DiagnosticStatus) {
+        let mut faults = self.by_component.lock();
+        if status.level == DiagnosticStatus::OK {
+            faults.remove(&status.name);
+        } else {
+            let (level, message) = (status.level, status.message.clone());
+            faults.insert(status.name.clone(), Fault { level, message });
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use crate::executor::TopicCounter;
-
     use super::*;
+    use crate::executor::TopicCounter;
 
     fn topic(name: String) -> TopicInfo {
         TopicInfo {
@@ -276,5 +328,21 @@ mod tests {
         assert_eq!(rates.update(at(1000), vec![125]), [125.0]);
         assert_eq!(rates.update(at(1900), vec![999]), [125.0]);
         assert_eq!(rates.update(at(3000), vec![325]), [100.0]);
+    }
+
+    #[test]
+    fn faults_are_shown_worst_first_until_their_component_recovers() {
+        let faults = Faults::default();
+        let status = |name: &str, level, message: &str| DiagnosticStatus {
+            level,
+            name: name.into(),
+            message: message.into(),
+            ..DiagnosticStatus::default()
+        };
+        faults.update(&status("board", DiagnosticStatus::STALE, "no news"));
+        faults.update(&status("servo 5", DiagnosticStatus::ERROR, "silent"));
+        assert_eq!(faults.worst_first(), ["error: servo 5: silent", "stale: board: no news"]);
+        faults.update(&status("servo 5", DiagnosticStatus::OK, "well"));
+        assert_eq!(faults.worst_first(), ["stale: board: no news"]);
     }
 }

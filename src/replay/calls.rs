@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use downbeat_bags::{Comparer, FieldDifference, FieldRule, TopicInfo};
+use downbeat_bags::{Comparer, FieldDifference, FieldRule, TopicDescription};
 use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 
 use super::plan::Plan;
@@ -102,10 +102,10 @@ impl Both {
             Row::Answers { service, .. } => (service, format!("/{service} answers"), "Response"),
         };
         let type_name = plan.service_types.get(service).map(|name| format!("{name}_{part}"));
-        let info = TopicInfo {
+        let info = TopicDescription {
             name: format!("/{service}"),
             type_name: type_name.unwrap_or_default(),
-            ..TopicInfo::default()
+            ..TopicDescription::default()
         };
         let comparer = Comparer::new(&info, rules);
         let is_attached = plan.attached.iter().any(|name| name == row.module());

@@ -8,12 +8,12 @@ use bytes::Bytes;
 use downbeat_bags::{Comparer, FieldRule, Messages, Reader, Selection, TopicId};
 use downbeat_edge::Interfaces;
 
-use super::ReplayError;
-use super::captured::Replayed;
 use super::plan::Plan;
 use super::report::{Difference, TopicReport, What};
+use super::runs::Replayed;
 use crate::encoding::RecordedType;
-use crate::playback::cycles::Cycles;
+use crate::playback::PlaybackError;
+use crate::playback::account::Cycles;
 
 /// Of all topics that are compared. The bag is read as far as the replay has come.
 pub(super) struct Comparisons {
@@ -21,7 +21,7 @@ pub(super) struct Comparisons {
     topics: BTreeMap<TopicId, Comparison>,
     by_name: BTreeMap<String, TopicId>,
     /// The first problem with the bag; told at the end.
-    failure: Option<ReplayError>,
+    failure: Option<PlaybackError>,
 }
 
 struct Comparison {
@@ -47,7 +47,7 @@ impl Comparisons {
         plan: &Plan,
         rules: &[FieldRule],
         interfaces: &Interfaces,
-    ) -> Result<Self, ReplayError> {
+    ) -> Result<Self, PlaybackError> {
         let (mut topics, mut by_name) = (BTreeMap::new(), BTreeMap::new());
         let last_cycle = match &plan.cycles {
             Cycles::Recorded { times, .. } => times.last().copied().unwrap_or(i64::MIN),
@@ -123,7 +123,7 @@ impl Comparisons {
     }
 
     /// Compares what is left.
-    pub(super) fn finish(mut self) -> Result<Vec<TopicReport>, ReplayError> {
+    pub(super) fn finish(mut self) -> Result<Vec<TopicReport>, PlaybackError> {
         while self.read_next().is_continue() {}
         if let Some(failure) = self.failure {
             return Err(failure);

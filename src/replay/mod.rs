@@ -13,27 +13,21 @@
 //! answers from outside, commands to modules and results of jobs (`module_events`); what the modules answer and whom they call is
 //! compared.
 
-mod attached;
 mod calls;
-mod captured;
 mod comparison;
 mod coverage;
-mod detached;
 mod plan;
 mod report;
+mod runs;
 
 use std::time::Instant;
 
-use downbeat_bags::{FieldRule, Reader, ReaderError};
+use downbeat_bags::{FieldRule, Reader};
 use downbeat_bridge::expose::TopicPattern;
-use downbeat_edge::EncodedInletError;
-use downbeat_executor::{RunError, SetupError};
-use downbeat_msgs::encoding;
+use downbeat_executor::SetupError;
 
-use crate::encoding::RecordedTypeError;
-use crate::playback::events::{self, EventsError};
-use crate::playback::settings::SettingsError;
-use crate::playback::{PlaybackError, ReplayError as StepsError};
+use crate::journal;
+use crate::playback::PlaybackError;
 use crate::robot::{ReplaySection, RobotFile, RobotFileError};
 use calls::Calls;
 use comparison::Comparisons;
@@ -69,9 +63,6 @@ impl ReplayOptions {
 /// Why a bag cannot be replayed.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
-    /// The bag cannot be read.
-    #[error(transparent)]
-    Bag(#[from] ReaderError),
     /// The robot file does not describe a robot.
     #[error(transparent)]
     Robot(#[from] RobotFileError),
@@ -114,32 +105,14 @@ pub enum ReplayError {
         /// The module.
         module: String,
         /// Why not.
-        source: Box<StepsError>,
+        source: Box<PlaybackError>,
     },
-    /// Changes of settings cannot be made again.
-    #[error(transparent)]
-    Settings(#[from] SettingsError),
-    /// Requests, answers or commands cannot be made again.
-    #[error(transparent)]
-    Events(#[from] EventsError),
     /// The modules cannot be played to.
     #[error(transparent)]
     Playback(#[from] PlaybackError),
-    /// The type is not registered, or its messages are in an encoding that is not read here.
-    #[error(transparent)]
-    Type(#[from] RecordedTypeError),
-    /// A message is not what its encoding says.
-    #[error(transparent)]
-    Encoding(#[from] encoding::Error),
     /// The core does not take the modules.
     #[error(transparent)]
     Setup(#[from] SetupError),
-    /// The core does not take a message.
-    #[error(transparent)]
-    Inlet(#[from] EncodedInletError),
-    /// The core does not run.
-    #[error(transparent)]
-    Run(#[from] RunError),
 }
 
 /// Runs a robot's modules on a bag, as fast as they can, and compares what they publish with what the bag has.
@@ -157,20 +130,20 @@ pub fn replay(
     let (plan, mut extract) = Plan::make(&file, reader, options)?;
     let mut comparisons = Comparisons::new(reader, &plan, &options.rules, &file.catalog.interfaces)?;
     let mut calls = Calls::default();
-    if let Some(events) = events::read::<ReplayError>(reader, &mut extract)? {
+    if let Some(events) = extract.messages(reader, journal::EVENTS)? {
         calls.recorded(&plan, &events);
     }
     let mut runs = Vec::new();
     for name in &plan.detached {
         runs.push((
             name.clone(),
-            detached::replay(&file, reader, &plan, &mut extract, name, &mut comparisons, &mut calls)?,
+            runs::detached(&file, reader, &plan, &mut extract, name, &mut comparisons, &mut calls)?,
         ));
     }
     let cycles = if plan.attached.is_empty() {
         0
     } else {
-        attached::replay(&file, reader, &plan, &mut extract, &mut comparisons, &mut calls)?
+        runs::attached(&file, reader, &plan, &mut extract, &mut comparisons, &mut calls)?
     };
     let mut topics = comparisons.finish()?;
     topics.extend(calls.finish(&plan, &options.rules));

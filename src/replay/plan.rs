@@ -11,8 +11,7 @@ use super::coverage::{self, NotCompared};
 use super::{LeftOut, ReplayError, ReplayOptions};
 use crate::journal;
 use crate::journal::events::{UnrecordedService, unrecorded_services};
-use crate::playback::cycles::{self, Cycles};
-use crate::playback::{Extract, events, settings};
+use crate::playback::account::{Cycles, Extract};
 use crate::robot::{ModuleEntry, RobotFile};
 
 pub(super) struct Plan {
@@ -96,11 +95,8 @@ impl Plan {
         plan.check()?;
         plan.not_compared =
             coverage::not_compared(&mut plan, &graph, reader, options, &file.catalog.interfaces);
-        let mut extract = Extract::read::<ReplayError>(
-            reader,
-            &plan.read_before(file, reader, &graph),
-            &file.catalog.interfaces,
-        )?;
+        let mut extract =
+            Extract::read(reader, &plan.read_before(file, reader, &graph), &file.catalog.interfaces)?;
         plan.cycles = Cycles::read(reader, &mut extract)?;
         Ok((plan, extract))
     }
@@ -128,9 +124,7 @@ impl Plan {
         });
         let mut topics: Vec<String> = received.map(|(topic, _)| format!("/{topic}")).collect();
         topics.extend(answers);
-        topics.push(cycles::topic());
-        topics.push(settings::topic());
-        topics.push(events::topic());
+        topics.extend([journal::CYCLES, journal::SETTINGS, journal::EVENTS].map(|topic| format!("/{topic}")));
         if !self.detached.is_empty() {
             topics.push(format!("/{}", journal::STEPS));
         }

@@ -5,9 +5,9 @@ use downbeat_bridge::middleware::Direction;
 use downbeat_executor::ServiceInfo;
 
 use super::Robot;
+use super::catalog::unregistered;
 use super::expose::canonical;
 use super::file::{ActionEntry, RobotFileError, suggestion};
-use super::registration::unregistered;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 

@@ -9,8 +9,8 @@ use downbeat_bridge::ros::{NameError, NodeName, TopicName};
 use downbeat_edge::{Interfaces, KnownType};
 use downbeat_executor::{CoreHandle, TopicInfo};
 
+use super::catalog::unregistered;
 use super::file::{ExposeEntry, RobotFile, RobotFileError, TopicChoice, suggestion};
-use super::registration::unregistered;
 use crate::journal;
 
 type Result<T> = std::result::Result<T, RobotFileError>;

@@ -9,16 +9,15 @@ mod catalog;
 mod expose;
 mod file;
 mod kind;
-mod kinds;
 mod lifecycle;
 mod parameters;
 mod recorded;
-mod registration;
 mod ros_args;
 mod services;
 
 pub use actions::Exposures;
 pub use build::Robot;
+pub(crate) use catalog::unregistered;
 pub use catalog::{Catalog, CatalogError};
 pub use downbeat_bridge::expose::{EndpointReport, EndpointTraffic, ExposedEndpoint};
 pub use downbeat_bridge::middleware::Direction;
@@ -27,10 +26,10 @@ pub(crate) use file::Source;
 pub(crate) use file::toml_string;
 pub use file::{
     ActionEntry, ClockChoice, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry, LifecycleEntry,
-    ModuleEntry, NodeFeatures, RecordEntry, ReplaySection, RobotFile, RobotFileError, TopicChoice,
+    ModuleEntry, NodeFeatures, RecordEntry, RecordOptions, ReplaySection, RobotFile, RobotFileError,
+    TopicChoice,
 };
 pub use kind::Kind;
 #[cfg(feature = "cli")]
 pub(crate) use parameters::{NodeParameter, parameters_of_nodes, setting_value};
-pub(crate) use registration::unregistered;
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};

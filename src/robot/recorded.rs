@@ -6,9 +6,9 @@ use downbeat_bridge::expose::TopicPattern;
 use downbeat_executor::{GraphEdge, TopicInfo};
 
 use super::Robot;
+use super::catalog::unregistered;
 use super::expose::canonical;
 use super::file::{RecordEntry, RobotFileError, suggestion};
-use super::registration::unregistered;
 use crate::recorder;
 
 type Result<T> = std::result::Result<T, RobotFileError>;

@@ -7,8 +7,8 @@ use downbeat_edge::KnownService;
 use downbeat_executor::ServiceInfo;
 
 use super::Robot;
+use super::catalog::unregistered;
 use super::file::{RobotFileError, ServiceEntry, suggestion};
-use super::registration::unregistered;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 

@@ -20,7 +20,7 @@ const CALL_TIMEOUT: Duration = Duration::from_secs(5);
 /// A type as a bag describes it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Definition {
-    /// With all that it refers to; see [`downbeat_bags::TopicInfo::definition`].
+    /// With all that it refers to; see [`downbeat_bags::TopicDescription::definition`].
     pub(crate) text: String,
     /// RIHS01.
     pub(crate) hash: String,

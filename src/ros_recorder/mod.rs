@@ -17,7 +17,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Instant;
 
-use downbeat_bags::{RecordError, RecordingSender, TopicInfo};
+use downbeat_bags::{RecordError, RecordingSender, TopicDescription};
 use downbeat_bridge::middleware::{Direction, RemoteEndpoint, Sample};
 use downbeat_bridge::ros::{MessageType, Node, NodeError, Participant, Subscription, TopicName};
 use downbeat_msgs::encoding::{self, Encoding};
@@ -80,7 +80,7 @@ struct Recorded {
     requested: QosProfile,
     channel: Channel,
     /// While the definition of its type is asked for.
-    inquiry: Option<(Inquiry, TopicInfo)>,
+    inquiry: Option<(Inquiry, TopicDescription)>,
     is_mismatch_told: bool,
     _subscription: Subscription,
 }
@@ -211,12 +211,12 @@ impl RosRecorder {
             tracing::info!("Overriding subscription profile for {name}");
         }
         let hash = offers::common_hash(name, &seen.publishers);
-        let info = TopicInfo {
+        let info = TopicDescription {
             name: name.to_owned(),
             type_name: type_name.to_owned(),
             type_hash: hash.unwrap_or_default().to_owned(),
             offered_qos: seen.publishers.iter().map(|publisher| offers::noted(publisher)).collect(),
-            ..TopicInfo::default()
+            ..TopicDescription::default()
         };
         let channel = Channel::new(self.sender.clone(), self.clock.clone(), self.options.waits_for_room);
         let inquiry = match (definitions::at_hand(self.participant.interfaces(), type_name, hash), hash) {
@@ -265,7 +265,7 @@ impl Recorded {
 fn open(
     sender: &RecordingSender,
     channel: &Channel,
-    mut info: TopicInfo,
+    mut info: TopicDescription,
     found: Result<Definition, String>,
     encoding: Encoding,
 ) {

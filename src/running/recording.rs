@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use downbeat_bags::{Recording, RecordingOptions, RecordingStatistics, WriterOptions};
+use downbeat_bags::{Recording, RecordingStatistics};
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
 use downbeat_bridge::ros::{Node, NodeName};
 use downbeat_edge::KnownType;
@@ -12,19 +12,15 @@ use downbeat_msgs::qos::QosProfile;
 
 use super::StartError;
 use crate::recorder::{self, Unrecorded, WhenFull};
-use crate::robot::{Robot, RobotFile};
+use crate::robot::{RecordOptions, Robot, RobotFile};
 use crate::ros_recorder::{RecorderServices, TopicFilter, serve, split_events};
 
 /// Options of a recording.
 pub struct RecordPlan {
     /// The new rosbag2 directory.
     pub directory: PathBuf,
-    /// Options of its files.
-    pub writer: WriterOptions,
-    /// Options of the queue between the robot and the files.
-    pub recording: RecordingOptions,
-    /// How messages are serialized.
-    pub encoding: Encoding,
+    /// Options of its files, of the queue between the robot and the files, and the serialization.
+    pub options: RecordOptions,
     /// Which of the topics that the robot file names; all if `None`.
     pub filter: Option<TopicFilter>,
 }
@@ -33,13 +29,9 @@ impl RecordPlan {
     /// As the robot file says, but for the encoding if another is asked for.
     #[must_use]
     pub fn of_robot(directory: &Path, file: &RobotFile, encoding: Option<Encoding>) -> Self {
-        Self {
-            directory: directory.to_owned(),
-            writer: file.record.writer_options(),
-            recording: file.record.recording_options(),
-            encoding: encoding.unwrap_or(file.record.encoding),
-            filter: None,
-        }
+        let mut options = file.record.options.clone();
+        options.encoding = encoding.unwrap_or(options.encoding);
+        Self { directory: directory.to_owned(), options, filter: None }
     }
 }
 
@@ -58,7 +50,8 @@ impl RobotRecording {
         diagnostics: Option<&ProcessDiagnostics>,
         plan: RecordPlan,
     ) -> Result<Self, StartError> {
-        let RecordPlan { directory, mut writer, recording, encoding, filter } = plan;
+        let RecordPlan { directory, options: RecordOptions { encoding, mut writer, recording }, filter } =
+            plan;
         let mut topics = robot.recorded_topics()?;
         if let Some(filter) = filter {
             topics.retain(|topic| {

@@ -7,7 +7,7 @@ use base64::engine::general_purpose::STANDARD;
 use downbeat_msgs::dynamic::{Array, DynamicMessage, MessageRef, ValueRef};
 use serde_json::Value as Json;
 
-use super::leaves::{MOST_ELEMENTS, Place, Visit, visit};
+use super::{MOST_ELEMENTS, Place, Visit, visit};
 
 /// A column.
 #[derive(Clone, Debug, PartialEq, Eq)]

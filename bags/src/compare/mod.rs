@@ -1,13 +1,13 @@
 //! Compares messages field by field: bit for bit, or with the tolerances of rules.
 //!
 //! ```
-//! use downbeat_bags::{Comparer, FieldRule, TopicInfo};
+//! use downbeat_bags::{Comparer, FieldRule, TopicDescription};
 //!
-//! let topic = TopicInfo {
+//! let topic = TopicDescription {
 //!     name: "/battery".to_owned(),
 //!     type_name: "my_msgs/msg/Battery".to_owned(),
 //!     definition: "float32 voltage\n".to_owned(),
-//!     ..TopicInfo::default()
+//!     ..TopicDescription::default()
 //! };
 //! let (one, other) = ([0, 1, 0, 0, 0, 0, 64, 65], [0, 1, 0, 0, 1, 0, 64, 65]);
 //! let difference = Comparer::new(&topic, &[]).compare(&one, &other).expect("a bit differs");
@@ -18,15 +18,14 @@
 //! # Ok::<(), downbeat_bags::FieldRuleError>(())
 //! ```
 
-mod field;
 mod rule;
 
 use std::fmt;
 
-use downbeat_msgs::dynamic::{Definitions, DynamicMessage, DynamicType};
+use downbeat_msgs::dynamic::{Definitions, DynamicMessage, DynamicType, MessageRef, ValueRef};
 
-use crate::topic::TopicInfo;
-
+use crate::topic::TopicDescription;
+use rule::Allowed;
 pub use rule::{FieldRule, FieldRuleError};
 
 /// Compares messages of one topic, given as CDR.
@@ -58,7 +57,7 @@ impl Comparer {
     /// Creates a comparer for messages of a topic. It uses the rules that apply to the topic; if several
     /// apply to a field, the last one is used.
     #[must_use]
-    pub fn new(topic: &TopicInfo, rules: &[FieldRule]) -> Self {
+    pub fn new(topic: &TopicDescription, rules: &[FieldRule]) -> Self {
         let rules = rules.iter().filter(|rule| rule.means_topic(&topic.name)).cloned().collect();
         Self { message_type: message_type(topic), rules }
     }
@@ -82,7 +81,7 @@ impl Comparer {
             |bytes: &[u8]| self.message_type.as_ref().and_then(|of| DynamicMessage::from_cdr(of, bytes).ok());
         match (decode(first), decode(second)) {
             (Some(first), Some(second)) => {
-                field::first_difference(first.as_message(), second.as_message(), &self.rules)
+                first_difference(first.as_message(), second.as_message(), &self.rules)
             }
             _ => Some(bytes_difference(first, second)),
         }
@@ -90,7 +89,7 @@ impl Comparer {
 }
 
 /// The definition of the topic's type: that of the bag, or else the built-in one.
-fn message_type(topic: &TopicInfo) -> Option<DynamicType> {
+fn message_type(topic: &TopicDescription) -> Option<DynamicType> {
     DynamicType::from_definition_text(&topic.type_name, "ros2msg", &topic.definition)
         .ok()
         .filter(|_| !topic.definition.is_empty())
@@ -106,6 +105,133 @@ fn bytes_difference(first: &[u8], second: &[u8]) -> FieldDifference {
     FieldDifference { path: format!("byte {position}"), first: at(first), second: at(second) }
 }
 
+/// Longer strings are truncated in reports.
+const LONGEST_TEXT: usize = 80;
+
+fn first_difference(
+    first: MessageRef<'_>,
+    second: MessageRef<'_>,
+    rules: &[FieldRule],
+) -> Option<FieldDifference> {
+    Walk { rules, path: String::new() }.messages(first, second)
+}
+
+struct Walk<'a> {
+    rules: &'a [FieldRule],
+    path: String,
+}
+
+impl Walk<'_> {
+    fn messages(&mut self, first: MessageRef<'_>, second: MessageRef<'_>) -> Option<FieldDifference> {
+        for ((name, first), (_, second)) in first.fields().zip(second.fields()) {
+            let length = self.path.len();
+            if length > 0 {
+                self.path.push('.');
+            }
+            self.path.push_str(name);
+            let difference = self.values(first, second);
+            self.path.truncate(length);
+            if difference.is_some() {
+                return difference;
+            }
+        }
+        None
+    }
+
+    fn values(&mut self, first: ValueRef<'_>, second: ValueRef<'_>) -> Option<FieldDifference> {
+        let allowed = self.allowed();
+        if allowed == Some(Allowed::Anything) {
+            return None;
+        }
+        match (first, second) {
+            (ValueRef::Message(first), ValueRef::Message(second)) => self.messages(first, second),
+            (ValueRef::Array(first), ValueRef::Array(second)) => {
+                if first.len() != second.len() {
+                    let count = |count: usize| format!("{count} values");
+                    return Some(self.difference(count(first.len()), count(second.len())));
+                }
+                for (index, (first, second)) in first.iter().zip(second.iter()).enumerate() {
+                    let length = self.path.len();
+                    self.path.push_str(&format!("[{index}]"));
+                    let difference = self.values(first, second);
+                    self.path.truncate(length);
+                    if difference.is_some() {
+                        return difference;
+                    }
+                }
+                None
+            }
+            _ if is_same(first, second) => None,
+            _ if allowed.is_some_and(|allowed| is_near(first, second, allowed)) => None,
+            _ => {
+                let (mut one, mut other) = (text(first), text(second));
+                if one == other {
+                    one += &bits(first);
+                    other += &bits(second);
+                }
+                Some(self.difference(one, other))
+            }
+        }
+    }
+
+    /// The tolerance of the last rule that applies to this field.
+    fn allowed(&self) -> Option<Allowed> {
+        self.rules.iter().rev().find(|rule| rule.means_field(&self.path)).map(FieldRule::allowed)
+    }
+
+    fn difference(&self, first: String, second: String) -> FieldDifference {
+        FieldDifference { path: self.path.clone(), first, second }
+    }
+}
+
+/// Compares floating-point numbers by their bits: a NaN equals itself, and zeros have a sign.
+fn is_same(first: ValueRef<'_>, second: ValueRef<'_>) -> bool {
+    match (first, second) {
+        (ValueRef::Float32(first), ValueRef::Float32(second)) => first.to_bits() == second.to_bits(),
+        (ValueRef::Float64(first), ValueRef::Float64(second)) => first.to_bits() == second.to_bits(),
+        _ => first == second,
+    }
+}
+
+fn is_near(first: ValueRef<'_>, second: ValueRef<'_>, allowed: Allowed) -> bool {
+    let (Some(first), Some(second)) = (first.as_f64(), second.as_f64()) else { return false };
+    let distance = (first - second).abs();
+    let is_within = match allowed {
+        Allowed::Anything => true,
+        Allowed::Absolute(most) => distance <= most,
+        Allowed::Relative(part) => distance <= part * first.abs().max(second.abs()),
+    };
+    // Equal infinities have no finite distance; NaN only matches NaN.
+    is_within || first == second || (first.is_nan() && second.is_nan())
+}
+
+fn text(value: ValueRef<'_>) -> String {
+    match value {
+        ValueRef::String(text) | ValueRef::WString(text) => {
+            let short: String = text.chars().take(LONGEST_TEXT).collect();
+            let more = if short.len() < text.len() { "…" } else { "" };
+            format!("{short:?}{more}")
+        }
+        ValueRef::Bool(value) => value.to_string(),
+        ValueRef::Float32(value) => format!("{value:?}"),
+        ValueRef::Float64(value) => format!("{value:?}"),
+        other => other
+            .as_i64()
+            .map(|value| value.to_string())
+            .or_else(|| other.as_u64().map(|value| value.to_string()))
+            .unwrap_or_default(),
+    }
+}
+
+fn bits(value: ValueRef<'_>) -> String {
+    match value {
+        ValueRef::Float32(value) => format!(" (0x{:08x})", value.to_bits()),
+        ValueRef::Float64(value) => format!(" (0x{:016x})", value.to_bits()),
+        ValueRef::String(text) | ValueRef::WString(text) => format!(" ({} bytes)", text.len()),
+        _ => String::new(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -116,12 +242,12 @@ mod tests {
         ================================================================================\n\
         MSG: my_msgs/Part\nint32 id\nfloat32 mass\n";
 
-    fn topic() -> TopicInfo {
-        TopicInfo {
+    fn topic() -> TopicDescription {
+        TopicDescription {
             name: "/robot/legs".to_owned(),
             type_name: "my_msgs/msg/Legs".to_owned(),
             definition: TEXT.to_owned(),
-            ..TopicInfo::default()
+            ..TopicDescription::default()
         }
     }
 
@@ -202,7 +328,8 @@ mod tests {
 
     #[test]
     fn messages_of_unknown_types_are_compared_as_bytes() {
-        let unknown = TopicInfo { type_name: "no_msgs/msg/Thing".to_owned(), ..TopicInfo::default() };
+        let unknown =
+            TopicDescription { type_name: "no_msgs/msg/Thing".to_owned(), ..TopicDescription::default() };
         let comparer = Comparer::new(&unknown, &[]);
         assert_eq!(comparer.compare(&[1, 2, 3], &[1, 9, 3]).unwrap().to_string(), "byte 1: 0x02 and 0x09");
         assert_eq!(comparer.compare(&[1, 2], &[1, 2, 3]).unwrap().to_string(), "byte 2: 2 bytes and 0x03");

@@ -1,8 +1,7 @@
 //! Errors of reading bags, and descriptions of missing parts.
 
-use std::fmt;
-use std::io;
 use std::path::PathBuf;
+use std::{fmt, io};
 
 use crate::metadata::MetadataError;
 

@@ -8,12 +8,8 @@ use mcap::MAGIC;
 use mcap::records::{self, ChunkIndex, Footer, MetadataIndex, Record, Statistics, op};
 
 use super::error::{ReaderError, Truncation, TruncationCause};
-use super::packed;
-use super::parse::parse;
-use super::records::{Next, Place, RECORD_HEADER, RecordFile};
-use super::segment::{Content, Segment, decode};
-use super::source::Source;
-use super::walk::walk;
+use super::records::{Next, Place, RECORD_HEADER, RecordFile, parse, walk};
+use super::source::{self, Content, Segment, Source, decode};
 use crate::storage::Storage;
 
 /// A footer record and the end mark: 9 + 20 + 8 bytes.
@@ -57,10 +53,10 @@ impl BagFile {
     pub(super) fn open(path: &Path, source: Source) -> Result<Self, ReaderError> {
         let read = |source| ReaderError::Read { path: path.to_owned(), source };
         let start = source.start(16).map_err(read)?;
-        if !start.starts_with(packed::MAGIC) {
+        if !start.starts_with(source::PACKED_MAGIC) {
             return Self::open_content(path, source, &start);
         }
-        let (content, problem) = packed::unpack(&source).map_err(read)?;
+        let (content, problem) = source::unpack_file(&source).map_err(read)?;
         let start = content.start(16).map_err(read)?;
         let mut file = Self::open_content(path, content, &start)?;
         if let Some((length, found)) = problem {

@@ -13,7 +13,7 @@ use super::Reader;
 use super::error::ReaderError;
 use super::file::BagFile;
 use super::records::RecordFile;
-use super::segment::{Content, Segment, decode};
+use super::source::{Content, Segment, decode};
 #[cfg(feature = "sqlite")]
 use super::sqlite::{SqliteFile, SqliteMessage};
 use crate::storage::Storage;

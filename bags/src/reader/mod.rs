@@ -3,15 +3,11 @@
 mod error;
 mod file;
 mod messages;
-mod packed;
-mod parse;
 mod records;
-mod segment;
 mod source;
 #[cfg(feature = "sqlite")]
 mod sqlite;
 mod topics;
-mod walk;
 
 use std::collections::HashMap;
 use std::fs;
@@ -22,8 +18,7 @@ use bytes::Bytes;
 
 use crate::metadata::{self, FileMetadata, Metadata};
 use crate::storage::Storage;
-use crate::topic::{TopicId, TopicInfo};
-
+use crate::topic::{TopicDescription, TopicId};
 pub use error::{ReaderError, Truncation, TruncationCause};
 use file::BagFile;
 pub use messages::{BagMessage, Messages, Selection};
@@ -44,7 +39,7 @@ pub struct Reader {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordedTopic {
     /// Name, type and other properties.
-    pub info: TopicInfo,
+    pub info: TopicDescription,
     /// `cdr`, or another format.
     pub serialization_format: String,
     /// The number of messages in the bag.
@@ -230,7 +225,7 @@ impl Reader {
         self.files.iter().map(|file| file.length).sum()
     }
 
-    fn segments(&self) -> impl Iterator<Item = &segment::Segment> {
+    fn segments(&self) -> impl Iterator<Item = &source::Segment> {
         self.files.iter().flat_map(|file| &file.segments)
     }
 }

@@ -5,7 +5,12 @@
 
 use std::io::{self, Read, Seek, SeekFrom};
 
-use super::source::{Input, Source};
+use mcap::records::{Record, op};
+use mcap::{MAGIC, McapError};
+
+use super::error::TruncationCause;
+use super::file::{BagFile, SummaryState};
+use super::source::{Input, Segment, Source};
 
 /// Opcode and length.
 pub(super) const RECORD_HEADER: u64 = 1 + 8;
@@ -120,4 +125,163 @@ impl RecordFile {
 fn too_short(expected: u64, at: u64, there: u64) -> io::Error {
     let found = format!("expected {expected} bytes at byte {at}, found {there}");
     io::Error::new(io::ErrorKind::UnexpectedEof, found)
+}
+
+/// Parses the body of a record, borrowing from `body`.
+///
+/// # Errors
+/// The problem, as the end of a sentence about the record's location.
+pub(super) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
+    let mut rest = body;
+    if layout(opcode).iter().any(|part| part.skip(&mut rest).is_none()) {
+        return Err(format!(
+            "a record with opcode {opcode} and {} bytes is shorter than it should be",
+            body.len()
+        ));
+    }
+    mcap::parse_record(opcode, body).map_err(|error| match error {
+        McapError::Io(source) => source.to_string(),
+        McapError::Parse(source) => format!("a record is invalid ({source})"),
+        other => other.to_string(),
+    })
+}
+
+/// A part of a record.
+enum Part {
+    Bytes(usize),
+    /// A length in 4 bytes, and that many bytes.
+    Text,
+    /// A length in 4 bytes, and pairs of strings until at least that many bytes are consumed.
+    TextPairs,
+    /// A length in 4 bytes, and items of a fixed size.
+    Items(usize),
+}
+
+/// The parts of a record, up to the last one whose length the parser trusts.
+fn layout(opcode: u8) -> &'static [Part] {
+    use Part::{Bytes, Items, Text, TextPairs};
+    match opcode {
+        op::HEADER => &[Text, Text],
+        op::FOOTER => &[Bytes(20)],
+        op::SCHEMA => &[Bytes(2), Text, Text, Bytes(4)],
+        op::CHANNEL => &[Bytes(2 + 2), Text, Text, TextPairs],
+        op::MESSAGE => &[Bytes(2 + 4 + 8 + 8)],
+        op::CHUNK => &[Bytes(8 + 8 + 8 + 4), Text, Bytes(8)],
+        op::MESSAGE_INDEX => &[Bytes(2), Items(8 + 8)],
+        op::CHUNK_INDEX => &[Bytes(4 * 8), Items(2 + 8), Bytes(8), Text, Bytes(8 + 8)],
+        op::ATTACHMENT => &[Bytes(8 + 8), Text, Text, Bytes(8 + 4)],
+        op::ATTACHMENT_INDEX => &[Bytes(5 * 8), Text, Text],
+        op::STATISTICS => &[Bytes(8 + 2 + 4 * 4 + 8 + 8), Items(2 + 8)],
+        op::METADATA => &[Text, TextPairs],
+        op::METADATA_INDEX => &[Bytes(8 + 8), Text],
+        op::SUMMARY_OFFSET => &[Bytes(1 + 8 + 8)],
+        op::DATA_END => &[Bytes(4)],
+        _ => &[],
+    }
+}
+
+impl Part {
+    /// `None` if the input is too short.
+    fn skip(&self, rest: &mut &[u8]) -> Option<()> {
+        match self {
+            Self::Bytes(count) => skip(rest, *count),
+            Self::Text => {
+                let length = length(rest)?;
+                skip(rest, length)
+            }
+            Self::TextPairs => {
+                let length = length(rest)?;
+                let before = rest.len();
+                while before - rest.len() < length {
+                    Self::Text.skip(rest)?;
+                    Self::Text.skip(rest)?;
+                }
+                Some(())
+            }
+            Self::Items(size) => {
+                let length = length(rest)?;
+                skip(rest, length.div_ceil(*size).checked_mul(*size)?)
+            }
+        }
+    }
+}
+
+fn skip(rest: &mut &[u8], count: usize) -> Option<()> {
+    *rest = rest.get(count..)?;
+    Some(())
+}
+
+fn length(rest: &mut &[u8]) -> Option<usize> {
+    let (length, behind) = rest.split_first_chunk::<4>()?;
+    *rest = behind;
+    usize::try_from(u32::from_le_bytes(*length)).ok()
+}
+
+/// The maximum size of a run of messages outside of chunks, which bounds memory.
+const LONGEST_RUN: u64 = 1024 * 1024;
+
+/// Adds the readable contents to `file`, and notes unreadable parts.
+pub(super) fn walk(file: &mut BagFile, input: &mut RecordFile, summary: SummaryState) -> io::Result<()> {
+    let length = input.length();
+    let mut offset = MAGIC.len() as u64;
+    if length < offset {
+        file.miss(0, length, TruncationCause::TornRecord);
+        return Ok(());
+    }
+    // Whether the last segment is a run of messages outside of chunks.
+    let mut is_run = false;
+    loop {
+        let place = match input.place_at(offset, length)? {
+            Next::Record(place) => place,
+            Next::End => {
+                file.miss(offset, 0, TruncationCause::NoEnd);
+                return Ok(());
+            }
+            Next::Torn { offset } => {
+                file.miss(offset, length - offset, TruncationCause::TornRecord);
+                return Ok(());
+            }
+        };
+        match place.opcode {
+            op::DATA_END | op::FOOTER => {
+                if summary == SummaryState::Damaged {
+                    file.miss(offset, length - offset, TruncationCause::NoSummary);
+                }
+                return Ok(());
+            }
+            op::CHUNK | op::SCHEMA | op::CHANNEL | op::MESSAGE => {
+                let bytes = input.read_record(&place)?;
+                match file.look_into(&bytes) {
+                    Ok(None) => {}
+                    Ok(Some(times)) => {
+                        let is_message = place.opcode == op::MESSAGE;
+                        add_segment(&mut file.segments, &place, times, is_run && is_message);
+                        is_run = is_message;
+                    }
+                    Err(found) => {
+                        file.miss(offset, bytes.len() as u64, TruncationCause::DamagedChunk(found));
+                    }
+                }
+            }
+            op::METADATA => {
+                let record = input.read_record(&place)?;
+                file.add_metadata(&record);
+            }
+            _ => {}
+        }
+        offset = place.end();
+    }
+}
+
+/// Adds a segment, or extends the last one if it is a run of messages that continues here.
+fn add_segment(segments: &mut Vec<Segment>, place: &Place, (first, last): (u64, u64), continues_run: bool) {
+    let length = RECORD_HEADER + place.body_length;
+    match segments.last_mut() {
+        Some(run) if continues_run && run.offset + run.length == place.offset && run.length < LONGEST_RUN => {
+            run.length += length;
+            run.first = run.first.min(first);
+            run.last = run.last.max(last);
+        }
+        _ => segments.push(Segment { offset: place.offset, length, first, last, channels: None }),
+    }
 }

@@ -13,8 +13,7 @@ use rusqlite::{Connection, Error, OpenFlags, Row};
 
 use super::error::{ReaderError, TruncationCause};
 use super::file::{BagFile, Schema};
-use super::segment::Segment;
-use super::source::Source;
+use super::source::{Segment, Source};
 use crate::storage::{Storage, write_ahead_log};
 
 /// The maximum number of rows read at a time, which bounds memory.

@@ -8,7 +8,7 @@ use mcap::records::Channel;
 use super::RecordedTopic;
 use super::file::{BagFile, MOST_DESCRIBED, Schema as FileSchema};
 use crate::metadata::{Metadata, TopicMetadata, qos_from_yaml};
-use crate::topic::{MessageFormat, TopicId, TopicInfo};
+use crate::topic::{MessageFormat, TopicDescription, TopicId};
 
 /// The maximum total size of the definitions of topics, against files in which thousands of channels share a
 /// huge schema. Further topics have no definition.
@@ -37,7 +37,7 @@ pub(super) fn collect(
             let seen = from_channel(file, channel, schema);
             let name = (seen.info.name.clone(), seen.info.type_name.clone());
             let index = *known.entry(name).or_insert_with(|| {
-                let info = TopicInfo { definition: String::new(), format: None, ..seen.info.clone() };
+                let info = TopicDescription { definition: String::new(), format: None, ..seen.info.clone() };
                 topics.push(RecordedTopic { info, message_count: 0, ..seen.clone() });
                 topics.len() - 1
             });
@@ -57,7 +57,7 @@ pub(super) fn collect(
 
 fn from_metadata(topic: &TopicMetadata) -> RecordedTopic {
     RecordedTopic {
-        info: TopicInfo {
+        info: TopicDescription {
             name: topic.name.clone(),
             type_name: topic.type_name.clone(),
             definition: String::new(),
@@ -75,7 +75,7 @@ fn from_channel(file: &BagFile, channel: &Channel, schema: Option<&FileSchema>) 
     // An invalid profile is treated like a missing one: it is only needed for playing.
     let offered_qos = qos_from_yaml(text("offered_qos_profiles"), &file.path).unwrap_or_default();
     RecordedTopic {
-        info: TopicInfo {
+        info: TopicDescription {
             name: channel.topic.clone(),
             type_name: match text("topic_type") {
                 "" => schema.map_or_else(String::new, |schema| schema.name.clone()),
@@ -102,12 +102,12 @@ fn from_channel(file: &BagFile, channel: &Channel, schema: Option<&FileSchema>) 
     }
 }
 
-fn definition_length(info: &TopicInfo) -> usize {
+fn definition_length(info: &TopicDescription) -> usize {
     info.definition.len() + info.format.as_ref().map_or(0, |format| format.schema.data.len())
 }
 
 /// Fills in fields that are still unknown.
-fn complete(info: &mut TopicInfo, seen: TopicInfo) {
+fn complete(info: &mut TopicDescription, seen: TopicDescription) {
     if info.definition.is_empty() {
         info.definition = seen.definition;
     }

@@ -1,24 +1,21 @@
 //! Recording on a separate thread, for producers that must not wait for a disk.
 
 mod control;
-mod options;
 mod queue;
-mod ring;
 
 use std::io;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use bytes::Bytes;
+use parking_lot::Mutex;
 
-use crate::summary::{RecordingSummary, TopicCount};
-use crate::topic::{TopicId, TopicInfo};
+use crate::topic::{RecordingSummary, TopicCount, TopicDescription, TopicId};
 use crate::writer::{Writer, WriterError};
 use control::Done;
-pub use control::{ControlError, RecordingControl};
-pub use options::{RecordingOptions, WhenSlow};
+pub use control::{ControlError, RecordingControl, RecordingOptions, WhenSlow};
+pub use queue::SnapshotLimits;
 use queue::{Item, Queue, QueuedTopic, Work};
-pub use ring::SnapshotLimits;
 
 /// A [`Writer`] on its own thread.
 ///
@@ -195,7 +192,7 @@ impl RecordingSender {
     #[must_use]
     pub fn statistics(&self) -> RecordingStatistics {
         let mut statistics = {
-            let progress = self.shared.progress.lock().unwrap_or_else(PoisonError::into_inner);
+            let progress = self.shared.progress.lock();
             let (summary, failure) = (progress.summary.clone(), progress.failure.clone());
             let is_disk_full = progress.is_disk_full;
             RecordingStatistics { summary, queued_bytes: 0, is_paused: false, is_disk_full, failure }
@@ -211,7 +208,7 @@ impl RecordingSender {
     ///
     /// # Errors
     /// If the bag contains the topic with another type, or recording has ended.
-    pub fn add_topic(&self, info: TopicInfo) -> Result<TopicId, RecordError> {
+    pub fn add_topic(&self, info: TopicDescription) -> Result<TopicId, RecordError> {
         self.shared.queue.add_topic(info)
     }
 
@@ -263,14 +260,14 @@ impl Progress {
 fn run(shared: &Shared, mut writer: Writer) -> Result<RecordingSummary, RecordingFailed> {
     let outcome = write_all(shared, &mut writer).and_then(|()| refuse_overrun(shared, &writer));
     if let Err(error) = &outcome {
-        shared.progress.lock().unwrap_or_else(PoisonError::into_inner).failure = Some(error.to_string());
+        shared.progress.lock().failure = Some(error.to_string());
     }
     note_losses(shared, &mut writer, &mut 0);
     let before = writer.summary();
     // After a failed write this returns the summary of what was recorded.
     let finished = writer.finish();
     let kept = finished.as_ref().map_or(before, Clone::clone);
-    shared.progress.lock().unwrap_or_else(PoisonError::into_inner).summary = kept.clone();
+    shared.progress.lock().summary = kept.clone();
     match outcome.and(finished) {
         Ok(_) => Ok(kept),
         Err(error) => Err(RecordingFailed { error, summary: Box::new(kept) }),
@@ -326,7 +323,7 @@ fn write_all(shared: &Shared, writer: &mut Writer) -> Result<(), WriterError> {
         }
         if told != writer.changes() {
             told = writer.changes();
-            *shared.progress.lock().unwrap_or_else(PoisonError::into_inner) = Progress::of(writer);
+            *shared.progress.lock() = Progress::of(writer);
         }
     }
 }

@@ -4,14 +4,13 @@
 //! only for a push.
 
 use std::collections::VecDeque;
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use bytes::Bytes;
+use parking_lot::{Condvar, Mutex, MutexGuard};
 
-use super::ring::Ring;
 use super::{Done, RecordError, RecordingOptions, WhenSlow};
-use crate::topic::{TopicId, TopicInfo};
+use crate::topic::{TopicDescription, TopicId};
 use crate::writer::FileSplit;
 
 /// The memory of a queued message besides its data.
@@ -25,7 +24,7 @@ const LINGER: Duration = Duration::from_millis(5);
 
 pub(super) enum Item {
     /// Boxed, since every message takes as much memory in the queue as the largest item.
-    Topic(Box<TopicInfo>),
+    Topic(Box<TopicDescription>),
     Message {
         topic: TopicId,
         log_time: i64,
@@ -129,10 +128,10 @@ impl Queue {
 
     /// Ignores poisoning: a panic elsewhere leaves the counts usable.
     pub(super) fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock()
     }
 
-    pub(super) fn add_topic(&self, info: TopicInfo) -> Result<TopicId, RecordError> {
+    pub(super) fn add_topic(&self, info: TopicDescription) -> Result<TopicId, RecordError> {
         let mut state = self.lock();
         if state.is_closed {
             return Err(RecordError::Stopped);
@@ -194,7 +193,7 @@ impl Queue {
         if waiting(&mut state) {
             state.blocked += 1;
             self.wake_if(&mut state, |_| true);
-            state = self.drained.wait_while(state, waiting).unwrap_or_else(PoisonError::into_inner);
+            self.drained.wait_while(&mut state, waiting);
             state.blocked -= 1;
         }
         if state.topics.get(topic.index()).is_none() {
@@ -279,10 +278,10 @@ impl Queue {
         if written > 0 && state.blocked > 0 {
             self.drained.notify_all();
         }
-        let mut state = self.wait_for(1, state, timeout);
+        self.wait_for(1, &mut state, timeout);
         if !state.items.is_empty() {
             let linger = timeout.map_or(LINGER, |timeout| timeout.min(LINGER));
-            state = self.wait_for(BATCH, state, Some(linger));
+            self.wait_for(BATCH, &mut state, Some(linger));
         }
         let count = state.items.len().min(BATCH);
         batch.extend(state.items.drain(..count));
@@ -295,25 +294,18 @@ impl Queue {
     }
 
     /// Waits until there are enough items, an urgent one, or little room for more.
-    fn wait_for<'a>(
-        &self,
-        count: usize,
-        state: MutexGuard<'a, State>,
-        timeout: Option<Duration>,
-    ) -> MutexGuard<'a, State> {
+    fn wait_for(&self, count: usize, state: &mut MutexGuard<'_, State>, timeout: Option<Duration>) {
         let is_waiting = |state: &mut State| {
             let is_pressing = state.urgent > 0 || state.blocked > 0 || self.is_half_full(state);
             let is_waiting = state.items.len() < count && !is_pressing && !state.is_closed;
             state.wakes_at = is_waiting.then_some(count);
             is_waiting
         };
-        let Some(timeout) = timeout else {
-            return self.filled.wait_while(state, is_waiting).unwrap_or_else(PoisonError::into_inner);
-        };
-        let waited = self.filled.wait_timeout_while(state, timeout, is_waiting);
-        let mut state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        match timeout {
+            Some(timeout) => drop(self.filled.wait_while_for(state, is_waiting, timeout)),
+            None => self.filled.wait_while(state, is_waiting),
+        }
         state.wakes_at = None;
-        state
     }
 
     pub(super) fn cost(batch: &[Item]) -> usize {
@@ -371,4 +363,60 @@ fn lose(state: &mut State, topic: TopicId) -> (String, u64) {
     entry.lost += 1;
     state.lost += 1;
     (entry.name.clone(), entry.lost)
+}
+
+/// The limits of a snapshot: the latest messages within both.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SnapshotLimits {
+    /// Memory for messages, in bytes.
+    pub max_bytes: usize,
+    /// From the oldest to the latest message, by receive time.
+    pub max_duration: Option<Duration>,
+}
+
+/// Messages within the limits; the oldest are dropped first.
+pub(super) struct Ring {
+    limits: SnapshotLimits,
+    items: VecDeque<Item>,
+    bytes: usize,
+    /// The latest receive time.
+    latest: i64,
+}
+
+impl Ring {
+    pub(super) fn new(limits: SnapshotLimits) -> Self {
+        Self { limits, items: VecDeque::new(), bytes: 0, latest: i64::MIN }
+    }
+
+    pub(super) fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    /// Whether a message can be kept at all.
+    pub(super) fn fits(&self, item: &Item) -> bool {
+        item.cost() <= self.limits.max_bytes
+    }
+
+    pub(super) fn push(&mut self, item: Item) {
+        self.latest = self.latest.max(item.log_time().unwrap_or(i64::MIN));
+        self.bytes += item.cost();
+        self.items.push_back(item);
+        while self.items.front().is_some_and(|oldest| self.is_over(oldest)) {
+            if let Some(oldest) = self.items.pop_front() {
+                self.bytes -= oldest.cost();
+            }
+        }
+    }
+
+    /// Removes all messages.
+    pub(super) fn drain(&mut self) -> impl Iterator<Item = Item> + '_ {
+        self.bytes = 0;
+        self.items.drain(..)
+    }
+
+    fn is_over(&self, oldest: &Item) -> bool {
+        let age = oldest.log_time().map_or(0, |time| self.latest.saturating_sub(time));
+        let is_old = |most: Duration| u128::try_from(age).is_ok_and(|age| age > most.as_nanos());
+        self.bytes > self.limits.max_bytes || self.limits.max_duration.is_some_and(is_old)
+    }
 }

@@ -1,18 +1,23 @@
 #![allow(clippy::unwrap_used)]
 
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use bytes::Bytes;
+use parking_lot::Mutex;
 
 use super::queue::{Queue, QueuedTopic};
 use super::{Progress, RecordError, Recording, RecordingOptions, RecordingSender, Shared, run, with_losses};
 use crate::metadata::Metadata;
 use crate::reader::{Reader, Selection};
-use crate::topic::TopicInfo;
+use crate::topic::TopicDescription;
 use crate::writer::{Writer, WriterOptions};
 
-fn topic(name: &str) -> TopicInfo {
-    TopicInfo { name: name.to_owned(), type_name: "std_msgs/msg/Empty".to_owned(), ..TopicInfo::default() }
+fn topic(name: &str) -> TopicDescription {
+    TopicDescription {
+        name: name.to_owned(),
+        type_name: "std_msgs/msg/Empty".to_owned(),
+        ..TopicDescription::default()
+    }
 }
 
 /// A [`Recording`] without its thread: nothing is written until the test runs it.

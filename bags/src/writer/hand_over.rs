@@ -3,7 +3,7 @@
 use std::io;
 use std::time::Instant;
 
-use super::times::Times;
+use super::summary::Times;
 use super::{Topic, WhenDiskFull, Writer, WriterError};
 
 impl Writer {

@@ -1,23 +1,18 @@
 //! Writes a bag: the recorder without its thread.
 
-mod bag_file;
 mod channels;
 mod chunk;
-mod compress;
-mod describe;
 mod error;
 mod file;
 mod hand_over;
 mod layout;
 mod options;
-mod output;
 mod records;
 mod split;
 #[cfg(feature = "sqlite")]
 mod sqlite;
 mod storage;
 mod summary;
-mod times;
 
 use std::collections::VecDeque;
 use std::ffi::OsString;
@@ -27,19 +22,16 @@ use std::time::{Duration, Instant};
 
 use crate::metadata;
 use crate::storage::Storage;
-use crate::summary::RecordingSummary;
-use crate::topic::{TopicId, TopicInfo};
-
-use bag_file::BagFile;
+use crate::topic::{RecordingSummary, TopicDescription, TopicId};
 pub use error::WriterError;
 pub use layout::{StorageError, StorageOptions};
 pub use options::{SplitLimits, SyncPolicy, WhenDiskFull, WriterOptions};
 pub use split::FileSplit;
-use split::{SplitHandler, WrittenFile};
+use split::{BagFile, SplitHandler, WrittenFile};
 #[cfg(feature = "sqlite")]
 pub use sqlite::{SqliteOptions, SqlitePreset};
 pub use storage::{Compression, CompressionLevel, McapOptions, StorageConfigError, StoragePreset};
-use times::Times;
+use summary::Times;
 
 /// Writes one bag directory.
 ///
@@ -92,7 +84,7 @@ enum State {
 }
 
 struct Topic {
-    info: TopicInfo,
+    info: TopicDescription,
     channel: u16,
     /// Messages in finished chunks.
     written: u64,
@@ -121,7 +113,7 @@ impl Writer {
     }
 
     /// The topics in the order in which they were added: [`TopicId`] is the position.
-    pub fn topics(&self) -> impl ExactSizeIterator<Item = &TopicInfo> {
+    pub fn topics(&self) -> impl ExactSizeIterator<Item = &TopicDescription> {
         self.topics.iter().map(|topic| &topic.info)
     }
 
@@ -130,7 +122,7 @@ impl Writer {
     /// # Errors
     /// If the bag contains the topic with another type, the storage cannot represent the topic, or recording
     /// has stopped.
-    pub fn add_topic(&mut self, info: TopicInfo) -> Result<TopicId, WriterError> {
+    pub fn add_topic(&mut self, info: TopicDescription) -> Result<TopicId, WriterError> {
         self.check_recording()?;
         if let Some(index) = self.topics.iter().position(|topic| topic.info.name == info.name) {
             let first = &self.topics[index].info.type_name;

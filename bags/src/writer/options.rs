@@ -1,13 +1,11 @@
 //! Options of writing a bag.
 
 use std::collections::BTreeMap;
-use std::fmt;
-use std::fs;
-use std::io;
 use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
+use std::{fmt, fs, io};
 
 use super::storage::{Compression, DEFAULT_CHUNK_SIZE};
 use super::{StorageOptions, Writer, WriterError};
@@ -33,14 +31,22 @@ use crate::storage::Storage;
 /// ```
 #[derive(Clone, Debug)]
 pub struct WriterOptions {
-    pub(super) storage: StorageOptions,
+    /// The storage, and the layout of its files: [`McapOptions`](super::McapOptions) or, with the feature
+    /// `sqlite`, `SqliteOptions`.
+    pub storage: StorageOptions,
     /// Overrides that of the storage.
     compression: Option<Compression>,
-    pub(super) flush_interval: Duration,
-    pub(super) split: SplitLimits,
-    pub(super) max_bag_files: Option<NonZeroUsize>,
-    pub(super) sync: SyncPolicy,
-    pub(super) disk_full: WhenDiskFull,
+    /// The age at which a chunk is closed even if it is not full: the most that a killed process loses.
+    pub flush_interval: Duration,
+    /// When the bag continues in a new file.
+    pub split: SplitLimits,
+    /// The maximum number of files: when it is exceeded, the oldest file is deleted. Its messages are no longer counted,
+    /// but `custom_data` contains their number (`deleted_messages`).
+    pub max_bag_files: Option<NonZeroUsize>,
+    /// When to sync written data to disk.
+    pub sync: SyncPolicy,
+    /// What to do if the disk is full.
+    pub disk_full: WhenDiskFull,
     pub(super) custom_data: BTreeMap<String, String>,
     pub(super) counted_data: BTreeMap<String, CountedData>,
 }
@@ -126,8 +132,7 @@ impl WriterOptions {
         }
     }
 
-    /// The storage, and the layout of its files: [`McapOptions`](super::McapOptions) or, with the feature
-    /// `sqlite`, `SqliteOptions`.
+    /// Sets [`Self::storage`].
     #[must_use]
     pub fn storage(self, storage: impl Into<StorageOptions>) -> Self {
         Self { storage: storage.into(), ..self }
@@ -146,32 +151,31 @@ impl WriterOptions {
         self
     }
 
-    /// The age at which a chunk is closed even if it is not full: the most that a killed process loses.
+    /// Sets [`Self::flush_interval`].
     #[must_use]
     pub fn flush_interval(self, flush_interval: Duration) -> Self {
         Self { flush_interval, ..self }
     }
 
-    /// When the bag continues in a new file.
+    /// Sets [`Self::split`].
     #[must_use]
     pub fn split(self, split: SplitLimits) -> Self {
         Self { split, ..self }
     }
 
-    /// The maximum number of files: when it is exceeded, the oldest file is deleted. Its messages are no
-    /// longer counted, but `custom_data` contains their number (`deleted_messages`).
+    /// Sets [`Self::max_bag_files`].
     #[must_use]
     pub fn max_bag_files(self, max_bag_files: NonZeroUsize) -> Self {
         Self { max_bag_files: Some(max_bag_files), ..self }
     }
 
-    /// When to sync written data to disk.
+    /// Sets [`Self::sync`].
     #[must_use]
     pub fn sync(self, sync: SyncPolicy) -> Self {
         Self { sync, ..self }
     }
 
-    /// What to do if the disk is full.
+    /// Sets [`Self::disk_full`].
     #[must_use]
     pub fn when_disk_full(self, disk_full: WhenDiskFull) -> Self {
         Self { disk_full, ..self }

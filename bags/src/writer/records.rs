@@ -12,7 +12,7 @@ use mcap::records::{
     ChunkHeader, ChunkIndex, MessageHeader, MessageIndexEntry, MetadataIndex, Statistics, op,
 };
 
-use crate::topic::TopicInfo;
+use crate::topic::TopicDescription;
 
 /// Appends a record; `write` appends its body.
 fn record(
@@ -62,7 +62,7 @@ pub(super) fn channel(
     out: &mut Vec<u8>,
     id: u16,
     schema: u16,
-    topic: &TopicInfo,
+    topic: &TopicDescription,
     metadata: &BTreeMap<String, String>,
 ) -> io::Result<()> {
     record(out, op::CHANNEL, |out| {

@@ -4,10 +4,10 @@ use std::time::{Duration, Instant};
 
 use super::{Writer, WriterError, WriterOptions};
 use crate::metadata::{self, Metadata};
-use crate::topic::TopicInfo;
+use crate::topic::TopicDescription;
 
-fn topic(name: &str, type_name: &str) -> TopicInfo {
-    TopicInfo { name: name.to_owned(), type_name: type_name.to_owned(), ..TopicInfo::default() }
+fn topic(name: &str, type_name: &str) -> TopicDescription {
+    TopicDescription { name: name.to_owned(), type_name: type_name.to_owned(), ..TopicDescription::default() }
 }
 
 fn written(writer: &Writer) -> u64 {

@@ -6,9 +6,10 @@ use std::fs;
 use std::path::Path;
 
 use downbeat_bags::metadata::{FILE_NAME, Metadata};
-use downbeat_bags::{StoragePreset, TopicInfo, WriterOptions};
+use downbeat_bags::{StoragePreset, TopicDescription, WriterOptions};
 use downbeat_msgs::dynamic::{AmentPrefixPath, Definitions};
 use mcap::records::{Channel, ChunkHeader, Record, SchemaHeader, Statistics, op};
+use python_peer::Python;
 
 use crate::matrix::{Way, With};
 use crate::support::{fixture, noted};
@@ -65,9 +66,8 @@ fn take_apart(bytes: &[u8]) -> Taken {
 /// The source of definitions: the interfaces installed with ROS 2, as for the real recorder, if Python is
 /// available; else the built-in ones, which have no comments.
 fn definitions() -> (Definitions, bool) {
-    let prefix = std::env::var_os("DOWNBEAT_PYTHON")
-        .and_then(|python| Some(Path::new(&python).parent()?.parent()?.to_owned()))
-        .filter(|prefix| prefix.join("share/std_msgs").is_dir());
+    let prefix =
+        Python::find().map(|python| python.prefix()).filter(|prefix| prefix.join("share/std_msgs").is_dir());
     match prefix {
         Some(prefix) => (Definitions::new().with(AmentPrefixPath::new([prefix])).with_carried(), true),
         None => (Definitions::new().with_carried(), false),
@@ -75,7 +75,7 @@ fn definitions() -> (Definitions, bool) {
 }
 
 /// The topics of the real file in their original order, with definitions that are not from the file.
-fn our_topics(real: &Taken, metadata: &Metadata) -> Vec<TopicInfo> {
+fn our_topics(real: &Taken, metadata: &Metadata) -> Vec<TopicDescription> {
     let (definitions, has_comments) = definitions();
     let topic = |channel: &Channel| {
         let told = metadata.topics.iter().find(|told| told.name == channel.topic).unwrap();
@@ -88,7 +88,7 @@ fn our_topics(real: &Taken, metadata: &Metadata) -> Vec<TopicInfo> {
             assert_eq!(without_comments(&definition), without_comments(&real_text));
             definition = real_text;
         }
-        TopicInfo {
+        TopicDescription {
             name: channel.topic.clone(),
             type_name: told.type_name.clone(),
             definition,

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use downbeat_bags::{Compression, McapOptions, RecordingSummary, TopicInfo, WriterOptions};
+use downbeat_bags::{Compression, McapOptions, RecordingSummary, TopicDescription, WriterOptions};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::{cdr, sensor_msgs, std_msgs, std_srvs};
 use serde_json::{Value, json};
@@ -41,7 +41,7 @@ pub(crate) fn told(topic: &str, log_time: i64, publish_time: i64, data: &[u8]) -
 }
 
 /// Writes a bag with many chunks; returns the writer's summary and the messages in the readers' format.
-fn write(bag: &Path, compression: Compression) -> (RecordingSummary, Vec<TopicInfo>, Vec<Value>) {
+fn write(bag: &Path, compression: Compression) -> (RecordingSummary, Vec<TopicDescription>, Vec<Value>) {
     let storage = McapOptions { compression, is_compression_forced: true, ..McapOptions::default() };
     let mut writer = WriterOptions::new().storage(storage).chunk_size(3_000).create(bag).unwrap();
     let topics = [

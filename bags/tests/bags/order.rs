@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use downbeat_bags::{
-    Compression, Playback, PlaybackError, PlaybackOptions, Reader, Selection, Step, WriterOptions,
+    Compression, Playback, PlaybackOptions, PlayerError, Reader, Selection, Step, WriterOptions,
 };
 
 use crate::support::{messages, number, topic, value, write_numbers};
@@ -174,6 +174,6 @@ fn playback_starts_at_its_offset_with_the_chosen_topics() {
     assert_eq!(error.to_string(), "cannot start 10ms into the bag: it is 9ms long");
     let wrong = PlaybackOptions { topics: Some(vec!["/nubmers".to_owned()]), ..options };
     let error = Playback::open(&reader, &wrong).err().unwrap();
-    assert!(matches!(error, PlaybackError::UnknownTopic { .. }), "{error}");
+    assert!(matches!(error, PlayerError::UnknownTopic { .. }), "{error}");
     assert_eq!(error.to_string(), "cannot play topic /nubmers: the bag has /numbers, /other");
 }

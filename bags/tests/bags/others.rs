@@ -4,30 +4,21 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 use downbeat_bags::{BagInfo, Comparer, Reader, ReaderError, check};
 use mcap::records::MessageHeader;
-use serde_json::Value;
 
 use crate::matrix::{Check, Way, With};
+use crate::python::read_with_python;
 use crate::support::{fixture, messages, noted, number, value};
 
 #[test]
 fn bags_of_other_writers_are_read_message_by_message() {
-    let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
-        // Bypasses the capture of test output, which hides the output of passing tests.
-        let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
-        let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
-        return;
-    };
     let folder = tempfile::tempdir().unwrap();
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/write_bags.py");
-    let output = Command::new(python).arg(script).arg(folder.path()).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let bags: serde_json::Map<String, Value> = serde_json::from_slice(&output.stdout).unwrap();
+    let Some(bags) = read_with_python("write_bags.py", folder.path()) else { return };
+    let bags = bags.as_object().unwrap();
     assert_eq!(bags.len(), 17);
-    for (name, expected) in &bags {
+    for (name, expected) in bags {
         let path = folder.path().join(name);
         if name.contains("sqlite3") && !cfg!(feature = "sqlite") {
             assert_is_refused(&path);

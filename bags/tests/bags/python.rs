@@ -1,20 +1,20 @@
 //! Our bags, read by other software: `mcap`, `mcap-ros2-support` and `rosbags` from PyPI.
 
 use std::path::Path;
-use std::process::Command;
 
-use downbeat_bags::{Compression, TopicInfo, WriterOptions};
+use downbeat_bags::{Compression, TopicDescription, WriterOptions};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::{Message, cdr};
 use downbeat_msgs::{diagnostic_msgs, downbeat_interfaces, sensor_msgs, std_msgs};
+use python_peer::Python;
 use serde_json::{Value, json};
 
 use crate::matrix::{Way, With};
 use crate::support::noted;
 
 /// A topic of messages of that type.
-pub fn topic<M: Message>(name: &str, qos: QosProfile) -> TopicInfo {
-    TopicInfo {
+pub fn topic<M: Message>(name: &str, qos: QosProfile) -> TopicDescription {
+    TopicDescription {
         name: name.to_owned(),
         type_name: M::TYPE_NAME.to_owned(),
         definition: M::DEFINITION.to_owned(),
@@ -26,16 +26,8 @@ pub fn topic<M: Message>(name: &str, qos: QosProfile) -> TopicInfo {
 
 /// The output of a program in `tests/python` for a bag; `None` without Python.
 pub fn read_with_python(program: &str, bag: &Path) -> Option<Value> {
-    let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
-        // Bypasses the capture of test output, which hides the output of passing tests.
-        let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
-        let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
-        return None;
-    };
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python").join(program);
-    let output = Command::new(python).arg(script).arg(bag).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    Some(serde_json::from_slice(&output.stdout).unwrap())
+    Some(serde_json::from_str(&Python::find()?.run(script, &[bag])).unwrap())
 }
 
 #[test]

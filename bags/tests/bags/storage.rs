@@ -4,7 +4,7 @@ use std::fs;
 
 use downbeat_bags::{
     Compression, CompressionLevel, McapOptions, Reader, Storage, StorageError, StorageOptions, StoragePreset,
-    SyncPolicy, TopicInfo, WriterOptions,
+    SyncPolicy, TopicDescription, WriterOptions,
 };
 use downbeat_msgs::{Message, cdr, std_msgs};
 use mcap::Summary;
@@ -44,12 +44,12 @@ fn write_texts(bag: &std::path::Path, options: McapOptions) -> u64 {
     let options = McapOptions { chunk_size: 30_000, ..options };
     let mut writer = WriterOptions::new().storage(options).create(bag).unwrap();
     let id = writer
-        .add_topic(TopicInfo {
+        .add_topic(TopicDescription {
             name: "/texts".to_owned(),
             type_name: std_msgs::msg::String::TYPE_NAME.to_owned(),
             definition: std_msgs::msg::String::DEFINITION.to_owned(),
             type_hash: std_msgs::msg::String::TYPE_HASH.to_owned(),
-            ..TopicInfo::default()
+            ..TopicDescription::default()
         })
         .unwrap();
     let mut state = 1_u32;

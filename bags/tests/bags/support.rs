@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use downbeat_bags::{BagMessage, Reader, Selection, TopicInfo, Writer};
+use downbeat_bags::{BagMessage, Reader, Selection, TopicDescription, Writer};
 use downbeat_msgs::qos::QosProfile;
 
 use crate::matrix::{self, Check, Way, With};
@@ -17,8 +17,8 @@ pub fn fixture(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
 }
 
-pub fn topic(name: &str) -> TopicInfo {
-    TopicInfo {
+pub fn topic(name: &str) -> TopicDescription {
+    TopicDescription {
         name: name.to_owned(),
         type_name: "std_msgs/msg/Int64".to_owned(),
         definition: "int64 data\n".to_owned(),

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
-use downbeat_bags::{TopicInfo, WriterOptions};
+use downbeat_bags::{TopicDescription, WriterOptions};
 use downbeat_msgs::{Message, carried, cdr};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -137,12 +137,12 @@ fn write(bag: &Path, types: &[&Type]) -> BTreeMap<String, Vec<Value>> {
     let mut values: BTreeMap<String, Vec<Value>> = BTreeMap::new();
     let mut time = START;
     for of in types {
-        let info = TopicInfo {
+        let info = TopicDescription {
             name: of.topic(),
             type_name: of.name.to_owned(),
             definition: of.definition.to_owned(),
             type_hash: of.hash.to_owned(),
-            ..TopicInfo::default()
+            ..TopicDescription::default()
         };
         let id = writer.add_topic(info).unwrap();
         for number in 0..VALUES_PER_TYPE {

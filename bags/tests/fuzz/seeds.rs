@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use downbeat_bags::metadata::{FILE_NAME, Metadata};
-use downbeat_bags::{Compression, McapOptions, MessageFormat, TopicInfo, WriterOptions};
+use downbeat_bags::{Compression, McapOptions, MessageFormat, TopicDescription, WriterOptions};
 use downbeat_msgs::encoding::Schema;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::{Message, cdr, sensor_msgs, std_msgs, std_srvs};
@@ -65,13 +65,13 @@ pub fn recorded() -> Vec<Seed> {
 /// Messages described as messages, as events of a service, by IDL, and not at all.
 fn write(bag: &Path, storage: McapOptions) {
     let mut writer = WriterOptions::new().storage(storage).create(bag).unwrap();
-    let joints = TopicInfo {
+    let joints = TopicDescription {
         offered_qos: vec![QosProfile::DEFAULT.into()],
         ..topic::<sensor_msgs::msg::JointState>("/joint_states")
     };
     let idl = "================================================================================\nIDL: demo_msgs/msg/Number\n\
                module demo_msgs { module msg { struct Number { int64 data; }; }; };\n";
-    let number = TopicInfo {
+    let number = TopicDescription {
         name: "/number".to_owned(),
         type_name: "demo_msgs/msg/Number".to_owned(),
         format: Some(MessageFormat {
@@ -82,10 +82,10 @@ fn write(bag: &Path, storage: McapOptions) {
                 data: idl.into(),
             },
         }),
-        ..TopicInfo::default()
+        ..TopicDescription::default()
     };
     let events = topic::<std_srvs::srv::SetBoolEvent>("/switch/_service_event");
-    let unknown = TopicInfo { definition: String::new(), ..topic::<std_msgs::msg::Empty>("/unknown") };
+    let unknown = TopicDescription { definition: String::new(), ..topic::<std_msgs::msg::Empty>("/unknown") };
     let state = sensor_msgs::msg::JointState {
         name: vec!["pan".to_owned(), "tilt".to_owned()],
         position: vec![0.5, -1.5],
@@ -106,13 +106,13 @@ fn write(bag: &Path, storage: McapOptions) {
     writer.finish().unwrap();
 }
 
-fn topic<M: Message>(name: &str) -> TopicInfo {
-    TopicInfo {
+fn topic<M: Message>(name: &str) -> TopicDescription {
+    TopicDescription {
         name: name.to_owned(),
         type_name: M::TYPE_NAME.to_owned(),
         definition: M::DEFINITION.to_owned(),
         type_hash: M::TYPE_HASH.to_owned(),
-        ..TopicInfo::default()
+        ..TopicDescription::default()
     }
 }
 

@@ -6,7 +6,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use downbeat::bags::{Reader, Selection, StoragePreset, TopicInfo, WriterOptions};
+use downbeat::bags::{Reader, Selection, StoragePreset, TopicDescription, WriterOptions};
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
 use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
 use downbeat_msgs::{Message, cdr};
@@ -87,13 +87,13 @@ fn write(bag: &Path, messages: u32, preset: StoragePreset) -> anyhow::Result<()>
     Ok(())
 }
 
-fn topic<T: Message>(name: &str) -> TopicInfo {
-    TopicInfo {
+fn topic<T: Message>(name: &str) -> TopicDescription {
+    TopicDescription {
         name: name.to_owned(),
         type_name: T::TYPE_NAME.to_owned(),
         definition: T::DEFINITION.to_owned(),
         type_hash: T::TYPE_HASH.to_owned(),
-        ..TopicInfo::default()
+        ..TopicDescription::default()
     }
 }
 

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use downbeat_bags::{Compression, McapOptions, StoragePreset, TopicInfo, WriterOptions};
+use downbeat_bags::{Compression, McapOptions, StoragePreset, TopicDescription, WriterOptions};
 use downbeat_msgs::sensor_msgs::msg::JointState;
 use downbeat_msgs::{Message, cdr};
 
@@ -111,11 +111,11 @@ fn write_ours(folder: &Path, message: &[u8], count: u64, options: McapOptions) -
     // As the others: until the operating system has it.
     let options = WriterOptions::new().storage(options).sync(downbeat_bags::SyncPolicy::Never);
     let mut writer = options.create(folder)?;
-    let topic = writer.add_topic(TopicInfo {
+    let topic = writer.add_topic(TopicDescription {
         name: "/joint_states".to_owned(),
         type_name: JointState::TYPE_NAME.to_owned(),
         definition: JointState::DEFINITION.to_owned(),
-        ..TopicInfo::default()
+        ..TopicDescription::default()
     })?;
     for n in 0..count as i64 {
         writer.write(topic, n, n, message)?;

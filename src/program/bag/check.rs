@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-use crate::bags::{Check, Reader, check as check_bag};
 use anyhow::bail;
 use clap::Args;
 use serde_json::json;
 
-use super::progress::Progress;
+use super::output::Progress;
+use crate::bags::{Check, Reader, check as check_bag};
 
 #[derive(Args)]
 pub(crate) struct CheckBagArguments {

@@ -2,13 +2,12 @@
 
 use std::path::PathBuf;
 
-use crate::bags::{Copy, Reader};
 use clap::Args;
 
-use super::carried::carried_over;
 use super::open;
 use super::output::{OutputArguments, write};
-use super::select::TopicArguments;
+use super::select::{TopicArguments, carried_over};
+use crate::bags::{Copy, Reader};
 
 #[derive(Args)]
 pub(crate) struct ConvertArguments {

@@ -3,15 +3,14 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use crate::bags::{Copy, Reader};
-use crate::duration::parse as duration;
 use anyhow::bail;
 use clap::Args;
 
-use super::carried::carried_over;
 use super::open;
 use super::output::{OutputArguments, write};
-use super::select::TopicArguments;
+use super::select::{TopicArguments, carried_over};
+use crate::bags::{Copy, Reader};
+use crate::duration::parse as duration;
 
 #[derive(Args)]
 pub(crate) struct CutArguments {

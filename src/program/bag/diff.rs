@@ -2,17 +2,17 @@
 
 use std::path::PathBuf;
 
-use crate::bags::{
-    BagDiff, DiffOptions, FieldDifference, FieldRule, MessageDiff, MessageDiffKind, Reader, TopicDiff,
-    diff as diff_bags,
-};
-use crate::executor::Time;
 use anyhow::bail;
 use clap::Args;
 use serde_json::{Value, json};
 
 use super::open;
-use super::progress::Progress;
+use super::output::Progress;
+use crate::bags::{
+    BagDiff, DiffOptions, FieldDifference, FieldRule, MessageDiff, MessageDiffKind, Reader, TopicDiff,
+    diff as diff_bags,
+};
+use crate::executor::Time;
 
 #[derive(Args)]
 pub(crate) struct DiffArguments {

@@ -6,20 +6,18 @@ use std::io::{BufWriter, Write};
 use std::iter;
 use std::path::{Path, PathBuf};
 
-use crate::bags::TopicId;
-use crate::bridge::edge::Interfaces;
-use crate::msgs::printable;
-use crate::robot::Catalog;
-use crate::table::{Cell, Decoder};
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 
-use super::carried::carried_over;
 use super::open;
-use super::select::TopicArguments;
-use super::source::{Done, Source};
+use super::select::{Done, Source, TopicArguments, carried_over};
+use crate::bags::TopicId;
+use crate::bridge::edge::Interfaces;
+use crate::msgs::printable;
 use crate::program::new_output::{Force, Output};
 use crate::program::not_built;
+use crate::robot::Catalog;
+use crate::table::{Cell, Decoder};
 
 #[derive(Args)]
 pub(crate) struct ExportArguments {

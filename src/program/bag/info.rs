@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use crate::bags::{BagInfo, Reader, TopicSizes};
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::progress::Progress;
+use super::output::Progress;
+use crate::bags::{BagInfo, Reader, TopicSizes};
 
 #[derive(Args)]
 pub(crate) struct InfoArguments {

@@ -1,6 +1,5 @@
 //! `downbeat bag`, one file for each command.
 
-mod carried;
 #[cfg(feature = "plots")]
 mod chart;
 pub(super) mod check;
@@ -13,13 +12,11 @@ mod output;
 pub(super) mod play;
 #[cfg(feature = "plots")]
 pub(super) mod plot;
-mod progress;
 pub(super) mod record;
 pub(super) mod reindex;
 pub(super) mod repair;
 pub(super) mod replay;
 mod select;
-mod source;
 
 use std::path::Path;
 

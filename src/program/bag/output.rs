@@ -1,15 +1,16 @@
 //! Options for the bag that a command creates.
 
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+use super::custom_data;
 use crate::bags::{
     Compression, Copied, Copy, Reader, SplitLimits, Storage, StorageError, StorageOptions, WriterOptions,
 };
-use clap::{Args, ValueEnum};
-
-use super::custom_data;
-use super::progress::Progress;
 use crate::program::new_output::{Force, Output};
 
 /// How a new bag is written.
@@ -105,4 +106,42 @@ pub(crate) fn write(
     let summary = &copied.summary;
     println!("wrote {} messages into {}", summary.message_count(), summary.path.display());
     Ok(copied)
+}
+
+/// The progress bar of an operation.
+pub(crate) struct Progress {
+    bar: ProgressBar,
+    started: Instant,
+    is_shown: bool,
+}
+
+/// Shorter operations show no bar.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+impl Progress {
+    /// Creates a bar for the operation `what` on `total` messages.
+    pub(crate) fn new(what: &'static str, total: u64) -> Self {
+        let bar = ProgressBar::with_draw_target(Some(total), ProgressDrawTarget::hidden());
+        let style = "{prefix} {wide_bar} {human_pos}/{human_len} messages, {per_sec}, {eta} left";
+        if let Ok(style) = ProgressStyle::with_template(style) {
+            bar.set_style(style);
+        }
+        bar.set_prefix(what);
+        Self { bar, started: Instant::now(), is_shown: false }
+    }
+
+    /// Updates the number of processed messages.
+    pub(crate) fn at(&mut self, messages: u64) {
+        if !self.is_shown && self.started.elapsed() >= PATIENCE && std::io::stderr().is_terminal() {
+            self.bar.set_draw_target(ProgressDrawTarget::stderr());
+            self.is_shown = true;
+        }
+        self.bar.set_position(messages);
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
 }

@@ -2,19 +2,18 @@
 
 use std::path::PathBuf;
 
-use crate::bags::Reader;
-use crate::bridge::edge::Interfaces;
-use crate::msgs::printable;
-use crate::robot::Catalog;
-use crate::table::{Cell, Column, ColumnKind, Decoder};
 use anyhow::{Context, bail};
 use clap::Args;
 
 use super::chart::{Chart, Curve};
 use super::open;
-use super::select::absolute;
-use super::source::Source;
+use super::select::{Source, absolute};
+use crate::bags::Reader;
+use crate::bridge::edge::Interfaces;
+use crate::msgs::printable;
 use crate::program::new_output::{Force, Output};
+use crate::robot::Catalog;
+use crate::table::{Cell, Column, ColumnKind, Decoder};
 
 /// More curves are not distinguishable.
 const MOST_CURVES: usize = 40;

@@ -1,10 +1,14 @@
 //! Selection of a bag's topics: the options of `ros2 bag play`.
 
-use crate::bags::TopicInfo;
-use crate::msgs::printable;
-use anyhow::Context;
+use anyhow::{Context, bail};
+use bytes::Bytes;
 use clap::Args;
 use regex_lite::Regex;
+
+use super::output::Progress;
+use crate::bags::{Reader, RecordedTopic, Selection, TopicDescription, TopicId};
+use crate::msgs::printable;
+use crate::table::{Columns, DecodeError, Decoder, Survey};
 
 #[derive(Args, Clone, Default)]
 pub(crate) struct TopicArguments {
@@ -35,7 +39,7 @@ pub(crate) struct TopicArguments {
 }
 
 /// Parsed [`TopicArguments`].
-pub(crate) struct TopicFilter {
+pub(crate) struct ChosenTopics {
     names: Vec<String>,
     types: Vec<String>,
     regex: Option<Regex>,
@@ -45,8 +49,8 @@ pub(crate) struct TopicFilter {
 }
 
 impl TopicArguments {
-    pub(crate) fn filter(&self) -> anyhow::Result<TopicFilter> {
-        Ok(TopicFilter {
+    pub(crate) fn filter(&self) -> anyhow::Result<ChosenTopics> {
+        Ok(ChosenTopics {
             names: names(&self.topics, &self.services),
             types: self.topic_types.clone(),
             regex: self.regex.as_deref().map(whole).transpose()?,
@@ -59,7 +63,7 @@ impl TopicArguments {
     /// Checks that every named topic exists: a wrong name would silently have no effect.
     pub(crate) fn check<'a>(
         &self,
-        topics: impl Iterator<Item = &'a TopicInfo> + Clone,
+        topics: impl Iterator<Item = &'a TopicDescription> + Clone,
     ) -> anyhow::Result<()> {
         for name in names(&self.topics, &self.services) {
             if !topics.clone().any(|topic| topic.name == name) {
@@ -71,9 +75,9 @@ impl TopicArguments {
     }
 }
 
-impl TopicFilter {
-    pub(crate) fn is_wanted(&self, topic: &TopicInfo) -> bool {
-        let TopicInfo { name, type_name, .. } = topic;
+impl ChosenTopics {
+    pub(crate) fn is_wanted(&self, topic: &TopicDescription) -> bool {
+        let TopicDescription { name, type_name, .. } = topic;
         let is_anything_named = !self.names.is_empty() || !self.types.is_empty() || self.regex.is_some();
         let is_named = self.names.contains(name)
             || self.types.contains(type_name)
@@ -100,6 +104,95 @@ fn whole(regex: &str) -> anyhow::Result<Regex> {
     Regex::new(&format!("^(?:{regex})$")).with_context(|| format!("\"{regex}\" is not a regular expression"))
 }
 
+/// A topic of a bag.
+pub(super) struct Source<'a> {
+    bag: &'a Reader,
+    id: TopicId,
+    pub(super) topic: &'a RecordedTopic,
+}
+
+/// The result of processing messages.
+pub(super) struct Done {
+    pub(super) messages: u64,
+    /// Unreadable messages and parts of the bag.
+    pub(super) unreadable: usize,
+}
+
+impl<'a> Source<'a> {
+    pub(super) fn new(bag: &'a Reader, id: TopicId) -> Self {
+        Self { bag, id, topic: &bag.topics()[id.index()] }
+    }
+
+    /// The columns for all of its messages.
+    pub(super) fn columns(&self, decoder: &Decoder) -> anyhow::Result<Columns> {
+        let mut survey = Survey::default();
+        let decode = |data| decoder.decode(data);
+        self.each("looking", decode, |_, message| {
+            survey.see(&message);
+            Ok(())
+        })?;
+        Ok(survey.columns())
+    }
+
+    /// Calls a function with the times and the content of each message. Unreadable messages are logged,
+    /// skipped, and counted.
+    pub(super) fn each<T>(
+        &self,
+        doing: &'static str,
+        decode: impl Fn(Bytes) -> Result<T, DecodeError>,
+        mut act: impl FnMut([i64; 2], T) -> anyhow::Result<()>,
+    ) -> anyhow::Result<Done> {
+        let mut progress = Progress::new(doing, self.topic.message_count);
+        let (mut seen, mut done, mut broken, mut damaged) = (0, 0, 0_usize, 0);
+        for message in self.bag.messages(Selection::all().topics([self.id]))? {
+            let message = match message {
+                Ok(message) => message,
+                Err(error) => {
+                    tracing::warn!("{error}");
+                    damaged += 1;
+                    continue;
+                }
+            };
+            seen += 1;
+            progress.at(seen);
+            match decode(message.data) {
+                Ok(content) => {
+                    act([message.log_time, message.publish_time], content)?;
+                    done += 1;
+                }
+                Err(error) if broken == 0 => {
+                    broken = 1;
+                    tracing::warn!("{}: message {seen}: {error}", self.topic.info.name);
+                }
+                Err(_) => broken += 1,
+            }
+        }
+        if broken > 1 {
+            tracing::warn!("{}: {broken} messages cannot be read", self.topic.info.name);
+        }
+        Ok(Done { messages: done, unreadable: broken + damaged })
+    }
+}
+
+/// Fails if parts of the bags were lost: missing or damaged parts of the files, and `unreadable` parts and
+/// messages found by the command. Readable parts have been written before.
+pub(super) fn carried_over(bags: &[Reader], unreadable: usize) -> anyhow::Result<()> {
+    let is_lost = |bag: &&Reader| bag.truncation().any(|truncation| truncation.loses_messages());
+    let damaged: Vec<_> = bags.iter().filter(is_lost).collect();
+    let truncations = damaged.iter().flat_map(|bag| bag.truncation());
+    let parts = truncations.filter(|truncation| truncation.loses_messages()).count() + unreadable;
+    if parts == 0 {
+        return Ok(());
+    }
+    let shown = damaged.first().copied().or(bags.first()).map(|bag| bag.path().display().to_string());
+    bail!(
+        "incomplete: {parts} {} cannot be read; see above, and `downbeat bag check {1}`; `downbeat bag repair \
+         {1}` creates a complete bag from what can be read",
+        if parts == 1 { "part" } else { "parts" },
+        shown.unwrap_or_default()
+    )
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -114,10 +207,10 @@ mod tests {
             ("/reset/_service_event", "std_srvs/srv/Empty_Event"),
         ];
         let filter = arguments.filter().unwrap();
-        let info = |(name, type_name): (&str, &str)| TopicInfo {
+        let info = |(name, type_name): (&str, &str)| TopicDescription {
             name: name.to_owned(),
             type_name: type_name.to_owned(),
-            ..TopicInfo::default()
+            ..TopicDescription::default()
         };
         let wanted = topics.into_iter().filter(|topic| filter.is_wanted(&info(*topic)));
         wanted.map(|(name, _)| name).collect()

@@ -4,13 +4,12 @@ use std::fs::File;
 use std::io::{IsTerminal, Read};
 use std::path::Path;
 
-use crate::msgs::definitions::TypeName;
-use crate::msgs::dynamic::{DynamicMessage, DynamicType, YamlStyle};
 use anyhow::{Context, bail};
 
-use super::Registered;
-use super::arguments::DecodeArguments;
 use super::interfaces::{Definition, Interfaces};
+use super::{DecodeArguments, Registered};
+use crate::msgs::definitions::TypeName;
+use crate::msgs::dynamic::{DynamicMessage, DynamicType, YamlStyle};
 
 /// More than DDS and bags permit for one message.
 const MOST_BYTES: u64 = 1 << 30;

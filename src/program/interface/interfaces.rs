@@ -5,15 +5,14 @@ use std::fmt::Display;
 use std::io::IsTerminal;
 use std::path::Path;
 
+use anyhow::{Context, anyhow, bail};
+
+use super::list::{ament_packages, packages_at};
+use super::{Registered, SourceArguments, TypeArguments};
 use crate::msgs::definitions::{
     ActionDefinition, Catalog, DefinitionEncoding, Kind, MessageDefinition, ServiceDefinition, TypeName,
     nearest,
 };
-use anyhow::{Context, anyhow, bail};
-
-use super::Registered;
-use super::arguments::{SourceArguments, TypeArguments};
-use super::packages::{ament_packages, packages_at};
 
 /// Definitions from --from, AMENT_PREFIX_PATH and this program (built-in and registered), in this order: as
 /// with ament overlays, a package is taken completely from the first source that has it.

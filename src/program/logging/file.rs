@@ -3,10 +3,12 @@
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
+
+use parking_lot::Mutex;
 
 /// The maximum number of queued lines; further lines are dropped, and counted in the file.
 const WAITING: usize = 4096;
@@ -49,7 +51,7 @@ impl LogFile {
 
     /// Queues a line without waiting for the disk.
     pub(super) fn write(&self, line: String) {
-        let lines = self.shared.lines.lock().unwrap_or_else(PoisonError::into_inner);
+        let lines = self.shared.lines.lock();
         if let Some(lines) = &*lines
             && let Err(TrySendError::Full(_)) = lines.try_send(line)
         {
@@ -59,8 +61,8 @@ impl LogFile {
 
     /// Writes queued lines and closes the file.
     pub(super) fn close(&self) {
-        drop(self.shared.lines.lock().unwrap_or_else(PoisonError::into_inner).take());
-        let thread = self.shared.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        drop(self.shared.lines.lock().take());
+        let thread = self.shared.thread.lock().take();
         if let Some(thread) = thread {
             // It does not panic; if it did, standard error shows it.
             let _ = thread.join();

@@ -3,19 +3,16 @@
 //! The templates are whole projects named `my_robot` that depend on `/checkout`; both are replaced.
 
 mod name;
-mod origin;
-mod template;
 
 use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use clap::Args;
+use clap::{Args, ValueEnum};
+use toml::Value;
 
 use name::Name;
-use origin::Origin;
-pub(crate) use template::Template;
 
 #[derive(Args)]
 pub(crate) struct NewArguments {
@@ -81,4 +78,175 @@ fn write(path: &Path, content: &[u8]) -> anyhow::Result<()> {
     let folder = path.parent().unwrap_or(path);
     fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     fs::write(path, content).with_context(|| format!("cannot write {}", path.display()))
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Template {
+    /// A robot: a module with a message and a test, a robot file that runs without hardware, a recorded run.
+    Robot,
+    /// Messages, services and actions from .msg, .srv and .action files.
+    Messages,
+    /// A library with a module, for several robots.
+    Module,
+}
+
+/// A path within the project, and its content.
+type File = (&'static str, &'static [u8]);
+
+macro_rules! file {
+    ($path:literal, $template:literal) => {
+        ($path, include_bytes!(concat!("templates/", $template)))
+    };
+}
+
+const ROBOT: &[File] = &[
+    file!("Cargo.toml", "robot/Cargo.toml.template"),
+    file!("README.md", "robot/README.md"),
+    file!(".gitignore", "shared/gitignore"),
+    file!("robot.toml", "robot/robot.toml"),
+    file!("src/main.rs", "robot/src/main.rs"),
+    file!("src/level_head.rs", "robot/src/level_head.rs"),
+    file!("src/simulated_imu.rs", "robot/src/simulated_imu.rs"),
+    file!("tests/field_run/metadata.yaml", "robot/tests/field_run/metadata.yaml"),
+    file!("tests/field_run/field_run_0.mcap", "robot/tests/field_run/field_run_0.mcap"),
+];
+
+const MESSAGES: &[File] = &[
+    file!("Cargo.toml", "messages/Cargo.toml.template"),
+    file!("README.md", "messages/README.md"),
+    file!(".gitignore", "shared/gitignore"),
+    file!("build.rs", "messages/build.rs"),
+    file!("src/lib.rs", "messages/src/lib.rs"),
+    file!("my_robot/msg/HeadTilt.msg", "messages/my_robot/msg/HeadTilt.msg"),
+    file!("my_robot/srv/LevelHead.srv", "messages/my_robot/srv/LevelHead.srv"),
+    file!("my_robot/action/Look.action", "messages/my_robot/action/Look.action"),
+];
+
+const MODULE: &[File] = &[
+    file!("Cargo.toml", "module/Cargo.toml.template"),
+    file!("README.md", "module/README.md"),
+    file!(".gitignore", "shared/gitignore"),
+    file!("src/lib.rs", "module/src/lib.rs"),
+    file!("src/level_head.rs", "robot/src/level_head.rs"),
+];
+
+impl Template {
+    /// Its files.
+    fn files(self) -> &'static [File] {
+        match self {
+            Self::Robot => ROBOT,
+            Self::Messages => MESSAGES,
+            Self::Module => MODULE,
+        }
+    }
+
+    /// The first commands to run in the project.
+    fn commands(self) -> &'static [&'static str] {
+        match self {
+            Self::Robot => &["cargo run -- run robot.toml", "cargo test"],
+            Self::Messages | Self::Module => &["cargo test"],
+        }
+    }
+}
+
+/// The source of downbeat for a project, since the crates are not published.
+#[derive(Debug)]
+enum Origin {
+    /// The folder that this program was built from.
+    Checkout(PathBuf),
+    Git {
+        url: String,
+        revision: String,
+    },
+}
+
+/// The folder of the templates' dependencies.
+const TEMPLATE: &str = "/checkout";
+
+const CONFIG: &str = include_str!("templates/shared/cargo_config.toml");
+
+impl Origin {
+    fn git(url: &str, revision: &str) -> Self {
+        Self::Git { url: url.to_owned(), revision: revision.to_owned() }
+    }
+
+    fn checkout() -> anyhow::Result<Self> {
+        Self::of_folder(Path::new(env!("CARGO_MANIFEST_DIR")))
+    }
+
+    fn of_folder(folder: &Path) -> anyhow::Result<Self> {
+        if !folder.join("Cargo.toml").is_file() || folder.to_str().is_none() {
+            bail!(
+                "a project depends on the source of downbeat, but {}, from which this program was built, no longer exists: \
+                 set another source with --git URL --rev REV, or build the program again",
+                folder.display()
+            );
+        }
+        Ok(Self::Checkout(folder.to_owned()))
+    }
+
+    /// Replaces the template's `path = "/checkout…"`.
+    fn put_into(&self, text: &str) -> String {
+        let begin = format!("path = \"{TEMPLATE}");
+        let line = |line: &str| match line.split_once(&begin) {
+            Some((before, rest)) => {
+                let (package, after) = rest.split_once('"').unwrap_or((rest, ""));
+                format!("{before}{}{after}", self.dependency(package))
+            }
+            None => line.to_owned(),
+        };
+        text.split('\n').map(line).collect::<Vec<_>>().join("\n")
+    }
+
+    /// `package` is a path within the repository.
+    fn dependency(&self, package: &str) -> String {
+        match self {
+            Self::Checkout(folder) => format!("path = {}", quoted(format!("{}{package}", folder.display()))),
+            Self::Git { url, revision } => {
+                format!("git = {}, rev = {}", quoted(url.clone()), quoted(revision.clone()))
+            }
+        }
+    }
+
+    /// Files that let a project reuse the crates compiled by a checkout: its lock file, and cargo's
+    /// configuration.
+    fn files(&self) -> anyhow::Result<Vec<(&'static str, String)>> {
+        let Self::Checkout(folder) = self else {
+            return Ok(Vec::new());
+        };
+        let lock = folder.join("Cargo.lock");
+        let lock =
+            std::fs::read_to_string(&lock).with_context(|| format!("cannot read {}", lock.display()))?;
+        let target = quoted(format!("{}/target", folder.display()));
+        let config = CONFIG.replace(&format!("\"{TEMPLATE}/target\""), &target);
+        Ok(vec![("Cargo.lock", lock), (".cargo/config.toml", config)])
+    }
+}
+
+/// Quotes a TOML string.
+fn quoted(text: String) -> String {
+    Value::String(text).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LINE: &str = "a = { path = \"/checkout/msgs\" } # b";
+
+    #[test]
+    fn a_dependency_is_a_path_or_a_revision() {
+        let path = Origin::Checkout("/opt/down \"beat\"".into()).put_into(LINE);
+        let table: toml::Table = path.parse().expect(&path);
+        assert_eq!(table["a"]["path"].as_str(), Some("/opt/down \"beat\"/msgs"));
+        let git = Origin::git("https://example.org/downbeat.git", "1f2e").put_into(LINE);
+        assert_eq!(git, "a = { git = \"https://example.org/downbeat.git\", rev = \"1f2e\" } # b");
+    }
+
+    #[test]
+    fn a_missing_checkout_is_an_error_with_instructions() {
+        let error =
+            Origin::of_folder("/no/such/checkout".as_ref()).map(|_| ()).map_err(|error| error.to_string());
+        assert!(error.as_ref().is_err_and(|error| error.contains("--git URL --rev REV")), "{error:?}");
+    }
 }

@@ -7,8 +7,8 @@ use std::time::Duration;
 use crate::executor::{ModuleStatistics, OutletStatistics, Snapshot, TimeStatistics, TopicStatistics};
 
 use crate::msgs::printable;
+use crate::program::screen::{length, wrap};
 use crate::program::statistics::short;
-use crate::program::wrap::{length, wrap};
 
 /// Headings and rows. The first column is text, the others are numbers unless [`Grid::LEFT`] names them.
 #[derive(Debug, PartialEq)]

@@ -4,32 +4,29 @@ mod expose;
 mod features;
 mod launcher;
 mod module;
-mod place;
 mod record;
-mod replay;
 mod source;
 mod table;
 
 use std::path::Path;
 
+use downbeat_bags::{FieldRule, FieldRuleError};
+use downbeat_bridge::expose::TopicPattern;
 use downbeat_bridge::ros::{RemapRule, RemapRules};
 use downbeat_edge::Interfaces;
 use toml::de::DeTable;
 
+use super::{Catalog, RosArgs};
 pub(crate) use crate::msgs::definitions::suggestion;
 pub use expose::{ActionEntry, ExposeEntry, ExposeSection, LifecycleEntry, ServiceEntry, TopicChoice};
 pub use features::{ClockChoice, NodeFeatures};
 pub use launcher::{LauncherChoice, LauncherEntry};
 pub use module::ModuleEntry;
-pub(crate) use place::{Given, ParameterPlace, Place};
-pub use record::RecordEntry;
-pub use replay::ReplaySection;
+pub use record::{RecordEntry, RecordOptions};
 pub use source::RobotFileError;
-pub(crate) use source::{Source, toml_string};
+pub(crate) use source::{Given, ParameterPlace, Place, Source, toml_string};
 pub(crate) use table::list_of;
 use table::{Table, Value};
-
-use super::{Catalog, RosArgs};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -125,7 +122,7 @@ impl RobotFile {
         let expose = root.take("expose").map(|value| expose::expose(value, &catalog.interfaces));
         let expose = expose.transpose()?.unwrap_or_default();
         let record = root.take("record").map_or(Ok(RecordEntry::default()), record::record)?;
-        let replay = root.take("replay").map_or(Ok(ReplaySection::default()), replay::replay)?;
+        let replay = root.take("replay").map_or(Ok(ReplaySection::default()), replay)?;
         root.finish()?;
         let file = Self {
             source,
@@ -196,6 +193,39 @@ fn identifier(value: Value<'_>) -> Result<String> {
     Err(value
         .error(format!("\"{name}\" is not a name; use letters, digits and _, not beginning with a digit")))
 }
+
+/// How a bag of the robot is replayed, unless the command line says otherwise.
+#[derive(Clone, Debug, Default)]
+pub struct ReplaySection {
+    /// Only these modules; empty for all that can be.
+    pub modules: Vec<String>,
+    /// How exactly what they publish is compared.
+    pub rules: Vec<FieldRule>,
+    /// Topics that are not compared.
+    pub except: Vec<TopicPattern>,
+}
+
+fn replay(value: Value<'_>) -> Result<ReplaySection> {
+    let mut table = value.table("[replay]")?;
+    let modules = table.take("modules").map_or(Ok(Vec::new()), |value| value.list())?;
+    let modules = modules.iter().map(|value| Ok(value.text()?.to_owned())).collect::<Result<_>>()?;
+    let mut rules = Vec::new();
+    for (key, read) in RULES {
+        for value in table.take(key).map_or(Ok(Vec::new()), |value| value.list())? {
+            rules.push(read(value.text()?).map_err(|error| value.error(error.to_string()))?);
+        }
+    }
+    let mut except = Vec::new();
+    for value in table.take("except").map_or(Ok(Vec::new()), |value| value.list())? {
+        except.push(TopicPattern::new(value.text()?).map_err(|error| value.error(error.to_string()))?);
+    }
+    table.finish()?;
+    Ok(ReplaySection { modules, rules, except })
+}
+
+type ReadRule = fn(&str) -> std::result::Result<FieldRule, FieldRuleError>;
+
+const RULES: [(&str, ReadRule); 2] = [("tolerance", FieldRule::tolerance), ("ignore", FieldRule::ignore)];
 
 #[cfg(test)]
 mod tests;

@@ -1,11 +1,10 @@
 //! `[record]`: what a recording holds, and how it is written.
 
 use std::num::NonZeroUsize;
-use std::time::Duration;
 
 use downbeat_bags::{
-    Compression, Recording, RecordingOptions, SnapshotLimits, SplitLimits, Storage, StorageOptions,
-    SyncPolicy, WhenDiskFull, WhenSlow, WriterOptions,
+    Compression, RecordingOptions, SnapshotLimits, Storage, StorageOptions, SyncPolicy, WhenDiskFull,
+    WhenSlow, WriterOptions,
 };
 use downbeat_bridge::expose::TopicPattern;
 use downbeat_msgs::encoding::Encoding;
@@ -27,24 +26,19 @@ pub struct RecordEntry {
     pub modules: Vec<String>,
     /// Only topics that are exposed, or only those that are not; nothing for both.
     pub exposed: Option<bool>,
+    /// How it is written.
+    pub options: RecordOptions,
+}
+
+/// How a recording is written: what `[record]` of a robot file and the command line set.
+#[derive(Clone, Debug, Default)]
+pub struct RecordOptions {
     /// How its messages are serialised.
     pub encoding: Encoding,
-    /// Which storage it has, and how its files are laid out.
-    pub storage: StorageOptions,
-    /// When it goes on in a new file.
-    pub split: SplitLimits,
-    /// How many files it has at the most.
-    pub max_bag_files: Option<NonZeroUsize>,
-    /// How many bytes of messages may wait to be written.
-    pub cache_bytes: usize,
-    /// For snapshots: how long messages are kept; nothing where all is written.
-    pub snapshot: Option<Duration>,
-    /// What to do when the disk is full.
-    pub disk_full: WhenDiskFull,
-    /// What to do when the disk is slow.
-    pub slow_disk: WhenSlow,
-    /// When to wait for the medium.
-    pub sync: SyncPolicy,
+    /// How its files are written.
+    pub writer: WriterOptions,
+    /// What happens to messages until they are written.
+    pub recording: RecordingOptions,
 }
 
 impl Default for RecordEntry {
@@ -56,53 +50,27 @@ impl Default for RecordEntry {
             types: Vec::new(),
             modules: Vec::new(),
             exposed: None,
-            encoding: Encoding::default(),
-            storage: StorageOptions::default(),
-            split: SplitLimits::NONE,
-            max_bag_files: None,
-            cache_bytes: Recording::DEFAULT_QUEUE_BYTES,
-            snapshot: None,
-            disk_full: WhenDiskFull::default(),
-            slow_disk: WhenSlow::default(),
-            sync: SyncPolicy::default(),
+            options: RecordOptions::default(),
         }
     }
 }
 
-impl RecordEntry {
-    /// How the bag is written.
-    #[must_use]
-    pub fn writer_options(&self) -> WriterOptions {
-        let options = WriterOptions::new()
-            .storage(self.storage.clone())
-            .split(self.split)
-            .sync(self.sync)
-            .when_disk_full(self.disk_full);
-        match self.max_bag_files {
-            Some(most) => options.max_bag_files(most),
-            None => options,
-        }
-    }
-
+impl RecordOptions {
     /// Why the storage cannot hold messages in that encoding, if it cannot.
     #[must_use]
     pub fn refusal(&self) -> Option<String> {
-        let is_refused = self.storage.storage() == Storage::Sqlite3 && self.encoding != Encoding::Cdr;
+        let is_refused = self.writer.storage.storage() == Storage::Sqlite3 && self.encoding != Encoding::Cdr;
         is_refused.then(|| {
             let encoding = self.encoding;
             format!("the storage sqlite3 has no place for the encoding {encoding}: record it as cdr, or in the storage mcap")
         })
     }
 
-    /// What becomes of messages until they are written.
-    #[must_use]
-    pub fn recording_options(&self) -> RecordingOptions {
-        let options = RecordingOptions::new().cache_bytes(self.cache_bytes).when_slow(self.slow_disk);
-        match self.snapshot {
-            Some(duration) => {
-                options.snapshot(SnapshotLimits { max_bytes: self.cache_bytes, max_duration: Some(duration) })
-            }
-            None => options,
+    /// Sets how many bytes of messages may wait, to be written or for a snapshot.
+    pub(crate) fn set_cache_bytes(&mut self, cache_bytes: usize) {
+        self.recording.cache_bytes = cache_bytes;
+        if let Some(snapshot) = &mut self.recording.snapshot {
+            snapshot.max_bytes = cache_bytes;
         }
     }
 }
@@ -112,7 +80,6 @@ const LEAST_CHUNK: i64 = 1024;
 
 pub(super) fn record(value: Value<'_>) -> Result<RecordEntry> {
     let mut table = value.table("[record]")?;
-    let unless_given = RecordEntry::default();
     let topics = table.take("topics");
     let line = topics.map_or(table.line(), |value| value.line());
     let encoding = table.take("encoding");
@@ -124,10 +91,6 @@ pub(super) fn record(value: Value<'_>) -> Result<RecordEntry> {
         }
         None => None,
     };
-    let bytes = |table: &mut Table<'_>, key, least: i64| -> Result<Option<u64>> {
-        let what = "a number of bytes, 1024 or more";
-        table.take(key).map(|value| value.number_in(least..=i64::MAX, what)).transpose()
-    };
     let entry = RecordEntry {
         line,
         topics,
@@ -135,43 +98,47 @@ pub(super) fn record(value: Value<'_>) -> Result<RecordEntry> {
         types: list(&mut table, "types", |value| Ok(value.text()?.to_owned()))?,
         modules: list(&mut table, "modules", |value| Ok(value.text()?.to_owned()))?,
         exposed: table.take("exposed").map(|value| value.flag()).transpose()?,
-        encoding: match encoding {
-            Some(value) => choice(value, &Encoding::ALL.map(|encoding| (encoding.as_str(), encoding)))?,
-            None => unless_given.encoding,
-        },
-        storage: storage(&mut table)?,
-        split: SplitLimits {
-            max_bytes: bytes(&mut table, "max_bag_size", LEAST_CHUNK)?,
-            max_duration: table.take("max_bag_duration").map(|value| value.duration()).transpose()?,
-        },
-        max_bag_files: match table.take("max_bag_files") {
-            Some(value) => NonZeroUsize::new(value.count()? as usize),
-            None => None,
-        },
-        cache_bytes: bytes(&mut table, "max_cache_size", LEAST_CHUNK)?
-            .map_or(unless_given.cache_bytes, |bytes| usize::try_from(bytes).unwrap_or(usize::MAX)),
-        snapshot: table.take("snapshot").map(|value| value.duration()).transpose()?,
-        disk_full: match table.take("disk_full") {
-            Some(value) => choice(value, &[("stop", WhenDiskFull::Stop), ("drop", WhenDiskFull::Drop)])?,
-            None => unless_given.disk_full,
-        },
-        slow_disk: match table.take("slow_disk") {
-            Some(value) => choice(value, &[("stop", WhenSlow::Stop), ("drop", WhenSlow::Drop)])?,
-            None => unless_given.slow_disk,
-        },
-        sync: match table.take("sync") {
-            Some(value) => choice(
-                value,
-                &[("never", SyncPolicy::Never), ("files", SyncPolicy::Files), ("chunks", SyncPolicy::Chunks)],
-            )?,
-            None => unless_given.sync,
-        },
+        options: options(&mut table, encoding)?,
     };
     table.finish()?;
-    match (encoding, entry.refusal()) {
+    match (encoding, entry.options.refusal()) {
         (Some(value), Some(reason)) => Err(value.error(reason)),
         _ => Ok(entry),
     }
+}
+
+fn options(table: &mut Table<'_>, encoding: Option<Value<'_>>) -> Result<RecordOptions> {
+    let mut options = RecordOptions::default();
+    if let Some(value) = encoding {
+        options.encoding = choice(value, &Encoding::ALL.map(|encoding| (encoding.as_str(), encoding)))?;
+    }
+    let writer = &mut options.writer;
+    writer.storage = storage(table)?;
+    writer.split.max_bytes = table.take("max_bag_size").map(bytes).transpose()?;
+    writer.split.max_duration = table.take("max_bag_duration").map(|value| value.duration()).transpose()?;
+    if let Some(value) = table.take("max_bag_files") {
+        writer.max_bag_files = NonZeroUsize::new(value.count()? as usize);
+    }
+    if let Some(value) = table.take("disk_full") {
+        writer.disk_full = choice(value, &[("stop", WhenDiskFull::Stop), ("drop", WhenDiskFull::Drop)])?;
+    }
+    if let Some(value) = table.take("sync") {
+        let policies =
+            [("never", SyncPolicy::Never), ("files", SyncPolicy::Files), ("chunks", SyncPolicy::Chunks)];
+        writer.sync = choice(value, &policies)?;
+    }
+    if let Some(value) = table.take("slow_disk") {
+        options.recording.when_slow = choice(value, &[("stop", WhenSlow::Stop), ("drop", WhenSlow::Drop)])?;
+    }
+    if let Some(value) = table.take("max_cache_size") {
+        options.recording.cache_bytes = bytes(value)?;
+    }
+    if let Some(value) = table.take("snapshot") {
+        let max_bytes = options.recording.cache_bytes;
+        options.recording.snapshot =
+            Some(SnapshotLimits { max_bytes, max_duration: Some(value.duration()?) });
+    }
+    Ok(options)
 }
 
 /// `storage` and `preset`, and what stands over them.
@@ -197,6 +164,10 @@ fn storage(table: &mut Table<'_>) -> Result<StorageOptions> {
         options.set_chunk_size(value.number_in(LEAST_CHUNK..=1 << 30, "1024 to 1073741824 bytes")?);
     }
     Ok(options)
+}
+
+fn bytes<N: TryFrom<i64>>(value: Value<'_>) -> Result<N> {
+    value.number_in(LEAST_CHUNK..=i64::MAX, "a number of bytes, 1024 or more")
 }
 
 /// A name, or a pattern that is one.

@@ -2,6 +2,12 @@
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use downbeat_executor::SettingValue;
+
+use super::RobotFile;
+use crate::robot::parameters::line_of;
 
 /// What is wrong with a robot file, or with values given beside it, and where.
 #[derive(Debug, thiserror::Error)]
@@ -80,6 +86,50 @@ pub(crate) fn toml_string(text: &str) -> String {
         c => c.to_string(),
     };
     format!("\"{}\"", text.chars().map(escape).collect::<String>())
+}
+
+/// The value of a setting and where it was given.
+#[derive(Clone)]
+pub(crate) struct Given {
+    pub(crate) place: Place,
+    pub(crate) value: SettingValue,
+}
+
+/// Where a value was given.
+#[derive(Clone)]
+pub(crate) enum Place {
+    /// On a line of the robot file.
+    Line(usize),
+    /// In a parameter file.
+    Parameter(ParameterPlace),
+    /// On the command line, so.
+    Argument(String),
+}
+
+/// A value in a parameter file, by the keys that lead to it.
+#[derive(Clone)]
+pub(crate) struct ParameterPlace {
+    pub(crate) source: Arc<Source>,
+    pub(crate) keys: Vec<String>,
+}
+
+impl RobotFile {
+    /// An error that points to a place.
+    pub(crate) fn error_at(&self, place: &Place, problem: impl Into<String>) -> RobotFileError {
+        match place {
+            Place::Line(line) => self.source.error(*line, problem),
+            Place::Parameter(place) => place.error(problem),
+            Place::Argument(argument) => {
+                RobotFileError::Argument { argument: argument.clone(), problem: problem.into() }
+            }
+        }
+    }
+}
+
+impl ParameterPlace {
+    pub(crate) fn error(&self, problem: impl Into<String>) -> RobotFileError {
+        self.source.error(line_of(self.source.text(), &self.keys), problem)
+    }
 }
 
 #[cfg(test)]

@@ -47,10 +47,10 @@ fn an_exposed_topic_may_have_another_name_a_type_and_a_quality_of_service() {
 
 #[test]
 fn a_recording_is_cdr_unless_the_file_names_another_encoding() {
-    assert_eq!(parse(ROBOT).unwrap().record.encoding, Encoding::Cdr);
+    assert_eq!(parse(ROBOT).unwrap().record.options.encoding, Encoding::Cdr);
     let record = |name: &str| format!("{ROBOT}[record]\nencoding = \"{name}\"");
     for encoding in Encoding::ALL {
-        assert_eq!(parse(&record(encoding.as_str())).unwrap().record.encoding, encoding);
+        assert_eq!(parse(&record(encoding.as_str())).unwrap().record.options.encoding, encoding);
     }
     let problem = problem(&record("protobufs"));
     assert_eq!(problem, "robots/test.toml:6: unknown choice \"protobufs\", did you mean \"protobuf\"?");
@@ -58,14 +58,16 @@ fn a_recording_is_cdr_unless_the_file_names_another_encoding() {
 
 #[test]
 fn a_recording_is_mcap_unless_the_file_names_another_storage() {
-    assert_eq!(parse(ROBOT).unwrap().record.storage, StorageOptions::default());
+    assert_eq!(parse(ROBOT).unwrap().record.options.writer.storage, StorageOptions::default());
     let record = |keys: &str| format!("{ROBOT}[record]\n{keys}");
-    let fast = parse(&record("storage = \"mcap\"\npreset = \"fastwrite\"")).unwrap().record.storage;
+    let fast =
+        parse(&record("storage = \"mcap\"\npreset = \"fastwrite\"")).unwrap().record.options.writer.storage;
     assert_eq!(fast, StoragePreset::FastWrite.options().into());
     let told = problem(&record("preset = \"resilient\""));
     assert!(told.starts_with("robots/test.toml:6: unknown choice \"resilient\""), "{told}");
     let (compressed, encoded) = if cfg!(feature = "sqlite") {
-        let storage = parse(&record("storage = \"sqlite3\"\npreset = \"none\"")).unwrap().record.storage;
+        let storage =
+            parse(&record("storage = \"sqlite3\"\npreset = \"none\"")).unwrap().record.options.writer.storage;
         assert_eq!(storage, StorageOptions::preset(Storage::Sqlite3, "none").unwrap());
         (
             ":7: the storage sqlite3 does not support compression",

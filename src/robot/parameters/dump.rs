@@ -103,7 +103,7 @@ fn text(text: &str) -> String {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::robot::parameters::value::setting_value;
+    use crate::robot::parameters::setting_value;
 
     #[test]
     fn every_value_is_read_as_it_was_written() {

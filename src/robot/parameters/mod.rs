@@ -2,22 +2,19 @@
 
 mod dump;
 mod file;
-mod line;
-mod value;
 
 use std::path::Path;
 use std::sync::Arc;
 
 use downbeat_executor::SettingValue;
-
-pub(crate) use file::{NodeParameter, parameters_of_nodes};
-pub(crate) use line::line_of;
-pub(crate) use value::setting_value;
+use serde_norway::Value;
 
 use super::file::{Given, ParameterPlace, Place, Source, suggestion};
 use super::{ClockChoice, RobotFile, RobotFileError};
+use crate::robot::file::list_of;
+pub(crate) use file::{NodeParameter, line_of, parameters_of_nodes};
 
-type Result<T> = std::result::Result<T, RobotFileError>;
+type Result<T, E = RobotFileError> = std::result::Result<T, E>;
 
 /// Parameters that every ROS 2 node has, and that no module of ours is set by.
 const OF_EVERY_NODE: [&str; 3] = ["use_sim_time", "start_type_description_service", "qos_overrides"];
@@ -119,6 +116,32 @@ impl RobotFile {
         }
         Ok(())
     }
+}
+
+/// The value as a setting holds it. Errors say what was expected and found.
+pub(crate) fn setting_value(value: &Value) -> Result<SettingValue, String> {
+    match value {
+        Value::Bool(value) => Ok(SettingValue::Bool(*value)),
+        Value::String(text) => Ok(SettingValue::Text(text.clone())),
+        Value::Number(number) => match (number.as_i64(), number.as_f64()) {
+            (Some(integer), _) => Ok(SettingValue::Integer(integer)),
+            (None, Some(double)) if number.is_f64() => Ok(SettingValue::Double(double)),
+            _ => Err(format!("{number} does not fit a whole number of 64 bits")),
+        },
+        Value::Sequence(elements) => {
+            let values = elements.iter().map(setting_value).collect::<Result<Vec<_>, _>>()?;
+            list_of(values).ok_or_else(|| {
+                "expected a list of numbers only, of texts only, or of truth values only".into()
+            })
+        }
+        Value::Null => Err(expected("nothing")),
+        Value::Mapping(_) => Err(expected("a map")),
+        Value::Tagged(_) => Err(expected("a value with a tag")),
+    }
+}
+
+fn expected(found: &str) -> String {
+    format!("expected true, false, a number, text, or a list of one of these; found {found}")
 }
 
 #[cfg(test)]

@@ -154,3 +154,35 @@ fn what_is_dumped_is_loaded_as_it_was() {
     assert_eq!(settings(&loaded), settings(&original));
     assert_eq!(loaded.parameters(), dumped);
 }
+
+fn value_of(text: &str) -> Result<SettingValue, String> {
+    setting_value(&serde_norway::from_str(text).unwrap())
+}
+
+#[test]
+fn values_have_the_type_that_yaml_gives_them() {
+    assert_eq!(value_of("true"), Ok(true.into()));
+    assert_eq!(value_of("True"), Ok(true.into()));
+    assert_eq!(value_of("-3"), Ok(SettingValue::Integer(-3)));
+    assert_eq!(value_of("3.0"), Ok(3.0.into()));
+    assert_eq!(value_of("\"3\""), Ok("3".to_owned().into()));
+    assert_eq!(value_of("/dev/ttyUSB0"), Ok("/dev/ttyUSB0".to_owned().into()));
+    assert_eq!(value_of("[1, 2]"), Ok(vec![1_i64, 2].into()));
+    assert_eq!(value_of("[1, 2.5]"), Ok(vec![1.0, 2.5].into()));
+    assert_eq!(value_of("[true, false]"), Ok(vec![true, false].into()));
+    assert_eq!(value_of("[a, b]"), Ok(vec!["a".to_owned(), "b".to_owned()].into()));
+}
+
+#[test]
+fn what_no_setting_holds_is_refused() {
+    for (text, problem) in [
+        ("~", "found nothing"),
+        ("[1, a]", "of numbers only, of texts only"),
+        ("[true, 1]", "or of truth values only"),
+        ("18446744073709551615", "64 bits"),
+        ("!x 3", "with a tag"),
+    ] {
+        let refusal = value_of(text).unwrap_err();
+        assert!(refusal.contains(problem), "{text}: {refusal}");
+    }
+}

@@ -2,27 +2,25 @@
 
 mod controls;
 mod into;
-mod requests;
 mod ros;
 mod target;
 
 use std::path::PathBuf;
 use std::time::Duration;
 
-use crate::bags::{PlayerOptions, Reader};
-use crate::bridge::ros::RemapRule;
-use crate::msgs::encoding::Encoding;
-use crate::robot::{Catalog, RosArgs};
 use anyhow::bail;
 use clap::Args;
 
-use super::carried::carried_over;
 use super::open;
-use super::select::TopicArguments;
+use super::select::{TopicArguments, carried_over};
+use crate::bags::{PlayerOptions, Reader};
+use crate::bridge::ros::RemapRule;
+use crate::msgs::encoding::Encoding;
 use crate::program::logging::Log;
 use crate::program::new_output::Force;
 use crate::program::screen::Screen;
-use requests::RequestsSource;
+use crate::robot::{Catalog, RosArgs};
+use target::RequestsSource;
 
 #[derive(Args)]
 pub(crate) struct PlayArguments {

@@ -2,6 +2,11 @@
 
 use std::time::{Duration, Instant};
 
+use anyhow::{Context, bail};
+
+use super::PlayArguments;
+use super::controls::{Control, Controls, answer};
+use super::target::{Target, targets};
 use crate::bags::{BagMessage, Player, PlayerOptions, Rate, Reader, ReaderError, Step};
 use crate::bridge::limiter::Limiter;
 use crate::bridge::middleware::WriteError;
@@ -14,18 +19,12 @@ use crate::msgs::rosbag2_interfaces::srv::{
 };
 use crate::msgs::rosgraph_msgs::msg::Clock;
 use crate::msgs::{Message, cdr};
-use crate::robot::{Catalog, RosArgs};
-use crate::ros_recorder::QosOverrides;
-use anyhow::{Context, bail};
-
-use super::PlayArguments;
-use super::controls::{Control, Controls, answer};
-use super::target::{Target, targets};
 use crate::program::bag::select::absolute;
-use crate::program::keyboard::{Key, Keyboard};
 use crate::program::run::node;
 use crate::program::screen::Screen;
-use crate::program::stop::Stop;
+use crate::program::stop::{Key, Keyboard, Stop};
+use crate::robot::{Catalog, RosArgs};
+use crate::ros_recorder::QosOverrides;
 
 /// The maximum time to wait for discovery: earlier samples reach nobody.
 const DISCOVERY: Duration = Duration::from_secs(3);

@@ -96,11 +96,11 @@ pub(crate) struct SelectionArguments {
     pub(crate) modules: Vec<String>,
     /// With --robot: record what is exposed to ROS 2, or what is not.
     #[arg(long, value_enum, requires = "robot", value_name = "WHICH")]
-    pub(crate) exposed: Option<Exposed>,
+    pub(crate) exposed: Option<ExposedChoice>,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Exposed {
+pub(crate) enum ExposedChoice {
     Only,
     Not,
 }

@@ -1,29 +1,28 @@
 //! `downbeat bag record`
 
 pub(crate) mod arguments;
-mod writing;
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use crate::bags::{Recording, RecordingControl, RecordingSummary};
-use crate::recorder::Unrecorded;
-use crate::robot::{Catalog, ClockChoice, RecordEntry, RobotFile, RosArgs};
-use crate::ros_recorder::{QosOverrides, RosRecorder, RosRecorderOptions, TopicFilter, serve, split_events};
 use anyhow::{Context, bail};
 
+use crate::bags::{
+    Recording, RecordingControl, RecordingSummary, SnapshotLimits, StorageOptions, StoragePreset, SyncPolicy,
+    WhenDiskFull, WhenSlow,
+};
 use crate::program::bag::select::absolute;
-use crate::program::keyboard::{Key, Keyboard};
 use crate::program::logging::Log;
 use crate::program::new_output::Output;
-use crate::program::run::WatchedRobot;
-use crate::program::run::node;
-use crate::program::screen::Screen;
+use crate::program::run::{WatchedRobot, node};
+use crate::program::screen::{Screen, shorten, wrap};
 use crate::program::status::{SEPARATOR, bag};
-use crate::program::stop::Stop;
-use crate::program::wrap::{shorten, wrap};
+use crate::program::stop::{Key, Keyboard, Stop};
+use crate::recorder::Unrecorded;
+use crate::robot::{Catalog, ClockChoice, RecordOptions, RobotFile, RosArgs};
+use crate::ros_recorder::{QosOverrides, RosRecorder, RosRecorderOptions, TopicFilter, serve, split_events};
 use crate::running::RecordPlan;
-use arguments::{Exposed, RecordArguments};
+use arguments::{ExposedChoice, OnTrouble, RecordArguments, SyncWhen};
 
 pub(crate) fn record(
     arguments: &RecordArguments,
@@ -55,12 +54,12 @@ fn record_robot(
     log.name_after(&file)?;
     // There is no node that could receive `/clock`.
     file.expose.features.clock = ClockChoice::Own;
-    writing::apply(&arguments.writing, &mut file.record)?;
+    apply(arguments, &mut file.record.options)?;
     if !arguments.selection.modules.is_empty() {
         file.record.modules.clone_from(&arguments.selection.modules);
     }
     if let Some(exposed) = arguments.selection.exposed {
-        file.record.exposed = Some(exposed == Exposed::Only);
+        file.record.exposed = Some(exposed == ExposedChoice::Only);
     }
     let mut filter = filter(arguments, |name| Ok(absolute(name)))?;
     if arguments.topics().next().is_some() || arguments.selection.is_given() {
@@ -71,13 +70,7 @@ fn record_robot(
         filter.includes_hidden = true;
     }
     let named = if filter.all_topics { Vec::new() } else { filter.topics.clone() };
-    let plan = RecordPlan {
-        directory,
-        writer: writing::writer_options(&arguments.writing, &file.record),
-        recording: writing::recording_options(&arguments.writing, &file.record, arguments.start_paused),
-        encoding: file.record.encoding,
-        filter: Some(filter),
-    };
+    let plan = RecordPlan { directory, options: file.record.options.clone(), filter: Some(filter) };
     let stop = Stop::new()?;
     let interfaces = file.catalog.interfaces.clone();
     let mut robot = WatchedRobot::new(file)?;
@@ -170,12 +163,13 @@ fn record_from_ros(
 ) -> anyhow::Result<()> {
     arguments.check()?;
     let stop = Stop::new()?.after(arguments.duration);
-    let mut entry = RecordEntry { cache_bytes: writing::DEFAULT_CACHE_BYTES, ..RecordEntry::default() };
-    writing::apply(&arguments.writing, &mut entry)?;
+    let mut record = RecordOptions::default();
+    record.set_cache_bytes(DEFAULT_CACHE_BYTES);
+    apply(arguments, &mut record)?;
     let format = arguments.writing.serialization_format.as_deref().unwrap_or("cdr");
     tracing::debug!(
         "storage {}, serialization {format}, compression mode {}",
-        entry.storage.storage(),
+        record.writer.storage.storage(),
         arguments.writing.compression_mode
     );
     let qos_overrides = match &arguments.discovery.qos_profile_overrides_path {
@@ -186,15 +180,14 @@ fn record_from_ros(
     let options = RosRecorderOptions {
         filter: filter(arguments, |name| Ok(node.topic_name(name)?.as_str().to_owned()))?,
         qos_overrides,
-        encoding: entry.encoding,
+        encoding: record.encoding,
         uses_sim_time: arguments.use_sim_time,
-        waits_for_room: entry.cache_bytes == 0,
+        waits_for_room: record.recording.cache_bytes == 0,
     };
     arguments.force.make_way(Output::Bag, &output, [])?;
-    let mut writer = writing::writer_options(&arguments.writing, &entry).create(&output)?;
+    let mut writer = record.writer.create(&output)?;
     writer.on_split(split_events(&node)?);
-    let recording_options = writing::recording_options(&arguments.writing, &entry, arguments.start_paused);
-    let recording = Recording::start_with(writer, &recording_options)
+    let recording = Recording::start_with(writer, &record.recording)
         .context("cannot start the thread that writes the bag")?;
     let control = recording.control();
     let services = serve(&node, &control, arguments.writing.snapshot_mode)?;
@@ -295,4 +288,70 @@ fn tell(summary: &RecordingSummary) {
     if summary.deleted > 0 {
         println!("  {} more were in deleted files", summary.deleted);
     }
+}
+
+/// The cache of rosbag2 (each of its two buffers): 100 MiB.
+const DEFAULT_CACHE_BYTES: usize = 100 * 1024 * 1024;
+
+/// Overrides the options with the command line.
+fn apply(arguments: &RecordArguments, options: &mut RecordOptions) -> anyhow::Result<()> {
+    let given = &arguments.writing;
+    let writer = &mut options.writer;
+    let storage = given.storage.unwrap_or(writer.storage.storage());
+    if let Some(preset) = &given.storage_preset_profile {
+        writer.storage = StorageOptions::preset(storage, preset)?;
+    } else if storage != writer.storage.storage() {
+        writer.storage = StorageOptions::of(storage)?;
+    }
+    if given.zstd {
+        let (mcap, fast) = (writer.storage.mcap_mut()?, StoragePreset::ZstdFast.options());
+        (mcap.compression, mcap.level) = (fast.compression, fast.level);
+    }
+    if let Some(path) = &given.storage_config_file {
+        writer.storage = writer.storage.clone().with_config_file(path)?;
+    }
+    if let Some(bytes) = given.max_bag_size {
+        writer.split.max_bytes = (bytes > 0).then_some(bytes);
+    }
+    if let Some(seconds) = given.max_bag_duration {
+        writer.split.max_duration = (seconds > 0).then_some(Duration::from_secs(seconds));
+    }
+    writer.max_bag_files = given.max_bag_files.or(writer.max_bag_files);
+    writer.flush_interval = given.flush_interval.unwrap_or(writer.flush_interval);
+    match given.when_disk_full {
+        Some(OnTrouble::Drop) => writer.disk_full = WhenDiskFull::Drop,
+        Some(OnTrouble::Stop) => writer.disk_full = WhenDiskFull::Stop,
+        None => {}
+    }
+    match given.sync {
+        Some(SyncWhen::Never) => writer.sync = SyncPolicy::Never,
+        Some(SyncWhen::Files) => writer.sync = SyncPolicy::Files,
+        Some(SyncWhen::Chunks) => writer.sync = SyncPolicy::Chunks,
+        None => {}
+    }
+    for (key, value) in &given.custom_data {
+        *writer = std::mem::take(writer).custom_data(key, value);
+    }
+    match given.when_slow {
+        Some(OnTrouble::Drop) => options.recording.when_slow = WhenSlow::Drop,
+        Some(OnTrouble::Stop) => options.recording.when_slow = WhenSlow::Stop,
+        None => {}
+    }
+    options.encoding = given.encoding.unwrap_or(options.encoding);
+    if let Some(reason) = options.refusal() {
+        bail!(reason);
+    }
+    if let Some(bytes) = given.max_cache_size {
+        options.set_cache_bytes(bytes);
+    }
+    if given.snapshot_mode {
+        let max_bytes = options.recording.cache_bytes;
+        if max_bytes == 0 {
+            bail!("Max cache size must be greater than 0 when snapshot mode is enabled");
+        }
+        options.recording.snapshot =
+            Some(SnapshotLimits { max_bytes, max_duration: given.snapshot_duration });
+    }
+    options.recording.is_paused |= arguments.start_paused;
+    Ok(())
 }

@@ -1,0 +1,164 @@
+//! What a bag tells of the robot that it was recorded in: its cycles and its changed settings.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+use bytes::Bytes;
+use downbeat_bags::{Reader, Selection, TopicId};
+use downbeat_edge::Interfaces;
+use downbeat_edge::setting_value;
+use downbeat_executor::Core;
+use downbeat_msgs::downbeat_interfaces::msg::{CycleTimes, ModuleSettings};
+use downbeat_msgs::{Message, cdr};
+
+use super::PlaybackError;
+use crate::encoding::RecordedType;
+use crate::journal;
+
+/// The messages of topics as CDR, each topic's in the order of the bag. Every chunk holds messages of most topics, so reading
+/// them together takes as long as reading those of one.
+pub(crate) struct Extract {
+    interfaces: Interfaces,
+    messages: BTreeMap<TopicId, Vec<Bytes>>,
+}
+
+impl Extract {
+    /// Nothing yet.
+    pub(crate) fn new(interfaces: &Interfaces) -> Self {
+        Self { interfaces: interfaces.clone(), messages: BTreeMap::new() }
+    }
+
+    pub(crate) fn read(
+        reader: &Reader,
+        topics: &BTreeSet<TopicId>,
+        interfaces: &Interfaces,
+    ) -> Result<Self, PlaybackError> {
+        let mut extract = BTreeMap::new();
+        for &id in topics {
+            extract.insert(id, (RecordedType::of(&reader.topics()[id.index()], interfaces)?, Vec::new()));
+        }
+        for message in reader.messages(Selection::all().topics(topics.iter().copied()))? {
+            let message = message?;
+            if let Some((recorded, messages)) = extract.get_mut(&message.topic) {
+                messages.push(recorded.to_cdr(message.data)?);
+            }
+        }
+        let messages = extract.into_iter().map(|(id, (_, messages))| (id, messages)).collect();
+        Ok(Self { interfaces: interfaces.clone(), messages })
+    }
+
+    /// The types that its messages were read by.
+    pub(crate) fn interfaces(&self) -> &Interfaces {
+        &self.interfaces
+    }
+
+    /// Those of a topic that was read, or is read now.
+    pub(crate) fn of(&mut self, reader: &Reader, topic: TopicId) -> Result<&[Bytes], PlaybackError> {
+        if !self.messages.contains_key(&topic) {
+            let mut read = Self::read(reader, &BTreeSet::from([topic]), &self.interfaces)?;
+            self.messages.append(&mut read.messages);
+        }
+        Ok(self.messages.get(&topic).map_or(&[], Vec::as_slice))
+    }
+
+    /// The same, each as a message of that type; none if the bag lacks the topic.
+    pub(crate) fn messages<T: Message>(
+        &mut self,
+        reader: &Reader,
+        topic: &'static str,
+    ) -> Result<Option<Vec<T>>, PlaybackError> {
+        let Some(id) = reader.topic(&format!("/{topic}")) else { return Ok(None) };
+        let messages = self.of(reader, id)?.iter().map(|message| cdr::from_slice(message));
+        Ok(Some(messages.collect::<Result<_, _>>().map_err(|error| PlaybackError::account(topic, error))?))
+    }
+}
+
+/// What a bag tells of the cycles.
+pub(crate) enum Cycles {
+    /// The time of each cycle. If `is_whole`, up to that in which the robot began to stop, else its recording was interrupted.
+    Recorded { times: Vec<i64>, is_whole: bool },
+    /// The bag was recorded in a robot, but without these times: there were cycles at the times of its messages.
+    OfMessages,
+    /// The bag was recorded elsewhere, for example from ROS 2: timers fire at their exact times.
+    Unknown,
+}
+
+impl Cycles {
+    pub(crate) fn read(reader: &Reader, extract: &mut Extract) -> Result<Self, PlaybackError> {
+        let messages = extract.messages::<CycleTimes>(reader, journal::CYCLES)?.unwrap_or_default();
+        if messages.is_empty() {
+            // What the recorder notes of each robot that it records.
+            let is_of_robot =
+                reader.metadata().is_some_and(|metadata| metadata.custom_data.contains_key("robot"));
+            return Ok(if is_of_robot { Self::OfMessages } else { Self::Unknown });
+        }
+        let (mut times, mut is_whole) = (Vec::new(), false);
+        for message in messages {
+            if message.first != times.len() as u64 {
+                return Err(PlaybackError::CyclesLost { expected: times.len() as u64, found: message.first });
+            }
+            times.extend_from_slice(&message.times);
+            is_whole = message.is_end;
+        }
+        Ok(Self::Recorded { times, is_whole })
+    }
+
+    pub(crate) fn is_recorded(&self) -> bool {
+        matches!(self, Self::Recorded { .. })
+    }
+
+    /// The time of the first cycle that the bag tells.
+    pub(crate) fn first(&self) -> Option<i64> {
+        match self {
+            Self::Recorded { times, .. } => times.first().copied(),
+            Self::OfMessages | Self::Unknown => None,
+        }
+    }
+
+    /// What modules publish from this time on is in no bag. While the robot stopped there were more cycles, at times that are not
+    /// recorded; of a recording that was interrupted the bag may lack what the last cycle published, too.
+    pub(crate) fn end(&self) -> i64 {
+        match self {
+            Self::Recorded { times, is_whole } => {
+                let last = times.last().copied().unwrap_or(i64::MIN);
+                if *is_whole { last.saturating_add(1) } else { last }
+            }
+            Self::OfMessages | Self::Unknown => i64::MAX,
+        }
+    }
+}
+
+/// The changes of settings of some modules, in the order in which they were made.
+#[derive(Default)]
+pub(crate) struct SettingsChanges(VecDeque<ModuleSettings>);
+
+impl SettingsChanges {
+    /// Of the modules that are wanted; none where the bag lacks the topic.
+    pub(crate) fn read(
+        reader: &Reader,
+        extract: &mut Extract,
+        is_wanted: impl Fn(&str) -> bool,
+    ) -> Result<Self, PlaybackError> {
+        let changes = extract.messages::<ModuleSettings>(reader, journal::SETTINGS)?.unwrap_or_default();
+        Ok(Self(changes.into_iter().filter(|change| is_wanted(&change.module)).collect()))
+    }
+
+    /// Has the core make those that are due in its next sync phase.
+    pub(crate) fn give(
+        &mut self,
+        core: &Core,
+        is_due: impl Fn(&ModuleSettings) -> bool,
+    ) -> Result<(), PlaybackError> {
+        while self.0.front().is_some_and(&is_due) {
+            let Some(change) = self.0.pop_front() else { break };
+            for parameter in change.settings {
+                let setting = format!("{}.{}", change.module, parameter.name);
+                let value = setting_value(parameter.value).map_err(|problem| {
+                    PlaybackError::account(journal::SETTINGS, format!("{setting}: {problem}"))
+                })?;
+                // What the module refuses now, it does not have: its messages will tell.
+                drop(core.handle().set(&change.module, &parameter.name, value));
+            }
+        }
+        Ok(())
+    }
+}
