@@ -66,7 +66,7 @@ fn a_wrong_robot_file_is_told_with_file_line_and_the_nearest_name() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_with_a_reason() {
+fn invalid_arguments_are_refused_with_a_reason() {
     let cases: [(&[&str], &str); 10] = [
         (&["run", "no/such.toml"], "cannot read the robot file no/such.toml"),
         (&["run", "robots/darwin_op.toml", "--domain", "400"], "0 to 232"),
@@ -97,7 +97,7 @@ fn what_cannot_be_is_refused_with_a_reason() {
 }
 
 #[test]
-fn every_command_explains_itself() {
+fn every_command_has_help() {
     let commands: [(&[&str], &str); 12] = [
         (&["--help"], "ROS_DOMAIN_ID"),
         (&["run", "--help"], "500ms, 10s, 5m, 1h"),
@@ -106,7 +106,7 @@ fn every_command_explains_itself() {
         (&["bag", "--help"], "Play a bag"),
         (&["bag", "info", "--help"], "ros2 bag info"),
         (&["bag", "record", "--help"], "from the very first message"),
-        (&["bag", "play", "--help"], "time from the bag"),
+        (&["bag", "play", "--help"], "with the time of the bag"),
         (&["interface", "--help"], "then from AMENT_PREFIX_PATH"),
         (&["interface", "show", "--help"], "sensor_msgs/msg/JointState"),
         (&["interface", "decode", "--help"], "CDR with its header of four bytes"),

@@ -109,7 +109,7 @@ fn what_is_no_request_is_told_and_the_next_line_is_answered() {
     let mut stream = UnixStream::connect(&robot.socket).unwrap();
     stream.write_all(b"hello\n\xff\n\n{\"request\":\"snapshot\"}\n").unwrap();
     let lines: Vec<_> = BufReader::new(&stream).lines().take(4).map(Result::unwrap).collect();
-    assert!(lines[0].starts_with("{\"error\":\"\\\"hello\\\" is no request"), "{lines:?}");
+    assert!(lines[0].starts_with("{\"error\":\"\\\"hello\\\" is not a request"), "{lines:?}");
     assert!(lines[1].starts_with("{\"error\"") && lines[2].starts_with("{\"error\""), "{lines:?}");
     assert!(lines[3].starts_with("{\"ok\":{\"time_ns\":0"), "{lines:?}");
 }

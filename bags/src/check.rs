@@ -68,7 +68,7 @@ pub struct Check {
 /// of messages read.
 ///
 /// # Errors
-/// If a file can no longer be opened.
+/// Returns an error if a file can no longer be opened.
 pub fn check(reader: &Reader, mut progress: impl FnMut(u64)) -> Result<Check, ReaderError> {
     let mut check = Check { messages: 0, decoded: 0, problems: Vec::new() };
     check.problems.extend(reader.truncation().cloned().map(Problem::Truncated));

@@ -72,7 +72,7 @@ struct Side {
 /// Compares two bags. `progress` is called with the number of messages read from both.
 ///
 /// # Errors
-/// If a file can no longer be opened.
+/// Returns an error if a file can no longer be opened.
 pub fn diff(
     first: &Reader,
     second: &Reader,
@@ -87,11 +87,11 @@ pub fn diff(
                 comparer: None,
                 waiting: [VecDeque::new(), VecDeque::new()],
             });
-            let told = Some((topic.info.type_name.clone(), topic.message_count));
+            let entry = Some((topic.info.type_name.clone(), topic.message_count));
             if is_first {
-                side.topic.first = told;
+                side.topic.first = entry;
             } else {
-                side.topic.second = told;
+                side.topic.second = entry;
             }
             side.comparer.get_or_insert_with(|| Comparer::new(&topic.info, &options.rules));
         }

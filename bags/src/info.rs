@@ -62,7 +62,7 @@ impl BagInfo {
     /// Collects the contents of a bag.
     ///
     /// # Errors
-    /// If the bag's files are no longer accessible.
+    /// Returns an error if the bag's files are no longer accessible.
     pub fn of(reader: &Reader) -> io::Result<Self> {
         let is_event = |topic: &&RecordedTopic| is_service_event(&topic.info.name, &topic.info.type_name);
         let topics: Vec<RecordedTopic> =

@@ -78,7 +78,8 @@ impl<'a> Player<'a> {
     /// Prepares to play the selected topics.
     ///
     /// # Errors
-    /// If the bags contain a topic with different types, end before the start, or cannot be read.
+    /// Returns an error if the bags contain a topic with different types, end before the start, or cannot be
+    /// read.
     pub fn open(
         bags: &'a [Reader],
         options: &PlayerOptions,
@@ -173,7 +174,7 @@ impl<'a> Player<'a> {
     /// Continues from that bag time, in nanoseconds since the epoch; a time before the start means the start.
     ///
     /// # Errors
-    /// If a bag can no longer be opened.
+    /// Returns an error if a bag can no longer be opened.
     pub fn seek(&mut self, now: Duration, time: i64) -> Result<(), ReaderError> {
         let time = time.max(self.begin);
         self.go_to(time)?;
@@ -187,7 +188,7 @@ impl<'a> Player<'a> {
     /// [`PlayerOptions::until`].
     ///
     /// # Errors
-    /// If a bag can no longer be opened.
+    /// Returns an error if a bag can no longer be opened.
     pub fn play_part(
         &mut self,
         now: Duration,

@@ -32,7 +32,7 @@ impl TopicSizes {
     /// messages read.
     ///
     /// # Errors
-    /// If a file can no longer be opened.
+    /// Returns an error if a file can no longer be opened.
     pub fn read(reader: &Reader, mut progress: impl FnMut(u64)) -> Result<Self, ReaderError> {
         // Counted by client and sequence number, as in rosbag2 (`rosbag2_cpp/info.cpp`).
         type Seen = BTreeSet<([u8; 16], i64)>;

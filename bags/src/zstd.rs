@@ -120,7 +120,7 @@ fn decode_frame(
         written += collected as u64;
     }
     match decoder.get_checksum_from_data() {
-        Some(told) if decoder.get_calculated_checksum() != Some(told) => {
+        Some(stored) if decoder.get_calculated_checksum() != Some(stored) => {
             Err("the checksum of its Zstandard frame is wrong".to_owned())
         }
         _ => Ok(written),

@@ -15,7 +15,8 @@ const LONGEST: usize = 64 * 1024 * 1024;
 /// Reads a value from a YAML text.
 ///
 /// # Errors
-/// If the text is not YAML, does not have this structure, or is unreasonably long or deeply nested.
+/// Returns an error if the text is not YAML, does not have this structure, or is unreasonably long or deeply
+/// nested.
 pub fn from_str<T: DeserializeOwned>(text: &str) -> Result<T, Error> {
     T::deserialize(deserializer(text)?)
 }
@@ -23,7 +24,7 @@ pub fn from_str<T: DeserializeOwned>(text: &str) -> Result<T, Error> {
 /// A deserializer for a YAML text.
 ///
 /// # Errors
-/// If the text is unreasonably long or deeply nested.
+/// Returns an error if the text is unreasonably long or deeply nested.
 pub fn deserializer(text: &str) -> Result<Deserializer<'_>, Error> {
     if text.len() > LONGEST {
         return Err(Error::custom(format_args!("{} bytes of YAML, the limit is {LONGEST}", text.len())));

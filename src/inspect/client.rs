@@ -1,4 +1,4 @@
-//! The looking side of the socket.
+//! The client side of the inspection socket.
 
 use std::io::{self, BufRead, BufReader, Write};
 use std::os::unix::net::UnixStream;
@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 use super::{Answer, Request, RunningRobot};
 use crate::robot::EndpointReport;
 
-/// How long an answer may take. A trace waits for its cycles, and the robot gives up on them earlier.
+/// How long an answer may take. Longer than the robot itself waits for the cycles of a trace.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A connection to a running robot.
@@ -19,31 +19,31 @@ pub struct Client {
     stream: BufReader<UnixStream>,
 }
 
-/// Why a running robot tells nothing.
+/// Error of a request to a running robot.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
-    /// It cannot be reached.
+    /// The robot cannot be reached.
     #[error("cannot reach robot {robot}: {source}; it may have ended")]
     Connection {
-        /// Its name and process.
+        /// Name and process id of the robot.
         robot: String,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// It refused.
+    /// The robot refused the request.
     #[error("robot {robot} says: {refusal}")]
     Refused {
-        /// Its name and process.
+        /// Name and process id of the robot.
         robot: String,
-        /// Why.
+        /// The reason that the robot gave.
         refusal: String,
     },
-    /// What it said is not understood.
-    #[error("robot {robot} gave an answer that is not understood; is it of another version? {source}")]
+    /// The answer of the robot cannot be parsed.
+    #[error("robot {robot} gave an answer that cannot be parsed; does it run another version? {source}")]
     Answer {
-        /// Its name and process.
+        /// Name and process id of the robot.
         robot: String,
-        /// What is wrong with it.
+        /// The parse error.
         source: serde_json::Error,
     },
 }
@@ -52,7 +52,7 @@ impl Client {
     /// Connects to a robot.
     ///
     /// # Errors
-    /// If it is gone.
+    /// Returns an error if the robot has ended.
     pub fn connect(robot: &RunningRobot) -> Result<Self, ClientError> {
         let connect = || {
             let stream = UnixStream::connect(&robot.socket)?;
@@ -71,74 +71,75 @@ impl Client {
         &self.robot
     }
 
-    /// The robot's counters now.
+    /// Returns the current counters of the robot.
     ///
     /// # Errors
-    /// If the robot is gone or refuses.
+    /// Returns an error if the robot has ended or refuses the request.
     pub fn snapshot(&mut self) -> Result<Snapshot, ClientError> {
         self.value_of(Request::Snapshot)
     }
 
-    /// Who is connected to what.
+    /// Returns how modules, topics and services are connected.
     ///
     /// # Errors
-    /// If the robot is gone or refuses.
+    /// Returns an error if the robot has ended or refuses the request.
     pub fn graph(&mut self) -> Result<Graph, ClientError> {
         self.value_of(Request::Graph)
     }
 
-    /// A trace of the next cycles, in the Trace Event Format of Chrome.
+    /// Returns a trace of the next cycles in Chrome's Trace Event Format.
     ///
     /// # Errors
-    /// If the robot is gone or refuses.
+    /// Returns an error if the robot has ended or refuses the request.
     pub fn trace(&mut self, cycles: u32) -> Result<String, ClientError> {
         self.ask(Request::Trace { cycles })
     }
 
-    /// Holds the robot.
+    /// Pauses the robot.
     ///
     /// # Errors
-    /// If the robot is gone or refuses.
+    /// Returns an error if the robot has ended or refuses the request.
     pub fn pause(&mut self) -> Result<(), ClientError> {
         self.value_of(Request::Pause)
     }
 
-    /// Lets a held robot go on.
+    /// Resumes a paused robot.
     ///
     /// # Errors
-    /// If the robot is gone or refuses.
+    /// Returns an error if the robot has ended or refuses the request.
     pub fn resume(&mut self) -> Result<(), ClientError> {
         self.value_of(Request::Resume)
     }
 
-    /// Has a held robot run one cycle.
+    /// Lets a paused robot run one cycle.
     ///
     /// # Errors
-    /// If the robot is gone or refuses.
+    /// Returns an error if the robot has ended or refuses the request.
     pub fn step(&mut self) -> Result<(), ClientError> {
         self.value_of(Request::Step)
     }
 
-    /// What ROS 2 sees of the robot.
+    /// Returns the endpoints that are exposed to ROS 2.
     ///
     /// # Errors
-    /// If the robot is gone or refuses.
+    /// Returns an error if the robot has ended or refuses the request.
     pub fn exposed(&mut self) -> Result<Vec<EndpointReport>, ClientError> {
         self.value_of(Request::Exposed)
     }
 
-    /// Exposes more, as the keys `out` and `in` of `[expose]` in a robot file say it. Returns what was added.
+    /// Exposes more topics; `entries` has the form of the keys `out` and `in` of `[expose]` in a robot file.
+    /// Returns the endpoints that were added.
     ///
     /// # Errors
-    /// If the robot is gone or refuses.
+    /// Returns an error if the robot has ended or refuses the request.
     pub fn expose(&mut self, entries: String) -> Result<Vec<EndpointReport>, ClientError> {
         self.value_of(Request::Expose { entries })
     }
 
-    /// Takes back what is exposed under these names or patterns. Returns what it was.
+    /// Removes the endpoints with these names or patterns. Returns the removed endpoints.
     ///
     /// # Errors
-    /// If the robot is gone or refuses.
+    /// Returns an error if the robot has ended or refuses the request.
     pub fn take_back(&mut self, topics: Vec<String>) -> Result<Vec<EndpointReport>, ClientError> {
         self.value_of(Request::TakeBack { topics })
     }
@@ -164,7 +165,8 @@ impl Client {
         line.push('\n');
         let written = self.stream.get_mut().write_all(line.as_bytes());
         line.clear();
-        // A robot that turns a client away says why before it hangs up, and hears nothing.
+        // A robot that rejects a client sends the reason and closes the connection without reading the
+        // request.
         match (self.stream.read_line(&mut line), written) {
             (Ok(1..), _) => Ok(line),
             (_, Err(error)) | (Err(error), _) => Err(error),

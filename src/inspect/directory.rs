@@ -1,4 +1,4 @@
-//! Where the sockets of running robots are.
+//! The directory with the sockets of running robots.
 
 use std::ffi::OsStr;
 use std::fmt;
@@ -10,43 +10,43 @@ use std::path::{Path, PathBuf};
 
 use rustix::fs::FlockOperation;
 
-/// A directory with the sockets of one user's robots, which nobody else can enter.
+/// A directory with the sockets of one user's robots. Other users have no access to it.
 #[derive(Clone, Debug)]
 pub struct SocketDirectory {
     path: PathBuf,
 }
 
-/// Why there is no directory for sockets.
+/// Error while opening the directory for sockets.
 #[derive(Debug, thiserror::Error)]
 pub enum DirectoryError {
-    /// It cannot be made or read.
+    /// The directory cannot be created or read.
     #[error("cannot use {} for the sockets of running robots: {source}", path.display())]
     Io {
-        /// The directory.
+        /// The path of the directory.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// Others could put sockets there, or read from them.
+    /// Other users could create sockets in the directory or connect to them.
     #[error(
         "{} is not private: it belongs to user {owner} and has mode {mode:03o}; remove it, or make it yours with \
          mode 700",
         path.display()
     )]
     NotPrivate {
-        /// The directory.
+        /// The path of the directory.
         path: PathBuf,
-        /// The number of the user it belongs to.
+        /// The id of the user that owns it.
         owner: u32,
-        /// Its permissions.
+        /// The permission bits.
         mode: u32,
     },
 }
 
-/// Why a robot must not have a node name.
+/// Error while a robot claims a node name.
 #[derive(Debug, thiserror::Error)]
 pub enum ClaimError {
-    /// Another one has it.
+    /// Another robot has the name.
     #[error(
         "{holder} runs on this machine as {node} in domain {domain} already, and two nodes of one name disturb each other; \
          stop that one, or give this one another name (--ros-args -r __node:=NAME), namespace (ROS_NAMESPACE) or domain"
@@ -56,28 +56,30 @@ pub enum ClaimError {
         node: String,
         /// The domain.
         domain: u16,
-        /// Its robot and process.
+        /// Name and process id of the robot that has the name.
         holder: String,
     },
-    /// It cannot be found out.
+    /// The directory with the locks cannot be used.
     #[error(transparent)]
     Directory(#[from] DirectoryError),
 }
 
-/// A node name that one robot of this machine has: a lock that the system takes back whatever becomes of the process.
+/// The claim of one robot on a node name on this machine: a lock file, which the operating system unlocks
+/// even if the process is killed.
 #[derive(Debug)]
 pub struct NodeClaim {
     _lock: File,
 }
 
-/// A robot that runs now.
+/// A running robot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunningRobot {
-    /// Its name, from the robot file; with `.2` and so on if the process has several robots of that name.
+    /// The name in the robot file, with the suffix `.2` and so on if the process has several robots of that
+    /// name.
     pub name: String,
-    /// The number of its process.
+    /// The process id.
     pub pid: u32,
-    /// Its socket.
+    /// The path of its socket.
     pub socket: PathBuf,
 }
 
@@ -88,11 +90,11 @@ impl fmt::Display for RunningRobot {
 }
 
 impl SocketDirectory {
-    /// The directory of this user, which is made if it is not there: `downbeat` in `XDG_RUNTIME_DIR`, or where that is
-    /// not set `downbeat-` and the user's number in the directory for temporary files.
+    /// Opens the directory of this user and creates it if it does not exist: `downbeat` in `XDG_RUNTIME_DIR`,
+    /// or, if that is not set, `downbeat-` followed by the user id in the directory for temporary files.
     ///
     /// # Errors
-    /// If it cannot be made, or is not private.
+    /// Returns an error if the directory cannot be created or is not private.
     pub fn open() -> Result<Self, DirectoryError> {
         let runtime = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
         Self::open_at(match runtime.filter(|path| path.is_absolute()) {
@@ -101,17 +103,17 @@ impl SocketDirectory {
         })
     }
 
-    /// A directory at a path, made if it is not there.
+    /// Opens the directory at `path` and creates it if it does not exist.
     ///
     /// # Errors
-    /// If it cannot be made, or is not private.
+    /// Returns an error if the directory cannot be created or is not private.
     pub fn open_at(path: PathBuf) -> Result<Self, DirectoryError> {
         let io_error = |source| DirectoryError::Io { path: path.clone(), source };
         match DirBuilder::new().mode(0o700).create(&path) {
             Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(io_error(error)),
             Ok(()) | Err(_) => {}
         }
-        // Not following a link that somebody else may have put there.
+        // Does not follow a link, which another user may have created.
         let metadata = fs::symlink_metadata(&path).map_err(io_error)?;
         if !metadata.is_dir() {
             return Err(io_error(io::ErrorKind::NotADirectory.into()));
@@ -123,16 +125,17 @@ impl SocketDirectory {
         Ok(Self { path })
     }
 
-    /// Where it is.
+    /// The path of the directory.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The robots that run now, by name and number of process. Sockets that nobody listens to any more are removed.
+    /// Returns the running robots, ordered by name and process id. Removes sockets of processes that have
+    /// ended.
     ///
     /// # Errors
-    /// If the directory cannot be read.
+    /// Returns an error if the directory cannot be read.
     pub fn running(&self) -> Result<Vec<RunningRobot>, DirectoryError> {
         let io_error = |source| DirectoryError::Io { path: self.path.clone(), source };
         let mut robots = Vec::new();
@@ -140,11 +143,11 @@ impl SocketDirectory {
             let socket = entry.map_err(io_error)?.path();
             let Some((name, pid)) = socket.file_name().and_then(name_and_pid) else { continue };
             match UnixStream::connect(&socket) {
-                // Its process ended without removing it.
+                // The process ended without removing its socket.
                 Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {
                     let _ = fs::remove_file(&socket);
                 }
-                // It ended between the listing and now.
+                // The robot has ended since the directory was listed.
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {}
                 Ok(_) | Err(_) => robots.push(RunningRobot { name, pid, socket }),
             }
@@ -155,20 +158,20 @@ impl SocketDirectory {
 
     /// Reserves a node name in a domain for a robot of this process, until the claim is dropped or the process ends.
     ///
-    /// Two nodes of one name in one domain answer each other's requests, and what they publish is mixed up. Robots of other users and
-    /// other machines are not known here.
+    /// Two nodes with the same name in one domain answer each other's requests, and their messages cannot be
+    /// told apart. Robots of other users and on other machines are not checked.
     ///
     /// # Errors
-    /// If a robot that runs on this machine has that name.
+    /// Returns an error if a robot that runs on this machine has that name.
     pub fn claim(&self, robot: &str, node: &str, domain: u16) -> Result<NodeClaim, ClaimError> {
-        // Domains of other network namespaces are other domains.
+        // A domain in another network namespace is a different domain.
         let network = fs::read_link("/proc/self/ns/net").unwrap_or_default();
         let digits = |text: &str| text.chars().filter(char::is_ascii_digit).collect::<String>();
         let file =
             format!("node{}-{domain}-{}.lock", node.replace('/', "."), digits(&network.to_string_lossy()));
         let path = self.path.join(file);
         let io_error = |source| DirectoryError::Io { path: path.clone(), source };
-        // Not truncated: it tells who has the lock.
+        // Not truncated: the file contains the holder of the lock.
         let open = File::options().read(true).write(true).create(true).truncate(false).open(&path);
         let mut file = open.map_err(io_error)?;
         if rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_err() {
@@ -181,7 +184,7 @@ impl SocketDirectory {
         Ok(NodeClaim { _lock: file })
     }
 
-    /// The socket of a robot of this process, which is the `number`-th of that name, from 1.
+    /// The socket of the `number`-th robot of that name in this process, from 1.
     pub(super) fn socket(&self, robot: &str, number: u32) -> PathBuf {
         let name = robot.replace(|c: char| !(c.is_alphanumeric() || c == '_'), "_");
         let number = if number > 1 { format!(".{number}") } else { String::new() };
@@ -207,7 +210,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_directory_is_made_private_and_one_that_is_not_is_refused() {
+    fn a_new_directory_is_private_and_a_public_one_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("sockets");
         SocketDirectory::open_at(path.clone()).unwrap();
@@ -219,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_in_the_place_of_the_directory_is_refused() {
+    fn a_link_instead_of_the_directory_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let (elsewhere, path) = (folder.path().join("elsewhere"), folder.path().join("sockets"));
         SocketDirectory::open_at(elsewhere.clone()).unwrap();
@@ -228,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn sockets_of_dead_processes_are_removed_and_other_files_left_alone() {
+    fn sockets_of_dead_processes_are_removed_and_other_files_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let directory = SocketDirectory::open_at(folder.path().join("sockets")).unwrap();
         let in_directory = |name: &str| directory.path().join(name);
@@ -242,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_name_has_one_robot_in_a_domain() {
+    fn only_one_robot_in_a_domain_can_claim_a_node_name() {
         let folder = tempfile::tempdir().unwrap();
         let directory = SocketDirectory::open_at(folder.path().join("sockets")).unwrap();
         let claim = directory.claim("darwin_op", "/lab/darwin_op", 7).unwrap();
@@ -253,7 +256,7 @@ mod tests {
             .map(|(node, domain)| directory.claim("again", node, domain).unwrap());
         drop(claim);
         directory.claim("again", "/lab/darwin_op", 7).unwrap();
-        assert!(directory.running().unwrap().is_empty(), "a lock is no robot");
+        assert!(directory.running().unwrap().is_empty(), "a lock file is not a robot");
     }
 
     #[test]

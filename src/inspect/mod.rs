@@ -1,8 +1,9 @@
-//! Looking at a running robot from another process, through a local socket.
+//! Inspection of a running robot from another process through a local socket.
 //!
-//! A robot that runs opens a Unix socket in a directory that only its user can enter: see [`InspectionServer`]. Each
-//! line that comes is a [`Request`] in JSON, each line that goes is an answer, `{"ok": …}` or `{"error": "…"}`.
-//! `downbeat top`, `downbeat trace` and `downbeat expose` are clients; so is this:
+//! A running robot opens a Unix socket in a directory that only its user can access: see
+//! [`InspectionServer`]. Each received line is a [`Request`] in JSON; each sent line is an answer, `{"ok":
+//! …}` or `{"error": "…"}`. `downbeat top`, `downbeat trace` and `downbeat expose` are clients. So is this
+//! command:
 //!
 //! ```text
 //! $ echo '{"request":"snapshot"}' | nc -U $XDG_RUNTIME_DIR/downbeat/darwin_op-1234.sock

@@ -1,4 +1,4 @@
-//! The robot's side of the socket.
+//! The server side of the inspection socket.
 
 use std::collections::BTreeMap;
 use std::io::{self, BufRead, BufReader, Read, Write};
@@ -22,28 +22,28 @@ const MOST_CLIENTS: usize = 16;
 /// How long a client may take to read an answer.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Why a robot cannot be looked at.
+/// Error while starting the inspection server.
 #[derive(Debug, thiserror::Error)]
 pub enum ServerError {
-    /// The socket could not be made.
+    /// The socket could not be opened.
     #[error("cannot open the socket {}: {source}", path.display())]
     Socket {
-        /// The socket.
+        /// The path of the socket.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// The system gave no thread.
+    /// The thread could not be started.
     #[error("cannot start a thread for the socket {}: {source}", path.display())]
     Thread {
-        /// The socket.
+        /// The path of the socket.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
 }
 
-/// Answers requests about a running robot until it is dropped, on threads of its own.
+/// Answers requests about a running robot on its own threads until it is dropped.
 pub struct InspectionServer {
     path: PathBuf,
     shared: Arc<Shared>,
@@ -53,7 +53,7 @@ pub struct InspectionServer {
 struct Shared {
     robot: Arc<dyn Inspected>,
     is_stopping: AtomicBool,
-    /// The connections, to be shut down at the end.
+    /// The open connections, which the drop shuts down.
     clients: Mutex<BTreeMap<u64, Client>>,
 }
 
@@ -63,10 +63,10 @@ struct Client {
 }
 
 impl InspectionServer {
-    /// Opens the socket of this process for a robot of that name.
+    /// Opens the socket for a robot of that name in this process.
     ///
     /// # Errors
-    /// If the socket or its thread cannot be made.
+    /// Returns an error if the socket cannot be opened or its thread cannot be started.
     pub fn start(
         directory: &SocketDirectory,
         name: &str,
@@ -89,7 +89,7 @@ impl InspectionServer {
         }
     }
 
-    /// The socket.
+    /// The path of the socket.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
@@ -97,10 +97,11 @@ impl InspectionServer {
 }
 
 impl Drop for InspectionServer {
-    /// Removes the socket, and waits for requests that are being answered.
+    /// Removes the socket and waits for requests that are being answered.
     fn drop(&mut self) {
         self.shared.is_stopping.store(true, Ordering::SeqCst);
-        // Wakes the thread that waits for clients. Where that fails nobody can connect any more: it is left alone.
+        // Wakes the thread that waits for clients. If this fails no client can connect any more, and the
+        // thread is not joined.
         let is_awake = UnixStream::connect(&self.path).is_ok();
         let _ = std::fs::remove_file(&self.path);
         if let Some(acceptor) = self.acceptor.take().filter(|_| is_awake) {
@@ -116,14 +117,15 @@ impl Drop for InspectionServer {
     }
 }
 
-/// A socket under its final name listens already, so that nobody takes it for one of a dead process.
+/// Opens the socket under a temporary name and renames it once it listens, so that clients do not take it for
+/// the socket of a dead process.
 fn listen(directory: &SocketDirectory, name: &str) -> Result<(PathBuf, UnixListener), ServerError> {
-    /// Two robots of this process do not take the same name.
+    /// Prevents two robots of this process from taking the same name.
     static NAMING: Mutex<()> = Mutex::new(());
     let _naming = NAMING.lock();
     let mut number = 1;
     let mut path = directory.socket(name, number);
-    // What nobody listens to is of a process of the same number that has ended.
+    // A socket without a listener belongs to an ended process with the same id.
     while UnixStream::connect(&path).is_ok() {
         number += 1;
         path = directory.socket(name, number);
@@ -146,8 +148,8 @@ fn accept(listener: &UnixListener, shared: &Arc<Shared>) {
         }
         let outcome = stream.and_then(|(stream, _)| attend(number, stream, shared));
         if let Err(error) = outcome {
-            tracing::warn!("a client that wanted to look at the robot was turned away: {error}");
-            // Too many open files, for example, are not fewer at once.
+            tracing::warn!("rejected an inspection client: {error}");
+            // Errors such as too many open files do not clear immediately.
             std::thread::sleep(Duration::from_millis(100));
         }
     }
@@ -158,18 +160,18 @@ fn attend(number: u64, stream: UnixStream, shared: &Arc<Shared>) -> io::Result<(
     stream.set_write_timeout(Some(PATIENCE))?;
     let mut clients = shared.clients.lock();
     if clients.len() >= MOST_CLIENTS {
-        let refusal = format!("there are {MOST_CLIENTS} clients already");
+        let refusal = format!("there are already {MOST_CLIENTS} clients");
         return write_line(&stream, &Answer::Error(refusal));
     }
     clients.insert(number, Client { stream: stream.try_clone()?, thread: None });
     let for_thread = Arc::clone(shared);
     let thread = std::thread::Builder::new().name("inspect".into()).spawn(move || {
-        // A client that goes away, or does not read, is no fault of the robot.
+        // Errors of a client that disconnects or does not read are ignored.
         let _ = converse(&stream, &for_thread);
         for_thread.clients.lock().remove(&number);
     });
     match thread {
-        // Where it has ended already, nobody will have to wait for it.
+        // If the client has already ended there is no thread to join.
         Ok(thread) => clients.entry(number).and_modify(|client| client.thread = Some(thread)),
         Err(error) => {
             clients.remove(&number);
@@ -179,7 +181,7 @@ fn attend(number: u64, stream: UnixStream, shared: &Arc<Shared>) -> io::Result<(
     Ok(())
 }
 
-/// Answers a client's requests until it goes away.
+/// Answers the requests of a client until it disconnects.
 fn converse(stream: &UnixStream, shared: &Shared) -> io::Result<()> {
     let mut lines = BufReader::new(stream);
     loop {
@@ -188,7 +190,7 @@ fn converse(stream: &UnixStream, shared: &Shared) -> io::Result<()> {
             return Ok(());
         }
         if line.last() != Some(&b'\n') && line.len() as u64 == LONGEST_REQUEST {
-            let refusal = format!("a request is a line of less than {LONGEST_REQUEST} bytes");
+            let refusal = format!("a request must be a line of fewer than {LONGEST_REQUEST} bytes");
             return write_line(stream, &Answer::Error(refusal));
         }
         write_line(stream, &answer(&line, &*shared.robot))?;
@@ -198,7 +200,9 @@ fn converse(stream: &UnixStream, shared: &Shared) -> io::Result<()> {
 fn answer(line: &[u8], robot: &dyn Inspected) -> Answer {
     let answered = match serde_json::from_slice(line) {
         Ok(request) => carry_out(request, robot),
-        Err(error) => Err(format!("\"{}\" is no request: {error}", String::from_utf8_lossy(line).trim_end())),
+        Err(error) => {
+            Err(format!("\"{}\" is not a request: {error}", String::from_utf8_lossy(line).trim_end()))
+        }
     };
     answered.map_or_else(Answer::Error, Answer::Ok)
 }
@@ -210,7 +214,7 @@ fn carry_out(request: Request, robot: &dyn Inspected) -> Result<Box<RawValue>, S
         Request::Trace { cycles } => {
             let most = Request::MOST_CYCLES;
             if !(1..=most).contains(&cycles) {
-                return Err(format!("a trace is of 1 to {most} cycles, not of {cycles}"));
+                return Err(format!("a trace has 1 to {most} cycles, not {cycles}"));
             }
             let trace = robot.trace(cycles).map_err(|error| error.to_string())?;
             let mut text = Vec::new();

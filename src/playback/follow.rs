@@ -12,7 +12,7 @@ use super::events::Events;
 use super::{MOST_CYCLES, PlaybackError};
 use crate::encoding::RecordedType;
 
-/// A core with what a bag has for it.
+/// A core with its input from a bag.
 pub(crate) struct Follower<'a> {
     pub(crate) core: &'a mut Core,
     pub(crate) clock: &'a ManualClock,
@@ -22,11 +22,12 @@ pub(crate) struct Follower<'a> {
 }
 
 impl Follower<'_> {
-    /// Runs the core as far as the bag goes, then stops it. Where the bag tells the cycles, these are run at their very times,
-    /// and what joined in one joins in it again. Else messages are given at their times: in a cycle for each time of a message
-    /// where the bag is of a robot, or with timers firing at their exact times between.
+    /// Runs the core until the end of the bag, then stops it. If the bag contains the cycle times, cycles run
+    /// at exactly these times and each input joins in the cycle in which it was recorded. Otherwise messages
+    /// are published at their times: in one cycle per message time if the bag was recorded in a robot, else
+    /// with timers that fire at their exact times in between.
     ///
-    /// `after_cycle` is called after each cycle and after the end. Returns how many cycles of the bag there were.
+    /// `after_cycle` is called after each cycle and after the end. Returns the number of cycles in the bag.
     pub(crate) fn run(
         &mut self,
         reader: &Reader,
@@ -70,20 +71,21 @@ impl Follower<'_> {
         Ok(count)
     }
 
-    /// What is given before a cycle joins in its sync phase, as it did when it was recorded.
+    /// Applies the inputs of a cycle before it runs, so that they join in its sync phase as they did when
+    /// they were recorded.
     fn cycle(&mut self, time: i64) -> Result<(), PlaybackError> {
         self.give(time)?;
         self.clock.set(Time::from_nanos(time));
         Ok(self.core.cycle()?)
     }
 
-    /// Gives all messages and settings up to that time.
+    /// Applies all messages and settings up to that time.
     fn give(&mut self, time: i64) -> Result<(), PlaybackError> {
         self.inputs.give(time)?;
         Ok(self.settings.give(self.core, |change| change.stamp.as_nanos() <= time)?)
     }
 
-    /// Runs what is due before `end`, then moves the clock there.
+    /// Runs what is due before `end`, then advances the clock to `end`.
     fn run_until(&mut self, end: Time) -> Result<(), PlaybackError> {
         let (mut instant, mut cycles) = (self.clock.now(), 0);
         while let Some(event) =

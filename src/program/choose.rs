@@ -55,6 +55,6 @@ mod tests {
         assert!(error.is_err_and(|error| error.contains("\"nao\"") && error.contains("darwin (process 5)")));
         let error = of(Some("darwin"), &[("darwin", 5), ("darwin", 6), ("nao", 7)]);
         assert!(error.is_err_and(|error| error.contains("process 6") && !error.contains("nao")));
-        assert!(of(None, &[("darwin", 5), ("nao", 7)]).is_err_and(|error| error.contains("which robot")));
+        assert!(of(None, &[("darwin", 5), ("nao", 7)]).is_err_and(|error| error.contains("several robots")));
     }
 }

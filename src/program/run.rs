@@ -95,10 +95,10 @@ impl WatchedRobot {
         screen.show(Vec::new());
         drop(block);
         match robot.stop() {
-            Ok(summary) => tell(&statistics, summary.as_ref()),
+            Ok(summary) => report(&statistics, summary.as_ref()),
             Err(error) => {
                 if matches!(error, StopError::Recording(_)) {
-                    tell(&statistics, None);
+                    report(&statistics, None);
                 }
                 return Err(error.into());
             }
@@ -107,7 +107,7 @@ impl WatchedRobot {
     }
 }
 
-fn tell(statistics: &Statistics, summary: Option<&RecordingSummary>) {
+fn report(statistics: &Statistics, summary: Option<&RecordingSummary>) {
     let collected = statistics.collected();
     tracing::info!("{} cycles: {}", collected.cycles, Times(collected.cycle));
     for known in &collected.loops {

@@ -315,8 +315,8 @@ mod tests {
         assert!(low.len() <= 12, "{low:#?}");
         let more =
             |line: &String| line.trim().strip_prefix('+')?.strip_suffix(" more")?.parse::<usize>().ok();
-        let told: usize = low.iter().filter_map(more).sum();
-        assert_eq!(whole(&low) + told, names.len(), "{low:#?}");
+        let more_entries: usize = low.iter().filter_map(more).sum();
+        assert_eq!(whole(&low) + more_entries, names.len(), "{low:#?}");
     }
 
     #[test]

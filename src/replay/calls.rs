@@ -1,4 +1,4 @@
-//! Requests and answers of replayed modules, beside those that the bag tells of.
+//! Compares requests and responses of replayed modules with the recorded ones.
 
 use std::collections::BTreeMap;
 
@@ -8,11 +8,11 @@ use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 use super::plan::Plan;
 use super::report::{Difference, TopicReport, What};
 
-/// Of all services of replayed modules.
+/// The calls of all services of replayed modules.
 #[derive(Default)]
 pub(super) struct Calls(BTreeMap<Row, Both>);
 
-/// What one module sends to one service, in order.
+/// The messages of one module to one service, in order.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord)]
 enum Row {
     Requests { service: String, client: String },
@@ -23,12 +23,12 @@ enum Row {
 struct Both {
     recorded: Vec<Sent>,
     replayed: Vec<Sent>,
-    /// The bag was interrupted: what is left over is no difference.
+    /// The recording was interrupted: calls without a counterpart at its end are not a difference.
     is_open: bool,
 }
 
 struct Sent {
-    /// Of the cycle in which it joined, nanoseconds since the epoch.
+    /// Time of the cycle in which it joined, nanoseconds since the epoch.
     time: i64,
     outcome: String,
     /// `None` for a request that no server received.
@@ -44,7 +44,7 @@ impl Calls {
         }
     }
 
-    /// An event of a core with these modules.
+    /// Adds an event of a core with these modules.
     pub(super) fn replayed(&mut self, plan: &Plan, event: &ModuleEvent, is_there: impl Fn(&str) -> bool) {
         if let Some((row, sent)) = sent(plan, event, is_there) {
             self.0.entry(row).or_default().replayed.push(sent);
@@ -125,7 +125,7 @@ impl Both {
             let topic = report.topic.clone();
             report.first.get_or_insert(Difference { topic, number, time, what });
         };
-        // What joined while the robot stopped is not to be the same.
+        // Calls that joined while the robot stopped are not compared.
         let (mut recorded, mut replayed) = (self.recorded.into_iter(), self.replayed.into_iter());
         let is_before_end = |sent: &Sent| sent.time < end;
         loop {

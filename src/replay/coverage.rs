@@ -1,4 +1,4 @@
-//! Which topics a replay does not compare, and why.
+//! The topics that a replay does not compare, with the reasons.
 
 use std::fmt;
 
@@ -16,58 +16,59 @@ use crate::recorder::{Unrecorded, UnrecordedTopic};
 pub struct NotCompared {
     /// With the leading slash.
     pub topic: String,
-    /// Why not.
+    /// The reason.
     pub reason: NotComparedReason,
 }
 
 /// Why a topic was not compared.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum NotComparedReason {
-    /// No module of the robot publishes it: it came from outside.
+    /// No module of the robot publishes the topic: its messages came from outside.
     Input,
-    /// The recording describes itself with it.
+    /// The topic describes the recorded run itself.
     Journal,
-    /// The process publishes it, and no module of the robot file.
+    /// The process publishes the topic, not a module of the robot file.
     Process,
-    /// Only modules publish it that were not chosen.
+    /// All modules that publish the topic were not chosen.
     NotChosen {
-        /// These modules.
+        /// The modules that publish it.
         modules: Vec<String>,
     },
-    /// Only modules publish it that cannot be replayed.
+    /// All modules that publish the topic cannot be replayed.
     LeftOut {
-        /// These modules.
+        /// The modules that publish it.
         modules: Vec<String>,
     },
-    /// It was excluded by [`ReplayOptions::except`].
+    /// Excluded by [`ReplayOptions::except`].
     Excluded,
-    /// Its messages are of a plain Rust type, which no bag holds.
+    /// The messages have a plain Rust type, which cannot be recorded.
     PlainType {
         /// The type.
         rust_type: String,
     },
-    /// Calls of a service between modules of which one is detached are of plain Rust types, which no bag holds.
+    /// A service that is called between modules, one of them detached, has plain Rust types, which cannot be
+    /// recorded.
     PlainService {
-        /// The types of request and answer.
+        /// The types of request and response.
         rust_types: String,
     },
     /// The messages of the bag cannot be read.
     Unreadable {
-        /// Why not.
+        /// The reason.
         problem: String,
     },
-    /// Replayed modules publish it, and the bag lacks the topic.
+    /// Replayed modules publish the topic, but the bag lacks it.
     NotInBag {
-        /// These modules.
+        /// The modules that publish it.
         modules: Vec<String>,
     },
-    /// Replayed modules publish it, but there was no message, neither recorded nor replayed.
+    /// Replayed modules publish the topic, but there was no message, neither recorded nor replayed.
     NoMessages,
 }
 
 impl NotCompared {
-    /// True if replayed or chosen modules publish the topic and it should have been compared: [strict](super::ReplayReport::assert_same)
-    /// comparison fails.
+    /// Returns whether the topic should have been compared, because replayed or chosen modules publish it. A
+    /// [strict](super::ReplayReport::assert_same) comparison then fails.
     #[must_use]
     pub fn is_gap(&self) -> bool {
         use NotComparedReason as Why;
@@ -75,7 +76,7 @@ impl NotCompared {
     }
 }
 
-/// The topics that cannot be compared, by name. The outputs of the plan that are among them are removed from it.
+/// Returns the topics that cannot be compared, by name, and removes them from the outputs of the plan.
 pub(super) fn not_compared(
     plan: &mut Plan,
     graph: &Wiring,
@@ -146,7 +147,7 @@ fn reason(
     let problem = match (plain, RecordedType::of(&reader.topics()[id.index()], interfaces)) {
         (_, Err(error)) => error.to_string(),
         (Some(known), Ok(_)) => format!(
-            "the modules publish {} on it, which is no message type that is registered",
+            "the modules publish {} on it, which is not a registered message type",
             known.message_type
         ),
         (None, Ok(_)) => return None,
@@ -154,7 +155,7 @@ fn reason(
     Some(Why::Unreadable { problem })
 }
 
-/// Moves topics without a message to those that were not compared.
+/// Moves topics without messages to the topics that were not compared.
 pub(super) fn move_empty(topics: &mut Vec<TopicReport>, not_compared: &mut Vec<NotCompared>) {
     for empty in topics.extract_if(.., |topic| topic.compared == 0) {
         not_compared.push(NotCompared { topic: empty.topic, reason: NotComparedReason::NoMessages });

@@ -1,4 +1,4 @@
-//! Which modules are replayed, what they receive, and what of it can be compared.
+//! The plan of a replay: which modules run, what they receive and what can be compared.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,36 +15,36 @@ use crate::playback::account::{Cycles, Extract};
 use crate::robot::{ModuleEntry, RobotFile};
 
 pub(super) struct Plan {
-    /// Modules inside the cycle, run together.
+    /// Modules inside the cycle, which are replayed together.
     pub(super) attached: Vec<String>,
-    /// Detached modules, each run by itself.
+    /// Detached modules, each replayed separately.
     pub(super) detached: Vec<String>,
     pub(super) left_out: Vec<LeftOut>,
-    /// The topics that replayed modules publish and the bag has, without the leading slash.
+    /// The topics that replayed modules publish and the bag contains, without the leading slash.
     pub(super) outputs: BTreeMap<String, Output>,
     /// The topics that the modules inside the cycle receive from the bag.
     pub(super) inputs: BTreeSet<String>,
-    /// Those that they receive, that others publish, and that are not in the bag; also the journals of settings and events, if a
-    /// robot was recorded without them.
+    /// The topics that they receive from other publishers and that are not in the bag; also the journals of
+    /// settings and events if the robot was recorded without them.
     pub(super) missing_inputs: BTreeSet<String>,
     pub(super) not_compared: Vec<NotCompared>,
-    /// Who serves each service.
+    /// The module that serves each service.
     pub(super) servers: BTreeMap<String, String>,
-    /// The names of the types of services.
+    /// The type name of each service.
     pub(super) service_types: BTreeMap<String, &'static str>,
     pub(super) cycles: Cycles,
 }
 
 /// A topic that replayed modules publish.
 pub(super) struct Output {
-    /// The modules that do.
+    /// The replayed modules that publish it.
     pub(super) modules: Vec<String>,
-    /// True if not all of its messages in the bag come from one of them in order.
+    /// True if its messages in the bag do not all come from one of these modules in order.
     pub(super) is_shared: bool,
 }
 
 impl Plan {
-    /// With what is read of the bag before anything runs.
+    /// Creates the plan and reads what is needed from the bag before anything runs.
     pub(super) fn make(
         file: &RobotFile,
         reader: &Reader,
@@ -115,7 +115,8 @@ impl Plan {
         graph.publishers.get(topic).into_iter().flatten().any(|name| self.replays(name))
     }
 
-    /// When cycles and runs were, what devices answered, and what detached modules received.
+    /// The topics that are read in advance: times of cycles and runs, answers of devices, and messages that
+    /// detached modules received.
     fn read_before(&self, file: &RobotFile, reader: &Reader, graph: &Wiring) -> BTreeSet<TopicId> {
         let devices = file.modules.iter().filter(|module| self.replays(&module.name));
         let answers = devices.filter_map(|module| Some(module.kind.replayed()?.topic_of(&module.options())));
@@ -143,7 +144,7 @@ impl Plan {
                 publishers.iter().cloned().partition(|name| self.attached.contains(name));
             match (own.is_empty(), others.is_empty()) {
                 (true, _) if is_in_bag(topic) => drop(self.inputs.insert(topic.clone())),
-                // Where nobody publishes it, nothing came.
+                // If nothing publishes it, no message was received.
                 (true, false) => drop(self.missing_inputs.insert(topic.clone())),
                 (true, true) | (false, true) => {}
                 (false, false) => {
@@ -175,7 +176,7 @@ fn check_names(file: &RobotFile, options: &ReplayOptions) -> Result<(), ReplayEr
     }
 }
 
-/// Why not, in words.
+/// Checks whether the module can be replayed; the error is a message with the reason.
 fn replayability(module: &ModuleEntry, reader: &Reader) -> Result<(), String> {
     if module.kind.uses_device() {
         let Some(replayed) = module.kind.replayed() else {
@@ -193,7 +194,7 @@ fn replayability(module: &ModuleEntry, reader: &Reader) -> Result<(), String> {
     Ok(())
 }
 
-/// Who publishes and who receives a topic.
+/// The publishers and receivers of each topic.
 pub(super) struct Wiring {
     pub(super) publishers: BTreeMap<String, BTreeSet<String>>,
     subscribers: BTreeMap<String, BTreeSet<String>>,
@@ -206,7 +207,7 @@ pub(super) struct Wiring {
     pub(super) types: BTreeMap<String, TopicInfo>,
 }
 
-/// Stands for publishers of what comes in.
+/// Placeholder for publishers outside the robot.
 const ROS: &str = "ROS 2";
 
 impl Wiring {
@@ -262,7 +263,7 @@ impl Wiring {
         Ok(wiring)
     }
 
-    /// True if a part of the process publishes it, and nobody in ROS 2.
+    /// Returns whether a part of the process publishes the topic, and not ROS 2.
     pub(super) fn is_published_by_process(&self, topic: &str) -> bool {
         self.publishers.get(topic).is_some_and(|names| names.iter().any(|name| name != ROS))
     }

@@ -1,4 +1,4 @@
-//! What a replay found.
+//! The report of a replay.
 
 use std::fmt;
 use std::time::Duration;
@@ -9,35 +9,36 @@ use downbeat_executor::Time;
 use super::NotCompared;
 use crate::{TestResult, journal};
 
-/// What was replayed, and where it differs from the bag.
+/// What was replayed and how it differs from the bag.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReplayReport {
     /// The robot's name.
     pub robot: String,
     /// The modules that ran together inside the cycle.
     pub modules: Vec<String>,
-    /// How many cycles they ran.
+    /// Number of cycles that they ran.
     pub cycles: u64,
-    /// True if the bag told the times of the cycles.
+    /// True if the bag contains the times of the cycles.
     pub has_recorded_cycles: bool,
-    /// The detached modules, and how many runs each had.
+    /// The detached modules with the number of their runs.
     pub detached: Vec<(String, usize)>,
     /// The modules that were not replayed.
     pub left_out: Vec<LeftOut>,
     /// The topics that the modules inside the cycle received from the bag.
     pub inputs: Vec<String>,
-    /// The topics that they received when they were recorded, and that are not in the bag. `module_settings` and `module_events` are
-    /// among them if the bag of a robot lacks these: changed settings, requests, commands and results of jobs are not repeated.
+    /// The topics that they received during the recording and that are not in the bag. Includes
+    /// `module_settings` and `module_events` if the bag lacks them: changed settings, requests, commands and
+    /// results of jobs are then not repeated.
     pub missing_inputs: Vec<String>,
-    /// What was compared.
+    /// The topics that were compared.
     pub topics: Vec<TopicReport>,
-    /// The topics of the bag, and of the replayed modules, that were not compared.
+    /// The topics of the bag and of the replayed modules that were not compared.
     pub not_compared: Vec<NotCompared>,
-    /// The first message of the bag, nanoseconds since the epoch.
+    /// Time of the first message of the bag, nanoseconds since the epoch.
     pub bag_start: i64,
-    /// The length of the bag.
+    /// Duration of the bag.
     pub bag_duration: Duration,
-    /// How long the replay took.
+    /// Duration of the replay.
     pub took: Duration,
 }
 
@@ -46,24 +47,24 @@ pub struct ReplayReport {
 pub struct LeftOut {
     /// Its name.
     pub module: String,
-    /// Why, in words.
+    /// The reason, as a message.
     pub reason: String,
 }
 
-/// What was compared of a topic.
+/// The comparison of one topic.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TopicReport {
     /// With the leading slash.
     pub topic: String,
     /// The replayed modules that publish it.
     pub modules: Vec<String>,
-    /// True if a rule says that its messages may be anything.
+    /// True if a rule accepts any message on the topic.
     pub is_ignored: bool,
-    /// How many messages were compared.
+    /// Number of compared messages.
     pub compared: u64,
-    /// How many of them differ.
+    /// Number of different messages.
     pub different: u64,
-    /// The first that does.
+    /// The first difference.
     pub first: Option<Difference>,
 }
 
@@ -72,47 +73,49 @@ pub struct TopicReport {
 pub struct Difference {
     /// With the leading slash.
     pub topic: String,
-    /// Which message of the topic, from 0.
+    /// Number of the message on the topic, from 0.
     pub number: u64,
-    /// When it was recorded, nanoseconds since the epoch; of one that was not, when it was replayed.
+    /// Time at which it was recorded, nanoseconds since the epoch; if it was not recorded, time at which it
+    /// was replayed.
     pub time: i64,
-    /// How.
+    /// The kind of difference.
     pub what: What,
 }
 
 /// How a message differs.
 #[derive(Clone, Debug, PartialEq)]
 pub enum What {
-    /// In a field: first is what was recorded, second what was replayed.
+    /// A field differs: the first value was recorded, the second replayed.
     Field(FieldDifference),
     /// It was published in another cycle.
     Time {
-        /// The time of that, nanoseconds since the epoch.
+        /// Time of that cycle, nanoseconds since the epoch.
         replayed: i64,
     },
-    /// It was recorded, and not published in the replay.
+    /// The message was recorded but not published in the replay.
     Missing,
-    /// It was published in the replay, and not recorded.
+    /// The message was published in the replay but not recorded.
     Extra,
 }
 
-/// Which topics a replay must have compared.
+/// The topics that a replay must have compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Strictness {
-    /// Any.
+    /// Any topic.
     AnyTopic,
-    /// Every topic that the chosen modules publish, but for those that were excluded and those of plain Rust types.
+    /// Every topic that the chosen modules publish, except for excluded topics and topics of plain Rust
+    /// types.
     EveryTopic,
 }
 
 impl ReplayReport {
-    /// How many messages differ.
+    /// Returns the number of different messages.
     #[must_use]
     pub fn different(&self) -> u64 {
         self.topics.iter().map(|topic| topic.different).sum()
     }
 
-    /// How many messages were compared, without those that may be anything.
+    /// Returns the number of compared messages, without ignored topics.
     #[must_use]
     pub fn compared(&self) -> u64 {
         self.topics.iter().filter(|topic| !topic.is_ignored).map(|topic| topic.compared).sum()
@@ -123,20 +126,22 @@ impl ReplayReport {
         self.not_compared.iter().filter(|topic| topic.is_gap())
     }
 
-    /// For tests: the replay must be the same as the bag on every topic of the chosen modules, but for those that were
-    /// excluded by [`ReplayOptions::except`](super::ReplayOptions::except) and those of plain Rust types.
+    /// For tests: fails unless the replay equals the bag on every topic of the chosen modules, except for
+    /// topics excluded by [`ReplayOptions::except`](super::ReplayOptions::except) and topics of plain Rust
+    /// types.
     ///
     /// # Errors
-    /// If a message differs, nothing was compared, or a topic of the chosen modules was not compared. Printed, the error is the
-    /// report.
+    /// Returns an error if a message differs, nothing was compared, or a topic of the chosen modules was not
+    /// compared. The error prints the report.
     pub fn assert_same(self) -> TestResult {
         Ok(self.check(Strictness::EveryTopic)?)
     }
 
-    /// Fails unless the replay is the same as the bag.
+    /// Fails unless the replay equals the bag.
     ///
     /// # Errors
-    /// If a message differs, nothing was compared, or a topic was not compared and `strictness` asks for it.
+    /// Returns an error if a message differs, nothing was compared, or a topic that `strictness` requires was
+    /// not compared.
     pub fn check(self, strictness: Strictness) -> Result<(), NotSame> {
         let mut problems = Vec::new();
         let topics = self.topics.iter().filter(|topic| topic.different > 0).count();
@@ -161,15 +166,15 @@ impl ReplayReport {
         }
     }
 
-    /// The earliest difference.
+    /// Returns the earliest difference.
     #[must_use]
     pub fn first_difference(&self) -> Option<&Difference> {
         self.topics.iter().filter_map(|topic| topic.first.as_ref()).min_by_key(|difference| difference.time)
     }
 }
 
-/// A replay that is not the same as its bag. Both `Display` and `Debug` print the report, so that a test that returns it shows
-/// what differs.
+/// Error of a replay that differs from its bag. Both `Display` and `Debug` print the report, so that a test
+/// that returns the error shows the differences.
 #[must_use = "the replay is not the same as the bag"]
 pub struct NotSame {
     report: Box<ReplayReport>,
@@ -183,7 +188,7 @@ impl NotSame {
         &self.report
     }
 
-    /// What is wrong, in a sentence.
+    /// Returns the problem as a sentence.
     #[must_use]
     pub fn problem(&self) -> &str {
         &self.problem
@@ -210,7 +215,7 @@ impl fmt::Display for LeftOut {
     }
 }
 
-/// As the program prints it.
+/// Formats the report as `downbeat` prints it.
 impl fmt::Display for ReplayReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (seconds, took) = (self.bag_duration.as_secs_f64(), self.took.as_secs_f64());
@@ -221,7 +226,7 @@ impl fmt::Display for ReplayReport {
             self.robot
         )?;
         if !self.modules.is_empty() {
-            let exact = if self.has_recorded_cycles { "" } else { ", whose times the bag does not tell" };
+            let exact = if self.has_recorded_cycles { "" } else { ", whose times are not in the bag" };
             writeln!(f, "  {} in {} cycles{exact}", self.modules.join(", "), self.cycles)?;
         }
         for (module, runs) in &self.detached {

@@ -1,4 +1,4 @@
-//! The columns of a table, and the cells of a row.
+//! The columns of a table and the cells of a row.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,22 +14,22 @@ use super::{MOST_ELEMENTS, Place, Visit, visit};
 pub struct Column {
     /// The path of the field: `position[3]`.
     pub name: String,
-    /// What its cells hold.
+    /// The type of its cells.
     pub kind: ColumnKind,
 }
 
-/// What the cells of a column hold.
+/// The type of the cells of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[expect(missing_docs, reason = "named as what it holds")]
 pub enum ColumnKind {
     Bool,
-    /// Integers that an `i64` can hold.
+    /// Integers that fit into an `i64`.
     Int,
     /// `uint64`.
     UInt,
     Float32,
     Float64,
-    /// Text, and arrays of many elements as JSON.
+    /// Text; also arrays of many elements as JSON.
     Text,
     Bytes,
 }
@@ -38,7 +38,7 @@ pub enum ColumnKind {
 #[derive(Clone, Debug, PartialEq)]
 #[expect(missing_docs, reason = "named as what it holds")]
 pub enum Cell {
-    /// The sequence of this row is shorter than others.
+    /// Empty: the sequence in this row is shorter than in other rows.
     Nothing,
     Bool(bool),
     Int(i64),
@@ -50,7 +50,7 @@ pub enum Cell {
 }
 
 impl Cell {
-    /// As text for CSV: numbers so that reading them gives the same bits, bytes in Base64 (RFC 4648).
+    /// Returns the text for CSV: numbers in a form that parses to the same bits, bytes in Base64 (RFC 4648).
     #[must_use]
     pub fn to_text(&self) -> String {
         match self {
@@ -66,7 +66,7 @@ impl Cell {
     }
 }
 
-/// Finds out which columns messages need: shown all of them, it knows how long their sequences are.
+/// Determines the columns of a table from all messages, which define the lengths of its sequences.
 #[derive(Debug, Default)]
 pub struct Survey {
     leaves: BTreeMap<Place, Column>,
@@ -79,10 +79,10 @@ impl Survey {
         visit(message.as_message(), self);
     }
 
-    /// The columns for all messages that were shown.
+    /// Returns the columns for all messages that were taken into account.
     #[must_use]
     pub fn columns(mut self) -> Columns {
-        // Where an array turned out too long, its first elements have no columns either.
+        // If an array turned out too long, its first elements get no columns either.
         for place in &self.whole {
             self.leaves.retain(|leaf, _| !(leaf.len() > place.len() && leaf.starts_with(place)));
         }
@@ -117,12 +117,13 @@ pub struct Columns {
 }
 
 impl Columns {
-    /// The columns.
+    /// Iterates over the columns.
     pub fn iter(&self) -> impl Iterator<Item = &Column> {
         self.columns.iter()
     }
 
-    /// The cells of a message, one for each column. What has no column, since the survey did not see it, is left out.
+    /// Returns the cells of a message, one per column. Fields without a column, which the survey did not see,
+    /// are omitted.
     #[must_use]
     pub fn row(&self, message: &DynamicMessage) -> Vec<Cell> {
         let mut row = Row { columns: self, cells: vec![Cell::Nothing; self.columns.len()] };
@@ -179,7 +180,7 @@ fn json(value: ValueRef<'_>) -> Json {
     match value {
         ValueRef::Bool(value) => value.into(),
         ValueRef::UInt64(value) => value.into(),
-        // JSON has no NaN and no infinity: they become null.
+        // JSON has no NaN and no infinity; they become null.
         ValueRef::Float32(value) => value.into(),
         ValueRef::Float64(value) => value.into(),
         ValueRef::String(text) | ValueRef::WString(text) => text.into(),
@@ -213,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_are_in_the_order_of_the_fields_whichever_message_needs_them_first() {
+    fn columns_are_in_the_order_of_the_fields_for_any_order_of_messages() {
         let short = message(|message| message.set("count", u64::MAX).unwrap());
         let long = message(|message| {
             message.resize("parts", 1).unwrap();

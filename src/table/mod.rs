@@ -1,7 +1,8 @@
 //! Messages of a topic as rows of a table, for spreadsheets, data frames and plots.
 //!
-//! Each number, truth value and text has a column of its own, named by its path: `header.stamp.sec`, `position[3]`. A
-//! sequence has as many columns as its longest has elements; bytes, and arrays of more than [`MOST_ELEMENTS`], have one.
+//! Each number, boolean and text has its own column, which is named by its path: `header.stamp.sec`,
+//! `position[3]`. A sequence has as many columns as its longest has elements; bytes, and arrays of more than
+//! [`MOST_ELEMENTS`], have one.
 //!
 //! ```
 //! use downbeat::table::{Cell, Survey};

@@ -13,26 +13,27 @@ use parquet::schema::types::Type;
 
 use super::{Cell, ColumnKind, Columns};
 
-/// So many rows, or bytes of text and the like, are held in memory, and written as one group.
+/// Number of rows that are buffered and written as one group. A group is also limited in bytes.
 const ROWS_OF_A_GROUP: usize = 8192;
 const BYTES_OF_A_GROUP: usize = 32 * 1024 * 1024;
 
-/// A file that is being written: two times of each message, in nanoseconds since the epoch, and its columns.
+/// A Parquet file that is being written. A row contains two times in nanoseconds since the epoch and the
+/// columns of a message.
 pub struct ParquetTable {
     writer: SerializedFileWriter<File>,
     kinds: Vec<ColumnKind>,
     times: [Vec<Cell>; 2],
-    /// The cells of each column that are not written yet.
+    /// The buffered cells of each column.
     columns: Vec<Vec<Cell>>,
-    /// What they hold besides numbers.
+    /// Size of the buffered text and binary data.
     bytes: usize,
 }
 
 impl ParquetTable {
-    /// Creates the file; one that is there is written anew. The columns of times have these names.
+    /// Creates the file, or overwrites it if it exists. `times` are the names of the time columns.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// Returns an error if the file cannot be written.
     pub fn create(path: &Path, times: [&str; 2], columns: &Columns) -> Result<Self, ParquetError> {
         let mut fields = times.map(time_field).into_iter().collect::<Result<Vec<_>, _>>()?;
         for column in columns.iter() {
@@ -49,7 +50,7 @@ impl ParquetTable {
     /// Adds a message.
     ///
     /// # Errors
-    /// If the file cannot be written.
+    /// Returns an error if the file cannot be written.
     pub fn push(&mut self, times: [i64; 2], row: Vec<Cell>) -> Result<(), ParquetError> {
         for (column, time) in self.times.iter_mut().zip(times) {
             column.push(Cell::Int(time));
@@ -66,10 +67,10 @@ impl ParquetTable {
         if is_full { self.write_group() } else { Ok(()) }
     }
 
-    /// Writes what is not written yet, and ends the file.
+    /// Writes the buffered rows and completes the file.
     ///
     /// # Errors
-    /// If the file cannot be written.
+    /// Returns an error if the file cannot be written.
     pub fn finish(mut self) -> Result<(), ParquetError> {
         if !self.times[0].is_empty() {
             self.write_group()?;

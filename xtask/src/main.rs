@@ -1,4 +1,4 @@
-//! Developer commands: `cargo xtask test` runs everything that has to hold before a change lands.
+//! Developer commands. `cargo xtask test` runs all checks that a change must pass.
 
 mod matrix;
 mod node;
@@ -19,15 +19,15 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Formatting, clippy, documentation and all tests, those against real ROS 2 and others' bag readers among
-    /// them. Sets up what they need under target/.
+    /// Formatting, clippy, documentation and all tests, including those against real ROS 2 and other bag
+    /// readers. Installs what they need under target/.
     Test,
-    /// The long proofs of the wire, some ten minutes: rustdds in the conformance suite, 10 000 simulated networks, 10 million
-    /// hostile datagrams.
+    /// The long tests of the RTPS engine, about ten minutes: rustdds in the conformance suite, 10 000
+    /// simulated networks, 10 million hostile datagrams.
     Wire,
-    /// Only the Python environment under target/venv; prints its interpreter.
+    /// Only the Python environment under target/venv; prints the path of its interpreter.
     Python,
-    /// Only the npm packages under target/node; prints their folder, or nothing where there is no Node.js.
+    /// Only the npm packages under target/node; prints their folder, or nothing if there is no Node.js.
     Node,
 }
 

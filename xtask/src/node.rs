@@ -1,4 +1,4 @@
-//! What the tests have of npm: Foxglove's reader of bags.
+//! The npm packages of the tests: Foxglove's bag reader.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -7,11 +7,11 @@ use anyhow::Context;
 
 use crate::steps::{run, workspace};
 
-/// Which packages, in which versions.
+/// The files that specify packages and versions.
 const MANIFESTS: [&str; 2] = ["package.json", "package-lock.json"];
 
-/// Installs the packages if they are not there or others are wanted; returns their folder. Where there is no Node.js, says so:
-/// the tests that need it are skipped then.
+/// Installs the packages if they are missing or outdated and returns their folder. If there is no Node.js,
+/// reports this and returns `None`: tests that need it are then skipped.
 pub(crate) fn modules() -> anyhow::Result<Option<PathBuf>> {
     if let Err(found) = find() {
         eprintln!("xtask: {found}; the tests with @mcap/core are skipped");
@@ -20,7 +20,7 @@ pub(crate) fn modules() -> anyhow::Result<Option<PathBuf>> {
     let source = workspace().join("bags/tests/node");
     let folder = workspace().join("target/node");
     let modules = folder.join("node_modules");
-    // Written last, so that an installation that was cut short is begun anew.
+    // Written last, so that an interrupted installation is repeated.
     let installed = folder.join("installed-package-lock.json");
     let lock = source.join(MANIFESTS[1]);
     let wanted = std::fs::read_to_string(&lock).with_context(|| lock.display().to_string())?;
@@ -32,7 +32,7 @@ pub(crate) fn modules() -> anyhow::Result<Option<PathBuf>> {
     for name in MANIFESTS {
         std::fs::copy(source.join(name), folder.join(name)).with_context(|| name.to_owned())?;
     }
-    // Their programs are not run when they are installed.
+    // Install scripts of packages do not run.
     let arguments = ["ci", "--ignore-scripts", "--no-audit", "--no-fund", "--loglevel=error", "--prefix"];
     run(Command::new("npm").args(arguments).arg(&folder))?;
     std::fs::write(&installed, wanted).with_context(|| installed.display().to_string())?;

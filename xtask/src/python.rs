@@ -1,4 +1,4 @@
-//! The Python environment of the tests: real ROS 2 Jazzy and others' bag readers, from PyPI.
+//! The Python environment of the tests: real ROS 2 Jazzy and other bag readers, from PyPI.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -7,17 +7,18 @@ use anyhow::{Context, bail};
 
 use crate::steps::{run, workspace};
 
-/// The wheels of ROS 2 Jazzy are for this Python only.
+/// The only Python version for which there are wheels of ROS 2 Jazzy.
 const VERSION: &str = "3.11";
 
 const REQUIREMENTS: &str = "xtask/requirements.txt";
 
-/// Makes the environment if it is not there or its requirements have changed; returns its interpreter.
+/// Creates the environment if it is missing or its requirements have changed and returns the path of its
+/// interpreter.
 pub(crate) fn interpreter() -> anyhow::Result<PathBuf> {
     let venv = workspace().join("target/venv");
     let interpreter = venv.join("bin/python");
     let requirements = std::fs::read_to_string(workspace().join(REQUIREMENTS)).context(REQUIREMENTS)?;
-    // Written last, so that an installation that was cut short is begun anew.
+    // Written last, so that an interrupted installation is repeated.
     let installed = venv.join("installed-requirements.txt");
     if std::fs::read_to_string(&installed).is_ok_and(|text| text == requirements) {
         return Ok(interpreter);

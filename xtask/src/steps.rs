@@ -1,4 +1,4 @@
-//! Running commands one after another and telling how each went.
+//! Runs commands one after another and reports their results.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -12,7 +12,7 @@ pub(crate) fn workspace() -> PathBuf {
     manifest.parent().unwrap_or(manifest).to_owned()
 }
 
-/// Runs a command in the workspace; its output goes where this process's goes.
+/// Runs a command in the workspace. It inherits the output of this process.
 pub(crate) fn run(command: &mut Command) -> anyhow::Result<()> {
     let name = format!("{command:?}");
     let status = command.current_dir(workspace()).status().with_context(|| format!("cannot run {name}"))?;
@@ -22,7 +22,7 @@ pub(crate) fn run(command: &mut Command) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Steps that all run, whatever becomes of the others.
+/// Steps that all run, even if others fail.
 #[derive(Default)]
 pub(crate) struct Steps {
     done: Vec<(String, anyhow::Result<()>, Duration)>,
@@ -39,10 +39,10 @@ impl Steps {
         self.done.push((name.to_owned(), result, started.elapsed()));
     }
 
-    /// Prints how each step went.
+    /// Prints the result of each step.
     ///
     /// # Errors
-    /// If one failed.
+    /// Returns an error if a step failed.
     pub(crate) fn finish(self) -> anyhow::Result<()> {
         println!("\nsummary");
         for (name, result, time) in &self.done {

@@ -6,11 +6,11 @@ use crate::matrix::Notes;
 use crate::steps::{Steps, run};
 use crate::{node, python};
 
-/// The features that are off unless asked for, but for those that compile C.
+/// The features that are not enabled by default, except for those that compile C.
 const ALL: &[&str] = &["--features", "downbeat/tables"];
 
 pub(crate) fn test() -> anyhow::Result<()> {
-    // First, so that a missing Python is told before minutes of building.
+    // First, so that a missing Python is reported before minutes of building.
     let python = python::interpreter()?;
     let node_modules = node::modules()?;
     let cargo = |arguments: &[&str]| {
@@ -45,7 +45,7 @@ pub(crate) fn test() -> anyhow::Result<()> {
     let tests: &[&str] = if has_nextest {
         &["nextest", "run", "--workspace"]
     } else {
-        // One at a time: robots at 125 Hz with real peers beside them want the machine's cores.
+        // One at a time: robots at 125 Hz with real peers need all cores of the machine.
         &[
             "test",
             "--workspace",

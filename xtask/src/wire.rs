@@ -4,7 +4,7 @@ use std::process::Command;
 
 use crate::steps::{Steps, run};
 
-/// The long proofs of the wire, which the test run has in short.
+/// The long tests of the RTPS engine; `cargo xtask test` runs short versions of them.
 pub(crate) fn wire() -> anyhow::Result<()> {
     let cargo = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO"));

@@ -36,7 +36,7 @@ impl FieldRule {
     /// array unless one is given (`position[3]`); without a field the rule applies to all numbers.
     ///
     /// # Errors
-    /// If the text does not have this form.
+    /// Returns an error if the text does not have this form.
     pub fn tolerance(text: &str) -> Result<Self, FieldRuleError> {
         let error = || FieldRuleError {
             text: text.to_owned(),
@@ -58,7 +58,7 @@ impl FieldRule {
     /// Fields that are not compared: `TOPIC:FIELD` as for [`FieldRule::tolerance`], `TOPIC` or `:FIELD`.
     ///
     /// # Errors
-    /// If the text is empty.
+    /// Returns an error if the text is empty.
     pub fn ignore(text: &str) -> Result<Self, FieldRuleError> {
         let (topic, field) = place_of(text);
         if topic.is_empty() && field.is_empty() {

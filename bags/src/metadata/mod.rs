@@ -116,7 +116,8 @@ impl Metadata {
     /// Reads `metadata.yaml`.
     ///
     /// # Errors
-    /// If the file cannot be read or is not rosbag2 metadata; then the error names file and line.
+    /// Returns an error if the file cannot be read or is not rosbag2 metadata; then the error names file and
+    /// line.
     pub fn read(path: &Path) -> Result<Self, MetadataError> {
         let text = fs::read_to_string(path)
             .map_err(|source| MetadataError::Read { path: path.to_owned(), source })?;
@@ -126,7 +127,7 @@ impl Metadata {
     /// Reads the text of a metadata.yaml; `path` is for error messages.
     ///
     /// # Errors
-    /// If the text is not rosbag2 metadata.
+    /// Returns an error if the text is not rosbag2 metadata.
     pub fn parse(text: &str, path: &Path) -> Result<Self, MetadataError> {
         let root: parse::Root = yaml::from_str(text).map_err(|error| form(path, &error))?;
         Ok(root.into())
@@ -135,7 +136,7 @@ impl Metadata {
     /// Reads the text of the metadata record inside an MCAP file; `path` is for error messages.
     ///
     /// # Errors
-    /// If the text is not rosbag2 metadata; the line is that within the record.
+    /// Returns an error if the text is not rosbag2 metadata; the line is that within the record.
     pub fn parse_record(text: &str, path: &Path) -> Result<Self, MetadataError> {
         let information: parse::Information = yaml::from_str(text).map_err(|error| form(path, &error))?;
         Ok(information.into())
@@ -207,7 +208,7 @@ pub fn recorded_qos_to_yaml(profiles: &[RecordedQos]) -> String {
 /// Reads the YAML text of the MCAP channel metadata `offered_qos_profiles`; `path` is for error messages.
 ///
 /// # Errors
-/// If the text is not a list of profiles; the line is that within the text.
+/// Returns an error if the text is not a list of profiles; the line is that within the text.
 pub fn qos_from_yaml(text: &str, path: &Path) -> Result<Vec<RecordedQos>, MetadataError> {
     if text.trim().is_empty() {
         return Ok(Vec::new());

@@ -54,7 +54,7 @@ impl Reader {
     /// A bag whose recording was interrupted can also be opened: see [`Reader::truncation`].
     ///
     /// # Errors
-    /// If it is not a bag, is of an unsupported kind, or cannot be read.
+    /// Returns an error if it is not a bag, is of an unsupported kind, or cannot be read.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, ReaderError> {
         let path = path.as_ref();
         let read = |source| ReaderError::Read { path: path.to_owned(), source };
@@ -83,7 +83,7 @@ impl Reader {
     /// ```
     ///
     /// # Errors
-    /// If the bytes are not a bag file, or of an unsupported kind.
+    /// Returns an error if the bytes are not a bag file, or of an unsupported kind.
     pub fn from_bytes(name: impl AsRef<Path>, bytes: impl Into<Bytes>) -> Result<Self, ReaderError> {
         let name = name.as_ref();
         let file = BagFile::open(name, Source::Memory(bytes.into()))?;
@@ -196,7 +196,7 @@ impl Reader {
     /// The messages sorted by receive time, read from the files on demand.
     ///
     /// # Errors
-    /// If a file can no longer be opened.
+    /// Returns an error if a file can no longer be opened.
     pub fn messages(&self, selection: Selection) -> Result<Messages, ReaderError> {
         Messages::open(self, selection)
     }

@@ -108,7 +108,7 @@ impl<T> Done<T> {
         Self { answer: Some(Box::new(answer)) }
     }
 
-    pub(super) fn tell(mut self, result: Result<T, ControlError>) {
+    pub(super) fn send_result(mut self, result: Result<T, ControlError>) {
         if let Some(answer) = self.answer.take() {
             answer(result);
         }

@@ -23,19 +23,19 @@ pub(super) struct Channels {
 struct Described {
     schema: Schema,
     record: Vec<u8>,
-    told: Told,
+    written: Written,
 }
 
 struct Channel {
     /// The index of its schema.
     schema: usize,
     record: Vec<u8>,
-    told: Told,
+    written: Written,
 }
 
 /// Where a record has been written.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Told {
+enum Written {
     No,
     /// In the open chunk, which may never be written.
     InChunk,
@@ -64,55 +64,57 @@ impl Channels {
         if known.is_none() {
             let mut record = Vec::new();
             records::schema(&mut record, schema_id, &schema)?;
-            self.schemas.push(Described { schema, record, told: Told::No });
+            self.schemas.push(Described { schema, record, written: Written::No });
         }
-        self.channels.push(Channel { schema: schema_index, record, told: Told::No });
+        self.channels.push(Channel { schema: schema_index, record, written: Written::No });
         Ok(id)
     }
 
     /// Appends the schema and channel records that must precede a message of that channel to the open chunk.
-    pub(super) fn tell(&mut self, channel: u16, out: &mut Vec<u8>) {
+    pub(super) fn write_records(&mut self, channel: u16, out: &mut Vec<u8>) {
         let Some(channel) = usize::from(channel).checked_sub(1).and_then(|at| self.channels.get_mut(at))
         else {
             return;
         };
-        if channel.told != Told::No {
+        if channel.written != Written::No {
             return;
         }
-        if let Some(schema) = self.schemas.get_mut(channel.schema).filter(|schema| schema.told == Told::No) {
+        if let Some(schema) =
+            self.schemas.get_mut(channel.schema).filter(|schema| schema.written == Written::No)
+        {
             out.extend_from_slice(&schema.record);
-            schema.told = Told::InChunk;
+            schema.written = Written::InChunk;
         }
         out.extend_from_slice(&channel.record);
-        channel.told = Told::InChunk;
+        channel.written = Written::InChunk;
     }
 
     /// Called when the open chunk has been written.
     pub(super) fn keep(&mut self) {
-        self.settle(Told::InFile);
+        self.settle(Written::InFile);
     }
 
     /// Called when the open chunk is dropped.
     pub(super) fn forget(&mut self) {
-        self.settle(Told::No);
+        self.settle(Written::No);
     }
 
-    fn settle(&mut self, becomes: Told) {
-        let schemas = self.schemas.iter_mut().map(|schema| &mut schema.told);
-        let channels = self.channels.iter_mut().map(|channel| &mut channel.told);
-        for told in schemas.chain(channels).filter(|told| **told == Told::InChunk) {
-            *told = becomes;
+    fn settle(&mut self, becomes: Written) {
+        let schemas = self.schemas.iter_mut().map(|schema| &mut schema.written);
+        let channels = self.channels.iter_mut().map(|channel| &mut channel.written);
+        for written in schemas.chain(channels).filter(|written| **written == Written::InChunk) {
+            *written = becomes;
         }
     }
 
     /// The number of schemas in the file.
     pub(super) fn schema_count(&self) -> usize {
-        self.schemas.iter().filter(|schema| schema.told == Told::InFile).count()
+        self.schemas.iter().filter(|schema| schema.written == Written::InFile).count()
     }
 
     /// The number of channels in the file.
     pub(super) fn channel_count(&self) -> usize {
-        self.channels.iter().filter(|channel| channel.told == Told::InFile).count()
+        self.channels.iter().filter(|channel| channel.written == Written::InFile).count()
     }
 
     /// Appends all schema records.

@@ -70,7 +70,7 @@ impl ChunkedFile {
         publish_time: u64,
         data: &[u8],
     ) -> io::Result<()> {
-        self.channels.tell(channel_id, self.chunk.records());
+        self.channels.write_records(channel_id, self.chunk.records());
         // The real recorder leaves the sequence number at 0.
         self.chunk.add_message(&MessageHeader { channel_id, sequence: 0, log_time, publish_time }, data)
     }

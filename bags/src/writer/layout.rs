@@ -67,7 +67,7 @@ impl StorageOptions {
     /// The default options of a storage.
     ///
     /// # Errors
-    /// If the build does not support it.
+    /// Returns an error if the build does not support it.
     pub fn of(storage: Storage) -> Result<Self, StorageError> {
         match storage {
             Storage::Mcap => Ok(McapOptions::default().into()),
@@ -81,7 +81,7 @@ impl StorageOptions {
     /// The options of a preset profile.
     ///
     /// # Errors
-    /// If the storage has no such preset, or the build does not support the storage.
+    /// Returns an error if the storage has no such preset, or the build does not support the storage.
     pub fn preset(storage: Storage, name: &str) -> Result<Self, StorageError> {
         let found: Option<Self> = match storage {
             Storage::Mcap => named(&StoragePreset::ALL, name).map(|preset| preset.options().into()),
@@ -96,7 +96,7 @@ impl StorageOptions {
     /// Overrides these options with those of a storage config file: `--storage-config-file`.
     ///
     /// # Errors
-    /// If the file cannot be read, or rosbag2 would not accept it.
+    /// Returns an error if the file cannot be read, or rosbag2 would not accept it.
     pub fn with_config_file(self, path: &Path) -> Result<Self, StorageConfigError> {
         match self {
             Self::Mcap(options) => options.with_config_file(path).map(Self::Mcap),
@@ -118,7 +118,7 @@ impl StorageOptions {
     /// The options of MCAP files, including compression.
     ///
     /// # Errors
-    /// If the storage does not support compression.
+    /// Returns an error if the storage does not support compression.
     pub fn mcap_mut(&mut self) -> Result<&mut McapOptions, StorageError> {
         match self {
             Self::Mcap(options) => Ok(options),

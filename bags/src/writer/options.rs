@@ -202,7 +202,7 @@ impl WriterOptions {
     /// Creates the bag directory, missing parent directories, and the files in it.
     ///
     /// # Errors
-    /// If it exists already or cannot be created, the maximum file size is below
+    /// Returns an error if it exists already or cannot be created, the maximum file size is below
     /// [`SplitLimits::least_bytes`], or the storage does not support the compression.
     pub fn create(mut self, directory: impl AsRef<Path>) -> Result<Writer, WriterError> {
         let least = SplitLimits::least_bytes(self.storage.storage());

@@ -215,7 +215,7 @@ impl McapOptions {
     /// Keys that rosbag2 does not know are ignored like there, but with a warning; `path` is for messages.
     ///
     /// # Errors
-    /// If rosbag2 would not accept the text.
+    /// Returns an error if rosbag2 would not accept the text.
     pub fn with_config(self, text: &str, path: &Path) -> Result<Self, StorageConfigError> {
         let form = |error: &serde_norway::Error| StorageConfigError::Form {
             path: path.to_owned(),
@@ -253,7 +253,7 @@ impl McapOptions {
     /// [`McapOptions::with_config`] with the text of a file.
     ///
     /// # Errors
-    /// If the file cannot be read, or rosbag2 would not accept it.
+    /// Returns an error if the file cannot be read, or rosbag2 would not accept it.
     pub fn with_config_file(self, path: &Path) -> Result<Self, StorageConfigError> {
         let read = |source| StorageConfigError::Read { path: path.to_owned(), source };
         self.with_config(&std::fs::read_to_string(path).map_err(read)?, path)

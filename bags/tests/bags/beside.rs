@@ -78,22 +78,22 @@ fn definitions() -> (Definitions, bool) {
 fn our_topics(real: &Taken, metadata: &Metadata) -> Vec<TopicDescription> {
     let (definitions, has_comments) = definitions();
     let topic = |channel: &Channel| {
-        let told = metadata.topics.iter().find(|told| told.name == channel.topic).unwrap();
-        let (mut definition, type_hash) = definitions.find_text(&told.type_name).unwrap();
-        let schema = real.schemas.iter().find(|(header, _)| header.name == told.type_name);
+        let recorded = metadata.topics.iter().find(|recorded| recorded.name == channel.topic).unwrap();
+        let (mut definition, type_hash) = definitions.find_text(&recorded.type_name).unwrap();
+        let schema = real.schemas.iter().find(|(header, _)| header.name == recorded.type_name);
         let real_text = schema.map(|(_, text)| String::from_utf8_lossy(text).into_owned()).unwrap();
         // Not installed with rclpy: uses the built-in definitions, which have no comments.
-        let package = told.type_name.split('/').next().unwrap();
+        let package = recorded.type_name.split('/').next().unwrap();
         if has_comments && ["rosbag2_interfaces", "tf2_msgs"].contains(&package) {
             assert_eq!(without_comments(&definition), without_comments(&real_text));
             definition = real_text;
         }
         TopicDescription {
             name: channel.topic.clone(),
-            type_name: told.type_name.clone(),
+            type_name: recorded.type_name.clone(),
             definition,
             type_hash,
-            offered_qos: told.offered_qos.clone(),
+            offered_qos: recorded.offered_qos.clone(),
             format: None,
         }
     };

@@ -145,15 +145,15 @@ fn losses_are_in_metadata_yaml_during_recording() {
         n += 1;
     }
     // metadata.yaml is updated with the next new topic at the latest.
-    let mut told = String::new();
+    let mut text = String::new();
     for number in 0..1000 {
         sender.add_topic(topic(&format!("/later_{number}"))).unwrap();
         answer(|done| recording.control().flush(done)).unwrap();
-        told = fs::read_to_string(bag.join(FILE_NAME)).unwrap();
-        if told.contains("lost_messages: \"/numbers: 1\"") {
+        text = fs::read_to_string(bag.join(FILE_NAME)).unwrap();
+        if text.contains("lost_messages: \"/numbers: 1\"") {
             break;
         }
     }
-    assert!(told.contains("lost_messages: \"/numbers: 1\""), "{told}");
+    assert!(text.contains("lost_messages: \"/numbers: 1\""), "{text}");
     recording.finish().unwrap();
 }

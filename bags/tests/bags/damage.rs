@@ -120,13 +120,13 @@ fn a_chunk_with_a_wrong_declared_size_is_reported_and_later_chunks_are_read() {
     let folder = tempfile::tempdir().unwrap();
     let (bytes, chunks) = many_chunks(folder.path(), Compression::Zstd);
     // The first chunk decompresses to more than declared, like a decompression bomb.
-    for (told, expected) in
+    for (declared, expected) in
         [(10, "found more"), (1 << 29, "too many for"), (u64::MAX, "18446744073709551615 bytes of content")]
     {
         let mut altered = bytes.clone();
         let start = chunk_start(&bytes, 2);
         // Opcode, length, and two times come before the uncompressed size.
-        altered[start + 25..start + 33].copy_from_slice(&u64::to_le_bytes(told));
+        altered[start + 25..start + 33].copy_from_slice(&u64::to_le_bytes(declared));
         let path = folder.path().join("altered.mcap");
         fs::write(&path, &altered).unwrap();
         let items: Vec<_> = Reader::open(&path).unwrap().messages(Selection::all()).unwrap().collect();

@@ -76,14 +76,14 @@ fn recording_stops_on_a_full_disk_and_everything_before_is_kept() {
         assert!(sender.record(id, offered, offered, large(offered)).is_err());
     }
     let start = std::time::Instant::now();
-    let told = loop {
-        if let Some(told) = sender.statistics().failure {
-            break told;
+    let failure = loop {
+        if let Some(failure) = sender.statistics().failure {
+            break failure;
         }
         assert!(start.elapsed() < std::time::Duration::from_secs(60), "the failure is not reported");
         std::thread::yield_now();
     };
-    assert!(told.contains("recording has stopped"), "{told}");
+    assert!(failure.contains("recording has stopped"), "{failure}");
     let failed = recording.finish().unwrap_err();
     assert!(matches!(failed.error, WriterError::Write { .. }), "{failed}");
     let kept = failed.summary.message_count() as i64;

@@ -25,11 +25,11 @@ fn bags_are_merged_by_time_and_filtered_by_topic() {
         bags.push(Reader::open(folder.path().join(name)).unwrap());
     }
     let target = WriterOptions::new().create(folder.path().join("both")).unwrap();
-    let mut told = 0;
+    let mut progress = 0;
     let copy = Copy::of(&bags, |topic| topic.name != "/two").unwrap();
     assert_eq!(copy.message_count(), 150);
-    let copied = copy.into_writer(target, |written| told = written).unwrap();
-    assert_eq!((copied.summary.message_count(), told, copied.unreadable.len()), (150, 150, 0));
+    let copied = copy.into_writer(target, |written| progress = written).unwrap();
+    assert_eq!((copied.summary.message_count(), progress, copied.unreadable.len()), (150, 150, 0));
     let both = Reader::open(folder.path().join("both")).unwrap();
     let names: Vec<_> = both.topics().iter().map(|topic| topic.info.name.as_str()).collect();
     assert_eq!(names, ["/shared", "/one"]);

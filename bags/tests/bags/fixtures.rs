@@ -24,10 +24,15 @@ fn real_bags_are_read_and_counts_match_their_metadata() {
         assert!(messages.is_sorted_by_key(|message| message.log_time), "{name}");
         assert_eq!(messages[0].log_time, metadata.starting_time, "{name}");
         assert_eq!(reader.topics().len(), metadata.topics.len(), "{name}");
-        for (index, told) in metadata.topics.iter().enumerate() {
+        for (index, recorded) in metadata.topics.iter().enumerate() {
             let read = messages.iter().filter(|message| message.topic.index() == index).count();
-            assert_eq!(read as u64, told.message_count, "{name}: {}", told.name);
-            assert_eq!(reader.topics()[index].message_count, told.message_count, "{name}: {}", told.name);
+            assert_eq!(read as u64, recorded.message_count, "{name}: {}", recorded.name);
+            assert_eq!(
+                reader.topics()[index].message_count,
+                recorded.message_count,
+                "{name}: {}",
+                recorded.name
+            );
         }
     }
 }

@@ -147,9 +147,9 @@ fn a_bag_of_the_real_recorder_in_sqlite_is_read() {
     assert!(read.is_sorted_by_key(|message| message.log_time));
     assert_eq!(read[0].log_time, metadata.starting_time);
     assert_eq!(reader.duration(), metadata.duration);
-    for (told, found) in metadata.topics.iter().zip(reader.topics()) {
-        assert_eq!(found.message_count, told.message_count, "{}", told.name);
-        assert_eq!(found.info.type_hash, told.type_hash, "{}", told.name);
+    for (expected, found) in metadata.topics.iter().zip(reader.topics()) {
+        assert_eq!(found.message_count, expected.message_count, "{}", expected.name);
+        assert_eq!(found.info.type_hash, expected.type_hash, "{}", expected.name);
     }
     let joints = reader.topic("/reference/joint_states").unwrap();
     assert!(reader.topics()[joints.index()].info.definition.contains("MSG: std_msgs/Header"));

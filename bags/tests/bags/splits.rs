@@ -74,9 +74,9 @@ fn a_bag_split_on_request_reports_the_closed_and_the_opened_file() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let mut writer = WriterOptions::new().create(&bag).unwrap();
-    let told = Arc::new(Mutex::new(Vec::new()));
-    let telling = Arc::clone(&told);
-    writer.on_split(move |split: &FileSplit| telling.lock().unwrap().push(split.clone()));
+    let splits = Arc::new(Mutex::new(Vec::new()));
+    let pushed = Arc::clone(&splits);
+    writer.on_split(move |split: &FileSplit| pushed.lock().unwrap().push(split.clone()));
     write_numbers(&mut writer, 10);
     let split = writer.split().unwrap();
     let file = |number| bag.join(format!("bag_{number}.mcap"));
@@ -85,7 +85,7 @@ fn a_bag_split_on_request_reports_the_closed_and_the_opened_file() {
     assert_eq!(Metadata::read(&bag.join(FILE_NAME)).unwrap().files.len(), 2);
     writer.finish().unwrap();
     let last = FileSplit { closed: file(1), opened: None };
-    assert_eq!(*told.lock().unwrap(), [split, last]);
+    assert_eq!(*splits.lock().unwrap(), [split, last]);
     assert_eq!(read(&bag), (0..10).collect::<Vec<_>>());
 }
 

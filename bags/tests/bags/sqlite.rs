@@ -203,8 +203,8 @@ fn a_killed_recording_is_readable_up_to_the_last_transaction() {
     assert_eq!(messages(&reader).iter().map(value).collect::<Vec<_>>(), (0..1000).collect::<Vec<_>>());
     let causes: Vec<_> = reader.truncation().map(|truncation| truncation.cause.clone()).collect();
     assert_eq!(causes, [TruncationCause::NotEnded]);
-    let told = check(&reader, |_| {}).unwrap();
-    assert!(matches!(told.problems[0], Problem::Truncated(_)), "{:?}", told.problems);
+    let report = check(&reader, |_| {}).unwrap();
+    assert!(matches!(report.problems[0], Problem::Truncated(_)), "{:?}", report.problems);
     assert_eq!(Metadata::read(&bag.join(FILE_NAME)).unwrap().topics[0].name, "/numbers");
     drop(reader);
 

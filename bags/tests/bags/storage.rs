@@ -172,7 +172,7 @@ fn mcap_and_sqlite_and_their_presets_are_chosen_by_name() {
         assert_eq!(options.mcap_mut(), Err(StorageError::Compression));
     } else {
         assert_eq!(StorageOptions::of(Storage::Sqlite3), Err(StorageError::NotBuilt));
-        let told = preset("sqlite3", "resilient").unwrap_err().to_string();
-        assert!(told.contains("--features sqlite"), "{told}");
+        let message = preset("sqlite3", "resilient").unwrap_err().to_string();
+        assert!(message.contains("--features sqlite"), "{message}");
     }
 }

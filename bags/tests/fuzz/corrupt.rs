@@ -15,9 +15,9 @@ pub fn bytes(bytes: &mut Vec<u8>, random: &mut Random) {
             2 => bytes.truncate(at),
             3 => {
                 let length = bytes.len() as u64;
-                let telling =
+                let special =
                     [0, 1, length, u64::from(u32::MAX), 1 << 30, 1 << 31, i64::MAX as u64, u64::MAX];
-                let value = random.choose(&telling).to_le_bytes();
+                let value = random.choose(&special).to_le_bytes();
                 let width = *random.choose(&[2, 4, 8]);
                 for (byte, new) in bytes[at..].iter_mut().zip(&value[..width]) {
                     *byte = *new;

@@ -1,4 +1,4 @@
-//! What bags cost: see `benches/README.md`.
+//! Benchmarks of bags: see `benches/README.md`.
 
 mod readers;
 mod robot;
@@ -10,7 +10,7 @@ use clap::{Parser, Subcommand};
 
 #[derive(Parser)]
 struct Arguments {
-    /// Where bags are written and removed again; the folder of temporary files unless given.
+    /// Folder in which bags are written and removed again. Defaults to the folder for temporary files.
     #[arg(long, global = true)]
     folder: Option<PathBuf>,
     #[command(subcommand)]
@@ -25,21 +25,21 @@ enum What {
         #[arg(long, default_value_t = 20)]
         seconds: u64,
     },
-    /// Write the same messages with this project's writer, the mcap crate's, and those of Python.
+    /// Write the same messages with the writers of this project, of the mcap crate and of Python.
     Writers {
-        /// Megabytes of each turn; Python has a tenth.
+        /// Megabytes that each turn writes; the Python writers write a tenth of it.
         #[arg(long, default_value_t = 400)]
         megabytes: u64,
-        /// The best of so many turns counts.
+        /// Number of turns; the best one counts.
         #[arg(long, default_value_t = 5)]
         turns: u32,
     },
-    /// Read one topic of a bag with two, as bytes and decoded, beside rosbags.
+    /// Read one topic of a bag with two topics, as bytes and decoded, and compare with rosbags.
     Readers {
-        /// Messages of the topic; the other topic has three times as many.
+        /// Messages on the topic that is read; the other topic has three times as many.
         #[arg(long, default_value_t = 50_000)]
         messages: u32,
-        /// The best of so many turns counts.
+        /// Number of turns; the best one counts.
         #[arg(long, default_value_t = 3)]
         turns: u32,
     },

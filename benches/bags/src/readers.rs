@@ -1,4 +1,4 @@
-//! One topic of a bag, read by several.
+//! Measures how long several readers take to read one topic of a bag.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,10 +12,10 @@ use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
 use downbeat_msgs::{Message, cdr};
 
 const PYTHON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/python/read_bags.py");
-/// The one that is read; the other makes three quarters of the bag.
+/// The topic that is read; the other topic makes up three quarters of the bag.
 const TOPIC: &str = "/joint_states";
 
-/// A contestant: reads the topic, and returns how many messages there were.
+/// A contestant: reads the topic and returns the number of messages.
 type Contestant = fn(&Path) -> anyhow::Result<u64>;
 
 pub(crate) fn run(folder: &Path, messages: u32, turns: u32) -> anyhow::Result<()> {

@@ -1,4 +1,4 @@
-//! Recording inside the process: a module publishes, the recorder of downbeat records.
+//! Measures recording inside the process: a module publishes and the recorder records.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -26,7 +26,7 @@ pub(crate) fn run(folder: &Path, seconds: u64) -> anyhow::Result<()> {
 }
 
 fn measure(folder: &Path, name: &str, duration: Duration, load: impl Fn() -> Load) -> anyhow::Result<()> {
-    // What publishing costs is no part of recording.
+    // Publishing alone, whose cost is not part of recording.
     let (alone, _) = run_core(&load(), duration, |_| Ok(()))?;
     let bag = folder.join(name.replace([' ', ','], "_"));
     let mut recording = None;
@@ -58,7 +58,7 @@ fn measure(folder: &Path, name: &str, duration: Duration, load: impl Fn() -> Loa
     Ok(())
 }
 
-/// Returns the time on the processor, and the size of a message.
+/// Returns the processor time and the size of a message.
 fn run_core(
     load: &Load,
     duration: Duration,
@@ -77,13 +77,13 @@ fn run_core(
     Ok((processor_time() - before, load.message_bytes()))
 }
 
-/// Of all threads of this process.
+/// The processor time of all threads of this process.
 fn processor_time() -> Duration {
     let time = clock_gettime(ClockId::ProcessCPUTime);
     Duration::new(time.tv_sec as u64, time.tv_nsec as u32)
 }
 
-/// Publishes the same on each of its topics again and again.
+/// Publishes the same message on each of its topics in each period.
 #[derive(Clone)]
 struct Load {
     period: Duration,
@@ -106,7 +106,7 @@ impl Load {
                 state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
                 (state >> 56) as u8
             } else {
-                // Bands and blobs, as of a lawn with lines on it.
+                // Bands and blobs, like a lawn with lines on it.
                 ((at / 1024 / 8 * 3) ^ (at % 1024 / 64 * 5)) as u8
             }
         };

@@ -1,4 +1,4 @@
-//! The same messages, written by several.
+//! Measures how fast several writers write the same messages.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -13,7 +13,7 @@ use downbeat_msgs::{Message, cdr};
 
 const PYTHON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/python/write_bags.py");
 
-/// A contestant: writes that many of the message into a new folder.
+/// A contestant: writes the message the given number of times into a new folder.
 type Contestant = fn(&Path, &[u8], u64) -> anyhow::Result<()>;
 
 pub(crate) fn run(folder: &Path, bytes: u64, turns: u32) -> anyhow::Result<()> {
@@ -38,7 +38,7 @@ pub(crate) fn run(folder: &Path, bytes: u64, turns: u32) -> anyhow::Result<()> {
         let count = (bytes / message.len() as u64).max(1);
         let mut best = [Duration::MAX; 6];
         for _ in 0..turns {
-            // Turn by turn, so that a noisy moment hits all.
+            // The contestants take turns, so that a disturbance affects all of them.
             for ((_, write), best) in contestants.iter().zip(&mut best) {
                 *best = (*best).min(timed(folder, |bag| write(bag, &message, count))?);
             }
@@ -72,7 +72,7 @@ fn messages() -> [(&'static str, Vec<u8>); 3] {
     ]
 }
 
-/// Into a folder that is removed afterwards, outside of the time.
+/// Measures a write into a folder that is removed after the measurement.
 fn timed(folder: &Path, write: impl FnOnce(&Path) -> anyhow::Result<()>) -> anyhow::Result<Duration> {
     let bag = folder.join("turn");
     let started = Instant::now();
@@ -108,7 +108,7 @@ fn write_mcap(folder: &Path, message: &[u8], count: u64) -> anyhow::Result<()> {
 }
 
 fn write_ours(folder: &Path, message: &[u8], count: u64, options: McapOptions) -> anyhow::Result<()> {
-    // As the others: until the operating system has it.
+    // Like the other writers: until the operating system has the data.
     let options = WriterOptions::new().storage(options).sync(downbeat_bags::SyncPolicy::Never);
     let mut writer = options.create(folder)?;
     let topic = writer.add_topic(TopicDescription {
@@ -124,7 +124,7 @@ fn write_ours(folder: &Path, message: &[u8], count: u64, options: McapOptions) -
     Ok(())
 }
 
-/// Seconds per message of Python's writers, in one process for all.
+/// Seconds per message of the Python writers, which all run in one process.
 fn by_python(folder: &Path, message: &[u8], count: u64) -> anyhow::Result<Vec<(String, f64)>> {
     let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
         println!("no Python: DOWNBEAT_PYTHON is not set");

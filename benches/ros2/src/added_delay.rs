@@ -1,4 +1,4 @@
-//! What the bridge itself adds: from the publish of a module until the middleware has the bytes.
+//! Measures the delay that the bridge adds: from the publish of a module until the middleware has the bytes.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,7 +16,7 @@ use crate::peer::{Running, quantile_us};
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// How long messages are sent, 1000 a second.
+    /// For how many seconds messages are sent, 1000 per second.
     #[arg(long, default_value_t = 10.0)]
     seconds: f64,
     /// Bytes of a message.
@@ -35,7 +35,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The middleware is the one in memory: its reader is called where DDS would be given the bytes.
+/// Uses the in-memory middleware, whose reader is called at the point at which DDS would receive the bytes.
 fn measure(size: usize, duration: Duration) -> anyhow::Result<Vec<Duration>> {
     let hub = Hub::new();
     let join = |name| -> anyhow::Result<_> {
@@ -50,7 +50,7 @@ fn measure(size: usize, duration: Duration) -> anyhow::Result<Vec<Duration>> {
         let (clock, times) = (clock.clone(), Arc::clone(&times));
         Box::new(move |sample: downbeat_bridge::middleware::Sample| {
             let elapsed = clock.since_publish();
-            // Only what was published last has its time in the clock.
+            // The clock holds only the time of the last message.
             let message = cdr::from_slice::<UInt8MultiArray>(&sample.cdr);
             if message.is_ok_and(|message| payload::number(&message) == Some(clock.number())) {
                 times.lock().unwrap_or_else(PoisonError::into_inner).push(elapsed);

@@ -1,4 +1,4 @@
-//! Pairs of processes, one after the other.
+//! Measures pairs of processes, one pair after the other.
 
 use anyhow::Context;
 
@@ -10,7 +10,7 @@ pub struct Options {
     /// How long each pair sends.
     #[arg(long, default_value_t = 5.0)]
     seconds: f64,
-    /// How often each pair has its turn; the median counts.
+    /// Number of rounds; the median of the rounds counts.
     #[arg(long, default_value_t = 3)]
     rounds: usize,
     /// Bytes of a message.
@@ -24,7 +24,7 @@ pub struct Options {
     json: bool,
 }
 
-/// The end that sends, and the other.
+/// The end that sends and the end that answers.
 const PAIRS: [(Kind, Kind); 5] = [
     (Kind::Downbeat, Kind::Downbeat),
     (Kind::Downbeat, Kind::Rclpy),
@@ -33,10 +33,10 @@ const PAIRS: [(Kind, Kind); 5] = [
     (Kind::Cyclone, Kind::Cyclone),
 ];
 
-/// How many messages are under way at a time when throughput is measured.
+/// Number of messages in flight when throughput is measured.
 const WINDOW: usize = 16;
 
-/// What one pair reached with one size.
+/// The results of one pair with one message size.
 #[derive(serde::Serialize)]
 struct Row {
     bytes: usize,
@@ -46,7 +46,7 @@ struct Row {
     round_trip_p99_us: f64,
     messages_per_second: f64,
     lost: u64,
-    /// Of both processes together, for 1000 round trips one after the other.
+    /// Processor time of both processes for 1000 sequential round trips.
     processor_ms_per_1000: f64,
 }
 
@@ -107,7 +107,8 @@ fn turn((from, to): (Kind, Kind), role: Role, task: &Task) -> anyhow::Result<Tur
         |sender: &Contestant| anyhow::Ok((sender.processor_time()? + other.processor_time()?).as_secs_f64());
     let before = processor_time(&sender)?;
     let outcome = sender.outcome()?;
-    // It has told its outcome and waits for the end of its input, or is about to end: then it has no more to add.
+    // The sender has printed its outcome and does no more work: it waits for the end of its input, or is
+    // about to end.
     let after = processor_time(&sender).unwrap_or(before);
     sender.end()?;
     other.end()?;
@@ -122,14 +123,14 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 
 fn print_head() {
     println!(
-        "| bytes | from | to | round trip p50 | p99 | messages/s, {WINDOW} under way | lost | processor ms per 1000 round trips |"
+        "| bytes | from | to | round trip p50 | p99 | messages/s, {WINDOW} in flight | lost | processor ms per 1000 round trips |"
     );
     println!("| --- | --- | --- | --- | --- | --- | --- | --- |");
 }
 
 fn print_row(row: &Row) {
     let Row { bytes, from, to, round_trip_p50_us, round_trip_p99_us, messages_per_second, lost, .. } = row;
-    // Where nothing came back there is no time.
+    // There is no time if nothing came back.
     let time = |us: &f64| if *us > 0.0 { format!("{us:.0} µs") } else { "none".to_owned() };
     let (p50, p99) = (time(round_trip_p50_us), time(round_trip_p99_us));
     println!(

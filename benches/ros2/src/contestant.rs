@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 
 use crate::peer::{GO, Role};
 
-/// What a contestant stands on.
+/// The software that a contestant uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Kind {
     Downbeat,
@@ -28,7 +28,7 @@ impl Kind {
     }
 }
 
-/// What a pair has to do.
+/// The work of a pair.
 #[derive(Clone, Copy, Debug)]
 pub struct Task {
     pub size: usize,
@@ -48,7 +48,7 @@ impl Contestant {
         Self::start_with(kind, role, task, &[])
     }
 
-    /// The same, with options that only some contestants know.
+    /// Like `start`, with options that only some contestants know.
     pub fn start_with(kind: Kind, role: Role, task: &Task, more: &[&str]) -> anyhow::Result<Self> {
         let mut command = match kind {
             Kind::Downbeat => {
@@ -74,7 +74,7 @@ impl Contestant {
         Ok(Self { process, lines: BufReader::new(stdout).lines() })
     }
 
-    /// Waits until it has found its peer.
+    /// Waits until the contestant has found its peer.
     pub fn wait_for_go(&mut self) -> anyhow::Result<()> {
         match self.line()? {
             line if line == GO => Ok(()),
@@ -88,38 +88,38 @@ impl Contestant {
     }
 
     fn line(&mut self) -> anyhow::Result<String> {
-        Ok(self.lines.next().context("it has ended before it told anything")??)
+        Ok(self.lines.next().context("the contestant ended before it printed anything")??)
     }
 
-    /// The processor time it has taken so far.
+    /// The processor time that the process has used so far.
     pub fn processor_time(&self) -> anyhow::Result<Duration> {
         processor_time(self.process.id())
     }
 
-    /// Its resident memory in bytes.
+    /// The resident memory of the process in bytes.
     pub fn resident_bytes(&self) -> anyhow::Result<u64> {
         resident_bytes(self.process.id())
     }
 
-    /// Ends its input; what it tells then is a number.
+    /// Closes the input of the process and returns the number that it then prints.
     pub fn count(&mut self) -> anyhow::Result<u64> {
         drop(self.process.stdin.take());
         let line = self.line()?;
         line.parse().with_context(|| line)
     }
 
-    /// Ends it by the end of its input.
+    /// Closes the input of the process, which ends it.
     pub fn end(mut self) -> anyhow::Result<()> {
         drop(self.process.stdin.take());
         let status = self.process.wait()?;
-        anyhow::ensure!(status.success(), "it ended with {status}");
+        anyhow::ensure!(status.success(), "the contestant ended with {status}");
         Ok(())
     }
 }
 
 impl Drop for Contestant {
     fn drop(&mut self) {
-        // One that has ended already is no matter.
+        // Fails only if the process has already ended.
         let _ = self.process.kill();
         let _ = self.process.wait();
     }
@@ -131,7 +131,7 @@ pub const CYCLONE_ON_THIS_MACHINE: &str = "<CycloneDDS><Domain><General><Interfa
     <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>\
     <Peers><Peer address=\"127.0.0.1\"/></Peers></Discovery></Domain></CycloneDDS>";
 
-/// A program of this package on the interpreter that has rclpy and cyclonedds.
+/// The command that runs a Python program of this package with the interpreter that has rclpy and cyclonedds.
 fn python(program: &str) -> anyhow::Result<Command> {
     let python = std::env::var_os("DOWNBEAT_PYTHON").context(
         "DOWNBEAT_PYTHON names no interpreter that has rclpy and cyclonedds; `cargo xtask test` makes target/venv/bin/python",
@@ -141,11 +141,11 @@ fn python(program: &str) -> anyhow::Result<Command> {
     Ok(command)
 }
 
-/// The processor time of a process, user's and system's, to 10 ms.
+/// The user and system time of a process, with a resolution of 10 ms.
 fn processor_time(process: u32) -> anyhow::Result<Duration> {
     const TICKS_PER_SECOND: u64 = 100; // USER_HZ of Linux
     let stat = std::fs::read_to_string(format!("/proc/{process}/stat"))?;
-    // Behind the name, which may hold anything, in brackets.
+    // The fields follow the name, which is in brackets and may contain anything.
     let (_, fields) = stat.rsplit_once(')').context("/proc/PID/stat has a name")?;
     let mut times = fields.split_ascii_whitespace().skip(11).map(str::parse::<u64>);
     let (user, system) = (times.next().context("user time")??, times.next().context("system time")??);

@@ -1,4 +1,4 @@
-//! A long time at 1000 messages a second, to another process and back.
+//! Sends 1000 messages per second to another process and back for a long time.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -14,10 +14,10 @@ use crate::peer::{Role, Running, on_this_machine};
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// How long.
+    /// How many minutes to send.
     #[arg(long, default_value_t = 60.0)]
     minutes: f64,
-    /// What sends them back.
+    /// The software that sends the messages back.
     #[arg(long, value_enum, default_value_t = Kind::Downbeat)]
     peer: Kind,
     /// The ROS domain.

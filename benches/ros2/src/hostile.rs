@@ -1,5 +1,6 @@
-//! A control loop at 125 Hz while another process sends hostile datagrams to every port of the participant, beside the same
-//! load on a socket that only drops what it receives. Afterwards rclpy still receives what the loop publishes.
+//! Runs a control loop at 125 Hz while another process sends hostile datagrams to every port of the
+//! participant, and compares it with the same load on a socket that only drops what it receives. Afterwards
+//! rclpy still receives what the loop publishes.
 
 use std::net::{Ipv4Addr, UdpSocket};
 use std::process::{Child, Command, Stdio};
@@ -62,7 +63,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     let sink = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
     let attacker = Attacker::start(&[sink.local_addr()?.port()])?;
     std::thread::spawn(move || {
-        // Ends with the process.
+        // The thread ends with the process.
         let mut buffer = [0; 65_536];
         while sink.recv(&mut buffer).is_ok() {}
     });
@@ -89,7 +90,7 @@ fn print(what: &str, times: &[Duration]) {
     println!("| {what} | {p50:.0} µs | {p99:.0} µs | {max:.0} µs |");
 }
 
-/// Notes how late it runs.
+/// Records how late each run begins.
 struct Loop {
     number: u64,
     due: Option<Instant>,
@@ -104,7 +105,7 @@ impl Module for Loop {
         setup.every(PERIOD, move |this: &mut Self, ctx| {
             let now = Instant::now();
             let due = this.due.unwrap_or(now);
-            // What was missed by a whole period is one late run, not many.
+            // A delay of several periods counts as one late run.
             let next = due + PERIOD;
             this.due = Some(if next < now { now + PERIOD } else { next });
             let late = now.saturating_duration_since(due);
@@ -129,7 +130,7 @@ impl Attacker {
 
 impl Drop for Attacker {
     fn drop(&mut self) {
-        // It may have ended already.
+        // Fails only if the process has already ended.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -143,7 +144,7 @@ pub fn attack(options: &AttackerOptions) -> anyhow::Result<()> {
         let mut random = Random::new(round);
         let mut datagram = random.choose(&recorded).to_vec();
         mutation::mutate(&mut datagram, &mut random);
-        // A full buffer, or a datagram that has become too long.
+        // Fails if the buffer is full or the changed datagram is too long.
         let _ = socket.send_to(&datagram, (Ipv4Addr::LOCALHOST, *random.choose(&options.ports)));
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! Messages of the size of images at the rate of a camera, to an rclpy node.
+//! Sends messages of the size of images at the rate of a camera to an rclpy node.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -19,7 +19,7 @@ pub struct Options {
     /// Bytes of a message.
     #[arg(long, value_delimiter = ',', default_values_t = [50_000, 100_000, 300_000, 921_600, 2_764_800])]
     sizes: Vec<usize>,
-    /// Messages a second.
+    /// Messages per second.
     #[arg(long, default_value_t = 30.0)]
     hz: f64,
     /// How many messages are sent.
@@ -79,13 +79,13 @@ fn arrived(size: usize, reliability: Reliability, options: &Options) -> anyhow::
     let qos = QosProfile { reliability, ..QosProfile::DEFAULT };
     let running = Running::start_with(core, &node, &[("ping", Direction::Out)], qos)?;
     running.wait_for_peer(Duration::from_secs(20))?;
-    // The other end may not know of this one yet.
+    // The other end may not have discovered this one yet.
     std::thread::sleep(Duration::from_secs(1));
     go.store(options.messages, Ordering::Release);
     while sent.load(Ordering::Acquire) < options.messages {
         std::thread::sleep(period);
     }
-    // What is lost is asked for again and again: give it time.
+    // Lost messages are requested repeatedly: allow time for it.
     std::thread::sleep(Duration::from_secs(5));
     running.stop()?;
     let heard = counter.count()?;
@@ -96,7 +96,7 @@ fn arrived(size: usize, reliability: Reliability, options: &Options) -> anyhow::
 struct Camera {
     size: usize,
     period: Duration,
-    /// How many messages are still to be sent.
+    /// Number of messages still to be sent.
     left: Arc<AtomicU64>,
     sent: Arc<AtomicU64>,
 }

@@ -1,8 +1,9 @@
-//! What the bridge costs: round trips and throughput beside pairs of rclpy and of Cyclone DDS in the same run, the delay
-//! that it adds itself, and its memory after a long time.
+//! Benchmarks of the bridge: round trips and throughput compared with pairs of rclpy and of Cyclone DDS in
+//! the same run, the delay that the bridge adds, and its memory use over a long time.
 //!
-//! A contestant is a process: downbeat (a core, a bridge and DDS), or a Python program on rclpy or `cyclonedds`, which need
-//! `DOWNBEAT_PYTHON`, an interpreter that has them. All stay on this machine.
+//! A contestant is a process: downbeat (a core, a bridge and DDS), or a Python program that uses rclpy or
+//! `cyclonedds`. The Python programs need `DOWNBEAT_PYTHON`, the path of an interpreter that has these
+//! packages. All traffic stays on this machine.
 
 mod added_delay;
 mod contest;
@@ -18,7 +19,7 @@ mod wire;
 use clap::{Parser, Subcommand};
 
 #[derive(Parser)]
-#[command(about = "What the bridge costs, beside rclpy and Cyclone DDS in the same run")]
+#[command(about = "Benchmarks of the bridge, compared with rclpy and Cyclone DDS in the same run")]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -26,22 +27,23 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Round trips and throughput of pairs of processes, and the processor time they take.
+    /// Round trips, throughput and processor time of pairs of processes.
     Pairs(contest::Options),
-    /// From the publish of a module until the bridge hands the bytes to the middleware.
+    /// Delay from the publish of a module until the bridge passes the bytes to the middleware.
     AddedDelay(added_delay::Options),
-    /// How many large messages reach an rclpy node.
+    /// Number of large messages that reach an rclpy node.
     Images(images::Options),
-    /// 1000 messages a second to another process and back, and the memory of both each minute.
+    /// 1000 messages per second to another process and back, with the memory use of both once a minute.
     Hold(hold::Options),
-    /// How fast a process that joins is matched and has a latched sample.
+    /// Time until a process that joins is matched and has received a latched sample.
     Meeting(meeting::Options),
-    /// A loop of 8 ms while hostile datagrams come in.
+    /// Control loop with a period of 8 ms while hostile datagrams arrive.
     Hostile(hostile::Options),
     /// Sends hostile datagrams.
     #[command(hide = true)]
     Attacker(hostile::AttackerOptions),
-    /// Round trips and streams of the engine alone, beside bare UDP, rustdds (with that feature) and Cyclone DDS in C.
+    /// Round trips and streams of the engine alone, compared with bare UDP, rustdds (with the feature
+    /// `rustdds`) and Cyclone DDS in C.
     Wire(wire::Options),
     /// One end of a pair of `wire`.
     #[command(hide = true)]

@@ -1,4 +1,5 @@
-//! How fast a process that joins gets to know one that is running, beside rclpy with itself in the same run.
+//! Measures how fast a process that joins discovers one that is running, compared with a pair of rclpy
+//! processes in the same run.
 
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
@@ -14,13 +15,13 @@ use crate::contestant::{Contestant, Kind, Task};
 use crate::payload;
 use crate::peer::Role;
 
-/// How long two processes look for each other.
+/// How long two processes may take to discover each other.
 const PATIENCE: Duration = Duration::from_secs(20);
 const TYPE: &str = "std_msgs/msg/UInt8MultiArray";
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// How many processes join, one after the other; the medians are printed.
+    /// Number of processes that join one after the other; the medians are printed.
     #[arg(long, default_value_t = 10)]
     rounds: usize,
     /// The ROS domain.
@@ -28,7 +29,7 @@ pub struct Options {
     domain: u16,
 }
 
-/// The process that runs, and the one that joins.
+/// The process that is running and the process that joins.
 const PAIRS: [(Kind, Kind); 4] = [
     (Kind::Downbeat, Kind::Downbeat),
     (Kind::Downbeat, Kind::Rclpy),
@@ -39,9 +40,9 @@ const PAIRS: [(Kind, Kind); 4] = [
 /// Times since the process that joins began to create its node.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 struct Meeting {
-    /// Until its publisher is matched with the subscription of the other.
+    /// Until its publisher is matched with the subscription of the other process.
     matched_ms: f64,
-    /// Until its subscription has received the latched sample of the other.
+    /// Until its subscription has received the latched sample of the other process.
     latched_ms: f64,
 }
 
@@ -89,14 +90,14 @@ pub fn latch() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Joins, and prints how long it took to meet the process that runs.
+/// Joins and prints how long it took to discover the running process.
 pub fn late() -> anyhow::Result<()> {
     let start = Instant::now();
     let node = join("downbeat_late")?;
     let of = MessageType::new(TYPE)?;
     let (sender, received) = channel();
     let take = Box::new(move |_| {
-        // Only the first one counts.
+        // Only the first sample counts.
         let _ = sender.send(start.elapsed());
     });
     let publisher = node.publish("ping", &of, QosProfile::DEFAULT)?;

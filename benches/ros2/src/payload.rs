@@ -1,8 +1,8 @@
-//! The message that all contestants carry: bytes that begin with its number.
+//! The message that all contestants send: bytes that begin with the number of the message.
 
 use downbeat_msgs::std_msgs::msg::UInt8MultiArray;
 
-/// The bytes of a number, which no message is shorter than.
+/// Size of the number; no message is shorter.
 pub const NUMBER_BYTES: usize = 8;
 
 /// A message of `size` bytes, not counting its envelope.

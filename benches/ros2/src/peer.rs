@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 use crate::meeting;
 use crate::payload::{self, NUMBER_BYTES};
 
-/// How long a message may be under way before it counts as lost.
+/// How long a message may be in flight before it counts as lost.
 const PATIENCE: Duration = Duration::from_secs(2);
 
 #[derive(clap::Args)]
@@ -30,51 +30,51 @@ pub struct Options {
     /// Bytes of a message.
     #[arg(long, default_value_t = 100)]
     pub size: usize,
-    /// How many messages are under way at a time.
+    /// Number of messages in flight.
     #[arg(long, default_value_t = 1)]
     pub window: usize,
-    /// How long messages are sent.
+    /// For how many seconds messages are sent.
     #[arg(long, default_value_t = 3.0)]
     pub seconds: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Role {
-    /// Sends, and waits for what comes back.
+    /// Sends messages and waits for the answers.
     Ping,
-    /// Sends back what it hears.
+    /// Sends each received message back.
     Echo,
-    /// Sends back the number of what it hears.
+    /// Sends back the number of each received message.
     Acknowledge,
-    /// Counts what it hears; of Python contestants only.
+    /// Counts received messages. Only Python contestants have this role.
     Count,
-    /// Sends large messages at a steady rate; of Python contestants only.
+    /// Sends large messages at a constant rate. Only Python contestants have this role.
     Camera,
     /// Offers a latched sample.
     Latch,
-    /// Joins and measures how long it takes to meet the one that offers a latched sample.
+    /// Joins and measures how long it takes to discover the process that offers a latched sample.
     Late,
 }
 
-/// What the end that sends has measured.
+/// The measurements of the end that sends.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Outcome {
     /// Messages that came back.
     pub messages: u64,
-    /// Messages that did not.
+    /// Messages that did not come back.
     pub lost: u64,
-    /// From the first that was sent until the last that came back.
+    /// From the first message sent until the last one that came back.
     pub seconds: f64,
-    /// Median of the times from there to back.
+    /// Median of the round-trip times.
     pub p50_us: f64,
-    /// The time that one of a hundred exceeds.
+    /// 99th percentile of the round-trip times.
     pub p99_us: f64,
 }
 
-/// The line that tells that both ends have found each other.
+/// The line printed when both ends have discovered each other.
 pub const GO: &str = "go";
 
-/// Runs one end: an echo until its input ends, the other until it has measured.
+/// Runs one end: an echo until its input is closed, the other end until its measurement is complete.
 pub fn run(options: &Options) -> anyhow::Result<()> {
     let join = || anyhow::Ok(Participant::join(&ParticipantOptions::from_env()?)?);
     match options.role {
@@ -100,7 +100,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A domain, and nobody but who is on this machine.
+/// Options for a domain with discovery limited to this machine.
 pub fn on_this_machine(domain_id: u16) -> anyhow::Result<ParticipantOptions> {
     Ok(ParticipantOptions::from_variables(|name| match name {
         "ROS_DOMAIN_ID" => Some(domain_id.to_string()),
@@ -147,9 +147,9 @@ pub struct Running {
 
 impl Running {
     /// Exposes one topic each way and runs the core.
-    pub fn start(core: Core, node: &Node, heard: &str, told: &str) -> anyhow::Result<Self> {
+    pub fn start(core: Core, node: &Node, heard: &str, sent: &str) -> anyhow::Result<Self> {
         let qos = QosProfile { history: History::KeepLast(100), ..QosProfile::DEFAULT };
-        Self::start_with(core, node, &[(heard, Direction::In), (told, Direction::Out)], qos)
+        Self::start_with(core, node, &[(heard, Direction::In), (sent, Direction::Out)], qos)
     }
 
     /// Exposes these topics and runs the core.
@@ -215,7 +215,7 @@ struct Ping {
     go: Arc<AtomicBool>,
     started: Option<Instant>,
     next: u64,
-    /// When each message was sent that has not come back.
+    /// The send times of the messages that have not come back yet.
     under_way: BTreeMap<u64, Instant>,
     times: Vec<Duration>,
     lost: u64,
@@ -265,7 +265,7 @@ impl Ping {
         if started.elapsed() >= self.duration {
             if self.under_way.is_empty() {
                 let outcome = self.outcome(started);
-                // A second one is not looked at.
+                // Only the first outcome is read.
                 let _ = self.done.send(outcome);
             }
             return;
@@ -289,7 +289,7 @@ impl Ping {
     }
 }
 
-/// The time below which that part of the sorted times is, in µs; 0 where there is none.
+/// The quantile `part` of the sorted times in µs; 0 if there are no times.
 pub fn quantile_us(sorted: &[Duration], part: f64) -> f64 {
     let index = (sorted.len() as f64 * part) as usize;
     sorted.get(index.min(sorted.len().saturating_sub(1))).map_or(0.0, |time| time.as_secs_f64() * 1e6)

@@ -1,4 +1,4 @@
-//! A camera on a thread of its own whose pictures of 1 MiB are shared, never copied.
+//! A camera on its own thread. Its pictures of 1 MiB are shared, never copied.
 
 use std::process::ExitCode;
 use std::time::Duration;

@@ -9,7 +9,7 @@ use downbeat::msgs::std_msgs::msg::Float64;
 use downbeat::running::{PreparedRobot, RecordPlan};
 use downbeat::{App, Failure};
 
-/// An axis, computed: it moves towards its goal by at most 0.05 m every 10 ms.
+/// A simulated axis: it moves towards its goal by at most 0.05 m every 10 ms.
 #[derive(Default)]
 struct Axis {
     goal: f64,
@@ -43,7 +43,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 fn main() -> Result<(), Failure> {
     let app = App::new().kind("axis", "an axis (computed)", Axis::default);
 
-    // The whole robot with one call: its core on a thread, its node in ROS 2.
+    // Starts the whole robot with one call: its core on a thread and its node in ROS 2.
     let follower = app.start("follower.toml")?;
 
     // Step by step: here without a node, and with an inlet, an outlet, and a recording.
@@ -61,7 +61,7 @@ fn main() -> Result<(), Failure> {
     let follower_outlet = follower.core().outlet("position", Inbox::KeepAll, pass_to(sender));
     let follower_outlet = follower_outlet.wait(PATIENCE).ok_or(NoAnswer)??;
 
-    // The program is what connects them: it sends the one robot where the other one is.
+    // The program connects the robots: it sends the position of one to the other.
     leader_goal.publish(Float64 { data: 1.0 })?;
     for position in &leader_positions {
         follower_goal.publish(Float64 { data: position })?;
@@ -74,7 +74,7 @@ fn main() -> Result<(), Failure> {
         println!("the follower has arrived");
     }
 
-    // Nothing more is taken out of the cores.
+    // No more messages are taken out of the cores.
     drop((leader_outlet, follower_outlet));
     follower.stop()?;
     if let Some(bag) = leader.stop()? {
@@ -91,7 +91,7 @@ fn pass_to(positions: Sender<f64>) -> impl FnMut(Received<'_, Float64>) + Send {
     }
 }
 
-/// A robot does not answer.
+/// A robot did not answer.
 #[derive(Debug, thiserror::Error)]
 #[error("the robot has stopped, or gave no answer within {} s", PATIENCE.as_secs())]
 struct NoAnswer;

@@ -1,4 +1,4 @@
-//! Modules in the executor alone: a core with a clock that is moved by hand, under several launchers.
+//! Modules in the executor alone: a core with a manually advanced clock, under several launchers.
 
 use std::error::Error;
 use std::sync::mpsc::{Sender, channel};

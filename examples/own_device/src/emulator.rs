@@ -5,7 +5,7 @@ use std::thread::JoinHandle;
 
 use downbeat::executor::{Context, Module, Setup, SetupError, TransitionError};
 
-/// Answers on a thread of its own while the module is active.
+/// Answers on its own thread while the module is active.
 #[derive(Default)]
 pub(crate) struct Emulator {
     address: String,
@@ -17,7 +17,7 @@ struct Running {
     thread: JoinHandle<()>,
 }
 
-/// Ends the thread, where a range finder would be switched off.
+/// The datagram that ends the thread.
 const OFF: &[u8] = b"off";
 
 impl Module for Emulator {
@@ -53,7 +53,7 @@ impl Module for Emulator {
         let Some(Running { socket, thread }) = self.running.take() else { return };
         let is_sent = socket.local_addr().and_then(|address| socket.send_to(OFF, address));
         if is_sent.is_ok() {
-            // It has nothing to say.
+            // The thread returns nothing.
             let _ = thread.join();
         }
     }
@@ -69,7 +69,7 @@ fn answer(socket: &UdpSocket) {
         let number = request.split(' ').next().and_then(|number| number.parse::<u32>().ok());
         if let Some(number) = number.filter(|number| number % 10 != 0) {
             let metres = 1.0 + 0.5 * (f64::from(number) / 10.0).sin();
-            // The client may be gone.
+            // The client may have closed its socket.
             let _ = socket.send_to(format!("{number} {metres:.3}").as_bytes(), from);
         }
     }

@@ -1,4 +1,4 @@
-//! A device of one's own: a range finder that answers lines of text.
+//! A custom device: a range finder that answers lines of text.
 
 mod emulator;
 mod range_finder;

@@ -1,4 +1,4 @@
-//! The range finder: the line it is on, and the module that asks it.
+//! The range finder: its connection and the module that polls it.
 
 use std::io;
 use std::net::UdpSocket;
@@ -14,18 +14,18 @@ use downbeat_msgs::std_msgs::msg::Header;
 /// How long the range finder may take to answer.
 const TIMEOUT: Duration = Duration::from_millis(200);
 
-/// What the range finder was asked, and what came of it.
+/// A request to the range finder with its outcome.
 #[derive(Clone, Debug, Default, PartialEq, Message)]
 #[message(name = "own_device/msg/Exchange")]
 pub(crate) struct Exchange {
     request: String,
-    /// Empty if there was none.
+    /// Empty if there was no answer.
     answer: String,
     /// Why there was no answer, or empty.
     error: String,
 }
 
-/// The line to the range finder: a serial port behind a device server that speaks UDP.
+/// The connection to the range finder: a serial port behind a device server that speaks UDP.
 #[derive(Default)]
 pub(crate) struct Line {
     /// Host and port.
@@ -51,7 +51,7 @@ impl Line {
         loop {
             let length = socket.recv(&mut buffer)?;
             let answer = String::from_utf8_lossy(&buffer[..length]);
-            // An answer to an earlier request came too late.
+            // Other numbers belong to late answers to earlier requests.
             if answer.split(' ').next() == Some(number) {
                 self.socket = Some(socket);
                 return Ok(answer.into_owned());

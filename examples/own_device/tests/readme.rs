@@ -4,7 +4,7 @@ use std::net::UdpSocket;
 
 #[test]
 fn the_commands_of_the_readme_print_what_it_says() {
-    // Free at this moment, and nobody else asks for it by its number.
+    // The port is free now, and nothing else requests it by number.
     let free =
         UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr()).expect("there is a port");
     readme_runner::Readme::of(env!("CARGO_MANIFEST_DIR"), env!("CARGO_BIN_EXE_own_device"))

@@ -1,4 +1,4 @@
-//! Two messages that downbeat does not carry: one derived from a struct, one generated from a `.msg` file.
+//! Two messages that downbeat does not contain: one derived from a struct, one generated from a `.msg` file.
 #![allow(rustdoc::broken_intra_doc_links)] // units in brackets, as ROS writes them in comments of messages
 
 use std::process::ExitCode;
@@ -9,7 +9,8 @@ use downbeat::executor::{Context, Module, Publication, Received, Setup, SetupErr
 use downbeat_msgs::Message;
 use downbeat_msgs::builtin_interfaces::msg::Time;
 
-// `robot_msgs::msg::Stuck` from `robot_msgs/msg/Stuck.msg`, and `INTERFACES`, the set of all that is in `robot_msgs`.
+// `robot_msgs::msg::Stuck` from `robot_msgs/msg/Stuck.msg`, and `INTERFACES`, the set of all interfaces in
+// `robot_msgs`.
 downbeat_msgs::include_interfaces!();
 
 use robot_msgs::msg::Stuck;
@@ -25,7 +26,7 @@ struct Wheels {
     efforts: [f64; 2],
 }
 
-/// A base with two wheels, made up: every second step the right wheel stands still.
+/// A simulated base with two wheels: in every second step the right wheel stands still.
 #[derive(Default)]
 struct Base {
     steps: u32,

@@ -15,13 +15,13 @@ downbeat_msgs::include_interfaces!();
 
 use gripper_msgs::action::{Grip, GripFeedback, GripGoal, GripResult};
 
-/// How far the fingers are apart when open, m.
+/// Distance between the open fingers, m.
 const OPEN: f64 = 0.1;
 
-/// What the gripper finds between its fingers, m.
+/// Width of the object between the fingers, m.
 const HELD: f64 = 0.06;
 
-/// A gripper, made up: its fingers close by 1 cm every 50 ms until they hold something.
+/// A simulated gripper: its fingers close by 1 cm every 50 ms until they hold an object.
 #[derive(Default)]
 struct Gripper {
     is_enabled: bool,
@@ -72,7 +72,7 @@ impl Gripper {
     }
 }
 
-/// Has the gripper grip once: enables it, sends the goal, and reports how it went.
+/// Lets the gripper grip once: enables it, sends the goal and logs the result.
 #[derive(Default)]
 struct Planner {
     grip: ActionClient<Grip>,

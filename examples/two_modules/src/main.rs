@@ -1,4 +1,4 @@
-//! Two modules that know each other only by the names of topics: a motor and the fan that cools it.
+//! Two modules that share only topic names: a motor and the fan that cools it.
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -7,7 +7,7 @@ use downbeat::App;
 use downbeat::executor::{Context, Module, Publication, Received, Setting, Setup, SetupError};
 use downbeat::msgs::std_msgs::msg::{Bool, Float64};
 
-/// A motor whose temperature is computed, not measured: it rises by 1 °C every 50 ms, and falls while the fan is on.
+/// A motor with a simulated temperature, which rises by 1 °C every 50 ms and falls while the fan is on.
 struct Motor {
     celsius: f64,
     is_cooled: bool,

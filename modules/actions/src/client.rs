@@ -85,7 +85,7 @@ impl<A: Action> ActionClient<A> {
     /// Sends a goal. The callbacks of the declaration report its progress.
     ///
     /// # Panics
-    /// If the client was not declared in the module's setup, which stops the module.
+    /// Panics if the client was not declared in the module's setup, which stops the module.
     pub fn send<P>(&mut self, ctx: &mut Context<'_, P>, goal: A::Goal) -> GoalId {
         let id = GoalId::new(ctx.module_name(), &self.action, ctx.now(), self.next);
         self.next += 1;
@@ -300,7 +300,7 @@ impl<A: Action, M: Module> ClientBuilder<A, M> {
     /// Remapping the action applies to all of them.
     ///
     /// # Errors
-    /// If the name is invalid, or the action has another type.
+    /// Returns an error if the name is invalid, or the action has another type.
     pub fn declare(
         self,
         setup: &mut Setup<'_, M>,

@@ -78,7 +78,7 @@ impl<A: Action> ActionServer<A> {
     /// Starts a goal that was accepted with deferred execution.
     ///
     /// # Errors
-    /// If there is no such goal, or it is not waiting.
+    /// Returns an error if there is no such goal, or it is not waiting.
     pub fn execute<P>(&mut self, ctx: &mut Context<'_, P>, id: GoalId) -> Result<(), GoalError> {
         self.change(id, GoalEvent::Execute)?;
         self.publish_status(ctx);
@@ -88,7 +88,7 @@ impl<A: Action> ActionServer<A> {
     /// Publishes feedback on a goal.
     ///
     /// # Errors
-    /// If there is no such goal, or it has ended.
+    /// Returns an error if there is no such goal, or it has ended.
     pub fn publish_feedback<P>(
         &self,
         ctx: &mut Context<'_, P>,
@@ -97,7 +97,7 @@ impl<A: Action> ActionServer<A> {
     ) -> Result<(), GoalError> {
         let goal = self.goal(id).ok_or_else(|| self.unknown(id))?;
         if !goal.status.is_active() {
-            return Err(self.not_in(goal, "told of"));
+            return Err(self.not_in(goal, "given feedback"));
         }
         ctx.publish(self.keys().feedback, A::feedback_message(id.into(), feedback));
         Ok(())
@@ -106,7 +106,7 @@ impl<A: Action> ActionServer<A> {
     /// Finishes a goal that was reached.
     ///
     /// # Errors
-    /// If there is no such goal, or it is neither executing nor canceling.
+    /// Returns an error if there is no such goal, or it is neither executing nor canceling.
     pub fn succeed<P>(
         &mut self,
         ctx: &mut Context<'_, P>,
@@ -119,7 +119,7 @@ impl<A: Action> ActionServer<A> {
     /// Finishes a goal that cannot be reached.
     ///
     /// # Errors
-    /// If there is no such goal, or it is neither executing nor canceling.
+    /// Returns an error if there is no such goal, or it is neither executing nor canceling.
     pub fn abort<P>(
         &mut self,
         ctx: &mut Context<'_, P>,
@@ -132,7 +132,7 @@ impl<A: Action> ActionServer<A> {
     /// Finishes a goal that is being canceled.
     ///
     /// # Errors
-    /// If there is no such goal, or it is not being canceled.
+    /// Returns an error if there is no such goal, or it is not being canceled.
     pub fn canceled<P>(
         &mut self,
         ctx: &mut Context<'_, P>,
@@ -400,7 +400,7 @@ impl<A: Action, M: Module> ServerBuilder<A, M> {
     /// Remapping the action applies to all of them.
     ///
     /// # Errors
-    /// If the name is invalid, the action has another type, or it is already served.
+    /// Returns an error if the name is invalid, the action has another type, or it is already served.
     pub fn declare(
         self,
         setup: &mut Setup<'_, M>,

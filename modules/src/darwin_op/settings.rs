@@ -86,7 +86,7 @@ impl SettingKeys {
     /// The current values.
     ///
     /// # Errors
-    /// If the offsets are invalid.
+    /// Returns an error if the offsets are invalid.
     pub(super) fn values<P>(&self, ctx: &Context<'_, P>) -> Result<Settings, String> {
         // Between 0 and 254 by their range.
         let gain = |key| u8::try_from(*ctx.get(key)).unwrap_or(u8::MAX);

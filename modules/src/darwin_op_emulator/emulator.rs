@@ -85,7 +85,7 @@ impl Emulator {
     /// Opens the port and starts to serve it.
     ///
     /// # Errors
-    /// If there is no pseudo terminal, or the link cannot be created.
+    /// Returns an error if there is no pseudo terminal, or the link cannot be created.
     pub fn start(options: EmulatorOptions) -> Result<Self, EmulatorError> {
         let terminal = PseudoTerminal::open(options.link.as_deref())?;
         let shared = Arc::new(Shared::new(&options, &terminal));

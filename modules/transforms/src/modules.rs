@@ -47,35 +47,35 @@ const MOST_TOLD: usize = 64;
 /// ```
 ///
 /// # Errors
-/// If a topic carries another type, see [`Setup::subscribe`].
+/// Returns an error if a topic carries another type, see [`Setup::subscribe`].
 pub fn listen<M: Module, F>(setup: &mut Setup<'_, M>, buffer: F) -> Result<(), SetupError>
 where
     F: Fn(&mut M) -> &mut TransformBuffer + Clone + Send + 'static,
 {
-    let (moving, mut told) = (buffer.clone(), Told::default());
+    let (moving, mut warnings) = (buffer.clone(), Warnings::default());
     setup.subscribe(TF, move |module, message: Received<'_, TFMessage>, _| {
         for transform in &message.transforms {
-            told.tell(transform, moving(module).insert(transform));
+            warnings.report(transform, moving(module).insert(transform));
         }
     })?;
-    let mut told = Told::default();
+    let mut warnings = Warnings::default();
     setup.subscribe(TF_STATIC, move |module, message: Received<'_, TFMessage>, _| {
         for transform in &message.transforms {
             // Static transforms may be repeated and replaced.
             let taken = buffer(module).insert_static(transform).map(|_| Taken::New);
-            told.tell(transform, taken);
+            warnings.report(transform, taken);
         }
     })
 }
 
 /// The frames that were logged.
 #[derive(Default)]
-struct Told {
+struct Warnings {
     frames: BTreeSet<String>,
 }
 
-impl Told {
-    fn tell(&mut self, transform: &TransformStamped, taken: Result<Taken, TransformRefused>) {
+impl Warnings {
+    fn report(&mut self, transform: &TransformStamped, taken: Result<Taken, TransformRefused>) {
         let frame = &transform.child_frame_id;
         let problem = match taken {
             Ok(Taken::New | Taken::Known) => return,
@@ -89,7 +89,7 @@ impl Told {
             Err(refused) => refused.to_string(),
         };
         if self.frames.len() < MOST_TOLD && self.frames.insert(frame.chars().take(64).collect()) {
-            tracing::warn!("{problem} (told once)");
+            tracing::warn!("{problem} (reported once)");
         }
     }
 }
@@ -136,7 +136,7 @@ impl TransformBroadcaster {
     /// Declares in a module's setup that it publishes transforms.
     ///
     /// # Errors
-    /// If a topic carries another type, see [`Setup::publish`].
+    /// Returns an error if a topic carries another type, see [`Setup::publish`].
     pub fn declare<M: Module>(setup: &mut Setup<'_, M>) -> Result<Self, SetupError> {
         Ok(Self { tf: setup.publish(TF)?, tf_static: setup.publish(TF_STATIC)?, fixed: RefCell::default() })
     }

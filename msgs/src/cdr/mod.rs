@@ -78,13 +78,13 @@ pub trait Cdr: Sized {
     /// Reads a value.
     ///
     /// # Errors
-    /// If the bytes are not a valid value.
+    /// Returns an error if the bytes are not a valid value.
     fn decode(reader: &mut Reader<'_>) -> Result<Self>;
 
     /// Checks the bounds of bounded strings and sequences. Does nothing for types without bounds.
     ///
     /// # Errors
-    /// If one is exceeded.
+    /// Returns an error if a limit is exceeded.
     fn check_bounds(&self) -> std::result::Result<(), EncodeError> {
         Ok(())
     }
@@ -128,7 +128,7 @@ pub trait Cdr: Sized {
 /// The serialised form of a value: header and body, little-endian.
 ///
 /// # Panics
-/// If a string or sequence has more than 2^32 - 1 elements, which CDR cannot express.
+/// Panics if a string or sequence has more than 2^32 - 1 elements, which CDR cannot express.
 #[must_use]
 pub fn to_vec<T: Cdr>(value: &T) -> Vec<u8> {
     let mut buffer = Vec::new();
@@ -155,7 +155,7 @@ pub fn to_buffer<T: Cdr>(value: &T, buffer: &mut Vec<u8>) {
 /// ```
 ///
 /// # Errors
-/// If a bounded string or sequence exceeds its bound, or the value is too large for CDR.
+/// Returns an error if a bounded string or sequence exceeds its bound, or the value is too large for CDR.
 pub fn try_to_vec<T: Cdr>(value: &T) -> std::result::Result<Vec<u8>, EncodeError> {
     value.check_bounds()?;
     match encoded_size(value) {
@@ -181,7 +181,7 @@ pub fn encoded_size<T: Cdr>(value: &T) -> usize {
 /// borrows from the bytes.
 ///
 /// # Errors
-/// If ROS 2 does not use the representation, or the bytes are not a valid value.
+/// Returns an error if ROS 2 does not use the representation, or the bytes are not a valid value.
 pub fn from_slice<'a, T: FromReader<'a>>(bytes: &'a [u8]) -> Result<T> {
     T::from_reader(&mut Reader::new(bytes)?)
 }

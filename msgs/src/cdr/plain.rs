@@ -173,7 +173,7 @@ pub trait PlainMessage: Plain {
     /// truncated.
     ///
     /// # Errors
-    /// If the input ends too early.
+    /// Returns an error if the input ends too early.
     fn decode_fields(reader: &mut Reader<'_>) -> Result<Self>;
 }
 

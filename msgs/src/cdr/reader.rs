@@ -20,7 +20,7 @@ impl<'a> Reader<'a> {
     /// Reads the header.
     ///
     /// # Errors
-    /// If there is none, or it names a representation that ROS 2 does not use.
+    /// Returns an error if there is no header, or it names a representation that ROS 2 does not use.
     pub fn new(bytes: &'a [u8]) -> Result<Self> {
         let (encoding, endianness, body) = split(bytes)?;
         Ok(Self { body, position: 0, encoding, endianness })
@@ -50,7 +50,7 @@ impl<'a> Reader<'a> {
     /// Reads a value; errors name the field.
     ///
     /// # Errors
-    /// If the bytes are not a valid value.
+    /// Returns an error if the bytes are not a valid value.
     #[inline]
     pub fn field<T: FromReader<'a>>(&mut self, name: &'static str) -> Result<T> {
         T::from_reader(self).map_err(|error| error.in_field(name))
@@ -59,7 +59,7 @@ impl<'a> Reader<'a> {
     /// Like [`Reader::field`], for a sequence of at most `bound` elements.
     ///
     /// # Errors
-    /// If the bytes are not a valid value.
+    /// Returns an error if the bytes are not a valid value.
     pub fn bounded_field<T: FromReader<'a> + Count>(
         &mut self,
         name: &'static str,
@@ -71,7 +71,7 @@ impl<'a> Reader<'a> {
     /// Like [`Reader::field`], for strings of at most `bound` bytes (wide strings: UTF-16 code units), alone or several.
     ///
     /// # Errors
-    /// If the bytes are not a valid value.
+    /// Returns an error if the bytes are not a valid value.
     pub fn text_field<T: FromReader<'a> + Text>(&mut self, name: &'static str, bound: usize) -> Result<T> {
         self.bounded(bound, T::longest).map_err(|error| error.in_field(name))
     }
@@ -80,7 +80,7 @@ impl<'a> Reader<'a> {
     /// [`Reader::text_field`].
     ///
     /// # Errors
-    /// If the bytes are not a valid value.
+    /// Returns an error if the bytes are not a valid value.
     pub fn bounded_texts_field<T: FromReader<'a> + Count + Text>(
         &mut self,
         name: &'static str,
@@ -96,7 +96,7 @@ impl<'a> Reader<'a> {
     /// Like [`Reader::field`], for the view of an array.
     ///
     /// # Errors
-    /// If the bytes are not a valid value.
+    /// Returns an error if the bytes are not a valid value.
     pub fn array_field<V: FromReader<'a>>(
         &mut self,
         name: &'static str,
@@ -108,7 +108,7 @@ impl<'a> Reader<'a> {
     /// Like [`Reader::array_field`], for strings as in [`Reader::text_field`].
     ///
     /// # Errors
-    /// If the bytes are not a valid value.
+    /// Returns an error if the bytes are not a valid value.
     pub fn texts_array_field<V: FromReader<'a> + Text>(
         &mut self,
         name: &'static str,
@@ -148,7 +148,7 @@ impl<'a> Reader<'a> {
     /// Fills the slice with values of fixed layout.
     ///
     /// # Errors
-    /// If the input ends before.
+    /// Returns an error if the input ends before.
     pub fn plain_slice<T: Plain + Cdr>(&mut self, values: &mut [T]) -> Result<()> {
         if let Some(bytes) = self.plain_bytes::<T>(values.len()) {
             T::get_slice(values, &mut PlainReader::new(bytes, self.endianness));
@@ -163,7 +163,7 @@ impl<'a> Reader<'a> {
     /// Reads `count` values of fixed layout.
     ///
     /// # Errors
-    /// If the input ends before.
+    /// Returns an error if the input ends before.
     pub fn plain_vec<T: Plain + Cdr>(&mut self, count: usize) -> Result<Vec<T>> {
         if let Some(bytes) = self.plain_bytes::<T>(count) {
             return Ok(T::collect(bytes, self.endianness));
@@ -174,7 +174,7 @@ impl<'a> Reader<'a> {
     /// Reads a message without fields: one byte of any value.
     ///
     /// # Errors
-    /// If there is none.
+    /// Returns an error if the input is at its end.
     pub fn empty_message(&mut self) -> Result<()> {
         self.bytes(1).map(|_| ())
     }
@@ -182,7 +182,7 @@ impl<'a> Reader<'a> {
     /// Reads a length, and checks that the input can hold that many elements of at least `least_size` bytes.
     ///
     /// # Errors
-    /// If it cannot.
+    /// Returns an error if the input is too short for that many elements.
     #[inline]
     pub fn length(&mut self, least_size: usize) -> Result<usize> {
         let count = self.count()?;
@@ -196,7 +196,7 @@ impl<'a> Reader<'a> {
     /// Skips to the next multiple of `alignment`, a power of two; of 4 in XCDR version 2 if it is 8.
     ///
     /// # Errors
-    /// If the input ends before.
+    /// Returns an error if the input ends before.
     #[inline]
     pub fn align(&mut self, alignment: usize) -> Result<()> {
         self.bytes(self.aligned(alignment) - self.position).map(|_| ())
@@ -205,7 +205,7 @@ impl<'a> Reader<'a> {
     /// Reads raw bytes.
     ///
     /// # Errors
-    /// If there are fewer.
+    /// Returns an error if there are fewer.
     #[inline]
     pub fn bytes(&mut self, count: usize) -> Result<&'a [u8]> {
         match self.body[self.position..].get(..count) {

@@ -33,7 +33,7 @@ pub trait FromReader<'a>: Sized {
     /// Reads a value.
     ///
     /// # Errors
-    /// If the bytes are not a valid value.
+    /// Returns an error if the bytes are not a valid value.
     fn from_reader(reader: &mut Reader<'a>) -> Result<Self>;
 }
 
@@ -195,7 +195,7 @@ impl<'a, V: FromReader<'a>> Sequence<'a, V> {
     /// Reads the elements of an array.
     ///
     /// # Errors
-    /// If the bytes are not valid elements.
+    /// Returns an error if the bytes are not valid elements.
     pub fn of_array(count: usize, reader: &mut Reader<'a>) -> Result<Self> {
         reader.elements(V::IS_NUMBER_OR_BOOL, |reader| Self::read(count, reader))
     }

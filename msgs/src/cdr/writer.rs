@@ -81,7 +81,7 @@ impl<'a> Writer<'a> {
     /// Appends the length of a string or sequence.
     ///
     /// # Panics
-    /// If it exceeds 32 bits.
+    /// Panics if it exceeds 32 bits.
     #[inline]
     pub fn length(&mut self, length: usize) {
         match u32::try_from(length) {

@@ -31,7 +31,8 @@ impl DynamicMessage {
     /// ```
     ///
     /// # Errors
-    /// If there is no such field, or it cannot have this value. The message is then unchanged.
+    /// Returns an error if there is no such field, or it cannot have this value. The message is then
+    /// unchanged.
     pub fn set(&mut self, path: &str, value: impl Into<Value>) -> Result<(), FieldError> {
         self.at(path, |place| place.set(value.into()))
     }
@@ -39,7 +40,8 @@ impl DynamicMessage {
     /// Appends an element to a sequence.
     ///
     /// # Errors
-    /// If there is no such sequence, it is full, or it cannot have this value. The message is then unchanged.
+    /// Returns an error if there is no such sequence, it is full, or it cannot have this value. The message
+    /// is then unchanged.
     pub fn push(&mut self, path: &str, value: impl Into<Value>) -> Result<(), FieldError> {
         self.at(path, |place| place.push(value.into()))
     }
@@ -47,7 +49,7 @@ impl DynamicMessage {
     /// Resizes a sequence: removes its last elements, or appends elements with the defaults of their type.
     ///
     /// # Errors
-    /// If there is no such sequence, or `count` exceeds its bound.
+    /// Returns an error if there is no such sequence, or `count` exceeds its bound.
     pub fn resize(&mut self, path: &str, count: usize) -> Result<(), FieldError> {
         self.at(path, |place| place.resize(count))
     }

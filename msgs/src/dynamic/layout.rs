@@ -96,8 +96,8 @@ impl DynamicType {
     /// Compiles the message of that name and all messages it refers to.
     ///
     /// # Errors
-    /// If one of them is not in the catalog, contains itself, or is too large: nested deeper than 32 levels,
-    /// more than 65 536 fields in all, or fixed arrays of more than 64 MiB.
+    /// Returns an error if one of them is not in the catalog, contains itself, or is too large: nested deeper
+    /// than 32 levels, more than 65 536 fields in all, or fixed arrays of more than 64 MiB.
     pub fn new(catalog: &Catalog, name: &TypeName) -> Result<Self, TypeError> {
         let mut compiler =
             Compiler { catalog, messages: Vec::new(), done: BTreeMap::new(), path: Vec::new() };
@@ -109,7 +109,7 @@ impl DynamicType {
     /// `ros2msg` or `ros2idl`, or `unknown`, which rosbag2 writes for services.
     ///
     /// # Errors
-    /// If the text is not a definition of the type; see also [`DynamicType::new`].
+    /// Returns an error if the text is not a definition of the type; see also [`DynamicType::new`].
     pub fn from_definition_text(name: &str, encoding: &str, text: &str) -> Result<Self, TypeError> {
         let name: TypeName = name.parse()?;
         let catalog = catalog_of(&name, encoding, text, &format!("definition of {name}"))?;

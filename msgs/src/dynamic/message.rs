@@ -60,7 +60,7 @@ impl DynamicMessage {
     /// The value of a field, as in `header.stamp.sec` or `points[3].x`.
     ///
     /// # Errors
-    /// If there is no such field or element; the error names what there is.
+    /// Returns an error if there is no such field or element; the error names what there is.
     pub fn get(&self, path: &str) -> Result<ValueRef<'_>, FieldError> {
         self.as_message().get(path)
     }
@@ -100,7 +100,7 @@ impl<'a> MessageRef<'a> {
     /// The value of a field, as in `header.stamp.sec` or `points[3].x`.
     ///
     /// # Errors
-    /// If there is no such field or element; the error names what there is.
+    /// Returns an error if there is no such field or element; the error names what there is.
     pub fn get(self, path: &str) -> Result<ValueRef<'a>, FieldError> {
         self.find(path).map_err(|problem| problem.of(self.type_name(), path))
     }

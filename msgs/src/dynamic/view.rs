@@ -77,7 +77,7 @@ impl<'a> DynamicView<'a> {
     /// Reads only the header of a serialised message.
     ///
     /// # Errors
-    /// If ROS 2 does not use the representation.
+    /// Returns an error if ROS 2 does not use the representation.
     pub fn new(of: &DynamicType, bytes: &'a [u8]) -> cdr::Result<Self> {
         Ok(Self { of: of.clone(), reader: Reader::new(bytes)? })
     }
@@ -91,7 +91,7 @@ impl<'a> DynamicView<'a> {
     /// The value of a field, as in `header.stamp.sec` or `points[3].x`.
     ///
     /// # Errors
-    /// If there is no such field or element, or the bytes up to it are invalid.
+    /// Returns an error if there is no such field or element, or the bytes up to it are invalid.
     pub fn get(&self, path: &str) -> Result<ViewValue<'a>, ViewError> {
         let fail = |problem: FieldProblem| ViewError::Field(Box::new(problem.of(self.of.name(), path)));
         let mut here = ViewValue::Message(self.clone());
@@ -122,7 +122,7 @@ impl<'a> DynamicView<'a> {
     /// Reads all of it.
     ///
     /// # Errors
-    /// If the bytes are not a message of the type.
+    /// Returns an error if the bytes are not a message of the type.
     pub fn to_message(&self) -> cdr::Result<DynamicMessage> {
         let mut slots = Vec::with_capacity(self.of.message().slots);
         decode_message(&self.of, self.of.index(), &mut self.reader.clone(), &mut slots)?;
@@ -192,7 +192,7 @@ impl<'a> ViewValue<'a> {
     /// A copy to keep.
     ///
     /// # Errors
-    /// If the bytes are not a valid value.
+    /// Returns an error if the bytes are not a valid value.
     pub fn to_value(&self) -> cdr::Result<Value> {
         Ok(match self {
             Self::Value(value) => value.clone(),
@@ -235,7 +235,7 @@ impl<'a> ArrayView<'a> {
     /// Reads all of it.
     ///
     /// # Errors
-    /// If the bytes are not a valid array.
+    /// Returns an error if the bytes are not a valid array.
     pub fn to_array(&self) -> cdr::Result<Array> {
         let field = self.as_field(self.field_type.shape);
         match decode_value(&self.layout, &field, &mut self.start.clone())? {

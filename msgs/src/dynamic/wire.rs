@@ -50,7 +50,7 @@ impl DynamicMessage {
     /// Converts a struct, through its serialised form.
     ///
     /// # Errors
-    /// If the types differ.
+    /// Returns an error if the types differ.
     pub fn from_typed<T: Message>(of: &DynamicType, message: &T) -> Result<Self, ConvertError> {
         same_type::<T>(of)?;
         Self::from_cdr(of, &cdr::to_vec(message))
@@ -70,7 +70,7 @@ impl DynamicMessage {
     /// ```
     ///
     /// # Errors
-    /// If the types differ.
+    /// Returns an error if the types differ.
     pub fn to_typed<T: Message>(&self) -> Result<T, ConvertError> {
         same_type::<T>(&self.of)?;
         cdr::from_slice(&self.to_cdr()).map_err(|problem| ConvertError::Cdr { name: T::TYPE_NAME, problem })
@@ -81,7 +81,7 @@ impl DynamicType {
     /// The type of a struct.
     ///
     /// # Errors
-    /// If the definition of the struct is too large: see [`DynamicType::new`].
+    /// Returns an error if the definition of the struct is too large: see [`DynamicType::new`].
     pub fn of<T: Message>() -> Result<Self, TypeError> {
         Self::from_definition_text(T::TYPE_NAME, "ros2msg", T::DEFINITION)
     }

@@ -37,7 +37,7 @@ impl Encoding {
     /// Creates a codec for a type whose definition is in the catalog.
     ///
     /// # Errors
-    /// If the catalog lacks a type, the type is too large, or this build lacks the encoding.
+    /// Returns an error if the catalog lacks a type, the type is too large, or this build lacks the encoding.
     pub fn codec(self, catalog: &Catalog, name: &TypeName) -> Result<Codec, Error> {
         self.check_compiled_in()?;
         let definition = interchange::Schema::of_definition(catalog, name)?;
@@ -131,7 +131,7 @@ impl Codec {
     /// Converts from CDR in either byte order, including its header.
     ///
     /// # Errors
-    /// If the bytes are not a message of the type, or the encoding cannot represent a value.
+    /// Returns an error if the bytes are not a message of the type, or the encoding cannot represent a value.
     pub fn encode(&self, cdr: &[u8]) -> Result<Vec<u8>, Error> {
         #[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
         if let Some(mapping) = &self.foxglove {
@@ -152,7 +152,8 @@ impl Codec {
     /// defaults.
     ///
     /// # Errors
-    /// If the bytes are not a message of the type in the encoding, or violate its definition.
+    /// Returns an error if the bytes are not a message of the type in the encoding, or violate its
+    /// definition.
     pub fn decode(&self, bytes: &[u8]) -> Result<Vec<u8>, Error> {
         #[cfg(any(feature = "protobuf", feature = "flatbuffers"))]
         if let Some(mapping) = &self.foxglove {
@@ -174,7 +175,7 @@ impl Codec {
     /// Encodes a message of the codec's type.
     ///
     /// # Errors
-    /// If it is of another type, or the encoding cannot represent a value.
+    /// Returns an error if it is of another type, or the encoding cannot represent a value.
     pub fn to_vec<T: Message>(&self, message: &T) -> Result<Vec<u8>, Error> {
         self.check_type::<T>(CodecDirection::Write)?;
         self.encode(&cdr::to_vec(message))
@@ -183,7 +184,7 @@ impl Codec {
     /// Decodes a message of the codec's type.
     ///
     /// # Errors
-    /// If it is of another type, or the bytes are not a message of the type in the encoding.
+    /// Returns an error if it is of another type, or the bytes are not a message of the type in the encoding.
     pub fn from_slice<T: Message>(&self, bytes: &[u8]) -> Result<T, Error> {
         self.check_type::<T>(CodecDirection::Read)?;
         cdr::from_slice(&self.decode(bytes)?).map_err(|source| self.cdr_error(source))

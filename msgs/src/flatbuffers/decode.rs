@@ -8,7 +8,7 @@ use crate::interchange::{Budget, Count, Field, Kind, Problem, Schema, Value};
 /// Reads a value of the schema's root record.
 ///
 /// # Errors
-/// If the bytes are not a valid buffer.
+/// Returns an error if the bytes are not a valid buffer.
 pub(crate) fn decode<'a>(schema: &Schema, bytes: &'a [u8]) -> Result<Value<'a>, Problem> {
     let mut reader = Reader { schema, bytes, budget: Budget::for_input(bytes.len()) };
     let root = reader.follow(0)?;

@@ -6,7 +6,7 @@ use crate::interchange::{Count, Field, Kind, Problem, Schema, Value};
 /// Writes a value of the schema's root record.
 ///
 /// # Errors
-/// If the format cannot represent a time, or the message is larger than 2 GiB.
+/// Returns an error if the format cannot represent a time, or the message is larger than 2 GiB.
 pub(crate) fn encode(schema: &Schema, value: &Value<'_>) -> Result<Vec<u8>, Problem> {
     encode_with_identifier(schema, value, None)
 }

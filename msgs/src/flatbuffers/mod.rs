@@ -43,7 +43,7 @@ pub(crate) use schema::binary_schema;
 /// The `.fbs` text of a message and its nested messages.
 ///
 /// # Errors
-/// If the catalog lacks a type, or the type is too large.
+/// Returns an error if the catalog lacks a type, or the type is too large.
 pub fn schema_text(catalog: &Catalog, name: &TypeName) -> Result<String, Error> {
     Ok(schema::schema_text(&Schema::of_definition(catalog, name)?))
 }

@@ -8,7 +8,7 @@ use crate::cdr::{self, Cdr, Endianness, Reader, WString, Writer};
 /// Reads the root record of a schema derived from a definition.
 ///
 /// # Errors
-/// If the bytes are not a valid message.
+/// Returns an error if the bytes are not a valid message.
 pub(crate) fn read<'a>(schema: &Schema, bytes: &'a [u8]) -> cdr::Result<Value<'a>> {
     read_record(schema, 0, &mut Reader::new(bytes)?)
 }
@@ -16,7 +16,8 @@ pub(crate) fn read<'a>(schema: &Schema, bytes: &'a [u8]) -> cdr::Result<Value<'a
 /// Writes the root record of a schema derived from a definition, little-endian with its header.
 ///
 /// # Errors
-/// If the value exceeds a bound of the definition. The caller has checked that it matches the schema.
+/// Returns an error if the value exceeds a bound of the definition. The caller has checked that it matches
+/// the schema.
 pub(crate) fn write(schema: &Schema, value: &Value<'_>) -> Result<Vec<u8>, Problem> {
     let mut buffer = vec![0, 1, 0, 0];
     write_one(schema, Kind::Record(0), value, &mut Writer::new(&mut buffer))?;

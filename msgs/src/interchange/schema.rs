@@ -105,7 +105,7 @@ impl Schema {
     /// Derives a schema from a definition, with fields numbered in order and everything that CDR requires.
     ///
     /// # Errors
-    /// If the catalog lacks a type, or the type is too large.
+    /// Returns an error if the catalog lacks a type, or the type is too large.
     pub(crate) fn of_definition(catalog: &Catalog, name: &TypeName) -> Result<Self, Error> {
         let mut schema = Self::default();
         schema.add(catalog, name, &mut BTreeMap::new(), 1)?;

@@ -9,7 +9,7 @@ use crate::interchange::{Budget, Count, Field, Kind, Problem, Schema, Value};
 /// fields are skipped, and the last occurrence of a repeated field is used (messages are merged).
 ///
 /// # Errors
-/// If the bytes are not a valid message.
+/// Returns an error if the bytes are not a valid message.
 pub(crate) fn decode<'a>(schema: &Schema, bytes: &'a [u8]) -> Result<Value<'a>, Problem> {
     let mut budget = Budget::for_input(bytes.len());
     let mut value = Value::zero(schema, Kind::Record(0), &mut budget)?;

@@ -6,7 +6,7 @@ use crate::interchange::{Count, Field, Kind, Problem, Schema, Value};
 /// Writes a value of the schema's root record.
 ///
 /// # Errors
-/// If the format cannot represent a time.
+/// Returns an error if the format cannot represent a time.
 pub(crate) fn encode(schema: &Schema, value: &Value<'_>) -> Result<Vec<u8>, Problem> {
     let mut out = Vec::new();
     put_record(&mut out, schema, 0, value)?;

@@ -57,7 +57,7 @@ pub(crate) use encode::encode;
 /// The `.proto` files of a message: its own file first, then its imports.
 ///
 /// # Errors
-/// If the catalog lacks a type, or the type is too large.
+/// Returns an error if the catalog lacks a type, or the type is too large.
 pub fn schema_files(catalog: &Catalog, name: &TypeName) -> Result<Vec<SchemaFile>, Error> {
     Ok(schema_files_of(&Schema::of_definition(catalog, name)?))
 }

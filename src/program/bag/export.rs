@@ -77,12 +77,12 @@ pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::
         let stem = file_stem(&topic.info.name, &mut taken);
         let file = output.join(format!("{stem}.{}", arguments.format.extension()));
         let (source, name) = (Source::new(&bag, id), printable(&topic.info.name));
-        let told = match arguments.format {
+        let result = match arguments.format {
             Format::Csv => write_csv(&source, interfaces, &file),
             Format::Jsonl => write_jsonl(&source, interfaces, &file),
             Format::Parquet => write_parquet(&source, interfaces, &file),
         };
-        match told {
+        match result {
             Ok(done) => {
                 unreadable += done.unreadable;
                 println!("{name}: {} messages in {}", done.messages, printable(&file.to_string_lossy()));

@@ -30,7 +30,7 @@ pub(in crate::program) enum Definition<'a> {
 
 impl Interfaces {
     /// # Errors
-    /// If a source of --from has no packages or an invalid definition. An invalid package in
+    /// Returns an error if a source of --from has no packages or an invalid definition. An invalid package in
     /// AMENT_PREFIX_PATH is skipped with a warning, since it may be unrelated to the request.
     pub(in crate::program) fn load(
         source: &SourceArguments,
@@ -75,7 +75,7 @@ impl Interfaces {
     /// The definition of that name.
     ///
     /// # Errors
-    /// If there is none; suggests the nearest name.
+    /// Returns an error if there is none; suggests the nearest name.
     pub(in crate::program) fn find(&self, name: &TypeName) -> anyhow::Result<Definition<'_>> {
         let catalog = &self.catalog;
         let message = || catalog.message(name).map(Definition::Message);
@@ -94,7 +94,7 @@ impl Interfaces {
     /// The types selected by the arguments.
     ///
     /// # Errors
-    /// If one does not exist; suggests the nearest name.
+    /// Returns an error with the nearest name if a type does not exist.
     pub(super) fn chosen(&self, arguments: &TypeArguments) -> anyhow::Result<Vec<TypeName>> {
         match arguments.name.as_deref() {
             None => Ok(self.names()),
@@ -122,7 +122,7 @@ impl Interfaces {
     }
 
     /// # Errors
-    /// If no package of that name has interfaces; suggests the nearest name.
+    /// Returns an error if no package of that name has interfaces; suggests the nearest name.
     pub(super) fn check_package(&self, package: &str) -> anyhow::Result<()> {
         let packages = self.catalog.packages();
         if packages.contains(&package) {
@@ -135,7 +135,7 @@ impl Interfaces {
     /// Parses a name, if there is a definition for it.
     ///
     /// # Errors
-    /// If there is none; suggests the nearest name.
+    /// Returns an error if there is none; suggests the nearest name.
     pub(super) fn named(&self, text: &str) -> anyhow::Result<TypeName> {
         let name: TypeName = text.parse().map_err(|_| self.unknown(text))?;
         self.find(&name).map(|_| name)

@@ -72,11 +72,11 @@ impl LogFile {
 
 /// Writes until all senders are dropped. A failing disk ends the file, not the program.
 fn write_all(mut file: impl Write, lines: &Receiver<String>, dropped: &AtomicU64) {
-    let mut told = 0;
+    let mut reported = 0;
     let mut write = |line: &str, file: &mut dyn Write| -> std::io::Result<()> {
-        let missing = dropped.load(Ordering::Relaxed) - told;
+        let missing = dropped.load(Ordering::Relaxed) - reported;
         if missing > 0 {
-            told += missing;
+            reported += missing;
             writeln!(file, "({missing} lines are missing here: the disk was too slow)")?;
         }
         file.write_all(line.as_bytes())

@@ -154,7 +154,7 @@ pub(super) fn echo(arguments: &EchoArguments, environment: &Environment<'_>) -> 
 }
 
 /// # Errors
-/// If the type has no such field.
+/// Returns an error if the type has no such field.
 fn check_field(of: &DynamicType, path: &[&str]) -> anyhow::Result<()> {
     let mut of = Some(of.clone());
     for name in path {

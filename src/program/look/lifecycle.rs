@@ -102,7 +102,7 @@ fn managed(found: &Found, with_hidden: bool) -> Vec<String> {
 }
 
 /// # Errors
-/// If there is no such managed node.
+/// Returns an error if there is no such managed node.
 fn managed_node(look: &Look, node: &str, with_hidden: bool) -> anyhow::Result<String> {
     let node = absolute(node);
     let found = look.found_with(|found| managed(found, with_hidden).contains(&node));

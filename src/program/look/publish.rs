@@ -116,11 +116,11 @@ fn wait_for_subscriptions(
     longest: Option<Duration>,
 ) -> anyhow::Result<()> {
     let begin = Instant::now();
-    let mut told = None;
+    let mut reported = None;
     while publisher.matched_subscriptions() < wanted && !look.stop.is_due() {
-        if told.is_none_or(|told: Instant| told.elapsed() >= SECOND) {
+        if reported.is_none_or(|reported: Instant| reported.elapsed() >= SECOND) {
             println!("Waiting for at least {wanted} matching subscription(s)...");
-            told = Some(Instant::now());
+            reported = Some(Instant::now());
         }
         if longest.is_some_and(|longest| begin.elapsed() >= longest) {
             let found = publisher.matched_subscriptions();

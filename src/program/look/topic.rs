@@ -235,7 +235,7 @@ pub(super) enum Absent {
 /// The type of a topic; `None` if the command is stopped before it exists.
 ///
 /// # Errors
-/// If the topic does not exist, or has several types.
+/// Returns an error if the topic does not exist, or has several types.
 pub(super) fn type_on_network(look: &Look, topic: &str, absent: Absent) -> anyhow::Result<Option<String>> {
     let name = look.node.topic_name(topic)?;
     let types = |found: &Found| names_and_types(found, OF_TOPICS, None).remove(name.as_str());

@@ -39,7 +39,7 @@ impl Name {
         let nearest = nearest(name);
         if name != nearest {
             bail!(
-                "\"{name}\" is no name of a package in ROS 2: such a name has two or more lower-case letters, digits and single \
+                "\"{name}\" is not a valid ROS 2 package name: a name has two or more lower-case letters, digits and single \
                  underscores, and begins with a letter; did you mean \"{nearest}\"?"
             );
         }

@@ -196,7 +196,7 @@ fn what_ros_cannot_be_told_is_refused_with_the_line() {
     };
     let problem = in_robot("remap = { \"a b\" = \"c\" }");
     assert!(problem.starts_with("robot.toml:3: \"a b:=c\" is no remapping rule"), "{problem}");
-    assert!(in_robot("node = \"1\"").starts_with("robot.toml:3: \"1\" is not a name"));
+    assert!(in_robot("node = \"1\"").starts_with("robot.toml:3: \"1\" is not a valid name"));
     assert!(in_robot("remap = { \"__ns\" = \"/a/\" }").contains("namespace \"/a/\" is not valid"));
 }
 

@@ -1,4 +1,4 @@
-//! `[expose]` of a robot file.
+//! `[expose]` in a robot file.
 
 mod lifecycle;
 mod qos;
@@ -17,10 +17,10 @@ use super::{Located, NodeFeatures, RobotFileError};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
-/// What ROS 2 sees of a robot.
+/// The parts of a robot that are exposed to ROS 2.
 #[derive(Default)]
 pub struct ExposeSection {
-    /// Topics out of the robot and into it.
+    /// Topics that ROS 2 receives from the robot or sends to it.
     pub topics: Vec<ExposeEntry>,
     /// Services of modules that ROS 2 may call.
     pub services: Vec<ServiceEntry>,
@@ -30,24 +30,24 @@ pub struct ExposeSection {
     pub actions: Vec<ActionEntry>,
     /// Actions of ROS 2 that modules use.
     pub action_calls: Vec<ActionEntry>,
-    /// What services and calls tell of themselves at the start.
+    /// What services and calls initially publish about their calls.
     pub introspection: ServiceIntrospection,
-    /// Settings of modules that are parameters.
+    /// Settings of modules that are exposed as parameters.
     pub(crate) parameters: Vec<Located<TopicPattern>>,
-    /// Modules that are managed nodes.
+    /// Modules that are exposed as managed nodes.
     pub lifecycle: Vec<LifecycleEntry>,
-    /// What the node has besides.
+    /// Further features of the node.
     pub features: NodeFeatures,
 }
 
-/// Reads `out` and `in` alone.
+/// Reads only `out` and `in`.
 pub(super) fn entries(mut table: Table<'_>, interfaces: &Interfaces) -> Result<Vec<ExposeEntry>> {
     let topics = topic::topics(&mut table, interfaces)?;
     table.finish()?;
     Ok(topics)
 }
 
-/// Reads `[expose]`: each key by a function of its own.
+/// Reads `[expose]`.
 pub(super) fn expose(value: Value<'_>, interfaces: &Interfaces) -> Result<ExposeSection> {
     let mut table = value.table("[expose]")?;
     let topics = topic::topics(&mut table, interfaces)?;

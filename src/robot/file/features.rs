@@ -1,4 +1,4 @@
-//! What the ROS 2 node of a robot has beside topics, services and parameters.
+//! Features of the ROS 2 node of a robot beyond topics, services and parameters.
 
 use std::time::Duration;
 
@@ -8,20 +8,20 @@ use downbeat_bridge::middleware::{Engine, OptionsError};
 use super::table::{Table, Value};
 use super::{Located, Result, RobotFile, choice};
 
-/// What the node has besides.
+/// Further features of the node.
 #[derive(Clone)]
 pub struct NodeFeatures {
     /// Whether it publishes its log on `/rosout`.
     pub rosout: bool,
     /// Whether tools may read and set the levels of its loggers.
     pub logger_service: bool,
-    /// Whether others may change what is exposed, by `~/expose`.
+    /// Whether other nodes may change what is exposed with the service `~/expose`.
     pub expose_service: bool,
-    /// Whether modules are told of the ROS 2 network, on the topic `network`.
+    /// Whether the topic `network` reports the nodes and endpoints of the ROS 2 network to modules.
     pub network: bool,
-    /// What it does with `/clock`.
+    /// How the node uses `/clock`.
     pub clock: ClockChoice,
-    /// Whether the process tells of itself on the topic `diagnostics` once a second.
+    /// Whether the process publishes its state on the topic `diagnostics` once a second.
     pub diagnostics: bool,
     /// The engine that speaks RTPS.
     pub engine: Engine,
@@ -29,22 +29,22 @@ pub struct NodeFeatures {
     pub(crate) robot_description: Option<Located<String>>,
 }
 
-/// Whose time it is.
+/// The source of time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClockChoice {
-    /// The machine's, and nobody is told.
+    /// The clock of the machine, without `/clock`.
     Own,
-    /// The machine's, published on `/clock` once in this time.
+    /// The clock of the machine, published on `/clock` with this period.
     Publish(Duration),
-    /// That of `/clock`, as of a node with `use_sim_time`.
+    /// The time on `/clock`, like a node with `use_sim_time`.
     Follow,
 }
 
-/// A robot is described in some hundred kilobytes.
+/// The longest robot description in bytes. Typical ones have some hundred kilobytes.
 const LONGEST_DESCRIPTION: u64 = 16 * 1024 * 1024;
 
 impl Default for NodeFeatures {
-    /// What a node of rclcpp has, and levels of loggers that tools can set.
+    /// The features of an rclcpp node, and logger levels that tools can set.
     fn default() -> Self {
         Self {
             rosout: true,
@@ -60,7 +60,7 @@ impl Default for NodeFeatures {
 }
 
 impl NodeFeatures {
-    /// Takes its keys out of `[expose]`.
+    /// Takes the keys of the features out of `[expose]`.
     pub(super) fn take(table: &mut Table<'_>) -> Result<Self> {
         let unless_given = Self::default();
         let description = table.take("robot_description");
@@ -88,10 +88,12 @@ impl NodeFeatures {
 }
 
 impl RobotFile {
-    /// The text of the file that describes the robot, where one is named: XML with a `robot` at its root.
+    /// Returns the text of the robot description, if the robot file names one: XML with `robot` as its root
+    /// element.
     ///
     /// # Errors
-    /// If it cannot be read or is something else; with path and line of the robot file, and of the description where it is no XML.
+    /// Returns an error if the description cannot be read or is not of this form, with path and line in the
+    /// robot file, and in the description if it is not XML.
     pub fn robot_description(&self) -> Result<Option<String>> {
         let Some(Located { line, value: name }) = &self.expose.features.robot_description else {
             return Ok(None);
@@ -102,7 +104,7 @@ impl RobotFile {
         };
         let length = std::fs::metadata(&path).map_err(|error| refuse(error.to_string()))?.len();
         if length > LONGEST_DESCRIPTION {
-            return Err(refuse(format!("it has {length} bytes, which is no URDF of a robot")));
+            return Err(refuse(format!("it has {length} bytes, which is too long for a URDF")));
         }
         let text = std::fs::read_to_string(&path).map_err(|error| refuse(error.to_string()))?;
         let document =
@@ -128,5 +130,5 @@ fn clock_choice(value: Value<'_>) -> Result<ClockChoice> {
     if (0.1..=1000.0).contains(&number) {
         return Ok(period(number));
     }
-    Err(rate.error("expected how often a second, from 0.1 to 1000"))
+    Err(rate.error("expected a rate per second from 0.1 to 1000"))
 }

@@ -1,4 +1,4 @@
-//! `[launcher]` of a robot file.
+//! `[launcher]` in a robot file.
 
 use std::fmt;
 use std::num::NonZeroUsize;
@@ -13,15 +13,15 @@ use crate::robot::Catalog;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
-/// How the process phase runs, and on which threads.
+/// How the process phase runs and on which threads.
 #[derive(Clone, Debug)]
 pub struct LauncherEntry {
     pub(crate) line: usize,
-    /// On how many threads.
+    /// The number of threads.
     pub choice: LauncherChoice,
-    /// Where and how they run, the core's own included.
+    /// CPUs and priority of the threads, including the thread of the core.
     pub threads: ThreadOptions,
-    /// What the core's thread does while nothing is due.
+    /// How the thread of the core waits while nothing is due.
     pub idle: Idle,
     /// How long a cycle may take before it is reported.
     pub deadline: Option<Duration>,
@@ -30,14 +30,14 @@ pub struct LauncherEntry {
 /// On how many threads the process phase runs.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum LauncherChoice {
-    /// On one.
+    /// On one thread.
     #[default]
     Linear,
-    /// On so many.
+    /// On this number of threads.
     Pool(NonZeroUsize),
-    /// Each module on one of its own.
+    /// Each module on its own thread.
     Threads,
-    /// As the launcher of that name does, which the app has added.
+    /// With the launcher of that name, which the app has added.
     Other(String),
 }
 
@@ -52,7 +52,8 @@ impl fmt::Display for LauncherChoice {
     }
 }
 
-/// As on a command line: `linear`, `pool`, `pool:4`, `threads`, or the name of a launcher that the app has added.
+/// Parses the form used on the command line: `linear`, `pool`, `pool:4`, `threads`, or the name of a launcher
+/// that the app has added.
 impl FromStr for LauncherChoice {
     type Err = String;
 
@@ -65,7 +66,7 @@ impl FromStr for LauncherChoice {
             ("threads", Ok(None)) => Ok(Self::Threads),
             ("pool", Ok(count)) => Ok(Self::Pool(count.unwrap_or_else(available))),
             ("linear" | "threads" | "pool", _) | (_, Err(_) | Ok(Some(_))) => {
-                Err(format!("\"{text}\" is no launcher; write linear, pool, pool:4 or threads"))
+                Err(format!("\"{text}\" is not a launcher; write linear, pool, pool:4 or threads"))
             }
             (name, Ok(None)) => Ok(Self::Other(name.to_owned())),
         }
@@ -85,7 +86,7 @@ pub(super) fn launcher<'a>(
     let threads = robot.take("threads");
     let launcher = match (robot.take("launcher"), root.take("launcher")) {
         (Some(_), Some(value)) => {
-            return Err(value.error("the launcher is given here and in [robot]; keep one of them"));
+            return Err(value.error("the launcher is given here and in [robot]; remove one of them"));
         }
         (value, None) | (None, value) => value,
     };
@@ -98,7 +99,7 @@ pub(super) fn launcher<'a>(
     match (value.as_table("[launcher]"), threads) {
         (None, threads) => Ok(plain(choice(Some(value), threads, catalog)?)),
         (Some(_), Some(threads)) => {
-            Err(threads.error("\"threads\" stands in the table of the launcher, beside \"kind\""))
+            Err(threads.error("\"threads\" belongs into the table of the launcher, next to \"kind\""))
         }
         (Some(table), None) => detailed(table, line, catalog),
     }
@@ -111,7 +112,7 @@ fn detailed(mut table: Table<'_>, line: usize, catalog: &Catalog) -> Result<Laun
     if let Some(value) = table.take("spin") {
         if choice == LauncherChoice::Linear {
             return Err(value.error(
-                "\"spin\" is for the threads of kind = \"pool\" or \"threads\"; the core's own has \"idle\"",
+                "\"spin\" is for the threads of kind = \"pool\" or \"threads\"; for the thread of the core use \"idle\"",
             ));
         }
         threads.spin = spin(value)?;
@@ -136,7 +137,7 @@ fn choice(
         (None | Some((_, "linear")), None) => Ok(LauncherChoice::Linear),
         (Some((_, "threads")), None) => Ok(LauncherChoice::Threads),
         (None | Some((_, "linear" | "threads")), Some((value, _))) => {
-            Err(value.error("a number of \"threads\" goes with the launcher \"pool\""))
+            Err(value.error("only the launcher \"pool\" has a number of \"threads\""))
         }
         (Some((_, "pool")), threads) => {
             let threads = threads.and_then(|(_, count)| NonZeroUsize::new(count as usize));
@@ -152,14 +153,14 @@ fn choice(
     }
 }
 
-/// Where a thread runs: `cpus` and `priority`.
+/// Reads `cpus` and `priority` of a thread.
 pub(super) fn thread(table: &mut Table<'_>) -> Result<ThreadOptions> {
     let mut options = ThreadOptions::default();
     if let Some(value) = table.take("cpus") {
         let cpu = |value: &Value<'_>| value.number_in(0..=65_535, "the number of a CPU, from 0");
         options.cpus = value.list()?.iter().map(cpu).collect::<Result<Vec<usize>>>()?;
         if options.cpus.is_empty() {
-            return Err(value.error("expected the numbers of CPUs, found none; leave \"cpus\" out for all"));
+            return Err(value.error("expected the numbers of CPUs, found none; omit \"cpus\" for all CPUs"));
         }
     }
     if let Some(value) = table.take("priority") {
@@ -177,7 +178,8 @@ fn spin(value: Value<'_>) -> Result<Spin> {
         text if text.starts_with(|c: char| c.is_ascii_digit()) => Ok(Spin::For(value.duration()?)),
         other => {
             let hint = suggestion(other, ["auto", "never", "always"]);
-            Err(value.error(format!("unknown choice \"{other}\"{hint} A time such as \"50us\" is one too")))
+            Err(value
+                .error(format!("unknown choice \"{other}\"{hint} A time such as \"50us\" is also valid")))
         }
     }
 }

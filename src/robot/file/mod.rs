@@ -1,4 +1,4 @@
-//! Reading robot files; [`crate::robot`] says what they look like.
+//! Reading of robot files; [`crate::robot`] describes the format.
 
 mod expose;
 mod features;
@@ -30,12 +30,12 @@ use table::{Table, Value};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
-/// What a robot file says. Names of topics and settings are checked when the robot is built.
+/// The contents of a robot file. Names of topics and settings are checked when the robot is built.
 pub struct RobotFile {
     pub(crate) source: Source,
-    /// What the file could name.
+    /// The kinds, launchers and interfaces that the file can name.
     pub catalog: Catalog,
-    /// True if the file itself says the namespace.
+    /// True if the file specifies the namespace.
     pub(crate) has_namespace: bool,
     /// The name of the robot.
     pub name: String,
@@ -43,17 +43,17 @@ pub struct RobotFile {
     pub namespace: String,
     /// The name of the ROS 2 node, before remapping rules apply.
     pub node: String,
-    /// The remapping rules: those given beside the file, then its own.
+    /// The remapping rules: first those from the arguments, then those of the file.
     pub remaps: RemapRules,
-    /// True if what is logged is not to go to `/rosout`, whatever `[expose]` says.
+    /// True if nothing is logged to `/rosout`, regardless of `[expose]`.
     pub is_rosout_disabled: bool,
     /// How the process phase runs.
     pub launcher: LauncherEntry,
     /// The modules, in the order of registration.
     pub modules: Vec<ModuleEntry>,
-    /// What ROS 2 sees.
+    /// What is exposed to ROS 2.
     pub expose: ExposeSection,
-    /// What a recording holds.
+    /// What is recorded, and how.
     pub record: RecordEntry,
     /// How a bag of the robot is replayed.
     pub replay: ReplaySection,
@@ -67,21 +67,22 @@ pub(crate) struct Located<T> {
 }
 
 impl RobotFile {
-    /// Reads a robot file that names what comes with the program.
+    /// Reads a robot file that uses only built-in kinds, launchers and interfaces.
     ///
     /// # Errors
-    /// If it, or a parameter file that it names, cannot be read or says something that cannot be; with path and
-    /// line.
+    /// Returns an error with path and line if the file, or a parameter file that it names, cannot be read or
+    /// is invalid.
     pub fn read(path: &Path) -> Result<Self> {
         Self::read_with(path, &Catalog::built_in(), &RosArgs::default())
     }
 
-    /// Reads a robot file that names what is in the catalog, and applies the arguments that ROS 2 programs take: remapping
-    /// rules win over those of the file, parameters over its settings.
+    /// Reads a robot file that uses the kinds, launchers and interfaces of a catalog, and applies the
+    /// arguments of ROS 2 programs: remapping rules take precedence over those of the file, parameters over
+    /// its settings.
     ///
     /// # Errors
-    /// If the file, or a parameter file, cannot be read or says something that cannot be, with path and line; or if an
-    /// argument says something that cannot be.
+    /// Returns an error with path and line if the file, or a parameter file, cannot be read or is invalid;
+    /// also if an argument is invalid.
     pub fn read_with(path: &Path, catalog: &Catalog, arguments: &RosArgs) -> Result<Self> {
         let (mut file, parameter_files) = Self::parse(Source::read(path, "robot file")?, catalog)?;
         file.apply_names(arguments);
@@ -96,7 +97,7 @@ impl RobotFile {
         Ok(file)
     }
 
-    /// Reads what the text says, without the parameter files that it names.
+    /// Parses the text without the parameter files that it names.
     pub(crate) fn parse(source: Source, catalog: &Catalog) -> Result<(Self, Vec<Located<String>>)> {
         let text = source.text().to_owned();
         let document = DeTable::parse(&text).map_err(|error| {
@@ -142,7 +143,7 @@ impl RobotFile {
         Ok((file, parameter_files))
     }
 
-    /// The keys `out` and `in` of `[expose]` in a text of their own.
+    /// Parses a text that contains only the keys `out` and `in` of `[expose]`.
     pub(crate) fn parse_entries(text: &str, interfaces: &Interfaces) -> Result<Vec<ExposeEntry>> {
         let source = Source::new(Path::new("expose"), text.to_owned());
         let document = DeTable::parse(text).map_err(|error| {
@@ -173,7 +174,7 @@ fn choice<T: Copy>(value: Value<'_>, choices: &[(&str, T)]) -> Result<T> {
     })
 }
 
-/// `remap` of `[robot]`: what stands before `:=` in a remapping rule, and what stands behind it.
+/// Reads `remap` in `[robot]`: the keys are the left sides of remapping rules, the values the right sides.
 fn remaps(value: Value<'_>) -> Result<RemapRules> {
     let rule = |(from, to): (String, Value<'_>)| {
         let rule = format!("{from}:={}", to.text()?);
@@ -182,7 +183,7 @@ fn remaps(value: Value<'_>) -> Result<RemapRules> {
     value.table("remap")?.take_rest().into_iter().map(rule).collect()
 }
 
-/// A name that is valid for a ROS 2 node.
+/// Reads a name that is valid for a ROS 2 node.
 fn identifier(value: Value<'_>) -> Result<String> {
     let name = value.text()?;
     let is_valid = name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
@@ -190,8 +191,9 @@ fn identifier(value: Value<'_>) -> Result<String> {
     if is_valid {
         return Ok(name.to_owned());
     }
-    Err(value
-        .error(format!("\"{name}\" is not a name; use letters, digits and _, not beginning with a digit")))
+    Err(value.error(format!(
+        "\"{name}\" is not a valid name; use letters, digits and _, and do not begin with a digit"
+    )))
 }
 
 /// How a bag of the robot is replayed, unless the command line says otherwise.

@@ -1,4 +1,4 @@
-//! `[[module]]` of a robot file.
+//! `[[module]]` in a robot file.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
@@ -19,19 +19,19 @@ pub struct ModuleEntry {
     pub(crate) line: usize,
     /// The name, unique in the robot.
     pub name: String,
-    /// What it is.
+    /// The kind of module.
     pub kind: Kind,
     pub(crate) settings: BTreeMap<String, Given>,
     pub(crate) remaps: BTreeMap<String, Located<String>>,
-    /// The line that says on which CPUs or at which priority its thread runs.
+    /// The line in the file with the CPUs or the priority of its thread.
     pub(crate) thread_line: usize,
-    /// How it runs; without settings and remaps.
+    /// The options of the module, without settings and remapping rules.
     pub(crate) running: ModuleOptions,
 }
 
-/// The modules that the program adds to a robot.
+/// Names of modules that the program adds to a robot.
 const RESERVED_NAMES: [&str; 6] = [
-    // Threads of outlets, which `top` shows beside the modules.
+    // Threads of outlets, which `top` shows like modules.
     "bridge",
     "recorder",
     downbeat_bridge::expose::CALLS_MODULE_NAME,
@@ -40,11 +40,11 @@ const RESERVED_NAMES: [&str; 6] = [
     downbeat_bridge::diagnostics::MODULE_NAME,
 ];
 
-/// How long a module that panicked waits before it starts again, unless the file says otherwise.
+/// The default delay before a module that has panicked is restarted.
 const USUAL_BACKOFF: Duration = Duration::from_secs(1);
 
 impl ModuleEntry {
-    /// How the file says that the module joins a core.
+    /// Returns the options with which the module joins a core.
     #[must_use]
     pub fn options(&self) -> ModuleOptions {
         let settings = self.settings.iter().map(|(name, given)| (name.clone(), given.value.clone()));
@@ -119,7 +119,7 @@ fn synchrony(table: &mut Table<'_>, kind: &Kind) -> Result<Synchrony> {
     };
     let Some(value) = table.take("inbox") else { return Ok(synchrony) };
     if !matches!(synchrony, Synchrony::Detached(_)) {
-        return Err(value.error("\"inbox\" goes with synchrony = \"detached\""));
+        return Err(value.error("\"inbox\" needs synchrony = \"detached\""));
     }
     let inbox = match value.text() {
         Ok("all") => Inbox::KeepAll,
@@ -136,7 +136,7 @@ fn thread(table: &mut Table<'_>, synchrony: Synchrony, line: usize) -> Result<(u
     let options = launcher::thread(table)?;
     match given {
         Some(value) if !matches!(synchrony, Synchrony::Detached(_)) => Err(value.error(
-            "\"cpus\" and \"priority\" of a module go with synchrony = \"detached\"; for the others give them in \
+            "\"cpus\" and \"priority\" of a module need synchrony = \"detached\"; for the others give them in \
              [launcher]",
         )),
         given => Ok((given.map_or(line, |value| value.line()), options)),
@@ -150,7 +150,7 @@ fn initial_state(value: Value<'_>) -> Result<LifecycleState> {
     choice(value, &choices)
 }
 
-/// "never", "always" or a number of times; or a table of that and the back-off.
+/// Reads "never", "always" or a number of times, or a table with one of these and the back-off.
 fn restart(value: Value<'_>) -> Result<Restart> {
     let Some(mut table) = value.as_table("restart") else { return policy(value, USUAL_BACKOFF) };
     let times = table.require("times")?;

@@ -9,35 +9,35 @@ use downbeat_executor::SettingValue;
 use super::RobotFile;
 use crate::robot::parameters::line_of;
 
-/// What is wrong with a robot file, or with values given beside it, and where.
+/// Error in a robot file or in arguments for it, with its place.
 #[derive(Debug, thiserror::Error)]
 pub enum RobotFileError {
     /// The file cannot be read.
     #[error("cannot read the {what} {}: {source}", path.display())]
     Unreadable {
-        /// Robot file or parameter file.
+        /// "robot file" or "parameter file".
         what: &'static str,
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// A line says something that cannot be.
+    /// A line is invalid.
     #[error("{}:{line}: {problem}", path.display())]
     Line {
         /// The file.
         path: PathBuf,
         /// The line, from 1.
         line: usize,
-        /// What was found, what was expected, and the nearest valid name where there is one.
+        /// What was found, what was expected, and the most similar valid name if there is one.
         problem: String,
     },
-    /// A value of the command line cannot be.
+    /// An argument of the command line is invalid.
     #[error("-p {argument}: {problem}")]
     Argument {
-        /// As it was given.
+        /// The argument as given.
         argument: String,
-        /// What was found, what was expected, and the nearest valid name where there is one.
+        /// What was found, what was expected, and the most similar valid name if there is one.
         problem: String,
     },
 }
@@ -78,7 +78,7 @@ impl Source {
     }
 }
 
-/// A string of TOML, in which everything that is not plain is escaped.
+/// Returns a TOML string with all special characters escaped.
 pub(crate) fn toml_string(text: &str) -> String {
     let escape = |c: char| match c {
         '"' | '\\' => format!("\\{c}"),

@@ -1,4 +1,4 @@
-//! Reading TOML tables so that each mistake is told with its line.
+//! Reading of TOML tables with errors that contain the line.
 
 use std::ops::RangeInclusive;
 use std::time::Duration;
@@ -12,7 +12,7 @@ use downbeat_executor::SettingValue;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
-/// A table whose keys are taken out one by one; what is left at the end is a mistake.
+/// A table whose keys are taken out one by one. Keys that are left at the end are errors.
 pub(crate) struct Table<'a> {
     source: &'a Source,
     name: String,
@@ -21,7 +21,7 @@ pub(crate) struct Table<'a> {
     asked: Vec<&'static str>,
 }
 
-/// A value and where it stands.
+/// A value with its position in the file.
 #[derive(Clone, Copy)]
 pub(crate) struct Value<'a> {
     source: &'a Source,
@@ -45,7 +45,7 @@ impl<'a> Table<'a> {
         Some(self.rest.remove(position).1)
     }
 
-    /// A value that is left to be taken.
+    /// Returns a value that has not been taken, without taking it.
     pub(crate) fn peek(&self, key: &str) -> Option<Value<'a>> {
         self.rest.iter().find(|(known, _)| known.get_ref() == key).map(|&(_, value)| value)
     }
@@ -56,14 +56,14 @@ impl<'a> Table<'a> {
         self.take(key).ok_or(error)
     }
 
-    /// Everything that has not been taken, in the order of the file.
+    /// Takes all remaining keys, in the order of the file.
     pub(crate) fn take_rest(&mut self) -> Vec<(String, Value<'a>)> {
         let mut rest = std::mem::take(&mut self.rest);
         rest.sort_by_key(|(key, _)| key.span().start);
         rest.into_iter().map(|(key, value)| (key.get_ref().to_string(), value)).collect()
     }
 
-    /// Checks that nothing is left.
+    /// Checks that no key is left.
     pub(crate) fn finish(self) -> Result<()> {
         let Some((key, _)) = self.rest.first() else { return Ok(()) };
         let (name, key_name) = (&self.name, key.get_ref());
@@ -97,7 +97,7 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// A number, whole or not.
+    /// Reads a number, integer or not.
     pub(crate) fn number(&self) -> Result<f64> {
         match self.setting()? {
             SettingValue::Integer(number) => Ok(number as f64),
@@ -115,17 +115,19 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// A whole number in a range; `what` says which, for who gives another.
+    /// Reads an integer in a range; `what` describes the expected number in errors.
     pub(crate) fn number_in<N: TryFrom<i64>>(&self, range: RangeInclusive<i64>, what: &str) -> Result<N> {
         let number = self.integer().ok().filter(|number| range.contains(number));
         number.and_then(|number| N::try_from(number).ok()).ok_or_else(|| self.expected(what))
     }
 
-    /// A time above 0.
+    /// Reads a duration above 0.
     pub(crate) fn duration(&self) -> Result<Duration> {
         let text = self.text().map_err(|_| self.expected("a time with its unit, such as \"20ms\""))?;
         match crate::duration::parse(text) {
-            Ok(Duration::ZERO) => Err(self.error(format!("\"{text}\" is no time: it has to be above 0"))),
+            Ok(Duration::ZERO) => {
+                Err(self.error(format!("\"{text}\" is not a valid time: it must be above 0")))
+            }
             Ok(duration) => Ok(duration),
             Err(problem) => Err(self.error(problem)),
         }
@@ -144,7 +146,7 @@ impl<'a> Value<'a> {
         self.as_table(name).ok_or_else(|| self.expected("a table"))
     }
 
-    /// The value as a table, or nothing if it is none.
+    /// Returns the value as a table, or `None` if it is not a table.
     pub(crate) fn as_table(&self, name: &str) -> Option<Table<'a>> {
         let table = self.value.get_ref().as_table()?;
         Some(Table::new(self.source, name, self.line(), table))
@@ -177,7 +179,7 @@ impl<'a> Value<'a> {
     fn setting_list(&self) -> Result<SettingValue> {
         let values = self.list()?.iter().map(Value::setting).collect::<Result<Vec<_>>>()?;
         list_of(values)
-            .ok_or_else(|| self.expected("a list of numbers only, of texts only, or of truth values only"))
+            .ok_or_else(|| self.expected("a list of numbers only, of texts only, or of booleans only"))
     }
 
     fn expected(&self, what: &str) -> RobotFileError {
@@ -187,7 +189,7 @@ impl<'a> Value<'a> {
     }
 }
 
-/// The values as one list; nothing if they are not all numbers, all texts, or all booleans.
+/// Joins the values into one list; `None` if they are not all numbers, all texts or all booleans.
 pub(crate) fn list_of(values: Vec<SettingValue>) -> Option<SettingValue> {
     let all = |matches: fn(&SettingValue) -> bool| values.iter().all(matches);
     if all(|value| matches!(value, SettingValue::Integer(_))) {

@@ -23,7 +23,7 @@ fn problem(text: &str) -> String {
 const ROBOT: &str = "[robot]\nname = \"r\"\n[[module]]\nkind = \"darwin_op\"\n";
 
 #[test]
-fn what_is_not_said_has_a_default() {
+fn omitted_keys_have_defaults() {
     let file = parse(ROBOT).unwrap();
     assert_eq!((file.name.as_str(), file.namespace.as_str()), ("r", "/"));
     assert_eq!(file.launcher.choice, LauncherChoice::Linear);
@@ -63,23 +63,23 @@ fn a_recording_is_mcap_unless_the_file_names_another_storage() {
     let fast =
         parse(&record("storage = \"mcap\"\npreset = \"fastwrite\"")).unwrap().record.options.writer.storage;
     assert_eq!(fast, StoragePreset::FastWrite.options().into());
-    let told = problem(&record("preset = \"resilient\""));
-    assert!(told.starts_with("robots/test.toml:6: unknown choice \"resilient\""), "{told}");
+    let message = problem(&record("preset = \"resilient\""));
+    assert!(message.starts_with("robots/test.toml:6: unknown choice \"resilient\""), "{message}");
     let (compressed, encoded) = if cfg!(feature = "sqlite") {
         let storage =
             parse(&record("storage = \"sqlite3\"\npreset = \"none\"")).unwrap().record.options.writer.storage;
         assert_eq!(storage, StorageOptions::preset(Storage::Sqlite3, "none").unwrap());
         (
             ":7: the storage sqlite3 does not support compression",
-            ":7: the storage sqlite3 has no place for the encoding json",
+            ":7: the storage sqlite3 does not support the encoding json",
         )
     } else {
         (":6: this build does not write the storage sqlite3", ":6: this build does not write")
     };
-    let told = problem(&record("storage = \"sqlite3\"\ncompression = \"zstd\""));
-    assert!(told.contains(compressed), "{told}");
-    let told = problem(&record("storage = \"sqlite3\"\nencoding = \"json\""));
-    assert!(told.contains(encoded), "{told}");
+    let message = problem(&record("storage = \"sqlite3\"\ncompression = \"zstd\""));
+    assert!(message.contains(compressed), "{message}");
+    let message = problem(&record("storage = \"sqlite3\"\nencoding = \"json\""));
+    assert!(message.contains(encoded), "{message}");
 }
 
 #[test]
@@ -102,7 +102,7 @@ fn time_is_the_machines_unless_it_is_published_or_followed() {
     assert_eq!(clock("clock = \"follow\"").unwrap(), ClockChoice::Follow);
     for (wrong, expected) in [
         ("clock = \"folow\"", ":6: unknown choice \"folow\", did you mean \"follow\"?"),
-        ("clock = { publish_hz = 0 }", ":6: expected how often a second, from 0.1 to 1000"),
+        ("clock = { publish_hz = 0 }", ":6: expected a rate per second from 0.1 to 1000"),
         ("clock = { hz = 1 }", ":6: clock needs \"publish_hz\""),
         ("diagnostics = 1", ":6: expected true or false"),
     ] {
@@ -169,13 +169,13 @@ fn a_launcher_says_on_which_cpus_and_how_its_threads_run() {
 }
 
 #[test]
-fn mistakes_in_a_launcher_are_told_with_their_line() {
+fn errors_in_a_launcher_contain_the_line() {
     let cases = [
         ("[launcher]\nthreads = 2", ":5: [launcher] needs \"kind\""),
         ("[launcher]\nkind = \"pol\"", ":6: unknown launcher \"pol\", did you mean \"pool\"?"),
         (
             "[launcher]\nkind = \"threads\"\nthreads = 2",
-            ":7: a number of \"threads\" goes with the launcher \"pool\"",
+            ":7: only the launcher \"pool\" has a number of \"threads\"",
         ),
         ("[launcher]\nkind = \"pool\"\ncpus = [-1]", ":7: expected the number of a CPU, from 0, found -1"),
         ("[launcher]\nkind = \"pool\"\ncpus = []", ":7: expected the numbers of CPUs, found none"),
@@ -242,12 +242,12 @@ fn a_module_says_when_it_runs_and_what_happens_after_a_panic() {
 }
 
 #[test]
-fn mistakes_in_a_module_are_told_with_their_line() {
+fn errors_in_a_module_contain_the_line() {
     let cases = [
         ("synchrony = \"detach\"", ":5: unknown choice \"detach\", did you mean \"detached\"?"),
         ("inbox = 0", ":5: expected a number of batches above 0, or \"all\", found 0"),
-        ("synchrony = \"when_due\"\ninbox = 2", ":6: \"inbox\" goes with synchrony = \"detached\""),
-        ("synchrony = \"every_cycle\"\ncpus = [0]", ":6: \"cpus\" and \"priority\" of a module go with"),
+        ("synchrony = \"when_due\"\ninbox = 2", ":6: \"inbox\" needs synchrony = \"detached\""),
+        ("synchrony = \"every_cycle\"\ncpus = [0]", ":6: \"cpus\" and \"priority\" of a module need"),
         ("priority = 0", ":5: expected a SCHED_FIFO priority"),
         ("initial_state = \"finalized\"", ":5: unknown choice \"finalized\""),
         ("initial_state = \"inactiv\"", ":5: unknown choice \"inactiv\", did you mean \"inactive\"?"),
@@ -260,7 +260,7 @@ fn mistakes_in_a_module_are_told_with_their_line() {
         ),
         ("deadline = 20", ":5: expected a time with its unit, such as \"20ms\", found 20"),
         ("deadline = \"20\"", ":5: \"20\" is not a time; write 500ms"),
-        ("deadline = \"0ms\"", ":5: \"0ms\" is no time: it has to be above 0"),
+        ("deadline = \"0ms\"", ":5: \"0ms\" is not a valid time: it must be above 0"),
         ("name = \"recorder\"", ":5: \"recorder\" is the name of a module that the program adds"),
         ("name = \"bridge\"", ":5: \"bridge\" is the name of a module that the program adds"),
     ];
@@ -271,7 +271,7 @@ fn mistakes_in_a_module_are_told_with_their_line() {
 }
 
 #[test]
-fn mistakes_are_told_with_file_line_and_the_nearest_name() {
+fn errors_contain_file_line_and_the_nearest_name() {
     let wrong_type = format!("{ROBOT}[expose]\nin = [{{ topic = \"x\", type = \"sensor_msgs/Imu\" }}]");
     let expected = "robots/test.toml:6: unknown topic type \"sensor_msgs/Imu\", \
                     did you mean \"sensor_msgs/msg/Imu\"?";
@@ -290,7 +290,7 @@ fn mistakes_are_told_with_file_line_and_the_nearest_name() {
             "[robot]\nname = \"r\"\nthreads = 0\nlauncher = \"pool\"",
             ":3: expected a whole number greater than 0",
         ),
-        ("[robot]\nname = \"1r\"", ":2: \"1r\" is not a name"),
+        ("[robot]\nname = \"1r\"", ":2: \"1r\" is not a valid name"),
         (
             "[robot]\nname = \"r\"\n[[module]]\nkind = \"darwin\"",
             ":4: unknown kind of module \"darwin\", did you mean \"darwin_op\"?",
@@ -305,6 +305,6 @@ fn mistakes_are_told_with_file_line_and_the_nearest_name() {
     assert!(problem(&wrong_qos).contains(":7: unknown QoS preset \"sensor\", did you mean \"sensor_data\"?"));
     let mixed = "[robot]\nname = \"r\"\n[[module]]\nkind = \"darwin_op\"\nsettings.offsets = [1, \"a\"]";
     assert!(problem(mixed).contains(
-        ":5: expected a list of numbers only, of texts only, or of truth values only, found [1, \"a\"]"
+        ":5: expected a list of numbers only, of texts only, or of booleans only, found [1, \"a\"]"
     ));
 }

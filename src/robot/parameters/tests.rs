@@ -91,7 +91,7 @@ fn mistakes_in_a_parameter_file_are_told_with_its_line_and_the_nearest_name() {
         ),
         (
             "/**:\n  ros__parameters:\n    mux.hold_s: [true, 1]",
-            ":3: expected a list of numbers only, of texts only, or of truth values only",
+            ":3: expected a list of numbers only, of texts only, or of booleans only",
         ),
         ("/**:\n  ros__parameters:\n    mux: 1", ":3: \"mux\" is a module; a parameter is named mux.setting"),
         ("/**:\n  ros__parameters:\n    mux.hold_s:", ":3: expected true, false, a number"),

@@ -1,4 +1,4 @@
-//! UDP sockets, and a copy of what comes into memory of the sample's own.
+//! Bare UDP sockets; each received sample is copied into its own memory.
 
 use std::io::Write;
 use std::net::{Ipv4Addr, UdpSocket};
@@ -6,14 +6,14 @@ use std::time::{Duration, Instant};
 
 use super::{End, PeerOptions, Stream, trips, wait_for_the_end};
 
-/// What the engine puts into a datagram on one host.
+/// Size of the datagrams that the engine sends on one host.
 const DATAGRAM: usize = 65_000;
-/// After so long without a datagram the other end is done.
+/// The other end is considered done after this time without a datagram.
 const IDLE: Duration = Duration::from_millis(500);
 
 pub fn run(options: &PeerOptions) -> anyhow::Result<()> {
     let socket = socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::DGRAM, None)?;
-    // As the engine asks for; without it the comparison would be one of buffers.
+    // The size that the engine requests, so that both have the same buffers.
     socket.set_recv_buffer_size(4 << 20)?;
     socket.set_send_buffer_size(4 << 20)?;
     socket.bind(&std::net::SocketAddrV4::new(Ipv4Addr::LOCALHOST, 0).into())?;
@@ -36,7 +36,7 @@ fn echo(socket: &UdpSocket) -> anyhow::Result<()> {
     std::thread::spawn(move || {
         let mut buffer = [0; 2048];
         while let Ok((length, from)) = answering.recv_from(&mut buffer) {
-            // A ping that has ended needs no answer.
+            // Fails if the pinging end has ended, which needs no answer.
             let _ = answering.send_to(&buffer[..length], from);
         }
     });
@@ -79,13 +79,14 @@ fn count(socket: &UdpSocket, size: usize) -> anyhow::Result<()> {
     let mut first = None;
     let mut last = Instant::now();
     loop {
-        // It is not known when the other end begins.
+        // No timeout before the first datagram: it is not known when the other end begins.
         socket.set_read_timeout(first.map(|_| IDLE))?;
         let Ok(length) = socket.recv(&mut buffer) else { break };
         last = Instant::now();
         first.get_or_insert(last);
         bytes += length as u64;
-        // Put together in memory of its own, as whoever hands samples on has to; what is lost is not noticed.
+        // Assembled in separate memory, as any receiver that passes samples on has to. Losses are not
+        // detected.
         sample.extend_from_slice(&buffer[..length]);
         if sample.len() >= size {
             drop(std::mem::take(&mut sample));

@@ -7,7 +7,7 @@ use anyhow::Context;
 use super::{Options, Trips};
 use crate::contestant::CYCLONE_ON_THIS_MACHINE;
 
-/// Round trips of 100 bytes between two processes, one turn for each round.
+/// Measures round trips of 100 bytes between two processes, one turn per round.
 pub fn round_trips(options: &Options) -> anyhow::Result<Vec<Trips>> {
     (0..options.rounds).map(|_| turn(options)).collect()
 }
@@ -26,7 +26,7 @@ fn turn(options: &Options) -> anyhow::Result<Trips> {
     pong.kill()?;
     pong.wait()?;
     let output = String::from_utf8(ping?.stdout)?;
-    // A line for each second, of half a round trip: "… mean 35.1us min 28.3us 50% 33.9us 90% 41.2us 99% 60.3us max …".
+    // One line per second with half of a round-trip time: "… mean 35.1us min 28.3us 50% 33.9us 90% 41.2us 99% 60.3us max …".
     let mut lines = output.lines().filter(|line| line.contains("mean"));
     let line = lines.next_back().with_context(|| format!("ddsperf measured nothing: {output}"))?;
     let figure = |name: &str| {

@@ -1,4 +1,4 @@
-//! An engine behind the trait of the bridge, raw.
+//! An engine, used directly through the middleware trait of the bridge.
 
 use std::io::Write;
 use std::sync::mpsc::channel;
@@ -15,7 +15,7 @@ use downbeat_msgs::qos::{History, QosProfile};
 use super::{End, PeerOptions, Stream, trips, wait_for_the_end};
 use crate::peer::on_this_machine;
 
-/// How long the ends look for each other.
+/// How long the ends may take to discover each other.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 pub fn run(options: &PeerOptions, engine: Engine) -> anyhow::Result<()> {
@@ -35,7 +35,7 @@ fn endpoint(topic: &str) -> Endpoint {
     Endpoint::new(format!("rt/{topic}"), "std_msgs::msg::dds_::UInt8MultiArray_", qos)
 }
 
-/// A little-endian payload of that many bytes.
+/// A little-endian payload of `size` bytes.
 fn payload(size: usize) -> Bytes {
     let mut bytes = vec![0x5a; size.max(4)];
     bytes[..4].copy_from_slice(&[0, 1, 0, 0]);
@@ -53,7 +53,7 @@ fn echo(participant: &dyn Middleware) -> anyhow::Result<()> {
     wait_for_the_end()
 }
 
-/// Sends the next one from the handler of what came back.
+/// Sends the next ping from the handler of the previous answer.
 struct Pinger {
     payload: Bytes,
     until: Instant,
@@ -62,7 +62,7 @@ struct Pinger {
 }
 
 fn ping(participant: &dyn Middleware, options: &PeerOptions) -> anyhow::Result<()> {
-    // The handler writes with it, and is there before it.
+    // The handler uses the writer and is created before it.
     let slot: Arc<OnceLock<Box<dyn Writer>>> = Arc::default();
     let pinger = Arc::new(Mutex::new(Pinger {
         payload: payload(options.size),
@@ -80,7 +80,7 @@ fn ping(participant: &dyn Middleware, options: &PeerOptions) -> anyhow::Result<(
             let next = writer.get().filter(|_| Instant::now() < pinger.until);
             pinger.sent = Instant::now();
             if next.is_none_or(|writer| writer.write(pinger.payload.clone()).is_err()) {
-                // Nobody listens after the first time.
+                // Only the first send has a receiver.
                 let _ = done.send(());
             }
         })
@@ -89,7 +89,7 @@ fn ping(participant: &dyn Middleware, options: &PeerOptions) -> anyhow::Result<(
     let writer = participant.create_writer(&endpoint("ping"))?;
     let writer = slot.get_or_init(|| writer);
     wait_until("the other end is there", || writer.matched() == 1 && reader.matched() == 1)?;
-    // The other end may not know of this one yet.
+    // The other end may not have discovered this one yet.
     std::thread::sleep(Duration::from_millis(500));
     {
         let mut pinger = pinger.lock().unwrap_or_else(PoisonError::into_inner);
@@ -116,7 +116,7 @@ fn flood(participant: &dyn Middleware, options: &PeerOptions) -> anyhow::Result<
                 bytes += payload.len() as u64;
                 samples += 1;
             }
-            // The reader is behind: give it the processor.
+            // The reader has not caught up: yield the processor to it.
             Err(WriteError::WindowFull) => std::thread::sleep(Duration::from_micros(20)),
             Err(error) => return Err(error.into()),
         }

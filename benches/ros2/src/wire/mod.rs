@@ -1,4 +1,5 @@
-//! The wire alone: engine to engine in two processes, without cores and bridge, beside bare UDP, rustdds and Cyclone DDS in C.
+//! Measures the engine alone: engine to engine in two processes, without cores or bridge, compared with bare
+//! UDP, rustdds and Cyclone DDS in C.
 //!
 //! A contestant answers on the thread that receives, as `ddsperf` does with its listeners.
 
@@ -18,7 +19,7 @@ pub struct Options {
     /// How long each contestant sends.
     #[arg(long, default_value_t = 3.0)]
     seconds: f64,
-    /// How often each contestant has its turn; the median counts.
+    /// Number of rounds; the median of the rounds counts.
     #[arg(long, default_value_t = 5)]
     rounds: usize,
     /// The ROS domain.
@@ -26,10 +27,10 @@ pub struct Options {
     domain: u16,
 }
 
-/// What sends and receives.
+/// The software that sends and receives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Stack {
-    /// UDP sockets and nothing else: the limit.
+    /// UDP sockets alone: the upper limit.
     Bare,
     /// downbeat-rtps.
     Rtps,
@@ -38,10 +39,10 @@ enum Stack {
     Rustdds,
 }
 
-/// The end that measures, and what it measures.
+/// The role of one end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum End {
-    /// Sends 100 bytes and waits until they come back.
+    /// Sends 100 bytes and waits for the answer.
     Ping,
     /// Sends back what it receives.
     Echo,
@@ -63,7 +64,7 @@ pub struct PeerOptions {
     seconds: f64,
     #[arg(long)]
     domain: u16,
-    /// Where the other end receives; of bare UDP only.
+    /// The UDP port on which the other end receives; used by bare UDP only.
     #[arg(long, default_value_t = 0)]
     port: u16,
 }
@@ -75,12 +76,12 @@ struct Trips {
     p99_us: f64,
 }
 
-/// What one turn of a stream brought to the other end.
+/// What the other end received in one turn of a stream.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 struct Stream {
     bytes: u64,
     samples: u64,
-    /// From the first that was received to the last.
+    /// From the first to the last received sample.
     seconds: f64,
 }
 
@@ -162,7 +163,7 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or_default()
 }
 
-/// One end of a pair in a process of its own; killed when dropped.
+/// One end of a pair in a separate process; killed when dropped.
 struct Peer {
     process: Child,
     input: Option<ChildStdin>,
@@ -170,7 +171,7 @@ struct Peer {
 }
 
 impl Peer {
-    /// Starts it; with the UDP port that it says it receives on.
+    /// Starts the process and returns it with the UDP port on which it receives.
     fn start(
         stack: Stack,
         end: End,
@@ -197,7 +198,7 @@ impl Peer {
     }
 
     fn line(&mut self) -> anyhow::Result<String> {
-        Ok(self.lines.next().context("a contestant ended before it said anything")??)
+        Ok(self.lines.next().context("a contestant ended before it printed anything")??)
     }
 
     fn outcome<T: DeserializeOwned>(&mut self) -> anyhow::Result<T> {
@@ -209,7 +210,7 @@ impl Peer {
         drop(self.input.take());
     }
 
-    /// Ends it by the end of its input.
+    /// Closes the input of the process, which ends it.
     fn end(mut self) -> anyhow::Result<()> {
         self.close_input();
         let status = self.process.wait()?;
@@ -220,13 +221,13 @@ impl Peer {
 
 impl Drop for Peer {
     fn drop(&mut self) {
-        // One that has ended already needs neither.
+        // Both fail if the process has already ended.
         let _ = self.process.kill();
         let _ = self.process.wait();
     }
 }
 
-/// One end of a pair: says on which port it receives, then what it has measured.
+/// Runs one end of a pair: prints the port on which it receives, then its measurements.
 pub fn peer(options: &PeerOptions) -> anyhow::Result<()> {
     match options.stack {
         Stack::Bare => bare::run(options),
@@ -236,7 +237,7 @@ pub fn peer(options: &PeerOptions) -> anyhow::Result<()> {
     }
 }
 
-/// Waits until the input ends, which is when the other end is done.
+/// Waits until the input is closed, which happens when the other end is done.
 fn wait_for_the_end() -> anyhow::Result<()> {
     std::io::copy(&mut std::io::stdin(), &mut std::io::sink())?;
     Ok(())

@@ -88,7 +88,7 @@ impl EndpointData {
     /// Appends the payload of a SEDP sample. Every policy is explicit, so that the defaults of peers do not matter.
     ///
     /// # Panics
-    /// If a name or the user data is longer than 64 kB.
+    /// Panics if a name or the user data is longer than 64 kB.
     pub fn emit(&self, out: &mut Vec<u8>) {
         self.emit_in(ByteOrder::Little, out);
     }

@@ -224,7 +224,7 @@ pub struct HeartbeatFragment {
 /// Reads the header of a message and returns an iterator over its submessages.
 ///
 /// # Errors
-/// If the header is not one of RTPS 2.x. Errors in submessages are items of the iterator.
+/// Returns an error if the header is not one of RTPS 2.x. Errors in submessages are items of the iterator.
 pub fn parse(bytes: &[u8]) -> Result<(Header, Submessages<'_>), Malformed> {
     let Some(rest) = bytes.strip_prefix(b"RTPS") else { return Err(Malformed::NotRtps) };
     // The header knows no byte order: it consists of single bytes.

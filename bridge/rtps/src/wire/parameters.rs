@@ -114,7 +114,8 @@ impl<'a> Parameter<'a> {
     /// Skips an unknown parameter.
     ///
     /// # Errors
-    /// If its sender requires that it is understood. In the range of the vendors the requirement is for their own products.
+    /// Returns an error if its sender requires that it is understood. In the range of the vendors the
+    /// requirement is for their own products.
     pub(super) fn skip(self) -> Result<(), Malformed> {
         const MUST_UNDERSTAND: u16 = 0x4000;
         const OF_VENDOR: u16 = 0x8000;
@@ -139,7 +140,7 @@ pub(super) fn write_payload(out: &mut Vec<u8>, order: ByteOrder, write: impl FnO
 /// Appends one parameter, whose value `write` appends.
 ///
 /// # Panics
-/// If the value is longer than 64 kB.
+/// Panics if the value is longer than 64 kB.
 pub(super) fn write_parameter(out: &mut Encoder<'_>, id: u16, write: impl FnOnce(&mut Encoder<'_>)) {
     out.u16(id);
     out.u16(0);

@@ -135,7 +135,7 @@ impl ParticipantData {
     /// Appends the payload of an SPDP sample.
     ///
     /// # Panics
-    /// If a text or the user data is longer than 64 kB.
+    /// Panics if a text or the user data is longer than 64 kB.
     pub fn emit(&self, out: &mut Vec<u8>) {
         self.emit_in(ByteOrder::Little, out);
     }

@@ -1,7 +1,7 @@
-//! A launcher of one's own: two fixed groups of modules, each on its thread.
+//! A custom launcher: two fixed groups of modules, each on its own thread.
 //!
-//! A robot may want its control modules on one CPU and the others on another, and no module to change places. The
-//! launcher here tells the groups apart by the modules' slots: odd ones run on a second thread. As always, the
+//! A robot may need its control modules on one CPU and all others on another, without modules that migrate.
+//! This launcher groups modules by their slots: those in odd slots run on a second thread. As always, the
 //! launcher changes nothing about the result, and the example ends by comparing it with that of `Linear`.
 //!
 //! ```sh
@@ -20,7 +20,7 @@ use downbeat_executor::{
 
 /// Runs the modules in even slots on the core's thread and those in odd slots on another.
 struct EvenAndOdd {
-    /// There until the drop, which ends the thread by it.
+    /// `Some` until the drop, which takes it to end the thread.
     odd: Option<SyncSender<Arc<Stage>>>,
     done: Receiver<()>,
     thread: Option<JoinHandle<()>>,
@@ -33,7 +33,7 @@ impl EvenAndOdd {
         let life = move || {
             for stage in stages {
                 run_group(&stage, 1);
-                // First let go of the stage, then say so: the core goes on to change what is in it.
+                // Drop the stage before reporting: the core then changes its contents.
                 drop(stage);
                 if report.send(()).is_err() {
                     return;
@@ -53,7 +53,7 @@ impl Launcher for EvenAndOdd {
         let is_sent = self.odd.as_ref().is_some_and(|odd| odd.send(Arc::clone(stage)).is_ok());
         run_group(stage, 0);
         if is_sent {
-            // Fails only if the thread has panicked, and then it has let go of the stage as well.
+            // Fails only if the thread has panicked, which also drops the stage.
             let _ = self.done.recv();
         } else {
             run_group(stage, 1);
@@ -70,11 +70,11 @@ impl Drop for EvenAndOdd {
     }
 }
 
-/// Mixes what it hears into a number that depends on every message and on their order, and passes it on.
+/// Mixes received messages into a number that depends on every message and on their order, and publishes it.
 struct Mixer {
     number: u64,
     listens: [&'static str; 2],
-    tells: &'static str,
+    publishes: &'static str,
     results: Sender<(&'static str, u64)>,
 }
 
@@ -82,13 +82,13 @@ impl Module for Mixer {
     type Ports = ();
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        let out = setup.publish(self.tells)?;
+        let out = setup.publish(self.publishes)?;
         for topic in self.listens {
             setup.subscribe(
                 topic,
                 move |mixer: &mut Self, heard: Received<'_, u64>, ctx: &mut Context<'_>| {
                     mixer.number = mixer.number.rotate_left(7).wrapping_mul(0x9e37_79b9).wrapping_add(*heard);
-                    // Both messages of a cycle come before the next one is told.
+                    // Both messages of a cycle arrive before the next one is published.
                     if mixer.listens[1] == topic {
                         ctx.publish(out, mixer.number);
                     }
@@ -99,19 +99,19 @@ impl Module for Mixer {
     }
 
     fn shutdown(&mut self, _: &mut Context<'_>) {
-        let _ = self.results.send((self.tells, self.number));
+        let _ = self.results.send((self.publishes, self.number));
     }
 }
 
-/// The numbers that four modules have come to after 1000 cycles.
+/// Returns the numbers of four modules after 1000 cycles.
 fn results(launcher: impl Launcher + 'static) -> Result<Vec<(&'static str, u64)>, Box<dyn Error>> {
     let clock = ManualClock::new(Time::ZERO);
     let mut core = Core::new().with_launcher(launcher).with_clock(clock);
     let (results, received) = channel();
-    for (number, listens, tells) in
+    for (number, listens, publishes) in
         [(1, ["d", "c"], "a"), (2, ["a", "d"], "b"), (3, ["a", "b"], "c"), (4, ["b", "c"], "d")]
     {
-        core.add(tells, Mixer { number, listens, tells, results: results.clone() })?;
+        core.add(publishes, Mixer { number, listens, publishes, results: results.clone() })?;
     }
     for topic in ["a", "b", "c", "d"] {
         core.inlet(topic)?.publish(1_u64)?;

@@ -82,8 +82,8 @@ fn uuid(id: u8) -> UUID {
 /// A world with a module that sends the published goals and reports what it receives.
 fn with_caller() -> (World, Inlet<Asked>, Receiver<String>) {
     let mut world = World::new();
-    let (told, heard) = channel();
-    world.core.add("caller", Caller::new(told)).unwrap();
+    let (sender, heard) = channel();
+    world.core.add("caller", Caller::new(sender)).unwrap();
     let ask = world.core.inlet("ask").unwrap();
     (world, ask, heard)
 }
@@ -113,9 +113,9 @@ fn a_goal_of_another_module_is_accepted_publishes_feedback_and_ends_with_a_resul
 #[test]
 fn several_goals_run_at_once_and_a_client_receives_only_its_own() {
     let mut world = World::new();
-    let (told, heard) = channel();
+    let (sender, heard) = channel();
     let (other_told, other_heard) = channel();
-    world.core.add("caller", Caller::new(told)).unwrap();
+    world.core.add("caller", Caller::new(sender)).unwrap();
     let options = ModuleOptions {
         remaps: [("ask".to_owned(), "ask_other".to_owned())].into(),
         ..ModuleOptions::default()
@@ -237,8 +237,8 @@ fn a_result_can_be_requested_before_and_after_the_end_until_it_expires() {
 #[test]
 fn a_status_is_published_at_each_change_with_all_goals() {
     let mut world = World::new();
-    let (told, heard) = channel();
-    world.core.add("statuses", Statuses(told)).unwrap();
+    let (sender, heard) = channel();
+    world.core.add("statuses", Statuses(sender)).unwrap();
     assert!(world.send(1, Counter::LATER));
     world.pass(1);
     assert!(world.send(2, 9));
@@ -274,9 +274,9 @@ fn remapping_an_action_applies_to_all_its_parts() {
 fn goals_ids_and_results_are_the_same_under_every_launcher() {
     let run = |core: Core| {
         let mut world = World::on(core);
-        let (told, heard) = channel();
+        let (sender, heard) = channel();
         for name in ["one", "two", "three"] {
-            world.core.add(name, Caller::new(told.clone()).with_ids()).unwrap();
+            world.core.add(name, Caller::new(sender.clone()).with_ids()).unwrap();
         }
         let ask = world.core.inlet("ask").unwrap();
         for round in 0..5 {

@@ -83,14 +83,14 @@ pub enum Asked {
 /// Sends a goal or cancels the last one on each message on `ask`, and reports the outcome.
 pub struct Caller {
     client: ActionClient<Fibonacci>,
-    told: Sender<String>,
+    sender: Sender<String>,
     last: GoalId,
     has_ids: bool,
 }
 
 impl Caller {
-    pub fn new(told: Sender<String>) -> Self {
-        Self { client: ActionClient::default(), told, last: GoalId::default(), has_ids: false }
+    pub fn new(sender: Sender<String>) -> Self {
+        Self { client: ActionClient::default(), sender, last: GoalId::default(), has_ids: false }
     }
 
     /// Starts each line with the id of the goal.
@@ -98,9 +98,9 @@ impl Caller {
         Self { has_ids: true, ..self }
     }
 
-    fn tell(&self, id: GoalId, line: String) {
+    fn report(&self, id: GoalId, line: String) {
         let line = if self.has_ids { format!("{id} {line}") } else { line };
-        self.told.send(line).unwrap();
+        self.sender.send(line).unwrap();
     }
 
     fn ask(&mut self, asked: Received<'_, Asked>, ctx: &mut Context<'_>) {
@@ -118,14 +118,14 @@ impl Module for Caller {
         ActionClient::builder(|caller: &mut Self| &mut caller.client)
             .on_response(|caller, id, response, _| {
                 assert_eq!(caller.client.status(id).is_some(), response.is_ok());
-                caller.tell(
+                caller.report(
                     id,
                     response.map_or_else(|error| error.to_string(), |time| format!("accepted at {time}")),
                 );
             })
             .on_feedback(|caller, id, feedback, _| {
                 assert_eq!(caller.client.status(id), Some(GoalStatus::Executing));
-                caller.tell(id, format!("{:?}", feedback.sequence));
+                caller.report(id, format!("{:?}", feedback.sequence));
             })
             .on_result(|caller, id, end, _| {
                 assert_eq!(caller.client.status(id), None);
@@ -133,12 +133,12 @@ impl Module for Caller {
                     Ok(end) => format!("{} {:?}", end.status, end.result.sequence),
                     Err(error) => error.to_string(),
                 };
-                caller.tell(id, line);
+                caller.report(id, line);
             })
             .on_cancel(|caller, answer, _| {
                 let answer = answer.unwrap();
                 let (code, goals) = (answer.return_code, answer.goals_canceling.len());
-                caller.tell(caller.last, format!("cancel: {code}, {goals} goals"));
+                caller.report(caller.last, format!("cancel: {code}, {goals} goals"));
             })
             .declare(setup, "count", &mut self.client)?;
         setup.subscribe("ask", Self::ask)

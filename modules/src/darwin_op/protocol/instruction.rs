@@ -101,7 +101,7 @@ impl<'a> Instruction<'a> {
     /// Parses a packet sent to the devices.
     ///
     /// # Errors
-    /// If no instruction has this code, or its parameters do not fit.
+    /// Returns an error if no instruction has this code, or its parameters do not fit.
     pub fn parse<T: AsRef<[u8]>>(packet: &'a Packet<T>) -> Result<Self, InstructionError> {
         let (id, code, parameters) = (packet.id(), packet.code(), packet.parameters());
         let misfit = InstructionError::Parameters { code, count: parameters.len() };
@@ -132,7 +132,8 @@ impl<'a> Instruction<'a> {
     /// Appends the packet to `out`.
     ///
     /// # Panics
-    /// If there are more bytes than a packet can hold: 252 to write, 251 in a SYNC_WRITE, 252 in a BULK_READ.
+    /// Panics if there are more bytes than a packet can hold: 252 to write, 251 in a SYNC_WRITE, 252 in a
+    /// BULK_READ.
     pub fn emit(&self, out: &mut Vec<u8>) {
         let id = self.id();
         match *self {

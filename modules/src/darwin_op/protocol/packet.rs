@@ -58,7 +58,7 @@ impl<T: AsRef<[u8]>> Packet<T> {
     /// Views bytes as a packet. Bytes after its end are ignored.
     ///
     /// # Errors
-    /// If the bytes do not start with a complete, valid packet.
+    /// Returns an error if the bytes do not start with a complete, valid packet.
     pub fn new_checked(buffer: T) -> Result<Self, PacketError> {
         let bytes = buffer.as_ref();
         let truncated = |needed| PacketError::Truncated { needed, found: bytes.len() };
@@ -117,7 +117,7 @@ pub fn checksum(covered: &[u8]) -> u8 {
 /// Appends a packet to `out`.
 ///
 /// # Panics
-/// If there are more than 253 bytes of parameters, which the length byte cannot represent.
+/// Panics if there are more than 253 bytes of parameters, which the length byte cannot represent.
 pub fn emit_packet(id: Id, code: u8, parameters: &[u8], out: &mut Vec<u8>) {
     let length = u8::try_from(parameters.len() + 2).unwrap_or_else(|_| {
         panic!("a packet holds at most 253 bytes of parameters, not {}", parameters.len())

@@ -113,7 +113,7 @@ impl<'a> Status<'a> {
     /// Parses a packet from a device.
     ///
     /// # Errors
-    /// If its id is the broadcast address.
+    /// Returns an error if its id is the broadcast address.
     pub fn parse<T: AsRef<[u8]>>(packet: &'a Packet<T>) -> Result<Self, StatusParseError> {
         if packet.id().is_broadcast() {
             return Err(StatusParseError);
@@ -125,7 +125,7 @@ impl<'a> Status<'a> {
     /// Appends the packet to `out`.
     ///
     /// # Panics
-    /// If there are more than 253 bytes of parameters.
+    /// Panics if there are more than 253 bytes of parameters.
     pub fn emit(&self, out: &mut Vec<u8>) {
         emit_packet(self.id, self.error.bits(), self.parameters, out);
     }

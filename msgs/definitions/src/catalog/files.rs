@@ -26,7 +26,7 @@ impl Catalog {
     /// folder's name is the package's. Returns how many files were read.
     ///
     /// # Errors
-    /// If a file cannot be read or parsed. A folder without interfaces is no error.
+    /// Returns an error if a file cannot be read or parsed. A folder without interfaces is no error.
     pub fn add_package(&mut self, folder: &Path) -> Result<usize, Error> {
         let package = name_of(folder);
         let mut count = 0;

@@ -33,7 +33,8 @@ impl Catalog {
     /// has no effect; comments may differ.
     ///
     /// # Errors
-    /// If the text is not a message definition, or the name already has a different definition.
+    /// Returns an error if the text is not a message definition, or the name already has a different
+    /// definition.
     pub fn add_message(&mut self, name: TypeName, text: &str, origin: &str) -> Result<(), Error> {
         let message = parse_message(name, text, origin)?;
         self.insert(message)
@@ -42,7 +43,8 @@ impl Catalog {
     /// Adds one service, and the request, response and event messages that belong to it.
     ///
     /// # Errors
-    /// If the text is not a service definition, or the name already has a different definition.
+    /// Returns an error if the text is not a service definition, or the name already has a different
+    /// definition.
     pub fn add_service(&mut self, name: TypeName, text: &str, origin: &str) -> Result<(), Error> {
         self.insert_service(parse_service(name, text, origin)?)
     }
@@ -51,7 +53,8 @@ impl Catalog {
     /// `_FeedbackMessage`, `_SendGoal`, `_GetResult` and the messages of these two.
     ///
     /// # Errors
-    /// If the text is not an action definition, or the name already has a different definition.
+    /// Returns an error if the text is not an action definition, or the name already has a different
+    /// definition.
     pub fn add_action(&mut self, name: TypeName, text: &str, origin: &str) -> Result<(), Error> {
         self.insert_action(parse_action(name, text, origin)?)
     }
@@ -59,7 +62,8 @@ impl Catalog {
     /// Adds the definitions of an `.idl` file, and returns their names. See [`parse_idl`].
     ///
     /// # Errors
-    /// If the text is not IDL that ROS 2 supports, or a name already has a different definition.
+    /// Returns an error if the text is not IDL that ROS 2 supports, or a name already has a different
+    /// definition.
     pub fn add_idl(&mut self, text: &str, origin: &str) -> Result<Vec<TypeName>, Error> {
         let definitions = parse_idl(text, origin)?;
         let names = definitions.iter().map(|definition| definition.name().clone()).collect();
@@ -71,7 +75,7 @@ impl Catalog {
     /// are left out.
     ///
     /// # Errors
-    /// If a name already has a different definition.
+    /// Returns an error if a name already has a different definition.
     pub fn add_message_from(&mut self, other: &Self, name: &TypeName) -> Result<(), Error> {
         let mut wanted = vec![name];
         let mut seen = BTreeSet::from([name]);

@@ -47,8 +47,8 @@ impl Catalog {
     /// the service. Types that it leaves out, such as `service_msgs/msg/ServiceEventInfo`, are added.
     ///
     /// # Errors
-    /// If a part is not a definition, or a name already has a different definition. Line numbers count from
-    /// the top of the text.
+    /// Returns an error if a part is not a definition, or a name already has a different definition. Line
+    /// numbers count from the top of the text.
     ///
     /// # Examples
     /// ```

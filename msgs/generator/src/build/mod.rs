@@ -113,7 +113,8 @@ impl Build {
     /// Like [`Build::compile`], for build scripts that handle errors themselves.
     ///
     /// # Errors
-    /// If a file cannot be read, parsed or written, or a type that is referred to is not found.
+    /// Returns an error if a file cannot be read, parsed or written, or a type that is referred to is not
+    /// found.
     pub fn try_compile(self) -> Result<(), BuildError> {
         let environment = Environment::of_build_script()?;
         let source = self.source(&environment, &mut |watch| println!("cargo::{watch}"))?;

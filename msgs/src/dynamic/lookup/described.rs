@@ -47,7 +47,7 @@ impl DescribedTypes {
     /// the endpoint of the topic or sent in the request.
     ///
     /// # Errors
-    /// If the description is invalid, or its hash differs.
+    /// Returns an error if the description is invalid, or its hash differs.
     pub fn add(&mut self, description: &msg::TypeDescription, announced: &str) -> Result<(), TypeError> {
         let described = TypeDescription::from(description);
         let found = described.hash();

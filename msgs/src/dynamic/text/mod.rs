@@ -74,22 +74,22 @@ impl DynamicMessage {
     /// accept `1.5`, which rclpy truncates.
     ///
     /// # Errors
-    /// If the text is not a YAML mapping, or there is no such field or it cannot have the value. The message
-    /// is then unchanged.
+    /// Returns an error if the text is not a YAML mapping, or there is no such field or it cannot have the
+    /// value. The message is then unchanged.
     pub fn fill_yaml(&mut self, yaml: &str) -> Result<Stamps, TextError> {
-        let told = |error: &serde_norway::Error, field| {
+        let text_error = |error: &serde_norway::Error, field| {
             let (line, column) = error.location().map_or((0, 0), |place| (place.line(), place.column()));
             TextError::new("YAML", line, column, error, field)
         };
-        let yaml = crate::yaml::deserializer(yaml).map_err(|error| told(&error, None))?;
-        self.fill_from(yaml).map_err(|(error, field)| told(&error, field))
+        let yaml = crate::yaml::deserializer(yaml).map_err(|error| text_error(&error, None))?;
+        self.fill_from(yaml).map_err(|(error, field)| text_error(&error, field))
     }
 
     /// Sets the fields in the input, in any self-describing serde format.
     ///
     /// # Errors
-    /// If the input is not a map, or there is no such field or it cannot have the value. The message is then
-    /// unchanged.
+    /// Returns an error if the input is not a map, or there is no such field or it cannot have the value. The
+    /// message is then unchanged.
     pub fn fill<'de, D: Deserializer<'de>>(&mut self, deserializer: D) -> Result<Stamps, D::Error> {
         self.fill_from(deserializer).map_err(|(error, _)| error)
     }

@@ -214,7 +214,7 @@ fn record_from_ros(
         Ok(summary) => summary,
         Err(failed) => &*failed.summary,
     };
-    tell(summary);
+    report(summary);
     outcome.map(drop).context("the recording is not complete")
 }
 
@@ -279,7 +279,7 @@ fn act_on(key: Key, control: &RecordingControl) {
     }
 }
 
-fn tell(summary: &RecordingSummary) {
+fn report(summary: &RecordingSummary) {
     let (messages, lost) = (summary.message_count(), summary.lost_count());
     println!("recorded {messages} messages, lost {lost}, in {}", summary.path.display());
     for topic in summary.topics.iter().filter(|topic| topic.lost > 0) {

@@ -76,7 +76,7 @@ fn list<T>(values: &[T], write: impl Fn(&mut String, &T)) -> String {
 /// Parses a value with its YAML type. Text that is not YAML is a string.
 ///
 /// # Errors
-/// If it is YAML that is not a parameter value, such as a map.
+/// Returns an error if the text is YAML but not a parameter value, such as a map.
 pub(super) fn value_in(text: &str) -> Result<SettingValue, String> {
     match yaml::from_str::<Value>(text) {
         Err(_) | Ok(Value::Null) => Ok(SettingValue::Text(text.to_owned())),

@@ -1,21 +1,22 @@
-//! `lifecycle` of `[expose]`.
+//! `lifecycle` in `[expose]`.
 
 use downbeat_bridge::expose::TopicPattern;
 
 use super::Result;
 use crate::robot::file::table::{Table, Value};
 
-/// Modules that are shown as managed nodes.
+/// Modules that are exposed as managed nodes.
 #[derive(Clone)]
 pub struct LifecycleEntry {
     pub(crate) line: usize,
     /// The modules, by name or pattern.
     pub modules: TopicPattern,
-    /// The node where it has another name than the module: absolute, or relative to the robot's namespace.
+    /// The name of the node if it differs from that of the module: absolute, or relative to the robot's
+    /// namespace.
     pub node: Option<String>,
 }
 
-/// Modules by name or pattern, or as a table that names the node.
+/// Reads modules, given by name or pattern or as a table that names the node.
 pub(super) fn lifecycle(table: &mut Table<'_>) -> Result<Vec<LifecycleEntry>> {
     let values = table.take("lifecycle").map_or(Ok(Vec::new()), |value| value.list())?;
     values.into_iter().map(entry).collect()
@@ -31,7 +32,7 @@ fn entry(value: Value<'_>) -> Result<LifecycleEntry> {
     table.finish()?;
     match node {
         Some(node) if TopicPattern::is_pattern(module.text()?) => {
-            Err(node.error("\"node\" goes with the name of one module, not with a pattern"))
+            Err(node.error("\"node\" can only be given for the name of one module, not for a pattern"))
         }
         node => {
             let node = node.map(|node| node.text().map(str::to_owned)).transpose()?;

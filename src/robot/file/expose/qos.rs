@@ -1,4 +1,4 @@
-//! `qos` of an exposed topic.
+//! `qos` for an exposed topic.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use super::Result;
 use crate::robot::file::table::{Table, Value};
 use crate::robot::file::{choice, suggestion};
 
-/// A preset by name, or a table that says how it differs from one.
+/// Reads a preset name, or a table with a preset and the policies that differ from it.
 pub(super) fn request(value: Value<'_>, direction: Direction) -> Result<QosRequest> {
     let Some(mut table) = value.as_table("qos") else { return preset(value, direction) };
     let base = table.take("preset").map_or(Ok(QosRequest::default()), |value| preset(value, direction))?;
@@ -48,8 +48,7 @@ fn preset(value: Value<'_>, direction: Direction) -> Result<QosRequest> {
     })
 }
 
-/// What the middleware does when nothing is asked of it: the defaults of DDS, in which a writer is reliable and a reader
-/// is not.
+/// The defaults of DDS, which apply when no QoS is requested: a writer is reliable, a reader is not.
 fn system_default(direction: Direction) -> QosProfile {
     let reliability = match direction {
         Direction::Out => Reliability::Reliable,
@@ -64,7 +63,7 @@ fn history(table: &mut Table<'_>, base: History) -> Result<History> {
     let keeps_all =
         history.map(|value| choice(value, &[(History::KEEP_LAST, false), (History::KEEP_ALL, true)]));
     match (history, keeps_all.transpose()?, depth) {
-        (Some(value), Some(true), Some(_)) => Err(value.error("\"depth\" goes with history = \"keep_last\"")),
+        (Some(value), Some(true), Some(_)) => Err(value.error("\"depth\" needs history = \"keep_last\"")),
         (_, Some(true), None) => Ok(History::KeepAll),
         (_, _, Some(depth)) => Ok(History::KeepLast(depth)),
         (_, Some(false), None) if base == History::KeepAll => Ok(QosProfile::DEFAULT.history),
@@ -86,7 +85,7 @@ fn duration(value: Option<Value<'_>>, base: Policy<Option<Duration>>) -> Result<
     }
 }
 
-/// A time, or "infinite".
+/// Reads a duration; `None` for "infinite".
 fn finite(value: Value<'_>) -> Result<Option<Duration>> {
     match value.text() {
         Ok("infinite") => Ok(None),

@@ -1,4 +1,4 @@
-//! `services`, `calls`, `actions`, `action_calls` and `parameters` of `[expose]`.
+//! `services`, `calls`, `actions`, `action_calls` and `parameters` in `[expose]`.
 
 use std::time::Duration;
 
@@ -10,38 +10,38 @@ use super::Result;
 use crate::robot::file::Located;
 use crate::robot::file::table::{Table, Value};
 
-/// How long the server of an exposed service may take, unless the file says it.
+/// How long the server of an exposed service may take unless the file specifies it.
 const TIMEOUT: Duration = Duration::from_secs(10);
 
-/// A service that passes between the robot and ROS 2.
+/// A service that is exposed to ROS 2 or called in ROS 2.
 #[derive(Clone)]
 pub struct ServiceEntry {
     pub(crate) line: usize,
     /// The service in the robot.
     pub service: String,
-    /// The service in ROS 2 where it has another name.
+    /// The name in ROS 2 if it differs.
     pub ros_service: Option<String>,
-    /// Its type, where the file names it.
+    /// The type, if the file specifies it.
     pub service_type: Option<KnownService>,
-    /// How long its server may take.
+    /// How long the server may take.
     pub timeout: Duration,
 }
 
-/// An action that passes between the robot and ROS 2.
+/// An action that is exposed to ROS 2 or used in ROS 2.
 #[derive(Clone)]
 pub struct ActionEntry {
     pub(crate) line: usize,
     /// The action in the robot.
     pub action: String,
-    /// The action in ROS 2 where it has another name.
+    /// The name in ROS 2 if it differs.
     pub ros_action: Option<String>,
-    /// Its type, where the file names it.
+    /// The type, if the file specifies it.
     pub action_type: Option<KnownAction>,
-    /// How long its server may take to say whether it takes a goal or cancels one.
+    /// How long the server may take to accept or cancel a goal.
     pub timeout: Duration,
 }
 
-/// The services under a key, by name or as a table that says more.
+/// Reads the services under a key, given by name or as a table.
 pub(super) fn services(
     table: &mut Table<'_>,
     key: &'static str,
@@ -51,7 +51,7 @@ pub(super) fn services(
     values.into_iter().map(|value| service(value, interfaces)).collect()
 }
 
-/// The actions under a key, by name or as a table that says more.
+/// Reads the actions under a key, given by name or as a table.
 pub(super) fn actions(
     table: &mut Table<'_>,
     key: &'static str,
@@ -61,7 +61,7 @@ pub(super) fn actions(
     values.into_iter().map(|value| action(value, interfaces)).collect()
 }
 
-/// What services and calls publish of what they do.
+/// Reads what services and calls publish about their calls.
 pub(super) fn introspection(table: &mut Table<'_>) -> Result<ServiceIntrospection> {
     let mut chosen = |key| {
         let word = |value: Value<'_>| {
@@ -79,7 +79,7 @@ pub(super) fn introspection(table: &mut Table<'_>) -> Result<ServiceIntrospectio
     })
 }
 
-/// Which settings are parameters: names `module.setting`, or patterns for them.
+/// Reads which settings are exposed as parameters: names `module.setting`, or patterns for them.
 pub(super) fn parameters(table: &mut Table<'_>) -> Result<Vec<Located<TopicPattern>>> {
     let values = table.take("parameters").map_or(Ok(Vec::new()), |value| value.list())?;
     let pattern = |value: Value<'_>| {
@@ -105,7 +105,7 @@ fn action(value: Value<'_>, interfaces: &Interfaces) -> Result<ActionEntry> {
     Ok(ActionEntry { line, action, ros_action, action_type, timeout })
 }
 
-/// What a service and an action have in common.
+/// The common part of a service and an action.
 struct Entry<T> {
     line: usize,
     name: String,

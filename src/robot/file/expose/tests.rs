@@ -17,7 +17,7 @@ fn qos(direction: &str, qos: &str) -> QosRequest {
 }
 
 #[test]
-fn presets_are_those_of_rmw() {
+fn presets_equal_those_of_rmw() {
     for (name, profile) in [
         ("default", QosProfile::DEFAULT),
         ("sensor_data", QosProfile::SENSOR_DATA),
@@ -63,7 +63,7 @@ fn each_policy_can_be_given_beside_a_preset() {
 }
 
 #[test]
-fn a_topic_may_be_thinned_out_and_be_of_another_node() {
+fn a_topic_can_have_limits_and_another_node() {
     let text =
         "out = [{ topic = \"a\", rate_hz = 12.5, every = 3, latest_only = true, node = \"camera\" }, \"b\"]";
     let [a, b] = <[ExposeEntry; 2]>::try_from(entries(text)).ok().unwrap();
@@ -78,7 +78,7 @@ fn a_topic_may_be_thinned_out_and_be_of_another_node() {
 }
 
 #[test]
-fn mistakes_are_told_with_their_line() {
+fn errors_contain_the_line() {
     for (entry, expected) in [
         (
             "{ topic = \"a\", qos = \"sensor\" }",
@@ -87,16 +87,16 @@ fn mistakes_are_told_with_their_line() {
         ("{ topic = \"a\", qos = { reliability = \"best\" } }", "unknown choice \"best\""),
         ("{ topic = \"a\", qos = { deadline = 100 } }", "expected a time with its unit"),
         ("{ topic = \"a\", qos = { lease = \"1s\" } }", "qos has no \"lease\""),
-        ("{ topic = \"a\", qos = { history = \"keep_all\", depth = 2 } }", "\"depth\" goes with"),
-        ("{ topic = \"a\", rate_hz = 0 }", "0 is no rate"),
-        ("{ topic = \"a\", rate_hz = -1.0 }", "-1 is no rate"),
-        ("{ topic = \"a\", rate_hz = nan }", "NaN is no rate"),
+        ("{ topic = \"a\", qos = { history = \"keep_all\", depth = 2 } }", "\"depth\" needs"),
+        ("{ topic = \"a\", rate_hz = 0 }", "0 is not a rate"),
+        ("{ topic = \"a\", rate_hz = -1.0 }", "-1 is not a rate"),
+        ("{ topic = \"a\", rate_hz = nan }", "NaN is not a rate"),
         ("{ topic = \"a\", every = 0 }", "greater than 0"),
         ("{ topic = \"a\", latest_only = 1 }", "expected true or false, found 1"),
         ("{ topic = \"a\", latest = true }", "did you mean \"latest_only\"?"),
         ("{ topic = \"a/*\", as = \"/b\" }", "a new name has the wildcards"),
         ("{ topic = \"a\", as = \"/b/*\" }", "\"a\" has none for it"),
-        ("{ topic = \"a\", except = [\"b\"] }", "\"except\" goes with a pattern"),
+        ("{ topic = \"a\", except = [\"b\"] }", "\"except\" needs a pattern"),
         ("{ topic = \"a/*\", except = [\"b**\"] }", "pattern \"b**\""),
         ("\"a/b**\"", "pattern \"a/b**\""),
     ] {

@@ -1,4 +1,4 @@
-//! `out` and `in` of `[expose]`.
+//! `out` and `in` in `[expose]`.
 
 use std::fmt;
 use std::time::Duration;
@@ -13,25 +13,26 @@ use super::{Result, qos};
 use crate::robot::file::suggestion;
 use crate::robot::file::table::{Table, Value};
 
-/// Topics that ROS 2 sees.
+/// Topics that are exposed to ROS 2.
 #[derive(Clone)]
 pub struct ExposeEntry {
     pub(crate) line: usize,
     /// The topics in the robot.
     pub topics: TopicChoice,
-    /// The topic in ROS 2 where it has another name; for a pattern the wildcards stand for what they matched.
+    /// The name in ROS 2 if it differs. In a pattern, wildcards stand for the text that they matched.
     pub ros_topic: Option<String>,
-    /// Its type, where the file names it.
+    /// The type, if the file specifies it.
     pub type_name: Option<String>,
-    /// True where its messages pass as bytes: asked for, or of a type that is not compiled in.
+    /// True if messages pass as bytes, because the file requests it or the type is not compiled in.
     pub is_raw: bool,
-    /// Which way it goes.
+    /// Whether ROS 2 receives or sends the topics.
     pub direction: Direction,
-    /// Its quality of service.
+    /// The quality of service.
     pub qos: QosRequest,
-    /// How much of it passes.
+    /// Limits on the messages that pass.
     pub limits: Limits,
-    /// The node that has the endpoint, where it is another than the robot's: absolute, or relative to its namespace.
+    /// The node that has the endpoint, if it is not the node of the robot: absolute, or relative to the
+    /// robot's namespace.
     pub node: Option<String>,
 }
 
@@ -40,11 +41,11 @@ pub struct ExposeEntry {
 pub enum TopicChoice {
     /// One topic.
     Name(String),
-    /// All that match, but for those that match one of `except`.
+    /// All topics that match the pattern and none of `except`.
     Pattern {
-        /// Those that are meant.
+        /// The pattern for the topics.
         pattern: TopicPattern,
-        /// Those of them that are not, with the lines on which they are named.
+        /// Patterns for excluded topics, with their lines in the file.
         except: Vec<(usize, TopicPattern)>,
     },
 }
@@ -97,10 +98,10 @@ fn entry(value: Value<'_>, direction: Direction, interfaces: &Interfaces) -> Res
     if let (TopicChoice::Pattern { .. }, true) = (&topics, is_raw) {
         let value = raw_value.or(type_value).unwrap_or(topic);
         return Err(value
-            .error("a pattern means topics that modules have; one whose messages pass as bytes is named"));
+            .error("a pattern matches only topics of modules; a topic whose messages pass as bytes must be given by name"));
     }
     if let (Some(value), true, None) = (raw_value, is_raw, &type_name) {
-        return Err(value.error("\"raw\" needs a \"type\": the bytes do not say what they are"));
+        return Err(value.error("\"raw\" needs a \"type\": the bytes do not contain it"));
     }
     let entry = ExposeEntry {
         line,
@@ -125,14 +126,12 @@ fn choice(value: Value<'_>, except: Option<Value<'_>>) -> Result<TopicChoice> {
         return Ok(TopicChoice::Pattern { pattern: pattern(value)?, except: except.collect::<Result<_>>()? });
     }
     match except {
-        Some(except) => {
-            Err(except.error(format!("\"except\" goes with a pattern, and \"{name}\" is a name")))
-        }
+        Some(except) => Err(except.error(format!("\"except\" needs a pattern, but \"{name}\" is a name"))),
         None => Ok(TopicChoice::Name(name.to_owned())),
     }
 }
 
-/// The new name of what an absolute pattern matches, so that it is absolute too.
+/// Reads the name in ROS 2 of what an absolute pattern matches, which must be absolute as well.
 fn absolute_pattern(value: Value<'_>) -> Result<Option<String>> {
     let name = value.text()?;
     Ok((name.starts_with('/') && TopicPattern::is_pattern(name)).then(|| name.to_owned()))
@@ -156,7 +155,7 @@ fn new_name(value: Value<'_>, topics: &TopicChoice) -> Result<String> {
     Ok(name.to_owned())
 }
 
-/// A type that is registered, or of a package that is not.
+/// Reads the name of a registered type, or of a type in a package that is not registered.
 fn type_name(value: Value<'_>, wants_raw: bool, interfaces: &Interfaces) -> Result<String> {
     let name = value.text()?;
     if interfaces.message(name).is_ok() {
@@ -182,9 +181,10 @@ fn limits_of(table: &mut Table<'_>) -> Result<Limits> {
     Ok(Limits { period, every, of_a_cycle })
 }
 
-/// From a rate in messages per second.
+/// Reads a rate in messages per second as a period.
 fn period(value: Value<'_>) -> Result<Duration> {
     let rate = value.number()?;
-    Limits::period_of(rate)
-        .ok_or_else(|| value.error(format!("{rate} is no rate; expected messages per second, such as 10.0")))
+    Limits::period_of(rate).ok_or_else(|| {
+        value.error(format!("{rate} is not a rate; expected messages per second, such as 10.0"))
+    })
 }
