@@ -22,7 +22,7 @@ pub(crate) fn wire() -> anyhow::Result<()> {
         run(rtps("simulation").env("DOWNBEAT_SIMULATION_SEEDS", "10000"))
     });
     steps.step("10 million hostile datagrams", || {
-        run(rtps("hostile").env("DOWNBEAT_FUZZ_ROUNDS", "500000").args(["noise_for_long"]))
+        run(rtps("hostile").env("DOWNBEAT_FUZZ_ROUNDS", "500000").args(["after_much_noise"]))
     });
     steps.finish()
 }

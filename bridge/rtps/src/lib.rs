@@ -1,8 +1,8 @@
 //! An RTPS engine for ROS 2: a sans-IO protocol core and a small driver for UDP.
 //!
-//! `README.md` has the picture. [`Participant`] joins a domain over UDP; [`protocol::Participant`] is the same without
-//! sockets, clock and threads; [`wire`] reads and writes the bytes.
-#![allow(missing_docs, reason = "a field or accessor whose name says all has no comment")]
+//! `README.md` contains an overview. [`Participant`] joins a domain over UDP; [`protocol::Participant`] is
+//! the protocol without sockets, clock or threads; [`wire`] parses and writes messages.
+#![allow(missing_docs, reason = "fields and accessors with a self-explanatory name have no comment")]
 
 mod driver;
 pub mod protocol;

@@ -199,11 +199,12 @@ fn partitions_meet(offered: &[String], requested: &[String]) -> bool {
     let default = [String::new()];
     let or_default = |names| if <[String]>::is_empty(names) { &default[..] } else { names };
     let (offered, requested) = (or_default(offered), or_default(requested));
-    offered.iter().any(|offered| requested.iter().any(|requested| names_meet(offered, requested)))
+    offered.iter().any(|offered| requested.iter().any(|requested| names_match(offered, requested)))
 }
 
-/// Two names meet if they are equal or one is a pattern that matches the other. Two patterns meet only if they are equal.
-fn names_meet(a: &str, b: &str) -> bool {
+/// Two names match if they are equal or one is a pattern that matches the other. Two patterns match only if
+/// they are equal.
+fn names_match(a: &str, b: &str) -> bool {
     let is_pattern = |name: &str| name.contains(['*', '?', '[']);
     a == b
         || match (is_pattern(a), is_pattern(b)) {
@@ -376,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn partitions_meet_by_name_or_by_a_pattern_on_one_side() {
+    fn partitions_match_by_name_or_by_a_pattern_on_one_side() {
         assert!(partitions(&[], &[]));
         assert!(partitions(&[], &[""]));
         assert!(partitions(&["left", "right"], &["right"]));
@@ -385,7 +386,7 @@ mod tests {
         assert!(partitions(&["robot_1/arm"], &["robot_*"]));
         assert!(partitions(&["robot_?"], &["robot_1"]));
         assert!(!partitions(&["robot_?"], &["robot_"]));
-        assert!(!partitions(&["a*"], &["*b"]), "two patterns do not meet");
+        assert!(!partitions(&["a*"], &["*b"]), "two patterns do not match");
         assert!(partitions(&["a*"], &["a*"]), "but equal names do");
     }
 
@@ -410,7 +411,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pattern_made_to_take_long_does_not() {
+    fn a_hostile_pattern_does_not_take_long() {
         let pattern = "*a".repeat(250) + "b";
         assert!(!fits(pattern.as_bytes(), "a".repeat(500).as_bytes()));
     }

@@ -1,4 +1,4 @@
-//! Whole participants over networks that lose, delay, duplicate and reorder. A seed replays exactly:
+//! Participants over networks that lose, delay, duplicate and reorder datagrams. A seed replays exactly:
 //! `DOWNBEAT_SEEDS=105..106 cargo test -p downbeat-rtps --test bad_network`.
 
 mod common;
@@ -12,7 +12,7 @@ use downbeat_rtps::{
     wire::EntityId,
 };
 
-/// Samples of each writer.
+/// Number of samples of each writer.
 const SAMPLES: usize = 20;
 
 /// Numbers in 0 to 1 that depend on the seed only (xorshift64).
@@ -35,7 +35,7 @@ impl Random {
     }
 }
 
-/// Up to 30 % loss, delays in which later datagrams overtake, and 5 % duplicates.
+/// Up to 30 % loss, delays that reorder datagrams, and 5 % duplicates.
 fn bad(mut random: Random) -> Fate {
     let loss = 0.3 * random.next();
     Box::new(move |_| {
@@ -56,7 +56,7 @@ fn seeds() -> Range<u64> {
     range.and_then(|(from, to)| Some(from.parse().ok()?..to.parse().ok()?)).unwrap_or(1..40)
 }
 
-/// Whether every endpoint is matched with those of all participants, and knows it.
+/// Returns whether every endpoint is matched with those of all participants and has reported it.
 fn is_matched(network: &Network, endpoints: &[EntityId]) -> bool {
     network.nodes.iter().zip(endpoints).all(|(node, endpoint)| {
         node.count(|event| matches!(event, Event::Matched { local, .. } if local == endpoint))
@@ -76,7 +76,7 @@ fn converse(seed: u64) {
     let matched = |network: &Network| is_matched(network, &writers) && is_matched(network, &readers);
     assert!(network.run_until(limit, matched), "seed {seed}: not all are matched");
 
-    // Half of them in several fragments to another host.
+    // Half of the samples need several fragments to another host.
     let text = |node: usize, number: usize| format!("{node}:{number}{}", " ".repeat(number % 2 * 5000));
     for number in 0..SAMPLES {
         for (node, writer) in writers.iter().enumerate() {
@@ -104,17 +104,18 @@ fn converse(seed: u64) {
         pairs.all(|(node, writer)| node.participant.is_acknowledged(*writer))
     };
     assert!(network.run_until(limit, acknowledged), "seed {seed}: not all is acknowledged");
-    // What discovery has to say may still wait for its last acknowledgement, asked for every 3 s.
+    // Discovery data may still wait for the last acknowledgement, which is requested every 3 s.
     network.run_for(limit);
     let sent = |network: &Network| network.nodes.iter().map(|node| node.sent.0).sum::<u64>();
     let before = sent(&network);
     network.run_for(Duration::from_secs(60));
-    // Announcements: to all every 3 s, to each by itself every 20 s / 3, at the next announcement.
+    // Announcements: to all every 3 s, and to each participant separately every 20 s / 3, at the next
+    // announcement.
     let announcements = (nodes * (21 + (nodes - 1) * 8)) as u64;
     assert!(sent(&network) - before <= announcements, "seed {seed}: traffic without a cause");
 }
 
 #[test]
-fn everything_arrives_once_and_in_order_and_then_all_is_silent() {
+fn everything_arrives_once_and_in_order_and_then_nothing_is_sent() {
     seeds().for_each(converse);
 }

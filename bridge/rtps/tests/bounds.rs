@@ -1,4 +1,4 @@
-//! What others can make a participant keep and send.
+//! Limits on what others can make a participant store and send.
 
 mod common;
 
@@ -26,7 +26,7 @@ fn prefix(number: u32) -> GuidPrefix {
     GuidPrefix(prefix)
 }
 
-/// An announcement of a participant at `address` that does not end.
+/// An announcement of a participant at `address` with an infinite lease.
 fn announcement(prefix: GuidPrefix, address: SocketAddrV4) -> Vec<u8> {
     let mut payload = Vec::new();
     ParticipantData {
@@ -86,7 +86,7 @@ fn a_forged_announcement_sends_its_victim_at_most_three_times_its_bytes() {
     network.run_for(60 * SECOND);
     assert!(sent.get() > 0 && sent.get() <= 3 * forged, "{} bytes for {forged}", sent.get());
     assert!(network.nodes[0].participant.counters().withheld > 0);
-    // The other participant, which answers, is not held back.
+    // The other participant answers and is not limited.
     assert_eq!(network.nodes[1].participant.remote_endpoints().count(), 50);
 }
 
@@ -117,11 +117,11 @@ fn sent_after_answer(source: SocketAddrV4, announced_from: SocketAddrV4) -> usiz
 }
 
 #[test]
-fn only_an_answer_from_where_a_participant_says_it_is_lets_more_through() {
+fn only_an_answer_from_the_announced_address_lifts_the_limit() {
     let loopback = SocketAddrV4::new(Ipv4Addr::LOCALHOST, 4711);
     assert!(sent_after_answer(at(66), at(66)) < 2000);
     assert!(sent_after_answer(at(77), at(77)) > 10_000);
-    // Fast DDS announces the address of an interface and sends from loopback to loopback.
+    // Fast DDS announces the address of an interface, but sends from loopback to loopback.
     assert!(sent_after_answer(loopback, loopback) > 10_000);
     assert!(sent_after_answer(loopback, at(66)) < 2000);
 }
@@ -146,7 +146,7 @@ fn a_known_participant_cannot_be_moved_to_a_victim_by_a_forged_announcement() {
         network.run_for(Duration::from_millis(1));
     }
     assert!(sent.get() <= 3 * forged.len(), "{}", sent.get());
-    // The true one announces itself again.
+    // The real participant announces itself again.
     network.run_for(10 * SECOND);
     let reader = network.reader(1, "rt/a", best_effort());
     network.run_for(SECOND);
@@ -176,7 +176,7 @@ fn participants_are_bounded_and_those_that_answer_are_not_crowded_out() {
         network.nodes[0].participant.remote_participants().map(|data| data.prefix).collect();
     assert!(now_known.contains(&network.nodes[1].participant.prefix()));
     assert!(now_known.contains(&network.nodes[late].participant.prefix()));
-    // Their lease is infinite, which is not believed.
+    // Their infinite lease is replaced by a finite one.
     network.run_for(300 * SECOND);
     assert_eq!(known(&network), 2);
 }
@@ -201,14 +201,14 @@ fn endpoints_are_bounded_by_participant_and_in_all() {
 }
 
 #[test]
-fn what_peers_would_refuse_to_hear_of_is_not_created() {
+fn endpoints_that_peers_would_refuse_are_not_created() {
     let mut network = Network::new(1);
     let config = common::endpoint(&"x".repeat(1000), reliable());
     assert!(network.call(0, |participant, now| participant.create_writer(now, config)).is_err());
 }
 
 #[test]
-fn nobody_speaks_in_the_name_of_another() {
+fn no_participant_can_impersonate_another() {
     let mut network = Network::new(2);
     network.run_for(SECOND);
     let victim = network.nodes[1].participant.prefix();
@@ -220,7 +220,7 @@ fn nobody_speaks_in_the_name_of_another() {
 }
 
 #[test]
-fn noise_is_counted_and_warned_of_once_a_minute() {
+fn noise_is_counted_and_reported_once_a_minute() {
     let mut network = Network::new(1);
     for _ in 0..90 {
         network.inject(0, at(66), b"GET / HTTP/1.1");
@@ -230,12 +230,12 @@ fn noise_is_counted_and_warned_of_once_a_minute() {
     let node = &network.nodes[0];
     assert_eq!(node.participant.counters().faults(Fault::Foreign), 90);
     assert_eq!(node.participant.counters().faults(Fault::Malformed), 90);
-    let of = |fault: Fault| move |event: &Event| matches!(event, Event::Warning { fault: told, from, .. } if *told == fault && *from == at(66));
+    let of = |fault: Fault| move |event: &Event| matches!(event, Event::Warning { fault: reported, from, .. } if *reported == fault && *from == at(66));
     assert_eq!((node.count(of(Fault::Foreign)), node.count(of(Fault::Malformed))), (2, 2));
 }
 
 #[test]
-fn a_participant_without_an_address_of_use_is_not_taken_up() {
+fn a_participant_without_a_usable_address_is_ignored() {
     let mut network = Network::new(1);
     network.inject(0, at(66), &announcement(prefix(1), SocketAddrV4::new(Ipv4Addr::LOCALHOST, 7410)));
     assert_eq!(network.nodes[0].participant.remote_participants().count(), 0);
@@ -243,7 +243,7 @@ fn a_participant_without_an_address_of_use_is_not_taken_up() {
 }
 
 #[test]
-fn fifty_participants_find_each_other() {
+fn fifty_participants_discover_each_other() {
     let mut network = Network::new(50);
     let reader = network.reader(0, "rt/a", reliable());
     let writers: Vec<_> = (1..50).map(|node| (node, network.writer(node, "rt/a", reliable()))).collect();

@@ -1,4 +1,4 @@
-//! Participants with sockets and threads, over loopback.
+//! Participants with sockets and threads over loopback.
 #![allow(clippy::unwrap_used)]
 
 use bytes::Bytes;
@@ -33,7 +33,7 @@ fn payload(body: &[u8]) -> Bytes {
     [&[0, 1, 0, 0], body].concat().into()
 }
 
-/// A reader whose payloads go into a channel.
+/// Creates a reader that sends its payloads to a channel.
 fn subscribe(participant: &Participant, topic: &str, qos: Qos) -> (Reader, Receiver<Bytes>) {
     let (sender, samples) = channel();
     let on_sample = move |sample: downbeat_rtps::protocol::Sample| {
@@ -72,7 +72,7 @@ fn samples_of_all_sizes_arrive_in_order() {
 }
 
 #[test]
-fn an_answer_from_the_handler_comes_back() {
+fn an_answer_from_a_handler_arrives() {
     const ROUNDS: u32 = 200;
     let (alice, bob) = (join(203), join(203));
     let pong = bob.create_writer(on("pong", reliable())).unwrap();
@@ -91,7 +91,7 @@ fn an_answer_from_the_handler_comes_back() {
 }
 
 #[test]
-fn several_threads_write_and_each_is_heard_in_order() {
+fn several_threads_write_and_the_order_of_each_is_kept() {
     const COUNT: u32 = 5_000;
     let (alice, bob) = (join(204), join(204));
     let topics = ["a", "b", "c"];
@@ -105,7 +105,7 @@ fn several_threads_write_and_each_is_heard_in_order() {
             std::thread::spawn(move || {
                 for number in 0..COUNT {
                     let sample = payload(&number.to_le_bytes());
-                    // Waits for room where the reader is slower.
+                    // Waits for room if the reader is slower.
                     while writer.write(sample.clone(), WriteOptions::default()) == Err(WriteError::WindowFull)
                     {
                         assert!(writer.flush(WATCHDOG));
@@ -124,7 +124,7 @@ fn several_threads_write_and_each_is_heard_in_order() {
 }
 
 #[test]
-fn a_participant_alone_hears_itself_and_binds_no_port() {
+fn an_isolated_participant_receives_its_own_samples_and_binds_no_port() {
     let alone = Participant::join(&Options::new(205, Range::Off)).unwrap();
     let (reader, samples) = subscribe(&alone, "t", reliable());
     let writer = alone.create_writer(on("t", reliable())).unwrap();
@@ -135,10 +135,10 @@ fn a_participant_alone_hears_itself_and_binds_no_port() {
 }
 
 #[test]
-fn ports_that_are_taken_are_passed_over() {
+fn ports_in_use_are_skipped() {
     let port = 7400 + 250 * 206 + 10;
     let _taken = UdpSocket::bind((Ipv4Addr::LOCALHOST, port)).unwrap();
-    // The port of announcements, by a program that does not share it.
+    // The port of announcements is bound by a program that does not share it.
     let _group = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 7400 + 250 * 206)).unwrap();
     let (alice, bob) = (join(206), join(206));
     let (reader, samples) = subscribe(&bob, "t", reliable());
@@ -155,7 +155,7 @@ fn a_domain_without_ports_is_refused() {
 }
 
 #[test]
-fn who_listens_late_is_told_what_holds() {
+fn a_late_handler_receives_the_current_state() {
     let (alice, bob) = (join(207), join(207));
     let (reader, _samples) = subscribe(&bob, "t", reliable());
     let latched = Qos { durability: Durability::TransientLocal, ..reliable() };
@@ -166,9 +166,9 @@ fn who_listens_late_is_told_what_holds() {
     writer.on_event(Box::new(move |event| {
         let _ = sender.send(*event);
     }));
-    let told: Vec<_> = (0..2).map(|_| events.recv_timeout(WATCHDOG).unwrap()).collect();
-    assert!(told.contains(&EndpointEvent::Matched { peer: reader.guid() }), "{told:?}");
-    assert!(told.iter().any(|event| matches!(event, EndpointEvent::Incompatible { .. })), "{told:?}");
+    let received: Vec<_> = (0..2).map(|_| events.recv_timeout(WATCHDOG).unwrap()).collect();
+    assert!(received.contains(&EndpointEvent::Matched { peer: reader.guid() }), "{received:?}");
+    assert!(received.iter().any(|event| matches!(event, EndpointEvent::Incompatible { .. })), "{received:?}");
     let peer = reader.guid();
     drop(reader);
     assert_eq!(events.recv_timeout(WATCHDOG).unwrap(), EndpointEvent::Unmatched { peer });
@@ -194,7 +194,7 @@ fn handles_may_be_dropped_in_a_handler_and_after_the_participant() {
     matched(&back, &there);
     back.write(payload(&[1]), WriteOptions::default()).unwrap();
     gone.recv_timeout(WATCHDOG).unwrap();
-    wait_until("alice is gone", || back.matched() == 0 && reader.matched() == 0);
+    wait_until("alice has left", || back.matched() == 0 && reader.matched() == 0);
     assert!(writer.write(payload(&[1]), WriteOptions::default()).is_err());
     assert!(!writer.flush(Duration::ZERO) || writer.matched() == 0);
 }

@@ -1,4 +1,4 @@
-//! Datagrams of Fast DDS and Cyclone DDS: read to the right values, and written again byte for byte.
+//! Datagrams of Fast DDS and Cyclone DDS are parsed correctly and written again byte for byte.
 
 #![allow(clippy::unwrap_used)]
 
@@ -64,7 +64,7 @@ fn loopback(port: u16) -> Vec<SocketAddrV4> {
 }
 
 #[test]
-fn a_participant_of_fast_dds_is_understood() {
+fn a_participant_of_fast_dds_is_parsed() {
     let expected = ParticipantData {
         prefix: TALKER,
         version: [2, 2],
@@ -86,7 +86,7 @@ fn a_participant_of_fast_dds_is_understood() {
 }
 
 #[test]
-fn a_participant_of_cyclone_dds_is_understood() {
+fn a_participant_of_cyclone_dds_is_parsed() {
     let group = |port| vec![SocketAddrV4::new(Ipv4Addr::new(239, 255, 0, 1), port)];
     let expected = ParticipantData {
         prefix: PERFORMER,
@@ -109,7 +109,7 @@ fn a_participant_of_cyclone_dds_is_understood() {
 }
 
 #[test]
-fn a_writer_of_fast_dds_is_understood() {
+fn a_writer_of_fast_dds_is_parsed() {
     let guid = Guid::new(TALKER, EntityId([0, 0, 0x13, 0x03]));
     let expected = EndpointData {
         guid,
@@ -126,7 +126,7 @@ fn a_writer_of_fast_dds_is_understood() {
 }
 
 #[test]
-fn a_reader_of_fast_dds_is_understood() {
+fn a_reader_of_fast_dds_is_parsed() {
     let guid = Guid::new(TALKER, EntityId([0, 0, 0x15, 0x04]));
     let reader = endpoint(&capture::fast_dds(), EntityId::SEDP_SUBSCRIPTIONS_WRITER, guid);
     assert_eq!(reader.topic, "rq/triggerRequest");
@@ -135,7 +135,7 @@ fn a_reader_of_fast_dds_is_understood() {
 }
 
 #[test]
-fn a_writer_of_cyclone_dds_is_understood() {
+fn a_writer_of_cyclone_dds_is_parsed() {
     let guid = Guid::new(PONG, EntityId([0, 0, 0x0d, 0x03]));
     let expected = EndpointData {
         guid,
@@ -155,7 +155,7 @@ fn a_writer_of_cyclone_dds_is_understood() {
 }
 
 #[test]
-fn what_is_announced_is_the_same_when_announced_by_us() {
+fn announcements_are_the_same_when_written_again() {
     let mut count = 0;
     for recording in [capture::fast_dds(), capture::cyclone_dds()] {
         for (_, data) in data_of(&recording, EntityId::SPDP_WRITER) {
@@ -183,7 +183,7 @@ fn what_is_announced_is_the_same_when_announced_by_us() {
 }
 
 #[test]
-fn both_say_what_they_remove() {
+fn both_announce_removals() {
     let removed = |recording: &[&[u8]], writer| -> HashSet<Guid> {
         let all = data_of(recording, writer);
         all.iter().filter_map(|(_, data)| data.inline_qos.removed(data.payload)).collect()
@@ -201,7 +201,7 @@ fn both_say_what_they_remove() {
 }
 
 #[test]
-fn a_request_and_its_reply_know_each_other() {
+fn a_reply_contains_the_identity_of_its_request() {
     let recording = capture::fast_dds();
     let replies_to = Guid::new(LISTENER, EntityId([0, 0, 0x15, 0x04]));
     let mut identities = data_of(&recording, EntityId([0, 0, 0x16, 0x03]))
@@ -222,8 +222,8 @@ fn cyclone_dds_asserts_that_its_writers_are_alive() {
     }
 }
 
-/// The message written again from what was read; `None` if it has a part in a form that is not ours: parameters that we
-/// do not send in front of samples.
+/// The message written again from its parsed form; `None` if it contains inline QoS parameters that this
+/// engine does not send.
 fn written_again(datagram: &[u8]) -> Option<Vec<u8>> {
     let (header, submessages) = read(datagram);
     let mut bytes = Vec::new();
@@ -238,7 +238,7 @@ fn written_again(datagram: &[u8]) -> Option<Vec<u8>> {
                 message.info_timestamp(timestamp);
                 true
             }
-            // Fast DDS sends it under two ids, we under one.
+            // Fast DDS sends the identity with two ids, this engine with one.
             Submessage::Data(data) if data.inline_qos.related_sample_identity.is_some() => return None,
             Submessage::Data(data) => message.data(&data),
             Submessage::DataFragment(fragment) => message.data_fragment(&fragment),

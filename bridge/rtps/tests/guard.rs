@@ -1,4 +1,4 @@
-//! The hooks for security, with a guard that is easily seen through.
+//! The hooks for security, with a trivial guard.
 
 mod common;
 
@@ -18,15 +18,15 @@ use downbeat_rtps::{
 };
 
 const SECOND: Duration = Duration::from_secs(1);
-/// Of a submessage that holds another; an id that DDS Security uses.
+/// Id of a submessage that contains another one. DDS Security uses this id.
 const WRAPPER: u8 = 0x30;
 
-/// Flips bits with a secret, wraps each submessage, and puts a mark behind each message.
+/// Flips bits with a secret, wraps each submessage, and appends a mark to each message.
 struct Flipping {
     secret: u8,
-    /// Whether others are admitted yet.
+    /// Whether others are already admitted.
     is_ready: Arc<AtomicBool>,
-    /// A topic that nobody else may use.
+    /// A topic that no other participant may use.
     forbidden: &'static str,
 }
 
@@ -90,10 +90,10 @@ fn guarded(network: &mut Network, secret: u8, is_ready: Arc<AtomicBool>) -> usiz
 }
 
 #[test]
-fn only_those_with_the_secret_hear_each_other_and_nothing_is_sent_in_the_clear() {
+fn only_participants_with_the_secret_communicate_and_nothing_is_sent_unprotected() {
     let mut network = Network::new(0);
     network.watch = Box::new(|flight| {
-        // Announcements of the participants that are replaced by guarded ones never leave.
+        // Announcements of participants that are replaced by guarded ones are never sent.
         let (_, submessages) = flight.bytes.split_at(Header::LEN);
         assert_eq!(submessages[0], WRAPPER);
     });
@@ -112,7 +112,7 @@ fn only_those_with_the_secret_hear_each_other_and_nothing_is_sent_in_the_clear()
 }
 
 #[test]
-fn one_that_is_not_yet_admitted_is_matched_once_it_is() {
+fn a_waiting_participant_is_matched_once_it_is_admitted() {
     let mut network = Network::new(0);
     let is_ready = Arc::new(AtomicBool::new(false));
     let nodes = [is_ready.clone(), Arc::new(true.into())].map(|is_ready| guarded(&mut network, 7, is_ready));

@@ -1,4 +1,4 @@
-//! Participants that find each other, and their endpoints, over a network that loses nothing.
+//! Discovery and communication of participants over a network without losses.
 
 mod common;
 
@@ -18,7 +18,7 @@ fn is_matched(network: &Network, node: usize, endpoint: EntityId, count: usize) 
 }
 
 #[test]
-fn two_participants_find_each_other_and_exchange_samples_both_ways() {
+fn two_participants_discover_each_other_and_exchange_samples_in_both_directions() {
     let mut network = Network::new(2);
     let writers = [network.writer(0, "rt/a", reliable()), network.writer(1, "rt/b", best_effort())];
     let readers = [network.reader(1, "rt/a", reliable()), network.reader(0, "rt/b", best_effort())];
@@ -55,9 +55,9 @@ fn the_graph_has_names_policies_and_user_data() {
 }
 
 #[test]
-fn endpoints_of_one_participant_hear_each_other() {
+fn endpoints_of_one_participant_communicate() {
     let mut network = Network::new(0);
-    // Without an address: as with the discovery range OFF.
+    // Without addresses, as with the discovery range OFF.
     network.join(|config| config.addresses = Default::default());
     let reader = network.reader(0, "rt/a", reliable());
     let writer = network.writer(0, "rt/a", reliable());
@@ -74,7 +74,7 @@ fn endpoints_of_one_participant_hear_each_other() {
 }
 
 #[test]
-fn three_participants_all_hear_a_writer() {
+fn three_participants_all_receive_from_a_writer() {
     let mut network = Network::new(3);
     let writer = network.writer(0, "rt/a", reliable());
     let readers: Vec<_> = (0..3).map(|node| network.reader(node, "rt/a", reliable())).collect();
@@ -104,7 +104,7 @@ fn a_late_joiner_gets_latched_samples_of_exact_depth_within_150_ms() {
 }
 
 #[test]
-fn both_sides_name_the_policy_that_keeps_them_apart_once() {
+fn both_sides_report_an_incompatible_policy_once() {
     let mut network = Network::new(2);
     let writer = network.writer(0, "rt/a", best_effort());
     let reader = network.reader(1, "rt/a", reliable());
@@ -117,7 +117,7 @@ fn both_sides_name_the_policy_that_keeps_them_apart_once() {
 }
 
 #[test]
-fn another_type_is_no_match_and_said_so() {
+fn another_type_is_reported_and_does_not_match() {
     let mut network = Network::new(2);
     network.writer(0, "rt/a", reliable());
     let config = EndpointConfig { type_name: "other".into(), ..endpoint("rt/a", reliable()) };
@@ -130,7 +130,7 @@ fn another_type_is_no_match_and_said_so() {
 }
 
 #[test]
-fn a_removed_endpoint_is_gone_at_once_and_newcomers_never_hear_of_it() {
+fn a_removed_endpoint_is_unmatched_immediately_and_never_announced_to_new_participants() {
     let mut network = Network::new(2);
     let writer = network.writer(0, "rt/a", reliable());
     let reader = network.reader(1, "rt/a", reliable());
@@ -147,7 +147,7 @@ fn a_removed_endpoint_is_gone_at_once_and_newcomers_never_hear_of_it() {
 }
 
 #[test]
-fn a_participant_that_leaves_is_gone_at_once() {
+fn a_participant_that_leaves_is_removed_immediately() {
     let mut network = Network::new(2);
     let writer = network.writer(0, "rt/a", reliable());
     let reader = network.reader(1, "rt/a", reliable());
@@ -162,7 +162,7 @@ fn a_participant_that_leaves_is_gone_at_once() {
 }
 
 #[test]
-fn a_silent_participant_is_gone_after_its_lease() {
+fn a_silent_participant_is_removed_after_its_lease() {
     let mut network = Network::new(2);
     let reader = network.reader(0, "rt/a", reliable());
     network.writer(1, "rt/a", reliable());
@@ -191,17 +191,17 @@ fn a_suspended_participant_comes_back_with_the_same_identity() {
     network.write(0, writer, "welcome back");
     network.run_for(SECOND);
     assert_eq!(network.nodes[1].texts(reader), ["welcome back"]);
-    // It was away, not the others: it takes nobody for dead.
+    // It was suspended, not the others, so it removes no participant.
     assert_eq!(network.nodes[1].count(|event| matches!(event, Event::ParticipantLeft { .. })), 0);
 }
 
 #[test]
-fn one_that_was_forgotten_on_one_side_is_matched_again() {
+fn a_participant_that_was_removed_on_one_side_is_matched_again() {
     let mut network = Network::new(2);
     let writer = network.writer(0, "rt/a", reliable());
     let reader = network.reader(1, "rt/a", reliable());
     assert!(network.run_until(SECOND, |network| is_matched(network, 1, reader, 1)));
-    // Nothing gets from 0 to 1 for longer than the lease; 0 hears 1 all the time.
+    // Nothing arrives from 0 at 1 for longer than the lease; 0 receives from 1 all the time.
     let deaf = network.nodes[0].address;
     network.fate =
         Box::new(move |flight| if *flight.from.ip() == deaf { vec![] } else { vec![common::DELAY] });
@@ -218,7 +218,7 @@ fn one_that_was_forgotten_on_one_side_is_matched_again() {
 }
 
 #[test]
-fn static_peers_are_kept_without_multicast_though_only_one_lists_the_other() {
+fn static_peers_are_kept_without_multicast_if_only_one_lists_the_other() {
     let mut network = Network::new(1);
     let first = std::net::SocketAddrV4::new(network.nodes[0].address, common::METATRAFFIC_PORT);
     network.join(|config| config.addresses.announce_to.push(first));
@@ -234,11 +234,11 @@ fn static_peers_are_kept_without_multicast_though_only_one_lists_the_other() {
 }
 
 #[test]
-fn an_answer_that_was_not_heard_is_given_again() {
+fn a_lost_answer_is_sent_again() {
     let mut network = Network::new(1);
     let writer = network.writer(0, "rt/a", reliable());
     network.run_for(10 * SECOND);
-    // As Fast DDS, which announces itself before it listens.
+    // Like Fast DDS, which announces itself before it receives.
     let start = network.elapsed;
     let is_deaf = std::rc::Rc::new(std::cell::Cell::new(true));
     let still = is_deaf.clone();
@@ -283,7 +283,7 @@ fn changed_addresses_are_followed() {
 }
 
 #[test]
-fn related_identities_and_single_receivers_are_carried() {
+fn related_identities_and_single_receivers_are_transmitted() {
     let mut network = Network::new(3);
     let writer = network.writer(0, "rr/s", reliable());
     let readers = [network.reader(1, "rr/s", reliable()), network.reader(2, "rr/s", reliable())];
@@ -336,7 +336,7 @@ fn automatic_liveliness_lasts_as_long_as_the_participant() {
 }
 
 #[test]
-fn manual_liveliness_is_lost_without_assertion_and_told_to_both_sides() {
+fn manual_liveliness_is_lost_without_assertion_and_reported_on_both_sides() {
     let mut network = Network::new(2);
     let qos = living(Liveliness::ManualByTopic, SECOND);
     let writer = network.writer(0, "rt/a", qos.clone());
@@ -362,7 +362,7 @@ fn manual_liveliness_is_lost_without_assertion_and_told_to_both_sides() {
 }
 
 #[test]
-fn missed_deadlines_are_told_to_both_sides() {
+fn missed_deadlines_are_reported_on_both_sides() {
     let mut network = Network::new(2);
     let qos = Qos { deadline: Some(SECOND), ..reliable() };
     let writer = network.writer(0, "rt/a", qos.clone());
@@ -385,7 +385,7 @@ fn missed_deadlines_are_told_to_both_sides() {
 }
 
 #[test]
-fn what_is_acknowledged_falls_silent() {
+fn nothing_is_sent_after_acknowledgement() {
     let mut network = Network::new(2);
     let writer = network.writer(0, "rt/a", reliable());
     network.reader(1, "rt/a", reliable());
@@ -417,18 +417,18 @@ fn two_hundred_endpoints_match_within_100_ms() {
 }
 
 #[test]
-fn what_is_written_from_the_match_on_arrives_though_the_history_is_short() {
+fn samples_written_after_the_match_arrive_even_if_the_history_is_short() {
     let mut network = Network::new(2);
     let reader = network.reader(1, "rt/a", reliable());
     network.run_for(SECOND);
-    // The reader is known here long before the writer is known there.
+    // The writer's side knows the reader long before the reader's side knows the writer.
     let writer = network.writer(0, "rt/a", reliable());
-    let is_told = |network: &Network| {
+    let is_matched_event = |network: &Network| {
         let is_match = |event: &Event| matches!(event, Event::Matched { local, .. } if *local == writer);
         network.nodes[0].count(is_match) == 1
     };
-    assert!(!is_told(&network), "the reader has not answered");
-    assert!(network.run_until(Duration::from_millis(200), is_told));
+    assert!(!is_matched_event(&network), "the reader has not answered");
+    assert!(network.run_until(Duration::from_millis(200), is_matched_event));
     for number in 0..100 {
         network.write(0, writer, &number.to_string());
     }

@@ -1,8 +1,9 @@
-//! Two to eight participants over a network that loses, repeats, reorders and delays, is cut and healed, while participants
-//! die, return, sleep and have their clocks set. What happens is drawn from a seed.
+//! Two to eight participants over a network that loses, duplicates, reorders and delays datagrams and is
+//! interrupted and restored, while participants crash, restart, are suspended and have their clocks set. A
+//! seed determines what happens.
 //!
-//! `DOWNBEAT_SIMULATION_SEEDS=10000` tries so many seeds, `DOWNBEAT_SIMULATION_SEED=17` replays one, and with
-//! `DOWNBEAT_SIMULATION_TRACE=1` prints what was sent and what came of it.
+//! `DOWNBEAT_SIMULATION_SEEDS=10000` runs this number of seeds, `DOWNBEAT_SIMULATION_SEED=17` replays one,
+//! and `DOWNBEAT_SIMULATION_TRACE=1` prints datagrams and events.
 
 mod common;
 
@@ -18,7 +19,7 @@ use downbeat_rtps::{
 
 const MS: Duration = Duration::from_millis(1);
 const SECOND: Duration = Duration::from_secs(1);
-/// Cuts and sleeps are shorter than the lease, with some announcements to spare at this loss.
+/// Interruptions and suspensions are shorter than the lease, with a margin of some announcements for losses.
 const LONGEST_OUTAGE: Duration = Duration::from_secs(5);
 const SEEDS: u64 = 200;
 
@@ -51,7 +52,7 @@ impl Random {
     }
 }
 
-/// What the network does to datagrams.
+/// The current behaviour of the network.
 #[derive(Clone)]
 struct Weather {
     random: Random,
@@ -78,7 +79,7 @@ struct Endpoint {
     id: EntityId,
     topic: usize,
     qos: Qos,
-    /// Samples, of a writer.
+    /// Number of written samples, of a writer.
     written: u64,
     is_alive: bool,
 }
@@ -96,24 +97,24 @@ impl Endpoint {
     }
 }
 
-/// What a reader got from a writer.
+/// What a reader has received from a writer.
 #[derive(Default)]
 struct Stream {
     /// The index of the next sample if none is lost; `None` before the first one.
     next: Option<u64>,
     /// The index of the first sample.
     first: u64,
-    /// Since when nothing was lost.
+    /// The index since which nothing was lost.
     whole_since: u64,
-    /// Samples between others that did not come.
+    /// Missing samples between received ones.
     missing: u64,
-    /// Those of them that were written when the two knew each other for certain.
+    /// Missing samples that were written while the two certainly knew each other.
     missing_due: u64,
     /// Samples that were reported as lost.
     lost: u64,
     /// The first sample that concerns the reader, as the writer sees it.
     start: Option<u64>,
-    /// The writer did not know the reader for a while: what it wrote then is not reported as lost.
+    /// The writer did not know the reader for a while: samples that it wrote then are not reported as lost.
     is_torn: bool,
 }
 
@@ -127,7 +128,7 @@ struct Simulation {
     streams: BTreeMap<(usize, usize), Stream>,
     wakes: Vec<(Duration, usize)>,
     heals: Option<Duration>,
-    /// Of all datagrams and when they were sent.
+    /// Hash of all datagrams and their send times.
     trace: Rc<Cell<u64>>,
 }
 
@@ -235,7 +236,7 @@ impl Simulation {
         (0..self.network.nodes.len()).filter(|node| self.network.nodes[*node].is_running).collect()
     }
 
-    /// Something random happens.
+    /// Performs a random action.
     fn act(&mut self) {
         let running = self.running();
         let alive = |is_writer: bool| {
@@ -410,7 +411,7 @@ impl Simulation {
         Some(if self.endpoints[local].is_writer() { (remote, local) } else { (local, remote) })
     }
 
-    /// Lets the network become good again, and says what has to hold then.
+    /// Restores the network and checks the final state.
     fn conclude(&mut self) {
         {
             let mut weather = self.weather.borrow_mut();
@@ -418,7 +419,7 @@ impl Simulation {
         }
         self.run_for(LONGEST_OUTAGE);
         assert!(self.wakes.is_empty() && self.network.cut.is_empty());
-        // Those that died without a word are forgotten after their lease.
+        // Crashed participants are removed after their lease.
         self.run_for(30 * SECOND);
         for index in 0..self.endpoints.len() {
             if self.endpoints[index].is_alive && self.endpoints[index].is_writer() {
@@ -452,13 +453,13 @@ impl Simulation {
             let participant = &self.network.nodes[local.node].participant;
             assert!(
                 !local.is_writer() || participant.is_acknowledged(local.id),
-                "{} waits for ever",
+                "{} waits forever",
                 local.id
             );
         }
     }
 
-    /// What is in the history of a reliable writer has arrived.
+    /// Checks that the history of each reliable writer has arrived.
     fn check_streams(&self) {
         for (key, stream) in &self.streams {
             let (reader, writer) = (&self.endpoints[key.0], &self.endpoints[key.1]);
@@ -468,7 +469,7 @@ impl Simulation {
                 continue;
             };
             let due = start.max(writer.written.saturating_sub(writer.depth()));
-            // What was written before the first sample that came may be lost as well.
+            // Samples written before the first received one may be lost as well.
             let Stream { missing, missing_due, lost, first, .. } = *stream;
             assert!(
                 (missing_due..=missing + first).contains(&lost),
@@ -485,7 +486,7 @@ impl Simulation {
         }
     }
 
-    /// Announcements are all that is sent.
+    /// Checks that only announcements are sent.
     fn check_quiet(&mut self) {
         let (others, announcements) = (Rc::new(Cell::new(0)), Rc::new(Cell::new(0)));
         let counts = (Rc::clone(&others), Rc::clone(&announcements));
@@ -494,8 +495,8 @@ impl Simulation {
             count.set(count.get() + 1);
         });
         self.run_for(30 * SECOND);
-        assert_eq!(others.get(), 0, "datagrams where nothing is to be said");
-        // One to the group every 3 s, and now and then one to each other participant.
+        assert_eq!(others.get(), 0, "unexpected datagrams");
+        // One to the group every 3 s, and occasionally one to each other participant.
         let running = self.running().len();
         let allowed = running * (12 + 4 * running);
         assert!(announcements.get() <= allowed, "{} announcements in 30 s", announcements.get());
@@ -528,7 +529,7 @@ fn is_latched(qos: &Qos) -> bool {
     qos.durability == Durability::TransientLocal
 }
 
-/// What the sample with this index consists of.
+/// The payload of the sample with this index.
 fn content(index: u64, size: usize) -> Bytes {
     let mut bytes = vec![index as u8; size];
     bytes[..4].copy_from_slice(&[0, 1, 0, 0]);
@@ -572,11 +573,11 @@ fn is_traced() -> bool {
 fn variable(name: &str) -> Option<u64> {
     std::env::var(name)
         .ok()
-        .map(|text| text.parse().unwrap_or_else(|_| panic!("{name} is no number: {text}")))
+        .map(|text| text.parse().unwrap_or_else(|_| panic!("{name} is not a number: {text}")))
 }
 
 #[test]
-fn whatever_happens_what_is_in_a_history_arrives_once_and_in_order_and_then_it_is_quiet() {
+fn histories_arrive_once_and_in_order_and_then_nothing_is_sent() {
     match variable("DOWNBEAT_SIMULATION_SEED") {
         Some(seed) => _ = simulate(seed),
         None => {

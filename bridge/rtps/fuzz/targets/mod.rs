@@ -1,4 +1,4 @@
-//! What the fuzzer and the tests run.
+//! The fuzz targets, which the fuzzer and the tests run.
 
 #![allow(dead_code)] // a program of the fuzzer runs one of them
 

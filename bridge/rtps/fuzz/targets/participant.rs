@@ -1,4 +1,4 @@
-//! A participant hears any conversation: it neither panics nor sends or holds without end.
+//! A participant receives any conversation. It must not panic, and what it sends and stores is bounded.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::{Duration, Instant};
@@ -9,10 +9,10 @@ use downbeat_rtps::protocol::{
 use downbeat_rtps::qos::{Durability, History, Qos, Reliability};
 use downbeat_rtps::wire::{EntityId, GuidPrefix};
 
-/// Who speaks in the conversation.
+/// The address from which the conversation comes.
 const SPEAKER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::LOCALHOST, 7410);
 
-/// Datagrams that a participant sends at one moment, at most.
+/// The most datagrams that a participant sends at one moment.
 const MOST_AT_ONCE: usize = 20_000;
 
 /// Appends a datagram to a conversation.
@@ -22,12 +22,12 @@ pub fn say(conversation: &mut Vec<u8>, pause_10_ms: u8, datagram: &[u8]) {
     conversation.extend_from_slice(datagram);
 }
 
-/// The participant that hears the conversations, and which always has the same names.
+/// The participant that receives the conversations. It always has the same GUIDs.
 pub struct Listener {
     participant: Participant,
     now: Now,
     datagram: Vec<u8>,
-    /// Samples that its readers got.
+    /// Number of samples that its readers received.
     pub samples: usize,
 }
 
@@ -43,7 +43,7 @@ const TOPICS: [(&str, &str, Durability); 5] = [
 impl Listener {
     pub const PREFIX: GuidPrefix = GuidPrefix([0x01, 0x44, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]);
 
-    /// Also returns the writers, in the order of the topics.
+    /// Also returns its writers, in the order of the topics.
     pub fn new() -> (Self, [EntityId; TOPICS.len()]) {
         let here = |port| vec![SocketAddrV4::new(Ipv4Addr::LOCALHOST, port)];
         let addresses = Addresses {
@@ -78,7 +78,7 @@ impl Listener {
         &self.participant
     }
 
-    /// Hears all datagrams of a conversation, as far as it is one.
+    /// Receives all datagrams of a conversation, as far as the bytes are valid.
     pub fn hear(&mut self, mut conversation: &[u8]) {
         while let [pause_10_ms, low, high, rest @ ..] = conversation {
             let length = usize::from(u16::from_le_bytes([*low, *high])).min(rest.len());
@@ -90,7 +90,7 @@ impl Listener {
         }
     }
 
-    /// Lets time go by.
+    /// Advances the time.
     pub fn wait(&mut self, duration: Duration) {
         let end = self.now.steady + duration;
         let mut turns = 0;
@@ -121,7 +121,7 @@ impl Listener {
     }
 }
 
-/// One run: a new participant hears a conversation, and ten seconds of silence.
+/// One run: a new participant receives a conversation, followed by ten seconds of silence.
 pub fn run(conversation: &[u8]) {
     let (mut listener, _) = Listener::new();
     listener.hear(conversation);

@@ -1,12 +1,12 @@
-//! A datagram of any bytes is read: there may be faults, but no panic, and what is read can be written and is read again as
-//! the same.
+//! Parses a datagram of any bytes. Parsing may fail but must not panic, and what is parsed can be written and
+//! parses to the same values again.
 
 use downbeat_rtps::qos::{Qos, incompatible};
 use downbeat_rtps::wire::{
     Data, EndpointData, MessageBuilder, ParticipantData, ParticipantMessage, Payload, Submessage, parse,
 };
 
-/// One run; returns how many submessages were understood.
+/// One run; returns the number of parsed submessages.
 pub fn run(bytes: &[u8]) -> usize {
     let Ok((header, submessages)) = parse(bytes) else { return 0 };
     let mut understood = 0;
@@ -39,7 +39,7 @@ pub fn run(bytes: &[u8]) -> usize {
             Submessage::HeartbeatFragment(heartbeat) => message.heartbeat_fragment(&heartbeat),
             _ => continue,
         };
-        // Only padding can make it longer than a length can say.
+        // Only padding can make it too long for its length field.
         if is_written {
             let (_, mut submessages) = parse(&again).expect("a message of ours");
             let read = submessages.next().expect("one submessage").expect("a submessage of ours");

@@ -7,51 +7,54 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Receives the samples of one reader, in the order of each writer. It runs on the thread of the participant, which receives
-/// nothing meanwhile: it hands over and returns, or answers at once.
+/// Receives the samples of one reader, in the order of each writer. It runs on the thread of the participant,
+/// which receives nothing in the meantime, so it must return quickly: pass the sample on, or answer
+/// immediately.
 pub type SampleHandler = Box<dyn FnMut(Sample) + Send>;
 
-/// Receives the events of one endpoint. It runs on the thread of the participant and returns soon.
+/// Receives the events of one endpoint. It runs on the thread of the participant and must return quickly.
 pub type EventHandler = Box<dyn Fn(&EndpointEvent) + Send + Sync>;
 
-/// Called when the matched endpoints of one endpoint have changed. It runs on the thread of the participant and returns soon.
+/// Called when the matched endpoints of one endpoint have changed. It runs on the thread of the participant
+/// and must return quickly.
 pub type MatchHandler = Box<dyn Fn() + Send + Sync>;
 
-/// What happened to an endpoint. `peer` is any other, of this participant or of another.
+/// An event of an endpoint. `peer` is another endpoint, of this participant or of another one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EndpointEvent {
-    /// The two found each other.
+    /// The two endpoints discovered each other.
     Matched { peer: Guid },
     /// A matched endpoint was removed, or its participant left.
     Unmatched { peer: Guid },
-    /// A policy keeps the two apart, though topic and type are the same.
+    /// Topic and type are the same, but a policy prevents a match.
     Incompatible { peer: Guid, policy: Policy },
-    /// The two are on one topic and have different types.
+    /// The two endpoints have the same topic but different types.
     OtherType { peer: Guid },
-    /// The deadline passed `count` times: the offered one of a writer, the requested one of a reader.
+    /// The deadline was missed `count` times: the offered deadline of a writer or the requested deadline of a
+    /// reader.
     DeadlineMissed { count: u64 },
     /// This writer was not asserted in time.
     LivelinessLost,
-    /// What this reader knows of the life of a writer changed.
+    /// The liveliness of a matched writer changed.
     LivelinessChanged { peer: Guid, change: LivelinessChange },
     /// `count` samples of a writer will never arrive.
     Lost { peer: Guid, count: u64 },
 }
 
-/// An endpoint of ours, shared by its handle and the thread.
+/// State of a local endpoint, shared by its handle and the thread.
 pub(super) struct EndpointState {
     pub(super) guid: Guid,
-    /// Empty for writers, and once the reader is dropped.
+    /// `None` for writers and after the reader was dropped.
     on_sample: Mutex<Option<SampleHandler>>,
     matched: AtomicUsize,
     listeners: Mutex<Listeners>,
-    /// Held while handlers of events run, so that they run in the order of the events.
-    telling: Mutex<()>,
+    /// Locked while event handlers run, so that they run in the order of the events.
+    delivery: Mutex<()>,
 }
 
 #[derive(Default)]
 struct Listeners {
-    /// How others stand to this endpoint.
+    /// The relation of other endpoints to this one.
     others: BTreeMap<Guid, Standing>,
     on_event: Option<Arc<EventHandler>>,
     on_match: Option<Arc<MatchHandler>>,
@@ -70,7 +73,7 @@ impl EndpointState {
             on_sample: Mutex::new(on_sample),
             matched: AtomicUsize::new(0),
             listeners: Mutex::default(),
-            telling: Mutex::default(),
+            delivery: Mutex::default(),
         }
     }
 
@@ -85,10 +88,10 @@ impl EndpointState {
         listeners.others.iter().filter_map(is_matched).collect()
     }
 
-    /// Replaces the handler of events, and gives it what holds already.
+    /// Replaces the event handler and calls it with the events that describe the current state.
     pub(super) fn on_event(&self, handler: EventHandler) {
         let handler = Arc::new(handler);
-        let _telling = lock(&self.telling);
+        let _delivery = lock(&self.delivery);
         let events: Vec<_> = {
             let mut listeners = lock(&self.listeners);
             listeners.on_event = Some(Arc::clone(&handler));
@@ -101,9 +104,9 @@ impl EndpointState {
         lock(&self.listeners).on_match = Some(Arc::new(handler));
     }
 
-    /// Records an event and gives it to the handlers.
-    pub(super) fn tell(&self, event: EndpointEvent) {
-        let _telling = lock(&self.telling);
+    /// Records an event and passes it to the handlers.
+    pub(super) fn deliver(&self, event: EndpointEvent) {
+        let _delivery = lock(&self.delivery);
         let (on_event, on_match) = {
             let mut listeners = lock(&self.listeners);
             let has_changed = listeners.record(event);
@@ -122,7 +125,7 @@ impl EndpointState {
         }
     }
 
-    /// Forgets what kept an endpoint apart that is gone.
+    /// Removes the record of an incompatible endpoint that was removed.
     pub(super) fn forget(&self, peer: Guid) {
         let mut listeners = lock(&self.listeners);
         if matches!(listeners.others.get(&peer), Some(Standing::Apart(_))) {
@@ -130,32 +133,32 @@ impl EndpointState {
         }
     }
 
-    /// Hands a sample to the reader.
+    /// Passes a sample to the reader.
     pub(super) fn give(&self, sample: Sample) {
         if let Some(on_sample) = lock(&self.on_sample).as_mut() {
             on_sample(sample);
         }
     }
 
-    /// Ends the handlers: none of them runs any more when this returns, except the one that calls it.
+    /// Removes the handlers. When this returns, none of them is running, except a handler that called it.
     pub(super) fn close(&self, is_inside_a_handler: bool) {
         let on_sample = if is_inside_a_handler {
-            // The handler of this very reader may be the one that runs; then it goes with the endpoint.
+            // If the handler of this reader is the one that is running, it is dropped with the endpoint.
             self.on_sample.try_lock().ok().and_then(|mut on_sample| on_sample.take())
         } else {
             lock(&self.on_sample).take()
         };
         let listeners = std::mem::take(&mut *lock(&self.listeners));
         if !is_inside_a_handler {
-            drop(lock(&self.telling));
+            drop(lock(&self.delivery));
         }
-        // What they hold may have handles in it, so without a lock.
+        // Dropped without a lock, because they may own handles.
         drop((on_sample, listeners));
     }
 }
 
 impl Listeners {
-    /// Keeps what holds from now on; true if it is another match.
+    /// Stores the new state. Returns whether the matches changed.
     fn record(&mut self, event: EndpointEvent) -> bool {
         match event {
             EndpointEvent::Matched { peer } => {
@@ -183,13 +186,13 @@ impl Listeners {
 }
 
 impl Standing {
-    /// The events that describe the present state, for a handler that is registered now.
+    /// The events that describe the current state, for a newly registered handler.
     fn events(self, peer: Guid) -> impl Iterator<Item = EndpointEvent> {
         let (first, liveliness) = match self {
             Self::Matched { liveliness } => (EndpointEvent::Matched { peer }, liveliness),
             Self::Apart(event) => (event, None),
         };
-        // To a new handler a writer that has recovered is simply alive.
+        // A new handler receives a revived writer as alive.
         let change = liveliness.map(|change| match change {
             LivelinessChange::Revived => LivelinessChange::Alive,
             change => change,

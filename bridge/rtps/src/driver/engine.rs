@@ -1,9 +1,10 @@
 //! The protocol and the sockets that send, as handles and the thread share them.
 //!
-//! Two locks order everything. The *protocol* is locked for as long as a call into it takes, never while something is sent.
-//! *Outgoing* is held by the one who sends: it is taken, and given back, with the protocol locked, and nobody waits for it.
-//! So whoever finds it taken can rely on its holder to ask the protocol again, and datagrams leave in the order in which the
-//! protocol made them.
+//! There are two locks. The *protocol* is locked for the duration of each call into it, never while a
+//! datagram is sent. *Outgoing* is held by the thread that sends. It is acquired and released while the
+//! protocol is locked, and no thread waits for it. A thread that finds it taken can therefore rely on the
+//! holder to poll the protocol again, and datagrams are sent in the order in which the protocol produced
+//! them.
 
 use super::endpoint::{EndpointEvent, EndpointState, SampleHandler};
 use super::interfaces::Interfaces;
@@ -22,22 +23,25 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError, RwLock};
 use std::thread::ThreadId;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// A write this soon after the one before waits for others, to leave with them in one datagram.
+/// A write that follows the previous one within this time is delayed, so that it can share a datagram with
+/// later writes.
 const BURST: Duration = Duration::from_micros(20);
-/// The datagrams that a thread that writes sends itself before it leaves the rest to the thread of the participant.
+/// Number of datagrams that a writing thread sends itself; the thread of the participant sends the rest.
 const DIRECT_DATAGRAMS: usize = 4;
-/// Events that wait for their handlers. Beyond that this process does not keep up with itself, and writes are refused.
+/// The most events that wait for their handlers. If there are more, the handlers do not keep up, and writes
+/// are refused.
 const MOST_EVENTS: usize = 4096;
-/// While samples are written the thread looks at the timers this often, so that a write need not wake it for its heartbeat.
+/// Period in which the thread checks the timers while samples are written, so that a write need not wake it
+/// for its heartbeat.
 const LOOK: Duration = Duration::from_millis(50);
-/// For how long after a write.
+/// How long after a write the thread checks the timers in this period.
 const ACTIVE: Duration = Duration::from_secs(1);
 
 pub(super) struct Engine {
     protocol: Mutex<Protocol>,
     outgoing: Mutex<Outgoing>,
     endpoints: RwLock<HashMap<EntityId, Arc<EndpointState>>>,
-    /// With the lock of the protocol.
+    /// Used with the lock of the protocol.
     acknowledged: Condvar,
     waker: Waker,
     is_woken: AtomicBool,
@@ -47,11 +51,11 @@ pub(super) struct Engine {
 
 pub(super) struct Protocol {
     pub(super) participant: protocol::Participant,
-    /// It has said farewell, and takes part in nothing more.
+    /// True once the participant has announced its departure.
     has_left: bool,
-    /// What waits for the handlers, in order.
+    /// Events that wait for their handlers, in order.
     events: Vec<Event>,
-    /// When the thread looks at the timers next.
+    /// When the thread checks the timers next.
     looks_at: Option<Instant>,
     last_write: Option<Instant>,
 }
@@ -59,19 +63,19 @@ pub(super) struct Protocol {
 pub(super) struct Outgoing {
     senders: Senders,
     datagram: Vec<u8>,
-    /// Where the datagram goes, while the socket does not take it.
+    /// The destination of the datagram while the send buffer is full.
     waiting: Option<Destination>,
-    /// When a writing thread last sent something itself.
+    /// When a writing thread last sent a datagram itself.
     last_direct: Option<Instant>,
 }
 
-/// Whether all was sent that the protocol has to send now.
+/// Whether everything was sent that the protocol has to send now.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Transmitted {
     All,
-    /// There is more, and nobody sends it.
+    /// There is more to send, and no thread is sending it.
     Rest,
-    /// The thread goes on when the socket is writable.
+    /// The thread continues when the socket is writable.
     Blocked,
 }
 
@@ -104,9 +108,9 @@ impl Engine {
         self.protocol.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// To be called on the thread of the participant, once.
+    /// Must be called once, on the thread of the participant.
     pub(super) fn run_on_this_thread(&self) {
-        // There is one thread only.
+        // There is only one such thread.
         let _ = self.thread.set(std::thread::current().id());
     }
 
@@ -135,7 +139,7 @@ impl Engine {
         let id = create(&mut protocol.participant, now())?;
         let guid = Guid::new(protocol.participant.prefix(), id);
         let state = Arc::new(EndpointState::new(guid, on_sample));
-        // With the protocol locked, so that no event comes before.
+        // While the protocol is locked, so that no event arrives earlier.
         self.endpoints.write().unwrap_or_else(PoisonError::into_inner).insert(id, Arc::clone(&state));
         self.follow_up(protocol);
         Ok(state)
@@ -151,7 +155,8 @@ impl Engine {
         endpoint.close(self.is_on_its_thread());
     }
 
-    /// Sends a sample from the calling thread, or leaves it to the thread of the participant in a burst of them.
+    /// Sends a sample from the calling thread, or, during a burst, leaves it to the thread of the
+    /// participant.
     pub(super) fn write(
         &self,
         writer: EntityId,
@@ -170,7 +175,7 @@ impl Engine {
         protocol.last_write = Some(now.steady);
         let must_wake = protocol.collect() | protocol.is_due_before_the_thread_looks();
         let transmitted = match self.outgoing.try_lock() {
-            // Its holder asks the protocol again.
+            // The holder polls the protocol again.
             Err(_) => Transmitted::All,
             Ok(outgoing) if outgoing.waiting.is_some() => Transmitted::Blocked,
             Ok(outgoing) if outgoing.is_burst(now.steady) => Transmitted::Rest,
@@ -182,7 +187,7 @@ impl Engine {
         Ok(number)
     }
 
-    /// Sends what a call has left to send, and wakes the thread for the rest.
+    /// Sends what a call has produced, and wakes the thread for the rest.
     pub(super) fn follow_up(&self, mut protocol: MutexGuard<'_, Protocol>) {
         let must_wake = protocol.collect() | protocol.is_due_before_the_thread_looks();
         let transmitted = match self.outgoing.try_lock() {
@@ -194,7 +199,7 @@ impl Engine {
         }
     }
 
-    /// Sends all that there is to send now. For the thread of the participant.
+    /// Sends everything that is ready to be sent. Called by the thread of the participant.
     pub(super) fn transmit_all(&self) {
         let protocol = self.lock();
         if let Ok(outgoing) = self.outgoing.try_lock() {
@@ -232,7 +237,7 @@ impl Engine {
         if is_direct {
             outgoing.last_direct = Some(Instant::now());
         }
-        // What is sent to endpoints of this participant arrives here.
+        // Samples to endpoints of this participant arrive here.
         if protocol.collect() {
             self.wake();
         }
@@ -251,12 +256,12 @@ impl Engine {
         }
     }
 
-    /// To be called when the thread is awake, before it looks at what there is to do.
+    /// Must be called when the thread has woken, before it checks for work.
     pub(super) fn is_awake(&self) {
         self.is_woken.store(false, Ordering::SeqCst);
     }
 
-    /// How long the thread may sleep; no longer than until `latest`.
+    /// Returns how long the thread may sleep, at most until `latest`.
     pub(super) fn sleep(&self, latest: Option<Instant>) -> Option<Duration> {
         let mut protocol = self.lock();
         let now = Instant::now();
@@ -279,7 +284,7 @@ impl Engine {
         }
     }
 
-    /// Gives what waits to the handlers. `events` is empty memory.
+    /// Passes waiting events to the handlers. `events` is an empty buffer, which is reused.
     pub(super) fn deliver(&self, events: &mut Vec<Event>) {
         {
             let mut protocol = self.lock();
@@ -294,9 +299,9 @@ impl Engine {
     }
 
     fn dispatch(&self, event: Event) {
-        let tell = |local, event| {
+        let deliver = |local, event| {
             if let Some(endpoint) = self.endpoint(local) {
-                endpoint.tell(event);
+                endpoint.deliver(event);
             }
         };
         match event {
@@ -305,19 +310,19 @@ impl Engine {
                     endpoint.give(sample);
                 }
             }
-            Event::Matched { local, remote } => tell(local, EndpointEvent::Matched { peer: remote }),
-            Event::Unmatched { local, remote } => tell(local, EndpointEvent::Unmatched { peer: remote }),
+            Event::Matched { local, remote } => deliver(local, EndpointEvent::Matched { peer: remote }),
+            Event::Unmatched { local, remote } => deliver(local, EndpointEvent::Unmatched { peer: remote }),
             Event::Incompatible { local, remote, policy } => {
-                tell(local, EndpointEvent::Incompatible { peer: remote, policy });
+                deliver(local, EndpointEvent::Incompatible { peer: remote, policy });
             }
-            Event::OtherType { local, remote } => tell(local, EndpointEvent::OtherType { peer: remote }),
-            Event::DeadlineMissed { local, count } => tell(local, EndpointEvent::DeadlineMissed { count }),
-            Event::LivelinessLost { writer } => tell(writer, EndpointEvent::LivelinessLost),
+            Event::OtherType { local, remote } => deliver(local, EndpointEvent::OtherType { peer: remote }),
+            Event::DeadlineMissed { local, count } => deliver(local, EndpointEvent::DeadlineMissed { count }),
+            Event::LivelinessLost { writer } => deliver(writer, EndpointEvent::LivelinessLost),
             Event::LivelinessChanged { reader, writer, change } => {
-                tell(reader, EndpointEvent::LivelinessChanged { peer: writer, change });
+                deliver(reader, EndpointEvent::LivelinessChanged { peer: writer, change });
             }
             Event::Lost { reader, writer, count } => {
-                tell(reader, EndpointEvent::Lost { peer: writer, count })
+                deliver(reader, EndpointEvent::Lost { peer: writer, count })
             }
             Event::Acknowledged { .. } => self.acknowledged.notify_all(),
             Event::EndpointLeft { remote } => {
@@ -326,12 +331,10 @@ impl Engine {
                 endpoints.iter().for_each(|endpoint| endpoint.forget(remote));
             }
             Event::Warning { fault, from, count } => {
-                tracing::warn!(
-                    "{fault} came from {from} and was dropped ({count} of this kind since the last such line)"
-                );
+                tracing::warn!("dropped {fault} from {from} ({count} since the last such message)");
             }
             Event::ParticipantLeft { remote, reason } => {
-                tracing::debug!("participant {remote} is gone: {reason:?}");
+                tracing::debug!("participant {remote} was removed: {reason:?}");
             }
             Event::WindowOpen { .. }
             | Event::EndpointFound { .. }
@@ -344,11 +347,11 @@ impl Engine {
         self.endpoints.read().unwrap_or_else(PoisonError::into_inner).get(&id).cloned()
     }
 
-    /// Waits until all matched reliable readers have acknowledged what was written; false after `timeout`.
+    /// Waits until all matched reliable readers have acknowledged all samples. Returns false after `timeout`.
     pub(super) fn wait_until_acknowledged(&self, writer: EntityId, timeout: Duration) -> bool {
         let deadline = Instant::now().checked_add(timeout);
         let mut protocol = self.lock();
-        // What waits in a burst leaves now.
+        // Sends delayed samples of a burst now.
         self.wake();
         loop {
             if protocol.participant.is_acknowledged(writer) {
@@ -363,14 +366,14 @@ impl Engine {
         }
     }
 
-    /// Uses other interfaces and addresses from now on.
+    /// Replaces the interfaces and addresses.
     pub(super) fn set_addresses(&self, interfaces: &Interfaces, addresses: Addresses) {
         let mut protocol = self.lock();
         if !protocol.has_left {
             protocol.participant.set_addresses(now(), addresses);
         }
         drop(protocol);
-        // Threads that find it taken meanwhile leave their datagrams to this thread, which sends next.
+        // Other threads that find it taken leave their datagrams to this thread, which sends next.
         self.outgoing
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
@@ -405,7 +408,7 @@ impl Protocol {
         }
     }
 
-    /// Takes over the events of the protocol; true if there are some.
+    /// Takes the events of the protocol. Returns whether there are any.
     pub(super) fn collect(&mut self) -> bool {
         while let Some(event) = self.participant.poll_event() {
             self.events.push(event);
@@ -431,7 +434,7 @@ impl Outgoing {
                 self.senders.send_to_group(group, &self.datagram);
                 Sent::Done
             }
-            // The protocol keeps those for itself.
+            // The protocol does not return these.
             Destination::Own => Sent::Done,
         }
     }

@@ -9,27 +9,28 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 /// One address of one network interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Interface {
-    /// The index the system gives the interface; an interface that was removed and comes back has another.
+    /// The index that the operating system assigned to the interface. It changes if the interface is removed
+    /// and added again.
     index: u32,
     pub(super) address: Ipv4Addr,
-    /// Bits of the address that its whole subnet shares.
+    /// Number of address bits that identify the subnet.
     prefix_length: u8,
 }
 
 /// The addresses of this machine at one moment.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Interfaces {
-    /// All, loopback among them.
+    /// All interfaces including loopback.
     all: Vec<Interface>,
-    /// Those at which others are to reach the participant.
+    /// The interfaces at which other participants reach this one.
     used: Vec<Interface>,
 }
 
 impl Interfaces {
     /// Reads the addresses of interfaces that are running.
     ///
-    /// One that was there `before` stays for as long as it has its address, so that a cable that is out for a moment changes
-    /// nothing for participants on this machine.
+    /// An interface that was there `before` is kept as long as it has its address, so that a briefly
+    /// disconnected cable does not affect participants on this machine.
     pub(super) fn read(range: Range, before: &Self) -> io::Result<Self> {
         let mut all = Vec::new();
         for interface in if_addrs::get_if_addrs()? {
@@ -46,7 +47,7 @@ impl Interfaces {
 
     fn of(range: Range, mut all: Vec<Interface>) -> Self {
         if !all.iter().any(|interface| interface.address.is_loopback()) {
-            // Without it nothing works, so nobody is without; a container may hide it.
+            // Loopback always exists, but a container may hide it.
             all.push(Interface { index: 1, address: Ipv4Addr::LOCALHOST, prefix_length: 8 });
         }
         let (loopback, outside): (Vec<_>, Vec<_>) =
@@ -59,13 +60,14 @@ impl Interfaces {
         Self { all, used }
     }
 
-    /// Those at which others are to reach the participant: none for [`Range::Off`]; loopback for [`Range::Localhost`] and where
-    /// there is no network; else all others.
+    /// The interfaces at which other participants reach this one: none for [`Range::Off`]; loopback for
+    /// [`Range::Localhost`] or if there is no network; otherwise all except loopback.
     pub(super) fn used(&self) -> &[Interface] {
         &self.used
     }
 
-    /// Where a participant is reached that has these ports, and announces itself to its group and to `announce_to`.
+    /// The addresses of a participant that has these ports and announces itself to its group and to
+    /// `announce_to`.
     pub(super) fn addresses(
         &self,
         ports: Ports,
@@ -99,7 +101,7 @@ mod tests {
     const OUTSIDE: Interface = Interface { index: 2, address: Ipv4Addr::new(10, 0, 0, 5), prefix_length: 24 };
 
     #[test]
-    fn localhost_is_loopback_alone_and_a_subnet_has_it_only_without_a_network() {
+    fn localhost_uses_only_loopback_and_a_subnet_uses_it_only_without_a_network() {
         let used = |range, all: &[Interface]| Interfaces::of(range, all.to_vec()).used;
         assert_eq!(used(Range::Off, &[LOOPBACK, OUTSIDE]), []);
         assert_eq!(used(Range::Localhost, &[LOOPBACK, OUTSIDE]), [LOOPBACK]);

@@ -1,18 +1,18 @@
-//! Keeps what may happen a thousand times a second out of the log.
+//! Limits log messages about events that can happen a thousand times per second.
 
 use std::time::{Duration, Instant};
 
-/// One line a minute.
+/// At most one message in this time.
 const PERIOD: Duration = Duration::from_secs(60);
 
-/// Says when a line may be logged.
+/// Decides when a message may be logged.
 #[derive(Debug, Default)]
 pub(super) struct LogLimit {
     last: Option<Instant>,
 }
 
 impl LogLimit {
-    /// True at most once a minute.
+    /// Returns true at most once a minute.
     pub(super) fn allow(&mut self) -> bool {
         let now = Instant::now();
         let is_allowed = self.last.is_none_or(|last| now.duration_since(last) >= PERIOD);

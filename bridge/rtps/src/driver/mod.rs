@@ -1,8 +1,9 @@
 //! The protocol on UDP: sockets, a thread, and handles for writers and readers.
 //!
-//! A write sends on the thread that writes; samples in quick succession share datagrams. Everything else happens on the
-//! one thread of the participant: it receives, gives samples and events to the handlers, and runs the timers. A handler
-//! that writes sends at once too, so an answer leaves on the thread on which the question came.
+//! A write sends on the calling thread; samples in quick succession share datagrams. Everything else happens
+//! on the single thread of the participant: it receives, passes samples and events to the handlers, and runs
+//! the timers. A write in a handler is also sent immediately, so an answer is sent on the thread that
+//! received the request.
 
 mod endpoint;
 mod engine;
@@ -31,29 +32,31 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// Of the sockets that receive, from 0.
+/// Tokens of the receiving sockets, from 0.
 const TOKENS: usize = 3;
 const SENDER: Token = Token(TOKENS);
 const WAKER: Token = Token(TOKENS + 1);
-/// Participants of this machine that are announced to by address where other hosts do not count, as rmw_fastrtps does.
+/// Number of participants of this machine that are announced to by address if discovery is limited to
+/// localhost, as in rmw_fastrtps.
 const LOCAL_PARTICIPANTS: usize = 32;
-/// Names of static peers are looked up this often.
+/// Period in which names of static peers are resolved.
 const LOOK_UP: Duration = Duration::from_secs(60);
 
-/// A participant of a domain. Dropping it leaves the domain; endpoints that still exist are of no use then.
+/// A participant in a domain. Dropping it leaves the domain; remaining endpoints then no longer send or
+/// receive.
 pub struct Participant {
     engine: Arc<Engine>,
     prefix: GuidPrefix,
     thread: Option<JoinHandle<()>>,
-    /// Ends the thread that looks names up when it is dropped.
+    /// Ends the thread that resolves names when it is dropped.
     _stop_looking: mpsc::Sender<()>,
 }
 
 impl Participant {
-    /// Joins a domain. Others are found from now on.
+    /// Joins a domain and starts discovery.
     ///
     /// # Errors
-    /// [`JoinError`] when no port is free, or the system refuses sockets or a thread.
+    /// Returns [`JoinError`] if no port is free, or a socket or thread cannot be created.
     pub fn join(options: &Options) -> Result<Self, JoinError> {
         let Options { domain_id, range, .. } = *options;
         let ports = Ports::of_domain(domain_id).ok_or(JoinError::Domain(domain_id))?;
@@ -113,7 +116,7 @@ impl Participant {
                 }
             };
             let builder = std::thread::Builder::new().name("downbeat-peers".to_owned());
-            // Not waited for at the end: a name server may let it wait for long.
+            // Not joined at the end: a name server may block it for a long time.
             drop(builder.spawn(look_up).map_err(JoinError::Thread)?);
         }
         Ok(participant)
@@ -128,16 +131,16 @@ impl Participant {
     /// Creates a writer.
     ///
     /// # Errors
-    /// [`CreateError`] when the configuration is not valid.
+    /// Returns [`CreateError`] if the configuration is invalid.
     pub fn create_writer(&self, config: EndpointConfig) -> Result<Writer, CreateError> {
         let state = self.engine.create_writer(config)?;
         Ok(Writer { engine: Arc::clone(&self.engine), state })
     }
 
-    /// Creates a reader that gives each sample to `on_sample`.
+    /// Creates a reader that calls `on_sample` with each sample.
     ///
     /// # Errors
-    /// [`CreateError`] when the configuration is not valid.
+    /// Returns [`CreateError`] if the configuration is invalid.
     pub fn create_reader(
         &self,
         config: EndpointConfig,
@@ -147,13 +150,13 @@ impl Participant {
         Ok(Reader { engine: Arc::clone(&self.engine), state })
     }
 
-    /// The endpoints of other participants that are known at this moment.
+    /// Returns the currently known endpoints of other participants.
     #[must_use]
     pub fn remote_endpoints(&self) -> Vec<EndpointData> {
         self.engine.lock().participant.remote_endpoints().cloned().collect()
     }
 
-    /// Traffic and bad input since it joined.
+    /// Returns the counters of traffic and invalid input since the participant joined.
     #[must_use]
     pub fn counters(&self) -> Counters {
         self.engine.lock().participant.counters()
@@ -166,7 +169,7 @@ impl Drop for Participant {
         if let Some(thread) = self.thread.take()
             && !self.engine.is_on_its_thread()
         {
-            // It has reported its panics itself.
+            // Panics have already been reported by the thread.
             let _ = thread.join();
         }
     }
@@ -197,34 +200,36 @@ impl Writer {
         self.state.peers()
     }
 
-    /// Registers a handler of events, and gives it what holds already on the calling thread. Replaces the one before. Not to
-    /// be called in a handler of this endpoint.
+    /// Registers an event handler, which replaces the previous one. It is called on the calling thread with
+    /// the events that describe the current state. Must not be called in a handler of this endpoint.
     pub fn on_event(&self, handler: EventHandler) {
         self.state.on_event(handler);
     }
 
-    /// Registers a handler that is called whenever the matched readers have changed. Replaces the one before.
+    /// Registers a handler that is called whenever the matched readers have changed. Replaces the previous
+    /// handler.
     pub fn on_match(&self, handler: MatchHandler) {
         self.state.on_match(handler);
     }
 
-    /// Writes one sample: encapsulation header and body. Never waits. Returns its number.
+    /// Writes one sample, given as encapsulation header and body, and returns its sequence number. Does not
+    /// block.
     ///
     /// # Errors
-    /// [`WriteError`] when the sample was not written.
+    /// Returns [`WriteError`] if the sample was not written.
     pub fn write(&self, payload: Bytes, options: WriteOptions) -> Result<SequenceNumber, WriteError> {
         self.engine.write(self.state.guid.entity, payload, options)
     }
 
-    /// Shows that this writer is alive, where its liveliness is manual, without a sample.
+    /// Asserts the liveliness of this writer without a sample, if its liveliness is manual.
     pub fn assert_liveliness(&self) {
         let mut protocol = self.engine.lock();
         protocol.participant.assert_liveliness(now(), self.state.guid.entity);
         self.engine.follow_up(protocol);
     }
 
-    /// Waits until all matched reliable readers have acknowledged all samples; false if some have not after `timeout`.
-    /// In a handler it does not wait.
+    /// Waits until all matched reliable readers have acknowledged all samples. Returns false after `timeout`.
+    /// Does not wait if called in a handler.
     #[must_use]
     pub fn flush(&self, timeout: Duration) -> bool {
         self.engine.wait_until_acknowledged(self.state.guid.entity, timeout)
@@ -237,7 +242,7 @@ impl Drop for Writer {
     }
 }
 
-/// Keeps a subscription alive. Once it is dropped its handlers are not called any more.
+/// A subscription. Once it is dropped its handlers are no longer called.
 pub struct Reader {
     engine: Arc<Engine>,
     state: Arc<EndpointState>,
@@ -267,7 +272,8 @@ impl Reader {
         self.state.on_event(handler);
     }
 
-    /// Registers a handler that is called whenever the matched writers have changed. Replaces the one before.
+    /// Registers a handler that is called whenever the matched writers have changed. Replaces the previous
+    /// handler.
     pub fn on_match(&self, handler: MatchHandler) {
         self.state.on_match(handler);
     }
@@ -279,7 +285,8 @@ impl Drop for Reader {
     }
 }
 
-/// Bytes that no other participant has in its identity: the keys of a hasher come from the random numbers of the system.
+/// Returns random bytes for the identity of a participant. They come from the keys of a hasher, which the
+/// system generates randomly.
 fn unique() -> [u8; 10] {
     let mut hashers = std::iter::repeat_with(|| {
         let mut hasher = RandomState::new().build_hasher();

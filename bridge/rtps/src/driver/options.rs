@@ -1,17 +1,18 @@
-//! How a participant joins a domain, and why it could not.
+//! Options and errors of joining a domain.
 
 use std::io;
 use std::time::Duration;
 use thiserror::Error;
 
-/// How far a participant looks for others.
+/// The range of discovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Range {
-    /// Nobody is found and nobody finds it: endpoints of the participant hear each other. No socket is bound to a known port.
+    /// No discovery: only endpoints of the participant itself reach each other. No socket is bound to a
+    /// well-known port.
     Off,
     /// This machine only: every socket is bound to the loopback interface.
     Localhost,
-    /// Everybody that multicast reaches, and this machine.
+    /// All hosts that multicast reaches, and this machine.
     Subnet,
 }
 
@@ -20,13 +21,13 @@ pub enum Range {
 pub struct Options {
     /// The domain, 0 to 232.
     pub domain_id: u16,
-    /// How far to look for others.
+    /// The range of discovery.
     pub range: Range,
-    /// Hosts to announce to besides, by address or name (`ROS_STATIC_PEERS`).
+    /// Additional hosts to announce to, by address or name (`ROS_STATIC_PEERS`).
     pub static_peers: Vec<String>,
-    /// How long others keep this participant after they last heard of it.
+    /// How long other participants keep this one after its last message.
     pub lease: Duration,
-    /// Between two announcements.
+    /// Time between two announcements.
     pub announcement_period: Duration,
     /// Name of the participant in announcements.
     pub name: String,
@@ -35,7 +36,7 @@ pub struct Options {
 }
 
 impl Options {
-    /// A participant of `domain_id`, with the lease and the announcements of Fast DDS.
+    /// Options for `domain_id` with the lease and announcement period of Fast DDS.
     #[must_use]
     pub fn new(domain_id: u16, range: Range) -> Self {
         Self {
@@ -50,13 +51,13 @@ impl Options {
     }
 }
 
-/// A participant could not join its domain.
+/// Error while joining a domain.
 #[derive(Debug, Error)]
 pub enum JoinError {
-    /// There is no such domain.
+    /// The domain does not exist.
     #[error("domain {0} has no UDP ports: the highest domain is 232")]
     Domain(u16),
-    /// The ports of all participants that a host may have are taken.
+    /// The ports of all participants of a host are in use.
     #[error(
         "no pair of UDP ports for a participant is free on {address}, from port {first} on; the last attempt: {source}"
     )]
@@ -68,7 +69,7 @@ pub enum JoinError {
         /// Why the last attempt failed.
         source: io::Error,
     },
-    /// A socket could not be made ready.
+    /// A socket could not be prepared.
     #[error("preparing a UDP socket failed: {0}")]
     Socket(io::Error),
     /// The addresses of this machine could not be read.

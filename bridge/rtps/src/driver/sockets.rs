@@ -1,8 +1,9 @@
 //! The UDP sockets of a participant.
 //!
-//! Two sockets receive what is addressed to the participant, one what is addressed to its multicast group. Others send: one
-//! to single addresses, one per interface to groups. What is sent leaves from a socket without options, since those that
-//! receive several datagrams per system call forbid the fragmentation of IP packets.
+//! Two sockets receive datagrams addressed to the participant, and one those addressed to its multicast
+//! group. Others send: one to unicast addresses, and one per interface to groups. Receiving sockets are not
+//! used for sending, because the options for receiving several datagrams per system call disable IP
+//! fragmentation.
 
 use super::interfaces::Interface;
 use super::log_limit::LogLimit;
@@ -14,13 +15,13 @@ use socket2::{Domain, Protocol, SockAddr, SockRef, Socket, Type};
 use std::io::{self, IoSliceMut};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
 
-/// Of announcements (RTPS 2.5, 9.6.2.4.1).
+/// The multicast group of announcements (RTPS 2.5, 9.6.2.4.1).
 const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 0, 1);
-/// Requested of the system for what is received and sent.
+/// Requested size of receive and send buffers.
 const BUFFER: usize = 4 << 20;
-/// The datagrams of one system call.
+/// Number of datagrams per system call.
 const BATCH: usize = 16;
-/// More than the largest UDP datagram, and what the kernel joins at most.
+/// Larger than any UDP datagram; also the most that the kernel coalesces.
 const LARGEST: usize = 65_536;
 
 /// The UDP ports of a domain (RTPS 2.5, 9.6.2.3).
@@ -30,17 +31,17 @@ pub(super) struct Ports {
 }
 
 impl Ports {
-    /// `None` where the domain has none.
+    /// Returns `None` if the domain has no ports.
     pub(super) fn of_domain(domain_id: u16) -> Option<Self> {
         (domain_id <= 232).then(|| Self { base: 7400 + 250 * domain_id })
     }
 
-    /// Where announcements to the group go.
+    /// The address of announcements to the group.
     pub(super) fn group(self) -> SocketAddrV4 {
         SocketAddrV4::new(GROUP, self.base)
     }
 
-    /// The ports for discovery and for user data of each participant that a host may have, in order.
+    /// The ports for discovery and user data of each possible participant of a host, in order.
     pub(super) fn of_participants(self) -> impl Iterator<Item = (u16, u16)> {
         let base = self.base;
         (0..120).filter_map(move |index: u16| {
@@ -48,20 +49,20 @@ impl Ports {
         })
     }
 
-    /// Where the first `count` participants of a host expect announcements.
+    /// The addresses at which the first `count` participants of a host expect announcements.
     pub(super) fn announcements_to(self, host: Ipv4Addr, count: usize) -> impl Iterator<Item = SocketAddrV4> {
         self.of_participants().take(count).map(move |(meta, _)| SocketAddrV4::new(host, meta))
     }
 }
 
-/// What a participant receives with.
+/// The receiving sockets of a participant.
 pub(super) struct Receivers {
     pub(super) meta_port: u16,
     pub(super) user_port: u16,
-    /// The bytes that the system buffers for user data.
+    /// Size of the receive buffer for user data.
     pub(super) buffer: usize,
     sockets: Vec<Receiver>,
-    /// The one of the multicast group, where it could be bound.
+    /// The socket of the multicast group, if it could be bound.
     multicast: Option<usize>,
     group: Ipv4Addr,
     joined: Vec<Interface>,
@@ -73,7 +74,7 @@ struct Receiver {
     state: UdpSocketState,
 }
 
-/// The buffers that are received into.
+/// The receive buffers.
 pub(super) struct Buffers {
     bytes: Vec<u8>,
     meta: [RecvMeta; BATCH],
@@ -102,8 +103,8 @@ impl Receivers {
         let buffer = sockets.iter().map(|receiver| buffer_of(&receiver.socket)).min().unwrap_or_default();
         if buffer < BUFFER {
             tracing::warn!(
-                "the system grants {} KiB for what a UDP socket receives, {} KiB were requested: large messages may have to be sent \
-                 again. Allow more with `sysctl -w net.core.rmem_max={BUFFER}`",
+                "the receive buffer of a UDP socket has only {} KiB instead of {} KiB: large messages may have to be sent \
+                 again. Increase the limit with `sysctl -w net.core.rmem_max={BUFFER}`",
                 buffer >> 10,
                 BUFFER >> 10
             );
@@ -115,8 +116,8 @@ impl Receivers {
             }
             Err(error) => {
                 tracing::warn!(
-                    "UDP port {} cannot be shared for multicast ({error}): only participants that this one announces itself to \
-                     by address are found",
+                    "UDP port {} cannot be shared for multicast ({error}): only participants are found to which this one announces \
+                     itself by address",
                     group.port()
                 );
                 None
@@ -131,12 +132,12 @@ impl Receivers {
         Ok(Self { meta_port, user_port, buffer, sockets, multicast, group: *group.ip(), joined, log })
     }
 
-    /// Hears the group on these interfaces, and on no other.
+    /// Joins the group on these interfaces only.
     pub(super) fn join(&mut self, interfaces: &[Interface]) {
         let Some(index) = self.multicast else { return };
         let socket = &self.sockets[index].socket;
         for gone in self.joined.iter().filter(|joined| !interfaces.contains(joined)) {
-            // Fails where the interface is gone, and the membership with it.
+            // Fails if the interface was removed, which also ends the membership.
             let _ = socket.leave_multicast_v4(&self.group, &gone.address);
         }
         self.joined.retain(|joined| interfaces.contains(joined));
@@ -145,12 +146,12 @@ impl Receivers {
                 continue;
             }
             match socket.join_multicast_v4(&self.group, &new.address) {
-                // Two addresses of one interface share a membership.
+                // Two addresses of an interface share a membership.
                 Err(error) if error.kind() != io::ErrorKind::AddrInUse => {
-                    // Tried again when the interfaces are read next.
+                    // Retried when the interfaces are read next.
                     if self.log.allow() {
                         tracing::warn!(
-                            "multicast cannot be received on {}: {error}; other hosts there are found when they announce themselves \
+                            "multicast cannot be received on {}: {error}; other hosts there are found if they announce themselves \
                              to this one by address",
                             new.address
                         );
@@ -161,7 +162,8 @@ impl Receivers {
         }
     }
 
-    /// Receives what waits on a socket, and gives each datagram with its sender to `handle`; true if there may be more.
+    /// Receives waiting datagrams from a socket and passes each with its sender to `handle`. Returns whether
+    /// there may be more.
     pub(super) fn receive(
         &mut self,
         token: Token,
@@ -176,7 +178,7 @@ impl Receivers {
             Ok(count) => {
                 for (slice, meta) in slices.iter().zip(&buffers.meta[..count]) {
                     let SocketAddr::V4(from) = meta.addr else { continue };
-                    // Several datagrams of one sender may come joined.
+                    // Several datagrams of one sender may be coalesced.
                     slice[..meta.len.min(slice.len())]
                         .chunks(meta.stride.max(1))
                         .for_each(|datagram| handle(from, datagram));
@@ -184,7 +186,7 @@ impl Receivers {
                 count == BATCH
             }
             Err(error) => {
-                // One that was interrupted, or brings the error of an earlier datagram, is as good as any.
+                // A call that was interrupted or reports the error of an earlier datagram is simply repeated.
                 let is_over = error.kind() == io::ErrorKind::WouldBlock;
                 if !is_over && self.log.allow() {
                     tracing::warn!("receiving from the network failed: {error}");
@@ -197,7 +199,7 @@ impl Receivers {
 
 impl Buffers {
     pub(super) fn new() -> Self {
-        // Pages are touched only as datagrams need them.
+        // Pages are only touched when datagrams need them.
         Self { bytes: vec![0; BATCH * LARGEST], meta: [RecvMeta::default(); BATCH] }
     }
 }
@@ -213,7 +215,7 @@ impl Receiver {
     }
 }
 
-/// What a participant sends with.
+/// The sending sockets of a participant.
 pub(super) struct Senders {
     unicast: UdpSocket,
     multicast: Vec<(Interface, UdpSocket)>,
@@ -221,12 +223,12 @@ pub(super) struct Senders {
     log: LogLimit,
 }
 
-/// What became of a datagram.
+/// The result of sending a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Sent {
-    /// It left, or was lost as the network loses datagrams.
+    /// The datagram was sent, or is treated as lost by the network.
     Done,
-    /// The send buffer is full: it is to be sent again when the socket is writable.
+    /// The send buffer is full: the datagram must be sent again when the socket is writable.
     Full,
 }
 
@@ -238,7 +240,7 @@ impl Senders {
         Ok(Self { unicast, multicast: Vec::new(), address, log: LogLimit::default() })
     }
 
-    /// Sends to groups on these interfaces, and on no other.
+    /// Sets the interfaces on which datagrams to groups are sent.
     pub(super) fn set_interfaces(&mut self, interfaces: &[Interface]) {
         self.multicast.retain(|(interface, _)| interfaces.contains(interface));
         for interface in interfaces {
@@ -248,7 +250,7 @@ impl Senders {
             match multicast_sender(self.address, interface.address) {
                 Ok(socket) => self.multicast.push((*interface, socket)),
                 Err(error) => {
-                    // Tried again when the interfaces are read next.
+                    // Retried when the interfaces are read next.
                     if self.log.allow() {
                         tracing::warn!("multicast cannot be sent on {}: {error}", interface.address);
                     }
@@ -263,7 +265,8 @@ impl Senders {
         self.outcome(to, sent)
     }
 
-    /// Sends a datagram to a group, on every interface. Announcements are repeated, so one for which a buffer is full is lost.
+    /// Sends a datagram to a group, on every interface. Announcements are repeated, so one that does not fit
+    /// into the send buffer is dropped.
     pub(super) fn send_to_group(&mut self, group: SocketAddrV4, datagram: &[u8]) {
         for index in 0..self.multicast.len() {
             let sent = send(&self.multicast[index].1, group, datagram);
@@ -275,7 +278,8 @@ impl Senders {
         match sent {
             Ok(_) => Sent::Done,
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => Sent::Full,
-            // No buffers, no route, an interface that is down, a firewall: as if the network had lost it.
+            // Missing buffers or routes, interfaces that are down, and firewalls are treated as losses in the
+            // network.
             Err(error) => {
                 if self.log.allow() {
                     tracing::warn!(
@@ -297,7 +301,7 @@ fn send(socket: &UdpSocket, to: SocketAddrV4, datagram: &[u8]) -> io::Result<usi
     }
 }
 
-/// What sockets are bound to.
+/// The address to which sockets are bound.
 fn address(range: Range) -> Ipv4Addr {
     match range {
         Range::Off | Range::Localhost => Ipv4Addr::LOCALHOST,
@@ -326,20 +330,20 @@ fn socket() -> io::Result<Socket> {
 
 fn bind(address: SocketAddrV4) -> io::Result<Socket> {
     let socket = socket()?;
-    // The system grants what it allows; what that is, is read back.
+    // The system may grant less; the actual size is read back.
     let _ = socket.set_recv_buffer_size(BUFFER);
     socket.bind(&SockAddr::from(address))?;
     Ok(socket)
 }
 
-/// A socket for the group, whose port all participants of the domain on this machine share.
+/// Creates a socket for the group. All participants of the domain on this machine share its port.
 fn bind_group(group: SocketAddrV4) -> io::Result<Socket> {
     let socket = socket()?;
     socket.set_reuse_address(true)?;
     #[cfg(unix)]
     socket.set_reuse_port(true)?;
     let _ = socket.set_recv_buffer_size(BUFFER);
-    // Only what is sent to the group, and only on the interfaces joined: nobody else reaches the socket.
+    // The socket receives only datagrams to the group, and only on joined interfaces.
     #[cfg(any(target_os = "linux", target_os = "android"))]
     socket.set_multicast_all_v4(false)?;
     let address = if cfg!(unix) { group } else { SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, group.port()) };
@@ -362,7 +366,7 @@ fn multicast_sender(address: Ipv4Addr, interface: Ipv4Addr) -> io::Result<UdpSoc
     Ok(sender)
 }
 
-/// The bytes that the system buffers for a socket. Linux reports twice as many, for its own needs.
+/// The receive buffer size of a socket. Linux reports twice the size, including its own overhead.
 fn buffer_of(socket: &UdpSocket) -> usize {
     let reported = SockRef::from(socket).recv_buffer_size().unwrap_or_default();
     if cfg!(target_os = "linux") { reported / 2 } else { reported }
@@ -379,7 +383,7 @@ mod tests {
     const DOMAIN: u16 = 201;
 
     #[test]
-    fn ports_are_those_of_the_standard_and_end_where_udp_does() {
+    fn ports_follow_the_standard_and_end_at_the_last_udp_port() {
         let ports = Ports::of_domain(1).unwrap();
         assert_eq!(ports.group().port(), 7650);
         assert_eq!(ports.of_participants().next(), Some((7660, 7661)));
@@ -391,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn each_participant_of_a_host_has_ports_of_its_own() {
+    fn each_participant_of_a_host_has_its_own_ports() {
         let (ports, poll) = (Ports::of_domain(DOMAIN).unwrap(), Poll::new().unwrap());
         let bind = || Receivers::bind(ports, Range::Localhost, poll.registry()).unwrap();
         let (first, second) = (bind(), bind());
@@ -434,7 +438,7 @@ mod tests {
     fn a_datagram_that_cannot_be_sent_counts_as_lost() {
         let poll = Poll::new().unwrap();
         let mut senders = Senders::bind(Range::Localhost, poll.registry(), Token(9)).unwrap();
-        // From loopback no other host is reached.
+        // Other hosts cannot be reached from loopback.
         assert_eq!(senders.send(SocketAddrV4::new(Ipv4Addr::new(192, 0, 2, 1), 9), b"x"), Sent::Done);
     }
 }

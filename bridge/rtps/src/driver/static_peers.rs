@@ -1,16 +1,17 @@
-//! Hosts that a participant announces itself to besides its group.
+//! Hosts that a participant announces itself to in addition to its group.
 
 use super::sockets::Ports;
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, ToSocketAddrs};
 
-/// Participants of a host that are announced to.
+/// Number of participants per host that are announced to.
 const PARTICIPANTS: usize = 10;
 
-/// Hosts by name, which have to be looked up again: they may come later, and move.
+/// Hosts given by name. Names are resolved periodically, because hosts may start later or change their
+/// address.
 #[derive(Clone, Debug)]
 pub(super) struct Names(Vec<String>);
 
-/// Tells hosts that are given by address, with the sockets to announce to, from those that are given by name.
+/// Separates hosts given by address, converted to the sockets to announce to, from hosts given by name.
 pub(super) fn split(hosts: &[String], ports: Ports) -> (Vec<SocketAddrV4>, Names) {
     let (mut sockets, mut names) = (Vec::new(), Vec::new());
     for host in hosts {
@@ -27,7 +28,7 @@ impl Names {
         self.0.is_empty()
     }
 
-    /// Looks all of them up. May take many seconds where no name server answers.
+    /// Resolves all names. May take many seconds if no name server answers.
     pub(super) fn look_up(&self, ports: Ports) -> Vec<SocketAddrV4> {
         let mut sockets = Vec::new();
         for name in &self.0 {
@@ -35,7 +36,7 @@ impl Names {
             let found: Vec<_> = found.into_iter().flatten().filter_map(ipv4).collect();
             if found.is_empty() {
                 tracing::warn!(
-                    "static peer {name:?} has no IPv4 address here; its name is looked up again in a minute"
+                    "static peer {name:?} has no IPv4 address here; its name is resolved again in a minute"
                 );
             }
             sockets
@@ -58,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_need_no_look_up_and_names_do() {
+    fn only_names_are_resolved() {
         let ports = Ports::of_domain(0).unwrap();
         let (sockets, names) = split(&["10.0.0.7".into(), "localhost".into()], ports);
         assert_eq!(sockets.len(), PARTICIPANTS);

@@ -1,4 +1,5 @@
-//! The thread of a participant: receives, runs the timers and the handlers, and sends what others have left to it.
+//! The thread of a participant: receives, runs the timers and handlers, and sends what other threads leave to
+//! it.
 
 use super::engine::{Engine, now};
 use super::interfaces::Interfaces;
@@ -20,22 +21,22 @@ pub(super) struct Thread {
     pub(super) range: Range,
     pub(super) ports: Ports,
     pub(super) interfaces: Interfaces,
-    /// Between two looks at the interfaces.
+    /// Time between two reads of the interfaces.
     pub(super) period: Duration,
-    /// To announce to, by address.
+    /// Hosts to announce to that were given by address.
     pub(super) fixed: Vec<SocketAddrV4>,
-    /// To announce to, by name.
+    /// Hosts to announce to that were given by name.
     pub(super) named: Vec<SocketAddrV4>,
-    /// What the names are found to be.
+    /// The resolved names.
     pub(super) looked_up: Receiver<Vec<SocketAddrV4>>,
 }
 
-/// What the thread works with.
+/// The state of the thread.
 struct Turn {
     ready: Events,
     buffers: Buffers,
     events: Vec<Event>,
-    /// Sockets that may hold more than was received.
+    /// Sockets that may have more datagrams.
     may_hold_more: [bool; TOKENS],
     looks_at_interfaces: Option<Instant>,
 }
@@ -48,13 +49,13 @@ impl Thread {
             buffers: Buffers::new(),
             events: Vec::new(),
             may_hold_more: [false; TOKENS],
-            // Loopback neither comes nor goes.
+            // The loopback interface does not change.
             looks_at_interfaces: (self.range == Range::Subnet).then(|| Instant::now() + self.period),
         };
         while !self.engine.is_stopping() {
             if catch_unwind(AssertUnwindSafe(|| self.take(&mut turn))).is_err() {
-                tracing::error!("the RTPS engine panicked; it goes on");
-                // A panic that comes again at once must not take the whole processor.
+                tracing::error!("the RTPS engine panicked; it continues");
+                // A panic that recurs immediately must not use the whole processor.
                 std::thread::sleep(Duration::from_millis(10));
             }
         }
@@ -69,7 +70,7 @@ impl Thread {
         };
         match self.poll.poll(&mut turn.ready, timeout) {
             Ok(()) => {}
-            // A signal; sockets are asked again in the next turn.
+            // Interrupted by a signal; the next turn polls the sockets again.
             Err(error) if error.kind() == io::ErrorKind::Interrupted => return,
             Err(error) => {
                 tracing::error!("waiting for the network failed: {error}");
@@ -94,7 +95,7 @@ impl Thread {
         self.engine.transmit_all();
     }
 
-    /// Receives some datagrams; true if there may be more.
+    /// Receives some datagrams. Returns whether there may be more.
     fn receive(&mut self, token: Token, buffers: &mut Buffers) -> bool {
         let engine = &self.engine;
         let mut locked = None;
@@ -120,11 +121,11 @@ impl Thread {
                 }
                 Err(error) => tracing::warn!("reading the addresses of this machine failed: {error}"),
             }
-            // Also where nothing has changed: what failed before is tried again.
+            // Also if nothing has changed, to retry what failed before.
             self.receivers.join(self.interfaces.used());
         }
         if has_changed {
-            tracing::info!("reached at {:?} from now on", self.interfaces.used());
+            tracing::info!("now reachable at {:?}", self.interfaces.used());
             let receivers = &self.receivers;
             let announce_to = self.fixed.iter().chain(&self.named).copied();
             let addresses = self.interfaces.addresses(

@@ -1,21 +1,22 @@
-//! Own addresses, and the choice among those a peer announces.
+//! Local addresses, and the choice among the addresses that a peer announces.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-/// Where this participant is reached and where it announces itself. Replaced as a whole when interfaces come or go.
+/// The addresses at which this participant is reached and to which it announces itself. Replaced as a whole
+/// when interfaces change.
 ///
-/// Without any, a participant keeps to itself: its own endpoints match and hear each other, nothing leaves.
+/// Without addresses, only the endpoints of the participant itself match, and nothing is sent.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Addresses {
-    /// Where discovery reaches us, in the order in which peers are to prefer them.
+    /// Addresses for discovery, in order of preference.
     pub metatraffic_unicast: Vec<SocketAddrV4>,
-    /// Groups in which we hear announcements.
+    /// Groups in which the participant receives announcements.
     pub metatraffic_multicast: Vec<SocketAddrV4>,
-    /// Where samples reach us.
+    /// Addresses for samples.
     pub default_unicast: Vec<SocketAddrV4>,
-    /// Groups and single addresses to which we announce ourselves without having heard anybody there.
+    /// Groups and unicast addresses to which the participant announces itself unconditionally.
     pub announce_to: Vec<SocketAddrV4>,
-    /// Interfaces in use. They tell which peers are near.
+    /// Interfaces in use. They determine which peers are in the same subnet.
     pub interfaces: Vec<Interface>,
 }
 
@@ -39,10 +40,11 @@ impl Addresses {
         address.is_loopback() || self.interfaces.iter().any(|interface| interface.address == address)
     }
 
-    /// The address to reach a peer at whose announcement came from `source`, among those it announced.
+    /// Chooses the address at which to reach a peer, among those it announced. `source` is the sender of its
+    /// announcement.
     ///
-    /// A peer with several interfaces announces all of them, and some of them may lead nowhere from here (a container
-    /// bridge, a tunnel). The one its announcement came from is known to work.
+    /// A peer with several interfaces announces all of them, and some may be unreachable from here (a
+    /// container bridge, a tunnel). The source of its announcement is known to be reachable.
     pub(crate) fn choose(&self, announced: &[SocketAddrV4], source: Ipv4Addr) -> Option<SocketAddrV4> {
         let usable = || announced.iter().copied().filter(|address| is_single(*address.ip()));
         let is_on_loopback = self.interfaces.iter().any(|interface| interface.address.is_loopback());
@@ -51,7 +53,7 @@ impl Addresses {
                 .then(|| usable().find(|address| address.ip().is_loopback()))
                 .flatten()
         };
-        // A loopback address of another host would be our own.
+        // A loopback address of another host would refer to this host.
         let remote = || usable().filter(|address| self.is_own_host(source) || !address.ip().is_loopback());
         loopback()
             .or_else(|| remote().find(|address| *address.ip() == source))
@@ -89,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn then_one_in_a_subnet_of_ours_and_then_the_first() {
+    fn then_an_address_in_a_local_subnet_and_then_the_first() {
         let announced = [at([172, 17, 0, 1]), at([10, 0, 0, 7])];
         assert_eq!(ours().choose(&announced, [10, 9, 0, 7].into()), Some(at([10, 0, 0, 7])));
         assert_eq!(ours().choose(&announced[..1], [10, 9, 0, 7].into()), Some(announced[0]));
@@ -103,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn groups_are_no_addresses_of_a_peer() {
+    fn groups_are_not_addresses_of_a_peer() {
         let announced = [at([239, 255, 0, 1]), at([255, 255, 255, 255])];
         assert_eq!(ours().choose(&announced, [10, 0, 0, 9].into()), None);
     }

@@ -4,28 +4,29 @@ use crate::wire::{DataFragment, FragmentSet, InlineQos, Timestamp};
 
 use super::intervals::Intervals;
 
-/// How far fragments may run ahead of what was received: memory follows what arrives, not what was declared.
+/// How far fragments may be ahead of the received bytes. Memory use follows the received bytes, not the
+/// declared size.
 const SLACK: usize = 256 * 1024;
-/// How many holes a sample may have; fragments that would make more are refused and asked for again.
+/// The most holes in a sample. Fragments that would create more are dropped and requested again.
 const MAX_RUNS: usize = 4096;
 
-/// A sample of which some fragments have arrived.
+/// A partially received sample.
 #[derive(Debug)]
 pub(super) struct Assembly {
     pub inline_qos: InlineQos,
     pub timestamp: Option<Timestamp>,
     pub is_key: bool,
-    /// The sample up to the end of the furthest fragment; zeros where fragments are missing.
+    /// The sample up to the end of the furthest fragment, with zeros in place of missing fragments.
     bytes: Vec<u8>,
     sample_size: u32,
     fragment_size: u16,
-    /// Numbers of the fragments that are there.
+    /// Numbers of the received fragments.
     received: Intervals,
     received_count: u32,
 }
 
 impl Assembly {
-    /// An assembly for the sample of `fragment`, which is not added yet.
+    /// Creates an assembly for the sample of `fragment`, without adding it.
     pub fn new(fragment: &DataFragment<'_>, timestamp: Option<Timestamp>) -> Self {
         Self {
             inline_qos: fragment.inline_qos,
@@ -39,12 +40,12 @@ impl Assembly {
         }
     }
 
-    /// Whether `fragment` is of the same cut of the same sample.
+    /// Returns whether `fragment` belongs to the same sample with the same fragment size.
     pub fn fits(&self, fragment: &DataFragment<'_>) -> bool {
         (self.sample_size, self.fragment_size) == (fragment.sample_size, fragment.fragment_size)
     }
 
-    /// Bytes of memory this assembly holds.
+    /// Bytes of memory that this assembly uses.
     pub fn size(&self) -> usize {
         self.bytes.capacity()
     }
@@ -57,17 +58,19 @@ impl Assembly {
         self.sample_size.div_ceil(self.fragment_size.into())
     }
 
-    /// Bytes of memory this assembly would hold with `fragment`.
+    /// Bytes of memory that this assembly would use with `fragment`.
     pub fn size_with(&self, fragment: &DataFragment<'_>) -> usize {
         let (end, reach) = (end(fragment), self.reach(fragment));
         if end <= self.bytes.capacity() || end > reach {
             return self.bytes.capacity();
         }
-        // Doubled at most, never beyond the sample: a buffer of exactly its size needs no copy at the end.
+        // At most doubled, and never larger than the sample: a buffer of exactly its size needs no copy at
+        // the end.
         (2 * end).min(self.sample_size as usize).min(reach)
     }
 
-    /// Adds what is new in `fragment`, which must [fit](Assembly::fits). What runs too far ahead is ignored.
+    /// Adds the new parts of `fragment`, which must [fit](Assembly::fits). Parts that are too far ahead are
+    /// ignored.
     pub fn add(&mut self, fragment: &DataFragment<'_>) {
         let numbers = i64::from(fragment.first)..i64::from(fragment.first) + i64::from(fragment.count);
         let known = self.received.count_in(numbers.clone());
@@ -99,8 +102,8 @@ impl Assembly {
         SLACK + 8 * (received + fragment.payload.len())
     }
 
-    /// The fragments up to `last` that are missing, as far as they fit into a set whose base is the first of them. An empty
-    /// set whose base is above `last` if none is.
+    /// Returns the missing fragments up to `last`, as far as they fit into a set whose base is the first of
+    /// them. If none is missing, returns an empty set with a base above `last`.
     pub fn missing(&self, last: u32) -> FragmentSet {
         let end = i64::from(last.min(self.fragment_count())) + 1;
         let first = self.received.first_absent(1);
@@ -109,7 +112,7 @@ impl Assembly {
         missing
     }
 
-    /// All fragments of the sample that are missing, as [`Assembly::missing`] gives them.
+    /// Returns all missing fragments of the sample, in the form of [`Assembly::missing`].
     pub fn all_missing(&self) -> FragmentSet {
         self.missing(self.fragment_count())
     }
@@ -161,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_is_told_up_to_the_last_that_was_sent() {
+    fn missing_fragments_are_reported_up_to_the_last_sent_fragment() {
         let sample = vec![1; 1000];
         let mut assembly = Assembly::new(&fragment(&sample, 1, 1, 100), None);
         assert_eq!(assembly.missing(3).iter().collect::<Vec<_>>(), [1, 2, 3]);
@@ -176,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_follows_what_arrives() {
+    fn memory_follows_the_received_bytes() {
         let declared = DataFragment {
             reader: EntityId::UNKNOWN,
             writer: EntityId::user_writer(1),

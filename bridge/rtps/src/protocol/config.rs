@@ -1,4 +1,4 @@
-//! What a participant and its endpoints are made with.
+//! Configuration of a participant and its endpoints.
 
 use std::time::Duration;
 
@@ -10,30 +10,32 @@ use crate::{
     wire::{GuidPrefix, VendorId},
 };
 
-/// What a participant is made with.
+/// Configuration of a participant.
 #[derive(Debug, Clone)]
 pub struct Config {
-    /// Unique to this participant. Begins with [`VendorId::OURS`], by which peers of our kind know each other.
+    /// Unique to this participant. Begins with [`VendorId::OURS`], by which participants of this engine
+    /// recognise each other.
     pub prefix: GuidPrefix,
     pub domain_id: u32,
-    /// Shown by tools of other vendors; means nothing to ROS 2.
+    /// Shown by tools of other vendors; not used by ROS 2.
     pub name: String,
     /// In ROS 2 `enclave=<enclave>;`.
     pub user_data: Bytes,
-    /// After this time without a message from us, peers take us for gone.
+    /// Time without a message after which peers consider this participant lost.
     pub lease: Duration,
-    /// Time between two announcements, but for the first few.
+    /// Time between two announcements, except for the first few.
     pub announcement_period: Duration,
     pub addresses: Addresses,
-    /// Bytes of a sample in one fragment to other hosts. On this host fragments are at least 32 kB.
+    /// Size of a fragment to other hosts in bytes. On this host fragments have at least 32 kB.
     pub fragment_size: u16,
-    /// Size of the socket's receive buffer in bytes; announced to participants of this engine, which pace by it.
+    /// Size of the socket's receive buffer in bytes. Announced to participants of this engine, which adapt
+    /// their sending rate to it.
     pub receive_buffer: Option<u32>,
     pub limits: Limits,
 }
 
 impl Config {
-    /// Times as Fast DDS has them, and fragments that fit in an Ethernet frame.
+    /// A configuration with the times of Fast DDS and fragments that fit into an Ethernet frame.
     pub fn new(unique: [u8; 10], domain_id: u32, addresses: Addresses) -> Self {
         let mut prefix = [0; 12];
         prefix[..2].copy_from_slice(&VendorId::OURS.0);
@@ -53,7 +55,7 @@ impl Config {
     }
 }
 
-/// What a writer or a reader is made with.
+/// Configuration of a writer or reader.
 #[derive(Debug, Clone)]
 pub struct EndpointConfig {
     /// As in DDS: `rt/chatter`.
@@ -63,12 +65,13 @@ pub struct EndpointConfig {
     pub qos: Qos,
     /// In ROS 2 `typehash=RIHS01_…;`.
     pub user_data: Bytes,
-    /// Samples of a writer that may wait to be sent (keep last) or acknowledged (keep all) before writing is refused.
+    /// The most samples of a writer that wait to be sent (keep last) or acknowledged (keep all) before writes
+    /// are refused.
     pub send_window: usize,
 }
 
 impl EndpointConfig {
-    /// Without user data and with a window of 1024 samples.
+    /// A configuration without user data and with a window of 1024 samples.
     pub fn new(topic: impl Into<String>, type_name: impl Into<String>, qos: Qos) -> Self {
         Self {
             topic: topic.into(),
@@ -80,23 +83,25 @@ impl EndpointConfig {
     }
 }
 
-/// Bounds of what others can make a participant keep. The lengths of names, lists and user data are bounded by [`wire`](crate::wire).
+/// Limits on the memory that other participants can make this one use. The lengths of names, lists and user
+/// data are limited by [`wire`](crate::wire).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Participants known at once. When more come, those that never answered us give way.
+    /// The most known participants. Beyond that, participants that never answered are replaced.
     pub participants: usize,
     pub endpoints_per_participant: usize,
-    /// Endpoints of all other participants together.
+    /// The most endpoints of all other participants together.
     pub endpoints: usize,
-    /// Bytes of one sample.
+    /// The largest sample in bytes.
     pub max_sample_size: u32,
-    /// Bytes of samples that one reader holds because something of them or before them is missing.
+    /// The most bytes of samples that one reader stores because they are incomplete or follow a missing
+    /// sample.
     pub max_open_bytes: usize,
 }
 
 impl Default for Limits {
-    /// Room for the largest ROS 2 graphs that are known (some hundred processes, ten thousand endpoints), at 20 MB in the
-    /// worst case.
+    /// Suffices for the largest known ROS 2 graphs (some hundred processes, ten thousand endpoints), with at
+    /// most 20 MB.
     fn default() -> Self {
         Self {
             participants: 512,

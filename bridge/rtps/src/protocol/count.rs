@@ -1,16 +1,16 @@
-//! The counts of acknowledgements and heartbeats, by which the newer of two is known.
+//! The counts of acknowledgements and heartbeats, which identify the newer of two messages.
 
 use std::time::{Duration, Instant};
 
-/// After so long a silence a lower count is taken for that of a peer that has begun again.
+/// After this time without a message, a lower count is accepted: the peer has restarted.
 const MEMORY: Duration = Duration::from_millis(500);
 
-/// The last count heard.
+/// The last received count.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct LastCount(Option<(u32, Instant)>);
 
 impl LastCount {
-    /// Whether a message with `count` is news; if so it is the last one from now on.
+    /// Returns whether a message with `count` is new, and stores the count if it is.
     pub fn accept(&mut self, count: u32, now: Instant) -> bool {
         let is_news = self.0.is_none_or(|(last, at)| {
             count.wrapping_sub(last).cast_signed() > 0 || now.saturating_duration_since(at) >= MEMORY

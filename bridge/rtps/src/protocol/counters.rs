@@ -1,31 +1,31 @@
-//! Counts of traffic and of bad input.
+//! Counters of traffic and invalid input.
 
 use std::time::{Duration, Instant};
 
-/// Time between two warnings of one kind: hostile input must not fill a log.
+/// Time between two warnings of the same kind: hostile input must not fill a log.
 const WARNING_PERIOD: Duration = Duration::from_secs(60);
 
-/// A kind of bad, hostile or foreign input. It is dropped.
+/// A kind of invalid, hostile or foreign input, which is dropped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, thiserror::Error)]
 pub enum Fault {
-    /// Of another protocol or another major version.
+    /// A message of another protocol or another major version.
     #[error("a datagram of another protocol")]
     Foreign,
     #[error("a malformed message")]
     Malformed,
     #[error("malformed discovery data")]
     MalformedDiscovery,
-    /// An announcement without an IPv4 address that we can send to.
+    /// An announcement without a usable IPv4 address.
     #[error("a participant without a usable address")]
     NoAddress,
-    /// An endpoint announced in the name of another participant.
+    /// An endpoint that was announced by another participant than its own.
     #[error("an endpoint that belongs to another participant")]
     ForeignEndpoint,
     #[error("a participant beyond the limit")]
     TooManyParticipants,
     #[error("an endpoint beyond the limit")]
     TooManyEndpoints,
-    /// The guard does not let it through.
+    /// The guard rejected the message.
     #[error("a message that security rejects")]
     Rejected,
 }
@@ -35,28 +35,29 @@ impl Fault {
     pub const COUNT: usize = Self::Rejected as usize + 1;
 }
 
-/// Traffic and faults since the participant was made.
+/// Traffic and faults since the participant was created.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counters {
     pub datagrams_received: u64,
     pub bytes_received: u64,
     pub datagrams_sent: u64,
     pub bytes_sent: u64,
-    /// Data of writers that no reader of ours is matched with. Ordinary at the start and end of a writer.
+    /// Data of writers without a matched local reader. Normal at the start and end of a writer.
     pub unmatched: u64,
-    /// Times that sending waited because a peer has not answered yet and was sent three times what came from it.
+    /// How often sending was delayed because a peer has not answered yet and was already sent three times the
+    /// bytes received from it.
     pub withheld: u64,
     faults: [u64; Fault::COUNT],
 }
 
 impl Counters {
-    /// How often `fault` occurred.
+    /// Returns how often `fault` occurred.
     pub fn faults(&self, fault: Fault) -> u64 {
         self.faults[fault as usize]
     }
 }
 
-/// Counts faults and decides when to warn of them.
+/// Counts faults and decides when to warn about them.
 #[derive(Debug, Default)]
 pub(crate) struct Warnings {
     kinds: [Option<Warned>; Fault::COUNT],
@@ -69,7 +70,7 @@ struct Warned {
 }
 
 impl Warnings {
-    /// Counts a fault. Returns how many there were since the last warning if it is time for one.
+    /// Counts a fault. If a warning is due, returns the number of faults since the last one.
     pub(crate) fn count(&mut self, counters: &mut Counters, fault: Fault, now: Instant) -> Option<u64> {
         counters.faults[fault as usize] += 1;
         let warned = &mut self.kinds[fault as usize];
@@ -83,10 +84,10 @@ impl Warnings {
     }
 }
 
-/// Bytes from and to a peer that has not yet shown that it is where its announcement says.
+/// Bytes from and to a peer whose address has not been validated yet.
 ///
-/// Anybody can announce a participant with the address of a third party. Until an answer comes from there, no more is sent
-/// than three times what was received (as in RFC 9000, section 8.1).
+/// Anyone can announce a participant with the address of a third party. Until an answer arrives from that
+/// address, at most three times the received bytes are sent (as in RFC 9000, section 8.1).
 #[derive(Debug, Default)]
 pub(crate) struct Account {
     received: u64,
@@ -128,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_warning_a_minute_tells_how_many_faults_there_were() {
+    fn one_warning_a_minute_contains_the_number_of_faults() {
         let start = Instant::now();
         let (mut counters, mut warnings) = (Counters::default(), Warnings::default());
         let mut count =

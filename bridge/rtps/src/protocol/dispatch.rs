@@ -1,4 +1,4 @@
-//! Where what arrives goes to.
+//! Dispatch of received messages.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
@@ -7,16 +7,16 @@ use crate::wire::{
     EntityId, Guid, GuidPrefix, Header, Malformed, StatusInfo, Submessage, Submessages, Timestamp, parse,
 };
 
-/// Where a datagram comes from.
+/// The origin of a datagram.
 #[derive(Debug, Clone, Copy)]
 struct Origin {
     address: SocketAddrV4,
     length: usize,
-    /// Whether it comes from own endpoints.
+    /// Whether it comes from local endpoints.
     is_own: bool,
 }
 
-/// What submessages say about those behind them (section 8.3.4).
+/// What submessages define for the following ones (section 8.3.4).
 struct Context {
     source: GuidPrefix,
     destination: GuidPrefix,
@@ -24,7 +24,7 @@ struct Context {
 }
 
 impl Participant {
-    /// Takes a datagram that came from the network.
+    /// Handles a datagram from the network.
     pub fn handle_datagram(&mut self, now: Now, from: SocketAddrV4, bytes: &[u8]) {
         self.note_time(now);
         self.counters.datagrams_received += 1;
@@ -35,7 +35,7 @@ impl Participant {
             Err(Malformed::NotRtps | Malformed::Version(_)) => return self.fault(now, Fault::Foreign, from),
             Err(_) => return self.fault(now, Fault::Malformed, from),
         };
-        // Groups bring back what we sent ourselves.
+        // Multicast groups loop back the participant's own datagrams.
         if header.prefix == self.config.prefix {
             return;
         }
@@ -51,7 +51,7 @@ impl Participant {
         }
     }
 
-    /// Takes a datagram from own endpoints to own endpoints.
+    /// Handles a datagram from local endpoints to local endpoints.
     pub(super) fn loop_back(&mut self, now: Now, bytes: &[u8]) {
         let address = SocketAddrV4::new(Ipv4Addr::LOCALHOST, 0);
         let origin = Origin { address, length: bytes.len(), is_own: true };
@@ -81,7 +81,7 @@ impl Participant {
                 }
             }
         }
-        // Here, so that what is malformed from the beginning keeps nobody alive.
+        // After parsing, so that malformed messages do not renew the lease.
         if let Some(peer) = self.peers.get_mut(context.source) {
             peer.heard = now.steady;
         }
@@ -91,7 +91,7 @@ impl Participant {
         let is_addressed = context.destination == self.config.prefix;
         let is_for_us = is_addressed || context.destination == GuidPrefix::UNKNOWN;
         let is_own = context.source == self.config.prefix;
-        // A message cannot speak in our own name, except to ourselves.
+        // Only own datagrams can have this participant as their source.
         if !is_for_us || is_own != origin.is_own {
             return;
         }
@@ -165,7 +165,7 @@ impl Participant {
         }
     }
 
-    /// Calls the matched readers that a submessage of `writer` is for. Without a match nothing is done, and so nothing
+    /// Calls the matched readers to which a submessage of `writer` is addressed. Without a match nothing is
     /// allocated.
     fn for_readers(&mut self, addressed: EntityId, writer: Guid, call: impl Fn(&mut Self, EntityId, Guid)) {
         let mut is_heard = false;
@@ -182,7 +182,8 @@ impl Participant {
         }
     }
 
-    /// Somebody spoke to us, not to all. If it did so from where it says it is, it may be sent more.
+    /// Handles a message that is addressed to this participant. If it comes from the announced address, that
+    /// address is validated.
     fn note_answer(&mut self, source: GuidPrefix, from: Ipv4Addr) {
         let Some(peer) = self.peers.get_mut(source) else { return };
         if peer.account.is_known() {
@@ -198,7 +199,7 @@ impl Participant {
         }
     }
 
-    /// What a reader of ours made of what arrived.
+    /// Handles what a local reader returned for a message.
     pub(super) fn take_from_reader(&mut self, now: Now, reader: EntityId, received: Received) {
         match received {
             Received::Sample(sample) => match reader {
@@ -227,7 +228,8 @@ impl Participant {
     }
 
     fn take_sample(&mut self, reader: EntityId, mut sample: Sample) {
-        // Without keys there is nothing to dispose: such a sample only says that its writer ends, which discovery says too.
+        // Without keys there is nothing to dispose: such a sample only announces the end of its writer, which
+        // discovery reports as well.
         if sample.is_key || sample.inline_qos.status.is_some_and(StatusInfo::is_removal) {
             return;
         }
@@ -238,7 +240,7 @@ impl Participant {
         self.events.push_back(Event::Sample { reader, sample });
     }
 
-    /// What a writer of ours has to tell.
+    /// Handles an event of a local writer.
     pub(super) fn take_from_writer(&mut self, writer: EntityId, event: WriterEvent) {
         if writer.is_builtin() {
             if matches!(event, WriterEvent::Acknowledged) {

@@ -1,4 +1,4 @@
-//! What a participant has to tell its user.
+//! Events of a participant.
 
 use std::net::SocketAddrV4;
 
@@ -8,9 +8,10 @@ use crate::{
     wire::{EntityId, Guid, GuidPrefix},
 };
 
-/// Something that happened, in the order in which it did.
+/// An event. Events are reported in the order in which they happened.
 ///
-/// `local` is an endpoint of this participant. `remote` is any other endpoint, of this participant or of another.
+/// `local` is an endpoint of this participant. `remote` is any other endpoint, of this or another
+/// participant.
 #[derive(Debug, Clone)]
 pub enum Event {
     /// A sample arrived.
@@ -18,8 +19,8 @@ pub enum Event {
         reader: EntityId,
         sample: Sample,
     },
-    /// Two endpoints found each other. A reliable reader counts once it has answered a writer: only then does it surely
-    /// receive what is written.
+    /// Two endpoints discovered each other. A reliable reader counts as matched once it has answered the
+    /// writer, because only then is it certain to receive samples.
     Matched {
         local: EntityId,
         remote: Guid,
@@ -29,18 +30,19 @@ pub enum Event {
         local: EntityId,
         remote: Guid,
     },
-    /// A policy keeps two endpoints of one topic from matching. Reported once for each pair.
+    /// A policy prevents two endpoints of a topic from matching. Reported once for each pair.
     Incompatible {
         local: EntityId,
         remote: Guid,
         policy: Policy,
     },
-    /// Two endpoints of one topic have different types. Reported once for each pair.
+    /// Two endpoints of a topic have different types. Reported once for each pair.
     OtherType {
         local: EntityId,
         remote: Guid,
     },
-    /// The deadline passed `count` times since the last such event: the offered one of a writer, the requested one of a reader.
+    /// The deadline was missed `count` times since the last such event: the offered deadline of a writer or
+    /// the requested deadline of a reader.
     DeadlineMissed {
         local: EntityId,
         count: u64,
@@ -49,7 +51,7 @@ pub enum Event {
     LivelinessLost {
         writer: EntityId,
     },
-    /// What a reader holds of a writer's life changed.
+    /// The liveliness of a matched writer changed.
     LivelinessChanged {
         reader: EntityId,
         writer: Guid,
@@ -61,18 +63,18 @@ pub enum Event {
         writer: Guid,
         count: u64,
     },
-    /// All that was written is acknowledged by every matched reliable reader.
+    /// Every matched reliable reader has acknowledged all samples.
     Acknowledged {
         writer: EntityId,
     },
-    /// After a write that was refused for want of room there is room again.
+    /// There is room again after a write was refused because the window was full.
     WindowOpen {
         writer: EntityId,
     },
     EndpointFound {
         remote: Guid,
     },
-    /// It announced other policies or user data.
+    /// A remote endpoint announced changed policies or user data.
     EndpointChanged {
         remote: Guid,
     },
@@ -86,7 +88,8 @@ pub enum Event {
         remote: GuidPrefix,
         reason: Departure,
     },
-    /// Bad input: `count` times since the last event of this kind, of which there is at most one a minute.
+    /// Invalid input was received `count` times since the last event of this kind, which is reported at most
+    /// once a minute.
     Warning {
         fault: Fault,
         from: SocketAddrV4,
@@ -97,20 +100,20 @@ pub enum Event {
 /// How the counts of alive and not alive writers of a reader change (DDS 1.4, section 2.2.4.1, `LIVELINESS_CHANGED`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum LivelinessChange {
-    /// One more is alive.
+    /// One more writer is alive.
     Alive,
-    /// One that was not alive is alive again.
+    /// A writer that was not alive is alive again.
     Revived,
-    /// One that was alive no longer is.
+    /// A writer that was alive is no longer alive.
     NotAlive,
-    /// One that was alive is no longer matched.
+    /// A writer that was alive is no longer matched.
     AliveRemoved,
-    /// One that was not alive is no longer matched.
+    /// A writer that was not alive is no longer matched.
     NotAliveRemoved,
 }
 
 impl LivelinessChange {
-    /// By how much the counts of alive and of not alive writers change.
+    /// Returns the changes of the counts of alive and not alive writers.
     pub fn counts(self) -> (i32, i32) {
         match self {
             Self::Alive => (1, 0),
@@ -122,14 +125,14 @@ impl LivelinessChange {
     }
 }
 
-/// Why a participant is no longer known.
+/// Why a participant was removed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Departure {
-    /// It said so.
+    /// It announced its departure.
     Disposed,
-    /// Nothing was heard of it for its lease.
+    /// No message arrived from it within its lease.
     LeaseRanOut,
-    /// It never answered, and others needed the room.
+    /// It never answered, and the room was needed for others.
     Crowded,
     /// The guard no longer admits it.
     Refused,

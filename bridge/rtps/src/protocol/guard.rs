@@ -1,41 +1,44 @@
-//! Where DDS Security attaches: a gate before matches, and coding of messages, submessages and payloads.
+//! The hooks for DDS Security: admission before matches, and coding of messages, submessages and payloads.
 
 use bytes::Bytes;
 
 use crate::wire::{EndpointData, Guid, GuidPrefix, Header, ParticipantData};
 
-/// Decides who takes part, and protects what is sent.
+/// Decides which participants and endpoints are admitted, and protects messages.
 ///
-/// The state machines know nothing of it: they see plain messages of admitted participants. Each `bool` is `false` if
-/// the bytes are to be dropped.
+/// The state machines are independent of it: they only process plain messages of admitted participants. Each
+/// returned `bool` is `false` if the bytes are to be dropped.
 pub trait Guard: Send {
-    /// Asked when a participant announces itself, and again after [`Participant::reconsider`](super::Participant::reconsider).
+    /// Called when a participant announces itself, and again after
+    /// [`Participant::reconsider`](super::Participant::reconsider).
     fn admit_participant(&mut self, remote: &ParticipantData) -> Admission;
 
-    /// Asked before two endpoints match; `local` is ours. [`Admission::Wait`] is asked again as above.
+    /// Called before two endpoints match. After [`Admission::Wait`] it is called again in the same way as
+    /// above.
     fn admit_endpoint(&mut self, local: &EndpointData, remote: &EndpointData) -> Admission;
 
-    /// Bytes kept free in each datagram for what [`Guard::encode_submessage`] and [`Guard::encode_message`] add. One that
-    /// grows by more is larger than others, and so may be sent in parts by IP.
+    /// Bytes reserved in each datagram for what [`Guard::encode_submessage`] and [`Guard::encode_message`]
+    /// add. A datagram that grows by more may be fragmented by IP.
     fn room(&self) -> usize;
 
-    /// Protects a sample of a writer of ours; `None` refuses to send it.
+    /// Protects a sample of a local writer. The sample is not sent if it returns `None`.
     fn encode_payload(&mut self, writer: Guid, payload: Bytes) -> Option<Bytes>;
 
-    /// The reverse of [`Guard::encode_payload`], for a writer of anybody.
+    /// The inverse of [`Guard::encode_payload`], for any writer.
     fn decode_payload(&mut self, writer: Guid, payload: Bytes) -> Option<Bytes>;
 
-    /// Appends `submessage`, protected or not, to `out`. `to` is [`GuidPrefix::UNKNOWN`] for everybody.
+    /// Appends `submessage`, protected or not, to `out`. `to` is [`GuidPrefix::UNKNOWN`] for all
+    /// participants.
     fn encode_submessage(&mut self, to: GuidPrefix, submessage: &[u8], out: &mut Vec<u8>) -> bool;
 
-    /// Appends what `submessages` hold to `out`: a whole sequence from its prefix to its postfix, or one that came in the
-    /// clear. `false` for those in the clear that had to be protected.
+    /// Appends the plain form of `submessages` to `out`: a whole sequence from its prefix to its postfix, or
+    /// a single unprotected submessage. Returns `false` for unprotected submessages that must be protected.
     fn decode_submessage(&mut self, from: GuidPrefix, submessages: &[u8], out: &mut Vec<u8>) -> bool;
 
     /// Protects a whole datagram.
     fn encode_message(&mut self, to: GuidPrefix, message: &mut Vec<u8>) -> bool;
 
-    /// The reverse of [`Guard::encode_message`].
+    /// The inverse of [`Guard::encode_message`].
     fn decode_message(&mut self, from: GuidPrefix, message: &mut Vec<u8>) -> bool;
 }
 
@@ -43,15 +46,15 @@ pub trait Guard: Send {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Admission {
     Admit,
-    /// Not yet: authentication is under way.
+    /// Not yet: authentication is in progress.
     Wait,
     Refuse,
 }
 
-/// Ids of the submessages between which a protected one stands (DDS Security 1.1, section 7.3.6).
+/// Ids of the submessages that enclose a protected one (DDS Security 1.1, section 7.3.6).
 const PREFIX: u8 = 0x31;
 const POSTFIX: u8 = 0x32;
-/// The only submessage without a length of its own that may be followed by others.
+/// The only submessage that may have length 0 and be followed by others.
 const INFO_TIMESTAMP: u8 = 0x09;
 const PAD: u8 = 0x01;
 
@@ -72,7 +75,8 @@ pub(super) fn decode(guard: &mut dyn Guard, from: GuidPrefix, datagram: &[u8]) -
     }
     let (header, submessages) = message.split_at_checked(Header::LEN)?;
     let mut plain = header.to_vec();
-    // A datagram may hold submessages for several receivers: the others are still handled when one is rejected.
+    // A datagram may contain submessages for several receivers: if one is rejected the others are still
+    // handled.
     for group in groups(submessages) {
         let length = plain.len();
         if !guard.decode_submessage(from, group, &mut plain) {
@@ -82,7 +86,7 @@ pub(super) fn decode(guard: &mut dyn Guard, from: GuidPrefix, datagram: &[u8]) -
     Some(plain)
 }
 
-/// Cuts submessages into protected sequences and single ones in the clear.
+/// Splits submessages into protected sequences and single unprotected ones.
 fn groups(submessages: &[u8]) -> impl Iterator<Item = &[u8]> {
     let mut rest = submessages;
     std::iter::from_fn(move || {
@@ -105,7 +109,7 @@ fn groups(submessages: &[u8]) -> impl Iterator<Item = &[u8]> {
     })
 }
 
-/// Submessages as bytes, with their headers. Ends where one does not fit.
+/// Iterates over submessages as bytes with their headers. Ends at one that is too long.
 struct Raw<'a>(&'a [u8]);
 
 struct RawSubmessage<'a> {

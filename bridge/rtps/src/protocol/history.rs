@@ -1,4 +1,4 @@
-//! What a writer keeps.
+//! The history of a writer.
 
 use std::collections::VecDeque;
 use std::time::Instant;
@@ -7,19 +7,20 @@ use bytes::Bytes;
 
 use crate::wire::{Guid, InlineQos, Payload, SequenceNumber, Timestamp};
 
-/// What a sample takes of a receive buffer beside its payload: at worst a datagram of its own, with the kernel's bookkeeping.
+/// Overhead of a sample in a receive buffer: in the worst case a separate datagram with the kernel's
+/// bookkeeping.
 const SAMPLE_COST: u64 = 512;
 
 /// A sample in the history of a writer.
 #[derive(Debug)]
 pub(super) struct Entry {
     pub number: SequenceNumber,
-    /// Cost of all samples before this one: where in the stream of the writer this sample begins.
+    /// Cost of all samples before this one, which is the position of this sample in the stream of the writer.
     pub position: u64,
     pub payload: Bytes,
     pub inline_qos: InlineQos,
     pub timestamp: Timestamp,
-    /// The only reader that gets this sample.
+    /// The only reader that receives this sample.
     pub only_to: Option<Guid>,
     pub written: Instant,
 }
@@ -30,12 +31,12 @@ impl Entry {
     }
 }
 
-/// The samples of a writer by number. Numbers rise; some may be missing: those were discarded.
+/// The samples of a writer in ascending order of their numbers. Discarded samples are missing.
 #[derive(Debug)]
 pub(super) struct History {
     entries: VecDeque<Entry>,
     next: SequenceNumber,
-    /// Where the next sample will begin in the stream.
+    /// The position of the next sample in the stream.
     end: u64,
 }
 
@@ -48,12 +49,12 @@ impl History {
         self.entries.len()
     }
 
-    /// The number that the next sample will have.
+    /// The number of the next sample.
     pub fn next(&self) -> SequenceNumber {
         self.next
     }
 
-    /// The oldest number there is; [`History::next`] if there is none.
+    /// The oldest number; [`History::next`] if there is none.
     pub fn first(&self) -> SequenceNumber {
         self.entries.front().map_or(self.next, |entry| entry.number)
     }
@@ -62,7 +63,7 @@ impl History {
         self.entries.front()
     }
 
-    /// The number of the sample that `depth` samples, itself among them, are kept since.
+    /// The number of the first of the newest `depth` samples.
     pub fn newest(&self, depth: usize) -> SequenceNumber {
         let index = self.entries.len().saturating_sub(depth);
         self.entries.get(index).map_or(self.next, |entry| entry.number)
@@ -101,19 +102,19 @@ impl History {
         self.index(number).ok().map(|index| &self.entries[index])
     }
 
-    /// The lowest number that is at least `number` and still there; [`History::next`] if there is none.
+    /// The lowest available number that is at least `number`; [`History::next`] if there is none.
     pub fn at_or_after(&self, number: SequenceNumber) -> SequenceNumber {
         let (Ok(index) | Err(index)) = self.index(number);
         self.entries.get(index).map_or(self.next, |entry| entry.number)
     }
 
-    /// Where the sample `number`, or the first one after it that is still there, begins in the stream.
+    /// The position in the stream of sample `number`, or of the first available one after it.
     pub fn position(&self, number: SequenceNumber) -> u64 {
         let (Ok(index) | Err(index)) = self.index(number);
         self.entries.get(index).map_or(self.end, |entry| entry.position)
     }
 
-    /// The place of a number, or where it would be. At once if nothing was discarded.
+    /// The index of a number, or the index at which it would be. Constant time if nothing was discarded.
     fn index(&self, number: SequenceNumber) -> Result<usize, usize> {
         let Some(first) = self.entries.front() else { return Err(0) };
         if number < first.number {

@@ -1,4 +1,4 @@
-//! What a reader knows about one writer: what has arrived, what waits, what is missing.
+//! The state of a reader for one matched writer: received, waiting and missing samples.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -18,19 +18,19 @@ use super::intervals::Intervals;
 use super::links::LinkId;
 use super::received::{Received, Sample};
 
-/// A writer is asked for a first heartbeat after so long, then twice as late each time.
+/// Delay before a writer is asked for a first heartbeat. It doubles each time.
 const FIRST_QUESTION: Duration = Duration::from_millis(10);
 const QUESTION_MAX: Duration = Duration::from_secs(3);
-/// The same samples are not asked for again within this time.
+/// Samples are not requested again within this time.
 const NACK_PAUSE: Duration = Duration::from_millis(10);
-/// How far ahead of the next sample to be delivered others are kept.
+/// How far ahead of the next sample to be delivered other samples are stored.
 const MAX_AHEAD: i64 = 1024;
-/// How many holes there may be in what was received.
+/// The most holes in the received samples.
 const MAX_RUNS: usize = 600;
-/// Samples of a reliable and of a best-effort writer of which fragments are kept.
+/// The most incomplete samples of a reliable and of a best-effort writer.
 const MAX_OPEN_RELIABLE: usize = 64;
 const MAX_OPEN_BEST_EFFORT: usize = 4;
-/// For how many samples fragments are asked for at once.
+/// The most samples for which fragments are requested at once.
 const MAX_FRAGMENT_NACKS: usize = 8;
 
 /// A writer that is matched with the reader.
@@ -39,13 +39,13 @@ pub struct MatchedWriter {
     pub guid: Guid,
     /// Whether both are reliable.
     pub is_reliable: bool,
-    /// How long its samples are of use.
+    /// How long its samples are valid.
     pub lifespan: Option<Duration>,
-    /// How long it is taken for alive without an assertion.
+    /// How long it is considered alive without an assertion.
     pub liveliness_lease: Option<Duration>,
-    /// Where acknowledgements go to.
+    /// The link for acknowledgements.
     pub link: LinkId,
-    /// The engine of the writer. One of ours is sent acknowledgements of fragments too.
+    /// The vendor of the writer. Writers of this engine also receive acknowledgements of fragments.
     pub vendor: VendorId,
 }
 
@@ -53,41 +53,43 @@ pub struct MatchedWriter {
 #[derive(Debug)]
 pub(super) struct Incoming {
     pub matched: MatchedWriter,
-    /// The next sample to be delivered. All before it are, or never will be.
+    /// The next sample to be delivered. All samples before it have been delivered or given up.
     next: SequenceNumber,
-    /// Whether the writer sent a sample, or knew this reader: before that nothing is lost.
+    /// Whether the writer has sent a sample or knows this reader. Before that no samples count as lost.
     is_known: bool,
-    /// Numbers above `next` that were received or will not come.
+    /// Numbers above `next` that were received or will not arrive.
     settled: Intervals,
     /// Received samples above `next`.
     waiting: BTreeMap<SequenceNumber, Sample>,
     assemblies: BTreeMap<SequenceNumber, Assembly>,
-    /// Bytes held by the two.
+    /// Bytes in `waiting` and `assemblies`.
     pub size: usize,
-    /// The newest sample there is, as the writer said last.
+    /// The newest sample that the writer has announced.
     last: SequenceNumber,
     last_heartbeat: LastCount,
     last_heartbeat_fragment: LastCount,
-    /// Counts of what is sent to the writer.
+    /// Counts of the messages to the writer.
     ack_nacks: u32,
     nack_fragments: u32,
-    /// When the writer will be asked for a heartbeat, and how long after that again.
+    /// When the writer will be asked for a heartbeat, and the delay before the next request.
     question: Option<(Instant, Duration)>,
-    /// What the next acknowledgement is about.
+    /// The kind of the next answer to the writer.
     answer: Answer,
-    /// What was asked for last, and when.
+    /// What was requested last, and when.
     asked: Option<(Progress, Instant)>,
-    /// When the same will be asked for again.
+    /// When missing samples will be requested again.
     ask_at: Option<Instant>,
-    /// The sample of which fragments are to be acknowledged, and the last of those that were sent.
+    /// The sample whose fragments are to be acknowledged, and the last fragment that the writer has sent.
     fragments_sent: Option<(SequenceNumber, u32)>,
-    /// Whether it was heard within its lease. False until it is heard first; no event is reported before that.
+    /// Whether the writer was asserted within its lease. False until the first assertion; no event is
+    /// reported before that.
     is_alive: bool,
     /// When the writer was last known to be alive.
     asserted: Instant,
 }
 
-/// The next sample to be delivered and how many fragments of it are there: as long as that is the same, no answer has come.
+/// The next sample to be delivered and the number of its received fragments. Unchanged as long as a request
+/// is unanswered.
 type Progress = (SequenceNumber, u32);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -95,7 +97,7 @@ enum Answer {
     None,
     /// A request for a heartbeat.
     Question,
-    /// What is there and what is missing.
+    /// An acknowledgement of received samples and a request for missing ones.
     Acknowledgement,
 }
 
@@ -124,13 +126,14 @@ impl Incoming {
         }
     }
 
-    /// Whether the sample `number` is neither delivered nor received nor given up.
+    /// Returns whether the sample `number` is neither delivered nor received nor given up.
     pub fn is_wanted(&self, number: SequenceNumber) -> bool {
         let is_near = !self.matched.is_reliable || number.0 - self.next.0 < MAX_AHEAD;
         number >= self.next && is_near && !self.settled.contains(number.0)
     }
 
-    /// Takes a wanted sample. If it has to wait and takes more than `room`, it is dropped and will be asked for again.
+    /// Takes a wanted sample. If it has to wait and is larger than `room`, it is dropped and will be
+    /// requested again.
     pub fn take_sample(&mut self, now: Now, sample: Sample, room: usize, out: &mut Vec<Received>) {
         let number = sample.number;
         if !self.matched.is_reliable {
@@ -165,7 +168,7 @@ impl Incoming {
         }
         let Some(assembly) = self.assemblies.get_mut(&number) else { return };
         let size = assembly.size();
-        // The next sample always goes on, or nothing would.
+        // The next sample is always accepted; otherwise nothing could be delivered.
         if number == self.next || assembly.size_with(fragment) - size <= room {
             assembly.add(fragment);
         }
@@ -185,7 +188,7 @@ impl Incoming {
         }
     }
 
-    /// Gives a wanted sample up: it is more than the reader takes.
+    /// Gives up a wanted sample that exceeds the limit of the reader.
     pub fn refuse(&mut self, now: Now, number: SequenceNumber, out: &mut Vec<Received>) {
         self.drop_assembly(number);
         out.push(Received::Lost { writer: self.matched.guid, count: 1 });
@@ -193,7 +196,7 @@ impl Incoming {
         self.advance(now, self.next, out);
     }
 
-    /// Takes note of samples that will not come, and were not for this reader.
+    /// Handles samples that will not arrive because they are not for this reader.
     pub fn take_gap(&mut self, now: Now, gap: &Gap, out: &mut Vec<Received>) {
         self.settle(gap.start.0..gap.list.base().0);
         for number in gap.list.iter() {
@@ -202,7 +205,7 @@ impl Incoming {
         self.advance(now, self.next, out);
     }
 
-    /// Takes note of what the writer has. Whether there is something to answer.
+    /// Handles a heartbeat. Returns whether there is something to send.
     pub fn take_heartbeat(&mut self, now: Now, heartbeat: &Heartbeat, out: &mut Vec<Received>) -> bool {
         if !self.matched.is_reliable || !self.last_heartbeat.accept(heartbeat.count, now.steady) {
             return false;
@@ -213,7 +216,7 @@ impl Incoming {
             self.lose_before(heartbeat.first, out);
             self.advance(now, heartbeat.first, out);
         }
-        // One to all readers may be from before the writer knew this one.
+        // A heartbeat to all readers may have been sent before the writer knew this reader.
         self.is_known |= heartbeat.reader != EntityId::UNKNOWN;
         let is_due = !heartbeat.is_final || self.next <= self.last;
         if is_due {
@@ -222,13 +225,13 @@ impl Incoming {
         is_due
     }
 
-    /// Takes note of which fragments were sent. Whether there is something to answer.
+    /// Handles a heartbeat of fragments. Returns whether there is something to send.
     pub fn take_heartbeat_fragment(&mut self, now: Now, heartbeat: &HeartbeatFragment) -> bool {
         let is_news = self.last_heartbeat_fragment.accept(heartbeat.count, now.steady);
         if !self.matched.is_reliable || !is_news {
             return false;
         }
-        // Others do not expect an acknowledgement, only requests.
+        // Other engines expect only requests, not acknowledgements.
         let is_complete = || match self.assemblies.get(&heartbeat.number) {
             Some(assembly) => assembly.missing(heartbeat.last).is_empty(),
             None => !self.is_wanted(heartbeat.number),
@@ -240,7 +243,7 @@ impl Incoming {
         true
     }
 
-    /// Does what is due by now. Whether there is something to send.
+    /// Runs the timers that are due. Returns whether there is something to send.
     pub fn handle_timeout(&mut self, now: Instant) -> bool {
         if let Some((at, period)) = self.question.filter(|(at, _)| *at <= now) {
             let period = (2 * period).min(QUESTION_MAX);
@@ -256,19 +259,20 @@ impl Incoming {
         self.answer != Answer::None
     }
 
-    /// The writer is alive. Whether that is news.
+    /// Records that the writer is alive. Returns whether that is a change.
     pub fn assert_liveliness(&mut self, now: Instant) -> bool {
         self.asserted = now;
         let was_alive = std::mem::replace(&mut self.is_alive, true);
         !was_alive && self.matched.liveliness_lease.is_some()
     }
 
-    /// When the writer is taken for dead unless it is heard; `None` if it is already, or if it has no lease.
+    /// When the writer will be considered not alive without an assertion; `None` if it is not alive or has no
+    /// lease.
     pub fn lease_ends(&self) -> Option<Instant> {
         self.matched.liveliness_lease.filter(|_| self.is_alive).map(|lease| self.asserted + lease)
     }
 
-    /// Takes the writer for dead if its lease has ended. Whether that is news.
+    /// Considers the writer not alive if its lease has ended. Returns whether that is a change.
     pub fn run_out_lease(&mut self, now: Instant) -> bool {
         let is_over = self.lease_ends().is_some_and(|ends| ends <= now);
         self.is_alive &= !is_over;
@@ -279,15 +283,15 @@ impl Incoming {
         [self.question.map(|(at, _)| at), self.ask_at].into_iter().flatten().min()
     }
 
-    /// Sends what is to be answered; `false` if it does not fit.
+    /// Writes the due answers. Returns `false` if they do not fit.
     pub fn emit(&mut self, now: Instant, reader: EntityId, builder: &mut MessageBuilder<'_>) -> bool {
         builder.info_destination(self.matched.guid.prefix);
         self.emit_fragments_sent(now, reader, builder) && self.emit_answer(now, reader, builder)
     }
 
     fn emit_answer(&mut self, now: Instant, reader: EntityId, builder: &mut MessageBuilder<'_>) -> bool {
-        // Fast DDS answers a question at once only if its base is 0, and any other within its heartbeat period of 3 s
-        // (`StatefulWriter::process_acknack`); other engines refuse that base.
+        // Fast DDS answers a request for a heartbeat immediately only if its base is 0, and otherwise within
+        // its heartbeat period of 3 s (`StatefulWriter::process_acknack`); other engines reject that base.
         let asks_from_zero = self.answer == Answer::Question && self.matched.vendor == VendorId::FAST_DDS;
         let base = if asks_from_zero { SequenceNumber::ZERO } else { self.next };
         let mut missing = SequenceNumberSet::new(base);
@@ -328,7 +332,7 @@ impl Incoming {
             self.nack_fragments = self.nack_fragments.wrapping_add(1);
             let nack = NackFragment { reader, writer, number, missing, count: self.nack_fragments };
             if !builder.nack_fragment(&nack) {
-                // The rest is asked for when the time has come to ask again.
+                // The rest is requested when the next request is due.
                 self.ask_at = Some(now + NACK_PAUSE);
                 break;
             }
@@ -337,7 +341,7 @@ impl Incoming {
         true
     }
 
-    /// Acknowledges fragments of a sample under way, and asks for those that were lost.
+    /// Acknowledges fragments of an incomplete sample and requests lost ones.
     fn emit_fragments_sent(
         &mut self,
         now: Instant,
@@ -377,8 +381,8 @@ impl Incoming {
         (self.next, self.assemblies.get(&self.next).map_or(0, |assembly| assembly.missing(u32::MAX).base()))
     }
 
-    /// Counts as lost what is neither received nor excused before `number`. Of a writer that was not heard before, that
-    /// begins with the first sample that was received.
+    /// Counts samples before `number` as lost that are neither received nor irrelevant. For a writer without
+    /// earlier messages, this begins with the first received sample.
     fn lose_before(&mut self, number: SequenceNumber, out: &mut Vec<Received>) {
         let first_waiting = || self.waiting.keys().next().copied().unwrap_or(number).min(number);
         let range = if self.is_known { self.next } else { first_waiting() }.0..number.0;
@@ -388,7 +392,7 @@ impl Incoming {
         }
     }
 
-    /// Numbers that will not come.
+    /// Marks numbers that will not arrive.
     fn settle(&mut self, range: std::ops::Range<i64>) {
         if range.start <= self.next.0 {
             self.next.0 = self.next.0.max(range.end);
@@ -397,7 +401,7 @@ impl Incoming {
         }
     }
 
-    /// Goes on to `next` or further, and delivers what waited for that.
+    /// Advances to `next` or further and delivers samples that waited for it.
     fn advance(&mut self, now: Now, next: SequenceNumber, out: &mut Vec<Received>) {
         self.next = next;
         if !self.settled.is_empty() {
@@ -425,7 +429,7 @@ impl Incoming {
         }
     }
 
-    /// Begins to put a sample together; `false` if there is no room for it.
+    /// Begins to assemble a sample. Returns `false` if there is no room for it.
     fn open_assembly(
         &mut self,
         number: SequenceNumber,
@@ -439,7 +443,7 @@ impl Incoming {
             return false;
         }
         if self.assemblies.len() >= max_open {
-            // The next sample of a reliable writer matters most; of a best-effort writer, the newest.
+            // The next sample of a reliable writer has priority; for a best-effort writer, the newest.
             let other = match self.matched.is_reliable {
                 true => self.assemblies.keys().next_back().copied(),
                 false => self.assemblies.keys().next().copied().filter(|other| *other < number),
@@ -467,7 +471,7 @@ mod tests {
     use crate::protocol::links::{LinkOptions, Links};
     use crate::wire::{GuidPrefix, Header, Submessage, parse};
 
-    /// The first number of what a reader asks a writer of an engine that it has not heard yet.
+    /// The base of a request for the first heartbeat of a writer of this vendor.
     fn base_of_first_question(vendor: VendorId) -> SequenceNumber {
         let link = Links::new().open(LinkOptions {
             destination: Destination::Own,
@@ -502,7 +506,7 @@ mod tests {
     }
 
     #[test]
-    fn fast_dds_is_asked_for_a_heartbeat_as_it_wants_to_be() {
+    fn fast_dds_gets_the_heartbeat_request_that_it_expects() {
         assert_eq!(base_of_first_question(VendorId::FAST_DDS), SequenceNumber::ZERO);
         for other in [VendorId::CYCLONE, VendorId::RUSTDDS, VendorId::OURS] {
             assert_eq!(base_of_first_question(other), SequenceNumber::FIRST);

@@ -1,11 +1,11 @@
-//! Sets of numbers that cost what their runs cost, however long those are.
+//! Sets of numbers whose cost depends on the number of runs, not on their lengths.
 
 use std::ops::Range;
 
-/// A set of numbers as disjoint runs that do not touch, rising.
+/// A set of numbers as disjoint, non-adjacent runs in ascending order.
 ///
-/// A range of 2^60 numbers is one run, as a range of two is. Who lets a remote peer fill a set looks at
-/// [`Intervals::runs`] first.
+/// A range of 2^60 numbers is one run, like a range of two. Code that lets a remote peer fill a set must
+/// check [`Intervals::runs`] first.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Intervals {
     runs: Vec<Range<i64>>,
@@ -20,7 +20,7 @@ impl Intervals {
         self.runs.clear();
     }
 
-    /// How many runs the set has: its cost.
+    /// The number of runs, which determines the cost.
     pub fn runs(&self) -> usize {
         self.runs.len()
     }
@@ -65,7 +65,7 @@ impl Intervals {
         self.runs.splice(begin..end, rest);
     }
 
-    /// How many numbers of `range` are in the set.
+    /// Returns how many numbers of `range` are in the set.
     pub fn count_in(&self, range: Range<i64>) -> u64 {
         self.runs[self.first_ending_after(range.start)..]
             .iter()
@@ -82,7 +82,7 @@ impl Intervals {
         }
     }
 
-    /// The numbers of `range` that are not in the set, rising.
+    /// Returns the numbers of `range` that are not in the set, in ascending order.
     pub fn absent(&self, range: Range<i64>) -> impl Iterator<Item = i64> {
         let mut next = range.start;
         std::iter::from_fn(move || {

@@ -1,6 +1,7 @@
-//! What a writer sends over one link: to all matched readers of one participant.
+//! The state of a writer for one link, that is for all matched readers of one participant.
 //!
-//! A sample goes over a link once, for all readers there. What a reader lacks is sent again to that reader alone.
+//! A sample is sent over a link once, for all readers there. Missing samples of a reader are sent again only
+//! to that reader.
 
 use std::time::{Duration, Instant};
 
@@ -17,20 +18,20 @@ use super::outgoing::{MatchedReader, Outgoing, Sending};
 use super::pacer::Load;
 use super::part::{Part, fragment_count};
 
-/// Heartbeats that go along with samples are at least this far apart: at high rates not every sample is acknowledged.
+/// Minimum time between heartbeats that accompany samples: at high rates not every sample is acknowledged.
 const HEARTBEAT_PAUSE: Duration = Duration::from_millis(5);
-/// The first heartbeat of its own for what is not acknowledged; then twice as late each time.
+/// Delay of the first separate heartbeat for unacknowledged samples. It doubles each time.
 const HEARTBEAT_PERIOD: Duration = Duration::from_millis(20);
 const HEARTBEAT_PERIOD_MAX: Duration = Duration::from_secs(3);
-/// The same while a reader asks for something.
+/// The longest such delay while a reader requests samples.
 const REPAIR_PERIOD_MAX: Duration = Duration::from_millis(100);
-/// Where no window says when, a heartbeat goes along after so much data.
+/// Without a window, a heartbeat accompanies data after this many bytes.
 const HEARTBEAT_DATA: u64 = 64 * 1024;
-/// A link that a window holds back is given up on for now after so long without an acknowledgement.
+/// A link whose window is full is considered stalled after this time without an acknowledgement.
 const STALL: Duration = Duration::from_millis(100);
 /// Bytes of a heartbeat.
 const HEARTBEAT_LEN: usize = 32;
-/// Samples of one reader of which fragments may be asked for at a time.
+/// The most samples of a reader with pending requests for fragments.
 const MAX_FRAGMENTED: usize = 8;
 
 /// The state of one link of a writer.
@@ -38,35 +39,37 @@ const MAX_FRAGMENTED: usize = 8;
 pub(super) struct Lane {
     link: LinkId,
     pub readers: Vec<Outgoing>,
-    /// The first sample that is not wholly sent.
+    /// The first sample that is not completely sent.
     next: SequenceNumber,
-    /// How many fragments of `next` are sent.
+    /// Number of sent fragments of `next`.
     next_fragment: u32,
-    /// How much of the stream is sent, and how much of that all reliable readers have.
+    /// The position in the stream up to which samples are sent, and the position up to which all reliable
+    /// readers have acknowledged.
     sent: u64,
     acknowledged: u64,
-    /// When the acknowledgements last rose, or the first sample was sent after all had been acknowledged.
+    /// When the acknowledged position last advanced, or when the first sample was sent after everything had
+    /// been acknowledged.
     progress: Instant,
     /// When the next heartbeat is due.
     pub heartbeat_at: Option<Instant>,
     heartbeat_period: Duration,
-    /// A heartbeat is to be sent with the next datagram.
+    /// The heartbeat to send with the next datagram.
     heartbeat: HeartbeatWish,
     last_heartbeat: Option<Instant>,
-    /// How much of the stream was sent before the last heartbeat.
+    /// The sent position in the stream at the last heartbeat.
     heartbeat_sent: u64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum HeartbeatWish {
     None,
-    /// For an answer.
+    /// Requests an answer.
     Plain,
-    /// Also to say that the writer is alive.
+    /// Also asserts that the writer is alive.
     Liveliness,
 }
 
-/// The readers of a lane that get a sample.
+/// The readers of a lane that receive a sample.
 enum Audience {
     Nobody,
     Some(Guid),
@@ -74,7 +77,7 @@ enum Audience {
 }
 
 impl Lane {
-    /// A lane that sends what is written from now on.
+    /// Creates a lane that sends samples written from now on.
     pub fn new(link: LinkId, history: &History, now: Instant) -> Self {
         let sent = history.position(history.next());
         Self {
@@ -93,18 +96,18 @@ impl Lane {
         }
     }
 
-    /// The first sample that was not sent here at least once.
+    /// The first sample that was not sent on this lane.
     pub fn next(&self) -> SequenceNumber {
         self.next
     }
 
-    /// Whether nobody can wait for what is not sent here: the peer has stopped acknowledging.
+    /// Returns whether the peer has stopped acknowledging, so that samples need not be kept for it.
     pub fn is_stalled(&self, now: Instant, links: &Links) -> bool {
         let is_held = links.window_size(self.link).is_some() && self.acknowledged < self.sent;
         is_held && now.saturating_duration_since(self.progress) >= STALL
     }
 
-    /// Adds a reader. One that `moved` here from another link goes on with what it has acknowledged.
+    /// Adds a reader. A reader that `moved` from another link keeps its acknowledged position.
     pub fn add_reader(
         &mut self,
         matched: &MatchedReader,
@@ -140,8 +143,8 @@ impl Lane {
             }
             None => {
                 reader.begin(self.next, sending.history, depth);
-                // A new participant has nothing of what discovery has to say. Other reliable readers ask for what they
-                // lack once they know the writer.
+                // A new participant has no discovery data yet. Other reliable readers request what they miss
+                // once they know the writer.
                 if !matched.is_reliable || sending.writer.is_builtin() {
                     reader.repair.insert(reader.start.0..self.next.0);
                 }
@@ -153,7 +156,7 @@ impl Lane {
         links.request(self.link, sending.writer);
     }
 
-    /// The lane is of no use any more: gives back what it took of the window of its link.
+    /// Closes the lane and releases its share of the window of the link.
     pub fn close(&mut self, links: &mut Links) {
         self.readers.clear();
         self.set_acknowledged(self.sent, links);
@@ -166,7 +169,7 @@ impl Lane {
         Some(reader)
     }
 
-    /// A sample was written that is for nobody here; if nothing else waits, it is done with.
+    /// Skips a sample that is for no reader of this lane, if nothing before it waits.
     pub fn pass_over(&mut self, number: SequenceNumber, history: &History, links: &mut Links) -> bool {
         let is_idle = self.next == number && self.next_fragment == 0;
         if is_idle {
@@ -175,7 +178,7 @@ impl Lane {
         is_idle
     }
 
-    /// A sample was written: makes sure that a heartbeat follows if nobody acknowledges it.
+    /// Called after a sample was written. Schedules a heartbeat in case it is not acknowledged.
     pub fn note_written(&mut self, now: Instant) {
         if self.heartbeat_at.is_none() && self.has_reliable() {
             self.heartbeat_period = HEARTBEAT_PERIOD;
@@ -201,7 +204,7 @@ impl Lane {
         }
     }
 
-    /// Takes an acknowledgement of the reader at `index`.
+    /// Handles an acknowledgement of the reader at `index`.
     pub fn handle_ack_nack(
         &mut self,
         index: usize,
@@ -219,7 +222,7 @@ impl Lane {
         reader.has_answered = true;
         let asks = !ack_nack.missing.is_empty();
         if !asks && base <= SequenceNumber::FIRST {
-            // The first words of a reader, or it has forgotten what it had.
+            // The first acknowledgement of a reader, or the reader has lost its state.
             if reader.acknowledged > SequenceNumber::FIRST {
                 (reader.matched_next, reader.matched_position) = (next, self.sent);
                 reader.begin(next, history, depth);
@@ -239,14 +242,14 @@ impl Lane {
         self.update_acknowledged(now, links);
         self.arm(now, history);
         if asks {
-            // It is there and waits: should the repair be lost too, it learns of it soon.
+            // The reader is alive and waits: if the repair is lost as well, it should learn that soon.
             self.heartbeat_period = self.heartbeat_period.min(REPAIR_PERIOD_MAX);
             let soon = now + self.heartbeat_period;
             self.heartbeat_at = self.heartbeat_at.map(|at| at.min(soon));
         }
     }
 
-    /// Takes a request for fragments, or the acknowledgement of some, of the reader at `index`.
+    /// Handles a request for fragments, or an acknowledgement of fragments, of the reader at `index`.
     pub fn handle_nack_fragment(
         &mut self,
         index: usize,
@@ -267,7 +270,7 @@ impl Lane {
             return;
         };
         let count = fragment_count(entry, fragment_size);
-        // Below its limit fragments are sent already; those above will be anyway.
+        // Fragments below the limit were already sent; the others will be sent anyway.
         let limit = match reader.repaired_fragments {
             _ if number == next => next_fragment,
             Some((repaired, fragments)) if repaired == number => fragments,
@@ -320,7 +323,7 @@ impl Lane {
         match self.emit_new(sending, links, builder) {
             Emitted::More => {
                 if self.data_since_heartbeat() >= self.heartbeat_data(links) {
-                    // If it does not fit here, then into the next datagram.
+                    // If it does not fit, it is sent with the next datagram.
                     let _ = self.emit_heartbeats(sending, links, builder);
                 }
                 return Emitted::More;
@@ -335,7 +338,7 @@ impl Lane {
         }
     }
 
-    /// Sends what was not sent yet.
+    /// Writes samples that were not sent yet.
     fn emit_new(
         &mut self,
         sending: &Sending<'_>,
@@ -346,7 +349,8 @@ impl Lane {
         while self.next < history.next() {
             let Some(entry) = history.get(self.next) else {
                 let next = history.at_or_after(self.next);
-                // What was discarded is for nobody. What gave way unsent is lost: the next heartbeat says so.
+                // Discarded samples are for no reader. Samples that were replaced before they were sent are
+                // lost, which the next heartbeat reports.
                 let is_discarded = self.next > history.first();
                 self.skip(next, |_| is_discarded, history, links);
                 continue;
@@ -394,7 +398,7 @@ impl Lane {
                 self.next_fragment += 1;
                 self.set_sent(entry.position + part.end(), links);
             }
-            // In the middle of a large sample, and of a flood of small ones, acknowledgements have to be asked for.
+            // Within a large sample or a long series of small ones, acknowledgements must be requested.
             if self.data_since_heartbeat() >= self.heartbeat_data(links) && self.has_reliable() {
                 self.heartbeat = self.heartbeat.max(HeartbeatWish::Plain);
                 if builder.remaining() < 2 * HEARTBEAT_LEN || self.next_fragment > 0 {
@@ -405,7 +409,7 @@ impl Lane {
         Emitted::Done
     }
 
-    /// Goes on to `next`. The readers for whom what lies before it `is_nothing` need not acknowledge it.
+    /// Advances to `next`. Readers for which everything before it `is_nothing` need not acknowledge it.
     fn skip(
         &mut self,
         next: SequenceNumber,
@@ -432,7 +436,7 @@ impl Lane {
         }
     }
 
-    /// Whether a heartbeat is due, now that all was sent that can be.
+    /// Returns whether a heartbeat is due, after everything was sent that can be sent.
     fn wish_heartbeat(&mut self, sending: &Sending<'_>, emitted: Emitted, links: &Links) -> bool {
         let now = sending.now;
         if self.heartbeat > HeartbeatWish::None || self.readers.iter().any(|reader| reader.heartbeat) {
@@ -454,7 +458,7 @@ impl Lane {
         false
     }
 
-    /// Sends the heartbeats that are due; `false` if one does not fit.
+    /// Writes the heartbeats that are due. Returns `false` if one does not fit.
     fn emit_heartbeats(
         &mut self,
         sending: &mut Sending<'_>,
@@ -496,7 +500,7 @@ impl Lane {
             *sending.heartbeats = heartbeat.count;
             self.heartbeat = HeartbeatWish::None;
         }
-        // Between participants of this engine, the fragments of a sample under way are acknowledged as well.
+        // Between participants of this engine, fragments of an incomplete sample are acknowledged as well.
         if self.next_fragment > 0 && self.has_reliable() && links.window_size(self.link).is_some() {
             let fragments = HeartbeatFragment {
                 reader: heartbeat.reader,
@@ -521,11 +525,11 @@ impl Lane {
         self.sent.saturating_sub(self.heartbeat_sent)
     }
 
-    /// After how much data a heartbeat goes along even if more data wait.
+    /// Number of bytes after which a heartbeat is sent even if more data wait.
     fn heartbeat_data(&self, links: &Links) -> u64 {
         match links.window_size(self.link) {
             Some(window) => window / 4,
-            // Stock readers do not acknowledge fragments.
+            // Readers of other engines do not acknowledge fragments.
             None if self.next_fragment > 0 => u64::MAX,
             None => HEARTBEAT_DATA,
         }
@@ -539,7 +543,7 @@ impl Lane {
         self.readers.iter().any(|reader| reader.is_behind(history))
     }
 
-    /// After an acknowledgement: the next heartbeat comes in the shortest period again, or not at all.
+    /// Reschedules the heartbeat after an acknowledgement: after the shortest period again, or not at all.
     fn arm(&mut self, now: Instant, history: &History) {
         if !self.is_behind(history) {
             self.heartbeat_at = None;
@@ -570,7 +574,7 @@ impl Lane {
         links.change_in_flight(self.link, before, self.in_flight());
     }
 
-    /// How much of the stream all reliable readers have.
+    /// The position in the stream up to which all reliable readers have acknowledged.
     fn lowest_position(&self) -> u64 {
         let reliable = self.readers.iter().filter(|reader| reader.is_reliable);
         reliable.map(|reader| reader.position).min().map_or(self.sent, |lowest| lowest.min(self.sent))

@@ -1,4 +1,4 @@
-//! Where datagrams go to, and who has something to send there.
+//! The destinations of datagrams, and the endpoints that have something to send there.
 
 use std::collections::VecDeque;
 use std::net::SocketAddrV4;
@@ -8,25 +8,25 @@ use crate::wire::{EntityId, GuidPrefix};
 
 use super::pacer::{Load, Pacer, Permit};
 
-/// What headers, inline QoS and a heartbeat take of a datagram beside a fragment.
+/// Bytes of headers, inline QoS and a heartbeat in a datagram with a fragment.
 const OVERHEAD: usize = 200;
 
-/// Names one of the [`Links`].
+/// Identifies one of the [`Links`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LinkId(u32);
 
-/// Where a datagram goes.
+/// The destination of a datagram.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Destination {
     /// One socket.
     Unicast(SocketAddrV4),
-    /// A group, by every interface.
+    /// A multicast group, on every interface.
     Multicast(SocketAddrV4),
     /// This participant itself.
     Own,
 }
 
-/// What is known about a destination.
+/// Properties of a destination.
 #[derive(Debug, Clone, Copy)]
 pub struct LinkOptions {
     pub destination: Destination,
@@ -40,26 +40,26 @@ pub struct LinkOptions {
     pub receive_buffer: Option<u32>,
 }
 
-/// What an endpoint did with a datagram.
+/// The result of letting an endpoint write to a datagram.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Emitted {
     /// Everything is sent.
     Done,
-    /// The datagram is full, and there is more.
+    /// The datagram is full, and there is more to send.
     More,
-    /// There is more, which waits for its time or for an acknowledgement. The datagram may be filled by others.
+    /// The rest waits for its time or for an acknowledgement. Others may fill the datagram.
     Blocked,
 }
 
-/// All destinations of a participant, each with the queue of the endpoints that have something to send there.
+/// All destinations of a participant, each with a queue of the endpoints that have something to send there.
 ///
-/// Endpoints [request](Links::request) to send. Whoever sends datagrams takes a link ([`Links::next`]), takes its senders
-/// ([`Links::pop`]), lets them fill the datagram and [puts them back](Links::put_back) with what they returned. Links, and
-/// senders of a link, take turns.
+/// Endpoints [request](Links::request) to send. To send datagrams, take a link ([`Links::next`]), take its
+/// senders ([`Links::pop`]), let them fill the datagram and [put them back](Links::put_back) with what they
+/// returned. Links take turns, and so do the senders of a link.
 #[derive(Debug, Default)]
 pub struct Links {
     links: Vec<Option<Link>>,
-    /// Links that have ready senders, in their turn.
+    /// Links with ready senders, in the order of their turns.
     ready: VecDeque<LinkId>,
     /// Links with senders that wait for the pacer.
     paced: Vec<LinkId>,
@@ -73,12 +73,12 @@ struct Link {
     is_in_line: bool,
     /// Endpoints that wait for the pacer or for an acknowledgement.
     blocked: Vec<EntityId>,
-    /// When the pacer opens.
+    /// When the pacer permits sending.
     opens: Option<Instant>,
 }
 
 impl Links {
-    /// No links yet.
+    /// Creates an empty collection.
     pub fn new() -> Self {
         Self::default()
     }
@@ -106,7 +106,7 @@ impl Links {
         LinkId(free as u32)
     }
 
-    /// Leads a link to another address of the same peer.
+    /// Changes the address of a link to another address of the same peer.
     pub fn redirect(&mut self, id: LinkId, destination: Destination, max_datagram: usize) {
         if let Some(link) = self.get_mut(id) {
             link.options.destination = destination;
@@ -115,7 +115,7 @@ impl Links {
         }
     }
 
-    /// Removes a destination. Whoever used it must be unmatched before: the id will be given to another one.
+    /// Removes a destination. Its users must be unmatched before, because the id is reused.
     pub fn close(&mut self, id: LinkId) {
         if let Some(link) = self.links.get_mut(id.0 as usize) {
             *link = None;
@@ -124,12 +124,12 @@ impl Links {
         self.paced.retain(|paced| *paced != id);
     }
 
-    /// Where the link leads; `None` if it is closed.
+    /// The destination of the link; `None` if it is closed.
     pub fn destination(&self, id: LinkId) -> Option<Destination> {
         Some(self.get(id)?.options.destination)
     }
 
-    /// The participant there.
+    /// The participant at the destination.
     pub fn peer(&self, id: LinkId) -> GuidPrefix {
         self.get(id).map_or(GuidPrefix::UNKNOWN, |link| link.options.peer)
     }
@@ -144,7 +144,7 @@ impl Links {
         self.get(id).map_or(1, |link| link.options.fragment_size)
     }
 
-    /// Notes that `sender` has something to send.
+    /// Records that `sender` has something to send.
     pub fn request(&mut self, id: LinkId, sender: EntityId) {
         let Some(link) = self.links.get_mut(id.0 as usize).and_then(Option::as_mut) else { return };
         if !link.ready.contains(&sender) {
@@ -169,7 +169,7 @@ impl Links {
         Some(id)
     }
 
-    /// The next sender of a link; `None` if nobody else has something to send now.
+    /// The next sender of a link; `None` if no other has something to send now.
     pub fn pop(&mut self, id: LinkId) -> Option<EntityId> {
         let link = self.links.get_mut(id.0 as usize)?.as_mut()?;
         let sender = link.ready.pop_front();
@@ -195,7 +195,7 @@ impl Links {
         }
     }
 
-    /// When the next pacer opens.
+    /// When the next pacer permits sending.
     pub fn next_timeout(&self) -> Option<Instant> {
         self.paced.iter().filter_map(|id| self.get(*id)?.opens).min()
     }
@@ -208,22 +208,24 @@ impl Links {
         }
     }
 
-    /// How much may be on its way to the peer, if acknowledgements pace the link.
+    /// The most unacknowledged bytes in flight to the peer, if acknowledgements pace the link.
     pub(super) fn window_size(&self, id: LinkId) -> Option<u64> {
         self.get(id)?.pacer.window_size()
     }
 
-    /// Whether `bytes` that will be acknowledged may be sent for the first time. If not, the sender is woken when they may.
+    /// Returns whether `bytes` that will be acknowledged may be sent for the first time. If not, the sender
+    /// is woken when they may be sent.
     pub(super) fn may_send_reliable(&mut self, id: LinkId, now: Instant, load: Load, bytes: usize) -> bool {
         self.ask(id, |pacer| pacer.ask_window(now, load, bytes))
     }
 
-    /// Whether `bytes` may be sent that nobody acknowledges, or again. If not, the sender is woken when they may.
+    /// Returns whether `bytes` may be sent that are not acknowledged or are sent again. If not, the sender is
+    /// woken when they may be sent.
     pub(super) fn may_send(&mut self, id: LinkId, now: Instant, load: Load, bytes: usize) -> bool {
         self.ask(id, |pacer| pacer.ask_bucket(now, load, bytes))
     }
 
-    /// What one writer has on its way over this link has changed.
+    /// Updates the bytes that a writer has in flight over this link.
     pub(super) fn change_in_flight(&mut self, id: LinkId, before: u64, after: u64) {
         let Some(link) = self.get_mut(id) else { return };
         link.pacer.change_in_flight(before, after);
@@ -232,7 +234,7 @@ impl Links {
         }
     }
 
-    /// Something sent was asked for again.
+    /// Records that sent data was requested again.
     pub(super) fn lose(&mut self, id: LinkId, now: Instant) {
         if let Some(link) = self.get_mut(id) {
             link.pacer.lose(now);
@@ -254,7 +256,7 @@ impl Links {
         false
     }
 
-    /// Makes those ready that were blocked.
+    /// Makes blocked senders ready.
     fn wake(&mut self, id: LinkId) {
         self.paced.retain(|paced| *paced != id);
         let Some(link) = self.get_mut(id) else { return };
@@ -322,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn a_blocked_sender_is_woken_when_the_pacer_opens() {
+    fn a_blocked_sender_is_woken_when_the_pacer_permits() {
         let (mut links, now) = (Links::new(), Instant::now());
         let link = links.open(options(1));
         links.request(link, sender(1));

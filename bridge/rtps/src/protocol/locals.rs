@@ -1,23 +1,24 @@
-//! Own endpoints, builtin ones among them, and the indexes by which datagrams and matches find them.
+//! Local endpoints including builtin ones, with indexes for datagrams and matches.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::{Reader, Writer};
 use crate::wire::{EndpointData, EntityId, Guid};
 
-/// An endpoint of ours.
+/// A local endpoint.
 #[derive(Debug)]
 pub(crate) struct Local<E> {
     pub(crate) data: EndpointData,
     pub(crate) machine: E,
     pub(crate) matched: BTreeSet<Guid>,
-    /// Reliable readers that are matched with a writer and have not answered yet: they may not know of it.
+    /// Reliable readers that are matched with a writer and have not answered yet: they may not know the
+    /// writer.
     pub(crate) unanswered: BTreeSet<Guid>,
-    /// Endpoints of the same topic that it was reported not to match.
+    /// Endpoints of the same topic for which a mismatch was reported.
     pub(crate) refused: BTreeSet<Guid>,
-    /// Whether writers that a reader is matched with are alive, of those that were heard of.
+    /// Whether the matched writers of a reader are alive, for those whose liveliness is known.
     pub(crate) liveliness: BTreeMap<Guid, bool>,
-    /// Whether a write was refused and the event that the window is open again is still owed.
+    /// Whether a write was refused and the event that the window is open again is still to be reported.
     pub(crate) is_full: bool,
 }
 
@@ -35,14 +36,14 @@ impl<E> Local<E> {
     }
 }
 
-/// All own endpoints.
+/// All local endpoints.
 #[derive(Debug, Default)]
 pub(crate) struct Locals {
     pub(crate) writers: BTreeMap<EntityId, Local<Writer>>,
     pub(crate) readers: BTreeMap<EntityId, Local<Reader>>,
-    /// Without the builtin ones.
+    /// Without builtin endpoints.
     by_topic: BTreeMap<String, Vec<EntityId>>,
-    /// The readers to which a message without the name of a reader goes.
+    /// The readers of a message that does not name a reader, by writer.
     readers_of: BTreeMap<Guid, Vec<EntityId>>,
 }
 
@@ -100,7 +101,7 @@ impl Locals {
         self.by_topic.get(topic).cloned().unwrap_or_default()
     }
 
-    /// Those of the user.
+    /// The endpoints of the user.
     pub(crate) fn announced(&self) -> impl Iterator<Item = &EndpointData> {
         self.by_topic.values().flatten().filter_map(|id| self.data(*id))
     }

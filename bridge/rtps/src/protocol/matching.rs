@@ -1,4 +1,4 @@
-//! Which endpoints talk to which.
+//! Matching of endpoints.
 
 use super::{Admission, Event, LivelinessChange, MatchedReader, MatchedWriter, Now, Participant};
 use crate::{
@@ -12,7 +12,7 @@ enum Verdict {
     Match,
     OtherType,
     Incompatible(Policy),
-    /// In another partition, or not admitted: not for each other, which is nobody's fault.
+    /// In different partitions, or not admitted. Not reported as incompatible.
     Apart,
 }
 
@@ -37,7 +37,7 @@ fn is_reliable(data: &EndpointData) -> bool {
 }
 
 impl Participant {
-    /// Matches a new endpoint of ours with all of its topic.
+    /// Matches a new local endpoint with all endpoints of its topic.
     pub(super) fn match_local(&mut self, now: Now, id: EntityId) {
         let Some(data) = self.locals.data(id) else { return };
         let (own, topic) = (data.guid, data.topic.clone());
@@ -52,7 +52,7 @@ impl Participant {
         }
     }
 
-    /// Matches a new or changed endpoint of another participant with all of ours of its topic.
+    /// Matches a new or changed remote endpoint with all local endpoints of its topic.
     pub(super) fn match_remote(&mut self, now: Now, guid: Guid) {
         let Some(remote) = self.peers.endpoint(guid) else { return };
         for local in self.locals.on_topic(&remote.data.topic) {
@@ -64,7 +64,7 @@ impl Participant {
         let verdict = self.verdict(local, remote);
         let is_matched = self.locals.matched(local).is_some_and(|matched| matched.contains(&remote));
         match verdict {
-            // Also if it is matched: the policies may have changed.
+            // Also if it is already matched: the policies may have changed.
             Some(Verdict::Match) => self.connect(now, local, remote, is_matched),
             _ if is_matched => {
                 if let Some(known) = self.peers.endpoint_mut(remote) {
@@ -140,7 +140,7 @@ impl Participant {
             }
             match self.locals.writers.get_mut(&local).filter(|_| is_reliable) {
                 Some(writer) => _ = writer.unanswered.insert(remote),
-                // Before what follows from the match: a sample that waited, a change of liveliness.
+                // Before the consequences of the match, such as a waiting sample or a change of liveliness.
                 None => self.events.push_back(Event::Matched { local, remote }),
             }
         }
@@ -152,7 +152,8 @@ impl Participant {
         }
     }
 
-    /// A reader has acknowledged something, so it knows our writer: what is written from now on reaches it.
+    /// Handles the first acknowledgement of a reader: it knows the writer, so samples written from now on
+    /// reach it.
     pub(super) fn note_acquaintance(&mut self, local: EntityId, remote: Guid) {
         let writer = self.locals.writers.get_mut(&local).filter(|writer| !writer.unanswered.is_empty());
         if writer.is_some_and(|writer| writer.unanswered.remove(&remote)) {
@@ -160,7 +161,7 @@ impl Participant {
         }
     }
 
-    /// Parts an endpoint of ours from another. The caller updates what the other is noted to match.
+    /// Unmatches a local endpoint from another. The caller updates the matches of the other endpoint.
     pub(super) fn unmatch(&mut self, now: Now, local: EntityId, remote: Guid) {
         if !self.locals.matched_mut(local).is_some_and(|matched| matched.remove(&remote)) {
             return;
@@ -187,7 +188,7 @@ impl Participant {
         self.events.push_back(Event::Unmatched { local, remote });
     }
 
-    /// Parts an endpoint of ours, which is about to be removed, from all others.
+    /// Unmatches a local endpoint, which is about to be removed, from all others.
     pub(super) fn unmatch_local(&mut self, now: Now, id: EntityId) {
         let own = Guid::new(self.config.prefix, id);
         for remote in self.matched(id) {

@@ -1,7 +1,8 @@
 //! The protocol as a state machine: no sockets, no clock, no threads.
 //!
-//! Datagrams, timeouts and the time go in; datagrams, events and the time of the next timeout come out. [`Participant`] is
-//! the whole of it; [`Writer`] and [`Reader`] are its parts, which stand alone in tests.
+//! Its inputs are datagrams, timeouts and the time; its outputs are datagrams, events and the time of the
+//! next timeout. [`Participant`] is the complete state machine; [`Writer`] and [`Reader`] are parts of it,
+//! which tests use separately.
 
 mod addresses;
 mod assembly;

@@ -1,11 +1,11 @@
-//! The time, as callers hand it in.
+//! The time, which callers pass in.
 
 use std::time::Instant;
 
 /// The two clocks of one moment.
 ///
-/// The steady clock decides every timer. The wall clock only stamps and expires samples, so that a step of it (a time server,
-/// a user) neither runs out leases nor starts storms of repetitions.
+/// Timers use the steady clock. The wall clock is only used for timestamps and expiry of samples, so that a
+/// step of it (by a time server or a user) neither ends leases nor causes retransmissions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Now {
     /// The steady clock.

@@ -1,4 +1,4 @@
-//! What a writer knows about one reader: what it has, and what is to be sent to it again.
+//! The state of a writer for one matched reader: acknowledged samples, and samples to be sent again.
 
 use std::time::Instant;
 
@@ -19,11 +19,11 @@ pub struct MatchedReader {
     pub is_reliable: bool,
     /// Whether both are transient local.
     pub wants_history: bool,
-    /// Where the reader is.
+    /// The link to the reader.
     pub link: LinkId,
 }
 
-/// What all lanes of a writer share while they send.
+/// State that all lanes of a writer share while they send.
 pub(super) struct Sending<'a> {
     pub now: Instant,
     pub writer: EntityId,
@@ -42,40 +42,43 @@ pub(super) struct Outgoing {
     pub start: SequenceNumber,
     /// The first sample that this reader has not acknowledged.
     pub acknowledged: SequenceNumber,
-    /// The same in the stream: parts of a sample count. Never below what was sent when the reader was matched: sending
-    /// it the history is not held against the window.
+    /// The acknowledged position in the stream, including parts of a sample. At least the sent position at
+    /// the time of the match, so that sending the history does not use the window.
     pub position: u64,
-    /// How much had been sent when the reader was matched.
+    /// The sent position in the stream at the time of the match.
     pub matched_position: u64,
-    /// The first sample to be sent after the reader was matched.
+    /// The next sample to be sent at the time of the match.
     pub matched_next: SequenceNumber,
-    /// Samples to be sent again, and how many fragments of the first of them already are.
+    /// Samples to be sent again, and the number of fragments of the first one that were already sent again.
     pub repair: Intervals,
     pub repaired_fragments: Option<(SequenceNumber, u32)>,
     /// Fragments to be sent again.
     pub fragments: Vec<(SequenceNumber, FragmentSet)>,
-    /// The first of some samples that were not for this reader, which does not know yet.
+    /// The first of consecutive samples that were not for this reader and for which it has not received a GAP
+    /// yet.
     pub gap_from: Option<SequenceNumber>,
     /// A heartbeat to this reader is due.
     pub heartbeat: bool,
-    /// Whether the reader has acknowledged anything: it knows the writer then. Until it does heartbeats are repeated.
+    /// Whether the reader has acknowledged anything, so that it knows the writer. Until then heartbeats are
+    /// repeated.
     pub has_answered: bool,
     pub last_ack_nack: LastCount,
     pub last_nack_fragment: LastCount,
 }
 
 impl Outgoing {
-    /// Whether the reader has yet to acknowledge something, its match at least.
+    /// Returns whether the reader has yet to acknowledge something, at least its match.
     pub fn is_behind(&self, history: &History) -> bool {
         self.is_reliable && (!self.has_answered || self.acknowledged < history.next())
     }
 
-    /// Whether the reader has yet to acknowledge the sample `number`.
+    /// Returns whether the reader has yet to acknowledge the sample `number`.
     pub fn lacks(&self, number: SequenceNumber) -> bool {
         self.is_reliable && self.acknowledged <= number
     }
 
-    /// Begins with what the reader is due: the newest samples if it wants history, else what it has not acknowledged.
+    /// Sets the first sample for the reader: the newest samples if it wants the history, otherwise those that
+    /// it has not acknowledged.
     pub fn begin(&mut self, next: SequenceNumber, history: &History, depth: usize) {
         if self.wants_history {
             self.start = history.newest(depth).min(next);
@@ -99,10 +102,10 @@ impl Outgoing {
         self.fragments.retain(|(number, _)| *number >= base);
     }
 
-    /// Notes what is to be sent again; whether some of it was lost on the way.
+    /// Records samples to be sent again. Returns whether some were lost in the network.
     pub fn request(&mut self, missing: &SequenceNumberSet, next: SequenceNumber) -> bool {
         self.repair.clear();
-        // A sample that is being sent again stays in the list, though the reader asks for its fragments by now.
+        // A sample that is being sent again stays in the list, even if the reader now requests its fragments.
         if let Some((number, _)) = self.repaired_fragments.filter(|(number, _)| *number >= missing.base()) {
             self.repair.insert(number.0..number.0 + 1);
         }
@@ -118,7 +121,7 @@ impl Outgoing {
         self.heartbeat || !self.repair.is_empty() || !self.fragments.is_empty()
     }
 
-    /// Sends again what was asked for.
+    /// Writes samples that were requested again.
     pub fn emit_repairs(
         &mut self,
         sending: &Sending<'_>,
@@ -177,13 +180,13 @@ impl Outgoing {
         Emitted::Done
     }
 
-    /// Whether the sample is for this reader.
+    /// Returns whether the sample is for this reader.
     pub fn is_due(&self, entry: &Entry) -> bool {
         entry.number >= self.start && entry.only_to.is_none_or(|only| only == self.guid)
     }
 
-    /// Says what becomes of the requests from `first` on that are for samples which will not come; `false` if that does not
-    /// fit.
+    /// Answers requests from `first` on for samples that are not available. Returns `false` if the answer
+    /// does not fit.
     pub fn emit_repair_gap(
         &mut self,
         first: SequenceNumber,
@@ -193,7 +196,8 @@ impl Outgoing {
     ) -> bool {
         let history = sending.history;
         if first >= self.start && first < history.first() {
-            // It gave way to newer ones. The heartbeat that says so counts as a loss at the reader, a gap would not.
+            // Replaced by newer samples. The reader counts them as lost with the next heartbeat, which it
+            // would not do for a GAP.
             self.repair.remove(0..history.first().0);
             self.heartbeat = true;
             return true;
@@ -218,7 +222,8 @@ impl Outgoing {
         true
     }
 
-    /// Tells the reader what was not for it before it gets `number`; `false` if that does not fit.
+    /// Writes a GAP for samples before `number` that are not for this reader. Returns `false` if it does not
+    /// fit.
     pub fn emit_gap_before(
         &mut self,
         number: SequenceNumber,

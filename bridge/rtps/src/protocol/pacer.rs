@@ -1,29 +1,31 @@
-//! How fast a peer may be sent to, so that its socket's receive buffer suffices.
+//! Limits the rate of sending to a peer, so that its receive buffer does not overflow.
 //!
-//! Two rules, because there are two kinds of peers:
+//! There are two rules for two kinds of peers:
 //!
-//! - **A window** for those that announce the size of their receive buffer (participants of this engine): half of it may be on its
-//!   way, and acknowledgements open it again.
-//! - **A token bucket** for all others and for what nobody acknowledges. Stock peers have 208 KiB of buffer, in which the
-//!   kernel counts its own bookkeeping, and read it with pauses of some milliseconds. So the burst is small, and the rate
-//!   is what such a buffer takes; it falls where fragments are asked for again, and rises only under a load that it holds
-//!   back without a pause.
+//! - **A window** for those that announce the size of their receive buffer (participants of this engine):
+//!   half of it may be in flight, and acknowledgements open it again.
+//! - **A token bucket** for all others and for data that is not acknowledged. Other peers have a buffer of
+//!   208 KiB, which includes the kernel's bookkeeping, and read it with pauses of some milliseconds. The
+//!   burst is therefore small, and the rate is one that such a buffer can handle. It falls when fragments are
+//!   requested again, and rises only while it limits the load without a pause.
 
 use std::time::{Duration, Instant};
 
-/// What the kernel counts for a datagram beside its bytes, rounded up.
+/// Overhead that the kernel counts for a datagram, rounded up.
 const DATAGRAM_COST: f64 = 768.0;
 
-/// Bytes at once to a peer of unknown buffer. Two fragments of 32 kB fit.
+/// Burst in bytes to a peer with an unknown buffer. Two fragments of 32 kB fit.
 const STOCK_BURST: f64 = 72.0 * 1024.0;
-/// Bytes per second to a peer of unknown buffer, at first. 921 600 bytes at 30 Hz are 27.6 MB/s.
+/// Initial rate in bytes per second to a peer with an unknown buffer. For comparison, 921 600 bytes at 30 Hz
+/// are 27.6 MB/s.
 const STOCK_RATE: f64 = 40e6;
 const STOCK_RATE_MIN: f64 = 32e6;
-/// The same of a peer with a known buffer, per byte of that: without a word from it, it is given 3 ms to fall behind.
+/// Initial rate to a peer with a known buffer, per byte of the buffer: without acknowledgements the peer may
+/// fall behind by 3 ms.
 const KNOWN_RATE_PER_BYTE: f64 = 80.0;
 const RATE_MAX: f64 = 2e9;
 
-/// The rate falls at most once in this time: what is asked for again was sent at the rate of before.
+/// The rate falls at most once in this time, because requested data may have been sent at the previous rate.
 const LOSS_PAUSE: Duration = Duration::from_millis(20);
 /// The rate rises after the link was saturated for this long.
 const BUSY_BEFORE_RISE: Duration = Duration::from_millis(300);
@@ -34,23 +36,23 @@ pub(super) enum Permit {
     Granted,
     /// Not before this time.
     At(Instant),
-    /// Not before an acknowledgement.
+    /// Only after an acknowledgement.
     OnAcknowledgement,
 }
 
-/// What is to be sent.
+/// The kind of data to send.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Load {
-    /// A small sample: it goes ahead of the queue, on credit.
+    /// A small sample, which is sent before the queue, on credit.
     Small,
-    /// Part of a large sample, or something sent again.
+    /// Part of a large sample, or data that is sent again.
     Bulk,
 }
 
-/// Measures what goes to one peer.
+/// Limits what is sent to one peer.
 #[derive(Debug)]
 pub(super) enum Pacer {
-    /// Our own participant, which takes everything at once.
+    /// The local participant, without limits.
     Unlimited,
     Limited(Limits),
 }
@@ -64,7 +66,7 @@ pub(super) struct Limits {
 #[derive(Debug)]
 struct Window {
     size: u64,
-    /// What was sent by all writers of the participant and is not acknowledged.
+    /// Unacknowledged bytes of all writers of the participant.
     in_flight: u64,
 }
 
@@ -95,7 +97,7 @@ impl Pacer {
         Self::Limited(Limits { bucket, window })
     }
 
-    /// How much may be on its way, if acknowledgements pace this link.
+    /// The most unacknowledged bytes, if acknowledgements pace this link.
     pub fn window_size(&self) -> Option<u64> {
         match self {
             Self::Limited(Limits { window: Some(window), .. }) => Some(window.size),
@@ -103,12 +105,12 @@ impl Pacer {
         }
     }
 
-    /// Asks the window for `bytes`. Where there is none, the bucket.
+    /// Requests `bytes` from the window, or from the bucket if there is no window.
     pub fn ask_window(&mut self, now: Instant, load: Load, bytes: usize) -> Permit {
         let Self::Limited(Limits { window: Some(window), .. }) = self else {
             return self.ask_bucket(now, load, bytes);
         };
-        // Small samples have a quarter of their own, so that an image does not hold them up.
+        // A quarter of the window is reserved for small samples, so that an image does not delay them.
         let size = if load == Load::Small { window.size / 4 * 5 } else { window.size };
         match window.in_flight == 0 || window.in_flight + bytes as u64 <= size {
             true => Permit::Granted,
@@ -116,7 +118,7 @@ impl Pacer {
         }
     }
 
-    /// Asks the bucket for `bytes`, and takes them if granted.
+    /// Requests `bytes` from the bucket and takes them if granted.
     pub fn ask_bucket(&mut self, now: Instant, load: Load, bytes: usize) -> Permit {
         match self {
             Self::Unlimited => Permit::Granted,
@@ -124,14 +126,14 @@ impl Pacer {
         }
     }
 
-    /// What one writer has on its way changed.
+    /// Updates the bytes that a writer has in flight.
     pub fn change_in_flight(&mut self, before: u64, after: u64) {
         if let Self::Limited(Limits { window: Some(window), .. }) = self {
             window.in_flight = (window.in_flight + after).saturating_sub(before);
         }
     }
 
-    /// Something sent was asked for again.
+    /// Records that sent data was requested again.
     pub fn lose(&mut self, now: Instant) {
         if let Self::Limited(limits) = self {
             limits.bucket.lose(now);
@@ -143,7 +145,7 @@ impl Bucket {
     fn take(&mut self, now: Instant, load: Load, bytes: usize) -> Permit {
         self.fill(now);
         let cost = bytes as f64 + DATAGRAM_COST;
-        // Credit is what a whole bucket brings, so small samples alone are held to the rate as well.
+        // The credit is one full bucket, so small samples alone are limited to the rate as well.
         let credit = if load == Load::Small { self.burst } else { 0.0 };
         let missing = cost.min(self.burst) - self.tokens - credit;
         if missing <= 0.0 {
@@ -155,7 +157,7 @@ impl Bucket {
             self.busy_since = None;
         }
         self.busy_since.get_or_insert(now);
-        // Rounded up, so that nobody is woken for nothing.
+        // Rounded up to avoid waking a sender too early.
         Permit::At(now + Duration::from_secs_f64(missing / self.rate) + Duration::from_micros(1))
     }
 
@@ -206,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn small_samples_go_on_credit() {
+    fn small_samples_are_sent_on_credit() {
         let (mut pacer, start) = (Pacer::new(None), Instant::now());
         send(&mut pacer, start, MS / 1000, 32_000);
         assert_eq!(pacer.ask_bucket(start, Load::Small, 100), Permit::Granted);
@@ -215,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rate_falls_with_losses_and_rises_only_under_lasting_load() {
+    fn the_rate_falls_with_losses_and_rises_only_under_sustained_load() {
         let (mut pacer, mut now) = (Pacer::new(None), Instant::now());
         pacer.lose(now);
         pacer.lose(now);
@@ -241,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn a_window_is_opened_by_acknowledgements() {
+    fn acknowledgements_open_the_window() {
         let (mut pacer, now) = (Pacer::new(Some(1 << 20)), Instant::now());
         pacer.change_in_flight(0, 500_000);
         assert_eq!(pacer.ask_window(now, Load::Bulk, 64_000), Permit::OnAcknowledgement);

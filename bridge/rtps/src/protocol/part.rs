@@ -1,11 +1,11 @@
-//! A sample on its way into a datagram: whole, or one fragment of it.
+//! A sample, or one fragment of it, that is written to a datagram.
 
 use crate::wire::{Data, DataFragment, EntityId, MessageBuilder};
 
 use super::history::Entry;
 use super::pacer::Load;
 
-/// Samples up to this size go ahead of the queue of a pacer.
+/// Samples up to this size are sent before the queue of a pacer.
 const SMALL: usize = 4096;
 
 impl Load {
@@ -21,13 +21,13 @@ pub(super) enum Part {
     Fragment { number: u32, size: u16 },
 }
 
-/// How many fragments a sample is cut into.
+/// Returns the number of fragments of a sample.
 pub(super) fn fragment_count(entry: &Entry, fragment_size: u16) -> u32 {
     entry.payload.len().div_ceil(fragment_size.into()) as u32
 }
 
 impl Part {
-    /// What to send of a sample if `fragment` is next.
+    /// Returns the part of a sample to send if `fragment` is next.
     pub fn of(entry: &Entry, fragment_size: u16, fragment: u32) -> Self {
         match entry.payload.len() > usize::from(fragment_size) {
             true => Self::Fragment { number: fragment, size: fragment_size },
@@ -35,7 +35,7 @@ impl Part {
         }
     }
 
-    /// Where it begins and ends in the payload.
+    /// The range of the part in the payload.
     pub fn range(self, entry: &Entry) -> std::ops::Range<usize> {
         match self {
             Self::Whole => 0..entry.payload.len(),
@@ -62,7 +62,7 @@ impl Part {
     }
 
     pub fn fits(self, entry: &Entry, builder: &MessageBuilder<'_>) -> bool {
-        // Info of the time may have to go in front, and zeros up to a multiple of four behind.
+        // A timestamp may precede the part, and zeros up to a multiple of four may follow.
         const REST: usize = 16;
         let overhead = match self {
             Self::Whole => MessageBuilder::DATA_OVERHEAD,
@@ -71,7 +71,7 @@ impl Part {
         builder.remaining() >= overhead + entry.inline_qos.encoded_len() + self.len(entry) + REST
     }
 
-    /// Writes it; the caller knows that it fits.
+    /// Writes the part. The caller ensures that it fits.
     pub fn emit(self, entry: &Entry, reader: EntityId, writer: EntityId, builder: &mut MessageBuilder<'_>) {
         builder.info_timestamp(Some(entry.timestamp));
         let (number, inline_qos) = (entry.number, entry.inline_qos);

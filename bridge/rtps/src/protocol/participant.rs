@@ -1,4 +1,4 @@
-//! The engine: one participant of a domain, with its endpoints.
+//! One participant of a domain with its endpoints.
 
 use std::{
     collections::VecDeque,
@@ -23,16 +23,17 @@ use crate::{
     wire::{EndpointData, EntityId, Guid, GuidPrefix, ParticipantData, SequenceNumber},
 };
 
-/// Payload of a fragment to own endpoints, which lose nothing.
+/// Payload of a fragment to local endpoints, where nothing is lost.
 const OWN_FRAGMENT: u16 = 60_000;
 
-/// A longer time than this without a call means that the process was suspended: announcements alone call more often.
+/// A longer time than this without a call means that the process was suspended, because announcements cause
+/// more frequent calls.
 const SUSPENSION: Duration = Duration::from_secs(2);
 
-/// Timers are not finer than this.
+/// The resolution of timers.
 const SHORTEST_TIMEOUT: Duration = Duration::from_micros(50);
 
-/// Why a write is refused.
+/// Error of a write.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum WriteError {
     #[error("the writer does not exist")]
@@ -43,16 +44,18 @@ pub enum WriteError {
     Rejected,
 }
 
-/// Why an endpoint is not created.
+/// Error while creating an endpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum CreateError {
     #[error("no identities are left for endpoints of this participant")]
     TooMany,
-    #[error("the name of the topic or type, or the user data, exceed what peers of our kind accept")]
+    #[error(
+        "the name of the topic or type, or the user data, is longer than participants of this engine accept"
+    )]
     Overlong,
 }
 
-/// When a part of the participant is to be called.
+/// The parts of the participant that have timers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) enum Timer {
     Announcement,
@@ -64,13 +67,14 @@ pub(super) enum Timer {
 /// A participant without sockets, clock or threads.
 ///
 /// After each call that takes the time, call [`Participant::poll_transmit`] until it returns `None`, then
-/// [`Participant::poll_event`] likewise, and call again at [`Participant::next_timeout`].
+/// [`Participant::poll_event`] until it returns `None`, and call [`Participant::handle_timeout`] at
+/// [`Participant::next_timeout`].
 pub struct Participant {
     pub(super) config: Config,
     pub(super) locals: Locals,
     pub(super) peers: Peers,
     pub(super) links: Links,
-    /// The link to own endpoints.
+    /// The link to local endpoints.
     pub(super) own: LinkId,
     pub(super) timers: Timers<Timer>,
     pub(super) announcer: Announcer,
@@ -80,11 +84,11 @@ pub struct Participant {
     pub(super) counters: Counters,
     pub(super) warnings: Warnings,
     pub(super) guard: Option<Box<dyn Guard>>,
-    /// Until then no lease runs out: after a suspension everybody's announcements have yet to come.
+    /// No lease ends before this time: after a suspension the announcements of all others have yet to arrive.
     pub(super) grace_until: Instant,
     latest_call: Instant,
     latest_key: u32,
-    /// Kept for its allocation.
+    /// Kept to reuse its allocation.
     received: Vec<Received>,
 }
 
@@ -122,7 +126,7 @@ impl Participant {
         participant
     }
 
-    /// A participant whose messages and matches `guard` protects.
+    /// Creates a participant whose messages and matches `guard` protects.
     pub fn with_guard(config: Config, guard: Box<dyn Guard>, now: Now) -> Self {
         Self { guard: Some(guard), ..Self::new(config, now) }
     }
@@ -135,7 +139,7 @@ impl Participant {
         self.config.prefix
     }
 
-    /// Does what is due.
+    /// Runs the timers that are due.
     pub fn handle_timeout(&mut self, now: Now) {
         self.note_time(now);
         while let Some(timer) = self.timers.pop(now.steady) {
@@ -161,12 +165,12 @@ impl Participant {
         self.timers.next().into_iter().chain(pacers).min()
     }
 
-    /// What happened, oldest first.
+    /// Returns the oldest event that has not been returned yet.
     pub fn poll_event(&mut self) -> Option<Event> {
         self.events.pop_front()
     }
 
-    /// Follows interfaces that came or went.
+    /// Replaces the addresses after the interfaces have changed.
     pub fn set_addresses(&mut self, now: Now, addresses: Addresses) {
         self.note_time(now);
         if self.config.addresses != addresses {
@@ -199,13 +203,13 @@ impl Participant {
     }
 
     fn introduce(&mut self, now: Now, id: EntityId) {
-        // First the others hear of it, then it sends: data of a writer that they do not know would be lost on them.
+        // The announcement is sent before any data, because peers drop data of unknown writers.
         self.announce_endpoint(now, id);
         self.match_local(now, id);
         self.plan_liveliness(now);
     }
 
-    /// Removes an endpoint and announces that. Returns whether it existed.
+    /// Removes an endpoint and announces the removal. Returns whether it existed.
     pub fn remove_endpoint(&mut self, now: Now, id: EntityId) -> bool {
         self.note_time(now);
         if id.is_builtin() || self.locals.data(id).is_none() {
@@ -220,7 +224,7 @@ impl Participant {
         true
     }
 
-    /// Sends a sample, `payload` with its encapsulation in front, to all matched readers.
+    /// Sends a sample to all matched readers. `payload` includes the encapsulation header.
     pub fn write(
         &mut self,
         now: Now,
@@ -254,31 +258,31 @@ impl Participant {
         self.assert_manual_writer(now, writer);
     }
 
-    /// Whether every matched reliable reader has all that was written.
+    /// Returns whether every matched reliable reader has acknowledged all samples.
     pub fn is_acknowledged(&self, writer: EntityId) -> bool {
         self.locals.writers.get(&writer).is_none_or(|local| local.machine.is_acknowledged())
     }
 
-    /// Says farewell, after what still waits to be sent. Call [`Participant::poll_transmit`] until it returns `None`, and
-    /// nothing else afterwards.
+    /// Announces the departure after everything that waits to be sent. Afterwards call only
+    /// [`Participant::poll_transmit`] until it returns `None`.
     pub fn leave(&mut self, now: Now) {
         self.note_time(now);
         self.announcer.leave(&self.config.addresses, &self.peers);
         self.timers = Timers::new();
     }
 
-    /// Asks the guard again about a participant that had to wait, or about all matches with it.
+    /// Asks the guard again about a waiting participant, or about all matches with a participant.
     pub fn reconsider(&mut self, now: Now, prefix: GuidPrefix) {
         self.note_time(now);
         self.admit(now, prefix);
     }
 
-    /// The endpoints that one of ours is matched with.
+    /// Returns the endpoints that a local endpoint is matched with.
     pub fn matched(&self, id: EntityId) -> Vec<Guid> {
         self.locals.matched(id).into_iter().flatten().copied().collect()
     }
 
-    /// Endpoints of the other participants.
+    /// Returns the endpoints of the other participants.
     pub fn remote_endpoints(&self) -> impl Iterator<Item = &EndpointData> {
         self.peers.iter().flat_map(|(_, peer)| peer.endpoints.values()).map(|remote| &remote.data)
     }
@@ -291,7 +295,7 @@ impl Participant {
         self.peers.iter().map(|(_, peer)| &peer.data)
     }
 
-    /// Endpoints made by [`Participant::create_writer`] and [`Participant::create_reader`].
+    /// Returns the endpoints created by [`Participant::create_writer`] and [`Participant::create_reader`].
     pub fn own_endpoints(&self) -> impl Iterator<Item = &EndpointData> {
         self.locals.announced()
     }
@@ -301,7 +305,7 @@ impl Participant {
     }
 
     fn next_key(&mut self) -> Result<u32, CreateError> {
-        // Keys are not used again: a peer may still hold the removed endpoint for this one.
+        // Keys are not reused: a peer may still take the new endpoint for a removed one.
         let key = self.latest_key + 1;
         if key >= 1 << 24 {
             return Err(CreateError::TooMany);
@@ -315,7 +319,7 @@ impl Participant {
         ReaderConfig { guid, qos, max_sample_size, max_open_bytes }
     }
 
-    /// Makes those endpoints by which others learn of the ones of the user.
+    /// Creates the builtin endpoints, which announce the endpoints of the user.
     fn create_builtin_endpoints(&mut self) {
         let prefix = self.config.prefix;
         let qos = |history| Qos {
@@ -331,7 +335,7 @@ impl Participant {
         ] {
             let config = EndpointConfig::new("", "", qos(history));
             let guid = Guid::new(prefix, writer);
-            // What the user has is announced, however slow the others are.
+            // Announcements are never refused, however slow the other participants are.
             let config_of_writer = WriterConfig { guid, qos: qos(history), send_window: usize::MAX };
             self.locals.add_writer(self.endpoint_data(writer, &config), Writer::new(config_of_writer));
             let config_of_reader = self.reader_config(Guid::new(prefix, reader), qos(History::KeepAll));
@@ -359,7 +363,7 @@ impl Participant {
         }
     }
 
-    /// Notices that the process was suspended.
+    /// Detects that the process was suspended.
     pub(super) fn note_time(&mut self, now: Now) {
         let pause = now.steady.saturating_duration_since(self.latest_call);
         self.latest_call = self.latest_call.max(now.steady);
@@ -370,7 +374,7 @@ impl Participant {
         }
     }
 
-    /// Calls a writer and follows up on what that leads to.
+    /// Calls a writer and handles the consequences.
     pub(super) fn with_writer<T>(
         &mut self,
         now: Now,
@@ -383,7 +387,7 @@ impl Participant {
         Some(result)
     }
 
-    /// Takes up what a call of a writer changed.
+    /// Handles the consequences of a call of a writer.
     pub(super) fn follow_up(&mut self, now: Now, id: EntityId) {
         while let Some(local) = self.locals.writers.get_mut(&id) {
             let Some(event) = local.machine.poll_event() else {
@@ -398,14 +402,14 @@ impl Participant {
         }
     }
 
-    /// Follows the next timeout of an endpoint.
+    /// Sets the timer of an endpoint to its next timeout.
     pub(super) fn set_timer(&mut self, now: Now, id: EntityId, timeout: Option<Instant>) {
-        // Never at once: whatever an endpoint asks for, time passes between two calls.
+        // Never immediately: time must pass between two calls, whatever the endpoint requests.
         let soonest = now.steady + SHORTEST_TIMEOUT;
         self.timers.set(Timer::Endpoint(id), timeout.map(|at| at.max(soonest)));
     }
 
-    /// Calls a reader and follows up on what that leads to.
+    /// Calls a reader and handles the consequences.
     pub(super) fn with_reader(
         &mut self,
         now: Now,

@@ -1,4 +1,4 @@
-//! The other participants and what they have.
+//! The other participants and their endpoints.
 
 use std::{
     collections::BTreeMap,
@@ -13,30 +13,30 @@ use crate::wire::{EndpointData, EntityId, Guid, GuidPrefix, ParticipantData, Ven
 #[derive(Debug)]
 pub(crate) struct Peer {
     pub(crate) data: ParticipantData,
-    /// Where its announcement came from.
+    /// The address from which its announcement came.
     pub(crate) source: Ipv4Addr,
     /// Whether it is on this host.
     pub(crate) is_own_host: bool,
-    /// Whether the guard lets it in; until then nothing is matched with it.
+    /// Whether the guard admits it. Until then nothing is matched with it.
     pub(crate) admission: Admission,
     /// The link for discovery.
     pub(crate) metatraffic: LinkId,
-    /// The link for samples of endpoints that have no address of their own.
+    /// The link for samples of endpoints without their own address.
     pub(crate) default: LinkId,
-    /// All links, the two above among them.
+    /// All links, including the two above.
     pub(crate) links: Vec<(SocketAddrV4, LinkId)>,
     pub(crate) account: Account,
-    /// What waits for the account to allow it.
+    /// Senders that wait until the account allows sending.
     pub(crate) withheld: Vec<(LinkId, EntityId)>,
-    /// When the last valid message came.
+    /// When the last valid message arrived.
     pub(crate) heard: Instant,
-    /// When it was last sent our announcement.
-    pub(crate) told: Instant,
+    /// When the announcement of this participant was last sent to it.
+    pub(crate) announced: Instant,
     pub(crate) endpoints: BTreeMap<EntityId, Remote>,
 }
 
 impl Peer {
-    /// Whether it runs this engine.
+    /// Returns whether it runs this engine.
     pub(crate) fn is_ours(&self) -> bool {
         self.data.vendor == VendorId::OURS
     }
@@ -46,20 +46,20 @@ impl Peer {
 #[derive(Debug)]
 pub(crate) struct Remote {
     pub(crate) data: EndpointData,
-    /// Own endpoints that are matched with it.
+    /// Local endpoints that are matched with it.
     pub(crate) matched: Vec<EntityId>,
 }
 
-/// Why an endpoint is not taken up.
+/// Why an endpoint is not stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Full {
-    /// Its participant has too many.
+    /// Its participant has too many endpoints.
     Participant,
-    /// All together have too many.
+    /// All participants together have too many endpoints.
     All,
 }
 
-/// What became of announced endpoint data.
+/// The result of storing announced endpoint data.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Noted {
     New,
@@ -105,7 +105,8 @@ impl Peers {
         self.by_prefix.remove(&prefix)
     }
 
-    /// The one that gives way to a newcomer: of those that never answered the one not heard for longest.
+    /// The participant to remove for a new one: among those that never answered, the one with the oldest last
+    /// message.
     pub(crate) fn expendable(&self) -> Option<GuidPrefix> {
         let unknown = self.iter().filter(|(_, peer)| !peer.account.is_known());
         unknown.min_by_key(|(prefix, peer)| (peer.heard, *prefix)).map(|(prefix, _)| prefix)
@@ -123,8 +124,8 @@ impl Peers {
         self.by_topic.get(topic).cloned().unwrap_or_default()
     }
 
-    /// Takes up an endpoint of a participant that is known, or what changed of it. A changed topic makes it a new one, so
-    /// the caller removes the old one first.
+    /// Stores a new or changed endpoint of a known participant. If the topic has changed, the caller removes
+    /// the old endpoint first.
     pub(crate) fn note(&mut self, data: EndpointData, limits: &Limits) -> Result<Noted, Full> {
         let guid = data.guid;
         let Some(peer) = self.by_prefix.get_mut(&guid.prefix) else { return Err(Full::All) };

@@ -1,4 +1,4 @@
-//! The reader: hands out what its writers send, once and in their order, and asks for what is missing.
+//! The reader: delivers the samples of its writers once and in order, and requests missing samples.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
@@ -17,15 +17,15 @@ use super::links::{Emitted, LinkId, Links};
 use super::received::{Received, Sample};
 use super::writer::missed_periods;
 
-/// What a reader is made from.
+/// Configuration of a reader.
 #[derive(Debug, Clone)]
 pub struct ReaderConfig {
     pub guid: Guid,
     pub qos: Qos,
-    /// Bytes of a sample; larger ones are lost.
+    /// The largest sample in bytes; larger samples are lost.
     pub max_sample_size: u32,
-    /// Bytes of samples that are incomplete or wait for earlier ones, of all writers together. The next sample of each
-    /// writer may exceed it.
+    /// The most bytes of samples of all writers that are incomplete or wait for earlier ones. The next sample
+    /// of each writer may exceed it.
     pub max_open_bytes: usize,
 }
 
@@ -34,12 +34,12 @@ pub struct ReaderConfig {
 pub struct Reader {
     config: ReaderConfig,
     writers: BTreeMap<Guid, Incoming>,
-    /// Writers that are to be answered, by their links.
+    /// Writers that need an answer, by link.
     due: BTreeSet<(LinkId, Guid)>,
-    /// Bytes of samples that are incomplete or wait.
+    /// Bytes of samples that are incomplete or wait for earlier ones.
     open_bytes: usize,
     deadline_at: Option<Instant>,
-    /// Not later than the next timeout.
+    /// At or before the next timeout.
     timeout: Option<Instant>,
 }
 
@@ -57,7 +57,7 @@ impl Reader {
         &self.config.qos
     }
 
-    /// Matches a writer. If it is already, its link and QoS are renewed.
+    /// Matches a writer. If it is already matched, its link and QoS are updated.
     pub fn match_writer(&mut self, now: Now, matched: MatchedWriter) {
         let incoming = self.writers.entry(matched.guid).or_insert_with(|| Incoming::new(matched, now.steady));
         self.due.remove(&(incoming.matched.link, matched.guid));
@@ -68,7 +68,7 @@ impl Reader {
         self.set_timeout(lease_ends);
     }
 
-    /// Forgets a writer.
+    /// Removes a matched writer.
     pub fn unmatch_writer(&mut self, writer: Guid) {
         if let Some(incoming) = self.writers.remove(&writer) {
             self.open_bytes -= incoming.size;
@@ -85,7 +85,7 @@ impl Reader {
         self.writers.contains_key(&writer)
     }
 
-    /// Takes a sample. Writers that are not matched are ignored, here and below.
+    /// Handles a sample. Writers that are not matched are ignored, here and below.
     pub fn handle_data(
         &mut self,
         now: Now,
@@ -116,7 +116,7 @@ impl Reader {
         });
     }
 
-    /// Takes fragments of a sample.
+    /// Handles fragments of a sample.
     pub fn handle_fragment(
         &mut self,
         now: Now,
@@ -134,7 +134,7 @@ impl Reader {
         });
     }
 
-    /// Takes note of which samples a writer has.
+    /// Handles a heartbeat.
     pub fn handle_heartbeat(
         &mut self,
         now: Now,
@@ -155,7 +155,7 @@ impl Reader {
         }
     }
 
-    /// Takes note of samples that will not come.
+    /// Handles a GAP.
     pub fn handle_gap(&mut self, now: Now, writer: Guid, gap: &Gap, out: &mut Vec<Received>) {
         let Some(incoming) = self.writers.get_mut(&writer) else { return };
         let size = incoming.size;
@@ -163,7 +163,7 @@ impl Reader {
         self.open_bytes = self.open_bytes + incoming.size - size;
     }
 
-    /// Takes note of which fragments of a sample a writer has sent.
+    /// Handles a heartbeat of fragments.
     pub fn handle_heartbeat_fragment(
         &mut self,
         now: Now,
@@ -178,7 +178,7 @@ impl Reader {
         }
     }
 
-    /// The writer is alive, as its participant says.
+    /// Handles an assertion of a writer by its participant.
     pub fn assert_liveliness(&mut self, now: Now, writer: Guid, out: &mut Vec<Received>) {
         let Some(incoming) = self.writers.get_mut(&writer) else { return };
         if incoming.assert_liveliness(now.steady) {
@@ -188,7 +188,7 @@ impl Reader {
         }
     }
 
-    /// Does what is due by now.
+    /// Runs the timers that are due.
     pub fn handle_timeout(&mut self, now: Now, out: &mut Vec<Received>, links: &mut Links) {
         if self.timeout.is_none_or(|timeout| timeout > now.steady) {
             return;
@@ -214,7 +214,7 @@ impl Reader {
         }
     }
 
-    /// When [`Reader::handle_timeout`] is to be called. May be early, is never late.
+    /// When to call [`Reader::handle_timeout`]. May be too early, but never too late.
     pub fn next_timeout(&self) -> Option<Instant> {
         self.timeout
     }
@@ -240,7 +240,7 @@ impl Reader {
         self.open_bytes
     }
 
-    /// Lets `take` have a sample that is wanted, and the bytes that are free for it.
+    /// Calls `take` for a wanted sample with the number of bytes that are free for it.
     fn take(
         &mut self,
         now: Now,

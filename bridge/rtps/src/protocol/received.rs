@@ -1,10 +1,10 @@
-//! What readers hand out.
+//! The outputs of readers.
 
 use bytes::Bytes;
 
 use crate::wire::{Guid, InlineQos, SequenceNumber, Timestamp};
 
-/// A sample that was received.
+/// A received sample.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sample {
     pub writer: Guid,
@@ -14,19 +14,20 @@ pub struct Sample {
     pub inline_qos: InlineQos,
     /// Whether the payload is only the key of an instance.
     pub is_key: bool,
-    /// With the four bytes of its encapsulation; empty if there is none.
+    /// Includes the four bytes of the encapsulation header; empty if there is no payload.
     pub payload: Bytes,
 }
 
-/// What happened at a reader, in its order.
+/// An event of a reader.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Received {
-    /// A sample. Samples of a reliable writer come in the order of their numbers; each gap is reported as lost.
+    /// A sample. Samples of a reliable writer are in the order of their numbers; each gap is reported as
+    /// lost.
     Sample(Sample),
-    /// Samples of a writer that will not come any more.
+    /// Samples of a writer that will not arrive.
     Lost { writer: Guid, count: u64 },
-    /// Nothing came for so many further periods.
+    /// No sample arrived for `count` further periods.
     DeadlineMissed { count: u64 },
-    /// A writer with a lease is heard for the first time, was silent for its lease, or is heard again.
+    /// A writer with a lease was asserted for the first time or again, or was not asserted within its lease.
     LivelinessChanged { writer: Guid, is_alive: bool },
 }

@@ -1,7 +1,8 @@
-//! Which link leads to which endpoint.
+//! The choice of links to endpoints.
 //!
-//! A peer is reached at one host. Addresses of other hosts that it or its endpoints announce are not used: it has not shown
-//! that it is there, and samples sent there could be meant to hurt somebody else.
+//! All endpoints of a peer are reached at one host. Addresses of other hosts that it or its endpoints
+//! announce are not used: they are not validated, and sending samples there could be part of an attack on a
+//! third party.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
@@ -14,33 +15,35 @@ pub(super) const OWN_HOST_DATAGRAM: usize = 65_000;
 /// Longest datagram to another host: one that fits in an Ethernet frame.
 const REMOTE_DATAGRAM: usize = 1_472;
 
-/// Bytes of a datagram that are no payload of a fragment, at most.
+/// The most bytes of a datagram in addition to the payload of a fragment.
 const FRAGMENT_OVERHEAD: usize = 200;
 
-/// Addresses that the endpoints of one participant may have, those of the participant among them.
+/// The most addresses of the endpoints of one participant, including those of the participant.
 const MAX_LINKS: usize = 16;
 
-/// Payload of a fragment to a peer of this host: three datagrams of it fit in the smallest receive buffer Linux gives.
+/// Payload of a fragment to a peer on this host: three such datagrams fit into the smallest receive buffer of
+/// Linux.
 const OWN_HOST_FRAGMENT: u16 = 32_768;
 
-/// Where a participant is reached.
+/// The addresses at which a participant is reached.
 pub(super) struct Route {
     /// Discovery.
     pub(super) metatraffic: SocketAddrV4,
-    /// Samples for endpoints without an address of their own.
+    /// Samples for endpoints without their own address.
     pub(super) default: SocketAddrV4,
 }
 
 impl Participant {
-    /// Where a participant is reached whose announcement came from `source`; `None` if nowhere.
+    /// Returns where to reach a participant whose announcement came from `source`; `None` if it is not
+    /// reachable.
     pub(super) fn route(&self, data: &ParticipantData, source: Ipv4Addr) -> Option<Route> {
         let metatraffic = self.config.addresses.choose(&data.metatraffic_unicast, source)?;
-        // One without an address for samples has no endpoints of a user.
+        // A participant without an address for samples has no user endpoints.
         let default = at_host(*metatraffic.ip(), &data.default_unicast).unwrap_or(metatraffic);
         Some(Route { metatraffic, default })
     }
 
-    /// Follows a change of our own addresses.
+    /// Updates all routes after a change of local addresses.
     pub(super) fn readdress(&mut self, now: Now) {
         let prefixes: Vec<_> = self.peers.iter().map(|(prefix, _)| prefix).collect();
         for prefix in prefixes {
@@ -49,7 +52,7 @@ impl Participant {
         self.announce_anew(now);
     }
 
-    /// Chooses anew where a peer is reached. Returns whether it is elsewhere.
+    /// Chooses the route to a peer again. Returns whether it has changed.
     pub(super) fn reroute(&mut self, prefix: GuidPrefix) -> bool {
         let Some(peer) = self.peers.get(prefix) else { return false };
         let Some(route) = self.route(&peer.data, peer.source) else { return false };
@@ -68,7 +71,7 @@ impl Participant {
         has_moved
     }
 
-    /// The link to an address of a peer.
+    /// Returns the link to an address of a peer, and opens it if needed.
     pub(super) fn open_link(
         &mut self,
         peer: &mut Peer,
@@ -87,7 +90,7 @@ impl Participant {
         link
     }
 
-    /// The link to an endpoint: that of its participant, unless it announced an address of its own.
+    /// Returns the link to an endpoint: that of its participant, unless it announced its own address.
     pub(super) fn link_to(&mut self, remote: Guid) -> Option<LinkId> {
         if remote.prefix == self.config.prefix {
             return Some(self.own);
@@ -102,7 +105,7 @@ impl Participant {
         if let Some((_, link)) = peer.links.iter().find(|(address, _)| *address == to) {
             return Some(*link);
         }
-        // Bounded, since a link costs more than an announcement of one.
+        // Limited, because a link costs more than announcing an address.
         if peer.links.len() >= MAX_LINKS {
             return Some(default);
         }

@@ -1,4 +1,4 @@
-//! When each part of a participant wants to be called.
+//! Timers of the parts of a participant.
 
 use std::{
     collections::{BTreeSet, HashMap},
@@ -6,9 +6,10 @@ use std::{
     time::Instant,
 };
 
-/// One deadline per key, in the order of time.
+/// One deadline per key, ordered by time.
 ///
-/// With hundreds of endpoints nearly all have none: what a datagram or a timeout costs does not depend on how many there are.
+/// Of hundreds of endpoints, nearly all have no deadline: the cost of a datagram or a timeout does not depend
+/// on the number of endpoints.
 #[derive(Debug)]
 pub(crate) struct Timers<K> {
     order: BTreeSet<(Instant, K)>,

@@ -1,15 +1,16 @@
-//! What is sent: waiting submessages are packed into datagrams.
+//! Packing of waiting submessages into datagrams.
 
 use super::{Destination, Emitted, LinkId, Now, Participant, guard};
 use crate::wire::{EntityId, GuidPrefix, Header, MessageBuilder};
 
-/// Less room than this is not worth a datagram: an acknowledgement with its header takes so much.
+/// A datagram with less room than this is not started: an acknowledgement with its header has this size.
 const SMALLEST: usize = 128;
 
 impl Participant {
-    /// Fills `datagram` with what is to be sent next, and says where to; `None` if nothing is.
+    /// Fills `datagram` with the next data to send and returns its destination; `None` if there is nothing to
+    /// send.
     ///
-    /// What own endpoints send each other is delivered on the way.
+    /// Also delivers messages between local endpoints.
     pub fn poll_transmit(&mut self, now: Now, datagram: &mut Vec<u8>) -> Option<Destination> {
         self.note_time(now);
         if !self.announcer.is_leaving()
@@ -36,7 +37,7 @@ impl Participant {
         if self.announcer.is_leaving() { self.transmit_announcement(now, datagram) } else { None }
     }
 
-    /// Packs what waits on a link into one datagram. Returns whether there is one to be sent.
+    /// Packs what waits on a link into one datagram. Returns whether there is a datagram to send.
     fn fill(&mut self, now: Now, link: LinkId, datagram: &mut Vec<u8>) -> bool {
         let peer = self.links.peer(link);
         let allowance = self.peers.get(peer).map_or(usize::MAX, |peer| peer.account.allowance());
@@ -77,7 +78,7 @@ impl Participant {
         !builder.is_empty()
     }
 
-    /// Protects and counts a datagram that is ready. Returns whether it may be sent.
+    /// Protects and counts a complete datagram. Returns whether it may be sent.
     pub(super) fn seal(&mut self, peer: GuidPrefix, datagram: &mut Vec<u8>) -> bool {
         if let Some(guard) = self.guard.as_deref_mut()
             && !guard::encode(guard, peer, datagram)
@@ -92,7 +93,7 @@ impl Participant {
         true
     }
 
-    /// Puts a sender aside until more was received from the peer.
+    /// Withholds a sender until more bytes were received from the peer.
     fn withhold(&mut self, peer: GuidPrefix, link: LinkId, id: EntityId) {
         self.counters.withheld += 1;
         if let Some(peer) = self.peers.get_mut(peer)
@@ -102,7 +103,7 @@ impl Participant {
         }
     }
 
-    /// Lets those send again that were put aside.
+    /// Lets withheld senders send again.
     pub(super) fn release_withheld(&mut self, prefix: GuidPrefix) {
         let Some(peer) = self.peers.get_mut(prefix) else { return };
         for (link, id) in std::mem::take(&mut peer.withheld) {

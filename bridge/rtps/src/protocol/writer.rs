@@ -1,4 +1,4 @@
-//! The writer: what it keeps, and who has to get it.
+//! The writer: its history and its matched readers.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
@@ -14,37 +14,38 @@ use super::lane::Lane;
 use super::links::{Emitted, LinkId, Links};
 use super::outgoing::{MatchedReader, Outgoing, Sending};
 
-/// What a writer is made from.
+/// Configuration of a writer.
 #[derive(Debug, Clone)]
 pub struct WriterConfig {
     pub guid: Guid,
     pub qos: Qos,
-    /// Samples that may wait: unacknowledged ones if the writer keeps all, else those beyond its depth that are not sent
-    /// yet because a pacer holds them back.
+    /// The most waiting samples: unacknowledged ones if the writer keeps all, otherwise those beyond its
+    /// depth that a pacer has not let through yet.
     pub send_window: usize,
 }
 
-/// What goes with a sample.
+/// Options of a sample.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct WriteOptions {
     pub inline_qos: InlineQos,
-    /// The only reader that gets the sample; for the others the number is a gap.
+    /// The only reader that receives the sample; for all others its number is a gap.
     pub only_to: Option<Guid>,
 }
 
-/// The sample was not written because the send window is full. [`Writer::can_write`] says when there is room again.
+/// The sample was not written because the send window is full. [`Writer::can_write`] returns true when there
+/// is room again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("as many samples wait to be sent or acknowledged as the send window holds")]
+#[error("the send window is full of samples that wait to be sent or acknowledged")]
 pub struct WindowFull;
 
-/// What happened to a writer.
+/// An event of a writer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WriterEvent {
-    /// Nothing was written for so many further periods.
+    /// No sample was written for `count` further periods.
     DeadlineMissed { count: u64 },
-    /// The application did not say for a lease that the writer is alive.
+    /// The application did not assert the writer within its lease.
     LivelinessLost,
-    /// All reliable readers have all samples.
+    /// All reliable readers have acknowledged all samples.
     Acknowledged,
 }
 
@@ -58,13 +59,13 @@ pub struct Writer {
     lanes: BTreeMap<LinkId, Lane>,
     /// The link of each matched reader.
     readers: BTreeMap<Guid, LinkId>,
-    /// How many reliable readers have not acknowledged all.
+    /// Number of reliable readers that have not acknowledged all samples.
     behind: usize,
     /// The count of the last heartbeat.
     heartbeats: u32,
     deadline_at: Option<Instant>,
     lease_ends: Option<Instant>,
-    /// Not later than the next timeout.
+    /// At or before the next timeout.
     timeout: Option<Instant>,
     events: VecDeque<WriterEvent>,
 }
@@ -95,11 +96,12 @@ impl Writer {
         &self.qos
     }
 
-    /// Writes a sample; an empty payload is a sample without one.
+    /// Writes a sample. An empty `payload` means a sample without payload.
     ///
     /// # Errors
-    /// [`WindowFull`] if the writer keeps all and too many samples are not acknowledged, or if it keeps the last ones and too
-    /// many were not sent once. A peer that stopped acknowledging does not count in the second case.
+    /// Returns [`WindowFull`] if the writer keeps all samples and too many are not acknowledged, or if it
+    /// keeps the last samples and too many were never sent. In the second case, peers that have stopped
+    /// acknowledging are ignored.
     pub fn write(
         &mut self,
         now: Now,
@@ -128,7 +130,7 @@ impl Writer {
         Ok(number)
     }
 
-    /// Whether [`Writer::write`] would take a sample.
+    /// Returns whether [`Writer::write`] would accept a sample.
     pub fn can_write(&self, now: Now, links: &Links) -> bool {
         self.history.len() < self.limit() || !self.is_waited_for(self.history.first(), now.steady, links)
     }
@@ -138,7 +140,8 @@ impl Writer {
         self.history.remove(number);
     }
 
-    /// Matches a reader. If it is already, its link and its QoS are renewed, and what it has acknowledged stays.
+    /// Matches a reader. If it is already matched, its link and QoS are updated and its acknowledgements are
+    /// kept.
     pub fn match_reader(&mut self, now: Now, matched: MatchedReader, links: &mut Links) {
         if self.readers.get(&matched.guid) == Some(&matched.link) {
             let readers = self.lanes.get_mut(&matched.link).into_iter().flat_map(|lane| &mut lane.readers);
@@ -169,7 +172,7 @@ impl Writer {
         self.set_timeout(heartbeat_at);
     }
 
-    /// Forgets a reader.
+    /// Removes a matched reader.
     pub fn unmatch_reader(&mut self, now: Now, guid: Guid, links: &mut Links) {
         let removed = self.remove_reader(now, guid, links);
         if removed.is_some_and(|reader| reader.is_behind(&self.history)) {
@@ -199,12 +202,12 @@ impl Writer {
         self.readers.contains_key(&reader)
     }
 
-    /// Whether all matched reliable readers have all samples.
+    /// Returns whether all matched reliable readers have acknowledged all samples.
     pub fn is_acknowledged(&self) -> bool {
         self.behind == 0
     }
 
-    /// Takes an acknowledgement. Readers that are not matched are ignored.
+    /// Handles an acknowledgement. Readers that are not matched are ignored.
     pub fn handle_ack_nack(&mut self, now: Now, reader: Guid, ack_nack: &AckNack, links: &mut Links) {
         let depth = self.depth();
         let was_behind = self.behind;
@@ -219,7 +222,7 @@ impl Writer {
         }
     }
 
-    /// Takes a request for fragments. Readers that are not matched are ignored.
+    /// Handles a request for fragments. Readers that are not matched are ignored.
     pub fn handle_nack_fragment(&mut self, now: Now, reader: Guid, nack: &NackFragment, links: &mut Links) {
         self.with_reader(now, reader, |lane, index, sending| {
             lane.handle_nack_fragment(index, nack, sending, links);
@@ -227,7 +230,7 @@ impl Writer {
         });
     }
 
-    /// The application says that the writer is alive: sends that without a sample.
+    /// Sends an assertion of the application that the writer is alive, without a sample.
     pub fn assert_liveliness(&mut self, now: Now, links: &mut Links) {
         self.renew_lease(now.steady);
         for (link, lane) in &mut self.lanes {
@@ -236,7 +239,7 @@ impl Writer {
         }
     }
 
-    /// Does what is due by now.
+    /// Runs the timers that are due.
     pub fn handle_timeout(&mut self, now: Now, links: &mut Links) {
         if self.timeout.is_none_or(|timeout| timeout > now.steady) {
             return;
@@ -266,12 +269,12 @@ impl Writer {
         self.timeout = own.into_iter().chain(heartbeats).flatten().min();
     }
 
-    /// When [`Writer::handle_timeout`] is to be called. May be early, is never late.
+    /// When to call [`Writer::handle_timeout`]. May be too early, but never too late.
     pub fn next_timeout(&self) -> Option<Instant> {
         self.timeout
     }
 
-    /// What has happened since.
+    /// Returns the oldest event that has not been returned yet.
     pub fn poll_event(&mut self) -> Option<WriterEvent> {
         self.events.pop_front()
     }
@@ -333,7 +336,8 @@ impl Writer {
         self.set_timeout(self.lanes.values().filter_map(|lane| lane.heartbeat_at).min());
     }
 
-    /// Runs `handle` for the lane and the index of a reader; it returns by how many the readers that are behind changed.
+    /// Calls `handle` with the lane and the index of a reader, and updates the number of readers that are
+    /// behind.
     fn with_reader(
         &mut self,
         now: Now,
@@ -359,7 +363,7 @@ impl Writer {
         }
     }
 
-    /// How many samples a late joiner gets at most.
+    /// The most samples that a late joiner receives.
     fn depth(&self) -> usize {
         match self.qos.history {
             HistoryQos::KeepLast(depth) => (depth as usize).max(1),
@@ -371,12 +375,12 @@ impl Writer {
         self.qos.history == HistoryQos::KeepAll
     }
 
-    /// How many samples the history may hold.
+    /// The most samples in the history.
     fn limit(&self) -> usize {
         if self.keeps_all() { self.send_window } else { self.send_window.max(self.depth()) }
     }
 
-    /// Lets old samples give way to a new one.
+    /// Removes old samples to make room for a new one.
     fn make_room(&mut self, now: Instant, links: &Links) -> Result<(), WindowFull> {
         let kept = self.depth().min(self.limit());
         while self.history.len() >= kept {
@@ -388,7 +392,8 @@ impl Writer {
         Ok(())
     }
 
-    /// Whether `number` has yet to be sent somewhere, or if the writer keeps all, to be acknowledged.
+    /// Returns whether `number` has yet to be sent on some link or, if the writer keeps all samples, to be
+    /// acknowledged.
     fn is_waited_for(&self, number: SequenceNumber, now: Instant, links: &Links) -> bool {
         let keeps_all = self.keeps_all();
         self.lanes.values().any(|lane| {
@@ -402,7 +407,7 @@ impl Writer {
         })
     }
 
-    /// Drops samples that nobody needs any more.
+    /// Drops samples that are no longer needed.
     fn trim(&mut self) {
         let is_volatile = self.qos.durability == Durability::Volatile;
         if is_volatile
@@ -437,7 +442,7 @@ impl Writer {
     }
 }
 
-/// How many periods have ended by now if the first of them ends at `at`, and when the next one ends.
+/// Returns how many periods have ended at `now` if the first one ends at `at`, and when the next one ends.
 pub(super) fn missed_periods(at: Instant, period: Duration, now: Instant) -> (u64, Instant) {
     let period = period.max(Duration::from_nanos(1));
     let Some(late) = now.checked_duration_since(at) else { return (0, at) };

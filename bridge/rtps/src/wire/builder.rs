@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_again_in_both_byte_orders() {
+    fn messages_round_trip_in_both_byte_orders() {
         let payload = [0, 1, 0, 0, 1, 2, 3, 4, 5, 6, 7];
         for order in [ByteOrder::Big, ByteOrder::Little] {
             for length in 9..=payload.len() {
@@ -413,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_leaves_the_message_as_it_was() {
+    fn a_submessage_that_does_not_fit_leaves_the_message_unchanged() {
         let payload = [0, 1, 0, 0, 1, 2, 3, 4, 5, 6, 7];
         for submessage in all(&payload) {
             let mut enough = Vec::new();
@@ -445,7 +445,7 @@ mod tests {
     }
 
     #[test]
-    fn the_constants_and_lengths_tell_what_fits() {
+    fn constants_and_lengths_predict_what_fits() {
         let payload = vec![0; 1001];
         let data = with_inline_qos(Payload::Data(&payload));
         let needed = MessageBuilder::DATA_OVERHEAD + data.inline_qos.encoded_len() + 1004;
@@ -461,7 +461,7 @@ mod tests {
     }
 
     #[test]
-    fn a_payload_beyond_what_a_length_can_say_does_not_fit() {
+    fn a_payload_that_exceeds_its_length_field_does_not_fit() {
         let payload = vec![0; 65_536];
         let mut bytes = Vec::new();
         let mut message = MessageBuilder::new(&mut bytes, 1 << 20, HEADER);
@@ -471,7 +471,7 @@ mod tests {
     }
 
     #[test]
-    fn destination_and_time_are_written_once_and_only_with_what_they_are_for() {
+    fn destination_and_time_are_written_once_and_only_before_data() {
         let time = Timestamp::from_nanos(1_500_000_000);
         let (a, b) = (GuidPrefix([0xa; 12]), GuidPrefix([0xb; 12]));
         let mut bytes = Vec::new();

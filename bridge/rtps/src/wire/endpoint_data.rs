@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn all_of_it_goes_in_and_out_in_both_byte_orders() {
+    fn all_data_round_trips_in_both_byte_orders() {
         for entity in [EntityId::user_writer(1), EntityId::user_reader(0xab_cdef)] {
             for order in [ByteOrder::Big, ByteOrder::Little] {
                 let mut payload = Vec::new();
@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn every_default_goes_in_and_out() {
+    fn every_default_round_trips() {
         for qos in [Qos::writer_default(), Qos { history: History::KeepAll, ..Qos::reader_default() }] {
             let data = EndpointData { qos, ..data(EntityId::user_writer(1)) };
             let mut payload = Vec::new();
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_guid_topic_or_type_is_malformed() {
+    fn data_without_guid_topic_or_type_is_malformed() {
         for left_out in [pid::ENDPOINT_GUID, pid::TOPIC_NAME, pid::TYPE_NAME] {
             let mut payload = Vec::new();
             write_payload(&mut payload, ByteOrder::Big, |out| {
@@ -355,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn a_policy_with_a_value_that_there_is_not_is_malformed() {
+    fn a_policy_with_an_undefined_value_is_malformed() {
         let kinds = [
             pid::RELIABILITY,
             pid::DURABILITY,
@@ -376,7 +376,7 @@ mod tests {
     }
 
     #[test]
-    fn names_of_512_bytes_are_taken_and_longer_ones_not() {
+    fn names_of_512_bytes_are_accepted_and_longer_ones_are_not() {
         let with_topic = |length: usize| {
             let topic = "x".repeat(length);
             parse_with(|out| write_parameter(out, pid::TOPIC_NAME, |out| write_string(&topic, out)))
@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn a_list_of_more_partitions_than_anyone_has_is_malformed() {
+    fn a_list_of_too_many_partitions_is_malformed() {
         let with = |count: u32| {
             parse_with(|out| {
                 write_parameter(out, pid::PARTITION, |out| {

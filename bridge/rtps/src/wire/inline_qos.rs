@@ -76,7 +76,7 @@ impl InlineQos {
                 pid::RELATED_SAMPLE_IDENTITY => {
                     inline_qos.related_sample_identity = Some(parameter.get(identity)?);
                 }
-                // With another vendor the id may mean anything.
+                // Other vendors may use the id for something else.
                 pid::LEGACY_RELATED_SAMPLE_IDENTITY => {
                     let legacy = parameter.get(identity).ok();
                     inline_qos.related_sample_identity = inline_qos.related_sample_identity.or(legacy);
@@ -86,7 +86,7 @@ impl InlineQos {
                     let [.., flags] = parameter.get(|value| value.array::<4>().ok())?;
                     inline_qos.status = Some(StatusInfo(flags));
                 }
-                _ => {} // A sample is of use without what is not understood.
+                _ => {} // Unknown parameters are ignored.
             }
         }
         Ok(inline_qos)
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn all_of_it_goes_in_and_out_in_both_byte_orders() {
+    fn all_parameters_round_trip_in_both_byte_orders() {
         let number = SequenceNumber(0x1_0000_0002);
         let identity = SampleIdentity { writer: GUID, number };
         let full = InlineQos { related_sample_identity: Some(identity), ..InlineQos::removal(GUID) };
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_takes_no_bytes() {
+    fn empty_inline_qos_has_no_bytes() {
         let mut bytes = Vec::new();
         InlineQos::default().write(&mut Encoder::new(&mut bytes, ByteOrder::Big));
         assert!(bytes.is_empty());
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn the_identity_of_older_fast_dds_counts_if_there_is_no_other() {
+    fn the_identity_of_older_fast_dds_is_used_if_there_is_no_other() {
         let old = [&[0x80, 0x0f, 0, 24][..], &[9; 24]].concat();
         let new = [&[0x00, 0x83, 0, 24][..], &[1; 24]].concat();
         let end = &[0, 1, 0, 0][..];
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn a_removal_tells_who_is_removed_by_key_hash_or_by_key() {
+    fn a_removal_identifies_the_entity_by_key_hash_or_key() {
         assert_eq!(InlineQos::removal(GUID).removed(Payload::None), Some(GUID));
         let without_hash = InlineQos { key_hash: None, ..InlineQos::removal(GUID) };
         let [mut key, end] = [vec![0, 2, 0, 0, 0, 0x5a, 0, 16], vec![0, 1, 0, 0]];

@@ -49,13 +49,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_socket_address_goes_in_and_out() {
+    fn a_socket_address_round_trips() {
         let socket = SocketAddrV4::new(Ipv4Addr::new(192, 168, 1, 2), 7410);
         assert_eq!(Locator::from(socket).udp_v4(), Some(socket));
     }
 
     #[test]
-    fn what_cannot_be_sent_to_by_udp_is_no_socket_address() {
+    fn other_locators_are_not_socket_addresses() {
         let good = Locator::from(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 7410));
         for kind in [-1, 0, 2, 4, 16] {
             assert_eq!(Locator { kind, ..good }.udp_v4(), None);

@@ -100,7 +100,7 @@ pub enum Submessage<'a> {
 /// A sample, or the end of an instance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Data<'a> {
-    /// [`EntityId::UNKNOWN`] is every matched reader.
+    /// [`EntityId::UNKNOWN`] means every matched reader.
     pub reader: EntityId,
     pub writer: EntityId,
     pub number: SequenceNumber,
@@ -126,7 +126,7 @@ pub enum Payload<'a> {
 /// Consecutive fragments of a sample. They lie within the sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DataFragment<'a> {
-    /// [`EntityId::UNKNOWN`] is every matched reader.
+    /// [`EntityId::UNKNOWN`] means every matched reader.
     pub reader: EntityId,
     pub writer: EntityId,
     pub number: SequenceNumber,
@@ -170,7 +170,7 @@ pub struct AckNack {
 /// The samples that a writer has available.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {
-    /// [`EntityId::UNKNOWN`] is every matched reader.
+    /// [`EntityId::UNKNOWN`] means every matched reader.
     pub reader: EntityId,
     pub writer: EntityId,
     /// The oldest available sample.
@@ -188,7 +188,7 @@ pub struct Heartbeat {
 /// Samples that are no longer available: those from `start` to before the base of the list, and those in the list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gap {
-    /// [`EntityId::UNKNOWN`] is every matched reader.
+    /// [`EntityId::UNKNOWN`] means every matched reader.
     pub reader: EntityId,
     pub writer: EntityId,
     /// At most the base of the list.
@@ -211,7 +211,7 @@ pub struct NackFragment {
 /// Fragments of one sample that a writer has available.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HeartbeatFragment {
-    /// [`EntityId::UNKNOWN`] is every matched reader.
+    /// [`EntityId::UNKNOWN`] means every matched reader.
     pub reader: EntityId,
     pub writer: EntityId,
     pub number: SequenceNumber,
@@ -355,7 +355,7 @@ fn without_padding(payload: &[u8]) -> Result<&[u8], Malformed> {
             let padding = usize::from(options & 3).min(content.len());
             Ok(&payload[..payload.len() - padding])
         }
-        // No encapsulation of the standard, so its options are unknown.
+        // Not a standard encapsulation, so its options are unknown.
         [_, _, _, _, ..] => Ok(payload),
         _ => Err(Malformed::Encapsulation),
     }
@@ -443,7 +443,7 @@ impl Gap {
         let (reader, writer) = read_ends(body)?;
         let start = SequenceNumber::read(body, SequenceNumber::FIRST)?;
         let list = read_set(body, SequenceNumber::FIRST)?;
-        // A range that runs backwards is empty.
+        // A backward range is empty.
         Ok(Self { reader, writer, start: start.min(list.base()), list })
     }
 }

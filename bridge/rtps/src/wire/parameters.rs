@@ -41,9 +41,9 @@ pub(super) mod pid {
     pub(in crate::wire) const DATA_REPRESENTATION: u16 = 0x0073;
     pub(in crate::wire) const RELATED_SAMPLE_IDENTITY: u16 = 0x0083;
     pub(in crate::wire) const DOMAIN_TAG: u16 = 0x4014;
-    /// Of Fast DDS and RTI Connext, from before the standard assigned 0x0083.
+    /// Used by Fast DDS and RTI Connext before the standard assigned 0x0083.
     pub(in crate::wire) const LEGACY_RELATED_SAMPLE_IDENTITY: u16 = 0x800f;
-    /// Ours: bytes of the receive buffer for user data.
+    /// Specific to this engine: bytes of the receive buffer for user data.
     pub(in crate::wire) const OUR_RECEIVE_BUFFER: u16 = 0x8044;
 }
 
@@ -114,8 +114,8 @@ impl<'a> Parameter<'a> {
     /// Skips an unknown parameter.
     ///
     /// # Errors
-    /// Returns an error if its sender requires that it is understood. In the range of the vendors the
-    /// requirement is for their own products.
+    /// Returns an error if its sender requires that it is understood. In the vendor-specific range the
+    /// requirement only applies to products of the vendor.
     pub(super) fn skip(self) -> Result<(), Malformed> {
         const MUST_UNDERSTAND: u16 = 0x4000;
         const OF_VENDOR: u16 = 0x8000;
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn padding_is_skipped_and_the_rest_behind_the_end_is_not_read() {
+    fn padding_is_skipped_and_the_rest_after_the_end_is_not_read() {
         let payload = [0, 2, 0, 0, 0, 0, 0, 4, 9, 9, 9, 9, 0, 0x0f, 0, 0, 0, 1, 0xff, 0xff, 1, 2, 3];
         assert_eq!(ids(&payload), Ok(vec![0x0f]));
     }
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn a_length_that_is_no_multiple_of_four_is_malformed() {
+    fn a_length_that_is_not_a_multiple_of_four_is_malformed() {
         assert_eq!(ids(&[0, 2, 0, 0, 0, 0x0f, 0, 3, 0, 0, 0, 0, 1, 0, 0]), Err(Malformed::ParameterList));
     }
 
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn what_must_be_understood_is_not_skipped() {
+    fn a_parameter_that_must_be_understood_is_not_skipped() {
         let skip = |id| Parameter { id, value: Cursor::new(&[], ByteOrder::Big) }.skip();
         assert_eq!(skip(0x3fff), Ok(()));
         assert_eq!(skip(0x4001), Err(Malformed::MustUnderstand(0x4001)));

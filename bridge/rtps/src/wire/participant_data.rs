@@ -116,7 +116,7 @@ impl ParticipantData {
                 pid::DOMAIN_ID => data.domain_id = Some(parameter.get(|value| value.u32().ok())?),
                 pid::DOMAIN_TAG => data.domain_tag = parameter.get(|value| read_string(value, MAX_TEXT))?,
                 pid::EXPECTS_INLINE_QOS => data.expects_inline_qos = parameter.get(read_bool)?,
-                // Other vendors may use the id for something else, so an unexpected value is no error.
+                // Other vendors may use the id for something else, so an unexpected value is not an error.
                 pid::OUR_RECEIVE_BUFFER => {
                     data.receive_buffer = parameter.get(|value| value.u32().ok()).ok();
                 }
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn all_of_it_goes_in_and_out_in_both_byte_orders() {
+    fn all_data_round_trips_in_both_byte_orders() {
         for order in [ByteOrder::Big, ByteOrder::Little] {
             let mut payload = Vec::new();
             data().emit_in(order, &mut payload);
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_said_has_its_default() {
+    fn missing_parameters_have_defaults() {
         let data = parse_with(|_| {}).unwrap();
         assert_eq!(data.lease, Some(Duration::from_secs(100)));
         assert_eq!((data.domain_id, data.domain_tag.as_str()), (None, ""));
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn only_our_own_kind_says_its_receive_buffer() {
+    fn only_this_engine_announces_its_receive_buffer() {
         let parse = |vendor: VendorId, length: usize| {
             parse_with(|out| {
                 write_parameter(out, pid::OUR_RECEIVE_BUFFER, |out| out.bytes(&[0, 0, 1, 0][..length]));
@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_guid_of_a_participant_it_is_malformed() {
+    fn data_without_the_guid_of_a_participant_is_malformed() {
         let mut payload = Vec::new();
         write_payload(&mut payload, ByteOrder::Big, |_| {});
         assert_eq!(ParticipantData::parse(&payload), Err(Malformed::Lacks(pid::PARTICIPANT_GUID)));

@@ -42,7 +42,7 @@ mod tests {
         ParticipantMessage { prefix: GuidPrefix([7; 12]), kind: ParticipantMessage::MANUAL };
 
     #[test]
-    fn it_goes_in_and_out() {
+    fn the_message_round_trips() {
         let mut payload = Vec::new();
         MESSAGE.emit(&mut payload);
         assert_eq!(payload.len(), 24);
@@ -52,7 +52,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_cut_off_or_no_cdr_is_malformed() {
+    fn truncated_or_invalid_cdr_is_malformed() {
         let mut payload = Vec::new();
         MESSAGE.emit(&mut payload);
         assert_eq!(ParticipantMessage::parse(&payload[..19]), Err(Malformed::Truncated));

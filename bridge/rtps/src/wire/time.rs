@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn nanoseconds_survive_the_way_over_the_wire() {
+    fn nanoseconds_round_trip() {
         for nanos in [0, 1, 2, 3, 499_999_999, 500_000_000, 999_999_998, 999_999_999] {
             let since_epoch = 1_795_300_000_000_000_000 + nanos;
             assert_eq!(Timestamp::from_nanos(since_epoch).to_nanos(), since_epoch);
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn the_infinite_duration_is_none_and_a_negative_one_no_duration() {
+    fn an_infinite_duration_is_none_and_a_negative_one_is_invalid() {
         assert_eq!(read(0x7fff_ffff, 0xffff_ffff), Some(None));
         assert_eq!(read(0x7fff_ffff, 0), Some(None));
         assert_eq!(read(0x8000_0000, 0), None);

@@ -1,4 +1,4 @@
-//! Participants wired together in memory, with a clock that the test moves.
+//! Participants connected in memory, with a clock that the test controls.
 
 #![allow(dead_code)] // each test program uses a part
 
@@ -17,15 +17,15 @@ use downbeat_rtps::{
     wire::{EntityId, Guid},
 };
 
-/// Where all announce themselves.
+/// The group of announcements.
 pub const GROUP: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(239, 255, 0, 1), 7400);
 pub const METATRAFFIC_PORT: u16 = 7410;
 pub const USER_PORT: u16 = 7411;
 
-/// Time a datagram takes, unless the fate of datagrams says otherwise.
+/// Default transmission time of a datagram; `Fate` may define another one.
 pub const DELAY: Duration = Duration::from_micros(50);
 
-/// A datagram on its way.
+/// A datagram in flight.
 pub struct Flight {
     /// Index of the node that sent it.
     pub sender: usize,
@@ -34,7 +34,7 @@ pub struct Flight {
     pub bytes: Vec<u8>,
 }
 
-/// After how long a datagram arrives, each time that it does: none is a loss, two are a duplicate.
+/// Returns the delay of each arrival of a datagram: none is a loss, two are a duplicate.
 pub type Fate = Box<dyn FnMut(&Flight) -> Vec<Duration>>;
 
 /// A host with one participant.
@@ -42,15 +42,15 @@ pub struct Node {
     pub participant: Participant,
     pub address: Ipv4Addr,
     pub events: Vec<Event>,
-    /// `false` while it is suspended: it neither receives nor notices time.
+    /// `false` while it is suspended: it neither receives nor runs timers.
     pub is_running: bool,
-    /// Datagrams it sent, and their bytes.
+    /// Number and bytes of the datagrams that it sent.
     pub sent: (u64, u64),
     next_timeout: Option<Instant>,
 }
 
 impl Node {
-    /// The texts that a reader got, without their encapsulation.
+    /// The texts that a reader received, without encapsulation.
     pub fn texts(&self, of: EntityId) -> Vec<String> {
         let samples = self.events.iter().filter_map(|event| match event {
             Event::Sample { reader, sample } if *reader == of => Some(&sample.payload[4..]),
@@ -70,13 +70,13 @@ pub struct Network {
     pub fate: Fate,
     /// Called for each datagram when it is sent.
     pub watch: Box<dyn FnMut(&Flight)>,
-    /// Nodes between which nothing gets through, in this direction.
+    /// Pairs of nodes between which all datagrams are lost, in this direction.
     pub cut: Vec<(usize, usize)>,
-    /// How far the wall clocks were set forward.
+    /// Offset by which the wall clocks were set forward.
     pub wall_offset_ns: i64,
     start: Instant,
     pub elapsed: Duration,
-    /// By time of arrival; those of one moment in the order in which they were sent.
+    /// By time of arrival, then in the order of sending.
     flying: BTreeMap<(Duration, u64), Flight>,
     launched: u64,
 }
@@ -103,7 +103,7 @@ impl Network {
         network
     }
 
-    /// Adds a host whose participant is configured as `change` says. Returns its index.
+    /// Adds a host with a participant whose configuration `change` modifies. Returns its index.
     pub fn join(&mut self, change: impl FnOnce(&mut Config)) -> usize {
         self.join_at(Ipv4Addr::from(0x0a00_0001 + self.nodes.len() as u32), change)
     }
@@ -132,7 +132,7 @@ impl Network {
         Now { steady: self.start + self.elapsed, wall_ns }
     }
 
-    /// Calls a participant and sends what it has to say.
+    /// Calls a participant and transmits its datagrams.
     pub fn call<T>(&mut self, node: usize, call: impl FnOnce(&mut Participant, Now) -> T) -> T {
         let now = self.now();
         let result = call(&mut self.nodes[node].participant, now);
@@ -140,7 +140,7 @@ impl Network {
         result
     }
 
-    /// Puts a datagram of somebody foreign on the wire.
+    /// Injects a datagram from another sender.
     pub fn inject(&mut self, node: usize, from: SocketAddrV4, bytes: &[u8]) {
         self.call(node, |participant, now| participant.handle_datagram(now, from, bytes));
     }
@@ -174,12 +174,12 @@ impl Network {
         node.next_timeout = node.participant.next_timeout();
     }
 
-    /// Does everything up to a time.
+    /// Runs the network for a duration.
     pub fn run_for(&mut self, duration: Duration) {
         self.run_until(duration, |_| false);
     }
 
-    /// Runs until `is_done`, at most for `limit`. Returns whether it was done.
+    /// Runs until `is_done`, at most for `limit`. Returns whether it became true.
     pub fn run_until(&mut self, limit: Duration, is_done: impl Fn(&Self) -> bool) -> bool {
         let end = self.elapsed + limit;
         loop {
@@ -261,12 +261,12 @@ pub fn endpoint(topic: &str, qos: Qos) -> EndpointConfig {
     }
 }
 
-/// Bytes that begin with an encapsulation.
+/// The text with an encapsulation header.
 pub fn payload(text: &str) -> Bytes {
     [&[0, 1, 0, 0], text.as_bytes()].concat().into()
 }
 
-/// The default of ROS 2.
+/// The default QoS of ROS 2.
 pub fn reliable() -> Qos {
     Qos { history: History::KeepLast(10), ..Qos::writer_default() }
 }

@@ -1,4 +1,4 @@
-//! The datagrams of recorded conversations, see `tesREADME.md`.
+//! The datagrams of recorded conversations, see `README.md`.
 
 const FAST_DDS: &[u8] = include_bytes!("fast_dds.pcap");
 const CYCLONE_DDS: &[u8] = include_bytes!("cyclone_dds.pcap");

@@ -1,4 +1,4 @@
-//! Every hostile datagram that once ended a process or silenced it, and those that did not.
+//! Hostile datagrams, including all that once crashed or silenced a process.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use crate::robot::{READER, Robot, WRITER, announcement, endpoint, fragment, mess
 
 const SECOND: Duration = Duration::from_secs(1);
 
-/// Writers that the robot listens to: its own kind of discovery, and the stranger's.
+/// Writers that the robot receives: builtin writers for discovery, and the writer of the stranger.
 const WRITERS: [EntityId; 5] = [
     EntityId::SPDP_WRITER,
     EntityId::SEDP_PUBLICATIONS_WRITER,
@@ -43,7 +43,7 @@ fn fragments_of_an_unknown_writer_that_declare_four_gigabytes_are_not_kept() {
 }
 
 #[test]
-fn fragments_of_a_matched_writer_that_declare_gigabytes_take_what_they_bring() {
+fn fragments_of_a_matched_writer_that_declare_gigabytes_use_only_their_own_size() {
     survives(|robot| {
         robot.meet(stranger(1));
         let largest = robot.largest_sample();
@@ -60,7 +60,7 @@ fn fragments_of_a_matched_writer_that_declare_gigabytes_take_what_they_bring() {
 }
 
 #[test]
-fn samples_that_are_begun_and_never_completed_are_few() {
+fn samples_that_are_never_completed_are_bounded() {
     survives(|robot| {
         robot.meet(stranger(1));
         for number in 1..=20_000 {
@@ -71,7 +71,7 @@ fn samples_that_are_begun_and_never_completed_are_few() {
 }
 
 #[test]
-fn a_heartbeat_of_2_to_the_40_samples_costs_what_one_of_two_costs() {
+fn a_heartbeat_of_2_to_the_40_samples_costs_the_same_as_one_of_two() {
     survives(|robot| {
         robot.hear(&announcement(stranger(1)));
         for (count, writer) in (1..).zip(WRITERS) {
@@ -115,7 +115,7 @@ fn heartbeats_at_the_ends_of_the_number_range_do_no_harm() {
 }
 
 #[test]
-fn a_gap_of_2_to_the_40_samples_costs_what_one_of_two_costs() {
+fn a_gap_of_2_to_the_40_samples_costs_the_same_as_one_of_two() {
     survives(|robot| {
         robot.meet(stranger(1));
         for writer in WRITERS {
@@ -127,7 +127,7 @@ fn a_gap_of_2_to_the_40_samples_costs_what_one_of_two_costs() {
 }
 
 #[test]
-fn gaps_with_holes_between_them_are_not_kept_without_end() {
+fn gaps_with_holes_between_them_are_bounded() {
     survives(|robot| {
         robot.meet(stranger(1));
         for number in 0..100_000 {
@@ -140,7 +140,7 @@ fn gaps_with_holes_between_them_are_not_kept_without_end() {
 }
 
 #[test]
-fn requests_for_fragment_zero_and_for_fragments_that_there_are_not_do_no_harm() {
+fn requests_for_fragment_zero_and_for_missing_fragments_do_no_harm() {
     survives(|robot| {
         robot.meet(stranger(1));
         robot.write("state");
@@ -161,7 +161,7 @@ fn requests_for_fragment_zero_and_for_fragments_that_there_are_not_do_no_harm() 
 }
 
 #[test]
-fn acknowledgements_of_samples_that_there_are_not_do_no_harm() {
+fn acknowledgements_of_unwritten_samples_do_no_harm() {
     survives(|robot| {
         robot.meet(stranger(1));
         robot.write("state");
@@ -182,7 +182,7 @@ fn acknowledgements_of_samples_that_there_are_not_do_no_harm() {
 }
 
 #[test]
-fn heartbeats_of_fragments_that_there_are_not_do_no_harm() {
+fn heartbeats_of_missing_fragments_do_no_harm() {
     survives(|robot| {
         robot.meet(stranger(1));
         for (count, last) in (1..).zip([1, 100, u32::MAX]) {
@@ -196,7 +196,7 @@ fn heartbeats_of_fragments_that_there_are_not_do_no_harm() {
 }
 
 #[test]
-fn five_hundred_participants_are_known_and_forgotten() {
+fn five_hundred_participants_are_stored_and_removed() {
     survives(|robot| {
         for number in 0..500 {
             robot.hear(&announcement(stranger(number)));
@@ -210,7 +210,7 @@ fn five_hundred_participants_are_known_and_forgotten() {
 }
 
 #[test]
-fn twenty_thousand_announcements_are_bounded_and_forgotten() {
+fn twenty_thousand_announcements_are_bounded_and_removed() {
     survives(|robot| {
         for number in 0..20_000 {
             robot.hear(&announcement(stranger(number)));
@@ -222,7 +222,7 @@ fn twenty_thousand_announcements_are_bounded_and_forgotten() {
 }
 
 #[test]
-fn twenty_thousand_endpoints_are_bounded_and_forgotten() {
+fn twenty_thousand_endpoints_are_bounded_and_removed() {
     survives(|robot| {
         robot.hear(&announcement(stranger(1)));
         for number in 1..=20_000 {
@@ -250,7 +250,7 @@ fn topic_names_of_ten_kilobytes_are_refused() {
 }
 
 #[test]
-fn two_hundred_readers_that_never_acknowledge_delay_nobody() {
+fn two_hundred_readers_that_never_acknowledge_delay_no_other() {
     survives(|robot| {
         robot.meet(stranger(1));
         for number in 2..=200 {
@@ -270,7 +270,7 @@ fn two_hundred_readers_that_never_acknowledge_delay_nobody() {
 }
 
 #[test]
-fn a_stranger_that_was_met_is_worth_no_more_than_three_times_its_bytes() {
+fn a_known_stranger_receives_at_most_three_times_its_bytes() {
     survives(|robot: &mut Robot| {
         let before = robot.sent();
         let mut forged = 0;
@@ -279,7 +279,7 @@ fn a_stranger_that_was_met_is_worth_no_more_than_three_times_its_bytes() {
             forged += datagram.len() as u64;
             robot.hear(&datagram);
         }
-        // What the robot says to its peer and to all is a part of it.
+        // Includes what the robot sends to its peer and to all.
         let announced = 50_000;
         assert!(robot.sent() - before < 3 * forged + announced, "{} for {forged}", robot.sent() - before);
     });

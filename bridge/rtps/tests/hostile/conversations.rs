@@ -1,6 +1,6 @@
-//! A participant hears recorded conversations that are changed at random, and works afterwards.
+//! A participant receives recorded conversations that are changed at random, and still works afterwards.
 //!
-//! Each round is made from its number alone, as in `reading.rs`.
+//! Each round depends only on its number, as in `reading.rs`.
 
 use std::net::Ipv4Addr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -14,10 +14,10 @@ use crate::mutation::{mutate, submessages};
 use crate::targets::participant::{Listener, run, say};
 use crate::{capture, robot};
 
-/// What one participant may hold. It keeps samples of its own of half a megabyte.
+/// The most memory of a participant, which stores samples of half a megabyte itself.
 const MOST_MEMORY: usize = 16 << 20;
 
-/// What each recorded speaker says, as if it said it to the participant `listener`, whose `writers` it acknowledges.
+/// The recorded conversations, addressed to the participant `listener` and acknowledging its `writers`.
 fn conversations(listener: GuidPrefix, writers: &[EntityId]) -> Vec<Vec<Vec<u8>>> {
     let mut conversations = Vec::new();
     for recording in [capture::fast_dds(), capture::cyclone_dds()] {
@@ -41,7 +41,8 @@ fn conversations(listener: GuidPrefix, writers: &[EntityId]) -> Vec<Vec<Vec<u8>>
     conversations
 }
 
-/// Makes what is for one reader of the application be for all, and acknowledgements of its writers for `writer`.
+/// Changes messages to one user reader into messages to all, and acknowledgements into acknowledgements of
+/// `writer`.
 fn address(datagram: &mut [u8], writer: EntityId) {
     for (start, _) in submessages(datagram) {
         let (reader_at, is_from_reader) = match datagram[start] {
@@ -89,7 +90,7 @@ fn recorded_conversations_are_followed() {
 }
 
 #[test]
-fn whatever_is_changed_in_a_conversation_a_participant_goes_on_in_bounded_memory() {
+fn a_participant_survives_changed_conversations_in_bounded_memory() {
     let (_, writers) = Listener::new();
     let conversations = conversations(Listener::PREFIX, &writers);
     let mut most = (0, 0);
@@ -114,7 +115,7 @@ fn whatever_is_changed_in_a_conversation_a_participant_goes_on_in_bounded_memory
 }
 
 #[test]
-fn a_participant_that_heard_noise_for_long_works_with_its_peer() {
+fn a_participant_works_with_its_peer_after_much_noise() {
     robot::survives_for_long(|robot| {
         let mut events = 0;
         let writers = ["rt/chatter", "rt/big"].map(|topic| robot.add_endpoints(topic));

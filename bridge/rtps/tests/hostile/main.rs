@@ -1,4 +1,4 @@
-//! What hostile, broken and random datagrams can do to us: nothing.
+//! Hostile, malformed and random datagrams do no harm.
 
 #![allow(clippy::unwrap_used)]
 

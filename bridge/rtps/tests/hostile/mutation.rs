@@ -1,8 +1,9 @@
-//! Random changes of datagrams: of any bytes, of numbers where RTPS has them, and of whole submessages.
+//! Random changes of datagrams: of single bytes, of numbers at the places where RTPS has them, and of whole
+//! submessages.
 
 use fuzzing::Random;
 
-/// Changes a datagram in a few places.
+/// Changes a datagram at a few places.
 pub fn mutate(datagram: &mut Vec<u8>, random: &mut Random) {
     for _ in 0..=random.below(4) {
         match random.below(4) {
@@ -15,7 +16,7 @@ pub fn mutate(datagram: &mut Vec<u8>, random: &mut Random) {
 
 const HEADER: usize = 20;
 
-/// Begins and ends of the submessages, as far as their lengths can be followed.
+/// The ranges of the submessages, as far as their lengths are valid.
 pub fn submessages(datagram: &[u8]) -> Vec<(usize, usize)> {
     let mut found = Vec::new();
     let mut start = HEADER;
@@ -46,7 +47,7 @@ fn change_submessages(datagram: &mut Vec<u8>, random: &mut Random) {
     }
 }
 
-/// Overwrites a number, which in RTPS begin at multiples of four, with one of those that are easily forgotten.
+/// Overwrites a number, which begins at a multiple of four in RTPS, with a boundary value.
 fn change_number(datagram: &mut [u8], random: &mut Random) {
     let length = datagram.len() as u64;
     let at = random.below(datagram.len()) & !3;

@@ -1,7 +1,7 @@
 //! The fuzz target `wire` on recorded datagrams that are changed at random.
 //!
-//! Each round is made from its number alone. `DOWNBEAT_FUZZ_ROUNDS=10000000` makes as many, `DOWNBEAT_FUZZ_FIRST=1234567`
-//! begins with that one.
+//! Each round depends only on its number. `DOWNBEAT_FUZZ_ROUNDS=10000000` sets the number of rounds,
+//! `DOWNBEAT_FUZZ_FIRST=1234567` the first round.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -11,7 +11,7 @@ use crate::mutation::mutate;
 use crate::{capture, targets};
 
 #[test]
-fn whatever_is_changed_in_a_datagram_it_is_read_to_its_end_in_bounded_memory() {
+fn changed_datagrams_are_read_to_their_end_in_bounded_memory() {
     let seeds = [capture::fast_dds(), capture::cyclone_dds()].concat();
     let (mut understood, mut most) = (0, (0, 0));
     let rounds = rounds(50_000);
@@ -22,7 +22,7 @@ fn whatever_is_changed_in_a_datagram_it_is_read_to_its_end_in_bounded_memory() {
         let run = || catch_unwind(AssertUnwindSafe(|| targets::wire::run(&datagram)));
         let (memory, result) = most_in(run);
         understood += usize::from(result.unwrap_or_else(|_| panic!("round {round}: {datagram:02x?}")) > 0);
-        // What is read, and written again.
+        // The parsed values and the datagram written again.
         assert!(memory < 4 * datagram.len() + 4096, "round {round} takes {memory} bytes of memory");
         most = most.max((memory, round));
     }
@@ -31,12 +31,12 @@ fn whatever_is_changed_in_a_datagram_it_is_read_to_its_end_in_bounded_memory() {
 }
 
 #[test]
-fn bytes_without_any_order_are_read_to_their_end() {
+fn random_bytes_are_read_to_their_end() {
     for round in rounds(50_000) {
         let mut random = Random::new(round);
         let mut datagram = b"RTPS\x02\x03\x01\x0f".to_vec();
         datagram.extend((0..random.below(300)).map(|_| random.bits() as u8));
-        // Payloads with random parameters behind a known encapsulation are read, too.
+        // Payloads with random parameters after a valid encapsulation are read as well.
         if random.one_in(2) && datagram.len() > 48 {
             datagram[20..24].copy_from_slice(&[0x15, 0x05, 0, 0]);
             datagram[26..28].copy_from_slice(&[16, 0]);

@@ -1,4 +1,4 @@
-//! A robot, a peer it works with, and a stranger on the same network.
+//! A robot, its peer, and a stranger on the same network.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::{Duration, Instant};
@@ -13,15 +13,15 @@ use fuzzing::most_in;
 
 use crate::common::{Network, latched, reliable};
 
-/// What one robot may hold at any time: the goal is below 64 MB.
+/// The most memory that a robot may use at any time.
 const MOST_MEMORY: usize = 64 << 20;
-/// A case takes milliseconds; one that runs through a range of 2⁴⁰ does not end.
+/// A test case takes milliseconds; one that iterates over a range of 2⁴⁰ numbers does not end.
 const LONGEST: Duration = Duration::from_secs(60);
 
 const ROBOT: usize = 0;
 const PEER: usize = 1;
 
-/// Where the stranger is.
+/// The address of the stranger.
 pub const STRANGER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 66), 7410);
 
 /// The stranger's reader and writer, which match the robot's.
@@ -30,9 +30,9 @@ pub const WRITER: EntityId = EntityId::user_writer(0x66);
 
 pub struct Robot {
     pub network: Network,
-    /// Of the robot, reliable, on the topic that peer and stranger write.
+    /// A reliable reader of the robot on the topic that peer and stranger write.
     pub reader: EntityId,
-    /// Of the robot, reliable, on the topic that peer and stranger read.
+    /// A reliable writer of the robot on the topic that peer and stranger read.
     pub writer: EntityId,
     peer_reader: EntityId,
     peer_writer: EntityId,
@@ -66,7 +66,7 @@ impl Robot {
         robot
     }
 
-    /// Peer and robot hear each other.
+    /// Checks that peer and robot receive each other's samples.
     pub fn talk(&mut self) {
         self.talks += 1;
         let text = format!("{} times", self.talks);
@@ -77,15 +77,18 @@ impl Robot {
             network.nodes[ROBOT].texts(reader).contains(&text)
                 && network.nodes[PEER].texts(peer_reader).contains(&text)
         };
-        assert!(self.network.run_until(Duration::from_secs(10), have_heard), "the robot is deaf or mute");
+        assert!(
+            self.network.run_until(Duration::from_secs(10), have_heard),
+            "the robot and its peer do not communicate"
+        );
     }
 
-    /// Hands a datagram of the stranger to the robot.
+    /// Passes a datagram of the stranger to the robot.
     pub fn hear(&mut self, datagram: &[u8]) {
         self.network.inject(ROBOT, STRANGER, datagram);
     }
 
-    /// Makes the robot a writer and a reader, that keeps the last few samples for late readers.
+    /// Adds a writer, which keeps the last few samples for late readers, and a reader to the robot.
     pub fn add_endpoints(&mut self, topic: &str) -> EntityId {
         self.network.reader(ROBOT, topic, latched(3));
         self.network.writer(ROBOT, topic, latched(3))
@@ -103,7 +106,7 @@ impl Robot {
         self.network.nodes[ROBOT].participant.prefix()
     }
 
-    /// The longest sample that the robot takes, in bytes.
+    /// The largest sample that the robot accepts, in bytes.
     pub fn largest_sample(&self) -> u32 {
         Limits::default().max_sample_size
     }
@@ -112,7 +115,7 @@ impl Robot {
         &self.network.nodes[ROBOT].participant
     }
 
-    /// Forgets what happened to robot and peer. Returns how much there was.
+    /// Removes the events of robot and peer and returns their number.
     pub fn forget_events(&mut self) -> usize {
         self.network.nodes.iter_mut().map(|node| std::mem::take(&mut node.events).len()).sum()
     }
@@ -122,10 +125,10 @@ impl Robot {
         self.network.nodes[ROBOT].sent.1
     }
 
-    /// Makes the stranger a participant with a reader and a writer on the robot's topics.
+    /// Announces the stranger as a participant with a reader and a writer on the robot's topics.
     pub fn meet(&mut self, stranger: GuidPrefix) {
         self.hear(&announcement(stranger));
-        // It answers from where it says it is, and is known from then on.
+        // It answers from the announced address, which validates it.
         let robot = self.prefix();
         self.hear(&message(stranger, |message| {
             let (reader, writer) = (EntityId::SEDP_PUBLICATIONS_READER, EntityId::SEDP_PUBLICATIONS_WRITER);
@@ -141,14 +144,15 @@ impl Robot {
     }
 }
 
-/// Lets `attack` happen to a robot: it remains within its memory and its time, and works with its peer afterwards.
+/// Runs `attack` against a robot. The robot must stay within its limits of memory and time, and work with its
+/// peer afterwards.
 pub fn survives(attack: impl FnOnce(&mut Robot)) {
     let start = Instant::now();
     survives_for_long(attack);
     assert!(start.elapsed() < LONGEST, "it takes {:?}", start.elapsed());
 }
 
-/// The same of an attack that may take any time.
+/// Like `survives`, without a limit of time.
 pub fn survives_for_long(attack: impl FnOnce(&mut Robot)) {
     let (most, ()) = most_in(|| {
         let mut robot = Robot::new();
@@ -224,7 +228,7 @@ pub fn endpoint(sender: GuidPrefix, entity: EntityId, number: SequenceNumber, to
     sample(sender, writer, number, &payload)
 }
 
-/// The `first` fragment of a sample that is said to be of `sample_size` bytes.
+/// The fragment `first` of a sample with the declared size `sample_size`.
 pub fn fragment(sender: GuidPrefix, number: i64, first: u32, sample_size: u32) -> Vec<u8> {
     const SIZE: u16 = 1000;
     let fragment = DataFragment {

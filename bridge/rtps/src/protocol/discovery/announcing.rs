@@ -14,21 +14,21 @@ use crate::{
     },
 };
 
-/// The first announcements come quickly, since one of them may be lost.
+/// Number of initial announcements in quick succession, since some may be lost.
 const FIRST: u32 = 5;
 const FIRST_PERIOD: Duration = Duration::from_millis(100);
 
-/// A farewell is not acknowledged; of three, one arrives.
+/// A farewell is not acknowledged, so it is sent several times.
 const FAREWELLS: usize = 3;
 
-/// Longest datagram of an announcement; peers of other hosts put it together from IP fragments if they must.
+/// Longest datagram of an announcement; to other hosts it may be fragmented by IP.
 const MAX_LEN: usize = 8 * 1024;
 
 /// A datagram to be sent.
 #[derive(Debug, Clone, Copy)]
 struct Announcement {
     to: SocketAddrV4,
-    /// Whom it is for, if it is for one participant only.
+    /// The addressed participant, if it is for one only.
     peer: Option<GuidPrefix>,
     kind: Kind,
 }
@@ -39,13 +39,13 @@ enum Kind {
     Farewell(SequenceNumber),
 }
 
-/// What is said of this participant, when and to whom.
+/// The announcements of this participant and their schedule.
 #[derive(Debug)]
 pub(crate) struct Announcer {
     payload: Vec<u8>,
-    /// The same as long as the content is: a repetition is no new sample.
+    /// Changes only with the content: a repetition is not a new sample.
     number: SequenceNumber,
-    /// How many of the first ones are still to come.
+    /// Number of remaining initial announcements.
     first: u32,
     next: Option<Instant>,
     queue: VecDeque<Announcement>,
@@ -73,13 +73,13 @@ impl Announcer {
         self.is_leaving
     }
 
-    /// Begins with the quick announcements again.
+    /// Restarts the initial announcements.
     pub(crate) fn hurry(&mut self, now: Now) {
         self.first = FIRST;
         self.next = self.next.map(|_| now.steady);
     }
 
-    /// Replaces farewells for announcements, behind which nothing is said any more.
+    /// Replaces announcements by farewells, after which nothing is announced any more.
     pub(crate) fn leave(&mut self, addresses: &Addresses, peers: &Peers) {
         self.is_leaving = true;
         self.queue.clear();
@@ -98,7 +98,7 @@ impl Announcer {
         }
     }
 
-    fn tell(&mut self, to: SocketAddrV4, prefix: GuidPrefix, kind: Kind) {
+    fn enqueue(&mut self, to: SocketAddrV4, prefix: GuidPrefix, kind: Kind) {
         if !self.is_leaving {
             self.queue.push_back(Announcement { to, peer: Some(prefix), kind });
         }
@@ -130,7 +130,7 @@ fn payload(config: &Config) -> Vec<u8> {
 }
 
 impl Participant {
-    /// Announces this participant to whoever listens.
+    /// Announces this participant to all others.
     pub(in crate::protocol) fn announce(&mut self, now: Now) {
         let announcer = &mut self.announcer;
         let usual = self.config.announcement_period.max(FIRST_PERIOD);
@@ -138,42 +138,43 @@ impl Participant {
         announcer.first = announcer.first.saturating_sub(1);
         announcer.next = Some(now.steady + period);
         self.timers.set(Timer::Announcement, announcer.next);
-        // What the last time left unsent is of no use twice.
+        // Announcements left from the last time would be sent twice.
         announcer.queue.retain(|waiting| waiting.peer.is_some());
         let announce_to = &self.config.addresses.announce_to;
         for to in announce_to {
             announcer.queue.push_back(Announcement { to: *to, peer: None, kind: Kind::Presence });
         }
-        // Multicast may not reach them, and what is idle sends nothing else by which they see that we are alive.
+        // Multicast may not reach them, and an idle participant sends nothing else that shows that it is
+        // alive.
         let often_enough = self.config.lease / 3;
         for (prefix, peer) in self.peers.iter_mut() {
             let to = self.links.destination(peer.metatraffic);
             if let Some(Destination::Unicast(to)) = to
-                && now.steady.saturating_duration_since(peer.told) >= often_enough
+                && now.steady.saturating_duration_since(peer.announced) >= often_enough
             {
-                peer.told = now.steady;
+                peer.announced = now.steady;
                 if !announce_to.contains(&to) {
-                    announcer.tell(to, prefix, Kind::Presence);
+                    announcer.enqueue(to, prefix, Kind::Presence);
                 }
             }
         }
     }
 
-    /// Announces this participant to one other.
+    /// Announces this participant to another one.
     pub(in crate::protocol) fn announce_to(&mut self, now: Now, prefix: GuidPrefix) {
         let Some(peer) = self.peers.get_mut(prefix) else { return };
-        peer.told = now.steady;
+        peer.announced = now.steady;
         if let Some(Destination::Unicast(to)) = self.links.destination(peer.metatraffic) {
-            self.announcer.tell(to, prefix, Kind::Presence);
+            self.announcer.enqueue(to, prefix, Kind::Presence);
         }
     }
 
-    /// Tells one participant that this one has left, so that it begins anew with our next announcement.
+    /// Sends a farewell to one participant, so that it rediscovers this one with the next announcement.
     pub(in crate::protocol) fn part_from(&mut self, prefix: GuidPrefix) {
         let Some(peer) = self.peers.get(prefix) else { return };
         if let Some(Destination::Unicast(to)) = self.links.destination(peer.metatraffic) {
-            self.announcer.tell(to, prefix, Kind::Farewell(self.announcer.number.next()));
-            // What follows must not look older than the farewell.
+            self.announcer.enqueue(to, prefix, Kind::Farewell(self.announcer.number.next()));
+            // Later announcements must have higher numbers than the farewell.
             self.announcer.number = self.announcer.number.next().next();
         }
     }

@@ -1,7 +1,7 @@
-//! Announcement of endpoints, ours and others' (SEDP, section 8.5.4).
+//! Announcement of local and remote endpoints (SEDP, section 8.5.4).
 //!
-//! The topics of endpoints have a key, the guid, which ordinary writers know nothing of: what a later sample supersedes is
-//! taken out of the history here.
+//! The SEDP topics have a key, the GUID. Writers do not support keys, so superseded samples are removed from
+//! the history here.
 
 use std::{collections::BTreeMap, net::SocketAddrV4};
 
@@ -15,11 +15,11 @@ use crate::{
     wire::{EndpointData, EntityId, Guid, InlineQos, Payload, SequenceNumber, StatusInfo},
 };
 
-/// What the history of the announcing writers holds.
+/// The contents of the histories of the announcing writers.
 #[derive(Debug, Default)]
 pub(crate) struct Endpoints {
     current: BTreeMap<EntityId, SequenceNumber>,
-    /// Removals that are not acknowledged by all peers yet, by announcing writer.
+    /// Removals that not all peers have acknowledged yet, by announcing writer.
     removals: BTreeMap<EntityId, Vec<SequenceNumber>>,
 }
 
@@ -29,7 +29,7 @@ fn announcing_writer(id: EntityId) -> EntityId {
 }
 
 impl Participant {
-    /// Tells the others of an endpoint of ours.
+    /// Announces a local endpoint.
     pub(in crate::protocol) fn announce_endpoint(&mut self, now: Now, id: EntityId) {
         let Some(data) = self.locals.data(id) else { return };
         let mut payload = Vec::new();
@@ -41,7 +41,7 @@ impl Participant {
         }
     }
 
-    /// Tells the others that an endpoint of ours is gone.
+    /// Announces the removal of a local endpoint.
     pub(in crate::protocol) fn dispose_endpoint(&mut self, now: Now, id: EntityId) {
         let announcing = announcing_writer(id);
         if let Some(number) = self.announced.current.remove(&id)
@@ -49,7 +49,7 @@ impl Participant {
         {
             local.machine.discard(number);
         }
-        // Fast DDS wants the key hash, Cyclone DDS takes that or a payload.
+        // Fast DDS requires the key hash, Cyclone DDS accepts the key hash or a payload.
         let inline_qos = InlineQos::removal(Guid::new(self.config.prefix, id));
         if let Some(number) = self.write_builtin(now, announcing, Bytes::new(), inline_qos) {
             self.announced.removals.entry(announcing).or_default().push(number);
@@ -59,7 +59,8 @@ impl Participant {
         }
     }
 
-    /// Takes removals out of the history of `announcing` that everybody has heard of. Newcomers need none.
+    /// Removes removals from the history of `announcing` that all peers have acknowledged. New peers do not
+    /// need them.
     pub(in crate::protocol) fn drop_removals(&mut self, announcing: EntityId) {
         let Some(local) = self.locals.writers.get_mut(&announcing) else { return };
         for number in self.announced.removals.remove(&announcing).into_iter().flatten() {
@@ -78,7 +79,7 @@ impl Participant {
         self.with_writer(now, writer, |writer, links| writer.write(now, payload, options, links))?.ok()
     }
 
-    /// What another participant says of an endpoint of its own.
+    /// Handles the announcement of an endpoint by its participant.
     pub(in crate::protocol) fn hear_of_endpoint(&mut self, now: Now, reader: EntityId, sample: &Sample) {
         let Some(peer) = self.peers.get(sample.writer.prefix) else { return };
         let from = SocketAddrV4::new(peer.source, 0);
@@ -127,7 +128,7 @@ impl Participant {
         self.match_remote(now, guid);
     }
 
-    /// Forgets an endpoint of another participant.
+    /// Removes an endpoint of another participant.
     pub(in crate::protocol) fn remove_remote(&mut self, now: Now, guid: Guid) {
         let Some(remote) = self.peers.endpoint_mut(guid) else { return };
         for local in std::mem::take(&mut remote.matched) {

@@ -1,6 +1,6 @@
-//! Assertion that writers are alive, by their participant (WLP, section 8.4.13).
+//! Liveliness assertions of writers by their participant (WLP, section 8.4.13).
 //!
-//! Only writers with a finite lease need it. Without any, nothing is sent.
+//! Only writers with a finite lease need assertions. Without such writers nothing is sent.
 
 use std::time::Duration;
 
@@ -10,20 +10,20 @@ use crate::{
     wire::{EntityId, Guid, GuidPrefix, InlineQos, ParticipantMessage},
 };
 
-/// Assertions in the shortest lease: one may come late.
+/// Number of assertions in the shortest lease, so that one may be late.
 const PER_LEASE: u32 = 3;
 
-/// Shorter leases than this are not kept up with.
+/// Shorter periods are not supported.
 const SHORTEST_PERIOD: Duration = Duration::from_millis(1);
 
-/// When own writers are asserted.
+/// When local writers are asserted.
 #[derive(Debug, Default)]
 pub(crate) struct Liveliness {
     period: Option<Duration>,
 }
 
 impl Participant {
-    /// Follows writers that came or went.
+    /// Updates the schedule after writers were added or removed.
     pub(in crate::protocol) fn plan_liveliness(&mut self, now: Now) {
         let leases = self.locals.writers.values().filter_map(|local| {
             let qos = &local.data.qos;
@@ -59,9 +59,9 @@ impl Participant {
         self.assert_writers_of(now, self.config.prefix, kind);
     }
 
-    /// Another participant asserts its writers.
+    /// Handles an assertion of another participant.
     pub(in crate::protocol) fn hear_assertion(&mut self, now: Now, sample: &Sample) {
-        // What is not understood is for other protocols on the same topic, such as those of security.
+        // Other messages belong to other protocols on the same topic, such as those of DDS Security.
         if let Ok(message) = ParticipantMessage::parse(&sample.payload)
             && message.prefix == sample.writer.prefix
         {

@@ -1,7 +1,7 @@
-//! How participants find each other and their endpoints (RTPS section 8.5).
+//! Discovery of participants and their endpoints (RTPS section 8.5).
 //!
-//! Participants announce themselves without being asked, by a stateless writer. Endpoints and liveliness are announced by
-//! ordinary reliable writers, whose topics are known in advance.
+//! Participants announce themselves with a stateless writer. Endpoints and liveliness are announced by
+//! ordinary reliable writers on predefined topics.
 
 mod announcing;
 mod endpoints;

@@ -1,4 +1,4 @@
-//! The other participants: found, followed, lost (SPDP, section 8.5.3).
+//! Discovery and removal of other participants (SPDP, section 8.5.3).
 
 use std::{net::SocketAddrV4, time::Duration};
 
@@ -10,10 +10,10 @@ use crate::{
     wire::{BuiltinEndpoints, Data, EntityId, Guid, GuidPrefix, ParticipantData, Payload, StatusInfo},
 };
 
-/// Lease of a participant that announces none (section 9.6.4.2, as Cyclone DDS reads it).
+/// Lease of a participant that announces none (section 9.6.4.2, as interpreted by Cyclone DDS).
 const DEFAULT_LEASE: Duration = Duration::from_secs(100);
 
-/// Builtin endpoints: the writer, the reader, and the bits by which a participant says that it has them.
+/// Builtin endpoints: the writer, the reader, and the bits by which a participant announces them.
 const BUILTIN: [(EntityId, EntityId, u32, u32); 3] = [
     (
         EntityId::SEDP_PUBLICATIONS_WRITER,
@@ -31,7 +31,7 @@ const BUILTIN: [(EntityId, EntityId, u32, u32); 3] = [
 ];
 
 impl Participant {
-    /// What a participant says of itself.
+    /// Handles the announcement of a participant.
     pub(in crate::protocol) fn hear_of_participant(
         &mut self,
         now: Now,
@@ -42,7 +42,7 @@ impl Participant {
     ) {
         if announcement.inline_qos.status.is_some_and(StatusInfo::is_removal) {
             let gone = announcement.inline_qos.removed(announcement.payload);
-            // Without a name it can only mean itself.
+            // Without a GUID it can only refer to the sender.
             if gone.is_none_or(|guid| guid.prefix == source) {
                 self.remove_peer(now, source, Departure::Disposed);
             } else {
@@ -61,7 +61,7 @@ impl Participant {
             self.fault(now, Fault::ForeignEndpoint, from);
         } else if data.domain_id.is_some_and(|id| id != self.config.domain_id) || !data.domain_tag.is_empty()
         {
-            // Another domain on the same port: none of ours, and no fault.
+            // Another domain on the same port: ignored, but not a fault.
         } else if self.peers.get(source).is_some() {
             self.refresh_peer(now, from, length, data);
         } else {
@@ -98,11 +98,11 @@ impl Participant {
             account,
             withheld: Vec::new(),
             heard: now.steady,
-            told: now.steady,
+            announced: now.steady,
             endpoints: Default::default(),
             data,
         };
-        // The buffer is that of the socket for samples; discovery is small.
+        // The announced buffer is that of the socket for samples; discovery data are small.
         let buffer = peer.data.receive_buffer.filter(|_| peer.is_ours());
         peer.metatraffic = self.open_link(&mut peer, route.metatraffic, None);
         peer.default = self.open_link(&mut peer, route.default, buffer);
@@ -115,7 +115,7 @@ impl Participant {
         }
     }
 
-    /// Asks the guard again; what it admits by now is matched.
+    /// Asks the guard again and matches what it now admits.
     pub(in crate::protocol) fn admit(&mut self, now: Now, prefix: GuidPrefix) {
         let Some(peer) = self.peers.get(prefix) else { return };
         let was = peer.admission;
@@ -134,7 +134,7 @@ impl Participant {
         }
     }
 
-    /// Connects the builtin endpoints: from here on the two exchange what endpoints they have.
+    /// Matches the builtin endpoints: from now on the two participants exchange their endpoints.
     fn let_in(&mut self, now: Now, prefix: GuidPrefix) {
         let Some(peer) = self.peers.get_mut(prefix) else { return };
         peer.admission = Admission::Admit;
@@ -170,7 +170,7 @@ impl Participant {
         let Some(peer) = self.peers.get_mut(prefix) else { return };
         let is_news = peer.data != data;
         if !peer.account.is_known() {
-            // It may not have heard the answer: Fast DDS announces itself before it listens.
+            // The peer may have missed the answer: Fast DDS announces itself before it receives.
             self.announce_to(now, prefix);
         }
         if !is_news {
@@ -186,26 +186,28 @@ impl Participant {
         }
     }
 
-    /// A known participant says that it moved. Anybody can say so: it has to answer from there.
+    /// Handles a changed address of a known participant. Since anyone can forge it, the participant must
+    /// answer from the new address.
     fn doubt(&mut self, now: Now, prefix: GuidPrefix, length: usize) {
         let Some(peer) = self.peers.get_mut(prefix) else { return };
         peer.account = Account::default();
         peer.account.received(length);
         self.announce_to(now, prefix);
-        // Asks for acknowledgements.
+        // This requests acknowledgements.
         self.let_in(now, prefix);
     }
 
     fn arm_lease(&mut self, now: Now, prefix: GuidPrefix) {
         let Some(peer) = self.peers.get(prefix) else { return };
         let lease = peer.data.lease.map(|lease| lease.max(Duration::from_millis(100)));
-        // An infinite lease would keep a participant that was killed for ever.
+        // With an infinite lease, a killed participant would never be removed.
         let lease = lease.unwrap_or(DEFAULT_LEASE);
         let end = peer.heard.checked_add(lease).unwrap_or(now.steady + DEFAULT_LEASE).max(self.grace_until);
         self.timers.set(Timer::Lease(prefix), Some(end.max(now.steady + Duration::from_millis(1))));
     }
 
-    /// Messages do not move the timer, for there are many; so it looks when it fires whether there were any.
+    /// Checks the lease of a participant. Messages do not reset the timer, because there are many; instead it
+    /// is checked when it fires.
     pub(in crate::protocol) fn check_lease(&mut self, now: Now, prefix: GuidPrefix) {
         let Some(peer) = self.peers.get(prefix) else { return };
         let lease = peer.data.lease.unwrap_or(DEFAULT_LEASE);
@@ -214,14 +216,14 @@ impl Participant {
         if !is_over {
             return self.arm_lease(now, prefix);
         }
-        // A peer that is still alive believes that we know it, and would not repeat what it has sent.
+        // A peer that is still alive assumes that it is known here and would not repeat what it has sent.
         if peer.account.is_known() {
             self.part_from(prefix);
         }
         self.remove_peer(now, prefix, Departure::LeaseRanOut);
     }
 
-    /// Forgets a participant with all it has.
+    /// Removes a participant with all its endpoints.
     pub(in crate::protocol) fn remove_peer(&mut self, now: Now, prefix: GuidPrefix, reason: Departure) {
         let Some(peer) = self.peers.get(prefix) else { return };
         let guids: Vec<_> = peer.endpoints.values().map(|remote| remote.data.guid).collect();

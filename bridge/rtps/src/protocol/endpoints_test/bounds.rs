@@ -1,9 +1,9 @@
-//! What bad input, dead peers and small receive buffers cost.
+//! The cost of invalid input, dead peers and small receive buffers.
 
 use super::*;
 
 #[test]
-fn a_dead_reader_delays_nobody_and_costs_its_window() {
+fn a_dead_reader_delays_no_other_and_costs_its_window() {
     for (size, count) in [(100, 5000), (100_000, 200), (1_000_000, 50)] {
         let mut world = World::new(3, &reliable(), true);
         world.match_both(0, 1);
@@ -72,7 +72,7 @@ fn huge_ranges_cost_nothing() {
 }
 
 #[test]
-fn what_cannot_be_delivered_yet_is_bounded() {
+fn undeliverable_samples_are_bounded() {
     let mut world = World::pair(&reliable());
     world.settle();
     let guid = Guid::new(prefix(0), WRITER);
@@ -115,7 +115,7 @@ fn what_cannot_be_delivered_yet_is_bounded() {
 }
 
 #[test]
-fn a_sample_beyond_the_limit_is_lost_and_holds_up_nothing() {
+fn a_sample_beyond_the_limit_is_lost_and_blocks_nothing() {
     let mut world = World::pair(&reliable());
     world.write(0, large(0, 17 << 20)).unwrap();
     world.write_numbered(0, 1..2);
@@ -123,7 +123,8 @@ fn a_sample_beyond_the_limit_is_lost_and_holds_up_nothing() {
     assert_eq!((world.lost(1), world.numbers(1)), (1, vec![1]));
 }
 
-/// What rclpy with the kernel's usual 208 KiB has to get: camera images and large clouds, while it is held up now and then.
+/// What rclpy with the kernel's default buffer of 208 KiB must receive: camera images and large clouds, with
+/// occasional delays.
 #[test]
 fn a_stock_receive_buffer_suffices_for_images() {
     for (size, count, period) in [(921_600, 300, 33 * MS), (8_000_000, 20, 500 * MS)] {

@@ -1,4 +1,4 @@
-//! What is written arrives, whole, once and in order, with few datagrams.
+//! Samples arrive complete, once and in order, with few datagrams.
 
 use super::*;
 
@@ -28,7 +28,7 @@ fn samples_arrive_once_and_in_order_over_a_bad_network() {
 }
 
 #[test]
-fn large_samples_arrive_whole_over_a_bad_network() {
+fn large_samples_arrive_complete_over_a_bad_network() {
     for (seed, is_ours) in (1..20).flat_map(|seed| [(seed, true), (seed, false)]) {
         let mut world = World::new(2, &Qos { history: History::KeepAll, ..reliable() }, is_ours);
         (world.random, world.loss, world.duplication, world.jitter) = (seed * 77, 20, 10, 5 * MS);
@@ -62,7 +62,7 @@ fn large_samples_cost_one_datagram_per_fragment_and_few_answers() {
 }
 
 #[test]
-fn after_the_acknowledgements_it_is_quiet() {
+fn nothing_is_sent_after_the_acknowledgements() {
     for qos in [reliable(), latched(), best_effort()] {
         let mut world = World::pair(&qos);
         world.write_numbered(0, 0..100);
@@ -89,7 +89,7 @@ fn a_flood_of_small_samples_shares_datagrams() {
 }
 
 #[test]
-fn not_every_sample_of_a_quick_succession_is_acknowledged() {
+fn samples_in_quick_succession_share_acknowledgements() {
     let mut world = World::pair(&Qos { history: History::KeepLast(2000), ..reliable() });
     world.settle();
     let before = world.sent;
@@ -103,7 +103,7 @@ fn not_every_sample_of_a_quick_succession_is_acknowledged() {
 }
 
 #[test]
-fn a_reader_that_moves_to_another_link_goes_on() {
+fn a_reader_that_moves_to_another_link_continues() {
     let mut world = World::pair(&reliable());
     world.write_numbered(0, 0..5);
     world.settle();
@@ -124,7 +124,7 @@ fn a_reader_that_moves_to_another_link_goes_on() {
 }
 
 #[test]
-fn many_readers_get_all_and_acknowledge_once() {
+fn many_readers_receive_all_samples_and_acknowledge_once() {
     let mut world = World::new(9, &Qos { history: History::KeepAll, ..reliable() }, true);
     (1..9).for_each(|reader| world.match_both(0, reader));
     (world.loss, world.jitter) = (10, MS);

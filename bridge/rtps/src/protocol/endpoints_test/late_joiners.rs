@@ -1,4 +1,4 @@
-//! Readers that come late, or have forgotten.
+//! Readers that join late or have lost their state.
 
 use super::*;
 
@@ -17,7 +17,7 @@ fn a_late_joiner_gets_exactly_the_depth() {
 }
 
 #[test]
-fn a_late_joiner_gets_large_samples_though_its_first_answers_are_lost() {
+fn a_late_joiner_gets_large_samples_even_if_its_first_answers_are_lost() {
     for is_ours in [true, false] {
         let mut world = World::new(2, &latched(), is_ours);
         for number in 0..12 {
@@ -64,7 +64,7 @@ fn a_volatile_late_joiner_of_a_latched_writer_gets_nothing_old() {
     });
     world.match_both(0, 1);
     world.write_numbered(0, 25..27);
-    // A reader that heard no heartbeat to itself may ask for all of it.
+    // A reader without a heartbeat addressed to it may request all samples.
     let all = &mut SequenceNumberSet::new(SequenceNumber::FIRST);
     (1..=25).for_each(|number| assert!(all.insert(SequenceNumber(number))));
     let ask = AckNack { reader: READER, writer: WRITER, missing: *all, count: 1, is_final: false };
@@ -75,7 +75,7 @@ fn a_volatile_late_joiner_of_a_latched_writer_gets_nothing_old() {
 }
 
 #[test]
-fn a_reader_asks_for_a_first_heartbeat_ever_more_rarely() {
+fn a_reader_requests_a_first_heartbeat_with_increasing_delays() {
     let mut world = World::new(2, &reliable(), true);
     world.match_writer(0, 1);
     let mut asked = Vec::new();
@@ -102,7 +102,7 @@ fn a_reader_asks_for_a_first_heartbeat_ever_more_rarely() {
 }
 
 #[test]
-fn a_reader_that_has_forgotten_gets_the_history_again() {
+fn a_reader_that_has_lost_its_state_gets_the_history_again() {
     let mut world = World::pair(&latched());
     world.write_numbered(0, 0..25);
     world.settle();
@@ -118,7 +118,7 @@ fn a_reader_that_has_forgotten_gets_the_history_again() {
 }
 
 #[test]
-fn a_volatile_reader_that_has_forgotten_gets_what_is_written_then() {
+fn a_volatile_reader_that_has_lost_its_state_gets_new_samples() {
     let mut world = World::pair(&reliable());
     world.write_numbered(0, 0..25);
     world.settle();

@@ -1,4 +1,4 @@
-//! Writers and readers together, over an imagined network.
+//! Writers and readers together over a simulated network.
 
 #![allow(clippy::unwrap_used)] // a test may fail
 
@@ -39,7 +39,7 @@ struct Side {
     socket: Option<Socket>,
 }
 
-/// The receive buffer of a peer that reads it with pauses.
+/// The receive buffer of a peer that reads with pauses.
 #[derive(Default)]
 struct Socket {
     waiting: VecDeque<Vec<u8>>,
@@ -59,10 +59,10 @@ struct World {
     loss: u64,
     duplication: u64,
     jitter: Duration,
-    /// Between which sides nothing gets through.
+    /// Pairs of sides between which all datagrams are lost.
     cut: Vec<(usize, usize)>,
     sent: u64,
-    /// Timers are late by up to this.
+    /// The largest delay of timers.
     lateness: Duration,
 }
 
@@ -84,7 +84,8 @@ fn best_effort() -> Qos {
 }
 
 impl World {
-    /// `count` sides with writers and readers of this quality, nobody matched. Ours announce receive buffers.
+    /// `count` sides with writers and readers with this QoS, without matches. Sides of this engine announce
+    /// receive buffers.
     fn new(count: usize, qos: &Qos, is_ours: bool) -> Self {
         let start = Instant::now();
         let sides = (0..count).map(|side| {
@@ -203,7 +204,7 @@ impl World {
         side.writer.write(self.now, payload.into(), options, &mut side.links)
     }
 
-    /// Writes samples that tell their number, each after what is due.
+    /// Writes samples that contain their number, each after running what is due.
     fn write_numbered(&mut self, side: usize, numbers: std::ops::Range<u32>) {
         for number in numbers {
             self.write(side, sample(number)).unwrap();
@@ -229,7 +230,7 @@ impl World {
         }
     }
 
-    /// Runs until all is acknowledged.
+    /// Runs until all samples are acknowledged.
     fn settle(&mut self) {
         for _ in 0..200_000 {
             self.transmit();
@@ -350,7 +351,7 @@ impl World {
         }
     }
 
-    /// What the samples tell that a side received since.
+    /// The numbers in the samples that a side has received since the last call.
     fn numbers(&mut self, side: usize) -> Vec<u32> {
         let received = std::mem::take(&mut self.sides[side].received);
         received

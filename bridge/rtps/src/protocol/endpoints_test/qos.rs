@@ -1,4 +1,4 @@
-//! History, lifespan, deadline, liveliness, and samples for one reader.
+//! History, lifespan, deadline, liveliness, and samples for a single reader.
 
 use super::*;
 
@@ -48,7 +48,7 @@ fn a_sample_for_one_reader_is_a_gap_for_the_others() {
         let due = (0..90).filter(|number| number % 10 == 9 || 1 + number % 3 == reader).collect::<Vec<_>>();
         assert_eq!((world.lost(reader as usize), world.numbers(reader as usize)), (0, due));
     }
-    // Nobody else hears of it.
+    // No other reader receives it.
     world.run(10 * MS);
     let sent = world.sent;
     let only_to = Some(Guid::new(prefix(1), READER));
@@ -59,7 +59,7 @@ fn a_sample_for_one_reader_is_a_gap_for_the_others() {
 }
 
 #[test]
-fn a_discarded_sample_does_not_come_and_is_not_lost() {
+fn a_discarded_sample_is_neither_received_nor_lost() {
     let mut world = World::new(2, &Qos { history: History::KeepAll, ..latched() }, true);
     world.write_numbered(0, 0..9);
     for number in [2, 3, 7] {
@@ -80,7 +80,8 @@ fn expired_samples_are_neither_sent_nor_delivered() {
     world.match_both(0, 1);
     world.settle();
     assert_eq!(world.numbers(1), [2, 3]);
-    // What waits for an earlier sample until it is too old is not delivered; a step of the wall clock expires nothing here.
+    // A sample that expires while it waits for an earlier one is not delivered. A step of the wall clock
+    // expires nothing here.
     world.now.wall_ns -= 1_000_000_000_000;
     world.write_numbered(0, 4..5);
     world.settle();
@@ -106,7 +107,7 @@ fn missed_deadlines_are_counted_on_both_sides() {
     let offered = world.sides[0].events.iter();
     let offered = offered.filter(|event| **event == WriterEvent::DeadlineMissed { count: 1 }).count();
     assert_eq!((offered, world.sides[1].received.len()), (3, 3));
-    // A sleep of the host is one event.
+    // A suspension of the host is one event.
     world.advance(Duration::from_secs(10));
     world.step();
     assert_eq!(world.sides[1].received[3..], [Received::DeadlineMissed { count: 100 }]);

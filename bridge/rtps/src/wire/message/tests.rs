@@ -90,7 +90,7 @@ fn a_message_may_end_anywhere_without_harm() {
 }
 
 #[test]
-fn nothing_is_read_behind_a_malformed_submessage() {
+fn nothing_is_read_after_a_malformed_submessage() {
     let mut bytes = MESSAGE.to_vec();
     bytes[20 + 3] = 11; // INFO_DST one byte short
     assert_eq!(submessages(&bytes), [Err(Malformed::Truncated)]);
@@ -126,7 +126,7 @@ fn submessages_that_end_early_are_malformed() {
 }
 
 #[test]
-fn a_timestamp_can_be_taken_back() {
+fn a_timestamp_can_be_cancelled() {
     assert_eq!(read(0x09, 0x02, &[]), Ok(Submessage::InfoTimestamp(None)));
     assert_eq!(read(0x09, 0x00, &[0xff; 8]), Ok(Submessage::InfoTimestamp(None)));
     assert_eq!(read(0x09, 0x00, &[]), Err(Malformed::Truncated));
@@ -140,14 +140,14 @@ fn a_source_replaces_the_header() {
 }
 
 #[test]
-fn security_is_handed_on_and_replies_are_not_read() {
+fn security_submessages_are_passed_on_and_replies_are_not_read() {
     assert_eq!(read(0x33, 0, &[1, 2]), Ok(Submessage::Security { id: 0x33, body: &[1, 2] }));
     assert_eq!(read(0x35, 0, &[1, 2]), Ok(Submessage::Unknown { id: 0x35 }));
     assert_eq!(read(0x0f, 0, &[1, 2]), Ok(Submessage::InfoReply));
 }
 
 #[test]
-fn data_numbers_are_from_1_to_2_to_the_62() {
+fn data_numbers_range_from_1_to_2_to_the_62() {
     let with = |number: &[u8]| read(0x15, 0, &body(&[&[0, 0, 0, 16], ENDS, number]));
     assert!(with(ONE).is_ok());
     for bad in [ZERO, TOO_HIGH, &[0xff; 8], &[0x7f, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff]] {
@@ -167,7 +167,7 @@ fn inline_qos_lies_where_its_offset_says() {
         assert_eq!(data.payload, Payload::Data(&[0, 1, 0, 0]));
     }
     assert_eq!(with(12, &[], list), Err(Malformed::Truncated), "within the fields");
-    assert_eq!(with(0xff, &[], list), Err(Malformed::Truncated), "behind the end");
+    assert_eq!(with(0xff, &[], list), Err(Malformed::Truncated), "after the end");
     let without_end = body(&[&[0, 0, 0, 16], ENDS, ONE, &list[..8]]);
     assert_eq!(read(0x15, 0x06, &without_end), Err(Malformed::Truncated));
     assert_eq!(with(16, &[], &[0, 0x71, 0, 3, 0, 0, 0, 3]), Err(Malformed::ParameterList));
@@ -236,7 +236,7 @@ fn fragments_lie_within_their_sample() {
 }
 
 #[test]
-fn fragments_that_bring_fewer_bytes_than_they_say_are_malformed() {
+fn fragments_with_fewer_bytes_than_declared_are_malformed() {
     assert_eq!(fragment(1, 2, 100, 250, 199), Err(Malformed::Truncated));
     assert_eq!(fragment(3, 1, 100, 250, 49), Err(Malformed::Truncated));
     assert_eq!(fragment(1, 65_535, 65_535, u32::MAX, 1000), Err(Malformed::Truncated));
