@@ -1,4 +1,4 @@
-//! Playing to ROS 2, and what a player can be told meanwhile.
+//! Playing bags to ROS 2, and controlling the player.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -76,7 +76,7 @@ fn call<S: Service>(node: &Node, name: &str, request: &S::Request) -> S::Respons
 }
 
 #[test]
-fn a_player_is_paused_stepped_sought_and_stopped_by_services() {
+fn services_pause_step_seek_and_stop_a_player() {
     let folder = tempfile::tempdir().unwrap();
     let bag = bag(folder.path(), 10);
     let Some(mut peer) = Peer::start(205, "LOCALHOST") else { return };
@@ -111,7 +111,7 @@ fn a_player_is_paused_stepped_sought_and_stopped_by_services() {
 }
 
 #[test]
-fn a_player_says_what_it_waits_for() {
+fn a_player_prints_what_it_waits_for() {
     let folder = tempfile::tempdir().unwrap();
     let bag = bag(folder.path(), 1);
     let printed = text_of(&["bag", "play", text(&bag), "--domain", "229"]);
@@ -143,7 +143,7 @@ fn topics_are_played_by_type_and_expression_with_other_qos_and_a_clock() {
 }
 
 #[test]
-fn a_bag_of_more_topics_than_a_process_can_publish_is_refused_at_once() {
+fn a_bag_with_too_many_topics_for_a_process_is_refused_immediately() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("wide");
     let mut writer = WriterOptions::new().create(&bag).unwrap();
@@ -186,7 +186,7 @@ fn a_player_that_repeats_is_stopped_by_a_service() {
     assert!(call::<IsPaused>(&node, "is_paused", &IsPausedRequest::default()).paused);
     let playing = |part: PlayRequest| call::<Play>(&node, "play", &part).success;
     assert!(playing(PlayRequest::default()));
-    assert!(!playing(PlayRequest::default()), "it is playing already");
+    assert!(!playing(PlayRequest::default()), "it is already playing");
     call::<Stop>(&node, "stop", &StopRequest::default());
     assert!(player.wait().success(), "{}", player.output());
     assert!(player.output().contains("played "), "{}", player.output());
@@ -198,14 +198,14 @@ fn recorded_requests_are_sent_to_a_server_again() {
     let _check = check("Bags", "`bag play --publish-service-requests`", With::Rclpy, Way::Out);
     let service = "/reference/set_torque";
     peer.ask(json!({"do": "serve", "service": service, "type": "std_srvs/srv/SetBool"}));
-    // Of the real recorder, which noted no definition of the type.
+    // A bag of the real recorder, which did not store the definition of the type.
     let bag = concat!(env!("CARGO_MANIFEST_DIR"), "/bags/tests/data/jazzy_mcap");
     let play = ["bag", "play", bag, "--publish-service-requests", "--services", service, "-r", "10"];
     let played = text_of(&[&play[..], &["--domain", "208"]].concat());
     assert!(played.contains("played 17 messages; 0 were refused"), "{played}");
     let sent: Vec<_> = (0..17).map(|n| json!({"data": n % 2 == 0})).collect();
     assert_eq!(peer.ask(json!({"do": "requests_to", "service": service})), json!(sent));
-    // No client told of what it sent.
+    // No client published events of its requests.
     let played = text_of(
         &[&play[..], &["--service-requests-source", "client_introspection", "--domain", "208"]].concat(),
     );
@@ -214,7 +214,7 @@ fn recorded_requests_are_sent_to_a_server_again() {
 }
 
 #[test]
-fn what_was_latched_before_the_start_is_played_and_the_end_is_kept() {
+fn messages_latched_before_the_start_are_played_and_the_end_is_respected() {
     let folder = tempfile::tempdir().unwrap();
     let bag = bag(folder.path(), 10);
     let options = ["-r", "100", "--start-offset", "4", "--playback-duration", "2.5", "--domain", "207"];

@@ -24,7 +24,7 @@ fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// Records the demo from its first cycle to its last, with more than a second of motion.
+/// Records the demo from its first to its last cycle, with more than one second of motion.
 fn recorded(folder: &Path, edit: impl Fn(String) -> String) -> (PathBuf, PathBuf) {
     recorded_until("/joint_states", 200, folder, edit)
 }
@@ -45,13 +45,13 @@ fn replayed(robot: &Path, bag: &Path, options: &[&str]) -> Output {
     output_of(&[&["bag", "replay", text(robot), text(bag)], options].concat())
 }
 
-fn told(output: &Output) -> String {
+fn output_text(output: &Output) -> String {
     [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat()
 }
 
 fn report(robot: &Path, bag: &Path, options: &[&str]) -> Value {
     let output = replayed(robot, bag, &[options, &["--json"]].concat());
-    assert!(output.status.success(), "{}", told(&output));
+    assert!(output.status.success(), "{}", output_text(&output));
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
@@ -67,7 +67,8 @@ fn times_of(bag: &Path, topic: &str) -> Vec<i64> {
     reader.messages(selection).unwrap().map(|message| message.unwrap().log_time).collect()
 }
 
-/// The bag with the messages of a topic changed; `change` is given the number of each.
+/// Creates a copy of the bag in which `change` modifies the messages of a topic. It is called with the number
+/// of each message.
 fn altered(bag: &Path, topic: &str, mut change: impl FnMut(usize, Vec<u8>) -> Option<Vec<u8>>) -> PathBuf {
     let reader = Reader::open(bag).unwrap();
     let target = bag.with_file_name("altered");
@@ -103,7 +104,7 @@ fn a_recorded_robot_repeats_bit_for_bit_under_every_launcher() {
         for topic in ["/motion/joint_commands", "/joint_goals", "/joint_states", "/bus/exchanges"] {
             assert!(compared(&report, topic) > 100, "{topic} in {report}");
         }
-        assert!(compared(&report, "/diagnostics") > 0, "which the process publishes too: {report}");
+        assert!(compared(&report, "/diagnostics") > 0, "which the process also publishes: {report}");
         assert_eq!(report["left_out"][0]["module"], "emulator");
     }
     let printed = told(&replayed(&robot, &bag, &[]));
@@ -111,7 +112,7 @@ fn a_recorded_robot_repeats_bit_for_bit_under_every_launcher() {
 }
 
 #[test]
-fn a_message_that_differs_is_told_with_its_time_topic_field_and_both_values() {
+fn a_different_message_is_reported_with_time_topic_field_and_both_values() {
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag) = recorded(folder.path(), |text| text);
     let (mut before, mut after) = (0.0, 0.0);
@@ -131,7 +132,7 @@ fn a_message_that_differs_is_told_with_its_time_topic_field_and_both_values() {
         Some(cdr::to_vec(&imu))
     });
     let output = replayed(&robot, &bag, &[]);
-    let printed = told(&output);
+    let printed = output_text(&output);
     assert!(!output.status.success());
     for expected in [
         "/imu/data_raw message 40\n  linear_acceleration.z\n".to_owned(),
@@ -149,17 +150,17 @@ fn a_message_that_differs_is_told_with_its_time_topic_field_and_both_values() {
         ["--ignore", "imu/data_raw"],
     ] {
         let output = replayed(&robot, &bag, &allowed);
-        assert!(output.status.success(), "{allowed:?}: {}", told(&output));
+        assert!(output.status.success(), "{allowed:?}: {}", output_text(&output));
     }
     let section = "\n[replay]\ntolerance = [\"imu/data_raw:linear_acceleration=1e-9\"]\n";
     let robot_text = std::fs::read_to_string(&robot).unwrap() + section;
     std::fs::write(&robot, robot_text).unwrap();
     let output = replayed(&robot, &bag, &[]);
-    assert!(output.status.success(), "as [replay] says: {}", told(&output));
+    assert!(output.status.success(), "as [replay] says: {}", output_text(&output));
 }
 
 #[test]
-fn a_message_too_many_or_too_few_is_told() {
+fn extra_and_missing_messages_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag) = recorded_until("/battery_state", 2, folder.path(), |text| text);
     let shorter = altered(&bag, "/battery_state", |number, data| (number == 0).then_some(data));
@@ -170,15 +171,15 @@ fn a_message_too_many_or_too_few_is_told() {
     let count = last.topics()[last.topic("/bus/exchanges").unwrap().index()].message_count as usize;
     let without_answer = altered(&bag, "/bus/exchanges", |number, data| (number + 1 < count).then_some(data));
     let output = replayed(&robot, &without_answer, &["--modules", "hardware"]);
-    assert!(!output.status.success(), "{}", told(&output));
+    assert!(!output.status.success(), "{}", output_text(&output));
 }
 
 #[test]
-fn another_setting_gives_another_run() {
+fn another_setting_leads_to_another_run() {
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag) = recorded(folder.path(), |text| text);
     let output = replayed(&robot, &bag, &["-p", "motion.stand_s:=1.0"]);
-    let printed = told(&output);
+    let printed = output_text(&output);
     assert!(!output.status.success() && printed.contains("/motion/joint_commands message "), "{printed}");
     assert!(printed.contains("position["), "{printed}");
     let only = report(&robot, &bag, &["-p", "motion.stand_s:=1.0", "--modules", "mux", "hardware"]);
@@ -186,7 +187,7 @@ fn another_setting_gives_another_run() {
 }
 
 #[test]
-fn a_killed_recording_replays_as_far_as_it_goes() {
+fn a_killed_recording_replays_up_to_its_end() {
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag) = (robot_file(folder.path(), |text| text), folder.path().join("bag"));
     let mut running = Running::start(&["bag", "record", "--robot", text(&robot), "--output", text(&bag)]);
@@ -201,7 +202,7 @@ fn a_killed_recording_replays_as_far_as_it_goes() {
 }
 
 #[test]
-fn settings_that_were_changed_while_it_ran_change_again() {
+fn settings_changed_while_the_robot_ran_change_again() {
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag) = (robot_file(folder.path(), |text| text), folder.path().join("bag"));
     let mut running = Running::start(&["run", text(&robot), "--domain", "214", "--record", text(&bag)]);
@@ -212,7 +213,7 @@ fn settings_that_were_changed_while_it_ran_change_again() {
     let set = node.client::<SetParameters>("/darwin_op/set_parameters", QosProfile::SERVICES).unwrap();
     assert!(set.wait_for_service(WATCHDOG));
     wait_until("it moves", || recorded_messages(&bag, "/joint_goals") > 20);
-    // Of a module inside the cycle, and of one that is detached.
+    // Settings of a module inside the cycle and of a detached module.
     let values =
         [("motion.stand_s", SettingValue::Double(1.5)), ("hardware.p_gain", SettingValue::Integer(16))];
     for (name, value) in values {
@@ -237,11 +238,11 @@ fn settings_that_were_changed_while_it_ran_change_again() {
 }
 
 #[test]
-fn what_came_while_the_robot_stopped_is_not_compared() {
+fn messages_published_while_the_robot_stopped_are_not_compared() {
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag) = recorded_until("/joint_goals", 150, folder.path(), |text| text);
     let goals = times_of(&bag, "/joint_goals");
-    // As if it had begun to stop when a command was on its way from the motion to the multiplexer.
+    // As if the robot had begun to stop while a command was in transit from the motion to the multiplexer.
     let begin_of_stop = goals[100] - 1;
     let mut has_ended = false;
     let bag = altered(&bag, "/cycle_times", |_, data| {
@@ -274,7 +275,7 @@ fn reason_of(report: &Value, topic: &str) -> String {
 }
 
 #[test]
-fn what_was_not_compared_is_listed_with_the_reason() {
+fn topics_that_were_not_compared_are_listed_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag) = recorded_until("/joint_goals", 20, folder.path(), |text| text);
     let report = report(&robot, &bag, &["--modules", "mux", "--except", "joint_states", "--strict"]);
@@ -295,13 +296,13 @@ fn a_replay_that_compared_nothing_fails() {
     let (robot, bag) = recorded_until("/joint_goals", 20, folder.path(), |text| text);
     for nothing in [["--except", "joint_goals"], ["--ignore", "joint_goals"]] {
         let output = replayed(&robot, &bag, &[&["--modules", "mux"], &nothing[..]].concat());
-        assert_eq!(output.status.code(), Some(1), "{}", told(&output));
-        assert!(told(&output).contains("the replay compared nothing"), "{}", told(&output));
+        assert_eq!(output.status.code(), Some(1), "{}", output_text(&output));
+        assert!(output_text(&output).contains("the replay compared nothing"), "{}", output_text(&output));
     }
 }
 
 #[test]
-fn what_a_module_that_is_left_out_published_fails_a_strict_replay() {
+fn topics_of_a_module_that_is_left_out_fail_a_strict_replay() {
     let folder = tempfile::tempdir().unwrap();
     let without = "[record]\nexcept = [\"bus/exchanges\", \"module_events\"]";
     let (robot, bag) = recorded(folder.path(), |text| text.replace("[record]", without));
@@ -342,7 +343,7 @@ fn a_topic_that_the_bag_lacks_is_listed_and_fails_a_strict_replay() {
 }
 
 #[test]
-fn what_cannot_be_replayed_is_told_with_the_reason() {
+fn modules_that_cannot_be_replayed_are_reported_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag) = recorded_until("/joint_goals", 1, folder.path(), |text| {
         text.replace("topics = \"all\"", "topics = [\"joint_goals\", \"cycle_times\"]")

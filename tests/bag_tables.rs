@@ -1,4 +1,4 @@
-//! Tables and plots of what is in a bag, as others read them.
+//! Tables and plots of the contents of bags, read by other programs.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -17,7 +17,7 @@ fn text(path: &Path) -> &str {
 }
 
 #[test]
-fn duckdb_reads_from_every_table_what_rosbags_decodes() {
+fn duckdb_reads_the_values_that_rosbags_decodes() {
     let folder = tempfile::tempdir().unwrap();
     let (bag, tables) = (recording(), folder.path().join("tables"));
     std::fs::create_dir(&tables).unwrap();
@@ -70,7 +70,7 @@ fn fields_are_drawn_as_svg_and_png() {
 }
 
 #[test]
-fn elements_of_an_array_are_called_by_the_names_beside_it() {
+fn elements_of_an_array_are_named_by_the_name_field_next_to_it() {
     let folder = tempfile::tempdir().unwrap();
     let drawn = |field: &str| {
         let plot = folder.path().join("plot.svg");
@@ -81,7 +81,7 @@ fn elements_of_an_array_are_called_by_the_names_beside_it() {
     assert!(all.contains("/joint_states:position[head_tilt]") && !all.contains("position[3]"), "{all}");
     let one = drawn("joint_states:position[head_tilt]");
     assert!(one.contains("/joint_states:position[head_tilt]") && !one.contains("[head_pan]"));
-    // Without names beside them they have numbers.
+    // Without a name field they are numbered.
     assert!(drawn("imu/data_raw:angular_velocity_covariance").contains("angular_velocity_covariance[0]"));
 }
 
@@ -101,7 +101,7 @@ fn the_legend_is_beside_the_data() {
     let lines = document.descendants().filter(|node| node.has_tag_name("polyline"));
     let points = lines.filter_map(|line| line.attribute("points")).flat_map(str::split_whitespace);
     let inside = points.filter_map(|point| point.split(',').next()?.parse::<f64>().ok());
-    // Samples of the lines stand before their texts, and the data before these.
+    // In the file, the data come first, then the samples of the lines, then their texts.
     let (samples, data): (Vec<f64>, Vec<f64>) = inside.partition(|x| *x > leftmost - 45.0);
     let rightmost = data.iter().copied().fold(0.0, f64::max);
     assert!(
@@ -112,7 +112,7 @@ fn the_legend_is_beside_the_data() {
 }
 
 #[test]
-fn what_cannot_be_drawn_or_exported_is_told_with_what_there_is() {
+fn errors_of_plot_and_export_list_the_valid_choices() {
     let folder = tempfile::tempdir().unwrap();
     let bag = recording();
     let plot = folder.path().join("plot.svg");

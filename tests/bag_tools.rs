@@ -1,4 +1,4 @@
-//! Bags on the command line: looked at, checked, repaired, merged, cut, compared.
+//! Commands that show, check, repair, merge, cut and compare bags.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -26,7 +26,7 @@ fn json(arguments: &[&str]) -> serde_json::Value {
 }
 
 #[test]
-fn info_tells_what_ros2_bag_info_tells_and_more() {
+fn info_prints_what_ros2_bag_info_prints_and_more() {
     let bag = real();
     let expected = std::fs::read_to_string(bag.with_file_name("jazzy_mcap_info.txt")).unwrap();
     assert_eq!(text_of(&["bag", "info", text(&bag)]).trim_end(), expected.trim_end());
@@ -35,10 +35,10 @@ fn info_tells_what_ros2_bag_info_tells_and_more() {
     let verbose = text_of(&["bag", "info", "-v", text(&bag)]);
     assert!(verbose.contains("Request Count: 17 | Response Count: 18 | Size Contribution: "), "{verbose}");
     let file = bag.join("jazzy_mcap_0.mcap");
-    let told = json(&["bag", "info", text(&file), "--json", "--verbose"]);
-    assert_eq!(told["storage_identifier"], "mcap");
-    assert_eq!(told["services"][0]["request_count"], 17);
-    let topics = told["topics"].as_array().unwrap();
+    let info = json(&["bag", "info", text(&file), "--json", "--verbose"]);
+    assert_eq!(info["storage_identifier"], "mcap");
+    assert_eq!(info["services"][0]["request_count"], 17);
+    let topics = info["topics"].as_array().unwrap();
     let image = topics.iter().find(|topic| topic["name"] == "/reference/camera/image_raw").unwrap();
     assert_eq!(image["type"], "sensor_msgs/msg/Image");
     assert!(image["bytes"].as_u64().unwrap() > 1000 && image["has_definition"] == true);
@@ -99,7 +99,7 @@ fn bags_are_filtered_merged_cut_and_compared() {
     text_of(&["bag", "cut", text(&bag), "--from", "1s", "--until", "2s", "-o", text(&at("latched"))]);
     let latched = Reader::open(at("latched")).unwrap();
     let id = latched.topic("/reference/robot_description").unwrap();
-    assert_eq!(latched.topics()[id.index()].message_count, 1, "was sent before");
+    assert_eq!(latched.topics()[id.index()].message_count, 1, "was published before");
     let output = output_of(&["bag", "convert", text(&bag), "-o", text(&at("none")), "--topics", "/imu"]);
     let message = String::from_utf8(output.stderr).unwrap();
     assert!(message.contains("the bag has no topic /imu; it has "), "{message}");
@@ -118,7 +118,7 @@ fn bags_are_filtered_merged_cut_and_compared() {
 }
 
 #[test]
-fn an_output_that_exists_is_kept_unless_it_is_to_be_replaced() {
+fn an_existing_output_is_kept_unless_force_is_given() {
     let folder = tempfile::tempdir().unwrap();
     let bag = real();
     let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
@@ -127,7 +127,7 @@ fn an_output_that_exists_is_kept_unless_it_is_to_be_replaced() {
     std::fs::write(&robot, QUIET_ROBOT).unwrap();
     let imu = "/reference/imu/data_raw:angular_velocity.x";
     let only = ["--topics", "/reference/imu/data_raw"];
-    // Each is refused before it does anything.
+    // Each command is refused before it does anything.
     let refused: [&[&str]; 3] = [
         &["run", text(&robot), "--record", &made],
         &["bag", "record", "--robot", text(&robot), "-o", &made],
@@ -162,7 +162,7 @@ fn an_output_that_exists_is_kept_unless_it_is_to_be_replaced() {
     assert!(Reader::open(&made).is_ok());
 }
 
-/// A bag of a hundred messages, ten or so in each chunk.
+/// A bag with a hundred messages, about ten per chunk.
 fn many_chunks(folder: &Path) -> PathBuf {
     let bag = folder.join("chunks");
     let info = TopicDescription {
@@ -183,7 +183,7 @@ fn many_chunks(folder: &Path) -> PathBuf {
 }
 
 #[test]
-fn what_a_damaged_bag_does_not_give_is_an_error_after_the_rest_was_carried_over() {
+fn unreadable_parts_of_a_bag_are_an_error_after_the_rest_was_copied() {
     let folder = tempfile::tempdir().unwrap();
     let bytes = std::fs::read(many_chunks(folder.path()).join("chunks_0.mcap")).unwrap();
     let damaged = folder.path().join("damaged.mcap");
@@ -194,11 +194,11 @@ fn what_a_damaged_bag_does_not_give_is_an_error_after_the_rest_was_carried_over(
         let output = output_of(arguments);
         let error = String::from_utf8(output.stderr).unwrap();
         assert!(!output.status.success(), "{arguments:?}: {error}");
-        let told = format!(
+        let info = format!(
             "1 part cannot be read; see above, and `downbeat bag check {0}`; `downbeat bag repair {0}`",
             text(&damaged)
         );
-        assert!(error.contains(&told), "{error}");
+        assert!(error.contains(&info), "{error}");
     };
     let only = "/chatter";
     failed(&["bag", "convert", text(&damaged), "-o", text(&at("converted"))]);
@@ -209,7 +209,7 @@ fn what_a_damaged_bag_does_not_give_is_an_error_after_the_rest_was_carried_over(
     assert_eq!(count(&at("cut")), count(&damaged));
     let table = std::fs::read_to_string(at("tables").join("chatter.csv")).unwrap();
     assert!(table.lines().count() > 10);
-    // Nothing is lost of a bag whose summary alone is damaged.
+    // Nothing is lost if only the summary of a bag is damaged.
     let mut unended = bytes;
     let end = unended.len();
     unended[end - 8..].fill(0);

@@ -1,4 +1,5 @@
-//! Bags from the command line: others read them, a kill does not harm them, and they play.
+//! Bags recorded from the command line: other readers read them, a killed recording is readable, and they can
+//! be played.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -15,7 +16,7 @@ fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// Runs the demo without ROS 2 until it has recorded so many joint states.
+/// Runs the demo without ROS 2 until it has recorded the given number of joint states.
 fn recorded(folder: &Path, joint_states: u64) -> (PathBuf, String) {
     let (robot, bag) = (robot_file(folder, |text| text), folder.join("bag"));
     let arguments = ["bag", "record", "--robot", text(&robot), "--output", text(&bag)];
@@ -32,7 +33,7 @@ fn messages(bag: &Path) -> Vec<(String, i64, Vec<u8>)> {
 }
 
 #[test]
-fn others_decode_every_message_and_count_what_was_reported() {
+fn other_readers_decode_every_message_and_count_the_reported_numbers() {
     let folder = tempfile::tempdir().unwrap();
     let (bag, output) = recorded(folder.path(), 400);
     let Some(found) = python("decode_bag.py", &[&bag]) else { return };
@@ -87,7 +88,7 @@ fn a_bag_played_into_a_robot_gives_the_same_result_each_time() {
 }
 
 #[test]
-fn a_robot_recorded_from_the_network_gives_the_bytes_that_it_recorded_itself() {
+fn a_robot_recorded_from_the_network_has_the_bytes_that_it_recorded_itself() {
     let folder = tempfile::tempdir().unwrap();
     let (robot, own) = (robot_file(folder.path(), |text| text), folder.path().join("own"));
     let heard = folder.path().join("heard");
@@ -104,7 +105,7 @@ fn a_robot_recorded_from_the_network_gives_the_bytes_that_it_recorded_itself() {
         let of_topic = messages(bag).into_iter().filter(|message| message.0 == "/joint_states");
         of_topic.map(|message| message.2).collect()
     };
-    // From the first that was heard on, none is missing, changed or out of order.
+    // From the first received message on, none is missing, changed or out of order.
     let (own_states, heard_states) = (joint_states(&own), joint_states(&heard));
     let first = own_states.iter().position(|state| *state == heard_states[0]).unwrap();
     let published = &own_states[first..];
@@ -137,7 +138,7 @@ fn a_bag_is_not_played_over_what_the_robot_publishes_or_into_a_device() {
 }
 
 #[test]
-fn what_rclpy_publishes_is_recorded_and_what_is_played_reaches_rclpy() {
+fn messages_of_rclpy_are_recorded_and_played_messages_reach_rclpy() {
     let Some(mut peer) = Peer::start(70, "LOCALHOST") else { return };
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("chatter");

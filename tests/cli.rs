@@ -1,4 +1,4 @@
-//! The command line, as a user meets it.
+//! The command line as a user sees it.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -15,7 +15,7 @@ fn text(path: &Path) -> &str {
 }
 
 #[test]
-fn a_wrong_robot_file_is_told_with_file_line_and_the_nearest_name() {
+fn errors_in_a_robot_file_contain_file_line_and_the_nearest_name() {
     let folder = tempfile::tempdir().unwrap();
     let wrong =
         |from: &'static str, to: &'static str| robot_file(folder.path(), |text| text.replacen(from, to, 1));
@@ -125,7 +125,7 @@ fn every_command_has_help() {
 }
 
 #[test]
-fn a_run_on_a_pool_of_threads_ends_by_itself_and_an_existing_bag_is_not_touched() {
+fn a_run_with_a_duration_ends_and_an_existing_bag_is_not_changed() {
     let folder = tempfile::tempdir().unwrap();
     let on_two_threads = |text: String| text.replace("[robot]", "[robot]\nlauncher = \"pool\"\nthreads = 2");
     let (robot, bag) = (robot_file(folder.path(), on_two_threads), folder.path().join("bag"));
@@ -140,7 +140,7 @@ fn a_run_on_a_pool_of_threads_ends_by_itself_and_an_existing_bag_is_not_touched(
 }
 
 #[test]
-fn a_robot_runs_with_every_way_to_run_its_modules() {
+fn a_robot_runs_with_all_options_for_its_modules() {
     let folder = tempfile::tempdir().unwrap();
     let ways = |text: String| {
         let module =
@@ -199,7 +199,7 @@ fn settings_come_from_parameter_files_and_the_command_line_in_their_order() {
     }
 }
 
-/// Lists are given, since rcl takes no empty ones.
+/// Lists are set, because rcl does not accept empty ones.
 #[test]
 fn a_real_ros_node_reads_the_parameters_that_check_writes() {
     let folder = tempfile::tempdir().unwrap();
@@ -217,7 +217,7 @@ fn a_real_ros_node_reads_the_parameters_that_check_writes() {
 }
 
 #[test]
-fn an_emulated_robot_run_alone_is_driven_over_its_port_and_its_faults_are_told() {
+fn a_separate_emulated_robot_is_driven_over_its_port_and_its_faults_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let port = folder.path().join("serial");
     let faults = ["--fault", "dead-servo:5@2s..3s", "--fault", "close-port@7s..7.2s"];
@@ -240,7 +240,7 @@ fn an_emulated_robot_run_alone_is_driven_over_its_port_and_its_faults_are_told()
     assert!(!port.exists(), "the link is removed");
 }
 
-/// Whether a bag has joint states after the port was opened, closed and opened once more.
+/// Returns whether a bag has joint states after the port was opened, closed and opened again.
 fn has_joint_states_of_a_second_opening(bag: &Path) -> bool {
     let Ok(reader) = Reader::open(bag) else { return false };
     let (Some(exchanges), Some(states)) = (reader.topic("/bus/exchanges"), reader.topic("/joint_states"))

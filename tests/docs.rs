@@ -1,7 +1,7 @@
-//! What the pages for users say is done: every command of their `sh` blocks and transcripts runs, and every robot file of their `toml`
-//! blocks is read. Rust snippets are compiled as documentation tests (`src/lib.rs`).
+//! Tests the pages for users: runs every command in `sh` blocks and transcripts, and reads every robot file
+//! in `toml` blocks. Rust snippets are compiled as documentation tests (`src/lib.rs`).
 //!
-//! A `ros2` command is run by the command of `downbeat` that takes the same arguments.
+//! A `ros2` command is replaced by the `downbeat` command with the same arguments.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -26,7 +26,7 @@ const PAGES: [&str; 9] = [
     "modules/README.md",
 ];
 
-/// Commands that other tests run, or that change the machine of whoever types them.
+/// Commands that other tests run, or that change the machine.
 const ELSEWHERE: [&str; 8] = [
     "cargo xtask",
     "cargo test",
@@ -38,7 +38,7 @@ const ELSEWHERE: [&str; 8] = [
     "duckdb ",
 ];
 
-/// Commands that go on until they are interrupted.
+/// Commands that run until they are interrupted.
 const ENDLESS: [&[&str]; 9] = [
     &["run"],
     &["emulate"],
@@ -51,7 +51,7 @@ const ENDLESS: [&[&str]; 9] = [
     &["topic", "pub"],
 ];
 
-/// Commands that look at a running robot or speak with it.
+/// Commands that need a running robot.
 const NEEDS_ROBOT: [&str; 10] =
     ["top", "trace", "expose", "topic", "node", "service", "param", "action", "lifecycle", "ros2"];
 
@@ -86,7 +86,7 @@ fn blocks() -> Vec<Block> {
     blocks
 }
 
-/// The commands of the pages, with their places.
+/// The commands of the pages with their places.
 fn commands() -> Vec<(String, String)> {
     let mut commands = Vec::new();
     for block in blocks() {
@@ -146,7 +146,7 @@ fn every_command_on_a_page_runs() {
         let words: Vec<&str> =
             rewritten.split_whitespace().skip_while(|word| *word != "downbeat").skip(1).collect();
         let Some(first) = words.first() else {
-            problems.push(format!("{page}: nobody runs `{command}`"));
+            problems.push(format!("{page}: no test runs `{command}`"));
             continue;
         };
         if command.starts_with("downbeat new") {
@@ -171,7 +171,7 @@ fn every_command_on_a_page_runs() {
     assert!(done.len() > 20, "only {} commands were found", done.len());
 }
 
-/// A folder in which the pages' commands find what they name.
+/// A folder with the files that the commands of the pages name.
 struct Place {
     folder: PathBuf,
     _temporary: tempfile::TempDir,
@@ -183,7 +183,7 @@ impl Place {
         let temporary = tempfile::tempdir().unwrap();
         let folder = temporary.path().to_owned();
         std::fs::create_dir(folder.join("robots")).unwrap();
-        // One of the pages changes what is exposed by the service.
+        // One of the pages changes what is exposed with the service.
         let demo =
             robot_file(&folder, |text| text.replace("[expose]\n", "[expose]\nexpose_service = true\n"));
         std::fs::rename(demo, folder.join("robots/darwin_op.toml")).unwrap();
@@ -206,7 +206,7 @@ impl Place {
         robot
     }
 
-    /// Makes the bags that a command reads, and makes room for what it writes.
+    /// Creates the bags that a command reads, and removes existing outputs.
     fn prepare_for(&self, words: &[&str]) {
         for (position, word) in words.iter().enumerate() {
             let is_output = position > 0 && ["-o", "--output", "--record"].contains(&words[position - 1]);
@@ -218,7 +218,7 @@ impl Place {
                     std::fs::remove_file(path).unwrap()
                 }
             } else if !is_output && *word == "two" && !path.exists() {
-                // The same run again, so that `bag diff` finds no difference.
+                // A copy of the same run, so that `bag diff` finds no difference.
                 std::fs::create_dir(&path).unwrap();
                 for file in std::fs::read_dir(self.folder.join("one")).unwrap() {
                     let file = file.unwrap();
@@ -238,7 +238,7 @@ impl Place {
         }
     }
 
-    /// Runs a command by a shell, as a reader of the page would. Returns what is wrong.
+    /// Runs a command in a shell, as a reader of the page would. Returns the problem, if any.
     fn run(&self, page: &str, command: &str, rewritten: &str, words: &[&str]) -> Option<String> {
         let program = env!("CARGO_BIN_EXE_downbeat");
         let folder = Path::new(program).parent().unwrap();
@@ -277,7 +277,7 @@ impl Place {
         }
         let status = running.wait();
         let output = running.output();
-        // A page may show an error too; its text says so.
+        // A page may also show an error, which its text explains.
         let shown = ["cannot decode CDR", "the replay differs from the bag in"];
         let is_expected = status.success() || shown.iter().any(|error| output.contains(error));
         let is_well = is_expected && !output.contains("panicked");

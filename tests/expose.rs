@@ -1,4 +1,4 @@
-//! What a robot shows to ROS 2 as real rclpy sees it: names, nodes, QoS, rates, and changing it while it runs.
+//! What a robot exposes to ROS 2, seen from real rclpy: names, nodes, QoS, rates, and changes while it runs.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -108,7 +108,7 @@ fn remapping_rules_and_limits_are_seen_by_rclpy() {
             stamp["sec"].as_f64().unwrap() + stamp["nanosec"].as_f64().unwrap() / 1e9
         })
         .collect();
-    // On average, by the time of the robot: each message is at most one cycle of the bus late.
+    // On average, in the time of the robot: each message is late by at most one bus cycle.
     let span = stamps[stamps.len() - 1] - stamps[0];
     let least = 0.2 * (stamps.len() - 1) as f64 - 0.05;
     assert!(span >= least, "{stamps:?}");
@@ -175,7 +175,7 @@ fn endpoints_come_and_go_in_rclpy_while_the_robot_runs() {
     assert!(is_added, "{text}");
     assert!(
         !peer.take("/sensors/data_raw", 3).is_empty(),
-        "it is there again, for who has subscribed all the time"
+        "it is available again for a continuous subscriber"
     );
     let (is_removed, text) = expose(&["remove", "imu/*"], "darwin_op", folder.path());
     assert!(is_removed, "{text}");
@@ -242,7 +242,7 @@ fn rclpy_changes_what_is_exposed_by_a_service_of_the_node() {
 }
 
 #[test]
-fn check_says_what_would_be_exposed() {
+fn check_prints_what_would_be_exposed() {
     let folder = tempfile::tempdir().unwrap();
     let expose = "out = [{ topic = \"joint_states\", rate_hz = 10.0, latest_only = true }, { topic = \"imu/*\", as = \"/*\", node = \"imu\" }]\n\
                   in = [{ topic = \"joint_commands\", qos = \"best_available\" }]";
@@ -269,7 +269,7 @@ fn check_says_what_would_be_exposed() {
 }
 
 #[test]
-fn check_says_what_the_node_would_have_besides() {
+fn check_prints_the_further_features_of_the_node() {
     let folder = tempfile::tempdir().unwrap();
     let expose = "clock = { publish_hz = 50.0 }\nexpose_service = true\nlogger_service = false\nnetwork = true\n\
                   parameters = [\"mux.*\"]\nlifecycle = [\"m*\"]\n\
@@ -302,7 +302,7 @@ fn check_says_what_the_node_would_have_besides() {
 }
 
 #[test]
-fn what_ros_args_say_wrong_is_told_with_the_argument() {
+fn errors_in_ros_args_contain_the_argument() {
     let robot = "robots/darwin_op.toml";
     for (arguments, expected) in [
         (vec!["check", robot, "--ros-args", "-r", "a:="], "--ros-args -r a:=: \"a:=\" is no remapping rule"),

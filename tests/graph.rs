@@ -1,4 +1,4 @@
-//! `downbeat graph` of the network, with real rclpy in it.
+//! `downbeat graph` of a network with real rclpy.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;

@@ -1,4 +1,4 @@
-//! Looking at a robot through its socket, with a robot whose answers are known.
+//! Inspection of a robot with known answers through its socket.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::io::{BufRead, BufReader, Read, Write};
@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use downbeat::executor::{CycleTrace, Graph, GraphModule, Snapshot};
 use downbeat::inspect::{Client, Inspected, InspectionServer, RunningRobot, SocketDirectory, Unavailable};
 
-/// Counts cycles: one for each snapshot, none while it is held.
+/// Counts cycles: one for each snapshot, none while it is paused.
 #[derive(Default)]
 struct Robot {
     cycle: AtomicU64,
@@ -57,7 +57,7 @@ fn start(folder: &Path) -> (SocketDirectory, InspectionServer, RunningRobot) {
 }
 
 #[test]
-fn a_client_sees_holds_and_steps_a_robot() {
+fn a_client_inspects_pauses_and_steps_a_robot() {
     let folder = tempfile::tempdir().unwrap();
     let (_directory, _server, robot) = start(folder.path());
     assert_eq!((robot.name.as_str(), robot.pid), ("darwin_op", std::process::id()));
@@ -73,7 +73,7 @@ fn a_client_sees_holds_and_steps_a_robot() {
 }
 
 #[test]
-fn two_robots_of_one_name_in_a_process_are_looked_at_and_end() {
+fn two_robots_with_one_name_in_a_process_are_inspected_and_end() {
     let folder = tempfile::tempdir().unwrap();
     let (directory, first, _) = start(folder.path());
     let second = InspectionServer::start(&directory, "darwin_op", Arc::new(Robot::default())).unwrap();
@@ -89,7 +89,7 @@ fn two_robots_of_one_name_in_a_process_are_looked_at_and_end() {
 }
 
 #[test]
-fn a_refusal_reaches_the_client_in_words() {
+fn a_refusal_reaches_the_client_with_its_reason() {
     let folder = tempfile::tempdir().unwrap();
     let (_directory, _server, robot) = start(folder.path());
     let mut client = Client::connect(&robot).unwrap();
@@ -103,7 +103,7 @@ fn a_refusal_reaches_the_client_in_words() {
 }
 
 #[test]
-fn what_is_no_request_is_told_and_the_next_line_is_answered() {
+fn an_invalid_request_is_reported_and_the_next_line_is_answered() {
     let folder = tempfile::tempdir().unwrap();
     let (_directory, _server, robot) = start(folder.path());
     let mut stream = UnixStream::connect(&robot.socket).unwrap();
@@ -119,15 +119,15 @@ fn a_line_without_end_is_cut_off() {
     let folder = tempfile::tempdir().unwrap();
     let (_directory, _server, robot) = start(folder.path());
     let mut stream = UnixStream::connect(&robot.socket).unwrap();
-    // The other side may close before all of it is written.
+    // The other side may close the connection before everything is written.
     let _ = stream.write_all(&[b'x'; 4096]);
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
-    assert!(answer.contains("less than 4096 bytes"), "{answer}");
+    assert!(answer.contains("fewer than 4096 bytes"), "{answer}");
 }
 
 #[test]
-fn one_client_too_many_is_told_so_and_there_is_room_again_when_one_goes() {
+fn one_client_too_many_is_refused_and_there_is_room_when_another_leaves() {
     let folder = tempfile::tempdir().unwrap();
     let (_directory, _server, robot) = start(folder.path());
     let clients: Vec<_> = (0..16).map(|_| once_there_is_room(&robot)).collect();
@@ -140,7 +140,8 @@ fn one_client_too_many_is_told_so_and_there_is_room_again_when_one_goes() {
     once_there_is_room(&robot);
 }
 
-/// The server needs a moment to see that a client is gone; whoever looked for the robot was one.
+/// Connects once the server has noticed that another client has disconnected. Searching for the robot also
+/// connects.
 fn once_there_is_room(robot: &RunningRobot) -> Client {
     loop {
         let mut client = Client::connect(robot).unwrap();
@@ -152,7 +153,7 @@ fn once_there_is_room(robot: &RunningRobot) -> Client {
 }
 
 #[test]
-fn when_the_robot_stops_its_socket_is_gone_and_clients_are_let_go() {
+fn stopping_a_robot_removes_its_socket_and_disconnects_clients() {
     let folder = tempfile::tempdir().unwrap();
     let (directory, server, robot) = start(folder.path());
     let mut client = Client::connect(&robot).unwrap();

@@ -1,4 +1,4 @@
-//! `downbeat interface`, as a user meets it.
+//! `downbeat interface` as a user sees it.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -15,10 +15,10 @@ use python_peer::Python;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 
-/// What is behind the definitions of these tests: see `record.py` there.
+/// The definitions of these tests; see `record.py` there.
 const DATA: &str = "tests/data/interface";
 
-/// The program, with nothing sourced.
+/// The program without a sourced ROS 2 environment.
 fn interface(arguments: &[&str]) -> Command {
     let mut command = downbeat(&["interface"]);
     command.args(arguments).env_remove("AMENT_PREFIX_PATH").stdin(Stdio::null());
@@ -43,7 +43,7 @@ fn refused(arguments: &[&str]) -> String {
     error
 }
 
-/// The ament prefix of the real ROS 2, if it is here.
+/// The ament prefix of the real ROS 2, if it is installed.
 fn wheels() -> Option<PathBuf> {
     Python::find().map(|python| python.prefix())
 }
@@ -74,7 +74,7 @@ fn every_definition_of_the_wheels_is_shown_as_the_real_command_shows_it() {
     }
     assert_eq!(hashes.keys().copied().collect::<Vec<_>>(), ["", "--all-comments", "--no-comments"]);
     for (option, expected) in hashes {
-        // All in one go: what stands between the heads is what each alone prints.
+        // All in one call: the text between the headings is the output for each interface.
         let options = ["show", "--all", option];
         let options = if option.is_empty() { &options[..2] } else { &options[..] };
         let (is_success, output, error) = output_of(interface(options).env("AMENT_PREFIX_PATH", &prefix));
@@ -92,7 +92,7 @@ fn every_definition_of_the_wheels_is_shown_as_the_real_command_shows_it() {
     }
 }
 
-/// Where comments are to be hidden, the real command leaves a `#` of each and some whole ones.
+/// Removes what the real command leaves of hidden comments: a `#` of each and some whole ones.
 fn without_leftovers(text: &str, option: Option<&str>) -> String {
     let lines = text.lines().filter_map(|line| match option {
         None if !line.starts_with('\t') => Some(line),
@@ -103,7 +103,7 @@ fn without_leftovers(text: &str, option: Option<&str>) -> String {
 }
 
 #[test]
-fn descriptions_are_the_json_files_of_the_wheels_to_the_byte() {
+fn descriptions_equal_the_json_files_of_the_wheels_byte_for_byte() {
     let Some(prefix) = wheels() else { return };
     let all = output_of(interface(&["description", "--all"]).env("AMENT_PREFIX_PATH", &prefix)).1;
     let all: Vec<Value> = serde_json::from_str(&all).unwrap();
@@ -117,7 +117,7 @@ fn descriptions_are_the_json_files_of_the_wheels_to_the_byte() {
         let theirs: Value = serde_json::from_str(&text).unwrap();
         let name = name_of(&theirs);
         assert_eq!(all[&name], &theirs, "{name}");
-        // Spelling is compared where there is much to spell.
+        // The exact spelling is compared for the package with the most variants.
         if name.starts_with("test_msgs/") {
             let ours = output_of(interface(&["description", &name]).env("AMENT_PREFIX_PATH", &prefix)).1;
             assert_eq!(ours.trim_end(), text, "{name}");
@@ -153,7 +153,7 @@ fn hashes_are_printed_alone_or_with_their_names() {
 }
 
 #[test]
-fn lists_are_those_of_the_real_command_and_can_be_narrowed() {
+fn lists_equal_those_of_the_real_command_and_can_be_filtered() {
     let all = shown(&["list"]);
     assert!(all.starts_with("Messages:\n    "), "{all}");
     assert!(all.contains("\nServices:\n") && all.contains("\nActions:\n"), "{all}");
@@ -177,7 +177,7 @@ fn lists_are_those_of_the_real_command_and_can_be_narrowed() {
 }
 
 #[test]
-fn the_first_place_that_has_a_package_gives_all_of_it() {
+fn a_package_is_read_completely_from_the_first_place_that_has_it() {
     let folder = tempfile::tempdir().unwrap();
     let messages = folder.path().join("prefix/share/std_msgs/msg");
     std::fs::create_dir_all(&messages).unwrap();
@@ -202,7 +202,7 @@ fn the_first_place_that_has_a_package_gives_all_of_it() {
 }
 
 #[test]
-fn what_is_not_there_is_told_with_the_nearest_name() {
+fn unknown_names_are_reported_with_the_nearest_name() {
     for (arguments, expected) in [
         (
             ["show", "std_msgs/msg/Strnig"],
@@ -221,7 +221,7 @@ fn what_is_not_there_is_told_with_the_nearest_name() {
 }
 
 #[test]
-fn what_contains_itself_is_refused_and_not_followed() {
+fn a_type_that_contains_itself_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let messages = folder.path().join("knot_msgs/msg");
     std::fs::create_dir_all(&messages).unwrap();
@@ -239,7 +239,7 @@ fn what_contains_itself_is_refused_and_not_followed() {
 }
 
 #[test]
-fn what_doubles_with_each_step_or_goes_too_deep_ends_with_an_error() {
+fn types_that_grow_exponentially_or_are_too_deep_are_errors() {
     let folder = tempfile::tempdir().unwrap();
     let messages = folder.path().join("bomb_msgs/msg");
     std::fs::create_dir_all(&messages).unwrap();
@@ -278,7 +278,7 @@ fn parts_of_services_and_actions_have_definitions_hashes_and_descriptions() {
 }
 
 #[test]
-fn fields_and_constants_can_be_had_as_json() {
+fn fields_and_constants_are_available_as_json() {
     let json = shown(&["show", "shown_msgs/msg/Leg", "--json", "--from", DATA]);
     let json: Value = serde_json::from_str(&json).unwrap();
     let names: Vec<&str> =
@@ -297,7 +297,7 @@ fn fields_and_constants_can_be_had_as_json() {
 }
 
 #[test]
-fn the_name_of_a_type_can_come_from_a_pipe_and_a_closed_pipe_is_no_error() {
+fn a_type_name_can_be_piped_in_and_a_closed_pipe_is_not_an_error() {
     let mut child = interface(&["hash", "-"]).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     child.stdin.take().unwrap().write_all(b"std_msgs/msg/Header\n").unwrap();
     let output = child.wait_with_output().unwrap();
@@ -314,7 +314,7 @@ fn the_name_of_a_type_can_come_from_a_pipe_and_a_closed_pipe_is_no_error() {
     );
 }
 
-/// What `decode` says of bytes: whether they are a message, and what it prints.
+/// Runs `decode` on bytes. Returns whether they are a message, and the output.
 fn decoded(arguments: &[&str], bytes: &[u8]) -> (bool, String) {
     let mut command = interface(&["decode"]);
     command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -359,7 +359,7 @@ fn a_message_of_the_real_recorder_is_decoded_as_it_was_published() {
 }
 
 #[test]
-fn wrong_bytes_are_told_with_byte_and_field() {
+fn errors_of_decoding_contain_byte_and_field() {
     let strings = [0, 1, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0, 6, 0, 0, 0, b'h', b'e'];
     let cases: [(&str, &[u8], &[&str]); 5] = [
         (

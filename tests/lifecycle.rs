@@ -9,7 +9,7 @@ use common::{Running, robot_file, wait_until};
 use serde_json::json;
 
 #[test]
-fn rclpy_holds_the_motion_of_the_demo_and_lets_it_go_on() {
+fn rclpy_deactivates_and_activates_the_motion_of_the_demo() {
     let Some(mut peer) = Peer::start(144, "LOCALHOST") else { return };
     let _check = check("Selection", "lifecycle in the robot file", With::Rclpy, Way::In);
     let folder = tempfile::tempdir().unwrap();
@@ -37,7 +37,7 @@ fn rclpy_holds_the_motion_of_the_demo_and_lets_it_go_on() {
         assert_eq!(call(peer, "get_state", json!({}))["current_state"]["label"], reached);
     };
     peer.take(topic, 10);
-    // Its log is that of its node.
+    // The module logs under the name of its node.
     let qos = json!({"depth": 1000, "durability": "transient_local"});
     peer.ask(json!({"do": "subscribe", "topic": "/rosout", "type": "rcl_interfaces/msg/Log", "qos": qos}));
     let levels = "/darwin_op/set_logger_levels";
@@ -57,9 +57,9 @@ fn rclpy_holds_the_motion_of_the_demo_and_lets_it_go_on() {
     let publishers = peer.ask(json!({"do": "publishers_of", "topic": "/rosout"}));
     assert!(publishers.as_array().unwrap().iter().any(|info| info["node"] == "/motion"), "{publishers}");
     running.wait_for_output("[motion]: deactivate: active to inactive");
-    // What was on its way when it was answered has come by the end of another exchange.
+    // Messages in transit at the time of the answer have arrived by the end of another exchange.
     set(&mut peer, "cleanup", "unconfigured");
-    wait_until("what was on its way has come", || {
+    wait_until("messages in transit have arrived", || {
         peer.ask(json!({"do": "take", "topic": topic})).as_array().unwrap().is_empty()
     });
     let parameters =
@@ -68,7 +68,7 @@ fn rclpy_holds_the_motion_of_the_demo_and_lets_it_go_on() {
     assert_eq!(
         peer.ask(json!({"do": "take", "topic": topic})),
         json!([]),
-        "an unconfigured module is silent"
+        "an unconfigured module publishes nothing"
     );
     set(&mut peer, "configure", "inactive");
     set(&mut peer, "activate", "active");

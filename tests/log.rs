@@ -1,4 +1,4 @@
-//! The log of a running robot: on the console as ROS 2 writes it, in a file, and on `/rosout`.
+//! The log of a running robot: on the console in the format of ROS 2, in a file, and on `/rosout`.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -8,7 +8,7 @@ use common::rclpy::Peer;
 use common::{Running, downbeat, robot_file, wait_until};
 use serde_json::json;
 
-/// Runs the robot for a moment, without DDS; standard output and standard error.
+/// Runs the robot briefly without DDS. Returns whether it succeeded, standard output and standard error.
 fn run_with(variables: &[(&str, &str)]) -> (bool, String, String) {
     let folder = tempfile::tempdir().unwrap();
     let robot = robot_file(folder.path(), |text| text);
@@ -22,7 +22,7 @@ fn run_with(variables: &[(&str, &str)]) -> (bool, String, String) {
 }
 
 #[test]
-fn lines_look_as_those_of_ros_unless_told_otherwise() {
+fn lines_have_the_format_of_ros_by_default() {
     let (_, out, error) = run_with(&[]);
     assert_eq!(out, "");
     let exposed = error.lines().find(|line| line.contains("/joint_states")).unwrap();
@@ -43,7 +43,7 @@ fn lines_look_as_those_of_ros_unless_told_otherwise() {
 }
 
 #[test]
-fn the_log_is_in_a_file_where_ros_log_dir_says() {
+fn the_log_file_is_in_ros_log_dir() {
     let folder = tempfile::tempdir().unwrap();
     let logs = folder.path().join("some/logs");
     let (_, _, error) = run_with(&[("ROS_LOG_DIR", logs.to_str().unwrap())]);
@@ -53,7 +53,7 @@ fn the_log_is_in_a_file_where_ros_log_dir_says() {
 }
 
 #[test]
-fn what_cannot_be_done_is_refused_with_what_to_do() {
+fn invalid_settings_of_the_log_are_refused_with_a_hint() {
     let (ended_well, _, error) = run_with(&[("RCUTILS_COLORIZED_OUTPUT", "yes")]);
     assert!(!ended_well && error.contains("expected 0 (no colors), 1 (colors), or nothing"), "{error}");
     let (ended_well, _, error) = run_with(&[("ROS_LOG_DIR", "/proc/nowhere")]);
@@ -61,7 +61,7 @@ fn what_cannot_be_done_is_refused_with_what_to_do() {
 }
 
 #[test]
-fn rclpy_hears_the_log_of_the_robot_unless_the_robot_file_says_no() {
+fn rclpy_receives_the_log_of_the_robot_unless_the_robot_file_disables_it() {
     for (domain, is_on) in [(181, true), (182, false)] {
         let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
         let _check = check("Selection", "/rosout of the program, on and off", With::Rclpy, Way::Out);
@@ -80,7 +80,7 @@ fn rclpy_hears_the_log_of_the_robot_unless_the_robot_file_says_no() {
             let kind = "rcl_interfaces/msg/Log";
             peer.ask(json!({"do": "subscribe", "topic": "/rosout", "type": kind, "qos": qos}));
             let text = "exposed to ROS 2: /joint_states [sensor_msgs/msg/JointState]";
-            wait_until("rclpy hears a line from before it came", || {
+            wait_until("rclpy receives a line from before it started", || {
                 let lines = peer.ask(json!({"do": "take", "topic": "/rosout"}));
                 let lines = lines.as_array().unwrap().iter().map(|message| &message["fields"]);
                 lines.filter(|line| line["name"] == "darwin_op").any(|line| line["msg"] == text)
@@ -133,7 +133,7 @@ fn rclpy_reads_and_sets_the_levels_of_loggers_of_a_running_robot() {
     assert_eq!(set(&mut peer, 20), accepted);
     expose(&["add", "out", "joint_goals", "--as", "aloud"]);
     let mut told = Vec::new();
-    wait_until("rclpy hears what is logged at the new level", || {
+    wait_until("rclpy receives what is logged at the new level", || {
         let lines = peer.ask(json!({"do": "take", "topic": "/rosout"}));
         told.extend(lines.as_array().unwrap().iter().map(|line| line["fields"]["msg"].to_string()));
         told.iter().any(|line| line.contains("/aloud"))

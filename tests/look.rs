@@ -1,5 +1,5 @@
-//! Commands that look at the network, with real rclpy in it and with a robot of ours. Where `ros2` was recorded, in
-//! `ros2_cli_jazzy.txt` of the project's facts, the texts are those.
+//! Commands that inspect the network, with real rclpy and with a downbeat robot. The expected texts are
+//! recorded outputs of the `ros2` command of Jazzy.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 const STRING: &str = "std_msgs/msg/String";
 const STRING_HASH: &str = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
 
-/// A place in the network: what is in it, and the program that looks.
+/// A ROS domain, in which the commands run.
 struct Domain(u16);
 
 impl Domain {
@@ -25,7 +25,7 @@ impl Domain {
         Peer::start(self.0, "LOCALHOST")
     }
 
-    /// Where what is asked for may take its time on a busy machine.
+    /// Adds a long time-out for busy machines.
     fn line<'a>(&self, line: &[&'a str]) -> Vec<&'a str> {
         [line, &["--spin-time", "40"]].concat()
     }
@@ -35,7 +35,7 @@ impl Domain {
         command.env("ROS_DOMAIN_ID", self.0.to_string()).stdin(Stdio::null()).output().unwrap()
     }
 
-    /// What a command prints that ends well and has nothing to say on standard error.
+    /// Returns the standard output of a command that succeeds and prints nothing on standard error.
     fn shown(&self, line: &[&str]) -> String {
         let Output { status, stdout, stderr } = self.run(&self.line(line));
         let [out, error] = [stdout, stderr].map(|bytes| String::from_utf8(bytes).unwrap());
@@ -43,7 +43,7 @@ impl Domain {
         out
     }
 
-    /// The error of a command that fails, which looks for half a second.
+    /// Returns the error of a command that fails after searching for half a second.
     fn refused(&self, line: &[&str]) -> String {
         let output = self.run(&[line, &["--spin-time", "0.5"]].concat());
         assert_eq!(output.status.code(), Some(1), "{line:?}");
@@ -64,7 +64,7 @@ fn latched() -> Value {
     json!({"depth": 1, "durability": "transient_local"})
 }
 
-/// The same without what differs from run to run.
+/// Removes what differs between runs.
 fn without_gid(text: &str) -> String {
     text.lines().filter(|line| !line.starts_with("GID: ")).map(|line| format!("{line}\n")).collect()
 }
@@ -133,7 +133,7 @@ fn topics_nodes_and_services_of_rclpy_are_shown_as_by_ros2() {
             "Type: std_srvs/srv/SetBool\nClients count: 0\nServices count: 1\n",
         ),
     ];
-    // What is told takes its seconds: four at a time.
+    // Each command takes some seconds: four at a time.
     for some in expected.chunks(4) {
         scope(|scope| {
             let domain = &domain;
@@ -161,10 +161,10 @@ fn messages_of_rclpy_are_echoed_as_by_ros2_of_types_that_only_rclpy_knows_too() 
     let imu = json!({"linear_acceleration": {"z": 9.81}});
     peer.ask(json!({"do": "advertise", "topic": "/imu", "type": "sensor_msgs/msg/Imu", "qos": latched()}));
     peer.ask(json!({"do": "publish", "topic": "/imu", "fields": imu}));
-    // A text that would clear the screen.
+    // This text would clear the screen.
     peer.ask(json!({"do": "advertise", "topic": "/chatter", "type": STRING, "qos": latched()}));
     peer.ask(json!({"do": "publish", "topic": "/chatter", "fields": {"data": "\u{1b}[2Jhello"}}));
-    // Of a package that downbeat does not carry in this build.
+    // A type of a package that this build does not contain.
     peer.ask(json!({"do": "advertise", "topic": "/plane", "type": "shape_msgs/msg/Plane", "qos": latched()}));
     peer.ask(json!({"do": "publish", "topic": "/plane", "fields": {"coef": [0.0, 0.5, 1.0, -2.0]}}));
     let block = "header:\n  stamp:\n    sec: 1795231370\n    nanosec: 584300949\n  frame_id: body_link\nname:\n- r_sho_pitch\n- \
@@ -252,7 +252,7 @@ fn rate_bandwidth_and_delay_are_measured() {
 }
 
 #[test]
-fn what_is_published_reaches_rclpy() {
+fn published_messages_reach_rclpy() {
     let domain = Domain(93);
     let Some(mut peer) = domain.peer() else { return };
     let _check = noted("`topic pub`", Way::Out);
@@ -356,7 +356,7 @@ fn a_goal_is_sent_to_an_action_of_rclpy() {
         format!("Action: /fibonacci\nAction clients: 0\nAction servers: 1\n    /peer [{fibonacci}]\n")
     );
 
-    // Nobody but the wheels has the definition of the action.
+    // Only the wheels contain the definition of the action.
     let prefix = python().unwrap();
     let prefix = Path::new(&prefix).parent().and_then(Path::parent).unwrap().to_owned();
     let send = |order: &str| {
@@ -410,7 +410,7 @@ fn a_goal_is_sent_to_an_action_of_rclpy() {
 }
 
 #[test]
-fn a_robot_is_looked_at_from_another_process() {
+fn a_robot_is_inspected_from_another_process() {
     let domain = Domain(97);
     let folder = tempfile::tempdir().unwrap();
     let with = |text: String| text.replace("[expose]", "[expose]\nlifecycle = [\"motion\"]");
@@ -431,7 +431,7 @@ fn a_robot_is_looked_at_from_another_process() {
     );
     assert_eq!(domain.shown(&["param", "get", "/darwin_op", "mux.hold_s", "--hide-type"]), "3.5\n");
 
-    // It has empty lists, whose type the text does not tell.
+    // The file contains empty lists, whose type is not apparent from the text.
     let dump = folder.path().join("dump.yaml");
     std::fs::write(&dump, domain.shown(&["param", "dump", "/darwin_op"])).unwrap();
     let loaded = domain.run(&domain.line(&["param", "load", "/darwin_op", dump.to_str().unwrap()]));
@@ -457,7 +457,7 @@ fn a_robot_is_looked_at_from_another_process() {
 }
 
 #[test]
-fn what_is_not_there_is_an_error() {
+fn unknown_names_are_errors() {
     let domain = Domain(98);
     for (line, error) in [
         (["topic", "info", "/nothing"], "downbeat: Unknown topic '/nothing'\n"),

@@ -1,4 +1,5 @@
-//! What `downbeat new` makes, built, run and extended as a user does it; and what the library says to a user's app.
+//! Builds, runs and extends the projects that `downbeat new` creates, as a user does. Also tests errors of
+//! the library in a user's app.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -16,7 +17,7 @@ use user_msgs::my_msgs::msg::Tilt;
 /// The root of the repository, which is the checkout of the new projects.
 const CHECKOUT: &str = env!("CARGO_MANIFEST_DIR");
 
-/// A project outside the workspace, for a test of its own.
+/// A project outside the workspace.
 struct Project {
     name: &'static str,
     folder: PathBuf,
@@ -36,7 +37,7 @@ impl Project {
         std::fs::copy(Path::new(CHECKOUT).join("tests/newcomer").join(file), self.folder.join(path)).unwrap();
     }
 
-    /// What cargo prints, offline: everything the project needs is there.
+    /// Runs cargo offline and returns its output.
     fn cargo(&self, arguments: &[&str]) -> String {
         let mut command = Command::new(env!("CARGO"));
         let command = command.args(arguments).arg("--offline").current_dir(&self.folder).stdin(Stdio::null());
@@ -46,7 +47,7 @@ impl Project {
         text
     }
 
-    /// The program that cargo built of it, on loopback.
+    /// The program that cargo built, limited to loopback.
     fn program(&self, arguments: &[&str]) -> Command {
         let target =
             std::env::var_os("CARGO_TARGET_DIR").map_or(Path::new(CHECKOUT).join("target"), PathBuf::from);
@@ -61,7 +62,7 @@ impl Project {
         command
     }
 
-    /// What the program prints when it ends well.
+    /// Runs the program, which must succeed, and returns its output.
     fn text_of(&self, arguments: &[&str]) -> String {
         let output = self.program(arguments).output().unwrap();
         let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
@@ -69,7 +70,7 @@ impl Project {
         text
     }
 
-    /// What the program prints when it ends with an error.
+    /// Runs the program, which must fail, and returns its error.
     fn error_of(&self, arguments: &[&str]) -> String {
         let output = self.program(arguments).output().unwrap();
         assert!(!output.status.success(), "{arguments:?}");
@@ -84,12 +85,12 @@ fn compiled(build: &str) -> Vec<&str> {
 }
 
 #[test]
-fn a_new_robot_is_tested_run_recorded_and_replayed_at_once() {
+fn a_new_robot_can_be_tested_run_recorded_and_replayed() {
     let robot = Project::new("my_robot", &[]);
     let tested = robot.cargo(&["test"]);
     assert!(tested.contains("2 passed"), "{tested}");
     robot.cargo(&["build"]);
-    // What the first project needs is compiled for all of them.
+    // The dependencies of the first project are compiled for all projects.
     let built = Project::new("second_robot", &[]).cargo(&["build"]);
     assert_eq!(compiled(&built), ["second_robot"], "{built}");
 
@@ -108,17 +109,17 @@ fn a_new_robot_is_tested_run_recorded_and_replayed_at_once() {
 }
 
 #[test]
-fn a_new_package_of_messages_and_a_new_module_are_tested_at_once() {
+fn a_new_message_package_and_a_new_module_pass_their_tests() {
     let messages = Project::new("my_msgs", &["--template", "messages"]);
     let tested = messages.cargo(&["test"]);
     assert!(tested.contains("1 passed"), "{tested}");
     let module = Project::new("my_module", &["--template", "module"]);
     let tested = module.cargo(&["test"]);
-    assert!(tested.matches("1 passed").count() == 2, "its test, and that of its documentation: {tested}");
+    assert!(tested.matches("1 passed").count() == 2, "its test and its doc test: {tested}");
 }
 
 #[test]
-fn a_project_is_not_written_over_and_its_name_is_checked() {
+fn a_project_is_not_overwritten_and_its_name_is_checked() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("nao");
     let path = path.to_str().unwrap();
@@ -156,7 +157,7 @@ fn entry<'a>(list: &'a Value, key: &str, name: &str) -> &'a Value {
 }
 
 #[test]
-fn a_device_and_messages_of_a_users_own_are_exposed_recorded_decoded_and_replayed() {
+fn a_users_device_and_messages_are_exposed_recorded_decoded_and_replayed() {
     let robot = Project::new("grown_robot", &[]);
     robot.add("robot.rs", "src/main.rs");
     robot.add("sonar.rs", "src/sonar.rs");
@@ -202,12 +203,12 @@ fn a_device_and_messages_of_a_users_own_are_exposed_recorded_decoded_and_replaye
         let topic = entry(&report["topics"], "topic", topic);
         assert!(topic["compared"].as_u64() > Some(0) && topic["different"] == 0, "{topic}");
     }
-    // Other bytes to the device than those that were recorded.
+    // The requests to the device differ from the recorded ones.
     let differs = robot.error_of(&["bag", "replay", "robot.toml", bag, "-p", "sonar.pulses:=2"]);
     assert!(differs.contains("/sonar/exchanges"), "{differs}");
 }
 
-/// Publishes nothing, on a topic of its own.
+/// Declares a topic but publishes nothing.
 struct Silent;
 
 impl Module for Silent {
@@ -228,7 +229,7 @@ fn silent_robot(folder: &Path, name: &str) -> PathBuf {
 }
 
 #[test]
-fn two_kinds_of_one_name_are_refused_by_all_that_the_app_does() {
+fn two_kinds_with_one_name_are_refused_by_all_functions_of_the_app() {
     let app = App::new().kind("silent", "the first", || Silent).kind("silent", "the second", || Silent);
     let error = app.catalog().map(|_| ()).unwrap_err().to_string();
     assert!(error.contains("there are two kinds of modules named \"silent\""), "{error}");
@@ -247,7 +248,7 @@ fn an_exposed_topic_of_an_unregistered_type_is_an_error_that_names_the_line_to_a
 }
 
 #[test]
-fn two_robots_run_in_one_process_and_each_stops_by_itself() {
+fn two_robots_run_in_one_process_and_stop_independently() {
     let folder = tempfile::tempdir().unwrap();
     let app = App::new().interfaces(user_msgs::INTERFACES).kind("silent", "publishes nothing", || Silent);
     let [first, second] = ["left", "right"].map(|name| app.start(silent_robot(folder.path(), name)).unwrap());

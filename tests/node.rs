@@ -1,4 +1,4 @@
-//! What the node of a running robot has beside topics, seen from real rclpy.
+//! Features of the node of a running robot beyond topics, seen from real rclpy.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -25,13 +25,13 @@ fn peer(domain: u16) -> Option<Peer> {
     Peer::start(domain, "LOCALHOST")
 }
 
-/// The latest levels and messages by component, once there are all of `names`.
+/// Returns the latest levels and messages by component, once all of `names` are present.
 fn diagnostics(peer: &mut Peer, names: &[&str]) -> BTreeMap<String, (u64, String)> {
     let mut known = BTreeMap::new();
-    wait_until("all components are told of", || {
+    wait_until("all components are reported", || {
         for message in peer.ask(json!({"do": "take", "topic": "/diagnostics"})).as_array().unwrap() {
             for status in message["fields"]["status"].as_array().unwrap() {
-                // A byte is a list of one number to rclpy's fields.
+                // In the fields of rclpy a byte is a list of one number.
                 let level = status["level"].as_u64().or(status["level"][0].as_u64()).unwrap_or(0);
                 let text = |key: &str| status[key].as_str().unwrap_or_default().to_owned();
                 known.insert(text("name"), (level, text("message")));
@@ -43,7 +43,7 @@ fn diagnostics(peer: &mut Peer, names: &[&str]) -> BTreeMap<String, (u64, String
 }
 
 #[test]
-fn rclpy_hears_how_the_process_is_and_what_the_robot_looks_like() {
+fn rclpy_receives_diagnostics_and_the_robot_description() {
     let Some(mut peer) = peer(185) else { return };
     let _check = check("Node services", "/diagnostics of the process", With::Rclpy, Way::Out);
     let _check2 = check("Node services", "robot_description", With::Rclpy, Way::Out);
@@ -72,7 +72,7 @@ fn rclpy_hears_how_the_process_is_and_what_the_robot_looks_like() {
 }
 
 #[test]
-fn the_time_of_a_robot_is_published_where_its_file_says_so() {
+fn the_time_of_a_robot_is_published_if_its_file_requests_it() {
     let Some(mut peer) = peer(186) else { return };
     let _check = check("Selection", r#"clock = "publish" in the robot file"#, With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
@@ -87,7 +87,7 @@ fn the_time_of_a_robot_is_published_where_its_file_says_so() {
 }
 
 #[test]
-fn a_robot_that_follows_the_time_of_another_stamps_its_messages_with_it() {
+fn a_robot_that_follows_clock_stamps_its_messages_with_that_time() {
     let Some(mut peer) = peer(187) else { return };
     let _check = check("Selection", r#"clock = "follow" in the robot file"#, With::Rclpy, Way::In);
     let folder = tempfile::tempdir().unwrap();

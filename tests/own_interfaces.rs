@@ -1,4 +1,4 @@
-//! The messages, services and actions of a user's package get everything that those get which downbeat carries.
+//! Messages, services and actions of a user's package have all features of the built-in ones.
 #![allow(clippy::unwrap_used)]
 
 use std::path::{Path, PathBuf};
@@ -32,7 +32,7 @@ use user_msgs::{OtherBool, Reach};
 
 const WATCHDOG: Duration = Duration::from_secs(60);
 
-/// Leans as it is told on `wanted`, and asks `far/level` for help where that is to the back.
+/// Leans as requested on `wanted`, and calls `far/level` for help to lean backwards.
 #[derive(Default)]
 struct Leaner {
     lean: ActionServer<Lean>,
@@ -92,7 +92,7 @@ impl Leaner {
 fn app() -> App {
     App::new().interfaces(user_msgs::INTERFACES).interfaces(user_msgs::DERIVED).kind(
         "leaner",
-        "leans as it is told",
+        "leans as requested",
         Leaner::default,
     )
 }
@@ -149,7 +149,7 @@ struct Running {
     recording: Recording,
 }
 
-/// Exposes the robot on `node` and records all of it into `bag`.
+/// Exposes the robot on `node` and records all its topics into `bag`.
 fn run(node: &Node, folder: &Path, bag: &Path, encoding: Encoding) -> Running {
     let mut robot = app().robot_file(robot_file(folder, ROBOT)).unwrap().build(Core::new()).unwrap();
     let exposed = robot.exposed().unwrap();
@@ -177,13 +177,13 @@ impl Running {
 }
 
 #[test]
-fn topics_services_and_actions_of_a_users_package_pass_both_ways() {
+fn topics_services_and_actions_of_a_users_package_pass_in_both_directions() {
     let (hub, folder) = (Hub::new(), tempfile::tempdir().unwrap());
     let interfaces = app().catalog().unwrap().interfaces.clone();
     let (robot, script) = (join(&hub, &interfaces, "leaner"), join(&hub, &interfaces, "script"));
     let running = run(&robot, folder.path(), &folder.path().join("bag"), Encoding::Cdr);
 
-    // Out and in, with the hashes that the definitions have.
+    // Out and in, with the type hashes of the definitions.
     let (_tilts, tilts) = listen::<Tilt>(&script, "/tilt");
     let (_reaches, reaches) = listen::<Reach>(&script, "/reach");
     let (_uprights, uprights) = listen::<downbeat::msgs::std_msgs::msg::Bool>(&script, "/upright");
@@ -230,7 +230,7 @@ fn topics_services_and_actions_of_a_users_package_pass_both_ways() {
 }
 
 #[test]
-fn a_recording_has_their_definitions_and_tells_what_it_lacks_in_any_encoding() {
+fn a_recording_has_their_definitions_and_reports_missing_topics_in_any_encoding() {
     let interfaces = app().catalog().unwrap().interfaces.clone();
     for encoding in [Encoding::Cdr, Encoding::Json, Encoding::Protobuf] {
         let (hub, folder) = (Hub::new(), tempfile::tempdir().unwrap());
@@ -285,7 +285,7 @@ fn a_robot_with_them_replays() {
     for step in 0..3 {
         inlet.publish(tilt(f64::from(step))).unwrap();
     }
-    // A change that comes after them in the core's queue.
+    // This request is after them in the queue of the core.
     running.core().topics().wait(WATCHDOG).unwrap();
     running.stop().unwrap();
 
@@ -297,8 +297,8 @@ fn a_robot_with_them_replays() {
 }
 
 #[test]
-fn what_is_not_registered_is_refused_with_the_line_to_add() {
-    let unregistered = App::new().kind("leaner", "leans as it is told", Leaner::default);
+fn unregistered_types_are_refused_with_the_line_to_add() {
+    let unregistered = App::new().kind("leaner", "leans as requested", Leaner::default);
     let robot = "[robot]\nname = \"leaner\"\n[[module]]\nkind = \"leaner\"\n";
     let generated = "add `.interfaces(user_msgs::INTERFACES)` to the app";
     let derived = "add `.interfaces(user_msgs::Reach::INTERFACES)` to the app";
@@ -326,7 +326,7 @@ fn what_is_not_registered_is_refused_with_the_line_to_add() {
         error.contains("robot.toml:6: ") && error.contains("did you mean \"my_msgs/srv/Level\"?"),
         "{error}"
     );
-    // Inside a core any Rust type will do, and a recording of all goes on without.
+    // Inside a core any Rust type is allowed, and a recording of all topics continues without it.
     let folder = tempfile::tempdir().unwrap();
     let file = unregistered.robot_file(robot_file(folder.path(), robot)).unwrap();
     let robot = file.build(Core::new()).unwrap();
@@ -341,7 +341,7 @@ fn what_is_not_registered_is_refused_with_the_line_to_add() {
 }
 
 #[test]
-fn two_definitions_of_one_name_are_refused_when_the_app_is_used() {
+fn two_definitions_with_one_name_are_refused_when_the_app_is_used() {
     #[derive(Clone, Debug, Default, PartialEq, Message)]
     #[message(name = "my_msgs/msg/Tilt", crate = "downbeat::msgs")]
     struct OtherTilt {

@@ -1,4 +1,4 @@
-//! Settings of a running robot, got and set by real rclpy as `ros2 param` does.
+//! Settings of a running robot, read and set by real rclpy as `ros2 param` does.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;

@@ -1,4 +1,4 @@
-//! A bag played into a robot's modules: what they publish is what they published when it was recorded.
+//! A bag that is played into the modules of a robot: they publish the recorded messages again.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::path::Path;
@@ -17,8 +17,8 @@ use downbeat::msgs::std_msgs::msg::Float64;
 use downbeat::playback::{play_into, start_time};
 use downbeat::recorder::{WhenFull, record};
 
-/// Its output depends on the cycles: on how many there are between two inputs, and on whether an input joins before or after a
-/// timer has fired.
+/// A module whose output depends on the cycles: on their number between two inputs, and on whether an input
+/// joins before or after a timer has fired.
 #[derive(Default)]
 struct Integrator {
     cycles: f64,
@@ -74,7 +74,7 @@ fn published(bag: &Path) -> Vec<(i64, Vec<u8>)> {
 }
 
 #[test]
-fn messages_join_in_the_cycles_in_which_they_joined_when_they_were_recorded() {
+fn messages_join_in_the_cycles_in_which_they_were_recorded() {
     let folder = tempfile::tempdir().unwrap();
     let (first, second) = (folder.path().join("first"), folder.path().join("second"));
     let clock = ManualClock::new(Time::from_nanos(1_000_000_000));
@@ -83,7 +83,7 @@ fn messages_join_in_the_cycles_in_which_they_joined_when_they_were_recorded() {
     CycleJournal::add(&mut core).unwrap();
     let recording = start_recording(&mut core, &first);
     for cycle in 0..200_u64 {
-        // Neither when a timer is due nor as often as messages come.
+        // Independent of the timers and of the rate of messages.
         clock.advance(Duration::from_micros(1700 + cycle % 7 * 1300));
         if cycle % 3 == 1 {
             command.publish(Float64 { data: f64::from(u32::try_from(cycle).unwrap()) }).unwrap();

@@ -1,4 +1,4 @@
-//! `downbeat bag record`: what is selected, and how others steer it.
+//! `downbeat bag record`: selection of topics, and control by services.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -26,14 +26,14 @@ fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// How many messages of each topic a bag has.
+/// Returns the number of messages on each topic of a bag.
 fn counts(bag: &Path) -> BTreeMap<String, u64> {
     let reader = Reader::open(bag).unwrap();
     let topics = reader.topics().iter();
     topics.map(|topic| (topic.info.name.clone(), topic.message_count)).collect()
 }
 
-/// A node of this process, on loopback.
+/// A node of this process, limited to loopback.
 fn node(name: &str, domain_id: u16) -> Node {
     let options = ParticipantOptions {
         domain_id,
@@ -50,7 +50,7 @@ fn call<S: Service>(node: &Node, service: &str, request: &S::Request) -> S::Resp
     client.call_and_wait(request, WATCHDOG).unwrap()
 }
 
-/// A publisher of numbered texts whose recorder is there.
+/// A publisher of numbered texts that is matched with the recorder.
 struct Talker {
     publisher: downbeat::bridge::ros::Publisher,
     next: u32,
@@ -80,7 +80,7 @@ fn said(bag: &Path) -> Vec<u32> {
     messages.map(|message| text(&message.data).parse().unwrap()).collect()
 }
 
-/// Of sqlite3, where it is written, or else of the build.
+/// The error of sqlite3 if this build supports it, otherwise that of the build.
 const NO_ZSTD: &str = if cfg!(feature = "sqlite") {
     "sqlite3 does not support compression"
 } else {
@@ -88,7 +88,7 @@ const NO_ZSTD: &str = if cfg!(feature = "sqlite") {
 };
 
 #[test]
-fn without_a_selection_it_says_what_ros2_bag_record_says() {
+fn without_a_selection_it_prints_what_ros2_bag_record_prints() {
     for (arguments, words) in [
         (&["bag", "record"][..], "Need to specify at least one option out of --all"),
         (&["bag", "record", "/a", "--exclude-regex", "b"], "--exclude-regex argument requires either --all"),
@@ -157,11 +157,7 @@ fn all_topics_of_real_nodes_are_recorded_as_the_real_recorder_notes_them() {
         let topic = metadata.topics.iter().find(|topic| topic.name == name).unwrap();
         assert_eq!(topic.offered_qos.len(), 1, "{name}");
         let qos = topic.offered_qos[0];
-        assert_eq!(
-            (qos.history, qos.depth),
-            (RecordedHistory::Unknown, 0),
-            "{name}: discovery does not tell it"
-        );
+        assert_eq!((qos.history, qos.depth), (RecordedHistory::Unknown, 0), "{name}: not part of discovery");
         assert!(topic.type_hash.starts_with("RIHS01_"), "{name}");
         (qos.reliability, qos.durability)
     };
@@ -202,9 +198,9 @@ fn services_pause_resume_split_and_stop_a_recorder() {
     call::<Pause>(&node, "/rosbag2_recorder/pause", &Default::default());
     assert!(is_paused());
     talker.say(5);
-    // The messages and the answers go different ways: another call comes behind them all.
+    // Messages and answers take different paths: another call is answered after all of them.
     call::<SplitBagfile>(&node, "/rosbag2_recorder/split_bagfile", &Default::default());
-    wait_until("the split is told", || events.lock().unwrap().len() == 1);
+    wait_until("the split is reported", || events.lock().unwrap().len() == 1);
     let event = events.lock().unwrap()[0].clone();
     assert_eq!(
         (event.closed_file.as_str(), event.opened_file.as_str()),
@@ -224,7 +220,7 @@ fn services_pause_resume_split_and_stop_a_recorder() {
 }
 
 #[test]
-fn a_snapshot_is_written_when_the_service_asks_for_it() {
+fn a_snapshot_is_written_when_the_service_requests_it() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let node = node("snapshots", 197);
@@ -245,7 +241,7 @@ fn a_snapshot_is_written_when_the_service_asks_for_it() {
     ]);
     talker.say(500);
     let mut found = Vec::new();
-    // What was said may still be on its way: the last snapshot has the last messages.
+    // Messages may still be in transit: the last snapshot contains the last messages.
     wait_until("a snapshot has the last message", || {
         assert!(call::<Snapshot>(&node, "/rosbag2_recorder/snapshot", &Default::default()).success);
         found = said(&bag);
@@ -254,7 +250,7 @@ fn a_snapshot_is_written_when_the_service_asks_for_it() {
     recorder.interrupt();
     assert!(found.len() < 500, "only the latest: {}", found.len());
     assert!(found.is_sorted());
-    assert_eq!(said(&bag), found, "nothing is written without being asked for");
+    assert_eq!(said(&bag), found, "nothing is written without a request");
 }
 
 #[test]
@@ -361,7 +357,7 @@ fn a_robot_is_recorded_by_module_and_pattern_into_files_of_a_size() {
     let topics: BTreeSet<&str> = metadata.topics.iter().map(|topic| topic.name.as_str()).collect();
     assert!(topics.contains("/joint_states") && topics.contains("/imu/data_raw"), "{topics:?}");
     assert!(!topics.contains("/bus/exchanges") && !topics.contains("/joint_goals"), "{topics:?}");
-    assert_eq!(metadata.files.len(), 3, "the first is gone");
+    assert_eq!(metadata.files.len(), 3, "the first was removed");
     assert_eq!((&*metadata.custom_data["place"], &*metadata.custom_data["weather"]), ("lawn", "fine"));
     assert!(output.contains("lost 0"), "{output}");
     let Some(found) = python("decode_bag.py", &[&bag]) else { return };
@@ -371,7 +367,7 @@ fn a_robot_is_recorded_by_module_and_pattern_into_files_of_a_size() {
 }
 
 #[test]
-fn a_robot_is_recorded_by_expression_as_a_storage_file_says() {
+fn a_robot_is_recorded_by_expression_with_a_storage_file() {
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag, storage) =
         (folder.path().join("robot.toml"), folder.path().join("bag"), folder.path().join("storage.yaml"));
@@ -389,7 +385,7 @@ fn a_robot_is_recorded_by_expression_as_a_storage_file_says() {
 }
 
 #[test]
-fn a_robot_file_says_what_is_recorded_and_check_prints_it() {
+fn a_robot_file_selects_what_is_recorded_and_check_prints_it() {
     let folder = tempfile::tempdir().unwrap();
     let record = |keys: &str| {
         let robot = robot_file(folder.path(), |text| {

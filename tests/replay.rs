@@ -1,5 +1,5 @@
-//! The recorded bag, replayed through the hardware module: every instruction on the bus equals the recorded one
-//! byte for byte, and every message that the module publishes equals the recorded one bit for bit.
+//! Replays the recorded bag through the hardware module: every instruction on the bus equals the recorded one
+//! byte for byte, and every published message equals the recorded one bit for bit.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::collections::BTreeMap;
@@ -18,7 +18,7 @@ use downbeat::msgs::downbeat_interfaces::msg::{BusExchange, ModuleStep};
 use downbeat::playback::replay_module;
 use downbeat::robot::RobotFile;
 
-/// What the hardware module publishes.
+/// The topics that the hardware module publishes.
 const OUTPUTS: [&str; 6] =
     ["joint_states", "imu/data_raw", "battery_state", "buttons", "diagnostics", "bus/exchanges"];
 
@@ -102,11 +102,11 @@ fn the_recorded_run_repeats_bit_for_bit_on_a_pool_of_threads() {
 }
 
 #[test]
-fn a_recording_with_one_other_bit_is_noticed() {
+fn a_recording_with_one_changed_bit_is_detected() {
     let reader = recording();
     let mut exchanges = recorded_exchanges(&reader);
-    // A bit of a position in the middle of the run; the checksum byte at the end of its packet would be wrong
-    // too, so the servo's answer is refused: other messages, and in time other instructions.
+    // Changes a bit of a position in the middle of the run. The checksum of the packet is then wrong, so the
+    // answer of the servo is refused, which leads to other messages and, later, other instructions.
     let altered = exchanges.len() / 2;
     let reply = (altered..).find(|&index| exchanges[index].reply.len() > 300).unwrap();
     exchanges[reply].reply[60] ^= 1;
@@ -115,7 +115,7 @@ fn a_recording_with_one_other_bit_is_noticed() {
 }
 
 #[test]
-fn the_recording_is_long_enough_and_holds_faults_and_a_whole_run() {
+fn the_recording_is_long_enough_and_contains_faults_and_a_whole_run() {
     let reader = recording();
     let seconds = (reader.end_time().unwrap() - reader.start_time().unwrap()) / 1_000_000_000;
     assert!(seconds >= 10, "{seconds} s");

@@ -1,5 +1,5 @@
-//! Robots that are commanded while they are recorded: by services, actions, transitions and the results of jobs, from within the
-//! process and from ROS 2. They replay bit for bit.
+//! Robots that are commanded while they are recorded, by services, actions, transitions and results of jobs,
+//! from within the process and from ROS 2. They replay bit for bit.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -46,7 +46,7 @@ use downbeat::robot::Kind;
 use downbeat::running::{PreparedRobot, RecordPlan};
 use serde_json::json;
 
-/// Rises on request, and asks for a plan each time. What it publishes depends on its ticks between requests.
+/// Rises on request, and requests a plan each time. Its messages depend on its ticks between requests.
 #[derive(Default)]
 struct Arm {
     height: f64,
@@ -100,7 +100,7 @@ impl Module for Arm {
     }
 }
 
-/// Detached: makes plans, asks the arm to rise now and then, and tunes itself.
+/// A detached module that makes plans, occasionally requests the arm to rise, and changes its own settings.
 #[derive(Default)]
 struct Planner {
     runs: u32,
@@ -142,7 +142,7 @@ impl Module for Planner {
     }
 }
 
-/// What keeps the work of a job from ending.
+/// Blocks the work of a job.
 #[derive(Default)]
 struct Gate {
     is_open: Mutex<bool>,
@@ -172,7 +172,7 @@ impl Gate {
     }
 }
 
-/// Works beside the cycle: its jobs end as their gates say, the last of them async.
+/// A module with jobs that end when their gates open; the last one is async.
 struct Worker {
     gates: Arc<[Gate]>,
     jobs: usize,
@@ -212,7 +212,7 @@ impl Module for Worker {
     }
 }
 
-/// Counts the ticks of a goal, as many as its order says; the action is `count`.
+/// Serves the action `count`, which counts as many ticks as the order of the goal.
 #[derive(Default)]
 struct Counter {
     server: ActionServer<Fibonacci>,
@@ -260,7 +260,7 @@ fn app(gates: &Arc<[Gate]>) -> App {
         .kind("counter", "counts", Counter::default)
 }
 
-/// A robot that was recorded, and what replays it.
+/// A recorded robot with what is needed to replay it.
 struct Recorded {
     app: App,
     robot: PathBuf,
@@ -299,7 +299,7 @@ impl Recorded {
     }
 }
 
-/// What commands a robot.
+/// Sends commands to a robot.
 struct Commander {
     core: CoreHandle,
     raise: Caller<SetBoolRequest, SetBoolResponse>,
@@ -375,12 +375,12 @@ fn gates(count: usize) -> Arc<[Gate]> {
     (0..count).map(|_| Gate::default()).collect()
 }
 
-/// All modules, each by itself, and pairs.
+/// All modules, each module separately, and pairs.
 const SUBSETS: &[&[&str]] =
     &[&[], &["arm"], &["planner"], &["worker"], &["counter"], &["arm", "planner"], &["planner", "worker"]];
 
 #[test]
-fn a_robot_that_is_commanded_by_services_from_outside_and_of_a_detached_module_repeats() {
+fn a_robot_with_requests_from_outside_and_from_a_detached_module_repeats() {
     let recorded = recorded(&gates(0), |robot| {
         for number in 0..40 {
             let answer = ask(&robot.raise, SetBoolRequest { data: number % 3 > 0 });
@@ -445,7 +445,7 @@ fn a_robot_whose_modules_make_transitions_and_pause_repeats() {
 }
 
 #[test]
-fn results_of_jobs_join_in_the_cycles_and_in_the_order_in_which_they_joined() {
+fn results_of_jobs_join_in_the_recorded_cycles_and_order() {
     let gates = gates(4);
     let recorded = recorded(&gates, |robot| {
         for _ in 0..gates.len() {
@@ -470,7 +470,7 @@ fn results_of_jobs_join_in_the_cycles_and_in_the_order_in_which_they_joined() {
 }
 
 #[test]
-fn a_bag_played_into_a_robot_commands_it_as_it_was_commanded() {
+fn a_bag_played_into_a_robot_repeats_the_commands() {
     let without_planner = ROBOT.replace("[[module]]\nkind = \"planner\"\nname = \"planner\"\n", "");
     let recorded = recorded_robot(&without_planner, &gates(0), |robot| {
         for number in 0..10 {
@@ -492,7 +492,7 @@ fn a_bag_played_into_a_robot_commands_it_as_it_was_commanded() {
     recording.finish().unwrap();
     let angles: Vec<Float64> = recorded.messages("/angle");
     let played: Vec<Float64> = Recorded { bag: played, ..recorded }.messages("/angle");
-    // What is published while the robot stops is not to be the same.
+    // Messages that are published while the robot stops are not compared.
     let before_the_end = angles.len() - 3;
     assert_eq!(played[..before_the_end], angles[..before_the_end]);
 }
@@ -503,7 +503,8 @@ fn on_loopback(domain_id: u16) -> ParticipantOptions {
     ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(domain_id) }
 }
 
-/// Runs and records the robot with its node in a domain until `command` has commanded it from there.
+/// Runs and records the robot with its node in a domain until `command` returns, which commands it from
+/// there.
 fn recorded_in_domain(domain: u16, command: impl FnOnce()) -> Recorded {
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag) = (folder.path().join("robot.toml"), folder.path().join("bag"));
@@ -519,7 +520,7 @@ fn recorded_in_domain(domain: u16, command: impl FnOnce()) -> Recorded {
     Recorded { app, robot, bag, _folder: folder }
 }
 
-/// What commanded the robot from ROS 2: five requests, two goals, two transitions and a parameter.
+/// Checks the commands from ROS 2: five requests, two goals, two transitions and a parameter.
 fn assert_commanded_from_ros_2(recorded: &Recorded) {
     assert_eq!(recorded.commands(), ["deactivate arm", "activate arm"]);
     let settings: Vec<ModuleSettings> = recorded.messages("/module_settings");
@@ -529,7 +530,7 @@ fn assert_commanded_from_ros_2(recorded: &Recorded) {
     let not_compared: Vec<_> = report.not_compared.iter().map(|topic| &*topic.topic).collect();
     let process = ["/bridge/qos_events", "/cycle_times", "/diagnostics"];
     let journals = ["/module_events", "/module_settings", "/module_steps"];
-    // Nobody called the worker.
+    // The worker was not called.
     assert_eq!(not_compared, [&process[..], &journals, &["/results"]].concat());
     report.assert_same().unwrap();
     let compared = recorded.assert_same(&[]);
@@ -631,7 +632,7 @@ fn a_robot_that_is_commanded_by_rclpy_repeats() {
 }
 
 #[test]
-fn an_answer_that_differs_is_told_with_its_service_and_field() {
+fn a_different_response_is_reported_with_its_service_and_field() {
     let recorded = recorded(&gates(0), |robot| {
         (0..5).for_each(|_| drop(ask(&robot.raise, SetBoolRequest { data: true }).unwrap()));
     });

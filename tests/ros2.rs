@@ -66,21 +66,21 @@ fn the_node_is_listed_with_its_topics_types_and_qos() {
         let listed = peer.ask(json!({"do": "subscriptions_of", "topic": "/joint_commands"}));
         listed == endpoint(JOINT_STATE, "RELIABLE")
     });
-    // Nothing that the robot file does not expose.
+    // Topics that the robot file does not expose are not listed.
     let topics = peer.ask(json!({"do": "topics"}));
     assert!(topics.get("/bus/exchanges").is_none() && topics.get("/joint_goals").is_none(), "{topics}");
     robot.interrupt();
     peer.leave();
 }
 
-/// The period that most are near, in ms. A machine that stands still now and then makes some longer.
+/// The most frequent period in ms. Occasional stalls of the machine make some periods longer.
 fn usual_period_ms(stamps: &[i64]) -> f64 {
     let mut periods: Vec<i64> = stamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
     periods.sort_unstable();
     periods[periods.len() / 2] as f64 * 1e-6
 }
 
-/// The stamps of what was published, and of what rclpy received of it.
+/// Returns the stamps of the published messages and of those that rclpy received.
 fn record_and_receive(domain: u16) -> Option<(Vec<i64>, Vec<i64>)> {
     let mut peer = peer(domain)?;
     let folder = tempfile::tempdir().unwrap();
@@ -91,7 +91,7 @@ fn record_and_receive(domain: u16) -> Option<(Vec<i64>, Vec<i64>)> {
     peer.ask(subscription);
     let mut robot = run(domain, folder.path(), &["--record", bag.to_str().unwrap()]);
     let mut received: Vec<i64> = Vec::new();
-    wait_until("joint states have come for long enough", || {
+    wait_until("joint states have arrived for long enough", || {
         let more = peer.ask(json!({"do": "take", "topic": "/joint_states"}));
         received.extend(more.as_array().unwrap().iter().map(|message| stamp_ns(&message["fields"])));
         received.len() > 600
@@ -126,14 +126,14 @@ fn commands_from_rclpy_move_the_joints_they_name_until_two_seconds_after_the_las
     let of_joint_states = json!({"do": "subscribe", "topic": "/joint_states", "type": JOINT_STATE});
     peer.ask(of_joint_states);
     peer.ask(json!({"do": "advertise", "topic": "/joint_commands", "type": JOINT_STATE}));
-    wait_until("the robot hears commands", || {
+    wait_until("the robot receives commands", || {
         peer.ask(json!({"do": "matched", "topic": "/joint_commands"})) == 1
     });
     let command = json!({
         "do": "publish", "topic": "/joint_commands",
         "fields": {"name": ["head_pan", "l_el"], "position": [1.0, -0.2]}
     });
-    // The right arm is not commanded: the motion goes on moving it.
+    // The right arm is not commanded: the motion continues to move it.
     let (mut others, mut last) = ((f64::MAX, f64::MIN), Value::Null);
     wait_until("the commanded joints arrive, and the others move", || {
         peer.ask(command.clone());
@@ -162,9 +162,9 @@ fn commands_from_rclpy_move_the_joints_they_name_until_two_seconds_after_the_las
     peer.leave();
 }
 
-/// As by a debugger, by a container that is paused, by a laptop that sleeps.
+/// Suspended as by a debugger, a paused container or a sleeping laptop.
 #[test]
-fn a_robot_that_was_suspended_is_there_again_with_all_it_has() {
+fn a_suspended_robot_is_available_again_with_all_endpoints() {
     let Some(mut peer) = peer(213) else { return };
     let _check = check("Faults", "the program is suspended and goes on", With::Rclpy, Way::Both);
     let folder = tempfile::tempdir().unwrap();
@@ -177,14 +177,14 @@ fn a_robot_that_was_suspended_is_there_again_with_all_it_has() {
     wait_until("the robot is there", || has_joint_states(&mut peer) && is_heard(&mut peer));
 
     robot.signal("-STOP");
-    // What it sent before has come when nothing more comes.
+    // Everything sent before has arrived when nothing more arrives.
     wait_until("it is silent", || {
         std::thread::sleep(Duration::from_millis(200));
         !has_joint_states(&mut peer)
     });
     robot.signal("-CONT");
-    wait_until("joint states come again", || has_joint_states(&mut peer));
-    wait_until("commands are heard again", || is_heard(&mut peer));
+    wait_until("joint states arrive again", || has_joint_states(&mut peer));
+    wait_until("commands are received again", || is_heard(&mut peer));
     let hold = json!({"do": "parameters", "node": "/darwin_op", "call": "get_parameters", "argument": ["mux.hold_s"]});
     assert_eq!(peer.ask(hold)["values"][0]["double_value"], 2.0);
     robot.interrupt();
@@ -201,8 +201,8 @@ fn the_node_leaves_the_graph_within_two_seconds_of_a_signal() {
         wait_until("the node is listed", || has(&peer.ask(json!({"do": "nodes"})), "/darwin_op"));
         robot.signal(signal);
         let signalled = Instant::now();
-        wait_until("the node is gone", || !has(&peer.ask(json!({"do": "nodes"})), "/darwin_op"));
-        wait_until("its topics are gone", || {
+        wait_until("the node has disappeared", || !has(&peer.ask(json!({"do": "nodes"})), "/darwin_op"));
+        wait_until("its topics have disappeared", || {
             peer.ask(json!({"do": "topics"})).get("/joint_states").is_none()
         });
         let took = signalled.elapsed();

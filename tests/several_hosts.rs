@@ -1,4 +1,4 @@
-//! A robot on one host and rclpy on another. Network namespaces stand for the hosts, so this needs root.
+//! A robot on one host and rclpy on another. Network namespaces represent the hosts, which requires root.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -27,12 +27,12 @@ fn run_with(hosts: &Hosts, folder: &Path, more: &[&str], variables: &[(&str, &st
     Running::start_by(&mut command)
 }
 
-/// Two hosts for a check, and rclpy on the second.
+/// Two hosts for a check, with rclpy on the second.
 fn hosts(check: Check) -> Option<(Hosts, Peer, Check)> {
     hosts_that(check, |_| ())
 }
 
-/// The same, with hosts that something was done to before rclpy starts.
+/// Like `hosts`, but `change` modifies the hosts before rclpy starts.
 fn hosts_that(check: Check, change: impl FnOnce(&Hosts)) -> Option<(Hosts, Peer, Check)> {
     let made = Hosts::new().and_then(|hosts| {
         change(&hosts);
@@ -64,7 +64,7 @@ fn the_robot_is_seen_and_driven_from_another_host() {
     let mut robot = run(&hosts, folder.path(), &[]);
     hear(&mut peer);
     peer.ask(json!({"do": "advertise", "topic": "/joint_commands", "type": JOINT_STATE}));
-    wait_until("the robot hears commands", || {
+    wait_until("the robot receives commands", || {
         peer.ask(json!({"do": "matched", "topic": "/joint_commands"})) == 1
     });
     wait_until("the head follows", || {
@@ -79,7 +79,7 @@ fn the_robot_is_seen_and_driven_from_another_host() {
     });
     robot.interrupt();
     let left = Instant::now();
-    wait_until("the robot is gone", || {
+    wait_until("the robot has disappeared", || {
         !peer.ask(json!({"do": "nodes"})).as_array().unwrap().iter().any(|node| node == "/darwin_op")
     });
     wait_until("the robot is not counted any more", || {
@@ -96,7 +96,7 @@ fn a_cable_that_was_out_for_30_seconds_is_as_if_it_never_was() {
     let mut robot = run(&hosts, folder.path(), &[]);
     hear(&mut peer);
     hosts.pull_the_cable();
-    // Longer than the lease of Fast DDS, 20 s: both forget each other.
+    // Longer than the lease of Fast DDS, 20 s: both remove each other.
     std::thread::sleep(Duration::from_secs(30));
     peer.ask(json!({"do": "take", "topic": "/joint_states"}));
     hosts.put_the_cable_back();
@@ -106,14 +106,14 @@ fn a_cable_that_was_out_for_30_seconds_is_as_if_it_never_was() {
 }
 
 #[test]
-fn a_peer_that_is_killed_and_started_again_20_times_hears_the_robot_each_time() {
+fn a_peer_that_is_killed_and_restarted_20_times_receives_from_the_robot_each_time() {
     let check = check("Several hosts", "a peer killed and started again 20 times", With::Rclpy, Way::Out);
     let Some((hosts, mut peer, _check)) = hosts(check) else { return };
     let folder = tempfile::tempdir().unwrap();
     let mut robot = run(&hosts, folder.path(), &[]);
     hear(&mut peer);
     for _ in 0..20 {
-        // Killed by the drop: it takes no leave.
+        // Killed by the drop: it does not announce its departure.
         drop(peer);
         peer = rclpy(&hosts).unwrap();
         hear(&mut peer);
@@ -122,14 +122,14 @@ fn a_peer_that_is_killed_and_started_again_20_times_hears_the_robot_each_time() 
 }
 
 #[test]
-fn a_host_that_multicast_does_not_reach_is_found_by_its_address() {
+fn a_host_without_multicast_is_discovered_by_its_address() {
     let check = check("Environment", "ROS_STATIC_PEERS without multicast", With::Rclpy, Way::Both);
     let Some((hosts, mut peer, _check)) = hosts_that(check, Hosts::without_multicast) else { return };
     let folder = tempfile::tempdir().unwrap();
     let mut robot = run_with(&hosts, folder.path(), &[], &[("ROS_STATIC_PEERS", "10.77.0.2")]);
     hear(&mut peer);
     peer.ask(json!({"do": "advertise", "topic": "/joint_commands", "type": JOINT_STATE}));
-    wait_until("the robot hears commands", || {
+    wait_until("the robot receives commands", || {
         peer.ask(json!({"do": "matched", "topic": "/joint_commands"})) == 1
     });
     robot.interrupt();

@@ -1,5 +1,5 @@
-//! Transforms with a peer on Cyclone DDS (the wheels of rclpy have no `tf2_msgs`): what it publishes is in the buffer of a
-//! module, what a module publishes arrives, and a robot of the program answers lookups.
+//! Transforms with a peer on Cyclone DDS (the wheels of rclpy have no `tf2_msgs`): transforms of the peer are
+//! in the buffer of a module, those of a module arrive at the peer, and a robot answers lookups.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -28,14 +28,14 @@ use downbeat::msgs::tf2_msgs::msg::TF2Error;
 use downbeat::msgs::unique_identifier_msgs::msg::UUID;
 use serde_json::{Value, json};
 
-/// Looks up where the camera is in the map.
+/// Looks up the pose of the camera in the map.
 #[derive(Default)]
 struct Finder {
     transforms: TransformBuffer,
 }
 
-/// Tells where the camera was seen, and where its parts are.
-struct Teller;
+/// Publishes the pose of the camera and of its parts.
+struct Broadcaster;
 
 fn transform(parent: &str, child: &str, x: f64) -> TransformStamped {
     let mut transform = TransformStamped { child_frame_id: child.into(), ..TransformStamped::default() };
@@ -59,7 +59,7 @@ impl Module for Finder {
     }
 }
 
-impl Module for Teller {
+impl Module for Broadcaster {
     type Ports = TransformBroadcaster;
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError> {
@@ -110,7 +110,7 @@ fn transforms_of_peer_are_looked_up_by_a_module_and_those_of_the_module_arrive()
     let kind = "tf2_msgs/msg/TFMessage";
     let fixed = json!({"depth": 100, "durability": "transient_local"});
     peer.ask(json!({"do": "advertise", "topic": "/tf_static", "type": kind, "qos": fixed}));
-    // Before the robot is there: it hears of it late.
+    // Before the robot starts, which receives it as a late joiner.
     peer.ask(
         json!({"do": "publish", "topic": "/tf_static", "fields": message("base_link", "camera", 0.25, 0)}),
     );
@@ -121,7 +121,7 @@ fn transforms_of_peer_are_looked_up_by_a_module_and_those_of_the_module_arrive()
     core.add("finder", Finder::default()).unwrap();
     let remaps = ["tf", "tf_static"].map(|topic| (topic.to_owned(), format!("own/{topic}")));
     let options = ModuleOptions { remaps: remaps.into(), ..ModuleOptions::default() };
-    core.add_with("teller", Teller, options).unwrap();
+    core.add_with("teller", Broadcaster, options).unwrap();
     let options =
         ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(148) };
     let participant = Participant::join(&options).unwrap();
@@ -148,12 +148,12 @@ fn transforms_of_peer_are_looked_up_by_a_module_and_those_of_the_module_arrive()
     let at = seen["header"]["stamp"]["sec"].as_f64().unwrap();
     assert!(
         (x - (at + 0.25)).abs() < 1e-9,
-        "the camera is 0.25 m before the base, which is where the peer said: {seen}"
+        "the camera is 0.25 m in front of the base, whose pose is from the peer: {seen}"
     );
 
     peer.ask(json!({"do": "subscribe", "topic": "/tf_static", "type": kind, "qos": fixed}));
     let mut children = Vec::new();
-    wait_until("the peer, which has come late, has all that is fixed", || {
+    wait_until("the peer, a late joiner, has all static transforms", || {
         for heard in peer.ask(json!({"do": "take", "topic": "/tf_static"})).as_array().unwrap() {
             let transforms = heard["fields"]["transforms"].as_array().unwrap().clone();
             children.extend(transforms.into_iter().map(|transform| transform["child_frame_id"].clone()));
@@ -176,7 +176,7 @@ actions = ["tf2_buffer_server"]
 "#;
 
 #[test]
-fn a_robot_of_the_program_serves_an_action_that_looks_transforms_up() {
+fn a_robot_serves_an_action_that_looks_up_transforms() {
     let Some(mut rclpy) = Peer::start(212, "LOCALHOST") else { return };
     let Some(mut cyclone) = Peer::cyclonedds(212) else { return };
     let _check = check("Actions", "actions in the robot file", With::Rclpy, Way::Out);
@@ -193,7 +193,7 @@ fn a_robot_of_the_program_serves_an_action_that_looks_transforms_up() {
     let camera = message("base_link", "camera", 0.25, 0);
     cyclone.ask(json!({"do": "publish", "topic": "/tf_static", "fields": camera}));
 
-    // The wheels of rclpy cannot send this goal either.
+    // The wheels of rclpy cannot send this goal.
     let options =
         ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(212) };
     let participant = Participant::join(&options).unwrap();

@@ -1,4 +1,4 @@
-//! `downbeat top`, `trace` and `graph`, as a user meets them.
+//! `downbeat top`, `trace` and `graph` as a user sees them.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -19,7 +19,7 @@ impl Robot {
             in_folder(folder, &["bag", "record", "--robot", file.to_str().unwrap(), "--output"]);
         command.arg(folder.join("bag")).stdout(Stdio::null()).stderr(Stdio::null());
         let robot = Self(command.spawn().unwrap());
-        wait_until("the robot can be seen", || {
+        wait_until("the robot is listed", || {
             in_folder(folder, &["top", "--json"]).output().unwrap().status.success()
         });
         robot
@@ -33,7 +33,7 @@ impl Drop for Robot {
     }
 }
 
-/// The program with sockets of this test only.
+/// The program with a socket directory of this test.
 fn in_folder(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = downbeat(arguments);
     command.env("XDG_RUNTIME_DIR", folder).stdin(Stdio::null());
@@ -47,7 +47,7 @@ fn output(folder: &Path, arguments: &[&str]) -> (bool, String) {
 }
 
 #[test]
-fn a_running_robot_is_watched_traced_and_found_by_name_and_number() {
+fn a_running_robot_is_shown_traced_and_found_by_name_and_process_id() {
     let folder = tempfile::tempdir().unwrap();
     let robot = Robot::start(folder.path());
     let (_, json) = output(folder.path(), &["top", "--json", "quiet"]);
@@ -79,7 +79,7 @@ fn a_running_robot_is_watched_traced_and_found_by_name_and_number() {
 }
 
 #[test]
-fn a_robot_that_runs_already_is_not_started_again() {
+fn a_robot_that_already_runs_is_not_started_again() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("quiet.toml");
     std::fs::write(&file, QUIET_ROBOT).unwrap();
@@ -87,7 +87,7 @@ fn a_robot_that_runs_already_is_not_started_again() {
         in_folder(folder.path(), &[&["run", file.to_str().unwrap(), "--domain", "228"], options].concat())
     };
     let mut first = Running::start_by(&mut run(&[]));
-    wait_until("the robot can be seen", || output(folder.path(), &["top", "--once"]).0);
+    wait_until("the robot is listed", || output(folder.path(), &["top", "--once"]).0);
     let second = run(&["--duration", "1s"]).output().unwrap();
     let error = String::from_utf8(second.stderr).unwrap();
     assert!(!second.status.success(), "{error}");
@@ -103,7 +103,7 @@ fn a_robot_that_runs_already_is_not_started_again() {
 }
 
 #[test]
-fn where_no_robot_runs_that_is_told_and_the_socket_of_a_dead_one_goes() {
+fn the_absence_of_robots_is_reported_and_dead_sockets_are_removed() {
     let folder = tempfile::tempdir().unwrap();
     drop(Robot::start(folder.path()));
     let sockets = || std::fs::read_dir(folder.path().join("downbeat")).unwrap().count();
@@ -127,7 +127,7 @@ fn the_graph_of_a_robot_file_is_drawn_without_running_it() {
 }
 
 #[test]
-fn a_reader_that_goes_away_ends_the_program_quietly() {
+fn a_closed_output_ends_the_program_without_an_error() {
     for arguments in
         [&["graph", "robots/darwin_op.toml"][..], &["check", "robots/darwin_op.toml"], &["check", "--kinds"]]
     {

@@ -1,4 +1,4 @@
-//! What the tests share: the program in a process of its own, robot files, and real rclpy.
+//! Helpers of the tests: the program in a separate process, robot files, and real rclpy.
 #![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc, missing_docs)]
 
 #[path = "../../bridge/tests/common/hosts.rs"]
@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 use downbeat::bags::Reader;
 
-/// A robot without a device: what it does follows from its inputs and the time alone.
+/// A robot without a device: its behaviour depends only on its inputs and the time.
 pub const QUIET_ROBOT: &str = r#"
 [robot]
 name = "quiet"
@@ -39,7 +39,7 @@ pub const PEER_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/bridge/tests
 /// The program behind [`rclpy::Peer::cyclonedds`].
 pub const CYCLONEDDS_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/bridge/tests/cyclonedds/peer.py");
 
-/// Polls a condition that has no event to wait on.
+/// Polls a condition for which there is no event.
 pub fn wait_until(what: &str, mut condition: impl FnMut() -> bool) {
     let start = Instant::now();
     while !condition() {
@@ -48,7 +48,7 @@ pub fn wait_until(what: &str, mut condition: impl FnMut() -> bool) {
     }
 }
 
-/// The program with these arguments, on loopback.
+/// The program with these arguments, limited to loopback.
 pub fn downbeat(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_downbeat"));
     command
@@ -60,12 +60,12 @@ pub fn downbeat(arguments: &[&str]) -> Command {
     command
 }
 
-/// Runs the program to its end.
+/// Runs the program until it ends.
 pub fn output_of(arguments: &[&str]) -> Output {
     downbeat(arguments).stdin(Stdio::null()).output().unwrap()
 }
 
-/// Standard output and standard error of a program that has ended well.
+/// Runs the program, which must succeed, and returns its standard output and standard error.
 pub fn text_of(arguments: &[&str]) -> String {
     let output = output_of(arguments);
     let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
@@ -73,7 +73,8 @@ pub fn text_of(arguments: &[&str]) -> String {
     text
 }
 
-/// Has the program record until the bag has so many messages of a topic, however long that takes; what it printed.
+/// Records until the bag has `count` messages on a topic, however long that takes. Returns the output of the
+/// program.
 pub fn record_until(arguments: &[&str], bag: &Path, topic: &str, count: u64) -> String {
     let mut recording = Running::start(arguments);
     let start = Instant::now();
@@ -84,20 +85,20 @@ pub fn record_until(arguments: &[&str], bag: &Path, topic: &str, count: u64) -> 
             recording.output()
         );
         assert!(recording.is_running(), "{}", recording.output());
-        // Not more often: reading a bag that grows takes the machine from who is recorded.
+        // Not more often: reading a growing bag takes processor time from the recorded robot.
         std::thread::sleep(Duration::from_millis(100));
     }
     recording.interrupt();
     recording.output()
 }
 
-/// How many messages of a topic a bag has, which may still be written.
+/// Returns the number of messages on a topic of a bag, which may still be being written.
 pub fn recorded_messages(bag: &Path, topic: &str) -> u64 {
     let Ok(reader) = Reader::open(bag) else { return 0 };
     reader.topic(topic).map_or(0, |topic| reader.topics()[topic.index()].message_count)
 }
 
-/// The program, running. It is killed when dropped.
+/// A running program, which is killed when dropped.
 pub struct Running {
     child: Child,
     output: Arc<Mutex<String>>,
@@ -108,7 +109,7 @@ impl Running {
         Self::start_with(arguments, &[])
     }
 
-    /// With variables of the environment.
+    /// Starts the program with environment variables.
     pub fn start_with(arguments: &[&str], variables: &[(&str, &Path)]) -> Self {
         Self::start_by(downbeat(arguments).envs(variables.iter().copied()))
     }
@@ -122,7 +123,7 @@ impl Running {
         Self { child, output }
     }
 
-    /// What it has printed so far.
+    /// Returns the output so far.
     pub fn output(&self) -> String {
         self.output.lock().unwrap().clone()
     }
@@ -148,7 +149,7 @@ impl Running {
         assert!(status.success());
     }
 
-    /// Waits for the end of the process, and of what it prints.
+    /// Waits for the end of the process and of its output.
     pub fn wait(&mut self) -> ExitStatus {
         let mut status = None;
         wait_until("the program ends", || {
@@ -159,7 +160,7 @@ impl Running {
         status.unwrap()
     }
 
-    /// Ends it as Ctrl-C does, and checks that it ends well.
+    /// Interrupts the program as Ctrl-C does and checks that it succeeds.
     pub fn interrupt(&mut self) {
         self.signal("-INT");
         assert!(self.wait().success(), "{}", self.output());
@@ -168,7 +169,7 @@ impl Running {
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // It may have ended already; nothing to do then.
+        // Fails only if the process has already ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -185,7 +186,7 @@ fn collect(stream: impl std::io::Read + Send + 'static, output: &Arc<Mutex<Strin
     });
 }
 
-/// A copy of the demo's robot file with a port of its own; `edit` changes the text further.
+/// Copies the robot file of the demo and gives it a separate port; `edit` changes the text further.
 pub fn robot_file(folder: &Path, edit: impl Fn(String) -> String) -> PathBuf {
     let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/darwin_op.toml");
     let port = folder.join("port");
@@ -196,8 +197,8 @@ pub fn robot_file(folder: &Path, edit: impl Fn(String) -> String) -> PathBuf {
     path
 }
 
-/// Runs a program of `tests/python` and returns what it prints as JSON; nothing, with a line that says so, where
-/// there is no Python.
+/// Runs a program of `tests/python` and returns its output as JSON. If there is no Python, prints a message
+/// and returns `None`.
 pub fn python(program: &str, arguments: &[&Path]) -> Option<serde_json::Value> {
     let python = rclpy::python()?;
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python").join(program);

@@ -1,4 +1,4 @@
-//! A sonar on a serial line that is simulated: what it answers is another thing in each run, as with real hardware.
+//! A sonar on a simulated serial line. Its answers differ in each run, as with real hardware.
 
 use std::time::{Duration, SystemTime};
 
@@ -8,7 +8,7 @@ use downbeat::msgs::Message;
 use downbeat::msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat::msgs::std_msgs::msg::Header;
 
-/// How far it is to what is ahead.
+/// Distance to the next obstacle.
 #[derive(Clone, Debug, Default, PartialEq, Message)]
 #[message(name = "sonar_msgs/msg/Echo", crate = "downbeat::msgs")]
 pub struct Echo {
@@ -17,7 +17,7 @@ pub struct Echo {
     pub distance: f64,
 }
 
-/// The bytes of a request, and of the answer to it.
+/// The bytes of a request and of its answer.
 #[derive(Clone, Debug, Default, PartialEq, Message)]
 #[message(name = "sonar_msgs/msg/Exchange", crate = "downbeat::msgs")]
 pub struct Exchange {
@@ -48,7 +48,7 @@ impl Device for Line {
 
     fn exchange(&mut self, request: &Self::Request, _now: Time) -> Exchange {
         let noise = SystemTime::UNIX_EPOCH.elapsed().map_or(0, |since| since.subsec_nanos());
-        let micros = 5000 + noise % 1000; // until the echo came
+        let micros = 5000 + noise % 1000; // until the echo arrived
         Exchange { request: request.to_vec(), answer: micros.to_le_bytes().to_vec(), error: String::new() }
     }
 
@@ -61,7 +61,7 @@ impl Device for Line {
     }
 }
 
-/// Measures the way ahead.
+/// Measures the distance to the next obstacle.
 pub struct Sonar {
     line: DeviceLink<Line>,
 }

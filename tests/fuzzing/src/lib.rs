@@ -1,4 +1,4 @@
-//! What seeded fuzz tests share. A program that links this package has an allocator that counts.
+//! Helpers of seeded fuzz tests. A program that links this package uses a counting allocator.
 
 mod memory;
 mod random;

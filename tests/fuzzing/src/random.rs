@@ -1,10 +1,10 @@
-//! Numbers that look random and are the same in every run.
+//! Reproducible pseudo-random numbers.
 
 /// SplitMix64 (Steele, Lea and Flood 2014).
 pub struct Random(u64);
 
 impl Random {
-    /// The sequence of a seed.
+    /// Creates the sequence of a seed.
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
@@ -17,7 +17,7 @@ impl Random {
         mixed ^ (mixed >> 31)
     }
 
-    /// A number below `limit`; 0 if that is 0.
+    /// A number below `limit`; 0 if `limit` is 0.
     pub fn below(&mut self, limit: usize) -> usize {
         (self.bits() >> 33) as usize % limit.max(1)
     }
@@ -30,13 +30,13 @@ impl Random {
     /// An element of a slice.
     ///
     /// # Panics
-    /// If the slice is empty.
+    /// Panics if the slice is empty.
     pub fn choose<'a, T>(&mut self, of: &'a [T]) -> &'a T {
         &of[self.below(of.len())]
     }
 }
 
-/// The numbers of the rounds to make: as many as `usual`, or as the environment says.
+/// The numbers of the rounds to run: `usual` rounds unless the environment specifies others.
 pub fn rounds(usual: u64) -> std::ops::Range<u64> {
     let number = |name| std::env::var(name).ok().and_then(|number: String| number.parse().ok());
     let first = number("DOWNBEAT_FUZZ_FIRST").unwrap_or(0);

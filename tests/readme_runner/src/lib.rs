@@ -1,15 +1,15 @@
-//! Runs the commands of a README and compares what they print with what it says.
+//! Runs the commands of a README and compares their output with the text in it.
 //!
-//! A block of commands is marked `sh`. The block marked `text` that follows it is what they print:
+//! A block of commands is marked `sh`. The following block marked `text` is the expected output:
 //!
 //! - `…` stands for any text within a line;
-//! - the lines are printed in this order; lines that the page does not show may be printed between them;
-//! - a line `^C` is a Ctrl-C of the reader, after the lines above it have been printed.
+//! - the lines are printed in this order; other lines may be printed between them;
+//! - a line `^C` stands for Ctrl-C, after the lines above it have been printed.
 //!
-//! Commands run in a copy of the folder of the README, so that what they write is gone afterwards. Each page has a ROS
-//! domain of its own on loopback. In place of `cargo run` runs the program that the test was built with, so that nothing is
-//! built twice; `cargo test` does nothing, since the test of the page is a part of it.
-#![allow(clippy::missing_panics_doc)] // Panics are how it reports.
+//! Commands run in a copy of the folder of the README, which is removed afterwards. Each page has a separate
+//! ROS domain on loopback. `cargo run` runs the program that was built for the test, so that nothing is built
+//! twice; `cargo test` does nothing, because it includes the test of the page.
+#![allow(clippy::missing_panics_doc)] // errors are reported as panics
 
 mod page;
 mod session;
@@ -26,8 +26,8 @@ pub struct Readme {
 }
 
 impl Readme {
-    /// The README of a package, `env!("CARGO_MANIFEST_DIR")`, and the program that `cargo run` runs there,
-    /// `env!("CARGO_BIN_EXE_…")`.
+    /// The README of a package. `package` is `env!("CARGO_MANIFEST_DIR")`, and `program`, which `cargo run`
+    /// runs, is `env!("CARGO_BIN_EXE_…")`.
     #[must_use]
     pub fn of(package: &str, program: &str) -> Self {
         let (source, program) = (PathBuf::from(package), Path::new(program));
@@ -44,7 +44,7 @@ impl Readme {
         }
     }
 
-    /// Replaces text in the copy of a file before the commands run: a port that may be taken on this machine.
+    /// Replaces text in the copy of a file before the commands run, for example a port that may be in use.
     #[must_use]
     pub fn replacing(self, file: &str, from: &str, to: &str) -> Self {
         let path = self.folder.path().join(file);
@@ -57,7 +57,7 @@ impl Readme {
     /// Runs the commands.
     ///
     /// # Panics
-    /// If one fails, does not end, or does not print what the page says.
+    /// Panics if a command fails, does not end, or does not print the expected output.
     pub fn check(self) {
         let path = self.source.join("README.md");
         let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
@@ -70,7 +70,7 @@ impl Readme {
     }
 }
 
-/// Copies what commands may read: everything but sources and tests' programs.
+/// Copies what commands may read: everything except sources and test programs.
 fn copy(from: &Path, to: &Path) {
     for entry in fs::read_dir(from).unwrap_or_else(|error| panic!("{}: {error}", from.display())) {
         let path = entry.expect("the folder can be read").path();

@@ -1,6 +1,6 @@
-//! The blocks of a page, and whether a line is as the page says.
+//! The blocks of a page, and the comparison of a line with the page.
 
-/// Commands with what they print.
+/// Commands with their expected output.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Block {
     /// The line of the first command, from 1.
@@ -9,7 +9,7 @@ pub(crate) struct Block {
     pub(crate) steps: Vec<Step>,
 }
 
-/// What is seen of a block that runs, or done to it.
+/// An expected line of a running block, or an action.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Step {
     /// A line like this is printed.
@@ -47,7 +47,7 @@ fn step(line: &str) -> Option<Step> {
     }
 }
 
-/// True if `line` is `pattern`, in which `…` stands for any text.
+/// Returns whether `line` matches `pattern`, in which `…` stands for any text.
 pub(crate) fn is_like(line: &str, pattern: &str) -> bool {
     let (line, pattern) = (line.trim(), pattern.trim());
     let Some((first, rest)) = pattern.split_once('…') else { return line == pattern };

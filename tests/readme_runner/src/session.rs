@@ -12,7 +12,7 @@ use crate::page::{Block, Step, is_like};
 /// Generous: the machine may be busy.
 const WATCHDOG: Duration = Duration::from_secs(120);
 
-/// Goes before the commands: stands for cargo, and lets a Ctrl-C reach the program but not the shell.
+/// Shell code before the commands. It replaces cargo, and lets Ctrl-C reach the program but not the shell.
 const PRELUDE: &str = r#"
 exec 2>&1
 trap : INT
@@ -36,12 +36,12 @@ cargo() {
 }
 "#;
 
-/// Runs a block to its end and follows what it prints.
+/// Runs a block until it ends and checks its output.
 pub(crate) fn run(block: &Block, place: &str, folder: &Path, programs: &Path, program: &str) {
     let mut shell = Command::new("sh");
     shell.args(["-eu", "-c", &format!("{PRELUDE}{}", block.commands)]).current_dir(folder);
     shell.env("README_PROGRAMS", programs).env("README_PROGRAM", program);
-    // Processes that run at the same time have different numbers. ROS 2 uses domains up to 101 by default.
+    // Concurrent processes have different ids. ROS 2 uses domains up to 101 by default.
     shell.env("ROS_DOMAIN_ID", (110 + std::process::id() % 100).to_string());
     shell.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env_remove("DOWNBEAT_LOG");
     shell.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0);
@@ -90,14 +90,12 @@ impl<'a> Session<'a> {
             match self.next() {
                 Some(line) if is_like(line, pattern) => return,
                 Some(_) => {}
-                None => {
-                    self.fail(&format!("the page says that this is printed now, and it is not:\n{pattern}\n"))
-                }
+                None => self.fail(&format!("the following expected line was not printed:\n{pattern}\n")),
             }
         }
     }
 
-    /// To all processes that the block started.
+    /// Sends a signal to all processes that the block started.
     fn signal(&self, signal: &str) {
         let group = format!("-{}", self.shell.id());
         let sent = Command::new("kill").args([signal, "--", &group]).status();
@@ -121,7 +119,7 @@ impl<'a> Session<'a> {
 impl Drop for Session<'_> {
     fn drop(&mut self) {
         if !self.has_ended {
-            // Nobody else ends what a failed test leaves behind.
+            // Ends processes that a failed test leaves running.
             let group = format!("-{}", self.shell.id());
             let _ = Command::new("kill").args(["-KILL", "--", &group]).status();
             let _ = self.shell.wait();

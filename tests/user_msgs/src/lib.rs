@@ -6,11 +6,10 @@ use downbeat_msgs::std_msgs::msg::Header;
 
 downbeat_msgs::include_interfaces!();
 
-/// How far an arm reaches, as a struct that is written by hand.
+/// The reach of an arm, as a hand-written struct.
 #[derive(Clone, Debug, Default, PartialEq, Message)]
 #[message(name = "my_msgs/msg/Reach")]
 pub struct Reach {
-    /// When.
     pub header: Header,
     /// From the shoulder [m].
     pub distance: f64,
@@ -25,6 +24,6 @@ pub struct OtherBool {
 }
 
 downbeat_msgs::interfaces! {
-    /// What is derived here.
+    /// The interfaces that are derived here.
     pub DERIVED: Reach, OtherBool
 }
