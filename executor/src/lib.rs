@@ -7,7 +7,7 @@
 //!
 //! ```
 //! use std::time::Duration;
-//! use downbeat_executor::{Core, ManualClock, Module, Publication, Setup, SetupError, Time};
+//! use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
 //!
 //! #[derive(Default)]
 //! struct Counter {
@@ -159,6 +159,7 @@
 
 mod api;
 mod cycle;
+mod error;
 mod exchange;
 mod launchers;
 mod module;
@@ -166,22 +167,24 @@ mod observe;
 pub mod queue;
 mod threads;
 mod time;
+mod topics;
 pub mod tutorial;
 
 pub use cycle::{
     Core, CoreHandle, Idle, Launcher, Mechanism, MechanismKey, ModuleInfo, RunError, Stage, Step, SyncPhase,
 };
+pub use error::{SetupError, Version};
 pub use exchange::{
-    AnyMessage, AnyReceived, CallError, CallId, CallOrigin, Caller, Client, Completion, DetachedStep, Inlet,
-    InletError, Job, JobError, Kept, MessageType, ModuleCommand, ModuleEvent, ModuleEventKind, Outlet,
-    OutletInbox, Publication, Received, Reply, Responder, ServiceInfo, Setting, SettingInfo, SettingRefused,
-    SettingsChange, StandIn, StepInput, Task, TopicCounter, TopicInfo, UnknownModule,
+    CallError, CallId, CallOrigin, Caller, Client, Completion, DetachedStep, Inlet, InletError, Job,
+    JobError, ModuleCommand, ModuleEvent, ModuleEventKind, Outlet, OutletInbox, Reply, Responder,
+    ServiceInfo, Setting, SettingInfo, SettingRefused, SettingsChange, StandIn, StepInput, Task,
+    UnknownModule,
 };
 pub use launchers::{Linear, Pool, PoolError, Scheduled, Threads};
 pub use module::{
     Context, Inbox, LifeEvent, LifeStep, LifecycleState, Listening, Module, ModuleChange, ModuleId,
-    ModuleOptions, Port, Restart, Role, SettingType, SettingValue, Setup, SetupError, Synchrony, Transition,
-    TransitionError, TransitionRefused, Version,
+    ModuleOptions, Port, Restart, Role, SettingType, SettingValue, Setup, Synchrony, Transition,
+    TransitionError, TransitionRefused,
 };
 pub use observe::{
     CycleStatistics, CycleTrace, Graph, GraphEdge, GraphModule, GraphOutlet, GraphService, GraphTopic,
@@ -190,3 +193,6 @@ pub use observe::{
 };
 pub use threads::{Overrun, Receipt, Spin, ThreadError, ThreadOptions};
 pub use time::{Clock, ManualClock, SystemClock, Time};
+pub use topics::{
+    AnyMessage, AnyReceived, Kept, MessageType, Publication, Received, TopicCounter, TopicInfo,
+};

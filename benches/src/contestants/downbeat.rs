@@ -76,9 +76,7 @@ impl Publisher {
             self.next = 0;
             return;
         };
-        for number in batch.clone() {
-            ctx.publish(out, Reading::new(number));
-        }
+        ctx.publish_all(out, batch.clone().map(Reading::new));
         self.next += 1;
     }
 }

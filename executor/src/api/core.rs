@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::exchange::{Jobs, Messages, Modules, Services, Settings, Timers};
+use crate::module::MESSAGES;
 use crate::{
     Clock, Core, CoreHandle, Graph, Idle, Launcher, Linear, Mechanism, Overrun, RunError, SystemClock,
     ThreadError, Version,
@@ -34,7 +35,7 @@ impl Core {
     /// The same core with another launcher.
     #[must_use]
     pub fn with_launcher(mut self, launcher: impl Launcher + 'static) -> Self {
-        self.launcher = Box::new(launcher);
+        self.set_launcher(launcher);
         self
     }
 
@@ -44,8 +45,7 @@ impl Core {
     /// If the core has modules or outlets: they were set up for the clock it had.
     #[must_use]
     pub fn with_clock(mut self, clock: impl Clock + 'static) -> Self {
-        let has_outlets =
-            self.mechanisms.get::<Messages>(crate::exchange::MESSAGES).is_some_and(Messages::has_outlets);
+        let has_outlets = self.mechanisms.get::<Messages>(MESSAGES).is_some_and(Messages::has_outlets);
         let is_empty = self.state.members.is_empty() && !has_outlets;
         assert!(is_empty, "give a core its clock before its modules and outlets");
         self.state.clock = Arc::new(clock);

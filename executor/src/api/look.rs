@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use crate::cycle::{CoreState, Mechanisms, Member, Pause};
-use crate::exchange::{MESSAGES, Messages, SERVICES, Services, Topics};
-use crate::module::{Direction, Place};
+use crate::exchange::{Messages, SERVICES, Services};
+use crate::module::{Direction, MESSAGES, Place};
 use crate::observe::{ModuleMeter, nanoseconds};
 use crate::{
     Graph, GraphEdge, GraphModule, GraphOutlet, GraphService, GraphTopic, LifecycleState, ModuleState,
@@ -14,11 +14,10 @@ use crate::{
 
 impl Graph {
     pub(crate) fn of(stage: &Stage, state: &CoreState, mechanisms: &Mechanisms) -> Self {
-        let (Some(topics), Some(services), Some(messages)) = (
-            stage.views.get::<Topics>(MESSAGES),
-            mechanisms.get::<Services>(SERVICES),
-            mechanisms.get::<Messages>(MESSAGES),
-        ) else {
+        let topics = &stage.views.topics;
+        let (Some(services), Some(messages)) =
+            (mechanisms.get::<Services>(SERVICES), mechanisms.get::<Messages>(MESSAGES))
+        else {
             return Self::default();
         };
         let topic_infos: Vec<_> = topics.infos().collect();
@@ -101,7 +100,6 @@ impl Snapshot {
             }
         });
         let modules = modules.collect();
-        let topics = stage.views.get::<Topics>(MESSAGES).into_iter();
         let outlets = mechanisms.get::<Messages>(MESSAGES).map(Messages::outlet_statistics);
         Self {
             time: stage.now,
@@ -110,7 +108,7 @@ impl Snapshot {
             is_paused: state.pause != Pause::Running,
             cycles: state.inspector.statistics(),
             modules,
-            topics: topics.flat_map(Topics::statistics).collect(),
+            topics: stage.views.topics.statistics().collect(),
             outlets: outlets.unwrap_or_default(),
         }
     }

@@ -111,6 +111,7 @@ impl Agenda {
     }
 
     /// Moves the modules that run at `now` into `runnable`, in the order of registration.
+    #[inline(always)]
     pub(crate) fn take(&mut self, now: Time, runnable: &mut Vec<Ready>) {
         runnable.clear();
         while let Some(&Reverse((due, slot))) = self.due.peek() {

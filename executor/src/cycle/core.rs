@@ -54,7 +54,9 @@ pub struct Core {
     pub(crate) stage: StageHolder,
     pub(crate) state: CoreState,
     pub(crate) mechanisms: Mechanisms,
-    pub(crate) launcher: Box<dyn Launcher>,
+    launcher: Box<dyn Launcher>,
+    /// True if the launcher runs all modules on the core's thread.
+    is_linear: bool,
     pub(crate) idle: Idle,
     /// Of the whole cycle.
     pub(crate) watch: Option<Watch>,
@@ -76,6 +78,7 @@ impl Core {
             stage: StageHolder::Own(Box::default()),
             state: CoreState::new(Arc::new(clock), link),
             mechanisms: Mechanisms::default(),
+            is_linear: launcher.is_linear(),
             launcher: Box::new(launcher),
             idle: Idle::default(),
             watch: None,
@@ -86,9 +89,15 @@ impl Core {
         }
     }
 
+    pub(crate) fn set_launcher(&mut self, launcher: impl Launcher + 'static) {
+        self.is_linear = launcher.is_linear();
+        self.launcher = Box::new(launcher);
+    }
+
     /// The core as mechanisms see it, between two cycles.
     pub(crate) fn between_cycles(&mut self) -> SyncPhase<'_> {
-        SyncPhase::new(self.stage.exclusive(), &mut self.state, &mut self.mechanisms, self.last_now)
+        let stage = self.stage.exclusive();
+        SyncPhase::between_cycles(stage, &mut self.state, &mut self.mechanisms, self.last_now)
     }
 
     /// Runs cycles until [`CoreHandle::stop`](crate::CoreHandle::stop) is called, then stops the modules. Sleeps while
@@ -225,15 +234,19 @@ impl Core {
         self.state.inspector.end(info);
     }
 
+    #[inline(always)]
     fn process_and_sync(&mut self, now: Time) {
         if !self.mechanisms.begin.is_empty() {
             self.process_begins();
         }
-        let stage = if self.launcher.is_linear() {
+        let stage = if self.is_linear {
             let stage = self.stage.exclusive();
             stage.begin(now);
             self.state.agenda.take(now, &mut stage.runnable);
-            stage.run_all();
+            match stage.measuring {
+                Measuring::Nothing => stage.run_each(|_| ()),
+                measuring => stage.run_each_measured(measuring),
+            }
             stage
         } else {
             self.process(now);
@@ -392,7 +405,8 @@ impl Core {
     fn settle(&mut self) {
         for _ in 0..2 {
             let now = self.state.clock.now();
-            self.process_and_sync(now);
+            self.process(now);
+            self.sync(now);
         }
     }
 }

@@ -194,7 +194,9 @@ pub(crate) struct Mechanisms {
 impl Mechanisms {
     /// Adds a mechanism, which takes part in each sync phase.
     pub(crate) fn add<M: Mechanism>(&mut self, mechanism: M, views: &mut Views) {
-        self.always.add(Asked::of(self.list.len()));
+        if self.list.len() <= Asked::SHARED {
+            self.always.add(Asked::of(self.list.len()));
+        }
         self.add_idle(mechanism, views);
     }
 
@@ -254,7 +256,7 @@ impl Mechanisms {
     /// Those that take part in the sync phase at `now` though no module asks for it.
     #[inline]
     pub(crate) fn begin_phase(&mut self, now: Time) -> Asked {
-        let mut asked = self.always.or(std::mem::take(&mut self.next));
+        let mut asked = self.always.or(std::mem::take(&mut self.posted)).or(std::mem::take(&mut self.next));
         if self.earliest_due <= now {
             asked.add(self.take_due(now));
         }

@@ -8,7 +8,7 @@ mod members;
 mod phase;
 mod stage;
 
-pub(crate) use self::agenda::Asker;
+pub(crate) use self::agenda::{Agenda, Asker};
 pub use self::core::{Core, CoreHandle, Idle, RunError};
 pub(crate) use detached::DetachedModule;
 pub(crate) use mechanism::{CoreHost, Mechanisms};

@@ -7,7 +7,7 @@ use super::agenda::{Agenda, Asker};
 use super::detached::{DetachedModule, Parcel};
 use super::mechanism::{AnyMechanism, CoreHost, Mechanism, Mechanisms, Step};
 use super::members::{Member, Members, ModuleInfo};
-use super::stage::Stage;
+use super::stage::{Askers, Stage};
 use crate::module::{Asked, Causes, Link, ModuleCell, Place, Post, StepOutcome, Use, UseEnds};
 use crate::observe::{Inspector, ModuleMeter};
 use crate::threads::Watchdog;
@@ -22,7 +22,7 @@ pub(crate) struct CoreState {
     /// By slot.
     pub(crate) detached: Vec<Option<DetachedModule>>,
     /// The modules that asked for something in this cycle, in the order of registration.
-    pub(crate) askers: Vec<Asker>,
+    pub(crate) askers: Askers,
     /// The runs of detached modules that joined in this sync phase, in the order in which they ended.
     pub(crate) steps: Vec<StepOutcome>,
     /// Modules whose last callback has run, by their place in the order of registration.
@@ -31,6 +31,8 @@ pub(crate) struct CoreState {
     pub(crate) restarts: Vec<(Time, u64)>,
     /// Modules that are gone and of which the mechanisms do not know yet.
     pub(crate) gone: Vec<ModuleId>,
+    /// True if modules leave or are gone, or detached modules have run: the sync phase has to clear up at its end.
+    pub(crate) has_ends: bool,
     /// Slots of the stage that were freed in this sync phase.
     pub(crate) freed_slots: Vec<usize>,
     pub(crate) inspector: Inspector,
@@ -69,11 +71,12 @@ impl CoreState {
             members: Members::default(),
             agenda: Agenda::default(),
             detached: Vec::new(),
-            askers: Vec::new(),
+            askers: Askers::default(),
             steps: Vec::new(),
             leaving: Vec::new(),
             restarts: Vec::new(),
             gone: Vec::new(),
+            has_ends: false,
             freed_slots: Vec::new(),
             watchdog: Watchdog::new(),
             cycle: 0,
@@ -88,6 +91,12 @@ impl CoreState {
             self.detached.push(None);
             self.detached.len() - 1
         })
+    }
+
+    /// The last callback of the module has run: it is gone at the end of the sync phase.
+    pub(crate) fn leave(&mut self, order: u64) {
+        self.leaving.push(order);
+        self.has_ends = true;
     }
 
     /// The detached module, unless it is gone.
@@ -119,8 +128,10 @@ pub struct SyncPhase<'a> {
     pub(crate) state: &'a mut CoreState,
     pub(crate) mechanisms: &'a mut Mechanisms,
     pub(crate) now: Time,
-    /// The mechanisms that take part.
+    /// The mechanisms that have yet to take part.
     asked: Asked,
+    /// The mechanisms before this number have taken part.
+    begun: usize,
     /// Those of them of which other threads said that something waits in queues of theirs.
     announced: Asked,
 }
@@ -132,41 +143,52 @@ impl<'a> SyncPhase<'a> {
         mechanisms: &'a mut Mechanisms,
         now: Time,
     ) -> Self {
-        Self { stage, state, mechanisms, now, asked: Asked::default(), announced: Asked::default() }
+        Self { stage, state, mechanisms, now, asked: Asked::default(), begun: 0, announced: Asked::default() }
+    }
+
+    /// The core when no sync phase runs: what mechanisms are asked waits for the next one.
+    pub(crate) fn between_cycles(
+        stage: &'a mut Stage,
+        state: &'a mut CoreState,
+        mechanisms: &'a mut Mechanisms,
+        now: Time,
+    ) -> Self {
+        Self { begun: usize::MAX, ..Self::new(stage, state, mechanisms, now) }
     }
 
     /// What was asked for in the process phase takes effect.
+    #[inline(always)]
     pub(crate) fn run(&mut self) {
         self.state.inspector.processed();
-        self.stage.take_askers(&mut self.state.askers);
-        self.asked = self.mechanisms.begin_phase(self.now);
-        for asker in &self.state.askers {
-            self.asked.add(asker.asked);
-        }
+        self.stage.swap_askers(&mut self.state.askers);
         self.announced = self.state.link.take_announcements();
-        self.asked.add(self.announced);
+        self.asked = self.mechanisms.begin_phase(self.now).or(self.announced);
+        self.asked.add(self.state.askers.asked);
         if self.state.link.has_posts() {
             self.join(None);
         }
-        self.asked.add(self.mechanisms.posted);
-        let mut from = 0;
-        while let Some(number) = self.asked.next(from) {
+        while let Some(number) = self.asked.take_first() {
+            self.begun = number + 1;
             self.run_mechanism(number);
-            from = number + 1;
         }
-        if from > 63 {
-            (64..self.mechanisms.len()).for_each(|number| self.run_mechanism(number));
+        if self.mechanisms.len() > Asked::SHARED {
+            self.run_shared();
         }
-        if !(self.state.leaving.is_empty() && self.state.gone.is_empty() && self.state.steps.is_empty()) {
+        if self.state.has_ends {
             self.finish();
         }
         self.state.cycle += 1;
         self.state.inspector.count_cycles(self.state.cycle);
     }
 
-    #[inline]
+    /// Those whose bit is not their own take part in each sync phase.
+    #[cold]
+    fn run_shared(&mut self) {
+        (Asked::SHARED + 1..self.mechanisms.len()).for_each(|number| self.run_mechanism(number));
+    }
+
+    #[inline(always)]
     fn run_mechanism(&mut self, number: usize) {
-        self.mechanisms.posted.remove(Asked::of(number));
         if let Some(mut mechanism) = self.mechanisms.take(number) {
             mechanism.sync(self);
             self.mechanisms.put_back(number, mechanism);
@@ -180,7 +202,7 @@ impl<'a> SyncPhase<'a> {
         for _ in 0..self.state.link.len() {
             match self.state.link.pop() {
                 Some(Post::To(number, change)) => {
-                    self.mechanisms.posted.add(Asked::of(number));
+                    self.ask(number);
                     match &mut running {
                         Some((known, mechanism)) if *known == number => change(*mechanism),
                         _ => {
@@ -195,14 +217,13 @@ impl<'a> SyncPhase<'a> {
                     for (mechanism, part) in std::mem::take(&mut outcome.parts) {
                         self.mechanisms.join(mechanism, Step { module, number, time }, part);
                     }
-                    (0..self.mechanisms.len())
-                        .for_each(|number| self.mechanisms.posted.add(Asked::of(number)));
+                    self.ask_all();
+                    self.state.has_ends = true;
                     self.state.steps.push(*outcome);
                 }
                 None => break,
             }
         }
-        self.asked.add(self.mechanisms.posted);
     }
 
     /// Gives mechanisms what other threads have posted since the phase began; the one that runs is that of the number.
@@ -231,6 +252,7 @@ impl<'a> SyncPhase<'a> {
     /// their way.
     #[cold]
     fn finish(&mut self) {
+        self.state.has_ends = false;
         self.state.steps.clear();
         for order in std::mem::take(&mut self.state.leaving) {
             let Some(mut member) = self.state.members.take(order) else { continue };
@@ -349,13 +371,16 @@ impl<'a> SyncPhase<'a> {
 
     /// Has the mechanism with that number take part in this sync phase, or in the next if it already has.
     pub(crate) fn ask(&mut self, number: usize) {
-        self.mechanisms.posted.add(Asked::of(number));
-        self.asked.add(Asked::of(number));
+        if number < self.begun {
+            self.mechanisms.posted.add(Asked::of(number));
+        } else {
+            self.asked.add(Asked::of(number));
+        }
     }
 
     /// Has the mechanism with that number take part in this sync phase, unless it already has.
     pub(crate) fn take_part(&mut self, number: usize) {
-        self.asked.add(Asked::of(number));
+        self.asked.add(Asked::of(number).from(self.begun));
     }
 
     /// Has all mechanisms take part in the next sync phase.
@@ -378,7 +403,7 @@ impl<'a> SyncPhase<'a> {
     ) {
         let asked = Asked::of(number);
         let askers = std::mem::take(&mut self.state.askers);
-        for asker in askers.iter().filter(|asker| asker.asked.has(asked)) {
+        for asker in askers.list.iter().filter(|asker| asker.asked.has(asked)) {
             if let Some(cell) = self.stage.cells.get(asker.slot) {
                 visit(cell, self.state);
             }
@@ -388,8 +413,8 @@ impl<'a> SyncPhase<'a> {
 
     /// Has the mechanisms look at what a module asked for outside of the process phase.
     pub(crate) fn note_asker(&mut self, asker: Asker) {
-        self.asked.add(asker.asked);
-        let askers = &mut self.state.askers;
+        self.asked.add(asker.asked.from(self.begun));
+        let askers = &mut self.state.askers.list;
         match askers.binary_search_by_key(&asker.order, |known| known.order) {
             Ok(position) => askers[position].asked.add(asker.asked),
             Err(position) => askers.insert(position, asker),

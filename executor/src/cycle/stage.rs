@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
 use super::agenda::{Asker, Ready};
-use crate::module::{ModuleCell, Views};
+use crate::module::{Asked, ModuleCell, Views};
 use crate::observe::{Measuring, Stopwatch};
 use crate::threads::unpoisoned;
 use crate::{ThreadError, Time};
@@ -87,7 +87,7 @@ pub struct Stage {
     /// Those that run in this cycle, in the order of registration.
     pub(crate) runnable: Vec<Ready>,
     /// Those of them that asked for something.
-    askers: Mutex<Vec<Asker>>,
+    askers: Mutex<Askers>,
     next: AtomicUsize,
 }
 
@@ -117,13 +117,14 @@ impl Stage {
     }
 
     #[cold]
-    fn run_each_measured(&mut self, measuring: Measuring) {
+    pub(crate) fn run_each_measured(&mut self, measuring: Measuring) {
         let mut stopwatch = Stopwatch::start(measuring);
         self.run_each(|cell| cell.span = stopwatch.lap());
     }
 
-    #[inline]
-    fn run_each(&mut self, mut has_run: impl FnMut(&mut ModuleCell)) {
+    /// The same as [`run_all`](Self::run_all), without a look at whether the runs are measured.
+    #[inline(always)]
+    pub(crate) fn run_each(&mut self, mut has_run: impl FnMut(&mut ModuleCell)) {
         let Self { now, views, cells, runnable, askers, next, .. } = self;
         let askers = unpoisoned(askers.get_mut());
         for &Ready { order, slot, causes } in &*runnable {
@@ -172,23 +173,46 @@ impl Stage {
         *self.next.get_mut() = 0;
     }
 
-    /// Moves the modules that asked for something in the process phase to `askers`, in the order of registration.
+    /// Takes the modules that asked for something in the process phase, in the order of registration.
     #[inline]
-    pub(crate) fn take_askers(&mut self, askers: &mut Vec<Asker>) {
+    pub(crate) fn swap_askers(&mut self, askers: &mut Askers) {
         askers.clear();
         std::mem::swap(unpoisoned(self.askers.get_mut()), askers);
         // On one thread they come in order.
-        if askers.len() > 1 && !askers.is_sorted_by_key(|asker| asker.order) {
-            askers.sort_unstable_by_key(|asker| asker.order);
+        if askers.list.len() > 1 && !askers.list.is_sorted_by_key(|asker| asker.order) {
+            askers.list.sort_unstable_by_key(|asker| asker.order);
         }
     }
 
     pub(crate) fn note_asker(&mut self, asker: Asker) {
         let askers = unpoisoned(self.askers.get_mut());
-        match askers.iter_mut().find(|known| known.order == asker.order) {
+        askers.asked.add(asker.asked);
+        match askers.list.iter_mut().find(|known| known.order == asker.order) {
             Some(known) => known.asked.add(asker.asked),
-            None => askers.push(asker),
+            None => askers.list.push(asker),
         }
+    }
+}
+
+/// The modules that asked for something in a cycle.
+#[derive(Default)]
+pub(crate) struct Askers {
+    pub(crate) list: Vec<Asker>,
+    /// All mechanisms that they asked.
+    pub(crate) asked: Asked,
+}
+
+impl Askers {
+    #[inline]
+    fn clear(&mut self) {
+        self.list.clear();
+        self.asked = Asked::default();
+    }
+
+    #[inline]
+    fn push(&mut self, asker: Asker) {
+        self.asked.add(asker.asked);
+        self.list.push(asker);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::messages::Report;
+use crate::topics::Report;
 use crate::{CallError, ModuleId, SyncPhase, Time, Transition};
 
 /// Something besides messages and settings that took effect, as published on [`ModuleEvent::TOPIC`] when somebody subscribes to

@@ -12,11 +12,8 @@ mod timers;
 pub use events::{CallOrigin, ModuleCommand, ModuleEvent, ModuleEventKind};
 pub(crate) use jobs::Jobs;
 pub use jobs::{Completion, Job, JobError};
-pub use messages::{
-    AnyMessage, AnyReceived, DetachedStep, Inlet, InletError, Kept, MessageType, Outlet, OutletInbox,
-    Publication, Received, StepInput, TopicCounter, TopicInfo,
-};
-pub(crate) use messages::{MESSAGES, Messages, Topics};
+pub(crate) use messages::Messages;
+pub use messages::{DetachedStep, Inlet, InletError, Outlet, OutletInbox, StepInput};
 pub(crate) use modules::Modules;
 pub use modules::UnknownModule;
 pub use services::{CallError, CallId, Caller, Client, Reply, Responder, ServiceInfo, StandIn};

@@ -6,11 +6,11 @@ use std::marker::PhantomData;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
-use super::messages::Report;
 use super::modules::{UnknownModule, find};
 use crate::cycle::Stage;
 use crate::module::{Causes, Direction, Host, ModuleCell, ModuleIo, Place, Use, UseEnds};
 use crate::threads::{ReceiptSender, receipt};
+use crate::topics::Report;
 use crate::{
     Context, Core, CoreHandle, Mechanism, Module, ModuleChange, ModuleId, Port, Receipt, SettingType,
     SettingValue, Setup, SetupError, Step, SyncPhase, Time, Version,

@@ -74,10 +74,13 @@ impl Causes {
 pub(crate) struct Asked(u64);
 
 impl Asked {
-    /// The mechanism of that number. Those from 63 on share a bit, and so look more often than they have to.
+    /// The mechanisms from this number on share a bit, and so look more often than they have to.
+    pub(crate) const SHARED: usize = 63;
+
+    /// The mechanism of that number.
     #[inline]
     pub(crate) const fn of(mechanism: usize) -> Self {
-        Self(1 << if mechanism < 63 { mechanism } else { 63 })
+        Self(1 << if mechanism < Self::SHARED { mechanism } else { Self::SHARED })
     }
 
     #[inline]
@@ -115,11 +118,17 @@ impl Asked {
         self.0 == 0
     }
 
-    /// The first mechanism from that number on.
+    /// Those from that number on.
+    pub(crate) fn from(self, number: usize) -> Self {
+        Self(self.0 & u64::MAX.checked_shl(number as u32).unwrap_or(0))
+    }
+
+    /// Takes out the first one.
     #[inline]
-    pub(crate) fn next(self, from: usize) -> Option<usize> {
-        let left = self.0.checked_shr(from as u32).unwrap_or(0);
-        (left != 0).then(|| from + left.trailing_zeros() as usize)
+    pub(crate) fn take_first(&mut self) -> Option<usize> {
+        let first = (self.0 != 0).then(|| self.0.trailing_zeros() as usize);
+        self.0 &= self.0.wrapping_sub(1);
+        first
     }
 }
 
@@ -136,10 +145,9 @@ mod tests {
 
     #[test]
     fn mechanisms_come_out_in_their_order() {
-        let asked = Asked::of(3).or(Asked::of(5)).or(Asked::of(70));
-        assert_eq!(
-            [asked.next(0), asked.next(4), asked.next(6), asked.next(64)],
-            [Some(3), Some(5), Some(63), None]
-        );
+        let mut asked = Asked::of(3).or(Asked::of(5)).or(Asked::of(70));
+        assert_eq!(asked.from(4), Asked::of(5).or(Asked::of(63)));
+        assert_eq!([asked.take_first(), asked.take_first()], [Some(3), Some(5)]);
+        assert_eq!([asked.take_first(), asked.take_first()], [Some(63), None]);
     }
 }

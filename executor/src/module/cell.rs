@@ -166,7 +166,7 @@ impl ModuleCell {
     }
 
     /// Runs inside a cycle. Returns the mechanisms of which it asked something.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn run(&mut self, causes: Causes, views: &Views, now: Time) -> Asked {
         if spans_are_on() {
             self.run_in_span(causes, views, now)
@@ -181,7 +181,7 @@ impl ModuleCell {
         self.run_in_cycle(causes, views, now)
     }
 
-    #[inline]
+    #[inline(always)]
     fn run_in_cycle(&mut self, causes: Causes, views: &Views, now: Time) -> Asked {
         self.io.received = 0;
         self.run_with(causes, Input::Views(views), now, |behaviour, causes, ctx| behaviour.run(causes, ctx));
@@ -216,7 +216,7 @@ impl ModuleCell {
         });
     }
 
-    #[inline]
+    #[inline(always)]
     fn run_with(
         &mut self,
         mut causes: Causes,

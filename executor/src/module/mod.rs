@@ -4,11 +4,9 @@ mod behaviour;
 mod causes;
 mod cell;
 mod context;
-mod error;
 mod id;
 mod lifecycle;
 mod link;
-mod names;
 mod options;
 mod port;
 mod setting_value;
@@ -18,20 +16,20 @@ pub(crate) use behaviour::{Behaviour, ModuleBehaviour};
 pub(crate) use causes::{Asked, Causes};
 pub(crate) use cell::{Hold, Input, MODULES, ModuleCell, TIMERS};
 pub use context::Context;
-pub use error::{SetupError, Version};
 pub use id::ModuleId;
 pub(crate) use id::{Direction, Place, Use, UseEnds};
 pub use lifecycle::{
     LifeEvent, LifeStep, LifecycleState, Listening, Transition, TransitionError, TransitionRefused,
 };
 pub(crate) use link::{Delivery, Link, Post, StepOutcome, TopicInput};
-pub(crate) use names::canonical_name;
 pub use options::{Inbox, ModuleOptions, Restart, Role, Synchrony};
+pub(crate) use port::{MESSAGES, ModuleIo, Views};
 pub use port::{ModuleChange, Port};
-pub(crate) use port::{ModuleIo, Views};
 pub use setting_value::{SettingType, SettingValue};
 pub use setup::Setup;
 pub(crate) use setup::{Given, Host, Offer};
+
+use crate::SetupError;
 
 /// A unit of robot software: state, and callbacks that the executor calls with `&mut self`.
 ///

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use super::causes::Asked;
 use super::link::Link;
 use crate::threads::drop_guarded;
+use crate::topics::{Outboxes, Topics};
 use crate::{ModuleId, Time};
 
 /// A module's part of a [`Mechanism`](crate::Mechanism): what the module asks of the mechanism and what the mechanism has
@@ -55,6 +56,10 @@ impl<T: Send + 'static> Port for Vec<T> {
     }
 }
 
+/// The number of the mechanism of messages. Modules have its ports, and see its view, in places of their own, for they use
+/// them more often than all others.
+pub(crate) const MESSAGES: usize = 3;
+
 /// What a module owns beside its state.
 pub(crate) struct ModuleIo {
     pub(crate) name: Arc<str>,
@@ -66,18 +71,24 @@ pub(crate) struct ModuleIo {
     pub(crate) received: usize,
     /// Counts the runs.
     pub(crate) run: u64,
-    /// By the number of the mechanism.
+    /// The port of messages.
+    pub(crate) outboxes: Outboxes,
+    /// Those of the other mechanisms, by their numbers.
     ports: Vec<Option<Box<dyn Port>>>,
 }
 
 impl ModuleIo {
     pub(crate) fn new(name: Arc<str>, id: ModuleId, link: Arc<Link>) -> Self {
-        Self { name, id, link, asked: Asked::default(), received: 0, run: 0, ports: Vec::new() }
+        let (asked, outboxes, ports) = (Asked::default(), Outboxes::default(), Vec::new());
+        Self { name, id, link, asked, received: 0, run: 0, outboxes, ports }
     }
 
     /// The module's port of the mechanism with that number, if it has one.
     #[inline]
     pub(crate) fn port<P: Port>(&mut self, mechanism: usize) -> Option<&mut P> {
+        if mechanism == MESSAGES {
+            return (&mut self.outboxes as &mut dyn Any).downcast_mut();
+        }
         let port: &mut dyn Any = &mut **self.ports.get_mut(mechanism)?.as_mut()?;
         port.downcast_mut()
     }
@@ -91,6 +102,9 @@ impl ModuleIo {
     /// The module's port of the mechanism with that number, which is made if the module has none; `None` if that is of
     /// another type.
     pub(crate) fn open<P: Port + Default>(&mut self, mechanism: usize) -> Option<&mut P> {
+        if mechanism == MESSAGES {
+            return self.port(mechanism);
+        }
         if self.ports.len() <= mechanism {
             self.ports.resize_with(mechanism + 1, || None);
         }
@@ -106,14 +120,22 @@ impl ModuleIo {
 
     /// Reports a change to all ports.
     pub(crate) fn changed(&mut self, change: ModuleChange<'_>) {
-        for (mechanism, port) in self.ports.iter_mut().enumerate() {
-            let Some(port) = port else { continue };
+        let mut asked = Asked::default();
+        for (mechanism, port) in self.each_port() {
             let mut is_asked = false;
             drop_guarded("what a module was asked or asks", || is_asked = port.changed(change));
             if is_asked {
-                self.asked.add(Asked::of(mechanism));
+                asked.add(Asked::of(mechanism));
             }
         }
+        self.asked.add(asked);
+    }
+
+    /// All ports, with the numbers of their mechanisms.
+    fn each_port(&mut self) -> impl Iterator<Item = (usize, &mut dyn Port)> {
+        let others = self.ports.iter_mut().enumerate();
+        let others = others.filter_map(|(mechanism, port)| Some((mechanism, &mut **port.as_mut()?)));
+        std::iter::once((MESSAGES, &mut self.outboxes as &mut dyn Port)).chain(others)
     }
 
     /// When the module has to run for one of its ports.
@@ -124,15 +146,17 @@ impl ModuleIo {
     /// Takes out what the module asks of mechanisms, by their numbers.
     pub(crate) fn split_off(&mut self) -> Vec<(usize, Box<dyn Any + Send>)> {
         let asked = std::mem::take(&mut self.asked);
-        let ports =
-            self.ports.iter_mut().enumerate().filter(|(mechanism, _)| asked.has(Asked::of(*mechanism)));
-        ports.filter_map(|(mechanism, port)| Some((mechanism, port.as_mut()?.split_off()?))).collect()
+        let ports = self.each_port().filter(|(mechanism, _)| asked.has(Asked::of(*mechanism)));
+        ports.filter_map(|(mechanism, port)| Some((mechanism, port.split_off()?))).collect()
     }
 }
 
-/// What the mechanisms show to all modules in the process phase, by the numbers of the mechanisms.
+/// What the mechanisms show to all modules in the process phase.
 #[derive(Default)]
 pub(crate) struct Views {
+    /// The view of messages.
+    pub(crate) topics: Topics,
+    /// Those of all mechanisms, by their numbers; that of messages is empty.
     views: Vec<Box<dyn Any + Send + Sync>>,
 }
 
@@ -142,20 +166,24 @@ impl Views {
     }
 
     pub(crate) fn look(&self, mechanism: usize) -> Option<&dyn Any> {
-        Some(&**self.views.get(mechanism)?)
+        match mechanism {
+            MESSAGES => Some(&self.topics),
+            _ => Some(&**self.views.get(mechanism)?),
+        }
     }
 
     pub(crate) fn any(&mut self, mechanism: usize) -> Option<&mut dyn Any> {
-        Some(&mut **self.views.get_mut(mechanism)?)
+        match mechanism {
+            MESSAGES => Some(&mut self.topics),
+            _ => Some(&mut **self.views.get_mut(mechanism)?),
+        }
     }
 
-    #[inline]
     pub(crate) fn get<V: 'static>(&self, mechanism: usize) -> Option<&V> {
-        self.views.get(mechanism)?.downcast_ref()
+        self.look(mechanism)?.downcast_ref()
     }
 
-    #[inline]
     pub(crate) fn get_mut<V: 'static>(&mut self, mechanism: usize) -> Option<&mut V> {
-        self.views.get_mut(mechanism)?.downcast_mut()
+        self.any(mechanism)?.downcast_mut()
     }
 }

@@ -103,27 +103,26 @@ impl ModuleMeter {
 /// Counts what a topic carries.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct TopicMeter {
-    messages: u64,
     dropped: u64,
     batches: u64,
     last_batch: u64,
     largest_batch: u64,
-    last_time: Option<Time>,
+    last_time: Time,
 }
 
 impl TopicMeter {
     /// The first messages of a cycle come at `now`.
     #[inline]
-    pub(crate) fn begin_batch(&mut self, now: Time) {
+    pub(crate) fn begin_batch(&mut self, messages: usize, now: Time) {
         self.batches += 1;
         self.last_batch = 0;
-        self.last_time = Some(now);
+        self.last_time = now;
+        self.carried(messages);
     }
 
     /// Messages are added to the cycle's batch.
     #[inline]
     pub(crate) fn carried(&mut self, messages: usize) {
-        self.messages += messages as u64;
         self.last_batch += messages as u64;
         self.largest_batch = self.largest_batch.max(self.last_batch);
     }
@@ -133,17 +132,23 @@ impl TopicMeter {
         self.dropped += messages;
     }
 
-    pub(crate) fn statistics(&self, name: &str, message_type: &str, subscribers: usize) -> TopicStatistics {
+    pub(crate) fn statistics(
+        &self,
+        name: &str,
+        message_type: &str,
+        messages: u64,
+        subscribers: usize,
+    ) -> TopicStatistics {
         TopicStatistics {
             name: name.to_owned(),
             message_type: message_type.to_owned(),
             subscribers: subscribers as u64,
-            messages: self.messages,
+            messages,
             dropped: self.dropped,
             batches: self.batches,
             last_batch: self.last_batch,
             largest_batch: self.largest_batch,
-            last_time_ns: self.last_time.map(Time::as_nanos),
+            last_time_ns: (self.batches > 0).then_some(self.last_time.as_nanos()),
         }
     }
 }
@@ -195,11 +200,9 @@ mod tests {
     #[test]
     fn a_topic_tells_its_last_and_its_largest_batch() {
         let mut meter = TopicMeter::default();
-        meter.begin_batch(Time::from_nanos(10));
-        meter.carried(4);
+        meter.begin_batch(4, Time::from_nanos(10));
         meter.carried(1);
-        meter.begin_batch(Time::from_nanos(20));
-        meter.carried(2);
+        meter.begin_batch(2, Time::from_nanos(20));
         assert_eq!(meter.last_batch, 2);
         meter.dropped(1);
         let expected = TopicStatistics {
@@ -213,6 +216,6 @@ mod tests {
             largest_batch: 5,
             last_time_ns: Some(20),
         };
-        assert_eq!(meter.statistics("imu/data", "Imu", 3), expected);
+        assert_eq!(meter.statistics("imu/data", "Imu", 7, 3), expected);
     }
 }

@@ -3,10 +3,11 @@
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 
-use super::{AnyMessage, AnyOutbox, MESSAGES, MessageType, Outbox, Topics};
 use crate::module::Link;
+use crate::module::MESSAGES;
 use crate::queue::{Locked, Overflow, Pushed, Queue};
 use crate::threads::drop_guarded;
+use crate::topics::{AnyMessage, AnyOutbox, MessageType, Outbox, Topics};
 use crate::{Core, CoreHandle, Receipt, SetupError, SyncPhase, Time};
 
 /// Why an [`Inlet`] did not take a message.
@@ -257,7 +258,7 @@ pub(crate) trait AnyInlet: Send {
     fn topic(&self) -> usize;
     /// Moves what waits now to the topic. What comes while this runs waits for the next cycle, so that a busy thread
     /// cannot hold this one.
-    fn drain(&mut self, topics: &mut Topics, now: Time);
+    fn drain(&mut self, topics: &mut Topics, now: Time, wake: &mut dyn FnMut(usize));
     /// True if all inlets are gone, and with them whoever could publish.
     fn is_orphaned(&self) -> bool;
 }
@@ -267,14 +268,14 @@ impl<T: Send + 'static, O: Filled<T>> AnyInlet for InletPort<T, O> {
         self.outbox.outbox().topic()
     }
 
-    fn drain(&mut self, topics: &mut Topics, now: Time) {
+    fn drain(&mut self, topics: &mut Topics, now: Time, wake: &mut dyn FnMut(usize)) {
         let dropped = self.messages.dropped();
         topics.meter_mut(self.topic()).dropped(dropped.saturating_sub(self.dropped));
         self.dropped = dropped;
         let waiting = self.messages.len();
         self.outbox.fill(std::iter::from_fn(|| self.messages.pop()).take(waiting));
         if !self.outbox.outbox().is_empty() {
-            topics.absorb(self.outbox.outbox_mut(), now);
+            topics.absorb(self.outbox.outbox_mut(), now, wake);
         }
     }
 

@@ -1,39 +1,26 @@
 //! The mechanism "messaging": topics, the outboxes of publishers, the batches of subscribers.
 
-mod batch;
 mod inlet;
-mod message_type;
-mod outbox;
 mod outlet;
-mod topic;
 
 use std::any::Any;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use batch::{Batch, for_each_message};
-pub use batch::{Kept, Received};
 use inlet::AnyInlet;
 pub use inlet::{Inlet, InletError};
-use message_type::VisitBatch;
-pub use message_type::{AnyMessage, AnyReceived, MessageType};
-pub use outbox::Publication;
-use outbox::{AnyOutbox, Outbox, Outboxes};
 use outlet::Outlets;
 pub use outlet::{Outlet, OutletInbox};
-use topic::Subscriber;
-pub(crate) use topic::{Report, Topics};
-pub use topic::{TopicCounter, TopicInfo};
 
-use crate::cycle::{CoreState, DetachedModule};
-use crate::module::{Causes, Delivery, Direction, Host, Input, Place, StepOutcome, Use, UseEnds};
-use crate::{
-    Context, Core, CoreHandle, Mechanism, Module, ModuleId, OutletStatistics, Receipt, Role, Setup,
-    SetupError, Step, SyncPhase, Time, Version,
+use crate::cycle::{Agenda, CoreState, DetachedModule};
+use crate::module::{
+    Asked, Causes, Delivery, Direction, Host, Input, MESSAGES, Place, StepOutcome, Use, UseEnds,
 };
-
-/// The number of this mechanism.
-pub(crate) const MESSAGES: usize = 3;
+use crate::topics::{AnyOutbox, Batch, Outboxes, Report, Subscriber, Topics, for_each_message};
+use crate::{
+    Context, Core, CoreHandle, Mechanism, Module, ModuleChange, ModuleId, OutletStatistics, Port,
+    Publication, Receipt, Received, Role, Setup, SetupError, Step, SyncPhase, Time, TopicInfo, Version,
+};
 
 /// Messages from outside the cycle come first: those of inlets in the order in which the inlets were made, those of
 /// detached modules in the order in which these ran; then those of the modules, in the order of registration.
@@ -56,39 +43,41 @@ impl Mechanism for Messages {
         Topics::default()
     }
 
+    #[inline]
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
         let are_inlets_announced = phase.is_announced(MESSAGES);
-        let SyncPhase { stage, state, now, .. } = &mut *phase;
-        let Some(topics) = stage.views.get_mut::<Topics>(MESSAGES) else { return };
+        let SyncPhase { stage, state, mechanisms, now, .. } = &mut *phase;
+        let topics = &mut stage.views.topics;
         topics.begin();
         if are_inlets_announced {
-            self.take_inlets(topics, *now);
+            self.take_inlets(topics, *now, &mut state.agenda);
         }
         if topics.has_reports() {
-            topics.take_reports(*now);
+            topics.take_reports(*now, &mut |slot| state.agenda.wake(slot, Causes::MESSAGES));
         }
         if !state.steps.is_empty() {
             self.join_steps(topics, state, *now);
         }
-        let asked = crate::module::Asked::of(MESSAGES);
-        for asker in state.askers.iter().filter(|asker| asker.asked.has(asked)) {
-            if let Some(cell) = stage.cells.get(asker.slot) {
+        let messaging = Asked::of(MESSAGES);
+        for asker in &state.askers.list {
+            if asker.asked.has(messaging)
+                && let Some(cell) = stage.cells.get(asker.slot)
+            {
                 let mut messages = 0;
-                if let Some(outboxes) = cell.port::<Outboxes>(MESSAGES) {
-                    outboxes.drain(|outbox| messages += topics.absorb(outbox, *now));
-                }
+                cell.io.outboxes.drain(|topic, outbox| {
+                    let wake = |slot| state.agenda.wake(slot, Causes::MESSAGES);
+                    messages += topics.absorb_for(topic, outbox, *now, wake);
+                });
                 cell.meter.published(messages);
             }
         }
         topics.finish();
-        if topics.fresh().is_empty() {
-            return;
+        if topics.is_any_fresh() {
+            // What is fresh now is stale then.
+            mechanisms.next.add(messaging);
         }
-        let is_waiting = self.distribute(topics, state);
-        // What is fresh now is stale then.
-        phase.mechanisms.next.add(asked);
-        if is_waiting {
-            phase.mechanisms.begin.add(asked);
+        if !topics.shared().is_empty() && self.share(topics, state) {
+            mechanisms.begin.add(messaging);
         }
     }
 
@@ -107,11 +96,27 @@ impl Mechanism for Messages {
     }
 }
 
+/// A module's part of messaging.
+impl Port for Outboxes {
+    fn changed(&mut self, change: ModuleChange<'_>) -> bool {
+        if let ModuleChange::Panicked = change {
+            self.drain(|_, outbox| outbox.discard());
+        }
+        false
+    }
+
+    fn split_off(&mut self) -> Option<Box<dyn Any + Send>> {
+        let mut outboxes = Vec::new();
+        self.drain(|_, outbox| outboxes.push(outbox.split_off()));
+        Some(Box::new(outboxes))
+    }
+}
+
 impl Messages {
     #[inline(never)] // Together with the rest it makes every sync phase slower.
-    fn take_inlets(&mut self, topics: &mut Topics, now: Time) {
+    fn take_inlets(&mut self, topics: &mut Topics, now: Time, agenda: &mut Agenda) {
         for inlet in &mut self.inlets {
-            inlet.drain(topics, now);
+            inlet.drain(topics, now, &mut |slot| agenda.wake(slot, Causes::MESSAGES));
         }
         self.inlets.retain(|inlet| {
             let is_orphaned = inlet.is_orphaned();
@@ -122,22 +127,26 @@ impl Messages {
         });
     }
 
-    /// Brings the batches of this cycle to their subscribers. Returns true if sinks have to run in the next cycle.
-    #[inline]
-    fn distribute(&mut self, topics: &mut Topics, state: &mut CoreState) -> bool {
+    /// Brings the batches of this cycle to detached modules and outlets. Returns true if sinks have to run in the next
+    /// cycle.
+    #[inline(never)]
+    fn share(&mut self, topics: &mut Topics, state: &mut CoreState) -> bool {
         let (mut is_any_detached, mut is_any_outlet) = (false, false);
-        for &topic in topics.fresh() {
-            for subscriber in topics.subscribers(topic) {
+        for &topic in topics.shared() {
+            for subscriber in topics.others(topic) {
                 match *subscriber {
-                    Subscriber::Attached(slot) => state.agenda.wake(slot, Causes::MESSAGES),
                     Subscriber::Detached(slot) => {
                         is_any_detached = true;
-                        deliver(topics, topic, state.detached[slot].as_mut());
+                        if let Some(module) = &mut state.detached[slot] {
+                            let (batch, messages) = topics.share(topic);
+                            module.deliver(Delivery { topic, batch, messages, missed: 0 });
+                        }
                     }
                     Subscriber::Outlet(slot) => {
                         is_any_outlet = true;
                         self.outlets.deliver(topics, slot);
                     }
+                    Subscriber::Attached(_) => {}
                 }
             }
         }
@@ -165,7 +174,8 @@ impl Messages {
         let Some(member) = state.members.get(outcome.module.order) else { return };
         let (role, module) = (member.role(), Arc::clone(&member.name));
         let cycle = state.cycle;
-        let published = outboxes.iter_mut().map(|outbox| topics.absorb(&mut **outbox, now)).sum();
+        let mut wake = |slot| state.agenda.wake(slot, Causes::MESSAGES);
+        let published = outboxes.iter_mut().map(|outbox| topics.absorb(&mut **outbox, now, &mut wake)).sum();
         let mut received = 0;
         for input in &outcome.inputs {
             received += input.received as usize;
@@ -201,7 +211,7 @@ impl Messages {
             inputs: inputs.collect(),
         };
         topics.report(step);
-        topics.take_reports(now);
+        topics.take_reports(now, &mut |slot| state.agenda.wake(slot, Causes::MESSAGES));
     }
 
     /// The inboxes of outlets with the topics that leave through them.
@@ -215,14 +225,6 @@ impl Messages {
 
     pub(crate) fn has_outlets(&self) -> bool {
         !self.outlets.is_empty()
-    }
-}
-
-#[inline(never)]
-fn deliver(topics: &Topics, topic: usize, module: Option<&mut DetachedModule>) {
-    if let Some(module) = module {
-        let (batch, messages) = topics.share(topic);
-        module.deliver(Delivery { topic, batch, messages, missed: 0 });
     }
 }
 
@@ -272,16 +274,13 @@ impl SyncPhase<'_> {
     }
 
     pub(crate) fn topics(&mut self) -> &mut Topics {
-        match self.stage.views.get_mut(MESSAGES) {
-            Some(topics) => topics,
-            None => unreachable!("every core has topics"),
-        }
+        &mut self.stage.views.topics
     }
 
     /// Publishes a report of the executor with the messages of this cycle, or of the next if those are on their way.
     pub(crate) fn report<R: Report>(&mut self, report: R) {
         self.topics().report(report);
-        self.mechanisms.next.add(crate::module::Asked::of(MESSAGES));
+        self.mechanisms.next.add(Asked::of(MESSAGES));
         self.take_part(MESSAGES);
     }
 }
@@ -322,10 +321,7 @@ impl<M: Module> Setup<'_, M> {
             ends: UseEnds::AtEnd,
             give_back: |host, _, used| topics_of(host).release_publisher(used.index),
         });
-        match self.io.open::<Outboxes>(MESSAGES) {
-            Some(outboxes) => Ok(outboxes.open(index)),
-            None => unreachable!("the port of messaging is its outboxes"),
-        }
+        Ok(self.io.outboxes.open(index))
     }
 
     /// Calls `callback` with each message of a topic, in the cycle after it was published.
@@ -353,8 +349,7 @@ impl<M: Module> Setup<'_, M> {
         });
         self.steps.add(Causes::MESSAGES, move |module, ctx| match ctx.input() {
             Input::Views(views) => {
-                let batch = views.get::<Topics>(MESSAGES).and_then(|topics| topics.batch::<T>(index));
-                if let Some(batch) = batch {
+                if let Some(batch) = views.topics.batch::<T>(index) {
                     ctx.io().received += batch.len();
                     for_each_message(batch, 0, |message| callback(module, message, ctx));
                 }
@@ -420,10 +415,10 @@ impl<P> Context<'_, P> {
         add: impl FnOnce(&mut Vec<T>),
     ) {
         let io = self.io();
-        let is_own = io.port::<Outboxes>(MESSAGES).is_some_and(|outboxes| outboxes.add(publication, add));
-        io.ask(MESSAGES);
-        if !is_own {
-            self.foreign("published with")
+        match io.outboxes.add(publication, add) {
+            Some(true) => io.ask(MESSAGES),
+            Some(false) => {}
+            None => self.foreign("published with"),
         }
     }
 }
@@ -431,7 +426,7 @@ impl<P> Context<'_, P> {
 impl Core {
     /// The topics, in the order in which they were first declared.
     pub fn topics(&self) -> impl Iterator<Item = &TopicInfo> {
-        self.stage.views.get::<Topics>(MESSAGES).into_iter().flat_map(Topics::infos)
+        self.stage.views.topics.infos()
     }
 }
 

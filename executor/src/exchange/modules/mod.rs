@@ -206,7 +206,7 @@ impl Modules {
         let members = &phase.state.members;
         let is_member = members.get(id.order).is_some_and(|member| member.id == id);
         if step.is_stop && is_member && members.is_leaving(id.order) {
-            phase.state.leaving.push(id.order);
+            phase.state.leave(id.order);
         }
     }
 
@@ -313,7 +313,7 @@ impl Modules {
                         phase.mechanisms.posted.add(Asked::of(MODULES));
                     }
                 }
-                phase.state.leaving.push(id.order);
+                phase.state.leave(id.order);
             }
             Place::Detached(_) => {
                 if let Some(module) = phase.state.detached(id) {
@@ -339,6 +339,7 @@ fn restart(phase: &mut SyncPhase<'_>, order: u64) {
         meter.restarted();
     }
     phase.state.gone.push(member.id);
+    phase.state.has_ends = true;
     member.restarts += 1;
     member.id.life += 1;
     member.started = phase.now();

@@ -309,7 +309,7 @@ fn each_half<T>(
     mut visit: impl FnMut(&mut SyncPhase<'_>, ModuleId, &mut [T]),
 ) {
     let askers = std::mem::take(&mut phase.state.askers);
-    for asker in askers.iter().filter(|asker| asker.asked.has(Asked::of(SERVICES))) {
+    for asker in askers.list.iter().filter(|asker| asker.asked.has(Asked::of(SERVICES))) {
         let Some(cell) = phase.stage.cells.get(asker.slot) else { continue };
         let id = cell.io.id;
         let Some(port) = cell.port(SERVICES) else { continue };

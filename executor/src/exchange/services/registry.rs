@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::ReplyTo;
 use super::server::Incoming;
-use crate::module::canonical_name;
+use crate::topics::canonical_name;
 use crate::{ModuleId, SetupError};
 
 /// What is known of a service, see [`Core::services`](crate::Core::services).

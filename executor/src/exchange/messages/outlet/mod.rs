@@ -12,9 +12,11 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 pub(crate) use outlets::Outlets;
 
-use super::{AnyReceived, Batch, MESSAGES, MessageType, Messages, Topics, VisitBatch, for_each_message};
+use super::Messages;
 use crate::cycle::CoreLife;
+use crate::module::MESSAGES;
 use crate::threads::{drop_guarded, end_of, unpoisoned};
+use crate::topics::{AnyReceived, Batch, MessageType, Topics, VisitBatch, for_each_message};
 use crate::{Core, CoreHandle, Inbox, Receipt, Received, SetupError, SyncPhase};
 
 /// A subscription of a topic from outside the core, which ends when it is dropped. It is made by [`Core::outlet`](crate::Core::outlet) or
@@ -326,7 +328,7 @@ impl NewOutlet {
 
 fn outlets_and_topics<'a>(phase: &'a mut SyncPhase<'_>) -> Option<(&'a mut Outlets, &'a mut Topics)> {
     let messages = phase.mechanisms.get_mut::<Messages>(MESSAGES)?;
-    Some((&mut messages.outlets, phase.stage.views.get_mut(MESSAGES)?))
+    Some((&mut messages.outlets, &mut phase.stage.views.topics))
 }
 
 impl Core {

@@ -9,7 +9,7 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, bounded};
 
 use super::mailbox::{Addressed, Mailbox};
 use super::{Delivery, Identity, OutletInbox, OutletShared};
-use crate::exchange::messages::topic::{Subscriber, Topics};
+use crate::topics::{Subscriber, Topics};
 use crate::{OutletStatistics, SetupError, ThreadOptions};
 
 /// After how long, and how often then, the log names the inbox that the end of the core waits for.

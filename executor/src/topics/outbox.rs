@@ -4,7 +4,6 @@ use std::any::Any;
 use std::marker::PhantomData;
 
 use super::message_type::AnyMessage;
-use crate::{ModuleChange, Port};
 
 /// A module's key to one of its topics, from [`Setup::publish`](crate::Setup::publish).
 ///
@@ -74,62 +73,49 @@ impl<T: Send + 'static> AnyOutbox for Outbox<T> {
 /// The outboxes of one module, and which of them hold messages.
 #[derive(Default)]
 pub(crate) struct Outboxes {
-    boxes: Vec<Box<dyn AnyOutbox>>,
+    /// Each with its topic.
+    boxes: Vec<(usize, Box<dyn AnyOutbox>)>,
     filled: Vec<usize>,
 }
 
 impl Outboxes {
     /// The key for publishing on a topic; a topic has one outbox per module, so that its order is kept.
     pub(crate) fn open<T: Send + 'static>(&mut self, topic: usize) -> Publication<T> {
-        let existing = self.boxes.iter().position(|outbox| outbox.topic() == topic);
+        let existing = self.boxes.iter().position(|(known, _)| *known == topic);
         Publication::new(existing.unwrap_or_else(|| {
-            self.boxes.push(Box::new(Outbox::<T> { topic, messages: Vec::new() }));
+            self.boxes.push((topic, Box::new(Outbox::<T> { topic, messages: Vec::new() })));
             self.boxes.len() - 1
         }))
     }
 
-    /// Adds messages to an outbox; false if the key is not of this module.
+    /// Adds messages to an outbox. Returns whether they are the first ones in it; `None` if the key is not of this module.
     #[inline]
     #[must_use]
     pub(crate) fn add<T: Send + 'static>(
         &mut self,
         publication: Publication<T>,
         add: impl FnOnce(&mut Vec<T>),
-    ) -> bool {
+    ) -> Option<bool> {
         let index = publication.outbox();
-        let Some(outbox) = self.boxes.get_mut(index) else { return false };
-        let outbox: &mut dyn Any = &mut **outbox;
-        let Some(Outbox { messages, .. }) = outbox.downcast_mut::<Outbox<T>>() else { return false };
+        let outbox: &mut dyn Any = &mut *self.boxes.get_mut(index)?.1;
+        let Outbox { messages, .. } = outbox.downcast_mut::<Outbox<T>>()?;
         let was_empty = messages.is_empty();
         add(messages);
-        if was_empty && !messages.is_empty() {
+        let are_first = was_empty && !messages.is_empty();
+        if are_first {
             self.filled.push(index);
         }
-        true
+        Some(are_first)
     }
 
-    /// Hands each outbox that holds messages to `consume`, which takes them, in the order in which they were first
+    /// Hands each outbox that holds messages, with its topic, to `consume`, which takes them, in the order in which they were first
     /// filled.
-    pub(crate) fn drain(&mut self, mut consume: impl FnMut(&mut dyn AnyOutbox)) {
+    #[inline]
+    pub(crate) fn drain(&mut self, mut consume: impl FnMut(usize, &mut dyn AnyOutbox)) {
         for &index in &self.filled {
-            consume(&mut *self.boxes[index]);
+            let (topic, outbox) = &mut self.boxes[index];
+            consume(*topic, &mut **outbox);
         }
         self.filled.clear();
-    }
-}
-
-/// A module's part of messaging.
-impl Port for Outboxes {
-    fn changed(&mut self, change: ModuleChange<'_>) -> bool {
-        if let ModuleChange::Panicked = change {
-            self.drain(|outbox| outbox.discard());
-        }
-        false
-    }
-
-    fn split_off(&mut self) -> Option<Box<dyn Any + Send>> {
-        let mut outboxes = Vec::new();
-        self.drain(|outbox| outboxes.push(outbox.split_off()));
-        Some(Box::new(outboxes))
     }
 }

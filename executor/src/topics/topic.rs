@@ -5,8 +5,8 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use super::names::canonical_name;
 use super::{AnyOutbox, Batch, Outbox};
-use crate::module::canonical_name;
 use crate::observe::TopicMeter;
 use crate::threads::drop_guarded;
 use crate::{SetupError, Time, TopicStatistics};
@@ -38,10 +38,10 @@ impl TopicCounter {
     }
 }
 
-/// Who is given a topic's batches.
+/// Who receives a topic's batches.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Subscriber {
-    /// A module that runs inside the cycle, by its slot: it looks at the topic itself.
+    /// A module that runs inside the cycle, by its slot: it is woken and looks at the topic itself.
     Attached(usize),
     /// A detached module, which gets a batch once for all its callbacks.
     Detached(usize),
@@ -56,25 +56,24 @@ pub(crate) struct Topic<T> {
 
 /// A [`Topic`] whose message type is known to its publishers and subscribers only.
 pub(crate) trait AnyTopic: Any + Send + Sync {
-    /// Forgets the messages of the last cycle, unless somebody keeps them.
+    /// Drops the messages of an earlier cycle, unless somebody keeps them.
     fn retire(&mut self);
-    /// Forgets the messages of the last cycle, and takes those out of an outbox of this topic.
+    /// Takes the messages out of an outbox of this topic: the first ones of the cycle replace those of an earlier one.
     /// Returns how many there are.
-    fn begin(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize;
-    /// Takes the messages out of one more outbox. Returns how many there are.
-    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize;
+    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time, is_first: bool) -> usize;
     /// The batch, to be taken to another thread, and the number of messages in it.
     fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32);
 }
 
 /// The batch, empty: the one there is, unless somebody keeps it.
+#[inline(always)]
 fn renewed<T>(batch: &mut Arc<Batch<T>>) -> Option<&mut Batch<T>> {
     if Arc::strong_count(batch) > 1 {
         *batch = Arc::default();
     }
     let batch = Arc::get_mut(batch)?;
     if !std::mem::needs_drop::<T>() {
-        batch.clear();
+        batch.forget();
     } else if !drop_guarded("a message", || batch.clear()) {
         // What is left of it is not touched again: it could panic again.
         std::mem::forget(std::mem::take(batch));
@@ -82,43 +81,27 @@ fn renewed<T>(batch: &mut Arc<Batch<T>>) -> Option<&mut Batch<T>> {
     Some(batch)
 }
 
-/// Moves the messages from an outbox to a batch.
-fn take_over<T: Send + 'static>(
-    counter: &TopicCounter,
-    batch: Option<&mut Batch<T>>,
-    outbox: &mut dyn AnyOutbox,
-    now: Time,
-) -> usize {
-    let outbox = (outbox as &mut dyn Any).downcast_mut::<Outbox<T>>();
-    // Both hold by construction: outboxes are opened through the topic's type check, and nobody shares a batch
-    // before the sync phase has filled it.
-    let (Some(outbox), Some(batch)) = (outbox, batch) else {
-        debug_assert!(false, "an outbox reached a topic of another type, or a batch in use");
-        return 0;
-    };
-    // Only this thread writes it: no need to add atomically.
-    let messages = outbox.messages.len();
-    let count = counter.0.load(Ordering::Relaxed) + messages as u64;
-    counter.0.store(count, Ordering::Relaxed);
-    batch.stamp(now);
-    batch.take_over(&mut outbox.messages);
-    messages
-}
-
 impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
     fn retire(&mut self) {
-        // What holds nothing can wait until the topic carries messages again.
-        if std::mem::needs_drop::<T>() {
-            renewed(&mut self.batch);
-        }
+        renewed(&mut self.batch);
     }
 
-    fn begin(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize {
-        take_over(&self.counter, renewed(&mut self.batch), outbox, now)
-    }
-
-    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize {
-        take_over(&self.counter, Arc::get_mut(&mut self.batch), outbox, now)
+    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time, is_first: bool) -> usize {
+        let outbox = (outbox as &mut dyn Any).downcast_mut::<Outbox<T>>();
+        let batch = if is_first { renewed(&mut self.batch) } else { Arc::get_mut(&mut self.batch) };
+        // Both hold by construction: outboxes are opened through the topic's type check, and nobody shares a batch
+        // before the sync phase has filled it.
+        let (Some(outbox), Some(batch)) = (outbox, batch) else {
+            debug_assert!(false, "an outbox reached a topic of another type, or a batch in use");
+            return 0;
+        };
+        // Only this thread writes it: no need to add atomically.
+        let messages = outbox.messages.len();
+        let count = self.counter.0.load(Ordering::Relaxed) + messages as u64;
+        self.counter.0.store(count, Ordering::Relaxed);
+        batch.stamp(now);
+        batch.take_over(&mut outbox.messages);
+        messages
     }
 
     fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32) {
@@ -132,9 +115,15 @@ impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
 pub(crate) struct Topics {
     entries: Vec<Entry>,
     by_name: HashMap<Arc<str>, usize>,
-    /// Those with messages of the last cycle, in the order in which these came.
-    fresh: Vec<usize>,
-    /// Those with messages of the cycle before, while the sync phase goes on.
+    /// Counts the sync phases in which messages were looked for.
+    epoch: u64,
+    /// True if a topic has messages of this epoch.
+    is_any_fresh: bool,
+    /// Those with messages of this epoch for detached modules and outlets, in the order in which the messages came.
+    shared: Vec<usize>,
+    /// Those with messages of this epoch that have to be dropped when nobody reads them any more.
+    dropping: Vec<usize>,
+    /// The same of the epoch before, while the sync phase goes on.
     stale: Vec<usize>,
     /// The topics of the executor itself, by [`Report::NUMBER`].
     reports: Vec<ReportTopic>,
@@ -156,11 +145,16 @@ struct ReportTopic {
 
 struct Entry {
     topic: Box<dyn AnyTopic>,
-    /// True if it has messages of the last cycle.
-    is_fresh: bool,
+    /// The epoch in which it had messages last; 0 for none.
+    epoch: u64,
+    /// True if dropping its messages runs code.
+    needs_drop: bool,
     meter: TopicMeter,
+    /// The slots of modules that run inside the cycle.
+    attached: Vec<usize>,
+    /// Detached modules and outlets.
+    others: Vec<Subscriber>,
     info: TopicInfo,
-    subscribers: Vec<Subscriber>,
     publishers: u32,
     /// Publications, subscriptions and inlets. A topic that nobody uses is forgotten.
     users: u32,
@@ -172,12 +166,7 @@ struct Forgotten;
 impl AnyTopic for Forgotten {
     fn retire(&mut self) {}
 
-    fn begin(&mut self, outbox: &mut dyn AnyOutbox, _now: Time) -> usize {
-        outbox.discard();
-        0
-    }
-
-    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, _now: Time) -> usize {
+    fn absorb(&mut self, outbox: &mut dyn AnyOutbox, _now: Time, _is_first: bool) -> usize {
         outbox.discard();
         0
     }
@@ -197,13 +186,14 @@ impl Topics {
         let make = |counter: TopicCounter| {
             Box::new(Topic::<T> { batch: Arc::default(), counter }) as Box<dyn AnyTopic>
         };
-        self.open_of((TypeId::of::<T>(), type_name::<T>()), make, name, module)
+        self.open_of((TypeId::of::<T>(), type_name::<T>()), std::mem::needs_drop::<T>(), make, name, module)
     }
 
     /// The same for a type of that identity and name: compiled once, for however many types of messages there are.
     fn open_of(
         &mut self,
         (message_type_id, message_type): (TypeId, &'static str),
+        needs_drop: bool,
         make: fn(TopicCounter) -> Box<dyn AnyTopic>,
         name: &str,
         module: &str,
@@ -231,13 +221,20 @@ impl Topics {
             is_published: false,
             counter,
         };
-        let (is_fresh, meter) = (false, TopicMeter::default());
-        let entry = Entry { topic, is_fresh, meter, info, subscribers: Vec::new(), publishers: 0, users: 0 };
+        let entry = Entry {
+            topic,
+            epoch: 0,
+            needs_drop,
+            meter: TopicMeter::default(),
+            attached: Vec::new(),
+            others: Vec::new(),
+            info,
+            publishers: 0,
+            users: 0,
+        };
         let index = match self.entries.iter().position(|entry| entry.users == 0) {
             Some(free) => {
-                // It may carry its predecessor's messages as fresh until the next sync phase.
-                let is_fresh = self.entries[free].is_fresh;
-                self.entries[free] = Entry { is_fresh, ..entry };
+                self.entries[free] = entry;
                 free
             }
             None => {
@@ -250,14 +247,22 @@ impl Topics {
     }
 
     pub(crate) fn subscribe(&mut self, topic: usize, subscriber: Subscriber) {
-        let subscribers = &mut self.entries[topic].subscribers;
-        if !subscribers.contains(&subscriber) {
-            subscribers.push(subscriber);
+        let Entry { attached, others, .. } = &mut self.entries[topic];
+        match subscriber {
+            Subscriber::Attached(slot) if !attached.contains(&slot) => attached.push(slot),
+            Subscriber::Detached(_) | Subscriber::Outlet(_) if !others.contains(&subscriber) => {
+                others.push(subscriber);
+            }
+            _ => {}
         }
     }
 
     pub(crate) fn unsubscribe(&mut self, topic: usize, subscriber: Subscriber) {
-        self.entries[topic].subscribers.retain(|known| *known != subscriber);
+        let Entry { attached, others, .. } = &mut self.entries[topic];
+        match subscriber {
+            Subscriber::Attached(slot) => attached.retain(|known| *known != slot),
+            Subscriber::Detached(_) | Subscriber::Outlet(_) => others.retain(|known| *known != subscriber),
+        }
     }
 
     pub(crate) fn add_user(&mut self, topic: usize) {
@@ -303,7 +308,10 @@ impl Topics {
     #[inline]
     pub(crate) fn hears<R: Report>(&self) -> bool {
         let topic = self.reports.get(R::NUMBER).and_then(|report| report.topic);
-        topic.is_some_and(|topic| !self.entries[topic].subscribers.is_empty())
+        topic.is_some_and(|topic| {
+            let Entry { attached, others, .. } = &self.entries[topic];
+            !(attached.is_empty() && others.is_empty())
+        })
     }
 
     /// Publishes a report in the next sync step of messages.
@@ -322,11 +330,11 @@ impl Topics {
 
     /// Makes the reports messages of this cycle.
     #[cold]
-    pub(crate) fn take_reports(&mut self, now: Time) {
+    pub(crate) fn take_reports(&mut self, now: Time, wake: &mut dyn FnMut(usize)) {
         self.has_reports = false;
         let mut reports = std::mem::take(&mut self.reports);
         for report in reports.iter_mut().filter(|report| !report.outbox.is_empty()) {
-            self.absorb(&mut *report.outbox, now);
+            self.absorb(&mut *report.outbox, now, wake);
         }
         self.reports = reports;
     }
@@ -343,8 +351,9 @@ impl Topics {
     /// What the topics in use have carried.
     pub(crate) fn statistics(&self) -> impl Iterator<Item = TopicStatistics> {
         self.entries.iter().filter(|entry| entry.users > 0).map(
-            |Entry { info, meter, subscribers, .. }| {
-                meter.statistics(&info.name, info.message_type, subscribers.len())
+            |Entry { info, meter, attached, others, .. }| {
+                let (messages, subscribers) = (info.counter.messages(), attached.len() + others.len());
+                meter.statistics(&info.name, info.message_type, messages, subscribers)
             },
         )
     }
@@ -353,15 +362,16 @@ impl Topics {
         &self.entries[topic].info.name
     }
 
-    pub(crate) fn subscribers(&self, topic: usize) -> &[Subscriber] {
-        &self.entries[topic].subscribers
+    /// The detached modules and outlets that receive the topic.
+    pub(crate) fn others(&self, topic: usize) -> &[Subscriber] {
+        &self.entries[topic].others
     }
 
     /// The messages that the topic carries in this cycle.
     #[inline]
     pub(crate) fn batch<T: Send + Sync + 'static>(&self, topic: usize) -> Option<&Arc<Batch<T>>> {
         let entry = &self.entries[topic];
-        if !entry.is_fresh {
+        if entry.epoch != self.epoch {
             return None;
         }
         (&*entry.topic as &dyn Any).downcast_ref::<Topic<T>>().map(|topic| &topic.batch)
@@ -372,41 +382,87 @@ impl Topics {
     }
 
     /// First step of the messages' part of the sync phase: the messages of the last cycle are stale.
+    #[inline]
     pub(crate) fn begin(&mut self) {
-        std::mem::swap(&mut self.fresh, &mut self.stale);
-        for &index in &self.stale {
-            self.entries[index].is_fresh = false;
-        }
+        self.epoch += 1;
+        self.is_any_fresh = false;
+        self.shared.clear();
+        std::mem::swap(&mut self.dropping, &mut self.stale);
     }
 
-    /// Returns how many messages there are in the outbox.
-    pub(crate) fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time) -> usize {
+    /// Takes the messages out of an outbox, and calls `wake` with the slots of the modules that receive them inside the
+    /// cycle. Returns how many there are.
+    #[inline]
+    pub(crate) fn absorb(
+        &mut self,
+        outbox: &mut dyn AnyOutbox,
+        now: Time,
+        wake: &mut dyn FnMut(usize),
+    ) -> usize {
         let index = outbox.topic();
-        let Entry { topic, is_fresh, meter, .. } = &mut self.entries[index];
-        let messages = if *is_fresh {
-            topic.absorb(outbox, now)
+        self.absorb_for(index, outbox, now, wake)
+    }
+
+    /// The same for an outbox of this topic.
+    #[inline]
+    pub(crate) fn absorb_for(
+        &mut self,
+        index: usize,
+        outbox: &mut dyn AnyOutbox,
+        now: Time,
+        mut wake: impl FnMut(usize),
+    ) -> usize {
+        let entry = &mut self.entries[index];
+        let is_first = entry.epoch != self.epoch;
+        let messages = entry.topic.absorb(outbox, now, is_first);
+        if is_first {
+            entry.epoch = self.epoch;
+            self.is_any_fresh = true;
+            entry.meter.begin_batch(messages, now);
+            for &slot in &entry.attached {
+                wake(slot);
+            }
+            if !entry.others.is_empty() {
+                self.shared.push(index);
+            }
+            if entry.needs_drop {
+                self.dropping.push(index);
+            }
         } else {
-            *is_fresh = true;
-            self.fresh.push(index);
-            meter.begin_batch(now);
-            topic.begin(outbox, now)
-        };
-        meter.carried(messages);
+            entry.meter.carried(messages);
+        }
         messages
     }
 
     /// Last step: drops what is still stale.
+    #[inline]
     pub(crate) fn finish(&mut self) {
+        if !self.stale.is_empty() {
+            self.drop_stale();
+        }
+    }
+
+    fn drop_stale(&mut self) {
         for &index in &self.stale {
-            let Entry { topic, is_fresh: false, .. } = &mut self.entries[index] else { continue };
-            topic.retire();
+            let entry = &mut self.entries[index];
+            if entry.epoch != self.epoch {
+                entry.topic.retire();
+            }
         }
         self.stale.clear();
     }
 
-    /// The topics that carry messages after the last sync phase, in the order in which these came.
-    pub(crate) fn fresh(&self) -> &[usize] {
-        &self.fresh
+    /// True if a topic carries messages after the last sync phase.
+    #[inline]
+    pub(crate) fn is_any_fresh(&self) -> bool {
+        self.is_any_fresh
+    }
+
+    /// The topics that carry messages to detached modules and outlets after the last sync phase, in the order in which these
+    /// came.
+    #[inline]
+    pub(crate) fn shared(&self) -> &[usize] {
+        &self.shared
     }
 }
 

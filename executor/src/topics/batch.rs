@@ -23,21 +23,31 @@ impl<T> Default for Batch<T> {
 }
 
 impl<T> Batch<T> {
+    /// Drops the messages.
     pub(crate) fn clear(&mut self) {
         for segment in &mut self.segments[..self.used] {
             segment.clear();
         }
+        self.forget();
+    }
+
+    /// Forgets the messages, for those that need not be dropped: their memory is used again.
+    #[inline]
+    pub(crate) fn forget(&mut self) {
         self.used = 0;
         self.messages = 0;
     }
 
     /// Takes over the messages and leaves an empty vector, with capacity where there is some to reuse.
+    #[inline]
     pub(crate) fn take_over(&mut self, messages: &mut Vec<T>) {
         if self.used == self.segments.len() {
             self.segments.push(Vec::new());
         }
         self.messages += messages.len();
-        std::mem::swap(&mut self.segments[self.used], messages);
+        let segment = &mut self.segments[self.used];
+        segment.clear();
+        std::mem::swap(segment, messages);
         self.used += 1;
     }
 

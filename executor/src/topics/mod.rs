@@ -1,0 +1,17 @@
+//! Where messages are stored: the outboxes of publishers, and topics with the batches of subscribers.
+
+mod batch;
+mod message_type;
+mod names;
+mod outbox;
+mod topic;
+
+pub(crate) use batch::{Batch, for_each_message};
+pub use batch::{Kept, Received};
+pub(crate) use message_type::VisitBatch;
+pub use message_type::{AnyMessage, AnyReceived, MessageType};
+pub(crate) use names::canonical_name;
+pub use outbox::Publication;
+pub(crate) use outbox::{AnyOutbox, Outbox, Outboxes};
+pub(crate) use topic::{Report, Subscriber, Topics};
+pub use topic::{TopicCounter, TopicInfo};
