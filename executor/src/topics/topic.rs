@@ -387,7 +387,9 @@ impl Topics {
         self.epoch += 1;
         self.is_any_fresh = false;
         self.shared.clear();
-        std::mem::swap(&mut self.dropping, &mut self.stale);
+        if !self.dropping.is_empty() {
+            std::mem::swap(&mut self.dropping, &mut self.stale);
+        }
     }
 
     /// Takes the messages out of an outbox, and calls `wake` with the slots of the modules that receive them inside the

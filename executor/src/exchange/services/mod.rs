@@ -61,10 +61,18 @@ impl Mechanism for Services {
     fn view(&self) {}
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
-        self.take_external(phase.now());
+        if !self.calls.is_empty() {
+            self.take_external(phase.now());
+        }
+        if !self.calls_of_detached.is_empty() {
+            self.take_calls_of_detached(phase);
+        }
         self.take_calls(phase);
         if self.registry.staged() {
             self.deliver_requests(phase);
+        }
+        if !self.answers.is_empty() {
+            self.deliver_waiting(phase);
         }
         self.deliver_answers(phase);
         self.external.give_up(phase.now());
@@ -162,12 +170,15 @@ impl Services {
         }
     }
 
-    fn take_calls(&mut self, phase: &mut SyncPhase<'_>) {
+    fn take_calls_of_detached(&mut self, phase: &mut SyncPhase<'_>) {
         for (module, port, mut calls) in std::mem::take(&mut self.calls_of_detached) {
             if !self.stage_calls(phase, module, port, &mut *calls) {
                 calls.drain_replies(&mut |reply| answer(phase, module, port, reply));
             }
         }
+    }
+
+    fn take_calls(&mut self, phase: &mut SyncPhase<'_>) {
         each_half(
             phase,
             |port| &mut port.clients,
@@ -244,10 +255,13 @@ impl Services {
         }
     }
 
-    fn deliver_answers(&mut self, phase: &mut SyncPhase<'_>) {
+    fn deliver_waiting(&mut self, phase: &mut SyncPhase<'_>) {
         for (to, service, mut reply) in std::mem::take(&mut self.answers) {
             self.deliver_answer(phase, to, &service, &mut *reply);
         }
+    }
+
+    fn deliver_answers(&mut self, phase: &mut SyncPhase<'_>) {
         each_half(
             phase,
             |port| &mut port.servers,
@@ -313,7 +327,11 @@ fn each_half<T>(
         let Some(cell) = phase.stage.cells.get(asker.slot) else { continue };
         let id = cell.io.id;
         let Some(port) = cell.port(SERVICES) else { continue };
-        let mut taken = std::mem::take(half(port));
+        let half_of = half(port);
+        if half_of.is_empty() {
+            continue;
+        }
+        let mut taken = std::mem::take(half_of);
         visit(phase, id, &mut taken);
         if let Some(port) = phase.stage.cells.get(asker.slot).and_then(|cell| cell.port(SERVICES)) {
             *half(port) = taken;
