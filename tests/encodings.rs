@@ -1,4 +1,4 @@
-//! Recordings in other encodings than CDR: others read them, and they play as CDR does.
+//! Recordings in other encodings than CDR: other readers read them, and they play like CDR.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -18,7 +18,7 @@ fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// Runs the demo without ROS 2 and records it, with more than a second of motion.
+/// Records the demo without ROS 2, with more than one second of motion.
 fn recorded(folder: &Path, arguments: &[&str], change: impl Fn(String) -> String) -> PathBuf {
     let (robot, bag) = (robot_file(folder, change), folder.join("bag"));
     let common = ["bag", "record", "--robot", text(&robot), "--output", text(&bag)];
@@ -26,7 +26,7 @@ fn recorded(folder: &Path, arguments: &[&str], change: impl Fn(String) -> String
     bag
 }
 
-/// Topic, log time and CDR of every message, whatever the bag holds.
+/// Topic, log time and CDR of every message, in any encoding.
 fn messages(bag: &Path) -> Vec<(String, i64, Vec<u8>)> {
     let reader = Reader::open(bag).unwrap();
     let topics: Vec<RecordedType> = reader
@@ -44,7 +44,7 @@ fn messages(bag: &Path) -> Vec<(String, i64, Vec<u8>)> {
         .collect()
 }
 
-/// The same messages in another encoding.
+/// Copies the messages into another encoding.
 fn encoded(bag: &Path, into: &Path, encoding: Encoding, change: impl Fn(&mut TopicDescription)) {
     let reader = Reader::open(bag).unwrap();
     let mut writer = WriterOptions::new().create(into).unwrap();
@@ -68,7 +68,7 @@ fn encoded(bag: &Path, into: &Path, encoding: Encoding, change: impl Fn(&mut Top
 }
 
 #[test]
-fn a_robot_recorded_as_foxglove_has_it_is_read_by_mcap_and_its_protobuf_support() {
+fn a_robot_recorded_with_foxglove_schemas_is_read_by_mcap_and_its_protobuf_support() {
     let folder = tempfile::tempdir().unwrap();
     let bag = recorded(folder.path(), &[], |text| {
         text.replace("[record]", "[record]\nencoding = \"foxglove-protobuf\"")
@@ -97,7 +97,7 @@ fn a_robot_recorded_as_foxglove_has_it_is_read_by_mcap_and_its_protobuf_support(
 }
 
 #[test]
-fn a_bag_plays_into_a_robot_the_same_whatever_its_encoding() {
+fn a_bag_plays_into_a_robot_identically_in_all_encodings() {
     let folder = tempfile::tempdir().unwrap();
     let bag = recorded(folder.path(), &[], |text| text);
     let robot = folder.path().join("motion_only.toml");
@@ -127,7 +127,7 @@ fn a_bag_plays_into_a_robot_the_same_whatever_its_encoding() {
 }
 
 #[test]
-fn messages_of_another_definition_or_of_an_unknown_encoding_are_not_guessed_at() {
+fn messages_of_another_definition_or_unknown_encoding_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let bag = recorded(folder.path(), &[], |text| text);
     let robot = folder.path().join("motion_only.toml");

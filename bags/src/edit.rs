@@ -69,7 +69,7 @@ impl<'a> Copy<'a> {
     /// Selects topics of these bags.
     ///
     /// # Errors
-    /// If they contain a topic with different types.
+    /// Returns an error if they contain a topic with different types.
     pub fn of(
         bags: &'a [Reader],
         is_wanted: impl Fn(&TopicDescription) -> bool,
@@ -104,7 +104,7 @@ impl<'a> Copy<'a> {
     /// Unreadable parts are left out and reported.
     ///
     /// # Errors
-    /// If a bag can no longer be opened, or the new one cannot be written.
+    /// Returns an error if a bag can no longer be opened, or the new one cannot be written.
     pub fn into_writer(self, mut writer: Writer, mut progress: impl FnMut(u64)) -> Result<Copied, CopyError> {
         let mut unreadable = Vec::new();
         let add = |topic: &RecordedTopic| writer.add_topic(topic.info.clone());
@@ -189,7 +189,7 @@ impl<'a> MergedBags<'a> {
     /// Merges the selected topics; other topics cannot conflict.
     ///
     /// # Errors
-    /// If a topic has several types or serialisations.
+    /// Returns an error if a topic has several types or serialisations.
     pub fn new(
         bags: &'a [Reader],
         is_wanted: impl Fn(&TopicDescription) -> bool,
@@ -213,7 +213,7 @@ impl<'a> MergedBags<'a> {
     /// The messages of all bags sorted by time, for topics for which `is_meant` returns true.
     ///
     /// # Errors
-    /// If a bag can no longer be opened.
+    /// Returns an error if a bag can no longer be opened.
     pub fn messages(
         &self,
         selection: &Selection,
@@ -301,7 +301,7 @@ impl Iterator for Merged {
 /// only used for what the files do not contain: `custom_data` is kept if it is readable.
 ///
 /// # Errors
-/// If there are no files, or they cannot be read, or metadata.yaml cannot be written.
+/// Returns an error if there are no files, or they cannot be read, or metadata.yaml cannot be written.
 pub fn reindex(directory: &Path) -> Result<Metadata, CopyError> {
     let reader = Reader::open_files_of(directory)?;
     let told = Metadata::read(&directory.join(metadata::FILE_NAME)).ok();

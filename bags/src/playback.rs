@@ -26,7 +26,7 @@ impl Rate {
     /// `2.0` is twice as fast.
     ///
     /// # Errors
-    /// If it is not finite or not above 0.
+    /// Returns an error if it is not finite or not above 0.
     pub fn new(rate: f64) -> Result<Self, PlayerError> {
         if rate.is_finite() && rate > 0.0 { Ok(Self(rate)) } else { Err(PlayerError::Rate { rate }) }
     }
@@ -143,7 +143,7 @@ impl Playback {
     /// Prepares to play a bag.
     ///
     /// # Errors
-    /// If the bag lacks a requested topic, ends before the start offset, or cannot be read.
+    /// Returns an error if the bag lacks a requested topic, ends before the start offset, or cannot be read.
     pub fn open(reader: &Reader, options: &PlaybackOptions) -> Result<Self, PlayerError> {
         let start = reader.start_time().unwrap_or(0);
         let offset = i64::try_from(options.start_offset.as_nanos()).unwrap_or(i64::MAX);

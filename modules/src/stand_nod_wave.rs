@@ -14,7 +14,8 @@
 //!
 //! (1)  10 s^3 - 15 s^4 + 6 s^5
 //!
-//! It begins and ends at rest. Only additions and multiplications, so it is the same on every machine.
+//! It starts and ends at rest. It uses only additions and multiplications, so it is the same on every
+//! machine.
 //!
 //! # References
 //! T. Flash, N. Hogan, "The coordination of arm movements", Journal of Neuroscience 5 (1985), for (1).

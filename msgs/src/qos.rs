@@ -52,16 +52,16 @@ words! {
     Reliability {
         /// Lost samples are sent again.
         Reliable = "reliable",
-        /// Lost samples stay lost.
+        /// Lost samples are not repeated.
         BestEffort = "best_effort",
     }
 }
 words! {
     /// Whether a subscription that joins late receives what was published before.
     Durability {
-        /// It receives nothing older than itself.
+        /// It does not receive earlier samples.
         Volatile = "volatile",
-        /// It receives as many of the latest samples as the history holds ("latched").
+        /// It receives the latest samples, up to the depth of the history ("latched").
         TransientLocal = "transient_local",
     }
 }
@@ -75,7 +75,7 @@ words! {
     }
 }
 
-/// How many samples are held for sending again and for late subscriptions.
+/// How many samples are kept for repetition and for late subscriptions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(tag = "history", content = "depth", rename_all = "snake_case")]
 pub enum History {
@@ -171,7 +171,7 @@ pub struct QosRequest {
     /// The longest time between two samples.
     #[serde(with = "policy_time")]
     pub deadline: Policy<Option<Duration>>,
-    /// How long a sample is worth delivering.
+    /// How long a sample is valid.
     #[serde(with = "time")]
     pub lifespan: Option<Duration>,
     /// See [`Liveliness`].

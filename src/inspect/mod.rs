@@ -52,33 +52,33 @@ pub use client::{Client, ClientError};
 pub use directory::{ClaimError, DirectoryError, NodeClaim, RunningRobot, SocketDirectory};
 pub use server::{InspectionServer, ServerError};
 
-/// What a client can ask for: `{"request":"snapshot"}`, `{"request":"trace","cycles":10}`.
+/// A request of a client, for example `{"request":"snapshot"}` or `{"request":"trace","cycles":10}`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "request", rename_all = "snake_case")]
 pub enum Request {
-    /// The counters: answered with a [`Snapshot`](downbeat_executor::Snapshot).
+    /// Requests the counters. Answered with a [`Snapshot`](downbeat_executor::Snapshot).
     Snapshot,
-    /// What runs in the next cycles: answered with a trace in the Trace Event Format of Chrome.
+    /// Requests a trace of the next cycles. Answered in Chrome's Trace Event Format.
     Trace {
-        /// How many cycles, 1 to [`Request::MOST_CYCLES`].
+        /// Number of cycles, from 1 to [`Request::MOST_CYCLES`].
         cycles: u32,
     },
-    /// Who is connected to what: answered with a [`Graph`](downbeat_executor::Graph).
+    /// Requests the connections. Answered with a [`Graph`](downbeat_executor::Graph).
     Graph,
-    /// Hold the robot. Answered with `null`, as are the next two.
+    /// Pauses the robot. Answered with `null`, like the next two requests.
     Pause,
     /// Let it go on.
     Resume,
-    /// Have a held robot run one cycle.
+    /// Lets a paused robot run one cycle.
     Step,
     /// What ROS 2 sees: answered with a list of [`EndpointReport`](crate::robot::EndpointReport)s, as are the next two.
     Exposed,
-    /// Expose more: answered with what was added.
+    /// Exposes more topics. Answered with the added endpoints.
     Expose {
-        /// The keys `out` and `in` as under `[expose]` of a robot file.
+        /// The keys `out` and `in` in the form of `[expose]` in a robot file.
         entries: String,
     },
-    /// Take back what is exposed: answered with what it was.
+    /// Removes endpoints. Answered with the removed endpoints.
     TakeBack {
         /// Names of topics in ROS 2 or in the robot, or patterns.
         topics: Vec<String>,
@@ -90,7 +90,7 @@ impl Request {
     pub const MOST_CYCLES: u32 = 100_000;
 }
 
-/// The longest request: none comes near it.
+/// The longest request in bytes. Real requests are much shorter.
 const LONGEST_REQUEST: u64 = 4096;
 
 /// The answer to a request: `{"ok": …}` or `{"error": "…"}`.
@@ -101,45 +101,46 @@ enum Answer {
     Error(String),
 }
 
-/// How long a core may take to come to the end of a cycle.
+/// How long a core may take to reach the end of a cycle.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// How long the cycles of a trace may take to come. What there is by then is the trace.
+/// How long the cycles of a trace may take. The trace contains the cycles that have run by then.
 const PATIENCE_WITH_TRACE: Duration = Duration::from_secs(30);
 
-/// A running robot, as the socket shows it. Called from threads of the socket's clients.
+/// A running robot as seen through the socket. The methods are called from the threads of the socket's
+/// clients.
 pub trait Inspected: Send + Sync + 'static {
-    /// The robot's counters between two cycles.
+    /// Returns the counters of the robot between two cycles.
     ///
     /// # Errors
-    /// If the core does not answer.
+    /// Returns an error if the core does not answer.
     fn snapshot(&self) -> Result<Snapshot, Unavailable>;
 
-    /// What runs in the next cycles.
+    /// Traces the next cycles.
     ///
     /// # Errors
-    /// If the core does not answer.
+    /// Returns an error if the core does not answer.
     fn trace(&self, cycles: u32) -> Result<CycleTrace, Unavailable>;
 
-    /// Who publishes, subscribes, serves and calls what.
+    /// Returns which modules publish, subscribe, serve and call what.
     ///
     /// # Errors
-    /// If the core does not answer.
+    /// Returns an error if the core does not answer.
     fn graph(&self) -> Result<Graph, Unavailable>;
 
-    /// Holds the robot: no cycle runs until it is resumed.
+    /// Pauses the robot: no cycle runs until it is resumed.
     fn pause(&self);
 
     /// Lets the robot go on.
     fn resume(&self);
 
-    /// Has a held robot run one cycle.
+    /// Lets a paused robot run one cycle.
     fn step(&self);
 
-    /// What ROS 2 sees of the robot.
+    /// Returns the endpoints that are exposed to ROS 2.
     ///
     /// # Errors
-    /// If it has no ROS 2 node; in words.
+    /// Returns a message if the robot has no ROS 2 node.
     fn exposed(&self) -> Result<Vec<EndpointReport>, String> {
         Err(NO_NODE.to_owned())
     }
@@ -147,15 +148,15 @@ pub trait Inspected: Send + Sync + 'static {
     /// Exposes more, as the keys `out` and `in` of `[expose]` in a robot file say it. Returns what was added.
     ///
     /// # Errors
-    /// If what is asked for cannot be, or the robot has no ROS 2 node; in words.
+    /// Returns a message if an entry is invalid or the robot has no ROS 2 node.
     fn expose(&self, _entries: &str) -> Result<Vec<EndpointReport>, String> {
         Err(NO_NODE.to_owned())
     }
 
-    /// Takes back what is exposed under these names or patterns. Returns what it was.
+    /// Removes the endpoints with these names or patterns. Returns the removed endpoints.
     ///
     /// # Errors
-    /// If one of them is not exposed, or the robot has no ROS 2 node; in words.
+    /// Returns a message if one of them is not exposed or the robot has no ROS 2 node.
     fn take_back(&self, _topics: &[String]) -> Result<Vec<EndpointReport>, String> {
         Err(NO_NODE.to_owned())
     }
@@ -208,7 +209,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn requests_are_what_the_documentation_shows() {
+    fn requests_have_the_documented_form() {
         let of = |text| serde_json::from_str::<Request>(text).ok();
         assert_eq!(of(r#"{"request":"snapshot"}"#), Some(Request::Snapshot));
         assert_eq!(of(r#"{"request":"trace","cycles":10}"#), Some(Request::Trace { cycles: 10 }));
@@ -217,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn answers_are_what_the_documentation_shows() {
+    fn answers_have_the_documented_form() {
         let ok =
             RawValue::from_string("[1]".into()).map(Answer::Ok).and_then(|ok| serde_json::to_string(&ok));
         assert_eq!(ok.ok().as_deref(), Some(r#"{"ok":[1]}"#));

@@ -14,8 +14,8 @@ use super::PlaybackError;
 use crate::encoding::RecordedType;
 use crate::journal;
 
-/// The messages of topics as CDR, each topic's in the order of the bag. Every chunk holds messages of most topics, so reading
-/// them together takes as long as reading those of one.
+/// The messages of several topics as CDR, per topic in the order of the bag. Every chunk contains messages of
+/// most topics, so reading several topics together takes as long as reading one.
 pub(crate) struct Extract {
     interfaces: Interfaces,
     messages: BTreeMap<TopicId, Vec<Bytes>>,
@@ -46,12 +46,12 @@ impl Extract {
         Ok(Self { interfaces: interfaces.clone(), messages })
     }
 
-    /// The types that its messages were read by.
+    /// The interfaces with which the messages were read.
     pub(crate) fn interfaces(&self) -> &Interfaces {
         &self.interfaces
     }
 
-    /// Those of a topic that was read, or is read now.
+    /// Returns the messages of a topic, and reads them if that has not happened yet.
     pub(crate) fn of(&mut self, reader: &Reader, topic: TopicId) -> Result<&[Bytes], PlaybackError> {
         if !self.messages.contains_key(&topic) {
             let mut read = Self::read(reader, &BTreeSet::from([topic]), &self.interfaces)?;
@@ -72,11 +72,13 @@ impl Extract {
     }
 }
 
-/// What a bag tells of the cycles.
+/// What a bag contains about the cycles.
 pub(crate) enum Cycles {
-    /// The time of each cycle. If `is_whole`, up to that in which the robot began to stop, else its recording was interrupted.
+    /// The time of each cycle. If `is_whole`, up to the cycle in which the robot began to stop; otherwise the
+    /// recording was interrupted.
     Recorded { times: Vec<i64>, is_whole: bool },
-    /// The bag was recorded in a robot, but without these times: there were cycles at the times of its messages.
+    /// The bag was recorded in a robot but without the cycle times: there was a cycle at the time of each
+    /// message.
     OfMessages,
     /// The bag was recorded elsewhere, for example from ROS 2: timers fire at their exact times.
     Unknown,
@@ -86,7 +88,7 @@ impl Cycles {
     pub(crate) fn read(reader: &Reader, extract: &mut Extract) -> Result<Self, PlaybackError> {
         let messages = extract.messages::<CycleTimes>(reader, journal::CYCLES)?.unwrap_or_default();
         if messages.is_empty() {
-            // What the recorder notes of each robot that it records.
+            // Metadata that the recorder writes for each robot.
             let is_of_robot =
                 reader.metadata().is_some_and(|metadata| metadata.custom_data.contains_key("robot"));
             return Ok(if is_of_robot { Self::OfMessages } else { Self::Unknown });
@@ -106,7 +108,7 @@ impl Cycles {
         matches!(self, Self::Recorded { .. })
     }
 
-    /// The time of the first cycle that the bag tells.
+    /// The time of the first recorded cycle.
     pub(crate) fn first(&self) -> Option<i64> {
         match self {
             Self::Recorded { times, .. } => times.first().copied(),
@@ -114,8 +116,8 @@ impl Cycles {
         }
     }
 
-    /// What modules publish from this time on is in no bag. While the robot stopped there were more cycles, at times that are not
-    /// recorded; of a recording that was interrupted the bag may lack what the last cycle published, too.
+    /// The time from which messages of modules are missing in the bag. The cycles in which the robot stopped
+    /// are not recorded; an interrupted recording may also lack the messages of its last cycle.
     pub(crate) fn end(&self) -> i64 {
         match self {
             Self::Recorded { times, is_whole } => {
@@ -132,7 +134,7 @@ impl Cycles {
 pub(crate) struct SettingsChanges(VecDeque<ModuleSettings>);
 
 impl SettingsChanges {
-    /// Of the modules that are wanted; none where the bag lacks the topic.
+    /// Reads the changes of the wanted modules; empty if the bag lacks the topic.
     pub(crate) fn read(
         reader: &Reader,
         extract: &mut Extract,
@@ -142,7 +144,7 @@ impl SettingsChanges {
         Ok(Self(changes.into_iter().filter(|change| is_wanted(&change.module)).collect()))
     }
 
-    /// Has the core make those that are due in its next sync phase.
+    /// Applies the changes that are due in the next sync phase of the core.
     pub(crate) fn give(
         &mut self,
         core: &Core,
@@ -155,7 +157,7 @@ impl SettingsChanges {
                 let value = setting_value(parameter.value).map_err(|problem| {
                     PlaybackError::account(journal::SETTINGS, format!("{setting}: {problem}"))
                 })?;
-                // What the module refuses now, it does not have: its messages will tell.
+                // If the module refuses the value, the difference shows in its messages.
                 drop(core.handle().set(&change.module, &parameter.name, value));
             }
         }

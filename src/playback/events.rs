@@ -1,4 +1,4 @@
-//! The events of modules that a bag tells, made to happen again.
+//! Replay of the recorded events of modules.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -10,22 +10,24 @@ use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 use super::PlaybackError;
 use crate::journal;
 
-/// Events for the modules of a core, as far as these do not cause them themselves.
+/// The events of the modules of a core that these modules do not cause themselves.
 #[derive(Default)]
 pub(crate) struct Events {
     waiting: VecDeque<ModuleEvent>,
     callers: BTreeMap<String, EncodedCaller>,
     stand_ins: BTreeMap<String, EncodedStandIn>,
-    /// A module that is replayed by itself though it was detached: commands that it gave itself come from the bag, too.
+    /// True for a detached module that is replayed on its own: commands that it gave to itself come from the
+    /// bag as well.
     alone: bool,
     modules: Vec<String>,
 }
 
-/// An answer that is awaited for so long is one that no replay waits for.
+/// A timeout that no replay reaches.
 const EVER: Duration = Duration::from_secs(3600 * 24 * 365);
 
 impl Events {
-    /// Of a core with modules of a robot that runs inside the cycle. Results of jobs wait until the bag says that they came.
+    /// Events of a core with modules that run inside the cycle. Results of jobs are held back until their
+    /// recorded time.
     pub(crate) fn of_core(
         core: &mut Core,
         events: Option<&[ModuleEvent]>,
@@ -41,7 +43,8 @@ impl Events {
         Ok(prepared)
     }
 
-    /// Of a core with one module that was detached: in [`Events::take`] it takes them over as its runs did.
+    /// Events of a core with one detached module, which takes them over in [`Events::take`] as its recorded
+    /// runs did.
     pub(crate) fn of_detached(
         core: &mut Core,
         events: Option<&[ModuleEvent]>,
@@ -78,7 +81,7 @@ impl Events {
         Ok(prepared)
     }
 
-    /// Whether there is nothing to make happen.
+    /// Returns whether there are no events.
     pub(crate) fn is_empty(&self) -> bool {
         self.waiting.is_empty()
     }
@@ -87,7 +90,7 @@ impl Events {
         self.modules.iter().any(|known| known == module)
     }
 
-    /// Whether it went to a module of the core.
+    /// Returns whether the event went to a module of the core.
     fn concerns(&self, event: &ModuleEvent) -> bool {
         match event.kind {
             ModuleEvent::REQUEST => self.callers.contains_key(&event.service),
@@ -98,7 +101,7 @@ impl Events {
         }
     }
 
-    /// Whether the modules of the core cause it themselves.
+    /// Returns whether the modules of the core cause the event themselves.
     fn is_caused(&self, event: &ModuleEvent) -> bool {
         match event.kind {
             ModuleEvent::REQUEST => self.has(&event.module),
@@ -109,7 +112,7 @@ impl Events {
         }
     }
 
-    /// Has those happen in the next sync phase that are due.
+    /// Applies the events that are due in the next sync phase.
     pub(crate) fn give(
         &mut self,
         core: &Core,
@@ -123,7 +126,7 @@ impl Events {
         Ok(())
     }
 
-    /// Has those happen that the run of that number took over, which is the next one.
+    /// Applies the events that the next run, which has that number, took over.
     pub(crate) fn take(&mut self, core: &Core, run: u64) -> Result<(), PlaybackError> {
         let is_of_run = |event: &ModuleEvent| event.kind == ModuleEvent::TAKEN && event.number == run;
         let first_taken = self.waiting.iter().position(|event| event.kind == ModuleEvent::TAKEN);

@@ -104,7 +104,7 @@ impl Follower<'_> {
     }
 }
 
-/// Messages of some topics, given in the order of the bag.
+/// Messages of several topics, published in the order of the bag.
 pub(crate) struct Inputs {
     inlets: BTreeMap<TopicId, (EncodedInlet, RecordedType)>,
     messages: Option<Peekable<Messages>>,
@@ -112,7 +112,7 @@ pub(crate) struct Inputs {
 }
 
 impl Inputs {
-    /// Of these topics, named without the leading slash; those that the bag lacks are passed over.
+    /// Opens these topics, named without the leading slash. Topics that the bag lacks are skipped.
     pub(crate) fn open<'a>(
         core: &mut Core,
         reader: &Reader,
@@ -140,7 +140,7 @@ impl Inputs {
         Ok(messages.peek().and_then(|message| message.as_ref().ok()).map(|message| message.log_time))
     }
 
-    /// Gives all messages up to that time.
+    /// Publishes all messages up to that time.
     pub(crate) fn give(&mut self, time: i64) -> Result<(), PlaybackError> {
         while self.next_time()?.is_some_and(|next| next <= time) {
             let message = self.messages.as_mut().and_then(Iterator::next);
@@ -153,7 +153,7 @@ impl Inputs {
         Ok(())
     }
 
-    /// How many messages were given.
+    /// Number of published messages.
     pub(crate) fn given(&self) -> u64 {
         self.given
     }

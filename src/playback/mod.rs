@@ -1,4 +1,4 @@
-//! Bags as input of a core: the same bag gives the same result each time.
+//! Playback of bags into a core. The same bag always gives the same result.
 
 pub(crate) mod account;
 pub(crate) mod events;
@@ -25,7 +25,7 @@ pub enum PlaybackError {
     /// The bag cannot be read.
     #[error(transparent)]
     Bag(#[from] ReaderError),
-    /// A topic that was asked for is not there.
+    /// A requested topic is not in the bag.
     #[error("topic \"{topic}\" is not in the bag; it has {}", known.join(", "))]
     NoSuchTopic {
         /// The topic.
@@ -33,20 +33,18 @@ pub enum PlaybackError {
         /// The topics of the bag.
         known: Vec<String>,
     },
-    /// No module takes anything from the bag.
+    /// No module receives a message of the bag.
     #[error("the bag has no message that the robot's modules receive and do not publish themselves")]
     NothingToPlay,
-    /// Messages of the bag would mix with a module's.
+    /// A module publishes a topic that would be played from the bag.
     #[error("a module of the robot publishes \"{0}\" itself; remap it there, or leave that module out")]
     IsPublished(String),
-    /// The bag's account of the cycles has a gap.
-    #[error(
-        "the bag does not tell the times of cycles {expected} to {found}: messages of /cycle_times were lost"
-    )]
+    /// The recorded cycle times have a gap.
+    #[error("the bag lacks the times of cycles {expected} to {found}: messages of /cycle_times were lost")]
     CyclesLost {
-        /// The first that is not told.
+        /// The first missing cycle.
         expected: u64,
-        /// The first after the gap.
+        /// The first cycle after the gap.
         found: u64,
     },
     /// A message by which the bag tells how the robot ran is not what its topic says, or cannot be made to happen again.
@@ -54,13 +52,13 @@ pub enum PlaybackError {
     Account {
         /// The topic, without the leading slash.
         topic: &'static str,
-        /// What is wrong.
+        /// The decoding error.
         problem: String,
     },
-    /// The bag does not hold the module's runs.
+    /// The bag does not contain the runs of the module.
     #[error("the bag has no runs of a module \"{0}\" on /module_steps; record that topic too")]
     NoSteps(String),
-    /// The module received what the bag does not hold.
+    /// The module received a message that the bag does not contain.
     #[error("run {step} received a message of \"{topic}\" that is not in the bag; record that topic too")]
     MissingInput {
         /// The run.
@@ -68,26 +66,26 @@ pub enum PlaybackError {
         /// The topic.
         topic: String,
     },
-    /// The first run received messages, which none can.
+    /// The first recorded run received messages, which the first run of a module cannot.
     #[error("the first run of the module in the bag is not its start; record it from the start")]
     NotFromStart,
-    /// The type is not registered, or its messages are in an encoding that is not read here.
+    /// The type is not registered, or the encoding of its messages is not supported.
     #[error(transparent)]
     Type(#[from] RecordedTypeError),
-    /// A message is not what its encoding says.
+    /// A message is not valid in its encoding.
     #[error(transparent)]
     Encoding(#[from] encoding::Error),
-    /// The core has the topic with another type.
+    /// The topic has another type in the core.
     #[error(transparent)]
     Setup(#[from] SetupError),
-    /// A message is not of its topic's type.
+    /// A message does not have the type of its topic.
     #[error(transparent)]
     Message(#[from] EncodedInletError),
-    /// The core does not run.
+    /// The core failed to run.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// Modules answer each other without end, and the bag's time cannot go on.
-    #[error("at {0} the modules still had work after {MOST_CYCLES} cycles without time going on")]
+    /// Modules answer each other endlessly, so that the time of the bag cannot advance.
+    #[error("at {0} the modules still had work after {MOST_CYCLES} cycles in which time did not advance")]
     Restless(Time),
 }
 
@@ -97,20 +95,22 @@ impl PlaybackError {
     }
 }
 
-/// Cycles at one instant of the bag.
+/// The most cycles at one time of the bag.
 const MOST_CYCLES: u32 = 10_000;
 
-/// Plays a bag into a core, whose clock is at or before [`start_time`]. Where the bag tells the cycles of the robot that it was
-/// recorded in, the core runs the same cycles at the same times, and each message joins in the cycle in which it joined then;
-/// so do changed settings, requests from outside, answers from outside, commands to modules and results of jobs. Otherwise the
-/// clock follows the messages, and timers fire between them at their exact times. Messages of one time are given in the order of
-/// the bag. It takes no longer than the modules need.
+/// Plays a bag into a core, whose clock is at or before [`start_time`]. If the bag contains the cycle times
+/// of the robot in which it was recorded, the core runs the same cycles at the same times and each message
+/// joins in the cycle in which it was recorded; so do changed settings, requests and responses from outside,
+/// commands to modules and results of jobs. Otherwise the clock follows the messages, and timers fire between
+/// them at their exact times. Messages with the same time are published in the order of the bag. Playback
+/// runs as fast as the modules allow.
 ///
-/// Played are `topics`, or if there are none, those of the bag that modules receive and none publishes. Returns
-/// the number of messages played. The core's modules are stopped at the end.
+/// Plays `topics`, or, if there are none, the topics of the bag that modules receive and no module publishes.
+/// Returns the number of played messages. The modules of the core are stopped at the end.
 ///
 /// # Errors
-/// If the bag cannot be read, a topic or type is not known, or the modules do not come to rest.
+/// Returns an error if the bag cannot be read, a topic or type is not known, or the modules do not come to
+/// rest.
 pub fn play_into(
     core: &mut Core,
     clock: &ManualClock,
@@ -142,16 +142,16 @@ pub fn play_into(
     }
 }
 
-/// The time of a bag's first cycle, or of its first message where it tells no cycles.
+/// Returns the time of the first cycle of a bag, or of its first message if it contains no cycle times.
 ///
 /// # Errors
-/// If the bag cannot be read.
+/// Returns an error if the bag cannot be read.
 pub fn start_time(reader: &Reader) -> Result<Time, PlaybackError> {
     let first_cycle = Cycles::read(reader, &mut Extract::new(&Interfaces::carried()))?.first();
     Ok(Time::from_nanos(first_cycle.into_iter().chain(reader.start_time()).min().unwrap_or(0)))
 }
 
-/// Without the leading slash.
+/// Returns the names of the played topics without the leading slash.
 fn played_topics(core: &Core, reader: &Reader, topics: &[String]) -> Result<Vec<String>, PlaybackError> {
     let is_known = |name: &str, is_published: bool| {
         core.topics().any(|known| *known.name == *name && known.is_published == is_published)

@@ -1,4 +1,4 @@
-//! Replay of a detached module by its recorded runs.
+//! Replay of a detached module from its recorded runs.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -14,25 +14,25 @@ use super::events::Events;
 use crate::encoding::RecordedType;
 use crate::journal;
 
-/// What was replayed of a detached module.
+/// The replayed runs of a detached module.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReplayedSteps {
-    /// How many runs.
+    /// Number of runs.
     pub count: usize,
-    /// True if the module's end is among them: else its recording was interrupted.
+    /// True if the runs include the end of the module. Otherwise the recording was interrupted.
     pub is_whole: bool,
-    /// The time of the last one.
+    /// The time of the last run.
     pub last: Time,
 }
 
-/// Runs a core that holds the module once for each run that `reader` has of it: at the recorded times and on the
-/// messages that each run received.
+/// Runs a core that contains the module once for each of its runs in the bag, at the recorded times and with
+/// the messages that each run received.
 ///
-/// The core's clock is `clock`, which stands at or before the first run, so that the module runs inside the
-/// cycle. Other modules may watch, but must not publish what the module receives.
+/// `clock` is the clock of the core and must be at or before the time of the first run. Other modules of the
+/// core may subscribe, but must not publish what the module receives.
 ///
 /// # Errors
-/// If the bag lacks the runs or what the module received in them.
+/// Returns an error if the bag lacks the runs or what the module received in them.
 pub fn replay_module(
     core: &mut Core,
     clock: &ManualClock,
@@ -43,7 +43,7 @@ pub fn replay_module(
     replay_steps(core, clock, reader, &mut Extract::new(interfaces), module)
 }
 
-/// The same with what was read of the bag already.
+/// Like [`replay_module`], with what has already been read from the bag.
 pub(crate) fn replay_steps(
     core: &mut Core,
     clock: &ManualClock,
@@ -56,11 +56,12 @@ pub(crate) fn replay_steps(
     let mut settings = SettingsChanges::read(reader, extract, |name| name == module)?;
     let recorded = extract.messages(reader, journal::EVENTS)?;
     let mut events = Events::of_detached(core, recorded.as_deref(), extract.interfaces(), module)?;
-    // A message or a setting that is given before a cycle joins in its sync phase and is received in the next one.
+    // A message or setting that is applied before a cycle joins in its sync phase and is received in the next
+    // one.
     for (position, step) in steps.iter().enumerate() {
         if let Some(next) = steps.get(position + 1) {
             inputs.give(next)?;
-            // Runs of a module that started again are counted anew.
+            // The run counter restarts when the module is restarted.
             let run = (next.stamp.as_nanos(), next.step);
             settings.give(core, |change| (change.stamp.as_nanos(), change.step) <= run)?;
             events.take(core, next.step)?;
@@ -72,7 +73,7 @@ pub(crate) fn replay_steps(
             core.cycle()?;
         }
     }
-    // What the last run published reaches those who watch.
+    // Delivers what the last run published to the subscribers.
     core.stop();
     let (is_whole, last) = steps
         .last()
@@ -90,7 +91,7 @@ fn steps_of(module: &str, reader: &Reader, extract: &mut Extract) -> Result<Vec<
     }
 }
 
-/// What the module received, by topic, in the order of the bag.
+/// The messages that the module received, by topic, in the order of the bag.
 struct Inputs {
     topics: BTreeMap<String, (EncodedInlet, VecDeque<Bytes>)>,
 }

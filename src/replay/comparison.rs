@@ -1,4 +1,4 @@
-//! What modules published when they were replayed, beside what the bag has.
+//! Compares the messages of replayed modules with those in the bag.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::iter::Peekable;
@@ -15,12 +15,12 @@ use crate::encoding::RecordedType;
 use crate::playback::PlaybackError;
 use crate::playback::account::Cycles;
 
-/// Of all topics that are compared. The bag is read as far as the replay has come.
+/// The comparisons of all topics. The bag is read only as far as the replay has advanced.
 pub(super) struct Comparisons {
     recorded: Peekable<Messages>,
     topics: BTreeMap<TopicId, Comparison>,
     by_name: BTreeMap<String, TopicId>,
-    /// The first problem with the bag; told at the end.
+    /// The first problem with the bag; reported at the end.
     failure: Option<PlaybackError>,
 }
 
@@ -30,15 +30,16 @@ struct Comparison {
     comparer: Comparer,
     is_shared: bool,
     is_attached: bool,
-    /// Up to this time messages must have been published at the recorded times.
+    /// Until this time messages must be published at the recorded times.
     times_until: i64,
-    /// What is left over from this time on is no difference: the robot stopped, or the bag was interrupted.
+    /// Messages without a counterpart from this time on are not a difference: the robot was stopping, or the
+    /// recording was interrupted.
     open_from: i64,
     recorded: VecDeque<(i64, Bytes)>,
     replayed: VecDeque<(i64, Bytes)>,
 }
 
-/// How far ahead a message is looked for on a topic that others publish too.
+/// How many messages ahead a message is searched for on a topic that other modules publish as well.
 const WINDOW: usize = 1000;
 
 impl Comparisons {
@@ -88,7 +89,7 @@ impl Comparisons {
         Ok(Self { recorded, topics, by_name, failure: None })
     }
 
-    /// A message was published.
+    /// Adds a replayed message.
     pub(super) fn replayed(&mut self, replayed: Replayed) {
         let Some(id) = self.by_name.get(&*replayed.topic).copied() else { return };
         let Some(topic) = self.topics.get_mut(&id) else { return };
@@ -106,14 +107,15 @@ impl Comparisons {
         }
     }
 
-    /// What the modules inside the cycle published from `time` on is not to be the same.
+    /// Excludes messages of the modules inside the cycle from `time` on from the comparison.
     pub(super) fn end_before(&mut self, time: i64) {
         for topic in self.topics.values_mut().filter(|topic| topic.is_attached) {
             topic.open_from = topic.open_from.min(time);
         }
     }
 
-    /// The bag was interrupted: it may lack the module's last messages, or the runs that published them.
+    /// The recording was interrupted: the bag may lack the last messages of the module, or the runs that
+    /// published them.
     pub(super) fn interrupted(&mut self, module: &str) {
         for topic in self.topics.values_mut() {
             if topic.report.modules.iter().any(|name| name == module) {
@@ -122,7 +124,7 @@ impl Comparisons {
         }
     }
 
-    /// Compares what is left.
+    /// Compares the remaining messages.
     pub(super) fn finish(mut self) -> Result<Vec<TopicReport>, PlaybackError> {
         while self.read_next().is_continue() {}
         if let Some(failure) = self.failure {
@@ -176,7 +178,7 @@ impl Comparison {
         }
     }
 
-    /// One of both is empty.
+    /// Reports the remaining messages if one of the two sides is empty.
     fn compare_rest(&mut self) {
         for (time, _) in std::mem::take(&mut self.recorded) {
             if time < self.open_from && !self.report.is_ignored {
@@ -190,7 +192,8 @@ impl Comparison {
         }
     }
 
-    /// Each message that was replayed must be among those recorded, in that order; others may stand between them.
+    /// Each replayed message must be among the recorded ones, in the same order; other messages may be
+    /// between them.
     fn compare_in_any_order(&mut self) {
         let mut from = 0;
         for (time, replayed) in std::mem::take(&mut self.replayed) {

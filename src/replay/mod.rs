@@ -1,17 +1,18 @@
-//! A bag as a test: a robot's modules run again on what they received, and what they publish is compared with what they
-//! published then.
+//! Uses a bag as a test: the modules of a robot run again with the messages that they received, and what they
+//! publish is compared with the recording.
 //!
-//! Modules that run inside the cycle are run together, in the cycles that the bag tells (`cycle_times`) at their very
-//! times; what others published, and what came from ROS 2, joins in the cycle in which it joined then. Each detached
-//! module is run by itself, by its recorded runs (`module_steps`). As no module sees of another more than its messages,
-//! a robot whose parts all repeat bit for bit does so as a whole. Modules that drive a device run on the recorded answers
-//! of the device, if their kind records these; else they are left out, and what they published is input.
+//! Modules that run inside the cycle are replayed together, in the recorded cycles (`cycle_times`) at exactly
+//! their times; messages of other modules and of ROS 2 join in the cycle in which they were recorded. Each
+//! detached module is replayed separately from its recorded runs (`module_steps`). Modules see nothing of
+//! each other but messages, so if every part of a robot repeats bit for bit, the whole robot does. Modules
+//! that drive a device run with the recorded answers of the device if their kind records them. Otherwise they
+//! are left out, and the messages that they published become input.
 //!
 //! Modules inside the cycle are compared until the robot began to stop, detached ones to their end.
 //!
-//! Settings that were changed while the robot ran (`module_settings`) change again where they did. So do requests from outside,
-//! answers from outside, commands to modules and results of jobs (`module_events`); what the modules answer and whom they call is
-//! compared.
+//! Settings that were changed while the robot ran (`module_settings`) change again in the same cycles.
+//! Requests and responses from outside, commands to modules and results of jobs (`module_events`) are
+//! repeated as well; the responses and requests of the modules are compared.
 
 mod calls;
 mod comparison;
@@ -39,16 +40,17 @@ pub use report::{Difference, LeftOut, NotSame, ReplayReport, Strictness, TopicRe
 /// What to replay and how exactly to compare.
 #[derive(Clone, Debug, Default)]
 pub struct ReplayOptions {
-    /// Only these modules; what the others published is input. Empty: all that can be.
+    /// The modules to replay; messages of all others become input. If empty, all modules that can be
+    /// replayed.
     pub modules: Vec<String>,
-    /// How exactly fields are compared: bit for bit where no rule says otherwise.
+    /// Rules for comparing fields. Fields without a rule are compared bit for bit.
     pub rules: Vec<FieldRule>,
     /// Topics that are not compared.
     pub except: Vec<TopicPattern>,
 }
 
 impl ReplayOptions {
-    /// As `[replay]` of a robot file says.
+    /// Returns the options in `[replay]` of a robot file.
     #[must_use]
     pub fn of(file: &RobotFile) -> Self {
         let ReplaySection { modules, rules, except } = file.replay.clone();
@@ -60,27 +62,27 @@ impl ReplayOptions {
     }
 }
 
-/// Why a bag cannot be replayed.
+/// Error while replaying a bag.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
-    /// The robot file does not describe a robot.
+    /// The robot file is invalid.
     #[error(transparent)]
     Robot(#[from] RobotFileError),
-    /// A module was asked for that the robot does not have.
+    /// The robot does not have a requested module.
     #[error("the robot has no module \"{module}\"; it has {}", known.join(", "))]
     NoSuchModule {
-        /// What was asked for.
+        /// The requested module.
         module: String,
-        /// What there is.
+        /// The modules of the robot.
         known: Vec<String>,
     },
-    /// A module was asked for that cannot be replayed from this bag.
+    /// A requested module cannot be replayed from this bag.
     #[error("module \"{0}\" cannot be replayed: {1}")]
     NotReplayable(String, String),
-    /// No module can be replayed, or none publishes anything that the bag has.
+    /// No module can be replayed, or none publishes a topic of the bag.
     #[error("there is nothing to replay: {0}")]
     Nothing(String),
-    /// What a module received cannot be told from what it published.
+    /// The messages that a module received cannot be distinguished from those that it published.
     #[error(
         "topic \"{topic}\" is received by modules that are replayed and published by them and by others; the bag does not \
          say who published a message. Replay other modules than {}", modules.join(", ")
@@ -107,19 +109,20 @@ pub enum ReplayError {
         /// Why not.
         source: Box<PlaybackError>,
     },
-    /// The modules cannot be played to.
+    /// The bag cannot be played into the modules.
     #[error(transparent)]
     Playback(#[from] PlaybackError),
-    /// The core does not take the modules.
+    /// The modules cannot be added to the core.
     #[error(transparent)]
     Setup(#[from] SetupError),
 }
 
-/// Runs a robot's modules on a bag, as fast as they can, and compares what they publish with what the bag has.
+/// Runs the modules of a robot with the messages of a bag, as fast as possible, and compares what they
+/// publish with the bag.
 ///
 /// # Errors
-/// If the bag cannot be replayed. That the replay differs, or compared nothing, is no error: the report tells it, and
-/// [`ReplayReport::assert_same`] makes an error of it.
+/// Returns an error if the bag cannot be replayed. A replay that differs or compares nothing is not an error:
+/// the report contains it, and [`ReplayReport::assert_same`] turns it into an error.
 pub fn replay(
     file: RobotFile,
     reader: &Reader,

@@ -75,7 +75,7 @@ pub(super) fn detached(
         comparisons.interrupted(name);
         calls.interrupted(name);
     }
-    // An end that was not recorded publishes what is not in the bag, at the time of the last run.
+    // If the end was not recorded, what it publishes, at the time of the last run, is not in the bag.
     let is_recorded = |time: i64| steps.is_whole || time < steps.last.as_nanos();
     for replayed in captured.take() {
         if is_recorded(replayed.time) {
@@ -86,7 +86,7 @@ pub(super) fn detached(
     Ok(steps.count)
 }
 
-/// Adds the modules that are wanted to a core; those that drive a device with its recorded answers.
+/// Adds the wanted modules to a core. Modules that drive a device get its recorded answers.
 fn build(
     file: &RobotFile,
     reader: &Reader,
@@ -128,7 +128,7 @@ pub(super) struct Replayed {
     pub(super) cdr: Bytes,
 }
 
-/// The messages that were published and not taken yet.
+/// The captured messages that have not been taken yet.
 #[derive(Clone, Default)]
 struct Captured(Arc<Mutex<Contents>>);
 
@@ -139,7 +139,7 @@ struct Contents {
 }
 
 impl Captured {
-    /// Captures what the modules of a core publish on the topics that are wanted.
+    /// Captures what the modules of a core publish on the wanted topics.
     fn add(
         core: &mut Core,
         interfaces: &Interfaces,

@@ -44,45 +44,45 @@ pub use columns::{Cell, Column, ColumnKind, Columns, Survey};
 #[cfg(feature = "tables")]
 pub use parquet::ParquetTable;
 
-/// Reads the messages of a topic, in whatever encoding, by the definition that the bag has of them.
+/// Decodes the messages of a topic, in any encoding, with the definition in the bag.
 #[derive(Debug)]
 pub struct Decoder {
     message_type: DynamicType,
     json: Codec,
-    /// Where the messages are no CDR.
+    /// Set if the messages are not CDR.
     recorded: Option<RecordedType>,
 }
 
-/// Why messages cannot be read.
+/// Error while decoding messages.
 #[derive(Debug, thiserror::Error)]
 pub enum DecodeError {
-    /// The bag has no definition of the type, and there is none at hand.
+    /// Neither the bag nor the registry has a definition of the type.
     #[error("the bag has no definition of {type_name}, and {problem}")]
     Unknown {
         /// The type.
         type_name: String,
-        /// Where else it was looked for.
+        /// Why the registry has no definition.
         problem: String,
     },
-    /// The encoding is not read here.
+    /// The encoding is not supported.
     #[error(transparent)]
     Encoding(#[from] RecordedTypeError),
-    /// The definition is not understood.
+    /// The definition cannot be parsed.
     #[error(transparent)]
     Type(#[from] TypeError),
-    /// A message is not in its encoding.
+    /// A message is not valid in its encoding.
     #[error(transparent)]
     Message(#[from] encoding::Error),
-    /// A message is no CDR of its type.
+    /// A message is not valid CDR of its type.
     #[error(transparent)]
     Cdr(#[from] cdr::Error),
 }
 
 impl Decoder {
-    /// For the messages of a topic.
+    /// Creates a decoder for the messages of a topic.
     ///
     /// # Errors
-    /// If nothing says what they look like.
+    /// Returns an error if there is no definition of the type.
     pub fn of(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Self, DecodeError> {
         let info = &topic.info;
         let is_cdr = info.format.is_none();
@@ -111,10 +111,10 @@ impl Decoder {
         &self.message_type
     }
 
-    /// A message as JSON, as in a bag of that encoding.
+    /// Returns a message as JSON, in the form of a bag with the encoding JSON.
     ///
     /// # Errors
-    /// If the bytes are no such message.
+    /// Returns an error if the bytes are not a message of the type.
     pub fn to_json(&self, data: Bytes) -> Result<Vec<u8>, DecodeError> {
         Ok(self.json.encode(&self.to_cdr(data)?)?)
     }
@@ -122,7 +122,7 @@ impl Decoder {
     /// A message.
     ///
     /// # Errors
-    /// If the bytes are no such message.
+    /// Returns an error if the bytes are not a message of the type.
     pub fn decode(&self, data: Bytes) -> Result<DynamicMessage, DecodeError> {
         Ok(DynamicMessage::from_cdr(&self.message_type, &self.to_cdr(data)?)?)
     }
@@ -135,21 +135,21 @@ impl Decoder {
     }
 }
 
-/// How many elements of an array have a column each.
+/// The most elements of an array that have a column each.
 pub const MOST_ELEMENTS: usize = 1000;
 
-/// Where a leaf is: the number of the field, of the element, of the field in that, and so on.
+/// The place of a leaf: the index of the field, of the element, of the field in the element, and so on.
 type Place = Vec<usize>;
 
-/// A leaf: a scalar, or an array that is not taken apart.
+/// Visitor of leaves: scalars, and arrays that are not split into elements.
 trait Visit {
     fn leaf(&mut self, place: &[usize], path: &str, value: ValueRef<'_>);
 
-    /// Whether the array there has one column.
+    /// Returns whether the array at `place` has a single column.
     fn is_whole(&mut self, place: &[usize], array: &Array) -> bool;
 }
 
-/// Shows all leaves of a message, in the order of its fields.
+/// Visits all leaves of a message in the order of its fields.
 fn visit(message: MessageRef<'_>, visitor: &mut impl Visit) {
     Walk { place: Vec::new(), path: String::new(), visitor }.message(message);
 }

@@ -1,4 +1,5 @@
-//! The table of what was proven with which peer, made of what the tests note (`bridge/tests/common/matrix.rs`).
+//! Generates the table of features that were tested with each peer from the notes of the tests
+//! (`bridge/tests/common/matrix.rs`).
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -9,7 +10,7 @@ use serde::Deserialize;
 
 use crate::steps::workspace;
 
-/// The order of the headings; others follow by name.
+/// The order of the headings; all others follow by name.
 const HEADINGS: [&str; 14] = [
     "Selection",
     "Topics",
@@ -27,12 +28,12 @@ const HEADINGS: [&str; 14] = [
     BAG_FILES,
 ];
 
-/// Of bags there are other readers and writers.
+/// The heading for bags, which have other readers and writers.
 const BAG_FILES: &str = "Bag files";
 
 const PAGE: &str = "docs/ros2_matrix.md";
 
-/// The peers of a table, with their titles.
+/// Returns the peers of a table with their titles.
 fn columns(heading: &str) -> &'static [(&'static str, &'static str)] {
     match heading {
         BAG_FILES => &[
@@ -59,20 +60,20 @@ struct Check {
     with: String,
     way: String,
     passed: bool,
-    /// Why it cannot be done, where the test shows that.
+    /// The reason, if the test shows that it is not possible.
     limit: Option<String>,
-    /// This machine does not allow what the check needs.
+    /// True if this machine does not support the check.
     #[serde(default)]
     is_skipped: bool,
 }
 
-/// Where tests note their checks.
+/// The place in which tests store their notes.
 pub(crate) struct Notes {
     folder: PathBuf,
 }
 
 impl Notes {
-    /// An empty place.
+    /// Creates an empty place for notes.
     pub(crate) fn new() -> anyhow::Result<Self> {
         let folder = workspace().join("target/matrix");
         if folder.exists() {
@@ -86,10 +87,10 @@ impl Notes {
         &self.folder
     }
 
-    /// Prints the matrix.
+    /// Prints the matrix and compares it with the page in the documentation.
     ///
     /// # Errors
-    /// If it is not the page in the documentation.
+    /// Returns an error if it differs from the page in the documentation.
     pub(crate) fn compare(&self) -> anyhow::Result<()> {
         let checks = self.read()?;
         let skipped = checks.iter().filter(|check| check.is_skipped).count();
@@ -98,12 +99,15 @@ impl Notes {
         let made = self.folder.join("ros2_matrix.md");
         std::fs::write(&made, &found).with_context(|| made.display().to_string())?;
         if skipped > 0 {
-            println!("{PAGE} is not compared with it: {skipped} checks were skipped on this machine");
+            println!("{PAGE} was not compared: {skipped} checks were skipped on this machine");
             return Ok(());
         }
         let kept = std::fs::read_to_string(workspace().join(PAGE)).unwrap_or_default();
         if kept != found {
-            bail!("{PAGE} is not what the tests show; if that is right, copy {} there", made.display());
+            bail!(
+                "{PAGE} differs from the results of the tests; if the results are correct, copy {} there",
+                made.display()
+            );
         }
         Ok(())
     }
@@ -122,7 +126,7 @@ impl Notes {
     }
 }
 
-/// A feature's row: what became of it by peer and way.
+/// The row of a feature: its checks by peer and direction.
 type Row<'a> = BTreeMap<(&'a str, &'a str), &'a Check>;
 
 fn page(checks: &[Check]) -> String {
@@ -131,7 +135,7 @@ fn page(checks: &[Check]) -> String {
         let order = HEADINGS.iter().position(|heading| *heading == check.heading).unwrap_or(HEADINGS.len());
         let row = tables.entry((order, &check.heading)).or_default().entry(&check.feature).or_default();
         let cell = row.entry((&check.with, &check.way)).or_insert(check);
-        // Of several tests of one thing, one that failed counts.
+        // If there are several tests of a feature, one that failed takes precedence.
         if !check.passed {
             *cell = check;
         }

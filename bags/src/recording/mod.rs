@@ -40,7 +40,7 @@ pub struct RecordingStatistics {
     pub summary: RecordingSummary,
     /// Bytes waiting to be written or for a snapshot.
     pub queued_bytes: usize,
-    /// Whether what comes in is passed over.
+    /// Whether messages are ignored.
     pub is_paused: bool,
     /// Whether the last chunk was dropped because the disk was full.
     pub is_disk_full: bool,
@@ -118,7 +118,7 @@ impl Recording {
     /// Starts the thread. At most `queue_bytes` are queued for writing.
     ///
     /// # Errors
-    /// If the thread cannot be started.
+    /// Returns an error if the thread cannot be started.
     pub fn start(writer: Writer, queue_bytes: usize) -> io::Result<Self> {
         Self::start_with(writer, &RecordingOptions::new().cache_bytes(queue_bytes))
     }
@@ -126,7 +126,7 @@ impl Recording {
     /// Starts the thread.
     ///
     /// # Errors
-    /// If the thread cannot be started.
+    /// Returns an error if the thread cannot be started.
     pub fn start_with(writer: Writer, options: &RecordingOptions) -> io::Result<Self> {
         let topics = writer.topics().map(|info| QueuedTopic {
             name: info.name.clone(),
@@ -165,7 +165,8 @@ impl Recording {
     /// Writes queued messages and finishes the bag. Senders reject further messages.
     ///
     /// # Errors
-    /// If writing failed, now or earlier; the error contains the summary of what was recorded.
+    /// Returns an error if writing failed, now or earlier; the error contains the summary of what was
+    /// recorded.
     pub fn finish(mut self) -> Result<RecordingSummary, RecordingFailed> {
         self.end().unwrap_or_else(|| Ok(self.statistics().summary))
     }
@@ -207,7 +208,7 @@ impl RecordingSender {
     /// Adds a topic, at any time. Adding it again with the same type returns the existing id.
     ///
     /// # Errors
-    /// If the bag contains the topic with another type, or recording has ended.
+    /// Returns an error if the bag contains the topic with another type, or recording has ended.
     pub fn add_topic(&self, info: TopicDescription) -> Result<TopicId, RecordError> {
         self.shared.queue.add_topic(info)
     }
@@ -215,7 +216,7 @@ impl RecordingSender {
     /// Queues a message without ever waiting for the disk. For the arguments see [`Writer::write`].
     ///
     /// # Errors
-    /// If the queue is full or recording has ended; the message is counted as lost.
+    /// Returns an error if the queue is full or recording has ended; the message is counted as lost.
     pub fn record(
         &self,
         topic: TopicId,
@@ -229,7 +230,7 @@ impl RecordingSender {
     /// Queues a message and waits for room in the queue if there is none.
     ///
     /// # Errors
-    /// If recording has ended; the message is counted as lost.
+    /// Returns an error if recording has ended; the message is counted as lost.
     pub fn record_blocking(
         &self,
         topic: TopicId,
@@ -342,8 +343,8 @@ fn write(writer: &mut Writer, item: Item) -> Result<(), WriterError> {
         Item::Message { topic, log_time, publish_time, data } => {
             writer.write(topic, log_time, publish_time, &data)
         }
-        Item::Split(done) => writer.split().map(|split| done.tell(Ok(split))),
-        Item::Flush(done) => writer.flush().map(|()| done.tell(Ok(()))),
+        Item::Split(done) => writer.split().map(|split| done.send_result(Ok(split))),
+        Item::Flush(done) => writer.flush().map(|()| done.send_result(Ok(()))),
     }
 }
 

@@ -120,8 +120,8 @@ impl Writer {
     /// Adds a topic. Adding it again with the same type returns the existing id.
     ///
     /// # Errors
-    /// If the bag contains the topic with another type, the storage cannot represent the topic, or recording
-    /// has stopped.
+    /// Returns an error if the bag contains the topic with another type, the storage cannot represent the
+    /// topic, or recording has stopped.
     pub fn add_topic(&mut self, info: TopicDescription) -> Result<TopicId, WriterError> {
         self.check_recording()?;
         if let Some(index) = self.topics.iter().position(|topic| topic.info.name == info.name) {
@@ -154,8 +154,8 @@ impl Writer {
     /// only.
     ///
     /// # Errors
-    /// If the topic does not belong to this writer, a time is negative, writing fails, or recording has
-    /// stopped.
+    /// Returns an error if the topic does not belong to this writer, a time is negative, writing fails, or
+    /// recording has stopped.
     pub fn write(
         &mut self,
         topic: TopicId,
@@ -169,7 +169,7 @@ impl Writer {
     /// Passes the open chunk to the operating system now.
     ///
     /// # Errors
-    /// If writing fails, or recording has stopped.
+    /// Returns an error if writing fails, or recording has stopped.
     pub fn flush(&mut self) -> Result<(), WriterError> {
         self.flush_at(Instant::now())
     }
@@ -178,7 +178,7 @@ impl Writer {
     /// the open chunk may still wait, `None` if there is none, as a time-out for waiting threads.
     ///
     /// # Errors
-    /// If writing fails, or recording has stopped.
+    /// Returns an error if writing fails, or recording has stopped.
     pub fn flush_if_due(&mut self) -> Result<Option<Duration>, WriterError> {
         let now = Instant::now();
         let Some(since) = self.open_since else { return Ok(None) };
@@ -193,7 +193,7 @@ impl Writer {
     /// Continues in a new file.
     ///
     /// # Errors
-    /// If the new file cannot be created, writing fails, or recording has stopped.
+    /// Returns an error if the new file cannot be created, writing fails, or recording has stopped.
     pub fn split(&mut self) -> Result<FileSplit, WriterError> {
         self.split_at(Instant::now())
     }
@@ -226,7 +226,7 @@ impl Writer {
     /// summary of what was recorded.
     ///
     /// # Errors
-    /// If writing the end fails; messages written before are kept.
+    /// Returns an error if writing the end fails; messages written before are kept.
     pub fn finish(mut self) -> Result<RecordingSummary, WriterError> {
         self.close()?;
         Ok(self.summary())

@@ -171,7 +171,7 @@ pub struct Sequence<'a, V> {
 }
 
 impl<'a, V: FromReader<'a>> Sequence<'a, V> {
-    /// How many elements there are.
+    /// The number of elements.
     #[inline]
     #[must_use]
     pub fn len(&self) -> usize {
@@ -228,7 +228,7 @@ impl<'a, V: FromReader<'a>> FromReader<'a> for Sequence<'a, V> {
 
 /// A sequence, to which a bound applies.
 pub trait Count {
-    /// How many elements there are.
+    /// The number of elements.
     fn count(&self) -> usize;
 }
 

@@ -60,7 +60,7 @@ fn of_kind(names: &[TypeName], kind: Kind) -> impl Iterator<Item = &TypeName> {
 /// `share` if it is an ament prefix, otherwise those directly in it.
 ///
 /// # Errors
-/// If the path cannot be read, or there is no package.
+/// Returns an error if the path cannot be read, or there is no package.
 pub(super) fn packages_at(path: &Path) -> anyhow::Result<Vec<PathBuf>> {
     if is_package(path) {
         // Its last component is the package's name, so `.` and `..` must be resolved.
@@ -83,7 +83,7 @@ pub(super) fn packages_at(path: &Path) -> anyhow::Result<Vec<PathBuf>> {
 /// prefixes are ignored.
 ///
 /// # Errors
-/// If a prefix cannot be read.
+/// Returns an error if a prefix cannot be read.
 pub(super) fn ament_packages() -> anyhow::Result<Vec<PathBuf>> {
     let Some(prefixes) = std::env::var_os("AMENT_PREFIX_PATH") else { return Ok(Vec::new()) };
     let mut packages = Vec::new();

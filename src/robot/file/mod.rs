@@ -196,12 +196,12 @@ fn identifier(value: Value<'_>) -> Result<String> {
     )))
 }
 
-/// How a bag of the robot is replayed, unless the command line says otherwise.
+/// Default options for replaying a bag of the robot; the command line overrides them.
 #[derive(Clone, Debug, Default)]
 pub struct ReplaySection {
-    /// Only these modules; empty for all that can be.
+    /// The modules to replay; empty for all that can be replayed.
     pub modules: Vec<String>,
-    /// How exactly what they publish is compared.
+    /// Rules for comparing the fields of what they publish.
     pub rules: Vec<FieldRule>,
     /// Topics that are not compared.
     pub except: Vec<TopicPattern>,

@@ -1,4 +1,4 @@
-//! `[record]`: what a recording holds, and how it is written.
+//! `[record]`: what is recorded and how it is written.
 
 use std::num::NonZeroUsize;
 
@@ -12,19 +12,19 @@ use downbeat_msgs::encoding::Encoding;
 use super::table::{Table, Value};
 use super::{Result, choice};
 
-/// What a recording holds, and how it is written.
+/// What is recorded and how it is written.
 #[derive(Clone)]
 pub struct RecordEntry {
     pub(crate) line: usize,
-    /// The topics by name or pattern, or nothing for all of them.
+    /// Names or patterns of the recorded topics; `None` for all topics.
     pub topics: Option<Vec<String>>,
-    /// What `topics` does not mean, by name or pattern.
+    /// Names or patterns of topics that are excluded.
     pub except: Vec<String>,
-    /// Only topics of these types, if any are named.
+    /// If not empty, only topics of these types are recorded.
     pub types: Vec<String>,
-    /// Only topics that these modules publish, if any are named.
+    /// If not empty, only topics that these modules publish are recorded.
     pub modules: Vec<String>,
-    /// Only topics that are exposed, or only those that are not; nothing for both.
+    /// Records only exposed topics, or only topics that are not exposed; `None` for both.
     pub exposed: Option<bool>,
     /// How it is written.
     pub options: RecordOptions,
@@ -33,7 +33,7 @@ pub struct RecordEntry {
 /// How a recording is written: what `[record]` of a robot file and the command line set.
 #[derive(Clone, Debug, Default)]
 pub struct RecordOptions {
-    /// How its messages are serialised.
+    /// The serialisation format of the messages.
     pub encoding: Encoding,
     /// How its files are written.
     pub writer: WriterOptions,
@@ -56,13 +56,13 @@ impl Default for RecordEntry {
 }
 
 impl RecordOptions {
-    /// Why the storage cannot hold messages in that encoding, if it cannot.
+    /// Returns the reason if the storage cannot contain messages in the encoding.
     #[must_use]
     pub fn refusal(&self) -> Option<String> {
         let is_refused = self.writer.storage.storage() == Storage::Sqlite3 && self.encoding != Encoding::Cdr;
         is_refused.then(|| {
             let encoding = self.encoding;
-            format!("the storage sqlite3 has no place for the encoding {encoding}: record it as cdr, or in the storage mcap")
+            format!("the storage sqlite3 does not support the encoding {encoding}: record as cdr, or in the storage mcap")
         })
     }
 
@@ -75,7 +75,7 @@ impl RecordOptions {
     }
 }
 
-/// The least that a chunk may hold.
+/// The smallest size of a chunk.
 const LEAST_CHUNK: i64 = 1024;
 
 pub(super) fn record(value: Value<'_>) -> Result<RecordEntry> {
@@ -141,7 +141,7 @@ fn options(table: &mut Table<'_>, encoding: Option<Value<'_>>) -> Result<RecordO
     Ok(options)
 }
 
-/// `storage` and `preset`, and what stands over them.
+/// Reads `storage`, `preset` and the keys that override a preset.
 fn storage(table: &mut Table<'_>) -> Result<StorageOptions> {
     let mut options = match table.take("storage") {
         Some(value) => {
@@ -170,7 +170,7 @@ fn bytes<N: TryFrom<i64>>(value: Value<'_>) -> Result<N> {
     value.number_in(LEAST_CHUNK..=i64::MAX, "a number of bytes, 1024 or more")
 }
 
-/// A name, or a pattern that is one.
+/// Reads a name or a valid pattern.
 fn pattern(value: Value<'_>) -> Result<String> {
     let text = value.text()?;
     TopicPattern::new(text).map_err(|error| value.error(error.to_string()))?;

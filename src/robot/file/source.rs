@@ -88,7 +88,7 @@ pub(crate) fn toml_string(text: &str) -> String {
     format!("\"{}\"", text.chars().map(escape).collect::<String>())
 }
 
-/// The value of a setting and where it was given.
+/// The value of a setting with the place at which it was given.
 #[derive(Clone)]
 pub(crate) struct Given {
     pub(crate) place: Place,
@@ -106,7 +106,7 @@ pub(crate) enum Place {
     Argument(String),
 }
 
-/// A value in a parameter file, by the keys that lead to it.
+/// A value in a parameter file, identified by the keys that lead to it.
 #[derive(Clone)]
 pub(crate) struct ParameterPlace {
     pub(crate) source: Arc<Source>,
@@ -114,7 +114,7 @@ pub(crate) struct ParameterPlace {
 }
 
 impl RobotFile {
-    /// An error that points to a place.
+    /// Creates an error that points to a place.
     pub(crate) fn error_at(&self, place: &Place, problem: impl Into<String>) -> RobotFileError {
         match place {
             Place::Line(line) => self.source.error(*line, problem),

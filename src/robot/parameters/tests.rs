@@ -178,7 +178,7 @@ fn what_no_setting_holds_is_refused() {
     for (text, problem) in [
         ("~", "found nothing"),
         ("[1, a]", "of numbers only, of texts only"),
-        ("[true, 1]", "or of truth values only"),
+        ("[true, 1]", "or of booleans only"),
         ("18446744073709551615", "64 bits"),
         ("!x 3", "with a tag"),
     ] {

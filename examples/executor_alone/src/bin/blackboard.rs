@@ -1,8 +1,8 @@
-//! A mechanism of one's own: a blackboard, on which all modules read and write values by name.
+//! A custom mechanism: a blackboard on which all modules read and write values by name.
 //!
-//! Modules look at the board while they run, all at the same one, without a lock. What they write waits until they
-//! have run; then the mechanism writes it, in the order of registration of the modules, so that every launcher gives
-//! the same board. Who leaves takes along what it wrote.
+//! While modules run they all read the same board, without a lock. Their writes are queued until all modules
+//! have run; then the mechanism applies them in the order of registration of the modules, so that every
+//! launcher gives the same board. When a module is removed, its entries are removed as well.
 //!
 //! ```sh
 //! cargo run --bin blackboard
@@ -21,7 +21,7 @@ use downbeat_executor::{
 /// The mechanism.
 struct Blackboard;
 
-/// What a module asks to have written.
+/// A value that a module has written and that is not applied yet.
 struct Entry {
     name: &'static str,
     value: f64,
@@ -65,7 +65,7 @@ impl Mechanism for Blackboard {
 
 const PERIOD: Duration = Duration::from_millis(8);
 
-/// Writes how warm a motor is: a little warmer each time. Leaves when it is hot.
+/// Writes the temperature of a motor, which rises in each run. Leaves when the motor is hot.
 struct Motor {
     temperature: f64,
 }
@@ -89,7 +89,7 @@ impl Motor {
     }
 }
 
-/// Switches the fan by what the board says of the temperature.
+/// Switches the fan according to the temperature on the board.
 struct Fan {
     heard: Sender<String>,
 }
@@ -109,7 +109,7 @@ impl Module for Fan {
     }
 }
 
-/// What the fan has seen and done in seven periods, and at the end.
+/// Returns what the fan has read and done in seven periods and at the end.
 fn run(launcher: impl Launcher + 'static) -> Result<Vec<String>, Box<dyn Error>> {
     let clock = ManualClock::new(Time::ZERO);
     let mut core = Core::new().with_launcher(launcher).with_clock(clock.clone()).with_mechanism(Blackboard);
@@ -129,7 +129,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     for line in &log {
         println!("{line}");
     }
-    // What the fan does the motor sees one period later. The hot motor leaves, and its entry with it.
+    // The motor sees what the fan does one period later. The hot motor leaves, and its entry is removed with
+    // it.
     let expected = [
         "no motor, fan off",
         "25 °C, fan off",

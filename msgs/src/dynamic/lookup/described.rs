@@ -147,7 +147,7 @@ impl Schemas {
     /// of a service's events. It replaces an existing one.
     ///
     /// # Errors
-    /// If the name, the encoding or the text is invalid.
+    /// Returns an error if the name, the encoding or the text is invalid.
     pub fn add(&mut self, name: &str, encoding: &str, text: &str) -> Result<(), Error> {
         let name: TypeName = name.parse()?;
         let catalog = catalog_of(&name, encoding, text, &format!("{}, {name}", self.description))?;

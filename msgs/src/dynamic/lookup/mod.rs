@@ -59,7 +59,7 @@ pub trait DefinitionSource: Send + Sync {
     /// Looks up one type.
     ///
     /// # Errors
-    /// If there is a definition but it cannot be read. Then no other source is searched.
+    /// Returns an error if there is a definition but it cannot be read. Then no other source is searched.
     fn find(&self, name: &TypeName) -> Result<Found<'_>, DefinitionError>;
 }
 
@@ -134,8 +134,8 @@ impl Definitions {
     /// compiles the type again.
     ///
     /// # Errors
-    /// If no source has it or a type it refers to; the error lists what was found where. Also if it cannot be
-    /// used.
+    /// Returns an error if no source has it or a type it refers to; the error lists what was found where.
+    /// Also if it cannot be used.
     pub fn find(&self, name: &str) -> Result<DynamicType, TypeLookupError> {
         let (name, place, catalog) = self.gather(name)?;
         DynamicType::new(&catalog, &name).map_err(|problem| unusable(&name, &place, problem))

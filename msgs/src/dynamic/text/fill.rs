@@ -329,7 +329,7 @@ impl Stamps {
     /// Sets all of them to this value.
     ///
     /// # Errors
-    /// If the message has a different type than the filled one.
+    /// Returns an error if the message has a different type than the filled one.
     pub fn set(&self, message: &mut DynamicMessage, time: Time) -> Result<(), FieldError> {
         for path in &self.paths {
             message.set(&format!("{path}.sec"), time.sec)?;
