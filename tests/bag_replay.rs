@@ -107,7 +107,7 @@ fn a_recorded_robot_repeats_bit_for_bit_under_every_launcher() {
         assert!(compared(&report, "/diagnostics") > 0, "which the process also publishes: {report}");
         assert_eq!(report["left_out"][0]["module"], "emulator");
     }
-    let printed = told(&replayed(&robot, &bag, &[]));
+    let printed = output_text(&replayed(&robot, &bag, &[]));
     assert!(printed.contains("motion, mux in") && printed.contains("hardware in"), "{printed}");
 }
 
@@ -164,7 +164,7 @@ fn extra_and_missing_messages_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag) = recorded_until("/battery_state", 2, folder.path(), |text| text);
     let shorter = altered(&bag, "/battery_state", |number, data| (number == 0).then_some(data));
-    let printed = told(&replayed(&robot, &shorter, &["--modules", "hardware"]));
+    let printed = output_text(&replayed(&robot, &shorter, &["--modules", "hardware"]));
     assert!(printed.contains("/battery_state message 1\n    recorded not at all\n"), "{printed}");
     std::fs::remove_dir_all(&shorter).unwrap();
     let last = Reader::open(&bag).unwrap();
@@ -183,7 +183,7 @@ fn another_setting_leads_to_another_run() {
     assert!(!output.status.success() && printed.contains("/motion/joint_commands message "), "{printed}");
     assert!(printed.contains("position["), "{printed}");
     let only = report(&robot, &bag, &["-p", "motion.stand_s:=1.0", "--modules", "mux", "hardware"]);
-    assert_eq!(only["modules"], json!(["mux"]), "the others ran on what was recorded: {only}");
+    assert_eq!(only["modules"], json!(["mux"]), "the messages of the others were input: {only}");
 }
 
 #[test]
@@ -230,7 +230,7 @@ fn settings_changed_while_the_robot_ran_change_again() {
         assert_eq!(report["different"], 0, "{launcher}: {report}");
     }
     let without = altered(&bag, "/module_settings", |_, _| None);
-    let printed = told(&replayed(&robot, &without, &[]));
+    let printed = output_text(&replayed(&robot, &without, &[]));
     for topic in ["/motion/joint_commands", "/bus/exchanges"] {
         let line = printed.lines().find(|line| line.contains(topic)).unwrap();
         assert!(!line.trim_end().ends_with(" 0"), "{printed}");
@@ -283,7 +283,7 @@ fn topics_that_were_not_compared_are_listed_with_the_reason() {
     assert_eq!(reason_of(&report, "/motion/joint_commands"), "published by motion, which was not chosen");
     assert_eq!(reason_of(&report, "/joint_states"), "excluded");
     assert_eq!(reason_of(&report, "/cycle_times"), "the recording's own account of the run");
-    let printed = told(&replayed(&robot, &bag, &["--modules", "mux"]));
+    let printed = output_text(&replayed(&robot, &bag, &["--modules", "mux"]));
     assert!(
         printed.contains("not compared:") && printed.contains("motion, which was not chosen"),
         "{printed}"
@@ -307,9 +307,9 @@ fn topics_of_a_module_that_is_left_out_fail_a_strict_replay() {
     let without = "[record]\nexcept = [\"bus/exchanges\", \"module_events\"]";
     let (robot, bag) = recorded(folder.path(), |text| text.replace("[record]", without));
     let lax = replayed(&robot, &bag, &[]);
-    assert!(lax.status.success(), "{}", told(&lax));
+    assert!(lax.status.success(), "{}", output_text(&lax));
     let strict = replayed(&robot, &bag, &["--strict"]);
-    let printed = told(&strict);
+    let printed = output_text(&strict);
     assert_eq!(strict.status.code(), Some(1), "{printed}");
     for expected in [
         "not hardware: it drives a device, and the bag has no /bus/exchanges with the device's answers",
@@ -329,14 +329,14 @@ fn a_topic_that_the_bag_lacks_is_listed_and_fails_a_strict_replay() {
     });
     let motion =
         |options: &[&str]| replayed(&robot, &bag, &[&["--modules", "motion", "mux"], options].concat());
-    let lenient = told(&motion(&[]));
+    let lenient = output_text(&motion(&[]));
     assert!(lenient.contains("published by motion, but the bag lacks the topic"), "{lenient}");
     let strict = motion(&["--strict"]);
-    let printed = told(&strict);
+    let printed = output_text(&strict);
     assert_eq!(strict.status.code(), Some(1), "{printed}");
     assert!(printed.contains("not all topics of the replayed modules were compared: /motion/"), "{printed}");
     let excepted = motion(&["--strict", "--except", "motion/joint_commands"]);
-    assert!(excepted.status.success(), "{}", told(&excepted));
+    assert!(excepted.status.success(), "{}", output_text(&excepted));
     let section = "\n[replay]\nexcept = [\"motion/*\"]\n";
     std::fs::write(&robot, std::fs::read_to_string(&robot).unwrap() + section).unwrap();
     assert!(motion(&["--strict"]).status.success(), "as [replay] says");
@@ -348,13 +348,13 @@ fn modules_that_cannot_be_replayed_are_reported_with_the_reason() {
     let (robot, bag) = recorded_until("/joint_goals", 1, folder.path(), |text| {
         text.replace("topics = \"all\"", "topics = [\"joint_goals\", \"cycle_times\"]")
     });
-    let printed = told(&replayed(&robot, &bag, &["--modules", "hardware"]));
+    let printed = output_text(&replayed(&robot, &bag, &["--modules", "hardware"]));
     assert!(
         printed.contains("\"hardware\" cannot be replayed") && printed.contains("/bus/exchanges"),
         "{printed}"
     );
-    let printed = told(&replayed(&robot, &bag, &["--modules", "legs"]));
+    let printed = output_text(&replayed(&robot, &bag, &["--modules", "legs"]));
     assert!(printed.contains("no module \"legs\"; it has emulator, hardware, motion, mux"), "{printed}");
-    let printed = told(&replayed(&robot, &bag, &["--modules", "motion"]));
+    let printed = output_text(&replayed(&robot, &bag, &["--modules", "motion"]));
     assert!(printed.contains("no topic that motion publish"), "{printed}");
 }

@@ -26,10 +26,13 @@ fn duckdb_reads_the_values_that_rosbags_decodes() {
     for format in ["csv", "jsonl", "parquet"] {
         let output = folder.path().join(format);
         let topics = ["--topics", "joint_states", "bus/exchanges"];
-        let told = text_of(
+        let printed = text_of(
             &[&["bag", "export", text(&bag), "-f", format, "-o", text(&output)], &topics[..]].concat(),
         );
-        assert!(told.contains(&format!("/joint_states: {} messages", count("/joint_states"))), "{told}");
+        assert!(
+            printed.contains(&format!("/joint_states: {} messages", count("/joint_states"))),
+            "{printed}"
+        );
         for file in std::fs::read_dir(&output).unwrap() {
             let file = file.unwrap();
             std::fs::rename(file.path(), tables.join(file.file_name())).unwrap();

@@ -151,7 +151,7 @@ fn a_robot_runs_with_all_options_for_its_modules() {
             + "\n[launcher]\nkind = \"threads\"\nspin = \"never\"\nidle = \"park\"\n"
     };
     let (robot, bag) = (robot_file(folder.path(), ways), folder.path().join("bag"));
-    assert!(text_of(&["check", text(&robot)]).contains("each module on a thread of its own"));
+    assert!(text_of(&["check", text(&robot)]).contains("each module on its own thread"));
     let arguments = ["run", text(&robot), "--domain", "83", "--record", text(&bag)];
     let output = record_until(&arguments, &bag, "/joint_states", 100);
     assert!(output.contains("lost 0"), "{output}");
@@ -224,7 +224,7 @@ fn a_separate_emulated_robot_is_driven_over_its_port_and_its_faults_are_reported
     let mut arguments = vec!["emulate", "darwin_op", "--link", text(&port)];
     arguments.extend(faults);
     let mut emulator = Running::start(&arguments);
-    wait_until("the port is there", || port.exists());
+    wait_until("the port exists", || port.exists());
     let serial = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/darwin_op_serial.toml");
     let robot = folder.path().join("robot.toml");
     let file = std::fs::read_to_string(serial).unwrap().replace("/dev/ttyUSB0", text(&port));
@@ -234,7 +234,7 @@ fn a_separate_emulated_robot_is_driven_over_its_port_and_its_faults_are_reported
     running.wait_for_output("servo 5 (r_el) does not answer");
     running.wait_for_output("servo 5 (r_el) is back");
     running.wait_for_output("lost the serial port");
-    wait_until("joint states come over the port again", || has_joint_states_of_a_second_opening(&bag));
+    wait_until("joint states arrive over the port again", || has_joint_states_of_a_second_opening(&bag));
     running.interrupt();
     emulator.interrupt();
     assert!(!port.exists(), "the link is removed");

@@ -67,7 +67,7 @@ fn two_robots_in_namespaces_with_several_nodes_share_a_domain() {
     assert!(!peer.take("/robot2/joint_states", 1).is_empty());
     assert!(publishers(&mut peer, "/joint_states").is_empty());
     robots[0].interrupt();
-    wait_until("the first robot is gone with its nodes, the second is there", || {
+    wait_until("the first robot and its nodes have disappeared, the second is present", || {
         let nodes = nodes(&mut peer);
         !nodes.iter().any(|node| node.starts_with("/robot1/"))
             && nodes.iter().any(|node| node == "/robot2/imu_driver")
@@ -148,7 +148,7 @@ fn endpoints_come_and_go_in_rclpy_while_the_robot_runs() {
     ];
     let (is_added, text) = expose(&add, "darwin_op", folder.path());
     assert!(is_added && text.contains("added imu/data_raw") && text.contains("/sensors/data_raw"), "{text}");
-    wait_until("what was added is listed", || {
+    wait_until("the added endpoints are listed", || {
         publishers(&mut peer, "/sensors/data_raw")
             == [("/darwin_op".to_owned(), "BEST_EFFORT".to_owned(), "VOLATILE".to_owned())]
     });
@@ -163,7 +163,7 @@ fn endpoints_come_and_go_in_rclpy_while_the_robot_runs() {
 
     let (is_removed, text) = expose(&["remove", "/sensors/**"], "darwin_op", folder.path());
     assert!(is_removed && text.contains("removed imu/data_raw"), "{text}");
-    wait_until("what was removed is gone from its node", || {
+    wait_until("the removed endpoints have disappeared from the node", || {
         let published = peer.ask(json!({"do": "published_by", "node": "darwin_op"}));
         published.get("/sensors/data_raw").is_none() && published.get("/joint_states").is_some()
     });
@@ -233,7 +233,7 @@ fn rclpy_changes_what_is_exposed_by_a_service_of_the_node() {
         assert!(!is_done && reason.contains(problem), "{parameters:?}: {reason}");
     }
     assert!(change(&mut peer, &[("remove", text("/sensors/**"))]).0);
-    wait_until("what was taken back is gone from its node", || {
+    wait_until("the removed endpoints have disappeared from the node", || {
         let published = peer.ask(json!({"do": "published_by", "node": "darwin_op"}));
         published.get("/sensors/data_raw").is_none() && published.get("/joint_states").is_some()
     });

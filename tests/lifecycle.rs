@@ -46,7 +46,7 @@ fn rclpy_deactivates_and_activates_the_motion_of_the_demo() {
     let request = json!({"levels": [{"name": "motion", "level": 10}]});
     peer.ask(json!({"do": "call", "service": levels, "requests": [request]}));
     set(&mut peer, "deactivate", "inactive");
-    wait_until("rclpy hears it in the log of the node", || {
+    wait_until("rclpy receives it in the log of the node", || {
         let lines = peer.ask(json!({"do": "take", "topic": "/rosout"}));
         let lines = lines.as_array().unwrap().iter().map(|line| &line["fields"]);
         let is_it = |line: &serde_json::Value| {

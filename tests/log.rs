@@ -132,13 +132,13 @@ fn rclpy_reads_and_sets_the_levels_of_loggers_of_a_running_robot() {
     expose(&["add", "out", "joint_goals", "--as", "quietly"]);
     assert_eq!(set(&mut peer, 20), accepted);
     expose(&["add", "out", "joint_goals", "--as", "aloud"]);
-    let mut told = Vec::new();
+    let mut lines_seen = Vec::new();
     wait_until("rclpy receives what is logged at the new level", || {
         let lines = peer.ask(json!({"do": "take", "topic": "/rosout"}));
-        told.extend(lines.as_array().unwrap().iter().map(|line| line["fields"]["msg"].to_string()));
-        told.iter().any(|line| line.contains("/aloud"))
+        lines_seen.extend(lines.as_array().unwrap().iter().map(|line| line["fields"]["msg"].to_string()));
+        lines_seen.iter().any(|line| line.contains("/aloud"))
     });
-    assert!(!told.iter().any(|line| line.contains("/quietly")), "{told:?}");
+    assert!(!lines_seen.iter().any(|line| line.contains("/quietly")), "{lines_seen:?}");
     running.wait_for_output("exposed while running: /aloud");
     assert!(!running.output().contains("/quietly"));
     assert_eq!(set(&mut peer, 15)["successful"], false);

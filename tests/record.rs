@@ -105,8 +105,8 @@ fn without_a_selection_it_prints_what_ros2_bag_record_prints() {
     ] {
         let folder = tempfile::tempdir().unwrap();
         let output = downbeat(arguments).args(["--domain", "195"]).current_dir(&folder).output().unwrap();
-        let told = String::from_utf8(output.stderr).unwrap();
-        assert!(!output.status.success() && told.contains(words), "{arguments:?}: {told}");
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert!(!output.status.success() && error.contains(words), "{arguments:?}: {error}");
     }
 }
 
@@ -415,7 +415,7 @@ fn a_robot_file_selects_what_is_recorded_and_check_prints_it() {
         ("max_bag_size = 10", "1024 or more"),
         ("disk_full = \"explode\"", "unknown choice"),
     ] {
-        let told = record(keys);
-        assert!(told.contains(problem), "{told}");
+        let error = record(keys);
+        assert!(error.contains(problem), "{error}");
     }
 }

@@ -174,7 +174,7 @@ fn a_suspended_robot_is_available_again_with_all_endpoints() {
     let has_joint_states =
         |peer: &mut Peer| peer.ask(json!({"do": "take", "topic": "/joint_states"})) != json!([]);
     let is_heard = |peer: &mut Peer| peer.ask(json!({"do": "matched", "topic": "/joint_commands"})) == 1;
-    wait_until("the robot is there", || has_joint_states(&mut peer) && is_heard(&mut peer));
+    wait_until("the robot is available", || has_joint_states(&mut peer) && is_heard(&mut peer));
 
     robot.signal("-STOP");
     // Everything sent before has arrived when nothing more arrives.

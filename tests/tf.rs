@@ -121,7 +121,7 @@ fn transforms_of_peer_are_looked_up_by_a_module_and_those_of_the_module_arrive()
     core.add("finder", Finder::default()).unwrap();
     let remaps = ["tf", "tf_static"].map(|topic| (topic.to_owned(), format!("own/{topic}")));
     let options = ModuleOptions { remaps: remaps.into(), ..ModuleOptions::default() };
-    core.add_with("teller", Broadcaster, options).unwrap();
+    core.add_with("broadcaster", Broadcaster, options).unwrap();
     let options =
         ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(148) };
     let participant = Participant::join(&options).unwrap();

@@ -304,10 +304,10 @@ impl Iterator for Merged {
 /// Returns an error if there are no files, or they cannot be read, or metadata.yaml cannot be written.
 pub fn reindex(directory: &Path) -> Result<Metadata, CopyError> {
     let reader = Reader::open_files_of(directory)?;
-    let told = Metadata::read(&directory.join(metadata::FILE_NAME)).ok();
-    let told = told.as_ref().or(reader.metadata());
+    let recorded = Metadata::read(&directory.join(metadata::FILE_NAME)).ok();
+    let recorded = recorded.as_ref().or(reader.metadata());
     let is_packed = reader.files().any(|path| path.extension().is_some_and(|ending| ending == "zstd"));
-    let mode = match told.map(|told| told.compression_mode.as_str()) {
+    let mode = match recorded.map(|recorded| recorded.compression_mode.as_str()) {
         Some(mode) if mode.eq_ignore_ascii_case("message") => mode.to_owned(),
         _ if is_packed => "FILE".to_owned(),
         _ => String::new(),
@@ -326,7 +326,7 @@ pub fn reindex(directory: &Path) -> Result<Metadata, CopyError> {
                 name: topic.info.name.clone(),
                 type_name: topic.info.type_name.clone(),
                 serialization_format: topic.serialization_format.clone(),
-                offered_qos: offered_qos(topic, told),
+                offered_qos: offered_qos(topic, recorded),
                 type_hash: topic.info.type_hash.clone(),
                 message_count: topic.message_count,
             })
@@ -335,8 +335,8 @@ pub fn reindex(directory: &Path) -> Result<Metadata, CopyError> {
         compression_mode: mode,
         relative_file_paths: files.iter().map(|file| file.path.clone()).collect(),
         files,
-        custom_data: told.map(|told| told.custom_data.clone()).unwrap_or_default(),
-        ros_distro: told.map(|told| told.ros_distro.clone()).unwrap_or_default(),
+        custom_data: recorded.map(|recorded| recorded.custom_data.clone()).unwrap_or_default(),
+        ros_distro: recorded.map(|recorded| recorded.ros_distro.clone()).unwrap_or_default(),
     };
     let path = directory.join(metadata::FILE_NAME);
     metadata
@@ -346,8 +346,9 @@ pub fn reindex(directory: &Path) -> Result<Metadata, CopyError> {
 }
 
 /// The profiles in the old metadata, which can contain more than one in the file, or else those in the file.
-fn offered_qos(topic: &RecordedTopic, told: Option<&Metadata>) -> Vec<RecordedQos> {
-    let topics = told.map(|told| told.topics.as_slice()).unwrap_or_default();
-    let told = topics.iter().find(|told| told.name == topic.info.name && !told.offered_qos.is_empty());
-    told.map_or(&topic.info.offered_qos, |told| &told.offered_qos).clone()
+fn offered_qos(topic: &RecordedTopic, recorded: Option<&Metadata>) -> Vec<RecordedQos> {
+    let topics = recorded.map(|recorded| recorded.topics.as_slice()).unwrap_or_default();
+    let recorded =
+        topics.iter().find(|recorded| recorded.name == topic.info.name && !recorded.offered_qos.is_empty());
+    recorded.map_or(&topic.info.offered_qos, |recorded| &recorded.offered_qos).clone()
 }

@@ -50,15 +50,15 @@ fn check(target: &str, run: fn(&[u8])) {
 
 /// A copy with one to four bytes changed, removed, inserted or truncated.
 fn changed(seed: &[u8], random: &mut Random) -> Vec<u8> {
-    const TELLING: [u8; 8] = [0, 1, 0x7F, 0x80, 0xFF, b'\n', b'[', b'='];
+    const SPECIAL: [u8; 8] = [0, 1, 0x7F, 0x80, 0xFF, b'\n', b'[', b'='];
     let mut bytes = seed.to_vec();
     for _ in 0..=random.below(4) {
-        let (place, telling) = (random.below(bytes.len()), *random.choose(&TELLING));
+        let (place, special) = (random.below(bytes.len()), *random.choose(&SPECIAL));
         match random.below(5) {
-            0 if !bytes.is_empty() => bytes[place] = telling,
+            0 if !bytes.is_empty() => bytes[place] = special,
             1 if !bytes.is_empty() => bytes[place] ^= 1 << random.below(8),
             2 if !bytes.is_empty() => drop(bytes.remove(place)),
-            3 => bytes.insert(place, telling),
+            3 => bytes.insert(place, special),
             _ => bytes.truncate(place),
         }
     }

@@ -67,11 +67,12 @@ pub enum Request {
     Graph,
     /// Pauses the robot. Answered with `null`, like the next two requests.
     Pause,
-    /// Let it go on.
+    /// Resumes the robot.
     Resume,
     /// Lets a paused robot run one cycle.
     Step,
-    /// What ROS 2 sees: answered with a list of [`EndpointReport`](crate::robot::EndpointReport)s, as are the next two.
+    /// Requests the exposed endpoints. Answered with a list of
+    /// [`EndpointReport`](crate::robot::EndpointReport)s, like the next two requests.
     Exposed,
     /// Exposes more topics. Answered with the added endpoints.
     Expose {
@@ -131,7 +132,7 @@ pub trait Inspected: Send + Sync + 'static {
     /// Pauses the robot: no cycle runs until it is resumed.
     fn pause(&self);
 
-    /// Lets the robot go on.
+    /// Resumes the robot.
     fn resume(&self);
 
     /// Lets a paused robot run one cycle.
@@ -145,7 +146,8 @@ pub trait Inspected: Send + Sync + 'static {
         Err(NO_NODE.to_owned())
     }
 
-    /// Exposes more, as the keys `out` and `in` of `[expose]` in a robot file say it. Returns what was added.
+    /// Exposes more topics; the entries have the form of the keys `out` and `in` of `[expose]` in a robot
+    /// file. Returns the endpoints that were added.
     ///
     /// # Errors
     /// Returns a message if an entry is invalid or the robot has no ROS 2 node.
@@ -164,7 +166,7 @@ pub trait Inspected: Send + Sync + 'static {
 
 const NO_NODE: &str = "it runs without a ROS 2 node";
 
-/// Why there is no answer.
+/// Error of a core that does not answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unavailable {
     /// The core has stopped, or is in a cycle that does not end.

@@ -1,4 +1,4 @@
-//! What a bag tells of the robot that it was recorded in: its cycles and its changed settings.
+//! What a bag contains about the recorded run: its cycles and changed settings.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -22,7 +22,7 @@ pub(crate) struct Extract {
 }
 
 impl Extract {
-    /// Nothing yet.
+    /// Creates an empty extract.
     pub(crate) fn new(interfaces: &Interfaces) -> Self {
         Self { interfaces: interfaces.clone(), messages: BTreeMap::new() }
     }
@@ -60,7 +60,7 @@ impl Extract {
         Ok(self.messages.get(&topic).map_or(&[], Vec::as_slice))
     }
 
-    /// The same, each as a message of that type; none if the bag lacks the topic.
+    /// Like `of`, but decodes the messages. Returns none if the bag lacks the topic.
     pub(crate) fn messages<T: Message>(
         &mut self,
         reader: &Reader,
@@ -129,7 +129,7 @@ impl Cycles {
     }
 }
 
-/// The changes of settings of some modules, in the order in which they were made.
+/// The changes of settings of several modules, in their recorded order.
 #[derive(Default)]
 pub(crate) struct SettingsChanges(VecDeque<ModuleSettings>);
 

@@ -47,7 +47,7 @@ pub enum PlaybackError {
         /// The first cycle after the gap.
         found: u64,
     },
-    /// A message by which the bag tells how the robot ran is not what its topic says, or cannot be made to happen again.
+    /// A message that describes the recorded run does not match the type of its topic, or cannot be replayed.
     #[error("a message of /{topic}: {problem}")]
     Account {
         /// The topic, without the leading slash.

@@ -93,15 +93,15 @@ fn as_json(network: &NetworkGraph) -> Value {
         })
         .collect();
     let endpoint = |endpoint: &NetworkEndpoint| {
-        let told = |text: &String| (!text.is_empty()).then(|| text.clone());
+        let non_empty = |text: &String| (!text.is_empty()).then(|| text.clone());
         let (reliability, durability, liveliness) = policies(endpoint);
         let limit = |nanoseconds: i64| (nanoseconds > 0).then_some(nanoseconds);
         json!({
             "kind": kind(endpoint),
             "name": endpoint.name,
             "type": endpoint.r#type,
-            "type_hash": told(&endpoint.type_hash),
-            "node": told(&endpoint.node),
+            "type_hash": non_empty(&endpoint.type_hash),
+            "node": non_empty(&endpoint.node),
             "reliability": reliability,
             "durability": durability,
             "deadline_ns": limit(endpoint.deadline_ns),

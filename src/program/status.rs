@@ -242,9 +242,9 @@ impl Faults {
     /// Tracks the messages on `diagnostics` until the core stops.
     pub(crate) fn watch(core: &mut Core) -> Result<Self, SetupError> {
         let faults = Self::default();
-        let (inbox, told) = (OutletInbox::new("faults", Inbox::KeepAll), faults.clone());
+        let (inbox, sink) = (OutletInbox::new("faults", Inbox::KeepAll), faults.clone());
         let outlet = core.outlet(TOPIC, &inbox, move |array: Received<'_, DiagnosticArray>| {
-            array.status.iter().for_each(|status| told.update(status));
+            array.status.iter().for_each(|status| sink.update(status));
         })?;
         outlet.keep();
         Ok(faults)

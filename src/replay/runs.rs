@@ -1,4 +1,4 @@
-//! The runs of a replay, and what the modules publish in them.
+//! The runs of a replay and what the modules publish in them.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ use crate::playback::follow::{Follower, Inputs};
 use crate::playback::replay_steps;
 use crate::robot::RobotFile;
 
-/// Replays the modules inside the cycle, together, in the recorded cycles. Returns how many cycles there were.
+/// Replays the modules inside the cycle together, in the recorded cycles. Returns the number of cycles.
 pub(super) fn attached(
     file: &RobotFile,
     reader: &Reader,
@@ -53,7 +53,7 @@ pub(super) fn attached(
     Ok(cycles)
 }
 
-/// Replays a detached module by its recorded runs. Returns how many runs there were.
+/// Replays a detached module from its recorded runs. Returns the number of runs.
 pub(super) fn detached(
     file: &RobotFile,
     reader: &Reader,

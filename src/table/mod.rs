@@ -119,7 +119,7 @@ impl Decoder {
         Ok(self.json.encode(&self.to_cdr(data)?)?)
     }
 
-    /// A message.
+    /// Decodes a message.
     ///
     /// # Errors
     /// Returns an error if the bytes are not a message of the type.

@@ -303,7 +303,7 @@ fn add_losses(summary: &mut RecordingSummary, queued: &[QueuedTopic]) {
 
 fn write_all(shared: &Shared, writer: &mut Writer) -> Result<(), WriterError> {
     let mut batch = Vec::new();
-    let (mut written, mut noted, mut told) = (0, 0, writer.changes());
+    let (mut written, mut noted, mut last_changes) = (0, 0, writer.changes());
     loop {
         note_losses(shared, writer, &mut noted);
         let timeout = writer.flush_if_due().inspect_err(|_| shared.queue.abandon([]))?;
@@ -322,8 +322,8 @@ fn write_all(shared: &Shared, writer: &mut Writer) -> Result<(), WriterError> {
                 }
             }
         }
-        if told != writer.changes() {
-            told = writer.changes();
+        if last_changes != writer.changes() {
+            last_changes = writer.changes();
             *shared.progress.lock() = Progress::of(writer);
         }
     }

@@ -200,7 +200,7 @@ impl BagFile {
     }
 
     /// Why the file cannot represent the topic, if so.
-    #[cfg_attr(not(feature = "sqlite"), expect(unused_variables, reason = "MCAP can tell all of it"))]
+    #[cfg_attr(not(feature = "sqlite"), expect(unused_variables, reason = "MCAP supports all of it"))]
     pub(super) fn refusal(&self, topic: &TopicDescription) -> Option<String> {
         match self {
             Self::Mcap(_) => None,

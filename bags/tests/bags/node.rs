@@ -35,7 +35,7 @@ pub(crate) fn read_with_node(file: &Path) -> Option<Value> {
 }
 
 /// A message in the format of `read_bag.mjs`.
-pub(crate) fn told(topic: &str, log_time: i64, publish_time: i64, data: &[u8]) -> Value {
+pub(crate) fn message_json(topic: &str, log_time: i64, publish_time: i64, data: &[u8]) -> Value {
     let hex: String = data.iter().map(|byte| format!("{byte:02x}")).collect();
     json!([topic, log_time.to_string(), publish_time.to_string(), hex])
 }
@@ -69,7 +69,7 @@ fn write(bag: &Path, compression: Compression) -> (RecordingSummary, Vec<TopicDe
             let publish_time = 1_700_000_000_000_000_001 + 8_000_000 * n + index as i64;
             let log_time = publish_time + 500;
             writer.write(ids[index], log_time, publish_time, &data).unwrap();
-            messages.push(told(&topics[index].name, log_time, publish_time, &data));
+            messages.push(message_json(&topics[index].name, log_time, publish_time, &data));
         }
     }
     (writer.finish().unwrap(), topics.into(), messages)
@@ -117,7 +117,7 @@ fn mcap_core_reads_every_message_of_our_bags() {
         let compressions = indexed["compressions"].as_array().unwrap();
         let expected = if compression == Compression::None { "" } else { name };
         assert!(
-            compressions.len() > 5 && compressions.iter().all(|told| told == expected),
+            compressions.len() > 5 && compressions.iter().all(|compression| compression == expected),
             "{compressions:?}"
         );
     }

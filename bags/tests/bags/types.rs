@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use self::exact::{first_difference, from_exact};
 use self::random::random_message;
 use crate::matrix::{Way, With};
-use crate::node::{read_with_node, told};
+use crate::node::{message_json, read_with_node};
 use crate::python::read_with_python;
 use crate::support::noted;
 
@@ -188,11 +188,12 @@ fn others_decode_values_of_every_carried_type() {
                 assert!(!found[of.topic()].is_array(), "{} reads {}, though {reason}", reader.name, of.name);
                 continue;
             }
-            let told = found[of.topic()].as_array();
-            let told = told.unwrap_or_else(|| panic!("{}: {}: {}", reader.name, of.name, found[of.topic()]));
-            assert_eq!(told.len(), VALUES_PER_TYPE, "{}: {}", reader.name, of.name);
-            for (number, (told, value)) in told.iter().zip(&values[&of.topic()]).enumerate() {
-                if let Some(difference) = first_difference(value, told) {
+            let read_values = found[of.topic()].as_array();
+            let read_values =
+                read_values.unwrap_or_else(|| panic!("{}: {}: {}", reader.name, of.name, found[of.topic()]));
+            assert_eq!(read_values.len(), VALUES_PER_TYPE, "{}: {}", reader.name, of.name);
+            for (number, (read_value, value)) in read_values.iter().zip(&values[&of.topic()]).enumerate() {
+                if let Some(difference) = first_difference(value, read_value) {
                     panic!("{}: {}, value {number} of seed {SEED:#x}: at {difference}", reader.name, of.name);
                 }
             }
@@ -219,7 +220,7 @@ fn mcap_core_reads_every_message_of_every_carried_type() {
         for of in &types {
             for value in &values[&of.topic()] {
                 time += PERIOD;
-                messages.push(told(&of.topic(), time, time, &(of.write)(value)));
+                messages.push(message_json(&of.topic(), time, time, &(of.write)(value)));
             }
         }
         for by in ["indexed", "streamed"] {
@@ -249,10 +250,10 @@ fn hashes_in_bags_are_those_that_ros_2_publishes_and_rosbags_computes() {
     {
         let _check = noted("type hashes", With::Rclpy, Way::Out);
         for of in &types {
-            let told = &read["recorded"][of.topic()];
-            assert_eq!(*told, of.hash, "{}", of.name);
+            let recorded = &read["recorded"][of.topic()];
+            assert_eq!(*recorded, of.hash, "{}", of.name);
             if let Some(theirs) = read["published"].get(of.name) {
-                assert_eq!(theirs, told, "{}", of.name);
+                assert_eq!(theirs, recorded, "{}", of.name);
                 published += 1;
             }
         }

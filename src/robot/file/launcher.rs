@@ -46,7 +46,7 @@ impl fmt::Display for LauncherChoice {
         match self {
             Self::Linear => f.write_str("on one thread"),
             Self::Pool(threads) => write!(f, "on {threads} threads"),
-            Self::Threads => f.write_str("each module on a thread of its own"),
+            Self::Threads => f.write_str("each module on its own thread"),
             Self::Other(name) => write!(f, "by the launcher \"{name}\""),
         }
     }

@@ -30,7 +30,7 @@ pub struct RecordEntry {
     pub options: RecordOptions,
 }
 
-/// How a recording is written: what `[record]` of a robot file and the command line set.
+/// How a recording is written, as set in `[record]` of a robot file and on the command line.
 #[derive(Clone, Debug, Default)]
 pub struct RecordOptions {
     /// The serialisation format of the messages.

@@ -95,14 +95,14 @@ pub(crate) struct Given {
     pub(crate) value: SettingValue,
 }
 
-/// Where a value was given.
+/// The place at which a value was given.
 #[derive(Clone)]
 pub(crate) enum Place {
     /// On a line of the robot file.
     Line(usize),
     /// In a parameter file.
     Parameter(ParameterPlace),
-    /// On the command line, so.
+    /// In this argument of the command line.
     Argument(String),
 }
 

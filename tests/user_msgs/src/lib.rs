@@ -10,6 +10,7 @@ downbeat_msgs::include_interfaces!();
 #[derive(Clone, Debug, Default, PartialEq, Message)]
 #[message(name = "my_msgs/msg/Reach")]
 pub struct Reach {
+    /// Time and frame.
     pub header: Header,
     /// From the shoulder [m].
     pub distance: f64,

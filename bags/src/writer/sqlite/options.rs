@@ -199,8 +199,11 @@ mod tests {
             "- a\n",
         ] {
             let error = SqliteOptions::default().with_config(wrong, Path::new("s.yaml")).unwrap_err();
-            let told = error.to_string();
-            assert!(told.starts_with("s.yaml:") && told.contains("rosbag2_storage_sqlite3"), "{told}");
+            let message = error.to_string();
+            assert!(
+                message.starts_with("s.yaml:") && message.contains("rosbag2_storage_sqlite3"),
+                "{message}"
+            );
         }
     }
 }
