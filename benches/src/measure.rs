@@ -30,6 +30,12 @@ pub fn best_of_rounds(contestants: &mut [Box<dyn Contestant>], effort: Effort) -
     runners.iter().map(|runner| runner.best).collect()
 }
 
+/// How many times `time` is `other`.
+#[must_use]
+pub fn ratio(time: Duration, other: Duration) -> f64 {
+    time.as_secs_f64() / other.as_secs_f64()
+}
+
 struct Runner<'a> {
     contestant: &'a mut dyn Contestant,
     trials_per_turn: u32,

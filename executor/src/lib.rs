@@ -76,7 +76,7 @@
 //! # use std::sync::mpsc::{Sender, channel};
 //! # use std::time::Duration;
 //! # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
-//! /// Declares the last first, and tells in which order it is called.
+//! /// Declares everything in reverse order, and reports the order of the calls.
 //! struct Everything(Sender<&'static str>);
 //!
 //! impl Module for Everything {
@@ -136,7 +136,7 @@
 //!    ended, each with its [`DetachedStep`]; the modules. Each topic's messages are now the batch of the next
 //!    cycle, and go to the inboxes of [`Outlet`]s
 //! 5. **services**: requests go to their servers: first those of [`Caller`]s, then of detached modules, then of the
-//!    others; then answers go to their clients, and callers whose time is up are told
+//!    others; then answers go to their clients, and callers receive their time-outs
 //! 6. **timers**: when each module has to run next
 //! 7. the mechanisms added with [`Core::with_mechanism`], in the order in which they were added
 //! 8. modules that were removed are dropped, and what they held is freed

@@ -232,3 +232,91 @@ fn a_key_of_another_module_ends_who_uses_it() {
     assert_eq!(log.take(), ["publishes"]);
     assert_eq!(core.modules()[1].state, LifecycleState::Finalized);
 }
+
+/// Adds up what each module sends, and gives it its own sum back.
+struct Accounts;
+
+#[derive(Default)]
+struct Account {
+    deposits: Vec<u32>,
+    balance: u32,
+}
+
+impl Port for Account {
+    fn changed(&mut self, change: ModuleChange<'_>) -> bool {
+        if let ModuleChange::Panicked = change {
+            self.deposits.clear();
+        }
+        false
+    }
+}
+
+impl Mechanism for Accounts {
+    type View = ();
+    type Port = Account;
+
+    const NAME: &'static str = "accounts";
+    const VERSION: Version = Version::new(1, 0);
+
+    fn view(&self) {}
+
+    fn sync(&mut self, phase: &mut SyncPhase<'_>) {
+        phase.each_port::<Self>(|_, account| account.balance += account.deposits.drain(..).sum::<u32>());
+    }
+}
+
+#[test]
+fn a_mechanism_gives_each_module_something_in_its_port() {
+    let (core, _) = manual_core();
+    let mut core = core.with_mechanism(Accounts);
+    let balances = Log::default();
+    for (name, deposit) in [("poor", 1), ("rich", 100)] {
+        let balances = balances.clone();
+        let saver = module(move |setup| {
+            let accounts = setup.mechanism::<Accounts>(Version::new(1, 0))?;
+            setup.each_run(move |_, ctx| {
+                let name = ctx.module_name().to_owned();
+                let account = ctx.port(accounts);
+                balances.note(format!("{name} {}", account.balance));
+                account.deposits.push(deposit);
+            });
+            Ok(())
+        });
+        let every_cycle = ModuleOptions { synchrony: Synchrony::EveryCycle, ..ModuleOptions::default() };
+        core.add_with(name, saver, every_cycle).unwrap();
+    }
+    (0..3).for_each(|_| core.cycle().unwrap());
+    assert_eq!(balances.take(), ["poor 0", "rich 0", "poor 1", "rich 100", "poor 2", "rich 200"]);
+}
+
+#[test]
+fn what_a_module_asked_of_a_mechanism_is_void_if_it_panics_in_that_run() {
+    let (core, _) = manual_core();
+    let mut core = core.with_mechanism(Ledger::default());
+    core.add(
+        "reckless",
+        module(|setup| {
+            let ledger = setup.mechanism::<Ledger>(Version::new(1, 0))?;
+            setup.each_run(move |_, ctx| {
+                ctx.ask(ledger, 7);
+                panic!("it has spoken too soon");
+            });
+            Ok(())
+        }),
+    )
+    .unwrap();
+    let seen = Log::default();
+    let note = seen.clone();
+    core.add_with(
+        "reader",
+        module(move |setup| {
+            let ledger = setup.mechanism::<Ledger>(Version::new(1, 0))?;
+            setup.each_run(move |_, ctx| note.note(ctx.view(ledger).join(",")));
+            Ok(())
+        }),
+        ModuleOptions { synchrony: Synchrony::EveryCycle, ..ModuleOptions::default() },
+    )
+    .unwrap();
+    (0..2).for_each(|_| core.cycle().unwrap());
+    assert_eq!(seen.take(), ["empty", "empty"]);
+}

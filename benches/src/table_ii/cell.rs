@@ -9,7 +9,7 @@ use super::published;
 use crate::Load;
 use crate::contestants::{Contestant, Downbeat, Limit, LockFree, Locked, Queues};
 use crate::launchers::LAUNCHERS;
-use crate::measure::{Effort, best_of_rounds};
+use crate::measure::{Effort, best_of_rounds, ratio};
 
 /// The times of one trial of each contestant.
 #[derive(Clone, Debug)]
@@ -96,10 +96,6 @@ impl CellResult {
             ratio_to_published: published(self.load).map(|published| ratio(published.bound(), time)),
         })
     }
-}
-
-fn ratio(numerator: Duration, denominator: Duration) -> f64 {
-    numerator.as_secs_f64() / denominator.as_secs_f64()
 }
 
 #[cfg(test)]

@@ -89,9 +89,9 @@ impl Core {
         Ok(self)
     }
 
-    /// Tells `report` of runs and cycles that take longer than their deadline, in place of the log. It is called on the
-    /// watchdog's thread while they go on, and on their own when they have ended; what overruns again and again is told
-    /// less and less often.
+    /// Reports runs and cycles that exceed their deadline to `report` instead of the log. It is called on the watchdog's
+    /// thread while they are running, and on their own thread when they have ended; repeated overruns are reported less
+    /// and less often.
     ///
     /// A thread cannot be ended from outside. What can be done is to bring the hardware to a safe state, and to ask the
     /// core to stop.
@@ -123,7 +123,7 @@ impl Core {
         self.mechanisms.offers().iter().map(|offer| (offer.name, offer.version))
     }
 
-    /// Who publishes, subscribes, serves and calls what.
+    /// Which modules publish, subscribe, serve and call what.
     #[must_use]
     pub fn graph(&self) -> Graph {
         Graph::of(&self.stage, &self.state, &self.mechanisms)

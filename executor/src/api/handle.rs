@@ -98,7 +98,7 @@ impl CoreHandle {
         self.ask(|phase| phase.state.pause != Pause::Running)
     }
 
-    /// Has `listener` told of each step in the life of each module, from now on and until the value returned is dropped. It
+    /// Calls `listener` for each step in the life of each module until the returned value is dropped. It
     /// is called while the module runs, on its thread, so it must hand over and return; what it does must not come back to
     /// the modules otherwise than as a message, a request or a setting.
     ///
@@ -151,7 +151,7 @@ impl CoreHandle {
         self.look(|phase| phase.state.inspector.finish_trace());
     }
 
-    /// Who publishes, subscribes, serves and calls what.
+    /// Which modules publish, subscribe, serve and call what.
     #[must_use = "the answer is in the receipt"]
     pub fn graph(&self) -> Receipt<Graph> {
         self.ask(|phase| Graph::of(phase.stage, phase.state, phase.mechanisms))

@@ -29,7 +29,7 @@ pub enum ModuleEventKind {
         /// The request; `None` unless the service has an encoder, see [`Core::encode_service`](crate::Core::encode_service).
         body: Option<Vec<u8>>,
     },
-    /// An answer went to its client. Calls that time out are answered by the clock alone, and not told.
+    /// An answer went to its client. Calls that time out follow from the clock alone, and are not reported.
     Answer {
         /// The service.
         service: Arc<str>,

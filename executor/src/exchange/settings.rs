@@ -195,7 +195,7 @@ fn note_change(
     }
 }
 
-/// Answers who asked for a change, or logs a refusal where nobody waits for the answer.
+/// Sends the result of a change, or logs a refusal if there is no receipt.
 fn answer(receipt: SetReceipt, result: Result<(), SettingRefused>) {
     match (receipt, result) {
         (Some(receipt), result) => receipt.send(result),
@@ -353,7 +353,7 @@ impl SettingsPort {
         Ok((index, self.infos[index].check(value)?))
     }
 
-    /// Changes a value that was checked; the module is told when it runs next.
+    /// Changes a value that was checked; the module's callback follows in its next run.
     fn put(&mut self, index: usize, value: SettingValue) {
         if self.infos[index].value != value {
             self.infos[index].value = value;

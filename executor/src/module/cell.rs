@@ -302,7 +302,7 @@ impl ModuleCell {
             let outcome = self.make_transition(transition, input, now);
             if let Err(refused) = &outcome {
                 tracing::error!("{refused}");
-                // Those that follow cannot be made either; only who waits for an answer has to be told.
+                // Those that follow cannot be made either; only those with a receipt have to be answered.
                 self.transitions.retain(|(_, receipt)| receipt.is_some());
             }
             if let Some(receipt) = receipt {

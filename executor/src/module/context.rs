@@ -7,7 +7,7 @@ use crate::Time;
 /// A callback's access to the executor. Everything it asks for takes effect in the sync phase.
 ///
 /// Keys belong to the module whose setup made them. A method that is given a key of another module panics, which
-/// stops the module; where both modules have a key of that number and type they are not told apart.
+/// stops the module; keys of two modules with the same number and type cannot be distinguished.
 ///
 /// A function that is called by modules of several types takes a `&mut Context<'_, P>` for any `P`.
 pub struct Context<'a, P = ()> {

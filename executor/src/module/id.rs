@@ -2,7 +2,7 @@
 
 use super::setup::Host;
 
-/// Tells the modules of a core apart; never given twice, not even to a module that was restarted.
+/// Identifies a module of a core; never given twice, not even to a module that was restarted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ModuleId {
     /// Its place in the order of registration.

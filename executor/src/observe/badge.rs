@@ -1,4 +1,4 @@
-//! Whose callback a thread runs, for those who write logs.
+//! Whose callback a thread runs, for logs.
 
 use std::cell::Cell;
 use std::sync::{Arc, RwLock};
@@ -23,7 +23,7 @@ struct Names {
 /// The name of the module whose callback runs on this thread; nothing outside of callbacks, in jobs, and on threads that
 /// a module started itself.
 ///
-/// For a subscriber of `tracing` that tells which module wrote a line. What a module computes must not depend on it.
+/// For subscribers of `tracing` that show which module wrote a line. What a module computes must not depend on it.
 ///
 /// ```
 /// use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time, running_module};
@@ -74,7 +74,7 @@ impl Badge {
         Self { number }
     }
 
-    /// Tells that the module runs on this thread, until what is returned is dropped.
+    /// Marks the module as running on this thread until the returned value is dropped.
     #[inline]
     pub(crate) fn wear(&self) -> Worn {
         WORN.set(self.number);

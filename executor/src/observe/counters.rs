@@ -69,7 +69,7 @@ impl ModuleMeter {
         self.restarts += 1;
     }
 
-    /// Messages that were dropped from its inbox since the last time this was told.
+    /// Messages that were dropped from its inbox since the last report.
     pub(crate) fn dropped(&mut self, messages: u64) {
         self.dropped += messages;
     }
@@ -127,7 +127,7 @@ impl TopicMeter {
         self.largest_batch = self.largest_batch.max(self.last_batch);
     }
 
-    /// Messages that a bounded queue dropped since the last time this was told.
+    /// Messages that a bounded queue dropped since the last report.
     pub(crate) fn dropped(&mut self, messages: u64) {
         self.dropped += messages;
     }

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::markup::{dot_string, mermaid_string, short_type};
 
-/// Who publishes and subscribes to what, who serves and calls what.
+/// Which modules publish and subscribe to which topics, and serve and call which services.
 ///
 /// ```
 /// use downbeat_executor::{Graph, GraphEdge, GraphModule, GraphTopic};

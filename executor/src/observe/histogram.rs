@@ -6,7 +6,7 @@ use hdrhistogram::Histogram;
 
 use super::TimeStatistics;
 
-/// The longest time that is told apart; longer ones count as this long.
+/// The longest time that is distinguished; longer ones count as this long.
 const LONGEST: Duration = Duration::from_secs(60);
 
 /// A distribution of times from 1 ns to 60 s with two significant digits, in 15 KiB of memory.

@@ -161,7 +161,7 @@ impl Inspector {
         }
     }
 
-    /// Traces the next cycles, at least one, and then answers. Who asked before and still waits gets what there is.
+    /// Traces the next cycles, at least one, and then answers. A trace that was requested before and is not complete is answered as it is.
     pub(crate) fn trace(&mut self, cycles: u32, answer: ReceiptSender<CycleTrace>) {
         self.finish_trace();
         let trace = CycleTrace::new(self.started);
@@ -241,7 +241,7 @@ mod tests {
     use super::*;
     use crate::threads::receipt;
 
-    /// A cycle with one run; tells whether it was measured.
+    /// A cycle with one run; returns whether it was measured.
     fn cycle(inspector: &mut Inspector, meter: &mut ModuleMeter, number: u64) -> bool {
         let measuring = inspector.begin();
         let mut stopwatch = Stopwatch::start(measuring);

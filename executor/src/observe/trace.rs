@@ -70,7 +70,7 @@ impl CycleTrace {
     }
 
     pub(crate) fn add(&mut self, kind: TraceEventKind, module: Option<&Arc<str>>, cycle: u64, span: &Span) {
-        // A step that began before the trace was asked for was not told where it ran.
+        // The thread of a step that began before the trace was requested is not known.
         let Some(thread) = &span.thread else { return };
         if self.is_full() {
             return;

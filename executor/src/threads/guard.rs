@@ -11,20 +11,20 @@ pub(crate) fn unpoisoned<T>(locked: LockResult<T>) -> T {
     locked.unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Runs what drops messages of a user's type. A panic in there is told, and nothing else stops for it.
+/// Runs what drops messages of a user's type. A panic in it is logged, and nothing else stops.
 /// Returns false if there was one.
 pub(crate) fn drop_guarded(what: &str, run: impl FnOnce()) -> bool {
     match catch_unwind(AssertUnwindSafe(run)) {
         Ok(()) => true,
         Err(panic) => {
-            tell(what, panic);
+            log_panic(what, panic);
             false
         }
     }
 }
 
 #[cold]
-fn tell(what: &str, panic: Box<dyn Any + Send>) {
+fn log_panic(what: &str, panic: Box<dyn Any + Send>) {
     tracing::error!("{what} panicked while it was dropped: {}", end_of(panic));
 }
 

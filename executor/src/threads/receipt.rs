@@ -1,4 +1,4 @@
-//! Answers of the core to those who asked it for something from another thread.
+//! Answers of the core to requests of other threads.
 
 use std::any::Any;
 use std::fmt;
@@ -25,7 +25,7 @@ use crossbeam::channel::{Receiver, Sender, TryRecvError, bounded};
 ///     handle.stop();
 ///     (modules, removed)
 /// });
-/// core.run()?; // Who waits on the core's own thread waits in vain: there `try_take` after a cycle is for.
+/// core.run()?; // On the core's own thread, `wait` would block it: use `try_take` after a cycle there.
 /// let (modules, removed) = asking.join().unwrap();
 /// assert_eq!(modules.map(|modules| modules.len()), Some(0));
 /// assert!(removed.is_some_and(|removed| removed.is_err()));

@@ -95,20 +95,20 @@ mod tests {
     }
 
     #[test]
-    fn who_is_told_never_to_spin_parks_at_once_and_who_is_told_always_does_not() {
+    fn a_spinner_that_never_spins_parks_at_once_and_one_that_always_spins_does_not() {
         assert_eq!(looks(&mut Spinner::new(Spin::Never), 100), 0);
         assert_eq!(looks(&mut Spinner::new(Spin::Always), 100_000), 100_000);
     }
 
     #[test]
-    fn who_has_spun_in_vain_parks_at_once_the_next_time() {
+    fn a_spinner_that_spun_in_vain_parks_at_once_the_next_time() {
         let mut spinner = Spinner::new(Spin::For(Duration::ZERO));
         assert_eq!(looks(&mut spinner, 100), LOOKS_PER_READING as usize - 1);
         assert_eq!(looks(&mut spinner, 100), 0);
     }
 
     #[test]
-    fn who_finds_work_quickly_goes_on_spinning() {
+    fn a_spinner_that_finds_work_quickly_goes_on_spinning() {
         let mut spinner = Spinner::new(Spin::For(Duration::from_secs(3600)));
         assert_eq!(looks(&mut spinner, 100), 100);
         assert_eq!(looks(&mut spinner, 100), 100);

@@ -134,15 +134,15 @@ impl Watch {
             return false;
         }
         let overruns = self.watched.overruns.fetch_add(1, Ordering::Relaxed) + 1;
-        if is_worth_a_word(overruns, running_for) {
-            self.shared.tell(&self.watched.overrun(running_for, true, overruns));
+        if is_reported(overruns, running_for) {
+            self.shared.report(&self.watched.overrun(running_for, true, overruns));
         }
         true
     }
 }
 
-/// What overruns again and again is told less and less often, unless it is long.
-fn is_worth_a_word(overruns: u64, running_for: Duration) -> bool {
+/// Repeated overruns are reported less and less often, unless they are long.
+fn is_reported(overruns: u64, running_for: Duration) -> bool {
     overruns.is_power_of_two() || running_for >= PATIENCE
 }
 
@@ -163,7 +163,7 @@ impl Shared {
         }
     }
 
-    fn tell(&self, overrun: &Overrun) {
+    fn report(&self, overrun: &Overrun) {
         let report = Arc::clone(&*unpoisoned(self.report.lock()));
         if let Err(panic) = catch_unwind(AssertUnwindSafe(|| report(overrun))) {
             tracing::error!("the report of an overrun panicked: {}", reason(&*panic));
@@ -172,11 +172,11 @@ impl Shared {
 
     /// The life of the thread.
     fn look_after(&self) {
-        // The run that was told last, by what it was told of and when it began, and when it is told again.
-        let mut told: Vec<(Weak<Watched>, u64, Duration)> = Vec::new();
+        // The run that was reported last: what ran, when it began, and when it is reported again.
+        let mut reported: Vec<(Weak<Watched>, u64, Duration)> = Vec::new();
         let mut was_idle = false;
         while !self.is_over.load(Ordering::SeqCst) {
-            let look = self.look(&mut told);
+            let look = self.look(&mut reported);
             match look.next {
                 Some(next) if !(look.is_idle && was_idle) => std::thread::park_timeout(next),
                 _ => self.sleep(),
@@ -185,13 +185,13 @@ impl Shared {
         }
     }
 
-    fn look(&self, told: &mut Vec<(Weak<Watched>, u64, Duration)>) -> Look {
+    fn look(&self, reported: &mut Vec<(Weak<Watched>, u64, Duration)>) -> Look {
         let watched: Vec<_> = {
             let mut watched = unpoisoned(self.watched.lock());
             watched.retain(|watched| watched.strong_count() > 0);
             watched.iter().filter_map(Weak::upgrade).collect()
         };
-        told.retain(|(watched, ..)| watched.strong_count() > 0);
+        reported.retain(|(watched, ..)| watched.strong_count() > 0);
         let mut look = Look { is_idle: true, next: None };
         for watched in watched {
             let begun = watched.begun.load(Ordering::SeqCst);
@@ -201,9 +201,9 @@ impl Shared {
             }
             look.is_idle = false;
             let running_for = Duration::from_nanos((self.now() + 1).saturating_sub(begun));
-            let known = told.iter().position(|(of, ..)| std::ptr::eq(of.as_ptr(), Arc::as_ptr(&watched)));
+            let known = reported.iter().position(|(of, ..)| std::ptr::eq(of.as_ptr(), Arc::as_ptr(&watched)));
             let due = match known {
-                Some(known) if told[known].1 == begun => told[known].2,
+                Some(known) if reported[known].1 == begun => reported[known].2,
                 _ => watched.deadline,
             };
             if running_for <= due {
@@ -211,14 +211,14 @@ impl Shared {
                 continue;
             }
             let overruns = watched.overruns.load(Ordering::Relaxed) + 1;
-            if is_worth_a_word(overruns, running_for) {
-                self.tell(&watched.overrun(running_for, false, overruns));
+            if is_reported(overruns, running_for) {
+                self.report(&watched.overrun(running_for, false, overruns));
             }
             let next = if running_for < PATIENCE { PATIENCE } else { running_for * 2 };
             let entry = (Arc::downgrade(&watched), begun, next);
             match known {
-                Some(known) => told[known] = entry,
-                None => told.push(entry),
+                Some(known) => reported[known] = entry,
+                None => reported.push(entry),
             }
             look.after(next - running_for);
         }
@@ -331,8 +331,8 @@ mod tests {
 
     #[test]
     fn what_overruns_in_every_run_is_told_less_and_less_often() {
-        let told = (1..=1000).filter(|&overruns| is_worth_a_word(overruns, SHORT)).count();
-        assert_eq!(told, 10);
-        assert!(is_worth_a_word(1000, PATIENCE));
+        let reported = (1..=1000).filter(|&overruns| is_reported(overruns, SHORT)).count();
+        assert_eq!(reported, 10);
+        assert!(is_reported(1000, PATIENCE));
     }
 }

@@ -14,7 +14,7 @@ pub trait Clock: Send + Sync {
     /// whose last time lies ahead then are due one period after the new time. Tasks and the time-outs of calls keep
     /// their times.
     ///
-    /// Where it moves by other steps than those of the machine's clock, [`CoreHandle::clock_moved`](crate::CoreHandle::clock_moved) tells it.
+    /// Where it moves by other steps than those of the machine's clock, [`CoreHandle::clock_moved`](crate::CoreHandle::clock_moved) announces it.
     fn now(&self) -> Time;
 
     /// True if this clock goes on by itself. Where it does not, nothing may wait for it, and modules

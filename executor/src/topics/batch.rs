@@ -111,7 +111,7 @@ impl<'a, T> Received<'a, T> {
         self.batch.time
     }
 
-    /// True if the topic carried no message after this one in the same cycle: for who wants only the latest.
+    /// True if the topic carried no message after this one in the same cycle: for callbacks that need only the latest.
     ///
     /// ```
     /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};

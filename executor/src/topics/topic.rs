@@ -133,7 +133,7 @@ pub(crate) struct Topics {
 /// A message that the executor itself publishes, if somebody subscribes to it.
 pub(crate) trait Report: Send + Sync + 'static {
     const TOPIC: &'static str;
-    /// Tells these topics apart.
+    /// Distinguishes these topics.
     const NUMBER: usize;
 }
 

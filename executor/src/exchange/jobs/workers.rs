@@ -65,7 +65,7 @@ impl Default for Workers {
 
 impl Workers {
     /// Starts the work on another thread. Where the system gives none, the work is dropped, and the module that
-    /// waits for it is told by that.
+    /// waits for it receives an error.
     pub(super) fn start(&mut self, work: Work) {
         let started = match work {
             Work::Blocking(work) => self.start_blocking(work),

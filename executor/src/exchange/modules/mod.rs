@@ -83,7 +83,7 @@ impl Command {
 }
 
 impl Change {
-    /// As events tell it.
+    /// The same in events.
     fn event(self) -> ModuleCommand {
         match self {
             Self::Remove => ModuleCommand::Remove,

@@ -232,7 +232,7 @@ impl Services {
             }
             let service = self.registry.get_mut(index);
             let Some((module, port)) = service.server else {
-                // A stand-in answers as it was told beforehand.
+                // A stand-in has its answers already.
                 let requests = service.take_staged();
                 drop_guarded("a request", || drop(requests));
                 continue;
@@ -399,7 +399,7 @@ impl<Q, R> Clone for Client<Q, R> {
 
 impl<Q, R> Copy for Client<Q, R> {}
 
-/// Tells the calls of one client apart; they count from 0.
+/// Identifies a call of one client; they count from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct CallId(pub(crate) u64);
 
@@ -694,7 +694,7 @@ impl Core {
         Ok(StandIn::new(self.handle()))
     }
 
-    /// Has the requests and answers of a service told as bytes in each [`ModuleEvent`](crate::ModuleEvent). Both run on the thread
+    /// Encodes the requests and answers of a service as bytes in each [`ModuleEvent`](crate::ModuleEvent). Both run on the thread
     /// of the core.
     ///
     /// # Errors
