@@ -21,7 +21,7 @@ use std::time::Duration;
 
 const FIBONACCI: &str = "test_msgs/action/Fibonacci";
 
-/// Serves `count`: works on its goals as it is told on `work`, keeps results for 3 s, and holds on to a goal of order 13.
+/// Serves `count`: works on its goals as `work` says, keeps results for 3 s, and holds on to a goal of order 13.
 #[derive(Default)]
 struct Counter {
     server: ActionServer<Fibonacci>,
@@ -75,10 +75,10 @@ impl Module for Counter {
     }
 }
 
-/// Uses `far/count` as it is asked on `ask`, and tells what comes of it.
+/// Uses `far/count` as it is asked on `ask`, and reports the outcome.
 struct Caller {
     client: ActionClient<Fibonacci>,
-    told: Sender<String>,
+    outcomes: Sender<String>,
     last: GoalId,
 }
 
@@ -94,16 +94,20 @@ impl Module for Caller {
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         ActionClient::builder(|caller: &mut Self| &mut caller.client)
             .on_response(|caller, _, response, _| {
-                caller.tell(response.map_or_else(|error| error.to_string(), |_| "accepted".to_owned()));
+                caller.report(response.map_or_else(|error| error.to_string(), |_| "accepted".to_owned()));
             })
-            .on_feedback(|caller, _, feedback, _| caller.tell(format!("{:?}", feedback.sequence)))
+            .on_feedback(|caller, _, feedback, _| caller.report(format!("{:?}", feedback.sequence)))
             .on_result(|caller, _, end, _| {
                 let end = end.unwrap();
-                caller.tell(format!("{} {:?}", end.status, end.result.sequence));
+                caller.report(format!("{} {:?}", end.status, end.result.sequence));
             })
             .on_cancel(|caller, answer, _| {
                 let answer = answer.unwrap();
-                caller.tell(format!("cancel {}: {} goals", answer.return_code, answer.goals_canceling.len()));
+                caller.report(format!(
+                    "cancel {}: {} goals",
+                    answer.return_code,
+                    answer.goals_canceling.len()
+                ));
             })
             .declare(setup, "far/count", &mut self.client)?;
         setup.subscribe("ask", |caller: &mut Self, asked, ctx| match *asked {
@@ -114,8 +118,8 @@ impl Module for Caller {
 }
 
 impl Caller {
-    fn tell(&self, line: String) {
-        self.told.send(line).unwrap();
+    fn report(&self, line: String) {
+        self.outcomes.send(line).unwrap();
     }
 }
 
@@ -126,7 +130,7 @@ struct Running {
     status: ServicesStatus,
     work: Inlet<Work>,
     ask: Inlet<Asked>,
-    told: Receiver<String>,
+    outcomes: Receiver<String>,
 }
 
 fn exposure(action: &str, ros_action: &str) -> ActionExposure {
@@ -140,23 +144,23 @@ fn exposure(action: &str, ros_action: &str) -> ActionExposure {
 
 fn run(node: &Node) -> Running {
     let mut core = Core::new();
-    let (sender, told) = channel();
+    let (sender, outcomes) = channel();
     core.add("counter", Counter::default()).unwrap();
-    core.add("caller", Caller { client: ActionClient::default(), told: sender, last: GoalId::default() })
+    core.add("caller", Caller { client: ActionClient::default(), outcomes: sender, last: GoalId::default() })
         .unwrap();
     let (work, ask) = (core.inlet("work").unwrap(), core.inlet("ask").unwrap());
     let (served, used) = (exposure("count", "~/count"), exposure("far/count", "/count"));
     let topics = [served.topics(Direction::Out), used.topics(Direction::In)].concat();
     expose(&mut core, node, &topics).unwrap();
-    let status = expose_services(&mut core, node, &served.services(), &used.calls()).unwrap();
+    let status = expose_services(&mut core, node, &served.services(), &used.services()).unwrap();
     let handle = core.handle();
     let thread = Some(std::thread::spawn(move || core.run().unwrap()));
-    Running { handle, thread, status, work, ask, told }
+    Running { handle, thread, status, work, ask, outcomes }
 }
 
 impl Running {
     fn line(&self) -> String {
-        self.told.recv_timeout(WATCHDOG).unwrap()
+        self.outcomes.recv_timeout(WATCHDOG).unwrap()
     }
 
     /// Whether all services of the action of ROS 2 are found.

@@ -30,17 +30,17 @@ fn record(file: &Path) -> Option<Child> {
         eprintln!("skipped: there is no dumpcap, Debian's package tshark has it");
         return None;
     };
-    let mut told = String::new();
+    let mut line = String::new();
     let mut errors = BufReader::new(recording.stderr.take().unwrap());
-    while errors.read_line(&mut told).unwrap() > 0 {
-        if told.contains("File:") {
-            // It goes on to tell how much it has recorded.
+    while errors.read_line(&mut line).unwrap() > 0 {
+        if line.contains("File:") {
+            // It goes on to print how much it has recorded.
             recording.stderr = Some(errors.into_inner());
             return Some(recording);
         }
     }
     recording.wait().unwrap();
-    eprintln!("skipped: dumpcap may not record: {told}");
+    eprintln!("skipped: dumpcap may not record: {line}");
     None
 }
 
@@ -49,7 +49,7 @@ fn wait_until_recorded(file: &Path) {
     const MARK: &[u8] = b"all that was said before is recorded";
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     wait_until("the recording is written", || {
-        // Nobody listens there, which a later send may tell.
+        // Nobody listens there, so a later send may fail.
         let _ = socket.send_to(MARK, ("127.0.0.1", MARK_PORT));
         std::fs::read(file).unwrap().windows(MARK.len()).any(|bytes| bytes == MARK)
     });

@@ -76,11 +76,11 @@ impl Following {
         (Self { handle, running, ticks, detached_ticks }, following)
     }
 
-    /// Sets the time with `tell` until both modules have ticked at it.
-    fn tick_at(&self, time: i64, mut tell: impl FnMut()) {
+    /// Sets the time with `publish_time` until both modules have ticked at it.
+    fn tick_at(&self, time: i64, mut publish_time: impl FnMut()) {
         for ticks in [&self.ticks, &self.detached_ticks] {
             wait_until("the module ticks at the time", || {
-                tell();
+                publish_time();
                 ticks.try_iter().any(|tick| tick == time)
             });
         }
@@ -92,7 +92,7 @@ impl Following {
     }
 }
 
-fn tell(publisher: &Publisher, time: i64) {
+fn publish_time(publisher: &Publisher, time: i64) {
     let clock = ClockMessage { clock: Stamp::from_nanos(time) };
     publisher.publish(cdr::to_vec(&clock).into()).unwrap();
 }
@@ -106,12 +106,12 @@ fn timers_fire_by_the_time_of_another_and_again_when_it_has_gone_back() {
     assert_eq!((clock.now(), clock.is_set()), (Time::ZERO, false));
     // A year in the steps of a fast simulator: nobody waits as long as that takes.
     for seconds in [1, 3600, 24 * 3600, 365 * 24 * 3600] {
-        core.tick_at(seconds * SECOND, || tell(&publisher, seconds * SECOND));
+        core.tick_at(seconds * SECOND, || publish_time(&publisher, seconds * SECOND));
     }
     // Back to the start: the timers tick as soon as their period has passed from there.
     let mut tenths = 0;
     core.tick_at(10 * SECOND + 100_000_000, || {
-        tell(&publisher, 10 * SECOND + tenths * 100_000_000);
+        publish_time(&publisher, 10 * SECOND + tenths * 100_000_000);
         tenths = 1 - tenths;
     });
     publisher.publish(bytes::Bytes::from_static(&[0, 1, 0, 0, 1])).unwrap();
@@ -125,10 +125,10 @@ fn while_the_time_of_another_stands_still_no_timer_fires() {
     let (clock, simulator) = (FollowedClock::new(), node(&hub, "simulator"));
     let publisher = simulator.publish("/clock", &clock_type(), QosProfile::CLOCK).unwrap();
     let (core, following) = Following::start(&clock, &node(&hub, "downbeat"));
-    core.tick_at(5 * SECOND, || tell(&publisher, 5 * SECOND));
+    core.tick_at(5 * SECOND, || publish_time(&publisher, 5 * SECOND));
     let before = following.messages();
     for _ in 0..100 {
-        tell(&publisher, 5 * SECOND);
+        publish_time(&publisher, 5 * SECOND);
     }
     assert_eq!(following.messages(), before + 100);
     core.handle.snapshot().wait(common::WATCHDOG).unwrap();

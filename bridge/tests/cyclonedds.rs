@@ -174,7 +174,7 @@ fn a_reliable_subscription_does_not_match_a_best_effort_publisher() {
     advertise(&mut peer, "/theirs", TEXT, json!({"reliability": "best_effort"}));
     let ours = publish(&node, "/ours", TEXT, BEST_EFFORT);
     let (theirs, _samples) = subscribe(&node, "/theirs", TEXT, QosProfile::DEFAULT);
-    // A second, compatible pair tells when discovery is done with the first.
+    // A second, compatible pair shows when discovery is done with the first.
     listen(&mut peer, "/control", TEXT, json!({}));
     let control = publish(&node, "/control", TEXT, QosProfile::DEFAULT);
     wait_until("the compatible pair is matched", || control.matched_subscriptions() == 1);

@@ -30,7 +30,7 @@ fn a_big_endian_payload_keeps_its_header_and_its_bytes() {
     let writer = publisher.create_datawriter_no_key::<u32, BigEndianCdr>(&topic, None).unwrap();
     let mut writer_is_matched = false;
     wait_until("both are matched", || {
-        // An event is told once.
+        // An event is reported once.
         writer_is_matched |= writer.try_recv_status().is_some();
         writer_is_matched && reader.matched() == 1
     });

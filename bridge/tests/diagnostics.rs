@@ -1,4 +1,4 @@
-//! What a process tells of itself.
+//! Diagnostics of a process.
 #![allow(clippy::unwrap_used)]
 
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
@@ -20,7 +20,7 @@ impl Module for Fragile {
     type Ports = ();
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        setup.every(Duration::from_millis(1050), |_, _| panic!("as it was told"))
+        setup.every(Duration::from_millis(1050), |_, _| panic!("on purpose"))
     }
 }
 

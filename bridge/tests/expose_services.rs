@@ -7,7 +7,7 @@ use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{WATCHDOG, on_loopback, wait_until};
 use downbeat_bridge::edge::Interfaces;
-use downbeat_bridge::expose::{CallExposure, ExposeError, ServiceExposure, ServicesStatus, expose_services};
+use downbeat_bridge::expose::{ExposeError, ServiceExposure, ServicesStatus, expose_services};
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::ros::{Client, Node, NodeName, Participant};
 use downbeat_executor::{Context, Core, CoreHandle, Module, Setup, SetupError};
@@ -20,7 +20,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
-/// Stands up when it is asked to and refuses to lie down; asks for light on `ask`, and tells what came of it.
+/// Stands up when it is asked to and refuses to lie down; asks for light on `ask`, and reports the outcome.
 struct Robot {
     answers: Sender<Result<SetBoolResponse, String>>,
 }
@@ -59,8 +59,8 @@ fn offered(service: &str, service_type: &str) -> ServiceExposure {
     }
 }
 
-fn light() -> CallExposure {
-    CallExposure {
+fn light() -> ServiceExposure {
+    ServiceExposure {
         service: "light".into(),
         ros_service: Some("/light".into()),
         service_type: Interfaces::carried().service("std_srvs/srv/SetBool").unwrap(),

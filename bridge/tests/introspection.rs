@@ -8,7 +8,7 @@ use common::rclpy::Peer;
 use common::{WATCHDOG, on_loopback, wait_until};
 use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{
-    CallExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection, expose_services_with,
+    SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection, expose_services_with,
 };
 use downbeat_bridge::ros::{Introspection, NodeName, Participant};
 use downbeat_executor::{Context, Core, Module, Setup, SetupError};
@@ -86,7 +86,7 @@ fn services_and_calls_tell_of_themselves_as_they_are_set_to() {
     let service_type = Interfaces::carried().service(TYPE).unwrap();
     let timeout = Duration::from_secs(10);
     let offered = ServiceExposure { service: "stand_up".into(), ros_service: None, service_type, timeout };
-    let called = CallExposure { service: "light".into(), ros_service: None, service_type, timeout };
+    let called = ServiceExposure { service: "light".into(), ros_service: None, service_type, timeout };
     let introspection =
         ServiceIntrospection { services: Introspection::Metadata, clients: Introspection::Off };
     let status = expose_services_with(&mut core, &node, &[offered], &[called], introspection).unwrap();
@@ -107,7 +107,7 @@ fn services_and_calls_tell_of_themselves_as_they_are_set_to() {
         rclpy.ask(json!({"do": "publishers_of", "topic": topic})) != json!([])
     };
     wait_until("events are heard", || is_matched(&mut rclpy, OURS));
-    assert!(!is_matched(&mut rclpy, THEIRS), "calls tell nothing");
+    assert!(!is_matched(&mut rclpy, THEIRS), "calls publish no events");
     let calls = Cell::new(0);
     let call = |rclpy: &mut Peer| {
         let answer = rclpy.ask(json!({"do": "call", "service": "/stand_up", "requests": [{"data": true}]}));
@@ -131,7 +131,7 @@ fn services_and_calls_tell_of_themselves_as_they_are_set_to() {
     );
 
     set(ServiceIntrospection::OF_CLIENTS, "contents").unwrap();
-    wait_until("calls tell of themselves", || is_matched(&mut rclpy, THEIRS));
+    wait_until("calls publish events", || is_matched(&mut rclpy, THEIRS));
     let calls_of_light = Cell::new(0);
     let call_light = |_: &mut Peer| {
         ask.publish(true).unwrap();

@@ -1,4 +1,4 @@
-//! What else is in the domain, as a node with rclpy sees it and as modules are told.
+//! The nodes and endpoints of the domain, compared with rclpy and as modules receive them.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -59,7 +59,7 @@ fn the_nodes_topics_services_types_qos_and_hashes_of_rclpy_are_known() {
     rclpy.leave();
 }
 
-/// Passes on what it is told.
+/// Passes on what it receives.
 struct Companion(Sender<NetworkGraph>);
 
 impl Module for Companion {
@@ -82,26 +82,26 @@ fn modules_are_told_of_the_network_whenever_it_changes() {
     let watch = NetworkWatch::start(&mut core, &participant).unwrap();
     let handle = core.handle();
     let running = std::thread::spawn(move || core.run().unwrap());
-    let mut told = Vec::new();
+    let mut received = Vec::new();
     let mut wait_for = |what: &str, is_it: &dyn Fn(&NetworkGraph) -> bool| {
         wait_until(what, || {
-            told.extend(graphs.try_iter());
-            told.last().is_some_and(is_it)
+            received.extend(graphs.try_iter());
+            received.last().is_some_and(is_it)
         });
     };
-    wait_for("the module is told that nobody is there", &|graph| graph.nodes.is_empty());
+    wait_for("the module receives an empty graph", &|graph| graph.nodes.is_empty());
     let other = Participant::on(Arc::new(hub.join())).unwrap();
     let operator = other.create_node(NodeName::new("/", "operator").unwrap()).unwrap();
     let kind = MessageType::new(Text::TYPE_NAME).unwrap();
     let publisher = operator.publish("orders", &kind, QosProfile::DEFAULT).unwrap();
-    wait_for("it is told who has come", &|graph| {
+    wait_for("it receives who has joined", &|graph| {
         let orders =
             |endpoint: &NetworkEndpoint| (&*endpoint.name, &*endpoint.node) == ("/orders", "/operator");
         graph.nodes.len() == 1 && graph.endpoints.iter().any(orders)
     });
     drop((publisher, operator, other));
-    wait_for("it is told who has left", &|graph| graph.nodes.is_empty() && graph.endpoints.is_empty());
-    assert!(told.windows(2).all(|pair| pair[0] != pair[1]), "nothing is told twice");
+    wait_for("it receives who has left", &|graph| graph.nodes.is_empty() && graph.endpoints.is_empty());
+    assert!(received.windows(2).all(|pair| pair[0] != pair[1]), "nothing is published twice");
     drop(watch);
     handle.stop();
     running.join().unwrap();

@@ -225,7 +225,7 @@ fn changes_are_told_on_parameter_events_whoever_made_them() {
     });
     let mut changes = Vec::new();
     let mut wait_for = |rclpy: &mut Peer, gain: f64| {
-        wait_until("the change is told", || {
+        wait_until("the change is published", || {
             changes.extend(rclpy.ask(json!({"do": "take", "topic": topic})).as_array().unwrap().clone());
             changes.iter().any(|event: &Value| {
                 let changed = &event["fields"]["changed_parameters"];

@@ -1,4 +1,4 @@
-//! What happens to the quality of service of exposed topics: counted, given to modules, and the same that rclpy is told.
+//! Events of the quality of service of exposed topics: counted, received by modules, and the same as rclpy receives.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -28,7 +28,7 @@ use std::time::Duration;
 
 const TEXT: &str = "std_msgs/msg/String";
 
-/// Publishes on `text` for as long as it is told to, and passes on the events it hears.
+/// Publishes on `text` while it is switched on, and passes on the events it receives.
 struct Robot {
     period: Duration,
     is_silent: Arc<std::sync::atomic::AtomicBool>,
@@ -214,15 +214,15 @@ fn what_the_inbox_of_the_bridge_drops_is_counted_by_topic() {
     core.stop();
 }
 
-/// What rclpy was told of a topic since the last call.
-fn told(peer: &mut Peer, topic: &str) -> Vec<Value> {
+/// The events of a topic that rclpy received since the last call.
+fn events_of(peer: &mut Peer, topic: &str) -> Vec<Value> {
     peer.ask(json!({"do": "take_events", "topic": topic})).as_array().unwrap().clone()
 }
 
-/// Waits until rclpy was told of such an event.
-fn wait_told(peer: &mut Peer, topic: &str, event: &str, is: impl Fn(&Value) -> bool) {
+/// Waits until rclpy has received such an event.
+fn wait_for_event(peer: &mut Peer, topic: &str, event: &str, is: impl Fn(&Value) -> bool) {
     wait_until(&format!("rclpy hears of {event} on {topic}"), || {
-        told(peer, topic).iter().any(|told| told["event"] == event && is(told))
+        events_of(peer, topic).iter().any(|received| received["event"] == event && is(received))
     });
 }
 
@@ -245,17 +245,17 @@ fn rclpy_and_modules_hear_of_matches_and_of_incompatible_endpoints() {
     // What is offered does not suffice for a reliable subscription; any publisher does for ours.
     rclpy_endpoints(&mut peer, &json!({}));
     assert_eq!(robot.event("text", QosEvent::INCOMPATIBLE_QOS).policy, "RELIABILITY_QOS_POLICY");
-    wait_told(&mut peer, "/text", "incompatible_qos", |told| told["total_count"] == 1);
+    wait_for_event(&mut peer, "/text", "incompatible_qos", |received| received["total_count"] == 1);
     assert_eq!(robot.event("words", QosEvent::MATCHED).current, 1);
-    wait_told(&mut peer, "/words", "matched", |told| told["current_count"] == 1);
+    wait_for_event(&mut peer, "/words", "matched", |received| received["current_count"] == 1);
     assert_eq!(robot.counts()[0].incompatible, 1);
     drop(robot);
 
     let latched = Running::start(&participant, QosProfile::LATCHED);
     assert_eq!(latched.event("text", QosEvent::MATCHED).current, 1);
-    wait_told(&mut peer, "/text", "matched", |told| told["current_count"] == 1);
+    wait_for_event(&mut peer, "/text", "matched", |received| received["current_count"] == 1);
     assert_eq!(latched.event("words", QosEvent::INCOMPATIBLE_QOS).policy, "DURABILITY_QOS_POLICY");
-    wait_told(&mut peer, "/words", "incompatible_qos", |told| told["total_count"] == 1);
+    wait_for_event(&mut peer, "/words", "incompatible_qos", |received| received["total_count"] == 1);
     assert_eq!(latched.counts()[1].last_incompatible, Some(QosPolicyKind::Durability));
     peer.leave();
     assert_eq!(latched.event("text", QosEvent::MATCHED).current, 0, "it has left");
@@ -275,13 +275,13 @@ fn a_deadline_that_is_missed_is_told_on_both_sides() {
     peer.take("/text", 3);
     robot.be_silent();
     assert!(robot.event("text", QosEvent::DEADLINE_MISSED).is_publisher);
-    wait_told(&mut peer, "/text", "deadline", |told| told["total_count"].as_u64() >= Some(1));
+    wait_for_event(&mut peer, "/text", "deadline", |received| received["total_count"].as_u64() >= Some(1));
     robot.event("words", QosEvent::MATCHED);
     wait_until("rclpy knows our subscription", || peer.ask(json!({"do": "matched", "topic": "/words"})) == 1);
     peer.ask(json!({"do": "publish", "topic": "/words", "fields": {"data": "last"}}));
     let missed = robot.event("words", QosEvent::DEADLINE_MISSED);
     assert!(!missed.is_publisher && missed.total >= 1, "{missed:?}");
-    wait_told(&mut peer, "/words", "deadline", |told| told["total_count"].as_u64() >= Some(1));
+    wait_for_event(&mut peer, "/words", "deadline", |received| received["total_count"].as_u64() >= Some(1));
     let [out, into] = robot.counts();
     assert!(out.deadlines_missed >= 1 && into.deadlines_missed >= 1);
 }
@@ -301,10 +301,10 @@ fn a_publisher_that_is_silent_is_told_to_be_not_alive_on_both_sides() {
     };
     let robot = Running::start(&participant, qos);
     rclpy_endpoints(&mut peer, &json!({"liveliness": "manual_by_topic", "lease_ms": 500}));
-    wait_told(&mut peer, "/text", "liveliness", |told| told["alive_count"] == 1);
+    wait_for_event(&mut peer, "/text", "liveliness", |received| received["alive_count"] == 1);
     robot.be_silent();
     robot.event("text", QosEvent::LIVELINESS_LOST);
-    wait_told(&mut peer, "/text", "liveliness", |told| told["not_alive_count"] == 1);
+    wait_for_event(&mut peer, "/text", "liveliness", |received| received["not_alive_count"] == 1);
 
     let changed = |robot: &Running| {
         let event = robot.event("words", QosEvent::LIVELINESS_CHANGED);
@@ -313,7 +313,7 @@ fn a_publisher_that_is_silent_is_told_to_be_not_alive_on_both_sides() {
     // As in Fast DDS, the lease begins with the first message.
     peer.ask(json!({"do": "publish", "topic": "/words", "fields": {"data": "I am"}}));
     assert_eq!([changed(&robot), changed(&robot)], [(1, 0), (0, 1)]);
-    wait_told(&mut peer, "/words", "liveliness", |told| told["total_count"].as_u64() >= Some(1));
+    wait_for_event(&mut peer, "/words", "liveliness", |received| received["total_count"].as_u64() >= Some(1));
     let [out, into] = robot.counts();
     assert!(out.liveliness_lost >= 1 && into.silences >= 1, "{out:?} {into:?}");
     peer.leave();

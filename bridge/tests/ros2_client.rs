@@ -253,7 +253,7 @@ fn parameters_go_both_ways() {
 struct Counter {
     server: ActionServer<Fibonacci>,
     client: ActionClient<Fibonacci>,
-    told: Sender<String>,
+    outcomes: Sender<String>,
 }
 
 impl Counter {
@@ -275,7 +275,7 @@ impl Module for Counter {
         ActionClient::builder(|counter: &mut Self| &mut counter.client)
             .on_result(|counter, _, end, _| {
                 let end = end.unwrap();
-                counter.told.send(format!("{} {:?}", end.status, end.result.sequence)).unwrap();
+                counter.outcomes.send(format!("{} {:?}", end.status, end.result.sequence)).unwrap();
             })
             .declare(setup, "far/count", &mut self.client)?;
         setup.subscribe("work", |counter: &mut Self, _: Received<'_, u8>, ctx| {
@@ -304,14 +304,15 @@ fn actions_go_both_ways() {
     let _in = check("Actions", "goal, feedback and result", With::Ros2Client, Way::In);
     let (_participant, node) = downbeat(223);
     let mut peer = Peer::start(223);
-    let (sender, told) = channel();
+    let (sender, outcomes) = channel();
     let mut core = Core::new();
-    let counter = Counter { server: ActionServer::default(), client: ActionClient::default(), told: sender };
+    let counter =
+        Counter { server: ActionServer::default(), client: ActionClient::default(), outcomes: sender };
     core.add("counter", counter).unwrap();
     let (work, ask) = (core.inlet::<u8>("work").unwrap(), core.inlet::<i32>("ask").unwrap());
     let (served, used) = (exposure("count", "/ours"), exposure("far/count", "/theirs"));
     expose(&mut core, &node, &[served.topics(Direction::Out), used.topics(Direction::In)].concat()).unwrap();
-    let status = expose_services(&mut core, &node, &served.services(), &used.calls()).unwrap();
+    let status = expose_services(&mut core, &node, &served.services(), &used.services()).unwrap();
     let handle = core.handle();
     let running = std::thread::spawn(move || core.run().unwrap());
 
@@ -377,7 +378,7 @@ fn actions_go_both_ways() {
             .all(|(_, is_matched, ..)| *is_matched)
     });
     ask.publish(7).unwrap();
-    assert_eq!(told.recv_timeout(WATCHDOG).unwrap(), "succeeded [7]");
+    assert_eq!(outcomes.recv_timeout(WATCHDOG).unwrap(), "succeeded [7]");
     serving.join().unwrap();
     handle.stop();
     running.join().unwrap();

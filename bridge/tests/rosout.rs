@@ -77,13 +77,13 @@ fn lines_carry_the_names_of_the_modules_that_logged_them() {
         lines = heard_late(&hub);
         lines.iter().any(|line| line.msg == "about the node")
     });
-    let told: Vec<_> = lines.iter().map(|line| (line.name.as_str(), line.msg.as_str())).collect();
+    let received: Vec<_> = lines.iter().map(|line| (line.name.as_str(), line.msg.as_str())).collect();
     for expected in [
         ("robot.downbeat.walker", "walks step=10000000"),
         ("robot.downbeat.eye", "walks step=20000000"),
         ("robot.downbeat", "about the node"),
     ] {
-        assert!(told.contains(&expected), "{expected:?} in {told:?}");
+        assert!(received.contains(&expected), "{expected:?} in {received:?}");
     }
     assert!(lines.iter().all(|line| line.file.ends_with(".rs") && line.line > 0));
     drop(publishing);
@@ -105,9 +105,9 @@ fn lines_from_before_the_node_and_from_just_before_the_end_are_published_in_thei
     assert!(matches!(rosout.publish(&node), Err(RosoutError::Published)));
     tracing::info!("just before the end");
     drop((log, publishing));
-    let told: Vec<_> =
+    let received: Vec<_> =
         samples.try_iter().map(|sample| cdr::from_slice::<Log>(&sample.cdr).unwrap().msg).collect();
-    assert_eq!(told, ["before the node", "just before the end"]);
+    assert_eq!(received, ["before the node", "just before the end"]);
     rosout.publish(&node).expect("another publisher may follow");
 }
 

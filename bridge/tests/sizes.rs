@@ -157,7 +157,7 @@ fn ddsperf(domain_id: u16, more: &[&str], topic: &str, qos: QosProfile) {
     if qos.reliability == Reliability::Reliable {
         assert!(numbers.windows(2).all(|pair| pair[1] == pair[0] + 1), "{numbers:?}");
     }
-    // It succeeds if it has heard as many as it was told to expect, and has missed none between them.
+    // It succeeds if it has received as many as expected, without a gap.
     let output = ddsperf.wait_with_output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
 }
@@ -234,7 +234,7 @@ fn samples_of_every_size_pass_between_us_and_rustdds() {
     let talker = Talker::join(&on_loopback(87), RELIABLE);
     let mut is_matched = [false; 2];
     wait_until("all are matched", || {
-        // An event is told once.
+        // An event is reported once.
         is_matched[0] |= writer.try_recv_status().is_some();
         is_matched[1] |= reader.try_recv_status().is_some();
         is_matched == [true; 2]

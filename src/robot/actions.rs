@@ -1,6 +1,6 @@
 //! From the actions that a robot file exposes to those that the bridge is to show of a core.
 
-use downbeat_bridge::expose::{ActionExposure, CallExposure, Exposure, ServiceExposure};
+use downbeat_bridge::expose::{ActionExposure, Exposure, ServiceExposure};
 use downbeat_bridge::middleware::Direction;
 use downbeat_executor::ServiceInfo;
 
@@ -21,7 +21,7 @@ pub struct Exposures {
     /// Services of modules, those of actions among them.
     pub services: Vec<ServiceExposure>,
     /// Services of ROS 2 that modules call, those of actions among them.
-    pub calls: Vec<CallExposure>,
+    pub calls: Vec<ServiceExposure>,
 }
 
 impl Robot {
@@ -77,7 +77,7 @@ impl Robot {
         }
         for action in &used {
             all.topics.extend(action.topics(Direction::In));
-            all.calls.extend(action.calls());
+            all.calls.extend(action.services());
         }
         Ok(all)
     }

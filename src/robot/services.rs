@@ -1,7 +1,7 @@
 //! From the services and parameters that a robot file exposes to those that the bridge is to show of a core.
 
 use downbeat_bridge::expose::{
-    CallExposure, ParameterExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection,
+    ParameterExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection,
 };
 use downbeat_edge::KnownService;
 use downbeat_executor::ServiceInfo;
@@ -41,14 +41,14 @@ impl Robot {
     ///
     /// # Errors
     /// If a module serves one itself, or its type is not known or another than modules call; with path and line.
-    pub fn call_exposures(&self) -> Result<Vec<CallExposure>> {
+    pub fn call_exposures(&self) -> Result<Vec<ServiceExposure>> {
         let exposure = |entry: &ServiceEntry| {
             let info = self.core.services().find(|info| is_named(info, &entry.service));
             if let Some(server) = info.and_then(|info| info.server.as_ref()) {
                 let problem = format!("\"{}\" is served by module \"{server}\" already", entry.service);
                 return Err(self.refuse(entry, problem));
             }
-            Ok(CallExposure {
+            Ok(ServiceExposure {
                 service: entry.service.clone(),
                 ros_service: entry.ros_service.clone(),
                 service_type: self.service_type(entry, info)?,

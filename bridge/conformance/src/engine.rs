@@ -1,9 +1,8 @@
 //! An engine as the suite sees it.
 
+use crate::peer::{PeerProcess, Role};
 use downbeat_bridge::middleware::{DiscoveryRange, Middleware, MiddlewareError, ParticipantOptions};
 use std::path::PathBuf;
-
-use crate::peer::{PeerProcess, Role};
 
 /// Makes a participant.
 pub type Join =

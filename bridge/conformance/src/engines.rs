@@ -1,18 +1,16 @@
 //! The engines of this repository.
 
-use parking_lot::Mutex;
-use std::collections::HashMap;
-use std::path::PathBuf;
-
+use crate::engine::Engine;
+#[cfg(feature = "rustdds")]
+use crate::engine::KnownFailure;
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::middleware::rtps::RtpsParticipant;
 #[cfg(feature = "rustdds")]
 use downbeat_bridge::middleware::rustdds::RustddsParticipant;
 use downbeat_bridge::middleware::{Middleware, MiddlewareError, ParticipantOptions};
-
-use crate::engine::Engine;
-#[cfg(feature = "rustdds")]
-use crate::engine::KnownFailure;
+use parking_lot::Mutex;
+use std::collections::HashMap;
+use std::path::PathBuf;
 
 /// The engine in memory.
 #[must_use]

@@ -1,13 +1,11 @@
 //! A participant in a process of its own, which can be killed.
 
+use crate::engine::{Join, on_loopback};
+use downbeat_bridge::middleware::Endpoint;
+use downbeat_msgs::qos::QosProfile;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-
-use downbeat_bridge::middleware::Endpoint;
-use downbeat_msgs::qos::QosProfile;
-
-use crate::engine::{Join, on_loopback};
 
 /// What the process does until its standard input ends; then it leaves in order.
 #[derive(Clone, Copy, Debug)]

@@ -1,11 +1,10 @@
 //! Running cases, and saying how it went.
 
+use crate::cases::{CASES, Case, Ran};
+use crate::engine::{Domain, Engine, KnownFailure};
 use std::any::Any;
 use std::fmt::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-
-use crate::cases::{CASES, Case, Ran};
-use crate::engine::{Domain, Engine, KnownFailure};
 
 /// How a case went.
 #[derive(Clone, Debug)]
@@ -62,7 +61,7 @@ pub fn run_all(engine: &Engine) -> impl Iterator<Item = CaseResult> {
 }
 
 impl CaseResult {
-    /// True unless the case failed and was not known to. One that is mended is as expected too, and should be told.
+    /// True unless the case failed and is no known failure. A known failure that passes is as expected too.
     #[must_use]
     pub fn is_as_expected(&self) -> bool {
         !matches!(self.outcome, Outcome::Failed(_))

@@ -6,23 +6,12 @@ use downbeat_msgs::action_msgs::msg::GoalStatusArray;
 use downbeat_msgs::action_msgs::srv::CancelGoal;
 use std::fmt;
 use std::marker::PhantomData;
-use thiserror::Error;
 
 /// An action type of ROS 2, found through [`Interfaces`](crate::Interfaces) or by its Rust type ([`KnownAction::of`]): the types of its
 /// three services and two topics.
 #[derive(Clone, Copy)]
 pub struct KnownAction {
     entry: &'static Entry,
-}
-
-/// A type name that no action has.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("unknown action type {name:?}{}", nearest.map(|name| format!(", did you mean {name:?}?")).unwrap_or_default())]
-pub struct UnknownAction {
-    /// The unknown name.
-    pub name: String,
-    /// The most similar known name, if one is similar.
-    pub nearest: Option<&'static str>,
 }
 
 impl KnownAction {

@@ -1,6 +1,6 @@
 //! The registry of messages, services and actions.
 
-use crate::{EncodedInlet, KnownAction, KnownService, KnownType, UnknownAction, UnknownService, UnknownType};
+use crate::{EncodedInlet, KnownAction, KnownService, KnownType};
 use downbeat_executor::{Core, ServiceInfo, SetupError};
 use downbeat_msgs::definitions::nearest;
 use downbeat_msgs::description::Description;
@@ -53,6 +53,18 @@ pub struct InterfaceConflict {
     pub other: &'static str,
 }
 
+/// A name of no registered message, service or action.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("unknown {kind} type {name:?}{}", nearest.map(|name| format!(", did you mean {name:?}?")).unwrap_or_default())]
+pub struct UnknownType {
+    /// `message`, `service` or `action`.
+    pub kind: &'static str,
+    /// The unknown name.
+    pub name: String,
+    /// The most similar registered name, if one is similar.
+    pub nearest: Option<&'static str>,
+}
+
 #[derive(Clone, Default)]
 struct Tables {
     messages: BTreeMap<&'static str, KnownType>,
@@ -96,6 +108,7 @@ impl Interfaces {
     /// [`UnknownType`] with the nearest name where there is none.
     pub fn message(&self, name: &str) -> Result<KnownType, UnknownType> {
         self.tables.messages.get(name).copied().ok_or_else(|| UnknownType {
+            kind: "message",
             name: name.to_owned(),
             nearest: nearest(name, self.tables.messages.keys().copied()),
         })
@@ -133,9 +146,10 @@ impl Interfaces {
     /// The service of that name, such as `std_srvs/srv/SetBool`.
     ///
     /// # Errors
-    /// [`UnknownService`] with the nearest name where there is none.
-    pub fn service(&self, name: &str) -> Result<KnownService, UnknownService> {
-        self.tables.services.get(name).copied().ok_or_else(|| UnknownService {
+    /// [`UnknownType`] with the nearest name where there is none.
+    pub fn service(&self, name: &str) -> Result<KnownService, UnknownType> {
+        self.tables.services.get(name).copied().ok_or_else(|| UnknownType {
+            kind: "service",
             name: name.to_owned(),
             nearest: nearest(name, self.tables.services.keys().copied()),
         })
@@ -170,9 +184,10 @@ impl Interfaces {
     /// The action of that name, such as `tf2_msgs/action/LookupTransform`.
     ///
     /// # Errors
-    /// [`UnknownAction`] with the nearest name where there is none.
-    pub fn action(&self, name: &str) -> Result<KnownAction, UnknownAction> {
-        self.tables.actions.get(name).copied().ok_or_else(|| UnknownAction {
+    /// [`UnknownType`] with the nearest name where there is none.
+    pub fn action(&self, name: &str) -> Result<KnownAction, UnknownType> {
+        self.tables.actions.get(name).copied().ok_or_else(|| UnknownType {
+            kind: "action",
             name: name.to_owned(),
             nearest: nearest(name, self.tables.actions.keys().copied()),
         })

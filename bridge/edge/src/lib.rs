@@ -19,15 +19,14 @@ mod message;
 mod parameter;
 mod service;
 
-pub use action::{KnownAction, UnknownAction};
+pub use action::KnownAction;
 pub use core_access::CoreAccess;
-pub use interfaces::{InterfaceConflict, Interfaces};
+pub use interfaces::{InterfaceConflict, Interfaces, UnknownType};
 pub use message::{
-    EncodedInlet, EncodedInletError, KnownType, Offered, RawError, RawMessage, RawTypeError, Sink,
-    UnknownType, Waiting,
+    EncodedInlet, EncodedInletError, KnownType, Offered, RawError, RawMessage, RawTypeError, Sink, Waiting,
 };
 pub use parameter::{parameter_type, parameter_value, setting_value};
 pub use service::{
     EncodeEvent, EncodedAnswer, EncodedCallError, EncodedCaller, EncodedStandIn, EventContent, KnownService,
-    RemoteCall, RemoteService, RemoteServices, UnknownService, encode_event,
+    RemoteCall, RemoteService, RemoteServices, encode_event,
 };

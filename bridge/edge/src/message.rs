@@ -25,16 +25,6 @@ pub struct KnownType {
     entry: &'static Entry,
 }
 
-/// A type name that no message has.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("unknown message type {name:?}{}", nearest.map(|name| format!(", did you mean {name:?}?")).unwrap_or_default())]
-pub struct UnknownType {
-    /// The unknown name.
-    pub name: String,
-    /// The most similar known name, if one is similar.
-    pub nearest: Option<&'static str>,
-}
-
 /// Takes the serialized messages of a topic. A closure takes all of them.
 pub trait Sink: Send + 'static {
     /// Whether to serialize the next message and pass it to [`take`](Self::take).

@@ -22,16 +22,6 @@ pub struct KnownService {
     entry: &'static Entry,
 }
 
-/// A type name that no service has.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("unknown service type {name:?}{}", nearest.map(|name| format!(", did you mean {name:?}?")).unwrap_or_default())]
-pub struct UnknownService {
-    /// The unknown name.
-    pub name: String,
-    /// The most similar known name, if one is similar.
-    pub nearest: Option<&'static str>,
-}
-
 /// Calls a service of modules with serialized requests, from any thread. Clones call the same service.
 #[derive(Clone)]
 pub struct EncodedCaller {

@@ -3,8 +3,8 @@
 //! An action is three services and two topics, and nothing else: what exposes those exposes it. Names and quality of service are
 //! those of `rcl_action` (branch jazzy: `names.c`, `default_qos.h`).
 
-use super::{CallExposure, Exposure, ServiceExposure};
-use crate::edge::{KnownAction, KnownService};
+use super::{Exposure, ServiceExposure};
+use crate::edge::KnownAction;
 use crate::middleware::Direction;
 use downbeat_msgs::qos::{Durability, QosProfile};
 use std::time::Duration;
@@ -36,32 +36,22 @@ impl ActionExposure {
         self.ros_action.as_deref().unwrap_or(&self.action)
     }
 
-    /// The services to offer where a module serves the action.
+    /// The services: to offer if a module serves the action, to call if a node of ROS 2 does.
     #[must_use]
     pub fn services(&self) -> Vec<ServiceExposure> {
-        let parts = self.service_parts().into_iter();
-        parts
-            .map(|Part { service, ros_service, service_type, timeout }| ServiceExposure {
-                service,
-                ros_service: Some(ros_service),
-                service_type,
-                timeout,
-            })
-            .collect()
-    }
-
-    /// The services that are called where a node of ROS 2 serves the action.
-    #[must_use]
-    pub fn calls(&self) -> Vec<CallExposure> {
-        let parts = self.service_parts().into_iter();
-        parts
-            .map(|Part { service, ros_service, service_type, timeout }| CallExposure {
-                service,
-                ros_service: Some(ros_service),
-                service_type,
-                timeout,
-            })
-            .collect()
+        let action = self.action_type;
+        [
+            ("send_goal", action.send_goal(), self.timeout),
+            ("cancel_goal", action.cancel_goal(), self.timeout),
+            ("get_result", action.get_result(), RESULT_TIMEOUT),
+        ]
+        .map(|(part, service_type, timeout)| ServiceExposure {
+            service: name(&self.action, part),
+            ros_service: Some(name(self.ros_action(), part)),
+            service_type,
+            timeout,
+        })
+        .into()
     }
 
     /// The topics: out of the executor where a module serves the action, into it where a node of ROS 2 does.
@@ -76,28 +66,6 @@ impl ActionExposure {
             })
             .into()
     }
-
-    fn service_parts(&self) -> [Part; 3] {
-        let action = self.action_type;
-        [
-            ("send_goal", action.send_goal(), self.timeout),
-            ("cancel_goal", action.cancel_goal(), self.timeout),
-            ("get_result", action.get_result(), RESULT_TIMEOUT),
-        ]
-        .map(|(part, service_type, timeout)| Part {
-            service: name(&self.action, part),
-            ros_service: name(self.ros_action(), part),
-            service_type,
-            timeout,
-        })
-    }
-}
-
-struct Part {
-    service: String,
-    ros_service: String,
-    service_type: KnownService,
-    timeout: Duration,
 }
 
 /// The name of a part of an action.

@@ -1,7 +1,6 @@
 //! Names of topics by pattern.
 
 use std::fmt;
-
 use thiserror::Error;
 
 /// A name, or a pattern for names: `*` stands for any characters of one part of a name, `**` as a part of its own for

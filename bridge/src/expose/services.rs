@@ -22,7 +22,7 @@ pub const SERVICES_MODULE_NAME: &str = "bridge_services";
 /// The name of the module that serves the services of ROS 2 that modules call.
 pub const CALLS_MODULE_NAME: &str = "bridge_calls";
 
-/// A service of modules to offer to ROS 2.
+/// A service of modules to offer to ROS 2, or a service of ROS 2 that modules call.
 #[derive(Clone, Debug)]
 pub struct ServiceExposure {
     /// The service in the executor.
@@ -31,21 +31,16 @@ pub struct ServiceExposure {
     pub ros_service: Option<String>,
     /// The type of the service.
     pub service_type: KnownService,
-    /// How long the module may take.
+    /// How long the server may take.
     pub timeout: Duration,
 }
 
-/// A service of ROS 2 that modules call.
-#[derive(Clone, Debug)]
-pub struct CallExposure {
-    /// The service in the executor.
-    pub service: String,
-    /// The service in ROS 2 where it differs.
-    pub ros_service: Option<String>,
-    /// The type of the service.
-    pub service_type: KnownService,
-    /// How long the server in ROS 2 may take.
-    pub timeout: Duration,
+impl ServiceExposure {
+    /// The service in ROS 2, before it is expanded.
+    #[must_use]
+    pub fn ros_service(&self) -> &str {
+        self.ros_service.as_deref().unwrap_or(&self.service)
+    }
 }
 
 /// How much of services and calls is published on `<service>/_service_event`.
@@ -112,7 +107,7 @@ pub fn expose_services(
     core: &mut Core,
     node: &Node,
     offered: &[ServiceExposure],
-    called: &[CallExposure],
+    called: &[ServiceExposure],
 ) -> Result<ServicesStatus, ExposeError> {
     expose_services_with(core, node, offered, called, ServiceIntrospection::default())
 }
@@ -126,7 +121,7 @@ pub fn expose_services_with(
     core: &mut Core,
     node: &Node,
     offered: &[ServiceExposure],
-    called: &[CallExposure],
+    called: &[ServiceExposure],
     introspection: ServiceIntrospection,
 ) -> Result<ServicesStatus, ExposeError> {
     let mut endpoints = ServiceEndpoints {
@@ -277,7 +272,6 @@ fn offer(
     caller: EncodedCaller,
     traffic: Arc<Traffic>,
 ) -> Result<Service, NodeError> {
-    let name = exposure.ros_service.as_deref().unwrap_or(&exposure.service);
     let (service_type, timeout) = (exposure.service_type, exposure.timeout);
     let on_request = move |IncomingRequest { cdr, responder, .. }: IncomingRequest| {
         let traffic = Arc::clone(&traffic);
@@ -299,7 +293,12 @@ fn offer(
             }
         });
     };
-    node.serve_raw(name, &ServiceType::new(service_type.name())?, QosProfile::SERVICES, Box::new(on_request))
+    node.serve_raw(
+        exposure.ros_service(),
+        &ServiceType::new(service_type.name())?,
+        QosProfile::SERVICES,
+        Box::new(on_request),
+    )
 }
 
 /// The negative response, if the type has one.
@@ -322,9 +321,12 @@ fn refusal(service_type: KnownService, error: &EncodedCallError) -> Option<Bytes
     }
 }
 
-fn client(node: &Node, exposure: &CallExposure) -> Result<RawClient, NodeError> {
-    let name = exposure.ros_service.as_deref().unwrap_or(&exposure.service);
-    node.client_raw(name, &ServiceType::new(exposure.service_type.name())?, QosProfile::SERVICES)
+fn client(node: &Node, exposure: &ServiceExposure) -> Result<RawClient, NodeError> {
+    node.client_raw(
+        exposure.ros_service(),
+        &ServiceType::new(exposure.service_type.name())?,
+        QosProfile::SERVICES,
+    )
 }
 
 /// Sends the calls of modules to ROS 2.

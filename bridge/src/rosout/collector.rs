@@ -1,9 +1,9 @@
-//! The queue between the threads that log and the thread that publishes.
+//! The queue between the threads that log and the publisher.
 
 use super::LogLine;
 use super::of_node::OfModules;
+use crate::worker::Mailbox;
 use crossbeam::queue::ArrayQueue;
-use crossbeam::sync::{Parker, Unparker};
 use parking_lot::Mutex;
 use std::cell::Cell;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use tracing::{Event, Subscriber};
 use tracing_subscriber::Layer;
 use tracing_subscriber::layer::Context;
 
-/// How many lines wait for a node or for the thread that publishes; as many as `/rosout` keeps for late subscriptions.
+/// How many lines wait for a node or its publisher; as many as `/rosout` keeps for late subscriptions.
 const WAITING: usize = 1000;
 
 thread_local! {
@@ -38,8 +38,7 @@ pub struct RosoutStatus {
     pub failed: u64,
 }
 
-/// Passes the events of `tracing` to a [`Rosout`], but for those of the thread that publishes: a line about a failed line would
-/// fail, too.
+/// Passes the events of `tracing` to a [`Rosout`], but for those of publishing itself: a line about a failed line would fail, too.
 pub struct RosoutLayer {
     rosout: Rosout,
 }
@@ -51,17 +50,14 @@ pub(super) struct Shared {
     pub(super) published: AtomicU64,
     pub(super) dropped: AtomicU64,
     pub(super) failed: AtomicU64,
-    pub(super) unparker: Unparker,
-    /// `None` while a thread publishes.
-    pub(super) parker: Mutex<Option<Parker>>,
+    /// Notifies the publisher of lines; `None` while no node publishes.
+    pub(super) waiting: Mutex<Option<Mailbox<()>>>,
 }
 
 impl Rosout {
     /// Nothing collected yet.
     #[must_use]
     pub fn new() -> Self {
-        let parker = Parker::new();
-        let unparker = parker.unparker().clone();
         Self {
             shared: Arc::new(Shared {
                 queue: ArrayQueue::new(WAITING),
@@ -70,8 +66,7 @@ impl Rosout {
                 published: AtomicU64::new(0),
                 dropped: AtomicU64::new(0),
                 failed: AtomicU64::new(0),
-                unparker,
-                parker: Mutex::new(Some(parker)),
+                waiting: Mutex::new(None),
             }),
         }
     }
@@ -91,7 +86,10 @@ impl Rosout {
         if shared.queue.push(line).is_err() {
             shared.dropped.fetch_add(1, Ordering::Relaxed);
         }
-        shared.unparker.unpark();
+        if let Some(waiting) = &*shared.waiting.lock() {
+            // Refused if the publisher is notified already.
+            let _ = waiting.push(());
+        }
     }
 
     /// Drops all lines and collects no more: for a program without `/rosout`.
@@ -128,9 +126,20 @@ impl<S: Subscriber> Layer<S> for RosoutLayer {
     }
 }
 
-/// Marks this thread as the one that publishes: its events are not collected.
-pub(super) fn mark_this_thread() {
-    PUBLISHES.set(true);
+/// While it exists this thread publishes, and its events are not collected.
+pub(super) struct Publishing;
+
+impl Publishing {
+    pub(super) fn begin() -> Self {
+        PUBLISHES.set(true);
+        Self
+    }
+}
+
+impl Drop for Publishing {
+    fn drop(&mut self) {
+        PUBLISHES.set(false);
+    }
 }
 
 #[cfg(test)]
@@ -165,7 +174,7 @@ mod tests {
         let logged = std::thread::spawn(move || {
             tracing::subscriber::with_default(tracing_subscriber::registry().with(layer), || {
                 tracing::info!("first");
-                mark_this_thread();
+                let _publishing = Publishing::begin();
                 tracing::warn!("the first could not be sent");
             });
         });

@@ -1,7 +1,7 @@
 //! `/rosout`: what a program logs through `tracing`, for `rqt_console` and `ros2 topic echo /rosout`.
 //!
-//! [`Rosout`] collects lines from any thread without making it wait, and publishes them on a thread of its own once there
-//! is a node. Loggers are named as rclcpp names them: the node `robot.downbeat`, and for what a module logs
+//! [`Rosout`] collects lines from any thread without blocking it, and publishes them on the worker of the participant once
+//! there is a node. Loggers are named as rclcpp names them: the node `robot.downbeat`, and for what a module logs
 //! `robot.downbeat.module`. [`LoggerLevels`] holds the levels that tools give to loggers while the program runs,
 //! and offers the services by which they do.
 //!
@@ -18,7 +18,7 @@
 //! let participant = Participant::on(std::sync::Arc::new(Hub::new().join()))?;
 //! let node = participant.create_node(NodeName::new("/robot", "downbeat")?)?;
 //! let publishing = rosout.publish(&node)?;
-//! drop(publishing); // Sends what was logged until now, and ends the thread.
+//! drop(publishing); // Sends what was logged until now.
 //! assert_eq!(rosout.status().published, 1);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

@@ -1,16 +1,16 @@
-//! The thread that publishes the lines.
+//! Publishing the lines.
 
-use super::collector::{Rosout, mark_this_thread};
+use super::collector::{Publishing, Rosout};
 use super::{LogLine, Severity, logger_name};
 use crate::middleware::WriteError;
 use crate::ros::{MessageType, Node, NodeError, Publisher};
-use crossbeam::sync::Parker;
+use crate::worker::Mailbox;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::rcl_interfaces::msg::Log;
 use downbeat_msgs::{Message, cdr};
+use parking_lot::Mutex;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
+use std::sync::atomic::Ordering;
 use thiserror::Error;
 
 /// Absolute: all nodes publish on one topic, whatever their namespace.
@@ -22,51 +22,61 @@ pub enum RosoutError {
     /// The publisher could not be created.
     #[error("publishing {TOPIC}: {0}")]
     Node(#[from] NodeError),
-    /// A thread publishes it already.
+    /// Another node publishes it already.
     #[error("{TOPIC} is published by another node of this program; drop that publisher before")]
     Published,
-    /// The thread could not be started.
-    #[error("starting the thread that publishes {TOPIC}: {0}")]
-    Thread(#[from] std::io::Error),
 }
+
+/// How many lines are sent before the worker attends to other work.
+const TURN: usize = 50;
 
 /// Publishes `/rosout` until it is dropped, which sends what was logged before.
 pub struct RosoutPublisher {
-    rosout: Rosout,
-    is_ending: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    sender: Arc<Mutex<Sender>>,
+    lines: Mailbox<()>,
 }
 
 impl Rosout {
-    /// Publishes on `/rosout` of a node what was collected and what will be, with the QoS of rcl: reliable, transient local,
+    /// Publishes collected and future lines on `/rosout` of a node, with the QoS of rcl: reliable, transient local,
     /// keep last 1000, lifespan 10 s.
     ///
     /// # Errors
-    /// [`RosoutError`] where the publisher or its thread cannot be had, or another node publishes already.
+    /// [`RosoutError`] if the publisher cannot be created, or another node publishes already.
     pub fn publish(&self, node: &Node) -> Result<RosoutPublisher, RosoutError> {
         let message_type = MessageType::new(Log::TYPE_NAME).map_err(NodeError::from)?;
         let publisher = node.publish(TOPIC, &message_type, QosProfile::ROSOUT)?;
-        let Some(parker) = self.shared.parker.lock().take() else { return Err(RosoutError::Published) };
-        let is_ending = Arc::new(AtomicBool::new(false));
-        let logger = logger_name(node.name());
-        let sender = Sender { rosout: self.clone(), publisher, logger, missing: 0 };
-        let thread = std::thread::Builder::new().name("rosout".into()).spawn({
-            let is_ending = Arc::clone(&is_ending);
-            move || sender.run(parker, &is_ending)
-        })?;
-        Ok(RosoutPublisher { rosout: self.clone(), is_ending, thread: Some(thread) })
+        let lines = Mailbox::new(1);
+        let mut waiting = self.shared.waiting.lock();
+        if waiting.is_some() {
+            return Err(RosoutError::Published);
+        }
+        *waiting = Some(lines.clone());
+        drop(waiting);
+        let sender = Sender { rosout: self.clone(), publisher, logger: logger_name(node.name()), missing: 0 };
+        let sender = Arc::new(Mutex::new(sender));
+        let (weak, incoming, worker) = (Arc::downgrade(&sender), lines.clone(), node.worker());
+        worker.clone().spawn(async move {
+            loop {
+                let Some(sender) = weak.upgrade() else { return };
+                let has_sent_all = sender.lock().send_some(TURN);
+                drop(sender);
+                match has_sent_all {
+                    true if incoming.next().await.is_none() => return,
+                    true => {}
+                    false => worker.catch_up().await,
+                }
+            }
+        });
+        Ok(RosoutPublisher { sender, lines })
     }
 }
 
 impl Drop for RosoutPublisher {
     fn drop(&mut self) {
-        self.is_ending.store(true, Ordering::Release);
-        self.rosout.shared.unparker.unpark();
-        if let Some(thread) = self.thread.take()
-            && thread.join().is_err()
-        {
-            tracing::error!("the thread that publishes {TOPIC} panicked");
-        }
+        self.lines.close();
+        let mut sender = self.sender.lock();
+        sender.send_some(usize::MAX);
+        *sender.rosout.shared.waiting.lock() = None;
     }
 }
 
@@ -79,23 +89,17 @@ struct Sender {
 }
 
 impl Sender {
-    fn run(mut self, parker: Parker, is_ending: &AtomicBool) {
-        mark_this_thread();
-        loop {
-            // Read before the lines, so that what was logged before the end is sent.
-            let is_last = is_ending.load(Ordering::Acquire);
-            while let Some(line) = self.rosout.take() {
-                self.send(&line);
-            }
-            self.report_missing();
-            if is_last {
-                break;
-            }
-            parker.park();
+    /// Sends at most so many lines. Returns true if no more wait.
+    fn send_some(&mut self, most: usize) -> bool {
+        let _publishing = Publishing::begin();
+        for _ in 0..most {
+            let Some(line) = self.rosout.take() else {
+                self.report_missing();
+                return true;
+            };
+            self.send(&line);
         }
-        let Self { rosout, publisher, .. } = self;
-        drop(publisher);
-        *rosout.shared.parker.lock() = Some(parker);
+        false
     }
 
     fn send(&self, line: &LogLine) {

@@ -159,6 +159,6 @@ fn ip(arguments: &[&str]) {
 fn try_ip(arguments: &[&str]) -> Result<(), String> {
     let Output { status, stderr, .. } =
         Command::new("ip").args(arguments).output().map_err(|error| error.to_string())?;
-    let told = String::from_utf8_lossy(&stderr);
-    if status.success() { Ok(()) } else { Err(told.trim().to_owned()) }
+    let text = String::from_utf8_lossy(&stderr);
+    if status.success() { Ok(()) } else { Err(text.trim().to_owned()) }
 }

@@ -1,4 +1,4 @@
-//! Texts of any size that tell by themselves whether they are whole, and a node of ours that exchanges them with a peer.
+//! Texts of any size that show whether they are complete, and a node of ours that exchanges them with a peer.
 #![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc)]
 
 use super::rclpy::Peer;

@@ -113,7 +113,7 @@ pub(super) fn a_dropped_reader_hears_nothing_more(domain: &Domain<'_>) {
     drop(dropped);
     writer.write(cdr([2; 4])).unwrap();
     assert_eq!(next(&kept_samples).cdr, cdr([2; 4]));
-    assert!(dropped_samples.recv().is_err(), "its handler is gone, and with it the sending half");
+    assert!(dropped_samples.recv().is_err(), "its handler was dropped, and with it the sending half");
 }
 
 pub(super) fn payloads_of_either_byte_order_arrive_as_they_were_written(domain: &Domain<'_>) -> Ran {

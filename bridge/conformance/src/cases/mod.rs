@@ -8,9 +8,8 @@ mod peers;
 mod qos;
 mod requests;
 
-use std::fmt;
-
 use crate::engine::Domain;
+use std::fmt;
 
 /// What every engine must do.
 #[derive(Clone, Copy)]
@@ -39,7 +38,7 @@ pub enum Heading {
     Requests,
     /// Other processes, that end in one way or another.
     Peers,
-    /// What discovery tells and finds.
+    /// What discovery announces and finds.
     Discovery,
     /// Times.
     Figures,

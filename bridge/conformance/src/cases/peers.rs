@@ -1,4 +1,4 @@
-//! Other processes that end, and what is told of and to others.
+//! Processes that end, and what others see of it.
 #![allow(clippy::unwrap_used)]
 
 use super::Ran;
@@ -74,7 +74,7 @@ pub(super) fn the_hash_of_a_type_is_told(domain: &Domain<'_>) -> Ran {
     wait_until("the writer is found", || found().is_some());
     match found().and_then(|found| found.type_hash) {
         Some(hash) if hash == HASH => Ran::Done(None),
-        other => Ran::Failed(format!("told was {other:?}")),
+        other => Ran::Failed(format!("received {other:?}")),
     }
 }
 

@@ -1,4 +1,4 @@
-//! Who suits whom, and what is told of it.
+//! Matches by quality of service, and their events.
 #![allow(clippy::unwrap_used)]
 
 use super::{NO_TIMES, Ran};
@@ -61,7 +61,7 @@ pub(super) fn matches_are_told_as_they_come_and_go(domain: &Domain<'_>) {
     let peer = reader.gid();
     assert_eq!(next(&of_writer), EndpointEvent::Matched { peer });
     wait_until("the reader is matched", || reader.matched() == 1);
-    // Who listens later is told what holds.
+    // A handler that is registered later receives the present state.
     let of_reader = events(|handler| reader.on_event(handler));
     assert_eq!(next(&of_reader), EndpointEvent::Matched { peer: writer.gid() });
     drop(reader);
@@ -133,8 +133,8 @@ pub(super) fn a_writer_with_manual_liveliness_lives_as_long_as_it_says_so(domain
         assert!(!matches!(lost, Ok(EndpointEvent::LivelinessLost)), "after {:?}", start.elapsed());
     }
     until(Aliveness::Alive);
-    let told = of_reader.try_iter().collect::<Vec<_>>();
-    assert_eq!(told, [], "it did not die");
+    let events = of_reader.try_iter().collect::<Vec<_>>();
+    assert_eq!(events, [], "it did not die");
     wait_for(&of_writer, EndpointEvent::LivelinessLost);
     until(Aliveness::NotAlive);
     writer.assert_liveliness();
