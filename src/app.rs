@@ -1,4 +1,4 @@
-//! A program that runs robots: what its robot files can name, with every command.
+//! Programs that run robots: registration of what their robot files can name, and all commands.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use crate::replay::{self, ReplayError, ReplayOptions, ReplayReport};
 use crate::robot::{Catalog, CatalogError, Kind, RobotFile, RobotFileError, RosArgs};
 use crate::running::{PreparedRobot, RunningRobot, StartError};
 
-/// A user's program: kinds of modules, registered by name, with every command of `downbeat`.
+/// A user's program: kinds of modules, registered by name, with all commands of `downbeat`.
 ///
 /// ```no_run
 /// use downbeat::executor::{Module, Setup, SetupError};
@@ -44,25 +44,25 @@ use crate::running::{PreparedRobot, RunningRobot, StartError};
 /// }
 /// ```
 ///
-/// The methods that register something never fail; what is wrong with a registration is reported by the methods that use
-/// the app.
+/// The methods that register something never fail. Errors of a registration are reported by the methods that
+/// use the app.
 #[derive(Clone, Default)]
 pub struct App {
     catalog: Catalog,
-    /// The first registration that was refused.
+    /// The error of the first registration that was refused.
     problem: Option<CatalogError>,
 }
 
-/// Why an app cannot do what was requested.
+/// Error of an app.
 #[derive(Debug, thiserror::Error)]
 pub enum AppError {
     /// A registration was refused.
     #[error("this program registers something invalid: {0}")]
     Catalog(#[from] CatalogError),
-    /// The robot file does not describe a robot.
+    /// The robot file is invalid.
     #[error(transparent)]
     Robot(#[from] RobotFileError),
-    /// The robot does not start.
+    /// The robot cannot be started.
     #[error(transparent)]
     Start(#[from] StartError),
     /// The bag cannot be read.
@@ -74,20 +74,20 @@ pub enum AppError {
 }
 
 impl App {
-    /// An app without kinds of modules.
+    /// Creates an app without kinds of modules.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// An app with the kinds of modules that come with downbeat, as the program `downbeat` has.
+    /// Creates an app with the built-in kinds of modules, like the program `downbeat`.
     #[must_use]
     pub fn with_built_in_kinds() -> Self {
         Self { catalog: Catalog::built_in(), problem: None }
     }
 
-    /// Registers messages, services and actions: the set `INTERFACES` of a crate, or that of one type. They are then exposed, recorded,
-    /// replayed and shown like those that downbeat carries.
+    /// Registers messages, services and actions: the set `INTERFACES` of a crate, or that of one type. They
+    /// are then exposed, recorded, replayed and shown like the built-in ones.
     ///
     /// ```
     /// use downbeat::msgs::Message;
@@ -107,7 +107,8 @@ impl App {
         self.register(|catalog| catalog.add_interfaces(set))
     }
 
-    /// Registers a kind of module: its name in robot files, a description of one line, and a function that makes a module.
+    /// Registers a kind of module: its name in robot files, a description in one line, and a function that
+    /// creates a module.
     #[must_use]
     pub fn kind<M: Module>(
         self,
@@ -151,10 +152,10 @@ impl App {
         self
     }
 
-    /// The registered kinds, interfaces, launchers and mechanisms.
+    /// Returns the registered kinds, interfaces, launchers and mechanisms.
     ///
     /// # Errors
-    /// If a registration was refused.
+    /// Returns an error if a registration was refused.
     pub fn catalog(&self) -> Result<&Catalog, AppError> {
         match &self.problem {
             None => Ok(&self.catalog),
@@ -165,18 +166,18 @@ impl App {
     /// Reads a robot file.
     ///
     /// # Errors
-    /// If it cannot be read, or says something that cannot be; with path and line.
+    /// Returns an error with path and line if the file cannot be read or is invalid.
     pub fn robot_file(&self, path: impl AsRef<Path>) -> Result<RobotFile, AppError> {
         Ok(RobotFile::read_with(path.as_ref(), self.catalog()?, &RosArgs::default())?)
     }
 
-    /// Starts the robot of a robot file on threads of its own: its core, its node in the ROS domain of the environment, and the socket
-    /// for `downbeat top`. It runs until the result is stopped or dropped.
+    /// Starts the robot of a robot file on its own threads: its core, its node in the ROS domain of the
+    /// environment, and the socket for `downbeat top`. It runs until the result is stopped or dropped.
     ///
     /// For a recording, another domain, no node or inlets, use [`App::robot_file`] and [`PreparedRobot`] instead.
     ///
     /// # Errors
-    /// If the file does not describe a robot, or something of it cannot start.
+    /// Returns an error if the file is invalid or a part of the robot cannot be started.
     pub fn start(&self, path: impl AsRef<Path>) -> Result<RunningRobot, AppError> {
         let mut robot = PreparedRobot::new(self.robot_file(path)?)?;
         let options = ParticipantOptions::from_env().map_err(StartError::from)?;
@@ -184,19 +185,20 @@ impl App {
         Ok(robot.start()?)
     }
 
-    /// Runs a robot's modules on a bag of it, and compares what they publish with what they published then: bit for bit,
-    /// but where `[replay]` of the robot file says otherwise.
+    /// Replays a bag of a robot with its modules and compares what they publish with the recording: bit for
+    /// bit, unless `[replay]` of the robot file specifies other rules.
     ///
     /// # Errors
-    /// If the bag cannot be replayed. That the replay differs is no error: the report says so.
+    /// Returns an error if the bag cannot be replayed. A replay that differs is not an error: the report
+    /// contains the difference.
     pub fn replay(&self, robot: impl AsRef<Path>, bag: impl AsRef<Path>) -> Result<ReplayReport, AppError> {
         let file = self.robot_file(robot)?;
         let options = ReplayOptions::of(&file);
         Ok(replay::replay(file, &Reader::open(bag.as_ref())?, &options)?)
     }
 
-    /// Runs the command line, with every command of `downbeat`. Errors are printed and give exit code 1. Takes over logging, SIGINT
-    /// and SIGTERM of the process.
+    /// Runs the command line with all commands of `downbeat`. Errors are printed and lead to exit code 1.
+    /// Sets up logging and handles SIGINT and SIGTERM of the process.
     #[cfg(feature = "cli")]
     #[must_use]
     pub fn main(&self) -> std::process::ExitCode {

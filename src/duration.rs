@@ -1,8 +1,8 @@
-//! Times as people write them: `20ms`, `10s`, `5m`.
+//! Parsing of durations with units: `20ms`, `10s`, `5m`.
 
 use std::time::Duration;
 
-/// Reads a time with its unit: `us`, `ms`, `s`, `m` or `min`, `h`.
+/// Parses a duration with its unit: `us`, `ms`, `s`, `m` or `min`, `h`.
 ///
 /// ```
 /// use std::time::Duration;
@@ -11,7 +11,7 @@ use std::time::Duration;
 /// ```
 ///
 /// # Errors
-/// In words, if it is no time.
+/// Returns a message if the text is not a duration.
 pub fn parse(text: &str) -> Result<Duration, String> {
     let number_ends = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
     let (number, unit) = text.split_at(number_ends);

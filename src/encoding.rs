@@ -1,7 +1,8 @@
-//! Messages in the encoding of a bag, and back.
+//! Conversion of messages to and from the encoding of a bag.
 //!
-//! A bag holds CDR unless asked for another [`Encoding`]; then each topic has a [`Codec`] of its type. What is read from a
-//! bag becomes CDR by what the bag itself says of a topic, so that playback and replay need not be told.
+//! A bag contains CDR unless another [`Encoding`] is requested; then each topic has a [`Codec`] for its type.
+//! When a bag is read, its own description of a topic determines the conversion to CDR, so that playback and
+//! replay need no options.
 
 use bytes::Bytes;
 use downbeat_bags::metadata::RecordedQos;
@@ -10,10 +11,11 @@ use downbeat_edge::{Interfaces, KnownType, UnknownType};
 use downbeat_msgs::encoding::{self, Codec, Encoding};
 use downbeat_msgs::foxglove;
 
-/// How a bag describes a topic of that type in that encoding, and what encodes its messages; nothing does if that is CDR.
+/// Returns the description of a topic with this type and encoding in a bag, and the codec for its messages;
+/// `None` for CDR.
 ///
 /// # Errors
-/// If the type cannot be in the encoding, or this build lacks the encoding.
+/// Returns an error if the encoding cannot represent the type, or this build lacks the encoding.
 pub fn topic_info(
     name: String,
     message_type: KnownType,
@@ -31,10 +33,11 @@ pub fn topic_info(
     described_topic_info(info, encoding)
 }
 
-/// The same of a topic whose type is told by its definition alone.
+/// Like [`topic_info`], for a type that is given by its definition.
 ///
 /// # Errors
-/// If the type cannot be in the encoding, its definition is none, or this build lacks the encoding.
+/// Returns an error if the encoding cannot represent the type, the definition is invalid, or this build lacks
+/// the encoding.
 pub fn described_topic_info(
     mut info: TopicDescription,
     encoding: Encoding,
@@ -50,47 +53,46 @@ pub fn described_topic_info(
     Ok((info, codec))
 }
 
-/// A topic of a bag whose messages can become CDR.
+/// The type of a topic in a bag, which converts its messages to CDR.
 #[derive(Clone, Debug)]
 pub struct RecordedType {
     message_type: KnownType,
     codec: Option<Codec>,
 }
 
-/// Why the messages of a topic cannot become CDR.
+/// Error while determining how to convert the messages of a topic to CDR.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordedTypeError {
     /// The type is not registered.
     #[error(transparent)]
     Unknown(#[from] UnknownType),
-    /// The encoding is not one that is read here.
-    #[error("topic \"{topic}\" holds messages in \"{message_encoding}\", which is not read here")]
+    /// The encoding is not supported.
+    #[error("topic \"{topic}\" holds messages in \"{message_encoding}\", which is not supported")]
     Encoding {
         /// The topic.
         topic: String,
-        /// What the bag calls it.
+        /// The name of the encoding in the bag.
         message_encoding: String,
     },
-    /// The messages were encoded by another definition than the one registered.
-    #[error(
-        "topic \"{topic}\" was recorded by another definition of {type_name} than the one registered here"
-    )]
+    /// The messages were encoded with another definition than the registered one.
+    #[error("topic \"{topic}\" was recorded with another definition of {type_name} than the registered one")]
     Definition {
         /// The topic.
         topic: String,
         /// Its type.
         type_name: String,
     },
-    /// The type cannot be in the encoding.
+    /// The encoding cannot represent the type.
     #[error(transparent)]
     Codec(#[from] encoding::Error),
 }
 
 impl RecordedType {
-    /// Of a topic, by what the bag says of it.
+    /// Determines the type of a topic from its description in the bag.
     ///
     /// # Errors
-    /// If the type is not registered or was another one then, or the encoding is not read here.
+    /// Returns an error if the type is not registered or has another definition in the bag, or the encoding
+    /// is not supported.
     pub fn of(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Self, RecordedTypeError> {
         let Some(format) = topic.info.format.as_ref().filter(|format| format.message_encoding != "cdr")
         else {
@@ -103,11 +105,11 @@ impl RecordedType {
                 message_encoding: format.message_encoding.clone(),
             });
         };
-        // Others who write Foxglove's schemas know no type of ROS 2.
+        // Other programs that write Foxglove's schemas do not use ROS 2 types.
         let foreign = foxglove::types().find(|(_, foxglove)| *foxglove == topic.info.type_name);
         let message_type = interfaces.message(foreign.map_or(&topic.info.type_name, |(ros, _)| ros))?;
         let codec = encoding.codec_of_text(message_type.name(), message_type.definition())?;
-        // Foxglove's schemas are the same for everyone, and only grow.
+        // Foxglove's schemas are the same in all programs, and are only extended.
         let is_foxglove = schema.name.starts_with("foxglove.");
         let is_same = topic.info.type_hash == message_type.hash()
             || (topic.info.type_hash.is_empty() && schema.data == codec.schema().data);
@@ -126,10 +128,10 @@ impl RecordedType {
         self.message_type
     }
 
-    /// A message as CDR.
+    /// Converts a message to CDR.
     ///
     /// # Errors
-    /// If the bytes are no such message. CDR itself is not looked at.
+    /// Returns an error if the bytes are not a message of the type. CDR is not checked.
     pub fn to_cdr(&self, data: Bytes) -> Result<Bytes, encoding::Error> {
         match &self.codec {
             Some(codec) => codec.decode(&data).map(Bytes::from),

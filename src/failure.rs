@@ -1,12 +1,12 @@
-//! What a `main` or a test of a user's own returns.
+//! The error type for `main` functions and tests of users.
 
 use std::error::Error;
 use std::fmt;
 
 /// An error as text, for `main` and for tests.
 ///
-/// Every error becomes one with `?`. A `main` or a test that returns it prints the message with its causes, where a boxed
-/// error would print Rust's debug representation.
+/// Every error converts to it with `?`. A `main` or a test that returns it prints the message with its
+/// causes, where a boxed error would print Rust's debug representation.
 ///
 /// ```
 /// fn main() -> Result<(), downbeat::Failure> {
@@ -19,7 +19,7 @@ pub struct Failure {
     message: String,
 }
 
-/// What a test returns that ends in [`assert_same`](crate::replay::ReplayReport::assert_same) or uses `?`.
+/// The result of a test that ends in [`assert_same`](crate::replay::ReplayReport::assert_same) or uses `?`.
 pub type TestResult = Result<(), Failure>;
 
 impl<E: Error> From<E> for Failure {
@@ -41,7 +41,7 @@ impl fmt::Debug for Failure {
     }
 }
 
-/// The error and its causes, without those that the text before them says already.
+/// Joins an error and its causes, without causes that the preceding text already contains.
 pub(crate) fn in_one_line(causes: impl Iterator<Item = String>) -> String {
     causes.fold(String::new(), |mut text, cause| {
         if !text.contains(&cause) {
@@ -58,7 +58,7 @@ mod tests {
     use crate::robot::RobotFile;
 
     #[test]
-    fn a_failure_is_printed_as_text_also_by_a_main_that_returns_it() {
+    fn a_failure_returned_from_main_is_printed_as_text() {
         let main = || -> TestResult {
             RobotFile::read("nowhere.toml".as_ref())?;
             Ok(())
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cause_that_is_told_already_is_not_told_again() {
+    fn a_cause_that_is_already_in_the_text_is_not_repeated() {
         let causes = ["run", "cannot read a: no such file", "no such file"].map(str::to_owned);
         assert_eq!(in_one_line(causes.into_iter()), "run: cannot read a: no such file");
     }

@@ -1,7 +1,8 @@
 //! Robot software as small modules in one process: the crates of downbeat, and robots from robot files.
 //!
-//! A program of a user's own is an [`App`]: kinds of modules registered by name, with every command of the program `downbeat`.
-//! [`App::start`] runs a robot inside another program; [`executor`] runs modules without robot files.
+//! A user's program is an [`App`]: kinds of modules registered by name, with all commands of the program
+//! `downbeat`. [`App::start`] runs a robot inside another program; [`executor`] runs modules without robot
+//! files.
 
 mod app;
 pub mod duration;
@@ -29,7 +30,7 @@ pub use downbeat_modules::device;
 pub use downbeat_msgs as msgs;
 pub use failure::{Failure, TestResult};
 
-/// The page of the repository, whose examples are compiled with the documentation tests.
+/// The README of the repository, whose examples are compiled with the documentation tests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 pub struct Readme;

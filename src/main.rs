@@ -1,4 +1,4 @@
-//! The program `downbeat`: runs robots, looks at bags, emulates devices.
+//! The program `downbeat`: runs robots, inspects bags, emulates devices.
 
 use std::process::ExitCode;
 

@@ -140,7 +140,7 @@ fn messages_of_another_definition_or_unknown_encoding_are_refused() {
         String::from_utf8(output.stderr).unwrap()
     };
     let error = refused("old", &|info| info.type_hash = format!("RIHS01_{}", "0".repeat(64)));
-    assert!(error.contains("was recorded by another definition of "), "{error}");
+    assert!(error.contains("was recorded with another definition of "), "{error}");
     let error = refused("msgpack", &|info| info.format.as_mut().unwrap().message_encoding = "msgpack".into());
-    assert!(error.contains("holds messages in \"msgpack\", which is not read here"), "{error}");
+    assert!(error.contains("holds messages in \"msgpack\", which is not supported"), "{error}");
 }

@@ -314,7 +314,7 @@ fn unregistered_types_are_refused_with_the_line_to_add() {
         ("[expose]\nservices = [\"level\"]\n", "\"level\" is user_msgs::", generated),
         ("[expose]\nactions = [\"lean\"]\n", "\"lean\" takes user_msgs::", generated),
         ("[record]\ntopics = [\"tilt\"]\n", "\"tilt\" carries", generated),
-        ("[record]\ntopics = [\"count\"]\n", "\"count\" carries u32, which is no ROS message", ""),
+        ("[record]\ntopics = [\"count\"]\n", "\"count\" carries u32, which is not a ROS message", ""),
     ] {
         let problem = problem(&unregistered, &format!("{robot}{section}"));
         assert!(problem.contains("robot.toml:6: "), "{problem}");

@@ -57,12 +57,12 @@ fn the_node_is_listed_with_its_topics_types_and_qos() {
     ];
     let endpoint = |type_name: &str, reliability: &str| json!([{ "node": "/darwin_op", "type": type_name, "reliability": reliability, "durability": "VOLATILE" }]);
     for (topic, type_name, reliability) in published {
-        wait_until(&format!("the publisher of {topic} is listed as it is"), || {
+        wait_until(&format!("the publisher of {topic} is listed with its type and QoS"), || {
             peer.ask(json!({"do": "publishers_of", "topic": topic})) == endpoint(type_name, reliability)
         });
         assert_eq!(peer.ask(json!({"do": "topics"}))[topic], json!([type_name]));
     }
-    wait_until("the subscription is listed as it is", || {
+    wait_until("the subscription is listed with its type and QoS", || {
         let listed = peer.ask(json!({"do": "subscriptions_of", "topic": "/joint_commands"}));
         listed == endpoint(JOINT_STATE, "RELIABLE")
     });

@@ -125,7 +125,7 @@ pub fn diff(
 }
 
 impl BagDiff {
-    /// Whether there is no difference.
+    /// Returns whether there is no difference.
     #[must_use]
     pub fn is_same(&self) -> bool {
         self.unreadable.is_empty() && self.topics.iter().all(TopicDiff::is_same)
@@ -151,7 +151,7 @@ impl TopicDiff {
         }
     }
 
-    /// Whether both bags contain it with the same messages.
+    /// Returns whether both bags contain it with the same messages.
     #[must_use]
     pub fn is_same(&self) -> bool {
         self.first == self.second && self.different == 0

@@ -35,7 +35,7 @@ pub struct BagInfo {
     pub topics: Vec<RecordedTopic>,
     /// The services whose events were recorded.
     pub services: Vec<ServiceEvents>,
-    /// What is missing.
+    /// The missing item.
     pub truncation: Vec<Truncation>,
     /// Sizes that require reading all messages, if they were computed. If present, they are printed like
     /// `ros2 bag info --verbose`.

@@ -45,7 +45,7 @@ impl Storage {
         }
     }
 
-    /// Whether it stores the publish time of messages in addition to the receive time.
+    /// Returns whether it stores the publish time of messages in addition to the receive time.
     pub(crate) fn keeps_publish_time(self) -> bool {
         match self {
             Self::Mcap => true,

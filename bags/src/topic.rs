@@ -62,8 +62,8 @@ impl TopicDescription {
         )
     }
 
-    /// Whether the definition is known and empty, as for `std_msgs/msg/Empty`: the hash distinguishes it from
-    /// an unknown one.
+    /// Returns whether the definition is known and empty, as for `std_msgs/msg/Empty`: the hash distinguishes
+    /// it from an unknown one.
     fn has_no_fields(&self) -> bool {
         let hash = || {
             let name: TypeName = self.type_name.parse().ok()?;
@@ -128,8 +128,8 @@ fn encoding_of(definition: &str) -> &'static str {
 /// The line between definitions.
 const RULE: &str = "================================================================================";
 
-/// Whether a topic carries the events of a service (service introspection), which `ros2 bag info` lists
-/// separately.
+/// Returns whether a topic carries the events of a service (service introspection), which `ros2 bag info`
+/// lists separately.
 ///
 /// The rule is that of `rosbag2_cpp/service_utils.cpp`.
 pub(crate) fn is_service_event(name: &str, type_name: &str) -> bool {

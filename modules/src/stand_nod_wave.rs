@@ -10,7 +10,8 @@
 //! Never tested on a real robot: nothing checks for collisions of the arm with the body, or for balance.
 //!
 //! # Motion
-//! The way from one pose to the next is that of minimum jerk: with s from 0 to 1 over the time of a step, the share of the way is
+//! The trajectory from one pose to the next has minimum jerk: with s from 0 to 1 over the duration of a step,
+//! the fraction of the trajectory is
 //!
 //! (1)  10 s^3 - 15 s^4 + 6 s^5
 //!

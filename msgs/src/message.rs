@@ -146,7 +146,7 @@ pub trait Action: Sized + Send + Sync + 'static {
     #[must_use]
     fn send_goal_response(accepted: bool, stamp: Time) -> Response<Self::SendGoal>;
 
-    /// Whether a goal was accepted, and when.
+    /// Returns whether a goal was accepted, and when.
     #[must_use]
     fn acceptance_of(response: Response<Self::SendGoal>) -> (bool, Time);
 

@@ -7,16 +7,16 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-/// A policy of several values with names. It is the one place of these words: robot files, the command line, the metadata of
-/// bags, ROS parameters and the answers of other programs use them.
+/// A policy with named values. All users of the names refer to this trait: robot files, the command line, the
+/// metadata of bags, ROS parameters and the answers of other programs.
 pub trait Word: Copy + PartialEq + 'static {
-    /// All values.
+    /// All values of the policy.
     const ALL: &'static [Self];
 
     /// The name in ROS 2 (`rmw/qos_string_conversions.h`).
     fn name(self) -> &'static str;
 
-    /// The value of that name.
+    /// Returns the value with this name.
     #[must_use]
     fn of_name(name: &str) -> Option<Self> {
         Self::ALL.iter().copied().find(|value| value.name() == name)
@@ -66,7 +66,7 @@ words! {
     }
 }
 words! {
-    /// Who asserts that a publisher is alive.
+    /// What asserts that a publisher is alive.
     Liveliness {
         /// The middleware.
         Automatic = "automatic",
@@ -125,40 +125,41 @@ pub struct QosProfile {
     pub lifespan: Option<Duration>,
     /// See [`Liveliness`].
     pub liveliness: Liveliness,
-    /// How long a publisher may be silent before it counts as not alive.
+    /// How long a publisher may go without an assertion before it counts as not alive.
     pub liveliness_lease_duration: Option<Duration>,
 }
 
 /// A policy that is fixed, or chosen when the endpoint is created.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Policy<T> {
-    /// The best that matches all endpoints of others that are known when the endpoint is created.
+    /// The best value that matches all other endpoints known when the endpoint is created.
     #[serde(rename = "best_available")]
     BestAvailable,
-    /// This one.
+    /// This value.
     #[serde(untagged)]
     Given(T),
 }
 
-/// The word for a policy, or a whole profile, that is chosen when the endpoint is created.
+/// The name for a policy, or a whole profile, that is chosen when the endpoint is created.
 pub const BEST_AVAILABLE: &str = "best_available";
-/// The word for a policy, or a whole profile, that is left to the middleware.
+/// The name for a policy, or a whole profile, that is left to the middleware.
 pub const SYSTEM_DEFAULT: &str = "system_default";
 
-/// What to offer or request, where some of it may depend on the endpoints of others. Serialized in the words of robot files.
+/// The QoS to offer or request, parts of which may depend on the endpoints of others. Serialized with the
+/// names of robot files.
 ///
-/// The rules for what is *best available* are those of `rmw_dds_common` (branch jazzy, `src/qos.cpp`):
+/// The rules for *best available* are those of `rmw_dds_common` (branch jazzy, `src/qos.cpp`):
 ///
-/// | policy | of a publisher | of a subscription |
+/// | policy | publisher | subscription |
 /// | --- | --- | --- |
 /// | reliability | reliable | reliable if all publishers are |
 /// | durability | transient local | transient local if all publishers are |
 /// | liveliness | manual by topic if a subscription asks for it | manual by topic if all publishers are |
 /// | deadline, lease | the shortest that a subscription asks for, less 1 ns | the longest that a publisher offers, and 1 ns |
 ///
-/// As there, it is decided once, and endpoints that join later have no influence. A subscription that is created before any
-/// publisher is known thus requests reliable and transient local; only liveliness is then automatic, since manual by topic would
-/// match hardly any publisher.
+/// As in `rmw_dds_common`, it is decided once, and endpoints that join later have no influence. A
+/// subscription that is created before any publisher is known therefore requests reliable and transient
+/// local; only liveliness is then automatic, because manual by topic would match hardly any publisher.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct QosRequest {
     /// See [`Reliability`].
@@ -176,7 +177,7 @@ pub struct QosRequest {
     pub lifespan: Option<Duration>,
     /// See [`Liveliness`].
     pub liveliness: Policy<Liveliness>,
-    /// How long a publisher may be silent before it counts as not alive.
+    /// How long a publisher may go without an assertion before it counts as not alive.
     #[serde(with = "policy_time")]
     pub liveliness_lease_duration: Policy<Option<Duration>>,
 }
@@ -224,13 +225,13 @@ impl QosProfile {
         ("latched", Self::LATCHED),
     ];
 
-    /// The preset of that name.
+    /// Returns the preset with this name.
     #[must_use]
     pub fn preset(name: &str) -> Option<Self> {
         Self::PRESETS.into_iter().find(|(known, _)| *known == name).map(|(_, profile)| profile)
     }
 
-    /// The same profile with history keep last `depth`.
+    /// Returns this profile with history keep last `depth`.
     #[must_use]
     pub const fn keep_last(self, depth: u32) -> Self {
         Self { history: History::KeepLast(depth), ..self }
@@ -243,7 +244,7 @@ impl Default for QosProfile {
     }
 }
 
-/// On the wire durations are fractions of 2^-32 s: a time that was read and is written again may come out a little
+/// On the wire, durations are fractions of 2^-32 s: a duration that is read and written again may be slightly
 /// shorter or longer, and would then not match.
 const ROUNDING: Duration = Duration::from_nanos(1);
 
@@ -259,7 +260,7 @@ impl QosRequest {
         liveliness_lease_duration: Policy::BestAvailable,
     };
 
-    /// The profile, if all policies are fixed.
+    /// Returns the profile, if all policies are fixed.
     #[must_use]
     pub fn profile(&self) -> Option<QosProfile> {
         Some(QosProfile {
@@ -273,7 +274,7 @@ impl QosRequest {
         })
     }
 
-    /// What a publisher offers to these subscriptions.
+    /// Returns the QoS that a publisher offers to these subscriptions.
     #[must_use]
     pub fn offered_to(&self, subscriptions: &[QosProfile]) -> QosProfile {
         let shortest = |times: &dyn Fn(&QosProfile) -> Option<Duration>| {
@@ -295,7 +296,7 @@ impl QosRequest {
         })
     }
 
-    /// What a subscription requests of these publishers.
+    /// Returns the QoS that a subscription requests from these publishers.
     #[must_use]
     pub fn requested_of(&self, publishers: &[QosProfile]) -> QosProfile {
         let all = |has: fn(&QosProfile) -> bool| publishers.iter().all(has);
@@ -359,7 +360,7 @@ impl From<QosProfile> for QosRequest {
     }
 }
 
-/// Reliability, durability and history; the other policies where they differ from the default.
+/// Formats reliability, durability and history, and other policies that differ from the default.
 impl fmt::Display for QosRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = |policy: Option<&'static str>| policy.unwrap_or(BEST_AVAILABLE);
@@ -390,7 +391,7 @@ impl fmt::Display for QosRequest {
 }
 
 impl<T: Copy> Policy<T> {
-    /// The policy, if it is fixed.
+    /// Returns the policy, if it is fixed.
     pub fn given(self) -> Option<T> {
         match self {
             Self::Given(policy) => Some(policy),
@@ -399,7 +400,7 @@ impl<T: Copy> Policy<T> {
     }
 }
 
-/// A time with its unit, such as `100ms`, or `infinite`.
+/// Serialises a time with its unit, such as `100ms`, or `infinite`.
 mod time {
     use serde::de::Error;
     use serde::{Deserialize, Deserializer, Serializer};
@@ -425,7 +426,7 @@ mod time {
             _ => return Err(E::custom(format!("\"{text}\" is not a time, such as 100ms, or {INFINITE}"))),
         };
         let number: f64 = number.parse().map_err(E::custom)?;
-        // As `Debug` writes at most nanoseconds, the nearest one is exact.
+        // `Debug` writes at most nanoseconds, so the nearest one is exact.
         Duration::try_from_secs_f64(number * seconds).map(Some).map_err(E::custom)
     }
 
@@ -443,7 +444,7 @@ mod time {
     }
 }
 
-/// As [`time`], or `best_available`.
+/// Like [`time`], or `best_available`.
 mod policy_time {
     use super::{BEST_AVAILABLE, Policy, time};
     use serde::{Deserialize, Deserializer, Serializer};

@@ -19,7 +19,7 @@ use follow::{Follower, Inputs};
 pub(crate) use steps::replay_steps;
 pub use steps::{ReplayedSteps, replay_module};
 
-/// Why a bag cannot be played into a core, or a module replayed by its runs in the bag.
+/// Error while playing a bag into a core, or replaying a module from its recorded runs.
 #[derive(Debug, thiserror::Error)]
 pub enum PlaybackError {
     /// The bag cannot be read.

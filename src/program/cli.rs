@@ -124,7 +124,7 @@ pub(crate) enum Command {
     Lifecycle(LifecycleCommand),
     /// Create your own project: a robot, or with --template a package of messages or a module.
     New(NewArguments),
-    /// Run an emulated device by itself.
+    /// Run only an emulated device.
     #[command(subcommand)]
     Emulate(EmulateCommand),
     /// Print a shell completion script for the commands and options of this program.

@@ -60,7 +60,7 @@ fn look(arguments: &GraphArguments, catalog: &Catalog, ros: &RosArgs) -> anyhow:
     Ok(look.all(Patience::Nodes).into())
 }
 
-/// What an endpoint offers or requests.
+/// The QoS that an endpoint offers or requests.
 fn policies(endpoint: &NetworkEndpoint) -> (Reliability, Durability, Liveliness) {
     (
         if endpoint.is_reliable { Reliability::Reliable } else { Reliability::BestEffort },

@@ -35,7 +35,7 @@ impl Output {
         }
     }
 
-    /// Whether it may contain a file of that name.
+    /// Returns whether it may contain a file of that name.
     fn holds(self, name: &str) -> bool {
         const BAG: [&str; 6] = [".mcap", ".mcap.zstd", ".db3", ".db3.zstd", ".db3-wal", ".db3-shm"];
         const TABLES: [&str; 3] = [".csv", ".jsonl", ".parquet"];

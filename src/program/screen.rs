@@ -89,7 +89,7 @@ pub(crate) struct Line {
 
 /// Arranges `entries` in lines of at most `width` characters, separated by `separator`.
 ///
-/// An entry that is longer than a line has a line of its own.
+/// An entry that is longer than a line is on a separate line.
 pub(crate) fn wrap<T: AsRef<str>>(
     entries: impl IntoIterator<Item = T>,
     separator: &str,

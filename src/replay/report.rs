@@ -230,7 +230,7 @@ impl fmt::Display for ReplayReport {
             writeln!(f, "  {} in {} cycles{exact}", self.modules.join(", "), self.cycles)?;
         }
         for (module, runs) in &self.detached {
-            writeln!(f, "  {module} in {runs} runs of its own")?;
+            writeln!(f, "  {module} in {runs} separate runs")?;
         }
         for left_out in &self.left_out {
             writeln!(f, "  not {left_out}")?;

@@ -1,4 +1,4 @@
-//! From the actions that a robot file exposes to those that the bridge is to show of a core.
+//! Converts the exposed actions of a robot file to exposures of the bridge.
 
 use downbeat_bridge::expose::{ActionExposure, Exposure, ServiceExposure};
 use downbeat_bridge::middleware::Direction;
@@ -11,24 +11,24 @@ use super::file::{ActionEntry, RobotFileError, suggestion};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
-/// What ends the name of the service by which an action is known.
+/// Suffix of the service that identifies an action.
 const SEND_GOAL: &str = "/_action/send_goal";
 
-/// All that the bridge is to show of a robot: topics, services and actions taken together.
+/// Everything that the bridge exposes of a robot: topics, services and actions.
 pub struct Exposures {
-    /// Topics, those of actions among them.
+    /// Topics, including those of actions.
     pub topics: Vec<Exposure>,
-    /// Services of modules, those of actions among them.
+    /// Services of modules, including those of actions.
     pub services: Vec<ServiceExposure>,
-    /// Services of ROS 2 that modules call, those of actions among them.
+    /// Services of ROS 2 that modules call, including those of actions.
     pub calls: Vec<ServiceExposure>,
 }
 
 impl Robot {
-    /// The actions of modules to offer to ROS 2.
+    /// Returns the actions of modules that are exposed to ROS 2.
     ///
     /// # Errors
-    /// If no module serves one, or its type is another; with path and line.
+    /// Returns an error with path and line if no module serves an action, or it has another type.
     pub fn action_exposures(&self) -> Result<Vec<ActionExposure>> {
         let exposure = |entry: &ActionEntry| {
             let served: Vec<_> =
@@ -43,10 +43,11 @@ impl Robot {
         self.file.expose.actions.iter().map(exposure).collect()
     }
 
-    /// The actions of ROS 2 that modules use.
+    /// Returns the actions of ROS 2 that modules use.
     ///
     /// # Errors
-    /// If a module serves one itself, or its type is not known or another than modules use; with path and line.
+    /// Returns an error with path and line if a module serves an action itself, or its type is unknown or
+    /// differs from the one that modules use.
     pub fn action_call_exposures(&self) -> Result<Vec<ActionExposure>> {
         let exposure = |entry: &ActionEntry| {
             let found = self.action(entry);
@@ -60,10 +61,10 @@ impl Robot {
         self.file.expose.action_calls.iter().map(exposure).collect()
     }
 
-    /// All that the file exposes of topics, services and actions.
+    /// Returns all topics, services and actions that the file exposes.
     ///
     /// # Errors
-    /// Those of its parts.
+    /// Returns the errors of its parts.
     pub fn exposed(&self) -> Result<Exposures> {
         let (served, used) = (self.action_exposures()?, self.action_call_exposures()?);
         let mut all = Exposures {
@@ -82,7 +83,7 @@ impl Robot {
         Ok(all)
     }
 
-    /// The actions that modules serve or use, by name.
+    /// Iterates over the actions that modules serve or use, with their names.
     fn actions(&self) -> impl Iterator<Item = (&str, &ServiceInfo)> {
         self.core.services().filter_map(|info| Some((info.name.strip_suffix(SEND_GOAL)?, info)))
     }
@@ -207,11 +208,11 @@ mod tests {
         );
         assert_eq!(exposed.services[0].timeout.as_secs(), 2);
         let everything = robot.file.expose.topics.is_empty();
-        assert!(everything, "nothing but the actions");
+        assert!(everything, "only the actions");
     }
 
     #[test]
-    fn patterns_of_topics_leave_those_of_actions_alone() {
+    fn patterns_do_not_match_topics_of_actions() {
         let text = "[robot]\nname = \"r\"\n[[module]]\nkind = \"stand_nod_wave\"\n[expose]\nout = [\"**\"]";
         let file = RobotFile::parse(
             Source::new(Path::new("robot.toml"), text.to_owned()),
@@ -225,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_exposed_is_told_with_its_line_and_the_nearest_name() {
+    fn errors_contain_the_line_and_the_nearest_name() {
         for (expose, words) in [
             ("actions = [\"lokup\"]", "no module serves an action \"lokup\", did you mean \"lookup\"?"),
             ("actions = [\"far/lookup\"]", "no module serves an action \"far/lookup\""),

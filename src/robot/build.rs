@@ -1,4 +1,4 @@
-//! From a robot file to a core with its modules and journals.
+//! Builds a core with modules and journals from a robot file.
 
 use downbeat_bridge::expose::Exposure;
 use downbeat_executor::{
@@ -15,18 +15,18 @@ type Result<T> = std::result::Result<T, RobotFileError>;
 
 /// A core with the modules of a robot file, not yet started. The bridge and the recorder join it later.
 pub struct Robot {
-    /// What the file says.
+    /// The robot file.
     pub file: RobotFile,
-    /// The modules.
+    /// The core with the modules.
     pub core: Core,
 }
 
 impl RobotFile {
-    /// Adds the file's modules to a core that is made by `core`, and gives it the file's launcher.
+    /// Adds the modules of the file to `core` and sets the launcher of the file.
     ///
     /// # Errors
-    /// If a module cannot be set up as the file says, the file names topics that no module has, or the system does
-    /// not allow the CPUs or priorities of a thread; with path and line.
+    /// Returns an error with path and line if a module cannot be set up, the file names topics that no module
+    /// has, or the system does not allow the CPUs or priorities of a thread.
     pub fn build(self, core: Core) -> Result<Robot> {
         let mut core = self.build_modules(self.launch(core)?, |_, _| None)?;
         for UnrecordedService { service, types, modules } in
@@ -34,7 +34,7 @@ impl RobotFile {
         {
             let modules = modules.into_iter().collect::<Vec<_>>().join(", ");
             tracing::warn!(
-                "calls of service \"{service}\" between {modules} cannot be recorded, for a replay of one of them alone: \
+                "calls of service \"{service}\" between {modules} cannot be recorded for a replay of only one of them: \
                  {types} are plain Rust types"
             );
         }
@@ -51,8 +51,8 @@ impl RobotFile {
         Ok(robot)
     }
 
-    /// Adds the catalog's mechanisms and the file's modules to a core: each module as its kind says, unless `instead` does
-    /// something in place of that.
+    /// Adds the mechanisms of the catalog and the modules of the file to a core. Each module is added by its
+    /// kind, unless `instead` replaces that.
     pub(crate) fn build_modules(
         &self,
         core: Core,
@@ -68,7 +68,7 @@ impl RobotFile {
         Ok(core)
     }
 
-    /// Gives a core the file's launcher.
+    /// Sets the launcher of the file for a core.
     pub(crate) fn launch(&self, core: Core) -> Result<Core> {
         let LauncherEntry { line, choice, threads, idle, deadline } = &self.launcher;
         let refuse = |problem: String| self.source.error(*line, problem);
@@ -107,7 +107,7 @@ impl RobotFile {
             .map_err(|error| self.source.error(module.thread_line, error.to_string()))
     }
 
-    /// The error of a module's setup at the line that caused it.
+    /// Converts the error of a module's setup to an error at the line that caused it.
     fn located(&self, module: &ModuleEntry, error: &SetupError) -> RobotFileError {
         let of_setting = |name: &String| module.settings.get(name).map(|setting| setting.place.clone());
         let of_remap = |name: &String| module.remaps.get(name).map(|remap| Place::Line(remap.line));
@@ -135,8 +135,8 @@ impl RobotFile {
 }
 
 impl RobotFile {
-    /// The same robot with threads wherever the system puts them. CPUs, priorities and spinning change no result,
-    /// and a machine that only checks or replays the robot may not allow them.
+    /// Removes CPUs, priorities and spinning of threads. They do not affect results, and a machine that only
+    /// checks or replays the robot may not allow them.
     #[must_use]
     pub fn on_any_machine(mut self) -> Self {
         self.launcher.threads = ThreadOptions::default();
@@ -147,7 +147,7 @@ impl RobotFile {
         self
     }
 
-    /// What of the file's CPUs and priorities this machine does not allow, with path and line.
+    /// Returns errors with path and line for the CPUs and priorities that this machine does not allow.
     #[must_use]
     pub fn thread_problems(&self) -> Vec<RobotFileError> {
         let launcher = self.launch(Core::new()).err();
@@ -155,10 +155,10 @@ impl RobotFile {
         launcher.into_iter().chain(modules).collect()
     }
 
-    /// Checks that no module drives a device: for running a robot on recorded input.
+    /// Checks that no module drives a device, before a robot runs on recorded input.
     ///
     /// # Errors
-    /// If one does; with path and line.
+    /// Returns an error with path and line if a module drives a device.
     pub fn refuse_devices(&self) -> Result<()> {
         let Some(module) = self.modules.iter().find(|module| module.kind.uses_device()) else {
             return Ok(());
@@ -173,10 +173,11 @@ impl RobotFile {
 }
 
 impl Robot {
-    /// What the bridge is to show of the modules' topics.
+    /// Returns the topics that the bridge exposes.
     ///
     /// # Errors
-    /// If a topic is not there, nobody publishes what is to go out, or the type is another; with path and line.
+    /// Returns an error with path and line if a topic does not exist, no module publishes an outgoing topic,
+    /// or the type differs.
     pub fn exposures(&self) -> Result<Vec<Exposure>> {
         let topics: Vec<_> = self.core.topics().cloned().collect();
         self.file.exposures_of(&self.file.expose.topics, &topics, &[])
@@ -184,7 +185,7 @@ impl Robot {
 }
 
 impl RobotFile {
-    /// The topic of that name.
+    /// Returns the topic with this name.
     pub(super) fn topic<'a>(
         &self,
         topics: &'a [TopicInfo],
@@ -199,10 +200,10 @@ impl RobotFile {
     }
 }
 
-/// Finds out in a thread of its own whether the system allows the options.
+/// Checks in a separate thread whether the system allows the options.
 fn check(thread: &str, options: &ThreadOptions) -> std::result::Result<(), ThreadError> {
     if *options != ThreadOptions::default() {
-        // It does nothing, and so cannot panic.
+        // The thread does nothing and cannot panic.
         let _ = options.spawn(thread, || {})?.join();
     }
     Ok(())

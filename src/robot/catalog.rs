@@ -9,13 +9,13 @@ use downbeat_msgs::InterfaceSet;
 
 use super::kind::Kind;
 
-/// The registry of an app: kinds of modules and launchers, which robot files name; types of messages, services and actions; and
-/// mechanisms, which every core gets.
+/// The registry of an app: kinds of modules and launchers, which robot files name; types of messages,
+/// services and actions; and mechanisms, which are added to every core.
 ///
-/// Clones are cheap and share what they hold.
+/// Clones are cheap and share their contents.
 #[derive(Clone, Default)]
 pub struct Catalog {
-    /// The registered messages, services and actions, those that `downbeat-msgs` carries among them.
+    /// The registered messages, services and actions, including those of `downbeat-msgs`.
     pub interfaces: Interfaces,
     kinds: BTreeMap<Arc<str>, Kind>,
     launchers: BTreeMap<Arc<str>, Arc<MakeLauncher>>,
@@ -25,14 +25,14 @@ pub struct Catalog {
 type MakeLauncher = dyn Fn(&ThreadOptions) -> Result<Box<dyn Launcher>, String> + Send + Sync;
 type Engage = dyn Fn(Core) -> Core + Send + Sync;
 
-/// A registration was refused, since its name is taken.
+/// A registration was refused because its name is in use.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CatalogError {
-    /// Two kinds of one name.
+    /// Two kinds with the same name.
     #[error("there are two kinds of modules named \"{0}\"; give one of them another name")]
     TwoKinds(String),
-    /// Two launchers of one name.
-    #[error("there is a launcher named \"{0}\" already; choose another name")]
+    /// Two launchers with the same name.
+    #[error("there already is a launcher named \"{0}\"; choose another name")]
     TwoLaunchers(String),
     /// Two definitions of one interface.
     #[error(transparent)]
@@ -43,13 +43,14 @@ pub enum CatalogError {
 const BUILT_IN_LAUNCHERS: [&str; 3] = ["linear", "pool", "threads"];
 
 impl Catalog {
-    /// A catalog without kinds: with the launchers `linear`, `pool` and `threads`, and the interfaces that `downbeat-msgs` carries.
+    /// Creates a catalog without kinds, with the launchers `linear`, `pool` and `threads` and the interfaces
+    /// of `downbeat-msgs`.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// A catalog with the kinds of modules that come with downbeat.
+    /// Creates a catalog with the built-in kinds of modules.
     #[must_use]
     pub fn built_in() -> Self {
         let kinds = super::kind::built_in().into_iter().map(|kind| (Arc::from(kind.name()), kind));
@@ -59,7 +60,7 @@ impl Catalog {
     /// Adds a kind of module.
     ///
     /// # Errors
-    /// If the name is taken.
+    /// Returns an error if the name is in use.
     pub fn add_kind(&mut self, kind: Kind) -> Result<(), CatalogError> {
         if self.kinds.contains_key(kind.name()) {
             return Err(CatalogError::TwoKinds(kind.name().to_owned()));
@@ -68,10 +69,10 @@ impl Catalog {
         Ok(())
     }
 
-    /// Adds messages, services and actions: such as the `INTERFACES` of a crate.
+    /// Adds messages, services and actions, such as the `INTERFACES` of a crate.
     ///
     /// # Errors
-    /// If a name is registered with another definition. Then none of the set is added.
+    /// Returns an error if a name is registered with another definition. None of the set is then added.
     pub fn add_interfaces(&mut self, set: impl InterfaceSet) -> Result<(), CatalogError> {
         self.interfaces = self.interfaces.with(set)?;
         Ok(())
@@ -80,7 +81,7 @@ impl Catalog {
     /// Adds a launcher. `make` is called for each core, with the CPUs and priorities that the robot file gives its threads.
     ///
     /// # Errors
-    /// If there is one of that name.
+    /// Returns an error if there is a launcher with this name.
     pub fn add_launcher<L: Launcher + 'static>(
         &mut self,
         name: &str,
@@ -99,7 +100,7 @@ impl Catalog {
         self.mechanisms.push(Arc::new(move |core: Core| core.with_mechanism(make())));
     }
 
-    /// The kinds, by name.
+    /// Iterates over the kinds, by name.
     pub fn kinds(&self) -> impl Iterator<Item = &Kind> {
         self.kinds.values()
     }
@@ -110,12 +111,12 @@ impl Catalog {
         self.kinds.get(name)
     }
 
-    /// The names of all launchers.
+    /// Iterates over the names of all launchers.
     pub fn launchers(&self) -> impl Iterator<Item = &str> {
         BUILT_IN_LAUNCHERS.into_iter().chain(self.launchers.keys().map(|name| &**name))
     }
 
-    /// Makes the added launcher with this name.
+    /// Creates the added launcher with this name.
     pub(super) fn make_launcher(
         &self,
         name: &str,
@@ -130,11 +131,11 @@ impl Catalog {
     }
 }
 
-/// The call that registers a type with an app: `.interfaces(my_msgs::INTERFACES)`. `None` if that is no type of somebody's crate, so
-/// that there is none.
+/// The call that registers a type with an app: `.interfaces(my_msgs::INTERFACES)`. `None` if the type is not
+/// in a user's crate.
 ///
-/// Types that are generated lie in the modules `package::msg`, `package::srv` or `package::action` beside their set; any other
-/// message is a set of itself.
+/// Generated types are in the modules `package::msg`, `package::srv` or `package::action` next to their set;
+/// any other message is its own set.
 fn registering_call(rust_type: &str) -> Option<String> {
     let parts: Vec<&str> = rust_type.split("::").collect();
     let is_path = parts.iter().all(|part| part.chars().all(|c| c.is_alphanumeric() || c == '_'));
@@ -149,11 +150,12 @@ fn registering_call(rust_type: &str) -> Option<String> {
     }
 }
 
-/// What is wrong with a type that ROS 2 is to see, and what to do: the end of a sentence that names the type.
+/// The problem with a type that should be exposed to ROS 2, with a hint: the end of a sentence that names the
+/// type.
 pub(crate) fn unregistered(rust_type: &str, what: &str) -> String {
     match registering_call(rust_type) {
         Some(call) => format!("which is not registered: if it is a {what}, add `{call}` to the app"),
-        None => format!("which is no {what}"),
+        None => format!("which is not a {what}"),
     }
 }
 

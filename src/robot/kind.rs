@@ -16,7 +16,8 @@ use downbeat_modules::transform_server::TransformServer;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::{Message, cdr};
 
-/// A kind of module that robot files name: how a module of it is made, how it runs by default, and whether it drives a device.
+/// A kind of module that robot files can name: how its modules are created, how they run by default, and
+/// whether they drive a device.
 ///
 /// ```
 /// use downbeat::executor::{Module, Setup, SetupError};
@@ -50,7 +51,7 @@ pub struct Kind {
 /// How a module that drives a device runs without it.
 #[derive(Clone)]
 pub(crate) struct ReplayedDevice {
-    /// The topic on which the module publishes what the device answered, before remapping.
+    /// The topic on which the module publishes the answers of the device, before remapping.
     topic: Arc<str>,
     add: Arc<AddReplayed>,
 }
@@ -60,15 +61,15 @@ type Add = dyn Fn(&mut Core, &str, ModuleOptions) -> Result<(), SetupError> + Se
 type AddReplayed =
     dyn Fn(&mut Core, &str, ModuleOptions, &[Bytes]) -> Result<Result<(), SetupError>, String> + Send + Sync;
 
-/// Batches that wait for a detached module, unless its kind or the robot file says otherwise: two seconds of commands at
-/// 125 Hz.
+/// The default number of batches that wait for a detached module: two seconds of commands at 125 Hz.
 pub(super) const INBOX: Inbox = Inbox::KeepLast(NonZeroUsize::new(250).expect("not zero"));
 
 impl Kind {
-    /// A kind whose modules are made by `make`: at the start, and again if the restart policy restarts them after a panic.
+    /// Creates a kind whose modules `make` creates: at the start, and again if the restart policy restarts
+    /// them after a panic.
     ///
-    /// `about` describes the module in one line. By default, modules of the kind run inside the cycle, in the cycles in which they have
-    /// something to do.
+    /// `about` describes the module in one line. By default, modules of the kind run inside the cycle, in the
+    /// cycles in which they have work.
     pub fn new<M: Module>(
         name: impl Into<Arc<str>>,
         about: impl Into<Arc<str>>,
@@ -89,7 +90,8 @@ impl Kind {
         }
     }
 
-    /// A kind whose modules drive a [`Device`]: `connect` makes the device and `make` the module on a link to it.
+    /// Creates a kind whose modules drive a [`Device`]: `connect` creates the device and `make` the module
+    /// with a link to it.
     ///
     /// Modules of the kind run detached. In a replay the link returns the recorded answers.
     pub fn device<D: Device, M: Module>(
@@ -106,19 +108,20 @@ impl Kind {
             .replayed_on(D::TOPIC, move |exchanges| Ok(of_recorded(DeviceLink::recorded(exchanges))))
     }
 
-    /// Runs the modules on threads of their own by default: for work that blocks, or takes longer than a cycle may.
+    /// Runs the modules on their own threads by default: for work that blocks or takes longer than a cycle
+    /// may.
     #[must_use]
     pub fn detached(self) -> Self {
         self.with_synchrony(Synchrony::Detached(INBOX))
     }
 
-    /// Sets how the modules run unless the robot file says otherwise.
+    /// Sets how the modules run by default.
     #[must_use]
     pub fn with_synchrony(self, synchrony: Synchrony) -> Self {
         Self { synchrony, ..self }
     }
 
-    /// Marks the modules as driving a device: a replay runs them only on recorded answers.
+    /// Marks the modules as driving a device: a replay runs them only with recorded answers.
     #[must_use]
     pub fn drives_device(self) -> Self {
         Self { uses_device: true, ..self }
@@ -130,8 +133,9 @@ impl Kind {
         Self { is_emulated: true, ..self }
     }
 
-    /// Makes modules that drive a device replayable. They publish everything their device answers as messages of type `E` on `topic`
-    /// (the name before remapping); for a replay `make` creates a module that takes these messages in place of the device.
+    /// Makes modules that drive a device replayable. They publish all answers of their device as messages of
+    /// type `E` on `topic` (the name before remapping); for a replay, `make` creates a module that uses these
+    /// messages instead of the device.
     ///
     /// [`Kind::device`] does this for every [`Device`].
     #[must_use]
@@ -155,19 +159,19 @@ impl Kind {
         &self.name
     }
 
-    /// The description, one line.
+    /// The description in one line.
     #[must_use]
     pub fn about(&self) -> &str {
         &self.about
     }
 
-    /// True if the data of its modules does not come from real hardware.
+    /// Returns true if the data of its modules does not come from real hardware.
     #[must_use]
     pub fn is_emulated(&self) -> bool {
         self.is_emulated
     }
 
-    /// True if its modules drive a device, which a replay must not touch.
+    /// Returns true if its modules drive a device, which a replay must not touch.
     #[must_use]
     pub fn uses_device(&self) -> bool {
         self.uses_device
@@ -188,7 +192,7 @@ impl Kind {
     /// Adds a module of this kind to a core. The module can be restarted after a panic.
     ///
     /// # Errors
-    /// Those of [`Core::add_restartable`].
+    /// See [`Core::add_restartable`].
     pub fn add_to(&self, core: &mut Core, name: &str, options: ModuleOptions) -> Result<(), SetupError> {
         (self.add)(core, name, options)
     }
@@ -205,7 +209,7 @@ impl fmt::Debug for Kind {
 }
 
 impl ReplayedDevice {
-    /// The topic in a bag.
+    /// The name of the topic in a bag.
     pub(crate) fn topic_of(&self, options: &ModuleOptions) -> String {
         let name = options.remaps.get(&*self.topic).map_or(&*self.topic, String::as_str);
         format!("/{}", name.trim_start_matches('/'))
@@ -249,7 +253,7 @@ pub(super) fn built_in() -> [Kind; 5] {
         Kind::new("stand_nod_wave", "a small motion: stand up, then nod and wave", StandNodWave::default),
         Kind::new(
             "transform_server",
-            "the action tf2_buffer_server: where frames are in each other, for clients without a transform buffer",
+            "the action tf2_buffer_server: lookups of transforms, for clients without a transform buffer",
             TransformServer::default,
         ),
     ]

@@ -1,4 +1,4 @@
-//! From the modules that a robot file exposes with their lifecycle to the nodes that stand for them.
+//! Converts the modules that a robot file exposes with their lifecycle to managed nodes.
 
 use std::collections::BTreeSet;
 
@@ -10,10 +10,12 @@ use super::file::{LifecycleEntry, RobotFileError, suggestion};
 type Result<T> = std::result::Result<T, RobotFileError>;
 
 impl Robot {
-    /// The modules to show as managed nodes of ROS 2, in the order of the file's entries and of its modules.
+    /// Returns the modules that are exposed as managed nodes of ROS 2, in the order of the entries and
+    /// modules of the file.
     ///
     /// # Errors
-    /// If an entry means no module of the file, or a node would have the name of another; with path and line.
+    /// Returns an error with path and line if an entry matches no module of the file, or two nodes would have
+    /// the same name.
     pub fn lifecycle_exposures(&self) -> Result<Vec<LifecycleExposure>> {
         let file = &self.file;
         let mut exposures = Vec::new();
@@ -25,7 +27,7 @@ impl Robot {
                 let remapped = file.remaps.node(&node).map_err(|error| refuse(error.to_string()))?;
                 if !taken.insert(remapped.clone()) {
                     return Err(refuse(format!(
-                        "module \"{module}\" would be the node {remapped}, which there is already; give it another \
+                        "module \"{module}\" would be the node {remapped}, which already exists; give it another \
                          with node = \"…\""
                     )));
                 }
@@ -35,7 +37,7 @@ impl Robot {
         Ok(exposures)
     }
 
-    /// The modules that an entry means and none before it.
+    /// Returns the modules that match this entry and no earlier one.
     fn meant<'a>(&'a self, entry: &LifecycleEntry, before: &[LifecycleExposure]) -> Result<Vec<&'a str>> {
         let names = || self.file.modules.iter().map(|module| module.name.as_str());
         let meant: Vec<_> = names().filter(|name| entry.modules.matches(name)).collect();
@@ -72,17 +74,17 @@ mod tests {
     }
 
     #[test]
-    fn modules_are_nodes_of_their_own_in_the_namespace_of_the_robot() {
+    fn modules_are_separate_nodes_in_the_namespace_of_the_robot() {
         let named = exposures("[{ module = \"r\", node = \"/arm/mux\" }, \"m*\"]").unwrap();
         let expected = [("r", "/arm/mux"), ("motion", "/robot/motion")];
         assert_eq!(named, expected.map(|(module, node)| (module.to_owned(), node.to_owned())));
     }
 
     #[test]
-    fn what_cannot_be_a_node_is_told_with_its_line() {
+    fn invalid_nodes_are_reported_with_their_line() {
         for (lifecycle, problem) in [
             ("[\"moton\"]", "the robot has no module \"moton\", did you mean \"motion\"?"),
-            ("[\"r\"]", "would be the node /robot/r, which there is already"),
+            ("[\"r\"]", "would be the node /robot/r, which already exists"),
             ("[{ module = \"*\", node = \"x\" }]", "not with a pattern"),
         ] {
             let error = exposures(lifecycle).unwrap_err().to_string();

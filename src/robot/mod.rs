@@ -1,7 +1,8 @@
-//! A robot from its robot file: modules in a core, ready to run.
+//! Robots from robot files: modules in a core, ready to run.
 //!
-//! A robot file names a robot's modules, their settings, what is exposed and what is recorded. `docs/robot_files.md` of the
-//! repository is its reference. What it can name beside what comes with the program is in a [`Catalog`].
+//! A robot file specifies the modules of a robot, their settings, what is exposed and what is recorded.
+//! `docs/robot_files.md` of the repository is its reference. A [`Catalog`] contains the kinds, launchers and
+//! interfaces that it can name.
 
 mod actions;
 mod build;

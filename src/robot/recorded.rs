@@ -1,4 +1,4 @@
-//! Which topics of a robot are recorded.
+//! The recorded topics of a robot.
 
 use std::collections::BTreeSet;
 
@@ -14,18 +14,20 @@ use crate::recorder;
 type Result<T> = std::result::Result<T, RobotFileError>;
 
 impl Robot {
-    /// The topics that a recording is to hold, by what the file's `[record]` says.
+    /// Returns the topics to record according to `[record]` in the file.
     ///
     /// # Errors
-    /// If a topic or a module is not there, or a topic that is named carries no registered message; with path and line.
+    /// Returns an error with path and line if a topic or a module does not exist, or the type of a named
+    /// topic is not registered.
     pub fn recorded_topics(&self) -> Result<Vec<TopicInfo>> {
         self.topics_of(&self.file.record)
     }
 
-    /// The topics that a recording is to hold by that entry.
+    /// Returns the topics to record according to `entry`.
     ///
     /// # Errors
-    /// If a topic or a module is not there, or a topic that is named carries no registered message; with path and line.
+    /// Returns an error with path and line if a topic or a module does not exist, or the type of a named
+    /// topic is not registered.
     pub fn topics_of(&self, entry: &RecordEntry) -> Result<Vec<TopicInfo>> {
         let known: Vec<_> = self.core.topics().cloned().collect();
         let mut chosen = match &entry.topics {
@@ -65,7 +67,7 @@ impl Robot {
         Ok(chosen)
     }
 
-    /// A topic that is named has to be one that a bag can hold.
+    /// Checks that a named topic can be recorded.
     fn recordable<'a>(&self, topic: &'a TopicInfo, entry: &RecordEntry) -> Result<&'a TopicInfo> {
         if recorder::is_recordable(topic, &self.file.catalog.interfaces) {
             return Ok(topic);
@@ -75,7 +77,7 @@ impl Robot {
         Err(self.file.source.error(entry.line, format!("\"{name}\" carries {carried}, {problem}")))
     }
 
-    /// The topics that the named modules publish.
+    /// Returns the topics that the named modules publish.
     fn published_by(&self, entry: &RecordEntry) -> Result<BTreeSet<String>> {
         let graph = self.core.graph();
         let mut published = BTreeSet::new();

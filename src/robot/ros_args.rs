@@ -1,4 +1,4 @@
-//! `--ros-args`: what every ROS 2 program takes on its command line.
+//! `--ros-args`: the arguments of every ROS 2 program.
 //!
 //! # References
 //! `rcl_parse_arguments` in `rcl/src/rcl/arguments.c` (branch jazzy).
@@ -25,13 +25,13 @@ use super::file::{RobotFile, RobotFileError, suggestion};
 pub struct RosArgs {
     /// `-r` or `--remap`, in their order.
     pub remaps: Vec<RemapRule>,
-    /// `-p`, `--param` and `--params-file`, in their order: later ones win.
+    /// `-p`, `--param` and `--params-file`, in their order: later ones take precedence.
     pub parameters: Vec<ParameterArgument>,
     /// What is logged, and where.
     pub log: LogArguments,
     /// `-e` or `--enclave`: the last one.
     pub enclave: Option<String>,
-    /// `ROS_NAMESPACE`: the namespace of a node that is given none.
+    /// `ROS_NAMESPACE`: the namespace of a node if no other is given.
     pub namespace: Option<String>,
 }
 
@@ -47,26 +47,26 @@ pub enum ParameterArgument {
 /// What is logged, and where.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LogArguments {
-    /// `--log-level LEVEL`: of all loggers.
+    /// `--log-level LEVEL`: the level of all loggers.
     pub level: Option<LogLevel>,
     /// `--log-level LOGGER:=LEVEL`, in their order.
     pub loggers: Vec<(String, LogLevel)>,
-    /// `--disable-stdout-logs`: nothing goes to the terminal.
+    /// `--disable-stdout-logs`: nothing is logged to the terminal.
     pub is_stdout_disabled: bool,
-    /// `--disable-rosout-logs`: nothing goes to `/rosout`.
+    /// `--disable-rosout-logs`: nothing is logged to `/rosout`.
     pub is_rosout_disabled: bool,
-    /// `--disable-external-lib-logs`: nothing goes to a log file.
+    /// `--disable-external-lib-logs`: nothing is logged to a file.
     pub is_external_disabled: bool,
-    /// `--log-file-name`: how the name of the log file begins.
+    /// `--log-file-name`: the prefix of the name of the log file.
     pub file_name: Option<String>,
-    /// `--log-config-file`: of the library that writes log files.
+    /// `--log-config-file`: the configuration of the library that writes log files.
     pub config_file: Option<String>,
 }
 
-/// From which severity on events are logged.
+/// The lowest severity that is logged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum LogLevel {
-    /// As the logger above it.
+    /// The level of the parent logger.
     Unset,
     /// 10
     Debug,
@@ -80,7 +80,7 @@ pub enum LogLevel {
     Fatal,
 }
 
-/// An argument that ROS 2 does not know or does not understand.
+/// An unknown or invalid ROS 2 argument.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("--ros-args {argument}: {problem}")]
 pub struct RosArgsError {
@@ -102,7 +102,7 @@ const WITH_VALUE: [&str; 10] = [
     "--enclave",
 ];
 
-/// Flags without.
+/// Flags without a value.
 const ALONE: [&str; 6] = [
     "--enable-rosout-logs",
     "--disable-rosout-logs",
@@ -113,10 +113,10 @@ const ALONE: [&str; 6] = [
 ];
 
 impl RosArgs {
-    /// Separates the arguments of ROS 2 from the others, which keep their order.
+    /// Separates ROS 2 arguments from the others, which keep their order.
     ///
     /// # Errors
-    /// If one is not known, lacks its value, or its value cannot be.
+    /// Returns an error if an argument is unknown, lacks its value, or has an invalid value.
     pub fn split(
         arguments: impl IntoIterator<Item = OsString>,
     ) -> Result<(Vec<OsString>, Self), RosArgsError> {
@@ -145,20 +145,20 @@ impl RosArgs {
         Ok((others, ros))
     }
 
-    /// The same arguments, with what they leave open as the variables of the environment say it.
+    /// Completes the arguments with the values of environment variables.
     #[must_use]
     pub fn with_variables(mut self, lookup: impl Fn(&str) -> Option<String>) -> Self {
         self.namespace = lookup("ROS_NAMESPACE").filter(|namespace| !namespace.is_empty());
         self
     }
 
-    /// True if nothing was given on the command line.
+    /// Returns true if nothing was given on the command line.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         *self == Self { namespace: self.namespace.clone(), ..Self::default() }
     }
 
-    /// Logs what of it changes nothing here.
+    /// Logs a warning for each argument that has no effect.
     pub fn warn_about_what_is_ignored(&self) {
         if let Some(enclave) = self.enclave.as_deref().filter(|enclave| *enclave != "/") {
             tracing::warn!("--enclave {enclave} changes nothing: the DDS engine has no security");
@@ -168,7 +168,7 @@ impl RosArgs {
         }
     }
 
-    /// The remapping rules, for a participant.
+    /// Returns the remapping rules for a participant.
     #[must_use]
     pub fn remap_rules(&self) -> RemapRules {
         self.remaps.iter().cloned().collect()
@@ -231,11 +231,11 @@ impl LogLevel {
         let known = Self::ALL.iter().find(|(known, _)| known.eq_ignore_ascii_case(name));
         known.map(|&(_, level)| level).ok_or_else(|| {
             let hint = suggestion(&name.to_lowercase(), Self::ALL.map(|(known, _)| known));
-            format!("\"{name}\" is no severity{hint}")
+            format!("\"{name}\" is not a severity{hint}")
         })
     }
 
-    /// As filters of `tracing` write it, which has nothing above an error.
+    /// Returns the level in the syntax of `tracing` filters, which have no level above error.
     #[must_use]
     pub fn as_filter(self) -> &'static str {
         match self {
@@ -248,7 +248,7 @@ impl LogLevel {
 }
 
 impl RobotFile {
-    /// What concerns names: before anything that goes by the name of the node.
+    /// Applies arguments for names. Must be called before anything that depends on the name of the node.
     pub(super) fn apply_names(&mut self, arguments: &RosArgs) {
         if let (Some(namespace), false) = (&arguments.namespace, self.has_namespace) {
             self.namespace.clone_from(namespace);
@@ -257,7 +257,7 @@ impl RobotFile {
         self.is_rosout_disabled = arguments.log.is_rosout_disabled;
     }
 
-    /// Values of parameters; a value for another node changes nothing, and a warning says so.
+    /// Applies values of parameters. A value for another node changes nothing and is reported with a warning.
     pub(super) fn apply_parameters(&mut self, arguments: &RosArgs) -> Result<(), RobotFileError> {
         for argument in &arguments.parameters {
             match argument {
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn arguments_of_ros_end_at_two_dashes_and_may_come_again() {
+    fn ros_arguments_end_at_two_dashes_and_can_be_repeated() {
         let (others, ros) =
             split("run a.toml --ros-args -r a:=b -- --record x --ros-args --ros-args -r c:=d").unwrap();
         assert_eq!(others, ["run", "a.toml", "--record", "x"]);
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn what_rcl_knows_is_known() {
+    fn all_arguments_of_rcl_are_known() {
         let given = ros(
             "-p n:a.b:=1 --params-file f.yaml --param c:=x --log-level WARN --log-level a.b:=Debug --enclave /e \
              --disable-rosout-logs --disable-stdout-logs --enable-stdout-logs --disable-external-lib-logs \
@@ -330,13 +330,13 @@ mod tests {
     }
 
     #[test]
-    fn what_it_does_not_know_is_told_with_the_argument() {
+    fn unknown_arguments_are_reported() {
         for (line, expected) in [
             ("-r", "-r: its value is missing"),
             ("-r foo:=", "-r foo:=: \"foo:=\" is no remapping rule: expected a name"),
             ("--remap __ns:=a", "--remap __ns:=a: "),
             ("-p a", "-p a: \"a\" is no value of a parameter: expected \":=\""),
-            ("--log-level loud", "--log-level loud: \"loud\" is no severity; there is"),
+            ("--log-level loud", "--log-level loud: \"loud\" is not a severity; there is"),
             ("--log-level wran", "did you mean \"warn\"?"),
             ("--log-level :=debug", "the name of the logger is missing"),
             ("--enclave e", "--enclave e: an enclave is an absolute name"),

@@ -1,4 +1,4 @@
-//! From the services and parameters that a robot file exposes to those that the bridge is to show of a core.
+//! Converts the exposed services and parameters of a robot file to exposures of the bridge.
 
 use downbeat_bridge::expose::{
     ParameterExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection,
@@ -12,14 +12,15 @@ use super::file::{RobotFileError, ServiceEntry, suggestion};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
-/// Means all settings, also where there are none.
+/// Matches all settings, even if there are none.
 const ALL: &str = "*";
 
 impl Robot {
-    /// The services of modules to offer to ROS 2.
+    /// Returns the services of modules that are exposed to ROS 2.
     ///
     /// # Errors
-    /// If no module serves one, or its types are not those of a ROS 2 service; with path and line.
+    /// Returns an error with path and line if no module serves a service, or its types are not those of a ROS
+    /// 2 service.
     pub fn service_exposures(&self) -> Result<Vec<ServiceExposure>> {
         let exposure = |entry: &ServiceEntry| {
             let served: Vec<_> = self.core.services().filter(|service| service.server.is_some()).collect();
@@ -37,10 +38,11 @@ impl Robot {
         self.file.expose.services.iter().map(exposure).collect()
     }
 
-    /// The services of ROS 2 that modules call.
+    /// Returns the services of ROS 2 that modules call.
     ///
     /// # Errors
-    /// If a module serves one itself, or its type is not known or another than modules call; with path and line.
+    /// Returns an error with path and line if a module serves a service itself, or its type is unknown or
+    /// differs from the one that modules call.
     pub fn call_exposures(&self) -> Result<Vec<ServiceExposure>> {
         let exposure = |entry: &ServiceEntry| {
             let info = self.core.services().find(|info| is_named(info, &entry.service));
@@ -58,10 +60,10 @@ impl Robot {
         self.file.expose.calls.iter().map(exposure).collect()
     }
 
-    /// The settings that are parameters of the node.
+    /// Returns the settings that are exposed as parameters of the node.
     ///
     /// # Errors
-    /// If a name or pattern means no setting of the modules; with path and line.
+    /// Returns an error with path and line if a name or pattern matches no setting of the modules.
     pub fn parameter_exposure(&self) -> Result<ParameterExposure> {
         let entries = &self.file.expose.parameters;
         let mut names: Vec<String> = self
@@ -73,7 +75,7 @@ impl Robot {
                 settings.into_iter().map(move |setting| format!("{}.{}", module.name, setting.name))
             })
             .collect();
-        // Of a module that joins when services are exposed.
+        // Setting of a module that is added when services are exposed.
         let introspection = [ServiceIntrospection::OF_SERVICES, ServiceIntrospection::OF_CLIENTS];
         names.extend(introspection.map(|setting| format!("{SERVICES_MODULE_NAME}.{setting}")));
         for entry in entries {
@@ -190,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn introspection_is_chosen_in_the_words_of_ros_and_can_be_a_parameter() {
+    fn introspection_has_the_values_of_ros_and_can_be_a_parameter() {
         use downbeat_bridge::ros::Introspection;
         let robot = robot("service_introspection = \"contents\"\nparameters = [\"bridge_services.*\"]");
         let chosen = robot.file.expose.introspection;
@@ -211,10 +213,10 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_exposed_is_told_with_its_line_and_the_nearest_name() {
+    fn errors_contain_the_line_and_the_nearest_name() {
         for (expose, words) in [
             ("services = [\"stand_upp\"]", "no module serves \"stand_upp\", did you mean \"stand_up\"?"),
-            ("services = [\"odd\"]", "u32 -> u32, which is no ROS service"),
+            ("services = [\"odd\"]", "u32 -> u32, which is not a ROS service"),
             (
                 "services = [{ service = \"stand_up\", type = \"std_srvs/srv/Empty\" }]",
                 "is of type \"std_srvs/srv/SetBool\"",

@@ -62,7 +62,7 @@ impl Comparer {
         Self { message_type: message_type(topic), rules }
     }
 
-    /// Whether a rule excludes the topic.
+    /// Returns whether a rule excludes the topic.
     #[must_use]
     pub fn ignores_all(&self) -> bool {
         self.rules.last().is_some_and(FieldRule::ignores_everything)

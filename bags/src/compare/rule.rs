@@ -73,7 +73,7 @@ impl FieldRule {
         self.topic.is_empty() || matches(&parts(&self.topic), &parts(topic))
     }
 
-    /// Whether it applies to the field at that path, or to one that contains it.
+    /// Returns whether it applies to the field at that path, or to one that contains it.
     pub(super) fn means_field(&self, path: &str) -> bool {
         is_at_or_below(path, &self.field) || is_at_or_below(&without_indices(path), &self.field)
     }

@@ -105,8 +105,8 @@ pub enum TruncationCause {
 }
 
 impl Truncation {
-    /// Whether the file contains bytes of messages that cannot be read. An interrupted recording may lack
-    /// messages that were never written; with an incomplete summary, all messages are present.
+    /// Returns whether the file contains bytes of messages that cannot be read. An interrupted recording may
+    /// lack messages that were never written; with an incomplete summary, all messages are present.
     #[must_use]
     pub fn loses_messages(&self) -> bool {
         match self.cause {

@@ -164,7 +164,7 @@ impl BagFile {
         Ok(SummaryState::Used)
     }
 
-    /// Whether a channel and its schema, if it has one, are known: a summary need not repeat them.
+    /// Returns whether a channel and its schema, if it has one, are known: a summary need not repeat them.
     fn describes(&self, channel: u16) -> bool {
         let schema = self.channels.get(&channel).map(|channel| channel.schema_id);
         schema.is_some_and(|schema| schema == 0 || self.schemas.contains_key(&schema))
@@ -290,7 +290,7 @@ struct Summary {
     metadata: Option<MetadataIndex>,
 }
 
-/// Whether the chunks are before `end` and do not overlap.
+/// Returns whether the chunks are before `end` and do not overlap.
 fn lie_apart(chunks: &[ChunkIndex], end: u64) -> bool {
     let mut places: Vec<_> =
         chunks.iter().map(|chunk| (chunk.chunk_start_offset, chunk.chunk_length)).collect();

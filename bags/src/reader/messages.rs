@@ -66,7 +66,7 @@ impl Selection {
         Self { until, ..self }
     }
 
-    /// Whether a segment may contain selected messages.
+    /// Returns whether a segment may contain selected messages.
     fn concerns(&self, segment: &Segment, topics_of_channels: &HashMap<u16, TopicId>) -> bool {
         let is_in_time = signed(segment.last) >= self.from && signed(segment.first) <= self.until;
         let is_wanted = |channel: &u16| {

@@ -213,7 +213,7 @@ impl Reader {
         self.storage().identifier()
     }
 
-    /// Whether rosbag2 compressed messages individually; they are returned decompressed.
+    /// Returns whether rosbag2 compressed messages individually; they are returned decompressed.
     pub(crate) fn has_packed_messages(&self) -> bool {
         self.metadata
             .as_ref()

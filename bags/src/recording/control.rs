@@ -55,7 +55,7 @@ impl RecordingControl {
         self.shared.queue.set_paused(|paused| !paused)
     }
 
-    /// Whether messages are ignored.
+    /// Returns whether messages are ignored.
     #[must_use]
     pub fn is_paused(&self) -> bool {
         self.shared.queue.lock().is_paused
@@ -89,7 +89,7 @@ impl RecordingControl {
         self.shared.queue.close();
     }
 
-    /// Whether it was stopped, or stopped because of an error.
+    /// Returns whether it was stopped, or stopped because of an error.
     #[must_use]
     pub fn is_stopped(&self) -> bool {
         self.shared.queue.is_closed()
@@ -171,7 +171,7 @@ impl RecordingOptions {
         Self { snapshot: Some(limits), ..self }
     }
 
-    /// Whether messages are kept for snapshots.
+    /// Returns whether messages are kept for snapshots.
     #[must_use]
     pub fn takes_snapshots(&self) -> bool {
         self.snapshot.is_some()

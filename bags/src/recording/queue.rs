@@ -45,7 +45,7 @@ impl Item {
         }
     }
 
-    /// Whether somebody may wait for it.
+    /// Returns whether a caller may wait for it.
     fn is_urgent(&self) -> bool {
         !matches!(self, Self::Message { .. })
     }
@@ -88,7 +88,7 @@ pub(super) struct State {
     wakes_at: Option<usize>,
     /// The number of producers waiting for room.
     blocked: usize,
-    /// The number of topics, splits and flushes in the queue, for which somebody may wait.
+    /// The number of topics, splits and flushes in the queue, for which callers may wait.
     urgent: usize,
 }
 
@@ -392,7 +392,7 @@ impl Ring {
         self.bytes
     }
 
-    /// Whether a message can be kept at all.
+    /// Returns whether a message can be kept at all.
     pub(super) fn fits(&self, item: &Item) -> bool {
         item.cost() <= self.limits.max_bytes
     }

@@ -216,7 +216,7 @@ impl Writer {
         found.map(|topic| topic.refused = messages).is_some()
     }
 
-    /// Whether the last chunk was dropped because the disk was full ([`WhenDiskFull::Drop`]).
+    /// Returns whether the last chunk was dropped because the disk was full ([`WhenDiskFull::Drop`]).
     #[must_use]
     pub fn is_disk_full(&self) -> bool {
         self.is_disk_full

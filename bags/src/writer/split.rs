@@ -55,7 +55,7 @@ pub(super) fn path(directory: &Path, name: &OsStr, number: u64, storage: Storage
 }
 
 impl Writer {
-    /// Whether a message with that time starts a new file. Every file has at least one message.
+    /// Returns whether a message with that time starts a new file. Every file has at least one message.
     pub(super) fn is_split_due(&self, log_time: i64) -> bool {
         let limits = &self.options.split;
         let Some(file) = self.files.back() else { return false };

@@ -14,7 +14,7 @@ use python_peer::Python;
 use crate::matrix::{Way, With};
 use crate::support::{fixture, noted};
 
-/// A file of the real recorder, or of ours, record by record.
+/// A file of the real or of this recorder, record by record.
 #[derive(Default)]
 struct Taken {
     /// The opcodes, without those of the indexes of messages.

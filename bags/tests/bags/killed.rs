@@ -51,7 +51,7 @@ fn child_records_and_says_when() {
         let before = start.elapsed().as_nanos();
         writer.write(id, n, n, &number(n)).unwrap();
         let after = start.elapsed().as_nanos();
-        // Ends when nobody reads the output.
+        // Ends when the output is no longer read.
         if writeln!(output, "wrote {n} {before} {after}").and_then(|()| output.flush()).is_err() {
             return;
         }

@@ -68,7 +68,7 @@ impl Type {
         self.name.contains("/msg/")
     }
 
-    /// Whether it contains a field of that type, directly or nested.
+    /// Returns whether it contains a field of that type, directly or nested.
     fn has_a(&self, word: &str) -> bool {
         let is_constant = |line: &str| line.replace("<=", "").contains('=');
         let begins =

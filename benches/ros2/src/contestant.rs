@@ -125,7 +125,7 @@ impl Drop for Contestant {
     }
 }
 
-/// Without multicast, which rclpy does not receive on this interface.
+/// Disables multicast, which rclpy does not receive on this interface.
 pub const CYCLONE_ON_THIS_MACHINE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" \
     multicast=\"false\"/></Interfaces><AllowMulticast>false</AllowMulticast></General><Discovery>\
     <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>\

@@ -183,7 +183,7 @@ pub fn incompatible(offered: &Qos, requested: &Qos) -> Option<Policy> {
     checks.into_iter().find(|(_, is_satisfied)| !is_satisfied).map(|(policy, _)| policy)
 }
 
-/// Whether `offered` is no longer than `requested`; `None` is infinite.
+/// Returns whether `offered` is no longer than `requested`; `None` is infinite.
 fn is_within(offered: Option<Duration>, requested: Option<Duration>) -> bool {
     requested.is_none_or(|requested| offered.is_some_and(|offered| offered <= requested))
 }

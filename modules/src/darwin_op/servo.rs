@@ -62,7 +62,7 @@ impl Servo {
         self.service == Service::Active
     }
 
-    /// Whether its reading is stale: it is not in service, or missed its last answers.
+    /// Returns whether its reading is stale: it is not in service, or missed its last answers.
     pub(super) fn is_stale(&self) -> bool {
         !self.is_active() || self.misses >= 2
     }

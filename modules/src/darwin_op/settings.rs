@@ -43,7 +43,7 @@ impl SettingKeys {
                 "gyro_full_scale_dps",
                 1600.0,
                 1.0..=10_000.0,
-                "degrees/s that 512 steps of the gyroscope stand for: 1600 for the CM-730, 500.5 for the CM-740",
+                "degrees/s that correspond to 512 steps of the gyroscope: 1600 for the CM-730, 500.5 for the CM-740",
             )?,
             p_gain: setup.setting_in("p_gain", 32, gain.clone(), "P gain of all servos, Kp = 1/8 of it")?,
             i_gain: setup.setting_in("i_gain", 0, gain.clone(), "I gain of all servos, Ki = 1000/2048 of it")?,

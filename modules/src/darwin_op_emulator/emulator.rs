@@ -105,7 +105,7 @@ impl Emulator {
         self.link.clone().unwrap_or_else(|| self.shared.world().device.clone())
     }
 
-    /// Whether the port is open. A fault may have closed it.
+    /// Returns whether the port is open. A fault may have closed it.
     #[must_use]
     pub fn is_port_open(&self) -> bool {
         !self.shared.world().device.as_os_str().is_empty()

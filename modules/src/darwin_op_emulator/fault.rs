@@ -210,7 +210,7 @@ impl FaultSchedule {
         self.on(now).any(|fault| fault.kind == FaultKind::ClosePort)
     }
 
-    /// Whether the answer that is about to be sent is lost.
+    /// Returns whether the answer that is about to be sent is lost.
     pub(super) fn loses_answer(&mut self, now: Duration) -> bool {
         let random = &mut self.random;
         let mut is_lost = false;

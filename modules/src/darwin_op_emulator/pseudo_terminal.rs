@@ -8,7 +8,7 @@ use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// How long the operating system may take to accept bytes; if nobody reads them, they are lost, as on a wire.
+/// How long the operating system may take to accept bytes; if they are not read, they are lost, as on a wire.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 
 /// A pseudo terminal, and the link to it. Both are removed when it is dropped.

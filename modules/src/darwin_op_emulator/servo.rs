@@ -102,7 +102,7 @@ impl Servo {
         }
     }
 
-    /// Whether it receives and answers.
+    /// Returns whether it receives and answers.
     pub(super) fn is_awake(&self) -> bool {
         self.powered_s.is_some_and(|powered_s| powered_s >= self.boot_s)
     }

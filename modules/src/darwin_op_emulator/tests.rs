@@ -82,7 +82,7 @@ impl Robot {
         field.value_in(&bytes, field.address).unwrap()
     }
 
-    /// Whether a device answers a ping.
+    /// Returns whether a device answers a ping.
     fn hears(&mut self, id: Id) -> bool {
         let expected = [ExpectedStatus { id, parameters: 0 }];
         self.send(Instruction::Ping { id }, &expected).outcome == Outcome::Ok

@@ -152,7 +152,7 @@ pub enum Primitive {
 }
 
 impl MessageDefinition {
-    /// Whether both have the same fields, defaults and constants, ignoring comments and spaces.
+    /// Returns whether both have the same fields, defaults and constants, ignoring comments and spaces.
     #[must_use]
     pub fn means_the_same_as(&self, other: &Self) -> bool {
         let same_fields = self.fields.len() == other.fields.len()
@@ -190,7 +190,7 @@ impl Element {
 }
 
 impl Value {
-    /// Whether both are bitwise equal: NaN equals itself.
+    /// Returns whether both are bitwise equal: NaN equals itself.
     fn is_same_as(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Float(one), Self::Float(two)) => one.to_bits() == two.to_bits(),

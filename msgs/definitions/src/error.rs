@@ -130,7 +130,7 @@ pub enum Error {
         type_name: String,
         /// The invalid field, if any.
         field: Option<String>,
-        /// What is wrong.
+        /// The problem.
         message: String,
     },
     /// The language of a definition text is not supported.

@@ -8,8 +8,8 @@ const MOST_LISTED: usize = 16;
 /// Longer names are not compared: the time grows with the square of the length.
 const LONGEST_COMPARED: usize = 128;
 
-/// Returns the candidate most similar to `name`, or `None` if none is similar. The part after the last slash decides
-/// whether one is; case is ignored.
+/// Returns the candidate most similar to `name`, or `None` if none is similar. The comparison uses the part
+/// after the last slash and ignores case.
 pub fn nearest<T: Display>(name: &str, candidates: impl IntoIterator<Item = T>) -> Option<T> {
     let name = name.to_lowercase();
     let scored = candidates.into_iter().filter_map(|candidate| {

@@ -90,7 +90,7 @@ impl<'a, T: Plain> Numbers<'a, T> {
         self.bytes.len() / T::SIZE
     }
 
-    /// Whether there are none.
+    /// Returns whether there are none.
     #[inline]
     #[must_use]
     pub fn is_empty(&self) -> bool {
@@ -178,7 +178,7 @@ impl<'a, V: FromReader<'a>> Sequence<'a, V> {
         self.count
     }
 
-    /// Whether there are none.
+    /// Returns whether there are none.
     #[inline]
     #[must_use]
     pub fn is_empty(&self) -> bool {

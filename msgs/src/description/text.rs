@@ -44,7 +44,7 @@ impl<const N: usize> Text<N> {
         self.length
     }
 
-    /// Whether it is empty.
+    /// Returns whether it is empty.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.length == 0

@@ -86,7 +86,7 @@ pub(super) struct FieldLayout {
 }
 
 impl FieldLayout {
-    /// Whether it holds a single message, in place.
+    /// Returns whether it holds a single message, in place.
     pub(super) fn is_one_message(&self) -> bool {
         matches!((&self.field_type.element, self.field_type.shape), (Element::Message(_), Shape::Single))
     }
@@ -182,7 +182,7 @@ impl Layout {
 }
 
 impl PartialEq for DynamicType {
-    /// Whether the names and the fields are equal, including those of nested messages.
+    /// Returns whether the names and the fields are equal, including those of nested messages.
     fn eq(&self, other: &Self) -> bool {
         fn same(ours: &DynamicType, theirs: &DynamicType) -> bool {
             let (a, b) = (ours.message(), theirs.message());

@@ -111,7 +111,7 @@ impl<'a> MessageRef<'a> {
         DynamicMessage { of: self.message_type(), slots: self.slots.to_vec() }
     }
 
-    /// Whether it has no fields.
+    /// Returns whether it has no fields.
     pub(super) fn is_empty(self) -> bool {
         self.layout().fields.is_empty()
     }
@@ -230,7 +230,7 @@ impl PartialEq for DynamicMessage {
 }
 
 impl PartialEq for MessageRef<'_> {
-    /// Whether the type has the same name and the fields have the same names and values.
+    /// Returns whether the type has the same name and the fields have the same names and values.
     fn eq(&self, other: &Self) -> bool {
         self.type_name() == other.type_name() && self.slots == other.slots && self.names().eq(other.names())
     }

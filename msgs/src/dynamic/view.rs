@@ -226,7 +226,7 @@ impl<'a> ArrayView<'a> {
         self.count
     }
 
-    /// Whether there are none.
+    /// Returns whether there are none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.count == 0

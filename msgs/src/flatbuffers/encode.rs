@@ -176,7 +176,7 @@ fn size_of_slot(field: &Field) -> (usize, usize) {
     if field.count.is_list() { (4, 4) } else { inline_size(field.kind) }
 }
 
-/// Whether a value must be stored: defaults are left out.
+/// Returns whether a value must be stored: defaults are left out.
 fn is_stored(field: &Field, value: &Value<'_>) -> bool {
     match value {
         Value::Absent => false,

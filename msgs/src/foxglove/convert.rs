@@ -75,7 +75,7 @@ fn is_applicable(rule: &Rule, ros: &Schema, ros_record: usize, foxglove: &Schema
     is_same && is_each
 }
 
-/// Whether the values of one field can be converted to the other.
+/// Returns whether the values of one field can be converted to the other.
 fn are_alike((foxglove, theirs): (&Schema, &Field), (ros, ours): (&Schema, &Field)) -> bool {
     theirs.count.is_list() == ours.count.is_list()
         && are_kinds_alike((foxglove, theirs.kind), (ros, ours.kind))

@@ -2,7 +2,7 @@
 
 use crate::interchange::{Count, Enumeration, Field, Kind, Record, Schema};
 
-/// What a field holds.
+/// The type of a field.
 #[derive(Clone, Copy)]
 enum Type {
     U32,

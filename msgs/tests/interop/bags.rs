@@ -4,8 +4,8 @@ use crate::every_type::{Type, every_type};
 use crate::peer::{Peer, unhex};
 use crate::values::{self, samples};
 
-/// Whether rosbags can read the type with our definition text. It does not support the texts of events (which
-/// are those of services), wide strings, and some unusual names.
+/// Returns whether rosbags can read the type with our definition text. It does not support the texts of
+/// events (which are those of services), wide strings, and some unusual names.
 pub fn is_known(of: &Type) -> bool {
     !of.name.ends_with("_Event") && !of.definition.contains("wstring") && !of.name.starts_with("odd_msgs/")
 }

@@ -20,7 +20,7 @@ impl Peer {
         self.0.prefix().join("share")
     }
 
-    /// Whether the wheels contain the package of that type.
+    /// Returns whether the wheels contain the package of that type.
     pub fn has_package_of(&self, name: &str) -> bool {
         let package = name.split('/').next().unwrap();
         self.share().join(package).is_dir()

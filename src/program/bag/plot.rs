@@ -57,7 +57,7 @@ impl Wanted {
         }
     }
 
-    /// Whether the path is the field or inside it.
+    /// Returns whether the path is the field or inside it.
     fn holds(&self, path: &str) -> bool {
         let below = path.strip_prefix(&self.path);
         below.is_some_and(|below| below.is_empty() || below.starts_with(['.', '[']))

@@ -112,7 +112,7 @@ impl Interfaces {
         names
     }
 
-    /// Whether a name is that of a file rather than a part of a service or action.
+    /// Returns whether a name is that of a file rather than a part of a service or action.
     pub(super) fn is_whole(&self, name: &TypeName) -> bool {
         match name.kind {
             Kind::Message => true,

@@ -195,7 +195,7 @@ where
 }
 
 impl LogLayer {
-    /// Whether some logger has a level that accepts such an event.
+    /// Returns whether some logger has a level that accepts such an event.
     fn may_be_raised(&self, metadata: &Metadata<'_>) -> bool {
         let severity = Severity::of(*metadata.level());
         let is_ours = !metadata.target().starts_with("rustdds");

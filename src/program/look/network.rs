@@ -12,7 +12,7 @@ use clap::Args;
 
 use super::values::seconds;
 
-/// What a command gets from its program.
+/// The environment of a command.
 #[derive(Clone, Copy)]
 pub(in crate::program) struct Environment<'a> {
     /// The program's registrations, including interfaces.
@@ -187,12 +187,12 @@ pub(super) fn count(found: &Found, name: &str, kind: EndpointKind) -> usize {
     found.endpoints.iter().filter(|endpoint| endpoint.kind == kind && endpoint.name == name).count()
 }
 
-/// Whether tools hide a name by default: a part of it starts with an underscore.
+/// Returns whether tools hide a name by default: a part of it starts with an underscore.
 pub(super) fn is_hidden(name: &str) -> bool {
     name.split('/').any(|part| part.starts_with('_'))
 }
 
-/// Whether tools hide a node by default, by its name without the namespace.
+/// Returns whether tools hide a node by default, by its name without the namespace.
 pub(super) fn is_hidden_node(name: &str) -> bool {
     name.rsplit('/').next().is_some_and(|name| name.is_empty() || name.starts_with('_'))
 }

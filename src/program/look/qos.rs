@@ -49,18 +49,18 @@ pub(super) enum Preset {
     BestAvailable,
 }
 
-/// A policy by its word, or one of the words for a choice that is left open.
+/// Parses a policy by its name, or one of the names for a choice that is left open.
 fn policy<T: Word + Send + Sync>() -> impl TypedValueParser<Value = Policy<T>> {
     let words = T::ALL.iter().map(|policy| policy.name()).chain([SYSTEM_DEFAULT, BEST_AVAILABLE]);
     PossibleValuesParser::new(words.collect::<Vec<_>>()).map(|word| match &*word {
         BEST_AVAILABLE => Policy::BestAvailable,
-        // The first word is the default of ROS 2.
+        // The first name is the default of ROS 2.
         word => Policy::Given(T::of_name(word).unwrap_or(T::ALL[0])),
     })
 }
 
 impl QosArguments {
-    /// Whether a policy is given, so that the publishers' QoS is not considered.
+    /// Returns whether a policy is given, so that the publishers' QoS is not considered.
     pub(super) fn has_policies(&self) -> bool {
         self.qos_depth.is_some()
             || self.qos_history.is_some()

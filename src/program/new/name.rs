@@ -52,7 +52,7 @@ impl Name {
     }
 }
 
-/// Whether downbeat has a built-in package of that name.
+/// Returns whether downbeat has a built-in package of that name.
 fn downbeat_msgs_has(name: &str) -> bool {
     crate::bridge::edge::Interfaces::carried()
         .messages()

@@ -200,7 +200,7 @@ impl Grid {
         (0..self.headings.len()).map(width).collect()
     }
 
-    /// Whether a column is left-aligned.
+    /// Returns whether a column is left-aligned.
     pub(crate) fn is_left(&self, column: usize) -> bool {
         Self::LEFT.contains(&self.headings[column])
     }

@@ -9,7 +9,7 @@ use super::*;
 use crate::robot::Kind;
 use crate::robot::file::Source;
 
-/// Serves "answer", and panics at its every tick until it has done so twice.
+/// Serves "answer", and panics in its first two ticks.
 #[derive(Default)]
 struct Fragile {
     lives: Option<Publication<u32>>,
@@ -53,7 +53,7 @@ fn robot(modules: &str) -> RobotFile {
 }
 
 #[test]
-fn a_module_starts_again_as_often_as_the_file_says() {
+fn a_module_is_restarted_as_often_as_the_file_specifies() {
     let file = robot(
         "[[module]]\nkind = \"stand_nod_wave\"\nname = \"a\"\nrestart = { times = 2, backoff = \"100ms\" }\ndeadline = \"1h\"",
     );
@@ -78,7 +78,7 @@ fn a_module_starts_again_as_often_as_the_file_says() {
 }
 
 #[test]
-fn two_servers_of_one_service_are_told_with_the_line_of_the_second() {
+fn two_servers_of_one_service_are_reported_with_the_line_of_the_second() {
     let second = "[[module]]\nkind = \"stand_nod_wave\"\nname = \"a\"\n[[module]]\nkind = \"stand_nod_wave\"\nname = \"b\"";
     let problem = robot(second).build(Core::new()).err().unwrap().to_string();
     assert!(
@@ -112,7 +112,7 @@ fn a_cycle_that_takes_longer_than_its_deadline_is_reported() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_cpu_that_is_not_there_is_told_with_its_line_and_does_not_matter_to_a_replay() {
+fn a_missing_cpu_is_reported_with_its_line_and_ignored_by_a_replay() {
     let module = "[[module]]\nkind = \"darwin_op\"\nname = \"a\"\ncpus = [65535]";
     let launcher = "[launcher]\nkind = \"pool\"\nthreads = 1\ncpus = [65535]\n";
     for (text, line) in [(module.to_owned(), 6), (format!("{launcher}[[module]]\nkind = \"darwin_op\""), 3)] {

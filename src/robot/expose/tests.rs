@@ -65,7 +65,7 @@ fn what_a_pattern_does_not_expose_for_its_type_is_told() {
     let topics: Vec<_> = robot.core.topics().cloned().collect();
     assert_eq!(
         robot.file.passed_over(&topics),
-        ["\"plain/*\" does not expose \"plain/count\": it carries u32, which is no ROS message"]
+        ["\"plain/*\" does not expose \"plain/count\": it carries u32, which is not a ROS message"]
     );
 }
 

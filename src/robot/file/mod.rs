@@ -159,7 +159,7 @@ impl RobotFile {
         self.source.path()
     }
 
-    /// True if a part of the robot is emulated.
+    /// Returns true if a part of the robot is emulated.
     #[must_use]
     pub fn is_emulated(&self) -> bool {
         self.modules.iter().any(|module| module.kind.is_emulated())

@@ -26,7 +26,7 @@ pub struct RecordEntry {
     pub modules: Vec<String>,
     /// Records only exposed topics, or only topics that are not exposed; `None` for both.
     pub exposed: Option<bool>,
-    /// How it is written.
+    /// How the recording is written.
     pub options: RecordOptions,
 }
 

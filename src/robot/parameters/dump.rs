@@ -7,13 +7,14 @@ use downbeat_executor::SettingValue;
 use crate::robot::Robot;
 
 impl Robot {
-    /// All settings with their values and descriptions, as a ROS 2 parameter file for the robot's node.
+    /// Returns all settings with their values and descriptions as a ROS 2 parameter file for the robot's
+    /// node.
     ///
-    /// What is read again gives the same settings. ROS 2 nodes of others read it too, but for empty lists, which rcl
-    /// does not take.
+    /// Reading the file gives the same settings. Other ROS 2 nodes can read it as well, except for empty
+    /// lists, which rcl does not accept.
     #[must_use]
     pub fn parameters(&self) -> String {
-        // A name that ROS 2 does not accept was refused when the robot was built.
+        // Names that ROS 2 does not accept were refused when the robot was built.
         let node =
             self.file.node_name().map_or_else(|_| format!("/{}", self.file.node), |node| node.to_string());
         let mut modules = String::new();
@@ -35,7 +36,7 @@ impl Robot {
     }
 }
 
-/// Words that are no text to YAML 1.1 or 1.2.
+/// Words that are not strings in YAML 1.1 or 1.2.
 const OTHER_THAN_TEXT: [&str; 9] = ["true", "false", "yes", "no", "on", "off", "y", "n", "null"];
 
 fn key(name: &str) -> String {
@@ -63,7 +64,8 @@ fn list<T>(values: &[T], write: impl Fn(&T) -> String) -> String {
     format!("[{}]", values.iter().map(write).collect::<Vec<_>>().join(", "))
 }
 
-/// With a point and a signed exponent, without which readers of YAML 1.1 see a whole number or text.
+/// Formats a number with a decimal point and a signed exponent. Without them, YAML 1.1 parsers read an
+/// integer or a string.
 fn double(value: f64) -> String {
     if value.is_nan() {
         return ".nan".into();
@@ -86,7 +88,7 @@ fn text(text: &str) -> String {
             '\n' => quoted.push_str("\\n"),
             '\r' => quoted.push_str("\\r"),
             '\t' => quoted.push_str("\\t"),
-            // Not printable, or an end of line, to YAML.
+            // Not printable in YAML, or a line break.
             c if c.is_control()
                 || matches!(c, '\u{2028}' | '\u{2029}' | '\u{feff}' | '\u{fffe}' | '\u{ffff}') =>
             {
@@ -106,7 +108,7 @@ mod tests {
     use crate::robot::parameters::setting_value;
 
     #[test]
-    fn every_value_is_read_as_it_was_written() {
+    fn every_value_round_trips() {
         let texts = [
             "",
             "yes",

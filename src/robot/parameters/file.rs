@@ -1,7 +1,7 @@
-//! ROS 2 parameter files: nodes, each with its parameters.
+//! ROS 2 parameter files, which contain nodes with their parameters.
 //!
 //! # References
-//! What a file may hold is told by rcl_yaml_param_parser, which nodes a name stands for by rclcpp's `parameter_map_from`.
+//! rcl_yaml_param_parser defines the format, and `parameter_map_from` of rclcpp which nodes a name matches.
 
 use std::fmt;
 use std::sync::Arc;
@@ -19,9 +19,9 @@ type Result<T, E = RobotFileError> = std::result::Result<T, E>;
 
 /// A parameter of a node.
 pub(crate) struct NodeParameter {
-    /// Joined with `.` where the file has maps in maps.
+    /// Nested maps are joined with `.`.
     pub(crate) name: String,
-    /// Or what is wrong with it.
+    /// The value, or the problem with it.
     pub(crate) value: std::result::Result<SettingValue, String>,
     /// The keys that lead to it, from the root of the file.
     pub(crate) keys: Vec<String>,
@@ -40,7 +40,7 @@ pub(crate) fn parameters_of_nodes(source: &Arc<Source>) -> Result<Vec<(String, V
     Ok(nodes)
 }
 
-/// True if a node has this absolute name: `*` stands for one part of it, `**` for any number of them.
+/// Returns true if a node has this absolute name: `*` stands for one part of it, `**` for any number of them.
 pub(super) fn matches(pattern: &str, node: &str) -> bool {
     let parts = |name: &'_ str| {
         name.split('/').filter(|part| !part.is_empty()).map(str::to_owned).collect::<Vec<_>>()
@@ -75,14 +75,15 @@ fn collect_nodes(
         return Err(place(keys).error(expected));
     };
     for (key, value) in map {
-        let key =
-            key.as_str().ok_or_else(|| place(keys).error("a key is no name of a node; put it in quotes"))?;
+        let key = key
+            .as_str()
+            .ok_or_else(|| place(keys).error("a key is not the name of a node; put it in quotes"))?;
         keys.push(key.to_owned());
         if key != PARAMETERS {
             collect_nodes(source, value, keys, nodes)?;
         } else if keys.len() == 1 {
             return Err(
-                place(keys).error(format!("{PARAMETERS} stands under the name of a node, or under /**"))
+                place(keys).error(format!("{PARAMETERS} must be under the name of a node, or under /**"))
             );
         } else {
             let name = format!("/{}", keys[..keys.len() - 1].join("/").trim_start_matches('/'));
@@ -115,7 +116,7 @@ fn collect_parameters(
     for (key, value) in map {
         let Some(key) = key.as_str() else {
             let place = ParameterPlace { source: Arc::clone(source), keys: keys.clone() };
-            return Err(place.error("a key is no name of a parameter; put it in quotes"));
+            return Err(place.error("a key is not the name of a parameter; put it in quotes"));
         };
         keys.push(key.to_owned());
         collect_parameters(source, value, keys, root, parameters)?;
@@ -124,7 +125,7 @@ fn collect_parameters(
     Ok(())
 }
 
-/// The line, from 1, of the key to which `keys` lead from the root. The first line if they lead nowhere.
+/// Returns the line, from 1, of the key to which `keys` lead from the root, or 1 if there is no such key.
 pub(crate) fn line_of(text: &str, keys: &[String]) -> usize {
     if keys.is_empty() {
         return 1;
@@ -133,7 +134,7 @@ pub(crate) fn line_of(text: &str, keys: &[String]) -> usize {
     found.err().and_then(|error| error.location()).map_or(1, |location| location.line())
 }
 
-/// Searches a map for the first of the keys, and what is under it for the others.
+/// Searches a map for the first of the keys, and its value for the others.
 struct Search<'k>(&'k [String]);
 
 impl<'de> DeserializeSeed<'de> for Search<'_> {
@@ -164,7 +165,7 @@ impl<'de> Visitor<'de> for Search<'_> {
     }
 }
 
-/// Tells whether a key is the wanted one, as an error if it is the last one wanted.
+/// Compares a key with the wanted one. Returns an error if it is the last wanted key, which ends the search.
 struct Key<'k> {
     wanted: &'k str,
     is_last: bool,

@@ -16,28 +16,32 @@ pub(crate) use file::{NodeParameter, line_of, parameters_of_nodes};
 
 type Result<T, E = RobotFileError> = std::result::Result<T, E>;
 
-/// Parameters that every ROS 2 node has, and that no module of ours is set by.
+/// Parameters of every ROS 2 node that do not set modules.
 const OF_EVERY_NODE: [&str; 3] = ["use_sim_time", "start_type_description_service", "qos_overrides"];
 
 impl RobotFile {
-    /// Gives settings the values that a ROS 2 parameter file has for the robot's node; they win over what was given
-    /// before. The parameter `module.setting`, also written as a map of settings under `module`, is a module's setting.
+    /// Sets settings to the values in a ROS 2 parameter file for the robot's node. They override earlier
+    /// values. The parameter `module.setting`, also written as a map of settings under `module`, is a
+    /// module's setting.
     ///
-    /// Node names and wildcards are matched as rcl does: `node` and `/ns/node` by name, `*` for one part of the name,
-    /// `/**` for any number of them. A file with nothing for this node changes nothing, and a warning says so.
+    /// Node names and wildcards are matched as in rcl: `node` and `/ns/node` by name, `*` for one part of the
+    /// name, `/**` for any number of them. A file without values for this node changes nothing and is
+    /// reported with a warning.
     ///
     /// # Errors
-    /// If the file cannot be read or is no parameter file, or names a module that the robot does not have; with path
-    /// and line. Settings and their types are checked by [`RobotFile::build`].
+    /// Returns an error with path and line if the file cannot be read or is not a parameter file, or names a
+    /// module that the robot does not have. Settings and their types are checked by [`RobotFile::build`].
     pub fn set_from_parameter_file(&mut self, path: &Path) -> Result<()> {
         let source = Arc::new(Source::read(path, "parameter file")?);
         self.set_from_parameters(&source)
     }
 
-    /// Gives a setting a value as `ros2 run` takes it after `-p`: `module.setting:=value`, the value in YAML.
+    /// Sets a setting from an argument in the form of `ros2 run -p`: `module.setting:=value`, with the value
+    /// in YAML.
     ///
     /// # Errors
-    /// If it is not of this form, or names a module that the robot does not have.
+    /// Returns an error if the argument does not have this form, or names a module that the robot does not
+    /// have.
     pub fn set_from_argument(&mut self, argument: &str) -> Result<()> {
         let place = Place::Argument(argument.to_owned());
         let Some((name, text)) = argument.split_once(":=") else {
@@ -101,7 +105,7 @@ impl RobotFile {
 }
 
 impl RobotFile {
-    /// The parameter of every ROS 2 node: whether time is that of `/clock`.
+    /// Handles the parameter `use_sim_time` of every ROS 2 node, which selects the time of `/clock`.
     fn use_sim_time(&mut self, value: &SettingValue, place: &Place) -> Result<()> {
         let clock = &mut self.expose.features.clock;
         match value {
@@ -118,7 +122,7 @@ impl RobotFile {
     }
 }
 
-/// The value as a setting holds it. Errors say what was expected and found.
+/// Converts a value to that of a setting. Errors contain what was expected and found.
 pub(crate) fn setting_value(value: &Value) -> Result<SettingValue, String> {
     match value {
         Value::Bool(value) => Ok(SettingValue::Bool(*value)),
@@ -126,13 +130,12 @@ pub(crate) fn setting_value(value: &Value) -> Result<SettingValue, String> {
         Value::Number(number) => match (number.as_i64(), number.as_f64()) {
             (Some(integer), _) => Ok(SettingValue::Integer(integer)),
             (None, Some(double)) if number.is_f64() => Ok(SettingValue::Double(double)),
-            _ => Err(format!("{number} does not fit a whole number of 64 bits")),
+            _ => Err(format!("{number} does not fit into a whole number of 64 bits")),
         },
         Value::Sequence(elements) => {
             let values = elements.iter().map(setting_value).collect::<Result<Vec<_>, _>>()?;
-            list_of(values).ok_or_else(|| {
-                "expected a list of numbers only, of texts only, or of truth values only".into()
-            })
+            list_of(values)
+                .ok_or_else(|| "expected a list of numbers only, of texts only, or of booleans only".into())
         }
         Value::Null => Err(expected("nothing")),
         Value::Mapping(_) => Err(expected("a map")),

@@ -30,7 +30,7 @@ fn problem(text: &str) -> String {
 }
 
 #[test]
-fn a_node_is_named_in_every_way_that_ros_has() {
+fn a_node_can_be_named_in_every_form_of_ros() {
     for text in [
         "/ns/r:\n  ros__parameters:\n    mux.hold_s: 5.0",
         "ns/r:\n  ros__parameters:\n    mux: {hold_s: 5.0}",
@@ -47,7 +47,7 @@ fn a_node_is_named_in_every_way_that_ros_has() {
 }
 
 #[test]
-fn what_is_for_another_node_changes_nothing() {
+fn values_for_another_node_change_nothing() {
     for text in ["", "/r: {ros__parameters: {mux.hold_s: 5.0}}", "/ns/r: {ros__parameters: }"] {
         let mut file = robot();
         set(&mut file, text).unwrap();
@@ -56,7 +56,7 @@ fn what_is_for_another_node_changes_nothing() {
 }
 
 #[test]
-fn later_values_win_and_the_command_line_wins_over_all() {
+fn later_values_take_precedence_and_the_command_line_over_all() {
     let mut file = robot();
     set(&mut file, "/**: {ros__parameters: {mux.hold_s: 3.0}}\n/ns/r: {ros__parameters: {mux.hold_s: 4}}")
         .unwrap();
@@ -73,7 +73,7 @@ fn later_values_win_and_the_command_line_wins_over_all() {
 }
 
 #[test]
-fn mistakes_in_a_parameter_file_are_told_with_its_line_and_the_nearest_name() {
+fn errors_in_a_parameter_file_contain_the_line_and_the_nearest_name() {
     let cases = [
         (
             "/**:\n  ros__parameters:\n    mix.hold_s: 1.0",
@@ -97,7 +97,7 @@ fn mistakes_in_a_parameter_file_are_told_with_its_line_and_the_nearest_name() {
         ("/**:\n  ros__parameters:\n    mux.hold_s:", ":3: expected true, false, a number"),
         ("/**:\n  ros__parameters: 3", ":2: expected parameters with their values"),
         ("/**:\n  ros_parameters:\n    mux.hold_s: 1", ":3: expected the name of a node"),
-        ("ros__parameters:\n  mux.hold_s: 1", ":1: ros__parameters stands under the name of a node"),
+        ("ros__parameters:\n  mux.hold_s: 1", ":1: ros__parameters must be under the name of a node"),
         ("/**:\n  ros__parameters:\n    mux.hold_s: [1,", ":"),
         ("/**:\n  ros__parameters:\n    mux.hold_s: 1\n    mux.hold_s: 2", "duplicate"),
         ("just text", ":1: expected the name of a node"),
@@ -110,7 +110,7 @@ fn mistakes_in_a_parameter_file_are_told_with_its_line_and_the_nearest_name() {
 }
 
 #[test]
-fn mistakes_on_the_command_line_are_told_with_the_argument() {
+fn errors_on_the_command_line_contain_the_argument() {
     let cases = [
         ("mux.hold_s=3", "-p mux.hold_s=3: expected module.setting:=value"),
         ("mix.hold_s:=3", "-p mix.hold_s:=3: the robot has no module \"mix\", did you mean \"mux\"?"),
@@ -131,7 +131,7 @@ fn mistakes_on_the_command_line_are_told_with_the_argument() {
 }
 
 #[test]
-fn parameters_that_every_node_has_are_passed_over() {
+fn parameters_of_every_node_are_ignored() {
     let mut file = robot();
     set(&mut file, "/**: {ros__parameters: {use_sim_time: true, qos_overrides: {/parameter_events: {publisher: {depth: 1}}}}}")
         .unwrap();
@@ -139,7 +139,7 @@ fn parameters_that_every_node_has_are_passed_over() {
 }
 
 #[test]
-fn what_is_dumped_is_loaded_as_it_was() {
+fn dumped_parameters_are_loaded_unchanged() {
     let settings = |robot: &Robot| ["mux", "emulator"].map(|module| robot.core.settings(module).unwrap());
     let mut file = robot();
     file.set_from_argument("mux.hold_s:=0.125").unwrap();
@@ -174,7 +174,7 @@ fn values_have_the_type_that_yaml_gives_them() {
 }
 
 #[test]
-fn what_no_setting_holds_is_refused() {
+fn values_that_no_setting_can_have_are_refused() {
     for (text, problem) in [
         ("~", "found nothing"),
         ("[1, a]", "of numbers only, of texts only"),

@@ -1,4 +1,4 @@
-//! The Python that `DOWNBEAT_PYTHON` names, with the ROS 2 wheels, for tests that compare with it.
+//! The Python interpreter in `DOWNBEAT_PYTHON`, with the ROS 2 wheels, for tests that compare with it.
 #![allow(clippy::unwrap_used, clippy::missing_panics_doc)]
 
 use std::ffi::OsStr;
@@ -6,22 +6,22 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// An interpreter, and what its environment has of ROS 2.
+/// An interpreter with the ROS 2 packages in its environment.
 pub struct Python(PathBuf);
 
 impl Python {
-    /// The interpreter; `None` without one, with a line that says so.
+    /// Returns the interpreter. If there is none, prints a message and returns `None`.
     pub fn find() -> Option<Self> {
         let python = std::env::var_os("DOWNBEAT_PYTHON");
         if python.is_none() {
-            // Past the capture of test output, which shows nothing of a test that passes.
+            // Bypasses the capture of test output, which is not shown for tests that pass.
             let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
             let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
         }
         python.map(|python| Self(python.into()))
     }
 
-    /// The prefix of the environment, laid out as an ament prefix.
+    /// The prefix of the environment, which has the layout of an ament prefix.
     pub fn prefix(&self) -> PathBuf {
         // <environment>/bin/python
         self.0.parent().and_then(Path::parent).unwrap().to_owned()
@@ -34,20 +34,20 @@ impl Python {
         command
     }
 
-    /// Runs a script to its end; returns what it prints.
+    /// Runs a script and returns its output.
     pub fn run(&self, script: impl AsRef<Path>, arguments: &[impl AsRef<OsStr>]) -> String {
         printed(self.command(script).args(arguments))
     }
 
-    /// Runs a command of a script with `input` in a file; returns what it prints.
+    /// Runs a command of a script with `input` in a file and returns its output.
     pub fn ask(&self, script: impl AsRef<Path>, command: &str, input: &str) -> String {
         with_file(input, |file| self.run(script, &[OsStr::new(command), file.as_os_str()]))
     }
 }
 
-/// Has `use_it` use a file with that content.
+/// Calls `use_it` with the path of a temporary file with this content.
 pub fn with_file<T>(content: &str, use_it: impl FnOnce(&Path) -> T) -> T {
-    // Tests run side by side, in one process or in several.
+    // Tests run in parallel, in one process or in several.
     static COUNT: AtomicUsize = AtomicUsize::new(0);
     let unique = format!("downbeat_{}_{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
     let file = std::env::temp_dir().join(unique);
@@ -57,14 +57,14 @@ pub fn with_file<T>(content: &str, use_it: impl FnOnce(&Path) -> T) -> T {
     result
 }
 
-/// Runs a command to its end, which has to be a success; returns what it prints.
+/// Runs a command, which must succeed, and returns its output.
 pub fn printed(command: &mut Command) -> String {
     let output = command.output().unwrap_or_else(|error| panic!("cannot run {command:?}: {error}"));
     assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// What is in a folder, in order; nothing if it is none.
+/// Returns the sorted entries of a folder; empty if it does not exist.
 pub fn entries(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
@@ -72,7 +72,7 @@ pub fn entries(folder: &Path) -> Vec<PathBuf> {
     paths
 }
 
-/// Bytes as hexadecimal digits. Written for speed without optimisation: much of what the tests do is this.
+/// Formats bytes as hexadecimal digits. Fast even in debug builds, because the tests use it often.
 pub fn hex(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 16] = b"0123456789abcdef";
     let mut digits = vec![0; bytes.len() * 2];
@@ -82,12 +82,12 @@ pub fn hex(bytes: &[u8]) -> String {
     String::from_utf8(digits).unwrap()
 }
 
-/// The bytes that hexadecimal digits stand for.
+/// Parses hexadecimal digits.
 pub fn unhex(text: &str) -> Vec<u8> {
     let value = |digit: u8| match digit {
         b'0'..=b'9' => digit - b'0',
         b'a'..=b'f' => digit - b'a' + 10,
-        _ => panic!("{digit:#x} is no hexadecimal digit"),
+        _ => panic!("{digit:#x} is not a hexadecimal digit"),
     };
     let (pairs, rest) = text.as_bytes().as_chunks::<2>();
     assert!(rest.is_empty(), "half a byte");

@@ -88,7 +88,7 @@ fn ping(participant: &dyn Middleware, options: &PeerOptions) -> anyhow::Result<(
     let reader = participant.create_reader(&endpoint("pong"), on_answer)?;
     let writer = participant.create_writer(&endpoint("ping"))?;
     let writer = slot.get_or_init(|| writer);
-    wait_until("the other end is there", || writer.matched() == 1 && reader.matched() == 1)?;
+    wait_until("the other end is matched", || writer.matched() == 1 && reader.matched() == 1)?;
     // The other end may not have discovered this one yet.
     std::thread::sleep(Duration::from_millis(500));
     {
@@ -105,7 +105,7 @@ fn ping(participant: &dyn Middleware, options: &PeerOptions) -> anyhow::Result<(
 
 fn flood(participant: &dyn Middleware, options: &PeerOptions) -> anyhow::Result<()> {
     let writer = participant.create_writer(&endpoint("ping"))?;
-    wait_until("the other end is there", || writer.matched() == 1)?;
+    wait_until("the other end is matched", || writer.matched() == 1)?;
     std::thread::sleep(Duration::from_millis(500));
     let payload = payload(options.size);
     let (mut bytes, mut samples) = (0, 0);

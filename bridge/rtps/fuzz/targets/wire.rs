@@ -41,8 +41,8 @@ pub fn run(bytes: &[u8]) -> usize {
         };
         // Only padding can make it too long for its length field.
         if is_written {
-            let (_, mut submessages) = parse(&again).expect("a message of ours");
-            let read = submessages.next().expect("one submessage").expect("a submessage of ours");
+            let (_, mut submessages) = parse(&again).expect("a valid message");
+            let read = submessages.next().expect("one submessage").expect("a valid submessage");
             assert_same(read, submessage);
         } else {
             assert!(bytes.len() > 65_000, "{submessage:?} cannot be written");

@@ -35,7 +35,7 @@ impl Interface {
 }
 
 impl Addresses {
-    /// Whether `address` is on this host.
+    /// Returns whether `address` is on this host.
     pub(crate) fn is_own_host(&self, address: Ipv4Addr) -> bool {
         address.is_loopback() || self.interfaces.iter().any(|interface| interface.address == address)
     }

@@ -62,7 +62,7 @@ impl<'a> MessageBuilder<'a> {
         }
     }
 
-    /// Whether there is no submessage yet.
+    /// Returns whether there is no submessage yet.
     pub fn is_empty(&self) -> bool {
         self.len() == Header::LEN
     }
@@ -83,8 +83,9 @@ impl<'a> MessageBuilder<'a> {
         self.max_len.saturating_sub(self.len() + destination + timestamp)
     }
 
-    /// Sets the destination of the following submessages. Initially it is [`GuidPrefix::UNKNOWN`], which means everybody.
-    /// An INFO_DST is written in front of the next submessage, if the destination differs by then.
+    /// Sets the destination of the following submessages. Initially it is [`GuidPrefix::UNKNOWN`], which
+    /// means all participants. An INFO_DST is written in front of the next submessage, if the destination
+    /// differs by then.
     pub fn info_destination(&mut self, prefix: GuidPrefix) {
         self.destination.wanted = prefix;
     }

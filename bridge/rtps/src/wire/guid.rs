@@ -81,17 +81,17 @@ impl EntityId {
         Self([a, b, c, kind])
     }
 
-    /// Whether the specification defines this endpoint.
+    /// Returns whether the specification defines this endpoint.
     pub const fn is_builtin(self) -> bool {
         self.0[3] & 0xc0 == 0xc0
     }
 
-    /// Whether this is a writer, keyed or not, builtin or user-defined.
+    /// Returns whether this is a writer, keyed or not, builtin or user-defined.
     pub const fn is_writer(self) -> bool {
         matches!(self.0[3] & 0x3f, 0x02 | 0x03)
     }
 
-    /// Whether this is a reader, keyed or not, builtin or user-defined.
+    /// Returns whether this is a reader, keyed or not, builtin or user-defined.
     pub const fn is_reader(self) -> bool {
         matches!(self.0[3] & 0x3f, 0x04 | 0x07)
     }

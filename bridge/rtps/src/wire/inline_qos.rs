@@ -23,7 +23,7 @@ impl StatusInfo {
     /// Disposed and unregistered, as Fast DDS and Cyclone DDS announce the end of an entity.
     pub const REMOVED: Self = Self(3);
 
-    /// Whether the instance is disposed, unregistered or both.
+    /// Returns whether the instance is disposed, unregistered or both.
     pub fn is_removal(self) -> bool {
         self.0 & 3 != 0
     }

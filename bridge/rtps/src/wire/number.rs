@@ -126,7 +126,7 @@ impl<N: Number> NumberSet<N> {
         self.base
     }
 
-    /// Whether the set contains no number.
+    /// Returns whether the set contains no number.
     pub fn is_empty(&self) -> bool {
         self.words == [0; 8]
     }
@@ -141,7 +141,7 @@ impl<N: Number> NumberSet<N> {
         true
     }
 
-    /// Whether `number` is in the set.
+    /// Returns whether `number` is in the set.
     pub fn contains(&self, number: N) -> bool {
         number.offset_from(self.base).is_some_and(|offset| offset < Self::CAPACITY && self.bit(offset))
     }

@@ -27,7 +27,7 @@ impl BuiltinEndpoints {
     /// All of the above, which are those that ROS 2 uses.
     pub const OURS: Self = Self(0xc3f);
 
-    /// Whether all of `bits` are set.
+    /// Returns whether all of `bits` are set.
     pub fn has(self, bits: u32) -> bool {
         self.0 & bits == bits
     }
@@ -46,7 +46,7 @@ pub struct ParticipantData {
     /// Addresses for discovery traffic.
     pub metatraffic_unicast: Vec<SocketAddrV4>,
     pub metatraffic_multicast: Vec<SocketAddrV4>,
-    /// Addresses of those endpoints that announce no locators of their own.
+    /// Addresses of endpoints that do not announce their own locators.
     pub default_unicast: Vec<SocketAddrV4>,
     pub default_multicast: Vec<SocketAddrV4>,
     /// Time without a message after which the participant is considered lost; `None` is infinite.

@@ -27,7 +27,7 @@ struct Entry {
     value: f64,
 }
 
-/// What modules see of it, with who wrote it.
+/// The board as modules see it: values with the modules that wrote them.
 #[derive(Default)]
 struct Board(BTreeMap<&'static str, (f64, ModuleId)>);
 

@@ -68,7 +68,8 @@ impl SerialBus {
         }
     }
 
-    /// Whether the answer to an earlier instruction arrived after its time-out: devices only send on request.
+    /// Returns whether the answer to an earlier instruction arrived after its time-out: devices only send on
+    /// request.
     fn has_late_answer(&mut self) -> bool {
         let Some(port) = self.port.as_deref().filter(|_| self.late_answers_for > 0) else { return false };
         self.late_answers_for -= 1;

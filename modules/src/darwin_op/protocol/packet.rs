@@ -154,7 +154,7 @@ impl Id {
         self.0
     }
 
-    /// Whether it stands for all devices.
+    /// Returns whether it stands for all devices.
     #[must_use]
     pub const fn is_broadcast(self) -> bool {
         self.0 == Self::BROADCAST.0

@@ -5,7 +5,7 @@ pub mod joints;
 pub mod mx28;
 pub mod units;
 
-/// Who may change an entry, and whether it is persistent.
+/// Whether an entry can be changed, and whether it is persistent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
     /// Only the device itself.
@@ -25,7 +25,7 @@ pub struct Field {
     pub address: u8,
     /// Its size in bytes, 1 or 2.
     pub size: u8,
-    /// Who may change it.
+    /// Whether it can be changed.
     pub access: Access,
     /// The factory default, or the value after switching on.
     pub initial: u16,
@@ -33,7 +33,7 @@ pub struct Field {
     pub min: u16,
     /// The largest value that may be written.
     pub max: u16,
-    /// What it means, with its unit.
+    /// Its meaning, with its unit.
     pub meaning: &'static str,
 }
 

@@ -84,7 +84,7 @@ impl Catalog {
     }
 }
 
-/// Whether it names a service or an action rather than a part of one.
+/// Returns whether it names a service or an action rather than a part of one.
 fn is_whole(name: &TypeName) -> bool {
     let is_service_of_action = name.name.ends_with("_SendGoal") || name.name.ends_with("_GetResult");
     name.kind != Kind::Message && (!name.name.contains('_') || is_service_of_action)

@@ -47,7 +47,7 @@ impl Environment {
     }
 }
 
-/// Whether the folder has the layout of a package with interfaces.
+/// Returns whether the folder has the layout of a package with interfaces.
 pub(super) fn has_interfaces(folder: &Path) -> bool {
     interface_folders(folder).next().is_some()
 }

@@ -105,7 +105,8 @@ impl RustSource<'_> {
         Ok(source)
     }
 
-    /// Whether a predicate holds for every element of the message, including those of nested messages.
+    /// Returns whether a predicate holds for every element of the message, including those of nested
+    /// messages.
     pub(super) fn every_element(
         &self,
         message: &MessageDefinition,

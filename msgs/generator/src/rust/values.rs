@@ -29,7 +29,7 @@ pub(super) fn constant(value: &Value, element: &Element) -> String {
     }
 }
 
-/// Whether the value equals the type's own default.
+/// Returns whether the value equals the type's own default.
 pub(super) fn is_zero(value: &Value) -> bool {
     match value {
         Value::Bool(value) => !value,

@@ -78,7 +78,7 @@ impl RustSource<'_> {
         })
     }
 
-    /// Whether a message contains a string or sequence, directly or in a nested message.
+    /// Returns whether a message contains a string or sequence, directly or in a nested message.
     pub(super) fn is_borrowing(&self, message: &MessageDefinition) -> Result<bool, Error> {
         let has_none = self.every_element(message, &|element, shape| {
             matches!(element, Element::Primitive(_) | Element::Message(_))

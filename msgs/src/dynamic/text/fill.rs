@@ -315,7 +315,7 @@ pub struct Stamps {
 }
 
 impl Stamps {
-    /// Whether there are none.
+    /// Returns whether there are none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.paths.is_empty()

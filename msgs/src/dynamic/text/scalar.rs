@@ -184,7 +184,7 @@ fn is_printable(character: char) -> bool {
         && character != '\u{feff}'
 }
 
-/// Whether a plain scalar is read as a boolean, a number, null, a date, a merge key or a value key.
+/// Returns whether a plain scalar is read as a boolean, a number, null, a date, a merge key or a value key.
 fn is_read_as_other(text: &str) -> bool {
     let is_word =
         matches!(text, "" | "~" | "null" | "Null" | "NULL" | "<<" | "=") || truth_value(text).is_some();

@@ -168,7 +168,7 @@ impl Emitter<'_> {
         }
     }
 
-    /// Whether the array is written with one line per element.
+    /// Returns whether the array is written with one line per element.
     fn is_block(&self, array: &Array) -> bool {
         !self.style.flow_style && !self.style.no_arr && !array.is_empty()
     }

@@ -96,7 +96,7 @@ fn serve<S: ServiceType>(
 ) -> Result<Service, NodeError> {
     let sender = sender.clone();
     node.serve_later::<S>(name, QosProfile::SERVICES, move |request, reply| {
-        // If nobody plays any more, the service is about to be removed.
+        // If the player has ended, the service is about to be removed.
         let _ = sender.send(control(request, reply));
     })
 }

@@ -26,7 +26,7 @@ use crate::program::stop::{Key, Keyboard, Stop};
 use crate::robot::{Catalog, RosArgs};
 use crate::ros_recorder::QosOverrides;
 
-/// The maximum time to wait for discovery: earlier samples reach nobody.
+/// The maximum time to wait for discovery: earlier samples would not be received.
 const DISCOVERY: Duration = Duration::from_secs(3);
 /// The wait that is not logged, and the number of topics that the log names.
 const PATIENCE: Duration = Duration::from_millis(200);

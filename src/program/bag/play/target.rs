@@ -95,7 +95,7 @@ pub(super) fn targets(
 }
 
 impl Target {
-    /// Whether a message would reach anyone now.
+    /// Returns whether a message would reach anyone now.
     pub(super) fn is_matched(&self) -> bool {
         match self {
             Self::Topic(publisher, _) => publisher.matched_subscriptions() > 0,
@@ -208,7 +208,7 @@ impl Requests {
         self.client.is_available()
     }
 
-    /// Whether a response is pending.
+    /// Returns whether a response is pending.
     pub(super) fn is_unanswered(&self) -> bool {
         self.unanswered.load(Ordering::Relaxed) > 0
     }

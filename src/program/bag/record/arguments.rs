@@ -230,7 +230,7 @@ pub(crate) enum SyncWhen {
 }
 
 impl SelectionArguments {
-    /// Whether anything is selected.
+    /// Returns whether anything is selected.
     pub(crate) fn is_given(&self) -> bool {
         self.all
             || self.all_topics

@@ -90,7 +90,7 @@ pub(super) fn value_in(text: &str) -> Result<SettingValue, String> {
     }
 }
 
-/// Whether it is an empty list, whose type YAML does not determine.
+/// Returns whether it is an empty list, whose type YAML does not determine.
 pub(super) fn is_empty_list(value: &SettingValue) -> bool {
     matches!(value, SettingValue::Integers(values) if values.is_empty())
 }
