@@ -1,4 +1,4 @@
-"""Decodes every message of a bag with software that is not ours, and prints how many there are of each topic, by reader.
+"""Decodes every message of a bag with other readers, and prints the number of messages of each topic by reader.
 
 Usage: decode_bag.py BAG_DIRECTORY. Anything that is not as it should be raises.
 """

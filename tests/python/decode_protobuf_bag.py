@@ -1,4 +1,4 @@
-"""Decodes every message of a bag in Protobuf with software that is not ours, by the schemas in the bag alone.
+"""Decodes every message of a bag in Protobuf with other readers, using only the schemas in the bag.
 
 Usage: decode_protobuf_bag.py BAG_DIRECTORY. Prints the schema and the count of each topic, and the joints of the last
 message of /joint_states.

@@ -1,5 +1,5 @@
 """A node of rclpy that offers std_srvs/srv/SetBool on /set_torque with service introspection, and calls it twice for each line
-that it reads. Its events are latched: who comes late has them all. It ends when its standard input closes. Usage: introspected_service.py"""
+that it reads. Its events are latched, so late joiners receive them all. It ends when its standard input closes. Usage: introspected_service.py"""
 
 import sys
 import threading

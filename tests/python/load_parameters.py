@@ -1,4 +1,4 @@
-"""Prints as JSON the parameters that a real ROS 2 node named darwin_op takes from a parameter file."""
+"""Prints as JSON the parameters that a real ROS 2 node named darwin_op reads from a parameter file."""
 
 import json
 import os

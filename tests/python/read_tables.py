@@ -23,7 +23,7 @@ with AnyReader([bag]) as reader:
 
 
 def rows(path):
-    # DuckDB needs more packages to give a time with its zone to Python.
+    # DuckDB needs more packages to return times with time zones to Python.
     select = {
         ".csv": "SELECT log_time AS received, * FROM read_csv(?)",
         ".parquet": "SELECT epoch_ns(log_time) AS received, * EXCLUDE (log_time, publish_time) FROM read_parquet(?)",

@@ -1,5 +1,5 @@
-// Reads the file of a bag with @mcap/core, by its index and as a stream, and prints what each of them finds: channels with
-// their schemas, and every message; or what is not as it should be, checksums among it.
+// Reads the file of a bag with @mcap/core, by its index and as a stream, and prints what each finds: channels with their
+// schemas and every message, or errors such as wrong checksums.
 //
 // Usage: DOWNBEAT_NODE_MODULES=FOLDER node read_bag.mjs FILE
 
@@ -28,7 +28,7 @@ class Found {
   }
 
   message(topic, { logTime, publishTime, data }) {
-    // Times are longer than what a number of JavaScript holds.
+    // Times exceed the integer range of JavaScript numbers.
     this.messages.push([topic, String(logTime), String(publishTime), Buffer.from(data).toString("hex")]);
   }
 }
@@ -49,7 +49,7 @@ async function indexed(path, decompressHandlers) {
     metadata.push(record.name);
   }
   await file.close();
-  // It leaves this checksum to its users.
+  // The library does not check this checksum.
   const data = await readFile(path);
   const dataCrc = crc32(data.subarray(0, Number(reader.dataEndOffset)));
   if (dataCrc !== reader.dataSectionCrc) {
@@ -66,7 +66,7 @@ async function streamed(path, decompressHandlers) {
   const channels = new Map();
   const schemas = new Map();
   const data = await readFile(path);
-  // In pieces, as from a network.
+  // In pieces, as received from a network.
   for (let start = 0; start < data.length; start += 1000) {
     reader.append(data.subarray(start, start + 1000));
     for (let record; (record = reader.nextRecord()); ) {

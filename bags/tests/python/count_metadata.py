@@ -1,5 +1,5 @@
-"""Prints what metadata.yaml tells of a bag whose file has no end, and how many messages `mcap` streams out of that file
-before it says so. Usage: count_metadata.py BAG"""
+"""Prints the contents of metadata.yaml of a bag with a truncated file, and how many messages `mcap` streams from that
+file before it reports an error. Usage: count_metadata.py BAG"""
 
 import json
 import sys

@@ -1,5 +1,5 @@
-"""Decodes every message of the bags in a folder with software that is not ours, and prints for each bag how many there are by
-reader, and a hash of their texts. Usage: decode_layouts.py FOLDER"""
+"""Decodes every message of the bags in a folder with other readers, and prints for each bag and reader the number of
+messages and a hash of their texts. Usage: decode_layouts.py FOLDER"""
 
 import hashlib
 import json
@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 
 
 def texts_of(bag):
-    """Of `mcap-ros2-support`, in the order of their times."""
+    """The messages read by `mcap-ros2-support`, ordered by time."""
     texts = []
     with (bag / f"{bag.name}_0.mcap").open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
@@ -25,7 +25,7 @@ def count_in_rosbags(bag):
     try:
         with AnyReader([bag]) as reader:
             return sum(1 for c, _, raw in reader.messages() if reader.deserialize(raw, c.msgtype) is not None)
-    except Exception as error:  # told to the test, which knows what rosbags does not read
+    except Exception as error:  # reported to the test, which knows what rosbags cannot read
         print(f"{bag.name}: {error}", file=sys.stderr)
         return None
 

@@ -1,4 +1,4 @@
-"""Decodes every message of a bag with software that is not ours, and prints for each reader and topic the values, or why it
+"""Decodes every message of a bag with other readers, and prints for each reader and topic the values, or why it
 cannot read the topic. Usage: decode_types.py FOLDER, which has the bags `messages` and `events` and values.json.
 
 Floating-point numbers are texts of their bits in hexadecimal.
@@ -9,7 +9,7 @@ import struct
 import sys
 from pathlib import Path
 
-# What spells values for the tests of messages does so here.
+# Formats values as in the tests of messages.
 sys.path.insert(0, str(Path(__file__).parents[3] / "msgs/tests/interop/python"))
 
 from bags import plain_of  # noqa: E402
@@ -32,13 +32,13 @@ def with_mcap_ros2(bag: Path, values: dict) -> dict:
             try:
                 decoded = decoders.decoder_for(channel.message_encoding, schema)(message.data)
                 read.append(like(values[channel.topic][len(read)], decoded))
-            except Exception as error:  # told to the test, which knows what it does not read
+            except Exception as error:  # reported to the test, which knows what it cannot read
                 found[channel.topic] = repr(error)
     return found
 
 
 def like(value, decoded):
-    """What was decoded, spelled as that value is: it does not tell of what size a number is."""
+    """Formats a decoded value like the given one, because it does not contain the size of numbers."""
     if isinstance(value, dict):
         assert set(decoded.__slots__) == set(value), (decoded.__slots__, list(value))
         return {name: like(of, getattr(decoded, name)) for name, of in value.items()}
@@ -47,14 +47,14 @@ def like(value, decoded):
         return [like(*pair) for pair in zip(value, decoded)] if len(value) == len(decoded) else decoded
     if isinstance(decoded, float):
         return struct.pack(">f" if len(value) == 8 else ">d", decoded).hex()
-    # It takes `char` for a signed number. In ROS 2 it is uint8.
+    # The library reads `char` as a signed number. In ROS 2 it is uint8.
     if isinstance(decoded, int) and decoded < 0 and value == decoded + 256:
         return value
     return decoded
 
 
 def with_rosbags(bag: Path) -> dict:
-    """By the definitions in the bag alone."""
+    """Decodes with only the definitions in the bag."""
     found = {}
     with Reader(bag) as reader:
         types = {}
@@ -64,7 +64,7 @@ def with_rosbags(bag: Path) -> dict:
                 store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
                 types[connection.topic] = store, plain_of(store, connection.msgtype)
                 found[connection.topic] = []
-            except Exception as error:  # told to the test, which knows what it does not read
+            except Exception as error:  # reported to the test, which knows what it cannot read
                 found[connection.topic] = repr(error)
         for connection, _, raw in reader.messages():
             if isinstance(found[connection.topic], str):

@@ -1,5 +1,5 @@
-"""Prints the type hashes in bags by topic, what `rosbags` computes of the definitions in them, and by type those that the
-packages of ROS 2 publish. Usage: hash_types.py FOLDER, which has the bags `messages` and `events`."""
+"""Prints the type hashes in bags by topic, the hashes that `rosbags` computes from their definitions, and those that the
+packages of ROS 2 publish, by type. Usage: hash_types.py FOLDER, which contains the bags `messages` and `events`."""
 
 import json
 import sys
@@ -15,7 +15,7 @@ for name in ("messages", "events"):
     with (folder / name / f"{name}_0.mcap").open("rb") as stream:
         for channel in make_reader(stream).get_summary().channels.values():
             recorded[channel.topic] = channel.metadata["topic_type_hash"]
-# It opens no bag with events of services whose definition refers to no message.
+# rosbags cannot open bags with service events whose definition refers to no message.
 with Reader(folder / "messages") as reader:
     for connection in reader.connections:
         assert connection.digest == recorded[connection.topic], connection.topic
@@ -23,7 +23,7 @@ with Reader(folder / "messages") as reader:
             store = get_typestore(Stores.EMPTY)
             store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
             computed[connection.topic] = store.hash_rihs01(connection.msgtype)
-        except Exception as error:  # the test knows what it does not read
+        except Exception as error:  # the test knows what it cannot read
             print(f"{connection.topic}: {error!r}", file=sys.stderr)
 for kind in ("msg", "srv", "action"):
     for path in (Path(sys.prefix) / "share").glob(f"*/{kind}/*.json"):

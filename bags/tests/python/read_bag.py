@@ -1,4 +1,4 @@
-"""Reads a bag with software that is not ours and prints, per reader, how many messages of each topic it decoded.
+"""Reads a bag with other readers and prints, per reader, the number of decoded messages of each topic.
 
 Usage: read_bag.py BAG_DIRECTORY. Every message is decoded; anything that is not as it should be raises.
 """
@@ -54,7 +54,7 @@ def any_reader_counts(bag: Path) -> dict:
 
 
 def rosbag2_counts(bag: Path) -> dict:
-    """Decodes with the types rosbags itself has of Jazzy, so our definitions and hashes are compared with others'."""
+    """Decodes with the Jazzy types of rosbags, which compares our definitions and hashes with independent ones."""
     store = get_typestore(Stores.ROS2_JAZZY)
     counts = Counter()
     with Reader(bag) as reader:

@@ -1,5 +1,5 @@
-"""Writes the same messages into bags with `rosbags` and `mcap-ros2-support`, below the folder that is given, and prints what
-each of them holds: topic, time and data of every message, in the order of time."""
+"""Writes the same messages into bags with `rosbags` and `mcap-ros2-support`, in the given folder, and prints the
+contents of each: topic, time and data of every message, ordered by time."""
 
 import json
 import sys

@@ -69,7 +69,7 @@ def ping(participant, options):
     pinger.start()
     while not pinger.is_over():
         time.sleep(0.01)
-    pinger.tell()
+    pinger.report()
 
 
 def echo(participant, options):
@@ -86,7 +86,7 @@ def echo(participant, options):
 
 
 def camera(participant, options):
-    """Sends numbered messages at a steady rate, best effort, and prints "go" when all are sent."""
+    """Sends numbered messages at a constant rate, best effort, and prints "go" when all are sent."""
     qos = Qos(Policy.Reliability.BestEffort, Policy.Durability.Volatile, Policy.History.KeepLast(10))
     writer = DataWriter(participant, Topic(participant, "rt/ping", Bytes), qos=qos)
     peer.wait_for(writer.get_matched_subscriptions)

@@ -1,4 +1,4 @@
-"""What the Python ends of a pair share: their options, and the one that sends and waits for what comes back."""
+"""Common code of the Python ends of a pair: their options, and the end that sends and waits for answers."""
 
 import argparse
 import json
@@ -8,7 +8,7 @@ import time
 
 ROLES = ["ping", "echo", "acknowledge", "count", "camera", "latch", "late"]
 PATIENCE = 2.0
-"""How long a message may be under way before it counts as lost, in seconds."""
+"""How long a message may be in flight before it counts as lost, in seconds."""
 
 
 def options():
@@ -29,7 +29,7 @@ def wait_for(matched):
         if time.monotonic() > end:
             sys.exit("no peer within 20 s")
         time.sleep(0.02)
-    time.sleep(0.5)  # one end may not know of the other yet
+    time.sleep(0.5)  # one end may not have discovered the other yet
 
 
 def end_of_input():
@@ -40,7 +40,7 @@ def end_of_input():
 
 
 class Pinger:
-    """Keeps a window of messages under way. `publish` sends the bytes it is given."""
+    """Keeps a window of messages in flight. `publish` sends the given bytes."""
 
     def __init__(self, options, publish):
         self.options, self.publish = options, publish
@@ -56,7 +56,7 @@ class Pinger:
             self.send()
 
     def is_over(self):
-        """Whether all is sent and back or lost. To be asked often: it looks for what is late."""
+        """Returns whether all messages are sent and either answered or lost. Must be called often, because it detects losses."""
         with self.lock:
             now = time.perf_counter()
             late = [number for number, sent in self.under_way.items() if now - sent > PATIENCE]
@@ -83,7 +83,7 @@ class Pinger:
             if self.started is not None:
                 self.send()
 
-    def tell(self):
+    def report(self):
         self.times.sort()
         outcome = {
             "messages": len(self.times),

@@ -22,7 +22,7 @@ def ping(node, options):
     pinger.start()
     while not pinger.is_over():
         rclpy.spin_once(node, timeout_sec=0.01)
-    pinger.tell()
+    pinger.report()
 
 
 def echo(node, options):
@@ -40,7 +40,7 @@ def echo(node, options):
 
 
 def count(node, options):
-    """Tells how many messages it has heard, once nothing more is sent."""
+    """Prints how many messages it has received, once nothing more is sent."""
     heard = set()
     reliability = ReliabilityPolicy.BEST_EFFORT if options.best_effort else ReliabilityPolicy.RELIABLE
     take = lambda message: heard.add(message.data[:8].tobytes())
@@ -65,7 +65,7 @@ def latch(node, options):
 
 
 def late(node, options):
-    """Measures how long it takes to meet the one that offers a latched sample, since `options.start`."""
+    """Measures how long it takes to discover the process that offers a latched sample, since `options.start`."""
     times = {}
     elapsed = lambda: 1e3 * (time.perf_counter() - options.start)
     take = lambda _: times.setdefault("latched_ms", elapsed())

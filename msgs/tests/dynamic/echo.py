@@ -1,4 +1,4 @@
-"""Makes msgs/tests/data/echo.jsonl: what ROS 2 prints for messages, and what it makes of what a user writes.
+"""Makes msgs/tests/data/echo.jsonl: what ROS 2 prints for messages, and how it parses user input.
 
     python echo.py > echo.jsonl
 
@@ -86,7 +86,7 @@ def random_value(of):
         count = of.size if isinstance(of, d.Array) else random.randint(0, 3)
         return [random_value(of.value_type) for _ in range(count)]
     if isinstance(of, (d.AbstractString, d.AbstractWString)):
-        # rclpy takes these for byte order marks of a wide string.
+        # rclpy interprets these as byte order marks of a wide string.
         marks = ('\ufeff', '\ufffe') if isinstance(of, d.AbstractWString) else ()
         text = random.choice([text for text in TEXTS if '\0' not in text and text not in marks])
         most = of.maximum_size if of.has_maximum_size() else 300

@@ -1,4 +1,4 @@
-"""The other end of the tests of dynamic messages: rclpy and rosbags read what was changed by path.
+"""The other end of the tests of dynamic messages: rclpy and rosbags read messages that were changed by path.
 
     peer.py read FILE    FILE has lines of type name, bytes (hexadecimal); prints what rclpy reads, as YAML in JSON
     peer.py big FILE     FILE has type name, definition, bytes (both hexadecimal); prints big-endian bytes of rosbags

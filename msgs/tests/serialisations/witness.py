@@ -1,4 +1,4 @@
-"""Reads messages in other serialisations with the libraries of their makers.
+"""Reads messages in other serialisations with their reference libraries.
 
     witness.py COMMAND FILE
 
@@ -39,7 +39,7 @@ def same(found, expected, where):
 
 
 def single(value):
-    """A 32-bit number as we write it in JSON: the shortest text that gives it back."""
+    """A 32-bit number as written in JSON: the shortest text that parses to it."""
     import struct
 
     if not math.isfinite(value):
@@ -60,7 +60,7 @@ def single(value):
 def protobuf_class(name, data):
     files = descriptor_pb2.FileDescriptorSet.FromString(data)
     pool = descriptor_pool.DescriptorPool()
-    for file in files.file:  # What is imported comes first.
+    for file in files.file:  # Imported files come first.
         pool.Add(file)
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
 
@@ -99,7 +99,7 @@ def protobuf(path):
 
 
 def proto_text(path):
-    """Compiles all `file` lines together, and compares what comes out with the files of the `schema` lines."""
+    """Compiles all `file` lines together, and compares the results with the files of the `schema` lines."""
     import tempfile
     from pathlib import Path
 
@@ -122,13 +122,13 @@ def proto_text(path):
     for file in theirs.file:
         for message in file.message_type:
             for field in message.field:
-                field.ClearField("json_name")  # What it has anyway.
+                field.ClearField("json_name")  # The default.
         check(file == ours[file.name], file, ours[file.name])
     check({file.name for file in theirs.file} == set(ours) == set(names), set(ours) ^ set(names))
     print(len(theirs.file))
 
 
-# FlatBuffers: binary schemas read by the ids of reflection.fbs, then messages by what those say.
+# FlatBuffers: binary schemas read by the ids of reflection.fbs, then messages by these schemas.
 
 # By reflection.BaseType.
 NUMBERS = {
@@ -318,7 +318,7 @@ def foxglove_class(name):
 
 
 def described(descriptor, seen):
-    """The fields of a message and of those within it."""
+    """The fields of a message and of nested messages."""
     if descriptor.full_name in seen:
         return
     seen[descriptor.full_name] = fields = {}

@@ -1,4 +1,4 @@
-"""Records what the real `ros2 interface show` prints, for the tests to compare with.
+"""Records the output of the real `ros2 interface show` for comparison in tests.
 
     AMENT_PREFIX_PATH=VENV PYTHONPATH=ROS2CLI/ros2cli:ROS2CLI/ros2interface:ROSIDL_RUNTIME_PY VENV/bin/python record.py
 
@@ -32,7 +32,7 @@ def show(name, option):
 
 
 def without_leftovers(text, option):
-    """Where comments are to be hidden, the real command leaves a `#` of each and some whole ones."""
+    """Removes what the real command leaves of hidden comments: a `#` of each and some whole ones."""
     lines = []
     for line in text.splitlines():
         if option == '--no-comments' or option == '' and line.startswith('\t'):

@@ -1,4 +1,4 @@
-"""ROS 2's own tools on definitions of ours, and what rosbags knows of ROS 2.
+"""Runs the tools of ROS 2 and rosbags on our definitions.
 
     peer.py describe FILE  each line of FILE is the folder of a package; prints name and individual type description (JSON)
                            of every type there, as rosidl_adapter, rosidl_parser and rosidl_generator_type_description
@@ -49,7 +49,7 @@ def describe(path):
 
 
 def value(of):
-    """As JSON can say it; floating-point numbers by their bits."""
+    """Converts a value for JSON; floating-point numbers by their bits."""
     if isinstance(of, float):
         return {'bits': struct.pack('>d', of).hex()}
     return [value(item) for item in of] if isinstance(of, list) else of
@@ -60,7 +60,7 @@ def parse(path):
         try:
             with contextlib.redirect_stderr(io.StringIO()):
                 message = parser.parse_message_string('pkg', 'Name', json.loads(line))
-        except Exception:  # Of every kind: among them IndexError and AssertionError.
+        except Exception:  # of any kind, including IndexError and AssertionError
             print('null')
             continue
         fields = [[str(of.type), of.name, value(of.default_value)] for of in message.fields]

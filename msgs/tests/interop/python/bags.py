@@ -1,4 +1,4 @@
-"""rosbags: a reader and writer of messages of its own, in Python, with a store of definitions of its own."""
+"""rosbags: an independent reader and writer of messages in Python, with its own store of definitions."""
 
 import json
 import struct
@@ -16,7 +16,7 @@ def unsigned_byte(value):
 
 
 def convert(lines):
-    """FILE has `define`, name, definition, and name, bytes. Of the latter: the value, and the bytes it is written as,
+    """FILE has `define`, name, definition, and name, bytes. Prints for the latter the value and the written bytes,
     little-endian and big-endian."""
     types = {}
     values = []
@@ -36,10 +36,10 @@ def convert(lines):
 
 
 def hashes(lines):
-    """Of each name: the name and the hash that its own definitions give, if it has the type."""
+    """Prints each name with the hash of its own definition, if it has the type."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, (_, fields) in store.fielddefs.items():
-        # It hashes `char` as a character; in a definition of ROS 2 it is another word for uint8.
+        # rosbags hashes `char` as a character; in ROS 2 definitions it means uint8.
         fields[:] = [(field, without_char(of)) for field, of in fields]
     for (name,) in lines:
         if name in store.fielddefs:
@@ -54,14 +54,14 @@ def without_char(of):
 
 
 def known_as(name):
-    """It has messages only."""
+    """rosbags supports messages only."""
     package, _, type_name = name.split('/')
     return f'{package}/msg/{type_name}'
 
 
 def plain_of(store, name):
-    """What spells a message of that type."""
-    # A message without fields has one all the same.
+    """Returns a function that formats messages of this type."""
+    # Messages without fields have one anyway.
     fields = [(field, normalize_fieldname(field), plain_value_of(store, of))
               for field, of in store.fielddefs[name][1] if field != 'structure_needs_at_least_one_member']
     return lambda message: {field: plain(getattr(message, attribute)) for field, attribute, plain in fields}
@@ -73,7 +73,7 @@ def plain_value_of(store, of):
         return plain_of(store, detail)
     if kind == Nodetype.BASE:
         form = FORMS.get(detail[0])
-        # Bytes are signed there.
+        # Bytes are signed in rosbags.
         return (lambda value: form.pack(value).hex()) if form else unsigned_byte if detail[0] == 'byte' else lambda value: value
     element = plain_value_of(store, detail[0])
 

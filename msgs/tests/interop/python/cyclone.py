@@ -21,7 +21,7 @@ FORMS = {'float32': '>f', 'float64': '>d'}
 
 
 def convert(lines):
-    """FILE has `define`, name, definition, and name, bytes. Of the latter: the value, and the bytes it is written as, in
+    """FILE has `define`, name, definition, and name, bytes. Prints for the latter the value and the written bytes, in
     version 1 and in version 2, each little-endian and big-endian."""
     for types, name, support, message in messages(lines, final):
         written = (serialize(support, message, version_2, endianness)
@@ -55,7 +55,7 @@ def serialize(support, message, version_2, endianness):
 def class_of(classes, types, name, extensibility):
     if name not in classes:
         fields = {field: annotation(classes, types, of, extensibility) for field, of in types[name][1]}
-        # An empty structure has one byte, as rosidl gives it one.
+        # An empty structure has one byte, as in rosidl.
         fields = fields or {'structure_needs_at_least_one_member': idl.uint8}
         made = make_idl_struct(name.replace('/', '_'), name.replace('/', '.'), fields)
         classes[name] = extensibility(made)
@@ -69,7 +69,7 @@ def annotation(classes, types, of, extensibility):
     if kind == Nodetype.BASE:
         name, bound = detail
         if name == 'string':
-            # Its bound counts the terminating zero.
+            # The bound includes the terminating zero.
             return idl.bounded_str[bound + 1] if bound else str
         return PRIMITIVES[name]
     element, count = detail

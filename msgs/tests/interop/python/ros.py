@@ -11,18 +11,18 @@ from rosidl_parser.definition import (
 
 
 def write(lines, count, seed):
-    """Of each type the default and `count` random values: name, bytes, value."""
+    """Prints the default and `count` random values of each type: name, bytes, value."""
     for (name,) in lines:
         message_type = MessageType.named(name)
         for number in range(int(count) + 1):
-            # Each value can be made alone, whatever the others are.
+            # Each value is reproducible independently of the others.
             chance = random.Random(f'{seed} {name} {number}')
             message = message_type.cls() if number == 0 else message_type.random(chance, 0)
             yield name, serialize_message(message).hex(), json.dumps(message_type.plain(message))
 
 
 def read(lines):
-    """Of each name and bytes: the value, and the bytes it is written as."""
+    """Prints for each name and bytes the value and the written bytes."""
     for name, data in lines:
         message_type = MessageType.named(name)
         message = deserialize_message(bytes.fromhex(data), message_type.cls)
@@ -30,7 +30,7 @@ def read(lines):
 
 
 class MessageType:
-    """A message class with what is needed to make and to spell its values."""
+    """A message class with functions that create and format its values."""
 
     known = {}
 
@@ -69,7 +69,7 @@ def message_class(name):
 
 
 def plain_of(of):
-    """What spells a value of that type."""
+    """Returns a function that formats values of this type."""
     if isinstance(of, NamespacedType):
         return MessageType.named('/'.join(of.namespaced_name())).plain
     if isinstance(of, (Array, BoundedSequence, UnboundedSequence)):
@@ -86,7 +86,7 @@ def plain_of(of):
 
 
 def random_of(of):
-    """What makes a value of that type, given chance and how deep it lies within others."""
+    """Returns a function that creates values of this type from random numbers and the nesting depth."""
     if isinstance(of, NamespacedType):
         message_type = MessageType.named('/'.join(of.namespaced_name()))
         return lambda chance, depth: message_type.random(chance, depth + 1)
@@ -104,7 +104,7 @@ def random_of(of):
     return PRIMITIVES[of.typename]
 
 
-# Lengths of sequences, the further in the shorter: messages within messages become large quickly.
+# Lengths of sequences decrease with the depth, because nested messages quickly become large.
 MESSAGES = [[0, 1, 2, 3], [0, 1, 2], [0, 0, 1]]
 PRIMITIVE_VALUES = [[0, 1, 3, 17], [0, 1, 2, 3], [0, 1, 2]]
 
@@ -139,7 +139,7 @@ def floating(bits, form, quiet):
         pattern = chance.choice(EDGES[bits] + [chance.getrandbits(bits)] * 12)
         value, = struct.unpack('>' + form, pattern.to_bytes(bits // 8, 'big'))
         if value != value:
-            # A signalling NaN is made quiet by conversions between the two sizes.
+            # Conversions between the two sizes make a signalling NaN quiet.
             value, = struct.unpack('>' + form, (pattern | quiet).to_bytes(bits // 8, 'big'))
         return value
     return make
