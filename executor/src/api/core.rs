@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::exchange::{Jobs, Messages, Modules, Services, Settings, Timers};
+use crate::exchange::{Messages, add_built_in};
 use crate::module::MESSAGES;
 use crate::{
     Clock, Core, CoreHandle, Graph, Idle, Launcher, Linear, Mechanism, Overrun, RunError, SystemClock,
@@ -22,13 +22,7 @@ impl Core {
     pub fn new() -> Self {
         let mut core = Self::bare(Linear, SystemClock::new());
         let views = &mut core.stage.exclusive().views;
-        // In the order of the sync phase, which is that of their numbers.
-        core.mechanisms.add_idle(Modules::default(), views);
-        core.mechanisms.add_idle(Jobs::default(), views);
-        core.mechanisms.add_idle(Settings::default(), views);
-        core.mechanisms.add_idle(Messages::default(), views);
-        core.mechanisms.add_idle(Services::default(), views);
-        core.mechanisms.add_idle(Timers, views);
+        add_built_in(&mut core.mechanisms, views);
         core
     }
 

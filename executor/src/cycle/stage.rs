@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use super::agenda::{Asker, Ready};
 use crate::module::{Asked, ModuleCell, Views};
-use crate::observe::{Measuring, Stopwatch};
+use crate::observe::{Measuring, Stopwatch, spans_are_on};
 use crate::threads::unpoisoned;
 use crate::{ThreadError, Time};
 
@@ -126,10 +126,13 @@ impl Stage {
     #[inline(always)]
     pub(crate) fn run_each(&mut self, mut has_run: impl FnMut(&mut ModuleCell)) {
         let Self { now, views, cells, runnable, askers, next, .. } = self;
-        let askers = unpoisoned(askers.get_mut());
+        let (askers, has_spans) = (unpoisoned(askers.get_mut()), spans_are_on());
         for &Ready { order, slot, causes } in &*runnable {
             let Some(cell) = cells.get(slot) else { continue };
-            let asked = cell.run(causes, views, *now);
+            let asked = match has_spans {
+                false => cell.run(causes, views, *now),
+                true => cell.run_in_span(causes, views, *now),
+            };
             if !asked.is_empty() {
                 askers.push(Asker { order, slot, asked });
             }
@@ -158,7 +161,10 @@ impl Stage {
         let mut cell = unpoisoned(self.cells.0[slot].lock());
         let Some(cell) = &mut *cell else { return };
         let mut stopwatch = Stopwatch::start(self.measuring);
-        let asked = cell.run(causes, &self.views, self.now);
+        let asked = match spans_are_on() {
+            false => cell.run(causes, &self.views, self.now),
+            true => cell.run_in_span(causes, &self.views, self.now),
+        };
         if self.measuring.is_on() {
             cell.span = stopwatch.lap();
         }

@@ -10,15 +10,24 @@ mod settings;
 mod timers;
 
 pub use events::{CallOrigin, ModuleCommand, ModuleEvent, ModuleEventKind};
-pub(crate) use jobs::Jobs;
 pub use jobs::{Completion, Job, JobError};
 pub(crate) use messages::Messages;
 pub use messages::{DetachedStep, Inlet, InletError, Outlet, OutletInbox, StepInput};
-pub(crate) use modules::Modules;
 pub use modules::UnknownModule;
 pub use services::{CallError, CallId, Caller, Client, Reply, Responder, ServiceInfo, StandIn};
 pub(crate) use services::{SERVICES, Services};
-pub(crate) use settings::Settings;
 pub use settings::{Setting, SettingInfo, SettingRefused, SettingsChange};
 pub use timers::Task;
-pub(crate) use timers::Timers;
+
+use crate::cycle::Mechanisms;
+use crate::module::Views;
+
+/// Adds the mechanisms of every core: in the order of the sync phase, which is that of their numbers.
+pub(crate) fn add_built_in(mechanisms: &mut Mechanisms, views: &mut Views) {
+    mechanisms.add_idle(modules::Modules::default(), views);
+    mechanisms.add_idle(jobs::Jobs::default(), views);
+    mechanisms.add_idle(settings::Settings::default(), views);
+    mechanisms.add_idle(messages::Messages::default(), views);
+    mechanisms.add_idle(services::Services::default(), views);
+    mechanisms.add_idle(timers::Timers, views);
+}

@@ -510,9 +510,7 @@ impl<M: Module> Setup<'_, M> {
     fn declare_setting<T: SettingType>(&mut self, info: SettingInfo) -> Result<Setting<T>, SetupError> {
         let given = self.take_given_setting(&info.name);
         let (name, place) = (Arc::clone(&self.io.name), self.io.id.place);
-        let Some(port) = self.io.open::<SettingsPort>(SETTINGS) else {
-            unreachable!("the port of settings is of this type")
-        };
+        let port = self.io.open_own::<SettingsPort>(SETTINGS);
         let index = port.declare(&name, info, given)?;
         if let Place::Detached(_) = place {
             let info = port.infos[index].clone();
@@ -591,9 +589,7 @@ impl<P> Context<'_, P> {
 
     fn set_later(&mut self, command: Command) {
         self.io().ask(SETTINGS);
-        if let Some(port) = self.io().open::<SettingsPort>(SETTINGS) {
-            port.commands.push(command);
-        }
+        self.io().open_own::<SettingsPort>(SETTINGS).commands.push(command);
     }
 }
 

@@ -175,7 +175,7 @@ impl<M: Module> Setup<'_, M> {
         if period.is_zero() {
             return Err(SetupError::ZeroPeriod(self.io.name.to_string()));
         }
-        let timers = &mut port(self.io).timers;
+        let timers = &mut self.io.open_own::<TimersPort>(TIMERS).timers;
         let index = timers.len();
         timers.push(Timer::new(period));
         self.steps.add(Causes::TIMERS, move |module, ctx| {
@@ -195,7 +195,7 @@ impl<M: Module> Setup<'_, M> {
     where
         F: FnMut(&mut M, &mut Context<'_, M::Ports>) + Send + 'static,
     {
-        let task = port(self.io).tasks.declare();
+        let task = self.io.open_own::<TimersPort>(TIMERS).tasks.declare();
         let next = |io: &mut ModuleIo, now| {
             let run = io.run;
             let task = io.port::<TimersPort>(TIMERS)?.tasks.take_due(now, run)?;
@@ -207,20 +207,13 @@ impl<M: Module> Setup<'_, M> {
     }
 }
 
-fn port(io: &mut ModuleIo) -> &mut TimersPort {
-    match io.open(TIMERS) {
-        Some(port) => port,
-        None => unreachable!("the port of timers is of this type"),
-    }
-}
-
 impl<P> Context<'_, P> {
     /// Runs a task in the first cycle at or after `time`, but not in this one. A task may be scheduled more than
     /// once.
     pub fn schedule(&mut self, task: Task, time: Time) {
         let run = self.io().run;
         self.io().ask(TIMERS);
-        if !port(self.io()).tasks.schedule(task, time, run) {
+        if !self.io().open_own::<TimersPort>(TIMERS).tasks.schedule(task, time, run) {
             self.foreign("scheduled a task with")
         }
     }
@@ -233,7 +226,7 @@ impl<P> Context<'_, P> {
     /// Takes a task off the schedule, however often it is on it.
     pub fn cancel(&mut self, task: Task) {
         self.io().ask(TIMERS);
-        port(self.io()).tasks.cancel(task);
+        self.io().open_own::<TimersPort>(TIMERS).tasks.cancel(task);
     }
 }
 

@@ -9,7 +9,7 @@ use super::behaviour::Behaviour;
 use super::causes::{Asked, Causes};
 use super::link::Delivery;
 use super::port::{ModuleChange, ModuleIo, Port, Views};
-use crate::observe::{Badge, ModuleMeter, Span, spans_are_on};
+use crate::observe::{Badge, ModuleMeter, Span};
 use crate::threads::{ReceiptSender, Watch, end_of};
 use crate::{Context, LifeStep, LifecycleState, Role, SettingValue, Time, Transition, TransitionRefused};
 
@@ -165,24 +165,16 @@ impl ModuleCell {
         self.io.due()
     }
 
+    /// The same as [`run`](Self::run), in a span of `tracing`.
+    #[cold]
+    pub(crate) fn run_in_span(&mut self, causes: Causes, views: &Views, now: Time) -> Asked {
+        let _span = tracing::trace_span!("run", module = &*self.io.name).entered();
+        self.run(causes, views, now)
+    }
+
     /// Runs inside a cycle. Returns the mechanisms of which it asked something.
     #[inline(always)]
     pub(crate) fn run(&mut self, causes: Causes, views: &Views, now: Time) -> Asked {
-        if spans_are_on() {
-            self.run_in_span(causes, views, now)
-        } else {
-            self.run_in_cycle(causes, views, now)
-        }
-    }
-
-    #[cold]
-    fn run_in_span(&mut self, causes: Causes, views: &Views, now: Time) -> Asked {
-        let _span = tracing::trace_span!("run", module = &*self.io.name).entered();
-        self.run_in_cycle(causes, views, now)
-    }
-
-    #[inline(always)]
-    fn run_in_cycle(&mut self, causes: Causes, views: &Views, now: Time) -> Asked {
         self.io.received = 0;
         self.run_with(causes, Input::Views(views), now, |behaviour, causes, ctx| behaviour.run(causes, ctx));
         self.meter.ran(self.io.received);

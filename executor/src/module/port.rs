@@ -112,6 +112,14 @@ impl ModuleIo {
         port.downcast_mut()
     }
 
+    /// The same for a mechanism of the core, whose port is known to be of that type.
+    pub(crate) fn open_own<P: Port + Default>(&mut self, mechanism: usize) -> &mut P {
+        match self.open(mechanism) {
+            Some(port) => port,
+            None => unreachable!("each mechanism of the core has a number of its own"),
+        }
+    }
+
     /// Has the mechanism look at the module's port.
     #[inline]
     pub(crate) fn ask(&mut self, mechanism: usize) {

@@ -260,10 +260,7 @@ impl<M: Module> Setup<'_, M> {
         T: Send + 'static,
         F: FnMut(&mut M, Result<T, JobError>, &mut Context<'_, M::Ports>) + Send + 'static,
     {
-        let jobs = match self.io.open::<JobsPort>(JOBS) {
-            Some(port) => &mut port.jobs,
-            None => unreachable!("the port of jobs is of this type"),
-        };
+        let jobs = &mut self.io.open_own::<JobsPort>(JOBS).jobs;
         let job = Job::new(u32::try_from(jobs.len()).unwrap_or(u32::MAX));
         jobs.push(Box::new(JobState::<T> { results: Vec::new(), next: 0 }));
         self.steps.add(Causes::RESULTS, move |module, ctx| {

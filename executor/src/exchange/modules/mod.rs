@@ -454,9 +454,7 @@ impl<P> Context<'_, P> {
 
     fn command(&mut self, command: Command) {
         self.io().ask(MODULES);
-        if let Some(ModulesPort(commands)) = self.io().open(MODULES) {
-            commands.push(command);
-        }
+        self.io().open_own::<ModulesPort>(MODULES).0.push(command);
     }
 }
 

@@ -559,7 +559,7 @@ impl<M: Module> Setup<'_, M> {
     {
         let index = self.open_service::<Q, R>(service, Direction::Out)?;
         let name = Arc::clone(services_of(self.host).registry.name(index));
-        let clients = &mut self.services_port().clients;
+        let clients = &mut self.io.open_own::<ServicesPort>(SERVICES).clients;
         let port = u32::try_from(clients.len()).unwrap_or(u32::MAX);
         clients.push(Box::new(ClientPort::<Q, R>::new(index, name, timeout)));
         let mut spare = Vec::new();
@@ -587,11 +587,12 @@ impl<M: Module> Setup<'_, M> {
     ) -> Result<(), SetupError> {
         let index = self.open_service::<Q, R>(service, Direction::In)?;
         let (module, id) = (Arc::clone(&self.io.name), self.io.id);
-        let port = u32::try_from(self.services_port().servers.len()).unwrap_or(u32::MAX);
+        let port =
+            u32::try_from(self.io.open_own::<ServicesPort>(SERVICES).servers.len()).unwrap_or(u32::MAX);
         let registry = &mut services_of(self.host).registry;
         registry.serve(index, &module, id, port)?;
         let name = Arc::clone(registry.name(index));
-        self.services_port().servers.push(Box::new(ServerPort::<Q, R>::new(name)));
+        self.io.open_own::<ServicesPort>(SERVICES).servers.push(Box::new(ServerPort::<Q, R>::new(name)));
         self.steps.add(Causes::REQUESTS, move |module, ctx| {
             let ports = ctx.io().port::<ServicesPort>(SERVICES);
             let Some(server) = ports.and_then(|ports| ports.server::<Q, R>(port)) else { return };
@@ -622,13 +623,6 @@ impl<M: Module> Setup<'_, M> {
             give_back: |host, module, used| services_of(host).registry.release(used.index, module),
         });
         Ok(index)
-    }
-
-    fn services_port(&mut self) -> &mut ServicesPort {
-        match self.io.open(SERVICES) {
-            Some(port) => port,
-            None => unreachable!("the port of services is of this type"),
-        }
     }
 }
 
