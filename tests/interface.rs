@@ -365,7 +365,7 @@ fn errors_of_decoding_contain_byte_and_field() {
         (
             "std_msgs/msg/Header",
             &strings,
-            &["standard input is no std_msgs/msg/Header in CDR", "byte 16", "`frame_id`"],
+            &["standard input is not a std_msgs/msg/Header in CDR", "byte 16", "`frame_id`"],
         ),
         ("sensor_msgs/msg/Imu", &[0, 1, 0, 0, 1], &["byte 4", "`header.stamp.sec`", "needs 4 more bytes"]),
         ("std_msgs/msg/String", &[0, 42, 0, 0], &["byte 0", "0x002a"]),
