@@ -200,51 +200,21 @@ fn length_code(length: u32, direct: u32, bases: &[(u32, u32)]) -> Code {
     Code { symbol: direct as usize + above.saturating_sub(1), extra: length - base, bits }
 }
 
-/// From 16: the base length of a symbol, and its extra bits.
-const LITERALS_BASES: [(u32, u32); 20] = [
-    (16, 1),
-    (18, 1),
-    (20, 1),
-    (22, 1),
-    (24, 2),
-    (28, 2),
-    (32, 3),
-    (40, 3),
-    (48, 4),
-    (64, 6),
-    (128, 7),
-    (256, 8),
-    (512, 9),
-    (1024, 10),
-    (2048, 11),
-    (4096, 12),
-    (8192, 13),
-    (16384, 14),
-    (32768, 15),
-    (65536, 16),
-];
+/// The base length of each symbol with extra bits, and how many these are (RFC 8878, table 14).
+const LITERALS_BASES: [(u32, u32); 20] =
+    bases(16, [1, 1, 1, 1, 2, 2, 3, 3, 4, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16]);
 
-/// From 35, minus the minimum match length of 3.
-const MATCH_BASES: [(u32, u32); 21] = [
-    (32, 1),
-    (34, 1),
-    (36, 1),
-    (38, 1),
-    (40, 2),
-    (44, 2),
-    (48, 3),
-    (56, 3),
-    (64, 4),
-    (80, 4),
-    (96, 5),
-    (128, 7),
-    (256, 8),
-    (512, 9),
-    (1024, 10),
-    (2048, 11),
-    (4096, 12),
-    (8192, 13),
-    (16384, 14),
-    (32768, 15),
-    (65536, 16),
-];
+/// The same for match lengths minus 3, the minimum match length (table 15).
+const MATCH_BASES: [(u32, u32); 21] =
+    bases(32, [1, 1, 1, 1, 2, 2, 3, 3, 4, 4, 5, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16]);
+
+const fn bases<const SYMBOLS: usize>(mut base: u32, bits: [u32; SYMBOLS]) -> [(u32, u32); SYMBOLS] {
+    let mut bases = [(0, 0); SYMBOLS];
+    let mut symbol = 0;
+    while symbol < SYMBOLS {
+        bases[symbol] = (base, bits[symbol]);
+        base += 1 << bits[symbol];
+        symbol += 1;
+    }
+    bases
+}
