@@ -112,12 +112,12 @@ fn board(driver: &Driver) -> DiagnosticStatus {
 
 fn servo(driver: &Driver, servo: &Servo, joint: &Joint) -> DiagnosticStatus {
     let message = match (&servo.service, servo.alarms()) {
-        (Service::Active, _) if driver.phase != Phase::Running => "waiting for the bus".to_owned(),
+        (Service::Active, _) if driver.phase != Phase::Running => "waits for the bus".to_owned(),
         (Service::Active, StatusError::NONE) => "OK".to_owned(),
         (Service::Active, alarms) => format!("the servo reports: {alarms}"),
         (Service::Silent { .. }, _) => "no answer; its joint is stale".to_owned(),
         (Service::Unsuitable { reason, .. }, _) => reason.clone(),
-        (Service::Unknown, _) => "not polled yet".to_owned(),
+        (Service::Unknown, _) => "not asked yet".to_owned(),
     };
     let mut values =
         vec![value("answers missed", servo.missed), value("times out of service", servo.outages.count())];
