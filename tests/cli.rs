@@ -109,7 +109,7 @@ fn every_command_has_help() {
         (&["bag", "play", "--help"], "with the time of the bag"),
         (&["interface", "--help"], "then from AMENT_PREFIX_PATH"),
         (&["interface", "show", "--help"], "sensor_msgs/msg/JointState"),
-        (&["interface", "decode", "--help"], "CDR with its header of four bytes"),
+        (&["interface", "decode", "--help"], "CDR with its four-byte header"),
         (&["emulate", "darwin_op", "--help"], "dead-servo:5@3s..6s"),
     ];
     for (command, word) in commands {

@@ -93,7 +93,7 @@ fn without_a_selection_it_prints_what_ros2_bag_record_prints() {
         (&["bag", "record"][..], "Need to specify at least one option out of --all"),
         (&["bag", "record", "/a", "--exclude-regex", "b"], "--exclude-regex argument requires either --all"),
         (&["bag", "record", "/a", "--exclude-topics", "/b"], "--exclude-topics argument requires either"),
-        (&["bag", "record", "-a", "-b", "1000"], "the least is 1024"),
+        (&["bag", "record", "-a", "-b", "1000"], "the minimum is 1024"),
         (&["bag", "record", "-a", "-e", "("], "regex parse error"),
         (
             &["bag", "record", "-a", "--storage-preset-profile", "small"],

@@ -85,7 +85,7 @@ mod tests {
         for (lifecycle, problem) in [
             ("[\"moton\"]", "the robot has no module \"moton\", did you mean \"motion\"?"),
             ("[\"r\"]", "would be the node /robot/r, which already exists"),
-            ("[{ module = \"*\", node = \"x\" }]", "not with a pattern"),
+            ("[{ module = \"*\", node = \"x\" }]", "not for a pattern"),
         ] {
             let error = exposures(lifecycle).unwrap_err().to_string();
             assert!(error.starts_with("robot.toml:11: ") && error.contains(problem), "{error}");

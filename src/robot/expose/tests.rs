@@ -237,7 +237,7 @@ fn bytes_of_a_type_that_is_not_compiled_in_need_no_module() {
     );
     for (expose, expected) in [
         ("in = [{ topic = \"legs\", raw = true }]", "\"raw\" needs a \"type\""),
-        ("in = [{ topic = \"legs/*\", type = \"legs/msg/Leg\" }]", "is named"),
+        ("in = [{ topic = \"legs/*\", type = \"legs/msg/Leg\" }]", "must be given by name"),
         (
             "in = [{ topic = \"x\", type = \"sensor_msgs/msg/Imuu\" }]",
             "did you mean \"sensor_msgs/msg/Imu\"?",
