@@ -7,7 +7,7 @@
 //!
 //! ```
 //! use std::time::Duration;
-//! use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+//! use downbeat_executor::{Core, ManualClock, Module, Publication, Setup, SetupError, Time};
 //!
 //! #[derive(Default)]
 //! struct Counter {

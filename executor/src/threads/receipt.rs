@@ -4,11 +4,13 @@ use std::any::Any;
 use std::fmt;
 use std::marker::PhantomData;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
 use crossbeam::channel::{Receiver, Sender, TryRecvError, bounded};
+
+use super::guard::unpoisoned;
 
 /// The answer to a request that the next sync phase applies. It is also a future of the answer, which is `None` if the core ends
 /// first. Whoever does not need the answer may drop it.
@@ -62,7 +64,7 @@ impl<T: 'static> Future for Receipt<T> {
 
     fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<T>> {
         // Locked before the look: an answer after the look finds the waker.
-        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut waiting = unpoisoned(self.waiting.lock());
         match self.answer.try_recv() {
             Ok(answer) => Poll::Ready(typed(Some(answer))),
             Err(TryRecvError::Disconnected) => Poll::Ready(None),
@@ -100,7 +102,7 @@ impl<T: Send + 'static> ReceiptSender<T> {
 impl<T> Drop for ReceiptSender<T> {
     fn drop(&mut self) {
         drop(self.answer.take());
-        let waker = self.waiting.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let waker = unpoisoned(self.waiting.lock()).take();
         waker.into_iter().for_each(Waker::wake);
     }
 }
