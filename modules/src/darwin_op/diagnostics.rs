@@ -77,7 +77,7 @@ fn servo_level(driver: &Driver, servo: &Servo) -> u8 {
 fn bus(now: Time, driver: &Driver, unknown_names: u64, settings: &Settings) -> DiagnosticStatus {
     let message = match driver.phase {
         Phase::Running if is_lossy(now, driver) && is_late(now, driver) => {
-            "running, but this machine is too busy: answers arrive after their time-out"
+            "running, but this machine is too busy: answers come after they were given up"
         }
         Phase::Running if is_lossy(now, driver) => "running, but answers are missing or corrupt",
         Phase::Running => "running",

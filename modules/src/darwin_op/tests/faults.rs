@@ -48,7 +48,7 @@ fn a_busy_machine_is_distinguished_from_a_bus_that_loses_answers() {
     let bus = Late { bus: emulator.bus(), until: 600 };
     let mut run = Run::new(DarwinOp::new(Box::new(bus)), &[]);
     run.until_running();
-    let busy = "running, but this machine is too busy: answers arrive after their time-out";
+    let busy = "running, but this machine is too busy: answers come after they were given up";
     run.until("the machine is called busy", |run, _| run.health_of("bus").1 == busy);
     assert_eq!(run.health_of("bus").0, DiagnosticStatus::WARN);
     run.until("all is well again", |run, _| run.is_healthy());
