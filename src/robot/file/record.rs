@@ -67,6 +67,7 @@ impl RecordOptions {
     }
 
     /// Sets how many bytes of messages may wait, to be written or for a snapshot.
+    #[cfg(feature = "cli")]
     pub(crate) fn set_cache_bytes(&mut self, cache_bytes: usize) {
         self.recording.cache_bytes = cache_bytes;
         if let Some(snapshot) = &mut self.recording.snapshot {

@@ -53,7 +53,7 @@ impl SqliteFile {
             set(&connection, &pragma)?;
         }
         let transaction = connection.transaction().map_err(failure)?;
-        tables::create(&transaction).and_then(|()| transaction.commit()).map_err(failure)?;
+        create(&transaction).and_then(|()| transaction.commit()).map_err(failure)?;
         let page_size = pragma_number(&connection, "page_size").map_err(failure)?;
         let mut file = Self {
             path: path.to_owned(),
@@ -86,7 +86,7 @@ impl SqliteFile {
 
     /// Why the tables cannot represent a topic, if so.
     pub(in crate::writer) fn refusal(topic: &TopicDescription) -> Option<String> {
-        tables::refusal(topic)
+        refusal(topic)
     }
 
     /// Returns the number of the topic, counted from 1. It is written with the next transaction.
@@ -159,14 +159,14 @@ impl SqliteFile {
             let transaction = connection.transaction()?;
             for (index, topic) in self.topics.iter().enumerate().skip(self.topics_in_file) {
                 // `add_topic` has checked the number.
-                tables::insert_topic(&transaction, u16::try_from(index + 1).unwrap_or(u16::MAX), topic)?;
+                insert_topic(&transaction, u16::try_from(index + 1).unwrap_or(u16::MAX), topic)?;
             }
             if !self.transaction.is_empty() {
                 let mut insert = InsertMessage::prepare(&transaction)?;
                 self.transaction.messages().try_for_each(|message| insert.insert(message))?;
             }
             if let Some(text) = metadata {
-                tables::insert_metadata(&transaction, text)?;
+                insert_metadata(&transaction, text)?;
             }
             transaction.commit()
         };
@@ -287,7 +287,7 @@ impl TopicRows {
 }
 
 /// Why the tables cannot represent a topic, if so.
-pub(super) fn refusal(topic: &TopicDescription) -> Option<String> {
+fn refusal(topic: &TopicDescription) -> Option<String> {
     let schema = topic.schema();
     if schema.name != topic.type_name {
         let (name, type_name) = (&schema.name, &topic.type_name);
@@ -298,7 +298,7 @@ pub(super) fn refusal(topic: &TopicDescription) -> Option<String> {
         .then(|| format!("its schema, {}, is not text", schema.encoding))
 }
 
-pub(super) fn create(connection: &Connection) -> Result<()> {
+fn create(connection: &Connection) -> Result<()> {
     connection.execute_batch(CREATE)?;
     let insert = "INSERT INTO schema (schema_version, ros_distro) VALUES (?, ?)";
     connection.execute(insert, (SCHEMA_VERSION, metadata::ROS_DISTRO)).map(drop)

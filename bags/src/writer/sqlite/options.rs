@@ -58,7 +58,7 @@ impl SqliteOptions {
     /// # Errors
     /// Returns an error if rosbag2 would not accept the text.
     pub fn with_config(self, text: &str, path: &Path) -> Result<Self, StorageConfigError> {
-        Ok(Self { pragmas: config::read(text, path)?, ..self })
+        Ok(Self { pragmas: read(text, path)?, ..self })
     }
 
     /// [`SqliteOptions::with_config`] with the text of a file.
@@ -107,7 +107,7 @@ impl From<(&str, &str)> for Pragma {
 }
 
 /// Reads the settings for writing from the text of a config file; `path` is for messages.
-pub(super) fn read(text: &str, path: &Path) -> Result<Vec<Pragma>, StorageConfigError> {
+fn read(text: &str, path: &Path) -> Result<Vec<Pragma>, StorageConfigError> {
     let wrong = |line, found| StorageConfigError::Form {
         path: path.to_owned(),
         line,
