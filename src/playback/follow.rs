@@ -82,7 +82,7 @@ impl Follower<'_> {
     /// Applies all messages and settings up to that time.
     fn give(&mut self, time: i64) -> Result<(), PlaybackError> {
         self.inputs.give(time)?;
-        Ok(self.settings.give(self.core, |change| change.stamp.as_nanos() <= time)?)
+        self.settings.give(self.core, |change| change.stamp.as_nanos() <= time)
     }
 
     /// Runs what is due before `end`, then advances the clock to `end`.

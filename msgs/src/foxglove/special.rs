@@ -130,7 +130,7 @@ pub(super) const JOINT_STATE: Special = Special {
     },
 };
 
-pub(super) const POINT_CLOUD: Special = Special { to_foxglove: to_foxglove, to_ros: to_ros };
+pub(super) const POINT_CLOUD: Special = Special { to_foxglove, to_ros };
 
 /// Sets the identity pose.
 fn put_identity(foxglove: &mut Object<'_, '_>) -> Result<(), Problem> {
