@@ -56,14 +56,14 @@ pub use server::{InspectionServer, ServerError};
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "request", rename_all = "snake_case")]
 pub enum Request {
-    /// Requests the counters. Answered with a [`Snapshot`](downbeat_executor::Snapshot).
+    /// Requests the counters. Answered with a [`Snapshot`].
     Snapshot,
     /// Requests a trace of the next cycles. Answered in Chrome's Trace Event Format.
     Trace {
         /// Number of cycles, from 1 to [`Request::MOST_CYCLES`].
         cycles: u32,
     },
-    /// Requests the connections. Answered with a [`Graph`](downbeat_executor::Graph).
+    /// Requests the connections. Answered with a [`Graph`].
     Graph,
     /// Pauses the robot. Answered with `null`, like the next two requests.
     Pause,
@@ -72,7 +72,7 @@ pub enum Request {
     /// Lets a paused robot run one cycle.
     Step,
     /// Requests the exposed endpoints. Answered with a list of
-    /// [`EndpointReport`](crate::robot::EndpointReport)s, like the next two requests.
+    /// [`EndpointReport`]s, like the next two requests.
     Exposed,
     /// Exposes more topics. Answered with the added endpoints.
     Expose {
