@@ -342,7 +342,7 @@ impl<'a> SyncPhase<'a> {
         self.attached(module)?.port(number)
     }
 
-    /// The name of a module; nothing if it is gone.
+    /// The name of a module; `None` after its removal.
     #[must_use]
     pub fn module_name(&self, module: ModuleId) -> Option<&str> {
         self.state.members.get(module.order).map(|member| &*member.name)

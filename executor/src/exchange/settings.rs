@@ -254,11 +254,11 @@ impl<T> Copy for Setting<T> {}
 pub struct SettingInfo {
     /// The name, unique in the module.
     pub name: String,
-    /// What it is for, with its unit.
+    /// Its purpose and unit, for users.
     pub description: String,
     /// The value in force.
     pub value: SettingValue,
-    /// The numbers it may have; nothing for no limit.
+    /// The numbers it may have; `None` for no limit.
     pub range: Option<RangeInclusive<f64>>,
     /// True if it does not change after the start.
     pub is_read_only: bool,

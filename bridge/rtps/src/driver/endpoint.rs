@@ -143,7 +143,7 @@ impl EndpointState {
     /// Removes the handlers. When this returns, none of them is running, except a handler that called it.
     pub(super) fn close(&self, is_inside_a_handler: bool) {
         let on_sample = if is_inside_a_handler {
-            // If the handler of this reader is the one that is running, it is dropped with the endpoint.
+            // A handler that removes its own reader is still running; it is dropped with the endpoint.
             self.on_sample.try_lock().ok().and_then(|mut on_sample| on_sample.take())
         } else {
             lock(&self.on_sample).take()

@@ -182,7 +182,7 @@ pub enum JobError {
 /// Brings the result of a job back to its module, from any thread or async task; from
 /// [`Context::completion`](crate::Context::completion).
 ///
-/// One that is dropped brings [`JobError::Lost`], so that a module never waits for what cannot come.
+/// Dropping a completion without a result sends [`JobError::Lost`], so that the module does not wait forever.
 #[must_use = "a completion that is dropped ends the job without a result"]
 pub struct Completion<T: Send + 'static> {
     link: Option<Arc<Link>>,

@@ -433,7 +433,7 @@ impl<P> Context<'_, P> {
         self.remove(&name);
     }
 
-    /// Has a module make a transition in the next cycle; one that does not begin in its state is logged.
+    /// Requests a transition of a module in the next cycle. A transition that is invalid in the module's state is logged.
     pub fn transition(&mut self, module: &str, transition: Transition) {
         self.command(Command::Transition { module: module.to_owned(), transition, receipt: None });
     }
@@ -554,7 +554,7 @@ impl CoreHandle {
         self.change(module, Change::Hold(Hold::Step))
     }
 
-    /// Has a module make a transition. The answer comes when it has been made, or refused.
+    /// Requests a transition of a module. The receipt is answered when the transition is made or refused.
     pub fn transition(
         &self,
         module: &str,

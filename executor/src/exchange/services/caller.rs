@@ -4,8 +4,9 @@ use std::any::Any;
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::call::{CallError, Reply, ReplyTo};
 use super::server::{AnyReply, Incoming};
-use super::{CallError, Reply, ReplyTo, SERVICES, Services};
+use super::{SERVICES, Services};
 use crate::Time;
 use crate::module::Link;
 use crate::threads::end_of;

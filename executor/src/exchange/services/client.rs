@@ -4,8 +4,8 @@ use std::any::Any;
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::call::{CallError, CallId, Reply, ReplyTo};
 use super::server::{AnyReply, Incoming};
-use super::{CallError, CallId, Reply, ReplyTo};
 use crate::{ModuleId, Time};
 
 /// The calls of one module to one service: those it has just made, and those that wait for an answer.

@@ -3,6 +3,7 @@
 //! A call takes effect in the sync phase: the server runs in the next cycle, and its answer reaches the
 //! caller in the one after that. Every call gets exactly one [`Reply`].
 
+mod call;
 mod caller;
 mod client;
 mod registry;
@@ -14,6 +15,8 @@ use std::marker::PhantomData;
 use std::sync::Arc;
 use std::time::Duration;
 
+use call::ReplyTo;
+pub use call::{CallError, CallId, Client, Reply, Responder};
 pub use caller::Caller;
 use caller::{AnyCall, ExternalCalls};
 use client::{AnyClient, ClientPort};
@@ -379,98 +382,6 @@ fn accept(cell: &mut ModuleCell, port: u32, requests: &mut dyn Any) {
     }
 }
 
-/// A module's key to a service it calls, from [`Setup::client`](crate::Setup::client).
-pub struct Client<Q, R> {
-    pub(crate) port: u32,
-    types: PhantomData<fn(Q) -> R>,
-}
-
-impl<Q, R> Client<Q, R> {
-    pub(crate) fn new(port: u32) -> Self {
-        Self { port, types: PhantomData }
-    }
-}
-
-impl<Q, R> Clone for Client<Q, R> {
-    fn clone(&self) -> Self {
-        *self
-    }
-}
-
-impl<Q, R> Copy for Client<Q, R> {}
-
-/// Identifies a call of one client; they count from 0.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct CallId(pub(crate) u64);
-
-/// The end of a call: the answer, or why there is none.
-#[derive(Debug)]
-pub struct Reply<R> {
-    /// The call, as [`Context::call`](crate::Context::call) returned it.
-    pub call: CallId,
-    /// The answer.
-    pub result: Result<R, CallError>,
-}
-
-/// Why a call has no answer.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum CallError {
-    /// No module serves it.
-    #[error("service \"{service}\": no module serves it")]
-    NoServer {
-        /// The service.
-        service: Arc<str>,
-    },
-    /// The server answered with an error.
-    #[error("service \"{service}\": {reason}")]
-    Refused {
-        /// The service.
-        service: Arc<str>,
-        /// What the server said.
-        reason: String,
-    },
-    /// The server did not answer in time.
-    #[error("service \"{service}\": no answer in {timeout:?}")]
-    TimedOut {
-        /// The service.
-        service: Arc<str>,
-        /// How long the caller waited.
-        timeout: std::time::Duration,
-    },
-    /// The server was not active, was removed, or panicked, before it answered.
-    #[error("service \"{service}\": module \"{module}\" does not run and cannot answer")]
-    ServerGone {
-        /// The service.
-        service: Arc<str>,
-        /// The module that served it.
-        module: Arc<str>,
-    },
-    /// The core stopped before there was an answer.
-    #[error("service \"{service}\": the core has stopped")]
-    Stopped {
-        /// The service.
-        service: Arc<str>,
-    },
-}
-
-/// Whom a server answers, and which call; see [`Context::reply`](crate::Context::reply).
-///
-/// A responder that is dropped answers nothing: the caller's time runs out.
-#[must_use = "a call is answered with `Context::reply`"]
-#[derive(Debug)]
-pub struct Responder<Q, R> {
-    pub(crate) port: u32,
-    pub(crate) to: ReplyTo,
-    pub(crate) types: PhantomData<fn(Q) -> R>,
-}
-
-/// The address of an answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum ReplyTo {
-    Module { module: ModuleId, port: u32, call: u64 },
-    External { call: u64 },
-}
-
 fn services_of(host: &mut dyn Host) -> &mut Services {
     match host.mechanism(SERVICES).and_then(|any| any.downcast_mut()) {
         Some(services) => services,
@@ -483,7 +394,7 @@ impl<M: Module> Setup<'_, M> {
     /// one server.
     ///
     /// # Errors
-    /// A name that is not valid, a service of other types, or one that is served already.
+    /// Returns an error if the name is invalid, the service has other types, or it is already served.
     pub fn serve<Q, R, F>(&mut self, service: &str, mut answer: F) -> Result<(), SetupError>
     where
         Q: Send + 'static,
@@ -499,7 +410,7 @@ impl<M: Module> Setup<'_, M> {
     /// Offers a service whose requests are answered when the answer is there, with [`Context::reply`].
     ///
     /// # Errors
-    /// A name that is not valid, a service of other types, or one that is served already.
+    /// Returns an error if the name is invalid, the service has other types, or it is already served.
     ///
     /// ```
     /// # use downbeat_executor::{Core, ManualClock, Module, Responder, Setup, SetupError, Time};
@@ -545,7 +456,7 @@ impl<M: Module> Setup<'_, M> {
     /// `on_reply`: with the answer, or after `timeout` with the error that there is none.
     ///
     /// # Errors
-    /// A name that is not valid, or a service of other types.
+    /// Returns an error if the name is invalid, or the service has other types.
     pub fn client<Q, R, F>(
         &mut self,
         service: &str,
@@ -662,7 +573,7 @@ impl Core {
     /// A way to call a service from threads outside the executor.
     ///
     /// # Errors
-    /// A name that is not valid, or a service of other types.
+    /// Returns an error if the name is invalid, or the service has other types.
     pub fn caller<Q: Send + 'static, R: Send + 'static>(
         &mut self,
         service: &str,
@@ -677,7 +588,7 @@ impl Core {
     /// value returned answers.
     ///
     /// # Errors
-    /// A name that is not valid, or a service of other types.
+    /// Returns an error if the name is invalid, or the service has other types.
     pub fn stand_in<Q: Send + 'static, R: Send + 'static>(
         &mut self,
         service: &str,
@@ -692,7 +603,7 @@ impl Core {
     /// of the core.
     ///
     /// # Errors
-    /// A name that is not valid, or a service of other types.
+    /// Returns an error if the name is invalid, or the service has other types.
     pub fn encode_service<Q: Send + 'static, R: Send + 'static>(
         &mut self,
         service: &str,

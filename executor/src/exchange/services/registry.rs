@@ -4,7 +4,7 @@ use std::any::{Any, TypeId, type_name};
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::ReplyTo;
+use super::call::ReplyTo;
 use super::server::Incoming;
 use crate::topics::canonical_name;
 use crate::{ModuleId, SetupError};

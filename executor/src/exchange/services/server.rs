@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::sync::Arc;
 
-use super::{CallError, CallId, Reply, ReplyTo};
+use super::call::{CallError, CallId, Reply, ReplyTo};
 
 /// A request on its way to the server.
 pub(crate) struct Incoming<Q> {

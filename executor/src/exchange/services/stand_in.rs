@@ -3,7 +3,8 @@
 use std::marker::PhantomData;
 use std::sync::Arc;
 
-use super::{CallError, CallId, Reply, ReplyTo, SERVICES, Services};
+use super::call::{CallError, CallId, Reply, ReplyTo};
+use super::{SERVICES, Services};
 use crate::CoreHandle;
 
 /// Answers calls of modules in place of the server, from any thread; from [`Core::stand_in`](crate::Core::stand_in). A replay gives the

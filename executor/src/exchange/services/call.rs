@@ -1,0 +1,99 @@
+//! Calls as modules and callers see them: keys of services, and the end of a call.
+
+use std::marker::PhantomData;
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::ModuleId;
+
+/// A module's key to a service it calls, from [`Setup::client`](crate::Setup::client).
+pub struct Client<Q, R> {
+    pub(crate) port: u32,
+    types: PhantomData<fn(Q) -> R>,
+}
+
+impl<Q, R> Client<Q, R> {
+    pub(crate) fn new(port: u32) -> Self {
+        Self { port, types: PhantomData }
+    }
+}
+
+impl<Q, R> Clone for Client<Q, R> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<Q, R> Copy for Client<Q, R> {}
+
+/// Identifies a call of one client; they count from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct CallId(pub(crate) u64);
+
+/// The end of a call: the answer, or why there is none.
+#[derive(Debug)]
+pub struct Reply<R> {
+    /// The call, as [`Context::call`](crate::Context::call) returned it.
+    pub call: CallId,
+    /// The answer.
+    pub result: Result<R, CallError>,
+}
+
+/// Why a call has no answer.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CallError {
+    /// No module serves it.
+    #[error("service \"{service}\": no module serves it")]
+    NoServer {
+        /// The service.
+        service: Arc<str>,
+    },
+    /// The server answered with an error.
+    #[error("service \"{service}\": {reason}")]
+    Refused {
+        /// The service.
+        service: Arc<str>,
+        /// What the server said.
+        reason: String,
+    },
+    /// The server did not answer in time.
+    #[error("service \"{service}\": no answer in {timeout:?}")]
+    TimedOut {
+        /// The service.
+        service: Arc<str>,
+        /// How long the caller waited.
+        timeout: Duration,
+    },
+    /// The server was not active, was removed, or panicked, before it answered.
+    #[error("service \"{service}\": module \"{module}\" does not run and cannot answer")]
+    ServerGone {
+        /// The service.
+        service: Arc<str>,
+        /// The module that served it.
+        module: Arc<str>,
+    },
+    /// The core stopped before there was an answer.
+    #[error("service \"{service}\": the core has stopped")]
+    Stopped {
+        /// The service.
+        service: Arc<str>,
+    },
+}
+
+/// Whom a server answers, and which call; see [`Context::reply`](crate::Context::reply).
+///
+/// A responder that is dropped answers nothing: the caller's time runs out.
+#[must_use = "a call is answered with `Context::reply`"]
+#[derive(Debug)]
+pub struct Responder<Q, R> {
+    pub(crate) port: u32,
+    pub(crate) to: ReplyTo,
+    pub(crate) types: PhantomData<fn(Q) -> R>,
+}
+
+/// The address of an answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum ReplyTo {
+    Module { module: ModuleId, port: u32, call: u64 },
+    External { call: u64 },
+}
