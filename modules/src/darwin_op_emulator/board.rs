@@ -1,8 +1,8 @@
 //! The CM-730: power switch, buttons, IMU, battery.
 
+use super::body::ImuMotion;
 use super::control_table::ControlTable;
 use super::random::Random;
-use super::robot::Attitude;
 use crate::darwin_op::protocol::StatusError;
 use crate::darwin_op::tables::units::{ACCELERATION_PER_LSB, IMU_CENTRE, ImuScale};
 use crate::darwin_op::tables::{Field, cm730};
@@ -67,13 +67,7 @@ impl Board {
     }
 
     /// Advances by `dt` seconds while the servos draw this current.
-    pub(super) fn advance(
-        &mut self,
-        dt: f64,
-        servo_current_a: f64,
-        attitude: &Attitude,
-        random: &mut Random,
-    ) {
+    pub(super) fn advance(&mut self, dt: f64, servo_current_a: f64, imu: &ImuMotion, random: &mut Random) {
         let current_a = IDLE_CURRENT_A + servo_current_a;
         self.used_ah += current_a * dt / 3600.0;
         self.volts = CHARGED_V - VOLTS_PER_AMPERE_HOUR * self.used_ah - RESISTANCE_OHM * current_a;
@@ -83,14 +77,14 @@ impl Board {
         self.table.set(&cm730::BUTTON, pressed[0] | pressed[1] << 1);
         self.held_s = self.held_s.map(|held_s| (held_s - dt).max(0.0));
 
-        self.feel(attitude, random);
+        self.feel(imu, random);
     }
 
     /// The inverse of the hardware module's conversion of axes.
-    fn feel(&mut self, attitude: &Attitude, random: &mut Random) {
+    fn feel(&mut self, imu: &ImuMotion, random: &mut Random) {
         let gyro_step = ImuScale::new(GYRO_FULL_SCALE_DPS).radians_per_lsb();
-        let [roll, pitch, yaw] = attitude.angular_velocity().map(|rate| rate / gyro_step);
-        let [forward, left, up] = attitude.specific_force().map(|force| force / ACCELERATION_PER_LSB);
+        let [roll, pitch, yaw] = imu.angular_velocity.map(|rate| rate / gyro_step);
+        let [forward, left, up] = imu.specific_force.map(|force| force / ACCELERATION_PER_LSB);
         let felt: [(&Field, f64, f64); 6] = [
             (&cm730::GYRO_X, -roll, GYRO_NOISE_LSB),
             (&cm730::GYRO_Y, -pitch, GYRO_NOISE_LSB),

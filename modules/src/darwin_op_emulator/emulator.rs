@@ -1,13 +1,14 @@
 //! The handle of a running emulator.
 
 use super::board::Button;
-#[cfg(test)]
-use super::direct::DirectBus;
+use super::body::Body;
 use super::fault::{Fault, FaultSchedule};
+use super::memory::MemoryBus;
 use super::pseudo_terminal::PseudoTerminal;
 use super::robot::Robot;
 use super::wire::{Bundle, Timing, Wire};
 use crate::darwin_op::protocol::{Packet, Receiver};
+use downbeat_executor::Time;
 use parking_lot::{Mutex, MutexGuard};
 use std::io;
 use std::path::PathBuf;
@@ -87,8 +88,26 @@ impl Emulator {
     /// # Errors
     /// Returns an error if there is no pseudo terminal, or the link cannot be created.
     pub fn start(options: EmulatorOptions) -> Result<Self, EmulatorError> {
+        Self::serve(options, None)
+    }
+
+    /// As [`Emulator::start`], with this body in place of [`Standing`](super::Standing).
+    ///
+    /// # Errors
+    /// As [`Emulator::start`].
+    pub fn start_with(options: EmulatorOptions, body: Box<dyn Body>) -> Result<Self, EmulatorError> {
+        Self::serve(options, Some(body))
+    }
+
+    /// An emulator without a port, for its [`MemoryBus`]. The link is ignored.
+    #[must_use]
+    pub fn in_memory(options: &EmulatorOptions, body: Option<Box<dyn Body>>) -> Self {
+        Self { shared: Arc::new(Shared::new(options, PathBuf::new(), body)), link: None, thread: None }
+    }
+
+    fn serve(options: EmulatorOptions, body: Option<Box<dyn Body>>) -> Result<Self, EmulatorError> {
         let terminal = PseudoTerminal::open(options.link.as_deref())?;
-        let shared = Arc::new(Shared::new(&options, &terminal));
+        let shared = Arc::new(Shared::new(&options, terminal.path().to_owned(), body));
         let link = options.link.clone();
         let served = Arc::clone(&shared);
         let thread = thread::Builder::new()
@@ -112,9 +131,15 @@ impl Emulator {
     }
 
     /// Direct access to the devices, without the port.
-    #[cfg(test)]
-    pub(crate) fn bus(&self) -> DirectBus {
-        DirectBus::new(Arc::clone(&self.shared))
+    #[must_use]
+    pub fn bus(&self) -> MemoryBus {
+        MemoryBus::new(Arc::clone(&self.shared))
+    }
+
+    /// Begins a step at this time of the owner of the bus, as its [`MemoryBus`] does: the one that comes first with a later time
+    /// advances the robot. With another timing than [`Timing::Stepped`] only what others ask of the body takes effect.
+    pub fn begin_step(&self, now: Time) {
+        self.shared.world().begin_step(now);
     }
 
     /// The time inside the emulator.
@@ -174,19 +199,22 @@ pub(super) struct World {
     wire: Wire,
     timing: Timing,
     started: Instant,
+    /// The times of the first and the last step of the bus's owner.
+    steps: Option<[Time; 2]>,
     /// The total time during which the port was closed.
     closed_for: Duration,
 }
 
 impl Shared {
-    pub(super) fn new(options: &EmulatorOptions, terminal: &PseudoTerminal) -> Self {
+    pub(super) fn new(options: &EmulatorOptions, device: PathBuf, body: Option<Box<dyn Body>>) -> Self {
         let world = World {
-            robot: Robot::new(options.seed, options.timing == Timing::Immediate),
+            robot: Robot::new(options.seed, options.timing != Timing::Measured, body),
             faults: FaultSchedule::new(options.faults.clone(), options.seed),
-            device: terminal.path().to_owned(),
+            device,
             wire: Wire::new(options.seed),
             timing: options.timing,
             started: Instant::now(),
+            steps: None,
             closed_for: Duration::ZERO,
         };
         Self { is_stopping: AtomicBool::new(false), world: Mutex::new(world) }
@@ -203,6 +231,22 @@ impl World {
         match self.timing {
             Timing::Measured => self.started.elapsed(),
             Timing::Immediate => self.wire.free_at() + self.closed_for,
+            Timing::Stepped => self.wire.free_at().max(self.stepped()),
+        }
+    }
+
+    /// The time of the current step, since the first one.
+    fn stepped(&self) -> Duration {
+        self.steps.map_or(Duration::ZERO, |[first, last]| last.saturating_since(first))
+    }
+
+    /// Begins a step of the owner of the bus, unless one has begun at this time.
+    pub(super) fn begin_step(&mut self, now: Time) {
+        let [first, last] = *self.steps.get_or_insert([now, Time::from_nanos(i64::MIN)]);
+        if last < now {
+            self.steps = Some([first, now]);
+            self.catch_up();
+            self.robot.begin_step();
         }
     }
 

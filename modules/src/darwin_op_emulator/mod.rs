@@ -21,37 +21,39 @@
 //! - **Protocol**: the instructions of protocol 1.0; status return level, return delay, registered writes; no
 //!   device answers a broadcast except a bulk read, in which a silent device blocks all after it.
 //! - **Power**: servos are silent until `DXL_POWER` is 1, and lose their RAM without power.
-//! - **Servos**: motion with speed limit, P gain, torque limit, friction, a little gravity; positions in
-//!   whole ticks; load, temperature, supply voltage; errors of voltage, temperature and overload, with
-//!   shutdown.
-//! - **Board**: battery voltage that sags with the load, buttons, a 10-bit IMU with noise that follows the attitude of
-//!   the body.
-//! - **Attitude**: the feet are assumed to stand flat on the floor, so the angles of hips, knees and ankles
-//!   determine the lean of the body, which follows with a short lag.
+//! - **Servos**: position control with speed limit, P gain and torque limit; positions in whole ticks; load, temperature,
+//!   supply voltage; errors of voltage, temperature and overload, with shutdown.
+//! - **Board**: battery voltage that sags with the load, buttons, a 10-bit IMU with noise.
+//! - **Mechanics**: a [`Body`]. That of this module, [`Standing`], has joints with friction and a little gravity, and feet
+//!   that are assumed to stand flat on the floor, so that the angles of hips, knees and ankles determine the lean of the
+//!   trunk, which follows with a short lag. It cannot walk or fall; `downbeat-physics` has a body that can.
 //!
 //! # What is not emulated
-//! Factory reset (answered as an unknown instruction); falling, walking, contact; I and D gains, punch, goal
-//! acceleration, multi-turn; the answer to an instruction with a wrong checksum (it is ignored); foot
+//! Factory reset (answered as an unknown instruction); I and D gains, punch, goal acceleration, multi-turn; the answer to an instruction with a wrong checksum (it is ignored); foot
 //! pressure sensors, microphones and analogue inputs. A SYNC_WRITE longer than the servo's buffer of 143
 //! bytes works, as on robots, where each servo needs only its own part.
 
 mod board;
+mod body;
 mod control_table;
-#[cfg(test)]
-mod direct;
 mod emulator;
 mod fault;
+mod memory;
 mod module;
 mod pseudo_terminal;
 mod random;
 mod robot;
 mod servo;
+mod standing;
 mod wire;
 
 pub use board::Button;
+pub use body::{Body, FootForces, ImuMotion, JointMotion, ServoCommand};
 pub use emulator::{Emulator, EmulatorError, EmulatorOptions};
 pub use fault::{Fault, FaultKind, FaultParseError, Rate};
+pub use memory::MemoryBus;
 pub use module::DarwinOpEmulator;
+pub use standing::Standing;
 pub use wire::Timing;
 
 #[cfg(test)]

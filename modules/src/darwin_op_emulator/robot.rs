@@ -1,25 +1,18 @@
 //! All devices, and their answers to instructions.
-//!
-//! # Attitude of the body
-//! Both feet are assumed to stand flat, so turning a leg's joints turns the body instead of the foot. With the axes of
-//! the joints (forward, left, up), the right foot is turned against the body by
-//!
-//! - pitch: hip pitch + knee - ankle pitch (the left leg mirrored),
-//! - roll: ankle roll - hip roll, yaw: - hip yaw (both legs alike),
-//!
-//! the body against the floor by the opposite, averaged over both legs, with a lag.
 
 use super::board::{Board, Button};
+use super::body::Body;
 use super::control_table::ControlTable;
 use super::random::Random;
 use super::servo::Servo;
+use super::standing::Standing;
 use crate::darwin_op::protocol::{BulkReadBlock, Id, Instruction, Packet, Status, StatusError};
 use crate::darwin_op::tables::joints::COUNT;
-use crate::darwin_op::tables::units::STANDARD_GRAVITY;
+use crate::darwin_op::tables::units::CENTRE_TICKS;
 use crate::darwin_op::tables::{Field, cm730, mx28};
 use std::time::Duration;
 
-/// The step of the physics.
+/// How often servos and board measure and drive the body.
 const STEP: Duration = Duration::from_millis(1);
 
 /// An answer of a device.
@@ -37,34 +30,46 @@ pub(super) struct Robot {
     board: Board,
     servos: Vec<Servo>,
     dead: [bool; COUNT],
-    attitude: Attitude,
+    body: Box<dyn Body>,
     noise: Random,
 }
 
 impl Robot {
-    pub(super) fn new(seed: u64, boots_at_once: bool) -> Self {
+    /// The devices of a robot with this body, or of a standing one near the middle of its ranges.
+    pub(super) fn new(seed: u64, boots_at_once: bool, body: Option<Box<dyn Body>>) -> Self {
         let mut random = Random::new(seed, 1);
         let board = Board::new(&mut random);
-        let servos: Vec<Servo> =
-            (0..COUNT).map(|index| Servo::new(index, boots_at_once, &mut random)).collect();
-        let attitude = Attitude::at_rest(&angles(&servos));
+        let (mut positions, mut servos) = ([0.0; COUNT], Vec::with_capacity(COUNT));
+        for (index, position) in positions.iter_mut().enumerate() {
+            *position = f64::from(CENTRE_TICKS) + random.within(25.0);
+            servos.push(Servo::new(index, boots_at_once, &mut random));
+        }
+        let body = body.unwrap_or_else(|| Box::new(Standing::new(positions)));
+        for (index, servo) in servos.iter_mut().enumerate() {
+            servo.feel(body.joint(index));
+        }
         let (dead, noise) = ([false; COUNT], Random::new(seed, 2));
-        Self { time: Duration::ZERO, board, servos, dead, attitude, noise }
+        Self { time: Duration::ZERO, board, servos, dead, body, noise }
     }
 
     /// Advances to `now`.
     pub(super) fn advance_to(&mut self, now: Duration) {
         while self.time + STEP <= now {
             self.time += STEP;
-            let dt = STEP.as_secs_f64();
-            let volts = self.board.volts();
-            for servo in &mut self.servos {
-                servo.advance(dt, volts);
+            let (dt, volts) = (STEP.as_secs_f64(), self.board.volts());
+            let commands: [_; COUNT] = std::array::from_fn(|index| self.servos[index].command(dt, volts));
+            self.body.advance(STEP, &commands);
+            for (index, servo) in self.servos.iter_mut().enumerate() {
+                servo.advance(dt, volts, self.body.joint(index));
             }
-            self.attitude.advance(dt, &angles(&self.servos));
             let current_a = self.servos.iter().map(Servo::current_a).sum();
-            self.board.advance(dt, current_a, &self.attitude, &mut self.noise);
+            self.board.advance(dt, current_a, &self.body.imu(), &mut self.noise);
         }
+    }
+
+    /// A step of the owner of the bus begins.
+    pub(super) fn begin_step(&mut self) {
+        self.body.begin_step();
     }
 
     /// Sets which servos are dead: without power, as if disconnected.
@@ -148,10 +153,6 @@ impl Robot {
         let servos = self.servos.iter_mut().filter(|servo| servo.is_awake());
         std::iter::once(board).chain(servos.map(|servo| servo as &mut dyn Device))
     }
-}
-
-fn angles(servos: &[Servo]) -> [f64; COUNT] {
-    std::array::from_fn(|index| servos[index].angle_rad())
 }
 
 /// The common interface of board and servos.
@@ -244,81 +245,4 @@ fn answer_of(device: &dyn Device, error: StatusError, parameters: &[u8]) -> Answ
     }
     let return_delay = Duration::from_micros(2 * u64::from(device.table().get(&mx28::RETURN_DELAY)));
     Answer { packet, return_delay }
-}
-
-const LAG_S: f64 = 0.08;
-
-/// Roll, pitch and yaw of the body relative to the floor, in rad, and their rates, in rad/s.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Attitude {
-    angles: [f64; 3],
-    rates: [f64; 3],
-}
-
-impl Attitude {
-    /// The attitude at rest with these joint angles, in rad, in the order of the joints.
-    fn at_rest(joints: &[f64; COUNT]) -> Self {
-        Self { angles: lean(joints), rates: [0.0; 3] }
-    }
-
-    /// Advances by `dt` seconds.
-    pub(super) fn advance(&mut self, dt: f64, joints: &[f64; COUNT]) {
-        let target = lean(joints);
-        self.rates = std::array::from_fn(|axis| (target[axis] - self.angles[axis]) / LAG_S);
-        self.angles = std::array::from_fn(|axis| self.angles[axis] + self.rates[axis] * dt);
-    }
-
-    /// The angular rate of the body about forward, left, up, in rad/s. Small angles: rates of the angles.
-    pub(super) fn angular_velocity(&self) -> [f64; 3] {
-        self.rates
-    }
-
-    /// The specific force on the body forward, left, up, in m/s^2: gravity only.
-    pub(super) fn specific_force(&self) -> [f64; 3] {
-        let [roll, pitch, _] = self.angles;
-        [
-            -pitch.sin() * STANDARD_GRAVITY,
-            pitch.cos() * roll.sin() * STANDARD_GRAVITY,
-            pitch.cos() * roll.cos() * STANDARD_GRAVITY,
-        ]
-    }
-}
-
-fn lean(joints: &[f64; COUNT]) -> [f64; 3] {
-    // By servo id, counted from 1.
-    let joint = |id: usize| joints[id - 1];
-    let right_pitch = -(joint(11) + joint(13) - joint(15));
-    let left_pitch = joint(12) + joint(14) - joint(16);
-    let right_roll = joint(9) - joint(17);
-    let left_roll = joint(10) - joint(18);
-    [(right_roll + left_roll) / 2.0, (right_pitch + left_pitch) / 2.0, (joint(7) + joint(8)) / 2.0]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::darwin_op::tables::joints::JOINTS;
-    use crate::darwin_op::tables::units::radians_from_ticks;
-
-    #[test]
-    fn standing_ready_to_walk_leans_thirteen_degrees_forward() {
-        // The framework's hip pitch offset is 13 degrees.
-        let ready = JOINTS.map(|joint| radians_from_ticks(joint.walking_ready_ticks, 0));
-        let attitude = Attitude::at_rest(&ready);
-        let [roll, pitch, yaw] = attitude.angles.map(f64::to_degrees);
-        assert!((pitch - 12.9).abs() < 0.1 && roll.abs() < 0.1 && yaw == 0.0, "{roll} {pitch} {yaw}");
-        let [forward, left, up] = attitude.specific_force();
-        assert!(forward < -2.0 && left.abs() < 0.1 && up > 9.0);
-    }
-
-    #[test]
-    fn leaning_forward_turns_about_the_left_axis() {
-        let mut attitude = Attitude::default();
-        let mut joints = [0.0; COUNT];
-        // Both ankles let the shins forward.
-        joints[14] = 0.2;
-        joints[15] = -0.2;
-        attitude.advance(0.001, &joints);
-        assert!(attitude.angular_velocity()[1] > 0.0);
-    }
 }

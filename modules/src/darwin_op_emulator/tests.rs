@@ -7,6 +7,7 @@ use crate::darwin_op::protocol::{
     BulkReadBlock, Id, Instruction, Packet, Receiver, Status, StatusError, SyncWriteBlock,
 };
 use crate::darwin_op::tables::{cm730, mx28, units};
+use downbeat_executor::Time;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -335,4 +336,20 @@ fn measured_timing_lets_a_bulk_read_take_its_time() {
     // 2 answers of 8 bytes with the factory's return delay of 0.5 ms cannot take less than this.
     let exchange = robot.bulk_read(&[1, 2]).0;
     assert!(exchange.duration_us >= 1_000 + 160, "{} us", exchange.duration_us);
+}
+
+#[test]
+fn a_stepped_robot_follows_the_time_of_the_steps() {
+    let options = EmulatorOptions { timing: Timing::Stepped, seed: 1, ..Default::default() };
+    let emulator = Emulator::in_memory(&options, None);
+    let mut bus = emulator.bus();
+    let start = Time::from_nanos(1_000_000_000_000);
+    for (at_ms, elapsed_ms) in [(0, 0), (8, 8), (8, 8), (5, 8), (24, 24)] {
+        bus.begin_step(start + Duration::from_millis(at_ms));
+        assert_eq!(emulator.elapsed(), Duration::from_millis(elapsed_ms));
+    }
+    emulator.inject(Fault::lasting(FaultKind::ClosePort, Duration::from_millis(10)));
+    assert_eq!(bus.open("").outcome, Outcome::Failed);
+    bus.begin_step(start + Duration::from_millis(40));
+    assert_eq!(bus.open("").outcome, Outcome::Ok);
 }

@@ -32,6 +32,9 @@ pub enum Timing {
     /// advances only with instructions. The same instructions then get the same answers. Servos answer as
     /// soon as they have power.
     Immediate,
+    /// As [`Timing::Immediate`], and time also advances to that of each step of the owner of the bus
+    /// ([`Emulator::begin_step`](super::Emulator::begin_step)).
+    Stepped,
 }
 
 /// Bytes that reach the computer together.

@@ -11,7 +11,6 @@ use super::protocol::Id;
 use downbeat_executor::Time;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 pub use recorded::{BusDifference, BusReport, RecordedBus};
-#[cfg(test)]
 pub(crate) use serial::Awaited;
 pub use serial::{BAUD_RATE, SerialBus};
 pub use serial::{STATUS_SLACK, status_timeout};

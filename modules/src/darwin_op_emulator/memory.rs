@@ -1,4 +1,4 @@
-//! Direct access to the devices without a port, for tests of bus traffic that a busy machine cannot disturb.
+//! Direct access to the devices, without a port.
 
 use super::emulator::Shared;
 use crate::darwin_op::bus::{Awaited, Bus, Exchange, ExchangeKind, ExpectedStatus, Outcome};
@@ -7,9 +7,12 @@ use downbeat_executor::Time;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A bus with the time of the emulated wire: the same instructions result in the same exchanges, to the
-/// nanosecond. Silent devices are known at once.
-pub(crate) struct DirectBus {
+/// The bus of an emulator in memory, from [`Emulator::bus`](super::Emulator::bus): the same instructions at the same times
+/// result in the same exchanges, to the nanosecond, whatever the machine is busy with. Silent devices are known at once.
+///
+/// With [`Timing::Stepped`](super::Timing::Stepped) the robot follows the time of the steps ([`Bus::begin_step`]), so that a module
+/// in a core with a manual clock drives it as fast as it can be computed.
+pub struct MemoryBus {
     shared: Arc<Shared>,
     is_open: bool,
     sequence: u64,
@@ -17,7 +20,7 @@ pub(crate) struct DirectBus {
     step: (Time, Duration),
 }
 
-impl DirectBus {
+impl MemoryBus {
     pub(super) fn new(shared: Arc<Shared>) -> Self {
         Self { shared, is_open: false, sequence: 0, step: (Time::ZERO, Duration::ZERO) }
     }
@@ -42,20 +45,42 @@ impl DirectBus {
     fn now(&self) -> Duration {
         self.shared.world().now()
     }
+
+    /// Reports a port that a fault keeps closed.
+    fn closed(&mut self, exchange: Exchange) -> Exchange {
+        self.is_open = false;
+        let error = "a fault keeps the port of the emulator closed".to_owned();
+        Exchange { outcome: Outcome::Failed, error, ..exchange }
+    }
+
+    fn is_kept_closed(&self) -> bool {
+        let world = self.shared.world();
+        world.faults.is_port_closed(world.now())
+    }
 }
 
-impl Bus for DirectBus {
+impl Bus for MemoryBus {
     fn begin_step(&mut self, now: Time) {
-        self.step = (now, self.now());
+        let mut world = self.shared.world();
+        world.begin_step(now);
+        self.step = (now, world.now());
     }
 
     fn open(&mut self, _port: &str) -> Exchange {
+        let opened = self.finish(ExchangeKind::Open, self.now(), &[]);
+        if self.is_kept_closed() {
+            return self.closed(opened);
+        }
         self.is_open = true;
-        self.finish(ExchangeKind::Open, self.now(), &[])
+        opened
     }
 
     fn exchange(&mut self, instruction: &[u8], expected: &[ExpectedStatus]) -> Exchange {
         let started = self.now();
+        if self.is_kept_closed() {
+            let exchange = self.finish(ExchangeKind::Transfer, started, instruction);
+            return self.closed(exchange);
+        }
         let mut reply = Vec::new();
         if let (true, Ok(packet)) = (self.is_open, Packet::new_checked(instruction)) {
             let bundles = self.shared.world().answer(&packet);
