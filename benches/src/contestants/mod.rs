@@ -5,7 +5,7 @@ mod limit;
 mod queues;
 
 pub use downbeat::Downbeat;
-pub use limit::Limit;
+pub use limit::{Limit, LimitOnTwoThreads};
 pub use queues::{LockFree, Locked, Queue, Queues};
 
 /// A design, made ready for one [`Load`](crate::Load).
@@ -32,6 +32,7 @@ mod tests {
             let load = Load { modules: 5, messages, batch: NonZeroU64::new(10).unwrap() };
             let mut contestants: Vec<(&str, Box<dyn Contestant>)> = vec![
                 ("limit", Box::new(Limit::new(load))),
+                ("limit, two threads", Box::new(LimitOnTwoThreads::new(load))),
                 ("lock-free queues", Box::new(Queues::<LockFree>::new(load))),
                 ("locked queues", Box::new(Queues::<Locked>::new(load))),
             ];

@@ -7,8 +7,8 @@ use serde::Serialize;
 
 use super::published;
 use crate::Load;
-use crate::contestants::{Contestant, Downbeat, Limit, LockFree, Locked, Queues};
-use crate::launchers::LAUNCHERS;
+use crate::contestants::{Contestant, Downbeat, Limit, LimitOnTwoThreads, LockFree, Locked, Queues};
+use crate::launchers::{LAUNCHERS, LINEAR, POOL_2};
 use crate::measure::{Effort, best_of_rounds, ratio};
 
 /// The times of one trial of each contestant.
@@ -20,6 +20,8 @@ pub struct CellResult {
     pub ours: Vec<(&'static str, Duration)>,
     /// The plain loop.
     pub limit: Duration,
+    /// The plain loop on two threads.
+    pub limit_on_two_threads: Duration,
     /// The published design with lock-free queues.
     pub lock_free_queues: Duration,
     /// The published design with queues behind locks.
@@ -55,6 +57,7 @@ pub struct Row {
 pub fn measure(load: Load, effort: Effort) -> anyhow::Result<CellResult> {
     let mut contestants: Vec<Box<dyn Contestant>> = vec![
         Box::new(Limit::new(load)),
+        Box::new(LimitOnTwoThreads::new(load)),
         Box::new(Queues::<LockFree>::new(load)),
         Box::new(Queues::<Locked>::new(load)),
     ];
@@ -62,8 +65,9 @@ pub fn measure(load: Load, effort: Effort) -> anyhow::Result<CellResult> {
         contestants.push(Box::new(Downbeat::new(load, launcher)?));
     }
     let times = best_of_rounds(&mut contestants, effort);
-    let [limit, lock_free_queues, locked_queues] = [times[0], times[1], times[2]];
-    let ours = LAUNCHERS.iter().map(|launcher| launcher.name).zip(times[3..].iter().copied()).collect();
+    let [limit, limit_on_two_threads, lock_free_queues, locked_queues] =
+        [times[0], times[1], times[2], times[3]];
+    let ours = LAUNCHERS.iter().map(|launcher| launcher.name).zip(times[4..].iter().copied()).collect();
     for contestant in contestants {
         let (sum, of_a_trial) = (contestant.finish(), load.expected_sum());
         // The sums of a trial stay below 2^44, and a trial is repeated 2^20 times at most in each of few turns.
@@ -73,10 +77,18 @@ pub fn measure(load: Load, effort: Effort) -> anyhow::Result<CellResult> {
             "{load:?}: the sums add up to {sum}, not to a multiple of {of_a_trial}: messages were lost"
         );
     }
-    Ok(CellResult { load, ours, limit, lock_free_queues, locked_queues })
+    Ok(CellResult { load, ours, limit, limit_on_two_threads, lock_free_queues, locked_queues })
 }
 
 impl CellResult {
+    /// How many times Pool(2) gains of what the limit gains on two threads, each beside one thread of its own.
+    #[must_use]
+    pub fn gain_of_pool(&self) -> Option<f64> {
+        let time_of = |name| self.ours.iter().find(|(known, _)| *known == name).map(|&(_, time)| time);
+        let gain = ratio(time_of(LINEAR)?, time_of(POOL_2)?);
+        Some(gain / ratio(self.limit, self.limit_on_two_threads))
+    }
+
     /// The faster of the two forms of the published design.
     #[must_use]
     pub fn queue_design(&self) -> Duration {
@@ -109,7 +121,14 @@ mod tests {
         let load = Load { modules, messages, batch: NonZeroU64::new(1000).unwrap() };
         let ms = Duration::from_millis;
         let ours = vec![("Linear", ms(200))];
-        CellResult { load, ours, limit: ms(100), lock_free_queues: ms(9000), locked_queues: ms(8000) }
+        CellResult {
+            load,
+            ours,
+            limit: ms(100),
+            limit_on_two_threads: ms(50),
+            lock_free_queues: ms(9000),
+            locked_queues: ms(8000),
+        }
     }
 
     #[test]

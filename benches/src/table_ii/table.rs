@@ -21,6 +21,7 @@ pub fn table(results: &[CellResult], goals: &[Goal]) -> String {
         }
         for (name, time) in [
             ("limit", result.limit),
+            ("limit, two threads", result.limit_on_two_threads),
             ("queues, SegQueue", result.lock_free_queues),
             ("queues, Mutex", result.locked_queues),
         ] {
