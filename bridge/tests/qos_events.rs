@@ -166,6 +166,24 @@ fn modules_hear_who_is_matched_who_is_not_and_what_was_lost() {
     assert_eq!(lost.peer, peer);
 }
 
+#[test]
+fn endpoints_with_another_type_are_counted_and_modules_receive_an_event_of_each() {
+    let participant = join(75);
+    let robot = Running::start(&participant, QosProfile::DEFAULT);
+    let peer = join(75);
+    let node = peer.create_node(NodeName::new("/", "peer").unwrap()).unwrap();
+    let other = MessageType::new("std_msgs/msg/Int32").unwrap();
+    let _subscription = node.subscribe("/text", &other, QosProfile::DEFAULT, Box::new(|_| ())).unwrap();
+    let event = robot.event("text", QosEvent::INCOMPATIBLE_TYPE);
+    assert_eq!((event.total, event.is_publisher, event.ros_topic.as_str()), (1, true, "/text"));
+    let publisher = node.publish("/words", &other, QosProfile::DEFAULT).unwrap();
+    let event = robot.event("words", QosEvent::INCOMPATIBLE_TYPE);
+    assert_eq!((event.total, event.is_publisher, event.peer), (1, false, publisher.gid().0));
+    assert_eq!(publisher.matched_subscriptions(), 0);
+    let expected = QosCounts { incompatible_types: 1, ..QosCounts::default() };
+    assert_eq!(robot.counts(), [expected.clone(), expected]);
+}
+
 /// Publishes once a cycle.
 struct Flood;
 
@@ -326,7 +344,7 @@ fn events_of_an_endpoint_that_nobody_asked_for_are_not_measured() {
     let writer = participant.create_writer(&endpoint).unwrap();
     let (sender, events) = channel();
     writer.on_event(Box::new(move |event: &EndpointEvent| {
-        let _ = sender.send(*event);
+        let _ = sender.send(event.clone());
     }));
     writer.on_event(Box::new(|_| ()));
     assert!(events.recv().is_err(), "another handler has taken its place");

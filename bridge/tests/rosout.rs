@@ -111,6 +111,35 @@ fn lines_from_before_the_node_and_from_just_before_the_end_are_published_in_thei
     rosout.publish(&node).expect("another publisher may follow");
 }
 
+#[test]
+fn each_endpoint_with_another_type_is_logged_once_with_both_types() {
+    let (rosout, hub) = (Rosout::new(), Hub::new());
+    let (_participant, node) = node(Arc::new(hub.join()));
+    let publishing = rosout.publish(&node).unwrap();
+    let _log = tracing_subscriber::registry().with(rosout.layer()).set_default();
+    let (text, number) =
+        (MessageType::new("std_msgs/msg/String").unwrap(), MessageType::new("std_msgs/msg/Int32").unwrap());
+    let publisher = node.publish("/text", &text, QosProfile::DEFAULT).unwrap();
+    let peer = Participant::on(Arc::new(hub.join())).unwrap();
+    let peer = peer.create_node(NodeName::new("/", "peer").unwrap()).unwrap();
+    let subscribe = || peer.subscribe("/text", &number, QosProfile::DEFAULT, Box::new(|_| ())).unwrap();
+    let _first = subscribe();
+    // Receives the present state again.
+    publisher.on_event(Box::new(|_| ()));
+    let _second = subscribe();
+    tracing::info!("the end");
+    let mut lines = Vec::new();
+    wait_until("the last line is published", || {
+        lines = heard_late(&hub);
+        lines.iter().any(|line| line.msg == "the end")
+    });
+    let words = "Incompatible type on topic '/text', no messages will be sent to it. The publisher of this node has type \
+                 std_msgs/msg/String, a subscription of another node has std_msgs/msg/Int32";
+    let warnings = lines.iter().filter(|line| line.level == Log::WARN && line.msg.starts_with(words));
+    assert_eq!(warnings.count(), 2, "{lines:?}");
+    drop(publishing);
+}
+
 /// An engine that takes no sample, and says so in the log.
 struct Broken(downbeat_bridge::middleware::in_process::InProcessParticipant);
 

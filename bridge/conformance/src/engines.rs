@@ -82,6 +82,13 @@ const RUSTDDS: &[KnownFailure] = &[
         remedy: "none",
     },
     KnownFailure {
+        case: "a_peer_with_another_type_is_reported_on_both_sides_and_not_matched",
+        limit: "endpoints of another type are matched",
+        cause: "only the names of topics are compared (`rtps/dp_event_loop.rs`)",
+        effect: "messages of another type arrive, and are counted as errors when they cannot be decoded",
+        remedy: "compare the types with `ros2 topic info -v`",
+    },
+    KnownFailure {
         case: "missed_deadlines_are_told_on_both_sides",
         limit: "missed deadlines are not told",
         cause: "it has no such event for the readers it is used with, and none for writers",

@@ -44,7 +44,7 @@ pub(crate) fn events(on_event: impl FnOnce(EventHandler)) -> Receiver<EndpointEv
     let (sender, events) = channel();
     on_event(Box::new(move |event| {
         // The case may have stopped listening.
-        let _ = sender.send(*event);
+        let _ = sender.send(event.clone());
     }));
     events
 }

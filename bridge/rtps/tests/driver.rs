@@ -164,7 +164,7 @@ fn a_late_handler_receives_the_current_state() {
     matched(&writer, &reader);
     let (sender, events) = channel();
     writer.on_event(Box::new(move |event| {
-        let _ = sender.send(*event);
+        let _ = sender.send(event.clone());
     }));
     let received: Vec<_> = (0..2).map(|_| events.recv_timeout(WATCHDOG).unwrap()).collect();
     assert!(received.contains(&EndpointEvent::Matched { peer: reader.guid() }), "{received:?}");

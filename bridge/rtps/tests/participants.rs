@@ -123,8 +123,10 @@ fn another_type_is_reported_and_does_not_match() {
     let config = EndpointConfig { type_name: "other".into(), ..endpoint("rt/a", reliable()) };
     network.call(1, |participant, now| participant.create_reader(now, config)).expect("reader");
     network.run_for(SECOND);
-    for node in &network.nodes {
-        assert_eq!(node.count(|event| matches!(event, Event::OtherType { .. })), 1);
+    for (node, theirs) in network.nodes.iter().zip(["other", "std_msgs::msg::dds_::String_"]) {
+        let named =
+            |event: &Event| matches!(event, Event::OtherType { type_name, .. } if &**type_name == theirs);
+        assert_eq!(node.count(named), 1);
         assert_eq!(node.count(|event| matches!(event, Event::Matched { .. })), 0);
     }
 }

@@ -78,6 +78,7 @@ pub(super) fn endpoint(node: &str, now: &EndpointReport, last: Option<&EndpointR
         value("deadlines missed", now.traffic.qos.deadlines_missed),
         value("liveliness lost", now.traffic.qos.liveliness_lost + now.traffic.qos.silences),
         value("incompatible", now.traffic.qos.incompatible),
+        value("incompatible types", now.traffic.qos.incompatible_types),
     ];
     status(level, format!("{node}: {}", now.endpoint.ros_topic), message, values)
 }
@@ -90,6 +91,10 @@ fn qos_problems(now: &EndpointReport, last: Option<&EndpointReport>) -> String {
         (
             counts.incompatible.saturating_sub(before.incompatible),
             format!("endpoints do not match: {policy}"),
+        ),
+        (
+            counts.incompatible_types.saturating_sub(before.incompatible_types),
+            "endpoints have another type".to_owned(),
         ),
         (counts.deadlines_missed.saturating_sub(before.deadlines_missed), "deadlines missed".to_owned()),
         (

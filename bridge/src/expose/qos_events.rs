@@ -25,10 +25,12 @@ const WAITING: NonZeroUsize = NonZeroUsize::new(256).unwrap();
 pub struct QosCounts {
     /// Endpoints of others that were matched.
     pub matched: u64,
-    /// Endpoints of others that were on the topic and did not match.
+    /// Endpoints of others that were on the topic with a policy that did not match.
     pub incompatible: u64,
     /// The policy of the last of them.
     pub last_incompatible: Option<QosPolicyKind>,
+    /// Endpoints of others that were on the topic with another type.
+    pub incompatible_types: u64,
     /// Missed deadlines, offered or requested.
     pub deadlines_missed: u64,
     /// How often a publisher did not assert its liveliness in time.
@@ -43,7 +45,12 @@ impl QosCounts {
     /// The number of events that a user should look at.
     #[must_use]
     pub fn problems(&self) -> u64 {
-        self.incompatible + self.deadlines_missed + self.liveliness_lost + self.silences + self.lost
+        self.incompatible
+            + self.incompatible_types
+            + self.deadlines_missed
+            + self.liveliness_lost
+            + self.silences
+            + self.lost
     }
 }
 
@@ -128,6 +135,11 @@ impl EndpointQos {
                 counts.last_incompatible = Some(policy);
                 (message.kind, message.total) = (QosEvent::INCOMPATIBLE_QOS, counts.incompatible);
                 message.policy = policy.name().to_owned();
+                peer
+            }
+            EndpointEvent::IncompatibleType { peer, .. } => {
+                counts.incompatible_types += 1;
+                (message.kind, message.total) = (QosEvent::INCOMPATIBLE_TYPE, counts.incompatible_types);
                 peer
             }
             EndpointEvent::DeadlineMissed { count } => {

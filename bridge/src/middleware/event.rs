@@ -4,13 +4,14 @@ use super::Gid;
 use downbeat_msgs::qos::{Durability, Liveliness, QosProfile, Reliability};
 use serde::{Deserialize, Serialize};
 use std::fmt;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Handles the events of an endpoint. It runs on a thread of the middleware, so it must not block.
 pub type EventHandler = Box<dyn Fn(&EndpointEvent) + Send + Sync>;
 
 /// What happened to an endpoint: the statuses of DDS (DDS 1.4, 2.2.4.1) that `rmw` has events for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum EndpointEvent {
     /// An endpoint of another participant was matched: samples go between them.
     Matched {
@@ -28,6 +29,13 @@ pub enum EndpointEvent {
         peer: Gid,
         /// A policy that differs; there may be more.
         policy: QosPolicyKind,
+    },
+    /// An endpoint of another participant is on the topic with another type.
+    IncompatibleType {
+        /// The other.
+        peer: Gid,
+        /// The DDS name of its type.
+        type_name: Arc<str>,
     },
     /// No sample was written, or none came, in the time that was offered or requested.
     DeadlineMissed {

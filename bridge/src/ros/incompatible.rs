@@ -1,32 +1,87 @@
 //! Endpoints of others on a topic that do not match: logged as rclcpp logs them.
 
-use super::TopicName;
-use crate::middleware::{Direction, EndpointEvent, EventHandler, QosPolicyKind};
+use super::{MessageType, TopicName};
+use crate::middleware::{Direction, EndpointEvent, EventHandler, Gid, QosPolicyKind};
+use parking_lot::Mutex;
+use std::collections::HashSet;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Whether a warning was logged for an endpoint: later events are only counted.
-#[derive(Clone, Default)]
-pub(super) struct Warned(Arc<AtomicBool>);
+/// The most peers with another type that are logged for one endpoint.
+const MOST_PEERS: usize = 64;
 
-impl Warned {
-    /// Warns of what does not match an endpoint of ours, and passes all events on.
-    pub(super) fn and(&self, topic: &TopicName, direction: Direction, then: EventHandler) -> EventHandler {
-        let (warned, topic) = (self.clone(), topic.clone());
+/// Logs the endpoints of others that do not match one of ours.
+#[derive(Clone)]
+pub(super) struct Warnings {
+    topic: TopicName,
+    message_type: MessageType,
+    direction: Direction,
+    logged: Arc<Mutex<Logged>>,
+}
+
+/// What was logged already. A new handler receives the present state again.
+#[derive(Default)]
+struct Logged {
+    qos: bool,
+    types: HashSet<Gid>,
+}
+
+impl Warnings {
+    pub(super) fn new(topic: &TopicName, message_type: &MessageType, direction: Direction) -> Self {
+        Self { topic: topic.clone(), message_type: message_type.clone(), direction, logged: Arc::default() }
+    }
+
+    /// Logs the first endpoint with incompatible quality of service and each one with another type, and passes all events
+    /// to `then`.
+    pub(super) fn and(&self, then: EventHandler) -> EventHandler {
+        let warnings = self.clone();
         Box::new(move |event| {
-            if let EndpointEvent::IncompatibleQos { peer, policy } = *event
-                && !warned.0.swap(true, Ordering::Relaxed)
-            {
-                tracing::warn!(%peer, "{}", warning(&topic, direction, policy));
+            match event {
+                EndpointEvent::IncompatibleQos { peer, policy } => warnings.warn_of_qos(*peer, *policy),
+                EndpointEvent::IncompatibleType { peer, type_name } => {
+                    warnings.warn_of_type(*peer, type_name)
+                }
+                _ => {}
             }
             then(event);
         })
+    }
+
+    fn warn_of_qos(&self, peer: Gid, policy: QosPolicyKind) {
+        if !std::mem::replace(&mut self.logged.lock().qos, true) {
+            tracing::warn!(%peer, "{}", qos_warning(&self.topic, self.direction, policy));
+        }
+    }
+
+    fn warn_of_type(&self, peer: Gid, theirs: &str) {
+        let is_new = {
+            let types = &mut self.logged.lock().types;
+            types.len() < MOST_PEERS && types.insert(peer)
+        };
+        if is_new {
+            tracing::warn!(%peer, "{}", self.type_warning(theirs));
+        }
+    }
+
+    /// The words are those of `default_incompatible_type_callback` (rclcpp, `publisher_base.cpp` and
+    /// `subscription_base.cpp`, which have the same), followed by the types.
+    fn type_warning(&self, theirs: &str) -> String {
+        let Self { topic, message_type, direction, .. } = self;
+        let (own, other) = match direction {
+            Direction::Out => ("publisher", "subscription"),
+            Direction::In => ("subscription", "publisher"),
+        };
+        let theirs =
+            MessageType::from_wire(theirs).map_or_else(|| theirs.to_owned(), |theirs| theirs.to_string());
+        format!(
+            "Incompatible type on topic '{topic}', no messages will be sent to it. The {own} of this node has type \
+             {message_type}, a {other} of another node has {theirs}"
+        )
     }
 }
 
 /// The words are those of `default_incompatible_qos_callback` (rclcpp, branch jazzy, `publisher_base.cpp` and
 /// `subscription_base.cpp`), and what can be done.
-fn warning(topic: &TopicName, direction: Direction, policy: QosPolicyKind) -> String {
+fn qos_warning(topic: &TopicName, direction: Direction, policy: QosPolicyKind) -> String {
     let (what, remedy) = match direction {
         Direction::Out => (
             format!(
@@ -73,11 +128,23 @@ mod tests {
     #[test]
     fn a_warning_has_the_words_of_rclcpp_and_says_what_to_do() {
         let topic = TopicName::expand("/scan", &NodeName::new("/", "n").unwrap()).unwrap();
-        let text = warning(&topic, Direction::In, QosPolicyKind::Reliability);
+        let text = qos_warning(&topic, Direction::In, QosPolicyKind::Reliability);
         let expected = "New publisher discovered on topic '/scan', offering incompatible QoS. No messages will be received \
                         from it. Last incompatible policy: RELIABILITY_QOS_POLICY. To do: ask for reliability best_effort";
         assert!(text.starts_with(expected), "{text}");
-        let text = warning(&topic, Direction::Out, QosPolicyKind::Durability);
+        let text = qos_warning(&topic, Direction::Out, QosPolicyKind::Durability);
         assert!(text.contains("requesting incompatible QoS") && text.contains("transient_local"), "{text}");
+    }
+
+    #[test]
+    fn a_warning_of_another_type_names_both() {
+        let topic = TopicName::expand("/scan", &NodeName::new("/", "n").unwrap()).unwrap();
+        let ours = MessageType::new("sensor_msgs/msg/LaserScan").unwrap();
+        let text = Warnings::new(&topic, &ours, Direction::Out).type_warning("std_msgs::msg::dds_::String_");
+        let expected = "Incompatible type on topic '/scan', no messages will be sent to it. The publisher of this node has \
+                        type sensor_msgs/msg/LaserScan, a subscription of another node has std_msgs/msg/String";
+        assert_eq!(text, expected);
+        let text = Warnings::new(&topic, &ours, Direction::In).type_warning("Plain DDS");
+        assert!(text.ends_with("a publisher of another node has Plain DDS"), "{text}");
     }
 }

@@ -1,6 +1,6 @@
 //! Publishers of nodes.
 
-use super::incompatible::Warned;
+use super::incompatible::Warnings;
 use super::node::{Hold, Listed};
 use super::{MessageType, Node, NodeError, TopicName};
 use crate::edge::Interfaces;
@@ -14,7 +14,7 @@ pub struct Publisher {
     topic: TopicName,
     message_type: MessageType,
     qos: QosProfile,
-    warned: Warned,
+    warnings: Warnings,
     // Fields drop in this order: the entry in the graph, so that no tool sees an endpoint without a node; the endpoint;
     // and perhaps with the last of them the participant.
     _listed: Listed,
@@ -50,7 +50,7 @@ impl Publisher {
     /// Registers a handler for events of the quality of service of this publisher: first the present state, then its changes. It runs on a
     /// thread of the middleware, so it must not block, and replaces the handler before.
     pub fn on_event(&self, handler: EventHandler) {
-        self.writer.on_event(self.warned.and(&self.topic, Direction::Out, handler));
+        self.writer.on_event(self.warnings.and(handler));
     }
 
     /// The identity of its endpoint.
@@ -94,14 +94,14 @@ impl Node {
         let shared = &self.membership.shared;
         let endpoint = endpoint(&shared.interfaces, &topic, message_type, qos);
         let writer = shared.middleware.create_writer(&endpoint)?;
-        let warned = Warned::default();
-        writer.on_event(warned.and(&topic, Direction::Out, Box::new(|_| ())));
+        let warnings = Warnings::new(&topic, message_type, Direction::Out);
+        writer.on_event(warnings.and(Box::new(|_| ())));
         let listed = Listed::new(self.hold(), Direction::Out, writer.gid());
         Ok(Publisher {
             topic,
             message_type: message_type.clone(),
             qos,
-            warned,
+            warnings,
             _listed: listed,
             writer,
             _hold: self.hold(),

@@ -1,6 +1,6 @@
 //! Subscriptions of nodes.
 
-use super::incompatible::Warned;
+use super::incompatible::Warnings;
 use super::node::{Hold, Listed};
 use super::publisher::endpoint;
 use super::{MessageType, Node, NodeError, TopicName};
@@ -12,7 +12,7 @@ pub struct Subscription {
     topic: TopicName,
     message_type: MessageType,
     qos: QosProfile,
-    warned: Warned,
+    warnings: Warnings,
     // In this order, as in a publisher.
     _listed: Listed,
     reader: Box<dyn Reader>,
@@ -47,7 +47,7 @@ impl Subscription {
     /// Registers a handler for events of the quality of service of this subscription: first the present state, then its changes. It runs on a
     /// thread of the middleware, so it must not block, and replaces the handler before.
     pub fn on_event(&self, handler: EventHandler) {
-        self.reader.on_event(self.warned.and(&self.topic, Direction::In, handler));
+        self.reader.on_event(self.warnings.and(handler));
     }
 }
 
@@ -68,14 +68,14 @@ impl Node {
         let shared = &self.membership.shared;
         let endpoint = endpoint(&shared.interfaces, &topic, message_type, qos);
         let reader = shared.middleware.create_reader(&endpoint, on_sample)?;
-        let warned = Warned::default();
-        reader.on_event(warned.and(&topic, Direction::In, Box::new(|_| ())));
+        let warnings = Warnings::new(&topic, message_type, Direction::In);
+        reader.on_event(warnings.and(Box::new(|_| ())));
         let listed = Listed::new(self.hold(), Direction::In, reader.gid());
         Ok(Subscription {
             topic,
             message_type: message_type.clone(),
             qos,
-            warned,
+            warnings,
             _listed: listed,
             reader,
             _hold: self.hold(),

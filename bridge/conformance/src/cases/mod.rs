@@ -117,6 +117,7 @@ cases! {
     Qos: {
         qos::a_reader_that_asks_for_more_than_is_offered_is_not_matched on 16;
         qos::each_policy_keeps_apart_what_does_not_suit_and_is_named_on_both_sides on 157;
+        qos::a_peer_with_another_type_is_reported_on_both_sides_and_not_matched on 174;
         qos::matches_are_told_as_they_come_and_go on 158;
         qos::missed_deadlines_are_told_on_both_sides on 159;
         qos::a_writer_with_manual_liveliness_lives_as_long_as_it_says_so on 171;

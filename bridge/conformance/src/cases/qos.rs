@@ -53,6 +53,26 @@ pub(super) fn each_policy_keeps_apart_what_does_not_suit_and_is_named_on_both_si
     }
 }
 
+pub(super) fn a_peer_with_another_type_is_reported_on_both_sides_and_not_matched(domain: &Domain<'_>) {
+    let (alice, bob) = (domain.join(), domain.join());
+    let ours = chatter(QosProfile::DEFAULT);
+    let other = Endpoint { type_name: "std_msgs::msg::dds_::Int32_".into(), ..ours.clone() };
+    let writer = alice.create_writer(&ours).unwrap();
+    let (reader, _samples) = subscribe(&*bob, &other);
+    let (of_writer, of_reader) =
+        (events(|handler| writer.on_event(handler)), events(|handler| reader.on_event(handler)));
+    let incompatible = |peer, endpoint: &Endpoint| EndpointEvent::IncompatibleType {
+        peer,
+        type_name: endpoint.type_name.as_str().into(),
+    };
+    assert_eq!(next(&of_writer), incompatible(reader.gid(), &other));
+    assert_eq!(next(&of_reader), incompatible(writer.gid(), &ours));
+    assert_eq!((writer.matched(), reader.matched()), (0, 0));
+    // A handler that is registered later receives the present state.
+    let later = events(|handler| writer.on_event(handler));
+    assert_eq!(next(&later), incompatible(reader.gid(), &other));
+}
+
 pub(super) fn matches_are_told_as_they_come_and_go(domain: &Domain<'_>) {
     let (alice, bob) = (domain.join(), domain.join());
     let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();

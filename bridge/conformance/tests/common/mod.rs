@@ -17,6 +17,7 @@ macro_rules! each_case {
             a_payload_without_an_encapsulation_header_is_refused
             a_reader_that_asks_for_more_than_is_offered_is_not_matched
             each_policy_keeps_apart_what_does_not_suit_and_is_named_on_both_sides
+            a_peer_with_another_type_is_reported_on_both_sides_and_not_matched
             matches_are_told_as_they_come_and_go
             missed_deadlines_are_told_on_both_sides
             a_writer_with_manual_liveliness_lives_as_long_as_it_says_so

@@ -20,7 +20,7 @@ pub type EventHandler = Box<dyn Fn(&EndpointEvent) + Send + Sync>;
 pub type MatchHandler = Box<dyn Fn() + Send + Sync>;
 
 /// An event of an endpoint. `peer` is another endpoint, of this participant or of another one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum EndpointEvent {
     /// The two endpoints discovered each other.
     Matched { peer: Guid },
@@ -28,8 +28,8 @@ pub enum EndpointEvent {
     Unmatched { peer: Guid },
     /// Topic and type are the same, but a policy prevents a match.
     Incompatible { peer: Guid, policy: Policy },
-    /// The two endpoints have the same topic but different types.
-    OtherType { peer: Guid },
+    /// The two endpoints have the same topic but different types; `type_name` is that of the peer.
+    OtherType { peer: Guid, type_name: Arc<str> },
     /// The deadline was missed `count` times: the offered deadline of a writer or the requested deadline of a
     /// reader.
     DeadlineMissed { count: u64 },
@@ -60,7 +60,6 @@ struct Listeners {
     on_match: Option<Arc<MatchHandler>>,
 }
 
-#[derive(Clone, Copy)]
 enum Standing {
     Matched { liveliness: Option<LivelinessChange> },
     Apart(EndpointEvent),
@@ -109,7 +108,7 @@ impl EndpointState {
         let _delivery = lock(&self.delivery);
         let (on_event, on_match) = {
             let mut listeners = lock(&self.listeners);
-            let has_changed = listeners.record(event);
+            let has_changed = listeners.record(&event);
             if has_changed {
                 let is_matched = |standing: &&Standing| matches!(standing, Standing::Matched { .. });
                 let count = listeners.others.values().filter(is_matched).count();
@@ -159,8 +158,8 @@ impl EndpointState {
 
 impl Listeners {
     /// Stores the new state. Returns whether the matches changed.
-    fn record(&mut self, event: EndpointEvent) -> bool {
-        match event {
+    fn record(&mut self, event: &EndpointEvent) -> bool {
+        match *event {
             EndpointEvent::Matched { peer } => {
                 let before = self.others.insert(peer, Standing::Matched { liveliness: None });
                 !matches!(before, Some(Standing::Matched { .. }))
@@ -168,8 +167,8 @@ impl Listeners {
             EndpointEvent::Unmatched { peer } => {
                 matches!(self.others.remove(&peer), Some(Standing::Matched { .. }))
             }
-            EndpointEvent::Incompatible { peer, .. } | EndpointEvent::OtherType { peer } => {
-                let before = self.others.insert(peer, Standing::Apart(event));
+            EndpointEvent::Incompatible { peer, .. } | EndpointEvent::OtherType { peer, .. } => {
+                let before = self.others.insert(peer, Standing::Apart(event.clone()));
                 matches!(before, Some(Standing::Matched { .. }))
             }
             EndpointEvent::LivelinessChanged { peer, change } => {
@@ -187,10 +186,10 @@ impl Listeners {
 
 impl Standing {
     /// The events that describe the current state, for a newly registered handler.
-    fn events(self, peer: Guid) -> impl Iterator<Item = EndpointEvent> {
+    fn events(&self, peer: Guid) -> impl Iterator<Item = EndpointEvent> + use<> {
         let (first, liveliness) = match self {
-            Self::Matched { liveliness } => (EndpointEvent::Matched { peer }, liveliness),
-            Self::Apart(event) => (event, None),
+            Self::Matched { liveliness } => (EndpointEvent::Matched { peer }, *liveliness),
+            Self::Apart(event) => (event.clone(), None),
         };
         // A new handler receives a revived writer as alive.
         let change = liveliness.map(|change| match change {

@@ -315,7 +315,9 @@ impl Engine {
             Event::Incompatible { local, remote, policy } => {
                 deliver(local, EndpointEvent::Incompatible { peer: remote, policy });
             }
-            Event::OtherType { local, remote } => deliver(local, EndpointEvent::OtherType { peer: remote }),
+            Event::OtherType { local, remote, type_name } => {
+                deliver(local, EndpointEvent::OtherType { peer: remote, type_name });
+            }
             Event::DeadlineMissed { local, count } => deliver(local, EndpointEvent::DeadlineMissed { count }),
             Event::LivelinessLost { writer } => deliver(writer, EndpointEvent::LivelinessLost),
             Event::LivelinessChanged { reader, writer, change } => {

@@ -1,6 +1,7 @@
 //! Events of a participant.
 
 use std::net::SocketAddrV4;
+use std::sync::Arc;
 
 use super::{Fault, Sample};
 use crate::{
@@ -40,6 +41,8 @@ pub enum Event {
     OtherType {
         local: EntityId,
         remote: Guid,
+        /// The type of `remote`.
+        type_name: Arc<str>,
     },
     /// The deadline was missed `count` times since the last such event: the offered deadline of a writer or
     /// the requested deadline of a reader.

@@ -5,6 +5,7 @@ use crate::{
     qos::{Durability, Policy, Reliability, incompatible},
     wire::{EndpointData, EntityId, Guid, VendorId},
 };
+use std::sync::Arc;
 
 /// Whether two endpoints of one topic match.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,18 +75,30 @@ impl Participant {
             }
             _ => {}
         }
-        let event = match verdict {
-            Some(Verdict::OtherType) => Event::OtherType { local, remote },
-            Some(Verdict::Incompatible(policy)) => Event::Incompatible { local, remote, policy },
-            Some(Verdict::Match | Verdict::Apart) | None => {
-                if let Some(refused) = self.locals.refused_mut(local) {
-                    refused.remove(&remote);
-                }
-                return;
+        let Some(verdict @ (Verdict::OtherType | Verdict::Incompatible(_))) = verdict else {
+            if let Some(refused) = self.locals.refused_mut(local) {
+                refused.remove(&remote);
             }
+            return;
         };
-        if self.locals.refused_mut(local).is_some_and(|refused| refused.insert(remote)) {
-            self.events.push_back(event);
+        if !self.locals.refused_mut(local).is_some_and(|refused| refused.insert(remote)) {
+            return;
+        }
+        self.events.push_back(match verdict {
+            Verdict::Incompatible(policy) => Event::Incompatible { local, remote, policy },
+            _ => {
+                let type_name = self.data(remote).map_or_else(Arc::default, |data| data.type_name[..].into());
+                Event::OtherType { local, remote, type_name }
+            }
+        });
+    }
+
+    /// The data of an endpoint of this participant or of another one.
+    fn data(&self, guid: Guid) -> Option<&EndpointData> {
+        if guid.prefix == self.config.prefix {
+            self.locals.data(guid.entity)
+        } else {
+            self.peers.endpoint(guid).map(|known| &known.data)
         }
     }
 
@@ -113,12 +126,7 @@ impl Participant {
             Some(peer) if !is_own => peer.data.vendor,
             _ => VendorId::OURS,
         };
-        let theirs = if is_own {
-            self.locals.data(remote.entity)
-        } else {
-            self.peers.endpoint(remote).map(|known| &known.data)
-        };
-        let Some(theirs) = theirs else { return };
+        let Some(theirs) = self.data(remote) else { return };
         let both = |holds: fn(&EndpointData) -> bool| holds(ours) && holds(theirs);
         let is_reliable = both(is_reliable);
         let wants_history = both(|data| data.qos.durability >= Durability::TransientLocal);

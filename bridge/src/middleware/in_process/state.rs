@@ -55,6 +55,7 @@ pub(super) type News = Vec<(Handlers, EndpointEvent)>;
 enum Suits {
     Yes,
     No(QosPolicyKind),
+    OtherType,
 }
 
 impl State {
@@ -81,7 +82,7 @@ impl State {
 
     pub(super) fn add_writer(&mut self, from: Gid, writer: HubWriter) -> News {
         let news = self.readers.values().filter_map(|reader| {
-            let event = event_of(suits(&writer.endpoint, &reader.endpoint)?, from);
+            let event = event_of(suits(&writer.endpoint, &reader.endpoint)?, from, &writer.endpoint);
             Some((reader.handlers.clone(), event))
         });
         let news = news.collect();
@@ -91,7 +92,7 @@ impl State {
 
     pub(super) fn add_reader(&mut self, to: Gid, reader: HubReader) -> News {
         let news = self.writers.values().filter_map(|writer| {
-            let event = event_of(suits(&writer.endpoint, &reader.endpoint)?, to);
+            let event = event_of(suits(&writer.endpoint, &reader.endpoint)?, to, &reader.endpoint);
             Some((writer.handlers.clone(), event))
         });
         let news = news.collect();
@@ -102,30 +103,31 @@ impl State {
     pub(super) fn remove_writer(&mut self, from: Gid) -> News {
         let Some(writer) = self.writers.remove(&from) else { return News::new() };
         let readers = self.readers_of(&writer.endpoint);
-        let unmatched = EndpointEvent::Unmatched { peer: from };
-        readers.map(|(_, reader)| (reader.handlers.clone(), unmatched)).collect()
+        let unmatched = || EndpointEvent::Unmatched { peer: from };
+        readers.map(|(_, reader)| (reader.handlers.clone(), unmatched())).collect()
     }
 
     pub(super) fn remove_reader(&mut self, to: Gid) -> News {
         let Some(reader) = self.readers.remove(&to) else { return News::new() };
         let writers = self.writers_to(&reader.endpoint);
-        let unmatched = EndpointEvent::Unmatched { peer: to };
-        writers.map(|(_, writer)| (writer.handlers.clone(), unmatched)).collect()
+        let unmatched = || EndpointEvent::Unmatched { peer: to };
+        writers.map(|(_, writer)| (writer.handlers.clone(), unmatched())).collect()
     }
 
     /// The present state of a writer, as events.
     pub(super) fn events_of_writer(&self, writer: &Endpoint) -> Vec<EndpointEvent> {
-        let readers = self.readers.iter();
-        let events = readers.filter_map(|(to, reader)| Some(event_of(suits(writer, &reader.endpoint)?, *to)));
-        events.collect()
+        let event = |(to, reader): (&Gid, &HubReader)| {
+            Some(event_of(suits(writer, &reader.endpoint)?, *to, &reader.endpoint))
+        };
+        self.readers.iter().filter_map(event).collect()
     }
 
     /// The present state of a reader, as events.
     pub(super) fn events_of_reader(&self, reader: &Endpoint) -> Vec<EndpointEvent> {
-        let writers = self.writers.iter();
-        let events =
-            writers.filter_map(|(from, writer)| Some(event_of(suits(&writer.endpoint, reader)?, *from)));
-        events.collect()
+        let event = |(from, writer): (&Gid, &HubWriter)| {
+            Some(event_of(suits(&writer.endpoint, reader)?, *from, &writer.endpoint))
+        };
+        self.writers.iter().filter_map(event).collect()
     }
 }
 
@@ -174,8 +176,10 @@ pub(super) fn deliver(news: News) {
     }
 }
 
-fn event_of(suits: Suits, peer: Gid) -> EndpointEvent {
+/// The event for one endpoint about another one, `peer`.
+fn event_of(suits: Suits, peer: Gid, theirs: &Endpoint) -> EndpointEvent {
     match suits {
+        Suits::OtherType => EndpointEvent::IncompatibleType { peer, type_name: theirs.type_name[..].into() },
         Suits::Yes => EndpointEvent::Matched { peer },
         Suits::No(policy) => EndpointEvent::IncompatibleQos { peer, policy },
     }
@@ -183,6 +187,11 @@ fn event_of(suits: Suits, peer: Gid) -> EndpointEvent {
 
 /// `None` where the two have nothing to do with each other.
 fn suits(writer: &Endpoint, reader: &Endpoint) -> Option<Suits> {
-    let concerns = writer.topic_name == reader.topic_name && writer.type_name == reader.type_name;
-    concerns.then(|| QosPolicyKind::between(&writer.qos, &reader.qos).map_or(Suits::Yes, Suits::No))
+    if writer.topic_name != reader.topic_name {
+        return None;
+    }
+    if writer.type_name != reader.type_name {
+        return Some(Suits::OtherType);
+    }
+    Some(QosPolicyKind::between(&writer.qos, &reader.qos).map_or(Suits::Yes, Suits::No))
 }

@@ -11,6 +11,7 @@ use bytes::Bytes;
 use downbeat_rtps::protocol::{self, EndpointConfig, LivelinessChange};
 use downbeat_rtps::wire::{self, EndpointData, EntityId, Guid, InlineQos, SequenceNumber};
 use downbeat_rtps::{Options, Participant, Range};
+use std::sync::Arc;
 use std::time::Duration;
 
 /// The user data of a participant: the enclave, by which security files are found. There is one for all.
@@ -216,15 +217,13 @@ fn type_hash(user_data: &[u8]) -> Option<String> {
 
 fn listener(handler: EventHandler) -> downbeat_rtps::EventHandler {
     Box::new(move |event| {
-        if let Some(event) = translated(*event) {
-            handler(&event);
-        }
+        handler(&translated(event));
     })
 }
 
-fn translated(event: downbeat_rtps::EndpointEvent) -> Option<EndpointEvent> {
+fn translated(event: &downbeat_rtps::EndpointEvent) -> EndpointEvent {
     use downbeat_rtps::EndpointEvent as Event;
-    Some(match event {
+    match *event {
         Event::Matched { peer } => EndpointEvent::Matched { peer: gid(peer) },
         Event::Unmatched { peer } => EndpointEvent::Unmatched { peer: gid(peer) },
         Event::Incompatible { peer, policy } => {
@@ -237,8 +236,9 @@ fn translated(event: downbeat_rtps::EndpointEvent) -> Option<EndpointEvent> {
             };
             EndpointEvent::IncompatibleQos { peer: gid(peer), policy }
         }
-        // `ros2 doctor` and the graph show it; ROS 2 has no policy for it.
-        Event::OtherType { .. } => return None,
+        Event::OtherType { peer, ref type_name } => {
+            EndpointEvent::IncompatibleType { peer: gid(peer), type_name: Arc::clone(type_name) }
+        }
         Event::DeadlineMissed { count } => {
             EndpointEvent::DeadlineMissed { count: count.try_into().unwrap_or(u32::MAX) }
         }
@@ -252,7 +252,7 @@ fn translated(event: downbeat_rtps::EndpointEvent) -> Option<EndpointEvent> {
             EndpointEvent::LivelinessChanged { peer: gid(peer), now }
         }
         Event::Lost { peer, count } => EndpointEvent::MessagesLost { peer: gid(peer), count },
-    })
+    }
 }
 
 #[cfg(test)]
