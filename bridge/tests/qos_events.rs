@@ -147,17 +147,26 @@ fn modules_hear_who_is_matched_who_is_not_and_what_was_lost() {
     };
     assert_eq!(out, expected);
 
-    // A handler that is slow holds up the thread that reads for the robot, and its socket overflows.
+    // A handler holds up the thread that reads for the robot until its socket overflows.
     let holder = participant.create_node(NodeName::new("/", "holder").unwrap()).unwrap();
-    let on_sample = Box::new(|_| std::thread::sleep(Duration::from_secs(1)));
+    let ((holding, is_held), (go_on, held)) = (channel::<()>(), channel::<()>());
+    let on_sample = Box::new(move |_| {
+        let _ = holding.send(());
+        let _ = held.recv();
+    });
     let _holds = holder.subscribe("/hold", &text, QosProfile::DEFAULT, on_sample).unwrap();
     let hold = node.publish("/hold", &text, QosProfile::DEFAULT).unwrap();
     let words = node.publish("/words", &text, QosProfile::SENSOR_DATA).unwrap();
     let peer = robot.event("words", QosEvent::MATCHED).peer;
-    wait_until("the slow one is matched", || hold.matched_subscriptions() == 1);
+    wait_until("the holder is matched", || hold.matched_subscriptions() == 1);
     hold.publish(text_of(0, 10)).unwrap();
-    wait_until("words are lost", || {
+    is_held.recv_timeout(WATCHDOG).unwrap();
+    for _ in 0..200 {
         // It may be refused while what was written before is not sent yet.
+        wait_until("a word is written", || words.publish(text_of(0, 100_000)).is_ok());
+    }
+    drop(go_on);
+    wait_until("words are lost", || {
         let _ = words.publish(text_of(0, 100_000));
         robot.counts()[1].lost > 0
     });
@@ -277,6 +286,25 @@ fn rclpy_and_modules_hear_of_matches_and_of_incompatible_endpoints() {
     assert_eq!(latched.counts()[1].last_incompatible, Some(QosPolicyKind::Durability));
     peer.leave();
     assert_eq!(latched.event("text", QosEvent::MATCHED).current, 0, "it has left");
+}
+
+#[test]
+fn modules_receive_an_event_of_an_endpoint_of_rclpy_with_another_type() {
+    let Some(mut peer) = Peer::start(153, "LOCALHOST") else { return };
+    let _checks = [
+        check("Quality of service", "event: another type, in downbeat", With::Rclpy, Way::Out),
+        check("Quality of service", "event: another type, in downbeat", With::Rclpy, Way::In),
+    ];
+    let participant = Participant::join(&on_loopback(153)).unwrap();
+    let robot = Running::start(&participant, QosProfile::DEFAULT);
+    let other = "std_msgs/msg/Int32";
+    peer.ask(json!({"do": "subscribe", "topic": "/text", "type": other, "events": true}));
+    peer.ask(json!({"do": "advertise", "topic": "/words", "type": other, "events": true}));
+    for topic in ["text", "words"] {
+        assert_eq!(robot.event(topic, QosEvent::INCOMPATIBLE_TYPE).total, 1);
+    }
+    assert_eq!(robot.counts().map(|counts| (counts.incompatible_types, counts.matched)), [(1, 0); 2]);
+    peer.leave();
 }
 
 #[test]
