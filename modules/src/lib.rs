@@ -11,6 +11,7 @@
 //!
 //! The page of each module lists its topics and settings; `README.md` has an overview.
 
+pub mod controllers;
 pub mod darwin_op;
 pub mod darwin_op_emulator;
 pub mod device;

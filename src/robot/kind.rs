@@ -6,6 +6,9 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use downbeat_executor::{Core, Inbox, Module, ModuleOptions, SetupError, Synchrony};
+use downbeat_modules::controllers::diff_drive::DiffDriveController;
+use downbeat_modules::controllers::forward_command::ForwardCommandController;
+use downbeat_modules::controllers::joint_trajectory::JointTrajectoryController;
 use downbeat_modules::darwin_op::DarwinOp;
 use downbeat_modules::darwin_op::bus::{Exchange, RecordedBus, SerialBus};
 use downbeat_modules::darwin_op_emulator::DarwinOpEmulator;
@@ -227,8 +230,8 @@ impl ReplayedDevice {
     }
 }
 
-pub(super) fn built_in() -> [Kind; 5] {
-    [
+pub(super) fn built_in() -> Vec<Kind> {
+    vec![
         Kind::new(
             "darwin_op",
             "the hardware of a Darwin OP: CM-730 and 20 MX-28 servos on a serial port",
@@ -246,9 +249,24 @@ pub(super) fn built_in() -> [Kind; 5] {
         .emulated()
         .with_synchrony(Synchrony::WhenDue),
         Kind::new(
+            "diff_drive",
+            "drives a base with wheels on two sides by cmd_vel, with odometry",
+            DiffDriveController::default,
+        ),
+        Kind::new(
+            "forward_command",
+            "passes positions, velocities or efforts on to joints",
+            ForwardCommandController::default,
+        ),
+        Kind::new(
             "joint_command_mux",
             "commands from outside before those of the built-in motion, joint by joint",
             JointCommandMux::default,
+        ),
+        Kind::new(
+            "joint_trajectory",
+            "follows trajectories of joints: the action FollowJointTrajectory",
+            JointTrajectoryController::default,
         ),
         Kind::new("stand_nod_wave", "a small motion: stand up, then nod and wave", StandNodWave::default),
         Kind::new(

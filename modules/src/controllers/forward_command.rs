@@ -1,0 +1,143 @@
+//! Passes positions, velocities or efforts on to joints, as the `forward_command_controller` of ros2_control and its
+//! kin `position_controllers`, `velocity_controllers` and `effort_controllers` do.
+//!
+//! `NAME` is the name of the module:
+//!
+//! | topic | type | |
+//! | --- | --- | --- |
+//! | `NAME/commands` (in) | std_msgs/Float64MultiArray | one value per joint, in the order of `joints` |
+//! | `joint_commands` | sensor_msgs/JointState | the same with names |
+//!
+//! | setting | default | |
+//! | --- | --- | --- |
+//! | `joints` | | names of the joints |
+//! | `interface_name` | `position` | what the values are: `position` (rad or m), `velocity` (rad/s or m/s), `effort` (N·m or N) |
+//!
+//! A message with a wrong number of values is dropped; a value that is not finite leaves its joint alone. Both are
+//! logged the 1st, 10th, 100th time.
+//!
+//! # References
+//! `forward_command_controller` of `ros-controls/ros2_controllers`, branch jazzy: `doc/userdoc.rst`.
+
+use super::{header, joint_names, own};
+use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError};
+use downbeat_msgs::sensor_msgs::msg::JointState;
+use downbeat_msgs::std_msgs::msg::Float64MultiArray;
+
+/// Passes commands on to joints; see the [module page](self).
+#[derive(Default)]
+pub struct ForwardCommandController {
+    joints: Vec<String>,
+    interface: Interface,
+    faults: u64,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Interface {
+    #[default]
+    Position,
+    Velocity,
+    Effort,
+}
+
+/// The keys of [`ForwardCommandController`].
+pub struct Ports {
+    commands: Publication<JointState>,
+}
+
+impl ForwardCommandController {
+    fn on_commands(&mut self, values: Received<'_, Float64MultiArray>, ctx: &mut Context<'_, Ports>) {
+        let values = &values.data;
+        if values.len() != self.joints.len() {
+            let (found, needed) = (values.len(), self.joints.len());
+            return self.fault(&format!("a command has {found} values for {needed} joints; it is dropped"));
+        }
+        if values.iter().any(|value| !value.is_finite()) {
+            self.fault("a command has a value that is not finite; its joint is left alone");
+        }
+        let commanded = self.joints.iter().zip(values).filter(|(_, value)| value.is_finite());
+        let (name, values): (Vec<String>, Vec<f64>) =
+            commanded.map(|(joint, value)| (joint.clone(), *value)).unzip();
+        let mut command = JointState { header: header(ctx.now(), ""), name, ..JointState::default() };
+        match self.interface {
+            Interface::Position => command.position = values,
+            Interface::Velocity => command.velocity = values,
+            Interface::Effort => command.effort = values,
+        }
+        ctx.publish(ctx.ports.commands, command);
+    }
+
+    fn fault(&mut self, what: &str) {
+        self.faults += 1;
+        if 10_u64.pow(self.faults.ilog10()) == self.faults {
+            tracing::warn!(times = self.faults, "{what}");
+        }
+    }
+}
+
+impl Module for ForwardCommandController {
+    type Ports = Ports;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+        self.joints = joint_names(setup, "joints", "names of the joints, in the order of the commands")?;
+        let key: Setting<String> = setup.read_only_setting(
+            "interface_name",
+            "position".to_owned(),
+            "what the commands are: position, velocity or effort",
+        )?;
+        self.interface = match setup.value(key).map(String::as_str) {
+            Some("position") => Interface::Position,
+            Some("velocity") => Interface::Velocity,
+            Some("effort") => Interface::Effort,
+            other => {
+                let other = other.unwrap_or_default();
+                let reason = format!("\"{other}\" is none of position, velocity and effort");
+                return Err(setup.refuse_value(key, reason));
+            }
+        };
+        let commands = own(setup, "commands");
+        setup.subscribe(&commands, Self::on_commands)?;
+        Ok(Ports { commands: setup.publish("joint_commands")? })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::testing::{Collector, core_at_zero};
+    use downbeat_executor::{Core, ModuleOptions};
+
+    fn add(core: &mut Core, interface: &str) -> Result<(), SetupError> {
+        let settings = [
+            ("joints".to_owned(), vec!["left".to_owned(), "right".to_owned()].into()),
+            ("interface_name".to_owned(), interface.to_owned().into()),
+        ];
+        let options = ModuleOptions { settings: settings.into(), ..ModuleOptions::default() };
+        core.add_with("wheels", ForwardCommandController::default(), options).map(drop)
+    }
+
+    #[test]
+    fn commands_get_the_names_of_the_joints() {
+        let (mut core, _clock) = core_at_zero();
+        add(&mut core, "velocity").unwrap();
+        let forwarded = Collector::<JointState>::add(&mut core, "joint_commands");
+        let commands = core.inlet("wheels/commands").unwrap();
+        for data in [vec![1.0, -2.0], vec![1.0], vec![f64::NAN, 3.0]] {
+            commands.publish(Float64MultiArray { data, ..Float64MultiArray::default() }).unwrap();
+        }
+        (0..3).for_each(|_| core.cycle().unwrap());
+        let forwarded = forwarded.take();
+        let seen: Vec<_> =
+            forwarded.iter().map(|command| (&command.name[..], &command.velocity[..])).collect();
+        let names = ["left".to_owned(), "right".to_owned()];
+        assert_eq!(seen, [(&names[..], &[1.0, -2.0][..]), (&names[1..], &[3.0][..])]);
+        assert!(forwarded.iter().all(|command| command.position.is_empty() && command.effort.is_empty()));
+    }
+
+    #[test]
+    fn an_unknown_interface_is_refused() {
+        let refused = add(&mut core_at_zero().0, "torque").unwrap_err().to_string();
+        assert!(refused.contains("\"torque\" is none of position, velocity and effort"), "{refused}");
+    }
+}

@@ -1,0 +1,46 @@
+//! Controllers as users of ros2_control know them, for any robot whose joints have names.
+//!
+//! - [`joint_trajectory`]: follows trajectories of joints, as the action `FollowJointTrajectory` or from a topic;
+//! - [`forward_command`]: passes positions, velocities or efforts on to joints;
+//! - [`diff_drive`]: two-wheeled bases: `cmd_vel` to wheel speeds, and odometry.
+//!
+//! They read `joint_states` and publish `joint_commands`, both `sensor_msgs/JointState`; remap these to the topics of
+//! the hardware module or of a multiplexer. Their other names begin with the name of the module, as those of a
+//! controller in ros2_control begin with the name of the controller, so that a module called `arm_controller` serves
+//! `arm_controller/follow_joint_trajectory`, which is what MoveIt looks for.
+
+pub mod diff_drive;
+pub mod forward_command;
+pub mod joint_trajectory;
+pub mod spline;
+
+use downbeat_executor::{Module, Setting, Setup, SetupError, Time};
+use downbeat_msgs::builtin_interfaces;
+use downbeat_msgs::std_msgs::msg::Header;
+
+/// A name of the module's own, as ros2_control forms it.
+fn own<M: Module>(setup: &Setup<'_, M>, name: &str) -> String {
+    format!("{}/{name}", setup.module_name())
+}
+
+/// Declares a setting that holds names of joints: at least one, none twice.
+fn joint_names<M: Module>(
+    setup: &mut Setup<'_, M>,
+    setting: &str,
+    description: &str,
+) -> Result<Vec<String>, SetupError> {
+    let key: Setting<Vec<String>> = setup.read_only_setting(setting, Vec::new(), description)?;
+    let names = setup.value(key).cloned().unwrap_or_default();
+    if names.is_empty() {
+        return Err(setup.refuse_value(key, "it names no joint: give the names as `joint_states` has them"));
+    }
+    if let Some((_, twice)) = names.iter().enumerate().find(|(index, name)| names[..*index].contains(name)) {
+        return Err(setup.refuse_value(key, format!("it names the joint \"{twice}\" twice")));
+    }
+    Ok(names)
+}
+
+fn header(now: Time, frame_id: &str) -> Header {
+    let stamp = builtin_interfaces::msg::Time::from_nanos(now.as_nanos());
+    Header { stamp, frame_id: frame_id.to_owned() }
+}
