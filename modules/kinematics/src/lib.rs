@@ -3,6 +3,7 @@
 //! Lengths are in m, angles in rad, masses in kg; frames follow REP-103 (x forward, y left, z up) and REP-120 (names).
 //! Transforms are named `target_from_source`, so that a chain reads `base_from_foot * foot_from_sole`.
 
+pub mod darwin_op;
 pub mod description;
 
 pub use description::{DescriptionError, Problem, Robot};

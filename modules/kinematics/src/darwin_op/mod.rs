@@ -1,0 +1,22 @@
+//! Closed forms for the Darwin OP: inverse kinematics of the legs, and where the head looks.
+//!
+//! Angles are those of the servos, as in `joint_states`: 0 at tick 2048, legs straight. Lengths and limits agree with
+//! `robots/darwin_op.urdf`.
+
+mod head;
+mod leg;
+
+pub use head::{Head, HeadSolution};
+pub use leg::{Leg, LegSolution, Reach, Side};
+
+/// An angle from -π to π.
+fn wrapped(angle: f64) -> f64 {
+    use std::f64::consts::{PI, TAU};
+    if angle > PI {
+        angle - TAU
+    } else if angle < -PI {
+        angle + TAU
+    } else {
+        angle
+    }
+}
