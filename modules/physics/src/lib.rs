@@ -1,0 +1,40 @@
+//! Robots in a simulated world: rigid bodies with contacts (rapier) behind the bytes of the Darwin OP's bus, so that the hardware
+//! module and everything above it cannot tell the simulated robot from a real one.
+//!
+//! - [`SimulatedRobot`] is for tests: a Darwin OP in a world, the bus in memory, any modules, simulated time;
+//! - [`Simulation`] is the body of an emulated robot ([`Body`](downbeat_modules::darwin_op_emulator::Body)) in its world;
+//! - [`WorldFile`] describes what is around the robot.
+//!
+//! ```
+//! use std::time::Duration;
+//! use downbeat_modules::joint_command_mux::JointCommandMux;
+//! use downbeat_modules::stand_nod_wave::StandNodWave;
+//! use downbeat_physics::{Ball, SimulatedRobot, SimulationOptions};
+//!
+//! let mut options = SimulationOptions::darwin_op();
+//! options.world.ball = Some(Ball { position: [0.2, 0.05], ..Ball::default() });
+//! let mut robot = SimulatedRobot::new(options, 1)?;
+//! robot.hardware_listens_to("joint_goals")?;
+//! robot.add("motion", StandNodWave::default())?;
+//! robot.add("mux", JointCommandMux::default())?;
+//! robot.run_for(Duration::from_secs(2))?;
+//! assert!(robot.is_upright());
+//! robot.push("torso", [0.0, 2.0, 0.0]); // N s
+//! robot.run_for(Duration::from_secs(1))?;
+//! assert!(!robot.is_upright());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! The same options, seed and modules give the same bits, under every launcher. `docs/physics.md` says what is modelled.
+
+mod harness;
+mod model;
+mod simulation;
+mod world;
+mod world_file;
+
+pub use harness::{DARWIN_OP, SimulatedRobot, SimulatedRunError};
+pub use model::{Body, Joint, Model, ModelError, Shape};
+pub use simulation::{Request, RunState, Simulation, SimulationError, SimulationOptions, Snapshot};
+pub use world::{ENGINE, Motion, Posture, Start, Variation};
+pub use world_file::{Ball, Block, Field, Floor, WorldFile, WorldFileError};

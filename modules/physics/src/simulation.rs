@@ -1,0 +1,479 @@
+//! A robot in its world: time, servos and sensors around the rigid bodies, as the body of an emulated robot.
+//!
+//! # Servos
+//! The drive of a servo is a share of the supply voltage. It turns its joint with
+//!
+//! `torque = stall * (drive * supply / 12 V) - stall / speed * velocity` (1)
+//!
+//! whose second term is the back-EMF of the motor; `stall` and `speed` are `effort` and `velocity` of the joint's
+//! limit in the description, both at 12 V. rapier solves (1) implicitly, as a spring to the goal and a damper: the drive
+//! is limited by moving the goal nearer. Within the free play of the gear there is no torque.
+
+use crate::model::Model;
+use crate::world::{JointDrive, Motion, Start, Variation, World};
+use crate::world_file::WorldFile;
+use downbeat_modules::darwin_op::tables::joints::{COUNT, JOINTS};
+use downbeat_modules::darwin_op_emulator::{Body, FootForces, ImuMotion, JointMotion, ServoCommand};
+use downbeat_transforms::Isometry;
+use glam::DVec3;
+use parking_lot::Mutex;
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// What is simulated, and how.
+#[derive(Clone, Debug)]
+pub struct SimulationOptions {
+    /// The robot.
+    pub model: Model,
+    /// What is around it.
+    pub world: WorldFile,
+    /// How it starts.
+    pub start: Start,
+    /// The step of the physics, 1 to 10 ms: 4 ms, or 2 ms for twice the price.
+    pub step: Duration,
+    /// How it differs from its description.
+    pub variation: Variation,
+}
+
+/// Why a robot cannot be simulated.
+#[derive(Debug, thiserror::Error)]
+pub enum SimulationError {
+    /// A servo has no joint to turn.
+    #[error("the robot \"{robot}\" has no joint \"{joint}\", which servo {servo} turns; add it to the URDF")]
+    Joint {
+        /// The name of the robot.
+        robot: String,
+        /// The name of the joint.
+        joint: &'static str,
+        /// The id of the servo.
+        servo: u8,
+    },
+    /// The step is too short or too long.
+    #[error("a step of {found:?} is not possible; it has to be 1 to 10 ms, in whole milliseconds")]
+    Step {
+        /// The given step.
+        found: Duration,
+    },
+    /// The robot starts inside something.
+    #[error("the robot starts {depth:.3} m inside \"{other}\" of the world \"{world}\"; move one of them")]
+    Overlap {
+        /// The name of the world.
+        world: String,
+        /// What is in the way.
+        other: String,
+        /// How far, in m.
+        depth: f64,
+    },
+}
+
+/// A robot in its world. Clones are handles to the same one.
+#[derive(Clone)]
+pub struct Simulation {
+    state: Arc<Mutex<State>>,
+}
+
+/// Whether time passes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RunState {
+    /// It does.
+    Playing,
+    /// It does not, except for steps that are asked for.
+    Paused,
+    /// It does not, and all is as at the start.
+    Stopped,
+}
+
+/// The world at the beginning of a step of the owner of the bus.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Snapshot {
+    /// Simulated time.
+    pub elapsed: Duration,
+    /// Steps of the physics.
+    pub steps: u64,
+    /// Whether time passes.
+    pub run_state: RunState,
+    /// Steps asked for while paused, which are not yet done.
+    pub steps_left: u64,
+    /// The root link of the robot.
+    pub robot: Motion,
+    /// The link `camera_optical_frame`, if the robot has one.
+    pub camera: Option<Isometry>,
+    /// Everything that is not of the robot, except the floor: name, whether it can move, motion.
+    pub things: Vec<(String, bool, Motion)>,
+    /// The forces on the soles.
+    pub foot_forces: FootForces,
+}
+
+/// What somebody asks of a simulation; takes effect when the next step of the owner of the bus begins.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Request {
+    /// An impulse on a link of the robot, or on something beside it.
+    Push {
+        /// The link.
+        link: String,
+        /// In N s, along the axes of the world.
+        impulse: DVec3,
+        /// Where, in the link, in m.
+        point: DVec3,
+    },
+    /// Moves the robot (at rest, with its joints as they are) or something else.
+    SetMotion {
+        /// Of something beside the robot; `None` for the robot.
+        thing: Option<String>,
+        /// The motion.
+        motion: Motion,
+    },
+    /// Puts everything back to where it started.
+    Reset {
+        /// Whether simulated time starts again too.
+        time: bool,
+    },
+    /// Lets time pass or stand still.
+    Run(RunState),
+    /// Steps of the physics to do while paused.
+    Steps(u64),
+}
+
+/// How long the robot is still held after the first servo got torque.
+const HELD: Duration = Duration::from_millis(500);
+/// The lag of the accelerometer. Estimated.
+const IMU_LAG_S: f64 = 0.005;
+const GRAVITY: f64 = 9.806_65;
+/// The most requests that wait.
+const MOST_REQUESTS: usize = 1000;
+
+struct State {
+    options: SimulationOptions,
+    servos: [ServoJoint; COUNT],
+    imu_frame: (usize, Isometry),
+    camera: Option<(usize, Isometry)>,
+    world: World,
+    drives: Vec<JointDrive>,
+    run: RunState,
+    steps_left: u64,
+    elapsed: Duration,
+    /// The time since the last step.
+    since_step: Duration,
+    /// The robot is held at its start until this time has passed; `None` before the first servo has torque.
+    held_for: Option<Duration>,
+    /// The last commands, oldest first: as many as fit into the latency.
+    commands: VecDeque<[ServoCommand; COUNT]>,
+    joints: [JointMotion; COUNT],
+    imu: ImuMotion,
+    velocity: DVec3,
+    requests: Vec<Request>,
+    snapshot: Snapshot,
+}
+
+/// The joint that a servo turns.
+#[derive(Clone, Copy, Default)]
+struct ServoJoint {
+    body: usize,
+    /// In N m.
+    stall: f64,
+    /// Of the back-EMF, in N m s/rad.
+    damping: f64,
+}
+
+impl Simulation {
+    /// Builds the world, with the robot at its start.
+    ///
+    /// # Errors
+    /// If the robot lacks the joint of a servo or the mass of a link, starts inside something, or the step is not possible.
+    pub fn new(options: SimulationOptions) -> Result<Self, SimulationError> {
+        let SimulationOptions { model, step, variation, .. } = &options;
+        if !(1..=10).contains(&step.as_millis()) || step.subsec_nanos() % 1_000_000 != 0 {
+            return Err(SimulationError::Step { found: *step });
+        }
+        let mut servos = [ServoJoint::default(); COUNT];
+        for (servo, joint) in servos.iter_mut().zip(&JOINTS) {
+            let missing = || SimulationError::Joint {
+                robot: model.name.clone(),
+                joint: joint.name,
+                servo: joint.id.raw(),
+            };
+            let body = model.body_of_joint(joint.name).ok_or_else(missing)?;
+            let described = model.bodies[body].joint.as_ref().ok_or_else(missing)?;
+            let stall = described.effort * variation.strength;
+            *servo = ServoJoint { body, stall, damping: stall / described.velocity };
+        }
+        let frame = |name: &str| model.frames.get(name).copied();
+        let (imu_frame, camera) = (frame("imu_link").unwrap_or_default(), frame("camera_optical_frame"));
+        let world = options.new_world();
+        if let Some((other, depth)) = world.overlap_of_robot() {
+            let (world, other) = (options.world.name.clone(), other.to_owned());
+            return Err(SimulationError::Overlap { world, other, depth });
+        }
+        let snapshot = Snapshot {
+            elapsed: Duration::ZERO,
+            steps: 0,
+            run_state: RunState::Playing,
+            steps_left: 0,
+            robot: Motion { world_from_body: Isometry::IDENTITY, linear: DVec3::ZERO, angular: DVec3::ZERO },
+            camera: None,
+            things: Vec::new(),
+            foot_forces: FootForces::default(),
+        };
+        let mut state = State {
+            servos,
+            imu_frame,
+            camera,
+            world,
+            drives: vec![JointDrive::default(); model.bodies.len()],
+            run: RunState::Playing,
+            steps_left: 0,
+            elapsed: Duration::ZERO,
+            since_step: Duration::ZERO,
+            held_for: None,
+            commands: VecDeque::new(),
+            joints: [JointMotion::default(); COUNT],
+            imu: ImuMotion::default(),
+            velocity: DVec3::ZERO,
+            requests: Vec::new(),
+            snapshot,
+            options,
+        };
+        state.measure_at_rest();
+        state.snapshot = state.look();
+        Ok(Self { state: Arc::new(Mutex::new(state)) })
+    }
+
+    /// The body for an emulated Darwin OP.
+    #[must_use]
+    pub fn body(&self) -> Box<dyn Body> {
+        Box::new(self.clone())
+    }
+
+    /// The options.
+    #[must_use]
+    pub fn options(&self) -> SimulationOptions {
+        self.state.lock().options.clone()
+    }
+
+    /// The world at the beginning of the current step of the owner of the bus.
+    #[must_use]
+    pub fn snapshot(&self) -> Snapshot {
+        self.state.lock().snapshot.clone()
+    }
+
+    /// Asks for something, which takes effect when the next step of the owner of the bus begins. Returns false if too much waits.
+    pub fn request(&self, request: Request) -> bool {
+        let mut state = self.state.lock();
+        let has_room = state.requests.len() < MOST_REQUESTS;
+        if has_room {
+            state.requests.push(request);
+        }
+        has_room
+    }
+
+    /// A hash of the poses of all bodies now, bit for bit: equal for equal runs.
+    #[must_use]
+    pub fn hash(&self) -> u64 {
+        self.state.lock().world.hash()
+    }
+}
+
+impl SimulationOptions {
+    fn new_world(&self) -> World {
+        World::new(&self.world, &self.model, &self.start, self.step, &self.variation)
+    }
+}
+
+impl Body for Simulation {
+    fn advance(&mut self, dt: Duration, commands: &[ServoCommand]) {
+        if let Ok(commands) = commands.try_into() {
+            self.state.lock().advance(dt, commands);
+        }
+    }
+
+    fn joint(&self, index: usize) -> JointMotion {
+        self.state.lock().joints.get(index).copied().unwrap_or_default()
+    }
+
+    fn imu(&self) -> ImuMotion {
+        self.state.lock().imu
+    }
+
+    fn foot_forces(&self) -> Option<FootForces> {
+        Some(self.state.lock().world.foot_forces())
+    }
+
+    fn begin_step(&mut self) {
+        let mut state = self.state.lock();
+        for request in std::mem::take(&mut state.requests) {
+            state.obey(request);
+        }
+        state.snapshot = state.look();
+    }
+}
+
+impl State {
+    fn advance(&mut self, dt: Duration, commands: [ServoCommand; COUNT]) {
+        self.commands.push_back(commands);
+        let delayed = self.options.variation.latency.as_nanos() / dt.as_nanos().max(1);
+        while self.commands.len() as u128 > delayed + 1 {
+            self.commands.pop_front();
+        }
+        let Some(&commands) = self.commands.front() else { return };
+        match self.run {
+            RunState::Playing => {
+                self.since_step += dt;
+                if self.since_step >= self.options.step {
+                    self.since_step -= self.options.step;
+                    self.step(&commands);
+                }
+            }
+            RunState::Paused if self.steps_left > 0 => {
+                self.steps_left -= 1;
+                self.step(&commands);
+            }
+            RunState::Paused | RunState::Stopped => {}
+        }
+    }
+
+    fn step(&mut self, commands: &[ServoCommand; COUNT]) {
+        let step = self.options.step;
+        self.elapsed += step;
+        if self.is_held(commands) {
+            return;
+        }
+        let half_play = self.options.variation.backlash / 2.0;
+        for ((servo, command), joint) in self.servos.iter().zip(commands).zip(&mut self.joints) {
+            let (drive, motor) = drive(servo, command, joint.position, half_play);
+            self.drives[servo.body] = motor;
+            joint.drive = drive;
+        }
+        self.world.step(&self.drives);
+        for (servo, joint) in self.servos.iter().zip(&mut self.joints) {
+            (joint.position, joint.velocity) = self.world.joint(servo.body);
+        }
+        self.feel(step.as_secs_f64());
+    }
+
+    /// As by somebody who puts it down once the servos have torque.
+    fn is_held(&mut self, commands: &[ServoCommand; COUNT]) -> bool {
+        match &mut self.held_for {
+            None => {
+                if commands.iter().any(|command| command.max_drive > 0.0) {
+                    self.held_for = Some(HELD);
+                }
+                true
+            }
+            Some(left) if *left > Duration::ZERO => {
+                *left = left.saturating_sub(self.options.step);
+                true
+            }
+            Some(_) => false,
+        }
+    }
+
+    fn feel(&mut self, dt: f64) {
+        let Some(motion) = self.world.motion_of(self.imu_frame.0, &self.imu_frame.1) else { return };
+        let imu_from_world = motion.world_from_body.rotation.conjugate();
+        let acceleration = (motion.linear - self.velocity) / dt + DVec3::Z * GRAVITY;
+        self.velocity = motion.linear;
+        let force = imu_from_world * acceleration;
+        let share = dt / (dt + IMU_LAG_S);
+        let felt = DVec3::from(self.imu.specific_force);
+        self.imu = ImuMotion {
+            angular_velocity: (imu_from_world * motion.angular).to_array(),
+            specific_force: (felt + (force - felt) * share).to_array(),
+        };
+    }
+
+    /// What the sensors measure while nothing moves.
+    fn measure_at_rest(&mut self) {
+        for (servo, joint) in self.servos.iter().zip(&mut self.joints) {
+            let (position, velocity) = self.world.joint(servo.body);
+            *joint = JointMotion { position, velocity, drive: 0.0 };
+        }
+        self.velocity = DVec3::ZERO;
+        if let Some(motion) = self.world.motion_of(self.imu_frame.0, &self.imu_frame.1) {
+            let force = motion.world_from_body.rotation.conjugate() * (DVec3::Z * GRAVITY);
+            self.imu = ImuMotion { angular_velocity: [0.0; 3], specific_force: force.to_array() };
+        }
+    }
+
+    fn look(&self) -> Snapshot {
+        let rest = Motion { world_from_body: Isometry::IDENTITY, linear: DVec3::ZERO, angular: DVec3::ZERO };
+        let camera = self.camera.and_then(|(body, at)| self.world.motion_of(body, &at));
+        let others = self.world.things().filter(|(name, _)| *name != "floor");
+        let things = others.filter_map(|(name, can_move)| {
+            Some((name.to_owned(), can_move, self.world.motion_of_thing(name)?))
+        });
+        Snapshot {
+            elapsed: self.elapsed,
+            steps: self.world.steps(),
+            run_state: self.run,
+            steps_left: self.steps_left,
+            robot: self.world.motion_of(0, &Isometry::IDENTITY).unwrap_or(rest),
+            camera: camera.map(|motion| motion.world_from_body),
+            things: things.collect(),
+            foot_forces: self.world.foot_forces(),
+        }
+    }
+
+    fn obey(&mut self, request: Request) {
+        match request {
+            Request::Push { link, impulse, point } => match self.options.model.frames.get(&link) {
+                Some(&(body, body_from_link)) => {
+                    if let Some(motion) = self.world.motion_of(body, &body_from_link) {
+                        self.world.push(body, impulse, motion.world_from_body.transform_point(point));
+                    }
+                }
+                None => tracing::warn!("a push names the link \"{link}\", which the robot does not have"),
+            },
+            Request::SetMotion { thing: None, motion } => {
+                self.world.set_pose_of_robot(&motion.world_from_body);
+                self.measure_at_rest();
+            }
+            Request::SetMotion { thing: Some(name), motion } => {
+                if !self.world.set_motion_of_thing(&name, &motion) {
+                    tracing::warn!("\"{name}\" cannot be moved");
+                }
+            }
+            Request::Reset { time } => self.reset(time),
+            Request::Run(run) => {
+                self.steps_left = 0;
+                if run == RunState::Stopped {
+                    self.reset(true);
+                }
+                self.run = run;
+            }
+            Request::Steps(steps) => {
+                if self.run == RunState::Paused {
+                    self.steps_left += steps;
+                }
+            }
+        }
+    }
+
+    fn reset(&mut self, time: bool) {
+        self.world = self.options.new_world();
+        self.held_for = None;
+        self.since_step = Duration::ZERO;
+        if time {
+            self.elapsed = Duration::ZERO;
+        }
+        self.measure_at_rest();
+    }
+}
+
+/// The drive of a servo at this angle of its joint, as a share of the full one, and what it does to the joint: equation (1).
+fn drive(servo: &ServoJoint, command: &ServoCommand, angle: f64, half_play: f64) -> (f64, JointDrive) {
+    if command.max_drive <= 0.0 || command.gain <= 0.0 || command.supply <= 0.0 {
+        return (0.0, JointDrive { goal: angle, ..JointDrive::default() });
+    }
+    let error = command.goal - angle;
+    let felt = error - error.clamp(-half_play, half_play);
+    let drive = (command.gain * felt).clamp(-command.max_drive, command.max_drive);
+    let motor = JointDrive {
+        goal: angle + drive / command.gain,
+        stiffness: command.gain * servo.stall * command.supply / 12.0,
+        damping: servo.damping,
+        // Against its direction of rotation a motor brakes with more than its stall torque.
+        max_torque: 2.0 * servo.stall,
+    };
+    (drive, motor)
+}

@@ -1,0 +1,550 @@
+//! World files: what is around a robot, as TOML.
+//!
+//! `docs/physics.md` describes the format. A file that names something impossible is refused with its line and a remedy.
+
+use glam::DVec2;
+use serde::Deserialize;
+use std::path::Path;
+use toml::Spanned;
+
+/// What is around a robot. Lengths in m, masses in kg.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WorldFile {
+    /// The name.
+    pub name: String,
+    /// The floor: the plane z = 0.
+    pub floor: Floor,
+    /// The lines and goals of a football field around the origin.
+    pub field: Option<Field>,
+    /// The ball.
+    pub ball: Option<Ball>,
+    /// Boxes and walls, in the order of the file.
+    pub boxes: Vec<Block>,
+}
+
+/// The floor.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Floor {
+    /// The coefficient of Coulomb friction of everything.
+    pub friction: f64,
+    /// How much of the speed of an impact remains, 0 to 1.
+    pub restitution: f64,
+    /// Red, green, blue, 0 to 255.
+    pub colour: [u8; 3],
+}
+
+/// The lines and goals of a football field, symmetric about the origin; goals at both ends of x.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Field {
+    /// Along x, between the outer edges of the lines.
+    pub length: f64,
+    /// Along y.
+    pub width: f64,
+    /// Of all lines.
+    pub line_width: f64,
+    /// From the goal line to the penalty mark.
+    pub penalty_mark: f64,
+    /// Of the circle at the centre.
+    pub circle_diameter: f64,
+    /// Of the goal area: from the goal line into the field, and across.
+    pub goal_area: [f64; 2],
+    /// Between the inner sides of the posts.
+    pub goal_width: f64,
+    /// Of the posts.
+    pub goal_height: f64,
+    /// Of the posts.
+    pub post_diameter: f64,
+    /// Of the posts: red, green, blue, 0 to 255.
+    pub post_colour: [u8; 3],
+}
+
+/// A ball.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Ball {
+    /// Where it lies on the floor.
+    pub position: [f64; 2],
+    /// Half its diameter.
+    pub radius: f64,
+    /// Its mass.
+    pub mass: f64,
+    /// How much of the speed of an impact remains, 0 to 1.
+    pub restitution: f64,
+    /// The coefficient of rolling friction: what slows it down on the floor, as a share of its weight.
+    pub rolling_friction: f64,
+    /// Red, green, blue, 0 to 255.
+    pub colour: [u8; 3],
+}
+
+/// A box.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Block {
+    /// Its name, unique in the world.
+    pub name: String,
+    /// Its centre.
+    pub position: [f64; 3],
+    /// Its edges.
+    pub size: [f64; 3],
+    /// Its rotation about z, in rad.
+    pub yaw: f64,
+    /// Its mass; `None` if it cannot be moved.
+    pub mass: Option<f64>,
+    /// Red, green, blue, 0 to 255.
+    pub colour: [u8; 3],
+}
+
+/// Why a world file is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum WorldFileError {
+    /// The file cannot be read.
+    #[error("reading the world file {file}: {source}")]
+    Unreadable {
+        /// The file.
+        file: String,
+        /// The error of the operating system.
+        source: std::io::Error,
+    },
+    /// The file is no TOML, or has unknown keys or values of another type.
+    #[error("{file}:{line}: {problem}")]
+    Syntax {
+        /// The file.
+        file: String,
+        /// The line.
+        line: usize,
+        /// What is wrong.
+        problem: String,
+    },
+    /// A number is not possible.
+    #[error("{file}:{line}: {what} is {found}; it has to be {allowed}")]
+    Number {
+        /// The file.
+        file: String,
+        /// The line.
+        line: usize,
+        /// What the number says.
+        what: String,
+        /// The number.
+        found: f64,
+        /// What is possible.
+        allowed: &'static str,
+    },
+    /// Two things have the same name.
+    #[error("{file}:{line}: the world already contains something named \"{name}\"; give it another name")]
+    Name {
+        /// The file.
+        file: String,
+        /// The line.
+        line: usize,
+        /// The name.
+        name: String,
+    },
+    /// Two things, at least one of which can move, are in the same place.
+    #[error(
+        "{file}:{line}: {what} overlaps {other}, and would be thrown out of it; move it by at least {depth:.3} m"
+    )]
+    Overlap {
+        /// The file.
+        file: String,
+        /// The line of the first one.
+        line: usize,
+        /// One of them.
+        what: String,
+        /// The other.
+        other: String,
+        /// How far they are inside each other, in m.
+        depth: f64,
+    },
+    /// There is too much in it.
+    #[error("{file}: {found} boxes and walls; at most {} are possible", MOST_BOXES)]
+    TooMany {
+        /// The file.
+        file: String,
+        /// Their number.
+        found: usize,
+    },
+}
+
+/// The most boxes and walls of a world.
+const MOST_BOXES: usize = 1000;
+/// The longest world file, in bytes.
+const LONGEST: u64 = 1 << 20;
+/// The largest distance and size, in m: beyond it single precision is coarser than a millimetre.
+const LARGEST: f64 = 1000.0;
+
+impl Default for Floor {
+    fn default() -> Self {
+        Self { friction: 0.8, restitution: 0.0, colour: [40, 130, 50] }
+    }
+}
+
+/// The field of the humanoid kid size league of 2014.
+impl Default for Field {
+    fn default() -> Self {
+        Self {
+            length: 9.0,
+            width: 6.0,
+            line_width: 0.05,
+            penalty_mark: 1.8,
+            circle_diameter: 1.5,
+            goal_area: [0.6, 3.45],
+            goal_width: 2.25,
+            goal_height: 1.1,
+            post_diameter: 0.1,
+            post_colour: [230, 210, 30],
+        }
+    }
+}
+
+impl Default for Ball {
+    fn default() -> Self {
+        Self {
+            position: [0.5, 0.0],
+            radius: 0.05,
+            mass: 0.05,
+            restitution: 0.4,
+            rolling_friction: 0.05,
+            colour: [230, 90, 20],
+        }
+    }
+}
+
+impl Default for WorldFile {
+    /// A floor.
+    fn default() -> Self {
+        Self { name: "floor".to_owned(), floor: Floor::default(), field: None, ball: None, boxes: Vec::new() }
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Raw {
+    name: Option<String>,
+    #[serde(default)]
+    floor: Option<Spanned<Floor>>,
+    field: Option<Spanned<Field>>,
+    ball: Option<Spanned<Ball>>,
+    #[serde(default, rename = "box")]
+    boxes: Vec<Spanned<RawBox>>,
+    #[serde(default, rename = "wall")]
+    walls: Vec<Spanned<RawWall>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawBox {
+    name: Option<String>,
+    position: [f64; 3],
+    size: [f64; 3],
+    #[serde(default)]
+    yaw_deg: f64,
+    mass: Option<f64>,
+    #[serde(default = "grey")]
+    colour: [u8; 3],
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawWall {
+    name: Option<String>,
+    from: [f64; 2],
+    to: [f64; 2],
+    #[serde(default = "wall_height")]
+    height: f64,
+    #[serde(default = "wall_thickness")]
+    thickness: f64,
+    #[serde(default = "grey")]
+    colour: [u8; 3],
+}
+
+fn grey() -> [u8; 3] {
+    [128, 128, 128]
+}
+
+fn wall_height() -> f64 {
+    0.5
+}
+
+fn wall_thickness() -> f64 {
+    0.05
+}
+
+impl WorldFile {
+    /// Reads a world file.
+    ///
+    /// # Errors
+    /// [`WorldFileError`], with path and line.
+    pub fn read(path: &Path) -> Result<Self, WorldFileError> {
+        let file = path.display().to_string();
+        let unreadable = |source| WorldFileError::Unreadable { file: file.clone(), source };
+        let length = std::fs::metadata(path).map_err(unreadable)?.len();
+        if length > LONGEST {
+            let problem = format!("{length} bytes; a world file has at most {LONGEST}");
+            return Err(WorldFileError::Syntax { file, line: 1, problem });
+        }
+        Self::parse(&std::fs::read_to_string(path).map_err(unreadable)?, &file)
+    }
+
+    /// Reads a world from text; `file` names it in errors.
+    ///
+    /// # Errors
+    /// [`WorldFileError`], with this name and the line.
+    pub fn parse(text: &str, file: &str) -> Result<Self, WorldFileError> {
+        let at = |offset: usize| text.get(..offset).map_or(1, |before| before.matches('\n').count() + 1);
+        let raw: Raw = toml::from_str(text).map_err(|error| WorldFileError::Syntax {
+            file: file.to_owned(),
+            line: error.span().map_or(1, |span| at(span.start)),
+            problem: error.message().to_owned(),
+        })?;
+        if raw.boxes.len() + raw.walls.len() > MOST_BOXES {
+            let found = raw.boxes.len() + raw.walls.len();
+            return Err(WorldFileError::TooMany { file: file.to_owned(), found });
+        }
+        Reader { file, at: &at, lines: Vec::new() }.world(raw)
+    }
+
+    /// The posts of the goals: their centres on the floor.
+    pub(crate) fn posts(&self) -> impl Iterator<Item = (&'static str, DVec2)> {
+        let names = ["goal_post_1", "goal_post_2", "goal_post_3", "goal_post_4"];
+        let field = self.field;
+        names.into_iter().enumerate().filter_map(move |(index, name)| {
+            let field = field?;
+            let x = field.length / 2.0 - field.line_width / 2.0;
+            let y = (field.goal_width + field.post_diameter) / 2.0;
+            let sign = |bit: usize| if index & bit == 0 { 1.0 } else { -1.0 };
+            Some((name, DVec2::new(x * sign(2), y * sign(1))))
+        })
+    }
+}
+
+/// Checks what a file says.
+struct Reader<'a> {
+    file: &'a str,
+    at: &'a dyn Fn(usize) -> usize,
+    /// The lines of the boxes.
+    lines: Vec<usize>,
+}
+
+const POSITIVE: &str = "more than 0 and at most 1000";
+const FINITE: &str = "a number between -1000 and 1000";
+const SHARE: &str = "from 0 to 1";
+const NOT_NEGATIVE: &str = "from 0 to 1000";
+
+impl Reader<'_> {
+    fn world(mut self, raw: Raw) -> Result<WorldFile, WorldFileError> {
+        let floor = self.floor(raw.floor)?;
+        let field = raw.field.map(|field| self.field(&field)).transpose()?;
+        let ball_line = raw.ball.as_ref().map_or(1, |ball| (self.at)(ball.span().start));
+        let ball = raw.ball.map(|ball| self.ball(&ball)).transpose()?;
+        let mut boxes = Vec::new();
+        for (index, raw) in raw.boxes.into_iter().enumerate() {
+            let line = (self.at)(raw.span().start);
+            boxes.push(self.block(raw.into_inner(), line, index)?);
+            self.lines.push(line);
+        }
+        for (index, raw) in raw.walls.into_iter().enumerate() {
+            let line = (self.at)(raw.span().start);
+            boxes.push(self.wall(raw.into_inner(), line, index)?);
+            self.lines.push(line);
+        }
+        let world =
+            WorldFile { name: raw.name.unwrap_or_else(|| "world".to_owned()), floor, field, ball, boxes };
+        self.check_names(&world)?;
+        self.check_overlaps(&world, ball_line)?;
+        Ok(world)
+    }
+
+    fn number(
+        &self,
+        line: usize,
+        what: &str,
+        found: f64,
+        allowed: &'static str,
+    ) -> Result<(), WorldFileError> {
+        let is_allowed = match allowed {
+            POSITIVE => found > 0.0 && found <= LARGEST,
+            NOT_NEGATIVE => (0.0..=LARGEST).contains(&found),
+            SHARE => (0.0..=1.0).contains(&found),
+            _ => found.abs() <= LARGEST,
+        };
+        if is_allowed {
+            return Ok(());
+        }
+        let (file, what) = (self.file.to_owned(), what.to_owned());
+        Err(WorldFileError::Number { file, line, what, found, allowed })
+    }
+
+    fn floor(&self, raw: Option<Spanned<Floor>>) -> Result<Floor, WorldFileError> {
+        let Some(raw) = raw else { return Ok(Floor::default()) };
+        let (line, floor) = ((self.at)(raw.span().start), raw.into_inner());
+        self.number(line, "the friction of the floor", floor.friction, NOT_NEGATIVE)?;
+        self.number(line, "the restitution of the floor", floor.restitution, SHARE)?;
+        Ok(floor)
+    }
+
+    fn field(&self, raw: &Spanned<Field>) -> Result<Field, WorldFileError> {
+        let (line, field) = ((self.at)(raw.span().start), *raw.get_ref());
+        for (what, found) in [
+            ("length", field.length),
+            ("width", field.width),
+            ("line_width", field.line_width),
+            ("penalty_mark", field.penalty_mark),
+            ("circle_diameter", field.circle_diameter),
+            ("goal_area", field.goal_area[0]),
+            ("goal_area", field.goal_area[1]),
+            ("goal_width", field.goal_width),
+            ("goal_height", field.goal_height),
+            ("post_diameter", field.post_diameter),
+        ] {
+            self.number(line, &format!("{what} of the field"), found, POSITIVE)?;
+        }
+        Ok(field)
+    }
+
+    fn ball(&self, raw: &Spanned<Ball>) -> Result<Ball, WorldFileError> {
+        let (line, ball) = ((self.at)(raw.span().start), *raw.get_ref());
+        ball.position
+            .iter()
+            .try_for_each(|found| self.number(line, "a coordinate of the ball", *found, FINITE))?;
+        self.number(line, "the radius of the ball", ball.radius, POSITIVE)?;
+        self.number(line, "the mass of the ball", ball.mass, POSITIVE)?;
+        self.number(line, "the restitution of the ball", ball.restitution, SHARE)?;
+        self.number(line, "the rolling friction of the ball", ball.rolling_friction, NOT_NEGATIVE)?;
+        Ok(ball)
+    }
+
+    fn block(&self, raw: RawBox, line: usize, index: usize) -> Result<Block, WorldFileError> {
+        let name = raw.name.unwrap_or_else(|| format!("box_{}", index + 1));
+        let what = |part: &str| format!("{part} of \"{name}\"");
+        for found in raw.position {
+            self.number(line, &what("a coordinate"), found, FINITE)?;
+        }
+        for found in raw.size {
+            self.number(line, &what("an edge"), found, POSITIVE)?;
+        }
+        self.number(line, &what("yaw_deg"), raw.yaw_deg, FINITE)?;
+        if let Some(mass) = raw.mass {
+            self.number(line, &what("the mass"), mass, POSITIVE)?;
+        }
+        let RawBox { position, size, yaw_deg, mass, colour, .. } = raw;
+        Ok(Block { name, position, size, yaw: yaw_deg.to_radians(), mass, colour })
+    }
+
+    fn wall(&self, raw: RawWall, line: usize, index: usize) -> Result<Block, WorldFileError> {
+        let name = raw.name.unwrap_or_else(|| format!("wall_{}", index + 1));
+        let what = |part: &str| format!("{part} of \"{name}\"");
+        for found in raw.from.into_iter().chain(raw.to) {
+            self.number(line, &what("a coordinate"), found, FINITE)?;
+        }
+        let (from, to) = (DVec2::from(raw.from), DVec2::from(raw.to));
+        self.number(line, &what("the length"), (to - from).length(), POSITIVE)?;
+        self.number(line, &what("the height"), raw.height, POSITIVE)?;
+        self.number(line, &what("the thickness"), raw.thickness, POSITIVE)?;
+        let (centre, along) = ((from + to) / 2.0, to - from);
+        Ok(Block {
+            name,
+            position: [centre.x, centre.y, raw.height / 2.0],
+            size: [along.length(), raw.thickness, raw.height],
+            yaw: along.y.atan2(along.x),
+            mass: None,
+            colour: raw.colour,
+        })
+    }
+
+    fn check_names(&self, world: &WorldFile) -> Result<(), WorldFileError> {
+        let mut names: Vec<&str> = vec!["floor", "ball"];
+        names.extend(world.posts().map(|(name, _)| name));
+        for (block, &line) in world.boxes.iter().zip(&self.lines) {
+            if names.contains(&block.name.as_str()) {
+                let (file, name) = (self.file.to_owned(), block.name.clone());
+                return Err(WorldFileError::Name { file, line, name });
+            }
+            names.push(&block.name);
+        }
+        Ok(())
+    }
+
+    fn check_overlaps(&self, world: &WorldFile, ball_line: usize) -> Result<(), WorldFileError> {
+        let Some(overlap) = crate::world::overlap(world) else { return Ok(()) };
+        let line = match overlap.block {
+            Some(index) => self.lines.get(index).copied().unwrap_or(1),
+            None => ball_line,
+        };
+        let (file, depth) = (self.file.to_owned(), overlap.depth);
+        Err(WorldFileError::Overlap { file, line, what: overlap.what, other: overlap.other, depth })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn error(text: &str) -> String {
+        WorldFile::parse(text, "world.toml").unwrap_err().to_string()
+    }
+
+    #[test]
+    fn an_empty_file_is_a_floor() {
+        let world = WorldFile::parse("", "world.toml").unwrap();
+        assert_eq!(world, WorldFile { name: "world".into(), ..WorldFile::default() });
+    }
+
+    #[test]
+    fn impossible_numbers_are_refused_with_line_and_remedy() {
+        let found = error("[floor]\nfriction = 0.5\n\n[ball]\nradius = -0.05\n");
+        assert_eq!(
+            found,
+            "world.toml:4: the radius of the ball is -0.05; it has to be more than 0 and at most 1000"
+        );
+        assert!(error("[ball]\nmass = nan").contains("the mass of the ball is NaN"));
+        assert!(
+            error("[[box]]\nposition = [0, 0, 1]\nsize = [1, 0, 1]")
+                .contains("world.toml:1: an edge of \"box_1\" is 0")
+        );
+        assert!(
+            error("[[box]]\nposition = [inf, 0, 1]\nsize = [1, 1, 1]")
+                .contains("a coordinate of \"box_1\" is inf")
+        );
+        assert!(error("[[wall]]\nfrom = [1, 1]\nto = [1, 1]").contains("the length of \"wall_1\" is 0"));
+        assert!(error("[floor]\nfriction = -1").contains("the friction of the floor is -1"));
+    }
+
+    #[test]
+    fn unknown_keys_and_other_types_are_refused_with_the_line() {
+        assert!(error("[floor]\nfricton = 0.5").starts_with("world.toml:2: unknown field `fricton`"));
+        assert!(error("\n[ball]\nradius = \"big\"").starts_with("world.toml:3: invalid type"));
+        assert!(error("[ball\n").starts_with("world.toml:1: "));
+    }
+
+    #[test]
+    fn what_can_move_overlaps_nothing() {
+        let boxes = "[[box]]\nname = \"table\"\nposition = [0.5, 0, 0.1]\nsize = [0.2, 0.2, 0.2]\n";
+        let found = error(&format!("[ball]\nposition = [0.5, 0.05]\n\n{boxes}"));
+        assert!(found.starts_with("world.toml:1: the ball overlaps \"table\""), "{found}");
+        let heavy =
+            "[[box]]\nname = \"parcel\"\nposition = [0.5, 0, 0.19]\nsize = [0.2, 0.2, 0.2]\nmass = 1\n";
+        let found = error(&format!("{boxes}{heavy}"));
+        assert!(found.starts_with("world.toml:5: \"parcel\" overlaps \"table\""), "{found}");
+        let sunk = heavy.replace("0.19", "0.05");
+        assert!(error(&sunk).contains("\"parcel\" overlaps the floor"), "{}", error(&sunk));
+        let wall = "[[wall]]\nfrom = [0, 1]\nto = [1, 1]\n";
+        WorldFile::parse(&format!("{wall}{}", wall.replace("to = [1, 1]", "to = [0, 2]")), "world.toml")
+            .unwrap();
+    }
+
+    #[test]
+    fn names_are_unique() {
+        let one = "[[box]]\nname = \"ball\"\nposition = [1, 1, 1]\nsize = [1, 1, 1]\n";
+        assert!(error(one).contains("already contains something named \"ball\""));
+    }
+
+    #[test]
+    fn a_field_has_four_posts() {
+        let world = WorldFile::parse("[field]", "world.toml").unwrap();
+        let posts: Vec<_> = world.posts().map(|(_, at)| at).collect();
+        assert_eq!(posts.len(), 4);
+        assert!((posts[0] - DVec2::new(4.475, 1.175)).length() < 1e-12 && posts[3] == -posts[0]);
+    }
+}
