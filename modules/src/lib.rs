@@ -16,6 +16,8 @@ pub mod darwin_op;
 pub mod darwin_op_emulator;
 pub mod device;
 pub mod joint_command_mux;
+pub mod servo_bus;
+pub mod servo_emulator;
 pub mod stand_nod_wave;
 pub mod transform_server;
 

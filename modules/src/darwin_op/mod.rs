@@ -1,22 +1,18 @@
 //! The Darwin OP humanoid: its bus, its devices, its joints, and the module that drives it.
 //!
-//! - [`protocol`] and [`tables`] define data and its meaning, without input or output;
-//! - [`bus`] accesses the devices: a serial port, or a recording of one;
-//! - [`DarwinOp`] is the module.
+//! - [`tables`] defines joints, units and control tables;
+//! - [`DarwinOp`] is the module: the servos are driven as those of any robot by [`servo_bus`](crate::servo_bus), and its board
+//!   measures motion and battery.
 //!
 //! It has never been run on a real robot, only on the emulated one of
 //! [`darwin_op_emulator`](crate::darwin_op_emulator).
 
-pub mod bus;
-pub mod protocol;
 pub mod tables;
 
-mod diagnostics;
-mod driver;
 mod module;
-mod reading;
-mod servo;
 mod settings;
+
+pub use crate::servo_bus::{bus, protocol};
 
 pub use module::{CYCLE, DarwinOp};
 

@@ -1,29 +1,21 @@
 //! The hardware module.
 
-use super::bus::{Bus, Exchange, SerialBus};
-use super::diagnostics::{Levels, levels, report};
-use super::driver::Counted;
-use super::driver::Driver;
-use super::reading::{BoardReading, Reading};
-use super::servo::Servo;
+use super::bus::{Bus, SerialBus};
+use super::protocol::Id;
 use super::settings::{SettingKeys, Settings};
-use super::tables::joints::{COUNT, JOINTS, index_of};
-use super::tables::units::{
-    ACCELERATION_PER_LSB, load_from_raw, radians_from_ticks, speed_from_raw, volts_from_raw,
-};
+use super::tables::units::{ACCELERATION_PER_LSB, volts_from_raw};
+use super::tables::{Field, cm730};
+use crate::servo_bus::{Hardware, SLOW, Topics, header};
 use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time, TransitionError};
-use downbeat_msgs::builtin_interfaces;
-use downbeat_msgs::diagnostic_msgs::msg::DiagnosticArray;
-use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::geometry_msgs::msg::Vector3;
 use downbeat_msgs::sensor_msgs::msg::{BatteryState, Imu, JointState, Joy};
-use downbeat_msgs::std_msgs::msg::Header;
+use downbeat_msgs::std_srvs::srv::SetBoolRequest;
 use std::time::Duration;
 
 /// The cycle of the hardware.
 pub const CYCLE: Duration = Duration::from_millis(8);
-/// The period of slowly changing data.
-const SLOW: Duration = Duration::from_secs(1);
+/// LED colour.
+const GREEN: u16 = 0x1F << 5;
 
 /// The hardware of a Darwin OP as a module: goals out, joints, IMU, battery and buttons in, every 8 ms.
 ///
@@ -31,7 +23,8 @@ const SLOW: Duration = Duration::from_secs(1);
 ///
 /// | topic | type | |
 /// | --- | --- | --- |
-/// | `joint_commands` (in) | `sensor_msgs/JointState` | positions by name, rad; unknown names and NaN are ignored, other values are clamped to the limits |
+/// | `joint_commands` (in) | `sensor_msgs/JointState` | positions by name, rad; unknown names and values that are not finite are ignored, other values are clamped to the limits |
+/// | `joint_torque` (in) | `sensor_msgs/JointState` | `effort`: the share of its largest torque that a joint may use; 0 switches it off |
 /// | `joint_states` | `sensor_msgs/JointState` | 20 joints in the order of the ids: rad, rad/s, load as a fraction of the drive; stale joints have velocity and effort NaN |
 /// | `imu/data_raw` | `sensor_msgs/Imu` | forward, left, up: rad/s, m/s^2 |
 /// | `battery_state` | `sensor_msgs/BatteryState` | V, once a second |
@@ -39,27 +32,24 @@ const SLOW: Duration = Duration::from_secs(1);
 /// | `diagnostics` | `diagnostic_msgs/DiagnosticArray` | once a second and when a level changes |
 /// | `bus/exchanges` | `downbeat_interfaces/BusExchange` | all traffic on the bus |
 ///
+/// The service `torque` (`std_srvs/SetBool`) switches the torque of all joints.
+///
 /// A joint does not move before it is commanded. It then approaches the command slowly (about 2 rad/s), as
 /// after each time it was out of service. On shutdown the servos keep their torque.
 pub struct DarwinOp {
-    bus: Box<dyn Bus>,
-    driver: Driver,
+    hardware: Hardware,
     /// `None` before the first activation.
     settings: Option<Settings>,
-    exchanges: Vec<Exchange>,
-    unknown_names: Counted,
     last: LastPublished,
 }
 
 /// The keys of [`DarwinOp`].
 pub struct Ports {
     settings: SettingKeys,
-    joint_states: Publication<JointState>,
+    topics: Topics,
     imu: Publication<Imu>,
     battery_state: Publication<BatteryState>,
     buttons: Publication<Joy>,
-    diagnostics: Publication<DiagnosticArray>,
-    exchanges: Publication<BusExchange>,
 }
 
 /// When topics that are not published in every cycle were last published.
@@ -67,7 +57,6 @@ pub struct Ports {
 struct LastPublished {
     battery_at: Option<Time>,
     buttons: Option<(Time, u16)>,
-    diagnostics: Option<(Time, Levels)>,
 }
 
 impl DarwinOp {
@@ -80,60 +69,42 @@ impl DarwinOp {
     /// The robot on any bus, such as a recorded one.
     #[must_use]
     pub fn new(bus: Box<dyn Bus>) -> Self {
-        Self {
-            bus,
-            driver: Driver::new(),
-            settings: None,
-            exchanges: Vec::new(),
-            unknown_names: Counted::default(),
-            last: LastPublished::default(),
-        }
+        let hardware = Hardware::new(bus, Settings::default().plan(), false);
+        Self { hardware, settings: None, last: LastPublished::default() }
     }
 
     fn read_settings(&mut self, ctx: &mut Context<'_, Ports>) {
         match ctx.ports.settings.values(ctx) {
-            Ok(settings) => self.settings = Some(settings),
+            Ok(settings) => {
+                self.hardware.plan = settings.plan();
+                self.hardware.hardware_id.clone_from(&settings.hardware_id);
+                self.hardware.joint_frame.clone_from(&settings.joint_frame);
+                self.settings = Some(settings);
+            }
             Err(refusal) => tracing::warn!("{refusal}; the settings are unchanged"),
         }
     }
 
     fn on_command(&mut self, command: Received<'_, JointState>, _ctx: &mut Context<'_, Ports>) {
-        let Some(settings) = &self.settings else { return };
-        for (name, position) in command.name.iter().zip(&command.position) {
-            let Some(index) = index_of(name) else {
-                if self.unknown_names.is_worth_a_line() {
-                    let count = self.unknown_names.count();
-                    tracing::warn!(
-                        "joint_commands contains \"{name}\", which is not a joint ({count} times so far)"
-                    );
-                }
-                continue;
-            };
-            if let Some(ticks) = JOINTS[index].goal_ticks(*position, settings.offset_ticks[index]) {
-                self.driver.servos[index].want(ticks);
-            }
+        if self.settings.is_some() {
+            self.hardware.on_command(&command);
         }
+    }
+
+    fn on_torque(&mut self, command: Received<'_, JointState>, _ctx: &mut Context<'_, Ports>) {
+        self.hardware.on_torque(&command);
     }
 
     fn tick(&mut self, ctx: &mut Context<'_, Ports>) {
         let Some(settings) = &self.settings else { return };
-        let now = ctx.now();
-        let reading = self.driver.step(now, settings, &mut *self.bus, &mut self.exchanges);
-        for exchange in self.exchanges.drain(..) {
-            ctx.publish(ctx.ports.exchanges, BusExchange::from(&exchange));
+        let topics = ctx.ports.topics;
+        if let Some(reading) = self.hardware.step(topics, ctx)
+            && let Some(Some(piece)) = reading.devices.first()
+            && let Some(board) = BoardReading::parse(piece)
+        {
+            publish(reading.sent, &board, settings, &mut self.last, ctx);
         }
-        if let Some(reading) = &reading {
-            publish(reading, &self.driver, settings, &mut self.last, ctx);
-        }
-        let levels = levels(now, &self.driver);
-        let is_news = self.last.diagnostics.is_none_or(|(at, last)| at + SLOW <= now || last != levels);
-        if is_news {
-            self.last.diagnostics = Some((now, levels));
-            ctx.publish(
-                ctx.ports.diagnostics,
-                report(now, &self.driver, self.unknown_names.count(), settings),
-            );
-        }
+        self.hardware.diagnose(topics, ctx);
     }
 }
 
@@ -145,14 +116,16 @@ impl Module for DarwinOp {
         settings.on_change(setup, Self::read_settings);
         let ports = Ports {
             settings,
-            joint_states: setup.publish("joint_states")?,
+            topics: Topics::declare(setup)?,
             imu: setup.publish("imu/data_raw")?,
             battery_state: setup.publish("battery_state")?,
             buttons: setup.publish("buttons")?,
-            diagnostics: setup.publish("diagnostics")?,
-            exchanges: setup.publish("bus/exchanges")?,
         };
         setup.subscribe("joint_commands", Self::on_command)?;
+        setup.subscribe("joint_torque", Self::on_torque)?;
+        setup.serve("torque", |module: &mut Self, request: &SetBoolRequest, _| {
+            Ok(module.hardware.set_torque(request.data))
+        })?;
         setup.every(CYCLE, Self::tick)?;
         Ok(ports)
     }
@@ -163,25 +136,47 @@ impl Module for DarwinOp {
     }
 
     fn shutdown(&mut self, ctx: &mut Context<'_, Ports>) {
-        self.driver.stop(ctx.now(), &mut *self.bus, &mut self.exchanges);
-        for exchange in self.exchanges.drain(..) {
-            ctx.publish(ctx.ports.exchanges, BusExchange::from(&exchange));
-        }
+        // As in the manufacturer's framework.
+        let green = (Id::CM730, &GREEN.to_le_bytes()[..], u16::from(cm730::LED_HEAD.address));
+        let topics = ctx.ports.topics;
+        self.hardware.stop(Some(green), topics, ctx);
+    }
+}
+
+/// The raw data of the board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct BoardReading {
+    /// Bit 0 mode, bit 1 start.
+    pub(super) buttons: u16,
+    /// X, Y, Z.
+    pub(super) gyro: [u16; 3],
+    /// X, Y, Z.
+    pub(super) acceleration: [u16; 3],
+    /// 0.1 V.
+    pub(super) voltage: u16,
+}
+
+impl BoardReading {
+    /// Parses the range of the control table from the power switch to the battery voltage.
+    fn parse(piece: &[u8]) -> Option<Self> {
+        let value = |field: &Field| field.value_in(piece, cm730::DXL_POWER.address);
+        Some(Self {
+            buttons: value(&cm730::BUTTON)?,
+            gyro: [value(&cm730::GYRO_X)?, value(&cm730::GYRO_Y)?, value(&cm730::GYRO_Z)?],
+            acceleration: [value(&cm730::ACC_X)?, value(&cm730::ACC_Y)?, value(&cm730::ACC_Z)?],
+            voltage: value(&cm730::VOLTAGE)?,
+        })
     }
 }
 
 fn publish(
-    reading: &Reading,
-    driver: &Driver,
+    sent: Time,
+    board: &BoardReading,
     settings: &Settings,
     last: &mut LastPublished,
     ctx: &mut Context<'_, Ports>,
 ) {
-    let (now, sent) = (ctx.now(), reading.sent);
-    if reading.servos.iter().any(Option::is_some) {
-        ctx.publish(ctx.ports.joint_states, joint_state(reading, &driver.servos, settings));
-    }
-    let Some(board) = &reading.board else { return };
+    let now = ctx.now();
     ctx.publish(ctx.ports.imu, imu(sent, board, settings));
     if last.buttons.is_none_or(|(at, pressed)| at + SLOW <= now || pressed != board.buttons) {
         last.buttons = Some((now, board.buttons));
@@ -195,32 +190,6 @@ fn publish(
 
 /// The capacity of the battery, in Ah.
 const DESIGN_CAPACITY_AH: f32 = 1.0;
-
-/// A header with that stamp.
-pub(super) fn header(stamp: Time, frame_id: &str) -> Header {
-    let stamp = builtin_interfaces::msg::Time::from_nanos(stamp.as_nanos());
-    Header { stamp, frame_id: frame_id.to_owned() }
-}
-
-/// All joints. A stale one keeps its last position and has NaN as velocity and effort, and as position if it
-/// was never read.
-fn joint_state(reading: &Reading, servos: &[Servo; COUNT], settings: &Settings) -> JointState {
-    let mut message = JointState {
-        header: header(reading.sent, &settings.joint_frame),
-        name: JOINTS.iter().map(|joint| joint.name.to_owned()).collect(),
-        position: Vec::with_capacity(COUNT),
-        velocity: Vec::with_capacity(COUNT),
-        effort: Vec::with_capacity(COUNT),
-    };
-    for (servo, offset_ticks) in servos.iter().zip(settings.offset_ticks) {
-        let fresh = servo.last.filter(|_| !servo.is_stale());
-        let position = servo.last.map(|last| radians_from_ticks(last.position, offset_ticks));
-        message.position.push(position.unwrap_or(f64::NAN));
-        message.velocity.push(fresh.map_or(f64::NAN, |last| speed_from_raw(last.speed)));
-        message.effort.push(fresh.map_or(f64::NAN, |last| load_from_raw(last.load)));
-    }
-    message
-}
 
 /// Angular rate and specific force. The orientation is not measured, as marked by -1.
 ///
@@ -242,19 +211,9 @@ pub(super) fn imu(sent: Time, board: &BoardReading, settings: &Settings) -> Imu 
 /// The battery, of which only the voltage is measured.
 pub(super) fn battery_state(sent: Time, board: &BoardReading) -> BatteryState {
     BatteryState {
-        header: header(sent, ""),
-        voltage: volts_from_raw(board.voltage) as f32,
-        temperature: f32::NAN,
-        current: f32::NAN,
-        charge: f32::NAN,
-        capacity: f32::NAN,
         design_capacity: DESIGN_CAPACITY_AH,
-        percentage: f32::NAN,
-        power_supply_status: BatteryState::POWER_SUPPLY_STATUS_UNKNOWN,
-        power_supply_health: BatteryState::POWER_SUPPLY_HEALTH_UNKNOWN,
         power_supply_technology: BatteryState::POWER_SUPPLY_TECHNOLOGY_LIPO,
-        present: true,
-        ..BatteryState::default()
+        ..crate::servo_bus::battery_state(sent, volts_from_raw(board.voltage))
     }
 }
 

@@ -1,8 +1,15 @@
 //! The settings of the hardware module.
 
+use super::module::CYCLE;
 use super::tables::joints::{COUNT, JOINTS};
-use super::tables::units::ImuScale;
+use super::tables::units::{CENTRE_TICKS, ImuScale};
+use crate::servo_bus::bus::LineSettings;
+use crate::servo_bus::models::{self, Model};
+use crate::servo_bus::protocol::Id;
+use crate::servo_bus::{BusPlan, DevicePlan, Guard, Joint, PowerSwitch, Registers};
 use downbeat_executor::{Context, Module, Setting, Setup, SetupError};
+use std::sync::Arc;
+use std::time::Duration;
 
 /// The keys to the settings.
 #[derive(Clone, Copy)]
@@ -29,6 +36,85 @@ pub(super) struct Settings {
     pub(super) hardware_id: String,
     pub(super) imu_frame: String,
     pub(super) joint_frame: String,
+}
+
+/// From power on until servos answer.
+const POWER_ON: Duration = Duration::from_millis(300);
+/// Below this the battery needs charging: 3.5 V for each of its three LiPo cells.
+const LOW_BATTERY_V: f64 = 10.5;
+/// How fast a servo that was just brought into service approaches its command, in ticks per cycle: about 2 rad/s.
+const APPROACH_TICKS: i64 = 10;
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            port: String::new(),
+            imu: ImuScale::new(1600.0),
+            gains: [0, 0, 32],
+            offset_ticks: [0; COUNT],
+            hardware_id: String::new(),
+            imu_frame: String::new(),
+            joint_frame: String::new(),
+        }
+    }
+}
+
+impl Settings {
+    /// The robot with these settings.
+    pub(super) fn plan(&self) -> BusPlan {
+        let model = |name| models::find(name).map(Arc::clone);
+        // Both are built in.
+        let (Some(servo), Some(board)) = (model("MX-28"), model("CM-730")) else { unreachable!() };
+        BusPlan {
+            title: "darwin_op".to_owned(),
+            name: String::new(),
+            port: self.port.clone(),
+            line: LineSettings::default(),
+            cycle: CYCLE,
+            fast_reads: false,
+            joints: self.joints(&servo),
+            devices: vec![board_plan(board)],
+            other_joints: Vec::new(),
+        }
+    }
+
+    fn joints(&self, model: &Arc<Model>) -> Vec<Joint> {
+        // A test checks that the model has all registers.
+        let Ok(registers) = Registers::of(model) else { unreachable!() };
+        let joint = |(joint, offset): (&super::tables::joints::Joint, i16)| Joint {
+            name: joint.name.to_owned(),
+            id: joint.id,
+            model: Arc::clone(model),
+            registers: registers.clone(),
+            zero: i64::from(CENTRE_TICKS) + i64::from(offset),
+            sign: 1.0,
+            gear: 1.0,
+            min_rad: joint.min_rad(),
+            max_rad: joint.max_rad(),
+            gains: self.gains.map(|gain| Some(i64::from(gain))),
+            max_torque: None,
+            max_current_a: None,
+            approach_steps: APPROACH_TICKS,
+            guard: Guard::default(),
+        };
+        JOINTS.iter().zip(self.offset_ticks).map(joint).collect()
+    }
+}
+
+/// The CM-730, of which everything from the power switch to the battery voltage is read.
+fn board_plan(model: Arc<Model>) -> DevicePlan {
+    let register = |name| model.register(name).cloned();
+    let (Some(power), Some(voltage)) = (register("dynamixel_power"), register("present_voltage")) else {
+        unreachable!()
+    };
+    DevicePlan {
+        name: "CM-730".to_owned(),
+        id: Id::CM730,
+        read: vec![power.clone(), voltage.clone()],
+        power: Some(PowerSwitch { register: power, wait: POWER_ON }),
+        battery: Some((voltage, LOW_BATTERY_V)),
+        model,
+    }
 }
 
 /// Half a turn: a larger offset is a mistake.

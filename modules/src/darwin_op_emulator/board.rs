@@ -1,11 +1,11 @@
 //! The CM-730: power switch, buttons, IMU, battery.
 
-use super::body::ImuMotion;
 use super::control_table::ControlTable;
-use super::random::Random;
 use crate::darwin_op::protocol::StatusError;
 use crate::darwin_op::tables::units::{ACCELERATION_PER_LSB, IMU_CENTRE, ImuScale};
 use crate::darwin_op::tables::{Field, cm730};
+use crate::servo_emulator::ImuMotion;
+use crate::servo_emulator::Random;
 
 /// The range of the CM-730's gyroscope.
 const GYRO_FULL_SCALE_DPS: f64 = 1600.0;
@@ -30,7 +30,7 @@ pub enum Button {
 
 pub(super) struct Board {
     pub(super) table: ControlTable,
-    pub(super) registered: Option<(u8, Vec<u8>)>,
+    pub(super) registered: Option<(u16, Vec<u8>)>,
     /// The remaining time for which each button is held down.
     held_s: [f64; 2],
     bias: [f64; 6],
@@ -62,8 +62,10 @@ impl Board {
         self.table.write(address, data, false)
     }
 
-    pub(super) fn press(&mut self, button: Button, seconds: f64) {
-        self.held_s[button as usize] = seconds;
+    pub(super) fn press(&mut self, number: usize, seconds: f64) {
+        if let Some(held_s) = self.held_s.get_mut(number) {
+            *held_s = seconds;
+        }
     }
 
     /// Advances by `dt` seconds while the servos draw this current.

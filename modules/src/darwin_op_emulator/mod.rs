@@ -5,16 +5,16 @@
 //!
 //! ```
 //! use downbeat_modules::darwin_op::bus::{Bus, ExpectedStatus, Outcome, SerialBus};
-//! use downbeat_modules::darwin_op::protocol::{Id, Instruction};
+//! use downbeat_modules::darwin_op::protocol::{Id, Instruction, Protocol};
 //! use downbeat_modules::darwin_op_emulator::{Emulator, EmulatorOptions};
 //!
 //! let emulator = Emulator::start(EmulatorOptions::default())?;
 //! let mut bus = SerialBus::new();
 //! bus.open(&emulator.port_path().to_string_lossy());
-//! let ping = Instruction::Ping { id: Id::CM730 }.to_bytes();
+//! let ping = Instruction::Ping { id: Id::CM730 }.to_bytes(Protocol::Dynamixel1)?;
 //! let answered = bus.exchange(&ping, &[ExpectedStatus { id: Id::CM730, parameters: 0 }]);
 //! assert_eq!(answered.reply, [0xFF, 0xFF, 0xC8, 0x02, 0x00, 0x35]);
-//! # Ok::<(), downbeat_modules::darwin_op_emulator::EmulatorError>(())
+//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
 //! # What is emulated
@@ -34,27 +34,51 @@
 //! bytes works, as on robots, where each servo needs only its own part.
 
 mod board;
-mod body;
 mod control_table;
-mod emulator;
-mod fault;
-mod memory;
 mod module;
-mod pseudo_terminal;
-mod random;
 mod robot;
 mod servo;
 mod standing;
-mod wire;
 
+pub use crate::servo_emulator::{
+    Body, Emulator, EmulatorError, EmulatorOptions, Fault, FaultKind, FaultParseError, FootForces, ImuMotion,
+    JointMotion, MemoryBus, Rate, ServoCommand, Timing,
+};
 pub use board::Button;
-pub use body::{Body, FootForces, ImuMotion, JointMotion, ServoCommand};
-pub use emulator::{Emulator, EmulatorError, EmulatorOptions};
-pub use fault::{Fault, FaultKind, FaultParseError, Rate};
-pub use memory::MemoryBus;
 pub use module::DarwinOpEmulator;
 pub use standing::Standing;
-pub use wire::Timing;
+
+use robot::Robot;
+use std::time::Duration;
+
+impl Emulator {
+    /// Opens the port of a Darwin OP and starts to serve it.
+    ///
+    /// # Errors
+    /// Returns an error if there is no pseudo terminal, or the link cannot be created.
+    pub fn start(options: EmulatorOptions) -> Result<Self, EmulatorError> {
+        Self::serve(Box::new(Robot::of(&options, None)), options)
+    }
+
+    /// As [`Emulator::start`], with this body in place of [`Standing`].
+    ///
+    /// # Errors
+    /// As [`Emulator::start`].
+    pub fn start_with(options: EmulatorOptions, body: Box<dyn Body>) -> Result<Self, EmulatorError> {
+        Self::serve(Box::new(Robot::of(&options, Some(body))), options)
+    }
+
+    /// A Darwin OP without a port, for its [`MemoryBus`]. The link is ignored.
+    #[must_use]
+    pub fn in_memory(options: &EmulatorOptions, body: Option<Box<dyn Body>>) -> Self {
+        Self::of(Box::new(Robot::of(options, body)), options)
+    }
+
+    /// Holds a button down for a while.
+    pub fn press_button(&self, button: Button, held: Duration) {
+        self.press(button as usize, held);
+    }
+}
 
 #[cfg(test)]
 mod tests;

@@ -1,8 +1,6 @@
 //! The emulator as a module of the robot whose hardware it emulates.
 
-use super::emulator::{Emulator, EmulatorOptions};
-use super::fault::Fault;
-use super::wire::Timing;
+use super::{Emulator, EmulatorOptions, Fault, Timing};
 use downbeat_executor::{Context, Module, Setup, SetupError, TransitionError};
 use std::path::PathBuf;
 

@@ -1,14 +1,14 @@
 //! One MX-28: its control table, its position control, and its protection.
 //!
 //! The drive is proportional to the distance to the goal. What the drive does to the joint is up to the
-//! [`Body`](super::body::Body).
+//! [`Body`](crate::servo_emulator::Body).
 
-use super::body::{JointMotion, ServoCommand};
 use super::control_table::ControlTable;
-use super::random::Random;
-use crate::darwin_op::protocol::{Id, StatusError};
+use crate::darwin_op::protocol::{Id, Protocol, StatusError};
 use crate::darwin_op::tables::joints::{JOINTS, Joint};
 use crate::darwin_op::tables::{Access, mx28, units};
+use crate::servo_emulator::Random;
+use crate::servo_emulator::{JointMotion, ServoCommand};
 
 /// One step of the moving speed, in ticks/s.
 const MOVING_SPEED_STEP: f64 = units::MOVING_SPEED_UNIT / units::RADIANS_PER_TICK;
@@ -26,7 +26,7 @@ const BOOT_S: f64 = 0.1;
 
 pub(super) struct Servo {
     pub(super) table: ControlTable,
-    pub(super) registered: Option<(u8, Vec<u8>)>,
+    pub(super) registered: Option<(u16, Vec<u8>)>,
     joint: &'static Joint,
     /// The time since power on, or `None` without power.
     powered_s: Option<f64>,
@@ -180,7 +180,7 @@ impl Servo {
         if self.overloaded_s >= OVERLOAD_AFTER_S {
             error |= StatusError::OVERLOAD;
         }
-        if error.bits() & self.table.get(&mx28::SHUTDOWN).to_le_bytes()[0] != 0 {
+        if error.to_byte(Protocol::Dynamixel1) & self.table.get(&mx28::SHUTDOWN).to_le_bytes()[0] != 0 {
             self.table.set(&mx28::TORQUE_ENABLE, 0);
         }
         self.error = error;
@@ -212,10 +212,10 @@ impl Servo {
 
 #[cfg(test)]
 mod tests {
-    use super::super::body::Body;
     use super::super::standing::Standing;
     use super::*;
     use crate::darwin_op::tables::joints::COUNT;
+    use crate::servo_emulator::Body;
     use std::time::Duration;
 
     const HEAD_PAN: usize = 18;

@@ -9,9 +9,9 @@
 //!
 //! the trunk against the floor by the opposite, averaged over both legs, with a lag.
 
-use super::body::{Body, ImuMotion, JointMotion, ServoCommand};
 use crate::darwin_op::tables::joints::{COUNT, JOINTS};
 use crate::darwin_op::tables::units::{CENTRE_TICKS, PRESENT_SPEED_UNIT, RADIANS_PER_TICK, STANDARD_GRAVITY};
+use crate::servo_emulator::{Body, ImuMotion, JointMotion, ServoCommand};
 use std::time::Duration;
 
 /// At 12 V, in ticks/s.

@@ -4,7 +4,7 @@
 use super::{Button, Emulator, EmulatorOptions, Fault, FaultKind, Rate, Timing};
 use crate::darwin_op::bus::{Bus, Exchange, ExpectedStatus, Outcome, SerialBus};
 use crate::darwin_op::protocol::{
-    BulkReadBlock, Id, Instruction, Packet, Receiver, Status, StatusError, SyncWriteBlock,
+    Id, Instruction, Packet, Protocol, ReadEntry, Receiver, Status, StatusError,
 };
 use crate::darwin_op::tables::{cm730, mx28, units};
 use downbeat_executor::Time;
@@ -58,27 +58,29 @@ impl Robot {
         self
     }
 
-    fn send(&mut self, instruction: Instruction<'_>, expected: &[ExpectedStatus]) -> Exchange {
-        self.bus.exchange(&instruction.to_bytes(), expected)
+    fn send(&mut self, instruction: Instruction, expected: &[ExpectedStatus]) -> Exchange {
+        self.bus.exchange(&instruction.to_bytes(Protocol::Dynamixel1).unwrap(), expected)
     }
 
     /// Sends an instruction and returns the single answer.
-    fn ask(&mut self, instruction: Instruction<'_>, parameters: u8) -> (StatusError, Vec<u8>) {
+    fn ask(&mut self, instruction: Instruction, parameters: u16) -> (StatusError, Vec<u8>) {
         let expected = [ExpectedStatus { id: instruction.id(), parameters }];
+        let id = instruction.id();
         let exchange = self.send(instruction, &expected);
-        let packet = Packet::new_checked(&exchange.reply).unwrap_or_else(|e| panic!("{e}: {exchange:?}"));
+        let packet = Packet::new_checked(Protocol::Dynamixel1, &exchange.reply)
+            .unwrap_or_else(|e| panic!("{e}: {exchange:?}"));
         let status = Status::parse(&packet).unwrap();
-        assert_eq!(status.id, instruction.id());
-        (status.error, status.parameters.to_vec())
+        assert_eq!(status.id, id);
+        (status.error, status.parameters)
     }
 
     fn write(&mut self, id: Id, address: u8, data: &[u8]) -> StatusError {
-        self.ask(Instruction::Write { id, address, data }, 0).0
+        self.ask(Instruction::Write { id, address: address.into(), data: data.to_vec() }, 0).0
     }
 
     fn read(&mut self, id: Id, field: &crate::darwin_op::tables::Field) -> u16 {
-        let read = Instruction::Read { id, address: field.address, length: field.size };
-        let (error, bytes) = self.ask(read, field.size);
+        let read = Instruction::Read { id, address: field.address.into(), length: field.size.into() };
+        let (error, bytes) = self.ask(read, field.size.into());
         assert!(error.is_none(), "{error}");
         field.value_in(&bytes, field.address).unwrap()
     }
@@ -91,11 +93,10 @@ impl Robot {
 
     /// Reads the positions of these devices at once; returns which ones answered.
     fn bulk_read(&mut self, ids: &[u8]) -> (Exchange, Vec<u8>) {
-        let bytes: Vec<u8> = ids.iter().flat_map(|id| [2, *id, 36]).collect();
+        let entries = ids.iter().map(|raw| ReadEntry { id: id(*raw), address: 36, length: 2 }).collect();
         let expected: Vec<_> = ids.iter().map(|raw| ExpectedStatus { id: id(*raw), parameters: 2 }).collect();
-        let block = BulkReadBlock::new(&bytes).unwrap();
-        let exchange = self.send(Instruction::BulkRead { block }, &expected);
-        let mut receiver = Receiver::new();
+        let exchange = self.send(Instruction::BulkRead { entries }, &expected);
+        let mut receiver = Receiver::new(Protocol::Dynamixel1);
         receiver.push(&exchange.reply);
         receiver.end();
         let mut answered = Vec::new();
@@ -154,7 +155,7 @@ fn forbidden_writes_are_answered_with_an_error_bit() {
 #[test]
 fn a_registered_write_waits_for_the_action() {
     let mut robot = Robot::powered(options());
-    let later = Instruction::RegWrite { id: id(4), address: mx28::P_GAIN.address, data: &[9] };
+    let later = Instruction::RegWrite { id: id(4), address: mx28::P_GAIN.address.into(), data: vec![9] };
     assert_eq!(robot.ask(later, 0).0, StatusError::NONE);
     assert_eq!(robot.read(id(4), &mx28::P_GAIN), 32);
     robot.send(Instruction::Action { id: Id::BROADCAST }, &[]);
@@ -166,7 +167,7 @@ fn the_status_return_level_decides_what_is_answered() {
     let mut robot = Robot::powered(options());
     robot.write(id(2), mx28::STATUS_RETURN_LEVEL.address, &[1]);
     let expected = [ExpectedStatus { id: id(2), parameters: 0 }];
-    let write = Instruction::Write { id: id(2), address: mx28::LED.address, data: &[1] };
+    let write = Instruction::Write { id: id(2), address: mx28::LED.address.into(), data: vec![1] };
     assert_eq!(robot.send(write, &expected).outcome, Outcome::Timeout);
     assert_eq!(robot.read(id(2), &mx28::LED), 1, "it was executed anyway");
 }
@@ -174,7 +175,8 @@ fn the_status_return_level_decides_what_is_answered() {
 #[test]
 fn all_devices_execute_a_broadcast_without_answers() {
     let mut robot = Robot::powered(options());
-    let write = Instruction::Write { id: Id::BROADCAST, address: mx28::P_GAIN.address, data: &[16] };
+    let write =
+        Instruction::Write { id: Id::BROADCAST, address: mx28::P_GAIN.address.into(), data: vec![16] };
     let expected = [ExpectedStatus { id: id(1), parameters: 0 }];
     assert_eq!(robot.send(write, &expected).reply, [0_u8; 0]);
     assert_eq!((robot.read(id(1), &mx28::P_GAIN), robot.read(id(20), &mx28::P_GAIN)), (16, 16));
@@ -186,9 +188,8 @@ fn a_sync_write_moves_the_joints_it_names() {
     let stays = robot.read(id(20), &mx28::PRESENT_POSITION);
     robot.write(id(HEAD_PAN), mx28::TORQUE_ENABLE.address, &[1]);
     let goal = 2500_u16.to_le_bytes();
-    let bytes = [HEAD_PAN, 0, 0, 32, 0, goal[0], goal[1]];
-    let block = SyncWriteBlock::new(6, &bytes).unwrap();
-    robot.send(Instruction::SyncWrite { address: mx28::D_GAIN.address, block }, &[]);
+    let entries = vec![(id(HEAD_PAN), vec![0, 0, 32, 0, goal[0], goal[1]])];
+    robot.send(Instruction::SyncWrite { address: mx28::D_GAIN.address.into(), length: 6, entries }, &[]);
     eventually("the head looks to the left", || {
         (i32::from(robot.read(id(HEAD_PAN), &mx28::PRESENT_POSITION)) - 2500).abs() <= 3
     });

@@ -1,7 +1,7 @@
 //! The module with faults.
 
 use super::*;
-use crate::darwin_op::bus::{Bus, Exchange, ExpectedStatus, LATE, Outcome};
+use crate::darwin_op::bus::{Bus, Exchange, ExpectedStatus, LATE, LineSettings, Outcome};
 use crate::darwin_op_emulator::{Fault, Rate};
 use downbeat_executor::Time;
 
@@ -15,6 +15,10 @@ struct Late<B> {
 impl<B: Bus> Bus for Late<B> {
     fn begin_step(&mut self, now: Time) {
         self.bus.begin_step(now);
+    }
+
+    fn set_line(&mut self, line: LineSettings) {
+        self.bus.set_line(line);
     }
 
     fn open(&mut self, port: &str) -> Exchange {

@@ -1,8 +1,8 @@
 //! Direct access to the devices, without a port.
 
 use super::emulator::Shared;
-use crate::darwin_op::bus::{Awaited, Bus, Exchange, ExchangeKind, ExpectedStatus, Outcome};
-use crate::darwin_op::protocol::Packet;
+use crate::servo_bus::bus::{Awaited, Bus, Exchange, ExchangeKind, ExpectedStatus, LineSettings, Outcome};
+use crate::servo_bus::protocol::{Packet, Protocol};
 use downbeat_executor::Time;
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,6 +14,8 @@ use std::time::Duration;
 /// in a core with a manual clock drives it as fast as it can be computed.
 pub struct MemoryBus {
     shared: Arc<Shared>,
+    /// That of the devices: the bus of an emulator cannot be spoken to in another one.
+    protocol: Protocol,
     is_open: bool,
     sequence: u64,
     /// The time of the step, and the emulator's time when it was set.
@@ -22,7 +24,8 @@ pub struct MemoryBus {
 
 impl MemoryBus {
     pub(super) fn new(shared: Arc<Shared>) -> Self {
-        Self { shared, is_open: false, sequence: 0, step: (Time::ZERO, Duration::ZERO) }
+        let protocol = shared.world().devices.protocol();
+        Self { shared, protocol, is_open: false, sequence: 0, step: (Time::ZERO, Duration::ZERO) }
     }
 
     fn finish(&mut self, kind: ExchangeKind, started: Duration, instruction: &[u8]) -> Exchange {
@@ -66,6 +69,8 @@ impl Bus for MemoryBus {
         self.step = (now, world.now());
     }
 
+    fn set_line(&mut self, _line: LineSettings) {}
+
     fn open(&mut self, _port: &str) -> Exchange {
         let opened = self.finish(ExchangeKind::Open, self.now(), &[]);
         if self.is_kept_closed() {
@@ -82,11 +87,11 @@ impl Bus for MemoryBus {
             return self.closed(exchange);
         }
         let mut reply = Vec::new();
-        if let (true, Ok(packet)) = (self.is_open, Packet::new_checked(instruction)) {
+        if let (true, Ok(packet)) = (self.is_open, Packet::new_checked(self.protocol, instruction)) {
             let bundles = self.shared.world().answer(&packet);
             reply.extend(bundles.into_iter().flat_map(|bundle| bundle.bytes));
         }
-        let mut awaited = Awaited::new(expected);
+        let mut awaited = Awaited::new(self.protocol, expected);
         awaited.take(&reply);
         let end = awaited.end(reply);
         let exchange = self.finish(ExchangeKind::Transfer, started, instruction);

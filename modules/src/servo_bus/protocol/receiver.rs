@@ -1,14 +1,16 @@
 //! Finds packets in a stream of bytes.
 
-use super::packet::{HEADER, Packet, PacketError};
+use super::Protocol;
+use super::packet::{HEADER_1, HEADER_2, Packet, PacketError};
 
 /// Finds packets in bytes that arrive in pieces of any size and may contain garbage.
 ///
 /// Bytes before a header are dropped. If a header is followed by a wrong checksum or an impossible length,
-/// its two bytes are dropped and the search continues after them, so that a valid packet within the range of
+/// its bytes are dropped and the search continues after them, so that a valid packet within the range of
 /// the invalid one is found. Incomplete packets are kept.
 #[derive(Clone, Debug)]
 pub struct Receiver {
+    protocol: Protocol,
     buffer: Vec<u8>,
     /// Everything before this has been returned or dropped.
     start: usize,
@@ -18,25 +20,22 @@ pub struct Receiver {
     corrupt: u64,
 }
 
-impl Default for Receiver {
-    fn default() -> Self {
-        Self::new()
-    }
-}
+/// No instruction and no answer is longer: a length beyond this is corrupt.
+const LONGEST: usize = 4096;
 
 impl Receiver {
     /// An empty receiver.
     #[must_use]
-    pub fn new() -> Self {
-        Self::with_longest(usize::MAX)
+    pub fn new(protocol: Protocol) -> Self {
+        Self::with_longest(protocol, LONGEST)
     }
 
     /// A receiver that treats packets of more than `longest` bytes, including the header, as corrupt.
     ///
     /// If the expected answers are known, this avoids waiting for the bytes of a corrupt length.
     #[must_use]
-    pub fn with_longest(longest: usize) -> Self {
-        Self { buffer: Vec::new(), start: 0, longest, ended: false, dropped: 0, corrupt: 0 }
+    pub fn with_longest(protocol: Protocol, longest: usize) -> Self {
+        Self { protocol, buffer: Vec::new(), start: 0, longest, ended: false, dropped: 0, corrupt: 0 }
     }
 
     /// Adds received bytes.
@@ -52,10 +51,10 @@ impl Receiver {
     }
 
     /// The next complete and valid packet, or `None` until more bytes arrive.
-    pub fn next_packet(&mut self) -> Option<Packet<&[u8]>> {
+    pub fn next_packet(&mut self) -> Option<Packet<'_>> {
         let found = self.find()?;
         // Found by the same check, so it is valid.
-        Packet::new_checked(&self.buffer[found]).ok()
+        Packet::new_checked(self.protocol, &self.buffer[found]).ok()
     }
 
     /// The bytes that may be the start of a packet.
@@ -80,10 +79,10 @@ impl Receiver {
         loop {
             self.drop_until_header();
             let rest = &self.buffer[self.start..];
-            if !self.ended && rest.len() < 4 {
+            if !self.ended && rest.len() < self.shortest() {
                 return None;
             }
-            match Packet::new_checked(rest) {
+            match Packet::new_checked(self.protocol, rest) {
                 Ok(packet) if packet.as_bytes().len() <= self.longest => {
                     let begin = self.start;
                     self.start += packet.as_bytes().len();
@@ -94,10 +93,12 @@ impl Receiver {
                 }
                 Err(_) if rest.is_empty() => return None,
                 // FF FF FF: the header may start one byte later.
-                Err(PacketError::Id) => self.drop_bytes(1),
+                Err(PacketError::Id { found: 0xFF }) if self.protocol != Protocol::Dynamixel2 => {
+                    self.drop_bytes(1);
+                }
                 Ok(_) | Err(_) => {
                     self.corrupt += 1;
-                    self.drop_bytes(HEADER.len().min(rest.len()));
+                    self.drop_bytes(self.header().len().min(rest.len()));
                 }
             }
         }
@@ -105,13 +106,29 @@ impl Receiver {
 
     fn drop_until_header(&mut self) {
         let rest = &self.buffer[self.start..];
-        let header = rest.windows(2).position(|pair| pair == HEADER);
-        let skip = header.unwrap_or_else(|| {
-            // A final FF may be the first half of a header.
-            let keep = usize::from(!self.ended && rest.last() == Some(&0xFF));
-            rest.len() - keep
+        let header = self.header();
+        let found = rest.windows(header.len()).position(|bytes| bytes == header);
+        let skip = found.unwrap_or_else(|| {
+            // The last bytes may be the beginning of a header.
+            let kept = (1..header.len()).rev().find(|length| rest.ends_with(&header[..*length]));
+            rest.len() - kept.filter(|_| !self.ended).unwrap_or(0)
         });
         self.drop_bytes(skip);
+    }
+
+    fn header(&self) -> &'static [u8] {
+        match self.protocol {
+            Protocol::Dynamixel2 => &HEADER_2,
+            _ => &HEADER_1,
+        }
+    }
+
+    /// The number of bytes up to the length.
+    fn shortest(&self) -> usize {
+        match self.protocol {
+            Protocol::Dynamixel2 => 7,
+            _ => 4,
+        }
     }
 
     fn drop_bytes(&mut self, count: usize) {

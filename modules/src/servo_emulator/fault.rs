@@ -1,8 +1,7 @@
 //! Faults and their textual form.
 
 use super::random::Random;
-use crate::darwin_op::protocol::Id;
-use crate::darwin_op::tables::joints::JOINTS;
+use crate::servo_bus::protocol::Id;
 use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
@@ -78,7 +77,7 @@ pub enum FaultParseError {
         found: String,
     },
     /// Not a servo.
-    #[error("no servo has the id {found:?}; ids are 1 to 20, as in dead-servo:5@3s..6s")]
+    #[error("no servo has the id {found:?}; ids are 0 to 253, as in dead-servo:5@3s..6s")]
     Servo {
         /// The given text.
         found: String,
@@ -160,8 +159,7 @@ fn parse_kind(text: &str) -> Result<FaultKind, FaultParseError> {
 
 fn parse_servo(text: &str) -> Result<Id, FaultParseError> {
     let id = text.parse().ok().and_then(Id::new);
-    id.filter(|id| JOINTS.iter().any(|joint| joint.id == *id))
-        .ok_or_else(|| FaultParseError::Servo { found: text.to_owned() })
+    id.filter(|id| !id.is_broadcast()).ok_or_else(|| FaultParseError::Servo { found: text.to_owned() })
 }
 
 fn parse_rate(text: &str) -> Result<Rate, FaultParseError> {
@@ -311,7 +309,7 @@ mod tests {
         let error = |text: &str| text.parse::<Fault>().unwrap_err().to_string();
         assert!(error("dead-serve:5").contains("unknown fault \"dead-serve:5\""));
         assert!(error("close-port:3").contains("unknown fault"));
-        assert!(error("dead-servo:21").contains("ids are 1 to 20"));
+        assert!(error("dead-servo:254").contains("ids are 0 to 253"));
         assert!(error("drop:1.5").contains("\"1.5\" is not a rate"));
         assert!(error("flip:-1x").contains("is not a rate"));
         assert!(error("drop:0.1@3").contains("\"3\" is not a time"));

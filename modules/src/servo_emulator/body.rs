@@ -4,7 +4,7 @@ use std::time::Duration;
 
 /// The mechanics of a robot, driven by its servos and measured by its sensors.
 ///
-/// [`Standing`](super::Standing) is a formula; the package `downbeat-physics` has rigid bodies with contacts. SI units and the
+/// [`Standing`](crate::darwin_op_emulator::Standing) is a formula; the package `downbeat-physics` has rigid bodies with contacts. SI units and the
 /// frames of REP-103 (x forward, y left, z up); joints are in the order of
 /// [`JOINTS`](crate::darwin_op::tables::joints::JOINTS).
 ///

@@ -1,13 +1,10 @@
 //! The handle of a running emulator.
 
-use super::board::Button;
-use super::body::Body;
 use super::fault::{Fault, FaultSchedule};
 use super::memory::MemoryBus;
 use super::pseudo_terminal::PseudoTerminal;
-use super::robot::Robot;
-use super::wire::{Bundle, Timing, Wire};
-use crate::darwin_op::protocol::{Packet, Receiver};
+use super::wire::{Answer, Bundle, Timing, Wire};
+use crate::servo_bus::protocol::{Id, Packet, Protocol, Receiver};
 use downbeat_executor::Time;
 use parking_lot::{Mutex, MutexGuard};
 use std::io;
@@ -16,6 +13,37 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
+
+/// The devices behind the port of an emulator.
+///
+/// What they answer depends only on the calls, so that the same instructions at the same times get the same answers.
+pub(crate) trait Devices: Send {
+    /// The protocol that they speak.
+    fn protocol(&self) -> Protocol;
+
+    /// The speed of their bus, in bit/s.
+    fn baud(&self) -> u32;
+
+    /// Advances to this time since the start.
+    fn advance_to(&mut self, now: Duration);
+
+    /// A step of the owner of the bus begins: see [`MemoryBus`].
+    fn begin_step(&mut self);
+
+    /// Sets which devices are dead: without power, as if disconnected.
+    fn set_dead(&mut self, is_dead: &dyn Fn(Id) -> bool);
+
+    /// Executes an instruction.
+    ///
+    /// `is_lost` is called before each answer; a lost answer has the same effect as a silent device, also for the devices
+    /// after it.
+    fn answer(&mut self, packet: &Packet<'_>, is_lost: &mut dyn FnMut() -> bool) -> Vec<Answer>;
+
+    /// Holds a button down for a while; `number` is its position on the robot. Devices without buttons ignore it.
+    fn press(&mut self, number: usize, held: Duration) {
+        let _ = (number, held);
+    }
+}
 
 /// Options of the emulator.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -83,35 +111,19 @@ pub struct Emulator {
 }
 
 impl Emulator {
+    /// Without a port, for its [`MemoryBus`]. The link is ignored.
+    pub(crate) fn of(devices: Box<dyn Devices>, options: &EmulatorOptions) -> Self {
+        Self { shared: Arc::new(Shared::new(options, PathBuf::new(), devices)), link: None, thread: None }
+    }
+
     /// Opens the port and starts to serve it.
-    ///
-    /// # Errors
-    /// Returns an error if there is no pseudo terminal, or the link cannot be created.
-    pub fn start(options: EmulatorOptions) -> Result<Self, EmulatorError> {
-        Self::serve(options, None)
-    }
-
-    /// As [`Emulator::start`], with this body in place of [`Standing`](super::Standing).
-    ///
-    /// # Errors
-    /// As [`Emulator::start`].
-    pub fn start_with(options: EmulatorOptions, body: Box<dyn Body>) -> Result<Self, EmulatorError> {
-        Self::serve(options, Some(body))
-    }
-
-    /// An emulator without a port, for its [`MemoryBus`]. The link is ignored.
-    #[must_use]
-    pub fn in_memory(options: &EmulatorOptions, body: Option<Box<dyn Body>>) -> Self {
-        Self { shared: Arc::new(Shared::new(options, PathBuf::new(), body)), link: None, thread: None }
-    }
-
-    fn serve(options: EmulatorOptions, body: Option<Box<dyn Body>>) -> Result<Self, EmulatorError> {
+    pub(crate) fn serve(devices: Box<dyn Devices>, options: EmulatorOptions) -> Result<Self, EmulatorError> {
         let terminal = PseudoTerminal::open(options.link.as_deref())?;
-        let shared = Arc::new(Shared::new(&options, terminal.path().to_owned(), body));
+        let shared = Arc::new(Shared::new(&options, terminal.path().to_owned(), devices));
         let link = options.link.clone();
         let served = Arc::clone(&shared);
         let thread = thread::Builder::new()
-            .name("darwin_op_emulator".to_owned())
+            .name("servo_emulator".to_owned())
             .spawn(move || serve(&served, &options, terminal))
             .map_err(|source| EmulatorError::Thread { source })?;
         Ok(Self { shared, link, thread: Some(thread) })
@@ -155,9 +167,9 @@ impl Emulator {
         world.faults.inject(fault, now);
     }
 
-    /// Holds a button down for a while.
-    pub fn press_button(&self, button: Button, held: Duration) {
-        self.shared.world().robot.press(button, held);
+    /// Holds the button at this position down for a while.
+    pub(crate) fn press(&self, number: usize, held: Duration) {
+        self.shared.world().devices.press(number, held);
     }
 
     /// Stops the emulator: the port is closed and the link removed when this returns.
@@ -192,7 +204,7 @@ pub(super) struct Shared {
 
 /// The mutable state.
 pub(super) struct World {
-    pub(super) robot: Robot,
+    pub(super) devices: Box<dyn Devices>,
     pub(super) faults: FaultSchedule,
     /// The device file; empty while the port is closed.
     pub(super) device: PathBuf,
@@ -206,12 +218,12 @@ pub(super) struct World {
 }
 
 impl Shared {
-    pub(super) fn new(options: &EmulatorOptions, device: PathBuf, body: Option<Box<dyn Body>>) -> Self {
+    pub(super) fn new(options: &EmulatorOptions, device: PathBuf, devices: Box<dyn Devices>) -> Self {
         let world = World {
-            robot: Robot::new(options.seed, options.timing != Timing::Measured, body),
             faults: FaultSchedule::new(options.faults.clone(), options.seed),
             device,
-            wire: Wire::new(options.seed),
+            wire: Wire::new(options.seed, devices.baud()),
+            devices,
             timing: options.timing,
             started: Instant::now(),
             steps: None,
@@ -246,21 +258,22 @@ impl World {
         if last < now {
             self.steps = Some([first, now]);
             self.catch_up();
-            self.robot.begin_step();
+            self.devices.begin_step();
         }
     }
 
     fn catch_up(&mut self) -> Duration {
         let now = self.now();
-        self.robot.set_dead(|id| self.faults.is_dead(id, now));
-        self.robot.advance_to(now);
+        let faults = &self.faults;
+        self.devices.set_dead(&|id| faults.is_dead(id, now));
+        self.devices.advance_to(now);
         now
     }
 
-    pub(super) fn answer(&mut self, packet: &Packet<&[u8]>) -> Vec<Bundle> {
+    pub(super) fn answer(&mut self, packet: &Packet<'_>) -> Vec<Bundle> {
         let now = self.catch_up();
         let faults = &mut self.faults;
-        let mut answers = self.robot.answer(packet, &mut || faults.loses_answer(now));
+        let mut answers = self.devices.answer(packet, &mut || faults.loses_answer(now));
         for answer in &mut answers {
             self.faults.flip(&mut answer.packet, now);
         }
@@ -271,7 +284,8 @@ impl World {
 /// Serves the port until stopped. The first port is already open, so that its name is known after the start.
 pub(super) fn serve(shared: &Shared, options: &EmulatorOptions, terminal: PseudoTerminal) {
     let mut terminal = Some(terminal);
-    let mut receiver = Receiver::new();
+    let protocol = shared.world().devices.protocol();
+    let mut receiver = Receiver::new(protocol);
     let mut buffer = [0; 1024];
     while !shared.is_stopping.load(Ordering::Acquire) {
         if let Err(error) = plug(shared, options, &mut terminal) {
@@ -279,7 +293,7 @@ pub(super) fn serve(shared: &Shared, options: &EmulatorOptions, terminal: Pseudo
         }
         let Some(open) = &mut terminal else {
             wait_closed(shared);
-            receiver = Receiver::new();
+            receiver = Receiver::new(protocol);
             continue;
         };
         let served = open.receive(&mut buffer, LOOK).and_then(|bytes| {

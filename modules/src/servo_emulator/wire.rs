@@ -8,11 +8,10 @@
 //! klowrey/darwin, `notes.txt` (measurements of 2015).
 
 use super::random::Random;
-use super::robot::Answer;
 use std::time::Duration;
 
-/// Ten bit times at 1 Mbit/s.
-const PER_BYTE: Duration = Duration::from_micros(10);
+/// The bit times of a byte.
+const BITS_PER_BYTE: u64 = 10;
 /// From the last preceding byte to the first byte of the answer.
 const TURNAROUND: Duration = Duration::from_micros(70);
 const JITTER_US: f64 = 40.0;
@@ -37,6 +36,15 @@ pub enum Timing {
     Stepped,
 }
 
+/// An answer of a device.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Answer {
+    /// The status packet.
+    pub(crate) packet: Vec<u8>,
+    /// The delay before it, from the device's setting.
+    pub(crate) return_delay: Duration,
+}
+
 /// Bytes that reach the computer together.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Bundle {
@@ -45,13 +53,15 @@ pub(super) struct Bundle {
 }
 
 pub(super) struct Wire {
+    per_byte: Duration,
     free_at: Duration,
     jitter: Random,
 }
 
 impl Wire {
-    pub(super) fn new(seed: u64) -> Self {
-        Self { free_at: Duration::ZERO, jitter: Random::new(seed, 3) }
+    pub(super) fn new(seed: u64, baud: u32) -> Self {
+        let per_byte = Duration::from_nanos(BITS_PER_BYTE * 1_000_000_000 / u64::from(baud.max(1)));
+        Self { per_byte, free_at: Duration::ZERO, jitter: Random::new(seed, 3) }
     }
 
     /// When all bytes so far have been transmitted.
@@ -67,14 +77,14 @@ impl Wire {
         answers: &[Answer],
     ) -> Vec<Bundle> {
         let begin = now.max(self.free_at);
-        let mut at = begin + PER_BYTE * instruction_length as u32;
+        let mut at = begin + self.per_byte * instruction_length as u32;
         if !answers.is_empty() {
             at += self.delay();
         }
         let mut bundles: Vec<Bundle> = Vec::new();
         let mut bundle_begins = begin;
         for answer in answers {
-            at += TURNAROUND + answer.return_delay + PER_BYTE * answer.packet.len() as u32;
+            at += TURNAROUND + answer.return_delay + self.per_byte * answer.packet.len() as u32;
             match bundles.last_mut() {
                 Some(bundle) if at < bundle_begins + BUNDLE => {
                     bundle.at = at;
@@ -107,7 +117,7 @@ mod tests {
 
     #[test]
     fn sync_write_and_bulk_read_take_the_measured_time() {
-        let mut wire = Wire::new(1);
+        let mut wire = Wire::new(1, 1_000_000);
         let answers: Vec<Answer> = std::iter::once(answer(33)).chain((0..20).map(|_| answer(14))).collect();
         let mut times: Vec<f64> = (0..500)
             .map(|cycle| {
@@ -126,7 +136,7 @@ mod tests {
 
     #[test]
     fn no_part_of_the_answers_is_lost_or_early() {
-        let mut wire = Wire::new(1);
+        let mut wire = Wire::new(1, 1_000_000);
         let bundles = wire.carry(Duration::ZERO, 70, &[answer(33), answer(14), answer(200), answer(14)]);
         assert_eq!(bundles.iter().map(|bundle| bundle.bytes.len()).sum::<usize>(), 261);
         assert!(bundles.is_sorted_by_key(|bundle| bundle.at));
@@ -136,7 +146,7 @@ mod tests {
 
     #[test]
     fn an_instruction_waits_until_the_wire_is_free() {
-        let mut wire = Wire::new(1);
+        let mut wire = Wire::new(1, 1_000_000);
         wire.carry(Duration::ZERO, 100, &[]);
         wire.carry(Duration::ZERO, 100, &[]);
         assert_eq!(wire.free_at(), Duration::from_millis(2));

@@ -1,23 +1,24 @@
 //! The serial port.
 
-use super::super::protocol::{Instruction, Packet, Receiver};
-use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, LATE, Outcome};
+use super::super::protocol::{Instruction, Packet, Protocol, Receiver};
+use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, LATE, LineSettings, Outcome};
 use downbeat_executor::Time;
 use serialport::{ClearBuffer, DataBits, FlowControl, Parity, SerialPort, StopBits};
 use std::io;
 use std::time::{Duration, Instant};
 
-/// The speed of the bus, in bit/s.
+/// The usual speed of a bus, in bit/s.
 pub const BAUD_RATE: u32 = 1_000_000;
 
 /// How long the operating system may take to accept an instruction.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 
-/// The devices on a serial port: 1 Mbit/s, 8 data bits, no parity, one stop bit, no flow control.
+/// The devices on a serial port: 8 data bits, no parity, one stop bit, no flow control.
 ///
 /// The port of a real robot is an FTDI chip: set its `latency_timer` to 1 ms, else each answer costs up to 16 ms.
 pub struct SerialBus {
     port: Option<Box<dyn SerialPort>>,
+    line: LineSettings,
     slack: Duration,
     sequence: u64,
     /// The time of the step, and the instant at which it was set.
@@ -49,7 +50,8 @@ impl SerialBus {
     /// silent devices.
     #[must_use]
     pub fn with_slack(slack: Duration) -> Self {
-        Self { port: None, slack, sequence: 0, step: (Time::ZERO, Instant::now()), late_answers_for: 0 }
+        let (line, step) = (LineSettings::default(), (Time::ZERO, Instant::now()));
+        Self { port: None, line, slack, sequence: 0, step, late_answers_for: 0 }
     }
 
     fn finish(&mut self, started: Instant, kind: ExchangeKind, instruction: &[u8], end: End) -> Exchange {
@@ -78,7 +80,7 @@ impl SerialBus {
 
     fn transfer(&mut self, started: Instant, instruction: &[u8], expected: &[ExpectedStatus]) -> End {
         let mut reply = Vec::new();
-        let deadline = started + status_timeout(instruction, expected, self.slack);
+        let deadline = started + status_timeout(self.line, instruction, expected, self.slack);
         let Some(port) = self.port.as_deref_mut() else {
             return End::failed(reply, "the serial port is not open".to_owned());
         };
@@ -88,7 +90,7 @@ impl SerialBus {
         if let Err(error) = send(port, instruction) {
             return failed(reply, "sending to", &error);
         }
-        let mut awaited = Awaited::new(expected);
+        let mut awaited = Awaited::new(self.line.protocol, expected);
         let mut buffer = [0; 1024];
         while !awaited.is_over() {
             let left = deadline.saturating_duration_since(Instant::now());
@@ -115,10 +117,14 @@ impl Bus for SerialBus {
         self.step = (now, Instant::now());
     }
 
+    fn set_line(&mut self, line: LineSettings) {
+        self.line = line;
+    }
+
     fn open(&mut self, port: &str) -> Exchange {
         let started = Instant::now();
         self.port = None;
-        let opened = serialport::new(port, BAUD_RATE)
+        let opened = serialport::new(port, self.line.baud)
             .data_bits(DataBits::Eight)
             .parity(Parity::None)
             .stop_bits(StopBits::One)
@@ -192,9 +198,9 @@ pub(crate) struct Awaited<'a> {
 }
 
 impl<'a> Awaited<'a> {
-    pub(crate) fn new(expected: &'a [ExpectedStatus]) -> Self {
-        let longest = expected.iter().map(ExpectedStatus::packet_length).max().unwrap_or(0);
-        Self { expected, receiver: Receiver::with_longest(longest), passed: 0, came: 0 }
+    pub(crate) fn new(protocol: Protocol, expected: &'a [ExpectedStatus]) -> Self {
+        let longest = expected.iter().map(|expected| longest_packet(protocol, expected)).max().unwrap_or(0);
+        Self { expected, receiver: Receiver::with_longest(protocol, longest), passed: 0, came: 0 }
     }
 
     pub(crate) fn take(&mut self, bytes: &[u8]) {
@@ -222,36 +228,47 @@ impl<'a> Awaited<'a> {
     }
 }
 
-/// 12 bit times at 1 Mbit/s for each byte: ten bits and some slack.
-const NANOSECONDS_PER_BYTE: u64 = 12_000;
+/// The bit times that a byte takes at most: ten bits and some slack.
+const BIT_TIMES_PER_BYTE: u64 = 12;
 
 /// Time for processing in the devices and in the operating system, as in the DARwIn-OP framework.
 pub const STATUS_SLACK: Duration = Duration::from_millis(5);
 
+/// The length of the packet with which a device answers, including all bytes that Dynamixel 2.0 may insert.
+fn longest_packet(protocol: Protocol, expected: &ExpectedStatus) -> usize {
+    let inserted =
+        if protocol == Protocol::Dynamixel2 { usize::from(expected.parameters) / 3 + 1 } else { 0 };
+    protocol.status_length(expected.parameters) + inserted
+}
+
 /// The time-out for the answers after sending `instruction`.
 ///
-/// As in the DARwIn-OP framework: `slack`, plus 12 microseconds for each byte sent or, for a bulk read, for
-/// one and a half times the expected bytes.
+/// `slack`, plus 12 bit times for each byte sent and expected; if several devices answer, one and a half times as much
+/// for the expected ones. The DARwIn-OP framework gives as much to a bulk read, and less to an instruction to one
+/// device, which would be too little at a low speed.
 #[must_use]
-pub fn status_timeout(instruction: &[u8], expected: &[ExpectedStatus], slack: Duration) -> Duration {
-    let packet = Packet::new_checked(instruction);
-    let is_bulk_read = packet
-        .as_ref()
-        .is_ok_and(|packet| matches!(Instruction::parse(packet), Ok(Instruction::BulkRead { .. })));
-    let nanoseconds = if is_bulk_read {
-        let to_come: usize = expected.iter().map(ExpectedStatus::packet_length).sum();
-        to_come as u64 * NANOSECONDS_PER_BYTE * 3 / 2
-    } else {
-        instruction.len() as u64 * NANOSECONDS_PER_BYTE
-    };
-    slack + Duration::from_nanos(nanoseconds)
+pub fn status_timeout(
+    line: LineSettings,
+    instruction: &[u8],
+    expected: &[ExpectedStatus],
+    slack: Duration,
+) -> Duration {
+    let packet = Packet::new_checked(line.protocol, instruction);
+    let is_read_of_several = packet
+        .ok()
+        .and_then(|packet| Instruction::parse(&packet).ok())
+        .is_some_and(|instruction| instruction.is_read_of_several());
+    let expected: usize = expected.iter().map(|one| line.protocol.status_length(one.parameters)).sum();
+    let bytes = if is_read_of_several { expected * 3 / 2 } else { instruction.len() + expected };
+    let bit_times = bytes as u64 * BIT_TIMES_PER_BYTE;
+    slack + Duration::from_nanos(bit_times * 1_000_000_000 / u64::from(line.baud.max(1)))
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
 
-    use super::super::super::protocol::{BulkReadBlock, Id, Instruction};
+    use super::super::super::protocol::{Id, ReadEntry};
     use super::*;
     use serialport::TTYPort;
 
@@ -261,7 +278,7 @@ mod tests {
         let (mut device, port) = TTYPort::pair().unwrap();
         let mut bus = SerialBus::with_slack(Duration::ZERO);
         assert_eq!(bus.open(&port.name().unwrap()).outcome, Outcome::Ok);
-        let ping = Instruction::Ping { id: Id::CM730 }.to_bytes();
+        let ping = Instruction::Ping { id: Id::CM730 }.to_bytes(Protocol::Dynamixel1).unwrap();
         let mut exchange = || bus.exchange(&ping, &[ExpectedStatus { id: Id::CM730, parameters: 0 }]);
         let given_up = exchange();
         assert_eq!(given_up.outcome, Outcome::Timeout);
@@ -294,20 +311,26 @@ mod tests {
     }
 
     #[test]
-    fn a_ping_has_five_milliseconds_and_the_time_of_its_own_bytes() {
-        let ping = Instruction::Ping { id: Id::CM730 }.to_bytes();
+    fn a_ping_has_five_milliseconds_and_the_time_of_its_bytes() {
+        let line = LineSettings::default();
+        let ping = Instruction::Ping { id: Id::CM730 }.to_bytes(line.protocol).unwrap();
         let expected = [ExpectedStatus { id: Id::CM730, parameters: 0 }];
-        assert_eq!(status_timeout(&ping, &expected, STATUS_SLACK), Duration::from_micros(5_072));
+        assert_eq!(status_timeout(line, &ping, &expected, STATUS_SLACK), Duration::from_micros(5_144));
+        let slow = LineSettings { baud: 9600, ..line };
+        assert_eq!(status_timeout(slow, &ping, &expected, STATUS_SLACK), Duration::from_millis(20));
     }
 
     #[test]
     fn a_bulk_read_has_one_and_a_half_times_the_time_of_its_answers() {
-        let block = [30, 200, 24, 8, 1, 36];
-        let read = Instruction::BulkRead { block: BulkReadBlock::new(&block).unwrap() }.to_bytes();
-        let expected = [
-            ExpectedStatus { id: Id::CM730, parameters: 30 },
-            ExpectedStatus { id: Id::new(1).unwrap(), parameters: 8 },
+        let line = LineSettings::default();
+        let one = Id::new(1).unwrap();
+        let entries = vec![
+            ReadEntry { id: Id::CM730, address: 24, length: 30 },
+            ReadEntry { id: one, address: 36, length: 8 },
         ];
-        assert_eq!(status_timeout(&read, &expected, STATUS_SLACK), Duration::from_micros(5_900));
+        let expected =
+            [ExpectedStatus { id: Id::CM730, parameters: 30 }, ExpectedStatus { id: one, parameters: 8 }];
+        let read = Instruction::BulkRead { entries }.to_bytes(line.protocol).unwrap();
+        assert_eq!(status_timeout(line, &read, &expected, STATUS_SLACK), Duration::from_micros(5_900));
     }
 }

@@ -1,6 +1,6 @@
 //! A recording that replaces the bus.
 
-use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, Outcome};
+use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, LineSettings, Outcome};
 use downbeat_executor::Time;
 use parking_lot::Mutex;
 use std::sync::Arc;
@@ -78,6 +78,8 @@ impl Bus for RecordedBus {
     fn begin_step(&mut self, now: Time) {
         self.now = now;
     }
+
+    fn set_line(&mut self, _line: LineSettings) {}
 
     fn open(&mut self, _port: &str) -> Exchange {
         self.replay(ExchangeKind::Open, &[])

@@ -7,7 +7,7 @@
 mod recorded;
 mod serial;
 
-use super::protocol::Id;
+use super::protocol::{Id, Protocol};
 use downbeat_executor::Time;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 pub use recorded::{BusDifference, BusReport, RecordedBus};
@@ -22,6 +22,9 @@ pub trait Bus: Send {
     /// Sets the time. Exchanges until the next call are stamped with this time plus the time elapsed since.
     fn begin_step(&mut self, now: Time);
 
+    /// Sets the speed of the bus and its protocol, before the port is opened. Initially 1 Mbit/s and Dynamixel 1.0.
+    fn set_line(&mut self, line: LineSettings);
+
     /// Opens the port, after closing it if it was open.
     fn open(&mut self, port: &str) -> Exchange;
 
@@ -32,6 +35,21 @@ pub trait Bus: Send {
 
     /// Closes the port. Does not affect the devices.
     fn close(&mut self) -> Exchange;
+}
+
+/// How the devices of a bus speak.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LineSettings {
+    /// The speed, in bit/s.
+    pub baud: u32,
+    /// The protocol.
+    pub protocol: Protocol,
+}
+
+impl Default for LineSettings {
+    fn default() -> Self {
+        Self { baud: BAUD_RATE, protocol: Protocol::Dynamixel1 }
+    }
 }
 
 /// The kind of an exchange.
@@ -59,18 +77,10 @@ pub enum Outcome {
 /// An expected status packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ExpectedStatus {
-    /// The device that sends it.
+    /// The device that sends it; the broadcast address if several devices answer in one packet.
     pub id: Id,
     /// The number of parameter bytes.
-    pub parameters: u8,
-}
-
-impl ExpectedStatus {
-    /// The length of the packet, including header and checksum.
-    #[must_use]
-    pub const fn packet_length(&self) -> usize {
-        self.parameters as usize + 6
-    }
+    pub parameters: u16,
 }
 
 /// In [`Exchange::error`]: an answer arrived after its time-out. The devices work, but the machine was too

@@ -1,0 +1,28 @@
+//! Robots of serial servos: Dynamixel and Feetech, described by a file.
+//!
+//! - [`protocol`] and [`models`] define data and its meaning, without input or output;
+//! - [`bus`] accesses the devices: a serial port, or a recording of one;
+//! - [`Description`] says which joints and devices are on which bus;
+//! - [`ServoBus`] is the module.
+//!
+//! It has never been run on hardware, only on the emulated servos of [`servo_emulator`](crate::servo_emulator).
+
+pub mod bus;
+pub mod models;
+pub mod protocol;
+
+mod description;
+mod diagnostics;
+mod driver;
+mod joint;
+mod module;
+mod reading;
+mod servo;
+
+pub use description::{BusPlan, Description, DescriptionError, DevicePlan, PowerSwitch};
+pub use joint::{Guard, Joint, Measurement, Protection, Registers, Thresholds};
+pub use module::ServoBus;
+pub(crate) use module::{Hardware, SLOW, Topics, battery_state, header};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,377 @@
+//! The hardware of a robot of serial servos as a module.
+
+use super::bus::{Bus, Exchange, SerialBus};
+use super::description::{BusPlan, Description};
+use super::diagnostics::{Labels, Levels, levels, report};
+use super::driver::{Counted, Driver};
+use super::protocol::Id;
+use super::reading::Reading;
+use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time, TransitionError};
+use downbeat_msgs::builtin_interfaces;
+use downbeat_msgs::diagnostic_msgs::msg::DiagnosticArray;
+use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
+use downbeat_msgs::sensor_msgs::msg::{BatteryState, JointState};
+use downbeat_msgs::std_msgs::msg::{Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout};
+use downbeat_msgs::std_srvs::srv::SetBoolResponse;
+use std::time::Duration;
+
+/// The period of slowly changing data.
+pub(crate) const SLOW: Duration = Duration::from_secs(1);
+
+/// The servos of one bus, with everything that is common to all robots: for the modules that drive them.
+pub(crate) struct Hardware {
+    bus: Box<dyn Bus>,
+    pub(crate) driver: Driver,
+    pub(crate) plan: BusPlan,
+    pub(crate) hardware_id: String,
+    pub(crate) joint_frame: String,
+    /// Whether diagnostics report late cycles.
+    reports_cycles: bool,
+    exchanges: Vec<Exchange>,
+    unknown_names: Counted,
+    last_diagnostics: Option<(Time, Levels)>,
+}
+
+/// The topics that all robots have.
+#[derive(Clone, Copy)]
+pub(crate) struct Topics {
+    joint_states: Publication<JointState>,
+    diagnostics: Publication<DiagnosticArray>,
+    exchanges: Publication<BusExchange>,
+}
+
+impl Topics {
+    pub(crate) fn declare<M: Module>(setup: &mut Setup<'_, M>) -> Result<Self, SetupError> {
+        Ok(Self {
+            joint_states: setup.publish("joint_states")?,
+            diagnostics: setup.publish("diagnostics")?,
+            exchanges: setup.publish("bus/exchanges")?,
+        })
+    }
+}
+
+impl Hardware {
+    pub(crate) fn new(bus: Box<dyn Bus>, plan: BusPlan, reports_cycles: bool) -> Self {
+        Self {
+            bus,
+            driver: Driver::new(plan.joints.len(), plan.devices.len()),
+            hardware_id: plan.title.clone(),
+            plan,
+            joint_frame: String::new(),
+            reports_cycles,
+            exchanges: Vec::new(),
+            unknown_names: Counted::default(),
+            last_diagnostics: None,
+        }
+    }
+
+    /// Takes commanded positions: unknown names are logged and counted, values that are not finite are ignored, others are
+    /// clamped to the limits.
+    pub(crate) fn on_command(&mut self, command: &JointState) {
+        for (name, position) in command.name.iter().zip(&command.position) {
+            let Some(index) = self.index_of(name, "joint_commands") else { continue };
+            if let Some(goal) = self.plan.joints[index].goal(*position) {
+                self.driver.servos[index].want(goal);
+            }
+        }
+    }
+
+    /// Takes commanded shares of the largest torque.
+    pub(crate) fn on_torque(&mut self, command: &JointState) {
+        for (name, share) in command.name.iter().zip(&command.effort) {
+            let Some(index) = self.index_of(name, "joint_torque") else { continue };
+            if share.is_finite() {
+                self.driver.servos[index].command_torque(*share);
+            }
+        }
+    }
+
+    /// Switches the torque of all joints.
+    pub(crate) fn set_torque(&mut self, is_on: bool) -> SetBoolResponse {
+        for servo in &mut self.driver.servos {
+            servo.command_torque(if is_on { 1.0 } else { 0.0 });
+        }
+        let (count, state) = (self.driver.servos.len(), if is_on { "on" } else { "off" });
+        SetBoolResponse {
+            success: true,
+            message: format!("the torque of {count} joints is switched {state}"),
+        }
+    }
+
+    fn index_of(&mut self, name: &str, topic: &str) -> Option<usize> {
+        let index = self.plan.joints.iter().position(|joint| joint.name == name);
+        if index.is_none()
+            && !self.plan.other_joints.iter().any(|other| other == name)
+            && self.unknown_names.is_worth_a_line()
+        {
+            let count = self.unknown_names.count();
+            tracing::warn!("{topic} contains \"{name}\", which is not a joint ({count} times so far)");
+        }
+        index
+    }
+
+    /// Does one step of the driver, and publishes its exchanges and the joints.
+    pub(crate) fn step<P>(&mut self, topics: Topics, ctx: &mut Context<'_, P>) -> Option<Reading> {
+        self.bus.set_line(self.plan.line);
+        let reading = self.driver.step(ctx.now(), &self.plan, &mut *self.bus, &mut self.exchanges);
+        self.publish_exchanges(topics, ctx);
+        if let Some(reading) = reading.as_ref().filter(|reading| reading.has_joints) {
+            ctx.publish(topics.joint_states, self.joint_state(reading));
+        }
+        reading
+    }
+
+    /// Publishes diagnostics, if they are due or have changed.
+    pub(crate) fn diagnose<P>(&mut self, topics: Topics, ctx: &mut Context<'_, P>) {
+        let now = ctx.now();
+        let labels = Labels {
+            hardware_id: &self.hardware_id,
+            unknown_names: self.unknown_names.count(),
+            reports_cycles: self.reports_cycles,
+        };
+        let levels = levels(now, &self.plan, &self.driver, &labels);
+        if self.last_diagnostics.as_ref().is_none_or(|(at, last)| *at + SLOW <= now || *last != levels) {
+            ctx.publish(topics.diagnostics, report(now, &self.plan, &self.driver, &labels));
+            self.last_diagnostics = Some((now, levels));
+        }
+    }
+
+    /// Closes the port after this write to a device: its address, the bytes, and where they go.
+    pub(crate) fn stop<P>(
+        &mut self,
+        last_write: Option<(Id, &[u8], u16)>,
+        topics: Topics,
+        ctx: &mut Context<'_, P>,
+    ) {
+        self.driver.stop(ctx.now(), &self.plan, last_write, &mut *self.bus, &mut self.exchanges);
+        self.publish_exchanges(topics, ctx);
+    }
+
+    fn publish_exchanges<P>(&mut self, topics: Topics, ctx: &mut Context<'_, P>) {
+        for exchange in self.exchanges.drain(..) {
+            ctx.publish(topics.exchanges, BusExchange::from(&exchange));
+        }
+    }
+
+    /// All joints. A stale one keeps its last position and has NaN as velocity and effort, and as position if it was never
+    /// read.
+    fn joint_state(&self, reading: &Reading) -> JointState {
+        let count = self.plan.joints.len();
+        let mut message = JointState {
+            header: header(reading.sent, &self.joint_frame),
+            name: self.plan.joints.iter().map(|joint| joint.name.clone()).collect(),
+            position: Vec::with_capacity(count),
+            velocity: Vec::with_capacity(count),
+            effort: Vec::with_capacity(count),
+        };
+        for (servo, joint) in self.driver.servos.iter().zip(&self.plan.joints) {
+            let fresh = servo.last.filter(|_| !servo.link.is_stale());
+            message.position.push(servo.last.map_or(f64::NAN, |last| joint.angle(last.position)));
+            message.velocity.push(fresh.map_or(f64::NAN, |last| last.velocity));
+            message.effort.push(fresh.map_or(f64::NAN, |last| last.effort));
+        }
+        message
+    }
+}
+
+/// A header with that stamp.
+pub(crate) fn header(stamp: Time, frame_id: &str) -> Header {
+    let stamp = builtin_interfaces::msg::Time::from_nanos(stamp.as_nanos());
+    Header { stamp, frame_id: frame_id.to_owned() }
+}
+
+/// A battery of which only the voltage is measured.
+pub(crate) fn battery_state(sent: Time, volts: f64) -> BatteryState {
+    BatteryState {
+        header: header(sent, ""),
+        voltage: volts as f32,
+        temperature: f32::NAN,
+        current: f32::NAN,
+        charge: f32::NAN,
+        capacity: f32::NAN,
+        design_capacity: f32::NAN,
+        percentage: f32::NAN,
+        power_supply_status: BatteryState::POWER_SUPPLY_STATUS_UNKNOWN,
+        power_supply_health: BatteryState::POWER_SUPPLY_HEALTH_UNKNOWN,
+        power_supply_technology: BatteryState::POWER_SUPPLY_TECHNOLOGY_UNKNOWN,
+        present: true,
+        ..BatteryState::default()
+    }
+}
+
+/// A robot of serial servos as a module: goals out, joints in, in every cycle of its bus.
+///
+/// It drives one bus of the robot that the setting `description` describes (see [`Description`]). It waits for the bus, so
+/// run it detached; a robot of several buses has one module for each, with the setting `bus`, and `bus/exchanges` and the
+/// service `torque` remapped.
+///
+/// | topic | type | |
+/// | --- | --- | --- |
+/// | `joint_commands` (in) | `sensor_msgs/JointState` | positions by name, rad; unknown names are counted, values that are not finite ignored, other values clamped to the limits |
+/// | `joint_torque` (in) | `sensor_msgs/JointState` | `effort`: the share of its largest torque that a joint may use; 0 switches it off |
+/// | `joint_states` | `sensor_msgs/JointState` | in the order of the description: rad, rad/s, load (share of the drive) or current (A); stale joints have velocity and effort NaN |
+/// | `battery_state` | `sensor_msgs/BatteryState` | V, once a second, if a device measures it |
+/// | `devices/<name>` | `std_msgs/Float64MultiArray` | the registers of a device that are read, in their units; a label for each |
+/// | `diagnostics` | `diagnostic_msgs/DiagnosticArray` | once a second and when a level changes |
+/// | `bus/exchanges` | `downbeat_interfaces/BusExchange` | all traffic on the bus |
+///
+/// The service `torque` (`std_srvs/SetBool`) switches the torque of all joints.
+///
+/// A joint does not move before it is commanded. It then approaches the command at the `approach_rad_s` of its
+/// description, as after each time it was out of service or without torque. On shutdown the servos keep their torque.
+pub struct ServoBus {
+    bus: Option<Box<dyn Bus>>,
+    hardware: Option<Hardware>,
+    last_battery_at: Option<Time>,
+}
+
+/// The keys of [`ServoBus`].
+pub struct Ports {
+    topics: Topics,
+    battery: Option<Publication<BatteryState>>,
+    devices: Vec<Publication<Float64MultiArray>>,
+}
+
+impl ServoBus {
+    /// The robot on its serial port.
+    #[must_use]
+    pub fn serial() -> Self {
+        Self::new(Box::new(SerialBus::new()))
+    }
+
+    /// The robot on any bus, such as a recorded one.
+    #[must_use]
+    pub fn new(bus: Box<dyn Bus>) -> Self {
+        Self { bus: Some(bus), hardware: None, last_battery_at: None }
+    }
+
+    fn on_command(&mut self, command: Received<'_, JointState>, _ctx: &mut Context<'_, Ports>) {
+        if let Some(hardware) = &mut self.hardware {
+            hardware.on_command(&command);
+        }
+    }
+
+    fn on_torque(&mut self, command: Received<'_, JointState>, _ctx: &mut Context<'_, Ports>) {
+        if let Some(hardware) = &mut self.hardware {
+            hardware.on_torque(&command);
+        }
+    }
+
+    fn tick(&mut self, ctx: &mut Context<'_, Ports>) {
+        let Some(hardware) = &mut self.hardware else { return };
+        let topics = ctx.ports.topics;
+        if let Some(reading) = hardware.step(topics, ctx) {
+            let plan = &hardware.plan;
+            let protocol = plan.line.protocol;
+            for (index, (device, piece)) in plan.devices.iter().zip(&reading.devices).enumerate() {
+                let Some(piece) = piece else { continue };
+                let values = device.read.iter().map(|register| device.value(protocol, register, piece));
+                let data: Vec<f64> = values.map(|value| value.unwrap_or(f64::NAN)).collect();
+                let dim = device.read.iter().map(|register| MultiArrayDimension {
+                    label: register.name.clone(),
+                    size: 1,
+                    stride: 1,
+                });
+                let layout = MultiArrayLayout { dim: dim.collect(), data_offset: 0 };
+                ctx.publish(ctx.ports.devices[index], Float64MultiArray { layout, data });
+                let is_due = self.last_battery_at.is_none_or(|at| at + SLOW <= ctx.now());
+                if let (Some(topic), Some((register, _)), true) = (ctx.ports.battery, &device.battery, is_due)
+                    && let Some(volts) = device.value(protocol, register, piece)
+                {
+                    self.last_battery_at = Some(ctx.now());
+                    ctx.publish(topic, battery_state(reading.sent, volts));
+                }
+            }
+        }
+        hardware.diagnose(topics, ctx);
+    }
+}
+
+impl Module for ServoBus {
+    type Ports = Ports;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+        let text =
+            |setup: &mut Setup<'_, Self>, name, about| setup.read_only_setting(name, String::new(), about);
+        let description = text(
+            setup,
+            "description",
+            "the file that describes buses, joints and devices, relative to the robot file; or its text",
+        )?;
+        let bus_name = text(setup, "bus", "the bus to drive, if there are several")?;
+        let port = text(setup, "port", "the serial port, instead of that of the description")?;
+        let hardware_id = text(
+            setup,
+            "hardware_id",
+            "which robot diagnostics speak of, instead of its name; say so if it is emulated",
+        )?;
+        let joint_frame = text(setup, "joint_frame", "frame of joint_states, empty by custom")?;
+        let value = |key| setup.value(key).cloned().unwrap_or_default();
+        let given = value(description);
+        let mut hardware = None;
+        if !given.is_empty() {
+            let loaded = Description::load(&given)
+                .map_err(|error| setup.refuse_value(description, error.to_string()))?;
+            let plan = loaded
+                .bus(&value(bus_name))
+                .map_err(|error| setup.refuse_value(bus_name, error.to_string()))?;
+            let mut plan = plan.clone();
+            if loaded.buses().len() == 1 {
+                // Its diagnostics need no name.
+                plan.name.clear();
+            }
+            let port = value(port);
+            if !port.is_empty() {
+                plan.port = port;
+            }
+            hardware = Some((plan, value(hardware_id), value(joint_frame)));
+        }
+        let topics = Topics::declare(setup)?;
+        let (mut battery, mut devices) = (None, Vec::new());
+        if let Some((plan, hardware_id, joint_frame)) = hardware {
+            for device in &plan.devices {
+                devices.push(setup.publish(&format!("devices/{}", device.name))?);
+                if device.battery.is_some() && battery.is_none() {
+                    battery = Some(setup.publish("battery_state")?);
+                }
+            }
+            setup.every(plan.cycle, Self::tick)?;
+            let bus = self.bus.take().unwrap_or_else(|| Box::new(SerialBus::new()));
+            let mut hardware = Hardware::new(bus, plan, true);
+            hardware.joint_frame = joint_frame;
+            if !hardware_id.is_empty() {
+                hardware.hardware_id = hardware_id;
+            }
+            self.hardware = Some(hardware);
+        }
+        setup.subscribe("joint_commands", Self::on_command)?;
+        setup.subscribe("joint_torque", Self::on_torque)?;
+        setup.serve(
+            "torque",
+            |module: &mut Self, request: &downbeat_msgs::std_srvs::srv::SetBoolRequest, _| match &mut module
+                .hardware
+            {
+                Some(hardware) => Ok(hardware.set_torque(request.data)),
+                None => Err("there is no description of the servos".to_owned()),
+            },
+        )?;
+        Ok(Ports { topics, battery, devices })
+    }
+
+    fn activate(&mut self, _ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
+        if self.hardware.is_some() { Ok(()) } else { Err(NoDescription.into()) }
+    }
+
+    fn shutdown(&mut self, ctx: &mut Context<'_, Ports>) {
+        let topics = ctx.ports.topics;
+        if let Some(hardware) = &mut self.hardware {
+            hardware.stop(None, topics, ctx);
+        }
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "the setting \"description\" is missing: name the file that describes the servos, such as description = \"servos.toml\"; docs/servos.md shows one"
+)]
+struct NoDescription;

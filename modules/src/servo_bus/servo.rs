@@ -1,0 +1,568 @@
+//! The state of one servo, and how it is brought into service.
+
+use super::bus::{Bus, Exchange, ExpectedStatus, Outcome};
+use super::driver::Counted;
+use super::joint::{Joint, Measurement, Protection};
+use super::models::{Access, Model, Register};
+use super::protocol::{Id, Instruction, Protocol, Receiver, Status, StatusError};
+use downbeat_executor::Time;
+use std::time::Duration;
+
+/// How long a measurement must be beyond a threshold of the guard, or back, before that takes effect.
+const GUARD_DELAY: Duration = Duration::from_secs(1);
+/// How often a change of the torque is written: nobody acknowledges it.
+const TORQUE_WRITES: u8 = 3;
+
+/// Whether a device is in service.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Service {
+    /// Not polled yet.
+    Unknown,
+    /// Read and driven in every cycle.
+    Active,
+    /// Does not answer. Polled again at `retry_at`.
+    Silent { retry_at: Time },
+    /// Answers, but cannot be used. Polled again at `retry_at`.
+    Unsuitable { reason: String, retry_at: Time },
+}
+
+/// The connection to one device.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Link {
+    pub(crate) service: Service,
+    /// The number of consecutive missing answers.
+    pub(crate) misses: u32,
+    /// How many times it stopped answering.
+    pub(crate) outages: Counted,
+    /// The total number of missing answers.
+    pub(crate) missed: u64,
+    /// The errors in its last answer.
+    pub(crate) error: StatusError,
+}
+
+impl Link {
+    pub(crate) fn new() -> Self {
+        let (outages, error) = (Counted::default(), StatusError::NONE);
+        Self { service: Service::Unknown, misses: 0, outages, missed: 0, error }
+    }
+
+    pub(crate) fn is_active(&self) -> bool {
+        self.service == Service::Active
+    }
+
+    /// Returns whether its data is stale: it is not in service, or missed its last answers.
+    pub(crate) fn is_stale(&self) -> bool {
+        !self.is_active() || self.misses >= 2
+    }
+
+    /// When to poll it again, if it is out of service.
+    pub(crate) fn retry_at(&self) -> Option<Time> {
+        match self.service {
+            Service::Unknown | Service::Active => None,
+            Service::Silent { retry_at } | Service::Unsuitable { retry_at, .. } => Some(retry_at),
+        }
+    }
+
+    pub(crate) fn join(&mut self) {
+        self.service = Service::Active;
+        self.misses = 0;
+    }
+}
+
+/// One servo.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Servo {
+    pub(crate) link: Link,
+    /// Its last measurement.
+    pub(crate) last: Option<Measurement>,
+    /// What its guard demands.
+    pub(crate) protection: Protection,
+    /// A change of the protection that begins to take effect, and since when.
+    pending: Option<(Protection, Time)>,
+    /// Whether torque is commanded.
+    is_torque_commanded: bool,
+    /// The commanded share of its largest torque.
+    commanded_share: f64,
+    /// Whether its torque is enabled, and how often that is still to be written.
+    torque: (bool, u8),
+    /// The gains and the share of the torque that were last written.
+    pub(crate) written: Softness,
+    /// The goal that is written to it.
+    goal: i64,
+    /// The commanded position, if any.
+    wanted: Option<i64>,
+    /// Whether it has reached its command since it came into service.
+    has_caught_up: bool,
+}
+
+/// What determines how hard a servo pulls.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Softness {
+    /// D, I, P.
+    pub(crate) gains: [Option<i64>; 3],
+    /// The raw torque limit.
+    pub(crate) torque_limit: Option<i64>,
+}
+
+impl Servo {
+    pub(crate) fn new() -> Self {
+        Self {
+            link: Link::new(),
+            last: None,
+            protection: Protection::None,
+            pending: None,
+            is_torque_commanded: true,
+            commanded_share: 1.0,
+            torque: (true, 0),
+            written: Softness::default(),
+            goal: 0,
+            wanted: None,
+            has_caught_up: false,
+        }
+    }
+
+    /// Sets the commanded position.
+    pub(crate) fn want(&mut self, raw: i64) {
+        self.wanted = Some(raw);
+    }
+
+    /// Commands a share of the largest torque, from 0 to 1; 0 is none. A new command ends the protection that switched
+    /// the torque off, until the guard demands it again.
+    pub(crate) fn command_torque(&mut self, share: f64) {
+        self.is_torque_commanded = share > 0.0;
+        if self.is_torque_commanded {
+            self.commanded_share = share.min(1.0);
+            if self.protection == Protection::Off {
+                (self.protection, self.pending) = (Protection::Soften, None);
+            }
+        } else {
+            self.wanted = None;
+        }
+    }
+
+    /// Returns whether it is to have torque.
+    pub(crate) fn wants_torque(&self) -> bool {
+        self.is_torque_commanded && self.protection != Protection::Off
+    }
+
+    /// Returns whether it has torque, and therefore a goal.
+    pub(crate) fn has_torque(&self) -> bool {
+        self.torque.0
+    }
+
+    /// Decides on its torque in this cycle. Returns true if the decision must be written.
+    pub(crate) fn decide_torque(&mut self) -> bool {
+        if self.wants_torque() != self.torque.0 {
+            self.torque = (self.wants_torque(), TORQUE_WRITES);
+            if let (true, Some(last)) = (self.torque.0, self.last) {
+                // It may have been turned by hand.
+                (self.goal, self.has_caught_up) = (last.position, false);
+            }
+        }
+        let is_due = self.torque.1 > 0;
+        self.torque.1 = self.torque.1.saturating_sub(1);
+        is_due
+    }
+
+    /// Brings it into service at this position, without a jump.
+    pub(crate) fn join(&mut self, position: i64, written: Softness) {
+        self.link.join();
+        self.goal = position;
+        self.has_caught_up = false;
+        self.torque = (self.wants_torque(), 0);
+        self.written = written;
+    }
+
+    /// The goal of the next cycle.
+    pub(crate) fn next_goal(&mut self, approach_steps: i64) -> i64 {
+        if let Some(wanted) = self.wanted {
+            let slowly = wanted.clamp(self.goal - approach_steps, self.goal + approach_steps);
+            self.goal = if self.has_caught_up { wanted } else { slowly };
+            self.has_caught_up |= slowly == wanted;
+        }
+        self.goal
+    }
+
+    /// How hard it is to pull now.
+    pub(crate) fn softness(&self, joint: &Joint) -> Softness {
+        let is_soft = self.protection == Protection::Soften;
+        let registers = &joint.registers;
+        let is_limited = joint.max_torque.is_some() || self.commanded_share < 1.0 || joint.guard.softens();
+        let torque_limit =
+            registers.torque_limit.as_ref().filter(|_| is_limited || self.written.torque_limit.is_some());
+        let share = joint.max_torque.unwrap_or(1.0) * self.commanded_share * if is_soft { 0.5 } else { 1.0 };
+        let mut gains = joint.gains;
+        if is_soft && registers.torque_limit.is_none() {
+            // The P gain of a model without torque limit; the gain must be known to be restored.
+            gains[2] = gains[2].map(|gain| gain / 2);
+        }
+        let torque_limit = torque_limit.map(|register| (register.max as f64 * share).round() as i64);
+        Softness { gains, torque_limit }
+    }
+
+    /// Takes a measurement, and lets the guard decide.
+    pub(crate) fn take(&mut self, measurement: Measurement, joint: &Joint, now: Time) {
+        self.last = Some(measurement);
+        let demanded = joint.guard.demand(&measurement);
+        if demanded == self.protection || self.protection == Protection::Off {
+            self.pending = None;
+            return;
+        }
+        // The least of what was demanded since the change began.
+        let (least, since) = self
+            .pending
+            .filter(|(pending, _)| (*pending > self.protection) == (demanded > self.protection))
+            .unwrap_or((demanded, now));
+        let least = if demanded > self.protection { least.min(demanded) } else { least.max(demanded) };
+        self.pending = Some((least, since));
+        if since + GUARD_DELAY <= now {
+            (self.protection, self.pending) = (least, None);
+            match least {
+                Protection::None => tracing::info!("{}: temperature and voltage are well again", joint.name),
+                Protection::Warn => tracing::warn!("{}: {}", joint.name, reading(&measurement)),
+                Protection::Soften => {
+                    tracing::warn!("{} gets half its torque: {}", joint.name, reading(&measurement));
+                }
+                Protection::Off => {
+                    tracing::error!("{} loses its torque: {}", joint.name, reading(&measurement));
+                }
+            }
+        }
+    }
+}
+
+/// Temperature and voltage in words.
+pub(crate) fn reading(measurement: &Measurement) -> String {
+    let celsius = measurement.celsius.map(|celsius| format!("{celsius} degrees Celsius"));
+    let voltage = measurement.voltage.map(|voltage| format!("{voltage} V"));
+    celsius.into_iter().chain(voltage).collect::<Vec<_>>().join(", ")
+}
+
+/// Why a device could not be taken into service.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum PrepareError {
+    Trouble(Trouble),
+    Unsuitable(String),
+}
+
+impl From<Trouble> for PrepareError {
+    fn from(trouble: Trouble) -> Self {
+        match trouble {
+            Trouble::Refused(error) => Self::Unsuitable(format!("it rejects its settings: {error}")),
+            trouble => Self::Trouble(trouble),
+        }
+    }
+}
+
+/// Checks a device and writes those of its persistent settings that differ. Returns the first bytes of its table.
+///
+/// Persistent settings are written only if they differ, since that memory wears out.
+pub(crate) fn prepare_device(
+    line: &mut Line<'_>,
+    id: Id,
+    model: &Model,
+    wanted: &[(&Register, i64)],
+) -> Result<Vec<u8>, PrepareError> {
+    let known = [
+        "model_number",
+        "firmware_version",
+        "status_return_level",
+        "min_position_limit",
+        "max_position_limit",
+    ];
+    let checked = known
+        .iter()
+        .filter_map(|name| model.register(name))
+        .chain(wanted.iter().map(|(register, _)| *register));
+    let end = checked.map(Register::end).max().unwrap_or(0);
+    let settings = line.read(id, 0, end)?;
+    let protocol = line.protocol;
+    let value =
+        |name: &str| model.register(name).and_then(|register| register.raw_in(protocol, &settings, 0));
+    if let (Some(expected), Some(found)) = (model.number, value("model_number"))
+        && found != i64::from(expected)
+    {
+        let article =
+            if model.name.starts_with(['B', 'C', 'D', 'G', 'J', 'K', 'P', 'Q', 'T', 'U', 'V', 'W', 'Y', 'Z'])
+            {
+                "a"
+            } else {
+                "an"
+            };
+        return Err(PrepareError::Unsuitable(format!(
+            "it is model {found}, not {article} {} ({expected})",
+            model.name
+        )));
+    }
+    if let (Some(oldest), Some(firmware)) = (model.oldest_firmware, value("firmware_version"))
+        && firmware < oldest
+    {
+        return Err(PrepareError::Unsuitable(format!(
+            "its firmware is {firmware}; update it to {oldest} or later"
+        )));
+    }
+    if let (Some(min), Some(max)) = (value("min_position_limit"), value("max_position_limit"))
+        && min >= max
+    {
+        return Err(PrepareError::Unsuitable(format!(
+            "it turns without end: its position limits are {min} and {max}; set them with `downbeat servo write`"
+        )));
+    }
+    let differing: Vec<_> = wanted
+        .iter()
+        .filter(|(register, value)| register.raw_in(protocol, &settings, 0) != Some(*value))
+        .collect();
+    if model.eeprom_needs_torque_off
+        && differing.iter().any(|(register, _)| register.access == Access::Eeprom)
+        && let Some(torque) = model.register("torque_enable")
+    {
+        line.write(id, torque.address, &torque.bytes(protocol, 0))?;
+    }
+    // Until this is set, writes may not be answered.
+    let (level, others): (Vec<_>, Vec<_>) =
+        differing.into_iter().partition(|(register, _)| register.name == "status_return_level");
+    for (register, value) in level {
+        line.write_unanswered(id, register.address, &register.bytes(protocol, value))?;
+    }
+    for (register, value) in others {
+        line.write(id, register.address, &register.bytes(protocol, value))?;
+    }
+    Ok(settings)
+}
+
+/// Checks a servo and configures it for the cycle: answers without delay to all instructions, gains and limits of the
+/// joint, torque enabled if it is wanted, and its present position as goal. Returns its position.
+pub(crate) fn prepare(
+    line: &mut Line<'_>,
+    joint: &Joint,
+    softness: Softness,
+    has_torque: bool,
+) -> Result<i64, PrepareError> {
+    let (registers, protocol) = (&joint.registers, line.protocol);
+    let is_persistent =
+        |register: &Register| register.access == Access::Eeprom || register.name == "status_return_level";
+    let current = registers.current_limit.as_ref();
+    let limits =
+        current.zip(joint.max_current_a).map(|(register, current)| (register, register.from_si(current)));
+    let gains = registers.gains.iter().zip(softness.gains);
+    let gains = gains.filter_map(|(register, gain)| register.as_ref().zip(gain));
+    let at_start = joint.model.at_start.iter().map(|(register, value)| (register, *value));
+    let torque_limit = registers.torque_limit.as_ref().zip(softness.torque_limit);
+    let (persistent, mut volatile): (Vec<_>, Vec<_>) = at_start
+        .chain(gains)
+        .chain(limits)
+        .chain(torque_limit)
+        .partition(|(register, _)| is_persistent(register));
+    prepare_device(line, joint.id, &joint.model, &persistent)?;
+    let position = line.read(joint.id, registers.position.address, registers.position.size)?;
+    let position = registers.position.raw_in(protocol, &position, registers.position.address).unwrap_or(0);
+    let goal = position.clamp(registers.goal.min, registers.goal.max);
+    volatile.push((&registers.goal, goal));
+    for (address, bytes) in blocks(&joint.model, protocol, volatile) {
+        line.write(joint.id, address, &bytes)?;
+    }
+    line.write(joint.id, registers.torque.address, &registers.torque.bytes(protocol, i64::from(has_torque)))?;
+    Ok(goal)
+}
+
+/// Joins values of neighbouring registers into as few writes as possible. A single byte that belongs to no register is
+/// written as 0.
+fn blocks(model: &Model, protocol: Protocol, mut values: Vec<(&Register, i64)>) -> Vec<(u16, Vec<u8>)> {
+    values.sort_by_key(|(register, _)| register.address);
+    let mut blocks: Vec<(u16, Vec<u8>)> = Vec::new();
+    for (register, value) in values {
+        let bytes = register.bytes(protocol, value);
+        let is_unused =
+            |address: u16| !model.registers.iter().any(|r| (r.address..r.end()).contains(&address));
+        if let Some((first, block)) = blocks.last_mut() {
+            let end = *first + block.len() as u16;
+            if end + 1 == register.address && is_unused(end) {
+                block.push(0);
+            }
+            if *first + block.len() as u16 == register.address {
+                block.extend(bytes);
+                continue;
+            }
+        }
+        blocks.push((register.address, bytes));
+    }
+    blocks
+}
+
+/// The bus during one step, and the exchanges of the step.
+pub(crate) struct Line<'a> {
+    pub(crate) bus: &'a mut dyn Bus,
+    pub(crate) protocol: Protocol,
+    pub(crate) exchanges: &'a mut Vec<Exchange>,
+}
+
+/// Why a device did not execute an instruction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Trouble {
+    /// The port does not work.
+    PortFailed,
+    /// No answer, or a corrupt one.
+    Silent,
+    /// It answered with an error.
+    Refused(StatusError),
+}
+
+impl Line<'_> {
+    /// Opens the port. Returns true if it works.
+    pub(crate) fn open(&mut self, port: &str) -> bool {
+        let exchange = self.bus.open(port);
+        let is_open = exchange.outcome == Outcome::Ok;
+        self.exchanges.push(exchange);
+        is_open
+    }
+
+    /// Closes the port.
+    pub(crate) fn close(&mut self) {
+        let exchange = self.bus.close();
+        self.exchanges.push(exchange);
+    }
+
+    /// Sends an instruction and records the exchange. An instruction that the protocol cannot express is not sent, and
+    /// gets no answer.
+    pub(crate) fn exchange(
+        &mut self,
+        instruction: &Instruction,
+        expected: &[ExpectedStatus],
+    ) -> Result<&Exchange, Trouble> {
+        let bytes = instruction.to_bytes(self.protocol).map_err(|error| {
+            tracing::error!("{error}");
+            Trouble::Silent
+        })?;
+        let exchange = self.bus.exchange(&bytes, expected);
+        self.exchanges.push(exchange);
+        let exchange = &self.exchanges[self.exchanges.len() - 1];
+        if exchange.outcome == Outcome::Failed { Err(Trouble::PortFailed) } else { Ok(exchange) }
+    }
+
+    /// Reads part of a device's control table.
+    pub(crate) fn read(&mut self, id: Id, address: u16, length: u16) -> Result<Vec<u8>, Trouble> {
+        self.ask(&Instruction::Read { id, address, length }, length)
+    }
+
+    /// Writes to a device's control table, and waits for the acknowledgement.
+    pub(crate) fn write(&mut self, id: Id, address: u16, data: &[u8]) -> Result<(), Trouble> {
+        self.ask(&Instruction::Write { id, address, data: data.to_vec() }, 0).map(|_| ())
+    }
+
+    /// Writes to the control table of a device that does not answer writes.
+    fn write_unanswered(&mut self, id: Id, address: u16, data: &[u8]) -> Result<(), Trouble> {
+        self.exchange(&Instruction::Write { id, address, data: data.to_vec() }, &[]).map(|_| ())
+    }
+
+    /// Sends an instruction to one device and returns the data of its answer.
+    pub(crate) fn ask(&mut self, instruction: &Instruction, parameters: u16) -> Result<Vec<u8>, Trouble> {
+        let (id, protocol) = (instruction.id(), self.protocol);
+        let exchange = self.exchange(instruction, &[ExpectedStatus { id, parameters }])?;
+        let mut answer = None;
+        for_each_status(protocol, &exchange.reply, |status| {
+            if status.id == id {
+                answer.get_or_insert(status);
+            }
+        });
+        let Some(Status { error, parameters: answered, .. }) = answer else { return Err(Trouble::Silent) };
+        if error.intersects(StatusError::REFUSALS) {
+            return Err(Trouble::Refused(error));
+        }
+        if answered.len() == usize::from(parameters) { Ok(answered) } else { Err(Trouble::Silent) }
+    }
+}
+
+/// Visits all valid answers of single devices in these bytes.
+pub(crate) fn for_each_status(protocol: Protocol, bytes: &[u8], mut visit: impl FnMut(Status)) {
+    let mut receiver = Receiver::new(protocol);
+    receiver.push(bytes);
+    receiver.end();
+    while let Some(packet) = receiver.next_packet() {
+        if let Ok(status) = Status::parse(&packet) {
+            visit(status);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::super::joint::{Guard, Thresholds};
+    use super::super::models::find;
+    use super::*;
+
+    #[test]
+    fn a_servo_stays_at_its_position_until_it_is_commanded() {
+        let mut servo = Servo::new();
+        servo.join(2000, Softness::default());
+        assert_eq!([servo.next_goal(10), servo.next_goal(10)], [2000, 2000]);
+    }
+
+    #[test]
+    fn a_servo_that_comes_back_approaches_its_command_slowly_and_then_follows_at_once() {
+        let mut servo = Servo::new();
+        servo.want(2025);
+        servo.join(2000, Softness::default());
+        let goals: Vec<i64> = (0..4).map(|_| servo.next_goal(10)).collect();
+        assert_eq!(goals, [2010, 2020, 2025, 2025]);
+        servo.want(1000);
+        assert_eq!(servo.next_goal(10), 1000);
+    }
+
+    #[test]
+    fn neighbouring_registers_are_written_together() {
+        let model = find("MX-28").unwrap();
+        let value = |name: &str, value| (model.register(name).unwrap(), value);
+        let values = ["d_gain", "i_gain", "p_gain", "goal_position", "moving_speed"];
+        let written = blocks(model, Protocol::Dynamixel1, values.map(|name| value(name, 7)).to_vec());
+        assert_eq!(written, [(26, vec![7, 7, 7, 0, 7, 0, 7, 0])]);
+        let apart = vec![value("torque_enable", 1), value("d_gain", 2)];
+        assert_eq!(
+            blocks(model, Protocol::Dynamixel1, apart),
+            [(24, vec![1]), (26, vec![2])],
+            "25 is the LED"
+        );
+    }
+
+    fn guarded(temperature: Thresholds) -> Joint {
+        let text = "name = \"x\"\n[[bus]]\nname = \"b\"\nport = \"p\"\nbaud = 1000000\nprotocol = \"dynamixel1\"\ncycle_ms = 8\n[[joint]]\nname = \"j\"\nid = 1\nmodel = \"MX-28\"\nlimits = [-1.0, 1.0]";
+        let description = super::super::description::Description::parse("x", text).unwrap();
+        let mut joint = description.buses()[0].joints[0].clone();
+        joint.guard = Guard { temperature_c: Some(temperature), voltage_v: None };
+        joint
+    }
+
+    #[test]
+    fn a_guard_softens_and_switches_off_what_stays_hot_for_a_second() {
+        let joint = guarded(Thresholds { warn: Some(60.0), soften: Some(65.0), off: Some(70.0) });
+        let mut servo = Servo::new();
+        servo.join(2048, Softness::default());
+        let at = |ms: i64| Time::from_nanos(ms * 1_000_000);
+        let feel = |servo: &mut Servo, celsius, ms| {
+            let measurement = Measurement {
+                position: 2048,
+                velocity: 0.0,
+                effort: 0.0,
+                voltage: None,
+                celsius: Some(celsius),
+            };
+            servo.take(measurement, &joint, at(ms));
+            servo.protection
+        };
+        assert_eq!(feel(&mut servo, 66.0, 0), Protection::None, "one hot sample is not enough");
+        assert_eq!(feel(&mut servo, 59.0, 900), Protection::None);
+        assert_eq!(feel(&mut servo, 66.0, 1000), Protection::None);
+        assert_eq!(feel(&mut servo, 71.0, 2000), Protection::Soften, "the least of the last second");
+        assert_eq!(servo.softness(&joint).torque_limit, Some(512));
+        assert_eq!(feel(&mut servo, 71.0, 2100), Protection::Soften);
+        assert_eq!(feel(&mut servo, 71.0, 3100), Protection::Off);
+        assert!(!servo.wants_torque());
+        feel(&mut servo, 20.0, 4000);
+        assert_eq!(feel(&mut servo, 20.0, 9000), Protection::Off, "until it is switched on");
+        servo.command_torque(1.0);
+        assert!(servo.wants_torque());
+        feel(&mut servo, 20.0, 10_000);
+        assert_eq!(feel(&mut servo, 20.0, 11_000), Protection::None);
+        assert_eq!(servo.softness(&joint).torque_limit, Some(1023));
+    }
+}
