@@ -5,6 +5,8 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use downbeat_kinematics::darwin_op::{Leg, Side};
+use downbeat_kinematics::nalgebra::{Matrix3xX, Matrix6xX};
+use downbeat_kinematics::{InverseKinematics, Masses, Pose, Robot, Search};
 
 /// Angles of a step, in rad.
 const ANGLES: [f64; 6] = [0.1, 0.05, -0.6, 0.9, 0.5, 0.02];
@@ -18,5 +20,34 @@ fn leg(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, leg);
+fn robot(criterion: &mut Criterion) {
+    let robot = Robot::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/darwin_op.urdf")).unwrap();
+    let [base, sole] = ["base_link", "r_sole"].map(|name| robot.link_id(name).unwrap());
+    let positions = [0.1; 20];
+    let (mut pose, mut masses) = (Pose::new(&robot), Masses::new(&robot).unwrap());
+    let mut group = criterion.benchmark_group("robot of 20 joints");
+    group.bench_function("forward, all frames", |bencher| bencher.iter(|| pose.update(&robot, black_box(&positions))));
+    group.bench_function("centre of mass", |bencher| bencher.iter(|| masses.center_of_mass(black_box(&pose))));
+    let mut jacobian = Matrix3xX::zeros(20);
+    group.bench_function("jacobian of the centre of mass", |bencher| {
+        bencher.iter(|| masses.jacobian(&robot, black_box(&pose), &mut jacobian));
+    });
+    let mut jacobian = Matrix6xX::zeros(20);
+    group.bench_function("jacobian of the sole", |bencher| {
+        bencher.iter(|| pose.jacobian(&robot, black_box(sole), &mut jacobian));
+    });
+    // From a pose as far away as one control cycle later.
+    let mut chain = InverseKinematics::new(&robot, base, sole).unwrap();
+    let target = pose.target_from_source(base, sole);
+    let start = [0.11; 20];
+    group.bench_function("inverse of a leg, numeric", |bencher| {
+        bencher.iter(|| {
+            let mut positions = start;
+            chain.solve(black_box(&target), &mut positions, &Search::default())
+        });
+    });
+    group.finish();
+}
+
+criterion_group!(benches, leg, robot);
 criterion_main!(benches);

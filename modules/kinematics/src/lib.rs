@@ -5,5 +5,12 @@
 
 pub mod darwin_op;
 pub mod description;
+mod inverse;
+mod mjcf;
+mod pose;
 
 pub use description::{DescriptionError, Problem, Robot};
+pub use inverse::{Found, InverseKinematics, Search};
+pub use mjcf::{Root, to_mjcf};
+pub use nalgebra;
+pub use pose::{Masses, Pose};

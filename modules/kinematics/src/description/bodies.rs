@@ -1,6 +1,6 @@
 //! Links joined by fixed joints, as one rigid body with its mass.
 
-use super::{DescriptionError, JointId, JointKind, LinkId, Problem, Robot};
+use super::{DescriptionError, JointId, JointKind, Link, LinkId, Problem, Robot};
 use downbeat_transforms::Isometry;
 use glam::{DMat3, DVec3};
 use nalgebra::Matrix3;
@@ -75,11 +75,14 @@ impl Robot {
             let parts = parts.filter_map(Result::transpose).collect::<Result<Vec<_>, _>>()?;
             body.mass = MassProperties::sum(&parts);
             if body.mass.is_none() && body.joint.is_some() {
-                let link = self.link(body.link);
-                return Err(self.error(Some(link.line), Problem::NoInertia { link: link.name.clone() }));
+                return Err(self.no_mass(self.link(body.link)));
             }
         }
         Ok(bodies)
+    }
+
+    pub(crate) fn no_mass(&self, link: &Link) -> DescriptionError {
+        self.error(Some(link.line), Problem::NoInertia { link: link.name.clone() })
     }
 
     /// The mass of a link in the frame of its body; `None` if it has none.

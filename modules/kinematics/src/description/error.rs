@@ -113,9 +113,6 @@ pub enum Problem {
     /// Two links are not connected as required.
     #[error("link \"{tip}\" does not move relative to \"{base}\": all joints between them are fixed")]
     NotMovable { base: String, tip: String },
-    /// A geometry that has no counterpart in another format.
-    #[error("{what} cannot be written as MJCF: {remedy}")]
-    NoMjcf { what: String, remedy: String },
 }
 
 fn quoted(names: &[String]) -> String {
