@@ -101,6 +101,53 @@ class TFMessage(IdlStruct, typename="tf2_msgs::msg::dds_::TFMessage_"):
     transforms: types.sequence[TransformStamped]
 
 
+@dataclass
+class Twist(IdlStruct, typename="geometry_msgs::msg::dds_::Twist_"):
+    linear: Vector3
+    angular: Vector3
+
+
+@dataclass
+class Duration(IdlStruct, typename="builtin_interfaces::msg::dds_::Duration_"):
+    sec: types.int32 = 0
+    nanosec: types.uint32 = 0
+
+
+@dataclass
+class JointTrajectoryPoint(IdlStruct, typename="trajectory_msgs::msg::dds_::JointTrajectoryPoint_"):
+    positions: types.sequence[types.float64]
+    velocities: types.sequence[types.float64]
+    accelerations: types.sequence[types.float64]
+    effort: types.sequence[types.float64]
+    time_from_start: Duration
+
+
+@dataclass
+class MultiDOFJointTrajectoryPoint(IdlStruct, typename="trajectory_msgs::msg::dds_::MultiDOFJointTrajectoryPoint_"):
+    transforms: types.sequence[Transform]
+    velocities: types.sequence[Twist]
+    accelerations: types.sequence[Twist]
+    time_from_start: Duration
+
+
+@dataclass
+class JointTrajectoryControllerState(
+    IdlStruct, typename="control_msgs::msg::dds_::JointTrajectoryControllerState_"
+):
+    header: Header
+    joint_names: types.sequence[str]
+    reference: JointTrajectoryPoint
+    feedback: JointTrajectoryPoint
+    error: JointTrajectoryPoint
+    output: JointTrajectoryPoint
+    multi_dof_joint_names: types.sequence[str]
+    multi_dof_reference: MultiDOFJointTrajectoryPoint
+    multi_dof_feedback: MultiDOFJointTrajectoryPoint
+    multi_dof_error: MultiDOFJointTrajectoryPoint
+    multi_dof_output: MultiDOFJointTrajectoryPoint
+    speed_scaling_factor: types.float64
+
+
 # The elements of lists, by field.
 ELEMENTS = {"transforms": TransformStamped}
 
@@ -127,6 +174,7 @@ TYPES = {
     "legs/msg/Leg": Leg,
     "tf2_msgs/msg/TFMessage": TFMessage,
     "std_msgs/msg/String": String,
+    "control_msgs/msg/JointTrajectoryControllerState": JointTrajectoryControllerState,
     "sensor_msgs/msg/JointState": JointState,
     "sensor_msgs/msg/CompressedImage": CompressedImage,
 }

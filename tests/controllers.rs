@@ -1,0 +1,112 @@
+//! Controllers of an emulated Darwin OP, used by others: rclpy publishes a trajectory, a participant of Cyclone DDS reads
+//! the state (no wheel has `control_msgs`), and the action is served.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use common::matrix::{Way, With, check};
+use common::rclpy::Peer;
+use common::{Running, WATCHDOG, wait_until};
+use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions};
+use downbeat::bridge::ros::{Client, NodeName, Participant};
+use downbeat::msgs::action_msgs::msg::GoalStatus;
+use downbeat::msgs::builtin_interfaces::msg::Duration as DurationMessage;
+use downbeat::msgs::control_msgs::action::{
+    FollowJointTrajectoryGetResult, FollowJointTrajectoryGetResultRequest, FollowJointTrajectoryGoal,
+    FollowJointTrajectorySendGoal, FollowJointTrajectorySendGoalRequest,
+};
+use downbeat::msgs::qos::QosProfile;
+use downbeat::msgs::trajectory_msgs::msg::{JointTrajectory, JointTrajectoryPoint};
+use downbeat::msgs::unique_identifier_msgs::msg::UUID;
+use serde_json::{Value, json};
+
+const ROBOT: &str = r#"
+[robot]
+name = "head"
+[[module]]
+name = "emulator"
+kind = "darwin_op_emulator"
+settings = { link = "LINK" }
+[[module]]
+name = "hardware"
+kind = "darwin_op"
+settings = { port = "LINK", hardware_id = "darwin_op (emulated)" }
+[[module]]
+name = "head_controller"
+kind = "joint_trajectory"
+settings = { joints = ["head_pan", "head_tilt"], "constraints.head_pan.goal" = 0.02, "constraints.goal_time" = 20.0 }
+[expose]
+out = ["joint_states", "head_controller/controller_state"]
+in = [{ topic = "head_controller/joint_trajectory", type = "trajectory_msgs/msg/JointTrajectory" }]
+actions = ["head_controller/follow_joint_trajectory"]
+"#;
+
+#[test]
+fn a_head_follows_the_trajectory_of_rclpy_and_the_goal_of_an_action() {
+    let Some(mut rclpy) = Peer::start(230, "LOCALHOST") else { return };
+    let Some(mut cyclone) = Peer::cyclonedds(230) else { return };
+    let _check = check("Topics", "a joint trajectory for a controller of ours", With::Rclpy, Way::In);
+    let _check2 = check("Topics", "the state of a joint trajectory controller", With::Cyclone, Way::Out);
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, link) = (folder.path().join("head.toml"), folder.path().join("head"));
+    std::fs::write(&robot, ROBOT.replace("LINK", link.to_str().unwrap())).unwrap();
+    let mut program = Running::start(&["run", robot.to_str().unwrap(), "--domain", "230"]);
+
+    let state = "/head_controller/controller_state";
+    cyclone.ask(
+        json!({"do": "subscribe", "topic": state, "type": "control_msgs/msg/JointTrajectoryControllerState"}),
+    );
+    let mut position_of_pan = |bound: &dyn Fn(f64) -> bool| {
+        let mut last = Value::Null;
+        wait_until("the state has the head where it is to be", || {
+            for heard in cyclone.ask(json!({"do": "take", "topic": state})).as_array().unwrap() {
+                last = heard["fields"].clone();
+            }
+            last["feedback"]["positions"][0].as_f64().is_some_and(bound)
+        });
+        last
+    };
+    let known = position_of_pan(&|position| position.abs() < 3.0);
+    assert_eq!(known["joint_names"], json!(["head_pan", "head_tilt"]));
+
+    let topic = "/head_controller/joint_trajectory";
+    rclpy.ask(json!({"do": "advertise", "topic": topic, "type": "trajectory_msgs/msg/JointTrajectory"}));
+    wait_until("rclpy has found the controller", || {
+        rclpy.ask(json!({"do": "matched", "topic": topic})).as_u64().is_some_and(|count| count > 0)
+    });
+    let point = |seconds: i32, pan: f64| json!({"positions": [pan, 0.0], "velocities": [0.0, 0.0], "time_from_start": {"sec": seconds, "nanosec": 0}});
+    let fields = json!({"joint_names": ["head_pan", "head_tilt"], "points": [point(1, 0.25), point(2, 0.5)]});
+    rclpy.ask(json!({"do": "publish", "topic": topic, "fields": fields}));
+    let reached = position_of_pan(&|position| (position - 0.5).abs() < 0.02);
+    let reference = reached["reference"]["positions"][0].as_f64().unwrap();
+    assert!((reference - 0.5).abs() < 0.05, "{reference}");
+
+    let options =
+        ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(230) };
+    let participant = Participant::join(&options).unwrap();
+    let node = participant.create_node(NodeName::new("/", "client").unwrap()).unwrap();
+    let part = |name: &str| format!("/head_controller/follow_joint_trajectory/_action/{name}");
+    let goals: Client<FollowJointTrajectorySendGoal> =
+        node.client(&part("send_goal"), QosProfile::SERVICES).unwrap();
+    let results: Client<FollowJointTrajectoryGetResult> =
+        node.client(&part("get_result"), QosProfile::SERVICES).unwrap();
+    assert!(goals.wait_for_service(WATCHDOG) && results.wait_for_service(WATCHDOG));
+    let goal_id = UUID { uuid: [5; 16] };
+    let point = JointTrajectoryPoint {
+        positions: vec![-0.3, 0.1],
+        time_from_start: DurationMessage { sec: 1, nanosec: 0 },
+        ..JointTrajectoryPoint::default()
+    };
+    let joint_names = vec!["head_pan".into(), "head_tilt".into()];
+    let trajectory = JointTrajectory { joint_names, points: vec![point], ..JointTrajectory::default() };
+    let goal = FollowJointTrajectoryGoal { trajectory, ..FollowJointTrajectoryGoal::default() };
+    let request = FollowJointTrajectorySendGoalRequest { goal_id, goal };
+    assert!(goals.call_and_wait(&request, WATCHDOG).unwrap().accepted);
+    let request = FollowJointTrajectoryGetResultRequest { goal_id };
+    let response = results.call_and_wait(&request, WATCHDOG).unwrap();
+    assert_eq!((response.status, response.result.error_code), (GoalStatus::STATUS_SUCCEEDED, 0));
+    position_of_pan(&|position| (position + 0.3).abs() < 0.02);
+    program.interrupt();
+    cyclone.leave();
+    rclpy.leave();
+}
