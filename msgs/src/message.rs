@@ -4,7 +4,7 @@ use std::fmt::Debug;
 
 use crate::builtin_interfaces::msg::Time;
 use crate::cdr::Cdr;
-use crate::description::{Description, Field, FieldType};
+use crate::description::{Description, Element, Field, FieldType, Shape};
 use crate::interface_set::{OneAction, OneMessage, OneService};
 use crate::service_msgs::msg::ServiceEventInfo;
 use crate::type_description_interfaces::msg::TypeDescription;
@@ -176,7 +176,8 @@ pub trait Action: Sized + Send + Sync + 'static {
 }
 
 const fn service_field(name: &'static str, service: &'static Description) -> Field {
-    Field { name, field_type: FieldType::nested(service), default_value: "" }
+    let field_type = FieldType { element: Element::Message(service), shape: Shape::Single };
+    Field { name, field_type, default_value: "" }
 }
 
 #[cfg(test)]

@@ -79,18 +79,18 @@ pub struct Constant {
     pub comment: Vec<String>,
 }
 
-/// The type of a field: one element, or several.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct FieldType {
+/// The type of a field: one element, or several. `M` refers to the definition of a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FieldType<M = TypeName> {
     /// The type of an element.
-    pub element: Element,
+    pub element: Element<M>,
     /// The number of elements.
     pub shape: Shape,
 }
 
-/// The type of an element of a field.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Element {
+/// The type of an element of a field. `M` refers to the definition of a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Element<M = TypeName> {
     /// A number, a byte, or a boolean.
     Primitive(Primitive),
     /// `string`, `string<=N`; the bound counts bytes.
@@ -104,7 +104,7 @@ pub enum Element {
         bound: Option<u64>,
     },
     /// Another message.
-    Message(TypeName),
+    Message(M),
 }
 
 /// How many elements a field holds.
@@ -175,6 +175,46 @@ impl MessageDefinition {
     }
 }
 
+impl<M> FieldType<M> {
+    /// The constant of `type_description_interfaces/msg/FieldType` for element and shape.
+    #[must_use]
+    pub const fn type_id(&self) -> u8 {
+        let element = match &self.element {
+            Element::Message(_) => 1,
+            Element::Primitive(primitive) => primitive.type_id(),
+            Element::String { bound: None } => 17,
+            Element::WString { bound: None } => 18,
+            Element::String { .. } => 21,
+            Element::WString { .. } => 22,
+        };
+        element
+            + match self.shape {
+                Shape::Single => 0,
+                Shape::Array(_) => 48,
+                Shape::Bounded(_) => 96,
+                Shape::Sequence => 144,
+            }
+    }
+
+    /// The size of an array, the bound of a sequence, otherwise 0.
+    #[must_use]
+    pub const fn capacity(&self) -> u64 {
+        match self.shape {
+            Shape::Array(count) | Shape::Bounded(count) => count,
+            Shape::Single | Shape::Sequence => 0,
+        }
+    }
+
+    /// The bound of a bounded string, otherwise 0.
+    #[must_use]
+    pub const fn string_capacity(&self) -> u64 {
+        match &self.element {
+            Element::String { bound: Some(bound) } | Element::WString { bound: Some(bound) } => *bound,
+            _ => 0,
+        }
+    }
+}
+
 impl FieldType {
     fn is_same_as(&self, other: &Self) -> bool {
         self.shape == other.shape && self.element.is_same_as(&other.element)
@@ -219,6 +259,25 @@ impl Primitive {
         Self::Float32,
         Self::Float64,
     ];
+
+    /// The constant of `type_description_interfaces/msg/FieldType`.
+    #[must_use]
+    pub const fn type_id(self) -> u8 {
+        match self {
+            Self::Int8 => 2,
+            Self::UInt8 | Self::Char => 3,
+            Self::Int16 => 4,
+            Self::UInt16 => 5,
+            Self::Int32 => 6,
+            Self::UInt32 => 7,
+            Self::Int64 => 8,
+            Self::UInt64 => 9,
+            Self::Float32 => 10,
+            Self::Float64 => 11,
+            Self::Bool => 15,
+            Self::Byte => 16,
+        }
+    }
 
     /// The name in ROS 2.
     #[must_use]

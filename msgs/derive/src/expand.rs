@@ -3,7 +3,7 @@
 use downbeat_msgs_definitions::{Element, Field, Shape};
 use downbeat_msgs_generator::generated;
 use proc_macro2::TokenStream;
-use quote::{quote, quote_spanned};
+use quote::{format_ident, quote, quote_spanned};
 use syn::{Error, Path, Result, parse_quote};
 
 use crate::cdr;
@@ -69,11 +69,17 @@ fn check(field: &StructField, defined: &Field, runtime: &Path) -> TokenStream {
     let place = if field.type_attribute.is_none() { format!("{}: ", defined.place) } else { String::new() };
     let message =
         format!("{place}`{}` is `{defined_type}`, in Rust {}", field.name, generated::in_rust(defined_type));
-    let (element, nested) = match &defined_type.element {
-        Element::Message(name) => ("message", name.to_string()),
-        Element::Primitive(primitive) => (generated::primitive(*primitive), String::new()),
-        Element::String { .. } => ("String", String::new()),
-        Element::WString { .. } => ("WString", String::new()),
+    let element = match &defined_type.element {
+        Element::Message(name) => {
+            let name = name.to_string();
+            quote!(Message(#name))
+        }
+        Element::Primitive(primitive) => {
+            let primitive = format_ident!("{primitive:?}");
+            quote!(Primitive(#runtime::definitions::Primitive::#primitive))
+        }
+        Element::String { .. } => quote!(String { bound: None }),
+        Element::WString { .. } => quote!(WString { bound: None }),
     };
     let shape = match defined_type.shape {
         Shape::Single => quote!(Single),
@@ -82,7 +88,11 @@ fn check(field: &StructField, defined: &Field, runtime: &Path) -> TokenStream {
     };
     quote_spanned! {field.type_span()=>
         const _: () = #runtime::description::check::<#rust_type>(
-            #element, #runtime::description::Shape::#shape, #nested, #message
+            #runtime::definitions::FieldType {
+                element: #runtime::definitions::Element::#element,
+                shape: #runtime::definitions::Shape::#shape,
+            },
+            #message
         );
     }
 }

@@ -68,7 +68,7 @@ fn the_types_of_the_fields_are_checked_by_the_compiler_with_the_place_in_the_fil
     };
     let expanded = expand(input, definition).unwrap();
     for part in [
-        r#"check :: < Header > ("message" , :: downbeat_msgs :: description :: Shape :: Single , "std_msgs/msg/Header" , "msg/Leg.msg:1:1: `header` is `std_msgs/Header`, in Rust the struct of std_msgs/msg/Header")"#,
+        r#"check :: < Header > (:: downbeat_msgs :: definitions :: FieldType { element : :: downbeat_msgs :: definitions :: Element :: Message ("std_msgs/msg/Header") , shape : :: downbeat_msgs :: definitions :: Shape :: Single , } , "msg/Leg.msg:1:1: `header` is `std_msgs/Header`, in Rust the struct of std_msgs/msg/Header")"#,
         r#""msg/Leg.msg:2:1: `names` is `string<=4[<=2]`, in Rust `Vec<String>`""#,
         r#"of :: < Vec < String > > ("names") . bounded (2) . bounded_text (4)"#,
         r#"of :: < u8 > ("flags") . byte ()"#,

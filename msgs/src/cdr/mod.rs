@@ -195,9 +195,9 @@ pub enum Endianness {
     Little,
 }
 
-/// The encoding rules of a value.
+/// The data representation of a value: its encoding rules.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Encoding {
+pub enum Representation {
     /// XCDR version 1, plain: what ROS 2 writes.
     Plain1,
     /// XCDR version 2, plain: the maximum alignment is four bytes, and sequences and arrays of non-primitive
@@ -208,7 +208,7 @@ pub enum Encoding {
     Delimited2,
 }
 
-impl Encoding {
+impl Representation {
     /// The maximum alignment.
     const fn greatest_alignment(self) -> usize {
         match self {
@@ -219,20 +219,20 @@ impl Encoding {
 }
 
 /// Splits a serialised value into its representation and its body.
-fn split(bytes: &[u8]) -> Result<(Encoding, Endianness, &[u8])> {
+fn split(bytes: &[u8]) -> Result<(Representation, Endianness, &[u8])> {
     let fail = |problem| Error { problem, offset: 0, path: String::new() };
     let Some((header, body)) = bytes.split_first_chunk::<HEADER_SIZE>() else {
         return Err(fail(Problem::TooShort { needed: HEADER_SIZE, left: bytes.len() }));
     };
     let identifier = u16::from_be_bytes([header[0], header[1]]);
-    let encoding = match identifier {
-        0x0000 | 0x0001 => Encoding::Plain1,
-        0x0006 | 0x0007 => Encoding::Plain2,
-        0x0008 | 0x0009 => Encoding::Delimited2,
+    let representation = match identifier {
+        0x0000 | 0x0001 => Representation::Plain1,
+        0x0006 | 0x0007 => Representation::Plain2,
+        0x0008 | 0x0009 => Representation::Delimited2,
         other => return Err(fail(Problem::Representation(other))),
     };
     let endianness = if identifier & 1 == 0 { Endianness::Big } else { Endianness::Little };
-    Ok((encoding, endianness, body))
+    Ok((representation, endianness, body))
 }
 
 /// The meaning of identifiers that are not supported.

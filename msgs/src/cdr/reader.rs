@@ -2,9 +2,10 @@
 
 use super::plain::PlainReader;
 use super::{
-    Cdr, Count, Encoding, Endianness, Error, FromReader, HEADER_SIZE, Plain, Problem, Result, Sequence, Text,
-    split,
+    Cdr, Count, Endianness, Error, FromReader, HEADER_SIZE, Plain, Problem, Representation, Result, Sequence,
+    Text, split,
 };
+use downbeat_msgs_definitions::Shape;
 
 /// Reads the parts of a serialised value one after another. Alignment is relative to the end of the header.
 #[derive(Clone, Debug)]
@@ -12,7 +13,7 @@ pub struct Reader<'a> {
     /// The readable part: shorter than the input while reading a delimited value.
     body: &'a [u8],
     position: usize,
-    encoding: Encoding,
+    representation: Representation,
     endianness: Endianness,
 }
 
@@ -22,8 +23,8 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// Returns an error if there is no header, or it names a representation that ROS 2 does not use.
     pub fn new(bytes: &'a [u8]) -> Result<Self> {
-        let (encoding, endianness, body) = split(bytes)?;
-        Ok(Self { body, position: 0, encoding, endianness })
+        let (representation, endianness, body) = split(bytes)?;
+        Ok(Self { body, position: 0, representation, endianness })
     }
 
     /// The byte order in the header.
@@ -36,8 +37,8 @@ impl<'a> Reader<'a> {
     /// The encoding rules in the header.
     #[inline]
     #[must_use]
-    pub fn encoding(&self) -> Encoding {
-        self.encoding
+    pub fn representation(&self) -> Representation {
+        self.representation
     }
 
     /// The number of unread bytes.
@@ -128,7 +129,7 @@ impl<'a> Reader<'a> {
     /// Those of `fields`, and if the declared size exceeds the input.
     #[inline]
     pub fn message<T>(&mut self, fields: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
-        self.delimited(self.encoding == Encoding::Delimited2, fields)
+        self.delimited(self.representation == Representation::Delimited2, fields)
     }
 
     /// Reads a sequence (including its length) or an array with `read`. Its elements are numbers or truth
@@ -142,7 +143,7 @@ impl<'a> Reader<'a> {
         are_primitive: bool,
         read: impl FnOnce(&mut Self) -> Result<T>,
     ) -> Result<T> {
-        self.delimited(!are_primitive && self.encoding != Encoding::Plain1, read)
+        self.delimited(!are_primitive && self.representation != Representation::Plain1, read)
     }
 
     /// Fills the slice with values of fixed layout.
@@ -191,6 +192,30 @@ impl<'a> Reader<'a> {
             return Err(self.error(Problem::Length { count, least_size, left }));
         }
         Ok(count)
+    }
+
+    /// Reads the number of elements of a field of a shape, and checks it against the shape and the rest of the input.
+    ///
+    /// # Errors
+    /// Returns an error if the bound is exceeded, or the input is too short for that many elements.
+    pub(crate) fn length_of(&mut self, shape: Shape, least_size: usize) -> Result<usize> {
+        let size = |count: u64| usize::try_from(count).unwrap_or(usize::MAX);
+        match shape {
+            Shape::Single => Ok(1),
+            Shape::Array(count) => {
+                let (count, left) = (size(count), self.left());
+                if count > left / least_size.max(1) {
+                    let needed = count.saturating_mul(least_size);
+                    return Err(self.error(Problem::TooShort { needed, left }));
+                }
+                Ok(count)
+            }
+            Shape::Sequence => self.length(least_size),
+            Shape::Bounded(bound) => {
+                let (found, bound) = (self.length(least_size)?, size(bound));
+                if found > bound { Err(self.error(Problem::Bound { found, bound })) } else { Ok(found) }
+            }
+        }
     }
 
     /// Skips to the next multiple of `alignment`, a power of two; of 4 in XCDR version 2 if it is 8.
@@ -262,7 +287,7 @@ impl<'a> Reader<'a> {
         if count == 0 {
             return Some(&[]); // No padding either.
         }
-        if self.encoding == Encoding::Delimited2 && !T::IS_NUMBER {
+        if self.representation == Representation::Delimited2 && !T::IS_NUMBER {
             return None;
         }
         let start = self.aligned(T::ALIGNMENT);
@@ -274,7 +299,7 @@ impl<'a> Reader<'a> {
     /// The next multiple of an alignment.
     #[inline]
     fn aligned(&self, alignment: usize) -> usize {
-        self.position.next_multiple_of(alignment.min(self.encoding.greatest_alignment()))
+        self.position.next_multiple_of(alignment.min(self.representation.greatest_alignment()))
     }
 
     #[inline]

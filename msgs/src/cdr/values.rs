@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::plain::{PlainReader, PlainWriter, plain_end};
 use super::{
-    Cdr, Count, EncodeError, Encoding, Endianness, FromReader, Plain, Problem, Reader, Result, Writer,
+    Cdr, Count, EncodeError, Endianness, FromReader, Plain, Problem, Reader, Representation, Result, Writer,
 };
 
 macro_rules! numbers {
@@ -347,7 +347,7 @@ impl Cdr for WString {
 
     fn decode(reader: &mut Reader<'_>) -> Result<Self> {
         let start = reader.clone();
-        let units: Vec<u16> = if reader.encoding() == Encoding::Plain1 {
+        let units: Vec<u16> = if reader.representation() == Representation::Plain1 {
             let count = reader.length(4)?;
             let mut narrow = Vec::with_capacity(count);
             for _ in 0..count {

@@ -2,6 +2,8 @@
 
 use super::text::compare;
 use crate::{Message, WString};
+use downbeat_msgs_definitions as definitions;
+use downbeat_msgs_definitions::{Element, Primitive, Shape};
 
 /// A type and its fields.
 #[derive(Clone, Copy, Debug)]
@@ -26,31 +28,7 @@ pub struct Field {
 }
 
 /// The type of a field: one element, or several.
-#[derive(Clone, Copy, Debug)]
-pub struct FieldType {
-    /// The type of an element: one of the constants of
-    /// [`FieldType`](crate::type_description_interfaces::msg::FieldType) below 48.
-    pub element: u8,
-    /// The number of elements.
-    pub shape: Shape,
-    /// The bound of a bounded string, otherwise 0.
-    pub string_capacity: u64,
-    /// The description of the message type, if it holds messages.
-    pub nested: Option<&'static Description>,
-}
-
-/// How many elements a field holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shape {
-    /// One element.
-    Single,
-    /// Exactly this many: `[N]`.
-    Array(u64),
-    /// At most this many: `[<=N]`.
-    Bounded(u64),
-    /// Any number: `[]`.
-    Sequence,
-}
+pub type FieldType = downbeat_msgs_definitions::FieldType<&'static Description>;
 
 /// A Rust type that a field of a message can have: numbers, `bool`, [`String`], [`WString`], messages, and arrays and vectors
 /// of these.
@@ -63,19 +41,19 @@ pub trait FieldValue {
     const FIELD_TYPE: FieldType;
 }
 
-const NESTED: u8 = 1;
-const UINT8: u8 = 3;
-const BYTE: u8 = 16;
-const STRING: u8 = 17;
-const WSTRING: u8 = 18;
-/// The offset from strings to bounded strings.
-const BOUNDED: u8 = 4;
-
 impl Field {
     /// A field of the type that corresponds to `T`.
     #[must_use]
     pub const fn of<T: FieldValue>(name: &'static str) -> Self {
         Self { name, field_type: T::FIELD_TYPE, default_value: "" }
+    }
+
+    /// The description of the message type, if it holds messages.
+    pub(super) const fn nested(&self) -> Option<&'static Description> {
+        match self.field_type.element {
+            Element::Message(nested) => Some(nested),
+            _ => None,
+        }
     }
 
     /// Makes it a sequence of at most `bound` elements.
@@ -88,18 +66,18 @@ impl Field {
     /// Limits its strings to that length.
     #[must_use]
     pub const fn bounded_text(mut self, bound: u64) -> Self {
-        if matches!(self.field_type.element, STRING | WSTRING) {
-            self.field_type.element += BOUNDED;
+        match &mut self.field_type.element {
+            Element::String { bound: limit } | Element::WString { bound: limit } => *limit = Some(bound),
+            _ => {}
         }
-        self.field_type.string_capacity = bound;
         self
     }
 
     /// Makes it the ROS 2 type `byte`, which is a `u8` in Rust, like `uint8`.
     #[must_use]
     pub const fn byte(mut self) -> Self {
-        if self.field_type.element == UINT8 {
-            self.field_type.element = BYTE;
+        if let Element::Primitive(Primitive::UInt8) = self.field_type.element {
+            self.field_type.element = Element::Primitive(Primitive::Byte);
         }
         self
     }
@@ -112,109 +90,71 @@ impl Field {
     }
 }
 
-impl FieldType {
-    const fn single(element: u8) -> Self {
-        Self { element, shape: Shape::Single, string_capacity: 0, nested: None }
-    }
-
-    /// A field type of one message with that description.
-    #[must_use]
-    pub const fn nested(description: &'static Description) -> Self {
-        Self { nested: Some(description), ..Self::single(NESTED) }
-    }
-
-    const fn shaped(mut self, shape: Shape) -> Self {
-        if !matches!(self.shape, Shape::Single) {
-            panic!("ROS 2 has no arrays of arrays: put the inner one into a message");
-        }
-        self.shape = shape;
-        self
-    }
-
-    /// The constant of [`FieldType`](crate::type_description_interfaces::msg::FieldType) for element and shape.
-    #[must_use]
-    pub const fn type_id(&self) -> u8 {
-        self.element
-            + match self.shape {
-                Shape::Single => 0,
-                Shape::Array(_) => 48,
-                Shape::Bounded(_) => 96,
-                Shape::Sequence => 144,
-            }
-    }
-
-    /// The size of an array, the bound of a sequence, otherwise 0.
-    #[must_use]
-    pub const fn capacity(&self) -> u64 {
-        match self.shape {
-            Shape::Array(count) | Shape::Bounded(count) => count,
-            Shape::Single | Shape::Sequence => 0,
-        }
-    }
+const fn single(element: Element<&'static Description>) -> FieldType {
+    FieldType { element, shape: Shape::Single }
 }
 
-macro_rules! values {
-    ($($type:ty = $element:expr),* $(,)?) => {$(
+const fn shaped(mut of: FieldType, shape: Shape) -> FieldType {
+    if !matches!(of.shape, Shape::Single) {
+        panic!("ROS 2 has no arrays of arrays: put the inner one into a message");
+    }
+    of.shape = shape;
+    of
+}
+
+macro_rules! primitives {
+    ($($type:ty = $primitive:ident),* $(,)?) => {$(
         impl FieldValue for $type {
-            const FIELD_TYPE: FieldType = FieldType::single($element);
+            const FIELD_TYPE: FieldType = single(Element::Primitive(Primitive::$primitive));
         }
     )*};
 }
 
-values! {
-    i8 = 2, u8 = UINT8, i16 = 4, u16 = 5, i32 = 6, u32 = 7, i64 = 8, u64 = 9, f32 = 10, f64 = 11, bool = 15,
-    String = STRING, WString = WSTRING,
+primitives! {
+    i8 = Int8, u8 = UInt8, i16 = Int16, u16 = UInt16, i32 = Int32, u32 = UInt32, i64 = Int64, u64 = UInt64,
+    f32 = Float32, f64 = Float64, bool = Bool,
+}
+
+impl FieldValue for String {
+    const FIELD_TYPE: FieldType = single(Element::String { bound: None });
+}
+
+impl FieldValue for WString {
+    const FIELD_TYPE: FieldType = single(Element::WString { bound: None });
 }
 
 impl<T: Message> FieldValue for T {
-    const FIELD_TYPE: FieldType = FieldType::nested(T::DESCRIPTION);
+    const FIELD_TYPE: FieldType = single(Element::Message(T::DESCRIPTION));
 }
 
 impl<T: FieldValue> FieldValue for Vec<T> {
-    const FIELD_TYPE: FieldType = T::FIELD_TYPE.shaped(Shape::Sequence);
+    const FIELD_TYPE: FieldType = shaped(T::FIELD_TYPE, Shape::Sequence);
 }
 
 impl<T: FieldValue, const N: usize> FieldValue for [T; N] {
-    const FIELD_TYPE: FieldType = T::FIELD_TYPE.shaped(Shape::Array(N as u64));
+    const FIELD_TYPE: FieldType = shaped(T::FIELD_TYPE, Shape::Array(N as u64));
 }
 
-/// Fails the build with `message` if the type does not match that of a definition. `element` is its Rust name
-/// (`message` for a message, whose name is then `nested`). Bounds and `byte` have no Rust types, so they are
-/// not checked.
+/// Fails the build with `message` if the type does not match that of a definition, which names messages. Bounds, `byte` and
+/// `char` have no Rust types, so they are not checked.
 #[doc(hidden)]
 #[track_caller]
-pub const fn check<T: FieldValue>(element: &str, shape: Shape, nested: &str, message: &str) {
+pub const fn check<T: FieldValue>(defined: definitions::FieldType<&str>, message: &str) {
     let found = T::FIELD_TYPE;
-    let is_shape = match (found.shape, shape) {
+    let is_shape = match (found.shape, defined.shape) {
         (Shape::Array(found), Shape::Array(defined)) => found == defined,
         (Shape::Single, Shape::Single) | (Shape::Sequence, Shape::Sequence) => true,
         _ => false,
     };
-    let is_nested = match found.nested {
-        Some(found) => compare(found.type_name, nested) == 0,
-        None => nested.is_empty(),
+    let is_element = match (found.element, defined.element) {
+        (Element::Primitive(Primitive::UInt8), Element::Primitive(Primitive::Byte | Primitive::Char))
+        | (Element::String { .. }, Element::String { .. })
+        | (Element::WString { .. }, Element::WString { .. }) => true,
+        (Element::Primitive(found), Element::Primitive(defined)) => found as u8 == defined as u8,
+        (Element::Message(found), Element::Message(defined)) => compare(found.type_name, defined) == 0,
+        _ => false,
     };
-    if !is_shape || !is_nested || compare(rust_name(found.element), element) != 0 {
+    if !is_shape || !is_element {
         panic!("{}", message);
-    }
-}
-
-const fn rust_name(element: u8) -> &'static str {
-    match element {
-        NESTED => "message",
-        2 => "i8",
-        UINT8 | BYTE => "u8",
-        4 => "i16",
-        5 => "u16",
-        6 => "i32",
-        7 => "u32",
-        8 => "i64",
-        9 => "u64",
-        10 => "f32",
-        11 => "f64",
-        15 => "bool",
-        STRING => "String",
-        WSTRING => "WString",
-        _ => "",
     }
 }

@@ -75,12 +75,16 @@ impl Json {
         let mut index = 0;
         while index < fields.len() {
             let of = &fields[index].field_type;
-            let nested = match of.nested {
+            let nested = match fields[index].nested() {
                 Some(nested) => nested.type_name,
                 None => "",
             };
             self.text(if index == 0 { "" } else { ", " });
-            self.field(fields[index].name, [of.type_id() as u64, of.capacity(), of.string_capacity], nested);
+            self.field(
+                fields[index].name,
+                [of.type_id() as u64, of.capacity(), of.string_capacity()],
+                nested,
+            );
             index += 1;
         }
         self.text("]}");
@@ -120,7 +124,7 @@ impl References {
     const fn collect(&mut self, fields: &'static [Field]) {
         let mut index = 0;
         while index < fields.len() {
-            if let Some(nested) = fields[index].field_type.nested
+            if let Some(nested) = fields[index].nested()
                 && self.insert(nested)
             {
                 self.collect(nested.fields);

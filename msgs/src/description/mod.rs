@@ -26,9 +26,10 @@ use std::collections::BTreeMap;
 
 use crate::type_description_interfaces::msg;
 
+pub use downbeat_msgs_definitions::{Element, Shape};
 #[doc(hidden)]
 pub use field::check;
-pub use field::{Description, Field, FieldType, FieldValue, Shape};
+pub use field::{Description, Field, FieldType, FieldValue};
 pub use hash::{Hash, hash};
 pub use text::{OwnText, Text, definition};
 
@@ -48,7 +49,7 @@ impl Description {
 
 /// Recurses as deep as the types are nested, which the compiler bounds.
 fn collect(of: &Description, references: &mut BTreeMap<&'static str, &'static Description>) {
-    for nested in of.fields.iter().filter_map(|field| field.field_type.nested) {
+    for nested in of.fields.iter().filter_map(Field::nested) {
         if references.insert(nested.type_name, nested).is_none() {
             collect(nested, references);
         }
@@ -67,14 +68,13 @@ fn individual(description: &Description) -> msg::IndividualTypeDescription {
 }
 
 fn field(field: &Field) -> msg::Field {
-    let FieldType { string_capacity, nested, .. } = field.field_type;
     msg::Field {
         name: field.name.into(),
         r#type: msg::FieldType {
             type_id: field.field_type.type_id(),
             capacity: field.field_type.capacity(),
-            string_capacity,
-            nested_type_name: nested.map_or_else(String::new, |nested| nested.type_name.into()),
+            string_capacity: field.field_type.string_capacity(),
+            nested_type_name: field.nested().map_or_else(String::new, |nested| nested.type_name.into()),
         },
         default_value: field.default_value.into(),
     }

@@ -1,6 +1,6 @@
 //! The definition text of a message, assembled at compile time.
 
-use super::{Description, Field, FieldType, Shape};
+use super::{Description, Element, Field, FieldType, Shape};
 
 /// The definition text of the message itself.
 #[derive(Clone, Copy, Debug)]
@@ -96,13 +96,15 @@ impl<const N: usize> Text<N> {
 
     /// Appends the type as in a definition.
     const fn field_type(&mut self, of: &FieldType) {
-        match of.nested {
-            Some(nested) => self.short_name(nested.type_name),
-            None => self.push(word(of.element)),
+        match of.element {
+            Element::Message(nested) => self.short_name(nested.type_name),
+            Element::Primitive(primitive) => self.push(primitive.as_str()),
+            Element::String { .. } => self.push("string"),
+            Element::WString { .. } => self.push("wstring"),
         }
-        if of.string_capacity > 0 {
+        if of.string_capacity() > 0 {
             self.push("<=");
-            self.number(of.string_capacity);
+            self.number(of.string_capacity());
         }
         match of.shape {
             Shape::Single => {}
@@ -182,7 +184,7 @@ const fn next_nested(fields: &'static [Field], last: &str) -> Option<&'static De
     let mut best: Option<&'static Description> = None;
     let mut index = 0;
     while index < fields.len() {
-        if let Some(nested) = fields[index].field_type.nested
+        if let Some(nested) = fields[index].nested()
             && compare(nested.type_name, last) > 0
         {
             match best {
@@ -212,26 +214,6 @@ const fn own_text(definition: &'static str) -> &'static str {
         start += 1;
     }
     definition
-}
-
-const fn word(element: u8) -> &'static str {
-    match element {
-        2 => "int8",
-        3 => "uint8",
-        4 => "int16",
-        5 => "uint16",
-        6 => "int32",
-        7 => "uint32",
-        8 => "int64",
-        9 => "uint64",
-        10 => "float32",
-        11 => "float64",
-        15 => "bool",
-        16 => "byte",
-        17 | 21 => "string",
-        18 | 22 => "wstring",
-        _ => panic!("no ROS 2 type has this number"),
-    }
 }
 
 /// The parts before and after the first slash.

@@ -4,7 +4,7 @@ use downbeat_msgs_definitions::{Element, FieldType, Primitive, Shape};
 
 use super::layout::FieldLayout;
 use super::message::{Step, field_of, steps};
-use super::wire::{count, decode_message, decode_value};
+use super::wire::{decode_message, decode_value};
 use super::{Array, DynamicMessage, DynamicType, FieldError, FieldProblem, Value, ValueRef, fit};
 use crate::WString;
 use crate::cdr::{self, Cdr, FromReader, Reader};
@@ -369,7 +369,7 @@ fn within<'a, T>(
         Element::Message(_) => (false, layout.layout().message(nested).least_size),
     };
     reader.elements(are_primitive, |reader| {
-        let count = count(field_type.shape, least_size, reader)?;
+        let count = reader.length_of(field_type.shape, least_size)?;
         read(reader, count)
     })
 }

@@ -140,15 +140,15 @@ fn decode_array(layout: &DynamicType, field: &FieldLayout, reader: &mut Reader<'
     let FieldType { element, shape } = &field.field_type;
     Ok(match element {
         Element::Primitive(primitive) => each_primitive!(primitive, T => {
-            let count = count(*shape, T::LEAST_SIZE, reader)?;
+            let count = reader.length_of(*shape, T::LEAST_SIZE)?;
             Array::from(T::decode_vec(count, reader)?)
         }),
         Element::String { bound } => {
-            let count = count(*shape, String::LEAST_SIZE, reader)?;
+            let count = reader.length_of(*shape, String::LEAST_SIZE)?;
             Array::String(text(String::decode_vec(count, reader)?, *bound, reader)?)
         }
         Element::WString { bound } => {
-            let count = count(*shape, WString::LEAST_SIZE, reader)?;
+            let count = reader.length_of(*shape, WString::LEAST_SIZE)?;
             Array::WString(text(WString::decode_vec(count, reader)?, *bound, reader)?)
         }
         Element::Message(_) => decode_messages(layout, field, reader)?,
@@ -157,35 +157,13 @@ fn decode_array(layout: &DynamicType, field: &FieldLayout, reader: &mut Reader<'
 
 fn decode_messages(layout: &DynamicType, field: &FieldLayout, reader: &mut Reader<'_>) -> cdr::Result<Array> {
     let nested = layout.layout().message(field.nested);
-    let count = count(field.field_type.shape, nested.least_size, reader)?;
+    let count = reader.length_of(field.field_type.shape, nested.least_size)?;
     // A slot takes at least a byte of the input, so this is proportional to it.
     let mut slots = Vec::with_capacity(count * nested.slots);
     for element in 0..count {
         decode_message(layout, field.nested, reader, &mut slots).map_err(|error| error.at_index(element))?;
     }
     Ok(Array::Message(Messages { of: layout.nested(field), count, slots }))
-}
-
-/// Reads the number of elements, and checks it against the shape and the rest of the input.
-pub(super) fn count(shape: Shape, least_size: usize, reader: &mut Reader<'_>) -> cdr::Result<usize> {
-    match shape {
-        Shape::Single => Ok(1),
-        Shape::Array(count) => {
-            let count = usize::try_from(count).unwrap_or(usize::MAX);
-            let left = reader.left();
-            if count > left / least_size.max(1) {
-                let needed = count.saturating_mul(least_size);
-                return Err(reader.error(Problem::TooShort { needed, left }));
-            }
-            Ok(count)
-        }
-        Shape::Sequence => reader.length(least_size),
-        Shape::Bounded(bound) => {
-            let found = reader.length(least_size)?;
-            let bound = usize::try_from(bound).unwrap_or(usize::MAX);
-            if found > bound { Err(reader.error(Problem::Bound { found, bound })) } else { Ok(found) }
-        }
-    }
 }
 
 /// Checks strings against their bound.

@@ -6,7 +6,7 @@
 
 use serde_json::{Map, Value, json};
 
-use crate::interchange::{Count, Field, Kind, Schema};
+use crate::interchange::{Field, Kind, Schema, Shape};
 
 /// The schema of the objects of a type.
 pub(super) fn json_schema(title: &str, schema: &Schema) -> Vec<u8> {
@@ -30,11 +30,11 @@ fn record(schema: &Schema, index: usize) -> Map<String, Value> {
 
 fn field(schema: &Schema, field: &Field) -> Map<String, Value> {
     let items = element(schema, field.kind);
-    let (least, greatest) = match field.count {
-        Count::One | Count::Optional => return items,
-        Count::Array(count) => (Some(count), Some(count)),
-        Count::Bounded(count) => (None, Some(count)),
-        Count::Any => (None, None),
+    let (least, greatest) = match field.shape {
+        Shape::Single => return items,
+        Shape::Array(count) => (Some(count), Some(count)),
+        Shape::Bounded(count) => (None, Some(count)),
+        Shape::Sequence => (None, None),
     };
     let mut list = Map::new();
     list.insert("type".into(), json!("array"));

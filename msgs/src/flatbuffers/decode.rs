@@ -3,7 +3,7 @@
 
 use std::borrow::Cow;
 
-use crate::interchange::{Budget, Count, Field, Kind, Problem, Schema, Value};
+use crate::interchange::{Budget, Field, Kind, Problem, Schema, Value};
 
 /// Reads a value of the schema's root record.
 ///
@@ -55,14 +55,14 @@ impl<'a> Reader<'_, 'a> {
     }
 
     fn absent(&mut self, field: &Field) -> Result<Value<'a>, Problem> {
-        match (field.kind, field.count) {
-            (Kind::Float64, Count::One) => Ok(Value::Float64(field.default)),
-            _ => Value::absent(self.schema, field, &mut self.budget),
+        if field.kind == Kind::Float64 && !field.is_list() && !field.is_optional {
+            return Ok(Value::Float64(field.default));
         }
+        Value::absent(self.schema, field, &mut self.budget)
     }
 
     fn field(&mut self, field: &Field, slot: usize) -> Result<Value<'a>, Problem> {
-        if field.count.is_list() {
+        if field.is_list() {
             let vector = self.follow(slot)?;
             let value = self.vector(field.kind, vector)?;
             let found = match &value {
@@ -70,7 +70,7 @@ impl<'a> Reader<'_, 'a> {
                 Value::List(values) => values.len(),
                 _ => 0,
             };
-            field.count.check(found)?;
+            field.check_count(found)?;
             return Ok(value);
         }
         match field.kind {

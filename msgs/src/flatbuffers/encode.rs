@@ -1,7 +1,7 @@
 //! Writes values as FlatBuffers, front to back: a table, then what it refers to.
 
 use super::inline_size;
-use crate::interchange::{Count, Field, Kind, Problem, Schema, Value};
+use crate::interchange::{Field, Kind, Problem, Schema, Value};
 
 /// Writes a value of the schema's root record.
 ///
@@ -173,7 +173,7 @@ impl Buffer {
 
 /// Bytes and alignment of a field in its table.
 fn size_of_slot(field: &Field) -> (usize, usize) {
-    if field.count.is_list() { (4, 4) } else { inline_size(field.kind) }
+    if field.is_list() { (4, 4) } else { inline_size(field.kind) }
 }
 
 /// Returns whether a value must be stored: defaults are left out.
@@ -184,8 +184,10 @@ fn is_stored(field: &Field, value: &Value<'_>) -> bool {
         // Lists of tables are stored even if empty: some schemas require them.
         Value::List(values) => !values.is_empty() || matches!(field.kind, Kind::Record(_)),
         Value::Text(text) => !text.is_empty(),
-        Value::Float64(value) if field.count == Count::One => value.to_bits() != field.default.to_bits(),
-        _ => field.count == Count::Optional || value.bits() != Some(0),
+        Value::Float64(value) if !field.is_list() && !field.is_optional => {
+            value.to_bits() != field.default.to_bits()
+        }
+        _ => field.is_optional || value.bits() != Some(0),
     }
 }
 

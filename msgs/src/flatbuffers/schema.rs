@@ -2,7 +2,7 @@
 
 use super::encode::encode_with_identifier;
 use super::inline_size;
-use crate::interchange::{Count, Enumeration, Field, Kind, Record, Schema, Value};
+use crate::interchange::{Enumeration, Field, Kind, Record, Schema, Shape, Value};
 
 /// The numbers of `reflection.BaseType`.
 mod base_type {
@@ -69,21 +69,21 @@ impl Made<'_> {
     }
 
     fn field(&self, field: &Field) -> Value<'static> {
-        let is_scalar = field.kind.width().is_some() && !field.count.is_list();
+        let is_scalar = field.kind.width().is_some() && !field.is_list();
         Value::Record(vec![
             text(&field.name),
             self.field_type(field),
             Value::Unsigned(field.id.into()),
             Value::Unsigned(u64::from(field.id) * 2 + 4),
             Value::Float64(field.default),
-            Value::Bool(!is_scalar || field.count == Count::Optional),
+            Value::Bool(!is_scalar || field.is_optional),
         ])
     }
 
     fn field_type(&self, field: &Field) -> Value<'static> {
         let (number, index) = self.element(field.kind);
         let (size, _) = inline_size(field.kind);
-        if field.count.is_list() {
+        if field.is_list() {
             type_of(base_type::VECTOR, Some(number), index, 4, size as u64)
         } else {
             let size = field.kind.width().unwrap_or(4);
@@ -185,23 +185,25 @@ fn text(text: &str) -> Value<'static> {
 
 /// The part of `reflection.fbs` that is written here.
 fn reflection() -> Schema {
-    use Count::{Any, One, Optional};
+    use Shape::{Sequence, Single};
     const TEXT: Kind = Kind::Text { bound: None };
     const OBJECT: usize = 1;
     const FIELD: usize = 2;
     const TYPE: usize = 3;
     const ENUM: usize = 4;
     const VALUE: usize = 5;
-    let record = |name: &str, fields: &[(&str, u16, Kind, Count)]| Record {
+    let record = |name: &str, fields: &[(&str, u16, Kind, Shape)]| Record {
         name: format!("reflection.{name}"),
         fields: fields
             .iter()
-            .map(|&(name, id, kind, count)| Field {
+            .map(|&(name, id, kind, shape)| Field {
                 name: name.into(),
                 number: 0,
                 id,
                 kind,
-                count,
+                shape,
+                // Zero is written too: their defaults are -1 and 4.
+                is_optional: ["index", "base_size"].contains(&name),
                 default: 0.0,
                 initial: None,
             })
@@ -213,57 +215,56 @@ fn reflection() -> Schema {
             record(
                 "Schema",
                 &[
-                    ("objects", 0, Kind::Record(OBJECT), Any),
-                    ("enums", 1, Kind::Record(ENUM), Any),
-                    ("root_table", 4, Kind::Record(OBJECT), One),
+                    ("objects", 0, Kind::Record(OBJECT), Sequence),
+                    ("enums", 1, Kind::Record(ENUM), Sequence),
+                    ("root_table", 4, Kind::Record(OBJECT), Single),
                 ],
             ),
             record(
                 "Object",
                 &[
-                    ("name", 0, TEXT, One),
-                    ("fields", 1, Kind::Record(FIELD), Any),
-                    ("is_struct", 2, Kind::Bool, One),
-                    ("minalign", 3, Kind::Int32, One),
-                    ("bytesize", 4, Kind::Int32, One),
+                    ("name", 0, TEXT, Single),
+                    ("fields", 1, Kind::Record(FIELD), Sequence),
+                    ("is_struct", 2, Kind::Bool, Single),
+                    ("minalign", 3, Kind::Int32, Single),
+                    ("bytesize", 4, Kind::Int32, Single),
                 ],
             ),
             record(
                 "Field",
                 &[
-                    ("name", 0, TEXT, One),
-                    ("type", 1, Kind::Record(TYPE), One),
-                    ("id", 2, Kind::UInt16, One),
-                    ("offset", 3, Kind::UInt16, One),
-                    ("default_real", 5, Kind::Float64, One),
-                    ("optional", 11, Kind::Bool, One),
+                    ("name", 0, TEXT, Single),
+                    ("type", 1, Kind::Record(TYPE), Single),
+                    ("id", 2, Kind::UInt16, Single),
+                    ("offset", 3, Kind::UInt16, Single),
+                    ("default_real", 5, Kind::Float64, Single),
+                    ("optional", 11, Kind::Bool, Single),
                 ],
             ),
             record(
                 "Type",
                 &[
-                    ("base_type", 0, Kind::Int8, One),
-                    ("element", 1, Kind::Int8, One),
-                    // Their defaults are -1 and 4.
-                    ("index", 2, Kind::Int32, Optional),
-                    ("base_size", 4, Kind::UInt32, Optional),
-                    ("element_size", 5, Kind::UInt32, One),
+                    ("base_type", 0, Kind::Int8, Single),
+                    ("element", 1, Kind::Int8, Single),
+                    ("index", 2, Kind::Int32, Single),
+                    ("base_size", 4, Kind::UInt32, Single),
+                    ("element_size", 5, Kind::UInt32, Single),
                 ],
             ),
             record(
                 "Enum",
                 &[
-                    ("name", 0, TEXT, One),
-                    ("values", 1, Kind::Record(VALUE), Any),
-                    ("underlying_type", 3, Kind::Record(TYPE), One),
+                    ("name", 0, TEXT, Single),
+                    ("values", 1, Kind::Record(VALUE), Sequence),
+                    ("underlying_type", 3, Kind::Record(TYPE), Single),
                 ],
             ),
             record(
                 "EnumVal",
                 &[
-                    ("name", 0, TEXT, One),
-                    ("value", 1, Kind::Int64, One),
-                    ("union_type", 3, Kind::Record(TYPE), One),
+                    ("name", 0, TEXT, Single),
+                    ("value", 1, Kind::Int64, Single),
+                    ("union_type", 3, Kind::Record(TYPE), Single),
                 ],
             ),
         ],
@@ -283,9 +284,9 @@ pub(super) fn schema_text(schema: &Schema) -> String {
         text.push_str(&format!("table {name} {{\n"));
         for field in &record.fields {
             let of = type_name(schema, field.kind);
-            let of = if field.count.is_list() { format!("[{of}]") } else { of };
-            let default = match field.count {
-                Count::Optional if field.kind.width().is_some() => " = null".to_owned(),
+            let of = if field.is_list() { format!("[{of}]") } else { of };
+            let default = match field.kind.width() {
+                Some(_) if field.is_optional => " = null".to_owned(),
                 _ if field.default != 0.0 => format!(" = {:?}", field.default),
                 _ => String::new(),
             };

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use super::rules::{Object, Rule, resolve, rule_of};
 use super::schemas;
 use crate::encoding::Encoding;
-use crate::interchange::{Budget, Count, Field, Kind, Problem, Schema, Value};
+use crate::interchange::{Budget, Field, Kind, Problem, Schema, Shape, Value};
 
 /// Converts a message type to and from one of Foxglove's.
 #[derive(Clone)]
@@ -77,8 +77,7 @@ fn is_applicable(rule: &Rule, ros: &Schema, ros_record: usize, foxglove: &Schema
 
 /// Returns whether the values of one field can be converted to the other.
 fn are_alike((foxglove, theirs): (&Schema, &Field), (ros, ours): (&Schema, &Field)) -> bool {
-    theirs.count.is_list() == ours.count.is_list()
-        && are_kinds_alike((foxglove, theirs.kind), (ros, ours.kind))
+    theirs.is_list() == ours.is_list() && are_kinds_alike((foxglove, theirs.kind), (ros, ours.kind))
 }
 
 fn are_kinds_alike((foxglove, theirs): (&Schema, Kind), (ros, ours): (&Schema, Kind)) -> bool {
@@ -176,7 +175,7 @@ fn convert<'v>(
     match value {
         // A missing value is zero, also in lists of a fixed length.
         Value::Absent => Value::absent(to.0, to.1, &mut Budget::for_input(0)),
-        Value::Packed(bytes) if bytes.is_empty() && matches!(to.1.count, Count::Array(_)) => {
+        Value::Packed(bytes) if bytes.is_empty() && matches!(to.1.shape, Shape::Array(_)) => {
             Value::absent(to.0, to.1, &mut Budget::for_input(0))
         }
         Value::Packed(bytes) => Ok(Value::Packed(convert_numbers(bytes, from.1.kind, to.1.kind))),

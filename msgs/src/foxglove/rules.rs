@@ -260,7 +260,7 @@ pub(super) fn resolve<'s>(schema: &'s Schema, record: usize, path: &str) -> Opti
         let index = fields.iter().position(|field| field.name.eq_ignore_ascii_case(name))?;
         let field = &fields[index];
         record = match field.kind {
-            Kind::Record(inner) if !field.count.is_list() => Some(inner),
+            Kind::Record(inner) if !field.is_list() => Some(inner),
             _ => None,
         };
         indices.push(index);

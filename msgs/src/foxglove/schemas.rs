@@ -1,6 +1,6 @@
 //! Foxglove's schemas: names, Protobuf numbers, FlatBuffers ids.
 
-use crate::interchange::{Count, Enumeration, Field, Kind, Record, Schema};
+use crate::interchange::{Enumeration, Field, Kind, Record, Schema, Shape};
 
 /// The type of a field.
 #[derive(Clone, Copy)]
@@ -206,21 +206,21 @@ fn add(schema: &mut Schema, name: &str) -> Option<usize> {
     let index = schema.records.len();
     schema.records.push(Record { name: name.into(), fields: Vec::new(), least_size: 1 });
     for &(field_name, number, id, of) in *rows {
-        let (kind, count) = match of {
-            Type::U32 => (Kind::Fixed32, Count::One),
-            Type::F64 | Type::F64Or(_) => (Kind::Float64, Count::One),
-            Type::OptionalF64 => (Kind::Float64, Count::Optional),
-            Type::F64s => (Kind::Float64, Count::Any),
-            Type::Text => (Kind::Text { bound: None }, Count::One),
-            Type::Bytes => (Kind::UInt8, Count::Any),
-            Type::Time => (Kind::Time, Count::One),
+        let (kind, shape) = match of {
+            Type::U32 => (Kind::Fixed32, Shape::Single),
+            Type::F64 | Type::F64Or(_) => (Kind::Float64, Shape::Single),
+            Type::OptionalF64 => (Kind::Float64, Shape::Single),
+            Type::F64s => (Kind::Float64, Shape::Sequence),
+            Type::Text => (Kind::Text { bound: None }, Shape::Single),
+            Type::Bytes => (Kind::UInt8, Shape::Sequence),
+            Type::Time => (Kind::Time, Shape::Single),
             Type::Enumeration(nested_name, name, values) => {
                 schema.enumerations.push(Enumeration { owner: index, nested_name, name, values });
-                (Kind::Enumeration(schema.enumerations.len() - 1), Count::One)
+                (Kind::Enumeration(schema.enumerations.len() - 1), Shape::Single)
             }
-            Type::Record(inner) => (Kind::Record(add(schema, inner)?), Count::One),
-            Type::OptionalRecord(inner) => (Kind::Record(add(schema, inner)?), Count::Optional),
-            Type::Records(inner) => (Kind::Record(add(schema, inner)?), Count::Any),
+            Type::Record(inner) => (Kind::Record(add(schema, inner)?), Shape::Single),
+            Type::OptionalRecord(inner) => (Kind::Record(add(schema, inner)?), Shape::Single),
+            Type::Records(inner) => (Kind::Record(add(schema, inner)?), Shape::Sequence),
         };
         let default = if let Type::F64Or(default) = of { default } else { 0.0 };
         schema.records[index].fields.push(Field {
@@ -228,7 +228,8 @@ fn add(schema: &mut Schema, name: &str) -> Option<usize> {
             number,
             id,
             kind,
-            count,
+            shape,
+            is_optional: matches!(of, Type::OptionalF64 | Type::OptionalRecord(_)),
             default,
             initial: None,
         });

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::{Count, Field, Kind, Problem, Schema, Value};
+use super::{Field, Kind, Problem, Schema, Shape, Value};
 use crate::cdr::{self, Cdr, Endianness, Reader, WString, Writer};
 
 /// Reads the root record of a schema derived from a definition.
@@ -38,23 +38,14 @@ fn read_record<'a>(schema: &Schema, index: usize, reader: &mut Reader<'a>) -> cd
 }
 
 fn read_field<'a>(schema: &Schema, field: &Field, reader: &mut Reader<'a>) -> cdr::Result<Value<'a>> {
-    if !field.count.is_list() {
+    if !field.is_list() {
         return read_one(schema, field.kind, reader);
     }
     reader.elements(field.kind.width().is_some(), |reader| read_list(schema, field, reader))
 }
 
 fn read_list<'a>(schema: &Schema, field: &Field, reader: &mut Reader<'a>) -> cdr::Result<Value<'a>> {
-    let count = match field.count {
-        Count::One | Count::Optional => 1,
-        Count::Array(count) => count,
-        Count::Bounded(_) | Count::Any => reader.length(least_size(schema, field.kind))?,
-    };
-    if let Count::Bounded(bound) = field.count
-        && count > bound
-    {
-        return Err(reader.error(cdr::Problem::Bound { found: count, bound }));
-    }
+    let count = reader.length_of(field.shape, least_size(schema, field.kind))?;
     match field.kind.width() {
         Some(width) => read_packed(field.kind, width, count, reader),
         None => {
@@ -145,13 +136,13 @@ fn write_field(
     value: &Value<'_>,
     writer: &mut Writer<'_>,
 ) -> Result<(), Problem> {
-    if !field.count.is_list() {
+    if !field.is_list() {
         return write_one(schema, field.kind, value, writer);
     }
     match value {
         Value::Packed(bytes) => {
             let width = field.kind.width().unwrap_or(1);
-            write_length(field.count, bytes.len() / width, writer)?;
+            write_length(field, bytes.len() / width, writer)?;
             if !bytes.is_empty() {
                 writer.align(width);
                 writer.bytes(bytes);
@@ -159,7 +150,7 @@ fn write_field(
             Ok(())
         }
         Value::List(list) => {
-            write_length(field.count, list.len(), writer)?;
+            write_length(field, list.len(), writer)?;
             for (index, value) in list.iter().enumerate() {
                 write_one(schema, field.kind, value, writer).map_err(|problem| problem.at_index(index))?;
             }
@@ -169,9 +160,9 @@ fn write_field(
     }
 }
 
-fn write_length(count: Count, found: usize, writer: &mut Writer<'_>) -> Result<(), Problem> {
-    count.check(found)?;
-    if matches!(count, Count::Array(_)) {
+fn write_length(field: &Field, found: usize, writer: &mut Writer<'_>) -> Result<(), Problem> {
+    field.check_count(found)?;
+    if matches!(field.shape, Shape::Array(_)) {
         return Ok(());
     }
     check_length(found)?;

@@ -22,7 +22,8 @@ mod value;
 
 use std::fmt;
 
-pub(crate) use schema::{Count, Enumeration, Field, Kind, Record, Schema};
+pub(crate) use downbeat_msgs_definitions::Shape;
+pub(crate) use schema::{Enumeration, Field, Kind, Record, Schema};
 pub(crate) use value::{Budget, Value};
 
 /// A message or a type cannot be converted.

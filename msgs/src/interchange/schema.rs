@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use downbeat_msgs_definitions as definitions;
-use downbeat_msgs_definitions::{Catalog, Element, FieldType, Primitive, Shape, TypeName};
+use downbeat_msgs_definitions::{Catalog, Element, Primitive, Shape, TypeName};
 
 use super::{Error, Value};
 
@@ -34,7 +34,9 @@ pub(crate) struct Field {
     /// The field id in FlatBuffers.
     pub(crate) id: u16,
     pub(crate) kind: Kind,
-    pub(crate) count: Count,
+    pub(crate) shape: Shape,
+    /// Whether a single value may be missing, which differs from zero.
+    pub(crate) is_optional: bool,
     /// The default of a number in FlatBuffers.
     pub(crate) default: f64,
     /// The default in the definition, if any.
@@ -71,17 +73,6 @@ pub(crate) enum Kind {
     /// A small number with names for its values.
     Enumeration(usize),
     Record(usize),
-}
-
-/// The number of elements.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Count {
-    One,
-    /// One or none; none differs from zero.
-    Optional,
-    Array(usize),
-    Bounded(usize),
-    Any,
 }
 
 /// Names for numbers.
@@ -149,7 +140,8 @@ impl Schema {
                 number: u32::from(number) + 1,
                 id: number,
                 kind,
-                count: count_of(&field.field_type),
+                shape: field.field_type.shape,
+                is_optional: false,
                 default: 0.0,
                 initial: field.default.as_ref().and_then(|default| initial(kind, default)),
             });
@@ -174,16 +166,16 @@ impl Kind {
     }
 }
 
-impl Count {
-    pub(crate) const fn is_list(self) -> bool {
-        matches!(self, Self::Array(_) | Self::Bounded(_) | Self::Any)
+impl Field {
+    pub(crate) fn is_list(&self) -> bool {
+        self.shape != Shape::Single
     }
 
     /// Checks the number of elements.
-    pub(crate) fn check(self, found: usize) -> Result<(), super::Problem> {
-        let (what, length) = match self {
-            Self::Array(length) if found != length => ("exactly", length),
-            Self::Bounded(length) if found > length => ("at most", length),
+    pub(crate) fn check_count(&self, found: usize) -> Result<(), super::Problem> {
+        let (what, length) = match self.shape {
+            Shape::Array(length) if found as u64 != length => ("exactly", length),
+            Shape::Bounded(length) if found as u64 > length => ("at most", length),
             _ => return Ok(()),
         };
         Err(super::Problem::new(format!("has {found} elements, but the type has {what} {length}")))
@@ -239,14 +231,4 @@ fn initial(kind: Kind, default: &definitions::Value) -> Option<Value<'static>> {
             }
         }
     })
-}
-
-fn count_of(field_type: &FieldType) -> Count {
-    let size = |count: u64| usize::try_from(count).unwrap_or(usize::MAX);
-    match field_type.shape {
-        Shape::Single => Count::One,
-        Shape::Array(count) => Count::Array(size(count)),
-        Shape::Bounded(bound) => Count::Bounded(size(bound)),
-        Shape::Sequence => Count::Any,
-    }
 }

@@ -242,7 +242,7 @@ impl<'de> DeserializeSeed<'de> for FieldSeed<'_> {
 
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
         let name = &self.field.name;
-        let value = if !self.field.count.is_list() {
+        let value = if !self.field.is_list() {
             self.seed.deserialize(deserializer)
         } else if self.seed.kind == Kind::UInt8 && !deserializer.is_human_readable() {
             deserializer.deserialize_byte_buf(self)
@@ -261,7 +261,7 @@ impl<'de> Visitor<'de> for FieldSeed<'_> {
     }
 
     fn visit_borrowed_bytes<E: serde::de::Error>(self, bytes: &'de [u8]) -> Result<Self::Value, E> {
-        self.field.count.check(bytes.len()).map_err(|problem| E::custom(problem.text))?;
+        self.field.check_count(bytes.len()).map_err(|problem| E::custom(problem.text))?;
         Ok(Value::Packed(bytes.into()))
     }
 
@@ -270,7 +270,7 @@ impl<'de> Visitor<'de> for FieldSeed<'_> {
     }
 
     fn visit_byte_buf<E: serde::de::Error>(self, bytes: Vec<u8>) -> Result<Self::Value, E> {
-        self.field.count.check(bytes.len()).map_err(|problem| E::custom(problem.text))?;
+        self.field.check_count(bytes.len()).map_err(|problem| E::custom(problem.text))?;
         Ok(Value::Packed(bytes.into()))
     }
 
@@ -285,7 +285,7 @@ impl<'de> Visitor<'de> for FieldSeed<'_> {
             }
             count += 1;
         }
-        field.count.check(count).map_err(|problem| A::Error::custom(problem.text))?;
+        field.check_count(count).map_err(|problem| A::Error::custom(problem.text))?;
         Ok(if field.kind.width().is_some() { Value::Packed(packed.into()) } else { Value::List(list) })
     }
 }

@@ -2,9 +2,9 @@
 
 use std::borrow::Cow;
 
-use super::{Count, Field, Kind, Problem, Schema};
+use super::{Field, Kind, Problem, Schema, Shape};
 
-/// The value of a field or a record. Kind and count of a field determine its variant.
+/// The value of a field or a record. Kind and shape of a field determine its variant.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Value<'a> {
     Bool(bool),
@@ -34,15 +34,15 @@ impl<'a> Value<'a> {
     /// The value of a field that is missing in the input: zero, empty or absent.
     pub(crate) fn absent(schema: &Schema, field: &Field, budget: &mut Budget) -> Result<Self, Problem> {
         budget.spend(size_of::<Self>())?;
-        match (field.count, field.kind.width()) {
-            (Count::Optional, _) => Ok(Self::Absent),
-            (Count::One, _) => Self::zero(schema, field.kind, budget),
-            (Count::Array(count), Some(width)) => {
-                let size = count.saturating_mul(width);
+        match (field.shape, field.kind.width()) {
+            (Shape::Single, _) if field.is_optional => Ok(Self::Absent),
+            (Shape::Single, _) => Self::zero(schema, field.kind, budget),
+            (Shape::Array(count), Some(width)) => {
+                let size = usize::try_from(count).unwrap_or(usize::MAX).saturating_mul(width);
                 budget.spend(size)?;
                 Ok(Self::Packed(vec![0; size].into()))
             }
-            (Count::Array(count), None) => {
+            (Shape::Array(count), None) => {
                 let mut list = Vec::new();
                 for _ in 0..count {
                     budget.spend(size_of::<Self>())?;
@@ -50,8 +50,8 @@ impl<'a> Value<'a> {
                 }
                 Ok(Self::List(list))
             }
-            (Count::Bounded(_) | Count::Any, Some(_)) => Ok(Self::Packed(Cow::Borrowed(&[]))),
-            (Count::Bounded(_) | Count::Any, None) => Ok(Self::List(Vec::new())),
+            (Shape::Bounded(_) | Shape::Sequence, Some(_)) => Ok(Self::Packed(Cow::Borrowed(&[]))),
+            (Shape::Bounded(_) | Shape::Sequence, None) => Ok(Self::List(Vec::new())),
         }
     }
 

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use super::wire::{Content, Fields};
-use crate::interchange::{Budget, Count, Field, Kind, Problem, Schema, Value};
+use crate::interchange::{Budget, Field, Kind, Problem, Schema, Shape, Value};
 
 /// Reads a value of the schema's root record. As the format specifies, fields may be in any order, unknown
 /// fields are skipped, and the last occurrence of a repeated field is used (messages are merged).
@@ -42,7 +42,7 @@ impl Merger<'_> {
         while let Some(part) = fields.next()? {
             let Some(index) = known.iter().position(|field| field.number == part.number) else { continue };
             let field = &known[index];
-            let result = if field.count.is_list() {
+            let result = if field.is_list() {
                 self.read_elements(field, part.content, part.offset, &mut values[index], &mut counts[index])
             } else {
                 self.read_one(field.kind, part.content, part.offset, &mut values[index])
@@ -52,7 +52,7 @@ impl Merger<'_> {
         for (field, &count) in known.iter().zip(&counts) {
             // An array without elements on the wire is all zeros.
             if count > 0 {
-                field.count.check(count).map_err(|problem| problem.in_field(&field.name))?;
+                field.check_count(count).map_err(|problem| problem.in_field(&field.name))?;
             }
         }
         Ok(())
@@ -66,7 +66,7 @@ impl Merger<'_> {
         list: &mut Value<'a>,
         count: &mut usize,
     ) -> Result<(), Problem> {
-        if *count == 0 && matches!(field.count, Count::Array(_)) {
+        if *count == 0 && matches!(field.shape, Shape::Array(_)) {
             // Replaces the zeros.
             *list = if field.kind.width().is_some() {
                 Value::Packed(Cow::Borrowed(&[]))

@@ -4,7 +4,7 @@ use std::convert::Infallible;
 
 use super::wire::{WireType, put_bytes, put_delimited, put_tag, put_varint};
 use super::{DURATION, TIMESTAMP, parts, path_of};
-use crate::interchange::{Count, Enumeration, Field, Kind, Record, Schema};
+use crate::interchange::{Enumeration, Field, Kind, Record, Schema, Shape};
 
 type Result = std::result::Result<(), Infallible>;
 
@@ -78,7 +78,7 @@ fn file_head(out: &mut Vec<u8>, path: &str, package: &str, imports: &[String]) {
 fn message(out: &mut Vec<u8>, schema: &Schema, index: usize) -> Result {
     let record = &schema.records[index];
     put_bytes(out, 1, parts(&record.name).1.as_bytes());
-    let optional: Vec<&Field> = record.fields.iter().filter(|field| field.count == Count::Optional).collect();
+    let optional: Vec<&Field> = record.fields.iter().filter(|field| field.is_optional).collect();
     for field in &record.fields {
         let oneof = optional.iter().position(|other| other.number == field.number);
         put(out, 2, |out| field_descriptor(out, schema, field, oneof));
@@ -98,8 +98,8 @@ fn message(out: &mut Vec<u8>, schema: &Schema, index: usize) -> Result {
 
 /// `FieldDescriptorProto`
 fn field_descriptor(out: &mut Vec<u8>, schema: &Schema, field: &Field, oneof: Option<usize>) -> Result {
-    let is_bytes = field.count.is_list() && field.kind == Kind::UInt8;
-    let is_repeated = field.count.is_list() && !is_bytes;
+    let is_bytes = field.is_list() && field.kind == Kind::UInt8;
+    let is_repeated = field.is_list() && !is_bytes;
     put_bytes(out, 1, field.name.as_bytes());
     put_number(out, 3, field.number.into());
     put_number(out, 4, if is_repeated { 3 } else { 1 });
@@ -207,12 +207,12 @@ fn text(schema: &Schema, index: usize) -> String {
         text.push_str("  }\n");
     }
     for field in &record.fields {
-        let is_bytes = field.count.is_list() && field.kind == Kind::UInt8;
-        let label = match field.count {
+        let is_bytes = field.is_list() && field.kind == Kind::UInt8;
+        let label = match field.shape {
             _ if is_bytes => "",
-            Count::One => "",
-            Count::Optional => "optional ",
-            Count::Array(_) | Count::Bounded(_) | Count::Any => "repeated ",
+            Shape::Single if field.is_optional => "optional ",
+            Shape::Single => "",
+            Shape::Array(_) | Shape::Bounded(_) | Shape::Sequence => "repeated ",
         };
         let name = if is_bytes { "bytes".into() } else { type_name(schema, field.kind) };
         text.push_str(&format!("  {label}{name} {} = {};\n", field.name, field.number));

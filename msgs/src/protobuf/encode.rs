@@ -1,7 +1,7 @@
 //! Writes values in the wire format.
 
 use super::wire::{WireType, put_bytes, put_delimited, put_tag, put_varint};
-use crate::interchange::{Count, Field, Kind, Problem, Schema, Value};
+use crate::interchange::{Field, Kind, Problem, Schema, Value};
 
 /// Writes a value of the schema's root record.
 ///
@@ -33,8 +33,8 @@ fn put_field(out: &mut Vec<u8>, schema: &Schema, field: &Field, value: &Value<'_
             put_element(out, schema, field, value).map_err(|problem| problem.at_index(index))
         }),
         // proto3 omits zeros, unless zero differs from absent.
-        _ if field.count != Count::Optional && value.bits() == Some(0) => Ok(()),
-        Value::Text(text) if text.is_empty() && field.count != Count::Optional => Ok(()),
+        _ if !field.is_optional && value.bits() == Some(0) => Ok(()),
+        Value::Text(text) if text.is_empty() && !field.is_optional => Ok(()),
         _ => put_element(out, schema, field, value),
     }
 }

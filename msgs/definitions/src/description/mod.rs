@@ -148,23 +148,15 @@ const ACTION_MEMBERS: [(&str, &str); 6] = [
 ];
 
 fn describe_type(field_type: &FieldType) -> FieldTypeDescription {
-    let (base, string_capacity, nested_type_name) = match &field_type.element {
-        Element::Message(name) => (1, 0, name.to_string()),
-        Element::Primitive(primitive) => (primitive_id(*primitive), 0, String::new()),
-        Element::String { bound } => {
-            (if bound.is_some() { 21 } else { 17 }, bound.unwrap_or(0), String::new())
-        }
-        Element::WString { bound } => {
-            (if bound.is_some() { 22 } else { 18 }, bound.unwrap_or(0), String::new())
-        }
-    };
-    let (offset, capacity) = match field_type.shape {
-        Shape::Single => (0, 0),
-        Shape::Array(count) => (48, count),
-        Shape::Bounded(bound) => (96, bound),
-        Shape::Sequence => (144, 0),
-    };
-    FieldTypeDescription { type_id: base + offset, capacity, string_capacity, nested_type_name }
+    FieldTypeDescription {
+        type_id: field_type.type_id(),
+        capacity: field_type.capacity(),
+        string_capacity: field_type.string_capacity(),
+        nested_type_name: match &field_type.element {
+            Element::Message(name) => name.to_string(),
+            _ => String::new(),
+        },
+    }
 }
 
 /// The field of empty messages.
@@ -174,26 +166,9 @@ fn placeholder_type() -> FieldTypeDescription {
     FieldTypeDescription { type_id: 3, ..FieldTypeDescription::default() }
 }
 
-fn primitive_id(primitive: Primitive) -> u8 {
-    match primitive {
-        Primitive::Int8 => 2,
-        Primitive::UInt8 | Primitive::Char => 3,
-        Primitive::Int16 => 4,
-        Primitive::UInt16 => 5,
-        Primitive::Int32 => 6,
-        Primitive::UInt32 => 7,
-        Primitive::Int64 => 8,
-        Primitive::UInt64 => 9,
-        Primitive::Float32 => 10,
-        Primitive::Float64 => 11,
-        Primitive::Bool => 15,
-        Primitive::Byte => 16,
-    }
-}
-
 /// The primitive type with that id.
 fn primitive_of(id: u8) -> Option<Primitive> {
-    let is_it = |primitive: &Primitive| *primitive != Primitive::Char && primitive_id(*primitive) == id;
+    let is_it = |primitive: &Primitive| *primitive != Primitive::Char && primitive.type_id() == id;
     Primitive::ALL.into_iter().find(is_it)
 }
 
