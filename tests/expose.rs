@@ -127,7 +127,8 @@ fn expose(arguments: &[&str], pid: &str, sockets: &Path) -> (bool, String) {
 #[test]
 fn endpoints_come_and_go_in_rclpy_while_the_robot_runs() {
     let Some(mut peer) = Peer::start(82, "LOCALHOST") else { return };
-    let _check = check("Selection", "endpoints come and go while the robot runs", With::Rclpy, Way::Out);
+    let _check =
+        check("Selection", "endpoints are added and removed while the robot runs", With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
     let file = robot(folder.path(), "", "out = [\"joint_states\"]");
     let mut robot =

@@ -596,7 +596,7 @@ fn a_robot_that_is_commanded_over_dds_repeats() {
 #[test]
 fn a_robot_that_is_commanded_by_rclpy_repeats() {
     let Some(mut peer) = Peer::start(62, "LOCALHOST") else { return };
-    let _check = check("Bags", "replay of a robot that was commanded", With::Rclpy, Way::In);
+    let _check = check("Bags", "replay of a robot that received commands", With::Rclpy, Way::In);
     let call = |peer: &mut Peer, service: &str, requests: serde_json::Value| {
         let answers = peer.ask(json!({"do": "call", "service": service, "requests": requests}));
         for answer in answers.as_array().unwrap() {

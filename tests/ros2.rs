@@ -44,7 +44,7 @@ fn position(fields: &Value, joint: &str) -> f64 {
 #[test]
 fn the_node_is_listed_with_its_topics_types_and_qos() {
     let Some(mut peer) = peer(60) else { return };
-    let _check = check("Graph", "the robot of the demo with all its topics", With::Rclpy, Way::Out);
+    let _check = check("Graph", "the demo robot with all its topics", With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
     let mut robot = run(60, folder.path(), &[]);
     wait_until("the node is listed", || has(&peer.ask(json!({"do": "nodes"})), "/darwin_op"));
@@ -166,7 +166,7 @@ fn commands_from_rclpy_move_the_joints_they_name_until_two_seconds_after_the_las
 #[test]
 fn a_suspended_robot_is_available_again_with_all_endpoints() {
     let Some(mut peer) = peer(213) else { return };
-    let _check = check("Faults", "the program is suspended and goes on", With::Rclpy, Way::Both);
+    let _check = check("Faults", "the program is suspended and resumed", With::Rclpy, Way::Both);
     let folder = tempfile::tempdir().unwrap();
     let mut robot = run(213, folder.path(), &[]);
     peer.ask(json!({"do": "subscribe", "topic": "/joint_states", "type": JOINT_STATE}));
@@ -195,7 +195,12 @@ fn a_suspended_robot_is_available_again_with_all_endpoints() {
 fn the_node_leaves_the_graph_within_two_seconds_of_a_signal() {
     for (domain, signal) in [(65, "-INT"), (66, "-TERM")] {
         let Some(mut peer) = peer(domain) else { return };
-        let _check = check("Graph", "the program leaves at once when it is stopped", With::Rclpy, Way::Out);
+        let _check = check(
+            "Graph",
+            "the program leaves the graph immediately when it is stopped",
+            With::Rclpy,
+            Way::Out,
+        );
         let folder = tempfile::tempdir().unwrap();
         let mut robot = run(domain, folder.path(), &[]);
         wait_until("the node is listed", || has(&peer.ask(json!({"do": "nodes"})), "/darwin_op"));

@@ -58,7 +58,7 @@ fn hear(peer: &mut Peer) {
 #[test]
 fn the_robot_is_seen_and_driven_from_another_host() {
     let check =
-        check("Several hosts", "a robot is seen and driven from another host", With::Rclpy, Way::Both);
+        check("Several hosts", "a robot is observed and driven from another host", With::Rclpy, Way::Both);
     let Some((hosts, mut peer, _check)) = hosts(check) else { return };
     let folder = tempfile::tempdir().unwrap();
     let mut robot = run(&hosts, folder.path(), &[]);
@@ -90,7 +90,8 @@ fn the_robot_is_seen_and_driven_from_another_host() {
 
 #[test]
 fn a_cable_that_was_out_for_30_seconds_is_as_if_it_never_was() {
-    let check = check("Several hosts", "a cable out for 30 s and put back", With::Rclpy, Way::Out);
+    let check =
+        check("Several hosts", "a cable unplugged for 30 s and plugged in again", With::Rclpy, Way::Out);
     let Some((hosts, mut peer, _check)) = hosts(check) else { return };
     let folder = tempfile::tempdir().unwrap();
     let mut robot = run(&hosts, folder.path(), &[]);

@@ -20,7 +20,7 @@ pub enum Problem {
         /// The topic; `None` for the whole bag.
         topic: Option<String>,
         /// The declared number.
-        told: u64,
+        declared: u64,
         /// The actual number.
         found: u64,
     },
@@ -152,9 +152,9 @@ impl Check {
         if let Some(lost) = metadata.custom_data.get("lost_messages") {
             self.problems.push(Problem::Lost(lost.clone()));
         }
-        let mut compare = |topic: Option<&str>, told: u64, found: u64| {
-            if told != found {
-                self.problems.push(Problem::Count { topic: topic.map(str::to_owned), told, found });
+        let mut compare = |topic: Option<&str>, declared: u64, found: u64| {
+            if declared != found {
+                self.problems.push(Problem::Count { topic: topic.map(str::to_owned), declared, found });
             }
         };
         compare(None, metadata.message_count, counts.iter().sum());
@@ -171,12 +171,12 @@ impl fmt::Display for Problem {
         match self {
             Self::Truncated(truncation) => truncation.fmt(f),
             Self::Unreadable(found) => f.write_str(&printable(found)),
-            Self::Count { topic: None, told, found } => {
-                write!(f, "the metadata declares {told} messages, found {found}")
+            Self::Count { topic: None, declared, found } => {
+                write!(f, "the metadata declares {declared} messages, found {found}")
             }
-            Self::Count { topic: Some(topic), told, found } => {
+            Self::Count { topic: Some(topic), declared, found } => {
                 let topic = printable(topic);
-                write!(f, "{topic}: the metadata declares {told} messages, found {found}")
+                write!(f, "{topic}: the metadata declares {declared} messages, found {found}")
             }
             Self::NoMetadata => f.write_str("there is no metadata.yaml; `downbeat bag reindex` creates it"),
             Self::NoDefinition { topic, type_name } => {

@@ -5,7 +5,7 @@
 //! - [`expose`] joins the two worlds: topics of a core become topics of a node;
 //! - [`ros`] is ROS 2 on top of raw topics: names, nodes, and the graph that tools show;
 //! - [`middleware`] is raw topics: a narrow trait, and the engines behind it (DDS by rustdds, and one in memory);
-//! - [`edge`], a crate of its own, turns messages of the executor into bytes and back, by the name of their type.
+//! - [`edge`], a separate crate, converts messages of the executor to bytes and back, by the names of their types.
 
 pub mod clock;
 pub mod diagnostics;

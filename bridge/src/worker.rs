@@ -31,7 +31,7 @@ impl Worker {
     /// # Errors
     /// When the system refuses the thread.
     pub fn start() -> io::Result<Self> {
-        // Unbounded: the queues of servers, clients and parameters have bounds of their own.
+        // Unbounded: the queues of servers, clients and parameters are bounded.
         let (sender, jobs) = unbounded();
         let timers = Arc::<Timers>::default();
         let run =

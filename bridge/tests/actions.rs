@@ -5,14 +5,14 @@ mod common;
 
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
-use common::{WATCHDOG, on_loopback, wait_until};
+use common::{RunningCore, WATCHDOG, on_loopback, wait_until};
 use downbeat_actions::{ActionClient, ActionServer, CancelResponse, GoalId, GoalResponse, GoalStatus};
 use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{ActionExposure, ServicesStatus, expose, expose_services};
 use downbeat_bridge::middleware::Direction;
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::ros::{Node, NodeName, Participant};
-use downbeat_executor::{Context, Core, CoreHandle, Inlet, Module, Received, Setup, SetupError};
+use downbeat_executor::{Context, Core, Inlet, Module, Received, Setup, SetupError};
 use downbeat_msgs::test_msgs::action::{Fibonacci, FibonacciFeedback, FibonacciGoal, FibonacciResult};
 use serde_json::{Value, json};
 use std::sync::Arc;
@@ -125,8 +125,7 @@ impl Caller {
 
 /// A core with both, its action `count` offered as `~/count`, and `/count` of ROS 2 behind `far/count`.
 struct Running {
-    handle: CoreHandle,
-    thread: Option<std::thread::JoinHandle<()>>,
+    _core: RunningCore,
     status: ServicesStatus,
     work: Inlet<Work>,
     ask: Inlet<Asked>,
@@ -153,9 +152,8 @@ fn run(node: &Node) -> Running {
     let topics = [served.topics(Direction::Out), used.topics(Direction::In)].concat();
     expose(&mut core, node, &topics).unwrap();
     let status = expose_services(&mut core, node, &served.services(), &used.services()).unwrap();
-    let handle = core.handle();
-    let thread = Some(std::thread::spawn(move || core.run().unwrap()));
-    Running { handle, thread, status, work, ask, outcomes }
+    let core = RunningCore::start(core);
+    Running { _core: core, status, work, ask, outcomes }
 }
 
 impl Running {
@@ -167,16 +165,6 @@ impl Running {
     fn has_found_the_action(&self) -> bool {
         let called = |name: &str| name.starts_with("/count/_action");
         self.status.services().iter().filter(|(name, ..)| called(name)).all(|(_, is_matched, ..)| *is_matched)
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        self.handle.stop();
-        if let Some(thread) = self.thread.take() {
-            // A panic in it has failed the test already.
-            let _ = thread.join();
-        }
     }
 }
 
@@ -291,9 +279,9 @@ fn rclpy_cancels_goals_unless_the_module_holds_on() {
 #[test]
 fn results_are_there_for_those_that_ask_late_until_they_expire() {
     let Some((running, _node, mut rclpy)) = robot_and_rclpy(133) else { return };
-    let _late = check("Actions", "result asked for after the end", With::Rclpy, Way::In);
+    let _late = check("Actions", "result requested after the end", With::Rclpy, Way::In);
     let _expired = check("Actions", "result that has expired", With::Rclpy, Way::In);
-    let _twice = check("Actions", "goal id that is taken", With::Rclpy, Way::In);
+    let _twice = check("Actions", "goal id that is already in use", With::Rclpy, Way::In);
     let goal = send(&mut rclpy, 3);
     let again = json!({"do": "send_goal", "action": "/robot/count", "goal": {"order": 3}, "id": goal});
     running.work.publish(Work::Succeed).unwrap();
@@ -309,7 +297,7 @@ fn results_are_there_for_those_that_ask_late_until_they_expire() {
 #[test]
 fn two_clients_have_goals_at_once_and_statuses_are_there_for_who_comes_late() {
     let Some((running, _node, mut rclpy)) = robot_and_rclpy(134) else { return };
-    let _two = check("Actions", "two clients with goals at once", With::Rclpy, Way::In);
+    let _two = check("Actions", "two clients with goals at the same time", With::Rclpy, Way::In);
     let _status = check("Actions", "status for late joiners", With::Rclpy, Way::Out);
     let mut other = Peer::start(134, "LOCALHOST").unwrap();
     other.ask(json!({"do": "action_client", "action": "/robot/count", "type": FIBONACCI}));

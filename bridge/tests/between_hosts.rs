@@ -83,7 +83,7 @@ const SIZES: &[(usize, usize)] = &[(10, 200), (1_400, 200), (70_000, 20), (1_000
 /// Fast DDS sends 64 kB at once, 45 frames each of which may be lost: it takes several attempts.
 const SMALL_SIZES: &[(usize, usize)] = &[(10, 200), (1_400, 100), (70_000, 5), (200_000, 1)];
 
-const GOOD: &str = "10 B to 8 MB, reliable: all of them";
+const GOOD: &str = "10 B to 8 MB, reliable: all messages";
 const BAD: &str = "reliable samples over a line with 2 % loss and 20 ms delay";
 
 fn of_hosts(feature: &str, with: With) -> Vec<Check> {
@@ -163,7 +163,7 @@ fn services_and_latched_texts_pass_between_us_and_rclpy_over_a_bad_line() {
 
 #[test]
 fn who_is_behind_a_cable_that_was_out_for_30_seconds_is_found_again() {
-    let feature = "a cable out for 30 s: both find each other again";
+    let feature = "a cable unplugged for 30 s: both sides discover each other again";
     let with = |peer| check("Several hosts", feature, peer, Way::Both);
     let checks = vec![with(With::Rclpy), with(With::Cyclone)];
     between_hosts(Line::Good, checks, |hosts| {
@@ -194,7 +194,7 @@ fn who_is_behind_a_cable_that_was_out_for_30_seconds_is_found_again() {
 
 #[test]
 fn a_cable_that_was_out_for_3_seconds_loses_nothing_of_what_is_kept() {
-    let check = of_hosts("a cable out for 3 s: nothing is lost", With::Rclpy);
+    let check = of_hosts("a cable unplugged for 3 s: nothing is lost", With::Rclpy);
     between_hosts(Line::Good, check, |hosts| {
         let mut peer = rclpy(hosts, DOMAIN);
         let talker = Talker::join(&options(), QosProfile::DEFAULT.keep_last(500));

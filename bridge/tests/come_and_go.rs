@@ -53,8 +53,8 @@ fn lists(peer: &mut Peer, node: &str) -> bool {
 fn what_we_remove_is_gone_from_rclpy_at_once() {
     let Some(mut peer) = Peer::start(88, "LOCALHOST") else { return };
     let _endpoint =
-        check("Graph", "a removed endpoint is gone from `ros2 topic info`", With::Rclpy, Way::Out);
-    let _node = check("Graph", "a removed node of a process that goes on", With::Rclpy, Way::Out);
+        check("Graph", "a removed endpoint disappears from `ros2 topic info`", With::Rclpy, Way::Out);
+    let _node = check("Graph", "a removed node of a process that keeps running", With::Rclpy, Way::Out);
     let (participant, node) = join(88);
     let second = participant.create_node(NodeName::new("/", "second").unwrap()).unwrap();
     let of_second = publish(&second, "/ours", QosProfile::DEFAULT);
@@ -85,8 +85,9 @@ fn what_we_remove_is_gone_from_rclpy_at_once() {
 #[test]
 fn what_rclpy_removes_is_gone_from_us_at_once() {
     let Some(mut peer) = Peer::start(89, "LOCALHOST") else { return };
-    let _endpoint = check("Graph", "a removed endpoint is gone from `ros2 topic info`", With::Rclpy, Way::In);
-    let _node = check("Graph", "a removed node of a process that goes on", With::Rclpy, Way::In);
+    let _endpoint =
+        check("Graph", "a removed endpoint disappears from `ros2 topic info`", With::Rclpy, Way::In);
+    let _node = check("Graph", "a removed node of a process that keeps running", With::Rclpy, Way::In);
     let (participant, node) = join(89);
     let ours = publish(&node, "/ours", QosProfile::DEFAULT);
     let (theirs, _heard) = hear(&node, "/theirs", QosProfile::DEFAULT);
@@ -116,8 +117,8 @@ fn user_data(peer: &mut Peer, topic: &str) -> Vec<Value> {
 #[test]
 fn cyclone_knows_our_type_hashes_and_what_we_remove_is_gone_at_once() {
     let Some(mut peer) = Peer::cyclonedds(90) else { return };
-    let _hash = check("Graph", "type hashes of our endpoints", With::Cyclone, Way::Out);
-    let _gone = check("Graph", "a removed endpoint is gone from discovery", With::Cyclone, Way::Out);
+    let _hash = check("Graph", "type hashes of downbeat's endpoints", With::Cyclone, Way::Out);
+    let _gone = check("Graph", "a removed endpoint disappears from discovery", With::Cyclone, Way::Out);
     let (participant, node) = join(90);
     let ours = publish(&node, "/ours", QosProfile::DEFAULT);
     let theirs = hear(&node, "/theirs", QosProfile::DEFAULT);
@@ -138,7 +139,7 @@ fn cyclone_knows_our_type_hashes_and_what_we_remove_is_gone_at_once() {
 #[test]
 fn rclpy_knows_the_type_hashes_of_our_endpoints_and_we_know_theirs() {
     let Some(mut peer) = Peer::start(91, "LOCALHOST") else { return };
-    let _out = check("Graph", "type hashes of our endpoints", With::Rclpy, Way::Out);
+    let _out = check("Graph", "type hashes of downbeat's endpoints", With::Rclpy, Way::Out);
     let (participant, node) = join(91);
     let _ours = publish(&node, "/ours", QosProfile::DEFAULT);
     let _theirs = hear(&node, "/theirs", QosProfile::DEFAULT);
@@ -160,7 +161,7 @@ fn rclpy_knows_the_type_hashes_of_our_endpoints_and_we_know_theirs() {
 #[test]
 fn rclpy_forgets_us_when_our_lease_is_over_after_we_were_killed() {
     let Some(mut rclpy) = Peer::start(92, "LOCALHOST") else { return };
-    let _check = check("Faults", "a process that was killed is gone after its lease", With::Rclpy, Way::Out);
+    let _check = check("Faults", "a killed process disappears after its lease", With::Rclpy, Way::Out);
     let mut killed = ours::start_by(|program| {
         let mut command = ours::on_loopback(program, 92);
         command.env(ours::LEASE_MS, "3000");
@@ -178,7 +179,7 @@ fn rclpy_forgets_us_when_our_lease_is_over_after_we_were_killed() {
 #[test]
 fn we_forget_rclpy_when_its_lease_is_over_after_it_was_killed() {
     let Some(mut killed) = Peer::start(93, "LOCALHOST") else { return };
-    let _check = check("Faults", "a process that was killed is gone after its lease", With::Rclpy, Way::In);
+    let _check = check("Faults", "a killed process disappears after its lease", With::Rclpy, Way::In);
     let talker = Talker::join(&on_loopback(93), QosProfile::DEFAULT);
     talker.meet(&mut killed, 10);
     drop(killed);
@@ -195,7 +196,7 @@ fn we_forget_rclpy_when_its_lease_is_over_after_it_was_killed() {
 #[test]
 fn what_rclpy_missed_while_it_was_stopped_it_gets_when_it_goes_on() {
     let Some(mut peer) = Peer::start(94, "LOCALHOST") else { return };
-    let _check = check("Faults", "a peer that is stopped for 3 s misses nothing", With::Rclpy, Way::Both);
+    let _check = check("Faults", "a peer that is suspended for 3 s misses nothing", With::Rclpy, Way::Both);
     let qos = QosProfile::DEFAULT.keep_last(300);
     let talker = Talker::join(&on_loopback(94), qos);
     talker.meet(&mut peer, 300);
@@ -242,10 +243,10 @@ fn who_was_stopped_for_longer_than_the_lease_is_found_again() {
     let Some(rclpy) = Peer::start(95, "LOCALHOST") else { return };
     let Some(cyclone) = Peer::cyclonedds(100) else { return };
     let Some(mut watching) = Peer::start(96, "LOCALHOST") else { return };
-    let feature = "a peer that is stopped for longer than its lease";
+    let feature = "a peer that is suspended for longer than its lease";
     let _rclpy = check("Faults", feature, With::Rclpy, Way::Both);
     let _cyclone = check("Faults", feature, With::Cyclone, Way::Both);
-    let _ours = check("Faults", "we are stopped for longer than our lease", With::Rclpy, Way::Both);
+    let _ours = check("Faults", "downbeat is suspended for longer than its lease", With::Rclpy, Way::Both);
     const DOMAINS: [u16; 3] = [95, 100, 96];
     let mut stopped = [rclpy, cyclone, ours::start(96)];
     let talkers = DOMAINS.map(|domain_id| Talker::join(&on_loopback(domain_id), QosProfile::DEFAULT));
@@ -389,7 +390,7 @@ fn replies_of_100_kb_pass_in_the_words_of_cyclone() {
 fn a_participant_that_joins_late_has_the_latched_text_of_rclpy_at_once() {
     let Some(mut peer) = Peer::start(102, "LOCALHOST") else { return };
     let _check =
-        check("Topics", "latched messages to a process that joins late, at once", With::Rclpy, Way::In);
+        check("Topics", "latched messages to a process that joins late, immediately", With::Rclpy, Way::In);
     let latched = QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT };
     let qos = qos_of(latched, 1);
     peer.ask(json!({"do": "advertise", "topic": "/theirs", "type": TEXT, "qos": qos}));

@@ -71,7 +71,7 @@ fn texts(messages: &[Value]) -> Vec<&str> {
 #[test]
 fn what_we_publish_reaches_cyclone() {
     let Some(mut peer) = Peer::cyclonedds(110) else { return };
-    let _check = check("Topics", "reliable messages to the byte", With::Cyclone, Way::Out);
+    let _check = check("Topics", "reliable messages, byte for byte", With::Cyclone, Way::Out);
     let (_participant, node) = downbeat(110);
     listen(&mut peer, "/joint_states", JOINT_STATE, json!({"depth": 1000}));
     let states = publish(&node, "/joint_states", JOINT_STATE, QosProfile::DEFAULT);
@@ -98,7 +98,7 @@ fn what_we_publish_reaches_cyclone() {
 #[test]
 fn what_cyclone_publishes_reaches_us() {
     let Some(mut peer) = Peer::cyclonedds(111) else { return };
-    let _check = check("Topics", "reliable messages to the byte", With::Cyclone, Way::In);
+    let _check = check("Topics", "reliable messages, byte for byte", With::Cyclone, Way::In);
     let (_participant, node) = downbeat(111);
     let (commands, samples) = subscribe(&node, "/joint_commands", JOINT_STATE, QosProfile::DEFAULT);
     advertise(&mut peer, "/joint_commands", JOINT_STATE, json!({"depth": 1000}));
@@ -235,8 +235,8 @@ fn what_is_kept_whole_arrives_whole() {
 #[test]
 fn compressed_images_of_100_kb_arrive_both_ways() {
     let Some(mut peer) = Peer::cyclonedds(117) else { return };
-    let _out = check("Topics", "images of 100 kB, compressed, 30 one after another", With::Cyclone, Way::Out);
-    let _in = check("Topics", "images of 100 kB, compressed, 30 one after another", With::Cyclone, Way::In);
+    let _out = check("Topics", "30 compressed images of 100 kB in succession", With::Cyclone, Way::Out);
+    let _in = check("Topics", "30 compressed images of 100 kB in succession", With::Cyclone, Way::In);
     let (_participant, node) = downbeat(117);
     let kind = "sensor_msgs/msg/CompressedImage";
     listen(&mut peer, "/ours", kind, json!({"depth": 50}));

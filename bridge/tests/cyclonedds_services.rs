@@ -54,7 +54,7 @@ fn cyclone_calls_our_service_and_each_client_has_its_own_answers() {
     let _many = check("Services", "many requests in flight", With::Cyclone, Way::In);
     let node = downbeat(136);
     let service = serve(&node);
-    let first = check("Services", "first answer to a fresh client", With::Cyclone, Way::Out);
+    let first = check("Services", "first response to a new client", With::Cyclone, Way::Out);
     for number in 0..8 {
         let name = format!("client {number}");
         connect(&mut cyclone, &name);
@@ -143,7 +143,7 @@ fn we_call_a_service_of_cyclone() {
 fn no_request_of_a_fresh_client_is_lost_at_a_server_of_cyclone() {
     const CLIENTS: usize = 30;
     let Some(mut cyclone) = Peer::cyclonedds(210) else { return };
-    let _check = check("Services", "first request of a fresh client", With::Cyclone, Way::Out);
+    let _check = check("Services", "first request of a new client", With::Cyclone, Way::Out);
     let node = downbeat(210);
     cyclone.ask(json!({"do": "serve", "service": "/light"}));
     for number in 0..CLIENTS {

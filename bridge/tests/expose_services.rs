@@ -5,12 +5,12 @@ mod common;
 
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
-use common::{WATCHDOG, on_loopback, wait_until};
+use common::{RunningCore, WATCHDOG, on_loopback, wait_until};
 use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{ExposeError, ServiceExposure, ServicesStatus, expose_services};
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::ros::{Client, Node, NodeName, Participant};
-use downbeat_executor::{Context, Core, CoreHandle, Module, Setup, SetupError};
+use downbeat_executor::{Context, Core, Module, Setup, SetupError};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::std_srvs::srv::{
     Empty, EmptyRequest, EmptyResponse, SetBool, SetBoolRequest, SetBoolResponse,
@@ -69,8 +69,7 @@ fn light() -> ServiceExposure {
 }
 
 struct Running {
-    handle: CoreHandle,
-    thread: Option<std::thread::JoinHandle<()>>,
+    _core: RunningCore,
     status: ServicesStatus,
     answers: Receiver<Result<SetBoolResponse, String>>,
     ask: downbeat_executor::Inlet<bool>,
@@ -83,19 +82,8 @@ fn run(node: &Node) -> Running {
     let ask = core.inlet("ask").unwrap();
     let offers = [offered("stand_up", "std_srvs/srv/SetBool"), offered("panic", "std_srvs/srv/Empty")];
     let status = expose_services(&mut core, node, &offers, &[light()]).unwrap();
-    let handle = core.handle();
-    let thread = Some(std::thread::spawn(move || core.run().unwrap()));
-    Running { handle, thread, status, answers, ask }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        self.handle.stop();
-        if let Some(thread) = self.thread.take() {
-            // A panic in it has failed the test already.
-            let _ = thread.join();
-        }
-    }
+    let core = RunningCore::start(core);
+    Running { _core: core, status, answers, ask }
 }
 
 fn node(on: Arc<Hub>, name: &str) -> Node {

@@ -5,13 +5,13 @@ mod common;
 
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
-use common::{on_loopback, wait_until};
+use common::{RunningCore, on_loopback, wait_until};
 use downbeat_bridge::lifecycle::{LifecycleError, LifecycleExposure, LifecycleNodes, expose_lifecycle};
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::ros::{NodeName, Participant};
 use downbeat_executor::{
-    Context, Core, CoreHandle, Inbox, LifecycleState, Module, ModuleOptions, Restart, Setup, SetupError,
-    Synchrony, TransitionError,
+    Context, Core, Inbox, LifecycleState, Module, ModuleOptions, Restart, Setup, SetupError, Synchrony,
+    TransitionError,
 };
 use serde_json::{Value, json};
 use std::sync::Arc;
@@ -44,20 +44,9 @@ impl Module for Camera {
 }
 
 struct Robot {
-    handle: CoreHandle,
-    thread: Option<std::thread::JoinHandle<()>>,
+    _core: RunningCore,
     mood: Mood,
     _nodes: LifecycleNodes,
-}
-
-impl Drop for Robot {
-    fn drop(&mut self) {
-        self.handle.stop();
-        if let Some(thread) = self.thread.take() {
-            // A panic in it has failed the test already.
-            let _ = thread.join();
-        }
-    }
 }
 
 /// The detached module `camera` as the node `/robot/camera`, unconfigured.
@@ -75,9 +64,8 @@ fn robot(domain_id: u16) -> Robot {
     let exposure =
         LifecycleExposure { module: "camera".into(), node: NodeName::new("/robot", "camera").unwrap() };
     let nodes = expose_lifecycle(&core, &participant, &[exposure]).unwrap();
-    let handle = core.handle();
-    let thread = Some(std::thread::spawn(move || core.run().unwrap()));
-    Robot { handle, thread, mood, _nodes: nodes }
+    let core = RunningCore::start(core);
+    Robot { _core: core, mood, _nodes: nodes }
 }
 
 const SERVICES: [(&str, &str); 5] = [

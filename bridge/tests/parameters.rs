@@ -5,11 +5,11 @@ mod common;
 
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
-use common::{WATCHDOG, on_loopback, wait_until};
+use common::{RunningCore, WATCHDOG, on_loopback, wait_until};
 use downbeat_bridge::clock::{NodeClock, SimTime};
 use downbeat_bridge::expose::{ParameterExposure, ParameterServer, ParameterServices, TopicPattern};
 use downbeat_bridge::ros::{NodeName, Participant};
-use downbeat_executor::{Core, CoreHandle, Inbox, Module, ModuleOptions, Setup, SetupError, Synchrony};
+use downbeat_executor::{Core, Inbox, Module, ModuleOptions, Setup, SetupError, Synchrony};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::rcl_interfaces::msg::{Parameter, ParameterValue};
 use downbeat_msgs::rcl_interfaces::srv::{
@@ -37,21 +37,10 @@ impl Module for Arm {
 }
 
 struct Robot {
-    handle: CoreHandle,
-    thread: Option<std::thread::JoinHandle<()>>,
+    handle: RunningCore,
     sim_time: SimTime,
     _parameters: [ParameterServices; 2],
     _participant: Participant,
-}
-
-impl Drop for Robot {
-    fn drop(&mut self) {
-        self.handle.stop();
-        if let Some(thread) = self.thread.take() {
-            // A panic in it has failed the test already.
-            let _ = thread.join();
-        }
-    }
 }
 
 /// Modules `arm`, `camera` (detached) and `secret`, of which the last is not selected; a node `/robot`, and `/arm` of that
@@ -75,8 +64,7 @@ fn robot(domain_id: u16) -> Robot {
     let of_arm = ParameterExposure { settings, of_module: Some("arm".into()) };
     let parameters = [(&node, of_robot), (&arm, of_arm)];
     let parameters = parameters.map(|(node, exposure)| server.serve(node, exposure).unwrap());
-    let thread = Some(std::thread::spawn(move || core.run().unwrap()));
-    Robot { handle, thread, sim_time, _parameters: parameters, _participant: participant }
+    Robot { handle: RunningCore::start(core), sim_time, _parameters: parameters, _participant: participant }
 }
 
 const NAMES: [&str; 16] = [

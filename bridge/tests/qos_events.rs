@@ -6,16 +6,14 @@ mod common;
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::texts::text_of;
-use common::{WATCHDOG, on_loopback, wait_until};
+use common::{RunningCore, WATCHDOG, on_loopback, wait_until};
 use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{BridgeStatus, Exposure, QOS_EVENTS_TOPIC, QosCounts, expose};
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::middleware::rtps::RtpsParticipant;
 use downbeat_bridge::middleware::{Direction, EndpointEvent, Middleware, QosPolicyKind};
 use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant};
-use downbeat_executor::{
-    Context, Core, CoreHandle, Module, ModuleOptions, Received, Setup, SetupError, Synchrony,
-};
+use downbeat_executor::{Context, Core, Module, ModuleOptions, Received, Setup, SetupError, Synchrony};
 use downbeat_msgs::downbeat_interfaces::msg::QosEvent;
 use downbeat_msgs::qos::{Liveliness, QosProfile};
 use downbeat_msgs::std_msgs::msg;
@@ -23,7 +21,6 @@ use serde_json::{Value, json};
 use std::cell::RefCell;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 const TEXT: &str = "std_msgs/msg/String";
@@ -56,12 +53,11 @@ impl Module for Robot {
 
 /// A robot whose topics `text` goes out and `words` comes in, while it runs.
 struct Running {
+    _core: RunningCore,
     status: BridgeStatus,
     events: Receiver<QosEvent>,
     heard: RefCell<Vec<QosEvent>>,
     is_silent: Arc<std::sync::atomic::AtomicBool>,
-    core: CoreHandle,
-    thread: Option<JoinHandle<()>>,
     _node: Node,
 }
 
@@ -79,9 +75,8 @@ impl Running {
             |topic, direction| Exposure { qos: qos.into(), ..Exposure::new(topic, kind, direction) };
         let exposures = [exposure("text", Direction::Out), exposure("words", Direction::In)];
         let status = expose(&mut core, &node, &exposures).unwrap();
-        let handle = core.handle();
-        let thread = Some(std::thread::spawn(move || core.run().unwrap()));
-        Self { status, events, heard: RefCell::default(), is_silent, core: handle, thread, _node: node }
+        let core = RunningCore::start(core);
+        Self { _core: core, status, events, heard: RefCell::default(), is_silent, _node: node }
     }
 
     /// What is counted of the topic that goes out, and of the one that comes in.
@@ -104,15 +99,6 @@ impl Running {
 
     fn be_silent(&self) {
         self.is_silent.store(true, std::sync::atomic::Ordering::Relaxed);
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        self.core.stop();
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
     }
 }
 
@@ -262,8 +248,8 @@ fn rclpy_endpoints(peer: &mut Peer, qos: &Value) {
 fn rclpy_and_modules_hear_of_matches_and_of_incompatible_endpoints() {
     let Some(mut peer) = Peer::start(150, "LOCALHOST") else { return };
     let _checks = [
-        check("Quality of service", "event: incompatible", With::Rclpy, Way::Out),
-        check("Quality of service", "event: incompatible", With::Rclpy, Way::In),
+        check("Quality of service", "event: incompatible QoS", With::Rclpy, Way::Out),
+        check("Quality of service", "event: incompatible QoS", With::Rclpy, Way::In),
         check("Quality of service", "event: matched", With::Rclpy, Way::Out),
         check("Quality of service", "event: matched", With::Rclpy, Way::In),
     ];

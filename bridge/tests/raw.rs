@@ -5,19 +5,18 @@ mod common;
 
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
-use common::{WATCHDOG, on_loopback, wait_until};
+use common::{RunningCore, WATCHDOG, on_loopback, wait_until};
 use downbeat_bridge::edge::{Interfaces, KnownType, RawMessage};
 use downbeat_bridge::expose::{ExposeError, Exposure, expose};
 use downbeat_bridge::middleware::Direction;
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant};
-use downbeat_executor::{Context, Core, CoreHandle, Module, Received, Setup, SetupError};
+use downbeat_executor::{Context, Core, Module, Received, Setup, SetupError};
 use downbeat_msgs::dynamic::{Definitions, DynamicMessage, Schemas};
 use downbeat_msgs::qos::QosProfile;
 use serde_json::json;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::thread::JoinHandle;
 
 /// Passes on what it hears on `bytes`.
 struct Listener(Sender<RawMessage>);
@@ -38,9 +37,8 @@ impl Module for Listener {
 
 /// A core that runs, and takes in `/in` and sends it out again as `/out`, as bytes.
 struct Relay {
+    _core: RunningCore,
     heard: Receiver<RawMessage>,
-    core: CoreHandle,
-    thread: Option<JoinHandle<()>>,
     node: Node,
 }
 
@@ -56,22 +54,11 @@ impl Relay {
         };
         let exposures = [exposure("/in", Direction::In), exposure("/out", Direction::Out)];
         expose(&mut core, &node, &exposures).unwrap();
-        let handle = core.handle();
-        let thread = Some(std::thread::spawn(move || core.run().unwrap()));
-        Self { heard, core: handle, thread, node }
+        Self { _core: RunningCore::start(core), heard, node }
     }
 
     fn next(&self) -> RawMessage {
         self.heard.recv_timeout(WATCHDOG).unwrap()
-    }
-}
-
-impl Drop for Relay {
-    fn drop(&mut self) {
-        self.core.stop();
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
     }
 }
 

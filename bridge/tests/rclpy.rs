@@ -114,7 +114,7 @@ fn rclpy_lists_our_node_with_its_topics_types_and_qos() {
 #[test]
 fn what_we_publish_reaches_rclpy_unchanged() {
     let Some(mut rclpy) = Peer::start(27, "LOCALHOST") else { return };
-    let _check = check("Topics", "reliable messages to the byte", With::Rclpy, Way::Out);
+    let _check = check("Topics", "reliable messages, byte for byte", With::Rclpy, Way::Out);
     let (_participant, node) = downbeat(27);
     rclpy.ask(json!({
         "do": "subscribe", "topic": "/joint_states", "type": "sensor_msgs/msg/JointState", "qos": {"depth": 100},
@@ -142,7 +142,7 @@ fn what_we_publish_reaches_rclpy_unchanged() {
 #[test]
 fn what_rclpy_publishes_reaches_us_unchanged() {
     let Some(mut rclpy) = Peer::start(28, "LOCALHOST") else { return };
-    let _check = check("Topics", "reliable messages to the byte", With::Rclpy, Way::In);
+    let _check = check("Topics", "reliable messages, byte for byte", With::Rclpy, Way::In);
     let (_participant, node) = downbeat(28);
     let (commands, samples) = subscribe(&node, "/joint_commands", &joint_state(), QosProfile::DEFAULT);
     rclpy.ask(json!({"do": "advertise", "topic": "/joint_commands", "type": "sensor_msgs/msg/JointState"}));
@@ -169,7 +169,7 @@ fn what_rclpy_publishes_reaches_us_unchanged() {
 #[test]
 fn our_node_is_gone_from_rclpy_within_two_seconds_of_our_leaving() {
     let Some(mut rclpy) = Peer::start(29, "LOCALHOST") else { return };
-    let _check = check("Graph", "a node that leaves is gone at once", With::Rclpy, Way::Out);
+    let _check = check("Graph", "a node that leaves disappears immediately", With::Rclpy, Way::Out);
     let (participant, node) = downbeat(29);
     let states = node.publish("/joint_states", &joint_state(), QosProfile::DEFAULT).unwrap();
     let commands = subscribe(&node, "/joint_commands", &joint_state(), QosProfile::DEFAULT);
@@ -189,7 +189,7 @@ fn our_node_is_gone_from_rclpy_within_two_seconds_of_our_leaving() {
 fn we_name_the_node_of_rclpy_and_its_topics_until_it_leaves() {
     let Some(mut rclpy) = Peer::start(31, "LOCALHOST") else { return };
     let _nodes = check("Graph", "node names", With::Rclpy, Way::In);
-    let _gone = check("Graph", "a node that leaves is gone at once", With::Rclpy, Way::In);
+    let _gone = check("Graph", "a node that leaves disappears immediately", With::Rclpy, Way::In);
     let (participant, node) = downbeat(31);
     let (text, _samples) = subscribe(&node, "/text", &string(), QosProfile::DEFAULT);
     rclpy.ask(json!({"do": "advertise", "topic": "/text", "type": "std_msgs/msg/String"}));
@@ -312,7 +312,12 @@ fn a_running_core_is_seen_and_driven_from_rclpy_and_leaves_at_once() {
 fn a_subscriber_that_was_killed_does_not_stop_the_others() {
     let Some(mut killed) = Peer::start(34, "LOCALHOST") else { return };
     let Some(mut rclpy) = Peer::start(34, "LOCALHOST") else { return };
-    let _check = check("Faults", "a killed subscriber does not stop the others", With::Rclpy, Way::Out);
+    let _check = check(
+        "Faults",
+        "other subscribers receive messages after a subscriber was killed",
+        With::Rclpy,
+        Way::Out,
+    );
     let (_participant, node) = downbeat(34);
     let text = node.publish("/text", &string(), QosProfile::DEFAULT).unwrap();
     let subscribe =

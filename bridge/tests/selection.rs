@@ -4,19 +4,18 @@
 
 mod common;
 
-use common::wait_until;
+use common::{RunningCore, wait_until};
 use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{Bridge, ExposeError, Exposure, Limits, OfACycle, expose};
 use downbeat_bridge::middleware::Direction;
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant, RemapRules, Subscription};
 use downbeat_executor::{
-    Context, Core, CoreHandle, GraphEdge, Inlet, ManualClock, Module, Received, Setup, SetupError, Time,
+    Context, Core, GraphEdge, Inlet, ManualClock, Module, Received, Setup, SetupError, Time,
 };
 use downbeat_msgs::{cdr, qos::QosProfile, std_msgs::msg};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 struct Peer {
@@ -204,10 +203,9 @@ fn two_nodes_that_remapping_gives_the_same_name_are_refused() {
 
 /// A core that runs on a thread of its own until it is dropped.
 struct Running {
-    handle: CoreHandle,
+    handle: RunningCore,
     bridge: Bridge,
     inlets: Vec<Inlet<msg::String>>,
-    thread: Option<JoinHandle<()>>,
 }
 
 fn running(robot: &Peer, exposures: &[Exposure], heard: Sender<String>) -> Running {
@@ -215,18 +213,8 @@ fn running(robot: &Peer, exposures: &[Exposure], heard: Sender<String>) -> Runni
     let inlets = ["a", "b"].map(|topic| core.inlet(topic).unwrap()).into();
     core.add("listener", Listener(heard)).unwrap();
     let bridge = Bridge::start(&mut core, &robot.node, exposures).unwrap();
-    let handle = core.handle();
-    let thread = std::thread::spawn(move || core.run().unwrap());
-    Running { handle, bridge, inlets, thread: Some(thread) }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        self.handle.stop();
-        if let Some(thread) = self.thread.take() {
-            thread.join().unwrap();
-        }
-    }
+    let handle = RunningCore::start(core);
+    Running { handle, bridge, inlets }
 }
 
 impl Running {

@@ -80,7 +80,7 @@ fn we_call_rclpy_with_many_requests_in_flight() {
 fn no_request_of_a_fresh_client_is_lost_at_a_server_of_rclpy() {
     const CLIENTS: usize = 30;
     let Some(mut rclpy) = Peer::start(211, "LOCALHOST") else { return };
-    let _check = check("Services", "first request of a fresh client", With::Rclpy, Way::Out);
+    let _check = check("Services", "first request of a new client", With::Rclpy, Way::Out);
     let (_participant, node) = downbeat(211);
     rclpy.ask(json!({"do": "serve", "service": "/light", "type": "std_srvs/srv/SetBool"}));
     for number in 0..CLIENTS {
@@ -116,7 +116,12 @@ fn rclpy_lists_our_services_and_clients_under_our_node() {
 fn a_client_that_was_killed_leaves_the_others_their_answers() {
     let Some(mut killed) = Peer::start(55, "LOCALHOST") else { return };
     let Some(mut rclpy) = Peer::start(55, "LOCALHOST") else { return };
-    let _check = check("Faults", "a killed client leaves the others their answers", With::Rclpy, Way::In);
+    let _check = check(
+        "Faults",
+        "other clients receive their answers after a client was killed",
+        With::Rclpy,
+        Way::In,
+    );
     let (_participant, node) = downbeat(55);
     let (sender, requests) = channel();
     let later = move |request, reply: Reply<SetBool>| sender.send((request, reply)).unwrap();
@@ -144,7 +149,7 @@ fn a_client_that_was_killed_leaves_the_others_their_answers() {
 fn the_first_reply_of_a_fresh_server_reaches_a_waiting_client() {
     let starts = std::env::var("DOWNBEAT_FRESH_STARTS").map_or(10, |count| count.parse().unwrap());
     let Some(mut rclpy) = Peer::start(56, "LOCALHOST") else { return };
-    let _check = check("Services", "first reply of a fresh server", With::Rclpy, Way::In);
+    let _check = check("Services", "first response of a new server", With::Rclpy, Way::In);
     for start in 0..starts {
         // Fast DDS believes in a server that left for as long as its lease runs, so each has a name of its own.
         let name = format!("/light_{start}");
@@ -161,7 +166,7 @@ fn the_first_reply_of_a_fresh_server_reaches_a_waiting_client() {
 fn the_first_answer_to_a_fresh_client_arrives() {
     let starts = std::env::var("DOWNBEAT_FRESH_STARTS").map_or(10, |count| count.parse().unwrap());
     let Some(mut rclpy) = Peer::start(57, "LOCALHOST") else { return };
-    let _check = check("Services", "first answer to a fresh client", With::Rclpy, Way::Out);
+    let _check = check("Services", "first response to a new client", With::Rclpy, Way::Out);
     rclpy.ask(json!({"do": "serve", "service": "/light", "type": "std_srvs/srv/SetBool"}));
     for start in 0..starts {
         let (_participant, node) = downbeat(57);

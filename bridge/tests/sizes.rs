@@ -60,7 +60,7 @@ fn some_arrive(domain_id: u16, peer: &mut Peer) {
     }
 }
 
-const ALL: &str = "10 B to 8 MB, reliable: all of them";
+const ALL: &str = "10 B to 8 MB, reliable: all messages";
 const SOME: &str = "10 B to 8 MB, best effort";
 
 #[test]

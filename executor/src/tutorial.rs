@@ -1,7 +1,7 @@
 //! A small robot, step by step.
 //!
-//! The robot is a biped that keeps its balance. Every step below runs as a test, on a [`ManualClock`](crate::ManualClock)
-//! that the test moves by hand, and asserts what happens. Units are SI; frames follow REP 103 and REP 105: `base_link`
+//! The robot is a biped that keeps its balance. Every step below runs as a test with a [`ManualClock`](crate::ManualClock), which
+//! the test advances, and asserts the result. Units are SI; frames follow REP 103 and REP 105: `base_link`
 //! has x forward, y left and z up, so a positive pitch (about y) is nose down; `map` and `odom` are fixed to the world.
 //!
 //! 1. [A sensor](#1-a-sensor) 2. [A controller](#2-a-controller) 3. [A setting](#3-a-setting) 4. [A service](#4-a-service)
@@ -11,9 +11,9 @@
 //!
 //! # 1 A sensor
 //!
-//! A module declares in its `setup` what it does. A declaration returns a *key*, here to publish with. The keys are the
-//! module's *ports*: `setup` returns them, and callbacks find them in the [`Context`](crate::Context) that they are given beside
-//! the module itself.
+//! In its `setup`, a module declares what it does. Each declaration returns a *key*, here for publishing. The keys are the
+//! module's *ports*: `setup` returns them, and callbacks receive them in the [`Context`](crate::Context), next to the module
+//! itself.
 //!
 //! ```
 //! use std::time::Duration;
@@ -38,7 +38,7 @@
 //!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
 //!         setup.every(Duration::from_millis(8), |imu, ctx| {
-//!             imu.pitch_rad += 0.01; // It falls on its nose. A real one asks its device.
+//!             imu.pitch_rad += 0.01; // It falls on its nose. A real module reads its device.
 //!             ctx.publish(ctx.ports.attitude, Attitude { pitch_rad: imu.pitch_rad });
 //!         })?;
 //!         Ok(Ports { attitude: setup.publish("attitude")? })
@@ -52,7 +52,7 @@
 //! clock.advance(Duration::from_millis(8));
 //! core.cycle()?;
 //! clock.advance(Duration::from_millis(24));
-//! core.cycle()?; // Three are due. The one call there is does not make up for those that were missed.
+//! core.cycle()?; // Three are due, but the timer fires once: missed calls are not made up for.
 //!
 //! let attitude = core.topics().find(|topic| &*topic.name == "attitude").unwrap();
 //! assert_eq!(attitude.counter.messages(), 2);
@@ -61,13 +61,13 @@
 //!
 //! # 2 A controller
 //!
-//! It listens and publishes, and knows the sensor only by the name of its topic. What is published in one cycle is
+//! The controller subscribes and publishes. It knows the sensor only by the name of its topic. What is published in one cycle is
 //! received in the next: **each hop costs a cycle**. That is not the period of a timer: under
-//! [`Core::run`](crate::Core::run) cycles follow each other without pause while there is something to do, and a hop takes as
-//! long as the other modules of its cycles compute. In return the order in which modules run does not matter, and
-//! neither do threads.
+//! [`Core::run`](crate::Core::run), cycles follow each other without pause while there is something to do, and a hop takes as
+//! long as the other modules in these cycles compute. In return, neither the order in which modules run nor the threads
+//! affect the result.
 //!
-//! In a module as small as this one the closures may as well capture the keys they use. Its ports are then `()`.
+//! In a module as small as this, closures may instead capture the keys that they use. Its ports are then `()`.
 //!
 //! ```
 //! use std::sync::mpsc::{Sender, channel};
@@ -91,7 +91,7 @@
 //!     }
 //! }
 //!
-//! /// Passes on what it hears: for tests.
+//! /// Forwards the messages that it receives: for tests.
 //! struct Ear(Sender<f64>);
 //!
 //! impl Module for Ear {
@@ -104,11 +104,11 @@
 //!
 //! let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
 //! let (sender, heard) = channel();
-//! core.add("ear", Ear(sender))?; // Before its publisher, and it makes no difference.
+//! core.add("ear", Ear(sender))?; // Before its publisher; the order makes no difference.
 //! core.add("balance", Balance)?;
 //!
 //! core.inlet("attitude")?.publish(Attitude { pitch_rad: 0.1 })?; // From outside, as if from the sensor.
-//! core.cycle()?; // The attitude joins.
+//! core.cycle()?; // The attitude enters the core.
 //! core.cycle()?; // Balance receives it.
 //! assert!(heard.try_recv().is_err());
 //! core.cycle()?; // The ear receives the torque.
@@ -118,9 +118,9 @@
 //!
 //! # 3 A setting
 //!
-//! A number that somebody will want to change becomes a setting, with its range and its unit. It keeps its value for
-//! a whole cycle. [`Setup::on_change`](crate::Setup::on_change) is for what has to be computed from it;
-//! [`Setup::accept_if`](crate::Setup::accept_if) for what a range cannot say.
+//! A number that users will want to change is a setting, with a range and a unit. Its value is constant during a cycle.
+//! [`Setup::on_change`](crate::Setup::on_change) registers a callback that computes what depends on it;
+//! [`Setup::accept_if`](crate::Setup::accept_if) a condition that a range cannot express.
 //!
 //! ```
 //! # use downbeat_executor::{
@@ -160,7 +160,7 @@
 //! core.cycle()?;
 //!
 //! let (good, bad) = (core.handle().set("balance", "gain", 55.0), core.handle().set("balance", "gain", 900.0));
-//! core.cycle()?; // Its sync phase gives the setting its value.
+//! core.cycle()?; // Its sync phase sets the value.
 //! assert!(good.try_take().unwrap().is_ok());
 //! let refused = bad.try_take().unwrap().unwrap_err();
 //! assert!(refused.to_string().contains("900 is out of range, 0 to 200 is allowed"), "{refused}");
@@ -170,10 +170,10 @@
 //!
 //! # 4 A service
 //!
-//! For what is asked and answered, such as "stand up". The server answers with a value or with an error in words. **A
-//! call takes two cycles**: one until the server has the request, one until the client has the answer; where the
-//! server asks a third module, four. Every call of a module that stays active ends with exactly one call of its
-//! callback, at the latest after the time-out.
+//! A service is for requests with a response, such as "stand up". The server responds with a value or with an error as text.
+//! **A call takes two cycles**: one until the server has the request, one until the client has the response; if the server
+//! calls a third module, it takes four. For each call of a module that stays active, the callback runs exactly once, after the
+//! time-out at the latest.
 //!
 //! ```
 //! # use std::sync::mpsc::{Sender, channel};
@@ -247,8 +247,8 @@
 //!
 //! # 5 A task
 //!
-//! Something that is to happen once, at a time the module chooses as it runs. Here: the motors go limp when no attitude
-//! has come for 50 ms. Scheduling adds; so the old time is cancelled first.
+//! A task runs once, at a time that the module chooses while it runs. Here, the motors go limp if no attitude arrives for
+//! 50 ms. Scheduling adds a time, so the previous one is cancelled first.
 //!
 //! ```
 //! # use std::time::Duration;
@@ -288,10 +288,10 @@
 //!
 //! # 6 A job
 //!
-//! A run holds up its cycle, and with it all modules. What reads a file or computes for long runs beside the cycle:
-//! [`Context::spawn`](crate::Context::spawn) gives it to another thread,
-//! [`Context::spawn_async`](crate::Context::spawn_async) to the thread for async work. It cannot touch the module: it
-//! owns what it is given, and what it returns comes to the callback of the job.
+//! A run delays its cycle, and with it all modules. Reading files and long computations therefore belong in jobs, which run
+//! beside the cycle: [`Context::spawn`](crate::Context::spawn) runs a job on another thread,
+//! [`Context::spawn_async`](crate::Context::spawn_async) on the thread for async work. A job cannot access the module: it
+//! owns its input, and its result is passed to the callback of the job.
 //!
 //! ```
 //! # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
@@ -330,24 +330,23 @@
 //! let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
 //! core.add("planner", Planner)?;
 //! core.inlet("goal")?.publish(Point { x: 0.3, y: 0.4 })?;
-//! core.cycle()?; // The goal joins.
-//! core.cycle()?; // The planner asks for the job. Under this clock it runs in the sync phase.
-//! core.cycle()?; // The planner has the result.
+//! core.cycle()?; // The goal enters the core.
+//! core.cycle()?; // The planner spawns the job. With this clock, it runs in the sync phase.
+//! core.cycle()?; // The planner receives the result.
 //! let footsteps = core.topics().find(|topic| &*topic.name == "footsteps").unwrap();
 //! assert_eq!(footsteps.counter.messages(), 10);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Under a clock that goes on by itself, results join *in the order in which the jobs end*, at the sync phase that
-//! follows: the only thing here that depends on how fast threads are. Nothing records that order. Under a clock that is moved by
-//! hand (replay, tests) a job runs to its end in the sync phase of the cycle that asked for it, in the order of asking. A
-//! replay is thus the same each time, but gives a job's result earlier than the robot had it. Where that matters, let a
-//! detached module do the work: its runs are recorded.
+//! With a running clock, results arrive *in the order in which the jobs end*, in the sync phase that follows. This is the only
+//! effect here that depends on the speed of threads. With a manual clock (in tests), a job runs in the sync phase of the cycle
+//! that spawned it, in the order of spawning. The topic `executor/events` reports the cycle in which each result arrived, and a
+//! replay holds the results back until then.
 //!
 //! # 7 A detached module
 //!
-//! A module that is slow as such (vision, a serial port) gets a thread of its own by an option; the module stays the
-//! same. While it is busy, batches wait in its inbox: all of them, or, bounded, the latest of each topic.
+//! A slow module (vision, a serial port) can run on its own thread; this is an option, and the module itself does not change.
+//! While it is busy, batches wait in its inbox: all of them or, if the inbox is bounded, the latest of each topic.
 //!
 //! ```
 //! # use std::num::NonZeroUsize;
@@ -375,24 +374,24 @@
 //! core.add_with("vision", Vision, ModuleOptions { synchrony: latest, ..ModuleOptions::default() })?;
 //! core.inlet("image")?.publish(Image(vec![3, 200, 7]))?;
 //! core.cycle()?;
-//! core.cycle()?; // Under a clock that is moved by hand, detached modules run inside the cycle.
+//! core.cycle()?; // With a manual clock, detached modules run inside the cycle.
 //! assert_eq!(core.topics().find(|topic| &*topic.name == "ball_pixel").unwrap().counter.messages(), 1);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! What it costs: a hop to it and back wakes two threads, which is up to the system, and what it publishes joins when it is
-//! done, not in a cycle one could foretell. Each of its runs can be recorded from the topic
-//! [`DetachedStep::TOPIC`](crate::DetachedStep), and replay repeats it by that; settings that change meanwhile are told on
-//! [`SettingsChange::TOPIC`](crate::SettingsChange). What it cannot do: use a mechanism that
-//! was added to the core ([`Setup::mechanism`](crate::Setup::mechanism) refuses, under every clock), because others
-//! change it while the module runs; and the end of the core waits for it, however long it takes, because a thread
-//! cannot be ended from outside.
+//! The costs: a hop to the module and back wakes two threads, which the system schedules, and its messages arrive when its run
+//! ends, in a cycle that cannot be predicted. The topic [`DetachedStep::TOPIC`](crate::DetachedStep) reports each of its runs,
+//! which a replay repeats from a recording; [`SettingsChange::TOPIC`](crate::SettingsChange) reports settings that change
+//! meanwhile. The limits: a detached module cannot use a mechanism that was added to the core, because others change it while
+//! the module runs ([`Setup::mechanism`](crate::Setup::mechanism) returns an error, with every clock); and a core that stops
+//! waits until the run ends, because a thread cannot be ended from outside.
 //!
 //! # 8 Life and restart
 //!
-//! A module is brought to active unless [`ModuleOptions::initial_state`](crate::ModuleOptions) says otherwise; it can be
-//! configured and activated later, as a managed node of ROS 2. Only an active module runs callbacks. A panic ends its
-//! module and no other, and discards what that run asked for. A module added with a closure that makes it can start again.
+//! A module becomes active immediately, unless [`ModuleOptions::initial_state`](crate::ModuleOptions) says otherwise; then it can
+//! be configured and activated later, like a managed node of ROS 2. Only active modules run callbacks. A panic ends only its
+//! own module, and discards the outputs and requests of that run. A module that is added with a closure that creates it can be
+//! restarted.
 //!
 //! ```
 //! # use std::time::Duration;
@@ -400,7 +399,7 @@
 //! #     Context, Core, LifecycleState, ManualClock, Module, ModuleOptions, Restart, Setup, SetupError, Time,
 //! #     Transition, TransitionError,
 //! # };
-//! /// A motor that knows only after its activation where it is.
+//! /// A motor that knows its position only after its activation.
 //! #[derive(Default)]
 //! struct Motor {
 //!     position_rad: Option<f64>,
@@ -434,16 +433,16 @@
 //! assert_eq!(core.modules()[0].state, LifecycleState::Inactive);
 //!
 //! let activated = core.handle().transition("motor", Transition::Activate);
-//! (0..2).try_for_each(|_| core.cycle())?; // One takes the request, in the next the module makes the transition.
+//! (0..2).try_for_each(|_| core.cycle())?; // The first takes the request, the second makes the transition.
 //! assert_eq!(activated.try_take().unwrap()?, LifecycleState::Active);
 //!
 //! core.inlet("torque")?.publish(f64::NAN)?;
 //! (0..2).try_for_each(|_| core.cycle())?;
 //! assert_eq!(core.modules()[0].state, LifecycleState::Finalized);
 //! clock.advance(Duration::from_millis(100));
-//! (0..2).try_for_each(|_| core.cycle())?; // One makes it anew, in the next it runs.
+//! (0..2).try_for_each(|_| core.cycle())?; // The first creates the module again, the second runs it.
 //! let motor = &core.modules()[0];
-//! assert_eq!((motor.state, motor.restarts), (LifecycleState::Inactive, 1)); // To its initial state, as at first.
+//! assert_eq!((motor.state, motor.restarts), (LifecycleState::Inactive, 1)); // It is in its initial state again.
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
@@ -451,8 +450,9 @@
 //!
 //! [`CoreHandle`](crate::CoreHandle) adds and removes modules of a running core from any thread, and a module does so
 //! from a callback, with [`Context::add`](crate::Context::add) and [`Context::remove`](crate::Context::remove). Both take effect
-//! in the sync phase. The `setup` of a module that joins and the `shutdown` of one that leaves run there, so what takes long
-//! holds up the cycle: it belongs into a job, or the module on a thread of its own. A module that comes later is later in the order of registration.
+//! in the sync phase. The `setup` of an added module and the `shutdown` of a removed one run there, so long work in them delays
+//! the cycle: put it into a job, or make the module detached. Modules that are added later come later in the order of
+//! registration.
 //!
 //! ```
 //! # use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, Setup, SetupError, Time};
@@ -479,7 +479,7 @@
 //! assert!(added.try_take().unwrap().is_ok());
 //! assert!(matches!(again.try_take().unwrap(), Err(SetupError::DuplicateModule(_))));
 //!
-//! // Removals come first: the other gait takes over name and service in one sync phase.
+//! // Removals come first, so the new gait takes over the name and the service in the same sync phase.
 //! let other = handle.add("gait", Gait { period_s: 0.0 }, ModuleOptions::default());
 //! let removed = handle.remove("gait");
 //! core.cycle()?;
@@ -491,14 +491,14 @@
 //!
 //! # 10 A launcher
 //!
-//! It decides on which threads the process phase runs, and nothing else. Modules share nothing while they run, and
-//! what they asked for is collected in the order of registration: the result is the same.
+//! The launcher decides on which threads the process phase runs, and nothing else. Modules share nothing while they run, and
+//! their requests are collected in the order of registration, so the result is the same.
 //!
 //! | launcher | for |
 //! | --- | --- |
-//! | [`Linear`](crate::Linear), the default | nearly every robot: modules with little to do each |
+//! | [`Linear`](crate::Linear), the default | nearly every robot: modules with short runs |
 //! | [`Pool`](crate::Pool) | cycles in which several modules compute for much longer than it takes to wake a thread |
-//! | [`Threads`](crate::Threads) | libraries that want to be called from always the same thread |
+//! | [`Threads`](crate::Threads) | libraries that must always be called from the same thread |
 //! | [`Scheduled`](crate::Scheduled) | the core's thread on a chosen CPU, at a real-time priority |
 //!
 //! ```
@@ -506,7 +506,7 @@
 //! # use downbeat_executor::{
 //! #     Core, Launcher, Linear, ManualClock, Module, Pool, Setup, SetupError, Threads, Time,
 //! # };
-//! /// A joint that is drawn to where its neighbours are.
+//! /// A joint that moves towards its neighbours.
 //! struct Joint(f64, Sender<f64>);
 //!
 //! impl Module for Joint {
@@ -527,7 +527,7 @@
 //!     let last = {
 //!         let (sender, positions) = channel();
 //!         for (name, begin) in [("hip", 0.1), ("knee", 0.7), ("ankle", -0.3)] {
-//!             // Only the ankle's position is looked at.
+//!             // Only the position of the ankle is compared.
 //!             let sender = if name == "ankle" { sender.clone() } else { channel().0 };
 //!             core.add(name, Joint(begin, sender))?;
 //!         }
@@ -550,9 +550,10 @@
 //!
 //! # 11 The end
 //!
-//! [`CoreHandle::stop`](crate::CoreHandle::stop) ends [`Core::run`](crate::Core::run), which then has each module run its
-//! [`shutdown`](crate::Module::shutdown), in the reverse order of registration. An [outlet](crate::Core::outlet), through which
-//! messages leave the core for a file, a network or a test, comes after all modules and takes their last messages.
+//! [`CoreHandle::stop`](crate::CoreHandle::stop) ends [`Core::run`](crate::Core::run), which then calls the
+//! [`shutdown`](crate::Module::shutdown) of each module, in the reverse order of registration. An
+//! [outlet](crate::Core::outlet), through which messages leave the core for a file, a network or a test, is closed after all
+//! modules have stopped, so it receives their last messages.
 //!
 //! ```
 //! # use std::sync::mpsc::channel;
@@ -577,7 +578,7 @@
 //!
 //! let (sender, recorded) = channel();
 //! let mut core = Core::new(); // With the system's clock, as on a robot.
-//! let record = move |torque: Received<'_, f64>| drop(sender.send(*torque)); // On a thread of its own.
+//! let record = move |torque: Received<'_, f64>| drop(sender.send(*torque)); // Runs on its own thread.
 //! let _recorder = core.outlet("torque", Inbox::KeepAll, record)?;
 //! core.add("motor", Motor)?;
 //! core.cycle()?;

@@ -159,7 +159,7 @@ impl SocketDirectory {
     /// Reserves a node name in a domain for a robot of this process, until the claim is dropped or the process ends.
     ///
     /// Two nodes with the same name in one domain answer each other's requests, and their messages cannot be
-    /// told apart. Robots of other users and on other machines are not checked.
+    /// distinguished. Robots of other users and on other machines are not checked.
     ///
     /// # Errors
     /// Returns an error if a robot that runs on this machine has that name.

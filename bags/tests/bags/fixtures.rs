@@ -52,7 +52,7 @@ fn real_topics_have_definition_hash_and_quality_of_service() {
 
 #[test]
 fn metadata_yaml_is_written_byte_for_byte_like_the_real_recorder() {
-    let _check = noted("metadata.yaml to the byte", With::Rosbag2, Way::Both);
+    let _check = noted("metadata.yaml, byte for byte", With::Rosbag2, Way::Both);
     for name in FIXTURES {
         let path = fixture(name).join(FILE_NAME);
         let text = fs::read_to_string(&path).unwrap();

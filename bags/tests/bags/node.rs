@@ -112,7 +112,7 @@ fn mcap_core_reads_every_message_of_our_bags() {
         }
         let indexed = &read["indexed"];
         assert_eq!(indexed["profile"], "ros2");
-        assert_eq!(indexed["told"], summary.message_count());
+        assert_eq!(indexed["declared"], summary.message_count());
         assert_eq!(indexed["metadata"], json!(["rosbag2", "rosbag2"]));
         let compressions = indexed["compressions"].as_array().unwrap();
         let expected = if compression == Compression::None { "" } else { name };

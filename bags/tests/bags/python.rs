@@ -124,6 +124,7 @@ fn other_software_finds_topics_and_counts_of_an_unfinished_bag() {
     }
     writer.flush().unwrap();
     let Some(read) = read_with_python("count_metadata.py", &bag) else { return };
-    let _check = noted("a bag that is still recorded, or was killed", With::Mcap, Way::Out);
+    let _check =
+        noted("a bag that is still being recorded, or whose recorder was killed", With::Mcap, Way::Out);
     assert_eq!(read, json!({ "message_count": 5, "topics": { "/chatter": 5 }, "mcap": 5 }));
 }

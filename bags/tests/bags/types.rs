@@ -107,17 +107,17 @@ const READERS: [Peer; 3] = [
         with: With::McapRos2,
         exception: |of| match of.is_message() {
             false => {
-                Some("it reads no definitions of services, and no names of parts of services and actions")
+                Some("it reads neither definitions of services nor names of parts of services and actions")
             }
-            true => of.has_a("wstring").then_some("it has no wide strings"),
+            true => of.has_a("wstring").then_some("it does not support wide strings"),
         },
     },
     Peer {
         name: "rosbags",
         with: With::Rosbags,
         exception: |of| match of.is_event() {
-            true => Some("it reads no definitions of services, which those of their events are"),
-            false => of.has_a("wstring").then_some("it has no wide strings"),
+            true => Some("it reads no definitions of services, and these are used for their events"),
+            false => of.has_a("wstring").then_some("it does not support wide strings"),
         },
     },
     // Types of packages without wheels are excluded below.

@@ -53,11 +53,11 @@ async function indexed(path, decompressHandlers) {
   const data = await readFile(path);
   const dataCrc = crc32(data.subarray(0, Number(reader.dataEndOffset)));
   if (dataCrc !== reader.dataSectionCrc) {
-    throw new Error(`the data's checksum is ${dataCrc}, and ${reader.dataSectionCrc} is told`);
+    throw new Error(`the checksum of the data is ${dataCrc}, but the file declares ${reader.dataSectionCrc}`);
   }
   const { profile, library } = reader.header;
   const compressions = reader.chunkIndexes.map((chunk) => chunk.compression);
-  return { ...found, profile, library, compressions, metadata, told: Number(reader.statistics.messageCount) };
+  return { ...found, profile, library, compressions, metadata, declared: Number(reader.statistics.messageCount) };
 }
 
 async function streamed(path, decompressHandlers) {

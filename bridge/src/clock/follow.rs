@@ -1,4 +1,4 @@
-//! The time of somebody else.
+//! Follows the time on `/clock`.
 
 use super::TOPIC;
 use crate::middleware::Sample;

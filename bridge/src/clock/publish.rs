@@ -60,7 +60,7 @@ impl Module for ClockPublisher {
 impl ClockPublisher {
     fn publish_time(&mut self, ctx: &mut Context<'_>) {
         let Some(publisher) = &self.publisher else { return };
-        // Best effort: there is nobody to keep it for.
+        // Best effort: an old time is of no use to anyone.
         if publisher.matched_subscriptions() == 0 {
             return;
         }

@@ -71,7 +71,7 @@ pub(super) fn endpoint(node: &str, now: &EndpointReport, last: Option<&EndpointR
         value("type", &now.endpoint.type_name),
         value(peers, now.traffic.matched),
         value("messages", now.traffic.messages),
-        value("messages nobody heard", now.traffic.skipped),
+        value("messages without subscription", now.traffic.skipped),
         value("messages failed", now.traffic.errors),
         value("messages dropped", now.traffic.dropped),
         value("messages lost", now.traffic.qos.lost),
@@ -97,10 +97,7 @@ fn qos_problems(now: &EndpointReport, last: Option<&EndpointReport>) -> String {
             "endpoints have another type".to_owned(),
         ),
         (counts.deadlines_missed.saturating_sub(before.deadlines_missed), "deadlines missed".to_owned()),
-        (
-            counts.liveliness_lost.saturating_sub(before.liveliness_lost),
-            "times not shown to be alive".to_owned(),
-        ),
+        (counts.liveliness_lost.saturating_sub(before.liveliness_lost), "times liveliness lost".to_owned()),
         (counts.silences.saturating_sub(before.silences), "publishers not alive".to_owned()),
         (counts.lost.saturating_sub(before.lost), "messages lost".to_owned()),
     ];

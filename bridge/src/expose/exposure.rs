@@ -121,7 +121,7 @@ impl Exposure {
         self.ros_topic.as_deref().unwrap_or(&self.topic)
     }
 
-    /// True if one would send out what the other takes in.
+    /// True if one would publish what the other receives.
     pub(super) fn is_reverse_of(&self, topic: &str, direction: Direction) -> bool {
         self.topic.trim_start_matches('/') == topic.trim_start_matches('/') && self.direction != direction
     }

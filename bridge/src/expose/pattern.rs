@@ -41,7 +41,7 @@ impl TopicPattern {
     /// Reads a pattern. A slash before the first part means nothing.
     ///
     /// # Errors
-    /// [`PatternError`] where a part is empty, or `**` is not a part of its own.
+    /// [`PatternError`] if a part is empty, or `**` is only a section of a part.
     pub fn new(pattern: &str) -> Result<Self, PatternError> {
         let refuse = |reason: String| PatternError { pattern: pattern.to_owned(), reason };
         let parts = pattern.strip_prefix('/').unwrap_or(pattern).split('/').map(|part| match part {
@@ -85,7 +85,7 @@ impl TopicPattern {
         self.captures(name).is_some()
     }
 
-    /// `new_name` with what each wildcard matched in place of its own; nothing where the pattern does not match.
+    /// `new_name` with each wildcard replaced by what it matched in `name`; `None` if the pattern does not match.
     #[must_use]
     pub fn rename(&self, name: &str, new_name: &str) -> Option<String> {
         let mut captures = self.captures(name)?.into_iter();

@@ -14,10 +14,10 @@ use std::num::NonZeroUsize;
 use std::sync::Arc;
 
 /// The topic of a core on which a bridge publishes events of the quality of service of its endpoints: messages of
-/// `downbeat_interfaces/msg/QosEvent`. They come from outside like all that is taken in, so a bag that holds them repeats them.
+/// `downbeat_interfaces/msg/QosEvent`. They enter through an inlet, so a replay repeats recorded ones.
 pub const QOS_EVENTS_TOPIC: &str = "bridge/qos_events";
 
-/// How many events wait for the core; older ones are dropped, and counted by the topic.
+/// The maximum number of events that wait for the core; older ones are dropped, and counted by the topic.
 const WAITING: NonZeroUsize = NonZeroUsize::new(256).unwrap();
 
 /// Events of the quality of service of one endpoint since its creation.
@@ -33,7 +33,7 @@ pub struct QosCounts {
     pub incompatible_types: u64,
     /// Missed deadlines, offered or requested.
     pub deadlines_missed: u64,
-    /// How often a publisher did not assert its liveliness in time.
+    /// How often our publisher did not assert its liveliness in time.
     pub liveliness_lost: u64,
     /// How often a publisher was silent for longer than its lease.
     pub silences: u64,
@@ -153,8 +153,8 @@ impl EndpointQos {
             }
             EndpointEvent::LivelinessLost => {
                 if counts.liveliness_lost == 0 {
-                    let text = "no message was sent within the liveliness lease that is offered: subscriptions take the \
-                                publisher for dead. To do: publish more often, or offer a longer liveliness_lease_duration";
+                    let text = "no message was sent within the offered liveliness lease, so subscriptions consider the publisher \
+                                dead. To do: publish more often, or offer a longer liveliness_lease_duration";
                     warning = Some(text.to_owned());
                 }
                 counts.liveliness_lost += 1;
@@ -170,8 +170,8 @@ impl EndpointQos {
                     Aliveness::NotAlive => {
                         if counts.silences == 0 {
                             warning = Some(format!(
-                                "publisher {peer} was silent for longer than the lease that is asked for and counts as not \
-                                 alive. To do: look whether it hangs, or ask for a longer liveliness_lease_duration"
+                                "publisher {peer} was silent for longer than the requested lease and counts as not alive. \
+                                 To do: check whether it hangs, or request a longer liveliness_lease_duration"
                             ));
                         }
                         counts.silences += 1;
@@ -184,8 +184,8 @@ impl EndpointQos {
             EndpointEvent::MessagesLost { peer, count } => {
                 if counts.lost == 0 {
                     warning = Some(format!(
-                        "{count} messages of publisher {peer} did not come. To do: ask for reliability reliable, a deeper history \
-                         or fewer messages; for large ones raise net.core.rmem_max"
+                        "{count} messages of publisher {peer} were lost. To do: request reliability reliable, a deeper history or \
+                         fewer messages; for large messages raise net.core.rmem_max"
                     ));
                 }
                 counts.lost = counts.lost.saturating_add(count);
@@ -205,10 +205,10 @@ impl EndpointQos {
 
     fn deadline_warning(&self) -> String {
         match self.direction {
-            Direction::Out => "no message was sent within the deadline that is offered. To do: publish more often, or offer a \
-                               longer deadline",
-            Direction::In => "no message came within the deadline that is asked for. To do: look whether its publisher hangs, or \
-                              ask for a longer deadline",
+            Direction::Out => "no message was sent within the offered deadline. To do: publish more often, or offer a longer \
+                               deadline",
+            Direction::In => "no message arrived within the requested deadline. To do: check whether the publisher hangs, or \
+                              request a longer deadline",
         }
         .to_owned()
     }

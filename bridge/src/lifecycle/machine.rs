@@ -7,7 +7,7 @@ use downbeat_msgs::lifecycle_msgs::msg::{
     State as StateMessage, Transition as TransitionMessage, TransitionDescription,
 };
 
-/// A state: one that a node stays in, or one that it passes through in a transition.
+/// A state: primary, or of a transition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct RosState {
     id: u8,
@@ -139,7 +139,7 @@ impl RosTransition {
         }
     }
 
-    /// What a module is asked for; nothing for one that ends what was asked for.
+    /// What a module is requested to do; `None` for a transition that ends such a request.
     pub(super) fn of_module(self) -> Option<Transition> {
         match self.goal {
             CONFIGURING => Some(Transition::Configure),
@@ -151,7 +151,7 @@ impl RosTransition {
         }
     }
 
-    /// The one that a request means in a state: by its label if it has one, otherwise by its id, as in rclcpp.
+    /// The transition that a request means in a state: by its label if there is one, otherwise by its id, as in rclcpp.
     pub(super) fn requested(request: &TransitionMessage, state: RosState) -> Option<Self> {
         state.transitions().find(|transition| match request.label.as_str() {
             "" => transition.id == request.id,

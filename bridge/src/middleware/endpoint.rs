@@ -80,7 +80,7 @@ impl Endpoint {
 pub struct Sample {
     /// The encapsulation header and the body, as they were received.
     pub cdr: Bytes,
-    /// When the writer wrote it, in nanoseconds since the Unix epoch, if it said so.
+    /// When the writer wrote it, in nanoseconds since the Unix epoch; `None` if it sent no time.
     pub source_time_ns: Option<i64>,
     /// Its writer.
     pub writer: Gid,

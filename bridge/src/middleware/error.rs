@@ -28,12 +28,12 @@ pub enum MiddlewareError {
         /// What the engine said.
         reason: String,
     },
-    /// The engine cannot do what the quality of service asks for.
+    /// The engine does not support the quality of service.
     #[error("topic {topic_name:?}: {reason}")]
     Qos {
         /// The topic on the wire.
         topic_name: String,
-        /// What is asked for, and what to ask for instead.
+        /// What is not supported, and the alternative.
         reason: String,
     },
     /// The thread that serves the readers could not start.
@@ -73,7 +73,7 @@ pub enum WriteError {
     Panicked,
 }
 
-/// The environment asks for something that does not exist.
+/// A variable of the environment has an invalid value.
 #[derive(Debug, Error, PartialEq, Eq)]
 pub enum OptionsError {
     /// Security is to be enforced, and the engine has none.

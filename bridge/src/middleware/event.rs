@@ -13,77 +13,77 @@ pub type EventHandler = Box<dyn Fn(&EndpointEvent) + Send + Sync>;
 /// What happened to an endpoint: the statuses of DDS (DDS 1.4, 2.2.4.1) that `rmw` has events for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum EndpointEvent {
-    /// An endpoint of another participant was matched: samples go between them.
+    /// Another endpoint was matched: samples are exchanged with it.
     Matched {
-        /// The other.
+        /// The other endpoint.
         peer: Gid,
     },
     /// A matched endpoint has disappeared.
     Unmatched {
-        /// The other.
+        /// The other endpoint.
         peer: Gid,
     },
-    /// An endpoint of another participant is on the topic, and what is offered does not suffice for what is requested.
+    /// Another endpoint is on the topic, but the offered quality of service does not satisfy the requested one.
     IncompatibleQos {
-        /// The other.
+        /// The other endpoint.
         peer: Gid,
-        /// A policy that differs; there may be more.
+        /// An incompatible policy; there may be more.
         policy: QosPolicyKind,
     },
-    /// An endpoint of another participant is on the topic with another type.
+    /// Another endpoint is on the topic with another type.
     IncompatibleType {
-        /// The other.
+        /// The other endpoint.
         peer: Gid,
         /// The DDS name of its type.
         type_name: Arc<str>,
     },
-    /// No sample was written, or none came, in the time that was offered or requested.
+    /// The writer wrote no sample within the offered deadline, or the reader received none within the requested one.
     DeadlineMissed {
-        /// How many times that time passed.
+        /// The number of missed deadlines.
         count: u32,
     },
-    /// A writer has not shown in time that it is alive.
+    /// The writer was not asserted within its liveliness lease.
     LivelinessLost,
-    /// A reader takes another view of whether a writer is alive.
+    /// The liveliness of a writer changed, as the reader sees it.
     LivelinessChanged {
         /// The writer.
         peer: Gid,
-        /// The view.
+        /// The new liveliness.
         now: Aliveness,
     },
-    /// Samples of a writer did not come, going by the numbers of those that did.
+    /// Samples of a writer were lost: their sequence numbers are missing.
     MessagesLost {
         /// The writer.
         peer: Gid,
-        /// How many.
+        /// The number of lost samples.
         count: u64,
     },
 }
 
-/// A reader's view of a writer, where it requests to know.
+/// The liveliness of a writer, as a reader with a liveliness lease sees it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Aliveness {
-    /// It shows that it is.
+    /// It was asserted within its lease.
     Alive,
-    /// It is matched, and has been silent for longer than its lease.
+    /// It is matched, but was silent for longer than its lease.
     NotAlive,
-    /// It is matched no more.
+    /// It is no longer matched.
     Gone,
 }
 
-/// A policy that can keep a writer and a reader apart.
+/// A policy that can prevent a match.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum QosPolicyKind {
-    /// A latched writer is needed.
+    /// The reader requests a latched writer.
     Durability,
-    /// The writer may pause for longer than the reader accepts.
+    /// The offered deadline is longer than the requested one.
     Deadline,
-    /// The kind, or the lease, of liveliness.
+    /// The kind or the lease of the liveliness.
     Liveliness,
-    /// A reliable writer is needed.
+    /// The reader requests a reliable writer.
     Reliability,
-    /// One that ROS 2 has no name for.
+    /// A policy without a name in ROS 2.
     Other,
 }
 
@@ -100,8 +100,8 @@ impl QosPolicyKind {
         }
     }
 
-    /// The first policy by which a reader that requests one profile is kept from a writer that offers the other
-    /// (DDS 1.4, 2.2.3, the column *RxO*); nothing where they match.
+    /// The first policy that prevents a match of a writer that offers one profile and a reader that requests the other
+    /// (DDS 1.4, 2.2.3, the column *RxO*); `None` if they match.
     #[must_use]
     pub fn between(offered: &QosProfile, requested: &QosProfile) -> Option<Self> {
         let endless = |time: Option<Duration>| time.unwrap_or(Duration::MAX);

@@ -1,13 +1,13 @@
-//! Raw topics over a publish and subscribe engine, behind a trait narrow enough for another engine to stand there.
+//! Raw topics over a publish and subscribe engine, behind a trait that other engines can implement.
 //!
-//! What passes through it is a topic name, a type name and bytes: nothing here knows ROS names, message types or
-//! the node graph ([`crate::ros`] does). The bytes are a whole serialized payload: the four bytes of the CDR
-//! encapsulation header, then the body, as `rclpy.serialization.serialize_message` gives them.
+//! The interface consists of topic names, type names and bytes. ROS names, message types and the node graph belong to
+//! [`crate::ros`]. The bytes are a complete serialized payload: the four bytes of the CDR encapsulation header and the body,
+//! as returned by `rclpy.serialization.serialize_message`.
 //!
-//! Engines behind [`Middleware`]: [`rtps`], the engine of this project, which speaks RTPS with every ROS 2 node; the crate
-//! rustdds, with the feature of that name; and [`in_process`], a hub in memory for tests without a network. One suite, the package in
-//! `conformance/`, holds for all of them, and for the requests and replies ([`rpc`]), which are samples that name the
-//! sample they belong to.
+//! The engines behind [`Middleware`] are [`rtps`], the engine of this project, which communicates with every ROS 2 node; the
+//! crate rustdds, with the feature of that name; and [`in_process`], a hub in memory for tests without a network. The package
+//! in `conformance/` tests all of them, including requests and replies ([`rpc`]), which are samples that refer to the related
+//! sample.
 
 pub mod in_process;
 pub mod rpc;
@@ -30,14 +30,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// Receives the samples of one reader, in the order of each writer. It runs on a thread of the middleware that
-/// all readers of the participant share, so it must hand over and return.
+/// all readers of the participant share, so it must pass the sample on and return.
 pub type SampleHandler = Box<dyn FnMut(Sample) + Send>;
 
 /// Handles changes of the matched endpoints. It runs on a thread of the middleware, so it must not block.
 pub type MatchHandler = Box<dyn Fn() + Send + Sync>;
 
-/// A participant of a domain: creates endpoints, and knows those of others. Its own readers hear its own writers as they
-/// hear those of others, so that nodes of one process hear each other.
+/// A participant of a domain: creates endpoints, and discovers those of others. Its readers also receive from its own writers,
+/// so nodes of one process communicate with each other.
 ///
 /// Dropping it makes it leave the domain. Drop its endpoints before.
 pub trait Middleware: Send + Sync {
@@ -70,10 +70,10 @@ pub trait Writer: Send + Sync {
     /// The identity of this endpoint.
     fn gid(&self) -> Gid;
 
-    /// The number of readers that receive what is written now. A reliable reader counts once it has shown that it knows this writer.
+    /// The number of matched readers. A reliable reader counts once it has answered this writer, and so receives what is written now.
     fn matched(&self) -> usize;
 
-    /// Which readers receive what is written now.
+    /// The matched readers.
     fn matched_readers(&self) -> Vec<Gid>;
 
     /// Registers a handler for changes of the matched readers, in place of the handler before.
@@ -98,8 +98,8 @@ pub trait Writer: Send + Sync {
     /// [`WriteError`] when this sample was not written.
     fn write_with(&self, cdr: Bytes, options: WriteOptions) -> Result<i64, WriteError>;
 
-    /// Shows that this writer is alive without a sample, where its liveliness is manual. An engine may know samples as the only
-    /// sign of life.
+    /// Asserts the liveliness of this writer without a sample, if it is manual. An engine may support samples as the only
+    /// assertion.
     fn assert_liveliness(&self) {}
 
     /// Waits until every matched reliable reader has acknowledged all samples, at most for `timeout`. Returns true if all have.
@@ -114,7 +114,7 @@ pub trait Reader: Send + Sync {
     /// The number of matched writers.
     fn matched(&self) -> usize;
 
-    /// Which writers are heard now.
+    /// The matched writers.
     fn matched_writers(&self) -> Vec<Gid>;
 
     /// Registers a handler for changes of the matched writers, in place of the handler before.

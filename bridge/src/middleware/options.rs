@@ -11,7 +11,7 @@ pub const MAX_DOMAIN_ID: u16 = 232;
 /// The range of discovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum DiscoveryRange {
-    /// Nobody is found and nobody finds us.
+    /// No other participants are discovered.
     Off,
     /// Only participants on this machine: discovery and announced addresses are those of the loopback interface.
     Localhost,
@@ -96,7 +96,7 @@ impl ParticipantOptions {
         }
     }
 
-    /// What `ROS_DOMAIN_ID`, `ROS_AUTOMATIC_DISCOVERY_RANGE`, `ROS_LOCALHOST_ONLY`, `ROS_STATIC_PEERS` and `ROS_SECURITY_*` ask for.
+    /// The options in `ROS_DOMAIN_ID`, `ROS_AUTOMATIC_DISCOVERY_RANGE`, `ROS_LOCALHOST_ONLY`, `ROS_STATIC_PEERS` and `ROS_SECURITY_*`.
     /// An empty variable counts as unset.
     ///
     /// # Errors

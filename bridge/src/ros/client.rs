@@ -149,8 +149,8 @@ impl RawClient {
         }
     }
 
-    /// Publishes on `<service>/_service_event` what this client sends and receives, or no more; `node` is the one that has it,
-    /// `clock` stamps the events.
+    /// Sets what is published on `<service>/_service_event` of the requests and responses of this client. `node` is the node of
+    /// the client, `clock` stamps the events.
     ///
     /// # Errors
     /// [`NodeError`] when the engine refuses the publisher.

@@ -17,7 +17,7 @@ use thiserror::Error;
 /// A type was not described.
 #[derive(Debug, Error)]
 pub enum DescribeError {
-    /// There is nobody to ask.
+    /// No node is known that could describe the type.
     #[error(
         "no node is known that has topic {topic} with type {type_name} and announces its hash: it may not have been found yet, or be no node \
          of ROS 2"
@@ -62,7 +62,7 @@ impl Node {
     /// the middleware must not call this: they would wait for themselves.
     ///
     /// # Errors
-    /// [`DescribeError`] where nobody is known that could be asked, or the answer is none.
+    /// [`DescribeError`] if no node is known that could describe the type, or the response is invalid.
     pub fn describe(
         &self,
         topic: &TopicName,

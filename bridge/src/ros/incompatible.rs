@@ -1,4 +1,4 @@
-//! Endpoints of others on a topic that do not match: logged as rclcpp logs them.
+//! Warnings about endpoints of others that do not match, in the words of rclcpp.
 
 use super::{MessageType, TopicName};
 use crate::middleware::{Direction, EndpointEvent, EventHandler, Gid, QosPolicyKind};
@@ -88,13 +88,11 @@ fn qos_warning(topic: &TopicName, direction: Direction, policy: QosPolicyKind) -
                 "New subscription discovered on topic '{topic}', requesting incompatible QoS. No messages will be sent to it."
             ),
             match policy {
-                QosPolicyKind::Reliability => "offer reliability reliable, or have it ask for best_effort",
-                QosPolicyKind::Durability => "offer durability transient_local, or have it ask for volatile",
-                QosPolicyKind::Deadline => {
-                    "offer a deadline as short as it asks for, or have it ask for none"
-                }
+                QosPolicyKind::Reliability => "offer reliability reliable, or let it request best_effort",
+                QosPolicyKind::Durability => "offer durability transient_local, or let it request volatile",
+                QosPolicyKind::Deadline => "offer a deadline as short as it requests, or let it request none",
                 QosPolicyKind::Liveliness => {
-                    "offer the liveliness and a lease as short as it asks for, or have it ask for automatic and no lease"
+                    "offer the liveliness and a lease as short as it requests, or let it request automatic and no lease"
                 }
                 QosPolicyKind::Other => "compare both with `ros2 topic info -v`",
             },
@@ -104,13 +102,11 @@ fn qos_warning(topic: &TopicName, direction: Direction, policy: QosPolicyKind) -
                 "New publisher discovered on topic '{topic}', offering incompatible QoS. No messages will be received from it."
             ),
             match policy {
-                QosPolicyKind::Reliability => "ask for reliability best_effort, or have it offer reliable",
-                QosPolicyKind::Durability => "ask for durability volatile, or have it offer transient_local",
-                QosPolicyKind::Deadline => {
-                    "ask for no deadline, or have it offer one as short as is asked for"
-                }
+                QosPolicyKind::Reliability => "request reliability best_effort, or let it offer reliable",
+                QosPolicyKind::Durability => "request durability volatile, or let it offer transient_local",
+                QosPolicyKind::Deadline => "request no deadline, or let it offer one as short as requested",
                 QosPolicyKind::Liveliness => {
-                    "ask for liveliness automatic and no lease, or have it offer what is asked for"
+                    "request liveliness automatic and no lease, or let it offer what is requested"
                 }
                 QosPolicyKind::Other => "compare both with `ros2 topic info -v`",
             },
@@ -130,7 +126,7 @@ mod tests {
         let topic = TopicName::expand("/scan", &NodeName::new("/", "n").unwrap()).unwrap();
         let text = qos_warning(&topic, Direction::In, QosPolicyKind::Reliability);
         let expected = "New publisher discovered on topic '/scan', offering incompatible QoS. No messages will be received \
-                        from it. Last incompatible policy: RELIABILITY_QOS_POLICY. To do: ask for reliability best_effort";
+                        from it. Last incompatible policy: RELIABILITY_QOS_POLICY. To do: request reliability best_effort";
         assert!(text.starts_with(expected), "{text}");
         let text = qos_warning(&topic, Direction::Out, QosPolicyKind::Durability);
         assert!(text.contains("requesting incompatible QoS") && text.contains("transient_local"), "{text}");

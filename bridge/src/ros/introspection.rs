@@ -68,7 +68,7 @@ pub(super) enum Event {
     ResponseReceived = 3,
 }
 
-/// Publishes the events of one service or client, if that is asked for.
+/// Publishes the events of one service or client, if that is enabled.
 pub(super) struct ServiceEvents {
     topic: String,
     service_type: ServiceType,
@@ -93,7 +93,7 @@ impl ServiceEvents {
         })
     }
 
-    /// Begins, changes or ends what is published.
+    /// Sets what is published.
     pub(super) fn configure(
         &self,
         node: &Node,
@@ -116,7 +116,7 @@ impl ServiceEvents {
             );
         }
         let publisher = match before {
-            // One that is there stays, as in rcl.
+            // An existing publisher stays, as in rcl.
             Some(before) => before.publisher,
             None => {
                 let event_type = MessageType::new(&format!("{}_Event", self.service_type))?;
@@ -149,7 +149,7 @@ pub(super) struct Publishing<'a> {
 }
 
 impl Publishing<'_> {
-    /// Publishes an event where somebody hears it; `cdr` is the request or the response.
+    /// Publishes an event if a subscription is matched; `cdr` is the request or the response.
     pub(super) fn publish_event(&self, event: Event, client: Gid, number: i64, cdr: &[u8]) {
         let Some(active) = &*self.active else { return };
         if active.publisher.matched_subscriptions() == 0 {

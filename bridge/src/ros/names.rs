@@ -82,7 +82,7 @@ impl fmt::Display for NodeName {
 pub struct TopicName(String);
 
 impl TopicName {
-    /// The topic that a node means by `name`: `/joint_states` as it stands, `joint_states` in the node's namespace,
+    /// The topic that a node means by `name`: `/joint_states` unchanged, `joint_states` in the node's namespace,
     /// `~/joint_states` below the node's own name. `{node}`, `{ns}` and `{namespace}` stand for the node's.
     ///
     /// # Errors

@@ -13,7 +13,7 @@ use std::sync::{Arc, Weak};
 #[derive(Clone)]
 pub struct Node {
     pub(super) membership: Arc<Membership>,
-    /// True if its endpoints do not keep it.
+    /// True if its endpoints do not keep the node alive.
     is_by_itself: bool,
 }
 
@@ -49,10 +49,10 @@ impl Node {
         &self.membership.name
     }
 
-    /// The node of the same participant that was asked for under that name; it is created where there is none.
+    /// The node of the same participant that was requested with that name; it is created if there is none.
     ///
     /// # Errors
-    /// [`NodeError`] when a remapping rule gives it a name that is not valid, or one that another node has.
+    /// [`NodeError`] if a remapping rule gives it an invalid name, or the name of another node.
     pub fn sibling(&self, name: &NodeName) -> Result<Self, NodeError> {
         let shared = &self.membership.shared;
         let found = shared.nodes.lock().get(name).and_then(Weak::upgrade);
@@ -68,7 +68,7 @@ impl Node {
         Participant { shared: Arc::clone(&self.membership.shared) }
     }
 
-    /// The same node for what it has by itself: endpoints made from this do not keep the node.
+    /// The same node, for its own endpoints: endpoints created from this handle do not keep the node alive.
     ///
     /// ```
     /// # use downbeat_bridge::middleware::in_process::Hub;
@@ -92,29 +92,29 @@ impl Node {
         Self { membership: Arc::clone(&self.membership), is_by_itself: true }
     }
 
-    /// Keeps something until the node disappears from the graph. It must not hold the node.
+    /// Keeps a value until the node disappears from the graph. The value must not hold the node.
     pub fn attach(&self, thing: impl Any + Send) {
         let mut attached = self.membership.attached.lock();
         attached.push(Box::new(thing));
     }
 
-    /// The topic that `topic` means to this node: expanded, and remapped where a rule says so.
+    /// The topic that `topic` means to this node: expanded, and remapped if a rule applies.
     ///
     /// # Errors
-    /// [`NameError`] when ROS 2 does not accept the name, or the one in its place.
+    /// [`NameError`] if the name, or the name after remapping, is not valid in ROS 2.
     pub fn topic_name(&self, topic: &str) -> Result<TopicName, NameError> {
         self.membership.shared.remaps.topic(TopicName::expand(topic, self.name())?, self.name())
     }
 
-    /// The service that `service` means to this node: expanded, and remapped where a rule says so.
+    /// The service that `service` means to this node: expanded, and remapped if a rule applies.
     ///
     /// # Errors
-    /// [`NameError`] when ROS 2 does not accept the name, or the one in its place.
+    /// [`NameError`] if the name, or the name after remapping, is not valid in ROS 2.
     pub fn service_name(&self, service: &str) -> Result<ServiceName, NameError> {
         self.membership.shared.remaps.service(ServiceName::expand(service, self.name())?, self.name())
     }
 
-    /// Resolves what to offer or request on a topic, by the known endpoints of others.
+    /// Resolves the quality of service to offer or request on a topic, depending on the known endpoints of others.
     ///
     /// # Errors
     /// [`NameError`] when ROS 2 does not accept the name of the topic.
@@ -163,9 +163,9 @@ fn resolve(request: &QosRequest, direction: Direction, peers: &[RemoteEndpoint])
 /// The handle that an endpoint has of its node.
 #[derive(Clone)]
 pub(super) enum Hold {
-    /// The node is there as long as the endpoint.
+    /// The endpoint keeps the node alive.
     Keeps(Arc<Membership>),
-    /// The endpoint is there as long as the node, which holds it.
+    /// The node owns the endpoint.
     Belongs(Weak<Membership>),
 }
 

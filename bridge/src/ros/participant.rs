@@ -43,7 +43,7 @@ pub(super) struct Shared {
     pub(super) middleware: Arc<dyn Middleware>,
     pub(super) remaps: RemapRules,
     pub(super) interfaces: Interfaces,
-    /// The nodes there are, by the names they were asked for.
+    /// The existing nodes, by the names with which they were requested.
     pub(super) nodes: Mutex<BTreeMap<NodeName, Weak<Membership>>>,
     /// Functions that give each new node the endpoints that all nodes have.
     furnishers: Mutex<Vec<Weak<Furnisher>>>,
@@ -102,7 +102,7 @@ impl Participant {
         Ok(Self { shared: Arc::new(shared) })
     }
 
-    /// Creates a node, under another name where a remapping rule says so. It offers the service
+    /// Creates a node, with another name if a remapping rule applies. It offers the service
     /// `~/get_type_description`, as all nodes of Jazzy do.
     ///
     /// # Errors

@@ -15,8 +15,8 @@ pub struct Publisher {
     message_type: MessageType,
     qos: QosProfile,
     warnings: Warnings,
-    // Fields drop in this order: the entry in the graph, so that no tool sees an endpoint without a node; the endpoint;
-    // and perhaps with the last of them the participant.
+    // Fields are dropped in this order: the entry in the graph, so that no tool sees an endpoint without a node; the
+    // endpoint; and, with the last of them, the participant.
     _listed: Listed,
     writer: Box<dyn Writer>,
     _hold: Hold,
@@ -35,13 +35,13 @@ impl Publisher {
         &self.message_type
     }
 
-    /// What it offers.
+    /// The offered quality of service.
     #[must_use]
     pub fn qos(&self) -> QosProfile {
         self.qos
     }
 
-    /// How many subscriptions are matched.
+    /// The number of matched subscriptions.
     #[must_use]
     pub fn matched_subscriptions(&self) -> usize {
         self.writer.matched()
@@ -53,26 +53,26 @@ impl Publisher {
         self.writer.on_event(self.warnings.and(handler));
     }
 
-    /// The identity of its endpoint.
+    /// The identity of the endpoint.
     #[must_use]
     pub fn gid(&self) -> Gid {
         self.writer.gid()
     }
 
-    /// Publishes one message: encapsulation header and body. Does not block.
+    /// Publishes one message, encapsulation header and body, without blocking.
     ///
     /// # Errors
-    /// [`WriteError`] when it was not sent.
+    /// [`WriteError`] if the message was not sent.
     pub fn publish(&self, cdr: Bytes) -> Result<(), WriteError> {
         self.writer.write(cdr)
     }
 
-    /// Shows that this publisher is alive without a message, where its liveliness is `manual_by_topic`.
+    /// Asserts the liveliness of this publisher without a message, if it is `manual_by_topic`.
     pub fn assert_liveliness(&self) {
         self.writer.assert_liveliness();
     }
 
-    /// Waits until the reliable subscriptions that are matched have acknowledged all messages; false when some have not
+    /// Waits until all matched reliable subscriptions have acknowledged all messages; returns false if some have not
     /// after `timeout`.
     pub fn wait_for_all_acked(&self, timeout: Duration) -> bool {
         self.writer.flush(timeout)
@@ -83,7 +83,7 @@ impl Node {
     /// Creates a publisher; `topic` may be absolute, relative or private (`~/…`).
     ///
     /// # Errors
-    /// [`NodeError`] when a name is not valid or the engine refuses.
+    /// [`NodeError`] if the name is not valid, or the engine refuses the endpoint.
     pub fn publish(
         &self,
         topic: &str,
@@ -124,7 +124,7 @@ pub(super) fn endpoint(
     Endpoint { send_window, type_hash, ..Endpoint::new(topic.to_wire(), message_type.to_wire(), qos) }
 }
 
-/// Types whose messages have hundreds of kilobytes.
+/// Types whose messages are often larger than 100 kB.
 const LARGE_MESSAGES: [&str; 5] = [
     "nav_msgs/msg/OccupancyGrid",
     "sensor_msgs/msg/CompressedImage",

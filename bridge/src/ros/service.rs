@@ -59,8 +59,8 @@ impl Service {
         &self.service_type
     }
 
-    /// Publishes on `<service>/_service_event` what this service receives and sends, or no more; `node` is the one that
-    /// offers it, `clock` stamps the events.
+    /// Sets what is published on `<service>/_service_event` of the requests and responses of this service. `node` is the node
+    /// that offers it, `clock` stamps the events.
     ///
     /// # Errors
     /// [`NodeError`] when the engine refuses the publisher.

@@ -13,7 +13,7 @@ pub struct Subscription {
     message_type: MessageType,
     qos: QosProfile,
     warnings: Warnings,
-    // In this order, as in a publisher.
+    // Dropped in this order, as in a publisher.
     _listed: Listed,
     reader: Box<dyn Reader>,
     _hold: Hold,
@@ -32,13 +32,13 @@ impl Subscription {
         &self.message_type
     }
 
-    /// What it requests.
+    /// The requested quality of service.
     #[must_use]
     pub fn qos(&self) -> QosProfile {
         self.qos
     }
 
-    /// How many publishers are matched.
+    /// The number of matched publishers.
     #[must_use]
     pub fn matched_publishers(&self) -> usize {
         self.reader.matched()
@@ -53,10 +53,10 @@ impl Subscription {
 
 impl Node {
     /// Creates a subscription; `topic` may be absolute, relative or private (`~/…`). `on_sample` runs on the thread
-    /// that all subscriptions of the participant share, so it must hand over and return.
+    /// that all subscriptions of the participant share, so it must pass the sample on and return.
     ///
     /// # Errors
-    /// [`NodeError`] when a name is not valid or the engine refuses.
+    /// [`NodeError`] if the name is not valid, or the engine refuses the endpoint.
     pub fn subscribe(
         &self,
         topic: &str,

@@ -46,7 +46,7 @@ fn is_hash(text: &str) -> bool {
 }
 
 /// The definitions of the type and of all that it refers to, the type itself first, the others in the order of their names.
-/// What is no file of its own, such as the request of a service, has no text: rosidl calls that implicit.
+/// A type without its own file, such as the request of a service, has no text: rosidl calls that implicit.
 fn sources(known: &Description, described: &TypeDescription) -> Vec<TypeSource> {
     let texts = texts(known);
     let names = described.referenced_type_descriptions.iter().map(|referenced| referenced.type_name.as_str());

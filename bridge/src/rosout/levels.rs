@@ -12,7 +12,7 @@ const MOST_LOGGERS: usize = 1024;
 /// The name of the logger above all.
 const ROOT: &str = "";
 
-/// From which severity on each logger writes, where somebody has said so. Clones share the levels.
+/// The levels that were set for loggers. Clones share the levels.
 ///
 /// Names are those of rcutils: `robot.downbeat` is the parent of `robot.downbeat.walker`, and a logger that has no level has
 /// that of its parent. Where no ancestor has one either, what the program was started with holds.
@@ -50,7 +50,7 @@ impl LoggerLevels {
         Self { start: Some(level), ..Self::default() }
     }
 
-    /// Gives a logger a level, or none of its own. Takes effect at once, on all threads.
+    /// Sets or removes the level of a logger. Takes effect immediately, on all threads.
     ///
     /// # Errors
     /// [`TooManyLoggers`] where 1024 loggers have one.
@@ -65,7 +65,7 @@ impl LoggerLevels {
                 Some(level) => drop(by_name.insert(logger.to_owned(), level)),
             }
         }
-        // What nobody wanted is asked about again.
+        // Call sites that were disabled are evaluated again.
         tracing::callsite::rebuild_interest_cache();
         Ok(())
     }

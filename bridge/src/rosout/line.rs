@@ -22,7 +22,7 @@ pub struct LogLine {
     pub severity: Severity,
     /// The module that logged it or that it is about; nothing where it is about the node as a whole.
     pub module: Option<String>,
-    /// The message, and behind it the other fields as `name=value`.
+    /// The message, followed by the other fields as `name=value`.
     pub message: String,
     /// The source file, empty if not known.
     pub file: &'static str,

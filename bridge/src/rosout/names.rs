@@ -45,7 +45,7 @@ impl LoggerNames {
         self.names.write().node = logger_name(node);
     }
 
-    /// Lines of a module are from now on those of a node of its own.
+    /// Assigns the lines of a module to its own node.
     pub fn set_module(&self, module: &str, node: &NodeName) {
         let mut names = self.names.write();
         names.of_modules.insert(module.to_owned(), logger_name(node));

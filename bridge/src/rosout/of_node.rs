@@ -15,7 +15,7 @@ pub struct RosoutOfNode {
     _publisher: Arc<Publisher>,
 }
 
-/// Through whom the lines of modules go that have a node of their own.
+/// The publishers of the lines of modules that have their own nodes.
 #[derive(Default)]
 pub(super) struct OfModules {
     by_module: Mutex<BTreeMap<String, OfModule>>,

@@ -10,7 +10,10 @@ use bytes::Bytes;
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::middleware::rtps::RtpsParticipant;
 use downbeat_bridge::middleware::{DiscoveryRange, Endpoint, Middleware, ParticipantOptions, Reader, Sample};
+use downbeat_executor::{Core, CoreHandle};
+use std::ops::Deref;
 use std::sync::mpsc::{Receiver, channel};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// Generous: the machine may be busy.
@@ -72,4 +75,35 @@ pub fn next(samples: &Receiver<Sample>) -> Sample {
 /// A little-endian payload with `body`.
 pub fn cdr(body: impl AsRef<[u8]>) -> Bytes {
     [&[0, 1, 0, 0], body.as_ref()].concat().into()
+}
+
+/// A core that runs on its own thread until this is dropped.
+pub struct RunningCore {
+    handle: CoreHandle,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl RunningCore {
+    pub fn start(mut core: Core) -> Self {
+        let handle = core.handle();
+        Self { handle, thread: Some(std::thread::spawn(move || core.run().unwrap())) }
+    }
+}
+
+impl Deref for RunningCore {
+    type Target = CoreHandle;
+
+    fn deref(&self) -> &CoreHandle {
+        &self.handle
+    }
+}
+
+impl Drop for RunningCore {
+    fn drop(&mut self) {
+        self.handle.stop();
+        let ended = self.thread.take().map(JoinHandle::join);
+        if !std::thread::panicking() {
+            ended.transpose().unwrap();
+        }
+    }
 }

@@ -1,4 +1,4 @@
-"""Texts of any size that tell by themselves whether they are whole, as `texts.rs` makes them."""
+"""Texts of any size whose content shows whether they are complete, as `texts.rs` makes them."""
 
 ALPHABET = "abcdefghijklmnopqrstuvwxyz"
 

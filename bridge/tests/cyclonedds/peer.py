@@ -1,4 +1,4 @@
-"""A participant of Cyclone DDS that does what it is told, as `../rclpy/peer.py`: the second vendor of DDS.
+"""A participant of Cyclone DDS that executes commands, like `../rclpy/peer.py`: the second vendor of DDS.
 
 Topics and types are named as ROS 2 names them; what they are on the wire is done here.
 """

@@ -1,4 +1,4 @@
-"""What a node of rclpy does with actions: the calls of `ros2 action`, and a server that waits to be told how its goals end."""
+"""Actions in a node of rclpy: the calls of `ros2 action`, and a server whose goals end on command."""
 
 import threading
 
@@ -66,17 +66,17 @@ class Actions:
         client = self.action_clients[action]
         uuid = None if id is None else UUID(uuid=list(bytes.fromhex(id)))
         message = self.fill(client._action_type.Goal(), goal)
-        told = []
+        feedback = []
 
         def on_feedback(message):
-            told.append(list(message.feedback.sequence))
+            feedback.append(list(message.feedback.sequence))
 
         handle = wait(client.send_goal_async(message, feedback_callback=on_feedback, goal_uuid=uuid))
         if handle is None or not handle.accepted:
             return None
         goal_id = hexadecimal(handle.goal_id)
         self.sent[goal_id] = handle
-        self.feedback[goal_id] = told
+        self.feedback[goal_id] = feedback
         self.results[goal_id] = handle.get_result_async()
         return goal_id
 

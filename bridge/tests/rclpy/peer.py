@@ -1,4 +1,4 @@
-"""A ROS 2 node of the real rclpy that does what it is told: one JSON command a line in, one JSON answer a line out.
+"""A node of the real rclpy that executes commands: one JSON command per line in, one JSON answer per line out.
 
 It ends when its standard input closes.
 """

@@ -216,6 +216,22 @@ impl<M> FieldType<M> {
 }
 
 impl FieldType {
+    /// Checks the number of elements in a default.
+    ///
+    /// # Errors
+    /// Returns the sentence to report.
+    pub(crate) fn check_count(&self, found: usize) -> Result<(), String> {
+        match self.shape {
+            Shape::Array(count) if found as u64 != count => {
+                Err(format!("`{self}` needs exactly {count} values, found {found}"))
+            }
+            Shape::Bounded(bound) if found as u64 > bound => {
+                Err(format!("`{self}` takes at most {bound} values, found {found}"))
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn is_same_as(&self, other: &Self) -> bool {
         self.shape == other.shape && self.element.is_same_as(&other.element)
     }

@@ -30,6 +30,7 @@ mod error;
 mod idl;
 mod name;
 mod parse;
+pub mod python;
 mod suggestion;
 
 pub use catalog::{AmentPrefix, Catalog};

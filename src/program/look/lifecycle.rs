@@ -15,6 +15,7 @@ use anyhow::{Context, bail};
 use clap::{Args, Subcommand};
 
 use super::network::{Environment, Look, LookArguments, Patience, absolute, is_hidden_node};
+use super::node;
 
 #[derive(Subcommand)]
 pub(crate) enum LifecycleCommand {
@@ -25,7 +26,7 @@ pub(crate) enum LifecycleCommand {
     /// List the transitions that are available in a managed node's state, or all of them.
     List(ListArguments),
     /// List managed nodes.
-    Nodes(NodesArguments),
+    Nodes(node::ListArguments),
 }
 
 #[derive(Args)]
@@ -62,18 +63,6 @@ pub(crate) struct ListArguments {
     /// Also consider nodes whose name starts with an underscore.
     #[arg(long)]
     include_hidden_nodes: bool,
-    #[command(flatten)]
-    look: LookArguments,
-}
-
-#[derive(Args)]
-pub(crate) struct NodesArguments {
-    /// Also print nodes whose name starts with an underscore.
-    #[arg(short, long)]
-    all: bool,
-    /// Print only the number.
-    #[arg(short, long)]
-    count_nodes: bool,
     #[command(flatten)]
     look: LookArguments,
 }
@@ -186,7 +175,7 @@ fn list(arguments: &ListArguments, environment: &Environment<'_>) -> anyhow::Res
     Ok(())
 }
 
-fn nodes(arguments: &NodesArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
+fn nodes(arguments: &node::ListArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
     let look = Look::join("lifecycle", &arguments.look, environment)?;
     let nodes = managed(&look.all(Patience::Endpoints), arguments.all);
     if arguments.count_nodes {

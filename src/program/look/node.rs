@@ -21,12 +21,12 @@ pub(crate) enum NodeCommand {
 pub(crate) struct ListArguments {
     /// Also print nodes whose name starts with an underscore.
     #[arg(short, long)]
-    all: bool,
+    pub(super) all: bool,
     /// Print only the number.
     #[arg(short, long)]
-    count_nodes: bool,
+    pub(super) count_nodes: bool,
     #[command(flatten)]
-    look: LookArguments,
+    pub(super) look: LookArguments,
 }
 
 #[derive(Args)]

@@ -222,12 +222,12 @@ fn bytes_of_a_type_that_is_not_compiled_in_need_no_module() {
     let relay = "in = [{ topic = \"legs\", type = \"legs/msg/Leg\" }]\n\
                  out = [{ topic = \"legs\", as = \"/far/legs\", type = \"legs/msg/Leg\" }]";
     let endpoints = exposed_with(relay, "");
-    let told = |endpoint: &crate::robot::ExposedEndpoint| {
+    let summary = |endpoint: &crate::robot::ExposedEndpoint| {
         (endpoint.direction.name(), endpoint.ros_topic.clone(), endpoint.type_name.clone())
     };
     let expected = |direction: &'static str, topic: &str| (direction, topic.into(), "legs/msg/Leg".into());
     assert_eq!(
-        endpoints.iter().map(told).collect::<Vec<_>>(),
+        endpoints.iter().map(summary).collect::<Vec<_>>(),
         [expected("out", "/far/legs"), expected("in", "/legs")]
     );
     assert_eq!(

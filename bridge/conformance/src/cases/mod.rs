@@ -118,8 +118,8 @@ cases! {
         qos::a_reader_that_asks_for_more_than_is_offered_is_not_matched on 16;
         qos::each_policy_keeps_apart_what_does_not_suit_and_is_named_on_both_sides on 157;
         qos::a_peer_with_another_type_is_reported_on_both_sides_and_not_matched on 174;
-        qos::matches_are_told_as_they_come_and_go on 158;
-        qos::missed_deadlines_are_told_on_both_sides on 159;
+        qos::matches_are_reported_as_they_come_and_go on 158;
+        qos::missed_deadlines_are_reported_on_both_sides on 159;
         qos::a_writer_with_manual_liveliness_lives_as_long_as_it_says_so on 171;
     }
     LateJoiners: {
@@ -146,11 +146,11 @@ cases! {
         requests::large_requests_and_replies_arrive_whole on 50;
     }
     Peers: {
-        peers::a_peer_that_leaves_is_gone_at_once on 164;
+        peers::a_peer_that_leaves_disappears_immediately on 164;
         peers::a_killed_reader_does_not_stop_the_writer on 163;
     }
     Discovery: {
-        peers::the_hash_of_a_type_is_told on 165;
+        peers::the_hash_of_a_type_is_announced on 165;
         peers::static_peers_are_announced_to on 166;
     }
     Figures: {

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 /// At once, on a machine that may be busy.
 const SOON: Duration = Duration::from_secs(5);
 
-pub(super) fn a_peer_that_leaves_is_gone_at_once(domain: &Domain<'_>) -> Ran {
+pub(super) fn a_peer_that_leaves_disappears_immediately(domain: &Domain<'_>) -> Ran {
     let (mut reads, mut writes) = match (domain.start_peer(Role::Reads), domain.start_peer(Role::Writes)) {
         (Ok(reads), Ok(writes)) => (reads, writes),
         (Err(reason), _) | (_, Err(reason)) => return Ran::NotApplicable(reason),
@@ -65,7 +65,7 @@ pub(super) fn a_killed_reader_does_not_stop_the_writer(domain: &Domain<'_>) -> R
     }
 }
 
-pub(super) fn the_hash_of_a_type_is_told(domain: &Domain<'_>) -> Ran {
+pub(super) fn the_hash_of_a_type_is_announced(domain: &Domain<'_>) -> Ran {
     const HASH: &str = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
     let (alice, bob) = (domain.join(), domain.join());
     let endpoint = Endpoint { type_hash: Some(HASH.to_owned()), ..chatter(QosProfile::DEFAULT) };

@@ -73,7 +73,7 @@ pub(super) fn a_peer_with_another_type_is_reported_on_both_sides_and_not_matched
     assert_eq!(next(&later), incompatible(reader.gid(), &other));
 }
 
-pub(super) fn matches_are_told_as_they_come_and_go(domain: &Domain<'_>) {
+pub(super) fn matches_are_reported_as_they_come_and_go(domain: &Domain<'_>) {
     let (alice, bob) = (domain.join(), domain.join());
     let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
     let of_writer = events(|handler| writer.on_event(handler));
@@ -95,7 +95,7 @@ pub(super) fn matches_are_told_as_they_come_and_go(domain: &Domain<'_>) {
     assert_eq!(next(&of_again), EndpointEvent::Unmatched { peer });
 }
 
-pub(super) fn missed_deadlines_are_told_on_both_sides(domain: &Domain<'_>) -> Ran {
+pub(super) fn missed_deadlines_are_reported_on_both_sides(domain: &Domain<'_>) -> Ran {
     if !domain.engine.has_network {
         return Ran::NotApplicable(NO_TIMES);
     }

@@ -18,8 +18,8 @@ macro_rules! each_case {
             a_reader_that_asks_for_more_than_is_offered_is_not_matched
             each_policy_keeps_apart_what_does_not_suit_and_is_named_on_both_sides
             a_peer_with_another_type_is_reported_on_both_sides_and_not_matched
-            matches_are_told_as_they_come_and_go
-            missed_deadlines_are_told_on_both_sides
+            matches_are_reported_as_they_come_and_go
+            missed_deadlines_are_reported_on_both_sides
             a_writer_with_manual_liveliness_lives_as_long_as_it_says_so
             a_late_reader_of_a_transient_local_writer_catches_up_in_order
             a_late_reader_gets_no_more_than_the_history_depth
@@ -38,9 +38,9 @@ macro_rules! each_case {
             a_server_that_left_is_no_longer_there
             a_dropped_client_ends_its_calls
             large_requests_and_replies_arrive_whole
-            a_peer_that_leaves_is_gone_at_once
+            a_peer_that_leaves_disappears_immediately
             a_killed_reader_does_not_stop_the_writer
-            the_hash_of_a_type_is_told
+            the_hash_of_a_type_is_announced
             static_peers_are_announced_to
             time_until_a_new_participant_is_matched
             time_until_a_late_reader_has_a_latched_sample

@@ -130,7 +130,7 @@ impl Parameters {
             && let Some(left_out) = self.too_long.allow()
         {
             tracing::warn!(
-                "parameters of more than {LONGEST_VALUES} bytes were asked for at once, and not given{left_out}"
+                "a request for parameters of more than {LONGEST_VALUES} bytes was refused{left_out}"
             );
         }
         GetParametersResponse { values: values.unwrap_or_default() }
@@ -356,7 +356,7 @@ impl Parameters {
 const LONGEST_VALUES: usize = 1_000_000;
 
 /// The longest reason for a refused value, and those of one response together, in bytes. Reasons repeat names and values, and a
-/// response of megabytes, in fragments of 256 bytes, overflows the socket of the client: it and those behind it come too late.
+/// response of megabytes, in fragments of 256 bytes, overflows the socket of the client: it and the responses after it arrive too late.
 const LONGEST_REASON: usize = 500;
 const LONGEST_REASONS: usize = 50_000;
 

@@ -1,7 +1,7 @@
-//! An engine without a network: participants of one [`Hub`] hear each other, nobody else does.
+//! An engine without a network: participants of one [`Hub`] communicate only with each other.
 //!
-//! It stands in for DDS in tests that are not about DDS. It delivers on the thread that writes, loses nothing, matches by the
-//! policies that DDS matches by, and keeps no times: no deadline is missed, and no sample expires.
+//! It replaces DDS in tests that are not about DDS. It delivers on the writing thread, loses nothing, matches by the same
+//! policies as DDS, and measures no times: no deadline is missed, and no sample expires.
 
 mod state;
 
@@ -24,7 +24,7 @@ pub struct Hub {
 }
 
 impl Hub {
-    /// A hub that nobody has joined.
+    /// A hub without participants.
     #[must_use]
     pub fn new() -> Self {
         Self::default()

@@ -4,7 +4,7 @@ use crate::middleware::{Endpoint, MiddlewareError};
 use downbeat_msgs::qos::{Durability, History, Liveliness, QosProfile, Reliability};
 use downbeat_rtps::qos::{self, Qos, Representation};
 
-/// The policies of an endpoint of ours.
+/// The policies of a local endpoint.
 pub(super) fn to_rtps(endpoint: &Endpoint) -> Result<Qos, MiddlewareError> {
     let QosProfile {
         history,
@@ -19,7 +19,7 @@ pub(super) fn to_rtps(endpoint: &Endpoint) -> Result<Qos, MiddlewareError> {
         History::KeepLast(0) => {
             return Err(MiddlewareError::Qos {
                 topic_name: endpoint.topic_name.clone(),
-                reason: "history depth 0 keeps nothing; ask for 1 or more".to_owned(),
+                reason: "history depth 0 keeps nothing; use 1 or more".to_owned(),
             });
         }
         History::KeepLast(depth) => qos::History::KeepLast(depth),

@@ -13,7 +13,7 @@ const TRANSIENT_LOCAL_WINDOW: u32 = 64;
 /// How many samples a reader that keeps all may hold before its callback has taken them.
 pub(super) const KEEP_ALL_SAMPLES: i32 = 8192;
 
-/// The policies for an endpoint of ours. Warns about a policy that is announced but not carried out.
+/// The policies of a local endpoint. Logs a warning for a policy that is announced, but not applied.
 pub(super) fn policies(endpoint: &Endpoint, direction: Direction) -> Result<QosPolicies, MiddlewareError> {
     let QosProfile { history, reliability, durability, deadline, lifespan, liveliness, .. } = endpoint.qos;
     let refuse = |reason: &str| MiddlewareError::Qos {
@@ -34,11 +34,10 @@ pub(super) fn policies(endpoint: &Endpoint, direction: Direction) -> Result<QosP
         .deadline(policy::Deadline(dds_duration(deadline)));
 
     let depth = match history {
-        History::KeepLast(0) => return Err(refuse("history depth 0 keeps nothing; ask for 1 or more")),
+        History::KeepLast(0) => return Err(refuse("history depth 0 keeps nothing; use 1 or more")),
         History::KeepLast(depth) => {
-            let depth = i32::try_from(depth).map_err(|_| {
-                refuse("the history depth is above 2147483647; ask for less, or for keep all")
-            })?;
+            let depth = i32::try_from(depth)
+                .map_err(|_| refuse("the history depth is above 2147483647; use less, or keep all"))?;
             builder = builder.history(policy::History::KeepLast { depth });
             Some(depth)
         }
@@ -78,7 +77,7 @@ pub(super) fn policies(endpoint: &Endpoint, direction: Direction) -> Result<QosP
     let lease_duration = dds_duration(endpoint.qos.liveliness_lease_duration);
     builder = builder.liveliness(match liveliness {
         Liveliness::Automatic => policy::Liveliness::Automatic { lease_duration },
-        // What a writer of ours asserts it by are its samples; rustdds sends nothing else.
+        // A local writer is asserted by its samples; rustdds sends nothing else.
         Liveliness::ManualByTopic => policy::Liveliness::ManualByTopic { lease_duration },
     });
     Ok(builder.build())

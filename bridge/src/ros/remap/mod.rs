@@ -42,7 +42,7 @@ impl RemapRules {
         &self.rules
     }
 
-    /// The name that a node has instead of its own. A rule for one node knows it by its own name where it changes the
+    /// The name of a node after remapping. A rule for one node refers to it by its original name where it changes the
     /// name, and by the new one in all other cases.
     ///
     /// # Errors

@@ -30,7 +30,7 @@ pub enum Remap {
         of: Named,
         /// The name that a program uses: absolute, relative or private.
         from: String,
-        /// The name in its place.
+        /// The new name.
         to: String,
     },
 }

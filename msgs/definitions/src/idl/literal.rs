@@ -90,16 +90,7 @@ pub(super) fn default_value(literal: Literal, field_type: &FieldType) -> Result<
         return Err(format!("the default of `{field_type}` must be a string that contains a tuple"));
     };
     let items = tuple(&text).ok_or_else(|| format!("`{text}` is not a tuple of values"))?;
-    let found = items.len() as u64;
-    match field_type.shape {
-        Shape::Array(count) if found != count => {
-            return Err(format!("`{field_type}` needs exactly {count} values, found {found}"));
-        }
-        Shape::Bounded(bound) if found > bound => {
-            return Err(format!("`{field_type}` takes at most {bound} values, found {found}"));
-        }
-        _ => {}
-    }
+    field_type.check_count(items.len())?;
     let values = items.into_iter().map(|item| item.into_value(&field_type.element));
     values.collect::<Result<_, _>>().map(Value::List)
 }

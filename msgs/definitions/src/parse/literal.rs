@@ -21,16 +21,7 @@ pub(crate) fn parse_value(field_type: &FieldType, text: &str) -> Result<Value, S
         _ if inner.trim().is_empty() => Vec::new(),
         _ => inner.split(',').map(|item| item.trim().to_owned()).collect(),
     };
-    let found = items.len() as u64;
-    match field_type.shape {
-        Shape::Array(count) if found != count => {
-            return Err(format!("`{field_type}` needs exactly {count} values, found {found}"));
-        }
-        Shape::Bounded(bound) if found > bound => {
-            return Err(format!("`{field_type}` takes at most {bound} values, found {found}"));
-        }
-        _ => {}
-    }
+    field_type.check_count(items.len())?;
     items
         .iter()
         .map(|item| parse_element(&field_type.element, item))

@@ -2,12 +2,13 @@
 //!
 //! # References
 //! `rosidl_generator_py/resource/_msg.py.em` (`__repr__`) and `rosidl_runtime_py/convert.py`
-//! (`message_to_csv`), branch jazzy; `Objects/unicodeobject.c` and `Objects/bytesobject.c` of CPython (how
-//! strings are quoted).
+//! (`message_to_csv`), branch jazzy.
 
 use std::fmt::Write;
 
 use downbeat_msgs_definitions::{Element, FieldType, Primitive, Shape};
+
+pub use downbeat_msgs_definitions::python::{write_bytes, write_float, write_text};
 
 use super::numpy;
 use super::yaml::{YamlStyle, abbreviation};
@@ -151,81 +152,6 @@ fn write_list(out: &mut String, field_type: &FieldType, array: &Array) {
 
 fn is_byte(field_type: &FieldType) -> bool {
     field_type.element == Element::Primitive(Primitive::Byte)
-}
-
-/// Appends a floating-point number as in `repr`.
-pub fn write_float(out: &mut String, value: f64) {
-    if value.is_nan() {
-        return out.push_str("nan");
-    }
-    if value.is_infinite() {
-        return out.push_str(if value > 0.0 { "inf" } else { "-inf" });
-    }
-    // The shortest digits that round-trip: `-1.5e-7`.
-    let scientific = format!("{value:e}");
-    let (mantissa, exponent) = scientific.split_once('e').unwrap_or((&scientific, "0"));
-    let exponent: i32 = exponent.parse().unwrap_or(0);
-    if (-4..16).contains(&exponent) {
-        let _ = write!(out, "{value:?}");
-    } else {
-        let sign = if exponent < 0 { '-' } else { '+' };
-        let _ = write!(out, "{mantissa}e{sign}{:02}", exponent.unsigned_abs());
-    }
-}
-
-/// Appends a string as in `repr`.
-pub fn write_text(out: &mut String, text: &str) {
-    let quote = if text.contains('\'') && !text.contains('"') { '"' } else { '\'' };
-    out.push(quote);
-    for character in text.chars() {
-        if character == quote || character == '\\' {
-            out.push('\\');
-            out.push(character);
-        } else {
-            write_escaped(out, character);
-        }
-    }
-    out.push(quote);
-}
-
-/// Appends bytes as in `repr`.
-pub fn write_bytes(out: &mut String, bytes: &[u8]) {
-    let quote = if bytes.contains(&b'\'') && !bytes.contains(&b'"') { '"' } else { '\'' };
-    out.push('b');
-    out.push(quote);
-    for byte in bytes {
-        match char::from(*byte) {
-            '\t' => out.push_str("\\t"),
-            '\n' => out.push_str("\\n"),
-            '\r' => out.push_str("\\r"),
-            character if character == quote || character == '\\' => {
-                out.push('\\');
-                out.push(character);
-            }
-            character @ ' '..='~' => out.push(character),
-            _ => {
-                let _ = write!(out, "\\x{byte:02x}");
-            }
-        }
-    }
-    out.push(quote);
-}
-
-fn write_escaped(out: &mut String, character: char) {
-    let code = u32::from(character);
-    match character {
-        '\t' => out.push_str("\\t"),
-        '\n' => out.push_str("\\n"),
-        '\r' => out.push_str("\\r"),
-        // Characters that Python escapes: control characters, direction marks and line separators.
-        _ if character.is_control() || code == 0xad => {
-            let _ = write!(out, "\\x{code:02x}");
-        }
-        '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}' => {
-            let _ = write!(out, "\\u{code:04x}");
-        }
-        _ => out.push(character),
-    }
 }
 
 fn csv_of_message(cells: &mut Vec<String>, message: MessageRef<'_>, style: &YamlStyle) {

@@ -47,7 +47,6 @@ fn most_topics(wanted: usize) -> usize {
 }
 
 /// The destination of one topic's messages.
-#[expect(clippy::large_enum_variant, reason = "there is one for each topic, not for each message")]
 pub(super) enum Target {
     /// Publishes them; the type converts other encodings to CDR.
     Topic(Publisher, Option<RecordedType>),
