@@ -26,8 +26,11 @@ fn robot(criterion: &mut Criterion) {
     let positions = [0.1; 20];
     let (mut pose, mut masses) = (Pose::new(&robot), Masses::new(&robot).unwrap());
     let mut group = criterion.benchmark_group("robot of 20 joints");
-    group.bench_function("forward, all frames", |bencher| bencher.iter(|| pose.update(&robot, black_box(&positions))));
-    group.bench_function("centre of mass", |bencher| bencher.iter(|| masses.center_of_mass(black_box(&pose))));
+    group.bench_function("forward, all frames", |bencher| {
+        bencher.iter(|| pose.update(&robot, black_box(&positions)))
+    });
+    group
+        .bench_function("centre of mass", |bencher| bencher.iter(|| masses.center_of_mass(black_box(&pose))));
     let mut jacobian = Matrix3xX::zeros(20);
     group.bench_function("jacobian of the centre of mass", |bencher| {
         bencher.iter(|| masses.jacobian(&robot, black_box(&pose), &mut jacobian));

@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use crate::cycle::{CoreState, Mechanisms, Member, Pause};
-use crate::exchange::{Messages, SERVICES, Services};
-use crate::module::{Direction, MESSAGES, Place};
+use crate::exchange::{Messages, Services};
+use crate::module::{Direction, MESSAGES, Place, SERVICES};
 use crate::observe::{ModuleMeter, nanoseconds};
 use crate::{
     Graph, GraphEdge, GraphModule, GraphOutlet, GraphService, GraphTopic, LifecycleState, ModuleState,

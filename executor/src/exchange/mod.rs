@@ -14,8 +14,8 @@ pub use jobs::{Completion, Job, JobError};
 pub(crate) use messages::Messages;
 pub use messages::{DetachedStep, Inlet, InletError, Outlet, OutletInbox, StepInput};
 pub use modules::UnknownModule;
+pub(crate) use services::Services;
 pub use services::{CallError, CallId, Caller, Client, Reply, Responder, ServiceInfo, StandIn};
-pub(crate) use services::{SERVICES, Services};
 pub use settings::{Setting, SettingInfo, SettingRefused, SettingsChange};
 pub use timers::Task;
 

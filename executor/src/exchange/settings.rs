@@ -8,16 +8,13 @@ use std::sync::Arc;
 
 use super::modules::{UnknownModule, find};
 use crate::cycle::Stage;
-use crate::module::{Causes, Direction, Host, ModuleCell, ModuleIo, Place, Use, UseEnds};
+use crate::module::{Causes, Direction, Host, ModuleCell, ModuleIo, Place, SETTINGS, Use, UseEnds};
 use crate::threads::{ReceiptSender, receipt};
 use crate::topics::Report;
 use crate::{
     Context, Core, CoreHandle, Mechanism, Module, ModuleChange, ModuleId, Port, Receipt, SettingType,
     SettingValue, Setup, SetupError, Step, SyncPhase, Time, Version,
 };
-
-/// The number of this mechanism.
-const SETTINGS: usize = 2;
 
 /// Gives settings the values that were asked for, in the order in which they were asked for: by other threads before by
 /// modules.

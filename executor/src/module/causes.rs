@@ -1,5 +1,20 @@
 //! Why a module runs, and of which mechanisms it has asked something: sets of small numbers.
 
+// The numbers of the core's mechanisms, in the order of the sync phase; those of users follow.
+
+/// Adds, removes and pauses modules, and learns of their panics.
+pub(crate) const MODULES: usize = 0;
+/// Runs work beside the cycle.
+pub(crate) const JOBS: usize = 1;
+/// Named values of modules.
+pub(crate) const SETTINGS: usize = 2;
+/// Topics. Modules have its port, and see its view, in fields of their own, because they use them most.
+pub(crate) const MESSAGES: usize = 3;
+/// Requests and responses.
+pub(crate) const SERVICES: usize = 4;
+/// Timers and tasks.
+pub(crate) const TIMERS: usize = 5;
+
 /// The kinds of callbacks for which a module runs, in the order in which a run calls them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Causes(u16);

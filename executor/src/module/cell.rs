@@ -6,17 +6,12 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use super::behaviour::Behaviour;
-use super::causes::{Asked, Causes};
+use super::causes::{Asked, Causes, MODULES, TIMERS};
 use super::link::Delivery;
 use super::port::{ModuleChange, ModuleIo, Port, Views};
 use crate::observe::{Badge, ModuleMeter, Span};
 use crate::threads::{ReceiptSender, Watch, end_of};
 use crate::{Context, LifeStep, LifecycleState, Role, SettingValue, Time, Transition, TransitionRefused};
-
-/// The mechanism that keeps the modules and has to know of panics; the core's first.
-pub(crate) const MODULES: usize = 0;
-/// The mechanism that has modules run at a time; the core's last.
-pub(crate) const TIMERS: usize = 5;
 
 pub(crate) struct ModuleCell {
     pub(crate) io: ModuleIo,

@@ -13,8 +13,8 @@ mod setting_value;
 mod setup;
 
 pub(crate) use behaviour::{Behaviour, ModuleBehaviour};
-pub(crate) use causes::{Asked, Causes};
-pub(crate) use cell::{Hold, Input, MODULES, ModuleCell, TIMERS};
+pub(crate) use causes::{Asked, Causes, JOBS, MESSAGES, MODULES, SERVICES, SETTINGS, TIMERS};
+pub(crate) use cell::{Hold, Input, ModuleCell};
 pub use context::Context;
 pub use id::ModuleId;
 pub(crate) use id::{Direction, Place, Use, UseEnds};
@@ -23,8 +23,8 @@ pub use lifecycle::{
 };
 pub(crate) use link::{Delivery, Link, Post, StepOutcome, TopicInput};
 pub use options::{Inbox, ModuleOptions, Restart, Role, Synchrony};
-pub(crate) use port::{MESSAGES, ModuleIo, Views};
 pub use port::{ModuleChange, Port};
+pub(crate) use port::{ModuleIo, Views};
 pub use setting_value::{SettingType, SettingValue};
 pub use setup::Setup;
 pub(crate) use setup::{Given, Host, Offer};

@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::sync::Arc;
 
-use super::causes::Asked;
+use super::causes::{Asked, MESSAGES};
 use super::link::Link;
 use crate::threads::drop_guarded;
 use crate::topics::{Outboxes, Topics};
@@ -55,10 +55,6 @@ impl<T: Send + 'static> Port for Vec<T> {
         false
     }
 }
-
-/// The number of the mechanism of messages. Modules have its ports, and see its view, in places of their own, for they use
-/// them more often than all others.
-pub(crate) const MESSAGES: usize = 3;
 
 /// What a module owns beside its state.
 pub(crate) struct ModuleIo {

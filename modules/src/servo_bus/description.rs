@@ -265,7 +265,9 @@ impl Parser<'_> {
             1 => 1.0,
             -1 => -1.0,
             other => {
-                return Err(error(format!("has the sign {other}: 1, or -1 if the servo turns the other way")));
+                return Err(error(format!(
+                    "has the sign {other}: 1, or -1 if the servo turns the other way"
+                )));
             }
         };
         let gear = entry.gear.unwrap_or(1.0);

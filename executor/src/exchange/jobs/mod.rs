@@ -11,14 +11,11 @@ use std::sync::Arc;
 use workers::Workers;
 
 use super::events::{ModuleEventKind, note_event_of};
-use crate::module::{Causes, Link};
+use crate::module::{Causes, JOBS, Link};
 use crate::{
     Context, Core, CoreHandle, Mechanism, Module, ModuleChange, ModuleId, Port, Setup, Step, SyncPhase,
     Version,
 };
-
-/// The number of this mechanism.
-const JOBS: usize = 1;
 
 /// Starts the work that modules asked for, and brings its results: in the order in which the work ended, before the
 /// messages of the cycle.

@@ -4,11 +4,11 @@ use std::any::Any;
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::Services;
 use super::call::{CallError, Reply, ReplyTo};
 use super::server::{AnyReply, Incoming};
-use super::{SERVICES, Services};
 use crate::Time;
-use crate::module::Link;
+use crate::module::{Link, SERVICES};
 use crate::threads::end_of;
 
 /// Calls a service from a thread outside the executor; from [`Core::caller`](crate::Core::caller).

@@ -27,15 +27,12 @@ pub use stand_in::StandIn;
 
 use super::events::{CallOrigin, ModuleEvent, ModuleEventKind, hears_events, note_event};
 use crate::cycle::CoreLife;
-use crate::module::{Asked, Causes, Direction, Host, ModuleCell, Place, TIMERS, Use, UseEnds};
+use crate::module::{Asked, Causes, Direction, Host, ModuleCell, Place, SERVICES, TIMERS, Use, UseEnds};
 use crate::threads::drop_guarded;
 use crate::{
     Context, Core, Mechanism, Module, ModuleChange, ModuleId, Port, Setup, SetupError, Step, SyncPhase, Time,
     Version,
 };
-
-/// The number of this mechanism.
-pub(crate) const SERVICES: usize = 4;
 
 /// Requests from outside the cycle come first, in the order in which they came; then those of detached modules, in the
 /// order in which these ran; then those of the modules, in the order of registration. Answers follow in the same order.

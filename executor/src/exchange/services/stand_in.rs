@@ -3,9 +3,10 @@
 use std::marker::PhantomData;
 use std::sync::Arc;
 
+use super::Services;
 use super::call::{CallError, CallId, Reply, ReplyTo};
-use super::{SERVICES, Services};
 use crate::CoreHandle;
+use crate::module::SERVICES;
 
 /// Answers calls of modules in place of the server, from any thread; from [`Core::stand_in`](crate::Core::stand_in). A replay gives the
 /// recorded answers by it.
