@@ -145,6 +145,9 @@ pub(crate) struct RunArguments {
     /// Stop after this time: 500ms, 10s, 5m, 1h.
     #[arg(long, value_parser = duration, value_name = "TIME")]
     pub(crate) duration: Option<Duration>,
+    /// Run in simulated time, as fast as it can be computed; --duration is in that time. For robots without hardware.
+    #[arg(long)]
+    pub(crate) fast: bool,
     /// Record the topics of the robot file's [record] into this new rosbag2 directory.
     #[arg(long, value_name = "DIR")]
     pub(crate) record: Option<PathBuf>,

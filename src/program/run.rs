@@ -30,7 +30,12 @@ pub(crate) fn run(
     let stop = Stop::new()?;
     let mut file = arguments.parameters.read_robot(&arguments.robot, catalog, ros)?;
     file.expose.features.engine = arguments.engine.unwrap_or(file.expose.features.engine);
-    let mut robot = WatchedRobot::new(file)?;
+    // In simulated time the core ends by itself.
+    let (mut robot, stop) = if arguments.fast {
+        (WatchedRobot::simulated(file, arguments.duration)?, stop)
+    } else {
+        (WatchedRobot::new(file)?, stop.after(arguments.duration))
+    };
     let options = participant_options(arguments.domain)?;
     robot.prepared.expose(&options, Some(&log.of_node))?;
     if let Some(directory) = &arguments.record {
@@ -38,7 +43,7 @@ pub(crate) fn run(
         arguments.force.make_way(Output::Bag, directory, [])?;
         robot.prepared.record(plan)?;
     }
-    robot.run(&stop.after(arguments.duration), screen)
+    robot.run(&stop, screen)
 }
 
 /// A robot whose state is shown on the screen while it runs.
@@ -53,8 +58,15 @@ const LOG_INTERVAL: Duration = Duration::from_secs(10);
 
 impl WatchedRobot {
     pub(crate) fn new(file: RobotFile) -> anyhow::Result<Self> {
-        let modules: Vec<_> = file.modules.iter().map(|module| module.name.clone()).collect();
-        let mut prepared = PreparedRobot::new(file)?;
+        Self::of(PreparedRobot::new(file)?)
+    }
+
+    fn simulated(file: RobotFile, duration: Option<Duration>) -> anyhow::Result<Self> {
+        Self::of(PreparedRobot::simulated(file, duration)?)
+    }
+
+    fn of(mut prepared: PreparedRobot) -> anyhow::Result<Self> {
+        let modules: Vec<_> = prepared.file().modules.iter().map(|module| module.name.clone()).collect();
         let statistics = Statistics::of(prepared.core().handle(), modules);
         let faults = Faults::watch(prepared.core())?;
         Ok(Self { prepared, statistics, faults })

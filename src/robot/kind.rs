@@ -10,8 +10,8 @@ use downbeat_modules::controllers::diff_drive::DiffDriveController;
 use downbeat_modules::controllers::forward_command::ForwardCommandController;
 use downbeat_modules::controllers::joint_trajectory::JointTrajectoryController;
 use downbeat_modules::darwin_op::DarwinOp;
-use downbeat_modules::darwin_op::bus::{Exchange, RecordedBus, SerialBus};
-use downbeat_modules::darwin_op_emulator::DarwinOpEmulator;
+use downbeat_modules::darwin_op::bus::{Exchange, RecordedBus};
+use downbeat_modules::darwin_op_emulator::{DarwinOpEmulator, MemoryPorts};
 use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_modules::joint_command_mux::JointCommandMux;
 use downbeat_modules::stand_nod_wave::StandNodWave;
@@ -231,11 +231,14 @@ impl ReplayedDevice {
 }
 
 pub(super) fn built_in() -> Vec<Kind> {
-    vec![
+    // Emulators and hardware modules of one catalog meet here.
+    let ports = MemoryPorts::default();
+    let [of_hardware, of_emulator, of_simulator] = [ports.clone(), ports.clone(), ports];
+    let mut kinds = vec![
         Kind::new(
             "darwin_op",
             "the hardware of a Darwin OP: CM-730 and 20 MX-28 servos on a serial port",
-            || DarwinOp::new(Box::new(SerialBus::new())),
+            move || DarwinOp::new(Box::new(of_hardware.bus())),
         )
         .drives_device()
         .detached()
@@ -243,7 +246,7 @@ pub(super) fn built_in() -> Vec<Kind> {
         Kind::new(
             "darwin_op_emulator",
             "an emulated Darwin OP behind a pseudo terminal, with faults on request",
-            DarwinOpEmulator::default,
+            move || DarwinOpEmulator::new(of_emulator.clone()),
         )
         .drives_device()
         .emulated()
@@ -274,7 +277,22 @@ pub(super) fn built_in() -> Vec<Kind> {
             "the action tf2_buffer_server: lookups of transforms, for clients without a transform buffer",
             TransformServer::default,
         ),
-    ]
+    ];
+    kinds.extend(simulator(of_simulator));
+    kinds
+}
+
+/// The Darwin OP in a simulated world, if it is built in.
+#[cfg(feature = "physics")]
+fn simulator(ports: MemoryPorts) -> Option<Kind> {
+    let make = move || downbeat_physics::simulator::DarwinOpSimulator::new(ports.clone());
+    let about = "a Darwin OP in a simulated world: rigid bodies with contacts behind the bytes of its bus";
+    Some(Kind::new("darwin_op_simulator", about, make).drives_device().emulated())
+}
+
+#[cfg(not(feature = "physics"))]
+fn simulator(_ports: MemoryPorts) -> Option<Kind> {
+    None
 }
 
 fn on_recorded_bus(messages: Vec<BusExchange>) -> Result<DarwinOp, String> {

@@ -21,6 +21,7 @@ mod recording;
 use std::io;
 use std::sync::Arc;
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use downbeat_bags::{Recording, RecordingFailed, RecordingSummary, WriterError};
 use downbeat_bridge::clock::{NodeClock, SimTimeError};
@@ -31,14 +32,14 @@ use downbeat_bridge::middleware::{MiddlewareError, OptionsError, ParticipantOpti
 use downbeat_bridge::robot_description::RobotDescriptionError;
 use downbeat_bridge::ros::NodeError;
 use downbeat_bridge::rosout::RosoutError;
-use downbeat_executor::{Core, CoreHandle, RunError, SetupError};
+use downbeat_executor::{Core, CoreHandle, ManualClock, RunError, SetupError, Time};
 
 pub use node::{NodeLog, RobotNode};
 pub use recording::RecordPlan;
 
 use crate::inspect::{ClaimError, InspectionServer, SocketDirectory};
 use crate::recorder::RecorderError;
-use crate::robot::{Robot, RobotFile, RobotFileError};
+use crate::robot::{ClockChoice, Robot, RobotFile, RobotFileError};
 use crate::ros_recorder::ServeError;
 use expose_service::ExposeService;
 use inspected::InspectedRobot;
@@ -113,10 +114,21 @@ pub enum StopError {
     Recording(#[from] RecordingFailed),
 }
 
+/// When robots in simulated time start: not at 0, which is no time in ROS 2.
+pub const SIMULATION_START: Time = Time::from_nanos(1_000_000_000);
+
+/// The time of a robot that does not run by the machine's clock.
+struct SimulatedTime {
+    clock: ManualClock,
+    end: Option<Time>,
+}
+
 /// A robot ready to run.
 pub struct PreparedRobot {
     robot: Robot,
     clock: NodeClock,
+    /// The clock of a robot in simulated time.
+    simulated: Option<SimulatedTime>,
     diagnostics: Option<ProcessDiagnostics>,
     node: Option<RobotNode>,
     recording: Option<RobotRecording>,
@@ -129,9 +141,31 @@ impl PreparedRobot {
     /// If a module cannot be set up as the file says.
     pub fn new(file: RobotFile) -> Result<Self, StartError> {
         let clock = NodeClock::default();
-        let mut core = Core::new().with_clock(clock.clone());
+        Self::on(Core::new().with_clock(clock.clone()), file, clock)
+    }
+
+    /// Builds a core with the modules of the file that runs in simulated time, as fast as it can be computed, from
+    /// [`SIMULATION_START`] for this duration, or until it is stopped. Two runs give the same messages if nothing comes from
+    /// outside. Modules with devices need devices that live in that time, such as the simulated Darwin OP. The time is published
+    /// on `/clock`.
+    ///
+    /// # Errors
+    /// If a module cannot be set up as the file says.
+    pub fn simulated(mut file: RobotFile, duration: Option<Duration>) -> Result<Self, StartError> {
+        if !matches!(file.expose.features.clock, ClockChoice::Publish(_)) {
+            let period = Duration::from_secs_f64(1.0 / downbeat_bridge::clock::DEFAULT_RATE_HZ);
+            file.expose.features.clock = ClockChoice::Publish(period);
+        }
+        let clock = ManualClock::new(SIMULATION_START);
+        let prepared = Self::on(Core::new().with_clock(clock.clone()), file, NodeClock::default())?;
+        let end = duration.map(|duration| SIMULATION_START + duration);
+        Ok(Self { simulated: Some(SimulatedTime { clock, end }), ..prepared })
+    }
+
+    fn on(mut core: Core, file: RobotFile, clock: NodeClock) -> Result<Self, StartError> {
         let diagnostics = add_diagnostics(&mut core, &file)?;
-        Ok(Self { robot: file.build(core)?, clock, diagnostics, node: None, recording: None })
+        let robot = file.build(core)?;
+        Ok(Self { robot, clock, simulated: None, diagnostics, node: None, recording: None })
     }
 
     /// Creates the node with all that the robot file exposes. If `log` is given, the log of the program is published on `/rosout`.
@@ -170,10 +204,13 @@ impl PreparedRobot {
     /// # Errors
     /// If a thread cannot be started.
     pub fn start(self) -> Result<RunningRobot, StartError> {
-        let Self { robot: Robot { file, mut core }, node, recording, .. } = self;
+        let Self { robot: Robot { file, mut core }, simulated, node, recording, .. } = self;
         let handle = core.handle();
         let thread = std::thread::Builder::new().name("core".into());
-        let thread = thread.spawn(move || core.run());
+        let thread = thread.spawn(move || match simulated {
+            None => core.run(),
+            Some(SimulatedTime { clock, end }) => core.run_simulated(&clock, end),
+        });
         let thread = thread.map_err(|source| StartError::Thread { what: "the core", source })?;
         let file = Arc::new(file);
         let inspected = Arc::new(InspectedRobot {

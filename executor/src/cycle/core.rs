@@ -126,6 +126,64 @@ impl Core {
         Ok(())
     }
 
+    /// Runs as [`Core::run`], in simulated time: `clock`, which is the core's, stands still while modules run, and is then set to
+    /// the time of the next event, so that time passes as fast as the work is done. The same input gives the same run. Ends before
+    /// the first event at or after `end`.
+    ///
+    /// ```
+    /// use std::time::Duration;
+    /// use downbeat_executor::{Clock, Core, ManualClock, Module, Setup, SetupError, Time};
+    ///
+    /// struct Hourly;
+    ///
+    /// impl Module for Hourly {
+    ///     type Ports = ();
+    ///
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         setup.every(Duration::from_secs(3600), |_, _| ())
+    ///     }
+    /// }
+    ///
+    /// let clock = ManualClock::new(Time::ZERO);
+    /// let mut core = Core::new().with_clock(clock.clone());
+    /// core.add("hourly", Hourly)?;
+    /// let day = Time::ZERO + Duration::from_secs(24 * 3600);
+    /// core.run_simulated(&clock, Some(day))?; // Takes no time.
+    /// assert_eq!(clock.now(), day);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// If a thread cannot be started, or the core was stopped before.
+    pub fn run_simulated(&mut self, clock: &crate::ManualClock, end: Option<Time>) -> Result<(), RunError> {
+        while !self.state.link.stop_is_requested() {
+            match &mut self.state.pause {
+                Pause::Paused { steps: 0 } => {
+                    self.attend();
+                    continue;
+                }
+                Pause::Paused { steps } => *steps -= 1,
+                Pause::Running => {}
+            }
+            match self.next_event() {
+                Some(at) if end.is_none_or(|end| at < end) => {
+                    clock.set(at);
+                    self.cycle()?;
+                }
+                Some(_) => break,
+                None => match end {
+                    Some(_) => break,
+                    None => self.parker.park(),
+                },
+            }
+        }
+        if let Some(end) = end {
+            clock.set(end);
+        }
+        self.stop();
+        Ok(())
+    }
+
     /// Runs one cycle at the time the clock shows. The first one starts the modules.
     ///
     /// # Errors

@@ -3,6 +3,7 @@
 //!
 //! - [`SimulatedRobot`] is for tests: a Darwin OP in a world, the bus in memory, any modules, simulated time;
 //! - [`Simulation`] is the body of an emulated robot ([`Body`](downbeat_modules::darwin_op_emulator::Body)) in its world;
+//! - [`simulator::DarwinOpSimulator`] is the module for robot files: emulated devices, ground truth, camera, services;
 //! - [`WorldFile`] describes what is around the robot.
 //!
 //! ```
@@ -27,9 +28,11 @@
 //!
 //! The same options, seed and modules give the same bits, under every launcher. `docs/physics.md` says what is modelled.
 
+pub mod camera;
 mod harness;
 mod model;
 mod simulation;
+pub mod simulator;
 mod world;
 mod world_file;
 

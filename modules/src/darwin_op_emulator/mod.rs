@@ -42,7 +42,7 @@ mod standing;
 
 pub use crate::servo_emulator::{
     Body, Emulator, EmulatorError, EmulatorOptions, Fault, FaultKind, FaultParseError, FootForces, ImuMotion,
-    JointMotion, MemoryBus, Rate, ServoCommand, Timing,
+    JointMotion, MemoryBus, MemoryPorts, NameInUse, PortBus, Rate, ServoCommand, Timing,
 };
 pub use board::Button;
 pub use module::DarwinOpEmulator;

@@ -1,17 +1,26 @@
 //! The emulator as a module of the robot whose hardware it emulates.
 
-use super::{Emulator, EmulatorOptions, Fault, Timing};
+use super::{Emulator, EmulatorOptions, Fault, MemoryPorts, Timing};
 use downbeat_executor::{Context, Module, Setup, SetupError, TransitionError};
 use std::path::PathBuf;
 
 /// Runs an [`Emulator`] as long as the robot runs, so that the hardware module finds a port.
 ///
-/// Settings: `link`, the path of the port; `seed`; `faults`, each in the textual form of [`Fault`]. It has no
-/// topics: everything goes through the port. Leave it out of replays.
+/// Settings: `link`, the path of the port, or `memory:NAME` for a port in memory, which exists from the setup on; `seed`;
+/// `faults`, each in the textual form of [`Fault`]. It has no topics: everything goes through the port. Leave it out of replays.
 #[derive(Default)]
 pub struct DarwinOpEmulator {
+    ports: MemoryPorts,
     options: EmulatorOptions,
     emulator: Option<Emulator>,
+}
+
+impl DarwinOpEmulator {
+    /// An emulator that can be among these ports in memory.
+    #[must_use]
+    pub fn new(ports: MemoryPorts) -> Self {
+        Self { ports, ..Self::default() }
+    }
 }
 
 impl Module for DarwinOpEmulator {
@@ -21,7 +30,7 @@ impl Module for DarwinOpEmulator {
         let link = setup.setting(
             "link",
             "/tmp/downbeat_darwin_op_emulated".to_owned(),
-            "path of the port; the hardware module's setting \"port\" is the same",
+            "path of the port, or memory:NAME; the hardware module's setting \"port\" is the same",
         )?;
         let seed = setup.setting("seed", 1_i64, "same seed, same starting pose, noise and faults")?;
         let faults = setup.setting(
@@ -31,28 +40,47 @@ impl Module for DarwinOpEmulator {
         )?;
         let texts = setup.value(faults).map_or(&[][..], Vec::as_slice);
         let parsed: Result<Vec<Fault>, _> = texts.iter().map(|text| text.parse::<Fault>()).collect();
+        let port = setup.value(link).cloned().unwrap_or_default();
+        let is_memory = MemoryPorts::is_memory(&port);
         self.options = EmulatorOptions {
-            link: setup.value(link).map(PathBuf::from),
+            link: Some(PathBuf::from(&port)),
             // Negative seeds are valid.
             seed: setup.value(seed).map_or(0, |seed| seed.cast_unsigned()),
-            timing: Timing::Measured,
+            timing: if is_memory { Timing::Stepped } else { Timing::Measured },
             faults: parsed.map_err(|error| setup.refuse_value(faults, error.to_string()))?,
         };
+        if is_memory {
+            let emulator = Emulator::in_memory(&self.options, None);
+            let offered = self.ports.offer(&port, &emulator);
+            offered.map_err(|error| setup.refuse_value(link, error.to_string()))?;
+            self.emulator = Some(emulator);
+        }
         Ok(())
     }
 
     fn activate(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
-        self.emulator = Some(Emulator::start(self.options.clone())?);
+        if self.options.timing == Timing::Measured {
+            self.emulator = Some(Emulator::start(self.options.clone())?);
+        }
         Ok(())
     }
 
     fn deactivate(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
-        self.emulator = None;
+        self.close();
         Ok(())
     }
 
     fn shutdown(&mut self, _ctx: &mut Context<'_>) {
-        self.emulator = None;
+        self.close();
+    }
+}
+
+impl DarwinOpEmulator {
+    /// A port in memory stays: it is no more than the robot itself.
+    fn close(&mut self) {
+        if self.options.timing == Timing::Measured {
+            self.emulator = None;
+        }
     }
 }
 

@@ -148,6 +148,10 @@ impl Emulator {
         MemoryBus::new(Arc::clone(&self.shared))
     }
 
+    pub(super) fn shared(&self) -> &Arc<Shared> {
+        &self.shared
+    }
+
     /// Begins a step at this time of the owner of the bus, as its [`MemoryBus`] does: the one that comes first with a later time
     /// advances the robot. With another timing than [`Timing::Stepped`] only what others ask of the body takes effect.
     pub fn begin_step(&self, now: Time) {

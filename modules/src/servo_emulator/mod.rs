@@ -14,7 +14,7 @@ pub(crate) use devices::{Device, answer};
 pub(crate) use emulator::Devices;
 pub use emulator::{Emulator, EmulatorError, EmulatorOptions};
 pub use fault::{Fault, FaultKind, FaultParseError, Rate};
-pub use memory::MemoryBus;
+pub use memory::{MemoryBus, MemoryPorts, NameInUse, PortBus};
 pub(crate) use random::Random;
 pub(crate) use wire::Answer;
 pub use wire::Timing;

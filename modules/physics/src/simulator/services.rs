@@ -1,0 +1,409 @@
+//! The services and the action of simulation_interfaces, which tools of any simulator use.
+//!
+//! What a request changes takes effect with the next step of the hardware module, at most 8 ms later. While the simulation is
+//! paused or stopped the world stands still, but the modules of the robot and their time do not.
+//!
+//! # References
+//! `ros-simulation/simulation_interfaces` 2.1.0.
+
+use super::{DarwinOpSimulator, Ports, WORLD, header, isometry, pose_message, twist_message};
+use crate::simulation::{Request, RunState, Snapshot};
+use crate::world::{ENGINE, Motion};
+use downbeat_actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
+use downbeat_executor::{Context, Responder, Setup, SetupError, Time};
+use downbeat_msgs::simulation_interfaces::action::{
+    SimulateSteps, SimulateStepsFeedback, SimulateStepsResult,
+};
+use downbeat_msgs::simulation_interfaces::msg::{
+    EntityCategory, EntityFilters, EntityInfo, EntityState, Result as Outcome, SimulationState,
+    SimulatorFeatures,
+};
+use downbeat_msgs::simulation_interfaces::srv::{
+    GetEntitiesRequest, GetEntitiesResponse, GetEntitiesStatesRequest, GetEntitiesStatesResponse,
+    GetEntityInfoRequest, GetEntityInfoResponse, GetEntityStateRequest, GetEntityStateResponse,
+    GetSimulationStateRequest, GetSimulationStateResponse, GetSimulatorFeaturesRequest,
+    GetSimulatorFeaturesResponse, ResetSimulationRequest, ResetSimulationResponse, SetEntityStateRequest,
+    SetEntityStateResponse, SetSimulationStateRequest, SetSimulationStateResponse, StepSimulationRequest,
+    StepSimulationResponse,
+};
+use regex_lite::Regex;
+use std::time::Duration;
+
+/// Requests that are not answered at once.
+#[derive(Default)]
+pub(super) struct Services {
+    /// What was asked for last.
+    run: Option<RunState>,
+    steps: Vec<(Responder<StepSimulationRequest, StepSimulationResponse>, Time)>,
+    goal: Option<(GoalId, Time, u64)>,
+    action: ActionServer<SimulateSteps>,
+}
+
+/// The most steps of one request: more than an hour of simulated time.
+const MOST_STEPS: u64 = 1_000_000;
+/// The longest regular expression.
+const LONGEST_FILTER: usize = 1000;
+/// How often it is checked whether steps are done.
+const CHECK: Duration = Duration::from_millis(20);
+
+pub(super) fn declare(
+    setup: &mut Setup<'_, DarwinOpSimulator>,
+    services: &mut Services,
+) -> Result<(), SetupError> {
+    setup
+        .serve("simulator/get_simulator_features", |_, _: &GetSimulatorFeaturesRequest, _| Ok(features()))?;
+    setup.serve("simulator/get_simulation_state", DarwinOpSimulator::get_state)?;
+    setup.serve("simulator/set_simulation_state", DarwinOpSimulator::set_state)?;
+    setup.serve("simulator/reset_simulation", DarwinOpSimulator::reset)?;
+    setup.serve_later("simulator/step_simulation", DarwinOpSimulator::step)?;
+    setup.serve("simulator/get_entities", DarwinOpSimulator::get_entities)?;
+    setup.serve("simulator/get_entities_states", DarwinOpSimulator::get_entities_states)?;
+    setup.serve("simulator/get_entity_info", DarwinOpSimulator::get_entity_info)?;
+    setup.serve("simulator/get_entity_state", DarwinOpSimulator::get_entity_state)?;
+    setup.serve("simulator/set_entity_state", DarwinOpSimulator::set_entity_state)?;
+    ActionServer::builder(|module: &mut DarwinOpSimulator| &mut module.services.action)
+        .on_goal(|module, _, goal, _| match module.run_state() {
+            RunState::Paused if goal.steps <= MOST_STEPS && module.services.goal.is_none() => {
+                GoalResponse::AcceptAndExecute
+            }
+            _ => GoalResponse::Reject,
+        })
+        .on_accepted(DarwinOpSimulator::begin_goal)
+        .on_cancel(|_, _, _| CancelResponse::Reject)
+        .declare(setup, "simulator/simulate_steps", &mut services.action)?;
+    setup.every(CHECK, DarwinOpSimulator::finish_steps)
+}
+
+fn features() -> GetSimulatorFeaturesResponse {
+    let features = vec![
+        SimulatorFeatures::ENTITY_CATEGORIES,
+        SimulatorFeatures::ENTITY_STATE_GETTING,
+        SimulatorFeatures::ENTITY_STATE_SETTING,
+        SimulatorFeatures::ENTITY_INFO_GETTING,
+        SimulatorFeatures::SIMULATION_RESET,
+        SimulatorFeatures::SIMULATION_RESET_STATE,
+        SimulatorFeatures::SIMULATION_STATE_GETTING,
+        SimulatorFeatures::SIMULATION_STATE_SETTING,
+        SimulatorFeatures::SIMULATION_STATE_PAUSE,
+        SimulatorFeatures::STEP_SIMULATION_SINGLE,
+        SimulatorFeatures::STEP_SIMULATION_MULTIPLE,
+        SimulatorFeatures::STEP_SIMULATION_ACTION,
+    ];
+    let features = SimulatorFeatures {
+        features: features.into_iter().map(u16::from).collect(),
+        spawn_formats: Vec::new(),
+        custom_info: format!("downbeat-physics, {ENGINE}"),
+    };
+    GetSimulatorFeaturesResponse { features }
+}
+
+fn ok() -> Outcome {
+    Outcome { result: Outcome::RESULT_OK, error_message: String::new() }
+}
+
+fn failed(result: u8, error_message: impl Into<String>) -> Outcome {
+    Outcome { result, error_message: error_message.into() }
+}
+
+impl DarwinOpSimulator {
+    /// What time does after all that was asked for.
+    fn run_state(&self) -> RunState {
+        self.services.run.unwrap_or(RunState::Playing)
+    }
+
+    fn ask(&self, request: Request) -> Outcome {
+        let is_taken = self.parts.as_ref().is_some_and(|parts| parts.simulation.request(request));
+        if is_taken {
+            ok()
+        } else {
+            failed(Outcome::RESULT_OPERATION_FAILED, "too many requests wait; try again")
+        }
+    }
+
+    fn snapshot(&self, now: Time) -> Option<Snapshot> {
+        self.begin(now).map(|parts| parts.simulation.snapshot())
+    }
+
+    fn get_state(
+        &mut self,
+        _: &GetSimulationStateRequest,
+        _: &mut Context<'_, Ports>,
+    ) -> Result<GetSimulationStateResponse, String> {
+        let state = match self.run_state() {
+            RunState::Playing => SimulationState::STATE_PLAYING,
+            RunState::Paused => SimulationState::STATE_PAUSED,
+            RunState::Stopped => SimulationState::STATE_STOPPED,
+        };
+        Ok(GetSimulationStateResponse { state: SimulationState { state }, result: ok() })
+    }
+
+    fn set_state(
+        &mut self,
+        request: &SetSimulationStateRequest,
+        ctx: &mut Context<'_, Ports>,
+    ) -> Result<SetSimulationStateResponse, String> {
+        self.begin(ctx.now());
+        let run = match request.state.state {
+            SimulationState::STATE_PLAYING => RunState::Playing,
+            SimulationState::STATE_PAUSED => RunState::Paused,
+            SimulationState::STATE_STOPPED => RunState::Stopped,
+            other => {
+                let found = format!("state {other} cannot be set; there are 0 stopped, 1 playing, 2 paused");
+                return Ok(SetSimulationStateResponse {
+                    result: failed(Outcome::RESULT_FEATURE_UNSUPPORTED, found),
+                });
+            }
+        };
+        if run == self.run_state() {
+            let result = failed(SetSimulationStateResponse::ALREADY_IN_TARGET_STATE, "it is in this state");
+            return Ok(SetSimulationStateResponse { result });
+        }
+        let result = self.ask(Request::Run(run));
+        if result.result == Outcome::RESULT_OK {
+            self.services.run = Some(run);
+        }
+        Ok(SetSimulationStateResponse { result })
+    }
+
+    fn reset(
+        &mut self,
+        request: &ResetSimulationRequest,
+        ctx: &mut Context<'_, Ports>,
+    ) -> Result<ResetSimulationResponse, String> {
+        self.begin(ctx.now());
+        let scope = if request.scope == ResetSimulationRequest::SCOPE_DEFAULT {
+            ResetSimulationRequest::SCOPE_ALL
+        } else {
+            request.scope
+        };
+        let result = if scope & ResetSimulationRequest::SCOPE_STATE != 0 {
+            self.ask(Request::Reset { time: scope & ResetSimulationRequest::SCOPE_TIME != 0 })
+        } else if scope & ResetSimulationRequest::SCOPE_TIME != 0 {
+            failed(
+                Outcome::RESULT_FEATURE_UNSUPPORTED,
+                "time is reset only together with the state; set the scope to 255",
+            )
+        } else {
+            // Nothing was spawned.
+            ok()
+        };
+        Ok(ResetSimulationResponse { result })
+    }
+
+    fn step(
+        &mut self,
+        request: StepSimulationRequest,
+        responder: Responder<StepSimulationRequest, StepSimulationResponse>,
+        ctx: &mut Context<'_, Ports>,
+    ) {
+        self.begin(ctx.now());
+        let result = if self.run_state() != RunState::Paused {
+            failed(Outcome::RESULT_OPERATION_FAILED, "steps are possible only while the simulation is paused")
+        } else if request.steps > MOST_STEPS {
+            failed(
+                Outcome::RESULT_OPERATION_FAILED,
+                format!("at most {MOST_STEPS} steps at once are possible"),
+            )
+        } else {
+            self.ask(Request::Steps(request.steps))
+        };
+        if result.result == Outcome::RESULT_OK {
+            self.services.steps.push((responder, ctx.now()));
+        } else {
+            ctx.reply(responder, Ok(StepSimulationResponse { result }));
+        }
+    }
+
+    fn begin_goal(&mut self, id: GoalId, ctx: &mut Context<'_, Ports>) {
+        self.begin(ctx.now());
+        let steps = self.services.action.goal(id).map_or(0, |goal| goal.goal().steps);
+        self.ask(Request::Steps(steps));
+        self.services.goal = Some((id, ctx.now(), steps));
+    }
+
+    /// Answers requests whose steps are done.
+    fn finish_steps(&mut self, ctx: &mut Context<'_, Ports>) {
+        if self.services.steps.is_empty() && self.services.goal.is_none() {
+            return;
+        }
+        let now = ctx.now();
+        let Some(snapshot) = self.snapshot(now) else { return };
+        // Requests take effect in a later step than that in which they came.
+        let left = if snapshot.run_state == RunState::Paused { snapshot.steps_left } else { 0 };
+        let (done, waiting) = std::mem::take(&mut self.services.steps)
+            .into_iter()
+            .partition(|(_, asked_at)| left == 0 && now > *asked_at);
+        self.services.steps = waiting;
+        for (responder, _) in done {
+            ctx.reply(responder, Ok(StepSimulationResponse { result: ok() }));
+        }
+        let Some((id, asked_at, steps)) = self.services.goal.filter(|(_, asked_at, _)| now > *asked_at)
+        else {
+            return;
+        };
+        let remaining_steps = left.min(steps);
+        let feedback = SimulateStepsFeedback { completed_steps: steps - remaining_steps, remaining_steps };
+        let mut told = self.services.action.publish_feedback(ctx, id, feedback);
+        if left == 0 && now > asked_at {
+            self.services.goal = None;
+            told = told.and(self.services.action.succeed(ctx, id, SimulateStepsResult { result: ok() }));
+        }
+        if let Err(error) = told {
+            tracing::error!("steps were not reported: {error}");
+        }
+    }
+
+    /// Everything in the world: name, category, motion.
+    fn entities(&self, now: Time) -> Vec<(String, u8, Motion)> {
+        let Some((parts, snapshot)) = self.parts.as_ref().zip(self.snapshot(now)) else { return Vec::new() };
+        let robot = (parts.simulation.options().model.name, EntityCategory::CATEGORY_ROBOT, snapshot.robot);
+        let things = snapshot.things.into_iter().map(|(name, can_move, motion)| {
+            let category = match can_move {
+                true => EntityCategory::CATEGORY_DYNAMIC_OBJECT,
+                false => EntityCategory::CATEGORY_STATIC_OBJECT,
+            };
+            (name, category, motion)
+        });
+        std::iter::once(robot).chain(things).collect()
+    }
+
+    fn selected(&self, filters: &EntityFilters, now: Time) -> Result<Vec<(String, u8, Motion)>, Outcome> {
+        if !filters.tags.tags.is_empty() || !filters.bounds.points.is_empty() {
+            return Err(failed(
+                Outcome::RESULT_FEATURE_UNSUPPORTED,
+                "there are no tags and no bounds; filter by name or category",
+            ));
+        }
+        if filters.filter.len() > LONGEST_FILTER {
+            return Err(failed(Outcome::RESULT_OPERATION_FAILED, "the filter is too long"));
+        }
+        let pattern = Regex::new(&filters.filter);
+        let pattern = pattern.map_err(|error| failed(Outcome::RESULT_OPERATION_FAILED, error.to_string()))?;
+        let categories: Vec<u8> = filters.categories.iter().map(|category| category.category).collect();
+        let mut entities = self.entities(now);
+        entities.retain(|(name, category, _)| {
+            pattern.is_match(name) && (categories.is_empty() || categories.contains(category))
+        });
+        Ok(entities)
+    }
+
+    fn get_entities(
+        &mut self,
+        request: &GetEntitiesRequest,
+        ctx: &mut Context<'_, Ports>,
+    ) -> Result<GetEntitiesResponse, String> {
+        Ok(match self.selected(&request.filters, ctx.now()) {
+            Ok(entities) => {
+                let entities = entities.into_iter().map(|(name, ..)| name).collect();
+                GetEntitiesResponse { result: ok(), entities }
+            }
+            Err(result) => GetEntitiesResponse { result, entities: Vec::new() },
+        })
+    }
+
+    fn get_entities_states(
+        &mut self,
+        request: &GetEntitiesStatesRequest,
+        ctx: &mut Context<'_, Ports>,
+    ) -> Result<GetEntitiesStatesResponse, String> {
+        let now = ctx.now();
+        Ok(match self.selected(&request.filters, now) {
+            Ok(found) => {
+                let (entities, states) =
+                    found.into_iter().map(|(name, _, motion)| (name, state(now, &motion))).unzip();
+                GetEntitiesStatesResponse { result: ok(), entities, states }
+            }
+            Err(result) => GetEntitiesStatesResponse { result, ..GetEntitiesStatesResponse::default() },
+        })
+    }
+
+    /// An entity, or why there is none.
+    fn entity(&self, name: &str, now: Time) -> Result<(u8, Motion), Outcome> {
+        let entities = self.entities(now);
+        let found = entities.iter().find(|entity| entity.0 == name);
+        found.map(|(_, category, motion)| (*category, *motion)).ok_or_else(|| {
+            let names: Vec<_> = entities.iter().map(|entity| entity.0.as_str()).collect();
+            failed(
+                Outcome::RESULT_NOT_FOUND,
+                format!("there is no \"{name}\"; there are {}", names.join(", ")),
+            )
+        })
+    }
+
+    fn get_entity_info(
+        &mut self,
+        request: &GetEntityInfoRequest,
+        ctx: &mut Context<'_, Ports>,
+    ) -> Result<GetEntityInfoResponse, String> {
+        Ok(match self.entity(&request.entity, ctx.now()) {
+            Ok((category, _)) => {
+                let info = EntityInfo { category: EntityCategory { category }, ..EntityInfo::default() };
+                GetEntityInfoResponse { result: ok(), info }
+            }
+            Err(result) => GetEntityInfoResponse { result, info: EntityInfo::default() },
+        })
+    }
+
+    fn get_entity_state(
+        &mut self,
+        request: &GetEntityStateRequest,
+        ctx: &mut Context<'_, Ports>,
+    ) -> Result<GetEntityStateResponse, String> {
+        Ok(match self.entity(&request.entity, ctx.now()) {
+            Ok((_, motion)) => GetEntityStateResponse { result: ok(), state: state(ctx.now(), &motion) },
+            Err(result) => GetEntityStateResponse { result, state: EntityState::default() },
+        })
+    }
+
+    fn set_entity_state(
+        &mut self,
+        request: &SetEntityStateRequest,
+        ctx: &mut Context<'_, Ports>,
+    ) -> Result<SetEntityStateResponse, String> {
+        let result = self.try_set_entity_state(request, ctx.now()).unwrap_or_else(|refusal| refusal);
+        Ok(SetEntityStateResponse { result })
+    }
+
+    fn try_set_entity_state(&self, request: &SetEntityStateRequest, now: Time) -> Result<Outcome, Outcome> {
+        let refused = |why: &str| failed(Outcome::RESULT_OPERATION_FAILED, why);
+        let (category, mut motion) = self.entity(&request.entity, now)?;
+        let EntityState { header, pose, twist, .. } = &request.state;
+        if !["", WORLD].contains(&header.frame_id.as_str()) {
+            return Err(refused("only poses in the frame \"world\" are possible"));
+        }
+        if category == EntityCategory::CATEGORY_STATIC_OBJECT {
+            return Err(refused("it is fixed; give it a mass in the world file"));
+        }
+        if request.set_pose {
+            let why = "the quaternion has not norm 1, or the position is beyond 1000 m";
+            motion.world_from_body =
+                isometry(pose).ok_or_else(|| failed(SetEntityStateResponse::INVALID_POSE, why))?;
+        }
+        if request.set_twist {
+            motion.linear = [twist.linear.x, twist.linear.y, twist.linear.z].into();
+            motion.angular = [twist.angular.x, twist.angular.y, twist.angular.z].into();
+            let is_possible = |of: glam::DVec3| of.length() <= 1000.0;
+            if !is_possible(motion.linear) || !is_possible(motion.angular) {
+                return Err(refused("the twist is not finite, or more than 1000"));
+            }
+        }
+        let is_robot = category == EntityCategory::CATEGORY_ROBOT;
+        if is_robot && request.set_twist && (motion.linear.length() > 0.0 || motion.angular.length() > 0.0) {
+            return Err(refused("the velocity of the robot cannot be set; push it"));
+        }
+        if !request.set_pose && !request.set_twist {
+            return Ok(ok());
+        }
+        let thing = (!is_robot).then(|| request.entity.clone());
+        Ok(self.ask(Request::SetMotion { thing, motion }))
+    }
+}
+
+fn state(now: Time, motion: &Motion) -> EntityState {
+    EntityState {
+        header: header(now, WORLD),
+        pose: pose_message(&motion.world_from_body),
+        twist: twist_message(motion.linear, motion.angular),
+        ..EntityState::default()
+    }
+}

@@ -1,0 +1,87 @@
+//! A simulated robot from a robot file.
+#![cfg(feature = "physics")]
+#![allow(clippy::unwrap_used, missing_docs)]
+
+use downbeat::App;
+use downbeat::bags::{Reader, Selection};
+use downbeat::running::{PreparedRobot, RecordPlan};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+const ROBOT: &str = r#"
+[robot]
+name = "darwin_op"
+LAUNCHER
+[[module]]
+name = "simulator"
+kind = "darwin_op_simulator"
+settings = { link = "memory:darwin_op", world = "robots/worlds/field.toml", camera_hz = 5.0 }
+[[module]]
+name = "hardware"
+kind = "darwin_op"
+settings = { port = "memory:darwin_op" }
+remap = { joint_commands = "motion/joint_commands" }
+[[module]]
+name = "motion"
+kind = "stand_nod_wave"
+[expose]
+diagnostics = false
+"#;
+
+/// Topic, time and bytes of each message.
+type Recorded = Vec<(String, i64, Vec<u8>)>;
+
+/// Three simulated seconds, recorded.
+fn run(folder: &Path, launcher: &str) -> Recorded {
+    let (robot, bag) = (folder.join("robot.toml"), folder.join("bag"));
+    std::fs::write(&robot, ROBOT.replace("LAUNCHER", launcher)).unwrap();
+    let file = App::with_built_in_kinds().robot_file(&robot).unwrap();
+    let mut prepared = PreparedRobot::simulated(file, Some(Duration::from_secs(3))).unwrap();
+    let plan = RecordPlan::of_robot(&bag, prepared.file(), None);
+    prepared.record(plan).unwrap();
+    let running = prepared.start().unwrap();
+    let watchdog = Instant::now() + Duration::from_secs(300);
+    while !running.is_finished() {
+        assert!(Instant::now() < watchdog, "three simulated seconds took five minutes");
+        std::thread::yield_now();
+    }
+    running.stop().unwrap();
+    let reader = Reader::open(&bag).unwrap();
+    let names: Vec<String> = reader.topics().iter().map(|topic| topic.info.name.clone()).collect();
+    let messages = reader.messages(Selection::all()).unwrap().map(Result::unwrap);
+    messages
+        .map(|message| (names[message.topic.index()].clone(), message.log_time, message.data.to_vec()))
+        .collect()
+}
+
+#[test]
+fn simulated_time_gives_the_same_bag_under_every_launcher() {
+    let runs = ["", "launcher = \"pool\"\nthreads = 2", "launcher = \"threads\""].map(|launcher| {
+        let folder = tempfile::tempdir().unwrap();
+        run(folder.path(), launcher)
+    });
+    let count = |topic: &str| runs[0].iter().filter(|(name, ..)| name == topic).count();
+    assert!(count("/joint_states") > 250 && count("/imu/data_raw") > 250, "{}", count("/joint_states"));
+    assert_eq!((count("/ground_truth/odom"), count("/camera/image_raw")), (150, 15));
+    for other in &runs[1..] {
+        assert_eq!(runs[0].len(), other.len());
+        let difference = runs[0].iter().zip(other).find(|(one, other)| one != other);
+        assert!(difference.is_none(), "{difference:?}");
+    }
+}
+
+#[test]
+fn a_world_file_is_refused_at_the_line_of_the_setting() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, world) = (folder.path().join("robot.toml"), folder.path().join("world.toml"));
+    std::fs::write(&world, "\n[ball]\nradius = nan\n").unwrap();
+    let text = ROBOT.replace("LAUNCHER", "").replace("robots/worlds/field.toml", world.to_str().unwrap());
+    std::fs::write(&robot, text).unwrap();
+    let file = App::with_built_in_kinds().robot_file(&robot).unwrap();
+    let Err(error) = PreparedRobot::new(file) else { panic!("it was accepted") };
+    let error = error.to_string();
+    assert!(
+        error.contains("robot.toml:8: ") && error.contains("world.toml:2: the radius of the ball is NaN"),
+        "{error}"
+    );
+}
