@@ -4,10 +4,13 @@
 //! - [`darwin_op_emulator`]: an emulated one behind a pseudo terminal;
 //! - [`device`]: for use in modules: devices whose answers are recorded and replayed;
 //! - [`joint_command_mux`]: merges joint commands;
+//! - [`kinematics`]: answers where links are and how joints bring them elsewhere; re-exports the library for it;
+//! - [`robot_state_publisher`]: transforms of all links;
 //! - [`stand_nod_wave`]: a small motion;
 //! - [`transform_server`]: an action that answers transform lookups.
 //!
-//! Building blocks for modules are separate packages without the serial port: [`actions`] and [`transforms`].
+//! Building blocks for modules are separate packages without the serial port: [`actions`], [`kinematics`] and
+//! [`transforms`].
 //!
 //! The page of each module lists its topics and settings; `README.md` has an overview.
 
@@ -16,6 +19,9 @@ pub mod darwin_op;
 pub mod darwin_op_emulator;
 pub mod device;
 pub mod joint_command_mux;
+pub mod kinematics;
+mod robot_description;
+pub mod robot_state_publisher;
 pub mod servo_bus;
 pub mod servo_emulator;
 pub mod stand_nod_wave;

@@ -14,6 +14,8 @@ use downbeat_modules::darwin_op::bus::{Exchange, RecordedBus};
 use downbeat_modules::darwin_op_emulator::{DarwinOpEmulator, MemoryPorts};
 use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_modules::joint_command_mux::JointCommandMux;
+use downbeat_modules::kinematics::Kinematics;
+use downbeat_modules::robot_state_publisher::RobotStatePublisher;
 use downbeat_modules::stand_nod_wave::StandNodWave;
 use downbeat_modules::transform_server::TransformServer;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
@@ -270,6 +272,16 @@ pub(super) fn built_in() -> Vec<Kind> {
             "joint_trajectory",
             "follows trajectories of joints: the action FollowJointTrajectory",
             JointTrajectoryController::default,
+        ),
+        Kind::new(
+            "kinematics",
+            "services for poses of links, inverse kinematics, where the camera looks; the centre of mass",
+            Kinematics::default,
+        ),
+        Kind::new(
+            "robot_state_publisher",
+            "tf, tf_static and robot_description, from a URDF and joint_states",
+            RobotStatePublisher::default,
         ),
         Kind::new("stand_nod_wave", "a small motion: stand up, then nod and wave", StandNodWave::default),
         Kind::new(

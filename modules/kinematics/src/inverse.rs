@@ -42,6 +42,8 @@ pub struct InverseKinematics {
     steps: Vec<Step>,
     /// From the last joint to the tip.
     last_from_tip: Isometry,
+    /// What is brought to a pose: the tip, or a frame in it.
+    tip_from_end: Isometry,
     coordinates: Vec<Coordinate>,
     jacobian: Matrix6xX<f64>,
     current: Vec<f64>,
@@ -143,6 +145,7 @@ impl InverseKinematics {
         let mut chain = Self {
             steps: Vec::new(),
             last_from_tip: Isometry::IDENTITY,
+            tip_from_end: Isometry::IDENTITY,
             coordinates: Vec::new(),
             jacobian: Matrix6xX::zeros(0),
             current: Vec::new(),
@@ -201,6 +204,11 @@ impl InverseKinematics {
         if direction == Direction::Up {
             self.last_from_tip = self.last_from_tip * joint.parent_from_joint.inverse();
         }
+    }
+
+    /// Brings this frame of the tip to the wanted poses from now on, instead of the tip itself.
+    pub fn set_end(&mut self, tip_from_end: Isometry) {
+        self.tip_from_end = tip_from_end;
     }
 
     /// The indices of the positions that it changes.
@@ -299,7 +307,7 @@ impl InverseKinematics {
         for step in &self.steps {
             base_from_next = base_from_next * step.before * step.motion(positions);
         }
-        base_from_next * self.last_from_tip
+        base_from_next * self.last_from_tip * self.tip_from_end
     }
 
     /// The Jacobian at the current positions, in the base, its angles weighted.

@@ -6,11 +6,13 @@
 pub mod darwin_op;
 pub mod description;
 mod inverse;
+mod look_at;
 mod mjcf;
 mod pose;
 
 pub use description::{DescriptionError, Problem, Robot};
 pub use inverse::{Found, InverseKinematics, Search};
+pub use look_at::{Look, LookAt};
 pub use mjcf::{Root, to_mjcf};
 pub use nalgebra;
 pub use pose::{Masses, Pose};

@@ -249,6 +249,18 @@ impl Robot {
         Self::from_urdf(&read_urdf(path.as_ref())?, path.as_ref().display().to_string())
     }
 
+    /// Reads a URDF file, or a text that contains a line break. Returns the text too.
+    ///
+    /// # Errors
+    /// As [`Robot::read`].
+    pub fn load(path_or_text: &str) -> Result<(Self, String), DescriptionError> {
+        let (file, text) = match path_or_text.contains('\n') {
+            true => ("robot_description", path_or_text.to_owned()),
+            false => (path_or_text, read_urdf(Path::new(path_or_text))?),
+        };
+        Ok((Self::from_urdf(&text, file)?, text))
+    }
+
     /// The name of the robot.
     #[must_use]
     pub fn name(&self) -> &str {
@@ -357,6 +369,9 @@ impl Robot {
 }
 
 impl LinkId {
+    /// The root of the robot.
+    pub const ROOT: Self = Self(0);
+
     /// The position in [`Robot::links`].
     #[must_use]
     pub fn index(self) -> usize {
