@@ -15,7 +15,13 @@ const URDF: &str = "<robot name=\"stick\"><link name=\"stick\"/></robot>";
 
 fn run(domain: u16, folder: &Path, expose: &str) -> Running {
     std::fs::write(folder.join("stick.urdf"), URDF).unwrap();
-    let robot = robot_file(folder, |text| text.replace("[expose]", &format!("[expose]\n{expose}")));
+    let module =
+        "[[module]]\nkind = \"robot_state_publisher\"\nsettings = { robot_description = \"stick.urdf\" }";
+    let latched = "{ topic = \"robot_description\", qos = \"latched\" }";
+    let robot = robot_file(folder, |text| {
+        let text = text.replace("[expose]", &format!("{module}\n[expose]\n{expose}"));
+        text.replace("out = [", &format!("out = [{latched},"))
+    });
     let bag = folder.join("bag");
     let domain = domain.to_string();
     Running::start(&["run", robot.to_str().unwrap(), "--domain", &domain, "--record", bag.to_str().unwrap()])
@@ -48,7 +54,7 @@ fn rclpy_receives_diagnostics_and_the_robot_description() {
     let _check = check("Node services", "/diagnostics of the process", With::Rclpy, Way::Out);
     let _check2 = check("Node services", "robot_description", With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
-    let mut robot = run(185, folder.path(), "robot_description = \"stick.urdf\"");
+    let mut robot = run(185, folder.path(), "");
     let kind = "diagnostic_msgs/msg/DiagnosticArray";
     peer.ask(json!({"do": "subscribe", "topic": "/diagnostics", "type": kind}));
     let names = [

@@ -14,7 +14,6 @@ pub mod lifecycle;
 pub mod limiter;
 pub mod middleware;
 pub mod network;
-pub mod robot_description;
 pub mod ros;
 pub mod rosout;
 pub mod worker;

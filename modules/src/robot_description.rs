@@ -11,7 +11,7 @@ pub(crate) struct Description {
 
 /// Declares the setting `robot_description`; `None` if it has no value, for [`NoDescription`] when the module starts.
 pub(crate) fn declare<M: Module>(setup: &mut Setup<'_, M>) -> Result<Option<Description>, SetupError> {
-    let what = "the URDF file, relative to the working directory; or its text";
+    let what = "the URDF file, relative to the robot file; or its text";
     let key: Setting<String> = setup.read_only_setting("robot_description", String::new(), what)?;
     let given = setup.value(key).cloned().unwrap_or_default();
     if given.is_empty() {

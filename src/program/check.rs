@@ -10,7 +10,7 @@ use super::cli::CheckArguments;
 use crate::bridge::edge::{Interfaces, KnownService, KnownType};
 use crate::bridge::expose::ActionExposure;
 use crate::bridge::ros::{NodeName, ServiceName};
-use crate::bridge::{clock, robot_description, rosout};
+use crate::bridge::{clock, rosout};
 use crate::executor::{Core, TopicInfo};
 use crate::recorder::Unrecorded;
 use crate::robot::{Catalog, ClockChoice, ExposedEndpoint, NodeFeatures, Robot, RosArgs};
@@ -183,7 +183,6 @@ struct Features {
     /// How often the time is published.
     #[serde(skip_serializing_if = "Option::is_none")]
     clock_hz: Option<f64>,
-    robot_description: bool,
 }
 
 #[derive(Serialize)]
@@ -234,11 +233,7 @@ impl NodeReport {
             anyhow::Ok(LifecycleReport { module: exposure.module, node })
         });
         Ok(Self {
-            features: Features::of(
-                &file.expose.features,
-                file.is_rosout_disabled,
-                file.robot_description()?.is_some(),
-            ),
+            features: Features::of(&file.expose.features, file.is_rosout_disabled),
             services: offered.collect::<Result<_, _>>()?,
             calls: called.collect::<Result<_, _>>()?,
             parameters: parameters(robot)?,
@@ -248,7 +243,7 @@ impl NodeReport {
 }
 
 impl Features {
-    fn of(features: &NodeFeatures, is_rosout_disabled: bool, has_description: bool) -> Self {
+    fn of(features: &NodeFeatures, is_rosout_disabled: bool) -> Self {
         let (clock, clock_hz) = match features.clock {
             ClockChoice::Own => ("own", None),
             ClockChoice::Publish(period) => ("publish", Some((1e6 / period.as_secs_f64()).round() / 1e6)),
@@ -262,7 +257,6 @@ impl Features {
             network: features.network,
             clock,
             clock_hz,
-            robot_description: has_description,
         }
     }
 }
@@ -317,7 +311,6 @@ impl fmt::Display for Features {
                 self.logger_service,
                 "levels of loggers <-> ~/get_logger_levels, ~/set_logger_levels".to_owned(),
             ),
-            (self.robot_description, format!("robot description -> {}", robot_description::TOPIC)),
             (self.expose_service, "what is exposed <- ~/expose".to_owned()),
             (self.network, "what else is on the network -> topic network of the robot".to_owned()),
         ] {

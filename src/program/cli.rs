@@ -124,6 +124,9 @@ pub(crate) enum Command {
     Lifecycle(LifecycleCommand),
     /// Create your own project: a robot, or with --template a package of messages or a module.
     New(NewArguments),
+    /// Convert robot descriptions.
+    #[command(subcommand)]
+    Description(DescriptionCommand),
     /// Run only an emulated device.
     #[command(subcommand)]
     Emulate(EmulateCommand),
@@ -375,6 +378,19 @@ pub(crate) enum BagCommand {
     /// Draw fields of messages over time, as SVG or PNG.
     #[cfg(feature = "plots")]
     Plot(PlotArguments),
+}
+
+#[derive(Subcommand)]
+pub(crate) enum DescriptionCommand {
+    /// Print a URDF as MJCF, for MuJoCo.
+    Mjcf {
+        /// The URDF file.
+        #[arg(value_name = "FILE.urdf")]
+        urdf: PathBuf,
+        /// The root is fixed to the world, instead of moving freely.
+        #[arg(long)]
+        fixed: bool,
+    },
 }
 
 #[derive(Subcommand)]

@@ -7,6 +7,7 @@ mod bag;
 mod check;
 mod choose;
 pub(crate) mod cli;
+mod description;
 mod emulate;
 mod expose;
 mod graph;
@@ -29,7 +30,7 @@ use clap::CommandFactory;
 
 use crate::App;
 use crate::failure::in_one_line;
-use cli::{BagCommand, Cli, Command, EmulateCommand};
+use cli::{BagCommand, Cli, Command, DescriptionCommand, EmulateCommand};
 use logging::Log;
 use look::Environment;
 use screen::Screen;
@@ -80,6 +81,7 @@ pub(crate) fn main(app: &App) -> ExitCode {
         Command::Action(command) => look::action(&command, &environment),
         Command::Lifecycle(command) => look::lifecycle(&command, &environment),
         Command::New(arguments) => new::new(&arguments),
+        Command::Description(DescriptionCommand::Mjcf { urdf, fixed }) => description::mjcf(&urdf, fixed),
         Command::Emulate(EmulateCommand::DarwinOp { link, seed, fault }) => {
             emulate::darwin_op(link, seed, &fault)
         }

@@ -47,7 +47,6 @@ impl RobotFile {
         robot.parameter_exposure()?;
         robot.lifecycle_exposures()?;
         robot.recorded_topics()?;
-        robot.file.robot_description()?;
         Ok(robot)
     }
 

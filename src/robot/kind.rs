@@ -49,6 +49,7 @@ pub struct Kind {
     is_emulated: bool,
     uses_device: bool,
     synchrony: Synchrony,
+    files: Arc<[String]>,
     replayed: Option<ReplayedDevice>,
     add: Arc<Add>,
 }
@@ -87,6 +88,7 @@ impl Kind {
             is_emulated: false,
             uses_device: false,
             synchrony: Synchrony::WhenDue,
+            files: Arc::default(),
             replayed: None,
             add: Arc::new(move |core, name, options| {
                 let make = Arc::clone(&make);
@@ -124,6 +126,13 @@ impl Kind {
     #[must_use]
     pub fn with_synchrony(self, synchrony: Synchrony) -> Self {
         Self { synchrony, ..self }
+    }
+
+    /// Declares that these settings name files: in a robot file, they are relative to its folder. A text with a line
+    /// break is left as it is, for settings that hold either a file or its content.
+    #[must_use]
+    pub fn with_files(self, settings: &[&str]) -> Self {
+        Self { files: settings.iter().map(|&setting| setting.to_owned()).collect(), ..self }
     }
 
     /// Marks the modules as driving a device: a replay runs them only with recorded answers.
@@ -202,6 +211,11 @@ impl Kind {
         (self.add)(core, name, options)
     }
 
+    /// The settings that name files.
+    pub(crate) fn files(&self) -> &[String] {
+        &self.files
+    }
+
     pub(crate) fn replayed(&self) -> Option<&ReplayedDevice> {
         self.replayed.as_ref()
     }
@@ -277,12 +291,14 @@ pub(super) fn built_in() -> Vec<Kind> {
             "kinematics",
             "services for poses of links, inverse kinematics, where the camera looks; the centre of mass",
             Kinematics::default,
-        ),
+        )
+        .with_files(&["robot_description"]),
         Kind::new(
             "robot_state_publisher",
             "tf, tf_static and robot_description, from a URDF and joint_states",
             RobotStatePublisher::default,
-        ),
+        )
+        .with_files(&["robot_description"]),
         Kind::new("stand_nod_wave", "a small motion: stand up, then nod and wave", StandNodWave::default),
         Kind::new(
             "transform_server",

@@ -29,7 +29,6 @@ use downbeat_bridge::diagnostics::ProcessDiagnostics;
 use downbeat_bridge::expose::ExposeError;
 use downbeat_bridge::lifecycle::LifecycleError;
 use downbeat_bridge::middleware::{MiddlewareError, OptionsError, ParticipantOptions};
-use downbeat_bridge::robot_description::RobotDescriptionError;
 use downbeat_bridge::ros::NodeError;
 use downbeat_bridge::rosout::RosoutError;
 use downbeat_executor::{Core, CoreHandle, ManualClock, RunError, SetupError, Time};
@@ -72,9 +71,6 @@ pub enum StartError {
     /// `/rosout` cannot be published.
     #[error(transparent)]
     Rosout(#[from] RosoutError),
-    /// The robot description cannot be published.
-    #[error(transparent)]
-    RobotDescription(#[from] RobotDescriptionError),
     /// `use_sim_time` cannot be set.
     #[error(transparent)]
     SimTime(#[from] SimTimeError),

@@ -10,7 +10,6 @@ use downbeat_bridge::expose::{
 use downbeat_bridge::lifecycle::{LifecycleExposure, LifecycleNodes, expose_lifecycle};
 use downbeat_bridge::middleware::{Direction, ParticipantOptions};
 use downbeat_bridge::network::NetworkWatch;
-use downbeat_bridge::robot_description::RobotDescription;
 use downbeat_bridge::ros::{Furnishing, Node, NodeError, Participant};
 use downbeat_bridge::rosout::{LoggerLevels, LoggerNames, LoggerServices, Rosout, RosoutPublisher};
 
@@ -34,7 +33,6 @@ pub struct RobotNode {
     // Fields drop in this order.
     bridge: Bridge,
     _sim_time: Option<SimTime>,
-    _description: Option<RobotDescription>,
     /// Dropped before the node, so that the last lines are sent.
     _rosout: Option<RosoutPublisher>,
     _logger_services: Option<LoggerServices>,
@@ -77,8 +75,6 @@ impl RobotNode {
         let rosout_publisher = rosout.map(|rosout| rosout.publish(&node)).transpose()?;
         let levels = log.filter(|_| features.logger_service).map(|log| &log.levels);
         let logger_services = levels.map(|levels| levels.serve(&node)).transpose()?;
-        let urdf = robot.file.robot_description()?;
-        let description = urdf.map(|urdf| RobotDescription::publish(&node, &urdf)).transpose()?;
         if let ClockChoice::Publish(period) = features.clock {
             clock::publish(&mut robot.core, &node, period)?;
         }
@@ -121,7 +117,6 @@ impl RobotNode {
         Ok(Self {
             bridge,
             _sim_time: sim_time,
-            _description: description,
             _rosout: rosout_publisher,
             _logger_services: logger_services,
             _parameters: of_robot,

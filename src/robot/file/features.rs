@@ -6,7 +6,7 @@ use downbeat_bridge::clock;
 use downbeat_bridge::middleware::{Engine, OptionsError};
 
 use super::table::{Table, Value};
-use super::{Located, Result, RobotFile, choice};
+use super::{Result, choice};
 
 /// Further features of the node.
 #[derive(Clone)]
@@ -25,8 +25,6 @@ pub struct NodeFeatures {
     pub diagnostics: bool,
     /// The engine that speaks RTPS.
     pub engine: Engine,
-    /// A URDF file, relative to the robot file, to publish on `robot_description`.
-    pub(crate) robot_description: Option<Located<String>>,
 }
 
 /// The source of time.
@@ -40,9 +38,6 @@ pub enum ClockChoice {
     Follow,
 }
 
-/// The longest robot description in bytes. Typical ones have some hundred kilobytes.
-const LONGEST_DESCRIPTION: u64 = 16 * 1024 * 1024;
-
 impl Default for NodeFeatures {
     /// The features of an rclcpp node, and logger levels that tools can set.
     fn default() -> Self {
@@ -54,7 +49,6 @@ impl Default for NodeFeatures {
             clock: ClockChoice::Own,
             diagnostics: true,
             engine: Engine::default(),
-            robot_description: None,
         }
     }
 }
@@ -63,7 +57,6 @@ impl NodeFeatures {
     /// Takes the keys of the features out of `[expose]`.
     pub(super) fn take(table: &mut Table<'_>) -> Result<Self> {
         let unless_given = Self::default();
-        let description = table.take("robot_description");
         Ok(Self {
             rosout: table.take("rosout").map_or(Ok(unless_given.rosout), |value| value.flag())?,
             logger_service: table
@@ -80,41 +73,7 @@ impl NodeFeatures {
             engine: table.take("engine").map_or(Ok(unless_given.engine), |value| {
                 value.text()?.parse().map_err(|error: OptionsError| value.error(error.to_string()))
             })?,
-            robot_description: description
-                .map(|value| Ok(Located { line: value.line(), value: value.text()?.to_owned() }))
-                .transpose()?,
         })
-    }
-}
-
-impl RobotFile {
-    /// Returns the text of the robot description, if the robot file names one: XML with `robot` as its root
-    /// element.
-    ///
-    /// # Errors
-    /// Returns an error if the description cannot be read or is not of this form, with path and line in the
-    /// robot file, and in the description if it is not XML.
-    pub fn robot_description(&self) -> Result<Option<String>> {
-        let Some(Located { line, value: name }) = &self.expose.features.robot_description else {
-            return Ok(None);
-        };
-        let path = self.path().parent().map_or_else(|| name.into(), |folder| folder.join(name));
-        let refuse = |problem: String| {
-            self.source.error(*line, format!("robot_description {}: {problem}", path.display()))
-        };
-        let length = std::fs::metadata(&path).map_err(|error| refuse(error.to_string()))?.len();
-        if length > LONGEST_DESCRIPTION {
-            return Err(refuse(format!("it has {length} bytes, which is too long for a URDF")));
-        }
-        let text = std::fs::read_to_string(&path).map_err(|error| refuse(error.to_string()))?;
-        let document =
-            roxmltree::Document::parse(&text).map_err(|error| refuse(format!("no XML: {error}")))?;
-        let root = document.root_element().tag_name().name();
-        if root != "robot" {
-            let hint = if text.contains("xacro") { "; expand it with xacro before" } else { "" };
-            return Err(refuse(format!("its root is <{root}>, that of a URDF is <robot>{hint}")));
-        }
-        Ok(Some(text))
     }
 }
 

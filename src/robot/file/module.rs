@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::time::Duration;
 
-use downbeat_executor::{Inbox, LifecycleState, ModuleOptions, Restart, Synchrony, ThreadOptions};
+use downbeat_executor::{
+    Inbox, LifecycleState, ModuleOptions, Restart, SettingValue, Synchrony, ThreadOptions,
+};
 
 use super::table::{Table, Value};
 use super::{Given, Located, Place, RobotFileError, choice, identifier, launcher, suggestion};
@@ -64,9 +66,18 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
     let name_value = table.take("name");
     let line = name_value.map_or(kind_value.line(), |value| value.line());
     let name = name_value.map_or(Ok(kind.name().to_owned()), module_name)?;
-    let settings = entries(table.take("settings"), "settings", |value| {
+    let mut settings = entries(table.take("settings"), "settings", |value| {
         Ok(Given { place: Place::Line(value.line()), value: value.setting()? })
     })?;
+    for name in kind.files() {
+        if let Some(Given { value: SettingValue::Text(file), .. }) = settings.get_mut(name)
+            && !file.is_empty()
+            && !file.contains('\n')
+            && let Some(folder) = value.path().parent()
+        {
+            *file = folder.join(&*file).display().to_string();
+        }
+    }
     let remaps = entries(table.take("remap"), "remap", |value| {
         Ok(Located { line: value.line(), value: value.text()?.to_owned() })
     })?;

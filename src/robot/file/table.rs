@@ -1,6 +1,7 @@
 //! Reading of TOML tables with errors that contain the line.
 
 use std::ops::RangeInclusive;
+use std::path::Path;
 use std::time::Duration;
 
 use toml::Spanned;
@@ -75,6 +76,11 @@ impl<'a> Table<'a> {
 }
 
 impl<'a> Value<'a> {
+    /// The path of the file.
+    pub(crate) fn path(&self) -> &'a Path {
+        self.source.path()
+    }
+
     pub(crate) fn line(&self) -> usize {
         self.source.line_of(&self.value.span())
     }

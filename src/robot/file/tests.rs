@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use downbeat_bags::{Storage, StorageOptions, StoragePreset};
 use downbeat_bridge::middleware::Direction;
-use downbeat_executor::{Idle, Inbox, LifecycleState, Restart, Spin, Synchrony};
+use downbeat_executor::{Idle, Inbox, LifecycleState, Restart, SettingValue, Spin, Synchrony};
 use downbeat_msgs::encoding::Encoding;
 use downbeat_msgs::qos::QosProfile;
 
@@ -119,28 +119,16 @@ fn time_is_the_machines_unless_it_is_published_or_followed() {
 }
 
 #[test]
-fn a_robot_description_is_xml_with_a_robot_at_its_root() {
-    let folder = tempfile::tempdir().unwrap();
-    let description = |text: &str| {
-        std::fs::write(folder.path().join("robot.urdf"), text).unwrap();
-        let robot = format!("{ROBOT}[expose]\nrobot_description = \"robot.urdf\"");
-        let source = Source::new(&folder.path().join("robot.toml"), robot);
-        RobotFile::parse(source, &crate::robot::Catalog::built_in()).unwrap().0.robot_description()
+fn files_in_settings_are_relative_to_the_robot_file() {
+    let module = "[[module]]\nkind = \"robot_state_publisher\"\nsettings = { robot_description = ";
+    let given = |value: &str| {
+        let file = parse(&format!("{ROBOT}{module}{value} }}")).unwrap();
+        let module = file.modules.last().unwrap();
+        module.options().settings["robot_description"].clone()
     };
-    let urdf = "<?xml version=\"1.0\"?><robot name=\"stick\"><link name=\"stick\"/></robot>";
-    assert_eq!(description(urdf).unwrap().unwrap(), urdf);
-    for (wrong, expected) in [
-        ("<robot name=\"stick\">", "no XML: "),
-        ("<sdf/>", "its root is <sdf>, that of a URDF is <robot>"),
-        ("<xacro:macro xmlns:xacro=\"x\"/>", "expand it with xacro before"),
-    ] {
-        let problem = description(wrong).unwrap_err().to_string();
-        assert!(problem.contains("robot.toml:6: ") && problem.contains(expected), "{problem}");
-    }
-    let robot = parse(&format!("{ROBOT}[expose]\nrobot_description = \"no/such.urdf\"")).unwrap();
-    let problem = robot.robot_description().unwrap_err().to_string();
-    assert!(problem.contains("test.toml:6: robot_description robots/no/such.urdf"), "{problem}");
-    assert_eq!(parse(ROBOT).unwrap().robot_description().unwrap(), None);
+    assert_eq!(given("\"stick.urdf\""), SettingValue::Text("robots/stick.urdf".into()));
+    assert_eq!(given("\"/stick.urdf\""), SettingValue::Text("/stick.urdf".into()));
+    assert_eq!(given("\"<robot/>\\n\""), SettingValue::Text("<robot/>\n".into()), "a text");
 }
 
 fn launcher(text: &str) -> LauncherEntry {
