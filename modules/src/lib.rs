@@ -3,7 +3,11 @@
 //! - [`darwin_op`]: the hardware of the humanoid Darwin OP;
 //! - [`darwin_op_emulator`]: an emulated one behind a pseudo terminal;
 //! - [`device`]: for use in modules: devices whose answers are recorded and replayed;
-//! - [`joint_command_mux`]: merges joint commands;
+//! - [`imu_filter`]: orientation from gyroscope and accelerometer;
+//! - [`gait`]: walks with the velocity on `cmd_vel`;
+//! - [`motions`]: plays key-frame motions;
+//! - [`falls`]: detects falls and gets up;
+//! - [`joint_command_mux`]: decides which commands joints get;
 //! - [`kinematics`]: answers where links are and how joints bring them elsewhere; re-exports the library for it;
 //! - [`robot_state_publisher`]: transforms of all links;
 //! - [`stand_nod_wave`]: a small motion;
@@ -18,8 +22,12 @@ pub mod controllers;
 pub mod darwin_op;
 pub mod darwin_op_emulator;
 pub mod device;
+pub mod falls;
+pub mod gait;
+pub mod imu_filter;
 pub mod joint_command_mux;
 pub mod kinematics;
+pub mod motions;
 mod robot_description;
 pub mod robot_state_publisher;
 pub mod servo_bus;
@@ -29,6 +37,8 @@ pub mod transform_server;
 
 pub use downbeat_actions as actions;
 pub use downbeat_transforms as transforms;
+
+mod present_pose;
 
 #[cfg(test)]
 mod testing;

@@ -13,8 +13,12 @@ use downbeat_modules::darwin_op::DarwinOp;
 use downbeat_modules::darwin_op::bus::{Exchange, RecordedBus};
 use downbeat_modules::darwin_op_emulator::{DarwinOpEmulator, MemoryPorts};
 use downbeat_modules::device::{Device, DeviceLink};
+use downbeat_modules::falls::Falls;
+use downbeat_modules::gait::Gait;
+use downbeat_modules::imu_filter::ImuFilter;
 use downbeat_modules::joint_command_mux::JointCommandMux;
 use downbeat_modules::kinematics::Kinematics;
+use downbeat_modules::motions::MotionPlayer;
 use downbeat_modules::robot_state_publisher::RobotStatePublisher;
 use downbeat_modules::stand_nod_wave::StandNodWave;
 use downbeat_modules::transform_server::TransformServer;
@@ -279,7 +283,7 @@ pub(super) fn built_in() -> Vec<Kind> {
         ),
         Kind::new(
             "joint_command_mux",
-            "commands from outside before those of the built-in motion, joint by joint",
+            "which of several commands a joint gets, by the order of their sources",
             JointCommandMux::default,
         ),
         Kind::new(
@@ -299,6 +303,11 @@ pub(super) fn built_in() -> Vec<Kind> {
             RobotStatePublisher::default,
         )
         .with_files(&["robot_description"]),
+        Kind::new("imu_filter", "orientation from gyroscope and accelerometer", ImuFilter::default),
+        Kind::new("gait", "walks with the velocity on cmd_vel, and publishes odometry", Gait::default),
+        Kind::new("motions", "key-frame motions by name: get up, kick, wave", MotionPlayer::default)
+            .with_files(&["file"]),
+        Kind::new("falls", "detects falls, goes limp, and gets up", Falls::default),
         Kind::new("stand_nod_wave", "a small motion: stand up, then nod and wave", StandNodWave::default),
         Kind::new(
             "transform_server",
