@@ -15,7 +15,7 @@ LAUNCHER
 [[module]]
 name = "simulator"
 kind = "darwin_op_simulator"
-settings = { link = "memory:darwin_op", world = "robots/worlds/field.toml", camera_hz = 5.0 }
+settings = { link = "memory:darwin_op", world = "WORLD", camera_hz = 5.0 }
 [[module]]
 name = "hardware"
 kind = "darwin_op"
@@ -34,7 +34,8 @@ type Recorded = Vec<(String, i64, Vec<u8>)>;
 /// Three simulated seconds, recorded.
 fn run(folder: &Path, launcher: &str) -> Recorded {
     let (robot, bag) = (folder.join("robot.toml"), folder.join("bag"));
-    std::fs::write(&robot, ROBOT.replace("LAUNCHER", launcher)).unwrap();
+    let world = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/worlds/field.toml");
+    std::fs::write(&robot, ROBOT.replace("LAUNCHER", launcher).replace("WORLD", world)).unwrap();
     let file = App::with_built_in_kinds().robot_file(&robot).unwrap();
     let mut prepared = PreparedRobot::simulated(file, Some(Duration::from_secs(3))).unwrap();
     let plan = RecordPlan::of_robot(&bag, prepared.file(), None);
@@ -75,7 +76,7 @@ fn a_world_file_is_refused_at_the_line_of_the_setting() {
     let folder = tempfile::tempdir().unwrap();
     let (robot, world) = (folder.path().join("robot.toml"), folder.path().join("world.toml"));
     std::fs::write(&world, "\n[ball]\nradius = nan\n").unwrap();
-    let text = ROBOT.replace("LAUNCHER", "").replace("robots/worlds/field.toml", world.to_str().unwrap());
+    let text = ROBOT.replace("LAUNCHER", "").replace("WORLD", "world.toml");
     std::fs::write(&robot, text).unwrap();
     let file = App::with_built_in_kinds().robot_file(&robot).unwrap();
     let Err(error) = PreparedRobot::new(file) else { panic!("it was accepted") };
@@ -84,4 +85,11 @@ fn a_world_file_is_refused_at_the_line_of_the_setting() {
         error.contains("robot.toml:8: ") && error.contains("world.toml:2: the radius of the ball is NaN"),
         "{error}"
     );
+}
+
+#[test]
+fn the_robot_file_of_the_simulated_darwin_op_is_one() {
+    let file = App::with_built_in_kinds().robot_file("robots/darwin_op_physics.toml").unwrap();
+    assert!(file.is_emulated());
+    PreparedRobot::new(file).unwrap();
 }

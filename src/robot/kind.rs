@@ -324,7 +324,12 @@ pub(super) fn built_in() -> Vec<Kind> {
 fn simulator(ports: MemoryPorts) -> Option<Kind> {
     let make = move || downbeat_physics::simulator::DarwinOpSimulator::new(ports.clone());
     let about = "a Darwin OP in a simulated world: rigid bodies with contacts behind the bytes of its bus";
-    Some(Kind::new("darwin_op_simulator", about, make).drives_device().emulated())
+    Some(
+        Kind::new("darwin_op_simulator", about, make)
+            .drives_device()
+            .emulated()
+            .with_files(&["urdf", "world"]),
+    )
 }
 
 #[cfg(not(feature = "physics"))]
