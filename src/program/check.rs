@@ -18,7 +18,7 @@ use crate::running::add_diagnostics;
 
 pub(crate) fn check(arguments: &CheckArguments, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<()> {
     if arguments.kinds {
-        list_kinds(catalog)?;
+        list_kinds(catalog);
     }
     arguments.robot.as_deref().map_or(Ok(()), |path| check_robot(path, arguments, catalog, ros))
 }
@@ -136,16 +136,20 @@ fn type_name(topic: &TopicInfo, interfaces: &Interfaces) -> &'static str {
     interfaces.message_of(topic.message_type_id).map_or(topic.message_type, KnownType::name)
 }
 
-fn list_kinds(catalog: &Catalog) -> anyhow::Result<()> {
+fn list_kinds(catalog: &Catalog) {
     for kind in catalog.kinds() {
         let mut core = Core::new();
-        kind.add_to(&mut core, kind.name(), kind.options())?;
         println!("{:<20} {}", kind.name(), kind.about());
-        print_settings(&core, kind.name());
-        core.topics().for_each(|topic| print_topic(topic, &catalog.interfaces));
+        match kind.add_to(&mut core, kind.name(), kind.options()) {
+            Ok(()) => {
+                print_settings(&core, kind.name());
+                core.topics().for_each(|topic| print_topic(topic, &catalog.interfaces));
+            }
+            // What it publishes depends on settings that have no default.
+            Err(needed) => println!("    has no module without settings: {needed}"),
+        }
         println!();
     }
-    Ok(())
 }
 
 fn print_settings(core: &Core, module: &str) {
