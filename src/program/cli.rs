@@ -29,6 +29,7 @@ use super::interface::InterfaceCommand;
 use super::look::{ActionCommand, LifecycleCommand, NodeCommand, ParamCommand, ServiceCommand, TopicCommand};
 use super::new::NewArguments;
 use super::new_output::Force;
+use super::servo::ServoCommand;
 
 /// Robot software as small modules in one process, exposed to ROS 2 Jazzy, recorded and replayed.
 ///
@@ -122,6 +123,9 @@ pub(crate) enum Command {
     /// Inspect managed nodes of the ROS 2 network, and trigger transitions.
     #[command(subcommand)]
     Lifecycle(LifecycleCommand),
+    /// Find serial servos, read and write their registers, change ids.
+    #[command(subcommand)]
+    Servo(ServoCommand),
     /// Create your own project: a robot, or with --template a package of messages or a module.
     New(NewArguments),
     /// Convert robot descriptions.
@@ -409,6 +413,24 @@ pub(crate) enum EmulateCommand {
         /// dead-servo:5@3s..6s (servo 5 without power), drop:0.01 (each answer lost with a probability of 1 %),
         /// drop:3x@500ms.. (the next three answers lost), flip:0.001@10s..20s (a bit of a byte of an answer
         /// flipped), close-port@8s..9s (unplugged, and plugged in again).
+        #[arg(long, value_name = "FAULT")]
+        fault: Vec<String>,
+    },
+    /// The servos of a description behind a pseudo terminal, until Ctrl-C.
+    Servos {
+        /// The file that describes them, as for the kind servo_bus.
+        #[arg(value_name = "SERVOS.toml")]
+        description: String,
+        /// The bus, if there are several.
+        #[arg(long, value_name = "NAME", default_value = "")]
+        bus: String,
+        /// Path of the link to the pseudo terminal.
+        #[arg(long, value_name = "PATH")]
+        link: PathBuf,
+        /// Seed of the starting pose and of random faults, for reproducible runs.
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+        /// A fault to emulate, as for darwin_op; may be given more than once.
         #[arg(long, value_name = "FAULT")]
         fault: Vec<String>,
     },

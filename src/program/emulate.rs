@@ -1,25 +1,57 @@
 //! `downbeat emulate`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use crate::modules::darwin_op_emulator::{Emulator, EmulatorOptions, Fault};
+use crate::modules::darwin_op_emulator::{Emulator, EmulatorOptions, Fault, has_servo};
+use crate::modules::servo_bus::Description;
+use crate::modules::servo_bus::protocol::Id;
 use anyhow::Context;
 
 use super::stop::Stop;
 
 pub(crate) fn darwin_op(link: PathBuf, seed: u64, faults: &[String]) -> anyhow::Result<()> {
+    let stop = Stop::new()?;
+    let emulator = Emulator::start(options(&link, seed, faults, has_servo)?)?;
+    tracing::info!("an emulated Darwin OP is at {}", link.display());
+    serve(&stop, emulator);
+    Ok(())
+}
+
+pub(crate) fn servos(
+    description: &str,
+    bus: &str,
+    link: PathBuf,
+    seed: u64,
+    faults: &[String],
+) -> anyhow::Result<()> {
+    let description = Description::load(description)?;
+    let stop = Stop::new()?;
+    let plan = description.bus(bus)?;
+    let has_servo = |id| plan.joints.iter().any(|joint| joint.id == id);
+    let emulator = Emulator::start_servos(plan, options(&link, seed, faults, has_servo)?)?;
+    tracing::info!("the emulated servos of {} are at {}", description.name, link.display());
+    serve(&stop, emulator);
+    Ok(())
+}
+
+fn options(
+    link: &Path,
+    seed: u64,
+    faults: &[String],
+    has_servo: impl Fn(Id) -> bool,
+) -> anyhow::Result<EmulatorOptions> {
+    let parse = |text: &String| text.parse::<Fault>()?.check(&has_servo);
     let faults = faults
         .iter()
-        .map(|text| text.parse::<Fault>().with_context(|| format!("--fault {text}")))
+        .map(|text| parse(text).with_context(|| format!("--fault {text}")))
         .collect::<Result<_, _>>()?;
-    let stop = Stop::new()?;
-    let options = EmulatorOptions { link: Some(link.clone()), seed, faults, ..EmulatorOptions::default() };
-    let emulator = Emulator::start(options)?;
-    tracing::info!("an emulated Darwin OP is at {}", link.display());
+    Ok(EmulatorOptions { link: Some(link.to_owned()), seed, faults, ..EmulatorOptions::default() })
+}
+
+fn serve(stop: &Stop, emulator: Emulator) {
     while !stop.is_due() {
         stop.sleep(Duration::from_secs(1));
     }
     emulator.stop();
-    Ok(())
 }

@@ -18,6 +18,7 @@ mod new;
 mod new_output;
 mod run;
 mod screen;
+mod servo;
 mod statistics;
 mod status;
 mod stop;
@@ -82,6 +83,10 @@ pub(crate) fn main(app: &App) -> ExitCode {
         Command::Lifecycle(command) => look::lifecycle(&command, &environment),
         Command::New(arguments) => new::new(&arguments),
         Command::Description(DescriptionCommand::Mjcf { urdf, fixed }) => description::mjcf(&urdf, fixed),
+        Command::Servo(command) => servo::run(command),
+        Command::Emulate(EmulateCommand::Servos { description, bus, link, seed, fault }) => {
+            emulate::servos(&description, &bus, link, seed, &fault)
+        }
         Command::Emulate(EmulateCommand::DarwinOp { link, seed, fault }) => {
             emulate::darwin_op(link, seed, &fault)
         }

@@ -10,7 +10,6 @@ use downbeat_modules::controllers::diff_drive::DiffDriveController;
 use downbeat_modules::controllers::forward_command::ForwardCommandController;
 use downbeat_modules::controllers::joint_trajectory::JointTrajectoryController;
 use downbeat_modules::darwin_op::DarwinOp;
-use downbeat_modules::darwin_op::bus::{Exchange, RecordedBus};
 use downbeat_modules::darwin_op_emulator::{DarwinOpEmulator, MemoryPorts};
 use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_modules::falls::Falls;
@@ -20,6 +19,9 @@ use downbeat_modules::joint_command_mux::JointCommandMux;
 use downbeat_modules::kinematics::Kinematics;
 use downbeat_modules::motions::MotionPlayer;
 use downbeat_modules::robot_state_publisher::RobotStatePublisher;
+use downbeat_modules::servo_bus::ServoBus;
+use downbeat_modules::servo_bus::bus::{Bus, Exchange, RecordedBus};
+use downbeat_modules::servo_emulator::ServoEmulator;
 use downbeat_modules::stand_nod_wave::StandNodWave;
 use downbeat_modules::transform_server::TransformServer;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
@@ -262,7 +264,7 @@ pub(super) fn built_in() -> Vec<Kind> {
         )
         .drives_device()
         .detached()
-        .replayed_on("bus/exchanges", on_recorded_bus),
+        .replayed_on("bus/exchanges", |messages| Ok(DarwinOp::new(recorded_bus(messages)?))),
         Kind::new(
             "darwin_op_emulator",
             "an emulated Darwin OP behind a pseudo terminal, with faults on request",
@@ -308,6 +310,24 @@ pub(super) fn built_in() -> Vec<Kind> {
         Kind::new("motions", "key-frame motions by name: get up, kick, wave", MotionPlayer::default)
             .with_files(&["file"]),
         Kind::new("falls", "detects falls, goes limp, and gets up", Falls::default),
+        Kind::new(
+            "servo_bus",
+            "the hardware of a robot of serial servos, Dynamixel or Feetech, as a file describes it",
+            ServoBus::serial,
+        )
+        .with_files(&["description"])
+        .drives_device()
+        .detached()
+        .replayed_on("bus/exchanges", |messages| Ok(ServoBus::new(recorded_bus(messages)?))),
+        Kind::new(
+            "servo_emulator",
+            "emulated servos of such a file behind a pseudo terminal, with faults on request",
+            ServoEmulator::default,
+        )
+        .with_files(&["description"])
+        .drives_device()
+        .emulated()
+        .with_synchrony(Synchrony::WhenDue),
         Kind::new("stand_nod_wave", "a small motion: stand up, then nod and wave", StandNodWave::default),
         Kind::new(
             "transform_server",
@@ -337,9 +357,9 @@ fn simulator(_ports: MemoryPorts) -> Option<Kind> {
     None
 }
 
-fn on_recorded_bus(messages: Vec<BusExchange>) -> Result<DarwinOp, String> {
+fn recorded_bus(messages: Vec<BusExchange>) -> Result<Box<dyn Bus>, String> {
     let exchanges =
         messages.into_iter().map(|message| Exchange::try_from(message).map_err(|error| error.to_string()));
     let (bus, _) = RecordedBus::new(exchanges.collect::<Result<Vec<_>, String>>()?);
-    Ok(DarwinOp::new(Box::new(bus)))
+    Ok(Box::new(bus))
 }

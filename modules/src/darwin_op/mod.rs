@@ -9,6 +9,7 @@
 
 pub mod tables;
 
+mod calibration;
 mod module;
 mod settings;
 

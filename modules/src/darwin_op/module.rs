@@ -1,14 +1,16 @@
 //! The hardware module.
 
 use super::bus::{Bus, SerialBus};
-use super::protocol::Id;
+use super::calibration::GyroCalibration;
+use super::protocol::{Id, Protocol, WriteEntry};
 use super::settings::{SettingKeys, Settings};
-use super::tables::units::{ACCELERATION_PER_LSB, volts_from_raw};
+use super::tables::units::{ACCELERATION_PER_LSB, IMU_CENTRE, volts_from_raw};
 use super::tables::{Field, cm730};
-use crate::servo_bus::{Hardware, SLOW, Topics, header};
+use crate::servo_bus::{DevicePlan, Hardware, SLOW, Topics, header};
 use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time, TransitionError};
 use downbeat_msgs::geometry_msgs::msg::Vector3;
 use downbeat_msgs::sensor_msgs::msg::{BatteryState, Imu, JointState, Joy};
+use downbeat_msgs::std_msgs::msg::{ColorRGBA, Float64MultiArray};
 use downbeat_msgs::std_srvs::srv::SetBoolRequest;
 use std::time::Duration;
 
@@ -25,6 +27,8 @@ const GREEN: u16 = 0x1F << 5;
 /// | --- | --- | --- |
 /// | `joint_commands` (in) | `sensor_msgs/JointState` | positions by name, rad; unknown names and values that are not finite are ignored, other values are clamped to the limits |
 /// | `joint_torque` (in) | `sensor_msgs/JointState` | `effort`: the share of its largest torque that a joint may use; 0 switches it off |
+/// | `led/head`, `led/eyes` (in) | `std_msgs/ColorRGBA` | the lights on the head |
+/// | `foot_pressure/right`, `foot_pressure/left` | `std_msgs/Float64MultiArray` | with `foot_sensors`: four forces in N, centre of pressure as a share of half the foot, NaN without load |
 /// | `joint_states` | `sensor_msgs/JointState` | 20 joints in the order of the ids: rad, rad/s, load as a fraction of the drive; stale joints have velocity and effort NaN |
 /// | `imu/data_raw` | `sensor_msgs/Imu` | forward, left, up: rad/s, m/s^2 |
 /// | `battery_state` | `sensor_msgs/BatteryState` | V, once a second |
@@ -40,6 +44,7 @@ pub struct DarwinOp {
     hardware: Hardware,
     /// `None` before the first activation.
     settings: Option<Settings>,
+    calibration: GyroCalibration,
     last: LastPublished,
 }
 
@@ -50,6 +55,8 @@ pub struct Ports {
     imu: Publication<Imu>,
     battery_state: Publication<BatteryState>,
     buttons: Publication<Joy>,
+    /// Right, left.
+    feet: Option<[Publication<Float64MultiArray>; 2]>,
 }
 
 /// When topics that are not published in every cycle were last published.
@@ -70,7 +77,12 @@ impl DarwinOp {
     #[must_use]
     pub fn new(bus: Box<dyn Bus>) -> Self {
         let hardware = Hardware::new(bus, Settings::default().plan(), false);
-        Self { hardware, settings: None, last: LastPublished::default() }
+        Self {
+            hardware,
+            settings: None,
+            calibration: GyroCalibration::default(),
+            last: LastPublished::default(),
+        }
     }
 
     fn read_settings(&mut self, ctx: &mut Context<'_, Ports>) {
@@ -95,14 +107,33 @@ impl DarwinOp {
         self.hardware.on_torque(&command);
     }
 
+    /// Sets the colour of a light on the head.
+    fn light(&mut self, light: &Field, colour: &ColorRGBA) {
+        // Five bits each; what is not a number is dark.
+        let part = |value: f32| (value.clamp(0.0, 1.0) * 31.0).round() as u16;
+        let value = part(colour.r) | part(colour.g) << 5 | part(colour.b) << 10;
+        let (address, data) = (u16::from(light.address), value.to_le_bytes().to_vec());
+        self.hardware.write_later(WriteEntry { id: Id::CM730, address, data });
+    }
+
     fn tick(&mut self, ctx: &mut Context<'_, Ports>) {
         let Some(settings) = &self.settings else { return };
         let topics = ctx.ports.topics;
         if let Some(reading) = self.hardware.step(topics, ctx)
             && let Some(Some(piece)) = reading.devices.first()
-            && let Some(board) = BoardReading::parse(piece)
         {
-            publish(reading.sent, &board, settings, &mut self.last, ctx);
+            for (index, foot) in ctx.ports.feet.into_iter().flatten().enumerate() {
+                if let Some(Some(piece)) = reading.devices.get(index + 1) {
+                    let message = foot_pressure(&self.hardware.plan.devices[index + 1], piece);
+                    ctx.publish(foot, message);
+                }
+            }
+            if let Some(board) = BoardReading::parse(piece) {
+                if settings.calibrate_gyro {
+                    self.calibration.take(board.gyro);
+                }
+                publish(reading.sent, &board, self.calibration.rest(), settings, &mut self.last, ctx);
+            }
         }
         self.hardware.diagnose(topics, ctx);
     }
@@ -120,7 +151,25 @@ impl Module for DarwinOp {
             imu: setup.publish("imu/data_raw")?,
             battery_state: setup.publish("battery_state")?,
             buttons: setup.publish("buttons")?,
+            feet: if settings.foot_sensors(setup) {
+                self.hardware.describe(Settings { foot_sensors: true, ..Settings::default() }.plan());
+                Some([setup.publish("foot_pressure/right")?, setup.publish("foot_pressure/left")?])
+            } else {
+                None
+            },
         };
+        setup.subscribe(
+            "led/head",
+            |module: &mut Self, colour: Received<'_, ColorRGBA>, _: &mut Context<'_, Ports>| {
+                module.light(&cm730::LED_HEAD, &colour);
+            },
+        )?;
+        setup.subscribe(
+            "led/eyes",
+            |module: &mut Self, colour: Received<'_, ColorRGBA>, _: &mut Context<'_, Ports>| {
+                module.light(&cm730::LED_EYE, &colour);
+            },
+        )?;
         setup.subscribe("joint_commands", Self::on_command)?;
         setup.subscribe("joint_torque", Self::on_torque)?;
         setup.serve("torque", |module: &mut Self, request: &SetBoolRequest, _| {
@@ -172,12 +221,13 @@ impl BoardReading {
 fn publish(
     sent: Time,
     board: &BoardReading,
+    gyro_rest: Option<[f64; 3]>,
     settings: &Settings,
     last: &mut LastPublished,
     ctx: &mut Context<'_, Ports>,
 ) {
     let now = ctx.now();
-    ctx.publish(ctx.ports.imu, imu(sent, board, settings));
+    ctx.publish(ctx.ports.imu, imu(sent, board, gyro_rest, settings));
     if last.buttons.is_none_or(|(at, pressed)| at + SLOW <= now || pressed != board.buttons) {
         last.buttons = Some((now, board.buttons));
         ctx.publish(ctx.ports.buttons, buttons(sent, board));
@@ -188,19 +238,40 @@ fn publish(
     }
 }
 
+/// The forces on the four sensors of a foot, in N, and the centre of pressure, as a share of half the foot; NaN without load.
+fn foot_pressure(foot: &DevicePlan, piece: &[u8]) -> Float64MultiArray {
+    let raw = |name: &str| {
+        let register = foot.read.iter().find(|register| register.name == name)?;
+        foot.value(Protocol::Dynamixel1, register, piece)
+    };
+    let force = |name| raw(name).unwrap_or(f64::NAN);
+    let centre =
+        |name| raw(name).filter(|value| *value < 255.0).map_or(f64::NAN, |value| (value - 127.0) / 127.0);
+    let data = vec![
+        force("fsr_1"),
+        force("fsr_2"),
+        force("fsr_3"),
+        force("fsr_4"),
+        centre("fsr_x"),
+        centre("fsr_y"),
+    ];
+    Float64MultiArray { data, ..Float64MultiArray::default() }
+}
+
 /// The capacity of the battery, in Ah.
 const DESIGN_CAPACITY_AH: f32 = 1.0;
 
 /// Angular rate and specific force. The orientation is not measured, as marked by -1.
 ///
 /// The covariances take one step of the 10-bit numbers as standard deviation.
-pub(super) fn imu(sent: Time, board: &BoardReading, settings: &Settings) -> Imu {
+fn imu(sent: Time, board: &BoardReading, gyro_rest: Option<[f64; 3]>, settings: &Settings) -> Imu {
+    let rest = gyro_rest.unwrap_or([f64::from(IMU_CENTRE); 3]);
     let mut orientation_covariance = [0.0; 9];
     orientation_covariance[0] = -1.0;
     Imu {
         header: header(sent, &settings.imu_frame),
         orientation_covariance,
-        angular_velocity: vector(settings.imu.angular_velocity(board.gyro)),
+        angular_velocity: vector(settings.imu.angular_velocity_from(board.gyro, rest)),
         angular_velocity_covariance: diagonal(settings.imu.radians_per_lsb()),
         linear_acceleration: vector(settings.imu.linear_acceleration(board.acceleration)),
         linear_acceleration_covariance: diagonal(ACCELERATION_PER_LSB),

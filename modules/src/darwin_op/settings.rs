@@ -2,9 +2,9 @@
 
 use super::module::CYCLE;
 use super::tables::joints::{COUNT, JOINTS};
-use super::tables::units::{CENTRE_TICKS, ImuScale};
+use super::tables::units::{BoardAxis, BoardRevision, CENTRE_TICKS, ImuScale, ticks_from_radians};
 use crate::servo_bus::bus::LineSettings;
-use crate::servo_bus::models::{self, Model};
+use crate::servo_bus::models::{self, Model, Register};
 use crate::servo_bus::protocol::Id;
 use crate::servo_bus::{BusPlan, DevicePlan, Guard, Joint, PowerSwitch, Registers};
 use downbeat_executor::{Context, Module, Setting, Setup, SetupError};
@@ -20,6 +20,12 @@ pub(super) struct SettingKeys {
     i_gain: Setting<i64>,
     d_gain: Setting<i64>,
     offset_ticks: Setting<Vec<i64>>,
+    board: Setting<String>,
+    gyro_axes: Setting<String>,
+    acceleration_axes: Setting<String>,
+    calibrate_gyro: Setting<bool>,
+    foot_sensors: Setting<bool>,
+    check_eeprom: Setting<bool>,
     hardware_id: Setting<String>,
     imu_frame: Setting<String>,
     joint_frame: Setting<String>,
@@ -33,6 +39,9 @@ pub(super) struct Settings {
     /// D, I, P: the order of the control table.
     pub(super) gains: [u8; 3],
     pub(super) offset_ticks: [i16; COUNT],
+    pub(super) calibrate_gyro: bool,
+    pub(super) foot_sensors: bool,
+    pub(super) check_eeprom: bool,
     pub(super) hardware_id: String,
     pub(super) imu_frame: String,
     pub(super) joint_frame: String,
@@ -52,6 +61,9 @@ impl Default for Settings {
             imu: ImuScale::new(1600.0),
             gains: [0, 0, 32],
             offset_ticks: [0; COUNT],
+            calibrate_gyro: false,
+            foot_sensors: false,
+            check_eeprom: false,
             hardware_id: String::new(),
             imu_frame: String::new(),
             joint_frame: String::new(),
@@ -65,6 +77,10 @@ impl Settings {
         let model = |name| models::find(name).map(Arc::clone);
         // Both are built in.
         let (Some(servo), Some(board)) = (model("MX-28"), model("CM-730")) else { unreachable!() };
+        let mut devices = vec![board_plan(board)];
+        if self.foot_sensors {
+            devices.extend(FEET.map(|(name, id)| foot_plan(name, id)));
+        }
         BusPlan {
             title: "darwin_op".to_owned(),
             name: String::new(),
@@ -73,7 +89,7 @@ impl Settings {
             cycle: CYCLE,
             fast_reads: false,
             joints: self.joints(&servo),
-            devices: vec![board_plan(board)],
+            devices,
             other_joints: Vec::new(),
         }
     }
@@ -94,10 +110,45 @@ impl Settings {
             gains: self.gains.map(|gain| Some(i64::from(gain))),
             max_torque: None,
             max_current_a: None,
+            further: if self.check_eeprom { persistent(model, joint) } else { Vec::new() },
             approach_steps: APPROACH_TICKS,
             guard: Guard::default(),
         };
         JOINTS.iter().zip(self.offset_ticks).map(joint).collect()
+    }
+}
+
+/// The persistent registers of a servo, as the Bold Hearts set them: its limits are those of its joint.
+fn persistent(model: &Model, joint: &super::tables::joints::Joint) -> Vec<(Register, i64)> {
+    let ticks = |angle| i64::from(ticks_from_radians(angle, 0));
+    let values = [
+        ("min_position_limit", ticks(joint.min_rad())),
+        ("max_position_limit", ticks(joint.max_rad())),
+        ("temperature_limit", 80),
+        ("min_voltage_limit", 60),
+        ("max_voltage_limit", 140),
+        ("max_torque", 1023),
+        // Overload and overheating.
+        ("alarm_led", 0x24),
+        ("shutdown", 0x24),
+    ];
+    values.iter().filter_map(|(name, value)| Some((model.register(name)?.clone(), *value))).collect()
+}
+
+/// The feet with force sensors, and their ids.
+pub(super) const FEET: [(&str, u8); 2] = [("right foot", 111), ("left foot", 112)];
+
+/// A foot, of which the forces and their centre are read.
+fn foot_plan(name: &str, id: u8) -> DevicePlan {
+    let (Some(model), Some(id)) = (models::find("FSR"), Id::new(id)) else { unreachable!() };
+    let read = ["fsr_1", "fsr_2", "fsr_3", "fsr_4", "fsr_x", "fsr_y"];
+    DevicePlan {
+        name: name.to_owned(),
+        id,
+        model: Arc::clone(model),
+        read: read.iter().filter_map(|name| model.register(name).cloned()).collect(),
+        power: None,
+        battery: None,
     }
 }
 
@@ -140,6 +191,36 @@ impl SettingKeys {
                 "per joint in the order of the ids, added to goals and taken off positions, to make up for how the \
                  unit was built; 1 tick is 0.088 degrees; empty for none",
             )?,
+            board: setup.read_only_setting(
+                "board",
+                "cm730".to_owned(),
+                "cm730, or cm740 of the OP2, which has another scale and other axes of the IMU",
+            )?,
+            gyro_axes: setup.read_only_setting(
+                "gyro_axes",
+                String::new(),
+                "axes of the board about which the gyroscope turns forward, left and up, such as \"-x -y z\"; empty for those of the board",
+            )?,
+            acceleration_axes: setup.read_only_setting(
+                "acceleration_axes",
+                String::new(),
+                "axes of the board along which the accelerometer measures forward, left and up, such as \"y -x z\"; empty for those of the board",
+            )?,
+            calibrate_gyro: setup.read_only_setting(
+                "calibrate_gyro",
+                false,
+                "whether the gyroscope is calibrated when the robot first stands still for 0.8 s",
+            )?,
+            foot_sensors: setup.read_only_setting(
+                "foot_sensors",
+                false,
+                "whether the feet have force sensors, with the ids 111 and 112",
+            )?,
+            check_eeprom: setup.read_only_setting(
+                "check_eeprom",
+                false,
+                "whether the limits and alarms that servos keep without power are written if they differ",
+            )?,
             hardware_id: setup.setting(
                 "hardware_id",
                 "darwin_op".to_owned(),
@@ -150,7 +231,19 @@ impl SettingKeys {
         };
         let offsets = setup.value(keys.offset_ticks).map_or(&[][..], Vec::as_slice);
         offsets_of(offsets).map_err(|reason| setup.refuse_value(keys.offset_ticks, reason))?;
+        let board = setup.value(keys.board).map_or("", String::as_str);
+        board_of(board).map_err(|reason| setup.refuse_value(keys.board, reason))?;
+        for key in [keys.gyro_axes, keys.acceleration_axes] {
+            let axes = setup.value(key).map_or("", String::as_str);
+            axes_of(axes, BoardRevision::Cm730.gyro_axes())
+                .map_err(|reason| setup.refuse_value(key, reason))?;
+        }
         Ok(keys)
+    }
+
+    /// Whether the feet have force sensors.
+    pub(super) fn foot_sensors<M: Module>(&self, setup: &Setup<'_, M>) -> bool {
+        setup.value(self.foot_sensors).copied().unwrap_or_default()
     }
 
     /// Calls `changed` whenever one of the settings changes.
@@ -176,16 +269,44 @@ impl SettingKeys {
     pub(super) fn values<P>(&self, ctx: &Context<'_, P>) -> Result<Settings, String> {
         // Between 0 and 254 by their range.
         let gain = |key| u8::try_from(*ctx.get(key)).unwrap_or(u8::MAX);
+        let board = board_of(ctx.get::<String>(self.board))?;
+        let gyro = axes_of(ctx.get::<String>(self.gyro_axes), board.gyro_axes())?;
+        let acceleration = axes_of(ctx.get::<String>(self.acceleration_axes), board.acceleration_axes())?;
+        let given = *ctx.get(self.gyro_full_scale_dps);
+        // The default stands for the scale of the board.
+        let is_default = given == BoardRevision::default().gyro_full_scale_dps();
+        let full_scale_dps = if is_default { board.gyro_full_scale_dps() } else { given };
         Ok(Settings {
             port: ctx.get(self.port).clone(),
-            imu: ImuScale::new(*ctx.get(self.gyro_full_scale_dps)),
+            imu: ImuScale::with_axes(full_scale_dps, gyro, acceleration),
             gains: [gain(self.d_gain), gain(self.i_gain), gain(self.p_gain)],
             offset_ticks: offsets_of(ctx.get::<Vec<i64>>(self.offset_ticks))?,
+            calibrate_gyro: *ctx.get(self.calibrate_gyro),
+            foot_sensors: *ctx.get(self.foot_sensors),
+            check_eeprom: *ctx.get(self.check_eeprom),
             hardware_id: ctx.get(self.hardware_id).clone(),
             imu_frame: ctx.get(self.imu_frame).clone(),
             joint_frame: ctx.get(self.joint_frame).clone(),
         })
     }
+}
+
+fn board_of(name: &str) -> Result<BoardRevision, String> {
+    match name {
+        "cm730" => Ok(BoardRevision::Cm730),
+        "cm740" => Ok(BoardRevision::Cm740),
+        other => Err(format!("setting \"board\" is \"{other}\", it must be \"cm730\" or \"cm740\"")),
+    }
+}
+
+fn axes_of(given: &str, of_board: [BoardAxis; 3]) -> Result<[BoardAxis; 3], String> {
+    if given.is_empty() {
+        return Ok(of_board);
+    }
+    let axes: Option<Vec<BoardAxis>> = given.split_whitespace().map(BoardAxis::parse).collect();
+    let refused =
+        || format!("the axes \"{given}\" must be three of x, y, z, -x, -y and -z: forward, left, up");
+    axes.and_then(|axes| axes.try_into().ok()).ok_or_else(refused)
 }
 
 fn offsets_of(given: &[i64]) -> Result<[i16; COUNT], String> {

@@ -48,8 +48,16 @@ pub use board::Button;
 pub use module::DarwinOpEmulator;
 pub use standing::Standing;
 
+use crate::darwin_op::protocol::Id;
+use crate::darwin_op::tables::joints::JOINTS;
 use robot::Robot;
 use std::time::Duration;
+
+/// Returns whether a Darwin OP has a servo with this id.
+#[must_use]
+pub fn has_servo(id: Id) -> bool {
+    JOINTS.iter().any(|joint| joint.id == id)
+}
 
 impl Emulator {
     /// Opens the port of a Darwin OP and starts to serve it.

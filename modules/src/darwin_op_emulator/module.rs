@@ -1,6 +1,6 @@
 //! The emulator as a module of the robot whose hardware it emulates.
 
-use super::{Emulator, EmulatorOptions, Fault, MemoryPorts, Timing};
+use super::{Emulator, EmulatorOptions, Fault, MemoryPorts, Timing, has_servo};
 use downbeat_executor::{Context, Module, Setup, SetupError, TransitionError};
 use std::path::PathBuf;
 
@@ -39,7 +39,8 @@ impl Module for DarwinOpEmulator {
             "what goes wrong, such as dead-servo:5@3s..6s, drop:0.01, flip:0.001, close-port@8s..9s",
         )?;
         let texts = setup.value(faults).map_or(&[][..], Vec::as_slice);
-        let parsed: Result<Vec<Fault>, _> = texts.iter().map(|text| text.parse::<Fault>()).collect();
+        let parsed: Result<Vec<Fault>, _> =
+            texts.iter().map(|text| text.parse::<Fault>()?.check(has_servo)).collect();
         let port = setup.value(link).cloned().unwrap_or_default();
         let is_memory = MemoryPorts::is_memory(&port);
         self.options = EmulatorOptions {

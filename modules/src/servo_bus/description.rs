@@ -24,6 +24,7 @@ use super::joint::{Guard, Joint, Registers};
 use super::models::{self, Model, Register, line_of};
 use super::protocol::{Id, Protocol};
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -330,6 +331,7 @@ impl Parser<'_> {
             gains: [gains.d, gains.i, gains.p],
             max_torque,
             max_current_a,
+            further: self.further(entry, &model)?,
             approach_steps: (registers.goal.steps(approach * cycle.as_secs_f64()) * gear).round().max(1.0)
                 as i64,
             guard,
@@ -347,6 +349,29 @@ impl Parser<'_> {
             }
         }
         Ok((bus, joint))
+    }
+
+    /// The registers that a joint sets, those of `[defaults]` first.
+    fn further(&self, entry: &JointEntry, model: &Model) -> Result<Vec<(Register, i64)>, DescriptionError> {
+        let mut further: Vec<(Register, i64)> = Vec::new();
+        for (name, value) in self.file.defaults.registers.iter().chain(&entry.registers) {
+            let error = |problem| self.source.error(value.span().start, problem);
+            let register = model.register(name).ok_or_else(|| {
+                let near = nearest(name, model.registers.iter().map(|register| &*register.name));
+                error(format!("{} has no register \"{name}\"{near}", model.name))
+            })?;
+            let raw = *value.get_ref();
+            if register.access == models::Access::Read || ["id", "baud_rate"].contains(&&**name) {
+                return Err(error(format!("\"{name}\" cannot be set by a description")));
+            }
+            if !(register.min..=register.max).contains(&raw) {
+                let (min, max) = (register.min, register.max);
+                return Err(error(format!("\"{name}\" of {} takes {min} to {max}, not {raw}", model.name)));
+            }
+            further.retain(|(known, _)| known.name != *name);
+            further.push((register.clone(), raw));
+        }
+        Ok(further)
     }
 
     fn device(
@@ -532,7 +557,7 @@ fn milliseconds(ms: f64) -> Duration {
 }
 
 /// `, did you mean "…"?`, or nothing if no name is similar.
-fn nearest<'a>(found: &str, names: impl Iterator<Item = &'a str>) -> String {
+pub(super) fn nearest<'a>(found: &str, names: impl Iterator<Item = &'a str>) -> String {
     let similarity = |name: &str| strsim::jaro_winkler(&found.to_lowercase(), &name.to_lowercase());
     let best = names.max_by(|one, other| similarity(one).total_cmp(&similarity(other)));
     best.filter(|name| similarity(name) > 0.7)
@@ -577,6 +602,8 @@ struct Defaults {
     max_current_a: Option<f64>,
     approach_rad_s: Option<f64>,
     guard: Option<Guard>,
+    #[serde(default)]
+    registers: BTreeMap<String, Spanned<i64>>,
 }
 
 #[derive(Deserialize)]
@@ -596,6 +623,8 @@ struct JointEntry {
     max_current_a: Option<f64>,
     approach_rad_s: Option<f64>,
     guard: Option<Guard>,
+    #[serde(default)]
+    registers: BTreeMap<String, Spanned<i64>>,
 }
 
 #[derive(Clone, Copy, Default, Deserialize)]

@@ -10,6 +10,7 @@ use super::protocol::{Id, Instruction, Protocol, WriteEntry};
 use super::reading::{Answer, Answered, Reading, Unit, requests, understand};
 use super::servo::{Line, Link, PrepareError, Service, Servo, Trouble, prepare, prepare_device};
 use downbeat_executor::Time;
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// The number of attempts to reach a device before the cycle starts.
@@ -90,6 +91,8 @@ pub(crate) struct Driver {
     pub(crate) last_late_at: Option<Time>,
     /// When a cycle was last late.
     pub(crate) last_late_cycle_at: Option<Time>,
+    /// Writes to devices beside servos, of which one is done in each cycle.
+    pub(crate) to_write: VecDeque<WriteEntry>,
     last_step_at: Option<Time>,
     board_misses: u32,
     port_wait: Duration,
@@ -109,6 +112,7 @@ impl Driver {
             last_timeout_at: None,
             last_late_at: None,
             last_late_cycle_at: None,
+            to_write: VecDeque::new(),
             last_step_at: None,
             board_misses: 0,
             port_wait: RETRY_PORT[0],
@@ -286,6 +290,11 @@ impl Driver {
         let goals = self.goals(plan);
         self.write_all(line, goals)?;
         self.write_all(line, on)?;
+        if let Some(entry) = self.to_write.pop_front()
+            && line.write(entry.id, entry.address, &entry.data) == Err(Trouble::PortFailed)
+        {
+            return Err(PortFailed);
+        }
         let reading = self.read_all(now, plan, line)?;
         self.retry_one(now, plan, line)?;
         Ok(reading)

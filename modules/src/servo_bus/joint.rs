@@ -32,6 +32,8 @@ pub struct Joint {
     pub max_torque: Option<f64>,
     /// The largest current, in A; `None` leaves it as it is in the servo.
     pub max_current_a: Option<f64>,
+    /// Further registers that are set when the servo comes into service, with raw values.
+    pub further: Vec<(Register, i64)>,
     /// How far the goal moves in one cycle while the joint approaches its first command, in raw steps.
     pub approach_steps: i64,
     /// When the joint is protected.
@@ -135,7 +137,7 @@ impl Joint {
     }
 
     /// The nearest raw position to an angle, in or out of reach.
-    pub(super) fn steps(&self, angle_rad: f64) -> i64 {
+    pub(crate) fn steps(&self, angle_rad: f64) -> i64 {
         self.registers.goal.steps(angle_rad * self.sign * self.gear).round() as i64 + self.zero
     }
 

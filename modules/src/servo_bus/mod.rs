@@ -3,7 +3,7 @@
 //! - [`protocol`] and [`models`] define data and its meaning, without input or output;
 //! - [`bus`] accesses the devices: a serial port, or a recording of one;
 //! - [`Description`] says which joints and devices are on which bus;
-//! - [`ServoBus`] is the module.
+//! - [`ServoBus`] is the module; [`ServoPort`] finds and configures single servos.
 //!
 //! It has never been run on hardware, only on the emulated servos of [`servo_emulator`](crate::servo_emulator).
 
@@ -18,11 +18,13 @@ mod joint;
 mod module;
 mod reading;
 mod servo;
+mod tool;
 
 pub use description::{BusPlan, Description, DescriptionError, DevicePlan, PowerSwitch};
 pub use joint::{Guard, Joint, Measurement, Protection, Registers, Thresholds};
 pub use module::ServoBus;
 pub(crate) use module::{Hardware, SLOW, Topics, battery_state, header};
+pub use tool::{Caution, Found, ServoError, ServoPort};
 
 #[cfg(test)]
 mod tests;

@@ -4,7 +4,7 @@ use super::bus::{Bus, Exchange, SerialBus};
 use super::description::{BusPlan, Description};
 use super::diagnostics::{Labels, Levels, levels, report};
 use super::driver::{Counted, Driver};
-use super::protocol::Id;
+use super::protocol::{Id, WriteEntry};
 use super::reading::Reading;
 use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time, TransitionError};
 use downbeat_msgs::builtin_interfaces;
@@ -63,6 +63,19 @@ impl Hardware {
             unknown_names: Counted::default(),
             last_diagnostics: None,
         }
+    }
+
+    /// Drives this robot from now on, which may have other devices. Only before the first step.
+    pub(crate) fn describe(&mut self, plan: BusPlan) {
+        self.driver = Driver::new(plan.joints.len(), plan.devices.len());
+        self.plan = plan;
+    }
+
+    /// Writes to a device beside servos, in one of the next cycles. A write that waits for the same range is replaced.
+    pub(crate) fn write_later(&mut self, entry: WriteEntry) {
+        let waiting = &mut self.driver.to_write;
+        waiting.retain(|other| (other.id, other.address) != (entry.id, entry.address));
+        waiting.push_back(entry);
     }
 
     /// Takes commanded positions: unknown names are logged and counted, values that are not finite are ignored, others are

@@ -346,7 +346,8 @@ pub(crate) fn prepare(
         current.zip(joint.max_current_a).map(|(register, current)| (register, register.from_si(current)));
     let gains = registers.gains.iter().zip(softness.gains);
     let gains = gains.filter_map(|(register, gain)| register.as_ref().zip(gain));
-    let at_start = joint.model.at_start.iter().map(|(register, value)| (register, *value));
+    let at_start =
+        joint.model.at_start.iter().chain(&joint.further).map(|(register, value)| (register, *value));
     let torque_limit = registers.torque_limit.as_ref().zip(softness.torque_limit);
     let (persistent, mut volatile): (Vec<_>, Vec<_>) = at_start
         .chain(gains)

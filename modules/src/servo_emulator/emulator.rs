@@ -24,6 +24,11 @@ pub(crate) trait Devices: Send {
     /// The speed of their bus, in bit/s.
     fn baud(&self) -> u32;
 
+    /// Sets the speed at which the computer sends, in bit/s.
+    fn set_line_speed(&mut self, baud: u32) {
+        let _ = baud;
+    }
+
     /// Advances to this time since the start.
     fn advance_to(&mut self, now: Duration);
 
@@ -300,10 +305,16 @@ pub(super) fn serve(shared: &Shared, options: &EmulatorOptions, terminal: Pseudo
             receiver = Receiver::new(protocol);
             continue;
         };
-        let served = open.receive(&mut buffer, LOOK).and_then(|bytes| {
+        let served = open.receive(&mut buffer, LOOK).and_then(|(bytes, line_speed)| {
             receiver.push(bytes);
             while let Some(packet) = receiver.next_packet() {
-                let bundles = shared.world().answer(&packet);
+                let bundles = {
+                    let mut world = shared.world();
+                    if let Some(baud) = line_speed {
+                        world.devices.set_line_speed(baud);
+                    }
+                    world.answer(&packet)
+                };
                 deliver(shared, options.timing, open, &bundles)?;
             }
             Ok(())

@@ -65,6 +65,19 @@ impl Fault {
     }
 }
 
+impl Fault {
+    /// Checks that a dead servo is one of the robot.
+    ///
+    /// # Errors
+    /// Returns an error with the id of a servo that the robot does not have.
+    pub fn check(self, mut has: impl FnMut(Id) -> bool) -> Result<Self, FaultParseError> {
+        match self.kind {
+            FaultKind::DeadServo(id) if !has(id) => Err(FaultParseError::Servo { found: id.to_string() }),
+            _ => Ok(self),
+        }
+    }
+}
+
 /// Why a text is not a fault.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FaultParseError {
@@ -77,7 +90,7 @@ pub enum FaultParseError {
         found: String,
     },
     /// Not a servo.
-    #[error("no servo has the id {found:?}; ids are 0 to 253, as in dead-servo:5@3s..6s")]
+    #[error("no servo has the id {found:?}; name one of the robot, as in dead-servo:5@3s..6s")]
     Servo {
         /// The given text.
         found: String,
@@ -309,7 +322,7 @@ mod tests {
         let error = |text: &str| text.parse::<Fault>().unwrap_err().to_string();
         assert!(error("dead-serve:5").contains("unknown fault \"dead-serve:5\""));
         assert!(error("close-port:3").contains("unknown fault"));
-        assert!(error("dead-servo:254").contains("ids are 0 to 253"));
+        assert!(error("dead-servo:254").contains("no servo has the id"));
         assert!(error("drop:1.5").contains("\"1.5\" is not a rate"));
         assert!(error("flip:-1x").contains("is not a rate"));
         assert!(error("drop:0.1@3").contains("\"3\" is not a time"));

@@ -174,7 +174,9 @@ impl Bus for MemoryBus {
         self.step = (now, world.now());
     }
 
-    fn set_line(&mut self, _line: LineSettings) {}
+    fn set_line(&mut self, line: LineSettings) {
+        self.shared.world().devices.set_line_speed(line.baud);
+    }
 
     fn open(&mut self, _port: &str) -> Exchange {
         let opened = self.finish(ExchangeKind::Open, self.now(), &[]);

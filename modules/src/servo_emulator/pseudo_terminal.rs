@@ -36,13 +36,18 @@ impl PseudoTerminal {
         &self.path
     }
 
-    /// The next bytes, or none after `timeout`.
-    pub(super) fn receive<'a>(&mut self, buffer: &'a mut [u8], timeout: Duration) -> io::Result<&'a [u8]> {
+    /// The next bytes, or none after `timeout`; and the speed that the peer has set, if it is known.
+    pub(super) fn receive<'a>(
+        &mut self,
+        buffer: &'a mut [u8],
+        timeout: Duration,
+    ) -> io::Result<(&'a [u8], Option<u32>)> {
         self.ours.set_timeout(timeout)?;
         match self.ours.read(buffer) {
-            Ok(count) => Ok(&buffer[..count]),
+            // Both ends have the same settings.
+            Ok(count) => Ok((&buffer[..count], self.ours.baud_rate().ok())),
             Err(error) if matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::Interrupted) => {
-                Ok(&[])
+                Ok((&[], None))
             }
             Err(error) => Err(error),
         }

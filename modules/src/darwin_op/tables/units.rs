@@ -73,20 +73,99 @@ pub fn volts_from_raw(raw: u16) -> f64 {
     f64::from(raw) / 10.0
 }
 
+/// An axis of a board, or the opposite of one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BoardAxis {
+    /// 0 for X, 1 for Y, 2 for Z.
+    pub index: usize,
+    /// Whether it is the opposite.
+    pub is_opposite: bool,
+}
+
+impl BoardAxis {
+    const fn along(index: usize) -> Self {
+        Self { index, is_opposite: false }
+    }
+
+    const fn against(index: usize) -> Self {
+        Self { index, is_opposite: true }
+    }
+
+    /// Parses `x`, `-y` and so on.
+    #[must_use]
+    pub fn parse(text: &str) -> Option<Self> {
+        let (axis, is_opposite) = text.strip_prefix('-').map_or((text, false), |axis| (axis, true));
+        let index = ["x", "y", "z"].iter().position(|known| *known == axis)?;
+        Some(Self { index, is_opposite })
+    }
+
+    fn of(self, values: [f64; 3]) -> f64 {
+        if self.is_opposite { -values[self.index] } else { values[self.index] }
+    }
+}
+
+/// The revision of the board, which determines the scale of its gyroscope and its axes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BoardRevision {
+    /// Of the Darwin OP: axes as in thedancomplex/ros2_cm730.
+    #[default]
+    Cm730,
+    /// Of the OP2: axes as in ROBOTIS' `cm_740_module`. Sources disagree on both.
+    Cm740,
+}
+
+impl BoardRevision {
+    /// The degrees/s that correspond to 512 steps of the gyroscope.
+    #[must_use]
+    pub fn gyro_full_scale_dps(self) -> f64 {
+        match self {
+            Self::Cm730 => 1600.0,
+            Self::Cm740 => 500.5,
+        }
+    }
+
+    /// Forward, left and up of the gyroscope.
+    #[must_use]
+    pub fn gyro_axes(self) -> [BoardAxis; 3] {
+        match self {
+            Self::Cm730 => [BoardAxis::against(0), BoardAxis::against(1), BoardAxis::along(2)],
+            Self::Cm740 => [BoardAxis::along(0), BoardAxis::along(1), BoardAxis::along(2)],
+        }
+    }
+
+    /// Forward, left and up of the accelerometer.
+    #[must_use]
+    pub fn acceleration_axes(self) -> [BoardAxis; 3] {
+        match self {
+            Self::Cm730 => [BoardAxis::along(1), BoardAxis::against(0), BoardAxis::along(2)],
+            Self::Cm740 => [BoardAxis::against(1), BoardAxis::along(0), BoardAxis::against(2)],
+        }
+    }
+}
+
 /// Converts the IMU's numbers to SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuScale {
     /// One step of the gyroscope, in rad/s.
     radians_per_lsb: f64,
+    /// Forward, left, up of the gyroscope and of the accelerometer.
+    axes: [[BoardAxis; 3]; 2],
 }
 
 impl ImuScale {
-    /// For a gyroscope whose 512 steps correspond to `gyro_full_scale_dps` degrees/s.
+    /// For a CM-730 with a gyroscope whose 512 steps correspond to `gyro_full_scale_dps` degrees/s.
     ///
     /// 1600 for the CM-730 (3.125 degrees/s per step), 500.5 for the CM-740 (0.9775); other boards differ.
     #[must_use]
     pub fn new(gyro_full_scale_dps: f64) -> Self {
-        Self { radians_per_lsb: gyro_full_scale_dps / 512.0 * (PI / 180.0) }
+        let board = BoardRevision::Cm730;
+        Self::with_axes(gyro_full_scale_dps, board.gyro_axes(), board.acceleration_axes())
+    }
+
+    /// As [`new`](Self::new), with the axes of the board that point forward, left and up.
+    #[must_use]
+    pub fn with_axes(gyro_full_scale_dps: f64, gyro: [BoardAxis; 3], acceleration: [BoardAxis; 3]) -> Self {
+        Self { radians_per_lsb: gyro_full_scale_dps / 512.0 * (PI / 180.0), axes: [gyro, acceleration] }
     }
 
     /// One step of the gyroscope, in rad/s.
@@ -98,15 +177,21 @@ impl ImuScale {
     /// The angular rate about forward, left and up, in rad/s, from the board's `GYRO_X`, `GYRO_Y`, `GYRO_Z`.
     #[must_use]
     pub fn angular_velocity(&self, gyro: [u16; 3]) -> [f64; 3] {
-        let [x, y, z] = gyro.map(centred);
-        [-x * self.radians_per_lsb, -y * self.radians_per_lsb, z * self.radians_per_lsb]
+        self.angular_velocity_from(gyro, [f64::from(IMU_CENTRE); 3])
+    }
+
+    /// The same with a gyroscope that reads `rest` at rest.
+    #[must_use]
+    pub fn angular_velocity_from(&self, gyro: [u16; 3], rest: [f64; 3]) -> [f64; 3] {
+        let steps = std::array::from_fn(|axis| f64::from(gyro[axis]) - rest[axis]);
+        self.axes[0].map(|axis| axis.of(steps) * self.radians_per_lsb)
     }
 
     /// The specific force forward, left and up, in m/s^2 (9.81 upwards at rest), from `ACC_X`, `ACC_Y`, `ACC_Z`.
     #[must_use]
     pub fn linear_acceleration(&self, acceleration: [u16; 3]) -> [f64; 3] {
-        let [x, y, z] = acceleration.map(centred);
-        [y * ACCELERATION_PER_LSB, -x * ACCELERATION_PER_LSB, z * ACCELERATION_PER_LSB]
+        let steps = acceleration.map(centred);
+        self.axes[1].map(|axis| axis.of(steps) * ACCELERATION_PER_LSB)
     }
 }
 
@@ -152,6 +237,19 @@ mod tests {
     fn the_gyro_scale_is_a_parameter() {
         near(ImuScale::new(1600.0).radians_per_lsb().to_degrees(), 3.125);
         near(ImuScale::new(500.5).angular_velocity([512, 512, 1023])[2].to_degrees(), 511.0 * 500.5 / 512.0);
+    }
+
+    #[test]
+    fn the_axes_of_a_board_are_a_parameter() {
+        let board = BoardRevision::Cm740;
+        let scale =
+            ImuScale::with_axes(board.gyro_full_scale_dps(), board.gyro_axes(), board.acceleration_axes());
+        let [x, y, z] = scale.angular_velocity([513, 513, 513]);
+        assert!(x > 0.0 && y > 0.0 && z > 0.0);
+        assert!(scale.linear_acceleration([512, 640, 384])[0] < 0.0);
+        near(scale.angular_velocity_from([515, 512, 512], [515.0, 512.0, 512.0])[0], 0.0);
+        assert_eq!(BoardAxis::parse("-y"), Some(BoardAxis::against(1)));
+        assert_eq!([BoardAxis::parse("w"), BoardAxis::parse("--x"), BoardAxis::parse("")], [None; 3]);
     }
 
     #[test]

@@ -191,3 +191,81 @@ fn detached_on_a_bus_with_measured_timing_a_joint_arrives() {
     running.join().unwrap().unwrap();
     assert!(has_arrived);
 }
+
+#[test]
+fn a_calibrated_gyroscope_reads_zero_at_rest() {
+    let emulator = emulator();
+    let mut run = Run::on_with(&emulator, &[("calibrate_gyro", true.into())]);
+    run.until_running();
+    run.cycles(110);
+    run.imu.take();
+    run.cycles(200);
+    let rates: Vec<f64> = run.imu.take().iter().map(|imu| imu.angular_velocity.z).collect();
+    let mean = rates.iter().sum::<f64>() / rates.len() as f64;
+    assert!(mean.to_degrees().abs() < 0.5, "{} degrees/s", mean.to_degrees());
+}
+
+#[test]
+fn lights_are_set_by_one_write_each() {
+    let emulator = emulator();
+    let mut run = Run::on(&emulator);
+    let eyes = run.core.inlet("led/eyes").unwrap();
+    run.until_running();
+    run.exchanges.take();
+    let colour = downbeat_msgs::std_msgs::msg::ColorRGBA { r: 1.0, g: 0.5, b: f32::NAN, a: 1.0 };
+    eyes.publish(colour).unwrap();
+    run.cycles(10);
+    let exchanges = run.exchanges.take();
+    let written: Vec<_> = exchanges
+        .iter()
+        .filter(|e| e.instruction.get(4..6) == Some(&[0x03, cm730::LED_EYE.address][..]))
+        .collect();
+    let value = 0x1F | 16 << 5_u16;
+    assert_eq!(written.len(), 1);
+    assert_eq!(written[0].instruction[6..8], u16::to_le_bytes(value));
+}
+
+#[test]
+fn feet_that_do_not_answer_disturb_nobody() {
+    let emulator = emulator();
+    let mut run = Run::on_with(&emulator, &[("foot_sensors", true.into())]);
+    run.until_running();
+    run.cycles(150);
+    assert_eq!(run.health_of("right foot"), (DiagnosticStatus::ERROR, "no answer".into()));
+    assert_eq!(run.health_of("head_tilt"), (DiagnosticStatus::OK, "OK".into()));
+    assert_eq!(run.cycles(100).len(), 100);
+}
+
+#[test]
+fn limits_and_alarms_are_written_if_they_differ() {
+    let emulator = emulator();
+    let writes = |exchange: &BusExchange| {
+        let address = mx28::CW_ANGLE_LIMIT.address;
+        exchange.instruction.get(2..6).is_some_and(|bytes| bytes[0] == 20 && bytes[2..] == [0x03, address])
+    };
+    let mut counts = Vec::new();
+    for _ in 0..2 {
+        let mut run = Run::on_with(&emulator, &[("check_eeprom", true.into())]);
+        run.until_running();
+        run.core.stop();
+        let written: Vec<_> = run.exchanges.take().into_iter().filter(writes).collect();
+        counts.push(written.len());
+        if let Some(written) = written.first() {
+            // -25 degrees.
+            assert_eq!(written.instruction[6..8], (2048_u16 - 284).to_le_bytes());
+        }
+    }
+    assert_eq!(counts, [1, 0]);
+}
+
+#[test]
+fn an_unknown_board_or_axis_is_refused() {
+    let refused = |name: &str, value: SettingValue| {
+        let (mut core, _clock) = core_at_zero();
+        let options =
+            ModuleOptions { settings: [(name.to_owned(), value)].into(), ..ModuleOptions::default() };
+        core.add_with("darwin_op", DarwinOp::serial(), options).err().unwrap().to_string()
+    };
+    assert!(refused("board", "cm750".to_owned().into()).contains("must be \"cm730\" or \"cm740\""));
+    assert!(refused("gyro_axes", "x up".to_owned().into()).contains("forward, left, up"));
+}

@@ -1,1 +1,290 @@
+//! The module with emulated servos, in all protocols.
+#![allow(clippy::unwrap_used)]
 
+mod faults;
+
+use super::*;
+use crate::servo_emulator::{Emulator, EmulatorOptions, Fault, FaultKind, Timing};
+use crate::testing::{Collector, core_at_zero};
+use downbeat_executor::{Core, Inlet, ManualClock, ModuleOptions, SettingValue};
+use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
+use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
+use downbeat_msgs::sensor_msgs::msg::{BatteryState, JointState};
+use downbeat_msgs::std_msgs::msg::Float64MultiArray;
+use std::sync::mpsc;
+use std::time::Duration;
+
+/// Four joints, one of them reversed and geared, on a bus of this protocol.
+fn arm(protocol: &str, model: &str, rest: &str) -> String {
+    let mut text = format!(
+        "name = \"arm\"\n[[bus]]\nname = \"bus\"\nport = \"p\"\nbaud = 1000000\nprotocol = \"{protocol}\"\ncycle_ms = 10\n{rest}\n[defaults]\nmodel = \"{model}\"\n"
+    );
+    for (id, (name, rest)) in
+        [("pan", ""), ("lift", "sign = -1"), ("elbow", "gear = 2.0"), ("wrist", "offset = 40")]
+            .iter()
+            .enumerate()
+    {
+        text += &format!("[[joint]]\nname = \"{name}\"\nid = {}\nlimits = [-1.0, 1.0]\n{rest}\n", id + 1);
+    }
+    text
+}
+
+/// A hardware module in a core with a manual clock, the servos that it drives, and everything it publishes.
+struct Run {
+    core: Core,
+    clock: ManualClock,
+    cycle: Duration,
+    emulator: Emulator,
+    commands: Inlet<JointState>,
+    torques: Inlet<JointState>,
+    exchanges: Collector<BusExchange>,
+    joint_states: Collector<JointState>,
+    diagnostics: Collector<DiagnosticArray>,
+    health: DiagnosticArray,
+}
+
+impl Run {
+    fn of(description: &str) -> Self {
+        Self::with(description, description, &[])
+    }
+
+    /// The module has one description, the emulator another one.
+    fn with(description: &str, emulated: &str, faults: &[&str]) -> Self {
+        let faults = faults.iter().map(|fault| fault.parse().unwrap()).collect();
+        let options = EmulatorOptions { timing: Timing::Stepped, seed: 4, faults, ..Default::default() };
+        let parsed = Description::load(emulated).unwrap();
+        let emulator = Emulator::servos_in_memory(parsed.bus("").unwrap(), &options);
+        let cycle = Description::load(description).unwrap().bus("").unwrap().cycle;
+        let (mut core, clock) = core_at_zero();
+        let settings = [("description".to_owned(), SettingValue::Text(description.to_owned()))].into();
+        let options = ModuleOptions { settings, ..ModuleOptions::default() };
+        core.add_with("servos", ServoBus::new(Box::new(emulator.bus())), options).unwrap();
+        let exchanges = Collector::add(&mut core, "bus/exchanges");
+        let joint_states = Collector::add(&mut core, "joint_states");
+        let diagnostics = Collector::add(&mut core, "diagnostics");
+        let commands = core.inlet("joint_commands").unwrap();
+        let torques = core.inlet("joint_torque").unwrap();
+        let health = DiagnosticArray::default();
+        Self { core, clock, cycle, emulator, commands, torques, exchanges, joint_states, diagnostics, health }
+    }
+
+    fn cycles(&mut self, count: usize) -> Vec<JointState> {
+        for _ in 0..count {
+            self.clock.advance(self.cycle);
+            self.core.cycle().unwrap();
+        }
+        if let Some(last) = self.diagnostics.take().pop() {
+            self.health = last;
+        }
+        self.joint_states.take()
+    }
+
+    fn command(&self, joints: &[(&str, f64)]) {
+        self.commands.publish(message(joints, |message, positions| message.position = positions)).unwrap();
+    }
+
+    fn torque(&self, joints: &[(&str, f64)]) {
+        self.torques.publish(message(joints, |message, shares| message.effort = shares)).unwrap();
+    }
+
+    fn health_of(&self, part: &str) -> (u8, &str) {
+        let status = self.health.status.iter().find(|status| status.name.ends_with(part)).unwrap();
+        (status.level, &status.message)
+    }
+}
+
+fn message(joints: &[(&str, f64)], set: impl Fn(&mut JointState, Vec<f64>)) -> JointState {
+    let mut message = JointState {
+        name: joints.iter().map(|(name, _)| (*name).to_owned()).collect(),
+        ..Default::default()
+    };
+    set(&mut message, joints.iter().map(|(_, value)| *value).collect());
+    message
+}
+
+fn position(state: &JointState, name: &str) -> f64 {
+    state.position[state.name.iter().position(|known| known == name).unwrap()]
+}
+
+const KINDS: [(&str, &str, &str); 6] = [
+    ("dynamixel1", "MX-28", ""),
+    ("dynamixel1", "AX-12A", ""),
+    ("dynamixel2", "XM430-W350", ""),
+    ("dynamixel2", "XL330-M288", "fast_reads = true"),
+    ("feetech_sts", "STS3215", ""),
+    ("dynamixel2", "XM430-W350", "fast_reads = true"),
+];
+
+#[test]
+fn servos_of_every_protocol_go_where_they_are_commanded_and_not_before() {
+    for (protocol, model, rest) in KINDS {
+        let mut run = Run::of(&arm(protocol, model, rest));
+        let states = run.cycles(100);
+        assert!(states.len() > 90, "{model}: {}", states.len());
+        for name in ["pan", "lift", "elbow", "wrist"] {
+            let (first, last) = (position(&states[0], name), position(&states[states.len() - 1], name));
+            assert!((first - last).abs() < 0.01, "{model}: {name} moved from {first} to {last}");
+        }
+        run.command(&[("pan", 0.5), ("lift", -0.4), ("elbow", 0.7), ("wrist", 9.0), ("tail", 1.0)]);
+        let states = run.cycles(300);
+        let state = &states[states.len() - 1];
+        for (name, wanted) in [("pan", 0.5), ("lift", -0.4), ("elbow", 0.7), ("wrist", 1.0)] {
+            assert!(
+                (position(state, name) - wanted).abs() < 0.02,
+                "{model}: {name} is at {}",
+                position(state, name)
+            );
+        }
+        assert!(state.velocity.iter().chain(&state.effort).all(|value| value.is_finite()), "{model}");
+        assert!(
+            run.health.status.iter().all(|part| part.level == DiagnosticStatus::OK),
+            "{model}: {:?}",
+            run.health
+        );
+    }
+}
+
+#[test]
+fn goals_and_positions_take_one_exchange_each() {
+    for (protocol, model, rest) in KINDS {
+        let mut run = Run::of(&arm(protocol, model, rest));
+        run.cycles(50);
+        run.exchanges.take();
+        run.cycles(1);
+        let each = if model == "AX-12A" { 5 } else { 2 };
+        assert_eq!(run.exchanges.take().len(), each, "{model}");
+    }
+}
+
+#[test]
+fn a_first_command_is_approached_slowly() {
+    let mut run = Run::of(&arm("dynamixel2", "XM430-W350", ""));
+    run.cycles(50);
+    run.command(&[("pan", 0.9)]);
+    let fastest = run.cycles(60).iter().map(|state| state.velocity[0]).fold(0.0, f64::max);
+    assert!((0.7..1.3).contains(&fastest), "{fastest} rad/s");
+}
+
+#[test]
+fn torque_is_switched_for_one_joint_or_for_all() {
+    let mut run = Run::of(&arm("feetech_sts", "STS3215", ""));
+    run.cycles(50);
+    run.command(&[("pan", 0.2)]);
+    run.cycles(150);
+    run.torque(&[("pan", 0.0), ("lift", f64::NAN)]);
+    run.cycles(10);
+    let is_goal = |exchange: &BusExchange| exchange.instruction.get(4..6) == Some(&[0x83, 42][..]);
+    run.exchanges.take();
+    run.cycles(1);
+    let goals = run.exchanges.take().into_iter().find(is_goal).unwrap();
+    assert_eq!(goals.instruction[7..].chunks(3).map(|entry| entry[0]).collect::<Vec<_>>()[..3], [2, 3, 4]);
+    run.command(&[("pan", 0.9)]);
+    let states = run.cycles(100);
+    assert!((position(&states[99], "pan") - 0.2).abs() < 0.02, "without torque it has no goal");
+    run.torque(&[("pan", 1.0)]);
+    let states = run.cycles(150);
+    assert!((position(&states[149], "pan") - 0.9).abs() < 0.02, "and with torque the last one");
+
+    let caller = run
+        .core
+        .caller::<downbeat_msgs::std_srvs::srv::SetBoolRequest, downbeat_msgs::std_srvs::srv::SetBoolResponse>("torque")
+        .unwrap();
+    let (sender, receiver) = mpsc::channel();
+    let request = downbeat_msgs::std_srvs::srv::SetBoolRequest { data: false };
+    caller.call(request, Duration::from_secs(1), move |reply| drop(sender.send(reply))).unwrap();
+    run.cycles(120);
+    assert_eq!(receiver.try_recv().unwrap().unwrap().message, "the torque of 4 joints is switched off");
+    run.exchanges.take();
+    run.cycles(1);
+    assert!(!run.exchanges.take().iter().any(is_goal));
+    assert_eq!(run.health_of("servo 1 pan"), (DiagnosticStatus::OK, "OK, torque is off"));
+}
+
+#[test]
+fn a_servo_of_another_model_is_refused() {
+    let declared = arm("dynamixel2", "XM430-W350", "");
+    let found = declared.replace("offset = 40", "model = \"XL330-M288\"");
+    let mut run = Run::with(&declared, &found, &[]);
+    let states = run.cycles(120);
+    assert_eq!(
+        run.health_of("servo 4 wrist"),
+        (DiagnosticStatus::ERROR, "it is model 1200, not an XM430-W350 (1020)")
+    );
+    assert!(
+        states[states.len() - 1].velocity[3].is_nan() && states[states.len() - 1].velocity[0].is_finite()
+    );
+}
+
+#[test]
+fn the_gains_and_limits_of_the_description_are_written() {
+    let rest = "gains = { p = 600, d = 5 }\nmax_torque = 0.5\nmax_current_a = 1.0\n";
+    let text = arm("dynamixel2", "XM430-W350", "")
+        .replace("[[joint]]\nname = \"pan\"", &format!("{rest}[[joint]]\nname = \"pan\""));
+    let mut run = Run::of(&text);
+    run.cycles(30);
+    let written: Vec<_> = run
+        .exchanges
+        .take()
+        .into_iter()
+        .filter(|e| e.instruction.get(4) == Some(&1) && e.instruction[7] == 3)
+        .collect();
+    let has = |address: u16, data: &[u8]| {
+        let wanted = [&address.to_le_bytes()[..], data].concat();
+        written.iter().any(|exchange| exchange.instruction[8..].starts_with(&wanted))
+    };
+    assert!(has(38, &372_u16.to_le_bytes()), "1 A in steps of 2.69 mA");
+    assert!(has(80, &[5, 0]), "D");
+    assert!(has(84, &600_u16.to_le_bytes()), "P");
+    assert!(has(100, &443_u16.to_le_bytes()), "half of 885");
+}
+
+#[test]
+fn a_board_switches_the_power_and_measures_the_battery() {
+    let board = "[[device]]\nname = \"board\"\nid = 200\nmodel = \"OpenCR\"\nread = [\"button\"]\npower = { register = \"dynamixel_power\", wait_ms = 300 }\nbattery = { register = \"present_voltage\", low_v = 11.0 }\n";
+    let mut run = Run::of(&(arm("dynamixel2", "XM430-W350", "") + board));
+    let battery = Collector::<BatteryState>::add(&mut run.core, "battery_state");
+    let values = Collector::<Float64MultiArray>::add(&mut run.core, "devices/board");
+    let states = run.cycles(250);
+    assert!((200..220).contains(&states.len()), "300 ms after power on: {}", states.len());
+    assert_eq!(battery.take().iter().map(|state| state.voltage).collect::<Vec<_>>(), [12.0, 12.0, 12.0]);
+    let value = values.take().pop().unwrap();
+    let labels: Vec<_> = value.layout.dim.iter().map(|dim| &*dim.label).collect();
+    assert_eq!(
+        (labels, value.data),
+        (vec!["button", "dynamixel_power", "present_voltage"], vec![0.0, 1.0, 12.0])
+    );
+    assert_eq!(run.health_of("board"), (DiagnosticStatus::OK, "OK"));
+}
+
+#[test]
+fn a_late_cycle_is_counted_and_not_made_up_for() {
+    let mut run = Run::of(&arm("feetech_sts", "STS3215", ""));
+    run.cycles(50);
+    run.clock.advance(run.cycle * 5);
+    run.core.cycle().unwrap();
+    let states = run.cycles(1);
+    assert_eq!(states.len(), 2);
+    run.cycles(5);
+    assert_eq!(
+        run.health_of("arm: bus"),
+        (DiagnosticStatus::WARN, "running, but cycles of 10 ms begin late")
+    );
+    let late = run.health.status[0].values.iter().find(|value| value.key == "late cycles").unwrap();
+    assert_eq!(late.value, "1");
+}
+
+#[test]
+fn a_missing_or_wrong_description_is_refused_with_the_reason() {
+    let add = |description: &str| {
+        let (mut core, _clock) = core_at_zero();
+        let settings = [("description".to_owned(), SettingValue::Text(description.to_owned()))].into();
+        let options = ModuleOptions { settings, ..ModuleOptions::default() };
+        core.add_with("servos", ServoBus::serial(), options).map_err(|error| error.to_string())
+    };
+    let error = add(&arm("dynamixel2", "MX-82", "")).unwrap_err();
+    assert!(error.contains("description:10: unknown model \"MX-82\", did you mean \"MX-28\"?"), "{error}");
+    assert!(
+        add("/no/such.toml").unwrap_err().contains("cannot read the description of the servos /no/such.toml")
+    );
+    assert!(add("").is_ok(), "it fails when it is activated, so that its settings can be listed");
+}

@@ -1,0 +1,404 @@
+//! Finding and configuring single servos, for commands.
+
+use super::bus::{Bus, ExpectedStatus, LineSettings, Outcome, SerialBus};
+use super::models::{self, Access, Model, Register};
+use super::protocol::{Id, Instruction, Protocol, StatusError};
+use super::servo::{Line, Trouble, for_each_status};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// A goal this far from the position is a jump when the torque is enabled, in rad.
+const JUMP_RAD: f64 = 0.1;
+/// Devices are asked this often before they count as silent.
+const ATTEMPTS: usize = 2;
+
+/// A serial port with servos.
+pub struct ServoPort {
+    bus: SerialBus,
+    path: String,
+    line: LineSettings,
+    own_models: Vec<Arc<Model>>,
+}
+
+/// A device that answered.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Found {
+    /// Its address.
+    pub id: Id,
+    /// How it speaks.
+    pub line: LineSettings,
+    /// The number of its model, if it could be read.
+    pub number: Option<u16>,
+    /// The version of its firmware, if the model is known.
+    pub firmware: Option<i64>,
+    /// Its model, if it is known.
+    pub model: Option<Arc<Model>>,
+}
+
+/// Why a device did not do what it was asked.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ServoError {
+    /// The port cannot be opened, or was lost.
+    #[error("{0}")]
+    Port(String),
+    /// No answer.
+    #[error("{}: no answer from id {id} at {} bit/s in {}; is it powered, and are speed and protocol right? `downbeat servo scan` finds it", path, line.baud, line.protocol)]
+    Silent {
+        /// The port.
+        path: String,
+        /// The device.
+        id: Id,
+        /// How it was asked.
+        line: LineSettings,
+    },
+    /// The device answered with an error.
+    #[error("id {id} refuses to {doing}: {error}{}", hint(*error))]
+    Refused {
+        /// The device.
+        id: Id,
+        /// What it was asked to do.
+        doing: String,
+        /// Its answer.
+        error: StatusError,
+    },
+    /// The model is unknown.
+    #[error("id {id} is model {}, which is unknown; name a file with its registers with --model-file", number.map_or("?".to_owned(), |number| number.to_string()))]
+    UnknownModel {
+        /// The device.
+        id: Id,
+        /// The number of its model.
+        number: Option<u16>,
+    },
+    /// The model has no such register.
+    #[error("{model} has no register \"{register}\"{near}")]
+    UnknownRegister {
+        /// The model.
+        model: String,
+        /// What was asked for.
+        register: String,
+        /// The most similar register, in words.
+        near: String,
+    },
+    /// The value cannot be written.
+    #[error("\"{register}\" of {model} takes {min} to {max}, not {value}")]
+    Range {
+        /// The model.
+        model: String,
+        /// The register.
+        register: String,
+        /// The smallest value.
+        min: i64,
+        /// The largest value.
+        max: i64,
+        /// The given one.
+        value: i64,
+    },
+    /// A write that can do harm.
+    #[error("{0}; repeat with --force if that is intended")]
+    Dangerous(String),
+}
+
+fn hint(error: StatusError) -> &'static str {
+    if error.contains(StatusError::ACCESS) {
+        " (registers that outlive the power can be written only while torque_enable is 0)"
+    } else {
+        ""
+    }
+}
+
+/// Whether a write that can do harm is done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Caution {
+    /// It is refused.
+    Refuse,
+    /// It is done.
+    Force,
+}
+
+impl ServoPort {
+    /// Opens a port, on which devices may take this long to answer.
+    ///
+    /// # Errors
+    /// Returns an error if it cannot be opened.
+    pub fn open(path: &str, slack: Duration, own_models: Vec<Arc<Model>>) -> Result<Self, ServoError> {
+        let mut port = Self {
+            bus: SerialBus::with_slack(slack),
+            path: path.to_owned(),
+            line: LineSettings::default(),
+            own_models,
+        };
+        port.speak(LineSettings::default())?;
+        Ok(port)
+    }
+
+    /// Sets speed and protocol.
+    ///
+    /// # Errors
+    /// Returns an error if the port cannot have this speed.
+    pub fn speak(&mut self, line: LineSettings) -> Result<(), ServoError> {
+        self.line = line;
+        self.bus.set_line(line);
+        let opened = self.bus.open(&self.path);
+        if opened.outcome == Outcome::Ok { Ok(()) } else { Err(ServoError::Port(opened.error)) }
+    }
+
+    /// Finds the devices among these ids at this speed.
+    ///
+    /// # Errors
+    /// Returns an error if the port fails, or cannot have this speed.
+    pub fn scan(&mut self, baud: u32, protocols: &[Protocol], ids: &[Id]) -> Result<Vec<Found>, ServoError> {
+        let mut found = Vec::new();
+        if protocols.contains(&Protocol::Dynamixel2) {
+            self.speak(LineSettings { baud, protocol: Protocol::Dynamixel2 })?;
+            for id in self.answering_broadcast(ids)? {
+                found.extend(self.identify(id)?);
+            }
+        }
+        // The others have the same ping.
+        let others: Vec<_> = protocols.iter().filter(|protocol| **protocol != Protocol::Dynamixel2).collect();
+        let Some(first) = others.first() else { return Ok(found) };
+        self.speak(LineSettings { baud, protocol: **first })?;
+        for id in ids {
+            if !self.is_there(*id, 1)? {
+                continue;
+            }
+            let mut kinds = Vec::new();
+            for protocol in &others {
+                self.line.protocol = **protocol;
+                self.bus.set_line(self.line);
+                kinds.extend(self.identify(*id)?);
+            }
+            let known = kinds.iter().position(|kind| kind.model.is_some()).unwrap_or(0);
+            if known < kinds.len() {
+                found.push(kinds.swap_remove(known));
+            }
+        }
+        Ok(found)
+    }
+
+    /// All devices answer a ping of the broadcast address.
+    fn answering_broadcast(&mut self, ids: &[Id]) -> Result<Vec<Id>, ServoError> {
+        let mut answering = Vec::new();
+        // Waits for as many answers as there can be.
+        let expected: Vec<_> = ids.iter().map(|id| ExpectedStatus { id: *id, parameters: 3 }).collect();
+        let ping = Instruction::Ping { id: Id::BROADCAST };
+        for _ in 0..ATTEMPTS {
+            let Ok(bytes) = ping.to_bytes(self.line.protocol) else { break };
+            let exchange = self.bus.exchange(&bytes, &expected);
+            if exchange.outcome == Outcome::Failed {
+                return Err(ServoError::Port(exchange.error));
+            }
+            for_each_status(self.line.protocol, &exchange.reply, |status| answering.push(status.id));
+        }
+        answering.sort_unstable();
+        answering.dedup();
+        answering.retain(|id| ids.contains(id));
+        Ok(answering)
+    }
+
+    fn is_there(&mut self, id: Id, attempts: usize) -> Result<bool, ServoError> {
+        let parameters = if self.line.protocol == Protocol::Dynamixel2 { 3 } else { 0 };
+        for _ in 0..attempts {
+            match self.ask(&Instruction::Ping { id }, parameters) {
+                Ok(_) | Err(Trouble::Refused(_)) => return Ok(true),
+                Err(Trouble::Silent) => {}
+                Err(Trouble::PortFailed) => return Err(self.lost()),
+            }
+        }
+        Ok(false)
+    }
+
+    /// Asks a device what it is; `None` if it does not answer.
+    ///
+    /// # Errors
+    /// Returns an error if the port fails.
+    pub fn identify(&mut self, id: Id) -> Result<Option<Found>, ServoError> {
+        if !self.is_there(id, ATTEMPTS)? {
+            return Ok(None);
+        }
+        let line = self.line;
+        let of_protocol = |model: &&Arc<Model>| model.protocols.contains(&line.protocol);
+        let known: Vec<Arc<Model>> =
+            self.own_models.iter().chain(models::built_in()).filter(of_protocol).cloned().collect();
+        // The register of the number is at the same place in all models of a protocol.
+        let Some(register) = known.iter().find_map(|model| model.register("model_number")).cloned() else {
+            return Ok(Some(Found { id, line, number: None, firmware: None, model: None }));
+        };
+        let number = self.read_raw(id, &register).ok().and_then(|number| u16::try_from(number).ok());
+        let model = known.into_iter().find(|model| model.number.is_some() && model.number == number);
+        let version = model.as_ref().and_then(|model| model.register("firmware_version").cloned());
+        let firmware = version.and_then(|register| self.read_raw(id, &register).ok());
+        Ok(Some(Found { id, line, number, firmware, model }))
+    }
+
+    /// Asks a device what it is, which must be a known model.
+    ///
+    /// # Errors
+    /// Returns an error if it does not answer, or its model is unknown.
+    pub fn known(&mut self, id: Id) -> Result<(Found, Arc<Model>), ServoError> {
+        let found = self.identify(id)?.ok_or_else(|| self.silent(id))?;
+        let model = found.model.clone().ok_or(ServoError::UnknownModel { id, number: found.number })?;
+        Ok((found, model))
+    }
+
+    /// The register of a model with this name.
+    ///
+    /// # Errors
+    /// Returns an error with the most similar register if there is none.
+    pub fn register(model: &Model, name: &str) -> Result<Register, ServoError> {
+        model.register(name).cloned().ok_or_else(|| ServoError::UnknownRegister {
+            model: model.name.clone(),
+            register: name.to_owned(),
+            near: super::description::nearest(name, model.registers.iter().map(|register| &*register.name)),
+        })
+    }
+
+    /// Reads a register.
+    ///
+    /// # Errors
+    /// Returns an error if the device does not answer, or refuses.
+    pub fn read(&mut self, id: Id, register: &Register) -> Result<i64, ServoError> {
+        let read = self.read_raw(id, register);
+        read.map_err(|trouble| self.explain(id, &format!("read {}", register.name), trouble))
+    }
+
+    /// Writes a register.
+    ///
+    /// # Errors
+    /// Returns an error if the value is out of range, the write can do harm, or the device does not answer or refuses.
+    pub fn write(
+        &mut self,
+        id: Id,
+        model: &Model,
+        register: &Register,
+        value: i64,
+        caution: Caution,
+    ) -> Result<(), ServoError> {
+        if !(register.min..=register.max).contains(&value) {
+            let (model, name) = (model.name.clone(), register.name.clone());
+            return Err(ServoError::Range {
+                model,
+                register: name,
+                min: register.min,
+                max: register.max,
+                value,
+            });
+        }
+        if caution == Caution::Refuse {
+            self.check_harmless(id, model, register, value)?;
+        }
+        let lock = model
+            .register("lock")
+            .filter(|_| register.access == Access::Eeprom && self.line.protocol != Protocol::Dynamixel1);
+        for (register, value) in lock.map(|lock| (lock, 0)).into_iter().chain([(register, value)]) {
+            self.write_raw(id, register, value)?;
+        }
+        // A device with another id or speed is not there any more.
+        if let Some(lock) = lock.filter(|_| !["id", "baud_rate"].contains(&&*register.name)) {
+            self.write_raw(id, lock, 1)?;
+        }
+        Ok(())
+    }
+
+    /// Gives a device another id.
+    ///
+    /// # Errors
+    /// Returns an error if another device has it, or the device does not answer or refuses.
+    pub fn set_id(&mut self, id: Id, new: Id, caution: Caution) -> Result<(), ServoError> {
+        let (_, model) = self.known(id)?;
+        let register = Self::register(&model, "id")?;
+        if caution == Caution::Refuse && self.is_there(new, ATTEMPTS)? {
+            return Err(ServoError::Dangerous(format!(
+                "id {new} is taken: two devices of one id answer at the same time, and neither is understood"
+            )));
+        }
+        self.write(id, &model, &register, i64::from(new.raw()), Caution::Force)?;
+        if let Some(lock) = model.register("lock").filter(|_| self.line.protocol != Protocol::Dynamixel1) {
+            self.write_raw(new, lock, 1)?;
+        }
+        if self.is_there(new, ATTEMPTS)? { Ok(()) } else { Err(self.silent(new)) }
+    }
+
+    fn check_harmless(
+        &mut self,
+        id: Id,
+        model: &Model,
+        register: &Register,
+        value: i64,
+    ) -> Result<(), ServoError> {
+        let danger = match &*register.name {
+            "id" => Some("a new id: use `downbeat servo set-id`, which checks that it is free".to_owned()),
+            "baud_rate" => {
+                Some("at another speed than the others of its bus the device cannot be reached".to_owned())
+            }
+            name if register.access == Access::Eeprom => {
+                Some(format!("\"{name}\" outlives the power, and wears out with each write"))
+            }
+            "torque_enable" if value != 0 => {
+                let (goal, position) =
+                    (Self::register(model, "goal_position")?, Self::register(model, "present_position")?);
+                let far = goal.to_si(self.read(id, &goal)? - self.read(id, &position)?);
+                (far.abs() > JUMP_RAD).then(|| {
+                    format!(
+                        "the goal is {far:.2} rad from the position: it would jump; write goal_position first"
+                    )
+                })
+            }
+            "goal_position" => {
+                let (torque, position) =
+                    (Self::register(model, "torque_enable")?, Self::register(model, "present_position")?);
+                let far = register.to_si(value - self.read(id, &position)?);
+                (far.abs() > JUMP_RAD && self.read(id, &torque)? != 0).then(|| {
+                    format!("the goal is {far:.2} rad from the position and the torque is on: it would jump")
+                })
+            }
+            _ => None,
+        };
+        danger.map_or(Ok(()), |danger| Err(ServoError::Dangerous(danger)))
+    }
+
+    fn read_raw(&mut self, id: Id, register: &Register) -> Result<i64, Trouble> {
+        let (address, length) = (register.address, register.size);
+        let mut read = Err(Trouble::Silent);
+        for _ in 0..ATTEMPTS {
+            read = self.ask(&Instruction::Read { id, address, length }, length);
+            if read != Err(Trouble::Silent) {
+                break;
+            }
+        }
+        register.raw_in(self.line.protocol, &read?, address).ok_or(Trouble::Silent)
+    }
+
+    fn write_raw(&mut self, id: Id, register: &Register, value: i64) -> Result<(), ServoError> {
+        let data = register.bytes(self.line.protocol, value);
+        let written = self.ask(&Instruction::Write { id, address: register.address, data }, 0);
+        // A device may answer with its new id or speed.
+        let is_moved = ["id", "baud_rate"].contains(&&*register.name) && written == Err(Trouble::Silent);
+        if is_moved {
+            return Ok(());
+        }
+        written.map(|_| ()).map_err(|trouble| self.explain(id, &format!("write {}", register.name), trouble))
+    }
+
+    fn ask(&mut self, instruction: &Instruction, parameters: u16) -> Result<Vec<u8>, Trouble> {
+        let mut exchanges = Vec::new();
+        Line { bus: &mut self.bus, protocol: self.line.protocol, exchanges: &mut exchanges }
+            .ask(instruction, parameters)
+    }
+
+    fn explain(&self, id: Id, doing: &str, trouble: Trouble) -> ServoError {
+        match trouble {
+            Trouble::PortFailed => self.lost(),
+            Trouble::Silent => self.silent(id),
+            Trouble::Refused(error) => ServoError::Refused { id, doing: doing.to_owned(), error },
+        }
+    }
+
+    fn silent(&self, id: Id) -> ServoError {
+        ServoError::Silent { path: self.path.clone(), id, line: self.line }
+    }
+
+    fn lost(&self) -> ServoError {
+        ServoError::Port(format!("lost the serial port {}; is it plugged in?", self.path))
+    }
+}

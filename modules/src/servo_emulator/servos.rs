@@ -1,0 +1,404 @@
+//! The emulated devices of a described bus.
+
+use super::body::{Body, ImuMotion, JointMotion, ServoCommand};
+use super::devices::{Device, answer};
+use super::emulator::Devices;
+use super::random::Random;
+use super::wire::Answer;
+use crate::servo_bus::models::{Access, Model, Register};
+use crate::servo_bus::protocol::{Id, Packet, Protocol, StatusError};
+use crate::servo_bus::{BusPlan, Joint};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// How often servos measure and drive their joints.
+const STEP: Duration = Duration::from_millis(2);
+/// The drive for each rad to the goal with the initial P gain: that of an MX-28.
+const DRIVE_PER_RADIAN: f64 = 2.55;
+/// With full drive, at the voltage that the model reports at first.
+const NO_LOAD_RAD_S: f64 = 5.0;
+const MOTOR_LAG_S: f64 = 0.02;
+/// The share of the full drive below which a joint does not move.
+const FRICTION: f64 = 0.006;
+const STALL_CURRENT_A: f64 = 2.0;
+/// With full drive, before cooling.
+const HEATING_PER_S: f64 = 0.5;
+const COOLING_TIME_S: f64 = 300.0;
+const AMBIENT_CELSIUS: f64 = 27.0;
+
+/// The devices of one bus.
+pub(super) struct Servos {
+    plan: BusPlan,
+    time: Duration,
+    /// The devices beside servos, then the servos, both in the order of the plan.
+    units: Vec<Unit>,
+    body: Box<dyn Body>,
+    /// The speed at which the computer sends.
+    baud: u32,
+}
+
+impl Servos {
+    /// The devices of a bus, whose joints are near the middle of their limits, or near 0 if that is within them.
+    pub(super) fn new(plan: &BusPlan, seed: u64, body: Option<Box<dyn Body>>) -> Self {
+        let mut random = Random::new(seed, 1);
+        let start: Vec<f64> = plan
+            .joints
+            .iter()
+            .map(|joint| {
+                let (low, high) = (joint.min_rad + 0.05, joint.max_rad - 0.05);
+                let centre = if (low..=high).contains(&0.0) { 0.0 } else { (low + high) / 2.0 };
+                (centre + random.within(0.04)).clamp(joint.min_rad, joint.max_rad)
+            })
+            .collect();
+        let body = body.unwrap_or_else(|| Box::new(Joints::at(&start)));
+        let line = plan.line;
+        let devices = plan.devices.iter().map(|device| Unit::new(&device.model, device.id, line, None));
+        let servos = plan.joints.iter().enumerate();
+        let servos = servos
+            .map(|(index, joint)| Unit::new(&joint.model, joint.id, line, Some((joint.clone(), index))));
+        let mut servos = Self {
+            plan: plan.clone(),
+            time: Duration::ZERO,
+            units: devices.chain(servos).collect(),
+            body,
+            baud: line.baud,
+        };
+        servos.switch_power();
+        servos
+    }
+
+    fn switch_power(&mut self) {
+        let power = self.plan.devices.first().and_then(|device| device.power.as_ref());
+        let is_on = power.is_none_or(|power| self.units[0].get(&power.register) == 1);
+        let body = &self.body;
+        for unit in &mut self.units {
+            let has_power = !unit.is_dead && (is_on || unit.joint.is_none());
+            if has_power && !unit.has_power {
+                unit.boot(&**body);
+            }
+            unit.has_power = has_power;
+        }
+    }
+}
+
+impl Devices for Servos {
+    fn protocol(&self) -> Protocol {
+        self.plan.line.protocol
+    }
+
+    fn baud(&self) -> u32 {
+        self.plan.line.baud
+    }
+
+    fn set_line_speed(&mut self, baud: u32) {
+        self.baud = baud;
+    }
+
+    fn advance_to(&mut self, now: Duration) {
+        while self.time + STEP <= now {
+            self.time += STEP;
+            let joints = self.units.iter().filter(|unit| unit.joint.is_some());
+            let commands: Vec<ServoCommand> = joints.map(Unit::command).collect();
+            self.body.advance(STEP, &commands);
+            for unit in &mut self.units {
+                unit.advance(STEP.as_secs_f64(), &*self.body);
+            }
+        }
+    }
+
+    fn begin_step(&mut self) {
+        self.body.begin_step();
+    }
+
+    fn set_dead(&mut self, is_dead: &dyn Fn(Id) -> bool) {
+        for unit in &mut self.units {
+            unit.is_dead = is_dead(unit.declared);
+        }
+        self.switch_power();
+    }
+
+    fn answer(&mut self, packet: &Packet<'_>, is_lost: &mut dyn FnMut() -> bool) -> Vec<Answer> {
+        let (protocol, baud) = (self.plan.line.protocol, self.baud);
+        let awake = self.units.iter_mut().filter(|unit| unit.has_power && unit.baud() == baud);
+        let mut awake: Vec<&mut dyn Device> = awake.map(|unit| unit as &mut dyn Device).collect();
+        let answers = answer(protocol, &mut awake, packet, is_lost);
+        self.switch_power();
+        answers
+    }
+}
+
+/// One device and its control table.
+struct Unit {
+    model: Arc<Model>,
+    protocol: Protocol,
+    /// The id in the description, by which faults name it.
+    declared: Id,
+    /// The joint that it turns, and the position of that in the body.
+    joint: Option<(Joint, usize)>,
+    memory: Vec<u8>,
+    registered: Option<(u16, Vec<u8>)>,
+    is_dead: bool,
+    has_power: bool,
+    celsius: f64,
+    /// The speed of a bus with models that do not know it.
+    bus_baud: u32,
+}
+
+impl Unit {
+    fn new(
+        model: &Arc<Model>,
+        id: Id,
+        line: crate::servo_bus::bus::LineSettings,
+        joint: Option<(Joint, usize)>,
+    ) -> Self {
+        let mut unit = Self {
+            model: Arc::clone(model),
+            protocol: line.protocol,
+            declared: id,
+            joint,
+            memory: vec![0; usize::from(model.length())],
+            registered: None,
+            is_dead: false,
+            has_power: false,
+            celsius: AMBIENT_CELSIUS + 2.0,
+            bus_baud: line.baud,
+        };
+        for register in &model.registers {
+            unit.set(register, register.initial);
+        }
+        unit.set_named("id", i64::from(id.raw()));
+        if let Some((value, _)) = model.baud_rates.iter().find(|(_, baud)| *baud == line.baud) {
+            unit.set_named("baud_rate", *value);
+        }
+        unit
+    }
+
+    fn get(&self, register: &Register) -> i64 {
+        register.raw_in(self.protocol, &self.memory, 0).unwrap_or(0)
+    }
+
+    fn get_named(&self, name: &str) -> Option<i64> {
+        self.model.register(name).map(|register| self.get(register))
+    }
+
+    fn set(&mut self, register: &Register, raw: i64) {
+        let bytes = register.bytes(self.protocol, raw);
+        self.memory[usize::from(register.address)..usize::from(register.end())].copy_from_slice(&bytes);
+    }
+
+    fn set_named(&mut self, name: &str, raw: i64) {
+        let model = Arc::clone(&self.model);
+        if let Some(register) = model.register(name) {
+            self.set(register, raw);
+        }
+    }
+
+    fn baud(&self) -> u32 {
+        let value = self.get_named("baud_rate");
+        let known = self.model.baud_rates.iter().find(|(known, _)| Some(*known) == value);
+        known.map_or(self.bus_baud, |(_, baud)| *baud)
+    }
+
+    fn is_torque_enabled(&self) -> bool {
+        self.get_named("torque_enable") == Some(1)
+    }
+
+    /// Starts: without power, the RAM was lost.
+    fn boot(&mut self, body: &dyn Body) {
+        let model = Arc::clone(&self.model);
+        for register in model.registers.iter().filter(|register| register.access == Access::Ram) {
+            self.set(register, register.initial);
+        }
+        self.registered = None;
+        if let Some((joint, index)) = &self.joint {
+            let (goal, position) = (joint.registers.goal.clone(), joint.steps(body.joint(*index).position));
+            self.set(&goal, position);
+        }
+        self.show(body);
+    }
+
+    fn command(&self) -> ServoCommand {
+        let Some((joint, _)) = &self.joint else { return ServoCommand::OFF };
+        if !self.has_power {
+            return ServoCommand::OFF;
+        }
+        let supply =
+            self.model.register("present_voltage").map_or(12.0, |register| register.to_si(register.initial));
+        if !self.is_torque_enabled() {
+            return ServoCommand { supply, ..ServoCommand::OFF };
+        }
+        let share = |name| match self.model.register(name) {
+            Some(register) if register.initial > 0 => self.get(register) as f64 / register.initial as f64,
+            _ => 1.0,
+        };
+        let max_drive = joint
+            .registers
+            .torque_limit
+            .as_ref()
+            .map_or(1.0, |limit| self.get(limit) as f64 / limit.max as f64);
+        ServoCommand {
+            goal: joint.angle(self.get(&joint.registers.goal)),
+            gain: DRIVE_PER_RADIAN * share("p_gain"),
+            max_drive,
+            supply,
+        }
+    }
+
+    fn advance(&mut self, dt: f64, body: &dyn Body) {
+        let Some((_, index)) = &self.joint else { return };
+        let drive = body.joint(*index).drive;
+        let heating = drive * drive * HEATING_PER_S;
+        self.celsius += (heating - (self.celsius - AMBIENT_CELSIUS) / COOLING_TIME_S) * dt;
+        if self.has_power {
+            self.show(body);
+        }
+    }
+
+    /// Updates the readable entries of the table.
+    fn show(&mut self, body: &dyn Body) {
+        let Some((joint, index)) = &self.joint else { return };
+        let JointMotion { position, velocity, drive } = body.joint(*index);
+        let registers = joint.registers.clone();
+        let (position, sign, gear) = (joint.steps(position), joint.sign, joint.gear);
+        self.set(&registers.position, position);
+        if let Some(register) = &registers.velocity {
+            self.set(register, register.steps(velocity * sign * gear).round() as i64);
+        }
+        if let Some(register) = &registers.effort {
+            let effort = if register.unit == "A" { drive * STALL_CURRENT_A } else { drive };
+            self.set(register, register.steps(effort * sign).round() as i64);
+        }
+        if let Some(register) = &registers.temperature {
+            self.set(register, register.steps(self.celsius).round() as i64);
+        }
+    }
+
+    /// Checks what a write would leave in the table.
+    fn check(&self, after: &Unit, address: u16, data: &[u8]) -> Result<(), StatusError> {
+        let written = address..address + data.len() as u16;
+        let is_touched =
+            |register: &&Register| register.address < written.end && written.start < register.end();
+        let is_modern = self.protocol == Protocol::Dynamixel2;
+        let locked = if is_modern { self.is_torque_enabled() } else { self.get_named("lock") == Some(1) };
+        for register in self.model.registers.iter().filter(is_touched) {
+            let value = after.get(register);
+            match register.access {
+                Access::Read if is_modern => return Err(StatusError::ACCESS),
+                Access::Read => return Err(StatusError::RANGE),
+                Access::Eeprom if locked && is_modern => return Err(StatusError::ACCESS),
+                // Feetech takes it until the power is switched off.
+                Access::Eeprom if locked && self.protocol == Protocol::Dynamixel1 => {
+                    return Err(StatusError::RANGE);
+                }
+                _ if !(register.min..=register.max).contains(&value) => return Err(StatusError::RANGE),
+                _ => {}
+            }
+        }
+        let limits = (after.get_named("min_position_limit"), after.get_named("max_position_limit"));
+        if let (Some((joint, _)), (Some(min), Some(max))) = (&self.joint, limits) {
+            let goal = after.get(&joint.registers.goal);
+            let changed = goal != self.get(&joint.registers.goal);
+            if changed && min < max && !(min..=max).contains(&goal) {
+                return Err(StatusError::ANGLE_LIMIT);
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Device for Unit {
+    fn id(&self) -> u8 {
+        self.get_named("id").and_then(|id| u8::try_from(id).ok()).unwrap_or(self.declared.raw())
+    }
+
+    fn status_return_level(&self) -> u16 {
+        match (self.get_named("status_return_level"), self.protocol) {
+            (Some(1), Protocol::FeetechSts | Protocol::FeetechScs) | (Some(2) | None, _) => 2,
+            (Some(1), _) | (Some(0), Protocol::FeetechSts | Protocol::FeetechScs) => 1,
+            _ => 0,
+        }
+    }
+
+    fn return_delay(&self) -> Duration {
+        let delay = self.model.register("return_delay").map(|register| register.to_si(self.get(register)));
+        Duration::from_secs_f64(delay.unwrap_or(0.0).clamp(0.0, 0.01))
+    }
+
+    fn error(&self) -> StatusError {
+        StatusError::NONE
+    }
+
+    fn identity(&self) -> [u8; 3] {
+        let number = self.get_named("model_number").unwrap_or(0).to_le_bytes();
+        let firmware = self.get_named("firmware_version").unwrap_or(0).to_le_bytes();
+        [number[0], number[1], firmware[0]]
+    }
+
+    fn read(&self, address: u16, length: u16) -> Result<Vec<u8>, StatusError> {
+        let begin = usize::from(address);
+        let bytes = self.memory.get(begin..begin + usize::from(length));
+        bytes.map(<[u8]>::to_vec).ok_or(StatusError::RANGE)
+    }
+
+    fn write(&mut self, address: u16, data: &[u8]) -> Result<(), StatusError> {
+        let begin = usize::from(address);
+        let mut memory = self.memory.clone();
+        let target = memory.get_mut(begin..begin + data.len()).filter(|target| !target.is_empty());
+        target.ok_or(StatusError::RANGE)?.copy_from_slice(data);
+        let after = Unit {
+            memory,
+            model: Arc::clone(&self.model),
+            joint: self.joint.clone(),
+            registered: None,
+            ..*self
+        };
+        self.check(&after, address, data)?;
+        self.memory = after.memory;
+        Ok(())
+    }
+
+    fn registered(&mut self) -> &mut Option<(u16, Vec<u8>)> {
+        &mut self.registered
+    }
+
+    fn reboot(&mut self) {
+        // Takes effect at once.
+        self.has_power = false;
+    }
+}
+
+/// Joints that turn without load, each on its own.
+struct Joints {
+    motions: Vec<JointMotion>,
+}
+
+impl Joints {
+    fn at(angles: &[f64]) -> Self {
+        let at_rest = |position: &f64| JointMotion { position: *position, ..JointMotion::default() };
+        Self { motions: angles.iter().map(at_rest).collect() }
+    }
+}
+
+impl Body for Joints {
+    fn advance(&mut self, dt: Duration, commands: &[ServoCommand]) {
+        let dt = dt.as_secs_f64();
+        for (motion, command) in self.motions.iter_mut().zip(commands) {
+            motion.drive = command.drive_at(motion.position);
+            let net = if motion.drive.abs() < FRICTION { 0.0 } else { motion.drive };
+            motion.velocity += (net * NO_LOAD_RAD_S - motion.velocity) * (dt / MOTOR_LAG_S).min(1.0);
+            if command.max_drive == 0.0 {
+                // The gear holds it.
+                motion.velocity = 0.0;
+            }
+            motion.position += motion.velocity * dt;
+        }
+    }
+
+    fn joint(&self, index: usize) -> JointMotion {
+        self.motions.get(index).copied().unwrap_or_default()
+    }
+
+    fn imu(&self) -> ImuMotion {
+        ImuMotion { specific_force: [0.0, 0.0, 9.806_65], ..ImuMotion::default() }
+    }
+}

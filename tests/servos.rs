@@ -1,0 +1,231 @@
+//! Robots of serial servos: the robot files in `robots/`, `downbeat servo`, and packets compared with `dynamixel-sdk`.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::path::{Path, PathBuf};
+
+use common::{Running, output_of, python, record_until, text_of, wait_until};
+use downbeat::modules::servo_bus::protocol::{Id, Instruction, Protocol, ReadEntry, WriteEntry};
+use serde_json::{Value, json};
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// Copies a robot file and its description, with a port of its own.
+fn robot(name: &str, folder: &Path) -> PathBuf {
+    let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots");
+    let (port, path) = (folder.join("port"), folder.join("robot.toml"));
+    std::fs::create_dir(folder.join("servos")).unwrap();
+    let description = format!("servos/{name}.toml");
+    std::fs::copy(robots.join(&description), folder.join(&description)).unwrap();
+    let robot = std::fs::read_to_string(robots.join(format!("{name}.toml"))).unwrap();
+    std::fs::write(&path, robot.replace(&format!("/tmp/downbeat_{name}"), text(&port))).unwrap();
+    path
+}
+
+#[test]
+fn robots_run_from_their_files_alone_and_replay_bit_for_bit() {
+    for name in ["so101", "op3"] {
+        let folder = tempfile::tempdir().unwrap();
+        let (robot, bag) = (robot(name, folder.path()), folder.path().join("bag"));
+        let arguments = ["bag", "record", "--robot", text(&robot), "--output", text(&bag)];
+        record_until(&arguments, &bag, "/joint_states", 100);
+        let output = output_of(&["bag", "replay", text(&robot), text(&bag), "--json"]);
+        let report = String::from_utf8(output.stdout).unwrap();
+        assert!(output.status.success(), "{name}: {report} {}", String::from_utf8_lossy(&output.stderr));
+        let report: Value = serde_json::from_str(&report).unwrap();
+        let topics = report["topics"].as_array().unwrap();
+        let states = topics.iter().find(|topic| topic["topic"] == "/joint_states").unwrap();
+        assert!(states.to_string().contains("compared"), "{states}");
+    }
+}
+
+/// The servos of a robot in `robots/`, emulated by the program.
+struct Servos {
+    _emulator: Running,
+    _folder: tempfile::TempDir,
+    port: PathBuf,
+    options: Vec<String>,
+}
+
+impl Servos {
+    fn of(robot: &str, baud: u32) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let port = folder.path().join("port");
+        let description = format!("robots/servos/{robot}.toml");
+        let emulator = Running::start(&["emulate", "servos", &description, "--link", text(&port)]);
+        wait_until("the emulated servos are there", || port.exists());
+        // Answers on a busy machine are late.
+        let options = ["--timeout-ms", "200", "--baud", &baud.to_string()].map(str::to_owned).to_vec();
+        Self { _emulator: emulator, _folder: folder, port, options }
+    }
+
+    /// Runs `downbeat servo`, which must succeed.
+    fn servo(&self, command: &str, arguments: &[&str]) -> String {
+        text_of(&self.line(command, arguments))
+    }
+
+    /// Runs `downbeat servo`, which must fail.
+    fn refused(&self, command: &str, arguments: &[&str]) -> String {
+        let output = output_of(&self.line(command, arguments));
+        assert!(!output.status.success(), "{arguments:?}");
+        String::from_utf8(output.stderr).unwrap()
+    }
+
+    fn line<'a>(&'a self, command: &'a str, arguments: &[&'a str]) -> Vec<&'a str> {
+        let options = self.options.iter().map(String::as_str);
+        ["servo", command, text(&self.port)]
+            .into_iter()
+            .chain(arguments.iter().copied())
+            .chain(options)
+            .collect()
+    }
+}
+
+#[test]
+fn a_scan_lists_the_devices_of_both_families() {
+    let feetech = Servos::of("so101", 1_000_000);
+    let found =
+        feetech.servo("scan", &["--last-id", "7", "--protocol", "dynamixel1", "--protocol", "feetech_sts"]);
+    let expected: String =
+        (1..=6).map(|id| format!("id {id}: STS3215, firmware 3, feetech_sts at 1000000 bit/s\n")).collect();
+    assert_eq!(found, expected);
+    let dynamixel = Servos::of("op3", 2_000_000);
+    let board = dynamixel.servo("scan", &["--last-id", "253", "--protocol", "dynamixel2"]);
+    assert_eq!(
+        board, "id 200: unknown model 0, dynamixel2 at 2000000 bit/s\n",
+        "the servos have no power yet"
+    );
+}
+
+#[test]
+fn a_scan_at_another_speed_finds_nothing() {
+    let servos = Servos::of("so101", 57_600);
+    let error = servos.refused("scan", &["--last-id", "1", "--protocol", "feetech_sts"]);
+    assert!(error.contains("no device answered; is the power on"), "{error}");
+}
+
+#[test]
+fn registers_are_read_and_written_by_name() {
+    let servos = Servos::of("so101", 1_000_000);
+    assert_eq!(servos.servo("ping", &["3"]), "id 3: STS3215, firmware 3, feetech_sts at 1000000 bit/s\n");
+    let all = servos.servo("read", &["3"]);
+    assert!(all.lines().count() > 40 && all.contains("present_temperature"), "{all}");
+    servos.servo("write", &["3", "torque_limit", "500"]);
+    let read = servos.servo("read", &["3", "torque_limit"]);
+    assert!(read.contains(" 500 ") && read.contains("0.5000 1"), "{read}");
+    let error = servos.refused("read", &["3", "present_positoin"]);
+    assert!(
+        error.contains("STS3215 has no register \"present_positoin\", did you mean \"present_position\"?"),
+        "{error}"
+    );
+    assert!(servos.refused("write", &["3", "torque_limit", "5000"]).contains("takes 0 to 1000, not 5000"));
+    assert!(servos.refused("ping", &["99", "--protocol", "feetech_sts"]).contains("no answer from id 99"));
+}
+
+#[test]
+fn a_dangerous_write_needs_force() {
+    let servos = Servos::of("so101", 1_000_000);
+    let force = |text: &str| text.contains("repeat with --force if that is intended");
+    assert!(force(&servos.refused("write", &["3", "max_position_limit", "3000"])));
+    assert!(force(&servos.refused("write", &["3", "baud_rate", "4"])));
+    assert!(servos.refused("write", &["3", "id", "9"]).contains("use `downbeat servo set-id`"));
+    servos.servo("write", &["3", "goal_position", "3000"]);
+    let jump = servos.refused("write", &["3", "torque_enable", "1"]);
+    assert!(jump.contains("rad from the position: it would jump; write goal_position first"), "{jump}");
+    servos.servo("write", &["3", "torque_enable", "1", "--force"]);
+    servos.servo("write", &["3", "max_position_limit", "3500", "--force"]);
+    assert!(servos.servo("read", &["3", "max_position_limit"]).contains(" 3500 "));
+}
+
+#[test]
+fn a_servo_gets_another_id_if_that_is_free() {
+    let servos = Servos::of("so101", 1_000_000);
+    assert!(servos.refused("set-id", &["3", "4"]).contains("id 4 is taken"));
+    assert_eq!(servos.servo("set-id", &["3", "9"]), "id 3 is now id 9\n");
+    assert!(servos.servo("ping", &["9"]).starts_with("id 9: STS3215"));
+    assert!(servos.refused("ping", &["3", "--protocol", "feetech_sts"]).contains("no answer from id 3"));
+}
+
+fn id(raw: u8) -> Id {
+    Id::new(raw).unwrap()
+}
+
+/// Instructions, and how `dynamixel-sdk` is asked for them.
+fn instructions() -> Vec<(Protocol, Instruction, Value)> {
+    let mut all = Vec::new();
+    let stuffed = vec![0xFF, 0xFF, 0xFD, 0xFD, 0x00];
+    for (protocol, number) in [(Protocol::Dynamixel1, 1), (Protocol::Dynamixel2, 2)] {
+        let (write, id_7) = (stuffed.clone(), id(7));
+        all.extend([
+            (protocol, Instruction::Ping { id: id_7 }, json!([number, "ping", 7])),
+            (
+                protocol,
+                Instruction::Read { id: id_7, address: 36, length: 8 },
+                json!([number, "read", 7, 36, 8]),
+            ),
+            (
+                protocol,
+                Instruction::Write { id: id_7, address: 30, data: write.clone() },
+                json!([number, "write", 7, 30, write]),
+            ),
+            (
+                protocol,
+                Instruction::RegWrite { id: id_7, address: 30, data: write.clone() },
+                json!([number, "reg_write", 7, 30, write]),
+            ),
+            (protocol, Instruction::Action { id: id_7 }, json!([number, "action", 7])),
+        ]);
+        let entries = vec![(id(1), vec![0xFF, 0xFF]), (id(2), vec![0xFD, 3])];
+        let raw = [1, 0xFF, 0xFF, 2, 0xFD, 3];
+        let sync_write = Instruction::SyncWrite { address: 30, length: 2, entries };
+        all.push((protocol, sync_write, json!([number, "sync_write", 30, 2, raw])));
+    }
+    let bulk = |protocol, raw: Vec<u8>, number| {
+        let entries = vec![
+            ReadEntry { id: id(200), address: 24, length: 27 },
+            ReadEntry { id: id(1), address: 36, length: 8 },
+        ];
+        (protocol, Instruction::BulkRead { entries }, json!([number, "bulk_read", raw]))
+    };
+    all.push(bulk(Protocol::Dynamixel1, vec![27, 200, 24, 8, 1, 36], 1));
+    all.push(bulk(Protocol::Dynamixel2, vec![200, 24, 0, 27, 0, 1, 36, 0, 8, 0], 2));
+    let two = Protocol::Dynamixel2;
+    all.push((two, Instruction::Reboot { id: id(7) }, json!([2, "reboot", 7])));
+    let ids = vec![id(1), id(2), id(20)];
+    all.push((
+        two,
+        Instruction::SyncRead { address: 126, length: 21, ids: ids.clone() },
+        json!([2, "sync_read", 126, 21, [1, 2, 20]]),
+    ));
+    let fast = Instruction::FastSyncRead { address: 126, length: 21, ids };
+    all.push((two, fast, json!([2, "fast_sync_read", 126, 21, [1, 2, 20]])));
+    let entries = vec![ReadEntry { id: id(9), address: 144, length: 3 }];
+    all.push((two, Instruction::FastBulkRead { entries }, json!([2, "fast_bulk_read", [9, 144, 0, 3, 0]])));
+    let entries = vec![WriteEntry { id: id(3), address: 600, data: stuffed.clone() }];
+    let raw = [&[3, 600_u16.to_le_bytes()[0], 600_u16.to_le_bytes()[1], 5, 0][..], &stuffed].concat();
+    all.push((two, Instruction::BulkWrite { entries }, json!([2, "bulk_write", raw])));
+    all
+}
+
+#[test]
+fn packets_are_those_of_dynamixel_sdk() {
+    let instructions = instructions();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("instructions.json");
+    let asked: Vec<&Value> = instructions.iter().map(|(_, _, asked)| asked).collect();
+    std::fs::write(&file, serde_json::to_string(&asked).unwrap()).unwrap();
+    let Some(packets) = python("dynamixel_packets.py", &[&file]) else { return };
+    let Some(packets) = packets.as_array() else {
+        eprintln!("skipped: dynamixel-sdk is not installed");
+        return;
+    };
+    assert_eq!(packets.len(), instructions.len());
+    for ((protocol, instruction, _), packet) in instructions.iter().zip(packets) {
+        let ours: String =
+            instruction.to_bytes(*protocol).unwrap().iter().map(|byte| format!("{byte:02x}")).collect();
+        assert_eq!(ours, packet.as_str().unwrap(), "{protocol} {instruction:?}");
+    }
+}
