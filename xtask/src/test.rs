@@ -7,7 +7,7 @@ use crate::steps::{Steps, run};
 use crate::{node, python};
 
 /// The features that are not enabled by default, except for those that compile C.
-const ALL: &[&str] = &["--features", "downbeat/tables"];
+const ALL: &[&str] = &["--features", "downbeat/physics,downbeat/tables"];
 
 pub(crate) fn test() -> anyhow::Result<()> {
     // First, so that a missing Python is reported before minutes of building.
