@@ -27,11 +27,14 @@ const PAGES: [&str; 9] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 8] = [
+const ELSEWHERE: [&str; 11] = [
     "cargo xtask",
     "cargo test",
     "cargo run -- new",
     "cargo run -- run robot.toml",
+    "cargo run --release --features physics", // tests/walking.rs, as the next two
+    "ros2 topic pub -r 10 /cmd_vel",
+    "ros2 topic pub --once /push",
     "cargo install",
     "cd ",
     "sudo ",

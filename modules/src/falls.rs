@@ -6,7 +6,7 @@
 //! | `joint_states` (in) | `sensor_msgs/JointState` | the pose that a limp robot keeps |
 //! | `robot_state` | `std_msgs/String` | `upright`, `falling`, `fallen`, `getting_up`, `helpless`; when it changes and once a second |
 //! | `falls/joint_commands` | `sensor_msgs/JointState` | commands for all joints while the robot falls |
-//! | `motions/play` | `std_msgs/String` | an empty name, which stops a motion, when the robot falls |
+//! | `motions/stop` | `std_msgs/Empty` | when the robot falls |
 //! | `play_motion` | action `downbeat_interfaces/PlayMotion`, used | `get_up_front`, `get_up_back` also from the right side, `get_up_left` |
 //!
 //! A robot that tilts by more than `tilt_limit` falls. Its joints are then commanded to where they are, so that the
@@ -28,7 +28,7 @@ use crate::present_pose::{PresentPose, command, stand};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_msgs::downbeat_interfaces::action::{PlayMotion, PlayMotionGoal};
 use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
-use downbeat_msgs::std_msgs::msg::String as Text;
+use downbeat_msgs::std_msgs::msg::{Empty, String as Text};
 use glam::{DQuat, DVec3};
 use std::fmt;
 use std::time::Duration;
@@ -49,7 +49,7 @@ pub struct Falls {
 pub struct Ports {
     robot_state: Publication<Text>,
     commands: Publication<JointState>,
-    play: Publication<Text>,
+    stop_motion: Publication<Empty>,
     tilt_limit: Setting<f64>,
     still_rate: Setting<f64>,
     still_s: Setting<f64>,
@@ -99,7 +99,7 @@ impl Falls {
             State::Upright if is_tilted => {
                 tracing::warn!("the robot falls, its trunk is tilted by {:.0} degrees", tilt_degrees(up));
                 self.attempts = 0;
-                ctx.publish(ctx.ports.play, Text::default());
+                ctx.publish(ctx.ports.stop_motion, Empty::default());
                 self.enter(State::Falling { still_since: None }, ctx);
             }
             State::Falling { still_since } => {
@@ -185,7 +185,7 @@ impl Module for Falls {
         let ports = Ports {
             robot_state: setup.publish("robot_state")?,
             commands: setup.publish("falls/joint_commands")?,
-            play: setup.publish("motions/play")?,
+            stop_motion: setup.publish("motions/stop")?,
             tilt_limit: setup.setting_in(
                 "tilt_limit",
                 0.8,

@@ -4,6 +4,7 @@
 //! | --- | --- | --- |
 //! | `play_motion` | action `downbeat_interfaces/PlayMotion` | plays a motion; it can be canceled |
 //! | `motions/play` (in) | `std_msgs/String` | the same by topic; an empty name stops the motion |
+//! | `motions/stop` (in) | `std_msgs/Empty` | stops the motion: for modules, so that `motions/play` is left to those outside |
 //! | `motions/playing` | `std_msgs/String` | the motion that plays, or an empty name; when it changes and once a second |
 //! | `motions/joint_commands` | `sensor_msgs/JointState` | positions of the joints that the motion moves, every 8 ms |
 //! | `joint_states`, `joint_goals` (in) | `sensor_msgs/JointState` | where a motion starts |
@@ -29,7 +30,7 @@ use crate::present_pose::{PresentPose, command, stand};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_msgs::downbeat_interfaces::action::{PlayMotion, PlayMotionFeedback, PlayMotionResult};
 use downbeat_msgs::sensor_msgs::msg::JointState;
-use downbeat_msgs::std_msgs::msg::{Bool, String as Text};
+use downbeat_msgs::std_msgs::msg::{Bool, Empty, String as Text};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -216,6 +217,7 @@ impl Module for MotionPlayer {
             player.is_walking = walking.data;
         })?;
         setup.subscribe("motions/play", Self::on_play)?;
+        setup.subscribe::<Empty, _>("motions/stop", |player, _, ctx| player.end("stopped", ctx))?;
         ActionServer::builder(|player: &mut Self| &mut player.server)
             .on_goal(|player, _, goal, _| match player.is_known(&goal.name) {
                 true => GoalResponse::AcceptAndExecute,

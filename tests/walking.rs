@@ -1,0 +1,70 @@
+//! The Darwin OP walks in its simulated world: rclpy steers it, it falls when pushed and gets up, and the recorded run
+//! replays.
+#![cfg(feature = "physics")]
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use common::matrix::{Way, With, check};
+use common::rclpy::Peer;
+use common::{Running, downbeat, wait_until};
+use serde_json::{Value, json};
+
+const ROBOT: &str = "robots/darwin_op_walks.toml";
+
+/// The latest message on a topic since the last call.
+fn latest(rclpy: &mut Peer, topic: &str) -> Option<Value> {
+    rclpy
+        .ask(json!({"do": "take", "topic": topic}))
+        .as_array()
+        .unwrap()
+        .last()
+        .map(|last| last["fields"].clone())
+}
+
+#[test]
+fn rclpy_steers_the_robot_which_falls_when_pushed_and_gets_up_and_the_run_replays() {
+    let Some(mut rclpy) = Peer::start(224, "LOCALHOST") else { return };
+    let _check = check("Topics", "a simulated robot is steered by cmd_vel", With::Rclpy, Way::In);
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("walk");
+    let bag = bag.to_str().unwrap();
+    let mut program = Running::start(&["run", ROBOT, "--domain", "224", "--record", bag]);
+    for (topic, kind) in [("/odom", "nav_msgs/msg/Odometry"), ("/robot_state", "std_msgs/msg/String")] {
+        rclpy.ask(json!({"do": "subscribe", "topic": topic, "type": kind}));
+    }
+    for (topic, kind) in
+        [("/cmd_vel", "geometry_msgs/msg/Twist"), ("/push", "geometry_msgs/msg/Vector3Stamped")]
+    {
+        rclpy.ask(json!({"do": "advertise", "topic": topic, "type": kind}));
+        wait_until("rclpy has found the robot", || {
+            rclpy.ask(json!({"do": "matched", "topic": topic})).as_u64().is_some_and(|count| count > 0)
+        });
+    }
+    let wait_for_state = |rclpy: &mut Peer, wanted: &str| {
+        wait_until(&format!("the robot is {wanted}"), || {
+            latest(rclpy, "/robot_state").is_some_and(|state| state["data"] == wanted)
+        });
+    };
+    wait_for_state(&mut rclpy, "upright");
+    wait_until("the robot has walked 0.3 m", || {
+        rclpy.ask(json!({"do": "publish", "topic": "/cmd_vel", "fields": {"linear": {"x": 0.1}}}));
+        let position =
+            latest(&mut rclpy, "/odom").map(|odometry| odometry["pose"]["pose"]["position"]["x"].clone());
+        position.and_then(|x| x.as_f64()).is_some_and(|x| x > 0.3)
+    });
+    let push = json!({"header": {"frame_id": "torso"}, "vector": {"x": 3.0}});
+    rclpy.ask(json!({"do": "publish", "topic": "/push", "fields": push}));
+    wait_for_state(&mut rclpy, "fallen");
+    wait_for_state(&mut rclpy, "upright");
+    program.interrupt();
+    rclpy.leave();
+
+    let replay = downbeat(&["bag", "replay", ROBOT, bag]).output().unwrap();
+    assert!(
+        replay.status.success(),
+        "{}{}",
+        String::from_utf8_lossy(&replay.stdout),
+        String::from_utf8_lossy(&replay.stderr)
+    );
+}
