@@ -71,11 +71,6 @@ impl Module for JointCommandMux {
     type Ports = Ports;
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
-        let sources = setup.read_only_setting(
-            "sources",
-            SOURCES.map(str::to_owned).to_vec(),
-            "topics of joint commands, those with precedence first",
-        )?;
         let ports = Ports {
             goals: setup.publish("joint_goals")?,
             hold_s: setup.setting_in(
@@ -91,6 +86,11 @@ impl Module for JointCommandMux {
                 "rad/s; how fast a joint goes to the command of the module that takes it over",
             )?,
         };
+        let sources = setup.read_only_setting(
+            "sources",
+            SOURCES.map(str::to_owned).to_vec(),
+            "topics of joint commands, those with precedence first",
+        )?;
         for (rank, topic) in setup.value(sources).cloned().unwrap_or_default().iter().enumerate() {
             let source = Source { rank, is_outside: topic == OUTSIDE };
             setup.subscribe(topic, move |mux: &mut Self, command: Received<'_, JointState>, ctx| {

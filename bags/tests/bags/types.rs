@@ -176,11 +176,12 @@ fn others_decode_values_of_every_carried_type() {
             None => check,
         };
         let found = &read[reader.name];
-        let mut decoded = 0;
+        let (mut decoded, mut known) = (0, types.len());
         for of in &types {
             let package = of.name.split('/').next().unwrap();
             if reader.name == "rclpy" && !packages.contains(package) {
                 assert_eq!(found[of.topic()], Value::Null, "{}", of.name);
+                known -= 1;
                 continue;
             }
             if let Some(reason) = (reader.exception)(of) {
@@ -200,7 +201,11 @@ fn others_decode_values_of_every_carried_type() {
             decoded += 1;
         }
         let is_exception = (reader.exception)(types[0]).is_some();
-        assert!(is_exception || decoded * 2 > types.len(), "{} decoded {decoded} of {kind}", reader.name);
+        assert!(
+            is_exception || decoded * 2 > known && known * 3 > types.len(),
+            "{} decoded {decoded} of {kind}",
+            reader.name
+        );
     }
 }
 

@@ -82,7 +82,7 @@ fn a_pattern_means_what_modules_publish_as_ros_messages() {
     };
     assert!(!all.iter().any(never), "{all:?}");
     assert_eq!(names("out = [\"joint_*\"]"), ["joint_states", "joint_goals"]);
-    assert_eq!(names("in = [\"joint_*\"]"), ["joint_commands"]);
+    assert_eq!(names("in = [\"joint_*\"]"), ["joint_torque", "joint_commands"]);
     assert_eq!(
         names("out = [{ topic = \"**\", type = \"sensor_msgs/msg/Imu\" }]"),
         ["imu/data_raw"],
