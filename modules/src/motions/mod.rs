@@ -12,7 +12,7 @@
 //!
 //! | setting | |
 //! | --- | --- |
-//! | `file` | file of motions, as described in [`file`]; empty for the motions of the Darwin OP that are built in |
+//! | `file` | file of motions, as described in [`mod@file`]; empty for the motions of the Darwin OP that are built in |
 //! | `speed` | the speed of all motions, as a fraction of what the file says |
 //!
 //! A motion starts at the present pose. A new motion interrupts the one that plays and starts where it was. After

@@ -15,7 +15,7 @@ use super::{Cdr, Endianness, Plain, Reader, Result, Text};
 /// use downbeat_msgs::sensor_msgs::msg::{self, view};
 /// use downbeat_msgs::cdr;
 ///
-/// let image = msg::Image { width: 640, representation: "rgb8".into(), data: vec![7; 1024], ..Default::default() };
+/// let image = msg::Image { width: 640, encoding: "rgb8".into(), data: vec![7; 1024], ..Default::default() };
 /// let bytes = cdr::to_vec(&image);
 ///
 /// let image: view::Image = cdr::from_slice(&bytes)?;

@@ -50,10 +50,12 @@ fn paths(message: MessageRef<'_>, prefix: &str) -> Vec<String> {
 
 /// Every built-in message that the wheels contain, including parts of services and actions, filled by path.
 fn messages() -> Vec<DynamicMessage> {
-    const NO_WHEEL: [&str; 5] = [
+    const NO_WHEEL: [&str; 7] = [
+        "control_msgs",
         "downbeat_interfaces",
         "composition_interfaces",
         "rosbag2_interfaces",
+        "simulation_interfaces",
         "statistics_msgs",
         "tf2_msgs",
     ];
