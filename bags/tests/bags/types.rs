@@ -202,7 +202,7 @@ fn others_decode_values_of_every_carried_type() {
         }
         let is_exception = (reader.exception)(types[0]).is_some();
         assert!(
-            is_exception || decoded * 2 > known && known * 4 > types.len(),
+            is_exception || decoded * 2 > known && known > 0,
             "{} decoded {decoded} of {kind}",
             reader.name
         );
