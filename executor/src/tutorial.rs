@@ -491,8 +491,8 @@
 //!
 //! # 10 A launcher
 //!
-//! The launcher decides on which threads the process phase runs, and nothing else. Modules share nothing while they run, and
-//! their requests are collected in the order of registration, so the result is the same.
+//! The launcher decides on which threads the process phase runs. It does not change the result, because modules share
+//! nothing while they run and their requests are collected in the order of registration.
 //!
 //! | launcher | for |
 //! | --- | --- |

@@ -15,4 +15,4 @@ pub use inverse::{Found, InverseKinematics, Search};
 pub use look_at::{Look, LookAt};
 pub use mjcf::{Root, to_mjcf};
 pub use nalgebra;
-pub use pose::{Masses, Pose};
+pub use pose::{Masses, Pose, wrapped};

@@ -37,11 +37,11 @@
 //! `diff_drive_controller` of `ros-controls/ros2_controllers`, branch jazzy: `doc/userdoc.rst` for names and defaults; for (1) and (2)
 //! R. Siegwart, I. Nourbakhsh, "Introduction to Autonomous Mobile Robots", section 5.2.4.
 
-use std::f64::consts::PI;
 use std::time::Duration;
 
 use super::{header, joint_names};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
+use downbeat_kinematics::wrapped;
 use downbeat_msgs::geometry_msgs::msg::{Quaternion, TransformStamped, Twist, TwistStamped};
 use downbeat_msgs::nav_msgs::msg::Odometry;
 use downbeat_msgs::sensor_msgs::msg::JointState;
@@ -141,7 +141,7 @@ impl DiffDriveController {
             let wheel = self.sides.iter_mut().flatten().find(|wheel| wheel.name == *name);
             if let Some(wheel) = wheel.filter(|_| position.is_finite()) {
                 // A servo may count within one turn: what it has turned is the shorter way round.
-                let turned = wheel.position.map_or(0.0, |before| within_half_a_turn(position - before));
+                let turned = wheel.position.map_or(0.0, |before| wrapped(position - before));
                 wheel.turned += turned;
                 wheel.position = Some(*position);
                 wheel.is_fresh = true;
@@ -210,10 +210,6 @@ fn check_length(metres: f64) -> Result<(), &'static str> {
     is_length.then_some(()).ok_or("it must be given, in m, and be greater than 0")
 }
 
-fn within_half_a_turn(angle: f64) -> f64 {
-    angle - (angle / (2.0 * PI)).round() * (2.0 * PI)
-}
-
 impl Pose {
     /// (2).
     fn after(self, distance: f64, angle: f64) -> Self {
@@ -222,11 +218,7 @@ impl Pose {
         let shortening = if half.abs() < 1e-4 { 1.0 - half * half / 6.0 } else { half.sin() / half };
         let (sin, cos) = (self.heading + half).sin_cos();
         let chord = distance * shortening;
-        Self {
-            x: self.x + chord * cos,
-            y: self.y + chord * sin,
-            heading: within_half_a_turn(self.heading + angle),
-        }
+        Self { x: self.x + chord * cos, y: self.y + chord * sin, heading: wrapped(self.heading + angle) }
     }
 
     fn orientation(self) -> Quaternion {
@@ -362,7 +354,7 @@ mod tests {
                 (0..2).for_each(|_| self.core.cycle().unwrap());
                 if let Some(command) = self.commands.take().pop() {
                     for (wheel, speed) in self.wheels.iter_mut().zip(&command.velocity) {
-                        *wheel = within_half_a_turn(*wheel + speed * 0.02);
+                        *wheel = wrapped(*wheel + speed * 0.02);
                     }
                 }
                 let name = vec!["left".into(), "right".into()];

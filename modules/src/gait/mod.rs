@@ -31,6 +31,7 @@ use crate::darwin_op::tables::joints::COUNT;
 use crate::present_pose::{PresentPose, command, stand};
 use crate::transforms::TransformBroadcaster;
 use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time};
+use downbeat_kinematics::wrapped;
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::geometry_msgs::msg::{Point, Quaternion, Transform, TransformStamped, Twist, Vector3};
 use downbeat_msgs::nav_msgs::msg::Odometry as OdometryMessage;
@@ -348,11 +349,6 @@ fn publish_odometry(
     let transform = Transform { translation: Vector3 { x, y, z }, rotation };
     let transform = TransformStamped { header, child_frame_id: base_link, transform };
     ctx.ports.transforms.send(ctx, [transform]);
-}
-
-/// The same angle between -π and π.
-fn wrapped(angle: f64) -> f64 {
-    angle - (angle / std::f64::consts::TAU).round() * std::f64::consts::TAU
 }
 
 #[cfg(test)]

@@ -23,6 +23,7 @@
 //! joints of its motion, so that the motion is the same from wherever it starts.
 
 use crate::darwin_op::tables::joints::{COUNT, JOINTS, index_of};
+use downbeat_msgs::definitions::suggestion;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -331,14 +332,8 @@ fn joints_named(name: &Spanned<String>, source: &Source<'_>) -> Result<Vec<(usiz
     if let (Some(right), Some(left)) = (side("r"), side("l")) {
         return Ok(vec![(right, 1.0), (left, -1.0)]);
     }
-    let distance = |joint: &str| strsim::osa_distance(joint, name.get_ref());
-    let nearest = JOINTS.iter().map(|joint| joint.name).min_by_key(|joint| distance(joint));
-    let problem = format!(
-        "there is no joint \"{}\", did you mean \"{}\"?",
-        name.get_ref(),
-        nearest.unwrap_or_default()
-    );
-    Err(source.error(name.span().start, problem))
+    let hint = suggestion(name.get_ref(), JOINTS.iter().map(|joint| joint.name));
+    Err(source.error(name.span().start, format!("there is no joint \"{}\"{hint}", name.get_ref())))
 }
 
 /// The text of a file, for errors.

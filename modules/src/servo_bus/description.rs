@@ -23,6 +23,7 @@ use super::bus::LineSettings;
 use super::joint::{Guard, Joint, Registers};
 use super::models::{self, Model, Register, line_of};
 use super::protocol::{Id, Protocol};
+use downbeat_msgs::definitions::suggestion;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -357,7 +358,7 @@ impl Parser<'_> {
         for (name, value) in self.file.defaults.registers.iter().chain(&entry.registers) {
             let error = |problem| self.source.error(value.span().start, problem);
             let register = model.register(name).ok_or_else(|| {
-                let near = nearest(name, model.registers.iter().map(|register| &*register.name));
+                let near = suggestion(name, model.registers.iter().map(|register| &*register.name));
                 error(format!("{} has no register \"{name}\"{near}", model.name))
             })?;
             let raw = *value.get_ref();
@@ -386,7 +387,8 @@ impl Parser<'_> {
         let register = |wanted: &Spanned<String>| {
             let found = model.register(wanted.get_ref()).cloned();
             found.ok_or_else(|| {
-                let near = nearest(wanted.get_ref(), model.registers.iter().map(|register| &*register.name));
+                let near =
+                    suggestion(wanted.get_ref(), model.registers.iter().map(|register| &*register.name));
                 let problem = format!(
                     "device \"{name}\": {} has no register \"{}\"{near}",
                     model.name,
@@ -442,7 +444,7 @@ impl Parser<'_> {
                 .source
                 .error(at, "there are several buses: add \"bus\" with the name of one".to_owned())),
             (Some(name), _) => buses.iter().position(|bus| bus.name == *name.get_ref()).ok_or_else(|| {
-                let near = nearest(name.get_ref(), buses.iter().map(|bus| &*bus.name));
+                let near = suggestion(name.get_ref(), buses.iter().map(|bus| &*bus.name));
                 self.source
                     .error(name.span().start, format!("there is no [[bus]] \"{}\"{near}", name.get_ref()))
             }),
@@ -455,7 +457,7 @@ impl Parser<'_> {
         let own = self.own_models.iter().find(|model| model.name.eq_ignore_ascii_case(name));
         let model = own.or_else(|| models::find(name)).ok_or_else(|| {
             let known = self.own_models.iter().chain(models::built_in());
-            let near = nearest(name, known.map(|model| &*model.name));
+            let near = suggestion(name, known.map(|model| &*model.name));
             error(format!(
                 "unknown model \"{name}\"{near}; a file with its registers can be named in \"models\""
             ))
@@ -554,14 +556,6 @@ fn bus(
 
 fn milliseconds(ms: f64) -> Duration {
     Duration::from_secs_f64(ms.clamp(0.0, 60_000.0) / 1000.0)
-}
-
-/// `, did you mean "…"?`, or nothing if no name is similar.
-pub(super) fn nearest<'a>(found: &str, names: impl Iterator<Item = &'a str>) -> String {
-    let similarity = |name: &str| strsim::jaro_winkler(&found.to_lowercase(), &name.to_lowercase());
-    let best = names.max_by(|one, other| similarity(one).total_cmp(&similarity(other)));
-    best.filter(|name| similarity(name) > 0.7)
-        .map_or_else(String::new, |name| format!(", did you mean \"{name}\"?"))
 }
 
 #[derive(Deserialize)]

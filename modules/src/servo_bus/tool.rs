@@ -4,6 +4,7 @@ use super::bus::{Bus, ExpectedStatus, LineSettings, Outcome, SerialBus};
 use super::models::{self, Access, Model, Register};
 use super::protocol::{Id, Instruction, Protocol, StatusError};
 use super::servo::{Line, Trouble, for_each_status};
+use downbeat_msgs::definitions::suggestion;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -249,7 +250,7 @@ impl ServoPort {
         model.register(name).cloned().ok_or_else(|| ServoError::UnknownRegister {
             model: model.name.clone(),
             register: name.to_owned(),
-            near: super::description::nearest(name, model.registers.iter().map(|register| &*register.name)),
+            near: suggestion(name, model.registers.iter().map(|register| &*register.name)),
         })
     }
 

@@ -1,6 +1,6 @@
 //! Forward and inverse kinematics of a leg.
 
-use super::wrapped;
+use crate::wrapped;
 use downbeat_transforms::Isometry;
 use glam::{DMat3, DQuat, DVec3};
 

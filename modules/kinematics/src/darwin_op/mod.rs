@@ -8,15 +8,3 @@ mod leg;
 
 pub use head::{Head, HeadSolution};
 pub use leg::{Leg, LegSolution, Reach, Side};
-
-/// An angle from -π to π.
-fn wrapped(angle: f64) -> f64 {
-    use std::f64::consts::{PI, TAU};
-    if angle > PI {
-        angle - TAU
-    } else if angle < -PI {
-        angle + TAU
-    } else {
-        angle
-    }
-}
